@@ -1,0 +1,46 @@
+# Everything a user or the CI needs; each target builds the environment first, once.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test check format samples accept bench bench-coverage clean
+
+$(STAMP): pyproject.toml .ci/constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "verify needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt -e '.[dev]'
+	@touch $@
+
+demo: $(STAMP)
+	$(BIN)/verify run sample_sessions/multi_joint_fault_6r -o demo-report --force --tolerance 0.2; \
+	status=$$?; [ $$status -le 1 ] || exit $$status  # 1 means: the robot does not conform, as it should here
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n 2
+
+check: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -n 2
+
+format: $(STAMP)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+samples: $(STAMP)
+	$(BIN)/python -m tests.samples
+
+accept: $(STAMP)
+	$(BIN)/python -m pytest tests/golden --accept
+
+bench: $(STAMP)
+	$(BIN)/python -m tests.bench
+
+bench-coverage: $(STAMP)
+	$(BIN)/python -m tests.bench.coverage
+
+clean:
+	rm -rf $(VENV) build *.egg-info

@@ -1,0 +1,1 @@
+"""Is the robot where it says it is: flange pose from two cameras, compared with the encoders."""

@@ -1,0 +1,25 @@
+"""What can be wrong with what a user gives us, worded once: place, found, expected, what to do."""
+
+from pathlib import Path
+
+
+class InputError(Exception):
+    """The input cannot be used; said in one line, exit status 2.
+
+    Args:
+        place: the file (and line, column or key) or the option at fault.
+        found: what stands there.
+        expected: what would be right.
+        remedy: what the user can do about it.
+    """
+
+    def __init__(self, place: str | Path, found: str, expected: str = "", remedy: str = "") -> None:
+        self.place, self.found, self.expected, self.remedy = str(place), found, expected, remedy
+        clause = f"{found}; {expected}" if expected else found
+        sentence = f"{place}: {clause}."
+        super().__init__(one_line(f"{sentence} {remedy}".strip()))
+
+
+def one_line(text: str) -> str:
+    """Keep hostile names (newlines, escape sequences) from breaking the one line that is promised."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

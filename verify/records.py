@@ -1,0 +1,105 @@
+"""What flows through the chain, in order: StereoPair, Spots, Sighting, Pose, Measurement.
+
+Metres, radians and seconds throughout; image coordinates in pixels, (x, y), pixel centres at
+whole numbers. `a_T_b` carries coordinates in b to coordinates in a.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class StereoPair:
+    """Two pictures and what is known of when and how they were taken."""
+
+    frame: int
+    t_left: float  # s, cameras' clock, mid-exposure
+    t_right: float
+    pan_left: float  # rad, as read; the rig adds pan_zero
+    pan_right: float
+    left: Image  # (h, w) grey or (h, w, 3) BGR
+    right: Image
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The variance of a pixel of signal s above black: read² + gain · s, in DN²."""
+
+    read: float  # DN, standard deviation in the dark, quantisation included
+    gain: float  # DN² of variance a DN of signal (shot noise)
+    black: float  # DN, level at which the signal is zero
+
+
+@dataclass(frozen=True, slots=True)
+class Spots:
+    """The bright spots found in one image, brightest first."""
+
+    centre: Array  # (n, 2), px
+    covariance: Array  # (n, 2, 2), px²
+    peak: Array  # (n,), DN above background of the fitted profile (may exceed 255 when saturated)
+    diameter: Array  # (n,), px, full width at half height of the fitted profile, mean of both axes
+    elongation: Array  # (n,), long axis over short axis, >= 1
+    misfit: Array  # (n,), reduced chi² of the profile fit: near 1 for one clean LED
+    saturated: NDArray[np.bool_]  # (n,), some pixels are at the sensor's limit
+    merged: NDArray[np.bool_]  # (n,), shape or misfit says: not one clean spot
+    colour: Array  # (n, 3), mean B, G, R above background; equal for a grey image
+    noise: Noise
+
+    def __len__(self) -> int:
+        """Count the spots."""
+        return len(self.centre)
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """LEDs found in one camera's image, by their index in the marker."""
+
+    led: NDArray[np.int64]  # (m,), index into marker.leds
+    centre: Array  # (m, 2), px, distorted, as seen in the image
+    covariance: Array  # (m, 2, 2), px²
+    velocity: Array  # (m, 2), px/s, from the neighbouring pair; 0 where not known
+    t: float  # s, the instant that `centre` belongs to
+    moved: float  # s, by how much alignment moved it from its own instant (0 = taken then)
+    acceleration_lever: float  # s², half |(t - t_a)(t - t_b)|: what a constant acceleration costs
+    pan: float  # rad, camera base angle as read
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the flange was at one instant, and how well that is known.
+
+    A perturbation is a translation and a small rotation vector, both in rig axes, applied on the
+    left: R' = exp(phi) R, p' = p + rho.
+    """
+
+    rig_T_flange: Array  # (4, 4)
+    covariance_pixels: Array  # (6, 6), m and rad: from the spots' noise alone
+    covariance_alignment: Array  # (6, 6): from bringing the right image to the left's instant
+    known_dof: int  # 0, 3, 5 or 6: what the visible LEDs determine
+    determined: Array  # (6, known_dof), orthonormal: the directions that are determined
+    reprojection_rms_px: float
+    chi2: float  # whitened residual sum of squares
+    degrees_of_freedom: int
+    residual: Array  # (s, 2), px, seen less predicted, left sightings then right ones
+    rejected: NDArray[np.bool_]  # (s,), sightings that the fit refused as outliers
+    gain: Array  # (6, 2 s): d pose / d spot centre, zero columns for rejected ones
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One stereo pair's outcome; a bad frame is a measurement whose status says why."""
+
+    frame: int
+    t: float  # s, the left camera's instant
+    status: str  # measured, too_few_leds, ambiguous_leds, outlier, unaligned (later: no_encoder, …)
+    pose: Pose | None = None
+    left: Sighting | None = None
+    right: Sighting | None = None
+    systematic: Array | None = None  # (6, p): d pose / d parameter of setup.systematics
+    choice: str = ""  # how identification was settled: geometry, colour, continuity, encoders
+    notes: tuple[str, ...] = field(default=())
