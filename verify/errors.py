@@ -21,5 +21,5 @@ class InputError(Exception):
 
 
 def one_line(text: str) -> str:
-    """Keep hostile names (newlines, escape sequences) from breaking the one line that is promised."""
+    """Keep hostile names (newlines, escape sequences) from breaking the promised one line."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

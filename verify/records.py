@@ -4,7 +4,7 @@ Metres, radians and seconds throughout; image coordinates in pixels, (x, y), pix
 whole numbers. `a_T_b` carries coordinates in b to coordinates in a.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,13 +60,17 @@ class Sighting:
     """LEDs found in one camera's image, by their index in the marker."""
 
     led: NDArray[np.int64]  # (m,), index into marker.leds
-    centre: Array  # (m, 2), px, distorted, as seen in the image
+    centre: Array  # (m, 2), px, distorted, as seen in the image, brought to the instant t
     covariance: Array  # (m, 2, 2), px²
-    velocity: Array  # (m, 2), px/s, from the neighbouring pair; 0 where not known
     t: float  # s, the instant that `centre` belongs to
-    moved: float  # s, by how much alignment moved it from its own instant (0 = taken then)
-    acceleration_lever: float  # s², half |(t - t_a)(t - t_b)|: what a constant acceleration costs
     pan: float  # rad, camera base angle as read
+    peak: Array  # (m,), DN
+    velocity: Array  # (m, 2), px/s, from the neighbouring pair; 0 where the arm stands still
+    acceleration_lever: Array  # (m,), s²: px that one px/s² of acceleration leaves after alignment
+
+    def __len__(self) -> int:
+        """Count the LEDs seen."""
+        return len(self.led)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,14 +84,33 @@ class Pose:
     rig_T_flange: Array  # (4, 4)
     covariance_pixels: Array  # (6, 6), m and rad: from the spots' noise alone
     covariance_alignment: Array  # (6, 6): from bringing the right image to the left's instant
-    known_dof: int  # 0, 3, 5 or 6: what the visible LEDs determine
-    determined: Array  # (6, known_dof), orthonormal: the directions that are determined
-    reprojection_rms_px: float
+    twist: Array  # (6,), m/s and rad/s: how the flange moves, from the spots' velocities
+    acceleration_prior: tuple[float, float]  # m/s², rad/s²: what covariance_alignment assumed
+    determined: Array  # (6, known_dof), orthonormal: functionals that the visible LEDs determine
+    gain: Array  # (6, 2 s): d pose / d spot centre, left sightings then right; 0 for rejected ones
+    sensitivity: Array  # (s, 2, 3): d px / d point in the rig, the same order
+    residual: Array  # (s, 2), px, seen less predicted
+    rejected: NDArray[np.bool_]  # (s,), sightings that the fit refused as outliers
+    consistent: bool  # no spot is left that the others contradict
     chi2: float  # whitened residual sum of squares
     degrees_of_freedom: int
-    residual: Array  # (s, 2), px, seen less predicted, left sightings then right ones
-    rejected: NDArray[np.bool_]  # (s,), sightings that the fit refused as outliers
-    gain: Array  # (6, 2 s): d pose / d spot centre, zero columns for rejected ones
+
+    @property
+    def known_dof(self) -> int:
+        """Degrees of freedom that the visible LEDs determine: 0, 3, 5 or 6."""
+        return int(self.determined.shape[1])
+
+    @property
+    def covariance(self) -> Array:
+        """Everything that varies from pair to pair, (6, 6), m and rad."""
+        total: Array = self.covariance_pixels + self.covariance_alignment
+        return total
+
+    @property
+    def reprojection_rms_px(self) -> float:
+        """Root mean square distance of the used spots from where the pose puts them."""
+        used = self.residual[~self.rejected]
+        return float(np.sqrt(np.mean(np.sum(used**2, axis=1)))) if len(used) else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +119,10 @@ class Measurement:
 
     frame: int
     t: float  # s, the left camera's instant
-    status: str  # measured, too_few_leds, ambiguous_leds, outlier, unaligned (later: no_encoder, …)
+    status: str  # measured, too_few_leds, ambiguous_leds, outlier, unaligned
+    leds_seen: int  # LEDs seen by at least one camera
     pose: Pose | None = None
     left: Sighting | None = None
     right: Sighting | None = None
-    systematic: Array | None = None  # (6, p): d pose / d parameter of setup.systematics
     choice: str = ""  # how identification was settled: geometry, colour, continuity, encoders
-    notes: tuple[str, ...] = field(default=())
+    whole_frame: bool = False  # the LEDs were searched in the whole picture

@@ -104,7 +104,9 @@ def undistort(distorted: Array, coefficients: Array) -> Array:
 class Covariance:
     """Standard uncertainties and correlation of named parameters, as calibration wrote them."""
 
-    parameters: tuple[str, ...]  # e.g. left.fx_px, right.mount_ry_deg, robot_base.rz_deg, led.A.x_mm
+    parameters: tuple[
+        str, ...
+    ]  # e.g. left.fx_px, right.mount_ry_deg, robot_base.rz_deg, led.A.x_mm
     standard_uncertainty: Array  # (p,), in each parameter's own unit (its name's suffix)
     correlation: Array  # (p, p)
     degrees_of_freedom: float | None = None
@@ -121,5 +123,7 @@ class Rig:
     rig_T_base: Array  # (4, 4)
     base_source: str = "fixture"  # or "motion": fitted through the robot's own encoders
     registration: str | None = None
-    absorption: Array | None = None  # (12, joints): base and LED-body motion a rad of offset; m, rad
+    absorption: Array | None = (
+        None  # (12, joints): base and LED-body motion a rad of offset; m, rad
+    )
     covariance: Covariance | None = None

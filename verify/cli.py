@@ -1,0 +1,89 @@
+"""The command line: `verify COMMAND …`. Known errors take one line, unknown ones a traceback."""
+
+import errno
+import os
+import signal
+import sys
+
+import click
+import typer
+
+from verify.commands.report import report
+from verify.commands.robots import robots
+from verify.commands.run import run
+from verify.commands.simulate import simulate
+from verify.errors import InputError, one_line
+from verify.terminal import terminal
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+EVERYWHERE = "With every command: --quiet, --verbose, --json (one object a line on standard output), "
+    "--version."
+app = typer.Typer(
+    name="verify",
+    help="Is my robot where it says it is? Two cameras and a few LEDs check an arm's encoders.",
+    epilog=EVERYWHERE,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+for command in (run, report, simulate, robots):
+    app.command(epilog=EVERYWHERE)(command)
+
+
+@app.callback()
+def _verify() -> None:
+    """Is my robot where it says it is? Two cameras and a few LEDs check an arm's encoders."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with INTERFACE.md's status."""
+    words = _global_flags(sys.argv[1:] if arguments is None else arguments)
+    signal.signal(signal.SIGTERM, _interrupt)  # a polite kill leaves nothing half-written either
+    sys.exit(_status(words))
+
+
+def _interrupt(_signal: int, _frame: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _status(words: list[str]) -> int:
+    try:
+        outcome = app(words, prog_name="verify", standalone_mode=False)
+    except InputError as problem:
+        return _refuse(str(problem))
+    except click.ClickException as problem:
+        return _refuse(f"{problem.format_message()} See `verify --help`.")
+    except (KeyboardInterrupt, click.Abort):
+        sys.stderr.write("interrupted\n")
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has gone: nobody is left to tell
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as problem:
+        if problem.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
+            raise
+        return _refuse(f"{problem.filename or 'output'}: {problem.strerror}.")
+    return outcome if isinstance(outcome, int) else 0
+
+
+def _refuse(message: str) -> int:
+    sys.stderr.write(f"error: {one_line(message)}\n")
+    return BAD_INPUT
+
+
+def _global_flags(words: list[str]) -> list[str]:
+    """Take the flags that work everywhere out of the command line."""
+    end = words.index("--") if "--" in words else len(words)
+    flags, rest = words[:end], words[end:]
+    if "--version" in flags:
+        from verify import __version__
+
+        sys.stdout.write(f"verify {__version__}\n")
+        sys.exit(0)
+    terminal.quiet = "--quiet" in flags
+    terminal.verbose = "--verbose" in flags
+    terminal.as_json = "--json" in flags
+    taken = {"--quiet", "--verbose", "--json"}
+    return [w for w in flags if w not in taken] + rest

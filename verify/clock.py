@@ -1,0 +1,163 @@
+"""The offset between the controller's clock and the cameras', from the motion itself.
+
+First coarsely, by what no registration can disturb: the angle and the distance that the flange
+moves from pair to pair, seen and read. Then finely, by the poses, together with a constant error
+of every joint, so that an encoder's offset does not pass for a clock's.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import robots
+from verify.comparison import Comparison, compare, difference
+from verify.readings import Readings
+from verify.records import Array
+from verify.regression import autocorrelation_factor, whiten
+from verify.track import Track
+
+MOST_PAIRS = 400  # enough to find the offset coarsely; more only cost time
+COARSE_STEP = 0.02  # s; brisk joints turn half a degree in it
+LEAST_OVERLAP = 0.5  # of the pairs must have a reading at an offset that is tried
+# Angle and distance errors that a wrong rig or table leaves in a relative motion, so that the
+# search is not ruled by pairs that happen to be exact: rad, m.
+MODEL_ERROR = (1e-3, 5e-4)
+ROUNDS = 30
+SETTLED = 1e-7  # s
+# An offset that the motion shows no better than this is no offset: the arm moves 0.3° at 30°/s.
+WORST_UNCERTAINTY = 0.01  # s
+# of the clock's effect must be left after joint offsets are fitted; less is rounding and noise
+LEAST_VISIBLE = 0.02
+# the same from the readings' noise alone, at rest, is 1 with a spread of a few percent
+LEAST_OVER_NOISE = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class ClockEstimate:
+    """What to add to the readings' time, and how well it is known."""
+
+    offset: float  # s; 0 where the motion does not show it
+    standard_uncertainty: float | None  # s; None: taken as exact, or not known
+    source: str  # given, estimated, not_observable
+    curve: Array  # (m, 2): offset s, cost a pair
+
+
+def estimate_clock(track: Track, arm: robots.Arm, readings: Readings) -> ClockEstimate:
+    """Find the offset from the motion.
+
+    Returns:
+        The offset with its standard uncertainty, or source `not_observable` where the motion
+        (at rest, or at constant speed) cannot show it.
+    """
+    offsets, cost = _coarse(track, arm, readings)
+    if not len(offsets):
+        return ClockEstimate(0.0, None, "not_observable", np.zeros((0, 2)))
+    curve = np.stack([offsets, cost], axis=1)
+    offset = float(offsets[np.argmin(cost)])
+    fine = _fine(track, arm, readings, offset)
+    if fine is None:
+        at_rest = 0.0 if _covered(track, readings, 0.0) else offset
+        return ClockEstimate(at_rest, None, "not_observable", curve)
+    return ClockEstimate(fine[0], fine[1], "estimated", curve)
+
+
+def _covered(track: Track, readings: Readings, offset: float) -> bool:
+    return bool(readings.known(track.t - offset).mean() >= LEAST_OVERLAP)
+
+
+def _coarse(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, Array]:
+    """Cost of every offset that gives enough pairs a reading; (m,) and (m,)."""
+    early, late = _neighbours(track)
+    if not len(early):
+        return np.zeros(0), np.zeros(0)
+    seen = _invariants(track.base_T_flange[early], track.base_T_flange[late])
+    variance = np.square(MODEL_ERROR) + _invariant_variance(track, early, late)
+    lowest = track.t[-1] - readings.t[-1] - 0.5 * (track.t[-1] - track.t[0])
+    highest = track.t[0] - readings.t[0] + 0.5 * (track.t[-1] - track.t[0])
+    count = max(int(np.ceil((highest - lowest) / COARSE_STEP)), 1) + 1
+    # poses along the whole log once; every offset then only looks them up
+    grid_t = np.arange(readings.t[0], readings.t[-1] + COARSE_STEP, COARSE_STEP)
+    grid_pose = robots.forward(arm, readings.at(grid_t))
+    offsets, cost = [], []
+    for offset in np.linspace(lowest, highest, count):
+        one, two = track.t[early] - offset, track.t[late] - offset
+        known = readings.known(one) & readings.known(two)
+        if known.mean() < LEAST_OVERLAP:
+            continue
+        places = [
+            np.clip(np.rint((t[known] - grid_t[0]) / COARSE_STEP).astype(int), 0, len(grid_t) - 1)
+            for t in (one, two)
+        ]
+        read = _invariants(grid_pose[places[0]], grid_pose[places[1]])
+        misfit = (read - seen[known]) ** 2 / variance[known]
+        offsets.append(offset)
+        cost.append(float(np.mean(np.minimum(misfit, 100.0))))  # a wild pair has one vote
+    return np.array(offsets), np.array(cost)
+
+
+def _neighbours(track: Track) -> tuple[Array, Array]:
+    """Which pairs to take the relative motion between: some tenths of a second apart."""
+    full = np.flatnonzero(track.known_dof == 6)
+    if len(full) < 3:
+        return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
+    typical = float(np.median(np.diff(track.t[full])))
+    lag = max(round(0.3 / typical), 1)  # noise falls, motion grows with the lag
+    early, late = full[:-lag], full[lag:]
+    if len(early) > MOST_PAIRS:
+        chosen = np.linspace(0, len(early) - 1, MOST_PAIRS).astype(int)
+        early, late = early[chosen], late[chosen]
+    return early, late
+
+
+def _invariants(a_T_one: Array, a_T_other: Array) -> Array:
+    """Angle (rad) and distance (m) of the motion between poses, (n, 2): the same in any frame."""
+    xi = difference(a_T_one, a_T_other)
+    return np.stack([np.linalg.norm(xi[:, 3:], axis=1), np.linalg.norm(xi[:, :3], axis=1)], axis=1)
+
+
+def _invariant_variance(track: Track, early: Array, late: Array) -> Array:
+    trace = [
+        np.trace(track.covariance_pixels[:, block, block], axis1=1, axis2=2) / 3
+        for block in (slice(3, 6), slice(0, 3))
+    ]
+    return np.stack([v[early] + v[late] for v in trace], axis=1)
+
+
+def _fine(
+    track: Track, arm: robots.Arm, readings: Readings, offset: float
+) -> tuple[float, float] | None:
+    """Newton on the offset with a constant error of every joint fitted beside it."""
+    for _ in range(ROUNDS):
+        comparison = compare(track, arm, readings, offset)
+        if len(comparison) < 3:
+            return None
+        solved = _step(comparison)
+        if solved is None:
+            return None
+        step, uncertainty = solved
+        offset += float(np.clip(step, -0.1, 0.1))  # readings are not linear over longer times
+        if abs(step) < SETTLED:
+            break
+    return (offset, uncertainty) if uncertainty < WORST_UNCERTAINTY else None
+
+
+def _step(comparison: Comparison) -> tuple[float, float] | None:
+    """Correction of the offset and its standard uncertainty, or None where nothing shows it."""
+    # a later clock reads the joints where they were earlier: d xi / d offset = - J rate
+    effect = -np.einsum("nij,nj->ni", comparison.jacobian, comparison.rate)[:, :, None]
+    white = whiten(comparison)
+    rows, joints = white.rows(effect)[:, 0], white.rows(comparison.jacobian)
+    xi = white.rows(comparison.xi[:, :, None])[:, 0]
+    basis = np.linalg.svd(joints, full_matrices=False)
+    basis_u = basis[0][:, basis[1] > 1e-9 * basis[1][0]]
+    left = rows - basis_u @ (basis_u.T @ rows)
+    size = float(np.linalg.norm(left))
+    by_noise = float(np.sum(joints**2, axis=0) @ comparison.rate_variance)
+    if size**2 <= LEAST_OVER_NOISE * by_noise or size < LEAST_VISIBLE * np.linalg.norm(rows):
+        return None
+    step = -float(left @ xi) / size**2
+    residual = xi - basis_u @ (basis_u.T @ xi) + left * step
+    degrees = max(len(xi) - basis_u.shape[1] - 1, 1)
+    misfit = max(float(residual @ residual) / degrees, 1.0)  # what offsets alone do not explain
+    factor = autocorrelation_factor(white.by_pair(residual))
+    return step, float(np.sqrt(misfit * factor)) / size

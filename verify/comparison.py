@@ -1,0 +1,175 @@
+"""The encoders' pose less the measured one, pair by pair: what every judgement rests on.
+
+All statistics start from the twist `xi` between the two poses (translation, rotation vector; base
+axes at the flange; m and rad) and the Jacobian that carries joint errors to it. No joint angle is
+inverted for them, so a pair near a singularity does no harm.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import robots
+from verify.readings import RATE_SPAN, Readings
+from verify.records import Array
+from verify.track import Track
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """n pairs that have both a pose and a reading; arm with j joints."""
+
+    index: NDArray[np.int64]  # (n,), rows of the track
+    t: Array  # (n,), s
+    q: Array  # (n, j), rad, readings at the left camera's instant
+    rate: Array  # (n, j), rad/s
+    direction: Array  # (n, j), last direction of travel
+    jacobian: Array  # (n, 6, j), at the readings
+    base_T_encoder: Array  # (n, 4, 4), the flange where the readings put it
+    base_T_measured: Array  # (n, 4, 4); directions that the LEDs leave open follow the readings
+    xi: Array  # (n, 6), readings' pose less measured
+    covariance: Array  # (n, 6, 6), of xi from pair to pair: pixels, alignment, readings
+    covariance_measured: Array  # (n, 6, 6), of the measured pose alone
+    systematic: Array  # (n, 6, p + 2), d xi / d stated parameter, pan readings last
+    determined: tuple[Array, ...]  # n of (6, d)
+    reading_variance: Array  # (n, j), rad²
+    rate_variance: Array  # (j,), (rad/s)², what the readings' noise does to `rate`
+
+    def __len__(self) -> int:
+        """Count the compared pairs."""
+        return len(self.index)
+
+    @property
+    def complete(self) -> bool:
+        """Every pair determines all six degrees of freedom."""
+        return all(b.shape[1] == 6 for b in self.determined)
+
+
+def compare(
+    track: Track,
+    arm: robots.Arm,
+    readings: Readings,
+    offset: float,
+    *,
+    resolution: float | None = None,
+    time_uncertainty: float | None = None,
+    known: NDArray[np.bool_] | None = None,
+) -> Comparison:
+    """Set the readings at each pair's instant against its measured pose.
+
+    Args:
+        track: measured poses.
+        arm: the robot.
+        readings: its joint readings, on the controller's clock.
+        offset: s, added to the readings' time to get the cameras' clock.
+        resolution: rad, the readings' last digit.
+        time_uncertainty: s, of each reading's time stamp.
+        known: which pairs to take; those with a reading where not given.
+
+    Returns:
+        One row a pair that has a reading.
+    """
+    there = track.t - offset
+    if known is None:
+        known = readings.known(there)
+    index = np.flatnonzero(known)
+    there = there[index]
+    q, rate = readings.at(there), readings.rate(there)
+    jacobian = robots.jacobian(arm, q)
+    encoder = robots.forward(arm, q)
+    determined = tuple(track.determined[i] for i in index)
+    measured = _filled(track.base_T_flange[index], encoder, determined)
+    variance = np.repeat(readings.noise[None] ** 2, len(index), axis=0)
+    if resolution is not None:
+        variance = variance + resolution**2 / 12
+    spread = np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian)
+    if time_uncertainty is not None:
+        speed = np.einsum("nij,nj->ni", jacobian, rate)
+        spread = spread + time_uncertainty**2 * speed[:, :, None] * speed[:, None, :]
+    own = alignment_scale(track) * track.covariance_alignment + track.covariance_pixels
+    return Comparison(
+        index=index,
+        t=track.t[index],
+        q=q,
+        rate=rate,
+        direction=readings.direction(there),
+        jacobian=jacobian,
+        base_T_encoder=encoder,
+        base_T_measured=measured,
+        xi=difference(encoder, measured),
+        covariance=own[index] + spread,
+        covariance_measured=own[index],
+        systematic=-track.systematic[index],
+        determined=determined,
+        reading_variance=variance,
+        rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
+    )
+
+
+def difference(a_T_one: Array, a_T_other: Array) -> Array:
+    """One pose less the other as a twist in a's axes: (n, 4, 4) twice to (n, 6), m and rad."""
+    turn = a_T_one[:, :3, :3] @ np.swapaxes(a_T_other[:, :3, :3], 1, 2)
+    rotation = Rotation.from_matrix(turn).as_rotvec() if len(turn) else np.zeros((0, 3))
+    return np.concatenate([a_T_one[:, :3, 3] - a_T_other[:, :3, 3], rotation], axis=1)
+
+
+def _filled(measured: Array, encoder: Array, determined: tuple[Array, ...]) -> Array:
+    """Move measured poses along what their LEDs leave open to where the readings are nearest.
+
+    A gauge, not a value: the determined directions do not change to first order, and the steps
+    are repeated until the open ones agree.
+    """
+    filled = measured.copy()
+    for i, known in enumerate(determined):
+        if known.shape[1] == 6:
+            continue
+        hidden = np.linalg.svd(known, full_matrices=True)[0][:, known.shape[1] :]
+        for _ in range(8):  # a turn of 90° about the LEDs' line needs five
+            xi = difference(encoder[i : i + 1], filled[i : i + 1])[0]
+            step = hidden @ (hidden.T @ xi)
+            turn = Rotation.from_rotvec(step[3:]).as_matrix()
+            filled[i, :3, :3] = turn @ filled[i, :3, :3]
+            filled[i, :3, 3] += step[:3]
+    return filled
+
+
+def alignment_scale(track: Track) -> float:
+    """How far the session's real accelerations exceed (or fall short of) what poses assumed.
+
+    The second differences of the measured poses show the motion's acceleration; their mean square
+    over the assumed one, with the poses' own noise taken off, corrects the covariance. Without
+    three neighbouring pairs the assumption stands.
+    """
+    interval = np.diff(track.t)
+    regular = (interval[:-1] < 1.0) & (interval[1:] < 1.0)  # s; visits show no acceleration
+    full = track.known_dof == 6
+    usable = np.flatnonzero(regular & full[:-2] & full[1:-1] & full[2:]) + 1
+    if len(usable) < 5 or not track.covariance_alignment.any():
+        return 1.0
+    pose = track.base_T_flange
+    before = difference(pose[usable], pose[usable - 1]) / interval[usable - 1, None]
+    after = difference(pose[usable + 1], pose[usable]) / interval[usable, None]
+    span = (track.t[usable + 1] - track.t[usable - 1]) / 2
+    acceleration = (after - before) / span[:, None]
+    noise = _second_difference_variance(track, usable, interval, span)
+    excess = np.maximum(acceleration**2 - noise, 0.0)
+    assumed = np.repeat(track.acceleration_prior[usable] ** 2, 3, axis=1)
+    ratios = np.array([excess[:, :3].sum() / assumed[:, :3].sum(),
+                       excess[:, 3:].sum() / assumed[:, 3:].sum()])  # fmt: skip
+    return float(ratios.mean())
+
+
+def _second_difference_variance(
+    track: Track, usable: NDArray[np.int64], interval: Array, span: Array
+) -> Array:
+    """Variance that the poses' own noise gives to a second difference, (u, 6)."""
+    variance = np.diagonal(track.covariance_pixels, axis1=1, axis2=2)
+    early, late = 1 / interval[usable - 1, None], 1 / interval[usable, None]
+    total: Array = (
+        variance[usable - 1] * early**2
+        + variance[usable] * (early + late) ** 2
+        + variance[usable + 1] * late**2
+    ) / span[:, None] ** 2
+    return total

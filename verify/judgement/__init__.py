@@ -1,0 +1,1 @@
+"""What a comparison means: mean errors, visibility, resolved errors, verdict and diagnosis."""

@@ -1,0 +1,104 @@
+"""Each joint's mean error and how well it is known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from verify.judgement.model import Model
+from verify.records import Array
+from verify.regression import solve
+from verify.systematics import Systematics
+
+LARGE_SAMPLE = 50  # effective degrees of freedom above which k = 2 stands for 95 %
+
+
+@dataclass(frozen=True, slots=True)
+class JointErrors:
+    """Per-pair joint errors (readings less measured), rad; nan where a pair does not tell."""
+
+    error: Array  # (n, j)
+    covariance: Array  # (n, j, j), random, of the error
+    covariance_measured: Array  # (n, j, j), random, of the measured angle alone
+    systematic: Array  # (n, j, p), d error / d prior column
+
+
+@dataclass(frozen=True, slots=True)
+class Means:
+    """Mean errors, rad; nan where no data determine them."""
+
+    mean: Array  # (j,)
+    covariance: Array  # (j, j), nan rows where the mean is nan
+    random: Array  # (j,), standard uncertainty from what averages out
+    coverage_factor: Array  # (j,)
+    pairs: NDArray[np.int64]  # (j,), in each joint's statistics
+
+
+def mean_errors(
+    model: Model,
+    errors: JointErrors,
+    factor: float,
+    clock_uncertainty: float | None,
+    systematics: Systematics,
+) -> Means:
+    """Plain means over the pairs where base and LEDs stand apart from the encoders, else a fit.
+
+    Args:
+        model: the session's linear model.
+        errors: joint errors a pair.
+        factor: inflation of the random variance by correlation from pair to pair.
+        clock_uncertainty: s, of a clock offset that was estimated; None where it is given.
+        systematics: for the degrees of freedom that the calibration states.
+    """
+    joints = model.joints.shape[1]
+    if model.through_encoders or not model.comparison.complete or joints > 6:
+        return _fitted(model, factor)
+    known = ~np.isnan(errors.error)
+    pairs = known.sum(axis=0)
+    weight = known / np.maximum(pairs, 1)
+    mean = np.where(pairs > 0, np.nansum(errors.error * weight, axis=0), np.nan)
+    random = np.einsum("ni,nij,nj->ij", weight, np.nan_to_num(errors.covariance), weight) * factor
+    moved = np.einsum("ni,nip->ip", weight, np.nan_to_num(errors.systematic))
+    covariance = random + moved @ moved.T
+    if clock_uncertainty is not None:
+        drift = (model.comparison.rate * weight).sum(axis=0) * clock_uncertainty
+        covariance = covariance + np.outer(drift, drift)
+    covariance[pairs == 0] = covariance[:, pairs == 0] = np.nan
+    spread = np.sqrt(np.diag(random))
+    degrees = _effective(np.diag(covariance), np.diag(random), pairs, systematics)
+    return Means(mean, covariance, spread, _coverage(degrees), pairs.astype(np.int64))
+
+
+def _fitted(model: Model, factor: float) -> Means:
+    """Offsets of all joints together with what was registered, by weighted least squares."""
+    joints = model.joints.shape[1]
+    design = np.concatenate([model.offsets, model.fitted], axis=1)
+    scale = 1 / np.sqrt(factor)  # correlated pairs count for fewer
+    fit = solve(design * scale, model.xi * scale, model.prior * scale)
+    alone = solve(design * scale, model.xi * scale)
+    known = fit.estimable[:joints]
+    mean = np.where(known, fit.value[:joints], np.nan)
+    covariance = fit.covariance[:joints, :joints].copy()
+    covariance[~known] = covariance[:, ~known] = np.nan
+    random = np.where(known, np.sqrt(np.diag(alone.covariance)[:joints]), np.nan)
+    pairs = np.full(joints, len(model.comparison))
+    degrees = np.full(joints, float(fit.degrees_of_freedom))
+    return Means(mean, covariance, random, _coverage(degrees), pairs)
+
+
+def _effective(
+    total: Array, random: Array, pairs: NDArray[np.int64], systematics: Systematics
+) -> Array:
+    """Welch-Satterthwaite degrees of freedom of each mean."""
+    rest = np.maximum(total - random, 0.0)
+    # six coordinates a pair share the noise estimate; the spots' own is known far better
+    denominator = (
+        random**2 / np.maximum(6.0 * pairs - 6, 1) + rest**2 / systematics.degrees_of_freedom
+    )
+    return np.divide(total**2, denominator, out=np.full(len(total), np.inf), where=denominator > 0)
+
+
+def _coverage(degrees: Array) -> Array:
+    exact = student.ppf(0.97725, np.maximum(np.nan_to_num(degrees, nan=np.inf), 1.0))
+    return np.where(degrees > LARGE_SAMPLE, 2.0, exact)

@@ -1,0 +1,164 @@
+"""A session as a linear model: what joint errors, a registration and stated doubts move."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from verify.clock import ClockEstimate
+from verify.comparison import Comparison
+from verify.marker import Marker
+from verify.records import Array
+from verify.regression import Whitener, whiten
+from verify.rig import Rig
+from verify.systematics import Systematics
+from verify.track import Track
+
+# More distinct pan readings than this are taken as errors of single pairs, which average out.
+MOST_PAN_GROUPS = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """Whitened rows (r) of a session with n pairs and an arm of j joints."""
+
+    comparison: Comparison
+    white: Whitener
+    xi: Array  # (r,)
+    joints: Array  # (r, j), of a constant offset that arose after registration, 1 rad
+    hidden: Array  # (r, j), the same for one that was there at registration
+    fitted: (
+        Array  # (r, f), free columns: clock, and base and LED body where this session's stand in
+    )
+    clock: Array  # (r, 0 or 1), the free column of an estimated clock alone
+    prior: Array  # (r, p), columns of unit variance: everything stated that does not average out
+    prior_columns: Array  # (n, 6, p), the same before whitening
+    through_encoders: bool  # base or LEDs were fitted through the robot's own encoders
+    stands_in: bool  # the registration's motion is not known; this session's stands for it
+
+    @property
+    def offsets(self) -> Array:
+        """The joint columns that a constant error is judged by, (r, j)."""
+        return self.hidden if self.through_encoders else self.joints
+
+
+def build(
+    comparison: Comparison,
+    track: Track,
+    rig: Rig,
+    marker: Marker,
+    clock: ClockEstimate,
+    systematics: Systematics,
+) -> Model:
+    """Lay a comparison out as a whitened linear model."""
+    white = whiten(comparison)
+    jacobian = comparison.jacobian
+    latency = -np.einsum("nij,nj->ni", jacobian, comparison.rate)[:, :, None]
+    clock_rows = white.rows(latency) if clock.source != "given" else np.zeros((len(white.pair), 0))
+    prior_columns = _prior(comparison, track, clock, systematics, latency)
+    joints = white.rows(jacobian)
+    base, body = rig.base_source == "motion", marker.source == "motion"
+    registered = _registered(comparison, base=base, body=body)
+    hidden, fitted = joints, clock_rows
+    if rig.absorption is not None and (base or body):
+        full = _registered(comparison, base=True, body=True)
+        hidden = joints - white.rows(full @ _in_base_axes(rig) @ rig.absorption)
+    elif base or body:
+        fitted = np.concatenate([clock_rows, white.rows(registered)], axis=1)
+    return Model(
+        comparison=comparison,
+        white=white,
+        xi=white.rows(comparison.xi[:, :, None])[:, 0],
+        joints=joints,
+        hidden=hidden,
+        fitted=fitted,
+        clock=clock_rows,
+        prior=white.rows(prior_columns),
+        prior_columns=prior_columns,
+        through_encoders=base or body,
+        stands_in=(base or body) and rig.absorption is None,
+    )
+
+
+def _registered(comparison: Comparison, *, base: bool, body: bool) -> Array:
+    """What a motion of the registered base (base axes) or LED body (flange axes) does to xi."""
+    n = len(comparison)
+    columns = np.zeros((n, 6, 0))
+    flange = comparison.base_T_encoder
+    if base:
+        arm = flange[:, :3, 3]
+        motion = np.tile(np.eye(6), (n, 1, 1))
+        motion[:, :3, 3:] = -_cross(arm)
+        columns = np.concatenate([columns, motion], axis=2)
+    if body:
+        turn = np.zeros((n, 6, 6))
+        turn[:, :3, :3] = turn[:, 3:, 3:] = flange[:, :3, :3]
+        columns = np.concatenate([columns, turn], axis=2)
+    return columns
+
+
+def _cross(vectors: Array) -> Array:
+    """Matrices of v x ., (n, 3, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    matrix = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
+    return matrix.reshape(-1, 3, 3)
+
+
+def _in_base_axes(rig: Rig) -> Array:
+    """Carry (base motion in rig axes, body motion in flange axes) to base axes, (12, 12)."""
+    base_R_rig = rig.rig_T_base[:3, :3].T
+    carried = np.eye(12)
+    carried[:3, :3] = carried[3:6, 3:6] = base_R_rig
+    return carried
+
+
+def _prior(
+    comparison: Comparison,
+    track: Track,
+    clock: ClockEstimate,
+    systematics: Systematics,
+    latency: Array,
+) -> Array:
+    """Columns of unit variance for everything stated that does not average out, (n, 6, p)."""
+    count = len(systematics.names)
+    columns = [comparison.systematic[:, :, :count] @ _root(systematics.covariance)]
+    if clock.source == "given" and clock.standard_uncertainty:
+        columns.append(latency * clock.standard_uncertainty)
+    columns.extend(pan_columns(comparison, track, systematics, side) for side in (0, 1))
+    return np.concatenate(columns, axis=2)
+
+
+def _root(covariance: Array) -> Array:
+    """A matrix whose square is the covariance, (p, q), without the directions of no variance."""
+    sigma = np.sqrt(np.diag(covariance))
+    safe = np.where(sigma > 0, sigma, 1.0)  # metres beside pixels: scaled before the eigenvalues
+    values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
+    some = values > 1e-12  # of a correlation matrix: rounding
+    root: Array = sigma[:, None] * vectors[:, some] * np.sqrt(values[some])
+    return root
+
+
+def pan_columns(comparison: Comparison, track: Track, systematics: Systematics, side: int) -> Array:
+    """One column a distinct pan reading of a camera: pairs that share it share its error."""
+    sigma, n = systematics.pan[side], len(comparison)
+    if not sigma > 0:
+        return np.zeros((n, 6, 0))
+    distinct, group = np.unique(track.pan[comparison.index, side], return_inverse=True)
+    if len(distinct) > MOST_PAN_GROUPS:
+        return np.zeros((n, 6, 0))
+    effect = comparison.systematic[:, :, len(systematics.names) + side] * sigma
+    chosen = group[:, None] == np.arange(len(distinct))
+    columns: Array = effect[:, :, None] * chosen[:, None, :]
+    return columns
+
+
+def with_pan_noise(comparison: Comparison, track: Track, systematics: Systematics) -> Comparison:
+    """Count the errors of many distinct pan readings with what varies from pair to pair."""
+    covariance = comparison.covariance
+    for side in (0, 1):
+        distinct = len(np.unique(track.pan[comparison.index, side]))
+        if systematics.pan[side] > 0 and distinct > MOST_PAN_GROUPS:
+            effect = comparison.systematic[:, :, len(systematics.names) + side]
+            effect = effect * systematics.pan[side]
+            covariance = covariance + effect[:, :, None] * effect[:, None, :]
+    return replace(comparison, covariance=covariance)

@@ -1,0 +1,276 @@
+"""The chain composed: stereo pairs in, one measurement a pair out. Every mode drives this."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.alignment import LONGEST_GAP, RawSighting, align, spot_instants
+from verify.detection import detect
+from verify.identification import Identification, Prediction, identify
+from verify.marker import Marker
+from verify.pose import ACCELERATION_PER_SPEED, ROUGH_ACCELERATION, fit_pose, perturb
+from verify.records import Array, Image, Measurement, Pose, Sighting, Spots, StereoPair
+from verify.rig import Camera, Rig
+
+NEVER: tuple[Array, ...] = ()
+# A spot's surroundings: its own radius several times over, for the background that is fitted.
+WINDOW_MARGIN_PX = 14.0
+
+
+def nothing_expected(_t: float) -> Sequence[Array]:
+    """Stand in for encoders where there are none: no candidate poses."""
+    return NEVER
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What a measurement needs to know beside the pictures."""
+
+    rig: Rig
+    marker: Marker
+    # candidates for rig_T_flange at a time (s), from the encoders: settles which LED is which
+    # where nothing else does; a choice, never a value
+    expected: Callable[[float], Sequence[Array]] = field(default=nothing_expected)
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A pair after identification, each spot still at its own instant."""
+
+    pair_t: float
+    frame: int
+    found: Identification
+    left: RawSighting
+    right: RawSighting
+    whole_frame: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """What is carried from one pair to the next: one pair, no more."""
+
+    seen: _Seen
+    pose: Pose
+
+
+def measure(pairs: Iterable[StereoPair], setup: Setup) -> Iterator[Measurement]:
+    """Measure the flange's pose in each stereo pair.
+
+    Args:
+        pairs: stereo pairs in time order, streamed; two are held at most.
+        setup: rig, marker, and what the encoders suggest.
+
+    Yields:
+        One measurement a pair, in order. A pair that cannot be measured has a status that says
+        why. The first pair is delivered with the second, whose motion it borrows.
+    """
+    memory: _Memory | None = None
+    held: _Seen | None = None
+    first = True
+    for pair in pairs:
+        seen = _look(pair, setup, memory)
+        if first:
+            held, first = seen, False
+            continue
+        if held is not None:
+            outcome, memory = _finish(held, seen, setup)
+            yield outcome
+            held = None
+        outcome, memory = _finish(seen, memory.seen if memory else None, setup)
+        yield outcome
+    if held is not None:
+        yield _finish(held, None, setup)[0]
+
+
+def _look(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _Seen:
+    """Find the spots and say which LED each is; the whole frame where prediction fails."""
+    prediction = _predict(memory, pair.t_left) if memory is not None else None
+    if prediction is not None:
+        windows = [
+            _windows(setup, camera, pan, prediction, image)
+            for camera, pan, image in (
+                (setup.rig.left, pair.pan_left, pair.left),
+                (setup.rig.right, pair.pan_right, pair.right),
+            )
+        ]
+        spots = detect(pair.left, windows[0]), detect(pair.right, windows[1])
+        seen = _identified(pair, spots, setup, prediction, whole_frame=False)
+        enough = len(memory.seen.found.left_led) if memory is not None else 0
+        if seen.found.status == "measured" and len(seen.found.left_led) >= enough:
+            return seen
+    spots = detect(pair.left), detect(pair.right)
+    return _identified(pair, spots, setup, prediction, whole_frame=True)
+
+
+def _identified(
+    pair: StereoPair,
+    spots: tuple[Spots, Spots],
+    setup: Setup,
+    prediction: Prediction | None,
+    *,
+    whole_frame: bool,
+) -> _Seen:
+    found = identify(
+        *spots,
+        setup.rig,
+        pair.pan_left,
+        pair.pan_right,
+        setup.marker,
+        prediction=prediction,
+        expected_poses=setup.expected(pair.t_left),
+    )
+    sides = []
+    for camera, image_spots, led, spot, t, pan, image in (
+        (setup.rig.left, spots[0], found.left_led, found.left_spot, pair.t_left, pair.pan_left,
+         pair.left),
+        (setup.rig.right, spots[1], found.right_led, found.right_spot, pair.t_right,
+         pair.pan_right, pair.right),
+    ):  # fmt: skip
+        sides.append(_raw(image_spots, led, spot, t, pan, camera, setup, found, image))
+    return _Seen(pair.t_left, pair.frame, found, sides[0], sides[1], whole_frame)
+
+
+def _raw(
+    spots: Spots,
+    led: Array,
+    spot: Array,
+    t: float,
+    pan: float,
+    camera: Camera,
+    setup: Setup,
+    found: Identification,
+    image: Image,
+) -> RawSighting:
+    index = np.asarray(spot, dtype=np.int64)
+    sighting = Sighting(
+        led=np.asarray(led, dtype=np.int64),
+        centre=spots.centre[index],
+        covariance=spots.covariance[index],
+        t=t,
+        pan=pan,
+        peak=spots.peak[index],
+        velocity=np.zeros((len(index), 2)),
+        acceleration_lever=np.zeros(len(index)),
+    )
+    depth = np.full(len(index), np.nan)
+    if found.rig_T_flange is not None and len(index):
+        points = setup.marker.leds[sighting.led] @ found.rig_T_flange[:3, :3].T
+        points = points + found.rig_T_flange[:3, 3]
+        camera_T_rig = np.linalg.inv(camera.rig_T_camera(pan))
+        depth = points @ camera_T_rig[2, :3] + camera_T_rig[2, 3]
+    taken = spot_instants(t, sighting.centre, camera, image.shape[0])
+    return RawSighting(sighting, taken, depth)
+
+
+def _finish(
+    seen: _Seen, neighbour: _Seen | None, setup: Setup
+) -> tuple[Measurement, _Memory | None]:
+    """Align, fit the pose, and say what came of the pair."""
+    found = seen.found
+    leds = len(set(found.left_led.tolist()) | set(found.right_led.tolist()))
+    outcome = Measurement(
+        seen.frame, seen.pair_t, found.status, leds, choice=found.choice,
+        whole_frame=seen.whole_frame,
+    )  # fmt: skip
+    if found.status != "measured" or found.rig_T_flange is None:
+        return outcome, None
+    sides = []
+    for camera, now, before in (
+        (setup.rig.left, seen.left, neighbour.left if neighbour else None),
+        (setup.rig.right, seen.right, neighbour.right if neighbour else None),
+    ):
+        useful = before if before is not None and len(before.sighting) else None
+        sides.append(align(now, useful, seen.pair_t, camera) if len(now.sighting) else now.sighting)
+    left, right = sides
+    if left is None or right is None:
+        return replace(outcome, status="unaligned"), None
+    pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange)
+    status = "measured" if pose.consistent else "outlier"
+    outcome = replace(outcome, status=status, pose=pose, left=left, right=right)
+    return outcome, _remember(seen, pose) if pose.consistent else None
+
+
+def _remember(seen: _Seen, pose: Pose) -> _Memory:
+    """Keep what the next pair may lean on: spots that the pose did not reject."""
+    good = ~pose.rejected
+    m = len(seen.left.sighting)
+    return _Memory(
+        replace(seen, left=_only(seen.left, good[:m]), right=_only(seen.right, good[m:])), pose
+    )
+
+
+def _only(raw: RawSighting, keep: NDArray[np.bool_]) -> RawSighting:
+    if keep.all():
+        return raw
+    seen = raw.sighting
+    some = replace(
+        seen,
+        led=seen.led[keep],
+        centre=seen.centre[keep],
+        covariance=seen.covariance[keep],
+        peak=seen.peak[keep],
+        velocity=seen.velocity[keep],
+        acceleration_lever=seen.acceleration_lever[keep],
+    )
+    return RawSighting(some, raw.taken[keep], raw.depth[keep])
+
+
+def _predict(memory: _Memory, t: float) -> Prediction | None:
+    """Where the flange should be now, from where it was and how it moved; None after a gap."""
+    interval = t - memory.seen.pair_t
+    if interval > LONGEST_GAP:
+        return None
+    pose = memory.pose
+    linear, angular = (
+        ACCELERATION_PER_SPEED * float(np.linalg.norm(part)) + rough
+        for part, rough in zip((pose.twist[:3], pose.twist[3:]), ROUGH_ACCELERATION, strict=True)
+    )
+    # the twist is that of half a pair ago, so the error is an acceleration over interval², not half
+    return Prediction(
+        rig_T_flange=perturb(pose.rig_T_flange, pose.twist * interval),
+        position_uncertainty=linear * interval**2 + 1e-3,  # m; pairs taken while starting to move
+        rotation_uncertainty=angular * interval**2 + 0.01,  # rad, likewise
+    )
+
+
+def _windows(
+    setup: Setup, camera: Camera, pan: float, prediction: Prediction, image: Image
+) -> Array:
+    """Where to look for each LED, (n, 4) px: x0, y0, x1, y1, overlapping ones merged."""
+    camera_T_flange = np.linalg.inv(camera.rig_T_camera(pan)) @ prediction.rig_T_flange
+    points = setup.marker.leds @ camera_T_flange[:3, :3].T + camera_T_flange[:3, 3]
+    ahead = points[points[:, 2] > 0]  # behind the camera there is nothing to look for
+    if not len(ahead):
+        return np.zeros((0, 4))
+    pixels = camera.project(ahead)
+    radius = float(np.max(np.linalg.norm(setup.marker.leds, axis=1)))
+    doubt = 2 * (prediction.position_uncertainty + radius * prediction.rotation_uncertainty)
+    size = setup.marker.led_diameter + doubt
+    half = WINDOW_MARGIN_PX + camera.matrix[0, 0] * size / ahead[:, 2]
+    height, width = image.shape[:2]
+    low, high = pixels - half[:, None], pixels + half[:, None]
+    inside = (high > 0).all(axis=1) & (low < [width - 1, height - 1]).all(axis=1)
+    boxes = np.concatenate([low, high], axis=1)[inside]
+    return _merged(np.clip(boxes, 0, [width, height, width, height]))
+
+
+def _merged(boxes: Array) -> Array:
+    """Unite boxes that overlap, so that no spot is found twice."""
+    rows: list[list[float]] = boxes.tolist()
+    done: list[list[float]] = []
+    while rows:
+        box = rows.pop()
+        hit = next((o for o in rows if _overlap(box, o)), None)
+        if hit is None:
+            done.append(box)
+            continue
+        rows.remove(hit)
+        rows.append([min(box[0], hit[0]), min(box[1], hit[1]),
+                     max(box[2], hit[2]), max(box[3], hit[3])])  # fmt: skip
+    return np.array(done[::-1]).reshape(-1, 4)
+
+
+def _overlap(a: list[float], b: list[float]) -> bool:
+    return a[0] <= b[2] and b[0] <= a[2] and a[1] <= b[3] and b[1] <= a[3]

@@ -1,0 +1,272 @@
+"""Sightings and marker to the flange's pose in the rig, by maximum likelihood on reprojection.
+
+Triangulating each LED and fitting a rigid motion throws away most of what the pixels know about
+rotation; here all spots of both images are predicted from one pose, and the pose that makes them
+most likely is found by Gauss-Newton. An LED seen by one camera counts.
+
+What alignment could not know, the acceleration between two pairs, is a rigid-body quantity: all
+spots that were moved share it. It is marginalised, so it correlates their errors instead of
+pretending to average out over LEDs.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.transform import Rotation
+
+from verify.marker import Marker
+from verify.records import Array, Pose, Sighting
+from verify.rig import Camera, Rig, distort, distortion_jacobian
+
+# Acceleration assumed a speed, 1/s: arms move in sines near 0.5 Hz (2 pi f = 3) or in ramps of a
+# third of a second. The session's own motion corrects it afterwards (comparison.py).
+ACCELERATION_PER_SPEED = 3.0
+ROUGH_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and stops
+LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
+UNDETERMINED = 1e-10  # information a direction, relative to the best: rounding, not measurement
+OUTLIER = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
+MODEL_FLOOR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
+FEWEST_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
+ITERATIONS = 25
+CONVERGED = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """The sightings of both cameras as one stack: s spots, left ones first."""
+
+    points: Array  # (s, 3), m, LEDs in the flange frame
+    centre: Array  # (s, 2), px
+    covariance: Array  # (s, 2, 2), px²
+    velocity: Array  # (s, 2), px/s
+    lever: Array  # (s,), s²
+    cameras: tuple[
+        tuple[Camera, Array, "slice[int, int | None, None]"], ...
+    ]  # camera, camera_T_rig, its spots
+
+
+def fit_pose(left: Sighting, right: Sighting, rig: Rig, marker: Marker, start: Array) -> Pose:
+    """Find the pose under which both images are most likely.
+
+    Args:
+        left: LEDs in the left image, aligned.
+        right: LEDs in the right image, at the same instant.
+        rig: the cameras.
+        marker: the LEDs in the flange frame.
+        start: rig_T_flange to begin with, (4, 4). Directions that the LEDs do not determine
+            keep its value.
+
+    Returns:
+        The pose with its covariance; spots that no pose explains with the rest are rejected.
+    """
+    views = _stack(left, right, rig, marker)
+    keep = np.ones(len(views.centre), dtype=bool)
+    tolerance = _tolerance(views, marker)
+    while True:
+        fit = _gauss_newton(views, keep, start)
+        worst, size = _worst_spot(fit, keep, tolerance)
+        settled = size < OUTLIER
+        if settled or keep.sum() <= FEWEST_SPOTS or (~keep).sum() >= len(keep) // 3:
+            return _pose(fit, keep, settled)
+        keep[worst] = False
+
+
+def _stack(left: Sighting, right: Sighting, rig: Rig, marker: Marker) -> Views:
+    m = len(left)
+    camera_T_rig: list[Array] = [
+        np.linalg.inv(camera.rig_T_camera(sighting.pan))
+        for camera, sighting in ((rig.left, left), (rig.right, right))
+    ]
+    return Views(
+        points=marker.leds[np.concatenate([left.led, right.led])],
+        centre=np.concatenate([left.centre, right.centre]),
+        covariance=np.concatenate([left.covariance, right.covariance]),
+        velocity=np.concatenate([left.velocity, right.velocity]),
+        lever=np.concatenate([left.acceleration_lever, right.acceleration_lever]),
+        cameras=(
+            (rig.left, camera_T_rig[0], slice(0, m)),
+            (rig.right, camera_T_rig[1], slice(m, None)),
+        ),
+    )
+
+
+def predict(views: Views, rig_T_flange: Array) -> tuple[Array, Array, Array]:
+    """Where the spots should be, and how that changes with the pose.
+
+    Returns:
+        pixels (s, 2); their derivative by the point in the rig (s, 2, 3), px/m; and by the pose
+        (s, 2, 6), a translation and a rotation vector in rig axes.
+    """
+    offset = views.points @ rig_T_flange[:3, :3].T
+    points_rig = offset + rig_T_flange[:3, 3]
+    pixels = np.empty((len(offset), 2))
+    by_point = np.empty((len(offset), 2, 3))
+    for camera, camera_T_rig, spots in views.cameras:
+        in_camera = points_rig[spots] @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]
+        pixels[spots], by_camera = _project(camera, in_camera)
+        by_point[spots] = by_camera @ camera_T_rig[:3, :3]
+    x, y, z = offset.T
+    zero = np.zeros_like(x)
+    turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(-1, 3, 3)
+    return pixels, by_point, np.concatenate([by_point, by_point @ turn], axis=-1)
+
+
+def _project(camera: Camera, points: Array) -> tuple[Array, Array]:
+    """Pixels of points in the camera frame, and their derivative (n, 2, 3), px/m."""
+    depth = points[:, 2:3]
+    xy = points[:, :2] / depth
+    by_xy = distortion_jacobian(xy, camera.distortion)
+    by_xy = camera.matrix[:2, :2] @ by_xy
+    perspective = np.zeros((len(points), 2, 3))
+    perspective[:, 0, 0] = perspective[:, 1, 1] = 1 / depth[:, 0]
+    perspective[:, :, 2] = -xy / depth
+    return camera.to_pixels(distort(xy, camera.distortion)), by_xy @ perspective
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    rig_T_flange: Array
+    residual: Array  # (s, 2)
+    by_point: Array  # (s, 2, 3)
+    by_pose: Array  # (s, 2, 6)
+    noise: Array  # (2 k, 2 k) of the kept spots: pixels
+    acceleration: Array  # (2 k, 2 k): alignment
+    twist: Array  # (6,)
+    prior: tuple[float, float]
+    gain: Array  # (6, 2 k)
+    determined: Array  # (6, d)
+
+
+def _gauss_newton(views: Views, keep: NDArray[np.bool_], start: Array) -> _Fit:
+    pose = np.array(start, dtype=float)
+    rows = np.repeat(keep, 2)
+    scale = np.array([LEVER] * 3 + [1.0] * 3)
+    for iteration in range(ITERATIONS):
+        pixels, by_point, by_pose = predict(views, pose)
+        residual = views.centre - pixels
+        design = by_pose.reshape(-1, 6)[rows]
+        if iteration == 0:  # velocities and their lever change nothing measurable in later rounds
+            noise = _block_diagonal(views.covariance[keep])
+            twist, prior = _motion(views, design, keep)
+            acceleration = _acceleration(views, by_pose, keep, prior)
+            factor = cho_factor(noise + acceleration)
+        information = design.T @ cho_solve(factor, design)
+        inverse, determined = _inverse(information, scale)
+        gain = inverse @ cho_solve(factor, design).T
+        step = gain @ residual.reshape(-1)[rows]
+        pose = perturb(pose, step)
+        if np.max(np.abs(step)) < CONVERGED:
+            break
+    return _Fit(
+        pose, residual, by_point, by_pose, noise, acceleration, twist, prior, gain, determined
+    )
+
+
+def perturb(pose: Array, step: Array) -> Array:
+    """Move a pose by a translation and a small rotation vector, both in the outer frame's axes."""
+    moved = pose.copy()
+    moved[:3, :3] = Rotation.from_rotvec(step[3:]).as_matrix() @ pose[:3, :3]
+    moved[:3, 3] += step[:3]
+    return moved
+
+
+def _inverse(information: Array, scale: Array) -> tuple[Array, Array]:
+    """Covariance in the determined directions, and the functionals that are determined.
+
+    The information matrix of one or two LEDs (or of LEDs on one line) is singular; its null
+    vectors are the motions that no picture shows.
+    """
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    known = values > UNDETERMINED * values[-1]
+    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T * np.outer(scale, scale)
+    if known.all():
+        return inverse, np.eye(6)
+    hidden = vectors[:, ~known] * scale[:, None]
+    complement = np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]
+    return inverse, complement
+
+
+def _motion(
+    views: Views, design: Array, keep: NDArray[np.bool_]
+) -> tuple[Array, tuple[float, float]]:
+    """How the flange moves, from the spots' velocities, and the acceleration that this suggests."""
+    velocity = views.velocity[keep].reshape(-1)
+    scale = np.array([LEVER] * 3 + [1.0] * 3)
+    if not velocity.any():
+        return np.zeros(6), ROUGH_ACCELERATION
+    scaled = design * scale
+    ridge = 1e-6 * np.trace(scaled.T @ scaled) / 6  # keeps one or two LEDs solvable
+    twist = scale * np.linalg.solve(scaled.T @ scaled + ridge * np.eye(6), scaled.T @ velocity)
+    linear = ACCELERATION_PER_SPEED * float(np.linalg.norm(twist[:3])) + ROUGH_ACCELERATION[0]
+    angular = ACCELERATION_PER_SPEED * float(np.linalg.norm(twist[3:])) + ROUGH_ACCELERATION[1]
+    return twist, (linear / np.sqrt(3), angular / np.sqrt(3))  # a component
+
+
+def _acceleration(
+    views: Views, by_pose: Array, keep: NDArray[np.bool_], prior: tuple[float, float]
+) -> Array:
+    """Covariance of the kept spots from the unknown acceleration, (2 k, 2 k), px²."""
+    moved = (by_pose[keep] * views.lever[keep][:, None, None]).reshape(-1, 6)
+    spread = np.repeat(np.square(prior), 3)
+    covariance: Array = (moved * spread) @ moved.T
+    return covariance
+
+
+def _block_diagonal(blocks: Array) -> Array:
+    matrix = np.zeros((2 * len(blocks), 2 * len(blocks)))
+    for i, block in enumerate(blocks):
+        matrix[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = block
+    return matrix
+
+
+def _tolerance(views: Views, marker: Marker) -> Array:
+    """Variance a spot may show beside its noise before it counts as an outlier, (s,), px²."""
+    shift = marker.centre_shift_standard_uncertainty or 0.0
+    led = marker.led_standard_uncertainty or 0.0
+    focal = np.concatenate(
+        [
+            np.full(len(views.centre[spots]), camera.matrix[0, 0])
+            for camera, _, spots in views.cameras
+        ]
+    )
+    # half a metre: nearer than LEDs are watched, so the bound is generous
+    return MODEL_FLOOR_PX**2 + np.square(focal / 0.5) * (shift**2 + led**2)
+
+
+def _worst_spot(fit: _Fit, keep: NDArray[np.bool_], tolerance: Array) -> tuple[int, float]:
+    """The kept spot that fits worst, by its own residual in its own uncertainty."""
+    total = fit.noise + fit.acceleration + np.diag(np.repeat(tolerance[keep], 2))
+    design = fit.by_pose[keep].reshape(-1, 6)
+    hat = np.eye(len(total)) - design @ fit.gain
+    spread = hat @ total @ hat.T
+    residual = fit.residual[keep]
+    size = np.empty(len(residual))
+    for i, r in enumerate(residual):
+        block = spread[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+        # a spot that nothing else checks has no residual to speak of: floor against 0/0
+        size[i] = r @ np.linalg.solve(block + np.eye(2) * 1e-6, r)
+    worst = int(np.argmax(size))
+    return int(np.flatnonzero(keep)[worst]), float(size[worst])
+
+
+def _pose(fit: _Fit, keep: NDArray[np.bool_], consistent: bool) -> Pose:
+    kept = fit.residual[keep].reshape(-1)
+    gain = np.zeros((6, 2 * len(keep)))
+    gain[:, np.repeat(keep, 2)] = fit.gain
+    return Pose(
+        rig_T_flange=fit.rig_T_flange,
+        covariance_pixels=fit.gain @ fit.noise @ fit.gain.T,
+        covariance_alignment=fit.gain @ fit.acceleration @ fit.gain.T,
+        twist=fit.twist,
+        acceleration_prior=fit.prior,
+        determined=fit.determined,
+        gain=gain,
+        sensitivity=fit.by_point,
+        residual=fit.residual,
+        rejected=~keep,
+        consistent=consistent,
+        chi2=float(kept @ np.linalg.solve(fit.noise + fit.acceleration, kept)),
+        degrees_of_freedom=len(kept) - fit.determined.shape[1],
+    )

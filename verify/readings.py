@@ -1,0 +1,127 @@
+"""The robot's own joint readings as functions of time."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from verify.records import Array
+
+# Between readings further apart than this the motion is not known: single visits, logged in bursts.
+LONGEST_GAP = 0.6  # s; readings at 2 Hz still pass
+RATE_SPAN = 0.05  # s: shorter differences of readings are noise, longer ones blur the motion
+HOLD = 0.5  # s: at the edge of a burst the arm is taken as standing still for so long
+# Third differences of a smooth motion vanish; of white noise they have 20 times its variance.
+THIRD_DIFFERENCE_VARIANCE = 20.0
+MAD_TO_SIGMA = 1.4826  # of a Gaussian
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Joint readings on the controller's clock, interpolated.
+
+    Cubic between four readings (Catmull-Rom): a straight line would cut the corner by an eighth
+    of acceleration times interval squared, 0.1° for a brisk joint read at 10 Hz.
+    """
+
+    t: Array  # (m,), s, increasing
+    q: Array  # (m, joints), rad
+
+    def known(self, t: Array) -> NDArray[np.bool_]:
+        """Whether there is a reading for each instant (n,)."""
+        after = np.searchsorted(self.t, t)
+        before = np.clip(after - 1, 0, len(self.t) - 1)
+        after = np.clip(after, 0, len(self.t) - 1)
+        inside = (t >= self.t[0]) & (t <= self.t[-1])
+        bridged = inside & (self.t[after] - self.t[before] <= LONGEST_GAP)
+        nearest = np.minimum(np.abs(t - self.t[before]), np.abs(t - self.t[after]))
+        alone = (self.t[after] - self.t[before] > LONGEST_GAP) & (nearest <= HOLD)
+        known: NDArray[np.bool_] = bridged | (inside & alone)
+        return known
+
+    def at(self, t: Array) -> Array:
+        """Readings at the instants t (n,), rad, (n, joints); held outside a burst of readings."""
+        if len(self.t) < 2:
+            return np.repeat(self.q, len(t), axis=0)
+        value: Array = self._spline(self._inside_a_burst(t))
+        return value
+
+    def rate(self, t: Array) -> Array:
+        """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN."""
+        early, late = (
+            np.clip(t - RATE_SPAN, *self.t[[0, -1]]),
+            np.clip(t + RATE_SPAN, *self.t[[0, -1]]),
+        )
+        span = np.maximum(late - early, RATE_SPAN)[:, None]
+        slope: Array = (self.at(late) - self.at(early)) / span
+        alone = self._inside_a_burst(t) != t if len(self.t) > 1 else np.ones(len(t), dtype=bool)
+        slope[alone] = 0.0
+        return slope
+
+    @cached_property
+    def _spline(self) -> CubicHermiteSpline:
+        slope = np.gradient(self.q, self.t, axis=0)
+        lonely = np.diff(self.t) > LONGEST_GAP  # a slope across a gap says nothing
+        slope[np.append(lonely, False) | np.insert(lonely, 0, False)] = 0.0
+        return CubicHermiteSpline(self.t, self.q, slope)
+
+    def _inside_a_burst(self, t: Array) -> Array:
+        """Move instants that fall into a gap between bursts to the burst's nearest reading."""
+        clipped = np.clip(t, self.t[0], self.t[-1])
+        after = np.clip(np.searchsorted(self.t, clipped), 1, len(self.t) - 1)
+        early, late = self.t[after - 1], self.t[after]
+        nearest = np.where(clipped - early < late - clipped, early, late)
+        return np.where(late - early > LONGEST_GAP, nearest, clipped)
+
+    @cached_property
+    def noise(self) -> Array:
+        """Standard deviation of one reading, (joints,), rad, from the readings' own roughness.
+
+        The smallest of the estimates from second to fourth differences: motion that a low order
+        mistakes for noise, a higher one removes.
+        """
+        estimates = []
+        for order, variance in ((2, 6.0), (3, THIRD_DIFFERENCE_VARIANCE), (4, 70.0)):
+            if len(self.q) > order + 8:  # fewer differences say nothing about their spread
+                difference = np.diff(self.q, order, axis=0)
+                spread = MAD_TO_SIGMA * np.median(np.abs(difference), axis=0)
+                estimates.append(spread / np.sqrt(variance))
+        if not estimates:
+            return np.zeros(self.q.shape[1])
+        smallest: Array = np.min(estimates, axis=0)
+        return smallest
+
+    def direction(self, t: Array) -> Array:
+        """Last direction of travel at the instants t (n,): +1, -1, or 0 before any; (n, joints).
+
+        A joint has turned back once it is further from its extreme than the readings' noise can
+        explain; at rest the last direction is kept.
+        """
+        held = np.searchsorted(self.t, t, side="right") - 1
+        held = np.clip(held, 0, len(self.t) - 1)
+        columns = [
+            _travel(self.q[:, j], max(5 * float(self.noise[j]), SMALLEST_TRAVEL))[held]
+            for j in range(self.q.shape[1])
+        ]
+        return np.stack(columns, axis=-1)
+
+
+SMALLEST_TRAVEL = np.deg2rad(0.02)  # the last digit or two of a common read-out
+
+
+def _travel(q: Array, threshold: float) -> Array:
+    """Direction of travel after each reading, (m,), by a band of `threshold` about the extreme."""
+    directions = np.zeros(len(q))
+    extreme, direction = float(q[0]), 0
+    for i, value in enumerate(q.tolist()):
+        if direction == 0:
+            if abs(value - extreme) > threshold:
+                direction, extreme = (1 if value > extreme else -1), value
+        elif (value - extreme) * direction >= 0:
+            extreme = value
+        elif abs(value - extreme) > threshold:
+            direction, extreme = -direction, value
+        directions[i] = direction
+    return directions

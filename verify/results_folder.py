@@ -1,0 +1,63 @@
+"""OUT of `verify run`: reports, summary, table a pair, and all that is needed to report again."""
+
+import json
+from pathlib import Path
+
+import reports
+from reports import ReportError, Results
+from verify.errors import InputError
+from verify.writing import folder_written_whole
+
+RESULTS = "results"
+
+
+def refuse_existing(out: Path, *, force: bool) -> None:
+    """Refuse a folder that is not empty before hours of work go into it.
+
+    Raises:
+        InputError: `out` exists, is not an empty folder, and `force` was not given.
+    """
+    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not force):
+        found = "is a file" if out.is_file() else "exists and is not empty"
+        raise InputError(out, found, "results need a folder of their own",
+                         "Choose another with -o, or give --force.")  # fmt: skip
+
+
+def write_results(results: Results, out: Path, *, force: bool) -> None:
+    """Write everything that `verify run` promises; whole or not at all.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with folder_written_whole(out, force) as folder:
+        reports.write(results, folder / RESULTS)
+        _write_readable(results, folder)
+        write_reports(results, folder)
+
+
+def _write_readable(results: Results, folder: Path) -> None:
+    text = json.dumps(results.summary, indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    results.tables["frames"].to_csv(
+        folder / "frames.csv", index=False, float_format="%.6f", lineterminator="\n"
+    )
+
+
+def write_reports(results: Results, folder: Path) -> None:
+    """Write report.html and report.pdf."""
+    (folder / "report.html").write_text(reports.render_html(results), encoding="utf-8")
+    (folder / "report.pdf").write_bytes(reports.render_pdf(results))
+
+
+def read_results(out: Path) -> Results:
+    """Read what an earlier run left.
+
+    Raises:
+        InputError: `out` holds no results, or damaged ones.
+    """
+    try:
+        return reports.read(out / RESULTS)
+    except ReportError as problem:
+        raise InputError(
+            problem.place, problem.found, problem.expected, problem.remedy
+        ) from problem

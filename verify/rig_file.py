@@ -1,0 +1,228 @@
+"""rig.toml: millimetres and degrees in the file, the Rig in metres and radians inside."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from scipy.linalg import polar
+
+from verify import covariance_file
+from verify.covariance_file import CovarianceTable
+from verify.errors import one_line
+from verify.records import Array
+from verify.rig import Camera, Rig
+from verify.toml_file import FORMAT, decode, encode_numbers, fault, not_negative, one_of
+from verify.toml_file import encode as encode_toml
+from verify.writing import write_whole
+
+SOURCES = ("fixture", "motion")
+ROTATION_TOLERANCE = (
+    1e-6  # of R'R - I: seven decimals in the file; more is a wrong matrix, not rounding
+)
+CENTRED = 0.2  # of the image's size: a principal point farther off its centre is worth a warning
+
+_MM = 1e-3  # m
+Triple = tuple[float, float, float]
+Matrix = tuple[Triple, Triple, Triple]
+
+
+class CameraTable(msgspec.Struct, kw_only=True):
+    """The keys of [left] and [right]."""
+
+    camera_matrix: Matrix
+    distortion: tuple[float, float, float, float, float]
+    pan_center_mm: Triple
+    pan_axis: Triple = (0.0, 1.0, 0.0)
+    pan_deg: float
+    pan_zero_deg: float = 0.0
+    pan_standard_uncertainty_deg: float | None = None
+    mount_rotation: Matrix
+    mount_offset_mm: Triple
+    line_time_s: float = 0.0
+    exposure_s: float | None = None
+
+
+class BaseTable(msgspec.Struct, kw_only=True):
+    """The keys of [robot_base]."""
+
+    rotation: Matrix
+    position_mm: Triple
+    source: str
+    registration: str | None = None
+    absorption: list[list[float]] | None = None
+
+
+class RigTable(msgspec.Struct, kw_only=True):
+    """The keys of rig.toml."""
+
+    format: int
+    image_size: tuple[int, int]
+    left: CameraTable
+    right: CameraTable
+    robot_base: BaseTable
+    covariance: CovarianceTable | None = None
+
+
+def read(path: str | Path) -> tuple[Rig, tuple[str, ...]]:
+    """Read and check a rig.toml.
+
+    Returns:
+        The rig, and what is worth a warning: unknown keys, a principal point far off the centre.
+
+    Raises:
+        InputError: names the file, the key, what stands there, what should, and what to do.
+    """
+    path = Path(path)
+    table, warnings = decode(path, RigTable)
+    width, height = table.image_size
+    if min(width, height) < 1:
+        raise fault(path, "image_size", f"is {width} x {height}", "both are at least one pixel")
+    base = table.robot_base
+    rig = Rig(
+        image_size=table.image_size,
+        left=_camera(path, "left", table.left),
+        right=_camera(path, "right", table.right),
+        rig_T_base=_placed(path, "robot_base.rotation", base.rotation, base.position_mm),
+        base_source=one_of(path, "robot_base.source", base.source, SOURCES),
+        registration=base.registration,
+        absorption=_absorption(path, base.absorption),
+        covariance=None
+        if table.covariance is None
+        else covariance_file.checked(path, table.covariance),
+    )
+    sides = (("left", rig.left), ("right", rig.right))
+    off = [
+        note
+        for side, camera in sides
+        for note in _principal_point(path, side, camera, rig.image_size)
+    ]
+    return rig, (*warnings, *off)
+
+
+def encode(rig: Rig) -> bytes:
+    """Write a rig as the text of a rig.toml; what is None stays out."""
+    absorption = None if rig.absorption is None else rig.absorption / _absorption_units()
+    covariance = rig.covariance
+    return encode_toml(
+        {
+            "format": FORMAT,
+            "image_size": list(rig.image_size),
+            "left": _camera_table(rig.left),
+            "right": _camera_table(rig.right),
+            "robot_base": {
+                "rotation": encode_numbers(rig.rig_T_base[:3, :3]),
+                "position_mm": encode_numbers(rig.rig_T_base[:3, 3] / _MM),
+                "source": rig.base_source,
+                "registration": rig.registration,
+                "absorption": None if absorption is None else encode_numbers(absorption),
+            },
+            "covariance": None if covariance is None else covariance_file.table(covariance),
+        }
+    )
+
+
+def write(path: str | Path, rig: Rig) -> None:
+    """Write a rig.toml, whole or not at all.
+
+    Raises:
+        InputError: the disk or the system refuses it.
+    """
+    write_whole(Path(path), encode(rig))
+
+
+def _camera(path: Path, side: str, table: CameraTable) -> Camera:
+    k = np.array(table.camera_matrix)
+    for axis, key in ((0, "fx"), (1, "fy")):
+        if k[axis, axis] <= 0:
+            found = f"has {key} = {k[axis, axis]} px"
+            raise fault(path, f"{side}.camera_matrix", found, "a focal length is positive")
+    if k[1, 0] != 0 or k[2].tolist() != [0.0, 0.0, 1.0]:
+        expected = "expected is [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
+        raise fault(path, f"{side}.camera_matrix", "is no camera matrix", expected)
+    axis_length = float(np.linalg.norm(table.pan_axis))
+    if axis_length < ROTATION_TOLERANCE:
+        raise fault(path, f"{side}.pan_axis", "has no length", "a direction is expected")
+    for key in ("pan_standard_uncertainty_deg", "line_time_s", "exposure_s"):
+        not_negative(path, f"{side}.{key}", getattr(table, key))
+    u = table.pan_standard_uncertainty_deg
+    return Camera(
+        matrix=k,
+        distortion=np.array(table.distortion),
+        pan_center=np.array(table.pan_center_mm) * _MM,
+        pan_axis=np.array(table.pan_axis) / axis_length,
+        pan_zero=float(np.deg2rad(table.pan_zero_deg)),
+        mount=_placed(path, f"{side}.mount_rotation", table.mount_rotation, table.mount_offset_mm),
+        pan=float(np.deg2rad(table.pan_deg)),
+        pan_standard_uncertainty=None if u is None else float(np.deg2rad(u)),
+        line_time=table.line_time_s,
+        exposure=table.exposure_s,
+    )
+
+
+def _camera_table(camera: Camera) -> dict[str, Any]:
+    u = camera.pan_standard_uncertainty
+    return {
+        "camera_matrix": encode_numbers(camera.matrix),
+        "distortion": encode_numbers(camera.distortion),
+        "pan_center_mm": encode_numbers(camera.pan_center / _MM),
+        "pan_axis": encode_numbers(camera.pan_axis),
+        "pan_deg": encode_numbers(np.rad2deg(camera.pan)),
+        "pan_zero_deg": encode_numbers(np.rad2deg(camera.pan_zero)),
+        "pan_standard_uncertainty_deg": None if u is None else encode_numbers(np.rad2deg(u)),
+        "mount_rotation": encode_numbers(camera.mount[:3, :3]),
+        "mount_offset_mm": encode_numbers(camera.mount[:3, 3] / _MM),
+        "line_time_s": camera.line_time,
+        "exposure_s": camera.exposure,
+    }
+
+
+def _placed(path: Path, key: str, rotation: Matrix, position_mm: Triple) -> Array:
+    """Build the (4, 4) motion from the orthonormal matrix that comes nearest to the rotation."""
+    matrix = np.array(rotation)
+    off = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
+    if off > ROTATION_TOLERANCE:
+        expected = "rows of unit length at right angles are expected"
+        remedy = "Write it with at least seven decimals."
+        raise fault(path, key, f"is no rotation: off by {off:.1e}", expected, remedy)
+    if np.linalg.det(matrix) < 0:
+        expected = "a right-handed rotation is expected"
+        raise fault(path, key, "is a reflection", expected, "Turn the sign of one axis.")
+    placed = np.eye(4)
+    placed[:3, :3] = polar(matrix)[0]
+    placed[:3, 3] = np.array(position_mm) * _MM
+    return placed
+
+
+def _principal_point(path: Path, side: str, camera: Camera, size: tuple[int, int]) -> list[str]:
+    """Refuse a principal point outside the image; warn of one far off its centre."""
+    warnings = []
+    key = f"{side}.camera_matrix"
+    for axis, name, extent in ((0, "cx", size[0]), (1, "cy", size[1])):
+        at = camera.matrix[axis, 2]
+        if not -0.5 <= at <= extent - 0.5:  # pixel centres at whole numbers
+            found = f"has {name} = {at} px, outside an image of {size[0]} x {size[1]}"
+            expected = "the optical axis meets the sensor"
+            raise fault(path, key, found, expected, "Compare it with image_size.")
+        centre = (extent - 1) / 2
+        if abs(at - centre) > CENTRED * extent:
+            said = f"{name} = {at} px is more than {CENTRED:.0%} of the image off its centre"
+            warnings.append(one_line(f"{path}, {key}: {said}, {centre} px. Is image_size right?"))
+    return warnings
+
+
+def _absorption_units() -> Array:
+    """Turn what the file holds (mm or deg a degree) into m or rad a radian; (12, 1)."""
+    metres = _MM * 180 / np.pi
+    return np.tile([metres] * 3 + [1.0] * 3, 2)[:, None]
+
+
+def _absorption(path: Path, rows: list[list[float]] | None) -> Array | None:
+    if rows is None:
+        return None
+    widths = {len(row) for row in rows}
+    if len(rows) != 12 or len(widths) != 1 or 0 in widths:
+        expected = "12 rows are expected, six of the base and six of the LEDs, one column a joint"
+        raise fault(path, "robot_base.absorption", f"has {len(rows)} rows", expected)
+    scaled: Array = np.array(rows) * _absorption_units()
+    return scaled

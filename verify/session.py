@@ -1,0 +1,254 @@
+"""A recorded session: its folder opened, checked, and streamed as stereo pairs."""
+
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import robots
+from verify import marker_file, rig_file, session_file
+from verify.errors import InputError, one_line
+from verify.files import digest, system_refusal
+from verify.marker import Marker
+from verify.records import Image, StereoPair
+from verify.rig import Rig
+from verify.series import Encoders, Frames, read_encoders, read_frames
+from verify.session_file import Clock, SessionTable, Tolerance
+from verify.toml_file import fault
+from verify.video import Images, in_step, open_images
+
+__all__ = ["Clock", "Encoders", "Frames", "Session", "Tolerance", "open_session"]
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """What one run recorded: every fact checked, every series in memory, the images on disk."""
+
+    folder: Path
+    name: str  # the folder's own
+    arm: robots.Arm
+    robot: str  # as session.toml names it
+    description: str
+    started: str | None  # ISO 8601
+    open: bool  # cut off while being written: the series end with the shortest stream
+    rig: Rig
+    marker: Marker
+    clock: Clock | None  # None: the offset is estimated from the motion
+    encoder_resolution: float | None  # rad
+    encoder_time_standard_uncertainty: float | None  # s
+    tolerance: Tolerance | None  # None: no verdict is asked for
+    temperature_c: float | None
+    frames: Frames
+    encoders: Encoders
+    inputs: dict[str, str]  # what was read, by its path in the folder: "sha256:…"
+    warnings: tuple[str, ...]
+    left: Images
+    right: Images
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self.frames)
+
+    def pairs(self) -> Generator[StereoPair]:
+        """Stream the stereo pairs, both sides in step, a few in memory at a time.
+
+        Raises:
+            InputError: an image cannot be decoded or is not of the rig's size.
+        """
+        frames = self.frames
+        with closing(in_step(self.left, self.right, len(self))) as images:
+            for frame, (left, right) in enumerate(images):
+                self._require_size(self.left, frame, left)
+                self._require_size(self.right, frame, right)
+                yield StereoPair(
+                    frame=frame,
+                    t_left=float(frames.t_left[frame]),
+                    t_right=float(frames.t_right[frame]),
+                    pan_left=float(frames.pan_left[frame]),
+                    pan_right=float(frames.pan_right[frame]),
+                    left=left,
+                    right=right,
+                )
+
+    def _require_size(self, side: Images, frame: int, image: Image) -> None:
+        height, width = image.shape[:2]
+        if (width, height) != self.rig.image_size:
+            found = f"image {frame} is {width} x {height} px"
+            expected = "the rig is calibrated for {} x {}".format(*self.rig.image_size)
+            raise InputError(side.path, found, expected, "Use the rig.toml of these cameras.")
+
+
+def open_session(folder: str | Path) -> Session:
+    """Open a session's folder and check all of it but the images' content.
+
+    Args:
+        folder: holds session.toml and what that names.
+
+    Returns:
+        The session. Its warnings name unknown keys, a recording that was cut off, and facts that
+        do not fit together.
+
+    Raises:
+        InputError: one line that names the file, the place in it, what stands there, what should,
+            and what to do.
+    """
+    folder = Path(folder)
+    path = _session_file(folder)
+    table, warnings = session_file.read(path)
+    inside = {
+        key: _inside(folder, path, key, getattr(table, key))
+        for key in ("rig", "marker", "left", "right", "frames", "encoders")
+    }
+    if inside["left"].resolve() == inside["right"].resolve():
+        expected = "each camera has its own images"
+        raise fault(path, "right", f'names what left names, "{table.right}"', expected)
+    arm = _arm(folder, path, table)
+    rig, rig_warnings = rig_file.read(inside["rig"])
+    marker, marker_warnings = marker_file.read(inside["marker"])
+    _check_absorption(inside["rig"], rig, arm.dof)
+    tolerance = session_file.tolerance(path, table.tolerance, arm.dof)
+    torn = table.recording == "open"
+    pan = (rig.left.pan, rig.right.pan)
+    frames, frames_warnings = read_frames(inside["frames"], pan, torn)
+    encoders, encoders_warnings = read_encoders(inside["encoders"], arm.dof, torn)
+    left, right = open_images(inside["left"]), open_images(inside["right"])
+    frames, length_warnings = _in_step(inside["frames"], frames, (left, right), torn)
+    return Session(
+        folder=folder,
+        name=folder.resolve().name,
+        arm=arm,
+        robot=table.robot,
+        description=table.description,
+        started=session_file.started(table.started),
+        open=torn,
+        rig=rig,
+        marker=marker,
+        clock=session_file.clock(table.clock),
+        encoder_resolution=session_file.radians(table.encoder_readings.resolution_deg),
+        encoder_time_standard_uncertainty=table.encoder_readings.time_standard_uncertainty_s,
+        tolerance=tolerance,
+        temperature_c=table.environment.temperature_c,
+        frames=frames,
+        encoders=encoders,
+        inputs=_inputs(folder, path, table, inside),
+        warnings=(
+            *warnings,
+            *rig_warnings,
+            *marker_warnings,
+            *_misfits(folder, rig, marker),
+            *frames_warnings,
+            *encoders_warnings,
+            *length_warnings,
+        ),
+        left=left,
+        right=right,
+    )
+
+
+def _session_file(folder: Path) -> Path:
+    """Find session.toml; say which of the usual mistakes was made."""
+    remedy = "Give the folder of a recorded session."
+    try:
+        is_folder = folder.is_dir()
+        path = folder / "session.toml"
+        missing = is_folder and not path.exists()
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        refused = error if isinstance(error, OSError) else OSError(str(error))
+        raise system_refusal(folder, refused) from error
+    if not is_folder:
+        found = "is a file" if folder.exists() else "does not exist"
+        raise InputError(folder, found, "a session's folder is expected", remedy)
+    if missing:
+        raise InputError(folder, "has no session.toml", "a session's folder is expected", remedy)
+    return path
+
+
+def _inside(folder: Path, path: Path, key: str, text: str) -> Path:
+    """Find what a key of session.toml names; it stays in the folder, also through symlinks."""
+    expected = "a path inside the session's folder is expected"
+    if not text or "\0" in text:
+        raise fault(path, key, "names nothing", expected)
+    named = folder / text
+    if not named.resolve().is_relative_to(folder.resolve()):
+        remedy = "Copy the file into the folder and name it there."
+        raise fault(path, key, f'is "{text}", outside the folder', expected, remedy)
+    if not named.exists():
+        raise fault(path, key, f'names "{text}", which does not exist', expected, "Put it there.")
+    return named
+
+
+def _robot_file(folder: Path, path: Path, robot: str) -> Path | None:
+    """Find the robot's file in the folder; None where session.toml gives a name instead."""
+    is_file = Path(robot).suffix in {".toml", ".urdf"}  # what robots.load takes for one
+    return _inside(folder, path, "robot", robot) if is_file else None
+
+
+def _arm(folder: Path, path: Path, table: SessionTable) -> robots.Arm:
+    file = _robot_file(folder, path, table.robot)
+    chain = table.robot_frames
+    try:
+        return robots.load(str(file or table.robot), base=chain.base, tip=chain.tip)
+    except robots.RobotError as error:
+        if file is not None:
+            raise InputError(error.place, error.found, error.expected, error.remedy) from error
+        found = f"{error.place} {error.found}"
+        raise InputError(f"{path}, robot", found, error.expected, error.remedy) from error
+
+
+def _check_absorption(path: Path, rig: Rig, joints: int) -> None:
+    if rig.absorption is not None and rig.absorption.shape[1] != joints:
+        found = f"has {rig.absorption.shape[1]} columns"
+        remedy = "Register this robot again, or name the right one in session.toml."
+        raise fault(path, "robot_base.absorption", found, f"the robot has {joints} joints", remedy)
+
+
+def _misfits(folder: Path, rig: Rig, marker: Marker) -> list[str]:
+    """Warn of a rig and a marker that do not belong together."""
+    misfits = []
+    if rig.registration != marker.registration:
+        misfits.append(
+            f"{folder}: rig.toml and marker.toml carry different registrations, "
+            f"{rig.registration or 'none'} and {marker.registration or 'none'}. "
+            "Use the two files that one registration wrote."
+        )
+    stated = rig.covariance.parameters if rig.covariance else ()
+    leds = {name.split(".", 1)[1].rsplit(".", 1)[0] for name in stated if name.startswith("led.")}
+    misfits += [
+        f"{folder}: marker.toml has no LED \"{name}\", of which the covariance in rig.toml speaks."
+        for name in sorted(leds.difference(marker.names))
+    ]
+    return [one_line(misfit) for misfit in misfits]
+
+
+def _in_step(
+    path: Path, frames: Frames, sides: tuple[Images, Images], torn: bool
+) -> tuple[Frames, list[str]]:
+    """Compare the streams: of one length in a closed session, cut to the shortest if torn."""
+    counts = [side.count(torn) for side in sides]
+    if not torn:
+        for side, count in zip(sides, counts, strict=True):
+            if count != len(frames):
+                expected = f"{path.name} has {len(frames)} rows"
+                remedy = 'Copy the session again, or write `recording = "open"` if it was cut off.'
+                raise InputError(side.path, f"has {count} images", expected, remedy)
+        return frames, []
+    shortest = min(len(frames), *counts)
+    if not shortest:
+        remedy = "Record it again."
+        raise InputError(path.parent, "was cut off before the first whole pair", "", remedy)
+    lengths = f"{len(frames)} rows, {counts[0]} left and {counts[1]} right images"
+    warning = (
+        f"{path.parent}: the recording was cut off ({lengths}); {shortest} pairs are measured."
+    )
+    return frames.first(shortest), [one_line(warning)]
+
+
+def _inputs(
+    folder: Path, path: Path, table: SessionTable, inside: dict[str, Path]
+) -> dict[str, str]:
+    """Take the digest of everything that was read, by the name that session.toml gives it."""
+    read = {path.name: path} | {getattr(table, key): file for key, file in inside.items()}
+    robot = _robot_file(folder, path, table.robot)
+    if robot is not None:
+        read[table.robot] = robot
+    return {name: digest(file) for name, file in read.items()}

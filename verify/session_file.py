@@ -1,0 +1,157 @@
+"""The keys of session.toml, as the file has them: degrees, millimetres, paths."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from verify.records import Array
+from verify.toml_file import decode, fault, not_negative, one_of
+
+RECORDING = ("open", "closed")
+
+
+class ClockTable(msgspec.Struct, kw_only=True):
+    """The keys of [clock]."""
+
+    encoder_offset_s: float
+    encoder_offset_standard_uncertainty_s: float | None = None
+
+
+class ReadingsTable(msgspec.Struct, kw_only=True):
+    """The keys of [encoder_readings]."""
+
+    resolution_deg: float | None = None
+    time_standard_uncertainty_s: float | None = None
+
+
+class ToleranceTable(msgspec.Struct, kw_only=True):
+    """The keys of [tolerance]."""
+
+    joints_deg: float | list[float] | None = None
+    position_mm: float | None = None
+    orientation_deg: float | None = None
+
+
+class EnvironmentTable(msgspec.Struct, kw_only=True):
+    """The keys of [environment]."""
+
+    temperature_c: float | None = None
+
+
+class RobotFramesTable(msgspec.Struct, kw_only=True):
+    """The keys of [robot_frames]."""
+
+    base: str | None = None
+    tip: str | None = None
+
+
+class SessionTable(msgspec.Struct, kw_only=True):
+    """The keys of session.toml."""
+
+    format: int
+    robot: str
+    description: str = ""
+    started: datetime | None = None
+    recording: str = "closed"
+    rig: str
+    marker: str
+    left: str
+    right: str
+    frames: str
+    encoders: str
+    clock: ClockTable | None = None
+    encoder_readings: ReadingsTable = msgspec.field(default_factory=ReadingsTable)
+    tolerance: ToleranceTable | None = None
+    environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
+    robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """How the controller's clock stands to the cameras', where that was given."""
+
+    encoder_offset: float  # s, added to an encoder's time gives the cameras' clock
+    standard_uncertainty: float | None  # s
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """What the robot is allowed; None where nothing is asked."""
+
+    joints: Array | None  # (n,), rad, bounds the error at every pose
+    position: float | None  # m
+    orientation: float | None  # rad
+
+
+def read(path: Path) -> tuple[SessionTable, tuple[str, ...]]:
+    """Read session.toml and check what needs no other file.
+
+    Returns:
+        Its keys, and a warning for each that the format does not know.
+
+    Raises:
+        InputError: names the key, what stands there, what should, and what to do.
+    """
+    table, warnings = decode(path, SessionTable)
+    one_of(path, "recording", table.recording, RECORDING)
+    if table.clock is not None:
+        key = "encoder_offset_standard_uncertainty_s"
+        not_negative(path, f"clock.{key}", table.clock.encoder_offset_standard_uncertainty_s)
+    for key in ("resolution_deg", "time_standard_uncertainty_s"):
+        not_negative(path, f"encoder_readings.{key}", getattr(table.encoder_readings, key))
+    return table, warnings
+
+
+def clock(table: ClockTable | None) -> Clock | None:
+    """Turn [clock] into what the chain reads; None means: estimate it from the motion."""
+    if table is None:
+        return None
+    return Clock(table.encoder_offset_s, table.encoder_offset_standard_uncertainty_s)
+
+
+def tolerance(path: Path, table: ToleranceTable | None, joints: int) -> Tolerance | None:
+    """Turn [tolerance] into radians and metres; one number holds for every joint.
+
+    Raises:
+        InputError: a tolerance that is not positive, or a list of another length.
+    """
+    if table is None or table == ToleranceTable():
+        return None
+    given = table.joints_deg
+    several = isinstance(given, list)
+    if isinstance(given, list) and len(given) != joints:
+        expected = f"one number, or one for each of the {joints} joints, is expected"
+        raise fault(path, "tolerance.joints_deg", f"is a list of {len(given)}", expected)
+    angles = given if isinstance(given, list) else [given] * joints
+    for index, value in enumerate([] if given is None else angles):
+        _positive(
+            path, f"tolerance.joints_deg[{index}]" if several else "tolerance.joints_deg", value
+        )
+    _positive(path, "tolerance.position_mm", table.position_mm)
+    _positive(path, "tolerance.orientation_deg", table.orientation_deg)
+    return Tolerance(
+        joints=None if given is None else np.deg2rad(np.array(angles, dtype=float)),
+        position=None if table.position_mm is None else table.position_mm * 1e-3,
+        orientation=radians(table.orientation_deg),
+    )
+
+
+def started(moment: datetime | None) -> str | None:
+    """Write the moment as session.toml has it."""
+    if moment is None:
+        return None
+    text = moment.isoformat()
+    return f"{text.removesuffix('+00:00')}Z" if moment.tzinfo == UTC else text
+
+
+def radians(degrees: float | None) -> float | None:
+    """Convert what may be missing."""
+    return None if degrees is None else float(np.deg2rad(degrees))
+
+
+def _positive(path: Path, key: str, value: float | None) -> None:
+    if value is not None and value <= 0:
+        raise fault(path, key, f"is {value}", "a tolerance is positive")

@@ -1,0 +1,254 @@
+"""summary.json: what INTERFACE.md promises, from what was judged."""
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import robots
+from verify import __version__
+from verify.clock import ClockEstimate
+from verify.comparison import Comparison
+from verify.joints import Joints
+from verify.judgement.diagnosis import Cause
+from verify.judgement.means import Means
+from verify.judgement.resolved import Resolved
+from verify.judgement.verdict import RULE, Verdict, judge_joint, judge_norm, overall
+from verify.judgement.visibility import Visibility
+from verify.records import Array
+from verify.session import Session, Tolerance
+
+MILLIMETRE = 1e3
+DEGREE = 180 / math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """Everything that was found out about a session."""
+
+    session: Session
+    tolerance: Tolerance
+    status: list[str]  # a pair each
+    choices: dict[str, int]
+    clock: ClockEstimate
+    comparison: Comparison
+    joints: Joints
+    means: Means
+    visibility: Visibility
+    resolved: Resolved
+    causes: list[Cause]
+    flange: tuple[Array, Array]  # (6,) mean error twist and (6, 6) its covariance
+    through_encoders: bool  # base or LEDs were fitted through the encoders: errors are residuals
+    uncounted: tuple[str, ...]
+    warnings: list[str]
+
+
+def summarise(judged: Judged) -> dict[str, Any]:
+    """Word the judgement as summary.json."""
+    session = judged.session
+    counts = Counter(judged.status)
+    measured = counts.pop("measured", 0)
+    per_joint = [_verdict(judged, j) for j in range(session.arm.dof)]
+    position, orientation = _flange_verdicts(judged)
+    verdicts = [*(v.verdict for v in per_joint), position.verdict, orientation.verdict]
+    return {
+        "format": 1,
+        "tool": {"name": "verify", "version": __version__},
+        "session": {
+            "path": session.name,
+            "robot": session.robot,
+            "description": session.description,
+            "started": session.started,
+        },
+        "pairs": {
+            "recorded": len(judged.status),
+            "measured": measured,
+            "rejected": dict(sorted(counts.items())),
+        },
+        "clock": _clock(judged.clock),
+        "verdict": overall(verdicts),
+        "decision_rule": RULE,
+        "joints": [_joint(judged, j, per_joint[j]) for j in range(session.arm.dof)],
+        "joint_error_correlation": _correlation(judged.means.covariance),
+        "position": _flange(judged, position, slice(0, 3), MILLIMETRE, "mm"),
+        "orientation": _flange(judged, orientation, slice(3, 6), DEGREE, "deg"),
+        "diagnosis": [_cause(c) for c in judged.causes],
+        "budget": {"uncounted": list(judged.uncounted)},
+        "inputs": dict(sorted(session.inputs.items())),
+        "warnings": judged.warnings,
+        "combinations": _combinations(judged),
+        "choices": dict(sorted(judged.choices.items())),
+        "known_dof": max((b.shape[1] for b in judged.comparison.determined), default=0),
+    }
+
+
+def number(value: float | None) -> float | None:
+    """A figure for JSON: null where it is not known, never 0 or NaN."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+def _clock(clock: ClockEstimate) -> dict[str, Any]:
+    seen = clock.source != "not_observable"
+    return {
+        "encoder_offset_s": number(clock.offset) if seen else None,
+        "standard_uncertainty_s": number(clock.standard_uncertainty),
+        "source": clock.source,
+        "observable": seen,
+    }
+
+
+def _verdict(judged: Judged, j: int) -> Verdict:
+    given = judged.tolerance.joints
+    tolerance = None if given is None else float(given[j])
+    return judge_joint(judged.resolved, j, tolerance, float(judged.visibility.detectable[j]))
+
+
+def _joint(judged: Judged, j: int, verdict: Verdict) -> dict[str, Any]:
+    means, seen = judged.means, judged.visibility
+    error = judged.joints.single[:, j]
+    # residuals of a registration accuse the wrong joint: they are not summed up
+    plain = error[~np.isnan(error)] if not judged.through_encoders else np.zeros(0)
+    u = float(np.sqrt(means.covariance[j, j]))
+    k = float(means.coverage_factor[j])
+    given = judged.tolerance.joints
+    return {
+        "joint": j + 1,
+        "mean_error_deg": number(means.mean[j] * DEGREE),
+        "rms_error_deg": number(float(np.sqrt(np.mean(plain**2))) * DEGREE) if len(plain) else None,
+        "max_abs_error_deg": number(float(np.max(np.abs(plain))) * DEGREE) if len(plain) else None,
+        "standard_uncertainty_deg": number(u * DEGREE),
+        "expanded_uncertainty_deg": number(k * u * DEGREE),
+        "coverage_factor": number(k) if math.isfinite(u) else None,
+        "worst_error_deg": number(verdict.worst * DEGREE),
+        "worst_error_standard_uncertainty_deg": number(verdict.uncertainty * DEGREE),
+        "tolerance_deg": None if given is None else number(given[j] * DEGREE),
+        "conformance_probability": number(verdict.probability),
+        "verdict": verdict.verdict,
+        "reason": verdict.reason,
+        "pairs": int(means.pairs[j]),
+        "visible_fraction": number(seen.fraction[j]),
+        "visible_fraction_since_registration": number(seen.fraction_since[j]),
+        "minimum_detectable_error_deg": number(seen.detectable[j] * DEGREE),
+        "minimum_separable_error_deg": number(seen.separable[j] * DEGREE),
+    }
+
+
+def _correlation(covariance: Array) -> list[list[float | None]]:
+    sigma = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(sigma, sigma)
+    return [[number(float(c)) for c in row] for row in correlation]
+
+
+def _flange_verdicts(judged: Judged) -> tuple[Verdict, Verdict]:
+    """The resolved joint errors carried through the arm, judged by the same rule."""
+    jacobian, resolved = judged.comparison.jacobian, judged.resolved
+    twist = np.einsum("nij,nj->ni", jacobian, resolved.error)
+    spread = jacobian @ resolved.covariance @ np.swapaxes(jacobian, 1, 2)
+    terms = sum(len(t) for t in resolved.terms)
+    tolerance = judged.tolerance
+    return (
+        judge_norm(twist[:, :3], spread[:, :3, :3], terms, tolerance.position, resolved),
+        judge_norm(twist[:, 3:], spread[:, 3:, 3:], terms, tolerance.orientation, resolved),
+    )
+
+
+def _flange(
+    judged: Judged, verdict: Verdict, part: slice, scale: float, unit: str
+) -> dict[str, Any]:
+    whole = np.array([b.shape[1] == 6 for b in judged.comparison.determined], dtype=bool)
+    size = np.linalg.norm(judged.comparison.xi[:, part], axis=1)[whole]
+    covariance = judged.flange[1][part, part]
+    largest = float(np.linalg.eigvalsh(covariance)[-1]) if np.isfinite(covariance).all() else np.nan
+    given = judged.tolerance.position if unit == "mm" else judged.tolerance.orientation
+    return {
+        f"rms_error_{unit}": number(float(np.sqrt(np.mean(size**2))) * scale)
+        if len(size)
+        else None,
+        f"max_error_{unit}": number(float(size.max()) * scale) if len(size) else None,
+        f"expanded_uncertainty_{unit}": number(2 * math.sqrt(largest) * scale),
+        f"worst_error_{unit}": number(verdict.worst * scale),
+        f"worst_error_standard_uncertainty_{unit}": number(verdict.uncertainty * scale),
+        f"tolerance_{unit}": None if given is None else number(given * scale),
+        "conformance_probability": number(verdict.probability),
+        "verdict": verdict.verdict,
+        "reason": verdict.reason,
+    }
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    scale = DEGREE if cause.unit == "deg" else 1.0
+    worded: dict[str, Any] = {
+        "joint": cause.joint,
+        "kind": cause.kind,
+        "value": number(cause.value * scale),
+        "unit": cause.unit,
+        "standard_uncertainty": number(cause.standard_uncertainty * scale),
+        "expanded_uncertainty": number(2 * cause.standard_uncertainty * scale),
+        "explains": number(cause.explains),
+    }
+    if cause.candidates:
+        worded["candidates"] = [{"joint": c.joint, "kind": c.kind} for c in cause.candidates]
+    return worded
+
+
+def _combinations(judged: Judged) -> list[dict[str, Any]]:
+    """Sums of joints that are known where the single ones are not, or not well."""
+    rows = []
+    couplings = [c for c in judged.joints.coupling if c is not None and c.combination is not None]
+    for coupling in {c.label: c for c in couplings}.values():
+        mine = [
+            i for i, c in enumerate(judged.joints.coupling)
+            if c is not None and c.label == coupling.label
+        ]  # fmt: skip
+        weights = coupling.combination
+        if weights is None:
+            continue
+        mean = float(np.mean(judged.joints.error[mine] @ weights))
+        spread = np.einsum("i,nij,j->n", weights, judged.joints.covariance[mine], weights)
+        u = float(np.sqrt(spread.sum())) / len(mine)
+        rows.append(_combination(weights, mean, u, len(mine), "singularity"))
+    for weights in _parallel(judged.session.arm):
+        mean = float(weights @ np.nan_to_num(judged.means.mean))
+        variance = float(weights @ np.nan_to_num(judged.means.covariance) @ weights)
+        used = weights != 0
+        if np.isfinite(judged.means.mean[used]).all():
+            pairs = int(judged.means.pairs[used].min())
+            rows.append(_combination(weights, mean, math.sqrt(variance), pairs, "well_known"))
+    return rows
+
+
+def _combination(weights: Array, mean: float, u: float, pairs: int, why: str) -> dict[str, Any]:
+    used = [j for j, w in enumerate(weights) if w]
+    label = "".join(f"{'+' if weights[j] > 0 else '-'}q{j + 1}" for j in used).removeprefix("+")
+    return {
+        "label": label,
+        "joints": [j + 1 for j in used],
+        "mean_error_deg": number(mean * DEGREE),
+        "standard_uncertainty_deg": number(u * DEGREE),
+        "pairs": pairs,
+        "why": why,
+    }
+
+
+def _parallel(arm: robots.Arm) -> list[Array]:
+    """Sums over joints with parallel axes: the angle of the last link, known better than each."""
+    if not isinstance(arm, robots.DhArm):
+        return []
+    groups: list[list[int]] = [[0]]
+    for j in range(1, arm.dof):
+        if abs(float(np.sin(arm.alpha[j - 1]))) < 1e-9:  # of a table's right or zero angle
+            groups[-1].append(j)
+        else:
+            groups.append([j])
+    sums = []
+    for group in groups:
+        if len(group) > 1:
+            weights = np.zeros(arm.dof)
+            weights[group] = arm.sign[group]
+            sums.append(weights)
+    return sums

@@ -1,0 +1,268 @@
+"""What does not average out: the stated uncertainties of rig, base and LEDs, and what they move.
+
+A parameter's sensitivity is the derivative of the measured pose by the value in the file, at
+fixed pictures. A small rotation acts on the left, in the axes of the frame that holds it
+(SESSION_FORMAT.md): the rig's for the robot base and pan axis, the turntable's for a mount, the
+flange's for the LED body.
+"""
+
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from verify.marker import Marker
+from verify.records import Array, Measurement, Pose, Sighting
+from verify.rig import Camera, Rig, distort
+
+AXES = ("x", "y", "z")
+BODY = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+LENS = ("k1", "k2", "p1", "p2", "k3")
+UNITS = {"mm": 1e-3, "deg": np.pi / 180, "px": 1.0}
+CAMERA_KEYS = re.compile(
+    r"^(fx_px|fy_px|cx_px|cy_px|k1|k2|p1|p2|k3|pan_zero_deg|pan_axis_r[xyz]_deg"
+    r"|(mount|pan_center)_[xyz]_mm|mount_r[xyz]_deg)$"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Systematics:
+    """The parameters whose uncertainty is stated, in SI units."""
+
+    names: tuple[str, ...]
+    sources: tuple[str, ...]  # which line of the budget each belongs to
+    covariance: Array  # (p, p)
+    pan: Array  # (2,), rad, standard uncertainty of each pan reading; nan where not stated
+    uncounted: tuple[str, ...]  # sources that state no uncertainty and are taken as exact
+    degrees_of_freedom: float = float("inf")
+    unknown: tuple[str, ...] = field(default=())  # parameter names that nobody here understands
+
+
+def stated(rig: Rig, marker: Marker, turning: bool) -> Systematics:
+    """Collect what rig.toml and marker.toml say of their own uncertainty.
+
+    Args:
+        rig: the rig with its optional covariance.
+        marker: the LEDs with their optional uncertainties.
+        turning: pan readings vary or carry an uncertainty, so that they are a source at all.
+    """
+    names, blocks, unknown, degrees = _from_rig(rig, marker)
+    lists = [_body(marker), _leds(marker, names), _centres(marker)]
+    for extra, sigma in lists:
+        names += extra
+        blocks.append(np.diag(np.square(sigma)) if extra else np.zeros((0, 0)))
+    pan = [
+        np.nan if c.pan_standard_uncertainty is None else c.pan_standard_uncertainty
+        for c in (rig.left, rig.right)
+    ]
+    return Systematics(
+        names=tuple(names),
+        sources=tuple(_source(n) for n in names),
+        covariance=np.asarray(block_diag(*blocks), dtype=float).reshape(len(names), len(names)),
+        pan=np.array(pan),
+        uncounted=_uncounted(names, bool(turning and np.isnan(pan).any())),
+        degrees_of_freedom=degrees,
+        unknown=tuple(unknown),
+    )
+
+
+def _from_rig(rig: Rig, marker: Marker) -> tuple[list[str], list[Array], list[str], float]:
+    given = rig.covariance
+    if given is None:
+        return [], [], [], float("inf")
+    understood = [i for i, n in enumerate(given.parameters) if _understood(n, marker)]
+    unknown = [n for n in given.parameters if not _understood(n, marker)]
+    names = [given.parameters[i] for i in understood]
+    sigma = np.array(
+        [given.standard_uncertainty[i] * _unit(given.parameters[i]) for i in understood]
+    )
+    correlation = given.correlation[np.ix_(understood, understood)]
+    degrees = given.degrees_of_freedom or float("inf")
+    return names, [correlation * np.outer(sigma, sigma)], unknown, degrees
+
+
+def _unit(name: str) -> float:
+    return UNITS.get(name.rsplit("_", 1)[-1], 1.0)
+
+
+def _understood(name: str, marker: Marker) -> bool:
+    head, _, key = name.partition(".")
+    if head in ("left", "right"):
+        return CAMERA_KEYS.match(key) is not None
+    if head == "robot_base":
+        return key in BODY
+    led, _, axis = key.rpartition(".")
+    return head == "led" and led in marker.names and axis in ("x_mm", "y_mm", "z_mm")
+
+
+def _body(marker: Marker) -> tuple[list[str], Array]:
+    if marker.body_standard_uncertainty is None:
+        return [], np.zeros(0)
+    return [f"body.{key}" for key in BODY], marker.body_standard_uncertainty
+
+
+def _leds(marker: Marker, given: list[str]) -> tuple[list[str], Array]:
+    sigma = marker.led_standard_uncertainty
+    if sigma is None or any(n.startswith("led.") for n in given):
+        return [], np.zeros(0)  # a covariance says more than one number for all
+    names = [f"led.{led}.{axis}_mm" for led in marker.names for axis in AXES]
+    return names, np.full(len(names), sigma)
+
+
+def _centres(marker: Marker) -> tuple[list[str], Array]:
+    sigma = marker.centre_shift_standard_uncertainty
+    if sigma is None:
+        return [], np.zeros(0)
+    names = [f"centre.{led}.{axis}_mm" for led in marker.names for axis in AXES]
+    return names, np.full(len(names), sigma)
+
+
+def _source(name: str) -> str:
+    head = name.partition(".")[0]
+    return {
+        "left": "rig",
+        "right": "rig",
+        "robot_base": "robot base",
+        "body": "LED body",
+        "led": "LED positions",
+        "centre": "apparent LED centre",
+    }[head]
+
+
+def _uncounted(names: list[str], pan: bool) -> tuple[str, ...]:
+    present = {_source(n) for n in names}
+    places = ["rig", "robot base", "LED body", "LED positions", "apparent LED centre"]
+    missing = [p for p in places if p not in present]
+    if "LED positions" in present and "LED body" in missing and any("led." in n for n in names):
+        missing.remove("LED body")  # positions in the flange frame hold the body's place as well
+    return (*missing, *(["pan angle"] if pan else []), "robot table")
+
+
+def sensitivities(parameters: Systematics, seen: Measurement, rig: Rig, marker: Marker) -> Array:
+    """How the measured pose in the robot's base changes with each parameter; (6, p + 2).
+
+    The last two columns are the left and the right pan reading. Twists in base axes at the
+    flange, m and rad a SI unit of the parameter.
+    """
+    pose, left, right = seen.pose, seen.left, seen.right
+    if pose is None or left is None or right is None:
+        raise ValueError("only a measured pair has sensitivities")
+    base_R_rig = rig.rig_T_base[:3, :3].T
+    turn = np.kron(np.eye(2), base_R_rig)
+    columns = np.zeros((6, len(parameters.names) + 2))
+    views = _views(pose, left, right, rig, marker)
+    for i, name in enumerate(parameters.names):
+        if name.startswith("robot_base."):
+            columns[:, i] = _base(name, rig, pose)
+        else:
+            columns[:, i] = turn @ _through_pixels(views, name, pose)
+    for i, side in enumerate(("left", "right")):
+        columns[:, len(parameters.names) + i] = turn @ _through_pixels(
+            views, f"{side}.pan_zero_deg", pose
+        )
+    return columns
+
+
+@dataclass(frozen=True, slots=True)
+class _Views:
+    """Everything about the spots that a derivative needs."""
+
+    side: tuple[tuple[str, Camera, Sighting, slice, Array], ...]  # …, (m, 3) points in the camera
+    points_rig: Array  # (s, 3)
+    led: Array  # (s,) index
+    names: tuple[str, ...]
+    offset: Array  # (s, 3), LED from flange, rig axes
+
+
+def _views(pose: Pose, left: Sighting, right: Sighting, rig: Rig, marker: Marker) -> _Views:
+    led = np.concatenate([left.led, right.led])
+    offset = marker.leds[led] @ pose.rig_T_flange[:3, :3].T
+    points = offset + pose.rig_T_flange[:3, 3]
+    sides = []
+    for name, camera, sighting, spots in (
+        ("left", rig.left, left, slice(0, len(left))),
+        ("right", rig.right, right, slice(len(left), None)),
+    ):
+        camera_T_rig = np.linalg.inv(camera.rig_T_camera(sighting.pan))
+        inside = points[spots] @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]
+        sides.append((name, camera, sighting, spots, inside))
+    return _Views(tuple(sides), points, led, marker.names, offset)
+
+
+def _through_pixels(views: _Views, name: str, pose: Pose) -> Array:
+    """- gain · d pixels / d parameter, (6,), rig axes."""
+    head, _, key = name.partition(".")
+    pixels = np.zeros((len(views.led), 2))
+    if head in ("left", "right"):
+        for side, camera, sighting, spots, inside in views.side:
+            if side == head:
+                pixels[spots] = _camera_pixels(
+                    key, camera, sighting, inside, views.points_rig[spots], pose.sensitivity[spots]
+                )
+    else:
+        moved = _led_motion(head, key, views, pose)
+        pixels = np.einsum("sij,sj->si", pose.sensitivity, moved)
+    change: Array = -pose.gain @ pixels.reshape(-1)
+    return change
+
+
+def _camera_pixels(
+    key: str, camera: Camera, sighting: Sighting, inside: Array, points: Array, by_point: Array
+) -> Array:
+    """Derivative of one camera's pixels by one of its parameters, (m, 2)."""
+    xy = inside[:, :2] / inside[:, 2:3]
+    if key in ("cx_px", "cy_px"):
+        return np.tile([float(key == "cx_px"), float(key == "cy_px")], (len(xy), 1))
+    if key in ("fx_px", "fy_px"):
+        return distort(xy, camera.distortion) * [float(key == "fx_px"), float(key == "fy_px")]
+    if key in LENS:  # the model is linear in its coefficients
+        unit = np.array([float(key == k) for k in LENS])
+        lens: Array = (distort(xy, unit) - xy) @ camera.matrix[:2, :2].T
+        return lens
+    shift, turn, origin = _camera_motion(key, camera, sighting.pan)
+    moved = -(shift + np.cross(turn, points - origin))  # the world moves against the camera
+    pixels: Array = np.einsum("sij,sj->si", by_point, moved)
+    return pixels
+
+
+def _camera_motion(key: str, camera: Camera, pan: float) -> tuple[Array, Array, Array]:
+    """Translation, rotation vector and its origin, in rig axes, of a camera a unit parameter."""
+    none = np.zeros(3)
+    turned = Rotation.from_rotvec(camera.pan_axis * (pan + camera.pan_zero)).as_matrix()
+    if key == "pan_zero_deg":
+        return none, camera.pan_axis, camera.pan_center
+    what, axis, _ = key.rsplit("_", 2)
+    unit = np.eye(3)[AXES.index(axis[-1])]
+    if what == "pan_center":
+        return unit, none, none
+    if what == "pan_axis":
+        return none, unit - turned @ unit, camera.pan_center
+    if axis.startswith("r"):
+        return none, turned @ unit, camera.rig_T_camera(pan)[:3, 3]
+    return turned @ unit, none, none
+
+
+def _led_motion(head: str, key: str, views: _Views, pose: Pose) -> Array:
+    """Motion of each seen LED in the rig for a unit of a marker parameter, (s, 3)."""
+    rig_R_flange = pose.rig_T_flange[:3, :3]
+    if head == "body":
+        unit = rig_R_flange[:, AXES.index(key.split("_")[0][-1])]
+        if key.startswith("r"):
+            return np.cross(unit, views.offset)
+        return np.tile(unit, (len(views.led), 1))
+    led, _, axis = key.rpartition(".")
+    chosen = views.led == views.names.index(led)
+    return np.outer(chosen, rig_R_flange[:, AXES.index(axis[0])])
+
+
+def _base(name: str, rig: Rig, pose: Pose) -> Array:
+    """Change of the flange's pose in the base when the base's place in the rig changes, (6,)."""
+    key = name.partition(".")[2]
+    unit = np.eye(3)[AXES.index(key.split("_")[0][-1])]
+    base_R_rig = rig.rig_T_base[:3, :3].T
+    if not key.startswith("r"):
+        return np.concatenate([-base_R_rig @ unit, np.zeros(3)])
+    arm = pose.rig_T_flange[:3, 3] - rig.rig_T_base[:3, 3]
+    return np.concatenate([-base_R_rig @ np.cross(unit, arm), -base_R_rig @ unit])

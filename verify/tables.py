@@ -1,0 +1,134 @@
+"""Tables of a session: units at the door (mm, degrees), a row a pair, a spot, a joint."""
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from verify.comparison import Comparison
+from verify.joints import Joints
+from verify.judgement.resolved import Resolved
+from verify.marker import Marker
+from verify.records import Array, Measurement, Pose
+
+POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+
+
+def frames_table(
+    measurements: list[Measurement],
+    status: list[str],
+    comparison: Comparison,
+    rows: list[int],
+    joints: Joints,
+    error_uncertainty: Array,
+) -> pd.DataFrame:
+    """INTERFACE.md's frames.csv: one row a stereo pair, empty figures where it was not measured.
+
+    Args:
+        measurements: every pair's outcome, in order.
+        status: what is finally said of each.
+        comparison: the compared pairs.
+        rows: the place of each compared pair among the measurements.
+        joints: their joint angles.
+        error_uncertainty: (n, j), rad, of each pair's error from all sources.
+    """
+    table: dict[str, Array | list[str] | list[int]] = {
+        "frame": [m.frame for m in measurements],
+        "t_s": np.array([m.t for m in measurements]),
+        "status": status,
+        "leds_seen": [m.leds_seen for m in measurements],
+        "known_dof": [_known_dof(m) for m in measurements],
+        "reprojection_rms_px": np.array([_rms(m.pose) for m in measurements]),
+    }
+    place = np.array(rows, dtype=np.int64)
+    count = len(measurements)
+    _pose_columns(table, count, place, comparison.base_T_measured, POSE)
+    encoder = tuple(n.replace("_", "_encoder_") for n in POSE)
+    _pose_columns(table, count, place, comparison.base_T_encoder, encoder)
+    uncertainty = np.sqrt(np.diagonal(joints.covariance_measured, axis1=1, axis2=2))
+    uncertainty = np.where(np.isnan(joints.q), np.nan, uncertainty)
+    for suffix, values in (
+        ("measured_deg", joints.q),
+        ("encoder_deg", comparison.q),
+        ("error_deg", joints.error),
+        ("u_deg", uncertainty),
+        ("error_u_deg", np.where(np.isnan(joints.q), np.nan, error_uncertainty)),
+    ):
+        for j in range(values.shape[1]):
+            table[f"q{j + 1}_{suffix}"] = _spread(count, place, np.rad2deg(values[:, j]))
+    size = [np.linalg.norm(comparison.xi[:, part], axis=1) for part in (slice(0, 3), slice(3, 6))]
+    whole = np.array([b.shape[1] == 6 for b in comparison.determined], dtype=bool)
+    table["position_error_mm"] = _spread(count, place, np.where(whole, size[0] * 1e3, np.nan))
+    table["orientation_error_deg"] = _spread(
+        count, place, np.where(whole, np.rad2deg(size[1]), np.nan)
+    )
+    labels = [""] * count
+    for row, coupling in zip(rows, joints.coupling, strict=True):
+        labels[row] = coupling.label if coupling is not None else ""
+    table["ambiguous_joints"] = labels
+    return pd.DataFrame(table)
+
+
+def _known_dof(measurement: Measurement) -> int:
+    return measurement.pose.known_dof if measurement.pose is not None else 0
+
+
+def _rms(pose: Pose | None) -> float:
+    return pose.reprojection_rms_px if pose is not None else float("nan")
+
+
+def _spread(count: int, rows: Array, values: Array) -> Array:
+    column = np.full(count, np.nan)
+    column[rows] = values
+    return column
+
+
+def _pose_columns(
+    table: dict[str, Array | list[str] | list[int]],
+    count: int,
+    rows: Array,
+    poses: Array,
+    names: tuple[str, ...],
+) -> None:
+    turn = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec() if len(poses) else np.zeros((0, 3))
+    figures = np.concatenate([poses[:, :3, 3] * 1e3, np.rad2deg(turn)], axis=1)
+    for i, name in enumerate(names):
+        table[name] = _spread(count, rows, figures[:, i])
+
+
+def spots_table(measurements: list[Measurement], marker: Marker) -> pd.DataFrame:
+    """One row a spot that was used or refused: where it was, and how far off the pose puts it."""
+    rows: list[tuple[int, float, str, str, float, float, float, float, float, float, bool]] = []
+    for m in measurements:
+        if m.pose is None or m.left is None or m.right is None:
+            continue
+        start = 0
+        for side, sighting in (("left", m.left), ("right", m.right)):
+            spread = np.sqrt(np.trace(sighting.covariance, axis1=1, axis2=2) / 2)
+            for i, led in enumerate(sighting.led):
+                x, y = sighting.centre[i].tolist()
+                dx, dy = m.pose.residual[start + i].tolist()
+                used = not bool(m.pose.rejected[start + i])
+                peak, u = float(sighting.peak[i]), float(spread[i])
+                rows.append((m.frame, m.t, side, marker.names[led], x, y, u, dx, dy, peak, used))
+            start += len(sighting)
+    names = ["frame", "t_s", "camera", "led", "x_px", "y_px", "u_px",
+             "residual_x_px", "residual_y_px", "peak_dn", "used"]  # fmt: skip
+    return pd.DataFrame(rows, columns=names)
+
+
+def resolved_table(comparison: Comparison, resolved: Resolved, frame: Array) -> pd.DataFrame:
+    """The resolved error of each joint, and of the flange, at each compared pair."""
+    table: dict[str, Array] = {"frame": frame, "t_s": comparison.t}
+    for j in range(resolved.error.shape[1]):
+        table[f"q{j + 1}_resolved_deg"] = np.rad2deg(resolved.error[:, j])
+        table[f"q{j + 1}_resolved_u_deg"] = np.rad2deg(resolved.uncertainty[:, j])
+    twist = np.einsum("nij,nj->ni", comparison.jacobian, resolved.error)
+    spread = comparison.jacobian @ resolved.covariance @ np.swapaxes(comparison.jacobian, 1, 2)
+    for name, part, unit in (
+        ("position_resolved{}_mm", slice(0, 3), 1e3),
+        ("orientation_resolved{}_deg", slice(3, 6), 180 / np.pi),
+    ):
+        table[name.format("")] = np.linalg.norm(twist[:, part], axis=1) * unit
+        trace = np.trace(spread[:, part, part], axis1=1, axis2=2)
+        table[name.format("_u")] = np.sqrt(trace / 3) * unit
+    return pd.DataFrame(table)

@@ -1,0 +1,103 @@
+"""What the user sees while a command works: progress, lines, or JSON; colour honours NO_COLOR."""
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+from verify.errors import one_line
+
+LINES = 10  # progress lines where there is no terminal to draw a bar on
+
+
+@dataclass(slots=True)
+class Terminal:
+    """How much is said, and in which form."""
+
+    quiet: bool = False
+    verbose: bool = False
+    as_json: bool = False
+
+    def say(self, text: str) -> None:
+        """Print a line for the reader; nothing with --quiet or --json."""
+        if not (self.quiet or self.as_json):
+            sys.stdout.write(text + "\n")
+
+    def detail(self, text: str) -> None:
+        """Print a line that only --verbose asks for."""
+        if self.verbose:
+            self.say(text)
+
+    def warn(self, text: str) -> None:
+        """Print a warning on standard error, or as an object with --json."""
+        if self.as_json:
+            self.record({"type": "warning", "text": text})
+        elif not self.quiet:
+            sys.stderr.write(f"warning: {one_line(text)}\n")
+
+    def record(self, fields: dict[str, Any]) -> None:
+        """Print one JSON object on a line of its own, with --json."""
+        if self.as_json:
+            sys.stdout.write(json.dumps(fields, ensure_ascii=False, allow_nan=False) + "\n")
+            sys.stdout.flush()
+
+    @contextmanager
+    def progress(self, what: str) -> Iterator["Counter"]:
+        """Show how far long work has come: a bar on a terminal, plain lines elsewhere."""
+        console = Console(stderr=True)
+        if self.quiet or self.as_json:
+            yield Counter(None, what, silent=True)
+        elif not console.is_terminal:
+            yield Counter(None, what, silent=False)
+        else:
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                _Rate(),
+                TimeRemainingColumn(),
+            )
+            with Progress(*columns, console=console, transient=True) as bar:
+                yield Counter(bar, what, silent=False)
+
+
+class _Rate(ProgressColumn):
+    """Pairs a second."""
+
+    def render(self, task: Task) -> Text:
+        """Write the rate, once it is known."""
+        return Text("" if task.speed is None else f"{task.speed:.1f}/s")
+
+
+class Counter:
+    """Receives `done, total` and shows it."""
+
+    def __init__(self, bar: Progress | None, what: str, *, silent: bool) -> None:
+        self._bar, self._what, self._silent = bar, what, silent
+        self._task = bar.add_task(what, total=None) if bar is not None else None
+        self._said = 0
+
+    def __call__(self, done: int, total: int) -> None:
+        """Take note that `done` of `total` are through."""
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=done, total=total)
+        elif not self._silent and done * LINES // max(total, 1) > self._said:
+            self._said = done * LINES // max(total, 1)
+            sys.stderr.write(f"{self._what}: {done} of {total}\n")
+
+
+terminal = Terminal()
