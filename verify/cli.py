@@ -18,8 +18,10 @@ from verify.terminal import terminal
 BAD_INPUT = 2
 INTERRUPTED = 130
 
-EVERYWHERE = "With every command: --quiet, --verbose, --json (one object a line on standard output), "
+EVERYWHERE = (
+    "With every command: --quiet, --verbose, --json (one object a line on standard output), "
     "--version."
+)
 app = typer.Typer(
     name="verify",
     help="Is my robot where it says it is? Two cameras and a few LEDs check an arm's encoders.",

@@ -40,11 +40,12 @@ class Whitener:
         return laid
 
 
-def whiten(comparison: Comparison) -> Whitener:
-    """Whitening of a comparison by what varies from pair to pair."""
+def whiten(comparison: Comparison, covariance: Array | None = None) -> Whitener:
+    """Whitening of a comparison by what varies from pair to pair, or by another (n, 6, 6)."""
+    spread = comparison.covariance if covariance is None else covariance
     factors = []
-    for covariance, known in zip(comparison.covariance, comparison.determined, strict=True):
-        lower = np.linalg.cholesky(known.T @ covariance @ known)
+    for block, known in zip(spread, comparison.determined, strict=True):
+        lower = np.linalg.cholesky(known.T @ block @ known)
         factors.append(np.linalg.solve(lower, known.T))
     pair = np.repeat(np.arange(len(factors)), [len(f) for f in factors])
     return Whitener(tuple(factors), pair.astype(np.int64))

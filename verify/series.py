@@ -193,22 +193,26 @@ class _Table:
 
     def _parsed_with_care(self, places: dict[str, int]) -> dict[str, Array]:
         """Parse row by row, to point at the first cell that is no number."""
-        parsed: dict[str, list[float]] = {name: [] for name in places}
+        rows = []
         for line, cells in self._rows():
             if len(cells) != len(self.header):
+                found = f"has {len(cells)} cells"
                 expected = f"the first line names {len(self.header)} columns"
                 remedy = "Write decimal points, and a comma between cells alone."
-                found = f"has {len(cells)} cells"
                 raise InputError(f"{self.path}, line {line}", found, expected, remedy)
-            for name, place in places.items():
-                value = _number(cells[place])
-                if not math.isfinite(value):
-                    cell = cells[place].strip()
-                    found = f'{name} is "{cell[:40]}"' if cell else f"{name} is empty"
-                    expected = f"every row needs a number for {', '.join(places)}"
-                    raise InputError(f"{self.path}, line {line}", found, expected, _AGAIN)
-                parsed[name].append(value)
-        return {name: np.array(column) for name, column in parsed.items()}
+            row = [_number(cells[place]) for place in places.values()]
+            if not all(map(math.isfinite, row)):
+                raise self._bad_cell(line, cells, places)
+            rows.append(row)
+        columns = np.array(rows).reshape(-1, len(places)).T
+        return dict(zip(places, columns, strict=True))
+
+    def _bad_cell(self, line: int, cells: list[str], places: dict[str, int]) -> InputError:
+        name = next(name for name in places if not math.isfinite(_number(cells[places[name]])))
+        cell = cells[places[name]].strip()
+        found = f'{name} is "{cell[:40]}"' if cell else f"{name} is empty"
+        expected = f"every row needs a number for {', '.join(places)}"
+        return InputError(f"{self.path}, line {line}", found, expected, _AGAIN)
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield the rows below the header, blank lines left out, each with its line number."""
@@ -216,7 +220,7 @@ class _Table:
         try:
             next(reader, None)
             for cells in reader:
-                if any(cell.strip() for cell in cells) or len(cells) > 1:
+                if len(cells) > 1 or any(cell.strip() for cell in cells):
                     yield reader.line_num, cells
         except csv.Error as error:
             place = f"{self.path}, line {reader.line_num}"

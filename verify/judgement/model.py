@@ -18,6 +18,16 @@ MOST_PAN_GROUPS = 60
 
 
 @dataclass(frozen=True, slots=True)
+class Shares:
+    """Columns whitened by the measured poses' covariance alone, (r, .) each."""
+
+    joints: Array
+    hidden: Array
+    fitted: Array
+    clock: Array  # (r, 0 or 1), of a clock that was estimated
+
+
+@dataclass(frozen=True, slots=True)
 class Model:
     """Whitened rows (r) of a session with n pairs and an arm of j joints."""
 
@@ -29,7 +39,7 @@ class Model:
     fitted: (
         Array  # (r, f), free columns: clock, and base and LED body where this session's stand in
     )
-    clock: Array  # (r, 0 or 1), the free column of an estimated clock alone
+    seen: "Shares"  # the same columns as the pictures alone weigh them
     prior: Array  # (r, p), columns of unit variance: everything stated that does not average out
     prior_columns: Array  # (n, 6, p), the same before whitening
     through_encoders: bool  # base or LEDs were fitted through the robot's own encoders
@@ -53,25 +63,26 @@ def build(
     white = whiten(comparison)
     jacobian = comparison.jacobian
     latency = -np.einsum("nij,nj->ni", jacobian, comparison.rate)[:, :, None]
-    clock_rows = white.rows(latency) if clock.source != "given" else np.zeros((len(white.pair), 0))
+    clock_columns = latency if clock.source != "given" else latency[:, :, :0]
     prior_columns = _prior(comparison, track, clock, systematics, latency)
-    joints = white.rows(jacobian)
     base, body = rig.base_source == "motion", marker.source == "motion"
-    registered = _registered(comparison, base=base, body=body)
-    hidden, fitted = joints, clock_rows
+    hidden, fitted = jacobian, clock_columns
     if rig.absorption is not None and (base or body):
         full = _registered(comparison, base=True, body=True)
-        hidden = joints - white.rows(full @ _in_base_axes(rig) @ rig.absorption)
+        hidden = jacobian - full @ _in_base_axes(rig) @ rig.absorption
     elif base or body:
-        fitted = np.concatenate([clock_rows, white.rows(registered)], axis=1)
+        registered = _registered(comparison, base=base, body=body)
+        fitted = np.concatenate([clock_columns, registered], axis=2)
+    # a registration weighs its pictures, not the readings: so do the shares that it leaves
+    pictures = whiten(comparison, comparison.covariance_measured)
     return Model(
         comparison=comparison,
         white=white,
         xi=white.rows(comparison.xi[:, :, None])[:, 0],
-        joints=joints,
-        hidden=hidden,
-        fitted=fitted,
-        clock=clock_rows,
+        joints=white.rows(jacobian),
+        hidden=white.rows(hidden),
+        fitted=white.rows(fitted),
+        seen=Shares(*(pictures.rows(c) for c in (jacobian, hidden, fitted, clock_columns))),
         prior=white.rows(prior_columns),
         prior_columns=prior_columns,
         through_encoders=base or body,

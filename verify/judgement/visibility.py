@@ -33,9 +33,10 @@ def visibility(model: Model) -> Visibility:
     nothing = np.full(joints, np.nan)
     if len(model.comparison) < FEWEST_PAIRS:
         return Visibility(nothing, nothing, nothing, nothing)
-    whole = np.linalg.norm(model.joints, axis=0)
-    before = _share(model.fitted, model.hidden, whole)
-    since = _share(model.clock, model.joints, whole)
+    seen = model.seen
+    whole = np.linalg.norm(seen.joints, axis=0)
+    before = _share(seen.fitted, seen.hidden, whole)
+    since = _share(seen.clock, seen.joints, whole)
     left = np.linalg.norm(project_out(model.fitted, model.offsets, model.prior), axis=0)
     left = np.where(before > INVISIBLE, left, 0.0)
     detectable = np.divide(DETECTION, left, out=nothing.copy(), where=left > 0)

@@ -1,0 +1,56 @@
+"""Make a session with known truth and chosen faults.
+
+Example: verify simulate multi_joint_fault_6r -o my_session
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+import robots
+from verify.errors import InputError
+from verify.sim import library
+from verify.sim.folder import write
+from verify.sim.sessions import simulate as play
+from verify.writing import folder_written_whole
+
+
+def simulate(
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario file (TOML), or the name of a built-in scenario.")
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the new session.")],
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Draw other numbers than the scenario's own seed.")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace files in a folder that is not empty.")
+    ] = False,
+) -> None:
+    """Make a session with known truth and chosen faults.
+
+    Example: verify simulate multi_joint_fault_6r -o my_session
+    """
+    chosen = library.load(scenario)
+    if seed is not None:
+        chosen = msgspec.structs.replace(chosen, seed=seed)
+    console = Console(stderr=True)
+    with folder_written_whole(out, force) as folder:
+        try:
+            session = play(chosen)
+        except InputError as error:
+            raise InputError(
+                f"{scenario}, {error.place}", error.found, error.expected, error.remedy
+            ) from None
+        except robots.RobotError as error:
+            raise InputError(
+                f"{scenario}, robot: {error.place}", error.found, error.expected, error.remedy
+            ) from None
+        with Progress(console=console, disable=not console.is_terminal) as progress:
+            task = progress.add_task("pictures", total=2 * len(session))
+            write(session, folder, lambda: progress.advance(task))
+    console.print(f"{len(session)} pairs in {out}", highlight=False, markup=False)

@@ -1,0 +1,164 @@
+"""LED images to spots: sub-pixel centres at the Cramér-Rao bound, with covariance and flags.
+
+Candidates are compact bright things (candidates.py). Each is fitted by a profile between a halo,
+a Gaussian and a blurred disc, under the image's own noise (fit.py, profile.py, noise.py), and
+judged by what the fit leaves (judgement.py).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.detection.candidates import DEFAULT_DIAMETER, find_candidates
+from verify.detection.fit import Fit, Patches, fit_spots, reweighted
+from verify.detection.judgement import FITTED, SEEN, Judgement, core_pixels, joined, judge
+from verify.detection.noise import background_noise, refined
+from verify.detection.patches import cut_out
+from verify.errors import InputError
+from verify.records import Array, Image, Noise, Spots
+
+__all__ = ["detect", "estimate_noise"]
+
+APART = 0.5  # diameters: closer spots are one spot found twice
+Batch = tuple[Patches, Fit, NDArray[np.intp], Array]  # patches, fit, origin, colour
+
+
+def detect(
+    image: Image,
+    windows: Array | None = None,
+    *,
+    noise: Noise | None = None,
+    diameter_px: tuple[float, float] | None = None,
+    limit: int = 24,
+) -> Spots:
+    """Find the LED-like spots of an image and measure their centres.
+
+    Args:
+        image: (h, w) grey or (h, w, 3) BGR, uint8.
+        windows: (m, 4), x0, y0, x1, y1, px: search there only; None searches the whole image.
+        noise: of a pixel of one channel; None estimates it on this image.
+        diameter_px: plausible least and largest full width at half height; None where unknown.
+        limit: how many spots to return at most, the most LED-like ones.
+
+    Returns:
+        Spots by falling peak. Those whose shape no single LED has are flagged `merged` and their
+        covariance enlarged by the misfit; spots cut by the image's border are left out.
+
+    Raises:
+        InputError: not an 8-bit grey or BGR image, or windows of another shape.
+    """
+    check(image, windows)
+    candidates = find_candidates(image, inside(windows, image), diameter_px)
+    background, spread = (noise, 0.0) if noise is not None else background_noise(image)
+    batches: list[Batch] = [
+        (patches, fit_spots(patches), origin, colour)
+        for patches, origin, colour in cut_out(image, candidates, background)
+    ]
+    if noise is None and batches:
+        background = refined(background, spread, *residuals(batches))
+        batches = [renewed(batch, background) for batch in batches]
+    if not batches:
+        return nothing(background)
+    judgement = joined([judge(p, s, origin, image.shape[:2]) for p, s, origin, _ in batches])
+    smallest, largest = diameter_px or DEFAULT_DIAMETER
+    fitting = (judgement.diameter >= smallest) & (judgement.diameter <= largest)
+    keep = np.flatnonzero(judgement.sound & fitting)
+    keep = keep[without_twins(judgement, keep)]
+    likeness = judgement.peak[keep] / (1 + judgement.misfit[keep]) / judgement.elongation[keep]
+    keep = keep[np.argsort(-likeness)[:limit]]
+    keep = keep[np.argsort(-judgement.peak[keep])]
+    return Spots(
+        centre=judgement.centre[keep],
+        covariance=judgement.covariance[keep],
+        peak=judgement.peak[keep],
+        diameter=judgement.diameter[keep],
+        elongation=judgement.elongation[keep],
+        misfit=judgement.misfit[keep],
+        saturated=judgement.saturated[keep],
+        merged=judgement.merged[keep],
+        colour=np.concatenate([colour for *_, colour in batches])[keep],
+        noise=background,
+    )
+
+
+def estimate_noise(image: Image) -> Noise:
+    """Estimate the noise of an image: dark variance from its background, gain from its spots.
+
+    Args:
+        image: (h, w) grey or (h, w, 3) BGR, uint8.
+
+    Returns:
+        The noise of a pixel of one channel, as `detect` would use it.
+    """
+    return detect(image).noise
+
+
+def check(image: Image, windows: Array | None) -> None:
+    """Refuse what is not a picture."""
+    shape_right = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
+    if image.dtype != np.uint8 or not shape_right:
+        raise InputError(
+            "image",
+            f"it holds {image.dtype} of shape {image.shape}",
+            "an image is (height, width) or (height, width, 3), 8 bits",
+            "Convert it, or set the camera to an 8-bit format.",
+        )
+    if windows is not None and (np.ndim(windows) != 2 or np.shape(windows)[1] != 4):
+        raise InputError(
+            "windows", f"their shape is {np.shape(windows)}", "one row x0, y0, x1, y1 a window"
+        )
+
+
+def inside(windows: Array | None, image: Image) -> NDArray[np.int64] | None:
+    """Windows in whole pixels, cut at the image's border."""
+    if windows is None:
+        return None
+    height, width = image.shape[:2]
+    low, high = np.floor(windows[:, :2]), np.ceil(windows[:, 2:])
+    whole = np.hstack([low, high]).clip(0, [width, height, width, height])
+    return whole.astype(np.int64)
+
+
+def residuals(batches: list[Batch]) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Squared residuals and signals on all spots, and which spot each belongs to."""
+    square, signal, spot = [np.empty(0)], [np.empty(0)], [np.empty(0, dtype=np.intp)]
+    known = 0
+    for patches, state, *_ in batches:
+        core = core_pixels(patches, state) & (state.visible > SEEN)
+        count = core.sum(axis=1)
+        enough = count > 2 * FITTED
+        core &= enough[:, None]
+        share = count / np.maximum(count - FITTED, 1)  # what the fit's parameters took
+        # Colours combined have a noise of their own; carried back to that of one channel.
+        square.append((np.square(patches.value - state.mean) * share[:, None])[core])
+        signal.append(state.signal[core])
+        number = known + np.cumsum(enough) - 1
+        spot.append(np.broadcast_to(number[:, None], core.shape)[core])
+        known += int(enough.sum())
+    return np.concatenate(square), np.concatenate(signal), np.concatenate(spot)
+
+
+def renewed(batch: Batch, noise: Noise) -> Batch:
+    """Take a batch one step further under better known noise."""
+    patches, state, origin, colour = batch
+    patches = replace(patches, noise=noise)
+    return patches, reweighted(patches, state), origin, colour
+
+
+def without_twins(judgement: Judgement, keep: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Which of the kept spots are not another, better fitting one found twice."""
+    centre, misfit = judgement.centre[keep], judgement.misfit[keep]
+    apart = np.linalg.norm(centre[:, None] - centre[None], axis=-1)
+    close = apart < APART * np.minimum.outer(*[judgement.diameter[keep]] * 2)
+    rank = np.argsort(np.argsort(misfit, kind="stable"), kind="stable")
+    twin: NDArray[np.bool_] = (close & (rank[None] < rank[:, None])).any(axis=1)
+    return ~twin
+
+
+def nothing(noise: Noise) -> Spots:
+    """No spots."""
+    none, no = np.empty(0), np.empty(0, dtype=bool)
+    return Spots(
+        np.empty((0, 2)), np.empty((0, 2, 2)), none, none, none, none, no, no, np.empty((0, 3)), noise
+    )

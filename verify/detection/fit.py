@@ -1,0 +1,271 @@
+"""Every spot's centre at once: Gauss-Newton on a clipped-normal model of the pixels.
+
+A pixel is mu + noise, rounded and clipped to 0 … 255, with mu = floor + slope · d + peak · f(t).
+Its mean and variance after clipping have closed forms, and (observed - mean) / variance, led
+through the mean's derivative, is the quasi-score. Weights come from the model, never from the
+observed value: that would favour pixels whose noise happened to be low. A pixel deep in saturation
+or below black has a mean that no parameter moves; it carries no information and needs no mask.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from verify.detection.noise import QUANTISATION
+from verify.detection.profile import LOWEST, STEP, profile_table
+from verify.records import Array, Noise
+
+X, Y, PEAK, FLOOR, SLOPE_X, SLOPE_Y, XX, XY, YY, STEEPNESS = range(10)
+SENSOR_LIMIT = 255.0  # DN
+ITERATIONS = 20  # a clean spot takes five, a saturated one ten or more
+SETTLED = 0.1  # of the centre's own sigma: so short a step leaves a tenth of itself, squared
+FOOT = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
+OUTLIER = 5.0  # sigma, likewise
+CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
+START_STEEPNESS = np.log(2.2)  # between a Gaussian (1.39) and an in-focus LED (5)
+STEEP_START = np.log(5.0)  # that LED: where a saturated spot's flat top is real
+# Priors, standard deviations. All but the slopes' concern terms that are even about the centre and
+# leave it alone; they only keep a dim or a fully saturated spot from drifting off.
+PRIOR_STEEPNESS = 1.0
+PRIOR_PEAK = 2000.0  # DN: eight times the sensor's range
+PRIOR_FLOOR = 10.0  # DN: a floor below black is not seen
+PRIOR_SHAPE = 2.0  # of (half-width / start)^-2
+
+
+@dataclass(frozen=True, slots=True)
+class Patches:
+    """Square cut-outs around candidates, all of one size, with what is known of their noise."""
+
+    value: Array  # (n, p), DN
+    valid: NDArray[np.bool_]  # (n, p), inside the image and not clipped in part
+    column: Array  # (p,), px from the cut-out's centre pixel
+    row: Array  # (p,)
+    scale: Array  # (n,), px, half-width that the fit starts from
+    read_share: Array  # (n,), by which combining colours changes a channel's read variance
+    gain_share: Array  # (n,), likewise its shot-noise gain
+    noise: Noise  # of one channel
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Parameters of each patch's spot and the state of the pixels at them."""
+
+    parameters: Array  # (n, 10), x and y in px from the cut-out's centre pixel
+    information: Array  # (n, 10, 10), inverse covariance, priors included
+    mean: Array  # (n, p), expected pixel
+    variance: Array  # (n, p), of the pixel
+    signal: Array  # (n, p), DN above black, before clipping
+    used: NDArray[np.bool_]  # (n, p)
+    visible: Array  # (n, p), d mean / d mu: 1 in range, 0 clipped away
+    radius2: Array  # (n, p), t²
+    chi2: Array  # (n,)
+
+
+def fit_spots(patches: Patches) -> Fit:
+    """Fit one spot to each patch; a saturated one from two sides, as its top may be any."""
+    prior_mean, prior_weight = priors(patches)
+    best = solve(patches, prior_mean, prior_mean, prior_weight)
+    full = np.flatnonzero(saturated(patches))
+    if len(full):
+        part, mean, weight = taken(patches, full), prior_mean[full], prior_weight[full]
+        start = mean.copy()
+        start[:, STEEPNESS], start[:, PEAK] = STEEP_START, SENSOR_LIMIT - mean[:, FLOOR]
+        other = solve(part, start, mean, weight)
+        better = other.chi2 < best.chi2[full]
+        for name in Fit.__slots__:
+            getattr(best, name)[full[better]] = getattr(other, name)[better]
+    return best
+
+
+def reweighted(patches: Patches, state: Fit) -> Fit:
+    """One more step from a solution, under the noise that the patches now carry."""
+    prior_mean, prior_weight = priors(patches)
+    here, gradient = evaluate(patches, state.parameters, prior_mean, prior_weight)
+    step = np.linalg.solve(here.information, gradient[..., None])[..., 0]
+    return replace(here, parameters=here.parameters + bounded(step, here.parameters))
+
+
+def saturated(patches: Patches) -> NDArray[np.bool_]:
+    """Whether some pixels on the spot are at the sensor's limit, (n,)."""
+    near = patches.column**2 + patches.row**2 <= patches.scale[:, None] ** 2
+    at_limit: NDArray[np.bool_] = ((patches.value >= SENSOR_LIMIT) & near).any(axis=1)
+    return at_limit
+
+
+def taken(patches: Patches, which: NDArray[np.intp]) -> Patches:
+    """Some of the patches."""
+    return replace(
+        patches,
+        value=patches.value[which],
+        valid=patches.valid[which],
+        scale=patches.scale[which],
+        read_share=patches.read_share[which],
+        gain_share=patches.gain_share[which],
+    )
+
+
+def solve(patches: Patches, start: Array, prior_mean: Array, prior_weight: Array) -> Fit:
+    """Gauss-Newton with Levenberg's damping, patch by patch."""
+    parameters = start.copy()
+    damping = np.full(len(parameters), 1e-4)
+    best, gradient = evaluate(patches, parameters, prior_mean, prior_weight)
+    for _ in range(ITERATIONS):
+        diagonal = np.einsum("nii->ni", best.information)
+        damped = best.information.copy()
+        np.einsum("nii->ni", damped)[:] += damping[:, None] * diagonal
+        step = bounded(np.linalg.solve(damped, gradient[..., None])[..., 0], best.parameters)
+        trial, trial_gradient = evaluate(
+            patches, best.parameters + step, prior_mean, prior_weight
+        )
+        # The weights move with the model, so chi² may rise a little on the way to the solution.
+        good = trial.chi2 <= 1.1 * best.chi2 + 1.0
+        damping = np.where(good, damping / 10, np.minimum(damping * 30, 1e4))
+        best = trial if good.all() else chosen(good, trial, best)
+        gradient = trial_gradient if good.all() else np.where(
+            good[:, None], trial_gradient, gradient
+        )
+        moved = np.einsum("ni,nij,nj->n", step[:, :2], best.information[:, :2, :2], step[:, :2])
+        if np.all(good & (moved < SETTLED**2)):
+            break
+    return best
+
+
+def chosen(good: NDArray[np.bool_], trial: Fit, best: Fit) -> Fit:
+    """Take each patch's trial where it was good, else what there was."""
+    return Fit(
+        *(
+            np.where(good.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+            for new, old in (
+                (getattr(trial, name), getattr(best, name)) for name in Fit.__slots__
+            )
+        )
+    )
+
+
+def priors(patches: Patches) -> tuple[Array, Array]:
+    """Where the fit starts and how firmly each parameter is held there: (n, 10) each."""
+    n = len(patches.value)
+    value, scale = patches.value, patches.scale[:, None]
+    distance2 = patches.column**2 + patches.row**2
+    floor = np.partition(value, value.shape[1] * 3 // 10, axis=1)[:, value.shape[1] * 3 // 10]
+    core = (distance2 <= (0.5 * scale + 0.5) ** 2) & patches.valid
+    top = (value * core).sum(axis=1) / np.maximum(core.sum(axis=1), 1)
+    peak = np.where(top > SENSOR_LIMIT - 3, 1.3, 1.05) * np.maximum(top - floor, 1.0)
+    mean = np.zeros((n, 10))
+    mean[:, PEAK], mean[:, FLOOR], mean[:, STEEPNESS] = peak, floor, START_STEEPNESS
+    mean[:, XX] = mean[:, YY] = 1.0
+    weight = np.zeros((n, 10))
+    weight[:, PEAK], weight[:, FLOOR] = PRIOR_PEAK**-2, PRIOR_FLOOR**-2
+    weight[:, STEEPNESS], weight[:, XX : YY + 1] = PRIOR_STEEPNESS**-2, PRIOR_SHAPE**-2
+    # A slope costs the centre information, so it is let in as far as the surroundings have one.
+    ring = (distance2 > (2.3 * scale + 1) ** 2) & patches.valid
+    excess = np.clip(value - floor[:, None], -30, 30) * ring  # DN: a neighbour is not a slope
+    for parameter, axis in ((SLOPE_X, patches.column), (SLOPE_Y, patches.row)):
+        slope = excess @ axis / np.maximum(ring @ axis**2, 1)
+        weight[:, parameter] = 1 / (slope**2 + 1e-8)
+    return mean, weight
+
+
+def bounded(step: Array, parameters: Array) -> Array:
+    """Shorten a step that leaves the region in which the linearisation means anything."""
+    limit = np.empty_like(step)
+    limit[:, :Y + 1] = 1.5  # px
+    limit[:, PEAK] = 0.7 * parameters[:, PEAK]
+    limit[:, FLOOR] = 30.0  # DN
+    limit[:, SLOPE_X : SLOPE_Y + 1] = 5.0  # DN a px
+    least = np.minimum(parameters[:, XX], parameters[:, YY]) 
+    limit[:, XX : YY + 1] = 0.45 * least[:, None]
+    limit[:, STEEPNESS] = 0.5
+    ratio = np.max(np.abs(step) / limit, axis=1)
+    return step / np.maximum(ratio, 1.0)[:, None]
+
+
+def evaluate(
+    patches: Patches, parameters: Array, prior_mean: Array, prior_weight: Array
+) -> tuple[Fit, Array]:
+    """State of all patches at the parameters, and the gradient of the quasi-likelihood."""
+    p = parameters[:, :, None]
+    dx, dy = patches.column - p[:, X], patches.row - p[:, Y]
+    u, w = dx / patches.scale[:, None], dy / patches.scale[:, None]
+    uu, uw, ww = u * u, 2 * u * w, w * w
+    radius2 = np.maximum(p[:, XX] * uu + p[:, XY] * uw + p[:, YY] * ww, 0.0)
+    value, slope, change = look_up(radius2, parameters[:, STEEPNESS])
+    mu = p[:, FLOOR] + p[:, SLOPE_X] * patches.column + p[:, SLOPE_Y] * patches.row
+    mu += p[:, PEAK] * value
+    signal = np.maximum(mu - patches.noise.black, 0.0)
+    read_variance = patches.read_share * patches.noise.read**2
+    gain = patches.gain_share * patches.noise.gain
+    noise = read_variance[:, None] + gain[:, None] * signal
+    mean, variance, visible = clipped(mu, noise)
+    residual = patches.value - mean
+    outside = (radius2 > FOOT**2) & (residual**2 > OUTLIER**2 * noise)
+    used = patches.valid & ~outside
+
+    jacobian = np.empty((len(parameters), 10, len(patches.column)))
+    bend = p[:, PEAK] * slope
+    pull = -2 * bend / patches.scale[:, None]
+    jacobian[:, X] = pull * (p[:, XX] * u + p[:, XY] * w)
+    jacobian[:, Y] = pull * (p[:, XY] * u + p[:, YY] * w)
+    jacobian[:, PEAK] = value
+    jacobian[:, FLOOR] = 1.0
+    jacobian[:, SLOPE_X], jacobian[:, SLOPE_Y] = patches.column, patches.row
+    jacobian[:, XX], jacobian[:, XY], jacobian[:, YY] = bend * uu, bend * uw, bend * ww
+    jacobian[:, STEEPNESS] = p[:, PEAK] * change
+
+    weight = used * visible / variance
+    weighted = jacobian * (weight * visible)[:, None]
+    information = weighted @ jacobian.transpose(0, 2, 1)
+    np.einsum("nii->ni", information)[:] += prior_weight
+    off = prior_mean - parameters
+    gradient = (jacobian @ (weight * residual)[..., None])[..., 0] + prior_weight * off
+    chi2 = np.einsum("np,np,np->n", residual, residual, used / variance)
+    chi2 += np.einsum("ni,ni,ni->n", off, off, prior_weight)
+    chi2 += OUTLIER**2 * np.count_nonzero(patches.valid & outside, axis=1)
+    state = Fit(
+        parameters, information, mean, variance, signal, used, visible, radius2, chi2
+    )
+    return state, gradient
+
+
+def look_up(radius2: Array, log_steepness: Array) -> tuple[Array, Array, Array]:
+    """f, df/d(t²) and df/d(ln steepness) at t², per spot from the table, first order in t²."""
+    table = profile_table()
+    rows, samples = table.value.shape
+    height = table.log_steepness[1] - table.log_steepness[0]
+    place = np.clip((log_steepness - LOWEST) / height, 0.0, rows - 1.001)
+    row = place.astype(np.intp)
+    share = (place - row)[:, None]
+    low, high = table.value[row], table.value[row + 1]
+    change = (high - low) / height
+    value = low + share * (high - low)
+    slope = (1 - share) * table.slope[row] + share * table.slope[row + 1]
+    index = (np.sqrt(radius2) * (1 / STEP) + 0.5).astype(np.intp)
+    np.minimum(index, samples - 1, out=index)
+    t2 = (index * STEP) ** 2
+    index += (np.arange(len(row)) * samples)[:, None]
+    slope_here = slope.ravel()[index]
+    beyond = np.minimum(radius2 - t2, STEP * LAST_STEP)
+    return value.ravel()[index] + slope_here * beyond, slope_here, change.ravel()[index]
+
+
+LAST_STEP = 16.0  # half-widths: t dt at the table's end, past which the profile stands
+
+
+def clipped(mu: Array, noise: Array) -> tuple[Array, Array, Array]:
+    """Mean, variance and d mean / d mu of a normal variable clipped to the sensor's range."""
+    high = mu > SENSOR_LIMIT / 2
+    room = np.where(high, SENSOR_LIMIT - mu, mu)  # the farther limit is always out of reach
+    sigma = np.sqrt(noise)
+    z = room / sigma
+    if not np.any(z < CLIP_REACH):
+        return mu, noise, np.ones_like(mu)
+    inside = ndtr(z)
+    density = np.exp(-0.5 * z * z) * (sigma / np.sqrt(2 * np.pi))
+    excess = room * inside + density
+    # E[u²] less E[u]², u the clipped room. No less than rounding: a deviation there is the
+    # model's, not a miracle of the noise.
+    variance = noise * inside + excess * (room - excess)
+    np.maximum(variance, QUANTISATION, out=variance)
+    return np.where(high, SENSOR_LIMIT - excess, excess), variance, inside

@@ -1,0 +1,97 @@
+"""What a fit says about its spot: place, covariance, size, and whether it is one clean LED."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.detection.fit import PEAK, SENSOR_LIMIT, XX, XY, YY, Fit, Patches, X, Y
+from verify.records import Array
+
+FITTED = 8  # parameters that a spot's own pixels pay for; the slopes live on the surroundings
+CORE = 1.5  # half-widths: the spot's own pixels, by which its fit is judged
+CORE_LEAST = 3.0  # px, likewise for the smallest: 28 pixels against 8 parameters
+SEEN = 0.9  # share of a pixel's noise that clipping must leave for its residual to count
+MISFIT = 6.0  # reduced chi² of a shape that no clean LED has
+ROUGH = 0.035  # rms residual over peak, likewise; both must hold: a bright LED shows every flaw
+FAINTEST = 8.0  # sigma of the peak: chance does not reach it in a picture
+WANDERED = 1.5  # half-widths: a fit that left its candidate has found something else
+LONGEST = 2.0  # axis ratio of the fitted profile; a blurred LED stays below, streaks do not
+BORDER = 1.2  # half-widths that must be inside the image
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """One row a fitted candidate."""
+
+    centre: Array  # (n, 2), px
+    covariance: Array  # (n, 2, 2), px²
+    peak: Array  # (n,), DN
+    diameter: Array  # (n,), px
+    elongation: Array  # (n,)
+    misfit: Array  # (n,)
+    saturated: NDArray[np.bool_]  # (n,)
+    merged: NDArray[np.bool_]  # (n,)
+    sound: NDArray[np.bool_]  # (n,), a spot at all: found where it was looked for, compact, whole
+
+
+def judge(patches: Patches, state: Fit, origin: NDArray[np.intp], shape: tuple[int, int]) -> Judgement:
+    """Judge one batch of fits; `shape` is the image's height and width."""
+    p = state.parameters
+    offset = p[:, [X, Y]]
+    centre = origin + offset
+    covariance = np.linalg.inv(state.information)[:, :2, :2]
+    mean, split = (p[:, XX] + p[:, YY]) / 2, np.hypot((p[:, XX] - p[:, YY]) / 2, p[:, XY])
+    positive = mean > split
+    half_long = patches.scale / np.sqrt(np.where(positive, mean - split, 1.0))
+    half_short = patches.scale / np.sqrt(np.where(positive, mean + split, 1.0))
+    core = core_pixels(patches, state)
+    seen = core & (state.visible > SEEN)
+    residual2 = np.square(patches.value - state.mean)
+    freedom = seen.sum(axis=1) - FITTED
+    chi2 = (seen * residual2 / state.variance).sum(axis=1)
+    misfit = np.where(freedom > 0, chi2 / np.maximum(freedom, 1), 1.0)
+    rough = np.sqrt((seen * residual2).sum(axis=1) / np.maximum(freedom, 1))
+    merged = (misfit > MISFIT) & (rough > ROUGH * np.minimum(p[:, PEAK], SENSOR_LIMIT))
+    # A shape that the profiles lack leaves errors larger than noise: said in the covariance too.
+    covariance = covariance * np.where(merged, np.maximum(misfit, 1.0), 1.0)[:, None, None]
+    peak_variance = np.linalg.inv(state.information)[:, PEAK, PEAK]
+    inside = np.all(
+        (centre > BORDER * half_long[:, None] - 0.5)
+        & (centre < np.array(shape[::-1]) - 0.5 - BORDER * half_long[:, None]),
+        axis=1,
+    )
+    sound = (
+        positive
+        & inside
+        & np.all(np.isfinite(p), axis=1)
+        & (p[:, PEAK] > FAINTEST * np.sqrt(peak_variance))
+        & (half_long < LONGEST * half_short)
+        & (np.hypot(*offset.T) < WANDERED * patches.scale + 1)
+    )
+    return Judgement(
+        centre=centre,
+        covariance=covariance,
+        peak=p[:, PEAK],
+        diameter=half_long + half_short,
+        elongation=half_long / half_short,
+        misfit=misfit,
+        saturated=(core & (patches.value >= SENSOR_LIMIT)).any(axis=1),
+        merged=merged,
+        sound=sound,
+    )
+
+
+def core_pixels(patches: Patches, state: Fit) -> NDArray[np.bool_]:
+    """The pixels that are a spot's own."""
+    off = [a - state.parameters[:, k, None] for a, k in ((patches.column, X), (patches.row, Y))]
+    near = np.square(off).sum(axis=0) < CORE_LEAST**2
+    own: NDArray[np.bool_] = ((state.radius2 < CORE**2) | near) & patches.valid
+    return own
+
+
+def joined(parts: list[Judgement]) -> Judgement:
+    """Several batches as one."""
+    return Judgement(
+        *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Judgement))
+    )

@@ -1,0 +1,221 @@
+"""Which spot is which LED, in both images at once.
+
+Geometry first: points where two rays nearly meet, as far apart as the marker's LEDs are. What
+geometry leaves open (a symmetric marker, two LEDs that could change places) is settled by colour,
+then by continuity with the previous pair, then by the candidate nearest to the encoders' pose. The
+encoders choose, their value enters nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.identification.hypotheses import Hypotheses, score, unique
+from verify.identification.search import search, track
+from verify.identification.views import Views, look
+from verify.marker import Marker
+from verify.records import Array, Spots
+from verify.rig import Rig
+
+__all__ = ["Identification", "Prediction", "identify"]
+
+CLEARLY = 12.0  # of twice the log evidence: odds of 400 to 1, more than noise does to equals
+BOUND = 2.0  # standard deviations to how far a prediction may be off
+JUMP = 50.0  # what a pose far from the prediction costs: two LED images and a half
+BELIEVED = 3.0  # standard departures beyond which a reference says nothing about a pose
+APART = 1.0  # by how many departures the nearest must be nearer than the next
+ENCODERS_POSITION = 0.1  # m, how far a faulty arm and a clock not yet known may be believed to err
+ENCODERS_ROTATION = 0.3  # rad, likewise; marker symmetries lie above 1 rad
+COARSE = 4e-3  # m, how well a coarse pose places an LED: depth, with the images a few ms apart
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Where the chain expects the flange, from the pairs before."""
+
+    rig_T_flange: Array  # (4, 4), at this pair's left instant
+    position_uncertainty: float  # m, how far it may be off
+    rotation_uncertainty: float  # rad
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """Which spot is which LED, and how that was settled."""
+
+    left_led: NDArray[np.int64]  # (m,), index into marker.leds
+    left_spot: NDArray[np.int64]  # (m,), index into the left spots
+    right_led: NDArray[np.int64]  # (k,)
+    right_spot: NDArray[np.int64]  # (k,)
+    rig_T_flange: Array | None  # (4, 4), coarse; a turn the LEDs leave open is the reference's
+    choice: str  # geometry, colour, continuity, encoders; "" where nothing was identified
+    alternatives: int  # other assignments that geometry and colour explain as well
+    status: str  # measured, too_few_leds, ambiguous_leds
+
+
+def identify(
+    left: Spots,
+    right: Spots,
+    rig: Rig,
+    pan_left: float,
+    pan_right: float,
+    marker: Marker,
+    *,
+    prediction: Prediction | None = None,
+    expected_poses: Sequence[Array] = (),
+    motion_tolerance_px: float = 2.0,
+) -> Identification:
+    """Find which spot is which LED.
+
+    Args:
+        left: spots of the left image, brightest first.
+        right: spots of the right image.
+        rig: the calibrated cameras.
+        pan_left: rad, reading of the left base.
+        pan_right: rad, reading of the right base.
+        marker: the LEDs, one to six in any arrangement.
+        prediction: from the previous pairs; settles what geometry and colour leave open, and
+            finds LEDs where too few are seen for geometry alone.
+        expected_poses: rig_T_flange (4, 4) from the encoders; the nearest settles what is still
+            open, and nothing else.
+        motion_tolerance_px: px, how far LEDs may have moved between the two exposures.
+
+    Returns:
+        The assignment. Where several explain the spots equally it is empty, `ambiguous_leds`;
+        where none does, `too_few_leds`. An LED seen by one camera only is listed for that one.
+    """
+    if len(left) == 0 or len(right) == 0:
+        return _nothing("too_few_leds")
+    views = look((left, right), rig, (pan_left, pan_right), marker, motion_tolerance_px)
+    found = _find(views, prediction, expected_poses)
+    if len(found) == 0:
+        return _nothing("too_few_leds")
+    evidence = score(views, found)
+    informed = evidence.copy()
+    if prediction is not None:
+        off = _off(views.leds, found, prediction)
+        informed += np.minimum(off**2, JUMP)
+    best = int(np.argmin(informed))
+    rivals = _conflicts(found, best) & (evidence < evidence[best] + CLEARLY)
+    alternatives = int(rivals.sum())
+    rivals &= informed < informed[best] + CLEARLY
+    if alternatives == 0:
+        choice = "colour" if _colour_decided(views, found, best) else "geometry"
+    elif not rivals.any():
+        choice = "continuity"
+    else:
+        choice = "encoders"
+        open_ones = np.flatnonzero(rivals | (np.arange(len(found)) == best))
+        nearest = _nearest(views.leds, found.take(open_ones), expected_poses)
+        if nearest is None:
+            return _nothing("ambiguous_leds", alternatives)
+        best = int(open_ones[nearest])
+    return _report(found, best, choice, alternatives)
+
+
+def _find(
+    views: Views, prediction: Prediction | None, expected_poses: Sequence[Array]
+) -> Hypotheses:
+    """Search the images, and follow the prediction where there is one."""
+    references = [prediction.rig_T_flange] if prediction is not None else []
+    references += list(expected_poses)
+    rig_R_flange = references[0][:3, :3] if references else np.eye(3)
+    found = search(views, rig_R_flange, single=bool(references))
+    if prediction is None:
+        return found
+    there = found.take(_off(views.leds, found, prediction) <= BELIEVED)
+    sizes = prediction.position_uncertainty / BOUND, prediction.rotation_uncertainty / BOUND
+    return unique(found.join(track(views, there, prediction.rig_T_flange, *sizes)))
+
+
+def _off(leds: Array, found: Hypotheses, prediction: Prediction) -> Array:
+    """Departures of hypotheses (h,) from a prediction, in its standard deviations."""
+    sizes = prediction.position_uncertainty / BOUND, prediction.rotation_uncertainty / BOUND
+    return departure(leds, found, prediction.rig_T_flange, *sizes)
+
+
+def departure(
+    leds: Array, found: Hypotheses, rig_T_flange: Array, position: float, rotation: float
+) -> Array:
+    """Measure how far the LEDs of each hypothesis (h,) are from where a reference pose has them.
+
+    Their mean is compared on the scale of `position` (m), their arrangement about it on that of
+    `rotation` (rad): a symmetric marker's turn stands out however far the whole has moved. What
+    the LEDs seen do not determine plays no part.
+    """
+    seen = (found.spot >= 0).any(axis=1)
+    weight = seen / np.maximum(seen.sum(axis=1), 1)[:, None]
+    at = np.einsum("hij,nj->hni", found.rotation, leds) + found.position[:, None]
+    move = at - (leds @ rig_T_flange[:3, :3].T + rig_T_flange[:3, 3])
+    mean = np.einsum("hn,hni->hi", weight, move)
+    middle = weight @ leds
+    radius = _spread(weight, leds - middle[:, None])
+    lever = np.linalg.norm(middle, axis=1)
+    moved = np.linalg.norm(mean, axis=1) / (position + rotation * lever + COARSE)
+    turned = _spread(weight, move - mean[:, None]) / (rotation * radius + COARSE)
+    total: Array = np.hypot(moved, turned)
+    return total
+
+
+def _spread(weight: Array, vectors: Array) -> Array:
+    """Weighted root mean square length of (h, n, 3) vectors, (h,)."""
+    spread: Array = np.sqrt(np.sum(weight * np.sum(vectors**2, axis=-1), axis=1))
+    return spread
+
+
+def _conflicts(found: Hypotheses, best: int) -> NDArray[np.bool_]:
+    """Say which hypotheses contradict one: another spot for an LED, or another LED for a spot."""
+    mine, theirs = found.spot[best], found.spot
+    other_spot = (mine >= 0) & (theirs >= 0) & (mine != theirs)
+    same = (theirs[..., None] == mine[:, None]) & (theirs[..., None] >= 0)
+    other_led = np.any(same & ~np.eye(mine.shape[1], dtype=bool), axis=-1)
+    conflict: NDArray[np.bool_] = np.any(other_spot | other_led, axis=(1, 2))
+    return conflict
+
+
+def _nearest(leds: Array, found: Hypotheses, expected_poses: Sequence[Array]) -> int | None:
+    """Choose the hypothesis nearest to an encoders' pose, if one is near and clearly nearest."""
+    if len(expected_poses) == 0:
+        return None
+    scales = ENCODERS_POSITION, ENCODERS_ROTATION
+    off = np.min([departure(leds, found, pose, *scales) for pose in expected_poses], axis=0)
+    best = int(np.argmin(off))
+    others = np.delete(off, best)
+    clear = off[best] <= BELIEVED and np.all(others >= off[best] + APART)
+    return best if clear else None
+
+
+def _colour_decided(views: Views, found: Hypotheses, best: int) -> bool:
+    """Say whether the same search, colour-blind, would have left a rival to the one found."""
+    coloured = np.isfinite(views.pixels[..., 0])[:, None] & ~views.allowed
+    if not coloured.any():
+        return False
+    everything = np.broadcast_to(np.isfinite(views.pixels[..., 0])[:, None], views.allowed.shape)
+    chosen = found.take(np.array([best]))
+    blind = replace(views, allowed=everything)
+    pool = chosen.join(search(blind, chosen.rotation[0], single=True))
+    evidence = score(blind, pool)
+    return bool(np.any(_conflicts(pool, 0) & (evidence < evidence[0] + CLEARLY)))
+
+
+def _report(found: Hypotheses, best: int, choice: str, alternatives: int) -> Identification:
+    rig_T_flange = np.eye(4)
+    rig_T_flange[:3, :3] = found.rotation[best]
+    rig_T_flange[:3, 3] = found.position[best]
+    left_led, right_led = (np.flatnonzero(side >= 0) for side in found.spot[best])
+    return Identification(
+        left_led=left_led,
+        left_spot=found.spot[best, 0, left_led],
+        right_led=right_led,
+        right_spot=found.spot[best, 1, right_led],
+        rig_T_flange=rig_T_flange,
+        choice=choice,
+        alternatives=alternatives,
+        status="measured",
+    )
+
+
+def _nothing(status: str, alternatives: int = 0) -> Identification:
+    none = np.zeros(0, dtype=np.int64)
+    return Identification(none, none, none, none, None, "", alternatives, status)

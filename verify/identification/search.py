@@ -1,0 +1,67 @@
+"""Every assignment of spots to LEDs that explains the images, found without knowing the past."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from verify.identification.hypotheses import (
+    Hypotheses,
+    gather,
+    polish,
+    refine,
+    seed,
+    settle_spots,
+    start,
+)
+from verify.identification.seeds import Graph, Index, find_edges, find_points, find_triangles, link
+from verify.identification.views import Views
+from verify.records import Array
+
+MOST_PAIRS = 256  # best distances first: bounds the work in a scene of lamps
+
+
+def search(views: Views, rig_R_flange: Array, *, single: bool) -> Hypotheses:
+    """Find the assignments with the most LEDs: from three in both images, else two, else one.
+
+    Args:
+        views: the two images.
+        rig_R_flange: (3, 3), what fills the turns that one or two LEDs leave open.
+        single: try one LED of several; it says nothing without some knowledge of the place.
+    """
+    points = find_points(views)
+    graph = link(views, points)
+    found = seed(views, points, graph, np.zeros((0, 1), dtype=np.int64), rig_R_flange)
+    for leds in (3, 2, 1) if single or len(views.leds) == 1 else (3, 2):
+        nodes = _nodes(graph, views.leds, leds)
+        found = polish(views, seed(views, points, graph, nodes, rig_R_flange))
+        if len(found):
+            break
+    return found
+
+
+def _nodes(graph: Graph, leds: Array, count: int) -> Index:
+    """List the sets of so many nodes to begin with, best first."""
+    if count == 3:
+        return find_triangles(graph, leds)
+    return find_edges(graph)[:MOST_PAIRS] if count == 2 else np.arange(len(graph.led))[:, None]
+
+
+def track(
+    views: Views, found: Hypotheses, rig_T_flange: Array, position: float, rotation: float
+) -> Hypotheses:
+    """Take the spots nearest to a predicted pose, alone and from what the search found.
+
+    Args:
+        views: the two images.
+        found: what the search found there; LEDs that one camera alone sees are looked for anew.
+        rig_T_flange: (4, 4), the prediction.
+        position: m, its standard uncertainty.
+        rotation: rad, likewise.
+    """
+    place = np.repeat([position, rotation], 3)
+    none = np.full((1, 2, len(views.leds)), -1, dtype=np.int64)
+    begun = start(views, rig_T_flange[None, :3, :3], rig_T_flange[None, :3, 3], none)
+    begun.covariance[:, range(6), range(6)] = place**2
+    held = refine(views, replace(found, hold=np.tile(place**-2, (len(found), 1))), 0)
+    begun = replace(begun, hold=place[None] ** -2).join(held)
+    return settle_spots(views, refine(views, gather(views, begun, np.inf), 2))
