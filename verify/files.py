@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import os
 from pathlib import Path
 
 from verify.errors import InputError
@@ -19,7 +20,7 @@ _REMEDIES = {
 
 def system_refusal(path: str | Path, error: OSError) -> InputError:
     """Word what the operating system refused: which path, why, what to do."""
-    reason = error.strerror or str(error)
+    reason = os.strerror(error.errno) if error.errno else str(error)
     remedy = _REMEDIES.get(error.errno or 0, "Check the disk and the path.")
     return InputError(path, reason[:1].lower() + reason[1:], "", remedy)
 

@@ -29,7 +29,7 @@ class Whitener:
             return np.zeros((0, columns.shape[2]))
         if len({f.shape for f in self.factors}) == 1:
             stacked: Array = np.array(self.factors) @ columns
-            return stacked.reshape(-1, columns.shape[2])
+            return stacked.reshape(len(self.pair), columns.shape[2])
         return np.concatenate([f @ c for f, c in zip(self.factors, columns, strict=True)])
 
     def by_pair(self, rows: Array) -> Array:

@@ -214,7 +214,7 @@ def _misfits(folder: Path, rig: Rig, marker: Marker) -> list[str]:
     stated = rig.covariance.parameters if rig.covariance else ()
     leds = {name.split(".", 1)[1].rsplit(".", 1)[0] for name in stated if name.startswith("led.")}
     misfits += [
-        f"{folder}: marker.toml has no LED \"{name}\", of which the covariance in rig.toml speaks."
+        f'{folder}: marker.toml has no LED "{name}", of which the covariance in rig.toml speaks.'
         for name in sorted(leds.difference(marker.names))
     ]
     return [one_line(misfit) for misfit in misfits]

@@ -49,6 +49,7 @@ def stated(rig: Rig, marker: Marker, turning: bool) -> Systematics:
         turning: pan readings vary or carry an uncertainty, so that they are a source at all.
     """
     names, blocks, unknown, degrees = _from_rig(rig, marker)
+    placed = any(n.startswith("led.") for n in names)  # in the flange frame: body included
     lists = [_body(marker), _leds(marker, names), _centres(marker)]
     for extra, sigma in lists:
         names += extra
@@ -62,7 +63,7 @@ def stated(rig: Rig, marker: Marker, turning: bool) -> Systematics:
         sources=tuple(_source(n) for n in names),
         covariance=np.asarray(block_diag(*blocks), dtype=float).reshape(len(names), len(names)),
         pan=np.array(pan),
-        uncounted=_uncounted(names, bool(turning and np.isnan(pan).any())),
+        uncounted=_uncounted(names, placed, bool(turning and np.isnan(pan).any())),
         degrees_of_freedom=degrees,
         unknown=tuple(unknown),
     )
@@ -131,12 +132,12 @@ def _source(name: str) -> str:
     }[head]
 
 
-def _uncounted(names: list[str], pan: bool) -> tuple[str, ...]:
+def _uncounted(names: list[str], placed: bool, pan: bool) -> tuple[str, ...]:
     present = {_source(n) for n in names}
     places = ["rig", "robot base", "LED body", "LED positions", "apparent LED centre"]
     missing = [p for p in places if p not in present]
-    if "LED positions" in present and "LED body" in missing and any("led." in n for n in names):
-        missing.remove("LED body")  # positions in the flange frame hold the body's place as well
+    if placed and "LED body" in missing:
+        missing.remove("LED body")
     return (*missing, *(["pan angle"] if pan else []), "robot table")
 
 

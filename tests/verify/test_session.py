@@ -122,6 +122,13 @@ def test_a_robot_file_in_the_folder_is_an_input_too(folder: Path) -> None:
     assert session.inputs["arm.toml"] == f"sha256:{hashlib.sha256(known).hexdigest()}"
 
 
+def test_files_saved_by_an_editor_on_windows_read_the_same(folder: Path) -> None:
+    for name in ("session.toml", "rig.toml", "marker.toml", "frames.csv", "encoders.csv"):
+        text = (folder / name).read_bytes()
+        (folder / name).write_bytes(b"\xef\xbb\xbf" + text.replace(b"\n", b"\r\n"))
+    assert open_session(folder).warnings == ()
+
+
 def test_truth_is_never_opened(folder: Path) -> None:
     (folder / "truth.csv").mkdir()  # would fail, whoever reads it
     assert "truth.csv" not in open_session(folder).inputs

@@ -83,8 +83,8 @@ def truncated(folder: Path) -> None:
     (folder / "left.mkv").write_bytes(data[: len(data) // 2])
 
 
-def other_size(folder: Path) -> None:
-    write_video(folder / "left.mkv", [picture[:40] for picture in images()])
+def other_size(side: str) -> Callable[[Path], None]:
+    return lambda folder: write_video(folder / side, [picture[:40] for picture in images()])
 
 
 def video_of(count: int) -> Callable[[Path], None]:
@@ -149,7 +149,8 @@ def pipe(folder: Path) -> None:
         (write("left.mkv", b"not a video" * 100), ["left.mkv", "no video"]),
         (pngs_with_a_gap, ["left", "has no 000003.png"]),
         (damaged_png, ["000004.png", "damaged"]),
-        (other_size, ["left.mkv", "image 0 is 64 x 40 px", "64 x 48"]),
+        (other_size("left.mkv"), ["left.mkv", "image 0 is 64 x 40 px", "64 x 48"]),
+        (other_size("right.mkv"), ["right.mkv", "image 0 is 64 x 40 px", "64 x 48"]),
         (swap("rig.toml", "20.0, 650.0]", '"20", 650.0]'), ["position_mm[1]", '"20"']),
         (swap("marker.toml", '"red"', '"redd"'), ["led[1].colour", "`red`"]),
         (absorption_of_one_joint, ["absorption", "1 columns", "6 joints"]),

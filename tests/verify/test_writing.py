@@ -51,6 +51,13 @@ def test_a_file_holds_what_was_given_and_nothing_lies_beside_it(tmp_path: Path) 
     assert names(tmp_path) == ["rig.toml"]
 
 
+def test_who_reads_while_it_is_replaced_sees_the_old_file_whole(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_bytes(b"before")
+    with (tmp_path / "rig.toml").open("rb") as reader:
+        write_whole(tmp_path / "rig.toml", b"after, and longer")
+        assert reader.read() == b"before"
+
+
 def test_a_file_gets_the_permissions_that_the_user_gives_new_files(tmp_path: Path) -> None:
     before = os.umask(0o027)
     try:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from verify.detection.candidates import DEFAULT_DIAMETER, find_candidates
 from verify.detection.fit import Fit, Patches, fit_spots, reweighted
-from verify.detection.judgement import FITTED, SEEN, Judgement, core_pixels, joined, judge
-from verify.detection.noise import background_noise, refined
+from verify.detection.judgement import FITTED, SEEN, Judgement, joined, judge
+from verify.detection.noise import LIKELY, background_noise, refined
 from verify.detection.patches import cut_out
 from verify.errors import InputError
 from verify.records import Array, Image, Noise, Spots
@@ -55,12 +55,14 @@ def detect(
         (patches, fit_spots(patches), origin, colour)
         for patches, origin, colour in cut_out(image, candidates, background)
     ]
-    if noise is None and batches:
-        background = refined(background, spread, *residuals(batches))
-        batches = [renewed(batch, background) for batch in batches]
     if not batches:
         return nothing(background)
-    judgement = joined([judge(p, s, origin, image.shape[:2]) for p, s, origin, _ in batches])
+    judgements = [judged(batch, image) for batch in batches]
+    if noise is None:
+        background = refined(background, spread, *residuals(batches, judgements))
+        batches = [renewed(batch, background) for batch in batches]
+        judgements = [judged(batch, image) for batch in batches]
+    judgement = joined(judgements)
     smallest, largest = diameter_px or DEFAULT_DIAMETER
     fitting = (judgement.diameter >= smallest) & (judgement.diameter <= largest)
     keep = np.flatnonzero(judgement.sound & fitting)
@@ -120,23 +122,32 @@ def inside(windows: Array | None, image: Image) -> NDArray[np.int64] | None:
     return whole.astype(np.int64)
 
 
-def residuals(batches: list[Batch]) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Squared residuals and signals on all spots, and which spot each belongs to."""
-    square, signal, spot = [np.empty(0)], [np.empty(0)], [np.empty(0, dtype=np.intp)]
-    known = 0
-    for patches, state, *_ in batches:
-        core = core_pixels(patches, state) & (state.visible > SEEN)
-        count = core.sum(axis=1)
-        enough = count > 2 * FITTED
-        core &= enough[:, None]
-        share = count / np.maximum(count - FITTED, 1)  # what the fit's parameters took
-        # Colours combined have a noise of their own; carried back to that of one channel.
-        square.append((np.square(patches.value - state.mean) * share[:, None])[core])
-        signal.append(state.signal[core])
-        number = known + np.cumsum(enough) - 1
-        spot.append(np.broadcast_to(number[:, None], core.shape)[core])
-        known += int(enough.sum())
-    return np.concatenate(square), np.concatenate(signal), np.concatenate(spot)
+def residuals(
+    batches: list[Batch], judgements: list[Judgement]
+) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Squared residuals and signals on and around the brightest spots, for `refined`."""
+    speakers: list[tuple[float, Array, Array]] = []
+    for (patches, state, *_), judgement in zip(batches, judgements, strict=True):
+        own = state.used & (state.visible > SEEN)
+        count = own.sum(axis=1)
+        for row in np.flatnonzero(judgement.sound & (count > 2 * FITTED)):
+            pixels = own[row]
+            paid = count[row] / (count[row] - FITTED)  # what the fit's parameters took
+            # Combined colours have a noise of their own; brought back to that of one channel.
+            square = np.square(patches.value[row] - state.mean[row])[pixels]
+            square *= paid / patches.read_share[row]
+            signal = state.signal[row, pixels] * patches.gain_share[row] / patches.read_share[row]
+            speakers.append((judgement.peak[row] / judgement.elongation[row], square, signal))
+    speakers = sorted(speakers, key=lambda speaker: -speaker[0])[:LIKELY]
+    squares, signals = ([s[k] for s in speakers] for k in (1, 2))
+    spot = np.repeat(np.arange(len(speakers)), [len(s) for s in squares])
+    return np.concatenate([*squares, []]), np.concatenate([*signals, []]), spot
+
+
+def judged(batch: Batch, image: Image) -> Judgement:
+    """Judge a batch of fits."""
+    patches, state, origin, _ = batch
+    return judge(patches, state, origin, (image.shape[0], image.shape[1]))
 
 
 def renewed(batch: Batch, noise: Noise) -> Batch:

@@ -7,7 +7,7 @@ observed value: that would favour pixels whose noise happened to be low. A pixel
 or below black has a mean that no parameter moves; it carries no information and needs no mask.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ X, Y, PEAK, FLOOR, SLOPE_X, SLOPE_Y, XX, XY, YY, STEEPNESS = range(10)
 SENSOR_LIMIT = 255.0  # DN
 ITERATIONS = 20  # a clean spot takes five, a saturated one ten or more
 SETTLED = 0.1  # of the centre's own sigma: so short a step leaves a tenth of itself, squared
+DENSE = 500  # pixels of a patch above which every fourth will do for a first look
 FOOT = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
 OUTLIER = 5.0  # sigma, likewise
 CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
@@ -54,6 +55,7 @@ class Fit:
 
     parameters: Array  # (n, 10), x and y in px from the cut-out's centre pixel
     information: Array  # (n, 10, 10), inverse covariance, priors included
+    gradient: Array  # (n, 10), of the quasi-likelihood
     mean: Array  # (n, p), expected pixel
     variance: Array  # (n, p), of the pixel
     signal: Array  # (n, p), DN above black, before clipping
@@ -64,34 +66,37 @@ class Fit:
 
 
 def fit_spots(patches: Patches) -> Fit:
-    """Fit one spot to each patch; a saturated one from two sides, as its top may be any."""
-    prior_mean, prior_weight = priors(patches)
-    best = solve(patches, prior_mean, prior_mean, prior_weight)
+    """Fit one spot to each patch: on a part of its pixels first, then on all of them.
+
+    A saturated spot is looked at from two sides, as its hidden top may be steep or flat.
+    """
+    thin = thinned(patches)
+    prior_mean, prior_weight = priors(thin)
+    look = solve(thin, prior_mean, prior_mean, prior_weight)
     full = np.flatnonzero(saturated(patches))
     if len(full):
-        part, mean, weight = taken(patches, full), prior_mean[full], prior_weight[full]
+        part, mean, weight = taken(thin, full), prior_mean[full], prior_weight[full]
         start = mean.copy()
         start[:, STEEPNESS], start[:, PEAK] = STEEP_START, SENSOR_LIMIT - mean[:, FLOOR]
         other = solve(part, start, mean, weight)
-        better = other.chi2 < best.chi2[full]
-        for name in Fit.__slots__:
-            getattr(best, name)[full[better]] = getattr(other, name)[better]
-    return best
-
-
-def reweighted(patches: Patches, state: Fit) -> Fit:
-    """One more step from a solution, under the noise that the patches now carry."""
+        better = other.chi2 < look.chi2[full]
+        put(look, full[better], other, better)
     prior_mean, prior_weight = priors(patches)
-    here, gradient = evaluate(patches, state.parameters, prior_mean, prior_weight)
-    step = np.linalg.solve(here.information, gradient[..., None])[..., 0]
-    return replace(here, parameters=here.parameters + bounded(step, here.parameters))
+    return solve(patches, look.parameters, prior_mean, prior_weight)
 
 
-def saturated(patches: Patches) -> NDArray[np.bool_]:
-    """Whether some pixels on the spot are at the sensor's limit, (n,)."""
-    near = patches.column**2 + patches.row**2 <= patches.scale[:, None] ** 2
-    at_limit: NDArray[np.bool_] = ((patches.value >= SENSOR_LIMIT) & near).any(axis=1)
-    return at_limit
+def thinned(patches: Patches) -> Patches:
+    """Every other pixel, of large patches every fourth: enough to find where the spot is."""
+    even = (patches.column + patches.row) % 2 == 0
+    if len(patches.column) > DENSE:
+        even &= patches.column % 2 == 0
+    return replace(
+        patches,
+        value=np.ascontiguousarray(patches.value[:, even]),
+        valid=np.ascontiguousarray(patches.valid[:, even]),
+        column=patches.column[even],
+        row=patches.row[even],
+    )
 
 
 def taken(patches: Patches, which: NDArray[np.intp]) -> Patches:
@@ -106,42 +111,57 @@ def taken(patches: Patches, which: NDArray[np.intp]) -> Patches:
     )
 
 
+def put(state: Fit, at: NDArray[np.intp], other: Fit, which: NDArray[np.bool_]) -> None:
+    """Overwrite some rows of one state by those of another."""
+    for field in fields(Fit):
+        getattr(state, field.name)[at] = getattr(other, field.name)[which]
+
+
+def saturated(patches: Patches) -> NDArray[np.bool_]:
+    """Whether some pixels on the spot are at the sensor's limit, (n,)."""
+    near = patches.column**2 + patches.row**2 <= patches.scale[:, None] ** 2
+    at_limit: NDArray[np.bool_] = ((patches.value >= SENSOR_LIMIT) & near).any(axis=1)
+    return at_limit
+
+
+def reweighted(patches: Patches, state: Fit) -> Fit:
+    """One more step from a solution, under the noise that the patches now carry."""
+    here = evaluate(patches, state.parameters, *priors(patches))
+    step = np.linalg.solve(here.information, here.gradient[..., None])[..., 0]
+    return replace(here, parameters=here.parameters + bounded(step, here.parameters))
+
+
 def solve(patches: Patches, start: Array, prior_mean: Array, prior_weight: Array) -> Fit:
-    """Gauss-Newton with Levenberg's damping, patch by patch."""
-    parameters = start.copy()
-    damping = np.full(len(parameters), 1e-4)
-    best, gradient = evaluate(patches, parameters, prior_mean, prior_weight)
+    """Gauss-Newton with Levenberg's damping; patches that have settled drop out."""
+    best = evaluate(patches, start, prior_mean, prior_weight)
+    active = np.arange(len(start))
+    damping = np.full(len(start), 1e-4)
+    here, part = best, patches
     for _ in range(ITERATIONS):
-        diagonal = np.einsum("nii->ni", best.information)
-        damped = best.information.copy()
-        np.einsum("nii->ni", damped)[:] += damping[:, None] * diagonal
-        step = bounded(np.linalg.solve(damped, gradient[..., None])[..., 0], best.parameters)
-        trial, trial_gradient = evaluate(
-            patches, best.parameters + step, prior_mean, prior_weight
-        )
+        damped = here.information.copy()
+        np.einsum("nii->ni", damped)[:] *= 1 + damping[:, None]
+        step = np.linalg.solve(damped, here.gradient[..., None])[..., 0]
+        step = bounded(step, here.parameters)
+        trial = evaluate(part, here.parameters + step, prior_mean[active], prior_weight[active])
         # The weights move with the model, so chi² may rise a little on the way to the solution.
-        good = trial.chi2 <= 1.1 * best.chi2 + 1.0
-        damping = np.where(good, damping / 10, np.minimum(damping * 30, 1e4))
-        best = trial if good.all() else chosen(good, trial, best)
-        gradient = trial_gradient if good.all() else np.where(
-            good[:, None], trial_gradient, gradient
-        )
-        moved = np.einsum("ni,nij,nj->n", step[:, :2], best.information[:, :2, :2], step[:, :2])
-        if np.all(good & (moved < SETTLED**2)):
+        good = trial.chi2 <= 1.1 * here.chi2 + 1.0
+        put(best, active[good], trial, good)
+        damping = np.where(good, damping / 10, damping * 30)
+        moved = np.einsum("ni,nij,nj->n", step[:, :2], here.information[:, :2, :2], step[:, :2])
+        going = ~good | (moved >= SETTLED**2)
+        if not going.any():
             break
+        if good.all() and going.all():
+            here = trial
+            continue
+        active, damping = active[going], damping[going]
+        part, here = taken(part, np.flatnonzero(going)), rows_of(best, active)
     return best
 
 
-def chosen(good: NDArray[np.bool_], trial: Fit, best: Fit) -> Fit:
-    """Take each patch's trial where it was good, else what there was."""
-    return Fit(
-        *(
-            np.where(good.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-            for new, old in (
-                (getattr(trial, name), getattr(best, name)) for name in Fit.__slots__
-            )
-        )
-    )
+def rows_of(state: Fit, which: NDArray[np.intp]) -> Fit:
+    """Some of the rows of a state."""
+    return Fit(*(getattr(state, field.name)[which] for field in fields(Fit)))
 
 
 def priors(patches: Patches) -> tuple[Array, Array]:
@@ -184,8 +204,8 @@ def bounded(step: Array, parameters: Array) -> Array:
 
 def evaluate(
     patches: Patches, parameters: Array, prior_mean: Array, prior_weight: Array
-) -> tuple[Fit, Array]:
-    """State of all patches at the parameters, and the gradient of the quasi-likelihood."""
+) -> Fit:
+    """State of all patches at the parameters."""
     p = parameters[:, :, None]
     dx, dy = patches.column - p[:, X], patches.row - p[:, Y]
     u, w = dx / patches.scale[:, None], dy / patches.scale[:, None]
@@ -223,10 +243,9 @@ def evaluate(
     chi2 = np.einsum("np,np,np->n", residual, residual, used / variance)
     chi2 += np.einsum("ni,ni,ni->n", off, off, prior_weight)
     chi2 += OUTLIER**2 * np.count_nonzero(patches.valid & outside, axis=1)
-    state = Fit(
-        parameters, information, mean, variance, signal, used, visible, radius2, chi2
+    return Fit(
+        parameters, information, gradient, mean, variance, signal, used, visible, radius2, chi2
     )
-    return state, gradient
 
 
 def look_up(radius2: Array, log_steepness: Array) -> tuple[Array, Array, Array]:

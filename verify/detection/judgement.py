@@ -17,6 +17,7 @@ ROUGH = 0.035  # rms residual over peak, likewise; both must hold: a bright LED 
 FAINTEST = 8.0  # sigma of the peak: chance does not reach it in a picture
 WANDERED = 1.5  # half-widths: a fit that left its candidate has found something else
 LONGEST = 2.0  # axis ratio of the fitted profile; a blurred LED stays below, streaks do not
+TOGETHER = 20.0  # pixels that a wrong shape lifts together, so that they do not average
 BORDER = 1.2  # half-widths that must be inside the image
 
 
@@ -54,7 +55,7 @@ def judge(patches: Patches, state: Fit, origin: NDArray[np.intp], shape: tuple[i
     rough = np.sqrt((seen * residual2).sum(axis=1) / np.maximum(freedom, 1))
     merged = (misfit > MISFIT) & (rough > ROUGH * np.minimum(p[:, PEAK], SENSOR_LIMIT))
     # A shape that the profiles lack leaves errors larger than noise: said in the covariance too.
-    covariance = covariance * np.where(merged, np.maximum(misfit, 1.0), 1.0)[:, None, None]
+    covariance = covariance * np.where(merged, TOGETHER * misfit, 1.0)[:, None, None]
     peak_variance = np.linalg.inv(state.information)[:, PEAK, PEAK]
     inside = np.all(
         (centre > BORDER * half_long[:, None] - 0.5)

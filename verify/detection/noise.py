@@ -21,7 +21,9 @@ EFFECTIVE = 0.5  # share of independent information: neighbouring stencils overl
 TYPICAL_READ = 1.5  # DN, where no unclipped dark pixel shows it
 TYPICAL_GAIN = 1 / 35  # DN, 9,000 electrons over 255 DN: a usual small pixel
 TYPICAL_SPREAD = 1.0  # relative, how far a sensor may be from typical
-CLEAN = 2.0  # times the best spots' misfit: more is a shape that the profiles do not have
+TEXTURE = 0.1  # relative: what unseen texture may add to the dark variance
+LIKELY = 8  # spots, brightest first, that may speak on noise: behind them come glints and paint
+CLEAN = 1.7  # times the best of their misfits: more is a shape that the profiles do not have
 
 
 def background_noise(image: Image) -> tuple[Noise, float]:
@@ -56,9 +58,12 @@ def background_noise(image: Image) -> tuple[Noise, float]:
         relative = float(np.sqrt(2 / (EFFECTIVE * len(inner))))
         if dark + 2 * relative * variance < best:
             best, spread, at = dark + 2 * relative * variance, relative, dark
+    if values.shape[1] < rows.size // 2 and at > TYPICAL_READ**2:
+        # What is not black here may be all texture.
+        return typical, TYPICAL_SPREAD
     if not np.isfinite(best):
         return typical, TYPICAL_SPREAD
-    return Noise(float(np.sqrt(max(at, QUANTISATION))), TYPICAL_GAIN, black), spread
+    return Noise(float(np.sqrt(max(at, QUANTISATION))), TYPICAL_GAIN, black), spread + TEXTURE
 
 
 def refined(
@@ -69,8 +74,8 @@ def refined(
     Args:
         noise: what the background says.
         dark_spread: relative standard uncertainty of its dark variance.
-        residual2: (k,), DN², squared residuals of the profile fits at unclipped pixels of spots,
-            enlarged by what the fits' own parameters took.
+        residual2: (k,), DN², squared residuals of the profile fits at unclipped pixels of spots
+            and around them, enlarged by what the fits' own parameters took.
         signal: (k,), fitted DN above black.
         spot: (k,), which spot each pixel belongs to, from 0 without gaps.
 
@@ -86,7 +91,7 @@ def refined(
     for _ in range(3):  # which spots are clean settles in two rounds
         variance = line[0] + line[1] * signal
         misfit = np.bincount(spot, residual2 / variance) / count
-        clean = misfit <= CLEAN * np.partition(misfit, len(misfit) // 4)[len(misfit) // 4]
+        clean = misfit <= CLEAN * misfit.min()
         use = clean[spot]
         weight = 1 / (np.sqrt(2) * variance[use])
         rows = np.column_stack([weight, weight * signal[use]])

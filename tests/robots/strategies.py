@@ -1,0 +1,44 @@
+"""Joint angles for hypothesis, that visit singularities on purpose."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+import robots
+from robots import spherical_wrist
+from robots.transforms import Array
+
+NEAR = (0.0, *(sign * 10.0**-k for k in range(3, 13) for sign in (1, -1)))
+
+
+def stretched(arm: robots.DhArm) -> float:
+    """θ3 at which the elbow is stretched."""
+    return spherical_wrist.forearm(arm)[1] if arm.family == "spherical_wrist" else 0.0
+
+
+@st.composite
+def joint_angles(draw: st.DrawFn, arm: robots.DhArm) -> Array:
+    """DH angles anywhere on the circle, with the wrist, the elbow, both or neither near singular."""
+    theta = np.array(draw(st.lists(st.floats(-np.pi, np.pi), min_size=6, max_size=6)))
+    near, turn = st.sampled_from(NEAR), st.sampled_from((0.0, np.pi))
+    if draw(st.booleans()):
+        theta[4] = draw(turn) + draw(near)
+    if draw(st.booleans()):
+        theta[2] = stretched(arm) + draw(turn) + draw(near)
+    return arm.joint_angles(theta)
+
+
+def wrist_on_axis_1(arm: robots.DhArm, count: int, seed: int) -> Array:
+    """Random joint angles whose wrist is on axis 1 to rounding: Newton on its distance by θ2."""
+    theta = np.random.default_rng(seed).uniform(-np.pi, np.pi, (3 * count, 6))
+    nudge = np.array([0.0, 1e-6, 0.0, 0.0, 0.0, 0.0])
+
+    def distance(angles: Array) -> Array:
+        pose = robots.forward(arm, arm.joint_angles(angles))
+        wrist = pose[..., :2, 3] - arm.d[5] * pose[..., :2, 2]
+        return wrist[..., 0] * np.cos(angles[..., 0]) + wrist[..., 1] * np.sin(angles[..., 0])
+
+    for _ in range(60):
+        slope = (distance(theta + nudge) - distance(theta - nudge)) / 2e-6
+        theta[:, 1] -= np.clip(distance(theta) / np.where(np.abs(slope) < 1e-3, 1e-3, slope), -0.5, 0.5)
+    on_axis = np.abs(distance(theta)) < 1e-15
+    return arm.joint_angles(theta[on_axis][:count])

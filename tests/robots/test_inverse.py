@@ -1,0 +1,229 @@
+"""Every way to a pose, and no other, at and near singularities too."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import robots
+from robots.limits import near
+from robots.transforms import Array, difference
+from tests.robots.strategies import NEAR, joint_angles, stretched, wrist_on_axis_1
+
+ARMS = {name: robots.load(name) for name in robots.names()}
+EVERY_ARM = pytest.mark.parametrize("arm", ARMS.values(), ids=str)
+POSE = 1e-9  # m and rad: what every returned branch must reach
+
+
+def worst(arm: robots.DhArm, branches: Array, poses: Array) -> float:
+    exists = np.isfinite(branches[..., 0])
+    asked = np.broadcast_to(poses[..., None, :, :], (*exists.shape, 4, 4))[exists]
+    apart = difference(robots.forward(arm, branches[exists]), asked).reshape(-1, 2, 3)
+    return float(np.linalg.norm(apart, axis=-1).max(initial=0))
+
+
+def to_own_joints(branches: Array, q: Array) -> Array:
+    away = np.abs(near(branches, q[..., None, :]) - q[..., None, :]).max(axis=-1)
+    return np.nanmin(away, axis=-1)
+
+
+@EVERY_ARM
+def test_ten_thousand_random_poses_give_their_own_joints_back_and_every_branch_reaches(
+    arm: robots.DhArm,
+) -> None:
+    q = np.random.default_rng(1).uniform(arm.lower, arm.upper, (10_000, 6))
+    pose = robots.forward(arm, q)
+    branches = robots.inverse(arm, pose)
+    assert worst(arm, branches.q, pose) < 1e-13  # rounding; 1e-9 is what is promised
+    regular = np.abs(np.linalg.det(robots.jacobian(arm, q))) > 1e-7  # m³, of up to 0.02
+    assert regular.mean() > 0.99
+    assert to_own_joints(branches.q, q)[regular].max() < 1e-8
+    theta = arm.theta(branches.q)
+    assert np.nanmin(theta) > -np.pi - 1e-12  # q = sign (θ - offset) and back may round
+    assert np.nanmax(theta) <= np.pi + 1e-12
+
+
+@EVERY_ARM
+@pytest.mark.parametrize("factor", ["wrist", "elbow", "shoulder", "all"])
+def test_next_to_each_singularity_every_branch_reaches_its_pose(
+    arm: robots.DhArm, factor: str
+) -> None:
+    random = np.random.default_rng(2)
+    for turn in (0.0, np.pi):
+        for offset in NEAR:
+            theta = random.uniform(-np.pi, np.pi, (100, 6))
+            if factor in ("shoulder", "all"):
+                theta = arm.theta(wrist_on_axis_1(arm, 20, 3))
+                theta[:, 1] += offset
+            if factor in ("elbow", "all"):
+                theta[:, 2] = stretched(arm) + turn + offset
+            if factor in ("wrist", "all"):
+                theta[:, 4] = turn + offset
+            q = arm.joint_angles(theta)
+            pose = robots.forward(arm, q)
+            held = robots.inverse(arm, pose, hold=q).q
+            assert worst(arm, robots.inverse(arm, pose).q, pose) < POSE
+            assert worst(arm, held, pose) < POSE
+            if factor == "wrist" and abs(offset) not in (1e-8, 1e-9):
+                # free joints are held, others are as good as rounding over |sin θ5|
+                limit = 1e-6 if abs(offset) < 1e-9 else 1e-11 / abs(offset)
+                assert np.median(to_own_joints(held, q)) < limit
+
+
+@EVERY_ARM
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_every_branch_reaches_the_pose_it_came_from(arm: robots.DhArm, data: st.DataObject) -> None:
+    q = data.draw(joint_angles(arm))
+    pose = robots.forward(arm, q)
+    branches = robots.inverse(arm, pose, hold=q)
+    assert np.isfinite(branches.q[:, 0]).any() or branches.degenerate.any()
+    assert worst(arm, branches.q, pose) < POSE
+
+
+@pytest.mark.parametrize(
+    ("name", "q_deg", "count"),
+    [
+        ("iust_6r", [10, 20, 30, 40, 50, 60], 2),
+        ("rv_3sd", [10, 20, 30, 40, 50, 60], 4),
+        ("rv_3sd_melfa", [10, 110, 120, 40, 50, 60], 8),  # J2 = θ2 + 90°, J3 = θ3 + 90°
+    ],
+)
+def test_the_number_of_solutions_is_the_one_on_record(
+    name: str, q_deg: list[float], count: int
+) -> None:
+    arm = ARMS[name]
+    branches = robots.inverse(arm, robots.forward(arm, np.radians(q_deg))).q
+    assert np.isfinite(branches).all(axis=-1).sum() == count
+
+
+def test_the_6rs_second_solution_is_the_one_on_record() -> None:
+    arm = ARMS["iust_6r"]
+    branches = robots.inverse(arm, robots.forward(arm, np.radians([10, 20, 30, 40, 50, 60]))).q
+    other = branches[np.isfinite(branches[:, 0]) & (branches[:, 2] < 0)]
+    assert_allclose(np.degrees(other[0, 1:4]), [39.711279, -30, 80.288721], atol=1e-6)
+
+
+@EVERY_ARM
+def test_branches_keep_their_order(arm: robots.DhArm) -> None:
+    q = np.random.default_rng(3).uniform(-np.pi, np.pi, (1000, 6))
+    pose = robots.forward(arm, q)
+    theta = arm.theta(robots.inverse(arm, pose).q).reshape(-1, 2, 2, 2, 6)
+    wrist = pose[:, :2, 3] - arm.d[5] * pose[:, :2, 2]
+    facing = np.cos(theta[..., 0] - np.arctan2(wrist[:, 1], wrist[:, 0])[:, None, None, None])
+    bend = np.sin(theta[..., 2] - stretched(arm))
+    bent = np.sin(theta[..., 4])
+    for choice, axis in ((facing, 1), (bend, 2), (bent, 3)):
+        first, second = np.moveaxis(choice, axis, 0)
+        assert np.nanmin(first) > -1e-9
+        assert np.nanmax(second) < 1e-9
+
+
+@EVERY_ARM
+def test_a_batch_of_any_shape_is_its_poses_one_by_one(arm: robots.DhArm) -> None:
+    q = np.random.default_rng(4).uniform(arm.lower, arm.upper, (3, 1000, 6))
+    q[0, :5, 4] = 0.0
+    pose = robots.forward(arm, q)
+    together = robots.inverse(arm, pose, hold=q)
+    assert together.q.shape == (3, 1000, 8, 6)
+    assert together.degenerate.shape == (3, 1000, 8)
+    for i, j in ((0, 2), (1, 700), (2, 999)):
+        alone = robots.inverse(arm, pose[i, j], hold=q[i, j])
+        assert_allclose(alone.q, together.q[i, j], atol=1e-12)
+        assert (alone.degenerate == together.degenerate[i, j]).all()
+
+
+@pytest.mark.parametrize(("name", "joint"), [("iust_6r", 5), ("rv_3sd", 3), ("rv_3sd_melfa", 3)])
+@pytest.mark.parametrize("theta5", [0.0, np.pi])
+def test_a_straight_wrist_holds_the_free_joint_and_says_so(
+    name: str, joint: int, theta5: float
+) -> None:
+    arm = ARMS[name]
+    theta = np.array([0.3, -0.7, 1.4, 0.2, theta5, -0.4])
+    q = arm.joint_angles(theta)
+    pose = robots.forward(arm, q)
+    for angle in (q[joint], q[joint] + 0.05):
+        hold = q.copy()
+        hold[joint] = angle
+        branches = robots.inverse(arm, pose, hold=hold)
+        straight = np.isfinite(branches.q[:, 0]) & (branches.degenerate & 1 > 0)
+        assert straight.any()
+        assert_allclose(near(branches.q[straight, joint], hold[joint]), hold[joint], atol=1e-12)
+        assert worst(arm, branches.q, pose) < 1e-13
+    assert to_own_joints(robots.inverse(arm, pose, hold=q).q, q) < 1e-7
+
+
+@EVERY_ARM
+def test_a_wrist_on_axis_1_holds_joint_1_and_says_so(arm: robots.DhArm) -> None:
+    q = wrist_on_axis_1(arm, 50, 5)
+    q = q[np.abs(np.sin(arm.theta(q)[:, 4])) > 0.1]
+    branches = robots.inverse(arm, robots.forward(arm, q), hold=q)
+    assert (branches.degenerate & 2 == 2).all()
+    exists = np.isfinite(branches.q[..., 0])
+    first = np.broadcast_to(q[:, None, 0], exists.shape)[exists]
+    assert_allclose(near(branches.q[exists][:, 0], first), first, atol=1e-12)
+    assert np.median(to_own_joints(branches.q, q)) < 1e-9
+
+
+@EVERY_ARM
+def test_a_pose_out_of_reach_has_no_branch(arm: robots.DhArm) -> None:
+    pose = np.eye(4)
+    pose[:3, 3] = 2.0, 0.0, 0.0
+    assert np.isnan(robots.inverse(arm, pose).q).all()
+
+
+def test_the_reach_is_the_one_on_record() -> None:
+    assert_allclose(robots.reach(ARMS["iust_6r"]).minimum, 0.1265)
+    assert_allclose(robots.reach(ARMS["iust_6r"]).maximum, 0.3765)
+    for name in ("rv_3sd", "rv_3sd_melfa"):
+        reach = robots.reach(ARMS[name])
+        assert_allclose([reach.minimum, reach.maximum], [0.056869, 0.546869], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "offsets_deg"),
+    [("rv_3sd", 1, (0, -90, 90, 0, 0, 0)), ("rv_3sd_melfa", -1, (0, 0, 0, 0, 0, 180))],
+)
+def test_another_librarys_closed_form_finds_the_same_solutions(
+    name: str, side: int, offsets_deg: tuple[float, ...]
+) -> None:
+    opw = pytest.importorskip("py_opw_kinematics")
+    from scipy.spatial.transform import RigidTransform
+
+    arm = ARMS[name]
+    model = opw.KinematicModel(
+        a1=0.095, a2=side * 0.135, b=0, c1=0.35, c2=0.245, c3=0.27, c4=0.085,
+        offsets=tuple(np.radians(offsets_deg)),
+    )
+    theirs = opw.Robot(model, degrees=False)
+    q = np.random.default_rng(6).uniform(arm.lower, arm.upper, (2000, 6))
+    pose = robots.forward(arm, q)
+    assert_allclose(theirs.batch_forward(q).as_matrix(), pose, atol=1e-12)
+    found = theirs.reach(RigidTransform.from_matrix(pose)).joints
+    ours = robots.inverse(arm, pose).q
+    regular = np.abs(np.linalg.det(robots.jacobian(arm, q))) > 1e-7
+    for mine, other in zip(ours[regular], found[regular], strict=True):
+        mine, other = mine[np.isfinite(mine[:, 0])], other[np.isfinite(other[:, 0])]
+        assert len(mine) == len(other)
+        away = np.abs(near(mine[:, None], other[None]) - other[None]).max(axis=-1)
+        assert away.min(axis=1).max() < 1e-6
+        assert away.min(axis=0).max() < 1e-6
+
+
+def test_another_librarys_closed_form_finds_the_6rs_solutions() -> None:
+    eaik = pytest.importorskip("eaik.IK_DH")
+    arm = ARMS["iust_6r"]
+    theirs = eaik.DhRobot(arm.alpha, arm.a, arm.d)
+    q = np.random.default_rng(7).uniform(arm.lower, arm.upper, (200, 6))
+    pose = robots.forward(arm, q)
+    ours = robots.inverse(arm, pose).q
+    regular = np.abs(np.linalg.det(robots.jacobian(arm, q))) > 1e-5
+    for mine, asked in zip(ours[regular], pose[regular], strict=True):
+        mine = mine[np.isfinite(mine[:, 0])]
+        answer = theirs.IK(asked)
+        exact = ~np.asarray(answer.is_LS, dtype=bool)
+        other = np.asarray(answer.Q)[exact]
+        away = np.abs(near(mine[:, None], other[None]) - other[None]).max(axis=-1)
+        assert away.min(axis=1).max() < 1e-4  # their answers are worse than ours by far
+        assert away.min(axis=0).max() < 1e-4

@@ -1,0 +1,146 @@
+"""Where the flange is and how it moves: against pinocchio, differences and printed figures."""
+
+import time
+
+import numpy as np
+import pinocchio
+import pytest
+from numpy.testing import assert_allclose
+
+import robots
+from robots.transforms import Array, difference
+
+ARMS = {name: robots.load(name) for name in robots.names()}
+EVERY_ARM = pytest.mark.parametrize("arm", ARMS.values(), ids=str)
+
+
+def flange(name: str, theta_deg: list[float]) -> Array:
+    arm = ARMS[name]
+    return robots.forward(arm, arm.joint_angles(np.radians(theta_deg)))
+
+
+@pytest.mark.parametrize(
+    ("name", "zero_mm", "turned_mm"),
+    [
+        ("iust_6r", [505, 152.8, 438], [330.760163, 158.055058, 281.277969]),
+        ("rv_3sd", [475, 0, 705], [674.957274, 161.513178, 333.251339]),
+        ("rv_3sd_melfa", [475, 0, -5], [121.990467, 64.010211, -7.673209]),
+    ],
+)
+def test_the_flange_is_where_the_record_says(
+    name: str, zero_mm: list[float], turned_mm: list[float]
+) -> None:
+    assert_allclose(flange(name, [0] * 6)[:3, 3] * 1000, zero_mm, atol=1e-9)
+    turned = flange(name, [10, 20, 30, 40, 50, 60])
+    assert_allclose(turned[:3, 3] * 1000, turned_mm, atol=1e-6)  # as many digits as are on record
+
+
+def test_the_flange_is_turned_as_the_record_says() -> None:
+    assert_allclose(flange("iust_6r", [0] * 6)[:3, :3], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=0)
+    assert_allclose(flange("rv_3sd", [0] * 6)[:3, :3], np.eye(3), atol=0)
+    assert_allclose(flange("rv_3sd_melfa", [0] * 6)[:3, :3], np.diag([1, -1, -1]), atol=0)
+    approach = flange("iust_6r", [10, 20, 30, 40, 50, 60])[:3, 2]
+    assert_allclose(approach, [-0.111619, 0.633022, 0.766044], atol=1e-6)
+
+
+def test_at_the_controllers_zero_upper_arm_and_forearm_stand_upright_the_elbow_offset_behind() -> None:
+    arm = ARMS["rv_3sd_melfa"]
+    pose = robots.forward(arm, np.zeros(6))
+    assert_allclose(pose[:3, 3] * 1000, [95 - 135, 0, 350 + 245 + 270 + 85], atol=1e-9)
+    assert_allclose(pose[:3, 2], [0, 0, 1], atol=1e-15)
+
+
+def with_signs(arm: robots.DhArm) -> robots.DhArm:
+    fields = {k: v for k, v in vars(arm).items() if k not in ("links", "sign", "offset")}
+    return robots.DhArm(
+        **fields,
+        sign=np.array([1.0, -1, -1, 1, -1, 1]),
+        offset=np.array([0.1, -1.2, 0.7, 0.0, 2.0, -3.0]),
+    )
+
+
+@pytest.mark.parametrize(
+    "arm", [*ARMS.values(), *map(with_signs, ARMS.values())], ids=lambda a: a.name
+)
+def test_pose_and_jacobian_are_pinocchios(arm: robots.DhArm) -> None:
+    model = robots.pinocchio_model(arm)
+    data = model.createData()
+    frame = model.getFrameId("flange")
+    world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    q = np.random.default_rng(1).uniform(-np.pi, np.pi, (300, 6))
+    poses, moves = robots.forward(arm, q), robots.jacobian(arm, q)
+    for angles, pose, columns in zip(q, poses, moves, strict=True):
+        theirs = pinocchio.computeFrameJacobian(model, data, angles, frame, world)
+        placed = pinocchio.updateFramePlacement(model, data, frame).homogeneous
+        assert_allclose(pose, placed, atol=1e-14)
+        assert_allclose(columns, theirs, atol=1e-14)
+    assert robots.inverse(arm, poses, hold=q).q.shape == (300, 8, 6)
+    assert_allclose(model.lowerPositionLimit, arm.lower)
+
+
+@EVERY_ARM
+def test_one_pose_and_a_batch_are_the_same(arm: robots.DhArm) -> None:
+    q = np.random.default_rng(2).uniform(arm.lower, arm.upper, (2, 3, 6))
+    poses, moves = robots.forward(arm, q), robots.jacobian(arm, q)
+    assert poses.shape == (2, 3, 4, 4)
+    assert moves.shape == (2, 3, 6, 6)
+    for index in np.ndindex(2, 3):
+        assert_allclose(robots.forward(arm, q[index]), poses[index], atol=1e-15)
+        assert_allclose(robots.jacobian(arm, q[index]), moves[index], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", [*robots.names(), "ur5", "panda", "kinova"])
+def test_the_jacobian_is_the_slope_of_the_pose(name: str) -> None:
+    arm = robots.load(name)
+    for q in np.random.default_rng(3).uniform(arm.lower, arm.upper, (10, arm.dof)):
+        nudges = 1e-6 * np.eye(arm.dof)
+        apart = difference(robots.forward(arm, q + nudges), robots.forward(arm, q - nudges))
+        assert_allclose(robots.jacobian(arm, q), (apart / 2e-6).T, atol=2e-9)
+
+
+@EVERY_ARM
+def test_det_j_factors_into_wrist_elbow_and_shoulder(arm: robots.DhArm) -> None:
+    q = np.random.default_rng(4).uniform(-np.pi, np.pi, (100, 6))
+    theta, pose = arm.theta(q), robots.forward(arm, q)
+    wrist = pose[:, :2, 3] - arm.d[5] * pose[:, :2, 2]
+    rho = wrist[:, 0] * np.cos(theta[:, 0]) + wrist[:, 1] * np.sin(theta[:, 0])
+    if arm.family == "parallel_axes":
+        elbow, forearm = np.sin(theta[:, 2]), arm.a[2]
+    else:
+        side = np.sign(arm.alpha[2])
+        gamma, forearm = np.arctan2(arm.d[3], arm.a[2]), np.hypot(arm.a[2], arm.d[3])
+        elbow = side * np.sin(theta[:, 2] - side * gamma)
+    expected = -arm.a[1] * forearm * np.sin(theta[:, 4]) * rho * elbow
+    found = np.linalg.det(robots.jacobian(arm, q))
+    assert_allclose(np.abs(found), np.abs(expected), atol=1e-14)
+    if arm.name != "rv_3sd_melfa":  # the record gives the sign for these two
+        assert_allclose(found, expected, atol=1e-14)
+
+
+@EVERY_ARM
+def test_one_pose_takes_well_under_100_microseconds(arm: robots.DhArm) -> None:
+    q = np.full(6, 0.3)
+    best = np.inf
+    for _ in range(20):
+        start = time.perf_counter()
+        for _ in range(10):
+            robots.forward(arm, q)
+        best = min(best, (time.perf_counter() - start) / 10)
+    assert best < 100e-6
+
+
+def test_the_wrong_number_of_joints_is_refused() -> None:
+    with pytest.raises(ValueError, match="iust_6r has 6 joints"):
+        robots.forward(ARMS["iust_6r"], np.zeros(5))
+
+
+@pytest.mark.parametrize("name", [*robots.names(), "ur5"])
+def test_the_self_check_finds_nothing_amiss(name: str) -> None:
+    found = robots.self_check(robots.load(name), poses=200)
+    assert found.lost == 0
+    assert found.inverse_position < 1e-9
+    assert found.inverse_rotation < 1e-9
+    assert found.difference_jacobian < 2e-9
+    if name != "ur5":
+        assert max(found.pinocchio_position, found.pinocchio_rotation) < 1e-14
+        assert found.pinocchio_jacobian < 1e-14

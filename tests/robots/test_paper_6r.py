@@ -1,0 +1,281 @@
+"""The 6R paper's kinematics as printed: what is right shown right, each misprint shown wrong.
+
+Korayem et al. (2018), section 4, on random angles; the truth is the product of the six DH matrices
+of Table 2, multiplied here and nowhere else. Angles come as columns (6, m).
+"""
+
+from functools import reduce
+
+import numpy as np
+import pytest
+from numpy import arctan2, cos, hypot, sin, sqrt
+from numpy.testing import assert_allclose
+
+import robots
+from robots.transforms import Array
+
+A1, A2, A3, A4, D1, D6 = 36.5, 251.5, 125.0, 92.0, 438.0, 152.8  # Table 2, mm
+TABLE = [(A1, D1, -1), (A2, 0, 0), (A3, 0, 0), (A4, 0, 1), (0, 0, -1), (0, D6, 0)]  # a, d, α / 90°
+THETA = np.random.default_rng(1).uniform(-2.9, 2.9, (6, 3000))
+SAME = 1e-9  # mm or rad: rounding of products of lengths near 500
+
+
+def link(theta: Array, a: float, d: float, quarter: int) -> Array:
+    """RotZ(θ) TransZ(d) TransX(a) RotX(α), standard DH; (m, 4, 4)."""
+    c, s, o = cos(theta), sin(theta), np.zeros_like(theta)
+    ca, sa = float(quarter == 0), float(quarter)
+    rows = [
+        [c, -s * ca, s * sa, a * c],
+        [s, c * ca, -c * sa, a * s],
+        [o, o + sa, o + ca, o + d],
+        [o, o, o, o + 1],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def table_2(theta: Array) -> Array:
+    return reduce(np.matmul, [link(t, *row) for t, row in zip(theta, TABLE, strict=True)])
+
+
+POSE = table_2(THETA)
+N, O, A, P = (POSE[:, :3, i].T for i in range(4))
+C1, C2, _, _, C5, C6 = cos(THETA)
+S1, S2, _, _, S5, S6 = sin(THETA)
+C23, S23 = cos(THETA[1] + THETA[2]), sin(THETA[1] + THETA[2])
+C234, S234 = cos(THETA[1:4].sum(axis=0)), sin(THETA[1:4].sum(axis=0))
+
+
+def turned_by(found: Array, true: Array) -> Array:
+    """By how much angles differ, on the circle."""
+    return np.abs((found - true + np.pi) % (2 * np.pi) - np.pi)
+
+
+def test_our_table_is_the_papers() -> None:
+    ours = robots.forward(robots.load("iust_6r"), THETA.T)
+    assert_allclose(ours[:, :3, :3], POSE[:, :3, :3], atol=1e-14)
+    assert_allclose(ours[:, :3, 3] * 1000, POSE[:, :3, 3], atol=SAME)
+
+
+def test_modified_dh_does_not_reproduce_the_printed_position() -> None:
+    def modified(theta: Array, a: float, d: float, quarter: int) -> Array:
+        still = np.zeros_like(theta)
+        return link(still, a, 0, quarter) @ link(theta, 0, d, 0)
+
+    before = [(0, 0), *((a, quarter) for a, _, quarter in TABLE[:-1])]
+    rows = [(a, row[1], quarter) for (a, quarter), row in zip(before, TABLE, strict=True)]
+    pose = reduce(np.matmul, [modified(t, *row) for t, row in zip(THETA, rows, strict=True)])
+    assert np.abs(pose[:, :3, 3] - POSE[:, :3, 3]).max() > 10
+
+
+@pytest.mark.parametrize(
+    ("printed", "true"),
+    [
+        pytest.param(-C6 * S1 * S5 + C1 * (C234 * C5 * C6 - S234 * S6), N[0], id="nx"),
+        pytest.param(C234 * C5 * C6 * S1 + C1 * C6 * S5 - S1 * S234 * S6, N[1], id="ny"),
+        pytest.param(-C5 * C6 * S234 - C234 * S6, N[2], id="nz"),
+        pytest.param(S1 * S5 * S6 - C1 * (C6 * S234 + C234 * C5 * S6), O[0], id="ox"),
+        pytest.param(-C6 * S1 * S234 - (C234 * C5 * S1 + C1 * S5) * S6, O[1], id="oy"),
+        pytest.param(-C234 * C6 + C5 * S234 * S6, O[2], id="oz"),
+        pytest.param(-C5 * S1 - C1 * C234 * S5, A[0], id="ax"),
+        pytest.param(S234 * S5, A[2], id="az"),
+        pytest.param(
+            -D6 * C5 * S1 + C1 * (A1 + A2 * C2 + A3 * C23 + C234 * (A4 - D6 * S5)), P[0], id="px"
+        ),
+        pytest.param(
+            D6 * C1 * C5 + S1 * (A1 + A2 * C2 + A3 * C23 + C234 * (A4 - D6 * S5)), P[1], id="py"
+        ),
+        pytest.param(D1 - A2 * S2 - A3 * S23 + S234 * (-A4 + D6 * S5), P[2], id="pz"),
+    ],
+)
+def test_the_entries_of_t06_are_right(printed: Array, true: Array) -> None:
+    assert_allclose(printed, true, atol=SAME)
+
+
+def test_ay_is_misprinted_and_its_second_sign_is_minus() -> None:
+    printed, mended = C1 * C5 + C234 * S1 * S5, C1 * C5 - C234 * S1 * S5
+    assert np.median(np.abs(printed - A[1])) > 0.1
+    assert np.median(np.abs(A[0] ** 2 + printed**2 + A[2] ** 2 - 1)) > 0.1  # not a unit vector
+    assert_allclose(mended, A[1], atol=SAME)
+
+
+WRIST = P - D6 * A
+
+
+def test_theta1_needs_the_quadrant_and_its_opposite() -> None:
+    ratio = np.arctan(WRIST[1] / WRIST[0])
+    one = arctan2(WRIST[1], WRIST[0])
+    assert 0.2 < (turned_by(ratio, THETA[0]) < SAME).mean() < 0.8
+    assert 0.2 < (turned_by(one, THETA[0]) < SAME).mean() < 0.8
+    either = np.minimum(turned_by(one, THETA[0]), turned_by(one + np.pi, THETA[0]))
+    assert either.max() < 1e-7
+
+
+def test_theta5_is_right_with_two_arguments_but_its_root_loses_digits() -> None:
+    cosine = A[1] * C1 - A[0] * S1
+    printed = arctan2(np.sign(S5) * D6 * sqrt(1 - np.minimum(cosine**2, 1)), P[1] * C1 - P[0] * S1)
+    assert turned_by(printed, THETA[4]).max() < 1e-6
+    better = arctan2(np.sign(S5) * hypot(A[0] * C1 + A[1] * S1, A[2]), cosine)
+    assert turned_by(better, THETA[4]).max() < 1e-13
+    assert turned_by(printed, THETA[4]).max() > 100 * turned_by(better, THETA[4]).max()
+
+
+def test_theta234_as_printed_belongs_to_a_negative_theta5() -> None:
+    sum_234 = THETA[1:4].sum(axis=0)
+    along = A[0] * C1 + A[1] * S1
+    printed, mended = arctan2(-A[2], along), arctan2(A[2], -along)
+    positive = S5 > 0
+    assert turned_by(printed, sum_234)[positive].min() > 3.1  # half a turn off, always
+    assert turned_by(mended, sum_234)[positive].max() < 1e-11
+    assert turned_by(mended + np.pi, sum_234)[~positive].max() < 1e-11
+    assert turned_by(printed, sum_234)[~positive].max() < 1e-11
+
+
+def test_theta6_is_right_with_two_arguments() -> None:
+    printed = arctan2(O[0] * S1 - O[1] * C1, N[1] * C1 - N[0] * S1)
+    printed = np.where(S5 > 0, printed, printed + np.pi)
+    assert turned_by(printed, THETA[5]).max() < 1e-11
+
+
+T_TRUE = A2 * C2 + A3 * C23
+U_TRUE = A2 * S2 + A3 * S23
+
+
+def test_t_lacks_a1() -> None:
+    printed = C1 * P[0] + S1 * P[1] + D6 * S5 * C234 - A4 * C234
+    assert_allclose(printed - T_TRUE, A1, atol=SAME)
+    assert_allclose(printed - A1, T_TRUE, atol=SAME)
+
+
+def test_u_is_right() -> None:
+    assert_allclose(-P[2] + D1 - A4 * S234 + D6 * S5 * S234, U_TRUE, atol=SAME)
+
+
+def test_w_means_a2_squared_where_it_prints_a_squared() -> None:
+    square = T_TRUE**2 + U_TRUE**2
+    mended = (-(A3**2) + square + A2**2) / (2 * A2)
+    azimuth = arctan2(U_TRUE, T_TRUE)
+    assert_allclose(mended, sqrt(square) * cos(THETA[1] - azimuth), atol=SAME)
+    for a in (A1, A3, A4):  # no other length can be meant
+        other = (-(A3**2) + square + a**2) / (2 * A2)
+        assert np.abs(other - mended).min() > 50
+
+
+def test_theta2_theta3_and_theta4_are_right_with_two_arguments() -> None:
+    square = T_TRUE**2 + U_TRUE**2
+    ratio = np.clip((-(A3**2) + square + A2**2) / (2 * A2) / sqrt(square), -1, 1)
+    root = sqrt(1 - ratio**2)
+    seen = np.zeros(THETA.shape[1], dtype=bool)
+    for sign in (1, -1):
+        theta2 = arctan2(sign * root, ratio) + arctan2(U_TRUE, T_TRUE)
+        theta3 = arctan2(U_TRUE - A2 * sin(theta2), T_TRUE - A2 * cos(theta2)) - theta2
+        theta4 = THETA[1:4].sum(axis=0) - theta2 - theta3
+        away = np.max(
+            [turned_by(t, THETA[i]) for i, t in ((1, theta2), (2, theta3), (3, theta4))], axis=0
+        )
+        seen |= away < 1e-5
+    assert seen.all()
+
+
+LEVER = A4 - D6 * S5
+RHO = A1 + A2 * C2 + A3 * C23 + C234 * LEVER
+ZERO, ONE = np.zeros_like(C1), np.ones_like(C1)
+PRINTED_J = [
+    [
+        -D6 * C1 * C5 - S1 * RHO,
+        -C1 * (A2 * S2 + A3 * S23 + S234 * LEVER),
+        -C1 * (A3 * S23 + S234 * LEVER),
+        C1 * S234 * -LEVER,
+        -D6 * C1 * C234 * C5 + D6 * S1 * S5,
+        ZERO,
+    ],
+    [
+        -D6 * S1 * C5 + C1 * RHO,
+        -S1 * (A2 * S2 + A3 * S23 + S234 * LEVER),
+        -S1 * (A3 * S23 + S234 * LEVER),
+        S1 * S234 * -LEVER,
+        -D6 * (C234 * C5 * S1 + C1 * S5),
+        ZERO,
+    ],
+    [
+        ZERO,
+        -A2 * C2 - A3 * C23 - C234 * LEVER,
+        -A3 * C23 - C234 * LEVER,
+        -C234 * LEVER,
+        D6 * C5 * S234,
+        ZERO,
+    ],
+    [ZERO, -S1, -S1, -S1, C1 * S234, -C5 * S1 - C1 * C234 * S5],
+    [ZERO, C1, C1, C1, S1 * S234, C1 * C5 - C234 * S1 * S5],
+    [ONE, ZERO, ZERO, ZERO, C234, S234 * S5],
+]
+
+
+@pytest.mark.parametrize("row", range(6))
+@pytest.mark.parametrize("column", range(6))
+def test_the_entries_of_j_are_right(row: int, column: int) -> None:
+    frames = [np.eye(4)[None]]
+    for theta, entries in zip(THETA, TABLE, strict=True):
+        frames.append(frames[-1] @ link(theta, *entries))
+    axis, origin = frames[column][:, :3, 2], frames[column][:, :3, 3]
+    true = np.concatenate([np.cross(axis, POSE[:, :3, 3] - origin), axis + 0 * origin], axis=1)
+    assert_allclose(PRINTED_J[row][column], true[:, row] + ZERO, atol=SAME)
+
+
+def test_our_jacobian_is_the_papers() -> None:
+    ours = robots.jacobian(robots.load("iust_6r"), THETA.T)
+    ours[:, :3] *= 1000
+    assert_allclose(ours, np.moveaxis(np.array(PRINTED_J), -1, 0), atol=SAME)
+
+
+def test_the_velocity_has_six_entries_not_the_three_printed() -> None:
+    three = np.moveaxis(np.array(PRINTED_J), -1, 0)[:, 3:]
+    assert np.linalg.matrix_rank(three).max() == 3  # the other rows are turning, not moving
+    assert_allclose(np.linalg.norm(three[:, :, :], axis=1), 1, atol=1e-12)
+
+
+def test_det_j_is_the_product_on_record() -> None:
+    wrist = A1 + A2 * C2 + A3 * C23 + A4 * C234
+    expected = -A2 * A3 * sin(THETA[2]) * S5 * wrist
+    assert_allclose(np.linalg.det(np.moveaxis(np.array(PRINTED_J), -1, 0)), expected, rtol=1e-6, atol=1)
+
+
+def printed_inverse(pose: Array, mended: bool) -> list[Array]:
+    """The paper's recipe step by step, with its single θ1; branches (6, m)."""
+    n, o, a, p = (pose[:, :3, i].T for i in range(4))
+    theta1 = arctan2(p[1] - D6 * a[1], p[0] - D6 * a[0])
+    c1, s1 = cos(theta1), sin(theta1)
+    along, across = a[0] * c1 + a[1] * s1, a[1] * c1 - a[0] * s1
+    branches = []
+    for wrist in (1, -1):
+        theta5 = arctan2(wrist * D6 * sqrt(np.maximum(1 - across**2, 0)), p[1] * c1 - p[0] * s1)
+        sum_234 = arctan2(a[2], -along) if mended else arctan2(-a[2], along)
+        theta6 = arctan2(o[0] * s1 - o[1] * c1, n[1] * c1 - n[0] * s1)
+        if wrist < 0:
+            sum_234, theta6 = sum_234 + np.pi, theta6 + np.pi
+        lever = A4 - D6 * sin(theta5)
+        t = c1 * p[0] + s1 * p[1] - lever * cos(sum_234) - (A1 if mended else 0)
+        u = D1 - p[2] - lever * sin(sum_234)
+        square = t**2 + u**2
+        ratio = (square + A2**2 - A3**2) / (2 * A2 * sqrt(square))
+        root = sqrt(np.where(np.abs(ratio) <= 1, 1 - ratio**2, np.nan))
+        for elbow in (1, -1):
+            theta2 = arctan2(elbow * root, ratio) + arctan2(u, t)
+            theta3 = arctan2(u - A2 * sin(theta2), t - A2 * cos(theta2)) - theta2
+            theta4 = sum_234 - theta2 - theta3
+            branches.append(np.array([theta1, theta2, theta3, theta4, theta5, theta6]))
+    return branches
+
+
+@pytest.mark.parametrize(
+    ("mended", "poses", "joints"), [(False, (0, 0), (0, 0)), (True, (0.97, 1), (0.5, 0.65))]
+)
+def test_taken_literally_the_inverse_never_works_and_half_mended_it_misses_a_branch(
+    mended: bool, poses: tuple[float, float], joints: tuple[float, float]
+) -> None:
+    reached = np.zeros(THETA.shape[1], dtype=bool)
+    same = reached.copy()
+    for branch in printed_inverse(POSE, mended):
+        reached |= np.abs(table_2(branch) - POSE).max(axis=(1, 2)) < 1e-4  # mm
+        same |= np.nan_to_num(turned_by(branch, THETA), nan=9).max(axis=0) < 1e-4
+    assert poses[0] <= reached.mean() <= poses[1]
+    assert joints[0] <= same.mean() <= joints[1]

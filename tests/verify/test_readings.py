@@ -1,0 +1,57 @@
+import numpy as np
+from numpy.testing import assert_allclose
+
+from verify.readings import Readings
+
+
+def wave(t, amplitude=0.3, period=2.0):
+    return amplitude * np.sin(2 * np.pi * t / period)
+
+
+def test_a_smooth_motion_read_at_10_hz_is_interpolated_to_a_hundredth_of_what_a_line_would_err() -> (
+    None
+):
+    t = np.arange(0, 6, 0.1)
+    readings = Readings(t, wave(t)[:, None])
+    between = np.arange(0.5, 5.5, 0.013)
+    truth = wave(between)
+    line = np.max(np.abs(np.interp(between, t, wave(t)) - truth))
+    assert np.max(np.abs(readings.at(between)[:, 0] - truth)) < line / 10
+
+
+def test_the_speed_is_the_slope_of_the_motion() -> None:
+    t = np.arange(0, 6, 0.02)
+    readings = Readings(t, wave(t)[:, None])
+    between = np.linspace(1, 5, 50)
+    truth = 0.3 * np.pi * np.cos(np.pi * between)
+    assert_allclose(readings.rate(between)[:, 0], truth, atol=0.005)
+
+
+def test_noise_is_read_off_the_readings_and_motion_is_not_taken_for_noise() -> None:
+    rng = np.random.default_rng(5)
+    t = np.arange(0, 20, 0.02)
+    sigma = np.deg2rad([0.01, 0.03])
+    q = np.stack([wave(t), wave(t, 0.5, 3.0)], axis=1) + rng.normal(0, sigma, (len(t), 2))
+    assert_allclose(Readings(t, q).noise, sigma, rtol=0.1)
+    smooth = Readings(t, np.stack([wave(t), wave(t, 0.5, 3.0)], axis=1))
+    assert np.all(smooth.noise < np.deg2rad(0.0005))
+
+
+def test_between_two_bursts_of_readings_nothing_is_known() -> None:
+    t = np.concatenate([np.arange(0, 1, 0.1), np.arange(10, 11, 0.1)])
+    readings = Readings(t, np.where(t < 5, 0.1, 0.7)[:, None])
+    assert readings.known(np.array([0.55, 1.2, 5.0, 9.8, 10.5])).tolist() == [
+        True, True, False, True, True,
+    ]  # fmt: skip
+    assert_allclose(readings.at(np.array([1.2, 9.8]))[:, 0], [0.1, 0.7])
+    assert_allclose(readings.rate(np.array([1.2, 9.8])), 0, atol=1e-12)
+    assert not readings.known(np.array([-0.1, 11.5])).any()
+
+
+def test_the_direction_of_travel_is_kept_at_rest_and_ignores_noise() -> None:
+    rng = np.random.default_rng(2)
+    t = np.arange(0, 8, 0.02)
+    path = np.interp(t, [0, 2, 4, 6, 8], np.deg2rad([0, 10, 10, -5, -5]))
+    readings = Readings(t, (path + rng.normal(0, np.deg2rad(0.01), len(t)))[:, None])
+    seen = readings.direction(np.array([1.0, 3.0, 5.0, 7.5]))[:, 0]
+    assert seen.tolist() == [1, 1, -1, -1]
