@@ -1,5 +1,7 @@
 """Joint angles for hypothesis, that visit singularities on purpose."""
 
+import functools
+
 import numpy as np
 from hypothesis import strategies as st
 
@@ -17,7 +19,7 @@ def stretched(arm: robots.DhArm) -> float:
 
 @st.composite
 def joint_angles(draw: st.DrawFn, arm: robots.DhArm) -> Array:
-    """DH angles anywhere on the circle, with the wrist, the elbow, both or neither near singular."""
+    """Draw angles anywhere on the circle, with wrist, elbow, both or neither near singular."""
     theta = np.array(draw(st.lists(st.floats(-np.pi, np.pi), min_size=6, max_size=6)))
     near, turn = st.sampled_from(NEAR), st.sampled_from((0.0, np.pi))
     if draw(st.booleans()):
@@ -27,6 +29,7 @@ def joint_angles(draw: st.DrawFn, arm: robots.DhArm) -> Array:
     return arm.joint_angles(theta)
 
 
+@functools.cache
 def wrist_on_axis_1(arm: robots.DhArm, count: int, seed: int) -> Array:
     """Random joint angles whose wrist is on axis 1 to rounding: Newton on its distance by θ2."""
     theta = np.random.default_rng(seed).uniform(-np.pi, np.pi, (3 * count, 6))
@@ -39,6 +42,8 @@ def wrist_on_axis_1(arm: robots.DhArm, count: int, seed: int) -> Array:
 
     for _ in range(60):
         slope = (distance(theta + nudge) - distance(theta - nudge)) / 2e-6
-        theta[:, 1] -= np.clip(distance(theta) / np.where(np.abs(slope) < 1e-3, 1e-3, slope), -0.5, 0.5)
+        theta[:, 1] -= np.clip(
+            distance(theta) / np.where(np.abs(slope) < 1e-3, 1e-3, slope), -0.5, 0.5
+        )
     on_axis = np.abs(distance(theta)) < 1e-15
     return arm.joint_angles(theta[on_axis][:count])

@@ -166,6 +166,15 @@ def test_a_wrist_on_axis_1_holds_joint_1_and_says_so(arm: robots.DhArm) -> None:
     assert np.median(to_own_joints(branches.q, q)) < 1e-9
 
 
+def test_a_free_joint_moves_to_where_the_elbow_closes() -> None:
+    arm = ARMS["iust_6r"]
+    q = wrist_on_axis_1(arm, 300, 8)
+    pose = robots.forward(arm, q)
+    branches = robots.inverse(arm, pose).q  # held at 0, where many elbows do not close
+    assert np.isfinite(branches[..., 0]).any(axis=-1).mean() > 0.99
+    assert worst(arm, branches, pose) < 1e-13
+
+
 @EVERY_ARM
 def test_a_pose_out_of_reach_has_no_branch(arm: robots.DhArm) -> None:
     pose = np.eye(4)
@@ -193,7 +202,13 @@ def test_another_librarys_closed_form_finds_the_same_solutions(
 
     arm = ARMS[name]
     model = opw.KinematicModel(
-        a1=0.095, a2=side * 0.135, b=0, c1=0.35, c2=0.245, c3=0.27, c4=0.085,
+        a1=0.095,
+        a2=side * 0.135,
+        b=0,
+        c1=0.35,
+        c2=0.245,
+        c3=0.27,
+        c4=0.085,
         offsets=tuple(np.radians(offsets_deg)),
     )
     theirs = opw.Robot(model, degrees=False)

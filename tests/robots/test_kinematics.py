@@ -43,7 +43,9 @@ def test_the_flange_is_turned_as_the_record_says() -> None:
     assert_allclose(approach, [-0.111619, 0.633022, 0.766044], atol=1e-6)
 
 
-def test_at_the_controllers_zero_upper_arm_and_forearm_stand_upright_the_elbow_offset_behind() -> None:
+def test_at_the_controllers_zero_upper_arm_and_forearm_stand_upright_the_elbow_offset_behind() -> (
+    None
+):
     arm = ARMS["rv_3sd_melfa"]
     pose = robots.forward(arm, np.zeros(6))
     assert_allclose(pose[:3, 3] * 1000, [95 - 135, 0, 350 + 245 + 270 + 85], atol=1e-9)

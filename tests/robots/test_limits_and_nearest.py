@@ -49,9 +49,7 @@ def test_limits_hold_to_their_last_digit_and_no_further() -> None:
 
 @pytest.mark.parametrize("arm", ARMS.values(), ids=str)
 @pytest.mark.parametrize("limits", [False, True])
-def test_the_nearest_branch_is_the_one_that_made_the_pose(
-    arm: robots.DhArm, limits: bool
-) -> None:
+def test_the_nearest_branch_is_the_one_that_made_the_pose(arm: robots.DhArm, limits: bool) -> None:
     random = np.random.default_rng(1)
     q = random.uniform(arm.lower, arm.upper, (2000, 6))
     q = q[np.abs(np.linalg.det(robots.jacobian(arm, q))) > 1e-4]  # other branches are far away
@@ -99,7 +97,9 @@ def test_on_a_singularity_the_free_joint_stays_where_the_encoder_reads(arm: robo
 def test_a_urdf_arm_finds_back_to_the_pose_from_nearby(name: str, limits: bool) -> None:
     arm = robots.load(name)
     random = np.random.default_rng(3)
-    q = random.uniform(np.maximum(arm.lower, -3) + 0.1, np.minimum(arm.upper, 3) - 0.1, (25, arm.dof))
+    q = random.uniform(
+        np.maximum(arm.lower, -3) + 0.1, np.minimum(arm.upper, 3) - 0.1, (25, arm.dof)
+    )
     pose = robots.forward(arm, q)
     reading = q + random.normal(0, 0.03, q.shape)
     found, reached = robots.nearest(arm, pose, reading, limits=limits)

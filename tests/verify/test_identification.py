@@ -292,6 +292,17 @@ def test_encoders_that_fit_no_candidate_choose_none() -> None:
     assert scene.identify(expected=(across,)).status == "ambiguous_leds"
 
 
+def test_encoders_as_near_to_one_candidate_as_to_another_choose_none() -> None:
+    rng = np.random.default_rng(2)
+    scene = make_scene(rng, np.zeros((1, 3)), lamps=1, missing=((0,), (0,)))
+    lamps = scene.rig_T_flange[:3, 3] + [[0.03, 0, 0], [-0.03, 0, 0]]
+    scene.spots = (
+        make_spots(seen(scene.rig.left, PANS[0], lamps), np.full((2, 3), GREY)),
+        make_spots(seen(scene.rig.right, PANS[1], lamps), np.full((2, 3), GREY)),
+    )
+    assert scene.identify(expected=(scene.rig_T_flange,)).status == "ambiguous_leds"
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_leds_on_one_line_are_told_apart_by_their_distances(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -393,6 +404,36 @@ def test_nothing_is_identified_in_pure_clutter(real: bool) -> None:
     rate = 1 - (outcomes["too_few_leds"] + outcomes["ambiguous_leds"]) / 200
     print(f"pure clutter: {dict(outcomes)}; false positives {100 * rate:.1f} %")
     assert rate <= 0.01
+
+
+@pytest.mark.parametrize("help_from", ["encoders", "prediction"])
+def test_help_from_outside_seldom_makes_leds_of_lamps(help_from: str) -> None:
+    outcomes: Counter[str] = Counter()
+    for trial in range(200):
+        rng = np.random.default_rng(trial)
+        none = tuple(range(4))
+        scene = make_scene(rng, random_leds(rng, 4), lamps=10, missing=(none, none))
+        if help_from == "encoders":
+            found = scene.identify(expected=(scene.rig_T_flange,))
+        else:
+            found = scene.identify(Prediction(scene.rig_T_flange, 0.005, 0.05))
+        outcomes[scene.outcome(found)] += 1
+    rate = outcomes["wrong"] / 200
+    print(f"lamps with {help_from}: {dict(outcomes)}; false positives {100 * rate:.1f} %")
+    assert rate <= 0.02
+
+
+def test_one_led_of_several_is_taken_only_where_the_past_expects_it() -> None:
+    rng = np.random.default_rng(9)
+    leds = random_leds(rng, 4, SEES)
+    scene = make_scene(rng, leds, missing=((0, 1, 3), (0, 1, 3)))
+    assert scene.identify().status == "too_few_leds"
+    assert scene.identify(expected=(scene.rig_T_flange,)).status == "too_few_leds"
+    found = scene.identify(Prediction(near(scene.rig_T_flange, rng, 0.004, 0.04), 0.005, 0.05))
+    assert scene.outcome(found) == "complete"
+    assert found.choice == "continuity"
+    far = Prediction(near(scene.rig_T_flange, rng, 0.3, 0.04), 0.005, 0.05)
+    assert scene.identify(far).status == "too_few_leds"
 
 
 def test_a_jump_that_the_prediction_missed_is_found_all_the_same() -> None:

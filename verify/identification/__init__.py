@@ -24,10 +24,10 @@ __all__ = ["Identification", "Prediction", "identify"]
 CLEARLY = 12.0  # of twice the log evidence: odds of 400 to 1, more than noise does to equals
 BOUND = 2.0  # standard deviations to how far a prediction may be off
 JUMP = 50.0  # what a pose far from the prediction costs: two LED images and a half
-BELIEVED = 3.0  # standard departures beyond which a reference says nothing about a pose
+BELIEVED = 3.0  # departures beyond which a reference says nothing about a pose
 APART = 1.0  # by how many departures the nearest must be nearer than the next
-ENCODERS_POSITION = 0.1  # m, how far a faulty arm and a clock not yet known may be believed to err
-ENCODERS_ROTATION = 0.3  # rad, likewise; marker symmetries lie above 1 rad
+ENCODERS_POSITION = 0.07  # m, how far a faulty arm and a clock not yet known may be believed to err
+ENCODERS_ROTATION = 0.2  # rad, likewise; marker symmetries lie above 1 rad
 COARSE = 4e-3  # m, how well a coarse pose places an LED: depth, with the images a few ms apart
 
 
@@ -100,7 +100,9 @@ def identify(
     rivals = _conflicts(found, best) & (evidence < evidence[best] + CLEARLY)
     alternatives = int(rivals.sum())
     rivals &= informed < informed[best] + CLEARLY
-    if alternatives == 0:
+    if alternatives == 0 and _lone(found)[best]:
+        choice = "continuity"
+    elif alternatives == 0:
         choice = "colour" if _colour_decided(views, found, best) else "geometry"
     elif not rivals.any():
         choice = "continuity"
@@ -121,12 +123,22 @@ def _find(
     references = [prediction.rig_T_flange] if prediction is not None else []
     references += list(expected_poses)
     rig_R_flange = references[0][:3, :3] if references else np.eye(3)
-    found = search(views, rig_R_flange, single=bool(references))
-    if prediction is None:
-        return found
-    there = found.take(_off(views.leds, found, prediction) <= BELIEVED)
-    sizes = prediction.position_uncertainty / BOUND, prediction.rotation_uncertainty / BOUND
-    return unique(found.join(track(views, there, prediction.rig_T_flange, *sizes)))
+    found = search(views, rig_R_flange, single=prediction is not None)
+    if prediction is not None:
+        there = found.take(_off(views.leds, found, prediction) <= BELIEVED)
+        sizes = prediction.position_uncertainty / BOUND, prediction.rotation_uncertainty / BOUND
+        found = unique(found.join(track(views, there, prediction.rig_T_flange, *sizes)))
+    lone = _lone(found)
+    if prediction is not None:
+        lone &= _off(views.leds, found, prediction) > BELIEVED
+    return found.take(~lone)
+
+
+def _lone(found: Hypotheses) -> NDArray[np.bool_]:
+    """Say where one LED of several is all that both cameras see: any lamp would do as well."""
+    several = found.spot.shape[2] > 1
+    lone: NDArray[np.bool_] = several & (np.all(found.spot >= 0, axis=1).sum(axis=1) == 1)
+    return lone
 
 
 def _off(leds: Array, found: Hypotheses, prediction: Prediction) -> Array:

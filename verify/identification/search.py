@@ -26,7 +26,7 @@ def search(views: Views, rig_R_flange: Array, *, single: bool) -> Hypotheses:
     Args:
         views: the two images.
         rig_R_flange: (3, 3), what fills the turns that one or two LEDs leave open.
-        single: try one LED of several; it says nothing without some knowledge of the place.
+        single: try one LED of several; it says nothing unless the past says where it should be.
     """
     points = find_points(views)
     graph = link(views, points)

@@ -30,8 +30,7 @@ class Points:
 
     spot: Index  # (2, c), left and right spot
     rig: Array  # (c, 3), m
-    covariance: Array  # (c, 3, 3), m², of what is each point's own
-    drift: Array  # (c, 3, 2), m/px: how a shift of the whole right image moves the point
+    covariance: Array  # (c, 3, 3), m²; a shift common to all changes distances by less
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +61,8 @@ def find_points(views: Views) -> Points:
     spot = spot[:MOST_POINTS].T.astype(np.int64)
     found = rig[spot[0], spot[1]]
     slope, weight = _slopes(views, found, spot)
-    weighted = np.swapaxes(slope, 1, 2) * weight[:, None]
-    covariance = np.asarray(np.linalg.inv(weighted @ slope), dtype=float)
-    drift = (covariance @ weighted)[:, :, 2:]
-    return Points(spot, found, covariance, drift)
+    information = np.swapaxes(slope, 1, 2) @ (weight[..., None] * slope)
+    return Points(spot, found, np.asarray(np.linalg.inv(information), dtype=float))
 
 
 def _slopes(views: Views, points: Array, spot: Index) -> tuple[Array, Array]:
@@ -93,11 +90,8 @@ def link(views: Views, points: Points) -> Graph:
     distance = np.linalg.norm(step, axis=-1)
     toward = step / np.where(distance > 0, distance, 1.0)[..., None]
     spread = np.einsum("cdi,cij,cdj->cd", toward, points.covariance, toward, optimize=True)
-    uneven = points.drift[:, None] - points.drift[None]
-    uneven = views.skew * np.einsum("cdi,cdij->cdj", toward, uneven)
-    variance = spread + spread.T + np.sum(uneven**2, axis=-1) + 2 * views.led_play**2
+    sigma = np.sqrt(spread + spread.T + 2 * views.led_play**2)
     shared = (points.spot[:, :, None] == points.spot[:, None]).any(axis=0)
-    sigma = np.sqrt(variance)
 
     coloured = views.allowed[0][:, points.spot[0]] & views.allowed[1][:, points.spot[1]]
     led, point = np.nonzero(coloured)

@@ -15,7 +15,7 @@ from verify.rig import Rig
 MOST_SPOTS = 48  # an image; the brightest: bounds the work, twice the clutter of a bad scene
 MODEL_PX = 0.1  # px, what lens and pan leave unexplained after a fair calibration
 MERGED_PX = 1.0  # px, by how much a neighbour's light drags a spot's centre, order of magnitude
-LED_PLAY = 2e-4  # m, an LED's light against the marker file where that states nothing: a jig's play
+LED_PLAY = 5e-4  # m, an LED's light against the marker file where that states nothing: a jig's play
 UNEVEN_SKEW = 0.25  # of the motion tolerance: what differs between LEDs as the flange also turns
 CLEAR_HUE = 0.3  # (largest - second) / largest channel: warm white stays under 0.2, LEDs above 0.4
 CHANNELS = {"blue": 0, "green": 1, "red": 2}

@@ -1,0 +1,122 @@
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from pandas.testing import assert_frame_equal
+
+import reports
+from reports.results import MANIFEST, plain
+from tests.reports import made
+
+
+def test_a_results_folder_gives_back_what_was_written(tmp_path: Path) -> None:
+    results = made.nonconforming()
+    reports.write(results, tmp_path / "results")
+    again = reports.read(tmp_path / "results")
+    assert again.summary == results.summary
+    assert again.setup == results.setup
+    assert again.images == results.images
+    assert again.tables.keys() == results.tables.keys()
+    for name, table in results.tables.items():
+        assert_frame_equal(again.tables[name], table, check_dtype=False)
+
+
+def test_a_report_built_again_from_the_folder_is_the_same(tmp_path: Path) -> None:
+    results = made.nonconforming()
+    reports.write(results, tmp_path)
+    assert reports.render_html(reports.read(tmp_path)) == reports.render_html(results)
+
+
+def test_the_same_results_give_the_same_files(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        reports.write(made.nonconforming(), tmp_path / name)
+    files = sorted(path.name for path in (tmp_path / "a").iterdir())
+    assert MANIFEST in files
+    for name in files:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_nothing_else_is_left_behind_and_nothing_of_others_is_touched(tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("mine")
+    reports.write(made.one_pair(), folder)
+    reports.write(made.one_pair(), folder)
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == ["results"]
+
+
+def test_numbers_of_other_libraries_become_json_and_what_is_not_finite_becomes_null() -> None:
+    found = plain(
+        {"a": np.float64(1.5), "b": np.nan, "c": np.arange(2), 3: (np.True_, np.int64(4))}
+    )
+    assert found == {"a": 1.5, "b": None, "c": [0, 1], "3": [True, 4]}
+
+
+def test_results_without_tables_or_images_survive(tmp_path: Path) -> None:
+    reports.write(made.nothing(), tmp_path)
+    assert reports.read(tmp_path) == made.nothing()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    reports.write(made.one_pair(), tmp_path / "results")
+    return tmp_path / "results"
+
+
+def _complaint(folder: Path) -> str:
+    with pytest.raises(reports.ReportError) as caught:
+        reports.read(folder)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert re.search(r"\. (Run|Name|Use) .+\.$", message), message  # ends with what to do
+    assert str(folder) in message
+    return message
+
+
+def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
+    assert "no results.json" in _complaint(tmp_path)
+    assert "no results.json" in _complaint(tmp_path / "absent")
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"{", b"\xff\xfe", b"[1]", b'{"format": 99}', b'{"format": 1}']
+)
+def test_a_manifest_that_is_damaged_or_foreign_is_said_in_one_line(
+    folder: Path, text: bytes
+) -> None:
+    (folder / MANIFEST).write_bytes(text)
+    assert MANIFEST in _complaint(folder)
+
+
+@pytest.mark.parametrize("name", ["frames.parquet", "pair.png"])
+def test_a_file_that_was_changed_cut_short_or_lost_is_named(folder: Path, name: str) -> None:
+    content = (folder / name).read_bytes()
+    (folder / name).write_bytes(content[:-1])
+    assert name in _complaint(folder)
+    (folder / name).unlink()
+    assert name in _complaint(folder)
+
+
+def test_a_manifest_cannot_reach_outside_its_folder(folder: Path) -> None:
+    manifest = json.loads((folder / MANIFEST).read_text())
+    manifest["tables"]["../secret"] = {"sha256": ""}
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+    assert "../secret" in _complaint(folder)
+
+
+def test_a_table_cannot_be_written_outside_the_folder(tmp_path: Path) -> None:
+    results = replace(made.one_pair(), tables={"../frames": pd.DataFrame()})
+    with pytest.raises(reports.ReportError, match="no name for a table"):
+        reports.write(results, tmp_path / "results")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_place_that_cannot_be_written_is_said_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(reports.ReportError, match="cannot be written"):
+        reports.write(made.one_pair(), tmp_path / "file" / "results")
