@@ -5,7 +5,6 @@ import os
 import signal
 import sys
 
-import click
 import typer
 
 from verify.commands.report import report
@@ -15,6 +14,9 @@ from verify.commands.simulate import simulate
 from verify.errors import InputError, one_line
 from verify.terminal import terminal
 
+# typer brings its own copy of click or uses the installed one, depending on its version; either
+# way what it raises on wrong usage is the base of its BadParameter
+WrongUsage = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 BAD_INPUT = 2
 INTERRUPTED = 130
 
@@ -26,8 +28,8 @@ app = typer.Typer(
     name="verify",
     help="Is my robot where it says it is? Two cameras and a few LEDs check an arm's encoders.",
     epilog=EVERYWHERE,
-    no_args_is_help=True,
     add_completion=False,
+    pretty_exceptions_enable=False,  # an unknown error shows Python's own traceback
     rich_markup_mode=None,
 )
 for command in (run, report, simulate, robots):
@@ -41,7 +43,7 @@ def _verify() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with INTERFACE.md's status."""
-    words = _global_flags(sys.argv[1:] if arguments is None else arguments)
+    words = _global_flags(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     signal.signal(signal.SIGTERM, _interrupt)  # a polite kill leaves nothing half-written either
     sys.exit(_status(words))
 
@@ -55,9 +57,9 @@ def _status(words: list[str]) -> int:
         outcome = app(words, prog_name="verify", standalone_mode=False)
     except InputError as problem:
         return _refuse(str(problem))
-    except click.ClickException as problem:
-        return _refuse(f"{problem.format_message()} See `verify --help`.")
-    except (KeyboardInterrupt, click.Abort):
+    except WrongUsage as problem:
+        return _refuse(f"{str(problem).rstrip('.')}. See `verify --help`.")
+    except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("interrupted\n")
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output has gone: nobody is left to tell

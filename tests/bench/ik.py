@@ -50,17 +50,20 @@ def _solvers(arm: robots.DhArm) -> dict[str, Solve]:
     if arm.family == "spherical_wrist":
         theirs = _opw(arm)
         solvers["py-opw-kinematics"] = lambda poses, _: (
-            theirs.reach(RigidTransform.from_matrix(poses)).joints
+            theirs.reach(RigidTransform.from_matrix(poses)).joints  # with margins, which cost it
         )
+        solvers["py-opw-kinematics, one branch"] = lambda poses, _: theirs.batch_inverse(
+            RigidTransform.from_matrix(poses)
+        )[:, None]
     return solvers
 
 
 def _opw(arm: robots.DhArm) -> opw.Robot:
-    side = np.sign(arm.alpha[2])
-    offsets = {"rv_3sd": (0, -90, 90, 0, 0, 0), "rv_3sd_melfa": (0, 0, 0, 0, 0, 180)}[arm.name]
+    side = int(np.sign(arm.alpha[2]))
+    zeros = {1: (0, -90, 90, 0, 0, 0), -1: (0, -90, -90, 0, 0, 180)}[side]  # of θ against OPW's
     model = opw.KinematicModel(
         a1=arm.a[0], a2=side * arm.a[2], b=0, c1=arm.d[0], c2=arm.a[1], c3=arm.d[3], c4=arm.d[5],
-        offsets=tuple(np.radians(offsets)),
+        offsets=tuple(np.radians(zeros) - arm.offset),
     )  # fmt: skip
     return opw.Robot(model, degrees=False)
 

@@ -10,11 +10,14 @@ import plotly.offline
 import pytest
 
 import reports
+from reports import pdf as pdf_format
+from reports.outline import document
 from tests.reports import made
 
 LIBRARY = plotly.offline.get_plotlyjs()  # left out of what is tested: five million letters
 html_of = cache(lambda name: reports.render_html(made.EVERY[name]()).replace(LIBRARY, ""))
-pdf_of = cache(lambda name: reports.render_pdf(made.EVERY[name]()))
+files_of = cache(lambda name: pdf_format.sources(document(made.EVERY[name]())))
+pdf_of = cache(lambda name: pdf_format.typeset(files_of(name)))
 
 
 @pytest.fixture

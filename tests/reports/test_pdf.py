@@ -10,6 +10,7 @@ from reports import pdf as pdf_format
 from reports.blocks import Table
 from reports.outline import SECTIONS, document
 from tests.reports import made
+from tests.reports.conftest import files_of
 
 
 def test_the_same_results_give_the_same_pdf(pdf: Callable[[str], bytes]) -> None:
@@ -24,8 +25,7 @@ def test_nothing_in_the_pdf_tells_when_it_was_made(pdf: Callable[[str], bytes]) 
 @pytest.mark.parametrize("name", ["nothing", "nulls", "hostile"])
 def test_the_sections_stand_in_the_order_of_the_outline(name: str) -> None:
     results = made.EVERY[name]()
-    files = pdf_format.sources(document(results))
-    found = json.loads(typst.query(files, "heading", field="body", **pdf_format.FONTS))
+    found = json.loads(typst.query(files_of(name), "heading", field="body", **pdf_format.FONTS))
     titles = [section(results).title for section in SECTIONS]
     assert [heading["text"] for heading in found] == titles
 

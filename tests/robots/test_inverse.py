@@ -78,7 +78,9 @@ def test_every_branch_reaches_the_pose_it_came_from(arm: robots.DhArm, data: st.
     q = data.draw(joint_angles(arm))
     pose = robots.forward(arm, q)
     branches = robots.inverse(arm, pose, hold=q)
-    assert np.isfinite(branches.q[:, 0]).any() or branches.degenerate.any()
+    theta = arm.theta(q)
+    both = abs(np.sin(theta[4])) < 1e-5 and abs(np.sin(theta[2] - stretched(arm))) < 1e-4
+    assert np.isfinite(branches.q[:, 0]).any() or (both and arm.family == "parallel_axes")
     assert worst(arm, branches.q, pose) < POSE
 
 

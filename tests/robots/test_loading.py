@@ -38,8 +38,9 @@ def complaint(name: str, base: str | None = None, tip: str | None = None) -> str
 
 
 def test_the_arms_are_the_papers() -> None:
-    assert robots.names() == ["iust_6r", "rv_3sd", "rv_3sd_melfa"]
-    for name in robots.names():
+    papers = ["iust_6r", "rv_3sd", "rv_3sd_melfa"]
+    assert set(papers) <= set(robots.names())
+    for name in papers:
         arm = robots.load(name)
         assert (arm.name, arm.dof, str(arm)) == (name, 6, name)
         assert "paper" in arm.source or "2018" in arm.source

@@ -10,9 +10,12 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from tests.verify.test_triangulation import BARREL, seen
 from verify.identification import Identification, Prediction, identify
+from verify.identification.hypotheses import plausible, start
+from verify.identification.views import look
 from verify.marker import Marker
 from verify.records import Array, Noise, Spots
 from verify.rig import Camera, Rig
@@ -146,7 +149,7 @@ def make_scene(
     direction = rng.normal(size=3)
     metres = skew_px * pose[2, 3] / 1000.0
     shift = metres * direction / np.linalg.norm(direction)
-    later = moved(pose, shift, rng.normal(size=3) * metres * 2)  # 2 rad/m: arm of half a metre
+    later = moved(pose, shift, rng.normal(size=3) * metres * 4)  # rad/m: arms of 15 to 50 cm
     light = np.array(colours or [GREY] * len(leds))
     lamp = rng.uniform(LAMPS_LOW, LAMPS_HIGH, (lamps, 3))
     both: list[Spots] = []
@@ -470,6 +473,29 @@ def test_a_flat_marker_is_seen_from_its_true_side() -> None:
         assert found.rig_T_flange is not None
         off = scene.rig_T_flange[:3, :3].T @ found.rig_T_flange[:3, :3]
         assert Rotation.from_matrix(off).magnitude() < 0.06
+
+
+def test_a_marker_file_a_millimetre_off_still_serves() -> None:
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        leds = random_leds(rng, 4, SEES)
+        off = rng.normal(size=(4, 3))
+        scene = make_scene(rng, leds + 8e-4 * off / np.linalg.norm(off, axis=1, keepdims=True))
+        scene.marker = make_marker(leds)
+        assert scene.outcome(scene.identify()) == "complete"
+
+
+@pytest.mark.parametrize(("seen_leds", "freedom"), [(1, 1), (2, 3), (3, 6), (4, 10)])
+def test_a_fit_worse_than_one_in_ten_thousand_is_refused(seen_leds: int, freedom: int) -> None:
+    limit = chi2.isf(1e-4, freedom)
+    rng = np.random.default_rng(0)
+    scene = make_scene(rng, random_leds(rng, 4))
+    views = look(scene.spots, scene.rig, PANS, scene.marker, 2.0)
+    spot = np.full((2, 2, 4), -1, dtype=np.int64)
+    spot[:, :, :seen_leds] = np.arange(seen_leds)
+    begun = start(views, np.tile(np.eye(3), (2, 1, 1)), np.ones((2, 3)), spot)
+    fitted = replace(begun, chi2=np.array([0.99, 1.01]) * limit)
+    assert_array_equal(plausible(fitted), [True, False])
 
 
 def test_a_clean_spot_is_taken_before_a_merged_one() -> None:

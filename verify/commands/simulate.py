@@ -6,17 +6,9 @@ Example: verify simulate multi_joint_fault_6r -o my_session
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
-from rich.console import Console
-from rich.progress import Progress
 
-import robots
-from verify.errors import InputError
-from verify.sim import library
-from verify.sim.folder import write
-from verify.sim.sessions import simulate as play
-from verify.writing import folder_written_whole
+from verify.terminal import terminal
 
 
 def simulate(
@@ -35,10 +27,18 @@ def simulate(
 
     Example: verify simulate multi_joint_fault_6r -o my_session
     """
+    import msgspec
+
+    import robots
+    from verify.errors import InputError
+    from verify.sim import library
+    from verify.sim.folder import write
+    from verify.sim.sessions import simulate as play
+    from verify.writing import folder_written_whole
+
     chosen = library.load(scenario)
     if seed is not None:
         chosen = msgspec.structs.replace(chosen, seed=seed)
-    console = Console(stderr=True)
     with folder_written_whole(out, force) as folder:
         try:
             session = play(chosen)
@@ -50,7 +50,14 @@ def simulate(
             raise InputError(
                 f"{scenario}, robot: {error.place}", error.found, error.expected, error.remedy
             ) from None
-        with Progress(console=console, disable=not console.is_terminal) as progress:
-            task = progress.add_task("pictures", total=2 * len(session))
-            write(session, folder, lambda: progress.advance(task))
-    console.print(f"{len(session)} pairs in {out}", highlight=False, markup=False)
+        with terminal.progress("pictures") as progress:
+            done, total = 0, 2 * len(session)
+
+            def one_more() -> None:
+                nonlocal done
+                done += 1
+                progress(done, total)
+
+            write(session, folder, one_more)
+    terminal.say(f"{len(session)} pairs in {out}")
+    terminal.record({"type": "result", "out": str(out), "pairs": len(session)})

@@ -20,7 +20,9 @@ from verify.records import Array, Noise
 X, Y, PEAK, FLOOR, SLOPE_X, SLOPE_Y, XX, XY, YY, STEEPNESS = range(10)
 SENSOR_LIMIT = 255.0  # DN
 ITERATIONS = 20  # a clean spot takes five, a saturated one ten or more
-SETTLED = 0.1  # of the centre's own sigma: so short a step leaves a tenth of itself, squared
+GLANCES = 8  # steps of a first look; what has not taken shape by then is no spot
+SETTLED = 0.05  # of chi² that a step may still gain: under a quarter sigma, and it is taken
+SPARSE = 200  # pixels of a patch below which a first look needs them all
 DENSE = 500  # pixels of a patch above which every fourth will do for a first look
 FOOT = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
 OUTLIER = 5.0  # sigma, likewise
@@ -66,28 +68,35 @@ class Fit:
 
 
 def fit_spots(patches: Patches) -> Fit:
-    """Fit one spot to each patch: on a part of its pixels first, then on all of them.
+    """Fit one spot to each patch, from a first look on.
 
-    A saturated spot is looked at from two sides, as its hidden top may be steep or flat.
+    A saturated spot is approached from two sides, as its hidden top may be steep or flat.
     """
-    thin = thinned(patches)
-    prior_mean, prior_weight = priors(thin)
-    look = solve(thin, prior_mean, prior_mean, prior_weight)
+    prior_mean, prior_weight = priors(patches)
+    best = solve(patches, prior_mean, prior_mean, prior_weight, ITERATIONS)
     full = np.flatnonzero(saturated(patches))
     if len(full):
-        part, mean, weight = taken(thin, full), prior_mean[full], prior_weight[full]
+        mean, weight = prior_mean[full], prior_weight[full]
         start = mean.copy()
         start[:, STEEPNESS], start[:, PEAK] = STEEP_START, SENSOR_LIMIT - mean[:, FLOOR]
-        other = solve(part, start, mean, weight)
-        better = other.chi2 < look.chi2[full]
-        put(look, full[better], other, better)
-    prior_mean, prior_weight = priors(patches)
-    return solve(patches, look.parameters, prior_mean, prior_weight)
+        other = solve(taken(patches, full), start, mean, weight, ITERATIONS)
+        better = other.chi2 < best.chi2[full]
+        put(best, full[better], other, better)
+    return best
+
+
+def first_look(patches: Patches) -> Fit:
+    """Fit on a part of the pixels: enough to see whether a spot is there, and where."""
+    part = thinned(patches)
+    prior_mean, prior_weight = priors(part)
+    return solve(part, prior_mean, prior_mean, prior_weight, GLANCES)
 
 
 def thinned(patches: Patches) -> Patches:
-    """Every other pixel, of large patches every fourth: enough to find where the spot is."""
+    """Every other pixel; of large patches every fourth, of small ones all."""
     even = (patches.column + patches.row) % 2 == 0
+    if len(patches.column) < SPARSE:
+        return patches
     if len(patches.column) > DENSE:
         even &= patches.column % 2 == 0
     return replace(
@@ -131,13 +140,15 @@ def reweighted(patches: Patches, state: Fit) -> Fit:
     return replace(here, parameters=here.parameters + bounded(step, here.parameters))
 
 
-def solve(patches: Patches, start: Array, prior_mean: Array, prior_weight: Array) -> Fit:
+def solve(
+    patches: Patches, start: Array, prior_mean: Array, prior_weight: Array, iterations: int
+) -> Fit:
     """Gauss-Newton with Levenberg's damping; patches that have settled drop out."""
     best = evaluate(patches, start, prior_mean, prior_weight)
     active = np.arange(len(start))
     damping = np.full(len(start), 1e-4)
     here, part = best, patches
-    for _ in range(ITERATIONS):
+    for _ in range(iterations):
         damped = here.information.copy()
         np.einsum("nii->ni", damped)[:] *= 1 + damping[:, None]
         step = np.linalg.solve(damped, here.gradient[..., None])[..., 0]
@@ -147,8 +158,8 @@ def solve(patches: Patches, start: Array, prior_mean: Array, prior_weight: Array
         good = trial.chi2 <= 1.1 * here.chi2 + 1.0
         put(best, active[good], trial, good)
         damping = np.where(good, damping / 10, damping * 30)
-        moved = np.einsum("ni,nij,nj->n", step[:, :2], here.information[:, :2, :2], step[:, :2])
-        going = ~good | (moved >= SETTLED**2)
+        gained = np.einsum("ni,ni->n", step, here.gradient)  # what the step takes from chi²
+        going = ~good | (gained > SETTLED * (1 + trial.chi2 / len(part.column)))
         if not going.any():
             break
         if good.all() and going.all():

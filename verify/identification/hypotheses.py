@@ -28,7 +28,6 @@ TURN = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(
     3, 9
 )  # (a @ TURN) as (3, 3) is phi -> phi x a
 ALONE_COST = 7.0  # likewise: an LED in view of one camera is hidden from the other once in 30 times
-ON_LINE = 1e-3  # squared ratio of the LEDs' spread across to along: one line, no turn about it
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +40,7 @@ class Hypotheses:
     spot: Index  # (h, 2, n), left and right spot of each LED, -1 for none
     hold: Array  # (h, 6), 1/m² and 1/rad²: how firmly each step keeps the pose where it is
     covariance: Array  # (h, 8, 8), m, rad, px
-    chi2: Array  # (h,), inf where the marker would be behind a camera
+    chi2: Array  # (h,), the shift's own share included; inf before the first fit
 
     def __len__(self) -> int:
         """Count the hypotheses."""
@@ -134,7 +133,7 @@ def settle_spots(views: Views, hypotheses: Hypotheses) -> Hypotheses:
     again = gather(views, current)
     if np.any(again.spot != current.spot):
         current = refine(views, again, 2)
-    return unique(current.take(plausible(views, current)))
+    return unique(current.take(plausible(current)))
 
 
 def predict(views: Views, hypotheses: Hypotheses) -> tuple[Array, Array, Array]:
@@ -174,7 +173,7 @@ def refine(views: Views, hypotheses: Hypotheses, steps: int) -> Hypotheses:
     held = np.full((len(current), 2), 1 / max(views.skew, LEAST_SKEW) ** 2)
     hold = np.concatenate([current.hold, held], axis=1)[:, :, None] * np.eye(8)
     for step in range(steps + 1):
-        image, derivative, depth = predict(views, current)
+        image, derivative, _ = predict(views, current)
         residual = np.where(used[..., None], views.pixels[side, current.spot] - image, 0.0)
         residual = (whiten @ residual[..., None]).reshape(len(current), -1)
         derivative = (whiten @ derivative).reshape(len(current), -1, 8)
@@ -185,8 +184,7 @@ def refine(views: Views, hypotheses: Hypotheses, steps: int) -> Hypotheses:
             pull[:, 6:] -= held * current.shift
             current = _step(current, (covariance @ pull[..., None])[..., 0])
     chi2 = np.sum(residual**2, axis=1) + np.sum(held * current.shift**2, axis=1)
-    before = np.all(depth > NEAREST, axis=(1, 2))
-    return replace(current, covariance=covariance, chi2=np.where(before, chi2, np.inf))
+    return replace(current, covariance=covariance, chi2=chi2)
 
 
 def _step(hypotheses: Hypotheses, move: Array) -> Hypotheses:
@@ -253,24 +251,15 @@ def unique(hypotheses: Hypotheses) -> Hypotheses:
     return ordered.take(np.sort(first))
 
 
-def plausible(views: Views, hypotheses: Hypotheses) -> NDArray[np.bool_]:
+def plausible(hypotheses: Hypotheses) -> NDArray[np.bool_]:
     """Say which hypotheses see an LED in both images and fit within their noise."""
     used: NDArray[np.bool_] = hypotheses.spot >= 0
-    freedom = 2 * used.sum(axis=(1, 2)) - _determined(views.leds, np.any(used, axis=1))
+    seen = np.any(used, axis=1).sum(axis=1)
+    determined = np.array([0, 3, 5, 6])[np.minimum(seen, 3)]
+    freedom = 2 * used.sum(axis=(1, 2)) - determined
     fits = hypotheses.chi2 <= chdtri(np.maximum(freedom, 1), IMPROBABLE)
     good: NDArray[np.bool_] = fits & np.any(np.all(used, axis=1), axis=1)
     return good
-
-
-def _determined(leds: Array, seen: NDArray[np.bool_]) -> Index:
-    """Degrees of freedom of the pose that the LEDs seen (h, n) determine: 0, 3, 5 or 6."""
-    count = seen.sum(axis=1)
-    weight = seen / np.maximum(count, 1)[:, None]
-    centred = leds - (weight @ leds)[:, None]
-    scatter = np.einsum("hn,hni,hnj->hij", weight, centred, centred)
-    spread = np.linalg.eigvalsh(scatter)
-    broad = spread[:, 1] > ON_LINE * spread[:, 2]
-    return np.select([count == 0, count == 1, ~broad], [0, 3, 5], 6).astype(np.int64)
 
 
 def score(views: Views, hypotheses: Hypotheses) -> Array:

@@ -15,7 +15,8 @@ from verify.rig import Rig
 MOST_SPOTS = 48  # an image; the brightest: bounds the work, twice the clutter of a bad scene
 MODEL_PX = 0.1  # px, what lens and pan leave unexplained after a fair calibration
 MERGED_PX = 1.0  # px, by how much a neighbour's light drags a spot's centre, order of magnitude
-LED_PLAY = 5e-4  # m, an LED's light against the marker file where that states nothing: a jig's play
+UNSTATED_PLAY = 3e-4  # m, of an LED's light where marker.toml states nothing: a printed jig's
+LEAST_PLAY = 1e-4  # m, where it does: domes and solder joints do no better
 UNEVEN_SKEW = 0.25  # of the motion tolerance: what differs between LEDs as the flange also turns
 CLEAR_HUE = 0.3  # (largest - second) / largest channel: warm white stays under 0.2, LEDs above 0.4
 CHANNELS = {"blue": 0, "green": 1, "red": 2}
@@ -67,7 +68,6 @@ def look(
             model + uneven, np.eye(2)
         )
         allowed[side, :, :count] = may_be(marker.colours, seen)[:, :count]
-    stated = marker.led_standard_uncertainty or 0.0, marker.centre_shift_standard_uncertainty or 0.0
     return Views(
         pixels=pixels,
         covariance=covariance,
@@ -77,9 +77,17 @@ def look(
         center=np.array([pose[:3, 3] for pose in placed]),
         focal=focal,
         leds=marker.leds,
-        led_play=max(LED_PLAY, float(np.hypot(*stated))),
+        led_play=led_play(marker),
         skew=skew,
     )
+
+
+def led_play(marker: Marker) -> float:
+    """Say how far (m) an LED's light may be from where the marker file has it, one deviation."""
+    if marker.led_standard_uncertainty is None:
+        return UNSTATED_PLAY
+    shift = marker.centre_shift_standard_uncertainty or 0.0
+    return max(LEAST_PLAY, float(np.hypot(marker.led_standard_uncertainty, shift)))
 
 
 def may_be(colours: tuple[str | None, ...], spots: Spots) -> NDArray[np.bool_]:

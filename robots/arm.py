@@ -1,0 +1,96 @@
+"""What an arm is: joints with limits, and either a DH table or a URDF chain."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pinocchio
+
+from robots.transforms import Array
+
+QUARTER_TURN = np.pi / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """What every arm states; joint angles q are the robot file's own, in radians."""
+
+    name: str
+    description: str
+    source: str  # where the numbers come from, and what could not be checked
+    fingerprint: str  # sha256 of the definition file's bytes, hexadecimal
+    lower: Array  # (n,), limits of q
+    upper: Array  # (n,)
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return len(self.lower)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, eq=False)
+class DhArm(Arm):
+    """Six revolute joints in standard DH: RotZ(θ) TransZ(d) TransX(a) RotX(α).
+
+    θ = sign · q + offset, joint by joint. The base is DH frame 0, the flange DH frame 6.
+    """
+
+    a: Array  # (6,), m
+    d: Array  # (6,), m
+    alpha: Array  # (6,), rad
+    sign: Array  # (6,), +1 or -1
+    offset: Array  # (6,), rad
+    family: str  # which closed form solves it
+
+    def theta(self, q: Array) -> Array:
+        """DH angles of joint angles, (..., 6)."""
+        return self.sign * q + self.offset
+
+    def joint_angles(self, theta: Array) -> Array:
+        """Joint angles q of DH angles, (..., 6)."""
+        return self.sign * (theta - self.offset)
+
+    @cached_property
+    def links(self) -> list[tuple[float, float, float, float]]:
+        """The table as plain numbers a, d, cos α, sin α, for loops over joints."""
+        cosines, sines = np.cos(self.alpha), np.sin(self.alpha)
+        quarters = np.round(self.alpha / QUARTER_TURN)
+        # right angles are exact: 6e-17 for cos 90° would cost products and bring no truth
+        exact = np.abs(self.alpha - quarters * QUARTER_TURN) < 1e-12
+        cosines[exact], sines[exact] = np.round(cosines[exact]), np.round(sines[exact])
+        return list(zip(*(v.tolist() for v in (self.a, self.d, cosines, sines)), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfArm(Arm):
+    """A chain of revolute joints out of a URDF; every other joint of the file is locked at 0.
+
+    `data` is pinocchio's workspace: one arm object serves one thread.
+    """
+
+    model: pinocchio.Model  # holds the chain's joints only
+    data: pinocchio.Data
+    base: str
+    tip: str
+    base_frame: int
+    tip_frame: int
+    joint_names: tuple[str, ...]
+
+    @cached_property
+    def joints(self) -> list[tuple[int, int, bool]]:
+        """Each joint's place in pinocchio's configuration and velocity; True for (cos, sin)."""
+        found = [self.model.joints[self.model.getJointId(name)] for name in self.joint_names]
+        return [(joint.idx_q, joint.idx_v, joint.nq == 2) for joint in found]
+
+    def configuration(self, q: Array) -> Array:
+        """Pinocchio's configuration vector for joint angles q (n,)."""
+        configuration = np.zeros(self.model.nq)
+        for angle, (place, _, unbounded) in zip(q, self.joints, strict=True):
+            if unbounded:
+                configuration[place : place + 2] = np.cos(angle), np.sin(angle)
+            else:
+                configuration[place] = angle
+        return configuration

@@ -1,0 +1,130 @@
+"""Does an arm's kinematics agree with itself and with pinocchio? And how far does it reach?"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio
+
+from robots.arm import Arm, DhArm, UrdfArm
+from robots.families import FAMILIES
+from robots.inverse import inverse
+from robots.kinematics import forward, jacobian
+from robots.limits import near
+from robots.nearest import nearest
+from robots.pinocchio_model import pinocchio_model
+from robots.transforms import Array, difference
+
+LOST = 1e-6  # rad: an answer this near to the joints that made the pose is taken for them
+REGULAR = 1e-3  # of the greatest |det J|: below, the joints lose digits, not the pose
+AWAY = 0.05  # rad a joint, standard deviation: where an iteration for a URDF starts
+STEP = 1e-6  # rad, of central differences: truncation and rounding are both near 1e-10
+FEW = 50  # poses for a check that iterates
+
+
+@dataclass(frozen=True)
+class SelfCheck:
+    """The worst disagreement over random poses within the limits; NaN where it does not apply."""
+
+    poses: int
+    inverse_position: float  # m, a solution's forward kinematics against the pose asked for
+    inverse_rotation: float  # rad
+    lost: int  # poses whose own joints were not among the answers, singular ones left out
+    pinocchio_position: float  # m, forward kinematics against pinocchio's
+    pinocchio_rotation: float  # rad
+    pinocchio_jacobian: float  # m/rad or rad/rad, the Jacobian against pinocchio's
+    difference_jacobian: float  # the same against central differences of forward
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far an arm reaches, joint limits left aside."""
+
+    minimum: float  # m
+    maximum: float  # m
+    meaning: str  # from where to where
+
+
+def reach(arm: Arm) -> Reach:
+    """Say how far the arm reaches.
+
+    For a DH arm the two links' exact range: from axis 2 to the wrist centre (spherical wrist) or to
+    axis 4 (parallel axes), in the arm's plane; a pose outside it has no solution on that side. For
+    a URDF an upper bound: the way from joint origin to joint origin, first joint to tip.
+    """
+    if isinstance(arm, DhArm):
+        end = "wrist centre" if arm.family == "spherical_wrist" else "axis 4"
+        return Reach(*FAMILIES[arm.family].reach(arm), f"axis 2 to {end}")
+    assert isinstance(arm, UrdfArm)
+    steps = [arm.model.jointPlacements[arm.model.getJointId(name)] for name in arm.joint_names[1:]]
+    steps.append(arm.model.frames[arm.tip_frame].placement)
+    longest = float(sum(np.linalg.norm(step.translation) for step in steps))
+    return Reach(0.0, longest, f"joint 1 to {arm.tip}, at most")
+
+
+def self_check(arm: Arm, poses: int = 1000, seed: int = 0) -> SelfCheck:
+    """Try an arm's kinematics on random poses.
+
+    Args:
+        arm: any arm; a URDF's, which is solved by iteration, gets at most 50 poses for that part.
+        poses: how many.
+        seed: of the random joint angles, uniform within the limits.
+    """
+    random = np.random.default_rng(seed)
+    q = random.uniform(arm.lower, arm.upper, (poses, arm.dof))
+    base_T_flange, moves = forward(arm, q), jacobian(arm, q)
+    if isinstance(arm, DhArm):
+        solved = _closed_form(arm, q, base_T_flange, moves)
+        theirs, their_moves = _pinocchio(arm, q)
+        against = *_worst(base_T_flange, theirs), float(np.abs(moves - their_moves).max())
+    else:
+        solved = _iterated(arm, q[:FEW], base_T_flange[:FEW], random)
+        against = np.nan, np.nan, np.nan  # it is pinocchio
+    slopes = _differences(arm, q[:FEW])
+    return SelfCheck(poses, *solved, *against, float(np.abs(moves[:FEW] - slopes).max()))
+
+
+def _worst(base_T_b: Array, base_T_c: Array) -> tuple[float, float]:
+    apart = difference(base_T_b, base_T_c)
+    position, rotation = (np.linalg.norm(part, axis=-1) for part in np.split(apart, 2, axis=-1))
+    return float(position.max(initial=0)), float(rotation.max(initial=0))
+
+
+def _closed_form(arm: DhArm, q: Array, pose: Array, moves: Array) -> tuple[float, float, int]:
+    branches = inverse(arm, pose, hold=q).q
+    exists = np.isfinite(branches).all(axis=-1)
+    asked = np.broadcast_to(pose[:, None], (*exists.shape, 4, 4))[exists]
+    worst = _worst(forward(arm, branches[exists]), asked)
+    away = np.abs(near(branches, q[:, None]) - q[:, None]).max(axis=-1)
+    missing = ~(away < LOST).any(axis=-1) & (np.abs(np.linalg.det(moves)) > REGULAR * _volume(arm))
+    return *worst, int(missing.sum())
+
+
+def _volume(arm: DhArm) -> float:
+    """Scale of det J, m³: the product of the two links and their sum."""
+    least, most = FAMILIES[arm.family].reach(arm)
+    return (most**2 - least**2) / 4 * most
+
+
+def _iterated(
+    arm: Arm, q: Array, pose: Array, random: np.random.Generator
+) -> tuple[float, float, int]:
+    found, reached = nearest(arm, pose, q + random.normal(0, AWAY, q.shape))
+    return *_worst(forward(arm, found[reached]), pose[reached]), int((~reached).sum())
+
+
+def _pinocchio(arm: DhArm, q: Array) -> tuple[Array, Array]:
+    model = pinocchio_model(arm)
+    data = model.createData()
+    flange = model.getFrameId("flange")
+    world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    poses, moves = np.empty((len(q), 4, 4)), np.empty((len(q), 6, arm.dof))
+    for i, angles in enumerate(q):
+        moves[i] = pinocchio.computeFrameJacobian(model, data, angles, flange, world)
+        poses[i] = pinocchio.updateFramePlacement(model, data, flange).homogeneous
+    return poses, moves
+
+
+def _differences(arm: Arm, q: Array) -> Array:
+    nudges = STEP * np.eye(arm.dof)
+    ahead, behind = forward(arm, q[:, None] + nudges), forward(arm, q[:, None] - nudges)
+    return np.swapaxes(difference(ahead, behind) / (2 * STEP), -1, -2)

@@ -1,0 +1,139 @@
+"""An arm's TOML file, read once and checked: six joints in standard DH, and their source."""
+
+import difflib
+import hashlib
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robots.arm import DhArm
+from robots.errors import RobotError
+from robots.families import FAMILIES
+
+HEAD = {"format", "name", "family", "description", "source", "joint"}
+NUMBERS = {"a_mm": None, "d_mm": None, "alpha_deg": None, "offset_deg": 0.0, "sign": 1.0}
+JOINT = {*NUMBERS, "limits_deg"}
+
+
+def read(path: Path) -> DhArm:
+    """Read a robot file.
+
+    Args:
+        path: a TOML file as robots/iust_6r.toml shows it.
+
+    Raises:
+        RobotError: the file is missing, is not TOML, has a wrong, missing or unknown key, or its
+            table does not fit its family.
+    """
+    content, table = _parse(path)
+    _only_known(path, "", table, HEAD)
+    if table.get("format") != 1:
+        raise RobotError(f"{path}, format", _shown(table, "format"), "this version reads 1")
+    words = {key: _word(path, table, key) for key in ("name", "family", "description", "source")}
+    joints = _joints(path, table)
+    columns = {key: np.array([joint[key] for joint in joints], dtype=float) for key in NUMBERS}
+    lower, upper = np.radians([joint["limits_deg"] for joint in joints]).T
+    arm = DhArm(
+        name=words["name"],
+        description=words["description"],
+        source=words["source"],
+        fingerprint=hashlib.sha256(content).hexdigest(),
+        lower=lower,
+        upper=upper,
+        a=columns["a_mm"] / 1000,
+        d=columns["d_mm"] / 1000,
+        alpha=np.radians(columns["alpha_deg"]),
+        sign=columns["sign"],
+        offset=np.radians(columns["offset_deg"]),
+        family=words["family"],
+    )
+    _belongs_to_its_family(path, arm)
+    return arm
+
+
+def _parse(path: Path) -> tuple[bytes, dict[str, Any]]:
+    try:
+        content = path.read_bytes()
+        return content, tomllib.loads(content.decode())
+    except OSError as error:
+        remedy = "Check the path, or give the name of a known robot."
+        raise RobotError(path, error.strerror or "cannot be read", "", remedy) from error
+    except UnicodeDecodeError as error:
+        raise RobotError(
+            path, f"byte {error.start} is not UTF-8", "", "Save it as UTF-8."
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise RobotError(path, f"not valid TOML: {error}", "", "Mend that line.") from error
+
+
+def _only_known(path: Path, where: str, table: dict[str, Any], known: set[str]) -> None:
+    for key in table:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=1)
+            remedy = f'Did you mean "{near[0]}"?' if near else "Remove it."
+            expected = f"known keys are {', '.join(sorted(known))}"
+            raise RobotError(f"{path}, {where}{key}", "unknown key", expected, remedy)
+
+
+def _word(path: Path, table: dict[str, Any], key: str) -> str:
+    value = table.get(key)
+    if not isinstance(value, str) or not value.strip():
+        expected, remedy = "a text in quotes is needed", f'Write {key} = "…".'
+        raise RobotError(f"{path}, {key}", _shown(table, key), expected, remedy)
+    return value
+
+
+def _joints(path: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
+    joints = table.get("joint")
+    if not isinstance(joints, list) or not all(isinstance(joint, dict) for joint in joints):
+        found = _shown(table, "joint")
+        raise RobotError(f"{path}, joint", found, "six tables", "Write [[joint]] six times.")
+    if len(joints) != 6:
+        expected = "a DH table has 6"
+        raise RobotError(f"{path}, joint", f"{len(joints)} joints", expected, "Give it as a URDF.")
+    return [_joint(path, f"joint {i}, ", joint) for i, joint in enumerate(joints, start=1)]
+
+
+def _joint(path: Path, where: str, table: dict[str, Any]) -> dict[str, Any]:
+    _only_known(path, where, table, JOINT)
+    joint: dict[str, Any] = {}
+    for key, default in NUMBERS.items():
+        joint[key] = value = table.get(key, default)
+        if not _is_number(value):
+            raise RobotError(f"{path}, {where}{key}", _shown(table, key), "a number is needed")
+    if abs(joint["sign"]) != 1:
+        raise RobotError(f"{path}, {where}sign", _shown(table, "sign"), "1 or -1 is needed")
+    joint["limits_deg"] = limits = table.get("limits_deg")
+    numbers = limits if isinstance(limits, list) and all(map(_is_number, limits)) else []
+    if len(numbers) != 2 or not numbers[0] < numbers[1]:
+        found, expected = _shown(table, "limits_deg"), "two numbers are needed, the lower one first"
+        remedy = "Write limits_deg = [-170.0, 170.0], for instance."
+        raise RobotError(f"{path}, {where}limits_deg", found, expected, remedy)
+    return joint
+
+
+def _belongs_to_its_family(path: Path, arm: DhArm) -> None:
+    if arm.family not in FAMILIES:
+        near = difflib.get_close_matches(arm.family, FAMILIES, n=1)
+        expected = f"known families are {', '.join(FAMILIES)}"
+        remedy = f'Did you mean "{near[0]}"?' if near else "An arm of another kind can be a URDF."
+        raise RobotError(f"{path}, family", f'"{arm.family}"', expected, remedy)
+    misfit = FAMILIES[arm.family].misfit(arm)
+    if misfit:
+        joint, key, found, expected = misfit
+        remedy = "Mend the number, or give the arm as a URDF."
+        because = f"{expected} in the family {arm.family}"
+        raise RobotError(f"{path}, joint {joint}, {key}", f"{found:g}", because, remedy)
+
+
+def _is_number(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return math.isfinite(value)
+
+
+def _shown(table: dict[str, Any], key: str) -> str:
+    return f"{table[key]!r}" if key in table else "missing"

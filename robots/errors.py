@@ -1,0 +1,21 @@
+"""What can be wrong with a robot's description, worded once."""
+
+from pathlib import Path
+
+
+class RobotError(Exception):
+    """A robot cannot be used as described; said in one line.
+
+    Args:
+        place: the file, with the line or key at fault, or the name asked for.
+        found: what stands there.
+        expected: what would be right.
+        remedy: what the user can do about it.
+    """
+
+    def __init__(self, place: str | Path, found: str, expected: str = "", remedy: str = "") -> None:
+        self.place, self.found, self.expected, self.remedy = str(place), found, expected, remedy
+        clause = f"{found}; {expected}" if expected else found
+        sentence = f"{place}: {clause}. {remedy}".strip()
+        # names come from files: no newline or escape sequence may break the one line
+        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in sentence))

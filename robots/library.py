@@ -1,0 +1,78 @@
+"""Which arms are known, and how a name or a path becomes one."""
+
+import difflib
+from importlib import metadata
+from pathlib import Path
+
+from robots import definition, urdf
+from robots.arm import Arm
+from robots.errors import RobotError
+
+HERE = Path(__file__).parent
+EXAMPLES = {  # the fixed arms among example-robot-data's robots
+    "kinova": "kinova_description/robots/kinova.urdf",
+    "panda": "panda_description/urdf/panda.urdf",
+    "talos_left_arm": "talos_data/robots/talos_left_arm.urdf",
+    "ur3": "ur_description/urdf/ur3_robot.urdf",
+    "ur5": "ur_description/urdf/ur5_robot.urdf",
+    "ur10": "ur_description/urdf/ur10_robot.urdf",
+    "xarm7": "xarm_description/urdf/xarm7.urdf",
+    "z1": "z1_description/urdf/z1.urdf",
+}
+
+
+def names() -> list[str]:
+    """List the arms that come with a robot file of ours, all with a closed form."""
+    return sorted(path.stem for path in HERE.glob("*.toml"))
+
+
+def example_names() -> list[str]:
+    """List the arms that example-robot-data brings as URDF."""
+    return sorted(EXAMPLES)
+
+
+def load(
+    name_or_path: str,
+    *,
+    base: str | None = None,
+    tip: str | None = None,
+    folder: Path | None = None,
+) -> Arm:
+    """Load an arm.
+
+    Args:
+        name_or_path: a name from `names()` or `example_names()`, or the path of a robot file
+            (.toml) or a URDF (.urdf).
+        base: link to count from, for a URDF; by default its first.
+        tip: link that is the flange, for a URDF; by default the last of its chain.
+        folder: what a path is relative to; the current folder by default.
+
+    Raises:
+        RobotError: no such arm, or its file cannot be used.
+    """
+    path = Path(folder or "", name_or_path)
+    if path.suffix == ".urdf":
+        return urdf.read(path, base, tip, path.stem, f"URDF {path.name}")
+    if name_or_path in EXAMPLES:
+        relative = EXAMPLES[name_or_path]
+        source = f"example-robot-data {metadata.version('example-robot-data')}, {relative}"
+        return urdf.read(example(relative), base, tip, name_or_path, source)
+    if base or tip:
+        remedy = "Leave out [robot_frames], or base and tip."
+        raise RobotError(name_or_path, "base and tip named", "only a URDF has links", remedy)
+    if path.suffix == ".toml":
+        return definition.read(path)
+    if name_or_path in names():
+        return definition.read(HERE / f"{name_or_path}.toml")
+    known = [*names(), *example_names()]
+    near = difflib.get_close_matches(name_or_path, known, n=1)
+    found = "is not known" + (f'; did you mean "{near[0]}"?' if near else "")
+    remedy = "Or give the path of a robot file (.toml) or a URDF (.urdf)."
+    raise RobotError(f'robot "{name_or_path}"', found, f"known are {', '.join(known)}", remedy)
+
+
+def example(relative: str) -> Path:
+    """Locate a file of example-robot-data, which since version 6 is a package without a module."""
+    share = "cmeel.prefix/share/example-robot-data/robots"
+    located = metadata.distribution("example-robot-data").locate_file(f"{share}/{relative}")
+    return Path(str(located))

@@ -1,0 +1,106 @@
+"""The joint angles that reach a pose and lie nearest to given ones."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.arm import Arm, DhArm, UrdfArm
+from robots.inverse import inverse
+from robots.kinematics import forward, jacobian
+from robots.limits import near, near_within
+from robots.transforms import Array, difference
+
+REACHED = 1e-10  # m and rad: an iteration stops here, far below what any camera sees
+STEPS = 200  # a start within the basin needs under ten; the rest is for slow self-motion
+DAMPING = 0.5  # of the error squared: quadratic convergence, and no leap through a singularity
+STILL = 1e-9  # rad: self-motion towards the start has ended
+HOMEWARD = 1e-2  # m and rad: so near the pose, self-motion may turn towards the start
+SINGULAR = 1e-9  # m and rad a rad: a motion that shifts the flange by less is self-motion
+
+
+def nearest(
+    arm: Arm, base_T_flange: Array, q_near: Array, *, limits: bool = False
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Find the joint angles for a pose that lie nearest to q_near (2-norm, each joint unwrapped).
+
+    A DH arm's are the nearest of all branches. A URDF's are found by damped least squares that
+    start at q_near and, where joints are redundant, settle in the nearest point of the self-motion;
+    another branch that is nearer can be missed.
+
+    Args:
+        arm: any arm.
+        base_T_flange: (..., 4, 4), m.
+        q_near: (n,) or (..., n), rad; also what a joint that a singularity frees keeps.
+        limits: only consider angles within the arm's limits.
+
+    Returns:
+        q (..., n), NaN where not reached, and whether the pose was reached (...).
+    """
+    poses = np.asarray(base_T_flange, dtype=float)
+    seeds = np.broadcast_to(np.asarray(q_near, dtype=float), (*poses.shape[:-2], arm.dof))
+    if isinstance(arm, DhArm):
+        return _nearest_branch(arm, poses, seeds, limits)
+    assert isinstance(arm, UrdfArm)
+    flat = zip(poses.reshape(-1, 4, 4), seeds.reshape(-1, arm.dof), strict=True)
+    q = np.array([_descend(arm, pose, seed, limits) for pose, seed in flat], dtype=float)
+    q = q.reshape(seeds.shape)
+    return q, np.isfinite(q).all(axis=-1)
+
+
+def _nearest_branch(
+    arm: DhArm, poses: Array, seeds: Array, limits: bool
+) -> tuple[Array, NDArray[np.bool_]]:
+    branches = inverse(arm, poses, hold=seeds).q
+    rivals = seeds[..., None, :]
+    q = near_within(arm, branches, rivals) if limits else near(branches, rivals)
+    distance = np.linalg.norm(q - rivals, axis=-1)
+    distance = np.where(np.isnan(distance), np.inf, distance)
+    best = np.argmin(distance, axis=-1)[..., None]
+    chosen = np.take_along_axis(q, best[..., None], axis=-2)[..., 0, :]
+    return chosen, np.isfinite(np.take_along_axis(distance, best, axis=-1)[..., 0])
+
+
+def _descend(arm: UrdfArm, pose: Array, seed: Array, limits: bool) -> Array:
+    """Solve for one pose by damped least squares; NaN if it is not reached."""
+    q = np.clip(seed, arm.lower, arm.upper) if limits else seed.copy()
+    best = np.full(arm.dof, np.nan)
+    pull, before = 1.0, np.inf
+    for _ in range(STEPS):
+        error = difference(pose, forward(arm, q))
+        size = float(np.linalg.norm(error))
+        step, drift = _step(arm, q, error, seed - q, limits)
+        # going home waits until the pose is near, and slows where it spoils the pose: next to a
+        # singularity the two would circle for ever
+        pull = pull / 2 if size > before else pull
+        before = size
+        drift = drift * pull * (size < HOMEWARD)
+        if np.abs(error).max() < REACHED:
+            best = q
+            if np.linalg.norm(drift) < STILL:
+                break
+        q = q + step + drift
+        if limits:
+            q = np.clip(q, arm.lower, arm.upper)
+    return best
+
+
+def _step(arm: UrdfArm, q: Array, error: Array, home: Array, limits: bool) -> tuple[Array, Array]:
+    """One step that reduces the error, and the share of the way home that leaves the flange still.
+
+    With limits, a joint that stands at one and would pass it is held, and the others step anew.
+    """
+    moves = jacobian(arm, q)
+    free = np.ones(arm.dof, dtype=bool)
+    while True:
+        u, s, vt = np.linalg.svd(moves * free)
+        damping = DAMPING * float(error @ error)
+        gain = np.divide(s, s * s + damping, out=np.zeros_like(s), where=s > SINGULAR)
+        step = free * (vt[: len(s)].T @ (gain * (u.T[: len(s)] @ error)))
+        still = vt[np.count_nonzero(s > SINGULAR) :]
+        drift = free * (still.T @ (still @ (home * free)))
+        after = q + step + drift
+        blocked = free & (
+            (after < arm.lower) & (q <= arm.lower) | (after > arm.upper) & (q >= arm.upper)
+        )
+        if not limits or not blocked.any():
+            return step, drift
+        free &= ~blocked

@@ -1,0 +1,119 @@
+"""A family: axes 4, 5 and 6 meet in one point; axes 2 and 3 are parallel, the shoulder not offset.
+
+The twists of joints 3, 4 and 5 are (90, -90, 90)° or (-90, 90, -90)°: the elbow offset a3 lies on
+one or the other side of the forearm. With g = +1 or -1 for the two, and the forearm's line from
+elbow to wrist centre L = hypot(a3, d4) at the angle γ = g · atan2(d4, a3) from the x axis of frame
+3, both are solved by the same equations. Source: derived from the DH table; the OPW form of
+Brandstötter, Angerer and Hofbaur (2014) covers the same arms.
+"""
+
+import numpy as np
+
+from robots.arm import DhArm
+from robots.closed_form import (
+    ELBOW,
+    NO_TURN,
+    SHOULDER,
+    WRIST,
+    Flags,
+    Mask,
+    Misfit,
+    bend_to,
+    differs,
+    turn_to,
+)
+from robots.transforms import Array
+
+SIDES = {1: (-90.0, 0.0, 90.0, -90.0, 90.0, 0.0), -1: (-90.0, 0.0, -90.0, 90.0, -90.0, 0.0)}
+
+
+def misfit(arm: DhArm) -> Misfit | None:
+    """Name the first entry of the table that does not belong to this family, if any."""
+    lengths: dict[str, tuple[float | None, ...]] = {
+        "a_mm": (None, None, None, 0.0, 0.0, 0.0),
+        "d_mm": (None, 0.0, 0.0, None, 0.0, None),
+    }
+    if arm.a[1] <= 0:
+        return 2, "a_mm", float(arm.a[1] * 1000), "an upper arm longer than 0 is needed"
+    if np.hypot(arm.a[2], arm.d[3]) == 0:
+        return 4, "d_mm", 0.0, "a forearm longer than 0 is needed"
+    return differs(arm, {**lengths, "alpha_deg": SIDES[side(arm)]})
+
+
+def side(arm: DhArm) -> int:
+    """On which side of the forearm the elbow offset lies: +1 or -1, by the sign of α3."""
+    return 1 if arm.alpha[2] > 0 else -1
+
+
+def forearm(arm: DhArm) -> tuple[float, float]:
+    """Length of the line from elbow to wrist centre, m, and its angle γ in frame 3, rad."""
+    length = float(np.hypot(arm.a[2], arm.d[3]))
+    return length, side(arm) * float(np.arctan2(arm.d[3], arm.a[2]))
+
+
+def reach(arm: DhArm) -> tuple[float, float]:
+    """Least and greatest distance of the wrist centre from axis 2, m."""
+    length, _ = forearm(arm)
+    return abs(float(arm.a[1]) - length), float(arm.a[1]) + length
+
+
+def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
+    """Solve poses given as rows; see `closed_form.Family`."""
+    g = side(arm)
+    length, gamma = forearm(arm)
+    a1, d1, d6 = float(arm.a[0]), float(arm.d[0]), float(arm.d[5])
+    nx, ox, ax, px, ny, oy, ay, py, nz, oz, az, pz = pose[:12]
+
+    wrist_x, wrist_y = px - d6 * ax, py - d6 * ay
+    turned = turn_to(wrist_x, wrist_y, hold[0])
+    along = wrist_x * turned.cosine + wrist_y * turned.sine - a1
+    bent = bend_to(along, d1 - (pz - d6 * az), float(arm.a[1]), length)
+
+    m = pose.shape[1]
+    theta = np.empty((6, 2, 2, 2, m))  # joint, shoulder, elbow, wrist, pose
+    theta[0] = turned.theta[:, None, None]
+    theta[1, :, 0] = (bent.azimuth - bent.inner)[:, None]
+    theta[1, :, 1] = (bent.azimuth + bent.inner)[:, None]
+    theta[2, :, 0] = (bent.bend + gamma)[:, None]
+    theta[2, :, 1] = (gamma - bent.bend)[:, None]
+
+    # Q = R03ᵀ R; the flange's axes along the arm's plane and across it, (2, m), are enough
+    pitch = theta[1, :, :, 0] + theta[2, :, :, 0]  # θ2 + θ3, (2, 2, m)
+    c23, s23 = np.cos(pitch), np.sin(pitch)
+    cosine, sine = turned.cosine, turned.sine
+    n_along, o_along, a_along = (cosine * x + sine * y for x, y in ((nx, ny), (ox, oy), (ax, ay)))
+    q21, q22, q23 = (g * (cosine * y - sine * x) for x, y in ((nx, ny), (ox, oy), (ax, ay)))
+    q11 = c23 * n_along[:, None] - s23 * nz
+    q12 = c23 * o_along[:, None] - s23 * oz
+    q13 = c23 * a_along[:, None] - s23 * az
+    q33 = g * (s23 * a_along[:, None] + c23 * az)
+
+    # Q = RotZ(θ4) RotY(g θ5) RotZ(θ6). θ4 from the third column; then RotZ(-θ4) Q gives the others
+    y4, x4 = g * q23[:, None], g * q13
+    s5 = np.sqrt(x4 * x4 + y4 * y4)
+    theta[3, ..., 0, :] = np.arctan2(y4, x4)
+    theta[4, ..., 0, :] = np.arctan2(s5, q33)
+    theta[5, ..., 0, :] = np.arctan2(x4 * q21[:, None] - y4 * q11, x4 * q22[:, None] - y4 * q12)
+    theta[3, ..., 1, :] = theta[3, ..., 0, :] + np.pi
+    theta[4, ..., 1, :] = -theta[4, ..., 0, :]
+    theta[5, ..., 1, :] = theta[5, ..., 0, :] + np.pi
+
+    flags = np.where(bent.merged, ELBOW, 0)[:, None, None] | np.where(turned.free, SHOULDER, 0)
+    straight = s5 < NO_TURN
+    if straight.any():  # only θ4 ± θ6 is determined: hold θ4
+        theta4 = np.broadcast_to(hold[3], straight.shape)[straight]
+        c4, s4 = np.cos(theta4), np.sin(theta4)
+        flat = [np.broadcast_to(q, straight.shape)[straight] for q in (q11, q12, q13, q33)]
+        side_rows = [np.broadcast_to(q[:, None], straight.shape)[straight] for q in (q21, q22, q23)]
+        (q11_, q12_, q13_, q33_), (q21_, q22_, q23_) = flat, side_rows
+        held = np.stack(
+            [
+                theta4,
+                g * np.arctan2(c4 * q13_ + s4 * q23_, q33_),
+                np.arctan2(c4 * q21_ - s4 * q11_, c4 * q22_ - s4 * q12_),
+            ]
+        )
+        for wrist in (0, 1):
+            theta[3:, :, :, wrist][:, straight] = held
+        flags = flags | np.where(straight, WRIST, 0)[:, :, None]
+    return theta, bent.exists[:, None, None], flags.astype(np.uint8)

@@ -1,0 +1,47 @@
+"""Rigid motions as (..., 4, 4) matrices; `a_T_b` carries coordinates in b to coordinates in a."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+
+def invert(a_T_b: Array) -> Array:
+    """Turn a_T_b around: b_T_a, (..., 4, 4), by the transpose of its rotation."""
+    b_R_a = np.swapaxes(a_T_b[..., :3, :3], -1, -2)
+    b_T_a = np.zeros_like(a_T_b)
+    b_T_a[..., :3, :3] = b_R_a
+    b_T_a[..., :3, 3] = -np.squeeze(b_R_a @ a_T_b[..., :3, 3, None], -1)
+    b_T_a[..., 3, 3] = 1
+    return b_T_a
+
+
+def carry(a_T_b: Array, points_b: Array) -> Array:
+    """Express points given in b in frame a.
+
+    Args:
+        a_T_b: (..., 4, 4).
+        points_b: (..., 3); leading shapes broadcast: one motion and (k, 3) points give (k, 3),
+            (n, 1, 4, 4) motions and (k, 3) points give (n, k, 3).
+    """
+    points_a: Array = np.squeeze(a_T_b[..., :3, :3] @ points_b[..., None], -1) + a_T_b[..., :3, 3]
+    return points_a
+
+
+def rotation_log(rotation: Array) -> Array:
+    """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3); lengths in [0, pi]."""
+    vectors = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
+    return np.asarray(vectors, dtype=float).reshape(*rotation.shape[:-2], 3)
+
+
+def rotation_exp(vector: Array) -> Array:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
+    matrices = Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix()
+    return np.asarray(matrices, dtype=float).reshape(*vector.shape, 3)
+
+
+def difference(a_T_b: Array, a_T_c: Array) -> Array:
+    """What carries c onto b, seen in a: (..., 6), translation (m), then rotation vector (rad)."""
+    turn = a_T_b[..., :3, :3] @ np.swapaxes(a_T_c[..., :3, :3], -1, -2)
+    return np.concatenate([a_T_b[..., :3, 3] - a_T_c[..., :3, 3], rotation_log(turn)], axis=-1)

@@ -1,0 +1,178 @@
+"""A URDF's chain of revolute joints as an arm."""
+
+import hashlib
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+
+from robots.arm import UrdfArm
+from robots.errors import RobotError
+
+TURNING = {"revolute", "continuous"}
+GRIPPER = re.compile(r"grip|finger|jaw|knuckle|thumb", re.IGNORECASE)  # not a joint of the arm
+CONTINUOUS_LIMIT = (
+    2 * np.pi
+)  # rad: a joint without limits gets two turns, so that ranges are finite
+
+
+@dataclass(frozen=True)
+class Joint:
+    """What the file says of a joint; pinocchio forgets the mimicry."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    mimics: bool
+
+
+def read(path: Path, base: str | None, tip: str | None, name: str, source: str) -> UrdfArm:
+    """Load the chain from `base` to `tip`; every other joint of the file is locked at 0.
+
+    By default the base is the first link (the one without a parent), and the tip the last link of
+    the chain that starts there. The chain ends before a prismatic joint, a joint that mimics
+    another, anything named as a gripper's, or a split into several; among the links fixed at its
+    end the last is tool0, or else the one behind the most fixed joints.
+
+    Raises:
+        RobotError: the file cannot be read, a link is unknown, the chain is not single, or it holds
+            a joint that is not an angle of its own.
+    """
+    content, joints, links = _parse(path)
+    base = base or _first_link(path, joints, links)
+    for link in (base, tip or base):
+        if link not in links:
+            expected = f"its links are {', '.join(sorted(links))}"
+            raise RobotError(path, f'no link "{link}"', expected, "Name one of them.")
+    tip = tip or _last_link(joints, base)
+    chain = _chain(path, joints, base, tip)
+    model = _reduced(path, chain)
+    arm = UrdfArm(
+        name=name,
+        description=f"{len(chain)} revolute joints, {base} to {tip}",
+        source=source,
+        fingerprint=hashlib.sha256(content).hexdigest(),
+        lower=np.zeros(len(chain)),
+        upper=np.zeros(len(chain)),
+        model=model,
+        data=model.createData(),
+        base=base,
+        tip=tip,
+        base_frame=model.getFrameId(base, pinocchio.FrameType.BODY),
+        tip_frame=model.getFrameId(tip, pinocchio.FrameType.BODY),
+        joint_names=tuple(joint.name for joint in chain),
+    )
+    for i, (place, _, unbounded) in enumerate(arm.joints):
+        low, high = model.lowerPositionLimit[place], model.upperPositionLimit[place]
+        arm.lower[i] = -CONTINUOUS_LIMIT if unbounded else low
+        arm.upper[i] = CONTINUOUS_LIMIT if unbounded else high
+    return arm
+
+
+def _parse(path: Path) -> tuple[bytes, list[Joint], set[str]]:
+    try:
+        content = path.read_bytes()
+        root = ElementTree.fromstring(content)
+    except OSError as error:
+        raise RobotError(path, error.strerror or "cannot be read", "", "Check the path.") from error
+    except ElementTree.ParseError as error:
+        remedy = "Expand a xacro file first." if path.suffix == ".xacro" else "Mend that line."
+        raise RobotError(path, f"not valid XML: {error}", "", remedy) from error
+    if root.tag != "robot":
+        raise RobotError(
+            path, f"<{root.tag}>", "a URDF holds <robot>", "Give the robot's own file."
+        )
+    joints = []
+    for node in root.findall("joint"):
+        ends = [
+            end.get("link", "")
+            for end in (node.find("parent"), node.find("child"))
+            if end is not None
+        ]
+        if len(ends) != 2:
+            place = f'{path}, joint "{node.get("name")}"'
+            raise RobotError(place, "parent or child missing", "a joint has both", "Add it.")
+        mimics = node.find("mimic") is not None
+        joints.append(Joint(node.get("name", ""), node.get("type", ""), ends[0], ends[1], mimics))
+    return content, joints, {link.get("name", "") for link in root.findall("link")}
+
+
+def _first_link(path: Path, joints: list[Joint], links: set[str]) -> str:
+    roots = sorted(links - {joint.child for joint in joints})
+    if len(roots) != 1:
+        found = f"{len(roots)} links without a parent: {', '.join(roots)}"
+        raise RobotError(path, found, "one is needed", "Name base and tip.")
+    return roots[0]
+
+
+def _last_link(joints: list[Joint], base: str) -> str:
+    """Follow the only turning joint from link to link, and end at the last fixed link after it."""
+    link = base
+    while True:
+        rigid = _rigidly_on(joints, link)
+        moving = [joint for joint in joints if joint.parent in rigid and joint.kind != "fixed"]
+        if len(moving) == 1 and _is_the_arms(moving[0]):
+            link = moving[0].child
+            continue
+        if "tool0" in rigid:  # the flange, by ROS-Industrial's convention
+            return "tool0"
+        return max((n for n in rigid if n == link or not GRIPPER.search(n)), key=lambda n: rigid[n])
+
+
+def _is_the_arms(joint: Joint) -> bool:
+    return joint.kind in TURNING and not joint.mimics and not GRIPPER.search(joint.name)
+
+
+def _rigidly_on(joints: list[Joint], link: str) -> dict[str, int]:
+    """Links fixed to a link, itself included, with the number of fixed joints between."""
+    found = {link: 0}
+    grown = True
+    while grown:
+        fixed = [j for j in joints if j.kind == "fixed" and j.parent in found]
+        new = {j.child: found[j.parent] + 1 for j in fixed if j.child not in found}
+        found.update(new)
+        grown = bool(new)
+    return found
+
+
+def _chain(path: Path, joints: list[Joint], base: str, tip: str) -> list[Joint]:
+    above = {joint.child: joint for joint in joints}
+    chain: list[Joint] = []
+    link = tip
+    while link != base:
+        if link not in above:
+            remedy = "Name base and tip so that the tip hangs on the base."
+            raise RobotError(path, f'no chain from "{base}" to "{tip}"', "", remedy)
+        joint = above[link]
+        link = joint.parent
+        if joint.kind == "fixed":
+            continue
+        place = f'{path}, joint "{joint.name}"'
+        if joint.kind not in TURNING:
+            remedy = "Name base and tip so that the chain leaves it out."
+            raise RobotError(place, f"a {joint.kind} joint", "every joint must be an angle", remedy)
+        if joint.mimics:
+            remedy = "Name a tip before it."
+            raise RobotError(place, "mimics another joint", "every joint must be its own", remedy)
+        chain.insert(0, joint)
+    if not chain:
+        leaves = sorted({j.child for j in joints} - {j.parent for j in joints})
+        found = f'no single chain of revolute joints from "{base}"'
+        expected = f"its last links are {', '.join(leaves)}"
+        raise RobotError(path, found, expected, "Name base and tip.")
+    return chain
+
+
+def _reduced(path: Path, chain: list[Joint]) -> pinocchio.Model:
+    """Load the file, and lock all but the chain's joints at 0."""
+    try:
+        model = pinocchio.buildModelFromUrdf(str(path))
+        kept = {joint.name for joint in chain}
+        locked = [i for i in range(1, model.njoints) if model.names[i] not in kept]
+        return pinocchio.buildReducedModel(model, locked, pinocchio.neutral(model))
+    except (ValueError, RuntimeError) as error:
+        raise RobotError(path, f"pinocchio refuses it: {error}", "", "Mend the URDF.") from error

@@ -1,0 +1,175 @@
+"""Judgement on tracks with known truth: the numbers a metrologist would check by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.verify.motions import ARM, make_track, read, swinging
+from tests.verify.scene import make_marker, make_rig
+from verify.clock import ClockEstimate
+from verify.comparison import Comparison, compare
+from verify.judgement.diagnosis import diagnose
+from verify.judgement.model import Model, build
+from verify.judgement.resolved import resolve
+from verify.judgement.verdict import judge_joint
+from verify.judgement.visibility import visibility
+from verify.records import Array
+from verify.regression import solve
+from verify.systematics import stated
+from verify.track import Track
+
+PAIRS = np.arange(1.0, 7.0, 1 / 15)
+LOG = np.arange(0.0, 8.0, 0.02)
+GIVEN = ClockEstimate(0.0, None, "given", np.zeros((0, 2)))
+ESTIMATED = replace(GIVEN, source="estimated", standard_uncertainty=1e-4)
+
+
+def compared(seed: int, error: Array | float = 0.0) -> tuple[Track, Comparison]:
+    rng = np.random.default_rng(seed)
+    track = make_track(PAIRS, swinging(PAIRS), rng)
+    return track, compare(track, ARM, read(swinging, LOG, 0.0, rng, error), 0.0)
+
+
+def model_of(
+    track: Track, comparison: Comparison, base: str, body: str | None, clock: ClockEstimate = GIVEN
+) -> Model:
+    rig = replace(make_rig(), base_source=base)
+    marker = replace(make_marker(), source=body)
+    return build(comparison, track, rig, marker, clock, stated(rig, marker, turning=False))
+
+
+def test_with_base_and_leds_from_the_encoders_joints_1_and_6_are_invisible() -> None:
+    seen = visibility(model_of(*compared(1), "motion", "motion"))
+    assert seen.fraction[0] == seen.fraction[5] == 0
+    assert np.isnan(seen.detectable[[0, 5]]).all()
+    assert np.all(seen.fraction[1:5] > 0)
+    assert np.all(seen.fraction[1:5] < 0.3)  # metrology.md section 1.3: local work hides most
+    assert_allclose(seen.fraction_since, 1)
+
+
+def test_with_everything_given_every_offset_is_visible_and_an_estimated_clock_costs_a_little() -> (
+    None
+):
+    track, comparison = compared(1)
+    assert_allclose(visibility(model_of(track, comparison, "fixture", "jig")).fraction, 1)
+    seen = visibility(model_of(track, comparison, "fixture", "jig", ESTIMATED))
+    assert np.all((seen.fraction > 0.9) & (seen.fraction < 1))
+
+
+@pytest.mark.parametrize(("base", "body"), [("motion", "motion"), ("fixture", "motion")])
+def test_the_visible_share_is_what_is_left_of_an_offset_after_registering_by_brute_force(
+    base: str, body: str
+) -> None:
+    """Inject 0.01°, fit base and LED body by a general optimiser, compare what remains."""
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
+    track, comparison = compared(2)
+    model = model_of(track, comparison, base, body)
+    flange = comparison.base_T_encoder
+    whole = np.linalg.cholesky(np.linalg.inv(comparison.covariance_measured[0])).T
+
+    def residual(parameters: Array, moved: Array) -> Array:
+        shift, tool = parameters[:6] * (base == "motion"), parameters[6:]
+        turn_base = Rotation.from_rotvec(shift[3:]).as_matrix()
+        turn_tool = Rotation.from_rotvec(tool[3:]).as_matrix()
+        rotation = turn_base @ moved[:, :3, :3] @ turn_tool
+        place = (moved[:, :3, 3] + moved[:, :3, :3] @ tool[:3]) @ turn_base.T + shift[:3]
+        turn = Rotation.from_matrix(rotation @ np.swapaxes(flange[:, :3, :3], 1, 2)).as_rotvec()
+        return (np.concatenate([place - flange[:, :3, 3], turn], axis=1) @ whole.T).ravel()
+
+    import robots
+
+    for joint in (1, 3, 4):
+        offset = np.deg2rad(0.01) * np.eye(6)[joint]
+        moved = robots.forward(ARM, comparison.q + offset)
+        before = np.linalg.norm(residual(np.zeros(12), moved))
+        fit = least_squares(residual, np.zeros(12), args=(moved,), xtol=1e-14, ftol=1e-14)
+        share = np.linalg.norm(fit.fun) / before
+        assert_allclose(visibility(model).fraction[joint], share, rtol=0.02)
+
+
+def test_an_offset_is_named_with_its_value_and_nothing_else_is_accused() -> None:
+    for seed in range(8):
+        error = np.deg2rad(0.1) * np.eye(6)[seed % 6]
+        causes = diagnose(model_of(*compared(seed, error), "fixture", "jig"), 1.0)
+        assert [c.joint for c in causes] == [seed % 6 + 1]
+        assert abs(causes[0].value - np.deg2rad(0.1)) < 4 * causes[0].standard_uncertainty
+
+
+def test_two_offsets_at_once_are_both_named() -> None:
+    error = np.deg2rad([0, 0.2, -0.15, 0, 0, 0])
+    causes = diagnose(model_of(*compared(5, error), "fixture", "jig"), 1.0)
+    assert [(c.kind, c.joint) for c in causes] == [("offset", 2), ("offset", 3)]
+
+
+def test_a_healthy_arm_is_seldom_accused() -> None:
+    accused = sum(bool(diagnose(model_of(*compared(s), "fixture", "jig"), 1.0)) for s in range(60))
+    assert accused <= 2  # a family-wise 0.1 % gives 0.06 of them
+
+
+def test_an_offset_that_is_noticed_but_not_told_from_its_neighbour_is_ambiguous() -> None:
+    track, comparison = compared(6)
+    seen = visibility(model_of(track, comparison, "motion", "motion"))
+    assert seen.separable[2] > 2 * seen.detectable[2]
+    size = 6 / 4.13 * seen.detectable[2]  # six standard uncertainties: noticed every time
+    error = size * np.eye(6)[2]
+    causes = diagnose(model_of(*compared(6, error), "motion", "motion"), 1.0)
+    assert [c.kind for c in causes] == ["ambiguous"]
+    assert causes[0].joint is None
+    assert 3 in {c.joint for c in causes[0].candidates}
+
+
+def test_a_healthy_joint_conforms_and_an_offset_beyond_the_tolerance_does_not() -> None:
+    tolerance = np.deg2rad(0.2)
+    track, comparison = compared(7, np.deg2rad([0, 0, 0.3, 0, 0, 0]))
+    model = model_of(track, comparison, "fixture", "jig")
+    resolved, seen = resolve(model, 1.0), visibility(model)
+    verdicts = [judge_joint(resolved, j, tolerance, float(seen.detectable[j])) for j in range(6)]
+    assert [v.verdict for v in verdicts] == ["conform"] * 2 + ["nonconform"] + ["conform"] * 3
+    tight = judge_joint(resolved, 0, float(seen.detectable[0]) / 2, float(seen.detectable[0]))
+    assert (tight.verdict, tight.reason) == ("undecided", "not_detectable")
+
+
+def test_an_error_that_grows_with_the_angle_is_judged_at_its_end_not_by_its_mean() -> None:
+    """A gain of 1 % about the middle has mean zero and 0.25° at the ends of a 50° swing."""
+    rng = np.random.default_rng(9)
+    track = make_track(PAIRS, swinging(PAIRS), rng)
+    readings = read(swinging, LOG, 0.0, rng)
+    middle = np.deg2rad(30.0)
+    crooked = readings.q.copy()
+    crooked[:, 5] += 0.01 * (crooked[:, 5] - middle)
+    comparison = compare(track, ARM, type(readings)(readings.t, crooked), 0.0)
+    model = model_of(track, comparison, "fixture", "jig")
+    verdict = judge_joint(resolve(model, 1.0), 5, np.deg2rad(0.15), 0.0)
+    assert verdict.verdict == "nonconform"
+    assert abs(abs(np.rad2deg(verdict.worst)) - 0.25) < 0.02
+
+
+def test_an_error_that_no_term_describes_is_a_lack_of_fit() -> None:
+    rng = np.random.default_rng(10)
+    track = make_track(PAIRS, swinging(PAIRS), rng)
+    readings = read(swinging, LOG, 0.0, rng)
+    crooked = readings.q.copy()
+    crooked[:, 1] += np.deg2rad(0.1) * np.sin(40 * crooked[:, 1])
+    comparison = compare(track, ARM, type(readings)(readings.t, crooked), 0.0)
+    resolved = resolve(model_of(track, comparison, "fixture", "jig"), 1.0)
+    assert resolved.lack_of_fit
+    assert judge_joint(resolved, 0, np.deg2rad(1.0), 0.0).reason == "lack_of_fit"
+
+
+def test_a_prior_column_is_generalised_least_squares() -> None:
+    """Fitting columns of unit variance is the same as counting their covariance in full."""
+    rng = np.random.default_rng(12)
+    rows, prior, target = rng.normal(size=(40, 3)), rng.normal(size=(40, 2)), rng.normal(size=40)
+    covariance = np.eye(40) + prior @ prior.T
+    weight = np.linalg.inv(covariance)
+    expected = np.linalg.inv(rows.T @ weight @ rows)
+    value = expected @ rows.T @ weight @ target
+    fit = solve(rows, target, prior)
+    assert_allclose(fit.value, value, atol=1e-10)
+    assert_allclose(fit.covariance, expected, atol=1e-10)
+    rest = target - rows @ value
+    assert_allclose(fit.chi2, rest @ weight @ rest, rtol=1e-10)
