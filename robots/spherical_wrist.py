@@ -100,20 +100,20 @@ def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
 
     flags = np.where(bent.merged, ELBOW, 0)[:, None, None] | np.where(turned.free, SHOULDER, 0)
     straight = s5 < NO_TURN
-    if straight.any():  # only θ4 ± θ6 is determined: hold θ4
-        theta4 = np.broadcast_to(hold[3], straight.shape)[straight]
-        c4, s4 = np.cos(theta4), np.sin(theta4)
-        flat = [np.broadcast_to(q, straight.shape)[straight] for q in (q11, q12, q13, q33)]
-        side_rows = [np.broadcast_to(q[:, None], straight.shape)[straight] for q in (q21, q22, q23)]
-        (q11_, q12_, q13_, q33_), (q21_, q22_, q23_) = flat, side_rows
-        held = np.stack(
-            [
-                theta4,
-                g * np.arctan2(c4 * q13_ + s4 * q23_, q33_),
-                np.arctan2(c4 * q21_ - s4 * q11_, c4 * q22_ - s4 * q12_),
-            ]
-        )
-        for wrist in (0, 1):
-            theta[3:, :, :, wrist][:, straight] = held
+    if straight.any():
+        entries = (q11, q12, q13, q21[:, None], q22[:, None], q23[:, None], q33)
+        _hold_theta4(theta, straight, hold[3], g, *entries)
         flags = flags | np.where(straight, WRIST, 0)[:, :, None]
     return theta, bent.exists[:, None, None], flags.astype(np.uint8)
+
+
+def _hold_theta4(theta: Array, straight: Mask, hold: Array, g: int, *entries: Array) -> None:
+    """Where the wrist is straight and only θ4 ± θ6 determined, hold θ4 and take θ6 from Q."""
+    theta4, q11, q12, q13, q21, q22, q23, q33 = (
+        np.broadcast_to(entry, straight.shape)[straight] for entry in (hold, *entries)
+    )
+    c4, s4 = np.cos(theta4), np.sin(theta4)
+    theta5 = g * np.arctan2(c4 * q13 + s4 * q23, q33)
+    theta6 = np.arctan2(c4 * q21 - s4 * q11, c4 * q22 - s4 * q12)
+    for wrist in (0, 1):
+        theta[3:, :, :, wrist][:, straight] = np.stack([theta4, theta5, theta6])

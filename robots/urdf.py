@@ -51,13 +51,14 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
     tip = tip or _last_link(joints, base)
     chain = _chain(path, joints, base, tip)
     model = _reduced(path, chain)
-    arm = UrdfArm(
+    limits = np.array([_limits(model, joint) for joint in chain])
+    return UrdfArm(
         name=name,
         description=f"{len(chain)} revolute joints, {base} to {tip}",
         source=source,
         fingerprint=hashlib.sha256(content).hexdigest(),
-        lower=np.zeros(len(chain)),
-        upper=np.zeros(len(chain)),
+        lower=limits[:, 0],
+        upper=limits[:, 1],
         model=model,
         data=model.createData(),
         base=base,
@@ -66,11 +67,13 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
         tip_frame=model.getFrameId(tip, pinocchio.FrameType.BODY),
         joint_names=tuple(joint.name for joint in chain),
     )
-    for i, (place, _, unbounded) in enumerate(arm.joints):
-        low, high = model.lowerPositionLimit[place], model.upperPositionLimit[place]
-        arm.lower[i] = -CONTINUOUS_LIMIT if unbounded else low
-        arm.upper[i] = CONTINUOUS_LIMIT if unbounded else high
-    return arm
+
+
+def _limits(model: pinocchio.Model, joint: Joint) -> tuple[float, float]:
+    if joint.kind == "continuous":
+        return -CONTINUOUS_LIMIT, CONTINUOUS_LIMIT
+    place = model.joints[model.getJointId(joint.name)].idx_q
+    return float(model.lowerPositionLimit[place]), float(model.upperPositionLimit[place])
 
 
 def _parse(path: Path) -> tuple[bytes, list[Joint], set[str]]:

@@ -1,5 +1,6 @@
 """Joint angles for hypothesis, that visit singularities on purpose."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -15,6 +16,15 @@ NEAR = (0.0, *(sign * 10.0**-k for k in range(3, 13) for sign in (1, -1)))
 def stretched(arm: robots.DhArm) -> float:
     """θ3 at which the elbow is stretched."""
     return spherical_wrist.forearm(arm)[1] if arm.family == "spherical_wrist" else 0.0
+
+
+def with_signs(arm: robots.DhArm) -> robots.DhArm:
+    """Give an arm joints that count backwards and from another zero; the shipped ones do not."""
+    return dataclasses.replace(
+        arm,
+        sign=np.array([1.0, -1, -1, 1, -1, 1]),
+        offset=np.array([0.1, -1.2, 0.7, 0.0, 2.0, -3.0]),
+    )
 
 
 @st.composite

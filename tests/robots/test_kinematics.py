@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from robots.transforms import Array, difference
+from tests.robots.strategies import with_signs
 
 ARMS = {name: robots.load(name) for name in robots.names()}
 EVERY_ARM = pytest.mark.parametrize("arm", ARMS.values(), ids=str)
@@ -50,15 +51,6 @@ def test_at_the_controllers_zero_upper_arm_and_forearm_stand_upright_the_elbow_o
     pose = robots.forward(arm, np.zeros(6))
     assert_allclose(pose[:3, 3] * 1000, [95 - 135, 0, 350 + 245 + 270 + 85], atol=1e-9)
     assert_allclose(pose[:3, 2], [0, 0, 1], atol=1e-15)
-
-
-def with_signs(arm: robots.DhArm) -> robots.DhArm:
-    fields = {k: v for k, v in vars(arm).items() if k not in ("links", "sign", "offset")}
-    return robots.DhArm(
-        **fields,
-        sign=np.array([1.0, -1, -1, 1, -1, 1]),
-        offset=np.array([0.1, -1.2, 0.7, 0.0, 2.0, -3.0]),
-    )
 
 
 @pytest.mark.parametrize(
