@@ -1,12 +1,16 @@
 import base64
+import io
 import re
 from typing import Any
 
+import matplotlib.colors
+import matplotlib.image
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+import typst
 
-from reports import charts, drawing, plotting
+from reports import charts, drawing, pdf, plotting
 from reports.charts import Band, Chart, Line, Path
 from reports.figures import FIGURES
 from tests.reports import made
@@ -125,6 +129,22 @@ def test_the_shares_of_variance_add_up_to_all() -> None:
     assert isinstance(chart, Chart)
     bars = [m for m in chart.panels[0].marks if isinstance(m, charts.Bars)]
     np.testing.assert_allclose(sum(m.heights for m in bars), 100.0)
+
+
+@pytest.mark.parametrize("figure", ["joint_errors", "pose", "path", "clock"])
+def test_every_line_that_is_drawn_can_be_seen_on_the_page(figure: str) -> None:
+    chart = FIGURES[figure](made.nonconforming())
+    assert chart is not None
+    files = {"main.typ": b'#image("chart.svg")', "chart.svg": drawing.svg(chart)}
+    page = typst.compile(files, format="png", ppi=200.0, **pdf.FONTS)
+    pixels = matplotlib.image.imread(io.BytesIO(page), format="png")[:, :, :3]
+    if isinstance(chart, Path):
+        roles = {role for _, role, _ in chart.lines}
+    else:
+        roles = {m.role for p in chart.panels for m in p.marks if isinstance(m, Line)}
+    for role in roles:
+        distance = np.abs(pixels - matplotlib.colors.to_rgb(charts.PALETTE[role][0])).max(axis=2)
+        assert (distance < 0.1).sum() > 300, role  # dots; the legend alone has fewer
 
 
 @pytest.mark.parametrize("figure", ["timeline", "budget"])

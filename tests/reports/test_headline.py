@@ -82,6 +82,12 @@ def test_without_a_tolerance_there_is_no_verdict_but_a_largest_error() -> None:
     assert "joint" in said.sentence
 
 
+def test_a_tolerance_that_could_not_be_applied_is_not_said_to_be_missing() -> None:
+    said = headline(_with(made.nonconforming(), verdict=None))
+    assert "nothing that could be judged" in said.sentence
+    assert "no tolerance" not in said.sentence
+
+
 @pytest.mark.parametrize("verdict", ["conform", "nonconform", "undecided", None, "novel"])
 @pytest.mark.parametrize("name", sorted(made.EVERY))
 def test_every_verdict_can_be_said_of_any_results(name: str, verdict: str | None) -> None:

@@ -1,0 +1,148 @@
+"""What a report is made of, whatever its format: sections of paragraphs, tables and figures."""
+
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any, ClassVar
+
+from reports.charts import Chart, Path
+from reports.errors import one_line
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One cell of a table; `tone` is a verdict's machine word where the cell shows one."""
+
+    text: str
+    tone: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The verdict, what to do about it in one sentence, and what that rests on."""
+
+    kind: ClassVar[str] = "verdict"
+    tone: str  # conform, nonconform, undecided, none
+    label: str
+    sentence: str
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    """Running text; `tone` is "" or "note"."""
+
+    kind: ClassVar[str] = "paragraph"
+    text: str
+    tone: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Bullets:
+    """A list of sentences; `tone` is "" or "warning"."""
+
+    kind: ClassVar[str] = "bullets"
+    items: tuple[str, ...]
+    tone: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Labels and what they stand for, side by side."""
+
+    kind: ClassVar[str] = "facts"
+    items: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A numbered table; `align` has one letter a column: l, r or c."""
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    align: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    notes: tuple[str, ...] = ()
+    wide: tuple[int, ...] = ()  # columns that hold sentences and take the room that is left
+    number: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A numbered figure: a chart, or an image that was recorded."""
+
+    kind: ClassVar[str] = "figure"
+    name: str
+    caption: str
+    alt: str  # what it shows, for those who cannot see it
+    drawing: Chart | Path | bytes | None = None  # bytes: a PNG
+    number: int = 0
+
+
+Block = Verdict | Paragraph | Bullets | Facts | Table | Figure
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A heading and what stands under it."""
+
+    name: str  # the anchor in a page
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A whole report, in order."""
+
+    title: str
+    subtitle: str
+    footer: str  # what identifies the evidence on every page
+    sections: tuple[Section, ...] = field(default=())
+
+
+def numbered(document: Document) -> Document:
+    """Number tables and figures through the document, so that both formats agree."""
+    counts = {"table": 0, "figure": 0}
+    sections = []
+    for section in document.sections:
+        blocks: list[Block] = []
+        for block in section.blocks:
+            if isinstance(block, Table | Figure):
+                counts[block.kind] += 1
+                blocks.append(replace(block, number=counts[block.kind]))
+            else:
+                blocks.append(block)
+        sections.append(replace(section, blocks=tuple(blocks)))
+    return replace(document, sections=tuple(sections))
+
+
+def figures(document: Document) -> dict[str, Chart | Path | bytes]:
+    """Collect what is drawn in a document, by name."""
+    return {
+        block.name: block.drawing
+        for section in document.sections
+        for block in section.blocks
+        if isinstance(block, Figure) and block.drawing is not None
+    }
+
+
+def as_data(value: Any) -> Any:
+    """Give a document to a template: plain dicts and lists, every text on one line.
+
+    Drawings are left out; blocks say their kind.
+    """
+    if isinstance(value, str):
+        return one_line(value)
+    if isinstance(value, list | tuple):
+        return [as_data(item) for item in value]
+    if is_dataclass(value):
+        data = {
+            f.name: as_data(getattr(value, f.name)) for f in fields(value) if f.name != "drawing"
+        }
+        return data | {"kind": kind} if (kind := getattr(value, "kind", None)) else data
+    return value
+
+
+def row(*cells: str | Cell) -> tuple[Cell, ...]:
+    """Make a table row from texts."""
+    return tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in cells)

@@ -1,0 +1,218 @@
+"""The verdict in one sentence: what was found, and what to do about it."""
+
+from typing import Any
+
+from reports import words
+from reports.blocks import Verdict
+from reports.formatting import finite, joined, joints, measured, number, quantity, stated, word
+from reports.results import Results
+
+LABELS = {
+    "conform": "The robot conforms",
+    "nonconform": "The robot does not conform",
+    "undecided": "Undecided",
+    "none": "No verdict",
+}
+CAUSES = 3  # named in the headline; more would hide the first, and the diagnosis lists them all
+SCOPE = "This covers the poses, directions and speeds that the session shows, and no others."
+
+
+def headline(results: Results) -> Verdict:
+    """Say the verdict, what to do about it, and the conditions it holds on."""
+    summary = results.summary
+    tone = words.tone(summary.get("verdict"))
+    sentence = {
+        "conform": _conform,
+        "nonconform": _nonconform,
+        "undecided": _undecided,
+        "none": _no_verdict,
+    }[tone](results)
+    return Verdict(tone, LABELS[tone], capital(sentence), tuple(_remarks(summary, tone)))
+
+
+def capital(sentence: str) -> str:
+    """Start a sentence with a capital, without touching the rest."""
+    return sentence[:1].upper() + sentence[1:]
+
+
+def with_verdict(summary: dict[str, Any], verdict: str) -> list[dict[str, Any]]:
+    """Select the joints with a verdict."""
+    return [joint for joint in (summary.get("joints") or []) if joint.get("verdict") == verdict]
+
+
+def tolerance(summary: dict[str, Any], chosen: list[dict[str, Any]]) -> str:
+    """Say the tolerance of some joints, where they share one."""
+    values = {finite(joint.get("tolerance_deg")) for joint in chosen} - {None}
+    if len(values) != 1:
+        return "their tolerances" if summary else ""
+    return f"±{stated(values.pop())}°"
+
+
+def _conform(results: Results) -> str:
+    chosen = results.summary.get("joints") or []
+    least = min((p for j in chosen if (p := finite(j.get("conformance_probability"))) is not None),
+                default=None)  # fmt: skip
+    bound = tolerance(results.summary, chosen)
+    sentence = f"every joint's error stays within {bound} at every pose of this session"
+    if least is not None:
+        level = min(int(least * 1000) / 10, 99.9)  # rounded down: never claim more than was found
+        sentence += f", each with a probability of at least {number(level, 1)} %"
+    return f"{sentence}; nothing needs to be done."
+
+
+def _nonconform(results: Results) -> str:
+    summary = results.summary
+    failing = with_verdict(summary, "nonconform")
+    guilty = {joint.get("joint") for joint in failing}
+    causes = [
+        entry
+        for entry in (summary.get("diagnosis") or [])
+        if entry.get("kind") != "ambiguous" and entry.get("joint") in guilty | {None}
+    ]
+    if causes:
+        return "; ".join(words.finding(entry) for entry in causes[:CAUSES]) + "."
+    unclear = [e for e in (summary.get("diagnosis") or []) if e.get("kind") == "ambiguous"]
+    what = _exceeding(summary, failing)
+    if unclear:
+        rivals = [words.candidate(c) for c in unclear[0].get("candidates") or []]
+        return f"{what}; the data do not say whether by {' or '.join(rivals)}: " + (
+            words.remedy(unclear[0]) + "."
+        )
+    return f"{what}, and no single cause accounts for it: look at the errors over time below."
+
+
+def _exceeding(summary: dict[str, Any], failing: list[dict[str, Any]]) -> str:
+    if failing:
+        worst = max(failing, key=lambda j: abs(finite(j.get("worst_error_deg")) or 0.0))
+        text = measured(
+            worst.get("worst_error_deg"), worst.get("worst_error_standard_uncertainty_deg"), "°"
+        )
+        verb = "exceed" if len(failing) > 1 else "exceeds"
+        names = joints([joint.get("joint") for joint in failing])
+        return f"{names} {verb} {tolerance(summary, failing)} (worst: {text}, 1σ)"
+    pose = []
+    for name, unit in (("position", "mm"), ("orientation", "deg")):
+        entry = summary.get(name) or {}
+        if entry.get("verdict") == "nonconform":
+            limit = stated(entry.get(f"tolerance_{unit}"))
+            sign = "°" if unit == "deg" else f" {unit}"
+            pose.append(f"the flange's {name} error exceeds {limit}{sign}")
+    return joined(pose) or "the tolerance is exceeded"
+
+
+def _undecided(results: Results) -> str:
+    summary = results.summary
+    open_joints = with_verdict(summary, "undecided")
+    if not open_joints:
+        names = [n for n in ("position", "orientation")
+                 if (summary.get(n) or {}).get("verdict") == "undecided"]  # fmt: skip
+        subject = f"the flange's {joined(names)}" if names else "the robot"
+        return f"the instrument cannot tell whether {subject} conforms; {_first(results, [])}."
+    names_text = joints([joint.get("joint") for joint in open_joints])
+    verb = "stay" if len(open_joints) > 1 else "stays"
+    return (
+        f"the instrument cannot tell whether {names_text} {verb} within "
+        f"{tolerance(summary, open_joints)}; {_first(results, open_joints)}."
+    )
+
+
+def _first(results: Results, open_joints: list[dict[str, Any]]) -> str:
+    """Say what would have to improve first; the reason that bars most comes first."""
+    by_reason = {
+        reason: [j.get("joint") for j in open_joints if j.get("reason") == reason]
+        for reason in ("not_observable", "lack_of_fit", "not_detectable", "uncertainty_too_large")
+    }
+    if by_reason["not_observable"]:
+        return f"an offset of {joints(by_reason['not_observable'])} cannot show: {_freed(results)}"
+    if by_reason["lack_of_fit"]:
+        return (
+            f"the errors of {joints(by_reason['lack_of_fit'])} follow no known curve: "
+            "first find out why in the errors over time"
+        )
+    names = by_reason["not_detectable"] or by_reason["uncertainty_too_large"]
+    source = _largest_source(results, names or [j.get("joint") for j in open_joints])
+    if source:
+        return f"what would have to improve first is {source}"
+    return "a smaller uncertainty is needed first"
+
+
+def _freed(results: Results) -> str:
+    """Say how a joint's offset is freed from what was fitted with it."""
+    rig, marker = results.setup.get("rig") or {}, results.setup.get("marker") or {}
+    given = {rig.get("base_source"), marker.get("source")} <= {
+        "fixture",
+        "jig",
+        "measured",
+        "board",
+    }
+    if given:  # then only the clock was left to be fitted
+        return "first give the clock offset, or move at varied speeds in both directions"
+    return (
+        "first give the robot base and the LED positions by a fixture, or from another registration"
+    )
+
+
+def _largest_source(results: Results, names: list[Any]) -> str:
+    budget = results.table("budget")
+    if not {"joint", "source", "standard_uncertainty_deg"} <= set(budget.columns):
+        return ""
+    rows = budget[budget["joint"].isin(names)].dropna(subset=["standard_uncertainty_deg"])
+    if rows.empty:
+        return ""
+    largest = rows.sort_values("standard_uncertainty_deg", ascending=False, kind="stable").iloc[0]
+    amount = quantity(float(largest["standard_uncertainty_deg"]), "°")
+    return (
+        f"{str(largest['source']).replace('_', ' ')}, which alone makes {amount} "
+        f"of joint {largest['joint']}'s standard uncertainty"
+    )
+
+
+def _no_verdict(results: Results) -> str:
+    sentence = "no tolerance was given, so there is no verdict"
+    every = results.summary.get("joints") or []
+    if any(finite(joint.get("tolerance_deg")) is not None for joint in every):
+        sentence = "a tolerance was given, but there is nothing that could be judged by it"
+    known = [joint for joint in every if finite(joint.get("mean_error_deg")) is not None]
+    if not known:
+        return f"{sentence}."
+    worst = max(known, key=lambda j: abs(float(j["mean_error_deg"])))
+    amount = measured(worst["mean_error_deg"], worst.get("expanded_uncertainty_deg"), "°")
+    return f"{sentence}; the largest mean error is that of joint {worst.get('joint')}, {amount}."
+
+
+def _remarks(summary: dict[str, Any], tone: str) -> list[str]:
+    remarks = []
+    if tone == "nonconform":
+        failing, open_joints = with_verdict(summary, tone), with_verdict(summary, "undecided")
+        if failing:
+            remarks.append(capital(_exceeding(summary, failing)) + ".")
+        if open_joints:
+            names = joints([joint.get("joint") for joint in open_joints])
+            remarks.append(
+                f"Whether {names} conform{'' if len(open_joints) > 1 else 's'} is undecided."
+            )
+    if tone == "undecided":
+        remarks += _reasons(summary)
+    if tone == "none":
+        return remarks
+    uncounted = (summary.get("budget") or {}).get("uncounted") or []
+    if uncounted:
+        remarks.append(
+            "The verdict holds on the condition that "
+            f"{joined([word(name) for name in uncounted])} are exact: "
+            "their uncertainty is not stated."
+        )
+    remarks.append(SCOPE)
+    return remarks
+
+
+def _reasons(summary: dict[str, Any]) -> list[str]:
+    """List the joints of each reason for which the verdict stays open."""
+    groups: dict[str, list[Any]] = {}
+    for joint in with_verdict(summary, "undecided"):
+        groups.setdefault(str(joint.get("reason") or ""), []).append(joint.get("joint"))
+    return [
+        f"{joints(names, capital=True)}: {words.said(words.REASONS, reason)}."
+        for reason, names in groups.items()
+        if reason
+    ]

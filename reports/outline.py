@@ -1,0 +1,41 @@
+"""What a report says, in which order, with which captions; shared by both formats."""
+
+from collections.abc import Callable
+
+from reports import conditions, evidence, findings
+from reports.blocks import Document, Section, numbered
+from reports.formatting import DASH, word
+from reports.results import Results
+
+SECTIONS: tuple[Callable[[Results], Section], ...] = (
+    findings.verdict,
+    findings.joints,
+    findings.diagnosis,
+    findings.errors_over_time,
+    findings.pose,
+    evidence.spots,
+    evidence.clock,
+    evidence.pairs,
+    evidence.budget,
+    conditions.conditions,
+)
+
+
+def document(results: Results) -> Document:
+    """Lay out the whole report."""
+    session = results.summary.get("session") or {}
+    tool = results.summary.get("tool") or {}
+    robot = (results.setup.get("robot") or {}).get("name") or session.get("robot") or DASH
+    description = session.get("description") or session.get("path") or "a recorded session"
+    fingerprint = word((results.setup.get("robot") or {}).get("fingerprint"))
+    footer = (
+        f"{tool.get('name') or 'verify'} {tool.get('version') or DASH} · robot {fingerprint[:23]}"
+    )
+    return numbered(
+        Document(
+            title=f"Encoder verification of {robot}",
+            subtitle=word(description),
+            footer=footer,
+            sections=tuple(section(results) for section in SECTIONS),
+        )
+    )

@@ -1,0 +1,223 @@
+"""The contract between what measures and what reports, and the folder that keeps it.
+
+A results folder holds `results.json` (summary, setup and a list of the other files with their
+hashes), one Parquet file a table and one PNG an image. The same results give the same bytes.
+"""
+
+import hashlib
+import io
+import json
+import math
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from reports.errors import ReportError
+
+FORMAT = 1  # of results.json; a change that older readers cannot follow raises it
+MANIFEST = "results.json"
+AGAIN = "Run `verify run` on the session again."
+NAME = re.compile(
+    r"[a-z0-9_]+"
+)  # of a table or image: it becomes a file name, so no dots or slashes
+PNG = b"\x89PNG\r\n\x1a\n"  # the signature every PNG file starts with
+
+
+@dataclass(frozen=True)
+class Results:
+    """All that a report says: nothing in it is computed from anything else.
+
+    `summary` is summary.json, `setup` the rig, the marker and the robot's table, `tables` hold
+    frames, spots, resolved errors, clock curve and uncertainty budget, `images` PNG bytes.
+    """
+
+    summary: dict[str, Any]
+    setup: dict[str, Any]
+    tables: dict[str, pd.DataFrame]
+    images: dict[str, bytes] = field(default_factory=dict)
+
+    def table(self, name: str) -> pd.DataFrame:
+        """Take a table by its name; an empty one where there is none."""
+        return self.tables.get(name, pd.DataFrame())
+
+
+def write(results: Results, folder: Path) -> None:
+    """Write a results folder; files appear whole, and the manifest last.
+
+    Files of the folder that are not part of the results are left alone.
+
+    Raises:
+        ReportError: a name is no file name, or the folder cannot be written.
+    """
+    files: dict[str, bytes] = {}
+    tables = {}
+    for name, table in sorted(results.tables.items()):
+        tables[name] = _keep(files, folder, name, ".parquet", _parquet(table))
+    images = {}
+    for name, image in sorted(results.images.items()):
+        images[name] = _keep(files, folder, name, ".png", image)
+    manifest = {
+        "format": FORMAT,
+        "summary": plain(results.summary),
+        "setup": plain(results.setup),
+        "tables": tables,
+        "images": images,
+    }
+    text = json.dumps(manifest, indent=1, ensure_ascii=True, allow_nan=False)
+    files[MANIFEST] = text.encode() + b"\n"
+    try:
+        _place(files, folder)
+    except OSError as problem:
+        raise ReportError(
+            folder,
+            f"cannot be written ({problem.strerror})",
+            "a folder that may be written is needed",
+            "Choose another place.",
+        ) from problem
+
+
+def read(folder: Path) -> Results:
+    """Read a results folder.
+
+    Raises:
+        ReportError: the folder holds no results, or not what was written.
+    """
+    manifest = _manifest(folder)
+    tables = {name: _table(folder, name, entry) for name, entry in manifest["tables"].items()}
+    images = {name: _image(folder, name, entry) for name, entry in manifest["images"].items()}
+    return Results(manifest["summary"], manifest["setup"], tables, images)
+
+
+def plain(value: Any) -> Any:
+    """Turn numbers of any library into JSON's own; what is not finite becomes null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, str) or value is None or isinstance(value, bool):
+        return value
+    if isinstance(value, Integral):
+        return int(value)
+    if isinstance(value, Real):
+        return float(value) if math.isfinite(value) else None
+    if hasattr(value, "tolist"):  # NumPy's arrays and its bool
+        return plain(value.tolist())
+    if isinstance(value, Sequence):
+        return [plain(item) for item in value]
+    return str(value)  # dates, paths, versions
+
+
+def _keep(
+    files: dict[str, bytes], folder: Path, name: str, ending: str, content: bytes
+) -> dict[str, str]:
+    if not NAME.fullmatch(name):
+        raise ReportError(
+            folder,
+            f"{name!r} is no name for a table or an image",
+            "lower-case letters, digits and underscores make one",
+            "Rename it.",
+        )
+    files[name + ending] = content
+    return {"sha256": hashlib.sha256(content).hexdigest()}
+
+
+def _parquet(table: pd.DataFrame) -> bytes:
+    arrow = pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(None)
+    buffer = io.BytesIO()
+    pq.write_table(arrow, buffer, compression="zstd")
+    return buffer.getvalue()
+
+
+def _place(files: dict[str, bytes], folder: Path) -> None:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as staging:
+        for name, content in files.items():
+            (Path(staging) / name).write_bytes(content)
+        folder.mkdir(exist_ok=True)
+        for name in files:  # the manifest is the last of them
+            (Path(staging) / name).replace(folder / name)
+
+
+def _manifest(folder: Path) -> dict[str, Any]:
+    place = folder / MANIFEST
+    try:
+        manifest = json.loads(place.read_bytes())
+    except FileNotFoundError as problem:
+        raise ReportError(
+            folder,
+            f"there is no {MANIFEST} in it",
+            "a results folder that `verify run` wrote is expected",
+            "Name the OUT folder of a run.",
+        ) from problem
+    except OSError as problem:
+        raise ReportError(
+            place, f"cannot be read ({problem.strerror})", "a readable file is needed", AGAIN
+        ) from problem
+    except ValueError as problem:
+        raise ReportError(place, "it is not JSON", "it is damaged or cut short", AGAIN) from problem
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        found = manifest.get("format") if isinstance(manifest, dict) else None
+        raise ReportError(
+            place,
+            f"its format is {json.dumps(found)}",
+            f"this version reads format {FORMAT}",
+            "Use the version of verify that wrote it, or run the session again.",
+        )
+    for key in ("summary", "setup", "tables", "images"):
+        if not isinstance(manifest.get(key), dict):
+            raise ReportError(place, f"{key} is missing", "it must be an object", AGAIN)
+    return manifest
+
+
+def _content(folder: Path, name: str, ending: str, entry: object) -> bytes:
+    if not NAME.fullmatch(name) or not isinstance(entry, dict):
+        raise ReportError(
+            folder / MANIFEST,
+            f"{name!r} is no name for a table or an image",
+            "lower-case letters, digits and underscores make one",
+            AGAIN,
+        )
+    place = folder / (name + ending)
+    try:
+        content = place.read_bytes()
+    except OSError as problem:
+        raise ReportError(
+            place,
+            f"cannot be read ({problem.strerror})",
+            f"{MANIFEST} lists it as part of the results",
+            AGAIN,
+        ) from problem
+    if hashlib.sha256(content).hexdigest() != entry.get("sha256"):
+        raise ReportError(
+            place,
+            "its content is not what was written",
+            f"{MANIFEST} holds another hash",
+            AGAIN,
+        )
+    return content
+
+
+def _table(folder: Path, name: str, entry: object) -> pd.DataFrame:
+    content = _content(folder, name, ".parquet", entry)
+    try:
+        table: pd.DataFrame = pq.read_table(io.BytesIO(content)).to_pandas()
+    except pa.ArrowInvalid as problem:
+        place = folder / f"{name}.parquet"
+        raise ReportError(
+            place, "it is not a Parquet file", "a table is expected", AGAIN
+        ) from problem
+    return table
+
+
+def _image(folder: Path, name: str, entry: object) -> bytes:
+    content = _content(folder, name, ".png", entry)
+    if not content.startswith(PNG):
+        place = folder / f"{name}.png"
+        raise ReportError(place, "it is not a PNG file", "an image is expected", AGAIN)
+    return content

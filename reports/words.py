@@ -1,0 +1,232 @@
+"""Sentences from machine words: verdicts, reasons, causes, statuses."""
+
+from collections.abc import Callable
+from typing import Any
+
+from reports.formatting import DASH, finite, measured, number, percent, stated
+
+VERDICTS = {
+    "conform": "conforms",
+    "nonconform": "does not conform",
+    "undecided": "undecided",
+}
+
+REASONS = {
+    "": "",
+    "within_tolerance": "within tolerance at every pose",
+    "exceeds_tolerance": "exceeds the tolerance",
+    "uncertainty_too_large": "uncertainty too large for this tolerance",
+    "not_detectable": "an error of the tolerance's size could go unnoticed",
+    "lack_of_fit": "errors follow no known curve",
+    "not_observable": "could not be seen in this session",
+    "no_tolerance": "no tolerance given",
+}
+
+STATUSES = {
+    "measured": "measured",
+    "too_few_leds": "too few LEDs seen",
+    "ambiguous_leds": "LEDs could not be told apart",
+    "no_encoder": "no encoder reading at that time",
+    "unreachable": "pose out of the arm's reach",
+    "outlier": "LEDs do not fit the marker",
+    "unaligned": "left and right could not be brought to one instant",
+}
+
+CHOICES = {
+    "geometry": "by the marker's geometry alone",
+    "colour": "by the LEDs' colours",
+    "continuity": "by continuity with the pair before",
+    "encoders": "by the encoder readings (the choice only, never the value)",
+}
+
+CLOCK_SOURCES = {
+    "estimated": "estimated from the motion",
+    "given": "given with the session",
+    "session": "given with the session",
+    "stated": "given with the session",
+}
+
+SOURCES = {
+    "fixture": "by a fixture, independently of the encoders",
+    "motion": "from a motion, through the robot's own encoders",
+    "jig": "from a jig keyed to the flange",
+    "measured": "measured in the marker's own frame",
+    "board": "from a board at a known place",
+}
+
+COUPLINGS = {
+    "singularity": "the joints' axes line up: only the sum is determined",
+    "well_known": "known better than its members",
+}
+
+UNITS = {"deg": "°", "ratio": "", "s": "s", "mm": "mm", "m": "m", "rad": "rad"}
+
+
+def said(words: dict[str, str], word: Any) -> str:
+    """Look a machine word up; one that is not known is shown as it is, without underscores."""
+    if word is None:
+        return DASH
+    return words.get(str(word), str(word).replace("_", " "))
+
+
+def outcome(verdict: Any, reason: Any) -> str:
+    """Say a verdict, with its reason where the verdict alone does not say it."""
+    label = said(VERDICTS, verdict)
+    if not reason or reason in ("within_tolerance", "exceeds_tolerance"):
+        return label
+    return said(REASONS, reason) if label == DASH else f"{label}: {said(REASONS, reason)}"
+
+
+def tone(verdict: Any) -> str:
+    """Give the tone of a verdict: its machine word, or none."""
+    return str(verdict) if verdict in VERDICTS else "none"
+
+
+def visibility(joint: dict[str, Any]) -> str:
+    """Say in words what this session could see of a constant offset of one joint."""
+    fraction = finite(joint.get("visible_fraction"))
+    since = finite(joint.get("visible_fraction_since_registration"))
+    if fraction is None:
+        return "Not determined: too few measured pairs."
+    if fraction < 0.005:  # shown as 0 %: nothing of the offset is left
+        text = "An offset that was there at registration is invisible."
+    elif fraction < 0.3:  # the share at which the smallest visible offset triples
+        text = f"Mostly hidden: {percent(fraction)} of an offset at registration shows."
+    elif fraction < 0.9:
+        text = f"Partly hidden: {percent(fraction)} of an offset shows."
+    else:
+        return "An offset shows in full."
+    if since is not None and since >= 0.9:
+        text += " One that arose later shows in full."
+    return text
+
+
+def cause(entry: dict[str, Any]) -> str:
+    """Name a cause: offset of joint 3."""
+    kind = str(entry.get("kind"))
+    name = {
+        "offset": "constant offset",
+        "gain": "gain",
+        "backlash": "backlash",
+        "eccentricity": "eccentricity",
+        "clock": "encoder clock offset",
+        "dh": "link parameter",
+    }.get(kind, kind.replace("_", " "))
+    if kind == "dh" and entry.get("parameter") is not None:
+        name = f"{name} {entry['parameter']}"
+    if kind == "eccentricity" and finite(entry.get("phase_deg")) is not None:
+        turns = stated(entry.get("per_turn", 1))
+        name = f"{name} ({turns} per turn, phase {number(entry['phase_deg'], 1)}°)"
+    joint = entry.get("joint")
+    return name if joint is None else f"{name} of joint {joint}"
+
+
+def value(entry: dict[str, Any]) -> str:
+    """Write a cause's value ± expanded uncertainty, without its unit."""
+    return measured(entry.get("value"), entry.get("expanded_uncertainty"))
+
+
+def unit(entry: dict[str, Any]) -> str:
+    """Write a cause's unit as a sign."""
+    return {"ratio": "ratio"}.get(str(entry.get("unit")), said(UNITS, entry.get("unit")))
+
+
+def finding(entry: dict[str, Any]) -> str:
+    """Say a cause in half a sentence, then what to do: `joint 3 reads 0.400° too high: add …`."""
+    sentence = _FINDINGS.get(str(entry.get("kind")))
+    known = finite(entry.get("value"))
+    if known is None or sentence is None:
+        amount = measured(entry.get("value"), entry.get("expanded_uncertainty"), unit(entry))
+        return f"{cause(entry)} ({amount})"
+    return f"{sentence(entry, known)}: {remedy(entry)}"
+
+
+def remedy(entry: dict[str, Any]) -> str:
+    """Say what to do about a cause."""
+    known = finite(entry.get("value"))
+    kind = entry.get("kind")
+    if kind == "ambiguous":
+        return "record a motion that tells these apart (verify plan proposes one)"
+    if known is None:
+        return DASH
+    decimals = _decimals(entry)
+    if kind == "offset":
+        return f"add {number(-known, decimals, signed=True)}° to its reading"
+    if kind == "gain":
+        return "check its gear ratio and counts a turn in the controller"
+    if kind == "backlash":
+        return "take up the play, or approach from one side only"
+    if kind == "eccentricity":
+        return "check that its encoder or gear runs true"
+    if kind == "clock":
+        return f"add {number(known, decimals, signed=True)} s to the clock offset that was given"
+    if kind == "dh":
+        place = f"{entry.get('parameter', 'the parameter')} in the robot file"
+        return f"correct {place} by {number(known, decimals, signed=True)} {unit(entry)}".strip()
+    return DASH
+
+
+def candidate(entry: Any) -> str:
+    """Name one of the causes that the data do not tell apart."""
+    if not isinstance(entry, dict):
+        return str(entry)
+    amount = measured(
+        entry.get("value"), entry.get("expanded_uncertainty"), said(UNITS, entry.get("unit"))
+    )
+    return cause(entry) if amount == DASH else f"{cause(entry)}, {amount}"
+
+
+def _amount(entry: dict[str, Any], known: float, suffix: str) -> str:
+    return measured(known, entry.get("expanded_uncertainty"), suffix, signed=False)
+
+
+def _decimals(entry: dict[str, Any]) -> int:
+    text = measured(entry.get("value"), entry.get("expanded_uncertainty")).split(" ")[0]
+    return len(text.partition(".")[2])
+
+
+def _offset(entry: dict[str, Any], known: float) -> str:
+    side = "high" if known > 0 else "low"
+    return f"joint {entry.get('joint')} reads {_amount(entry, abs(known), '°')} too {side}"
+
+
+def _gain(entry: dict[str, Any], known: float) -> str:
+    spread = finite(entry.get("expanded_uncertainty"))
+    share = measured(abs(known) * 100, None if spread is None else spread * 100, "%", signed=False)
+    way = "more" if known > 0 else "less"
+    return f"joint {entry.get('joint')}'s reading turns {share} {way} than the joint"
+
+
+def _backlash(entry: dict[str, Any], known: float) -> str:
+    side = "motor's" if known > 0 else "joint's"
+    amount = _amount(entry, abs(known), "°")
+    return f"joint {entry.get('joint')} has {amount} of backlash, its encoder on the {side} side"
+
+
+def _eccentricity(entry: dict[str, Any], known: float) -> str:
+    turns = stated(entry.get("per_turn", 1))
+    waves = "wave" if turns == "1" else "waves"
+    amount = _amount(entry, known, "°")
+    return f"joint {entry.get('joint')}'s error is a wave of {amount}, {turns} {waves} a turn"
+
+
+def _clock(entry: dict[str, Any], known: float) -> str:
+    return f"the encoder clock offset is wrong by {_amount(entry, abs(known), 's')}"
+
+
+def _dh(entry: dict[str, Any], known: float) -> str:
+    name = entry.get("parameter", "a link parameter")
+    amount = measured(known, entry.get("expanded_uncertainty"), unit(entry))
+    joint = entry.get("joint")
+    owner = "the arm" if joint is None else f"joint {joint}"
+    return f"{owner}'s {name} differs by {amount}"
+
+
+_FINDINGS: dict[str, Callable[[dict[str, Any], float], str]] = {
+    "offset": _offset,
+    "gain": _gain,
+    "backlash": _backlash,
+    "eccentricity": _eccentricity,
+    "clock": _clock,
+    "dh": _dh,
+}
