@@ -260,7 +260,8 @@ def _error_uncertainty(
     variance = np.diagonal(joints.covariance, axis1=1, axis2=2) + np.sum(errors.systematic**2, 2)
     if clock.source == "estimated" and clock.standard_uncertainty is not None:
         variance = variance + (comparison.rate * clock.standard_uncertainty) ** 2
-    return np.sqrt(variance)
+    uncertainty: Array = np.sqrt(variance)
+    return uncertainty
 
 
 def _flange(model: Model, factor: float, clock_uncertainty: float | None) -> tuple[Array, Array]:

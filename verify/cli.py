@@ -16,7 +16,9 @@ from verify.terminal import terminal
 
 # typer brings its own copy of click or uses the installed one, depending on its version; either
 # way what it raises on wrong usage is the base of its BadParameter
-WrongUsage = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+WrongUsage: type[Exception] = next(
+    c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException"
+)
 BAD_INPUT = 2
 INTERRUPTED = 130
 

@@ -8,6 +8,7 @@ of every joint, so that an encoder's offset does not pass for a clock's.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 import robots
 from verify.comparison import Comparison, compare, difference
@@ -95,7 +96,7 @@ def _coarse(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, A
     return np.array(offsets), np.array(cost)
 
 
-def _neighbours(track: Track) -> tuple[Array, Array]:
+def _neighbours(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Which pairs to take the relative motion between: some tenths of a second apart."""
     full = np.flatnonzero(track.known_dof == 6)
     if len(full) < 3:
@@ -115,7 +116,7 @@ def _invariants(a_T_one: Array, a_T_other: Array) -> Array:
     return np.stack([np.linalg.norm(xi[:, 3:], axis=1), np.linalg.norm(xi[:, :3], axis=1)], axis=1)
 
 
-def _invariant_variance(track: Track, early: Array, late: Array) -> Array:
+def _invariant_variance(track: Track, early: NDArray[np.int64], late: NDArray[np.int64]) -> Array:
     trace = [
         np.trace(track.covariance_pixels[:, block, block], axis1=1, axis2=2) / 3
         for block in (slice(3, 6), slice(0, 3))

@@ -42,7 +42,8 @@ def solve_joints(comparison: Comparison, arm: robots.Arm) -> Joints:
     jacobian = comparison.jacobian.copy()
     if reached.any():
         jacobian[reached] = robots.jacobian(arm, q[reached])
-    inverse = np.linalg.pinv(jacobian, rcond=1e-9)  # an exact singularity is flagged, not fatal
+    inverse = np.asarray(np.linalg.pinv(jacobian, rcond=1e-9), dtype=np.float64)
+    # an exact singularity is flagged, not fatal
     open_joints = np.array(
         [_open(inverse[i], jacobian[i], comparison.determined[i]) for i in range(n)]
     ).reshape(n, dof)

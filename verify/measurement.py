@@ -17,6 +17,9 @@ from verify.rig import Camera, Rig
 NEVER: tuple[Array, ...] = ()
 # A spot's surroundings: its own radius several times over, for the background that is fitted.
 WINDOW_MARGIN_PX = 14.0
+MOTION_FLOOR_PX = 0.3  # what clocks and lenses leave between two pictures of one instant
+UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
+MINIMUM_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
 
 
 def nothing_expected(_t: float) -> Sequence[Array]:
@@ -96,18 +99,19 @@ def _look(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _Seen:
             )
         ]
         spots = detect(pair.left, windows[0]), detect(pair.right, windows[1])
-        seen = _identified(pair, spots, setup, prediction, whole_frame=False)
+        seen = _identified(pair, spots, setup, memory, prediction, whole_frame=False)
         enough = len(memory.seen.found.left_led) if memory is not None else 0
         if seen.found.status == "measured" and len(seen.found.left_led) >= enough:
             return seen
     spots = detect(pair.left), detect(pair.right)
-    return _identified(pair, spots, setup, prediction, whole_frame=True)
+    return _identified(pair, spots, setup, memory, prediction, whole_frame=True)
 
 
 def _identified(
     pair: StereoPair,
     spots: tuple[Spots, Spots],
     setup: Setup,
+    memory: _Memory | None,
     prediction: Prediction | None,
     *,
     whole_frame: bool,
@@ -120,6 +124,7 @@ def _identified(
         setup.marker,
         prediction=prediction,
         expected_poses=setup.expected(pair.t_left),
+        motion_tolerance_px=_motion_px(pair, setup, memory),
     )
     sides = []
     for camera, image_spots, led, spot, t, pan, image in (
@@ -132,10 +137,24 @@ def _identified(
     return _Seen(pair.t_left, pair.frame, found, sides[0], sides[1], whole_frame)
 
 
+def _motion_px(pair: StereoPair, setup: Setup, memory: _Memory | None) -> float:
+    """How far the LEDs may move between the two exposures of a pair."""
+    skew = abs(pair.t_right - pair.t_left)
+    if memory is None or pair.t_left - memory.seen.pair_t > LONGEST_GAP:
+        return MOTION_FLOOR_PX + skew * UNKNOWN_SPEED_PX
+    twist, pose = memory.pose.twist, memory.pose.rig_T_flange
+    radius = float(np.max(np.linalg.norm(setup.marker.leds, axis=1)))
+    speed = float(np.linalg.norm(twist[:3]) + radius * np.linalg.norm(twist[3:]))
+    focal = setup.rig.left.matrix[0, 0]
+    depth = max(float(np.linalg.norm(pose[:3, 3])), MINIMUM_DEPTH)
+    # twice the last speed: between two pairs an arm may as much as double it
+    return MOTION_FLOOR_PX + 2 * skew * float(focal) * speed / depth
+
+
 def _raw(
     spots: Spots,
-    led: Array,
-    spot: Array,
+    led: NDArray[np.int64],
+    spot: NDArray[np.int64],
     t: float,
     pan: float,
     camera: Camera,

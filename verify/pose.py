@@ -76,7 +76,7 @@ def fit_pose(left: Sighting, right: Sighting, rig: Rig, marker: Marker, start: A
 def _stack(left: Sighting, right: Sighting, rig: Rig, marker: Marker) -> Views:
     m = len(left)
     camera_T_rig: list[Array] = [
-        np.linalg.inv(camera.rig_T_camera(sighting.pan))
+        np.asarray(np.linalg.inv(camera.rig_T_camera(sighting.pan)), dtype=np.float64)
         for camera, sighting in ((rig.left, left), (rig.right, right))
     ]
     return Views(

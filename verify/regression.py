@@ -35,18 +35,19 @@ class Whitener:
     def by_pair(self, rows: Array) -> Array:
         """Lay rows (r,) out as one line a pair, (n, 6), nan where a pair has fewer."""
         laid = np.full((len(self.factors), 6), np.nan)
-        place = np.concatenate([np.arange(len(f)) for f in self.factors]) if self.factors else []
-        laid[self.pair, place] = rows
+        if self.factors:
+            place = np.concatenate([np.arange(len(f)) for f in self.factors])
+            laid[self.pair, place] = rows
         return laid
 
 
 def whiten(comparison: Comparison, covariance: Array | None = None) -> Whitener:
     """Whitening of a comparison by what varies from pair to pair, or by another (n, 6, 6)."""
     spread = comparison.covariance if covariance is None else covariance
-    factors = []
+    factors: list[Array] = []
     for block, known in zip(spread, comparison.determined, strict=True):
         lower = np.linalg.cholesky(known.T @ block @ known)
-        factors.append(np.linalg.solve(lower, known.T))
+        factors.append(np.asarray(np.linalg.solve(lower, known.T), dtype=np.float64))
     pair = np.repeat(np.arange(len(factors)), [len(f) for f in factors])
     return Whitener(tuple(factors), pair.astype(np.int64))
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from verify.comparison import Comparison
@@ -76,7 +77,7 @@ def _rms(pose: Pose | None) -> float:
     return pose.reprojection_rms_px if pose is not None else float("nan")
 
 
-def _spread(count: int, rows: Array, values: Array) -> Array:
+def _spread(count: int, rows: NDArray[np.int64], values: Array) -> Array:
     column = np.full(count, np.nan)
     column[rows] = values
     return column
@@ -85,7 +86,7 @@ def _spread(count: int, rows: Array, values: Array) -> Array:
 def _pose_columns(
     table: dict[str, Array | list[str] | list[int]],
     count: int,
-    rows: Array,
+    rows: NDArray[np.int64],
     poses: Array,
     names: tuple[str, ...],
 ) -> None:

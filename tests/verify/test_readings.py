@@ -9,8 +9,6 @@ def wave(t, amplitude=0.3, period=2.0):
 
 
 def test_a_smooth_motion_read_at_10_hz_is_interpolated_ten_times_better_than_by_a_line() -> None:
-    None
-):
     t = np.arange(0, 6, 0.1)
     readings = Readings(t, wave(t)[:, None])
     between = np.arange(0.5, 5.5, 0.013)

@@ -21,7 +21,7 @@ from verify.rig import Rig
 
 __all__ = ["Identification", "Prediction", "identify"]
 
-CLEARLY = 12.0  # of twice the log evidence: odds of 400 to 1, more than noise does to equals
+CLEARLY = 9.0  # of twice the log evidence: odds of 90 to 1, on noise allowed for generously
 BOUND = 2.0  # standard deviations to how far a prediction may be off
 JUMP = 50.0  # what a pose far from the prediction costs: two LED images and a half
 BELIEVED = 3.0  # departures beyond which a reference says nothing about a pose
@@ -33,7 +33,10 @@ COARSE = 4e-3  # m, how well a coarse pose places an LED: depth, with the images
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Where the chain expects the flange, from the pairs before."""
+    """Where the chain expects the flange, from the pairs before.
+
+    How far it may be off is taken as two standard deviations; a jump beyond is still found.
+    """
 
     rig_T_flange: Array  # (4, 4), at this pair's left instant
     position_uncertainty: float  # m, how far it may be off

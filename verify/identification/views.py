@@ -15,7 +15,7 @@ from verify.rig import Rig
 MOST_SPOTS = 48  # an image; the brightest: bounds the work, twice the clutter of a bad scene
 MODEL_PX = 0.1  # px, what lens and pan leave unexplained after a fair calibration
 MERGED_PX = 1.0  # px, by how much a neighbour's light drags a spot's centre, order of magnitude
-UNSTATED_PLAY = 3e-4  # m, of an LED's light where marker.toml states nothing: a printed jig's
+UNSTATED_PLAY = 2e-4  # m, of an LED's light where marker.toml states nothing: a good jig's
 LEAST_PLAY = 1e-4  # m, where it does: domes and solder joints do no better
 UNEVEN_SKEW = 0.25  # of the motion tolerance: what differs between LEDs as the flange also turns
 CLEAR_HUE = 0.3  # (largest - second) / largest channel: warm white stays under 0.2, LEDs above 0.4

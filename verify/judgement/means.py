@@ -96,9 +96,13 @@ def _effective(
     denominator = (
         random**2 / np.maximum(6.0 * pairs - 6, 1) + rest**2 / systematics.degrees_of_freedom
     )
-    return np.divide(total**2, denominator, out=np.full(len(total), np.inf), where=denominator > 0)
+    degrees: Array = np.divide(
+        total**2, denominator, out=np.full(len(total), np.inf), where=denominator > 0
+    )
+    return degrees
 
 
 def _coverage(degrees: Array) -> Array:
     exact = student.ppf(0.97725, np.maximum(np.nan_to_num(degrees, nan=np.inf), 1.0))
-    return np.where(degrees > LARGE_SAMPLE, 2.0, exact)
+    factor: Array = np.where(degrees > LARGE_SAMPLE, 2.0, exact)
+    return factor
