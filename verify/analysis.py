@@ -235,7 +235,7 @@ def _judge(
         "clock_curve": pd.DataFrame(clock.curve, columns=["offset_s", "cost"]),
         "budget": budget(
             model, errors, means, joints.inverse, systematics, seen.track,
-            clock.standard_uncertainty,
+            clock,
         ),
     }  # fmt: skip
     images = {"pair": seen.preview} if seen.preview is not None else {}
@@ -319,6 +319,18 @@ def _warnings(
             "Base or LED positions were fitted through the robot's own encoders: the errors in "
             "frames.csv are residuals, which may accuse the wrong joint; mean errors come from a "
             "fit together with that registration."
+        )
+    joints, known = session.arm.dof, min(b.shape[1] for b in model.comparison.determined)
+    if joints > 6:
+        warnings.append(
+            f"A pose determines six combinations of the robot's {joints} joints: along its "
+            "self-motion no pair tells them apart, so single joints stay empty in frames.csv; "
+            "mean errors come from a fit over the session."
+        )
+    if known < 6:
+        warnings.append(
+            f"In some pairs the LEDs determine only {known} of 6 degrees of freedom: joints that "
+            "the open ones move stay empty there, and mean errors come from a fit over the session."
         )
     if model.stands_in:
         warnings.append(

@@ -5,13 +5,14 @@ a Gaussian and a blurred disc, under the image's own noise (fit.py, profile.py, 
 judged by what the fit leaves (judgement.py).
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.detection.candidates import DEFAULT_DIAMETER, find_candidates
-from verify.detection.fit import Fit, Patches, fit_spots, reweighted
+from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
+from verify.detection.fit import Fit, Patches, first_look, fit_spots, reweighted, rows_of, taken, thinned
 from verify.detection.judgement import FITTED, SEEN, Judgement, joined, judge
 from verify.detection.noise import LIKELY, background_noise, refined
 from verify.detection.patches import cut_out
@@ -51,9 +52,9 @@ def detect(
     check(image, windows)
     candidates = find_candidates(image, inside(windows, image), diameter_px)
     background, spread = (noise, 0.0) if noise is not None else background_noise(image)
-    batches: list[Batch] = [
-        (patches, fit_spots(patches), origin, colour)
-        for patches, origin, colour in cut_out(image, candidates, background)
+    batches = [
+        (patches, fit_spots(patches, look.parameters), origin, colour)
+        for patches, look, origin, colour in looked_at(image, candidates, background)
     ]
     if not batches:
         return nothing(background)
@@ -120,6 +121,16 @@ def inside(windows: Array | None, image: Image) -> NDArray[np.int64] | None:
     low, high = np.floor(windows[:, :2]), np.ceil(windows[:, 2:])
     whole = np.hstack([low, high]).clip(0, [width, height, width, height])
     return whole.astype(np.int64)
+
+
+def looked_at(image: Image, candidates: Candidates, noise: Noise) -> Iterator[Batch]:
+    """Cut the candidates out and keep those in which a first look sees a spot."""
+    for patches, origin, colour in cut_out(image, candidates, noise):
+        look = first_look(patches)
+        part = thinned(patches)
+        sound = np.flatnonzero(judge(part, look, origin, (image.shape[0], image.shape[1])).sound)
+        if len(sound):
+            yield taken(patches, sound), rows_of(look, sound), origin[sound], colour[sound]
 
 
 def residuals(

@@ -67,19 +67,19 @@ class Fit:
     chi2: Array  # (n,)
 
 
-def fit_spots(patches: Patches) -> Fit:
-    """Fit one spot to each patch, from a first look on.
+def fit_spots(patches: Patches, start: Array) -> Fit:
+    """Fit one spot to each patch, from the parameters of a first look.
 
     A saturated spot is approached from two sides, as its hidden top may be steep or flat.
     """
     prior_mean, prior_weight = priors(patches)
-    best = solve(patches, prior_mean, prior_mean, prior_weight, ITERATIONS)
+    best = solve(patches, start, prior_mean, prior_weight, ITERATIONS)
     full = np.flatnonzero(saturated(patches))
     if len(full):
         mean, weight = prior_mean[full], prior_weight[full]
-        start = mean.copy()
-        start[:, STEEPNESS], start[:, PEAK] = STEEP_START, SENSOR_LIMIT - mean[:, FLOOR]
-        other = solve(taken(patches, full), start, mean, weight, ITERATIONS)
+        steep = mean.copy()
+        steep[:, STEEPNESS], steep[:, PEAK] = STEEP_START, SENSOR_LIMIT - mean[:, FLOOR]
+        other = solve(taken(patches, full), steep, mean, weight, ITERATIONS)
         better = other.chi2 < best.chi2[full]
         put(best, full[better], other, better)
     return best
@@ -144,7 +144,7 @@ def solve(
     patches: Patches, start: Array, prior_mean: Array, prior_weight: Array, iterations: int
 ) -> Fit:
     """Gauss-Newton with Levenberg's damping; patches that have settled drop out."""
-    best = evaluate(patches, start, prior_mean, prior_weight)
+    best = evaluate(patches, start.copy(), prior_mean, prior_weight)  # its rows are overwritten
     active = np.arange(len(start))
     damping = np.full(len(start), 1e-4)
     here, part = best, patches
@@ -153,12 +153,12 @@ def solve(
         np.einsum("nii->ni", damped)[:] *= 1 + damping[:, None]
         step = np.linalg.solve(damped, here.gradient[..., None])[..., 0]
         step = bounded(step, here.parameters)
+        gained = np.einsum("ni,ni->n", step, here.gradient)  # what the step takes from chi²
         trial = evaluate(part, here.parameters + step, prior_mean[active], prior_weight[active])
         # The weights move with the model, so chi² may rise a little on the way to the solution.
         good = trial.chi2 <= 1.1 * here.chi2 + 1.0
         put(best, active[good], trial, good)
         damping = np.where(good, damping / 10, damping * 30)
-        gained = np.einsum("ni,ni->n", step, here.gradient)  # what the step takes from chi²
         going = ~good | (gained > SETTLED * (1 + trial.chi2 / len(part.column)))
         if not going.any():
             break

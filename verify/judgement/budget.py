@@ -1,15 +1,22 @@
 """Each joint's mean error taken apart: how much of its uncertainty comes from which source."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
-from verify.judgement.means import JointErrors, Means
-from verify.judgement.model import Model, pan_columns
+from verify.clock import ClockEstimate
+from verify.comparison import Comparison
+from verify.judgement.means import JointErrors, Means, is_fitted
+from verify.judgement.model import Model, prior_columns
 from verify.records import Array
+from verify.regression import solve
 from verify.systematics import Systematics
 from verify.track import Track
 
 COLUMNS = ["joint", "source", "kind", "standard_uncertainty_deg"]
+RANDOM = "pixels, alignment, readings"
+CLOCK, PAN = "clock", "pan angle"
 
 
 def budget(
@@ -19,43 +26,92 @@ def budget(
     inverse: Array,
     systematics: Systematics,
     track: Track,
-    clock_uncertainty: float | None,
+    clock: ClockEstimate,
 ) -> pd.DataFrame:
     """One row a joint and source: its share of the mean error's standard uncertainty, degrees.
+
+    Where the means come from a fit, a source's share is what the variance loses when that source
+    is taken as exact; shares of sources that the fit trades against each other need not add up.
 
     Args:
         model: the session's linear model.
         errors: joint errors a pair.
-        means: what the sources must add up to.
+        means: what the sources add up to.
         inverse: (n, j, 6), d joints / d pose.
         systematics: stated parameters.
         track: measured poses (pan readings).
-        clock_uncertainty: s, of the clock offset, given or estimated; None where taken as exact.
+        clock: the offset and how it came about.
     """
-    rows: list[tuple[int, str, str, float]] = []
+    sources = [*dict.fromkeys(systematics.sources), *_others(systematics, clock)]
+    parts = [(RANDOM, "random", means.random)]
+    for source in sources:
+        if is_fitted(model):
+            share = _lost(model, means, track, clock, systematics, source)
+        else:
+            share = _carried(model.comparison, errors, inverse, track, clock, systematics, source)
+        if np.any(share > 0):
+            parts.append((source, "systematic", share))
+    rows = [
+        (j + 1, source, kind, float(np.rad2deg(u[j])))
+        for source, kind, u in parts
+        for j in range(len(u))
+    ]
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _others(systematics: Systematics, clock: ClockEstimate) -> list[str]:
+    pan = [PAN] if np.any(systematics.pan > 0) else []
+    return pan + ([CLOCK] if clock.standard_uncertainty else [])
+
+
+def _only(
+    systematics: Systematics, clock: ClockEstimate, source: str, *, inverted: bool = False
+) -> tuple[Systematics, ClockEstimate]:
+    """Take every source but one as exact; inverted: that one alone."""
+    keep = np.array([(s == source) != inverted for s in systematics.sources], dtype=bool)
+    mask = np.outer(keep, keep)
+    pan = systematics.pan if (source == PAN) != inverted else np.full(2, np.nan)
+    doubt = clock.standard_uncertainty if (source == CLOCK) != inverted else None
+    return (
+        replace(systematics, covariance=systematics.covariance * mask, pan=pan),
+        replace(clock, standard_uncertainty=doubt),
+    )
+
+
+def _carried(
+    comparison: Comparison,
+    errors: JointErrors,
+    inverse: Array,
+    track: Track,
+    clock: ClockEstimate,
+    systematics: Systematics,
+    source: str,
+) -> Array:
+    """A source's standard uncertainty carried through the plain mean, (j,), rad."""
     known = ~np.isnan(errors.error)
     weight = known / np.maximum(known.sum(axis=0), 1)
-    joints = weight.shape[1]
-    parts: list[tuple[str, str, Array]] = [("pixels, alignment, readings", "random", means.random)]
-    moved = np.einsum(
-        "ni,nij,njp->ip",
-        weight,
-        inverse,
-        model.comparison.systematic[:, :, : len(systematics.names)],
-    )
-    for source in dict.fromkeys(systematics.sources):
-        mine = np.array([s == source for s in systematics.sources])
-        block = moved[:, mine] @ systematics.covariance[np.ix_(mine, mine)] @ moved[:, mine].T
-        parts.append((source, "systematic", np.sqrt(np.maximum(np.diag(block), 0.0))))
-    pan = np.concatenate(
-        [pan_columns(model.comparison, track, systematics, side) for side in (0, 1)], axis=2
-    )
-    if pan.shape[2]:
-        share = np.einsum("ni,nij,njp->ip", weight, inverse, pan)
-        parts.append(("pan angle", "systematic", np.linalg.norm(share, axis=1)))
-    if clock_uncertainty:
-        drift = np.abs((model.comparison.rate * weight).sum(axis=0)) * clock_uncertainty
-        parts.append(("clock", "systematic", drift))
-    for source, kind, u in parts:
-        rows += [(j + 1, source, kind, float(np.rad2deg(u[j]))) for j in range(joints)]
-    return pd.DataFrame(rows, columns=COLUMNS)
+    alone, stamped = _only(systematics, clock, source)
+    # an estimated clock does not average out either: its column is that of a given one
+    columns = prior_columns(comparison, track, replace(stamped, source="given"), alone)
+    share = np.einsum("ni,nij,njp->ip", weight, inverse, columns)
+    size: Array = np.linalg.norm(share, axis=1)
+    return size
+
+
+def _lost(
+    model: Model,
+    means: Means,
+    track: Track,
+    clock: ClockEstimate,
+    systematics: Systematics,
+    source: str,
+) -> Array:
+    """What the fitted means' uncertainty loses when a source is exact, (j,), rad."""
+    rest, stamped = _only(systematics, clock, source, inverted=True)
+    held = model.white.rows(prior_columns(model.comparison, track, stamped, rest))
+    design = np.concatenate([model.offsets, model.fitted], axis=1)
+    joints = model.offsets.shape[1]
+    without = np.diag(solve(design, model.xi, held).covariance)[:joints]
+    full = np.diag(solve(design, model.xi, model.prior).covariance)[:joints]
+    lost: Array = np.sqrt(np.maximum(full - without, 0.0))
+    return np.where(np.isnan(means.mean), np.nan, lost)

@@ -51,8 +51,7 @@ def mean_errors(
         clock_uncertainty: s, of a clock offset that was estimated; None where it is given.
         systematics: for the degrees of freedom that the calibration states.
     """
-    joints = model.joints.shape[1]
-    if model.through_encoders or not model.comparison.complete or joints > 6:
+    if is_fitted(model):
         return _fitted(model, factor)
     known = ~np.isnan(errors.error)
     pairs = known.sum(axis=0)
@@ -68,6 +67,12 @@ def mean_errors(
     spread = np.sqrt(np.diag(random))
     degrees = _effective(np.diag(covariance), np.diag(random), pairs, systematics)
     return Means(mean, covariance, spread, _coverage(degrees), pairs.astype(np.int64))
+
+
+def is_fitted(model: Model) -> bool:
+    """Whether the means come from a fit over the session, as no pair tells each joint's error."""
+    alone = model.comparison.complete and model.joints.shape[1] <= 6
+    return model.through_encoders or not alone
 
 
 def _fitted(model: Model, factor: float) -> Means:

@@ -62,9 +62,9 @@ def build(
     """Lay a comparison out as a whitened linear model."""
     white = whiten(comparison)
     jacobian = comparison.jacobian
-    latency = -np.einsum("nij,nj->ni", jacobian, comparison.rate)[:, :, None]
+    latency = _latency(comparison)
     clock_columns = latency if clock.source != "given" else latency[:, :, :0]
-    prior_columns = _prior(comparison, track, clock, systematics, latency)
+    held = prior_columns(comparison, track, clock, systematics)
     base, body = rig.base_source == "motion", marker.source == "motion"
     hidden, fitted = jacobian, clock_columns
     if rig.absorption is not None and (base or body):
@@ -83,11 +83,17 @@ def build(
         hidden=white.rows(hidden),
         fitted=white.rows(fitted),
         seen=Shares(*(pictures.rows(c) for c in (jacobian, hidden, fitted, clock_columns))),
-        prior=white.rows(prior_columns),
-        prior_columns=prior_columns,
+        prior=white.rows(held),
+        prior_columns=held,
         through_encoders=base or body,
         stands_in=(base or body) and rig.absorption is None,
     )
+
+
+def _latency(comparison: Comparison) -> Array:
+    """What a second of clock offset does to xi, (n, 6, 1)."""
+    effect: Array = -np.einsum("nij,nj->ni", comparison.jacobian, comparison.rate)[:, :, None]
+    return effect
 
 
 def _registered(comparison: Comparison, *, base: bool, body: bool) -> Array:
@@ -123,18 +129,14 @@ def _in_base_axes(rig: Rig) -> Array:
     return carried
 
 
-def _prior(
-    comparison: Comparison,
-    track: Track,
-    clock: ClockEstimate,
-    systematics: Systematics,
-    latency: Array,
+def prior_columns(
+    comparison: Comparison, track: Track, clock: ClockEstimate, systematics: Systematics
 ) -> Array:
     """Columns of unit variance for everything stated that does not average out, (n, 6, p)."""
     count = len(systematics.names)
     columns = [comparison.systematic[:, :, :count] @ _root(systematics.covariance)]
     if clock.source == "given" and clock.standard_uncertainty:
-        columns.append(latency * clock.standard_uncertainty)
+        columns.append(_latency(comparison) * clock.standard_uncertainty)
     columns.extend(pan_columns(comparison, track, systematics, side) for side in (0, 1))
     return np.concatenate(columns, axis=2)
 

@@ -37,10 +37,11 @@ def visibility(model: Model) -> Visibility:
     whole = np.linalg.norm(seen.joints, axis=0)
     before = _share(seen.fitted, seen.hidden, whole)
     since = _share(seen.clock, seen.joints, whole)
-    left = np.linalg.norm(project_out(model.fitted, model.offsets, model.prior), axis=0)
-    left = np.where(before > INVISIBLE, left, 0.0)
+    remaining = project_out(model.fitted, model.offsets, model.prior)
+    remaining[:, before == 0] = 0.0
+    left = np.linalg.norm(remaining, axis=0)
     detectable = np.divide(DETECTION, left, out=nothing.copy(), where=left > 0)
-    return Visibility(before, since, detectable, _separable(model, before))
+    return Visibility(before, since, detectable, _separable(remaining))
 
 
 def _share(fitted: Array, columns: Array, whole: Array) -> Array:
@@ -49,20 +50,19 @@ def _share(fitted: Array, columns: Array, whole: Array) -> Array:
     return np.where(share < INVISIBLE, 0.0, share)
 
 
-def _separable(model: Model, share: Array) -> Array:
-    """The largest over rivals of what an offset must reach to be told from theirs."""
-    joints = model.offsets.shape[1]
+def _separable(remaining: Array) -> Array:
+    """The largest over rivals of what an offset must reach to be told from theirs, (j,).
+
+    Args:
+        remaining: (r, j), what everything fitted and stated leaves of each joint's column.
+    """
+    gram = remaining.T @ remaining
+    joints = len(gram)
     separable = np.full(joints, np.nan)
     for j in range(joints):
-        if not share[j] > 0:
-            continue
-        sizes = []
-        for rival in range(joints):
-            if rival != j:
-                fitted = np.concatenate([model.fitted, model.offsets[:, [rival]]], axis=1)
-                left = project_out(fitted, model.offsets[:, [j]], model.prior)
-                sizes.append(float(np.linalg.norm(left)))
-        smallest = min(sizes, default=0.0)
-        if smallest > INVISIBLE * float(np.linalg.norm(model.offsets[:, j])):
-            separable[j] = DETECTION / smallest
+        rivals = [k for k in range(joints) if k != j and gram[k, k] > 0]
+        left = [gram[j, j] - gram[j, k] ** 2 / gram[k, k] for k in rivals]
+        smallest = min(left, default=float(gram[j, j]))
+        if smallest > INVISIBLE**2 * gram[j, j] > 0:
+            separable[j] = DETECTION / np.sqrt(smallest)
     return separable
