@@ -69,7 +69,7 @@ def fit_pose(left: Sighting, right: Sighting, rig: Rig, marker: Marker, start: A
         worst, size = _worst_spot(fit, keep, tolerance)
         settled = size < OUTLIER
         if settled or keep.sum() <= FEWEST_SPOTS or (~keep).sum() >= len(keep) // 3:
-            return _pose(fit, keep, settled)
+            return _pose(fit, views, keep, settled)
         keep[worst] = False
 
 
@@ -251,7 +251,8 @@ def _worst_spot(fit: _Fit, keep: NDArray[np.bool_], tolerance: Array) -> tuple[i
     return int(np.flatnonzero(keep)[worst]), float(size[worst])
 
 
-def _pose(fit: _Fit, keep: NDArray[np.bool_], consistent: bool) -> Pose:
+def _pose(fit: _Fit, views: Views, keep: NDArray[np.bool_], consistent: bool) -> Pose:
+    spread = np.repeat(np.square(fit.prior), 3)  # of the acceleration's components
     kept = fit.residual[keep].reshape(-1)
     gain = np.zeros((6, 2 * len(keep)))
     gain[:, np.repeat(keep, 2)] = fit.gain
@@ -265,6 +266,10 @@ def _pose(fit: _Fit, keep: NDArray[np.bool_], consistent: bool) -> Pose:
         gain=gain,
         sensitivity=fit.by_point,
         residual=fit.residual,
+        spot_uncertainty=np.sqrt(
+            np.trace(views.covariance, axis1=1, axis2=2) / 2
+            + np.sum((fit.by_pose * views.lever[:, None, None]) ** 2 @ spread, axis=1) / 2
+        ),
         rejected=~keep,
         consistent=consistent,
         chi2=float(kept @ np.linalg.solve(fit.noise + fit.acceleration, kept)),

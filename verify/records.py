@@ -90,6 +90,7 @@ class Pose:
     gain: Array  # (6, 2 s): d pose / d spot centre, left sightings then right; 0 for rejected ones
     sensitivity: Array  # (s, 2, 3): d px / d point in the rig, the same order
     residual: Array  # (s, 2), px, seen less predicted
+    spot_uncertainty: Array  # (s,), px a coordinate: noise, and what alignment adds to it
     rejected: NDArray[np.bool_]  # (s,), sightings that the fit refused as outliers
     consistent: bool  # no spot is left that the others contradict
     chi2: float  # whitened residual sum of squares

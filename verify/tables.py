@@ -104,12 +104,11 @@ def spots_table(measurements: list[Measurement], marker: Marker) -> pd.DataFrame
             continue
         start = 0
         for side, sighting in (("left", m.left), ("right", m.right)):
-            spread = np.sqrt(np.trace(sighting.covariance, axis1=1, axis2=2) / 2)
             for i, led in enumerate(sighting.led):
                 x, y = sighting.centre[i].tolist()
                 dx, dy = m.pose.residual[start + i].tolist()
                 used = not bool(m.pose.rejected[start + i])
-                peak, u = float(sighting.peak[i]), float(spread[i])
+                peak, u = float(sighting.peak[i]), float(m.pose.spot_uncertainty[start + i])
                 rows.append((m.frame, m.t, side, marker.names[led], x, y, u, dx, dy, peak, used))
             start += len(sighting)
     names = ["frame", "t_s", "camera", "led", "x_px", "y_px", "u_px",

@@ -5,24 +5,23 @@ a Gaussian and a blurred disc, under the image's own noise (fit.py, profile.py, 
 judged by what the fit leaves (judgement.py).
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
-from verify.detection.fit import Fit, Patches, first_look, fit_spots, reweighted, rows_of, taken, thinned
+from verify.detection.fit import Fit, first_look, fit_spots, reweighted
 from verify.detection.judgement import FITTED, SEEN, Judgement, joined, judge
 from verify.detection.noise import LIKELY, background_noise, refined
-from verify.detection.patches import cut_out
+from verify.detection.patches import Cut, cut_out, glance_at
 from verify.errors import InputError
 from verify.records import Array, Image, Noise, Spots
 
 __all__ = ["detect", "estimate_noise"]
 
 APART = 0.5  # diameters: closer spots are one spot found twice
-Batch = tuple[Patches, Fit, NDArray[np.intp], Array]  # patches, fit, origin, colour
+Batch = tuple[Cut, Fit]
 
 
 def detect(
@@ -52,17 +51,14 @@ def detect(
     check(image, windows)
     candidates = find_candidates(image, inside(windows, image), diameter_px)
     background, spread = (noise, 0.0) if noise is not None else background_noise(image)
-    batches = [
-        (patches, fit_spots(patches, look.parameters), origin, colour)
-        for patches, look, origin, colour in looked_at(image, candidates, background)
-    ]
+    batches = fitted(image, candidates, background, glance=windows is None)
     if not batches:
         return nothing(background)
-    judgements = [judged(batch, image) for batch in batches]
+    judgements = [judge(cut, state, image.shape) for cut, state in batches]
     if noise is None:
         background = refined(background, spread, *residuals(batches, judgements))
         batches = [renewed(batch, background) for batch in batches]
-        judgements = [judged(batch, image) for batch in batches]
+        judgements = [judge(cut, state, image.shape) for cut, state in batches]
     judgement = joined(judgements)
     smallest, largest = diameter_px or DEFAULT_DIAMETER
     fitting = (judgement.diameter >= smallest) & (judgement.diameter <= largest)
@@ -80,7 +76,7 @@ def detect(
         misfit=judgement.misfit[keep],
         saturated=judgement.saturated[keep],
         merged=judgement.merged[keep],
-        colour=np.concatenate([colour for *_, colour in batches])[keep],
+        colour=np.concatenate([cut.colour for cut, _ in batches])[keep],
         noise=background,
     )
 
@@ -123,14 +119,20 @@ def inside(windows: Array | None, image: Image) -> NDArray[np.int64] | None:
     return whole.astype(np.int64)
 
 
-def looked_at(image: Image, candidates: Candidates, noise: Noise) -> Iterator[Batch]:
-    """Cut the candidates out and keep those in which a first look sees a spot."""
-    for patches, origin, colour in cut_out(image, candidates, noise):
-        look = first_look(patches)
-        part = thinned(patches)
-        sound = np.flatnonzero(judge(part, look, origin, (image.shape[0], image.shape[1])).sound)
-        if len(sound):
-            yield taken(patches, sound), rows_of(look, sound), origin[sound], colour[sound]
+def fitted(image: Image, candidates: Candidates, noise: Noise, *, glance: bool) -> list[Batch]:
+    """Fit the candidates, on a glance only those in which a first look sees a spot."""
+    if not len(candidates):
+        return []
+    if not glance:
+        return [(cut, fit_spots(cut.patches)) for _, cut in cut_out(image, candidates, noise)]
+    first = glance_at(image, candidates, noise)
+    look = first_look(first.patches)
+    seen = np.flatnonzero(judge(first, look, image.shape).sound)
+    start = look.parameters[seen]
+    return [
+        (cut, fit_spots(cut.patches, start[part]))
+        for part, cut in cut_out(image, candidates.taken(seen), noise)
+    ]
 
 
 def residuals(
@@ -138,8 +140,8 @@ def residuals(
 ) -> tuple[Array, Array, NDArray[np.intp]]:
     """Squared residuals and signals on and around the brightest spots, for `refined`."""
     speakers: list[tuple[float, Array, Array]] = []
-    for (patches, state, *_), judgement in zip(batches, judgements, strict=True):
-        own = state.used & (state.visible > SEEN)
+    for (cut, state), judgement in zip(batches, judgements, strict=True):
+        patches, own = cut.patches, state.used & (state.visible > SEEN)
         count = own.sum(axis=1)
         for row in np.flatnonzero(judgement.sound & (count > 2 * FITTED)):
             pixels = own[row]
@@ -155,17 +157,11 @@ def residuals(
     return np.concatenate([*squares, []]), np.concatenate([*signals, []]), spot
 
 
-def judged(batch: Batch, image: Image) -> Judgement:
-    """Judge a batch of fits."""
-    patches, state, origin, _ = batch
-    return judge(patches, state, origin, (image.shape[0], image.shape[1]))
-
-
 def renewed(batch: Batch, noise: Noise) -> Batch:
     """Take a batch one step further under better known noise."""
-    patches, state, origin, colour = batch
-    patches = replace(patches, noise=noise)
-    return patches, reweighted(patches, state), origin, colour
+    cut, state = batch
+    cut = replace(cut, patches=replace(cut.patches, noise=noise))
+    return cut, reweighted(cut.patches, state)
 
 
 def without_twins(judgement: Judgement, keep: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -182,5 +178,14 @@ def nothing(noise: Noise) -> Spots:
     """No spots."""
     none, no = np.empty(0), np.empty(0, dtype=bool)
     return Spots(
-        np.empty((0, 2)), np.empty((0, 2, 2)), none, none, none, none, no, no, np.empty((0, 3)), noise
+        np.empty((0, 2)),
+        np.empty((0, 2, 2)),
+        none,
+        none,
+        none,
+        none,
+        no,
+        no,
+        np.empty((0, 3)),
+        noise,
     )

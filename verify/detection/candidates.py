@@ -12,9 +12,16 @@ LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright thing must not h
 # 18 DN: a dim LED of peak 60 keeps twice this after halving; noise of 2.5 DN, halved, 14 sigma.
 HALVING_AREA = 200_000  # px; larger pictures are searched at half size, which keeps any LED >= 3 px
 LONGEST = 2.5  # axis ratio at half height; an LED seen through a blur of its own length stays below
-SMALLEST_FILL = 0.6  # blob area over its ellipse's: an LED fills it, a bent or branched thing does not
-DEFAULT_DIAMETER = (2.0, 40.0)  # px; 2 is the least that the sampling supports, 40 a 5 mm LED at 13 cm
-LARGER_THAN_LED = 1.5  # background window over the largest diameter: nothing of an LED survives in it
+SMALLEST_FILL = (
+    0.6  # blob area over its ellipse's: an LED fills it, a bent or branched thing does not
+)
+DEFAULT_DIAMETER = (
+    2.0,
+    40.0,
+)  # px; 2 is the least that the sampling supports, 40 a 5 mm LED at 13 cm
+LARGER_THAN_LED = (
+    1.5  # background window over the largest diameter: nothing of an LED survives in it
+)
 MOST = 64  # blobs fitted at most, best contrast first: bounds the time in a cluttered room
 
 
@@ -30,6 +37,10 @@ class Candidates:
         """Count the candidates."""
         return len(self.centre)
 
+    def taken(self, which: NDArray[np.intp]) -> "Candidates":
+        """Some of the candidates."""
+        return Candidates(self.centre[which], self.radius[which], self.contrast[which])
+
 
 def find_candidates(
     image: Image, windows: NDArray[np.int64] | None, diameter_px: tuple[float, float] | None
@@ -38,7 +49,7 @@ def find_candidates(
 
     Args:
         image: (h, w) grey or (h, w, 3) BGR, searched by its brightest channel.
-        windows: (m, 4), x0, y0, x1, y1, upper bounds exclusive, inside the image; None is all of it.
+        windows: (m, 4), x0, y0, x1, y1, inside the image, upper bounds exclusive; None is all.
         diameter_px: least and largest full width; None is anything an LED may be.
     """
     smallest, largest = diameter_px or DEFAULT_DIAMETER
@@ -64,7 +75,9 @@ def blobs(part: Image, factor: int, largest: float) -> list[tuple[float, float, 
     small = part
     if factor > 1:
         size = (width * factor, height * factor)
-        small = cv2.resize(part[: size[1], : size[0]], (width, height), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(
+            part[: size[1], : size[0]], (width, height), interpolation=cv2.INTER_AREA
+        )
     if small.ndim == 3:
         blue, green, red = cv2.split(small)
         small = cv2.max(cv2.max(blue, green), red)
@@ -81,7 +94,9 @@ def blobs(part: Image, factor: int, largest: float) -> list[tuple[float, float, 
             blob = half_height_blob(contrast, box)
             if blob is not None:
                 taken.append(blob)
-    shift = (factor - 1) / 2  # a pixel of the halved picture is centred between the two it came from
+    shift = (
+        factor - 1
+    ) / 2  # a pixel of the halved picture is centred between the two it came from
     return [(x * factor + shift, y * factor + shift, r * factor, c) for x, y, r, c in taken]
 
 

@@ -7,7 +7,7 @@ observed value: that would favour pixels whose noise happened to be low. A pixel
 or below black has a mean that no parameter moves; it carries no information and needs no mask.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,10 @@ SENSOR_LIMIT = 255.0  # DN
 ITERATIONS = 20  # a clean spot takes five, a saturated one ten or more
 GLANCES = 8  # steps of a first look; what has not taken shape by then is no spot
 SETTLED = 0.05  # of chi² that a step may still gain: under a quarter sigma, and it is taken
-SPARSE = 200  # pixels of a patch below which a first look needs them all
-DENSE = 500  # pixels of a patch above which every fourth will do for a first look
+STEPS = 8  # from a first look on; a clean spot takes three
+STEPS_SATURATED = 20  # its top is hidden, the valley long
+GLANCES = 6  # steps of a first look; what has not taken shape by then is no spot
+GLANCED = 1.0  # of chi², likewise: the place is good to a sigma
 FOOT = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
 OUTLIER = 5.0  # sigma, likewise
 CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
@@ -39,12 +41,12 @@ PRIOR_SHAPE = 2.0  # of (half-width / start)^-2
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """Square cut-outs around candidates, all of one size, with what is known of their noise."""
+    """Pixels around candidates, as many for each, with what is known of their noise."""
 
     value: Array  # (n, p), DN
     valid: NDArray[np.bool_]  # (n, p), inside the image and not clipped in part
-    column: Array  # (p,), px from the cut-out's centre pixel
-    row: Array  # (p,)
+    column: Array  # (n, p), px from the cut-out's centre pixel
+    row: Array  # (n, p)
     scale: Array  # (n,), px, half-width that the fit starts from
     read_share: Array  # (n,), by which combining colours changes a channel's read variance
     gain_share: Array  # (n,), likewise its shot-noise gain
@@ -67,45 +69,33 @@ class Fit:
     chi2: Array  # (n,)
 
 
-def fit_spots(patches: Patches, start: Array) -> Fit:
-    """Fit one spot to each patch, from the parameters of a first look.
+def fit_spots(patches: Patches, start: Array | None = None) -> Fit:
+    """Fit one spot to each patch, from the parameters of a first look where there was one.
 
     A saturated spot is approached from two sides, as its hidden top may be steep or flat.
     """
     prior_mean, prior_weight = priors(patches)
-    best = solve(patches, start, prior_mean, prior_weight, ITERATIONS)
+    begin = prior_mean if start is None else start
+    parameters = solve(patches, begin, prior_mean, prior_weight, STEPS, SETTLED)
     full = np.flatnonzero(saturated(patches))
     if len(full):
-        mean, weight = prior_mean[full], prior_weight[full]
+        part, mean, weight = taken(patches, full), prior_mean[full], prior_weight[full]
         steep = mean.copy()
         steep[:, STEEPNESS], steep[:, PEAK] = STEEP_START, SENSOR_LIMIT - mean[:, FLOOR]
-        other = solve(taken(patches, full), steep, mean, weight, ITERATIONS)
-        better = other.chi2 < best.chi2[full]
-        put(best, full[better], other, better)
-    return best
+        both = [
+            solve(part, top, mean, weight, STEPS_SATURATED, SETTLED)
+            for top in (parameters[full], steep)
+        ]
+        chi2 = [evaluate(part, each, mean, weight).chi2 for each in both]
+        parameters[full] = np.where((chi2[0] <= chi2[1])[:, None], both[0], both[1])
+    return evaluate(patches, parameters, prior_mean, prior_weight)
 
 
 def first_look(patches: Patches) -> Fit:
-    """Fit on a part of the pixels: enough to see whether a spot is there, and where."""
-    part = thinned(patches)
-    prior_mean, prior_weight = priors(part)
-    return solve(part, prior_mean, prior_mean, prior_weight, GLANCES)
-
-
-def thinned(patches: Patches) -> Patches:
-    """Every other pixel; of large patches every fourth, of small ones all."""
-    even = (patches.column + patches.row) % 2 == 0
-    if len(patches.column) < SPARSE:
-        return patches
-    if len(patches.column) > DENSE:
-        even &= patches.column % 2 == 0
-    return replace(
-        patches,
-        value=np.ascontiguousarray(patches.value[:, even]),
-        valid=np.ascontiguousarray(patches.valid[:, even]),
-        column=patches.column[even],
-        row=patches.row[even],
-    )
+    """Fit with few steps: enough to see whether a spot is there, and where."""
+    prior_mean, prior_weight = priors(patches)
+    parameters = solve(patches, prior_mean, prior_mean, prior_weight, GLANCES, GLANCED)
+    return evaluate(patches, parameters, prior_mean, prior_weight)
 
 
 def taken(patches: Patches, which: NDArray[np.intp]) -> Patches:
@@ -114,16 +104,12 @@ def taken(patches: Patches, which: NDArray[np.intp]) -> Patches:
         patches,
         value=patches.value[which],
         valid=patches.valid[which],
+        column=patches.column[which],
+        row=patches.row[which],
         scale=patches.scale[which],
         read_share=patches.read_share[which],
         gain_share=patches.gain_share[which],
     )
-
-
-def put(state: Fit, at: NDArray[np.intp], other: Fit, which: NDArray[np.bool_]) -> None:
-    """Overwrite some rows of one state by those of another."""
-    for field in fields(Fit):
-        getattr(state, field.name)[at] = getattr(other, field.name)[which]
 
 
 def saturated(patches: Patches) -> NDArray[np.bool_]:
@@ -141,38 +127,48 @@ def reweighted(patches: Patches, state: Fit) -> Fit:
 
 
 def solve(
-    patches: Patches, start: Array, prior_mean: Array, prior_weight: Array, iterations: int
-) -> Fit:
-    """Gauss-Newton with Levenberg's damping; patches that have settled drop out."""
-    best = evaluate(patches, start.copy(), prior_mean, prior_weight)  # its rows are overwritten
+    patches: Patches,
+    start: Array,
+    prior_mean: Array,
+    prior_weight: Array,
+    steps: int,
+    settled: float,
+) -> Array:
+    """Parameters by Gauss-Newton with Levenberg's damping; settled patches drop out."""
+    result = start.copy()
     active = np.arange(len(start))
     damping = np.full(len(start), 1e-4)
-    here, part = best, patches
-    for _ in range(iterations):
-        damped = here.information.copy()
+    part, here = patches, normal_equations(evaluate(patches, start, prior_mean, prior_weight))
+    for _ in range(steps):
+        old, information, gradient, chi2 = here
+        damped = information.copy()
         np.einsum("nii->ni", damped)[:] *= 1 + damping[:, None]
-        step = np.linalg.solve(damped, here.gradient[..., None])[..., 0]
-        step = bounded(step, here.parameters)
-        gained = np.einsum("ni,ni->n", step, here.gradient)  # what the step takes from chi²
-        trial = evaluate(part, here.parameters + step, prior_mean[active], prior_weight[active])
+        step = bounded(np.linalg.solve(damped, gradient[..., None])[..., 0], old)
+        trial = normal_equations(
+            evaluate(part, old + step, prior_mean[active], prior_weight[active])
+        )
         # The weights move with the model, so chi² may rise a little on the way to the solution.
-        good = trial.chi2 <= 1.1 * here.chi2 + 1.0
-        put(best, active[good], trial, good)
-        damping = np.where(good, damping / 10, damping * 30)
-        going = ~good | (gained > SETTLED * (1 + trial.chi2 / len(part.column)))
+        good = trial[3] <= 1.1 * chi2 + 1.0
+        result[active[good]] = trial[0][good]
+        gained = (step * gradient).sum(axis=1)  # what the step takes from chi²
+        going = ~good | (gained > settled * (1 + trial[3] / part.value.shape[1]))
         if not going.any():
             break
-        if good.all() and going.all():
-            here = trial
-            continue
-        active, damping = active[going], damping[going]
-        part, here = taken(part, np.flatnonzero(going)), rows_of(best, active)
-    return best
+        damping = np.where(good, damping / 10, damping * 30)
+        if not good.all():
+            for new, kept in zip(trial, here, strict=True):
+                new[~good] = kept[~good]
+        here = trial
+        if 2 * np.count_nonzero(going) <= len(going):  # worth the copying
+            rows = np.flatnonzero(going)
+            part, active, damping = taken(part, rows), active[rows], damping[rows]
+            here = tuple(each[rows] for each in here)
+    return result
 
 
-def rows_of(state: Fit, which: NDArray[np.intp]) -> Fit:
-    """Some of the rows of a state."""
-    return Fit(*(getattr(state, field.name)[which] for field in fields(Fit)))
+def normal_equations(state: Fit) -> tuple[Array, ...]:
+    """What a step needs of a state: parameters, information, gradient and chi²."""
+    return state.parameters, state.information, state.gradient, state.chi2
 
 
 def priors(patches: Patches) -> tuple[Array, Array]:
@@ -194,7 +190,7 @@ def priors(patches: Patches) -> tuple[Array, Array]:
     ring = (distance2 > (2.3 * scale + 1) ** 2) & patches.valid
     excess = np.clip(value - floor[:, None], -30, 30) * ring  # DN: a neighbour is not a slope
     for parameter, axis in ((SLOPE_X, patches.column), (SLOPE_Y, patches.row)):
-        slope = excess @ axis / np.maximum(ring @ axis**2, 1)
+        slope = (excess * axis).sum(axis=1) / np.maximum((ring * axis**2).sum(axis=1), 1)
         weight[:, parameter] = 1 / (slope**2 + 1e-8)
     return mean, weight
 
@@ -202,20 +198,18 @@ def priors(patches: Patches) -> tuple[Array, Array]:
 def bounded(step: Array, parameters: Array) -> Array:
     """Shorten a step that leaves the region in which the linearisation means anything."""
     limit = np.empty_like(step)
-    limit[:, :Y + 1] = 1.5  # px
+    limit[:, : Y + 1] = 1.5  # px
     limit[:, PEAK] = 0.7 * parameters[:, PEAK]
     limit[:, FLOOR] = 30.0  # DN
     limit[:, SLOPE_X : SLOPE_Y + 1] = 5.0  # DN a px
-    least = np.minimum(parameters[:, XX], parameters[:, YY]) 
+    least = np.minimum(parameters[:, XX], parameters[:, YY])
     limit[:, XX : YY + 1] = 0.45 * least[:, None]
     limit[:, STEEPNESS] = 0.5
     ratio = np.max(np.abs(step) / limit, axis=1)
     return step / np.maximum(ratio, 1.0)[:, None]
 
 
-def evaluate(
-    patches: Patches, parameters: Array, prior_mean: Array, prior_weight: Array
-) -> Fit:
+def evaluate(patches: Patches, parameters: Array, prior_mean: Array, prior_weight: Array) -> Fit:
     """State of all patches at the parameters."""
     p = parameters[:, :, None]
     dx, dy = patches.column - p[:, X], patches.row - p[:, Y]
@@ -234,7 +228,7 @@ def evaluate(
     outside = (radius2 > FOOT**2) & (residual**2 > OUTLIER**2 * noise)
     used = patches.valid & ~outside
 
-    jacobian = np.empty((len(parameters), 10, len(patches.column)))
+    jacobian = np.empty((len(parameters), 10, patches.value.shape[1]))
     bend = p[:, PEAK] * slope
     pull = -2 * bend / patches.scale[:, None]
     jacobian[:, X] = pull * (p[:, XX] * u + p[:, XY] * w)

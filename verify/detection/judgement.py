@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection.fit import PEAK, SENSOR_LIMIT, XX, XY, YY, Fit, Patches, X, Y
+from verify.detection.patches import Cut
 from verify.records import Array
 
 FITTED = 8  # parameters that a spot's own pixels pay for; the slopes live on the surroundings
@@ -36,11 +37,11 @@ class Judgement:
     sound: NDArray[np.bool_]  # (n,), a spot at all: found where it was looked for, compact, whole
 
 
-def judge(patches: Patches, state: Fit, origin: NDArray[np.intp], shape: tuple[int, int]) -> Judgement:
+def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
     """Judge one batch of fits; `shape` is the image's height and width."""
-    p = state.parameters
+    patches, p = cut.patches, state.parameters
     offset = p[:, [X, Y]]
-    centre = origin + offset
+    centre = cut.origin + offset
     covariance = np.linalg.inv(state.information)[:, :2, :2]
     mean, split = (p[:, XX] + p[:, YY]) / 2, np.hypot((p[:, XX] - p[:, YY]) / 2, p[:, XY])
     positive = mean > split
@@ -59,7 +60,7 @@ def judge(patches: Patches, state: Fit, origin: NDArray[np.intp], shape: tuple[i
     peak_variance = np.linalg.inv(state.information)[:, PEAK, PEAK]
     inside = np.all(
         (centre > BORDER * half_long[:, None] - 0.5)
-        & (centre < np.array(shape[::-1]) - 0.5 - BORDER * half_long[:, None]),
+        & (centre < np.array(shape[1::-1]) - 0.5 - BORDER * half_long[:, None]),
         axis=1,
     )
     sound = (

@@ -1,11 +1,13 @@
 """The noise of an image, read from the image itself: its dark parts, then its spots' residuals."""
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from verify.records import Array, Image, Noise
 
-# Fourth difference along a line: shading up to cubic vanishes. White noise of variance v leaves 70 v.
+# Fourth difference along a line: cubic shading vanishes; white noise of variance v leaves 70 v.
 STENCIL = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 STENCIL_GAIN = float(STENCIL @ STENCIL)
 LEVEL = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35  # local cubic fit: the level without bias
@@ -50,7 +52,7 @@ def background_noise(image: Image) -> tuple[Noise, float]:
     best, spread, at = np.inf, TYPICAL_SPREAD, 0.0
     order = np.argsort(level)
     bounds = np.searchsorted(level[order], np.arange(CLEAR, 256.0 + CLASS, CLASS))
-    for part in (order[a:b] for a, b in zip(bounds, bounds[1:], strict=False) if b - a >= FEWEST):
+    for part in (order[a:b] for a, b in pairwise(bounds) if b - a >= FEWEST):
         size = difference[part]
         inner = size[size <= TRIM * max(np.median(size) / MAD, 1.0)]
         variance = float(inner @ inner) / len(inner) / TRIMMED / STENCIL_GAIN

@@ -1,6 +1,7 @@
 """The pixels around each candidate, colours combined into one value of known noise."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,41 +10,66 @@ from verify.detection.candidates import Candidates
 from verify.detection.fit import Patches
 from verify.records import Array, Image, Noise
 
-RADII = (7, 9, 12, 15, 19, 25, 34, 46, 62)  # px, of cut-outs: few sizes, so that many share a batch
-REACH = 2.4  # half-widths beyond which a spot shows nothing: a Gaussian has fallen to 2e-2 sigma² …
+RADII = (8, 11, 14, 18, 26, 40, 62)  # px, of cut-outs: few sizes, so that many share a batch
+REACH = 2.4  # half-widths: a Gaussian has fallen to 1/50 there, a disc is long over
 MARGIN = 2.5  # px of floor around that
+GLANCE = 8  # steps from centre to edge of a first look: 197 pixels, whatever the size
 TOGETHER = 8  # patches a batch: their derivatives stay in the processor's cache
 FAINT = 0.1  # of the strongest channel: less adds noise, not information
 CLIPPED = 255
 
 
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """Patches and where they came from."""
+
+    patches: Patches
+    origin: NDArray[np.intp]  # (n, 2), image x, y of each patch's centre pixel
+    colour: Array  # (n, 3), mean B, G, R above the surroundings
+
+
+def glance_at(image: Image, candidates: Candidates, noise: Noise) -> Cut:
+    """Take some 200 pixels around every candidate, spread over its size."""
+    column, row = disc(GLANCE)
+    spacing = (REACH * candidates.radius + MARGIN)[:, None] / GLANCE
+    offsets = [np.rint(spacing * axis).astype(np.intp) for axis in (column, row)]
+    origin = np.rint(candidates.centre).astype(np.intp)
+    return read_pixels(image, origin, candidates.radius, offsets[0], offsets[1], noise)
+
+
 def cut_out(
     image: Image, candidates: Candidates, noise: Noise
-) -> Iterator[tuple[Patches, NDArray[np.intp], Array]]:
-    """Cut the candidates out, batch by batch of one size.
-
-    Yields:
-        Patches; image coordinates of their centre pixels, (n, 2); mean B, G, R above floor, (n, 3).
-    """
-    wanted = REACH * candidates.radius + MARGIN
-    size = np.searchsorted(RADII, wanted).clip(max=len(RADII) - 1)
+) -> Iterator[tuple[NDArray[np.intp], Cut]]:
+    """Cut all pixels of the candidates out, batch by batch of one size, with their indices."""
+    size = np.searchsorted(RADII, REACH * candidates.radius + MARGIN).clip(max=len(RADII) - 1)
     for which in np.unique(size):
         members = np.flatnonzero(size == which)
+        column, row = disc(RADII[which])
         for begin in range(0, len(members), TOGETHER):
             part = members[begin : begin + TOGETHER]
             origin = np.rint(candidates.centre[part]).astype(np.intp)
-            patches, colour = patches_at(image, origin, candidates.radius[part], RADII[which], noise)
-            yield patches, origin, colour
+            offsets = [np.broadcast_to(axis, (len(part), len(axis))) for axis in (column, row)]
+            radius = candidates.radius[part]
+            yield part, read_pixels(image, origin, radius, offsets[0], offsets[1], noise)
 
 
-def patches_at(
-    image: Image, origin: NDArray[np.intp], scale: Array, radius: int, noise: Noise
-) -> tuple[Patches, Array]:
-    """Cut round patches of one radius out of the image; with each one's colour."""
+def disc(radius: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Columns and rows of the pixels of a disc."""
     axis = np.arange(-radius, radius + 1)
-    column, row = (a.ravel() for a in np.meshgrid(axis, axis))
-    round_ = column**2 + row**2 <= radius**2
-    column, row = column[round_], row[round_]
+    column, row = np.meshgrid(axis, axis)
+    within = column**2 + row**2 <= radius**2
+    return column[within], row[within]
+
+
+def read_pixels(
+    image: Image,
+    origin: NDArray[np.intp],
+    scale: Array,
+    column: NDArray[np.intp],
+    row: NDArray[np.intp],
+    noise: Noise,
+) -> Cut:
+    """Read the image at offsets (n, p) from the origins, its colours combined."""
     height, width = image.shape[:2]
     x, y = origin[:, :1] + column, origin[:, 1:] + row
     valid = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -67,11 +93,11 @@ def patches_at(
         # The channels' shares of the signal are the weights themselves, up to a factor.
         share = square.sum(axis=1), (square * weight).sum(axis=1) / square.sum(axis=1)
     offset = column.astype(float), row.astype(float)
-    return Patches(value, valid, *offset, scale, *share, noise), colour
+    return Cut(Patches(value, valid, *offset, scale, *share, noise), origin, colour)
 
 
 def is_grey(pixels: Image) -> bool:
-    """Whether a colour image holds one picture three times: then it is one measurement, not three."""
+    """Whether the channels hold one picture three times: one measurement, not three."""
     return bool(
         np.array_equal(pixels[..., 0], pixels[..., 1])
         and np.array_equal(pixels[..., 1], pixels[..., 2])

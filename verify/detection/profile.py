@@ -16,7 +16,10 @@ from scipy.special import chndtr
 from verify.records import Array
 
 GAUSSIAN_STEEPNESS = 2 * np.log(2)
-LOWEST, HIGHEST = np.log(1.05), np.log(32.0)  # halo of exponent 1.2 … a 40 px disc blurred by 0.5 px
+LOWEST, HIGHEST = (
+    np.log(1.05),
+    np.log(32.0),
+)  # halo of exponent 1.2 … a 40 px disc blurred by 0.5 px
 ROWS = 56  # 0.06 in ln steepness a row: linear blending errs by under 5e-4 of the peak
 STEP = 1 / 128  # half-widths between samples: a Taylor step of first order errs by under 1e-3
 LAST = 8.0  # half-widths; beyond it the last sample stands
