@@ -61,9 +61,8 @@ def _status(words: list[str]) -> int:
         return _refuse(str(problem))
     except WrongUsage as problem:
         return _refuse(f"{str(problem).rstrip('.')}. See `verify --help`.")
-    except (KeyboardInterrupt, typer.Abort):
-        sys.stderr.write("interrupted\n")
-        return INTERRUPTED
+    except (KeyboardInterrupt, typer.Abort):  # older typer; newer ones give back the status
+        outcome = INTERRUPTED
     except BrokenPipeError:  # the reader of our output has gone: nobody is left to tell
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -71,6 +70,8 @@ def _status(words: list[str]) -> int:
         if problem.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
             raise
         return _refuse(f"{problem.filename or 'output'}: {problem.strerror}.")
+    if outcome == INTERRUPTED:
+        sys.stderr.write("interrupted\n")
     return outcome if isinstance(outcome, int) else 0
 
 

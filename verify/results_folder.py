@@ -30,7 +30,12 @@ def write_results(results: Results, out: Path, *, force: bool) -> None:
         InputError: the folder cannot be written.
     """
     with folder_written_whole(out, force) as folder:
-        reports.write(results, folder / RESULTS)
+        try:
+            reports.write(results, folder / RESULTS)
+        except ReportError as problem:
+            if isinstance(problem.__cause__, OSError):  # a full disk, say: worded where files are
+                raise problem.__cause__ from None
+            raise
         _write_readable(results, folder)
         write_reports(results, folder)
 

@@ -1,0 +1,196 @@
+"""What the documents say is true: commands run, files exist, options and keys are known."""
+
+import csv
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import robots
+from tests.end_to_end.command import ROOT, verify
+from verify import marker_file, rig_file, session_file
+from verify.cli import app
+from verify.sim import library
+
+README = ROOT / "README.md"
+DOCUMENTS = sorted([README, ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
+COMMANDS = sorted(str(c.callback.__name__) for c in app.registered_commands if c.callback)
+EVERYWHERE = {"--help", "--version", "--quiet", "--verbose", "--json"}
+SETS_UP = ("make", "python3 -m venv", ".venv/bin/pip", ".venv/bin/python -m pytest")
+OURS = {"README.md", "LICENSE", "Makefile", "CHANGELOG.md", "pyproject.toml"}
+each_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda d: str(d.name))
+
+
+def blocks(document: Path, language: str) -> list[str]:
+    fence = rf"^```{language}\n(.*?)^```$"
+    return re.findall(fence, document.read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+def lines(document: Path) -> Iterator[str]:
+    for block in blocks(document, "sh"):
+        yield from (line for line in block.splitlines() if line.strip())
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that looks like a fresh clone with its environment; what commands write stays."""
+    folder = tmp_path_factory.mktemp("clone")
+    for name in ("sample_sessions", ".ci", "docs", "pyproject.toml", "Makefile"):
+        (folder / name).symlink_to(ROOT / name)
+    (folder / ".venv").mkdir()
+    (folder / ".venv" / "bin").symlink_to(Path(sys.executable).parent)
+    return folder
+
+
+def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    path = f"{folder / '.venv' / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    here = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(words, cwd=folder, env=here, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def outcomes(clone: Path) -> dict[str, subprocess.CompletedProcess[str]]:
+    """Every command of the README but those that set up, as written, in its order."""
+    typed = [line for line in lines(README) if not line.startswith(SETS_UP)]
+    return {line: run(["bash", "-c", line], clone) for line in typed}
+
+
+def test_every_command_of_the_readme_runs_as_written(
+    outcomes: dict[str, subprocess.CompletedProcess[str]],
+) -> None:
+    assert len(outcomes) >= len(COMMANDS)
+    for line, done in outcomes.items():
+        said = re.search(r"# status (\d)", line)
+        assert done.returncode == (int(said[1]) if said else 0), f"{line}\n{done.stderr}"
+
+
+def test_every_python_example_of_the_readme_runs_as_written(clone: Path) -> None:
+    examples = blocks(README, "python")
+    assert examples
+    for code in examples:
+        done = run([sys.executable, "-W", "error", "-c", code], clone)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.strip()
+
+
+def test_what_sets_up_names_targets_files_and_extras_that_exist() -> None:
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = extras["optional-dependencies"]
+    for document in DOCUMENTS:
+        named = re.findall(r"(?:^|`)make ([a-z-]+)", document.read_text(), flags=re.MULTILINE)
+        assert set(named) <= set(targets), document.name
+    for line in lines(README):
+        words = shlex.split(line, comments=True)
+        if words[0] == ".venv/bin/pip":
+            assert (ROOT / words[words.index("-c") + 1]).is_file()
+            wanted = re.search(r"\[(.*)\]", words[words.index("-e") + 1])
+            assert wanted is None or wanted[1] in extras
+
+
+def test_every_make_target_is_in_the_readme() -> None:
+    phony = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
+    assert phony is not None
+    missing = [name for name in phony[1].split() if f"make {name}" not in README.read_text()]
+    assert not missing
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_subcommand_and_option_is_in_the_readme(command: str) -> None:
+    described = re.search(rf"^\| `verify {command}\b.*$", README.read_text(), flags=re.MULTILINE)
+    assert described is not None
+    missing = [option for option in options(command) if option not in described[0]]
+    assert not missing
+
+
+def options(command: str) -> set[str]:
+    """Long options by --help, but those of every command, and --out, which is shown as -o."""
+    return set(re.findall(r"--[a-z-]+", verify(command, "--help").out)) - EVERYWHERE - {"--out"}
+
+
+@each_document
+def test_every_command_and_option_that_is_named_is_real(document: Path) -> None:
+    text = document.read_text()
+    typed = re.findall(r"^(?:\.venv/bin/)?(verify .*)$|`(verify [^`]*)`", text, re.MULTILINE)
+    for words in (shlex.split(a or b, comments=True) for a, b in typed):
+        assert words[1] in COMMANDS, words
+        named = {word for word in words if word.startswith("--")}
+        assert named <= options(words[1]) | EVERYWHERE | {"--out"}, words
+    every = set().union(*map(options, COMMANDS)) | EVERYWHERE | {"--strict"}  # mypy's own
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= every
+
+
+@each_document
+def test_every_link_and_every_file_that_is_named_exists(document: Path) -> None:
+    text = document.read_text()
+    for link in re.findall(r"\]\(([^)]+)\)", text):
+        if link.startswith("https://"):
+            continue
+        name, _, heading = link.partition("#")
+        target = document.parent / name if name else document
+        assert target.is_file(), link
+        assert not heading or heading in headings(target), link
+    for name in re.findall(r"`(\.?\w[\w./-]*)`", text):
+        first = ROOT / name.split("/")[0]
+        if name in OURS or ("/" in name and first.is_dir() and not first.name.endswith("report")):
+            assert (ROOT / name).exists(), name
+
+
+def headings(document: Path) -> set[str]:
+    """A document's headings as links name them."""
+    titles = re.findall(r"^#+ (.*)$", document.read_text(), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@each_document
+def test_every_file_that_is_shown_is_read_without_a_complaint(
+    document: Path, tmp_path: Path
+) -> None:
+    readers = {"session": session_file.read, "rig": rig_file.read, "marker": marker_file.read}
+    for text in blocks(document, "toml"):
+        name = text.partition("\n")[0].removeprefix("# ").removesuffix(".toml")
+        path = tmp_path / f"{name}.toml"
+        path.write_text(text)
+        if name in readers:
+            assert readers[name](path)[1] == ()
+        elif name == "scenario":
+            library.load(str(path))
+        elif name == "my_arm":
+            assert robots.self_check(robots.load(str(path)), poses=20).lost == 0
+        else:
+            assert tomllib.loads(text)
+
+
+def test_every_key_and_column_of_a_run_is_explained(
+    clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
+) -> None:
+    assert outcomes
+    explained = (ROOT / "docs" / "results.md").read_text()
+    summary = json.loads((clone / "demo-report" / "summary.json").read_text())
+    tables = [
+        summary,
+        summary["clock"],
+        summary["pairs"],
+        summary["joints"][0],
+        summary["position"],
+    ]
+    keys = [key for table in tables for key in table] + [k for c in summary["diagnosis"] for k in c]
+    with (clone / "demo-report" / "frames.csv").open(newline="") as file:
+        header = next(csv.reader(file))
+    keys += [re.sub(r"^q\d+_", "qN_", column) for column in header]
+    assert [key for key in keys if f"`{key}`" not in explained] == []
+
+
+def test_every_file_of_a_run_is_in_the_readme(
+    clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
+) -> None:
+    assert outcomes
+    written = {path.name + "/" * path.is_dir() for path in (clone / "demo-report").iterdir()}
+    assert [name for name in written if f"`{name}`" not in README.read_text()] == []
