@@ -1,6 +1,7 @@
 """The first half of a report: the verdict, the joints, the causes, the errors, the pose."""
 
 from dataclasses import replace
+from pathlib import PurePath
 from typing import Any
 
 from reports import words
@@ -47,7 +48,7 @@ def verdict(results: Results) -> Section:
     session, pairs = summary.get("session") or {}, summary.get("pairs") or {}
     items = [
         ("Robot", word(session.get("robot"))),
-        ("Session", word(session.get("path"))),
+        ("Session", word(PurePath(session.get("path") or "").name)),
         ("Started", word(session.get("started"))),
         (
             "Stereo pairs",

@@ -26,7 +26,7 @@ def document(results: Results) -> Document:
     session = results.summary.get("session") or {}
     tool = results.summary.get("tool") or {}
     robot = (results.setup.get("robot") or {}).get("name") or session.get("robot") or DASH
-    description = session.get("description") or session.get("path") or "a recorded session"
+    description = session.get("description") or "a recorded session"
     fingerprint = word((results.setup.get("robot") or {}).get("fingerprint"))
     footer = (
         f"{tool.get('name') or 'verify'} {tool.get('version') or DASH} · robot {fingerprint[:23]}"

@@ -66,7 +66,7 @@ def load(
         return definition.read(HERE / f"{name_or_path}.toml")
     known = [*names(), *example_names()]
     near = difflib.get_close_matches(name_or_path, known, n=1)
-    found = "is not known" + (f'; did you mean "{near[0]}"?' if near else "")
+    found = "it is not known" + (f', did you mean "{near[0]}"?' if near else "")
     remedy = "Or give the path of a robot file (.toml) or a URDF (.urdf)."
     raise RobotError(f'robot "{name_or_path}"', found, f"known are {', '.join(known)}", remedy)
 

@@ -87,7 +87,7 @@ def _motion(
         covariance=covariance,
         t=float(now.sighting.t if not len(shift) else now.taken[0] + shift[0]),
         velocity=velocity,
-        acceleration_lever=0.5 * np.abs(shift * (shift + span)),
+        acceleration_lever=-0.5 * shift * (shift + span),
     )
 
 

@@ -77,6 +77,13 @@ def analyse(
     clock = _clock(session, track, readings)
     refuse_radians(session, track, readings, clock)
     comparison, joints, unreachable = _compare(session, track, readings, clock, seen.systematics)
+    if not len(comparison) and unreachable:
+        raise InputError(
+            session.folder / "rig.toml",
+            f"{session.arm.name} can stand in none of the {len(track)} measured poses",
+            "robot, [robot_base] and marker.toml must belong to this recording",
+            "Check robot_base.position_mm and the robot's name.",
+        )
     if not len(comparison):
         raise InputError(
             session.folder / "encoders.csv",
@@ -223,7 +230,7 @@ def _judge(
         flange=_flange(model, factor, estimated),
         through_encoders=model.through_encoders,
         uncounted=uncounted,
-        warnings=_warnings(session, systematics, uncounted, clock, model),
+        warnings=_warnings(session, seen, systematics, uncounted, clock, model),
     )
     tables = {
         "frames": frames_table(
@@ -296,8 +303,19 @@ def _uncounted(systematics: Systematics, clock: ClockEstimate) -> tuple[str, ...
     return systematics.uncounted
 
 
+def _never_used(session: Session, seen: _Seen) -> list[str]:
+    """LEDs that no measured pair used, by name."""
+    used: set[int] = set()
+    for m in seen.measurements:
+        if m.status == "measured" and m.pose is not None and m.left and m.right:
+            led = np.concatenate([m.left.led, m.right.led])
+            used.update(led[~m.pose.rejected].tolist())
+    return [name for i, name in enumerate(session.marker.names) if i not in used]
+
+
 def _warnings(
     session: Session,
+    seen: _Seen,
     systematics: Systematics,
     uncounted: tuple[str, ...],
     clock: ClockEstimate,
@@ -308,6 +326,12 @@ def _warnings(
         warnings.append(
             "No uncertainty is stated for " + ", ".join(uncounted) + ": taken as exact; the "
             "verdict holds on that condition."
+        )
+    unseen = _never_used(session, seen)
+    if unseen:
+        warnings.append(
+            f"Never seen where marker.toml puts them, in any pair: LED {', '.join(unseen)}. Check "
+            "that they are lit and in view, and their position_mm."
         )
     if systematics.unknown:
         warnings.append(

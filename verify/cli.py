@@ -4,8 +4,13 @@ import errno
 import os
 import signal
 import sys
+import traceback
 
 import typer
+
+# matrices here are small: a second BLAS thread costs more than it brings, and takes the core
+# that decodes; numpy reads this when it is first imported, which the commands do later
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from verify.commands.report import report
 from verify.commands.robots import robots
@@ -21,6 +26,7 @@ WrongUsage: type[Exception] = next(
 )
 BAD_INPUT = 2
 INTERRUPTED = 130
+DEFECT = 70  # EX_SOFTWARE of sysexits.h
 
 EVERYWHERE = (
     "With every command: --quiet, --verbose, --json (one object a line on standard output), "
@@ -44,7 +50,7 @@ def _verify() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit with INTERFACE.md's status."""
+    """Run the command line and exit with docs/results.md's status."""
     words = _global_flags(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     signal.signal(signal.SIGTERM, _interrupt)  # a polite kill leaves nothing half-written either
     sys.exit(_status(words))
@@ -60,7 +66,8 @@ def _status(words: list[str]) -> int:
     except InputError as problem:
         return _refuse(str(problem))
     except WrongUsage as problem:
-        return _refuse(f"{str(problem).rstrip('.')}. See `verify --help`.")
+        said = str(getattr(problem, "format_message", problem.__str__)())
+        return _refuse(f"{said}{'' if said[-1:] in '.?!' else '.'} See `verify --help`.")
     except (KeyboardInterrupt, typer.Abort):  # older typer; newer ones give back the status
         outcome = INTERRUPTED
     except BrokenPipeError:  # the reader of our output has gone: nobody is left to tell
@@ -68,8 +75,12 @@ def _status(words: list[str]) -> int:
         return 0
     except OSError as problem:
         if problem.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
-            raise
+            traceback.print_exc()
+            return DEFECT
         return _refuse(f"{problem.filename or 'output'}: {problem.strerror}.")
+    except Exception:  # a defect of ours must not pass for "does not conform", which is 1
+        traceback.print_exc()
+        return DEFECT
     if outcome == INTERRUPTED:
         sys.stderr.write("interrupted\n")
     return outcome if isinstance(outcome, int) else 0

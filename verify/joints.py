@@ -45,7 +45,7 @@ def solve_joints(comparison: Comparison, arm: robots.Arm) -> Joints:
     inverse = np.asarray(np.linalg.pinv(jacobian, rcond=1e-9), dtype=np.float64)
     # an exact singularity is flagged, not fatal
     open_joints = np.array(
-        [_open(inverse[i], jacobian[i], comparison.determined[i]) for i in range(n)]
+        [_open(inverse[i], jacobian[i], comparison.determined[i]) for i in range(n)], dtype=bool
     ).reshape(n, dof)
     q = np.where(reached[:, None] & ~open_joints, q, np.nan)
     error = comparison.q - q

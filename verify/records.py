@@ -66,7 +66,7 @@ class Sighting:
     pan: float  # rad, camera base angle as read
     peak: Array  # (m,), DN
     velocity: Array  # (m, 2), px/s, from the neighbouring pair; 0 where the arm stands still
-    acceleration_lever: Array  # (m,), s²: px that one px/s² of acceleration leaves after alignment
+    acceleration_lever: Array  # (m,), s²: px by which one px/s² of acceleration displaces `centre`
 
     def __len__(self) -> int:
         """Count the LEDs seen."""

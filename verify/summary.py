@@ -1,4 +1,4 @@
-"""summary.json: what INTERFACE.md promises, from what was judged."""
+"""summary.json: what docs/results.md promises, from what was judged."""
 
 import math
 from collections import Counter
@@ -57,7 +57,7 @@ def summarise(judged: Judged) -> dict[str, Any]:
         "format": 1,
         "tool": {"name": "verify", "version": __version__},
         "session": {
-            "path": session.name,
+            "path": str(session.folder),
             "robot": session.robot,
             "description": session.description,
             "started": session.started,

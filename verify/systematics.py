@@ -2,7 +2,7 @@
 
 A parameter's sensitivity is the derivative of the measured pose by the value in the file, at
 fixed pictures. A small rotation acts on the left, in the axes of the frame that holds it
-(SESSION_FORMAT.md): the rig's for the robot base and pan axis, the turntable's for a mount, the
+(docs/session.md): the rig's for the robot base and pan axis, the turntable's for a mount, the
 flange's for the LED body.
 """
 

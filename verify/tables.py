@@ -22,7 +22,7 @@ def frames_table(
     joints: Joints,
     error_uncertainty: Array,
 ) -> pd.DataFrame:
-    """INTERFACE.md's frames.csv: one row a stereo pair, empty figures where it was not measured.
+    """docs/results.md's frames.csv: one row a stereo pair, empty figures where it was not measured.
 
     Args:
         measurements: every pair's outcome, in order.

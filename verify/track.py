@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from verify.records import Array, Measurement
+from verify.alignment import LONGEST_GAP
+from verify.records import Array, Measurement, Sighting
 from verify.rig import Rig
 
 
@@ -20,6 +21,7 @@ class Track:
     covariance_alignment: Array  # (n, 6, 6)
     twist: Array  # (n, 6), m/s, rad/s, as the images show it
     acceleration_prior: Array  # (n, 2), m/s², rad/s²
+    alignment_error: Array  # (n, 6), what the accelerations seen about a pair leave of alignment
     systematic: Array  # (n, 6, p): d measured pose / d parameter of `Systematics`
     determined: tuple[Array, ...]  # n of (6, d)
 
@@ -49,9 +51,55 @@ def collect(measurements: list[Measurement], rig: Rig, systematic: list[Array]) 
         covariance_alignment=_turned(turn, [p.covariance_alignment for p in poses]),
         twist=np.array([turn @ p.twist for p in poses]).reshape(n, 6),
         acceleration_prior=np.array([p.acceleration_prior for p in poses]).reshape(n, 2),
+        alignment_error=_alignment_errors(measurements) @ turn.T,
         systematic=np.array(systematic).reshape(n, 6, -1) if n else np.zeros((0, 6, 0)),
         determined=tuple(turn @ p.determined for p in poses),
     )
+
+
+def _alignment_errors(measurements: list[Measurement]) -> Array:
+    """How far alignment's steady motion puts each measured pose off, (n, 6), rig axes.
+
+    A pair looks back one pair and cannot know its acceleration; once its successor is there, the
+    second difference of the spots shows it. The values stay as they are: this goes into the
+    judgement, as a term that does not average out when the arm accelerates one way.
+    """
+    errors = []
+    for i, now in enumerate(measurements):
+        if now.status != "measured" or now.pose is None:
+            continue
+        around = measurements[max(i - 1, 0) : i + 2]
+        near = len(around) == 3 and all(abs(m.t - now.t) <= LONGEST_GAP for m in around)
+        errors.append(_alignment_error(around[0], now, around[2]) if near else np.zeros(6))
+    return np.array(errors).reshape(-1, 6)
+
+
+def _alignment_error(before: Measurement, now: Measurement, after: Measurement) -> Array:
+    shifts = []
+    for side in ("left", "right"):
+        seen = [getattr(m, side) for m in (before, now, after)]
+        if any(s is None for s in seen):
+            return np.zeros(6)
+        shifts.append(_second_difference(*seen) * seen[1].acceleration_lever[:, None])
+    if now.pose is None:
+        return np.zeros(6)
+    error: Array = now.pose.gain @ np.concatenate(shifts).reshape(-1)
+    return error
+
+
+def _second_difference(before: Sighting, now: Sighting, after: Sighting) -> Array:
+    """Acceleration of each LED's image, (m, 2), px/s²; 0 where a neighbour did not see it."""
+    acceleration = np.zeros((len(now), 2))
+    if not np.any(now.acceleration_lever) or before.pan != now.pan or after.pan != now.pan:
+        return acceleration
+    places = [{int(led): i for i, led in enumerate(s.led)} for s in (before, after)]
+    early, late = now.t - before.t, after.t - now.t
+    for i, led in enumerate(now.led.tolist()):
+        if led in places[0] and led in places[1]:
+            first = (now.centre[i] - before.centre[places[0][led]]) / early
+            second = (after.centre[places[1][led]] - now.centre[i]) / late
+            acceleration[i] = 2 * (second - first) / (early + late)
+    return acceleration
 
 
 def _pan(measurement: Measurement, side: str) -> float:

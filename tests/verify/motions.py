@@ -40,6 +40,7 @@ def make_track(t: Array, q: Array, rng: np.random.Generator, arm: robots.Arm = A
         covariance_alignment=np.zeros((n, 6, 6)),
         twist=np.zeros((n, 6)),
         acceleration_prior=np.ones((n, 2)),
+        alignment_error=np.zeros((n, 6)),
         systematic=np.zeros((n, 6, 2)),
         determined=(np.eye(6),) * n,
     )

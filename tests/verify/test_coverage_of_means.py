@@ -121,8 +121,8 @@ def test_d_squared_of_the_mean_errors_is_chi_squared(doubts: bool) -> None:
     means = [replicate(rig, marker, parameters, seed) for seed in range(REPLICATES)]
     d2 = [float(m.mean @ np.linalg.solve(m.covariance, m.mean)) for m in means]
     degrees = 6 * REPLICATES
-    low, high = chi2.ppf([0.005, 0.995], degrees) / degrees
-    assert low < np.mean(d2) / 6 < high
+    low, high = chi2.ppf(0.005, degrees), chi2.ppf(0.995, degrees)
+    assert low < sum(d2) < high
     z = np.array([m.mean / np.sqrt(np.diag(m.covariance)) for m in means])
     # six intervals of a replicate hold or miss together at worst: binomial of 40, three deviations
     assert np.mean(np.abs(z) < 1.96) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / REPLICATES)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
 from verify.detection.fit import Fit, first_look, fit_spots, reweighted
-from verify.detection.judgement import FITTED, SEEN, Judgement, joined, judge
+from verify.detection.judgement import FITTED, SEEN, Judgement, core_pixels, joined, judge
 from verify.detection.noise import LIKELY, background_noise, refined
 from verify.detection.patches import Cut, cut_out, glance_at
 from verify.errors import InputError
@@ -142,17 +142,19 @@ def residuals(
     speakers: list[tuple[float, Array, Array]] = []
     for (cut, state), judgement in zip(batches, judgements, strict=True):
         patches, own = cut.patches, state.used & (state.visible > SEEN)
-        count = own.sum(axis=1)
+        core = core_pixels(patches, state)
+        count = (own & core).sum(axis=1)
         for row in np.flatnonzero(judgement.sound & (count > 2 * FITTED)):
             pixels = own[row]
-            paid = count[row] / (count[row] - FITTED)  # what the fit's parameters took
+            # What the fit's parameters took, they took from the spot's own pixels.
+            paid = np.where(core[row, pixels], count[row] / (count[row] - FITTED), 1.0)
             # Combined colours have a noise of their own; brought back to that of one channel.
             square = np.square(patches.value[row] - state.mean[row])[pixels]
             square *= paid / patches.read_share[row]
             signal = state.signal[row, pixels] * patches.gain_share[row] / patches.read_share[row]
             speakers.append((judgement.peak[row] / judgement.elongation[row], square, signal))
     speakers = sorted(speakers, key=lambda speaker: -speaker[0])[:LIKELY]
-    squares, signals = ([s[k] for s in speakers] for k in (1, 2))
+    squares, signals = [s for _, s, _ in speakers], [s for *_, s in speakers]
     spot = np.repeat(np.arange(len(speakers)), [len(s) for s in squares])
     return np.concatenate([*squares, []]), np.concatenate([*signals, []]), spot
 

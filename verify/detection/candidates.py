@@ -72,24 +72,27 @@ def blobs(part: Image, factor: int, largest: float) -> list[tuple[float, float, 
     height, width = part.shape[0] // factor, part.shape[1] // factor
     if min(height, width) < 3:
         return []
-    small = part
+    small: Image = part
     if factor > 1:
         size = (width * factor, height * factor)
-        small = cv2.resize(
-            part[: size[1], : size[0]], (width, height), interpolation=cv2.INTER_AREA
+        whole = part[: size[1], : size[0]]
+        small = np.asarray(
+            cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8
         )
     if small.ndim == 3:
         blue, green, red = cv2.split(small)
-        small = cv2.max(cv2.max(blue, green), red)
+        small = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     side = int(LARGER_THAN_LED * largest / factor) | 1
-    contrast = cv2.morphologyEx(small, cv2.MORPH_TOPHAT, np.ones((side, side), np.uint8))
+    window = np.ones((side, side), np.uint8)
+    contrast = np.asarray(cv2.morphologyEx(small, cv2.MORPH_TOPHAT, window), np.uint8)
     taken: list[tuple[float, float, float, float]] = []
     for level in LEVELS:
         _, above = cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)
         outlines, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         for outline in outlines:
-            box = cv2.boundingRect(outline)
-            if max(box[2:]) > 2 * side or holds_any(outline, box, taken):
+            x, y, box_width, box_height = cv2.boundingRect(outline)
+            box = (x, y, box_width, box_height)
+            if max(box[2:]) > 2 * side or holds_any(np.asarray(outline, np.int32), box, taken):
                 continue
             blob = half_height_blob(contrast, box)
             if blob is not None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from verify.detection.noise import QUANTISATION
-from verify.detection.profile import LOWEST, STEP, profile_table
+from verify.detection.profile import LAST, LOWEST, STEP, profile_table
 from verify.records import Array, Noise
 
 X, Y, PEAK, FLOOR, SLOPE_X, SLOPE_Y, XX, XY, YY, STEEPNESS = range(10)
@@ -115,14 +115,13 @@ def taken(patches: Patches, which: NDArray[np.intp]) -> Patches:
 def saturated(patches: Patches) -> NDArray[np.bool_]:
     """Whether some pixels on the spot are at the sensor's limit, (n,)."""
     near = patches.column**2 + patches.row**2 <= patches.scale[:, None] ** 2
-    at_limit: NDArray[np.bool_] = ((patches.value >= SENSOR_LIMIT) & near).any(axis=1)
-    return at_limit
+    return np.asarray(((patches.value >= SENSOR_LIMIT) & near).any(axis=1), dtype=np.bool_)
 
 
 def reweighted(patches: Patches, state: Fit) -> Fit:
     """One more step from a solution, under the noise that the patches now carry."""
     here = evaluate(patches, state.parameters, *priors(patches))
-    step = np.linalg.solve(here.information, here.gradient[..., None])[..., 0]
+    step = solved(here.information, here.gradient)
     return replace(here, parameters=here.parameters + bounded(step, here.parameters))
 
 
@@ -143,7 +142,7 @@ def solve(
         old, information, gradient, chi2 = here
         damped = information.copy()
         np.einsum("nii->ni", damped)[:] *= 1 + damping[:, None]
-        step = bounded(np.linalg.solve(damped, gradient[..., None])[..., 0], old)
+        step = bounded(solved(damped, gradient), old)
         trial = normal_equations(
             evaluate(part, old + step, prior_mean[active], prior_weight[active])
         )
@@ -195,6 +194,11 @@ def priors(patches: Patches) -> tuple[Array, Array]:
     return mean, weight
 
 
+def solved(matrix: Array, right: Array) -> Array:
+    """Solve one linear system a patch."""
+    return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0], dtype=np.float64)
+
+
 def bounded(step: Array, parameters: Array) -> Array:
     """Shorten a step that leaves the region in which the linearisation means anything."""
     limit = np.empty_like(step)
@@ -206,7 +210,8 @@ def bounded(step: Array, parameters: Array) -> Array:
     limit[:, XX : YY + 1] = 0.45 * least[:, None]
     limit[:, STEEPNESS] = 0.5
     ratio = np.max(np.abs(step) / limit, axis=1)
-    return step / np.maximum(ratio, 1.0)[:, None]
+    shortened: Array = step / np.maximum(ratio, 1.0)[:, None]
+    return shortened
 
 
 def evaluate(patches: Patches, parameters: Array, prior_mean: Array, prior_weight: Array) -> Fit:
@@ -270,11 +275,8 @@ def look_up(radius2: Array, log_steepness: Array) -> tuple[Array, Array, Array]:
     t2 = (index * STEP) ** 2
     index += (np.arange(len(row)) * samples)[:, None]
     slope_here = slope.ravel()[index]
-    beyond = np.minimum(radius2 - t2, STEP * LAST_STEP)
+    beyond = np.minimum(radius2 - t2, 2 * LAST * STEP)  # past the table the profile stands
     return value.ravel()[index] + slope_here * beyond, slope_here, change.ravel()[index]
-
-
-LAST_STEP = 16.0  # half-widths: t dt at the table's end, past which the profile stands
 
 
 def clipped(mu: Array, noise: Array) -> tuple[Array, Array, Array]:

@@ -18,6 +18,7 @@ ROUGH = 0.035  # rms residual over peak, likewise; both must hold: a bright LED 
 FAINTEST = 8.0  # sigma of the peak: chance does not reach it in a picture
 WANDERED = 1.5  # half-widths: a fit that left its candidate has found something else
 LONGEST = 2.0  # axis ratio of the fitted profile; a blurred LED stays below, streaks do not
+CHANCE = 2.0  # standard deviations of a reduced chi² that noise alone reaches
 TOGETHER = 20.0  # pixels that a wrong shape lifts together, so that they do not average
 BORDER = 1.2  # half-widths that must be inside the image
 
@@ -42,7 +43,7 @@ def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
     patches, p = cut.patches, state.parameters
     offset = p[:, [X, Y]]
     centre = cut.origin + offset
-    covariance = np.linalg.inv(state.information)[:, :2, :2]
+    covariance = np.asarray(np.linalg.inv(state.information)[:, :2, :2], dtype=np.float64)
     mean, split = (p[:, XX] + p[:, YY]) / 2, np.hypot((p[:, XX] - p[:, YY]) / 2, p[:, XY])
     positive = mean > split
     half_long = patches.scale / np.sqrt(np.where(positive, mean - split, 1.0))
@@ -55,9 +56,11 @@ def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
     misfit = np.where(freedom > 0, chi2 / np.maximum(freedom, 1), 1.0)
     rough = np.sqrt((seen * residual2).sum(axis=1) / np.maximum(freedom, 1))
     merged = (misfit > MISFIT) & (rough > ROUGH * np.minimum(p[:, PEAK], SENSOR_LIMIT))
-    # A shape that the profiles lack leaves errors larger than noise: said in the covariance too.
-    covariance = covariance * np.where(merged, TOGETHER * misfit, 1.0)[:, None, None]
-    peak_variance = np.linalg.inv(state.information)[:, PEAK, PEAK]
+    # A shape that the profiles lack (a stalk before the LED, a reflection beside it) leaves errors
+    # larger than noise, in neighbouring pixels alike: said in the covariance too.
+    excess = np.maximum(misfit - 1 - CHANCE * np.sqrt(2 / np.maximum(freedom, 1)), 0.0)
+    inflation = np.where(merged, TOGETHER * misfit, 1 + TOGETHER * excess)
+    covariance = covariance * inflation[:, None, None]
     inside = np.all(
         (centre > BORDER * half_long[:, None] - 0.5)
         & (centre < np.array(shape[1::-1]) - 0.5 - BORDER * half_long[:, None]),
@@ -67,7 +70,7 @@ def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
         positive
         & inside
         & np.all(np.isfinite(p), axis=1)
-        & (p[:, PEAK] > FAINTEST * np.sqrt(peak_variance))
+        & (p[:, PEAK] * np.sqrt(state.information[:, PEAK, PEAK]) > FAINTEST)
         & (half_long < LONGEST * half_short)
         & (np.hypot(*offset.T) < WANDERED * patches.scale + 1)
     )
@@ -78,7 +81,7 @@ def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
         diameter=half_long + half_short,
         elongation=half_long / half_short,
         misfit=misfit,
-        saturated=(core & (patches.value >= SENSOR_LIMIT)).any(axis=1),
+        saturated=np.asarray((core & (patches.value >= SENSOR_LIMIT)).any(axis=1), np.bool_),
         merged=merged,
         sound=sound,
     )

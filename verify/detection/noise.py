@@ -22,6 +22,8 @@ FEWEST = 60  # stencils a level class must hold: 15 % on its variance
 EFFECTIVE = 0.5  # share of independent information: neighbouring stencils overlap
 TYPICAL_READ = 1.5  # DN, where no unclipped dark pixel shows it
 TYPICAL_GAIN = 1 / 35  # DN, 9,000 electrons over 255 DN: a usual small pixel
+LOWEST_GAIN = 1e-4  # DN, 2.5 million electrons: no sensor holds more
+HIGHEST_GAIN = 0.2  # DN, 1,300 electrons: above, it is the shape that does not fit
 TYPICAL_SPREAD = 1.0  # relative, how far a sensor may be from typical
 TEXTURE = 0.1  # relative: what unseen texture may add to the dark variance
 LIKELY = 8  # spots, brightest first, that may speak on noise: behind them come glints and paint
@@ -101,5 +103,5 @@ def refined(
             np.diag(usual**2) + rows.T @ rows,
             usual**2 * [dark, TYPICAL_GAIN] + rows.T @ (weight * residual2[use]),
         )
-        line = np.maximum(line, [QUANTISATION, 1e-4])  # 1e-4 DN: no sensor holds 2.5 M electrons
+        line = np.clip(line, [QUANTISATION, LOWEST_GAIN], [np.inf, HIGHEST_GAIN])
     return Noise(float(np.sqrt(line[0])), float(line[1]), noise.black)

@@ -16,7 +16,7 @@ from verify.track import Track
 
 COLUMNS = ["joint", "source", "kind", "standard_uncertainty_deg"]
 RANDOM = "pixels, alignment, readings"
-CLOCK, PAN = "clock", "pan angle"
+CLOCK, PAN, ALIGNMENT = "clock", "pan angle", "alignment of the two instants"
 
 
 def budget(

@@ -72,7 +72,7 @@ def mean_errors(
 def is_fitted(model: Model) -> bool:
     """Whether the means come from a fit over the session, as no pair tells each joint's error."""
     alone = model.comparison.complete and model.joints.shape[1] <= 6
-    return model.through_encoders or not alone
+    return model.through_encoders or model.clock_open or not alone
 
 
 def _fitted(model: Model, factor: float) -> Means:

@@ -15,6 +15,7 @@ from verify.track import Track
 
 # More distinct pan readings than this are taken as errors of single pairs, which average out.
 MOST_PAN_GROUPS = 60
+STEADY = 5.0  # standard deviations of a mean speed that readings at rest do not reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,7 @@ class Model:
     prior: Array  # (r, p), columns of unit variance: everything stated that does not average out
     prior_columns: Array  # (n, 6, p), the same before whitening
     through_encoders: bool  # base or LEDs were fitted through the robot's own encoders
+    clock_open: bool  # the arm moves, but not so that its clock can be told from an offset
     stands_in: bool  # the registration's motion is not known; this session's stands for it
 
     @property
@@ -62,8 +64,9 @@ def build(
     """Lay a comparison out as a whitened linear model."""
     white = whiten(comparison)
     jacobian = comparison.jacobian
-    latency = _latency(comparison)
-    clock_columns = latency if clock.source != "given" else latency[:, :, :0]
+    latency = _latency(comparison, steady=clock.source == "not_observable")
+    open_clock = clock.source != "given" and bool(latency.any())
+    clock_columns = latency if open_clock else latency[:, :, :0]
     held = prior_columns(comparison, track, clock, systematics)
     base, body = rig.base_source == "motion", marker.source == "motion"
     hidden, fitted = jacobian, clock_columns
@@ -86,13 +89,24 @@ def build(
         prior=white.rows(held),
         prior_columns=held,
         through_encoders=base or body,
+        clock_open=clock.source == "not_observable" and open_clock,
         stands_in=(base or body) and rig.absorption is None,
     )
 
 
-def _latency(comparison: Comparison) -> Array:
-    """What a second of clock offset does to xi, (n, 6, 1)."""
-    effect: Array = -np.einsum("nij,nj->ni", comparison.jacobian, comparison.rate)[:, :, None]
+def _latency(comparison: Comparison, *, steady: bool = False) -> Array:
+    """What a second of clock offset does to xi, (n, 6, 1); steady: at the joints' mean speeds.
+
+    A motion that does not show the offset is at rest or of constant speed; what its speeds seem
+    to vary is the readings' noise, which must not look like something that tells a clock error
+    from an offset.
+    """
+    rate = comparison.rate
+    if steady:
+        mean = rate.mean(axis=0)
+        noise = np.sqrt(comparison.rate_variance / len(rate))
+        rate = np.tile(np.where(np.abs(mean) > STEADY * noise, mean, 0.0), (len(rate), 1))
+    effect: Array = -np.einsum("nij,nj->ni", comparison.jacobian, rate)[:, :, None]
     return effect
 
 
@@ -137,6 +151,8 @@ def prior_columns(
     columns = [comparison.systematic[:, :, :count] @ _root(systematics.covariance)]
     if clock.source == "given" and clock.standard_uncertainty:
         columns.append(_latency(comparison) * clock.standard_uncertainty)
+    if track.alignment_error.any():
+        columns.append(-track.alignment_error[comparison.index][:, :, None])
     columns.extend(pan_columns(comparison, track, systematics, side) for side in (0, 1))
     return np.concatenate(columns, axis=2)
 

@@ -16,7 +16,7 @@ from verify.records import Array
 from verify.regression import Fit, solve
 
 LEAST_SPAN = np.deg2rad(2.0)  # a smaller turn shows no slope worth extrapolating within it
-CIRCULAR_SPAN = np.deg2rad(60.0)  # INTERFACE.md: below that sine and cosine are a parabola
+CIRCULAR_SPAN = np.deg2rad(60.0)  # docs/results.md: below that sine and cosine are a parabola
 LEAST_PAIRS_A_DIRECTION = 3
 LACK_OF_FIT = 1e-3  # chance of calling a sound fit bad
 

@@ -1,4 +1,4 @@
-"""Conform, nonconform or undecided: INTERFACE.md's rule with guard bands."""
+"""Conform, nonconform or undecided: docs/results.md's rule with guard bands."""
 
 from dataclasses import dataclass
 

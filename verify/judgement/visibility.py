@@ -27,7 +27,7 @@ class Visibility:
 def visibility(model: Model) -> Visibility:
     """Project out what was fitted, one joint at fault at a time.
 
-    Source: Baarda's internal reliability; shares as INTERFACE.md defines them.
+    Source: Baarda's internal reliability; shares as docs/results.md defines them.
     """
     joints = model.joints.shape[1]
     nothing = np.full(joints, np.nan)

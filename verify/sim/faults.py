@@ -1,4 +1,4 @@
-"""What an encoder at fault adds to the true angle, as INTERFACE.md defines it."""
+"""What an encoder at fault adds to the true angle, as docs/results.md defines it."""
 
 from collections.abc import Sequence
 

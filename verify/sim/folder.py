@@ -1,4 +1,4 @@
-"""Write a simulated session as a folder: SESSION_FORMAT.md's files, the truth, and a README."""
+"""Write a simulated session as a folder: docs/session.md's files, the truth, and a README."""
 
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime

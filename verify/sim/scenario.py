@@ -177,7 +177,7 @@ class EncodersTable(Table, frozen=True):
 
 
 class Fault(Table, frozen=True):
-    """What is wrong with one joint's encoder, in INTERFACE.md's terms."""
+    """What is wrong with one joint's encoder, in docs/results.md's terms."""
 
     joint: Count
     offset_deg: float = 0.0

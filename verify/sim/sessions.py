@@ -114,9 +114,13 @@ def simulate(scenario: Scenario) -> SimulatedSession:
     departure = uncertainty.draw(drawn, leds, generator(scenario.seed, Stream.SYSTEMATIC))
     world = _world(scenario, arm, motion, uncertainty.depart(believed, departure))
     true_pan = stand.pan + departure.pan
-    if scenario.rig.bases == "follow":  # each reading errs by itself
+    if scenario.rig.bases == "follow":  # each reading errs by itself, the same one always alike
         rng = generator(scenario.seed, Stream.PAN)
-        true_pan = stand.pan + np.radians(drawn.pan_deg) * rng.standard_normal(stand.pan.shape)
+        error = np.radians(drawn.pan_deg) * rng.standard_normal(stand.pan.shape)
+        for side in range(2):
+            _, first, again = np.unique(stand.pan[:, side], return_index=True, return_inverse=True)
+            error[:, side] = error[first, side][again]
+        true_pan = stand.pan + error
 
     encoder_t, encoder_q = _encoders(scenario, world, scheduled)
     size = scenario.rig.image_size

@@ -1,0 +1,85 @@
+"""The whole chain a pair against decoding that pair: what measuring adds to reading the video.
+
+Decoding and the chain take turns within the same run, and medians are compared: the ratios carry
+over to another machine, the milliseconds do not.
+"""
+
+import tempfile
+import time
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from verify.measurement import Setup, measure
+from verify.records import StereoPair
+from verify.session import Session, open_session
+from verify.sim import library
+from verify.sim.folder import write
+from verify.sim.scenario import Scenario
+from verify.sim.sessions import simulate
+from verify.writing import folder_written_whole
+
+SAMPLE = Path(__file__).parents[2] / "sample_sessions" / "multi_joint_fault_6r"
+PAIRS = 40  # of each session, after the first, which is searched whole
+ROUNDS = 5
+
+
+def lines() -> Iterator[str]:
+    """Compare on a sample, whose background is black, and on one with a room behind the arm."""
+    yield from _session("sample session", open_session(SAMPLE))
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "room"
+        with folder_written_whole(folder) as partial:
+            write(simulate(_room()), partial)
+        yield from _session("session with a room behind the arm", open_session(folder))
+
+
+def _room() -> Scenario:
+    """The sample with a lit, patterned room: noise in every pixel, as a real camera gives."""
+    sample = library.load("multi_joint_fault_6r")
+    image = msgspec.structs.replace(
+        sample.image, black_level_dn=6.0, background_dn=14.0, texture_dn=4.0
+    )
+    recording = msgspec.structs.replace(sample.recording, pairs=PAIRS + 1)
+    return msgspec.structs.replace(sample, image=image, recording=recording)
+
+
+def _session(name: str, session: Session) -> Iterator[str]:
+    setup = Setup(session.rig, session.marker)
+    decoding, measuring = [], []
+    for _ in range(ROUNDS):
+        decoding.append(_decode(session))
+        measuring.append(_measure(list(islice(session.pairs(), PAIRS + 1)), setup))
+    decode, chain = float(np.median(decoding)), float(np.median(measuring))
+    yield (
+        f"{name}: the chain takes {chain / decode:.2f} times as long as decoding the pair "
+        f"({chain * 1e3:.1f} and {decode * 1e3:.1f} ms)"
+    )
+
+
+def _decode(session: Session) -> float:
+    """Read and decode one pair, s, as a stream; the first waits for the file to be opened."""
+    pairs = session.pairs()
+    next(pairs)
+    start = time.perf_counter()
+    count = sum(1 for _ in islice(pairs, PAIRS))
+    spent = time.perf_counter() - start
+    pairs.close()
+    return spent / count
+
+
+def _measure(pairs: list[StereoPair], setup: Setup) -> float:
+    """Measure one pair that is already in memory, s; the first pair comes with the second."""
+    chain = measure(iter(pairs), setup)
+    next(chain)
+    start = time.perf_counter()
+    count = sum(1 for _ in chain)
+    return (time.perf_counter() - start) / count
+
+
+if __name__ == "__main__":
+    for line in lines():
+        print(line)

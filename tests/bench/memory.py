@@ -1,0 +1,103 @@
+"""A session of any length in constant memory: 10,000 pairs from pixels to both reports.
+
+The pairs are rendered as they are asked for, in a process of their own whose peak is then the
+chain's: were pictures kept, 10,000 pairs would be 18 GB.
+
+    python -m tests.bench.memory [PAIRS]
+"""
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tests.simulated import InMemory, in_memory
+from verify.analysis import analyse
+from verify.results_folder import write_results
+from verify.sim import library
+from verify.sim.scenario import Placement, Scenario
+from verify.sim.sessions import simulate
+
+PAIRS = 10_000
+MOST_MB = 600.0
+SHARE = 0.4  # of the sample's amplitudes: whatever the phases become in ten minutes, all is in view
+MEBIBYTE = 1024  # ru_maxrss counts kibibytes
+
+
+def lines(pairs: int = PAIRS) -> Iterator[str]:
+    """Measure in a fresh process; the words of its last line are the outcome."""
+    words = [sys.executable, "-m", "tests.bench.memory", "--here", str(pairs)]
+    done = subprocess.run(words, check=True, capture_output=True, text=True)
+    found = json.loads(done.stdout.splitlines()[-1])
+    yield (
+        f"{found['measured']} of {found['pairs']} pairs, rendered, measured, judged and reported "
+        f"in {found['seconds']:.0f} s"
+    )
+    stages = ", ".join(f"{name} {peak:.0f} MB" for name, peak in found["peak_mb"].items())
+    peak = max(found["peak_mb"].values())
+    held = "holds" if peak < MOST_MB else "FAILS"
+    yield f"peak memory so far: {stages}; the bound of {MOST_MB:.0f} MB {held}"
+
+
+def long_session(pairs: int) -> InMemory:
+    """The multi-joint sample with smaller swings for as long as it takes, cameras where they are.
+
+    The camera's place is taken from the short sample: looking for one among thousands of pairs
+    would be the largest memory of all.
+    """
+    sample = library.load("multi_joint_fault_6r")
+    rig_T_base = simulate(sample).rig.rig_T_base
+    pan = simulate(sample).pan[0]
+    turn = np.degrees(Rotation.from_matrix(rig_T_base[:3, :3]).as_rotvec())
+    stand = Placement(
+        base_rotation_deg=tuple(turn.tolist()),
+        base_position_mm=tuple((rig_T_base[:3, 3] * 1000).tolist()),
+        pan_deg=tuple(np.degrees(pan).tolist()),
+    )
+    swings = [SHARE * a for a in getattr(sample.motion, "amplitude_deg", [])]
+    long: Scenario = msgspec.structs.replace(
+        sample,
+        recording=msgspec.structs.replace(sample.recording, pairs=pairs),
+        motion=msgspec.structs.replace(sample.motion, amplitude_deg=swings),
+        rig=msgspec.structs.replace(sample.rig, placement=stand),
+    )
+    return in_memory(long)
+
+
+def _peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MEBIBYTE
+
+
+def _here(pairs: int) -> None:
+    start = time.perf_counter()
+    session = long_session(pairs)
+    peaks = {"before the first pair": _peak_mb()}
+    results = analyse(session)
+    peaks["analysed"] = _peak_mb()
+    with tempfile.TemporaryDirectory() as folder:
+        write_results(results, Path(folder) / "out", force=False)
+    peaks["reported"] = _peak_mb()
+    measured = results.summary["pairs"]["measured"]
+    found = {
+        "pairs": pairs,
+        "measured": measured,
+        "seconds": time.perf_counter() - start,
+        "peak_mb": peaks,
+    }
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--here"]:
+        _here(int(sys.argv[2]))
+    else:
+        for line in lines(int(sys.argv[1]) if len(sys.argv) > 1 else PAIRS):
+            print(line)

@@ -1,0 +1,158 @@
+"""Stopped midway, or refused by the disk: one line, the right status, nothing half-written."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.end_to_end.command import SAMPLES, verify
+from tests.end_to_end.replay import remembered, replayed
+from verify import analyse, open_session
+from verify.records import Measurement
+
+SESSION = SAMPLES / "quarter_circle_6r"
+PATIENCE = 60.0  # s; a busy machine is slow to import
+COMMAND = [sys.executable, "-c", "from verify.cli import main; main()", "run"]
+
+
+@pytest.fixture(scope="module")
+def measurements() -> list[Measurement]:
+    with remembered() as seen:
+        analyse(open_session(SESSION))
+    return seen
+
+
+@contextmanager
+def mounted(place: Path, *options: str) -> Iterator[Path]:
+    """A small file system of its own, where whoever runs the tests may mount one."""
+    place.mkdir()
+    words = ["mount", "-t", "tmpfs", *options, "tmpfs", str(place)]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True)
+    except FileNotFoundError:
+        pytest.skip("needs mount")
+    if done.returncode:
+        pytest.skip(f"may not mount a file system here: {done.stderr.strip()}")
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", str(place)], check=True)
+
+
+def assert_refused(status: int, err: str, *named: str) -> None:
+    assert status == 2
+    assert "Traceback" not in err
+    (said,) = [line for line in err.splitlines() if line.startswith("error:")]
+    for word in named:
+        assert word in said
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "kill"])
+def test_a_run_that_is_interrupted_leaves_nothing_and_says_so(
+    sent: signal.Signals, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [*COMMAND, str(SESSION), "-o", str(out)], stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    began = time.monotonic()
+    while "pairs:" not in process.stderr.readline():  # the chain is at work
+        assert process.poll() is None
+        assert time.monotonic() < began + PATIENCE
+    process.send_signal(sent)
+    _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == "interrupted"
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("step", ["render_html", "render_pdf", "write"])
+def test_an_interruption_while_writing_leaves_nothing_either(
+    step: str,
+    measurements: list[Measurement],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(f"reports.{step}", interrupted)
+    with replayed(measurements):
+        outcome = verify("run", SESSION, "-o", tmp_path / "out", "--quiet")
+    assert outcome.status == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_forced_over_earlier_results_an_interruption_leaves_those(
+    measurements: list[Measurement], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "summary.json").write_text("earlier")
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("reports.render_pdf", interrupted)
+    with replayed(measurements):
+        outcome = verify("run", SESSION, "-o", tmp_path, "--force", "--quiet")
+    assert outcome.status == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+    assert (tmp_path / "summary.json").read_text() == "earlier"
+
+
+@pytest.mark.parametrize("size", ["16k", "300k", "2m"])  # full at the tables, the picture, the HTML
+def test_a_full_disk_is_one_line_and_leaves_nothing(
+    size: str, measurements: list[Measurement], tmp_path: Path
+) -> None:
+    with mounted(tmp_path / "disk", "-o", f"size={size}") as disk, replayed(measurements):
+        outcome = verify("run", SESSION, "-o", disk / "out")
+        left = list(disk.iterdir())
+    assert_refused(outcome.status, outcome.err, "out", "space")
+    assert left == []
+
+
+def test_a_disk_that_fills_up_under_a_report_keeps_the_old_one(
+    measurements: list[Measurement], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    with replayed(measurements):
+        assert verify("run", SESSION, "-o", out, "--quiet").status in (0, 3)
+    whole = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    room = f"size={whole + 200_000}"  # for all of it once, not for one more report.html
+    with mounted(tmp_path / "disk", "-o", room) as disk:
+        shutil.copytree(out, disk / "out")
+        outcome = verify("report", disk / "out")
+        assert_refused(outcome.status, outcome.err, "report.html", "space")
+        for file in out.rglob("*.*"):
+            assert (disk / "out" / file.relative_to(out)).read_bytes() == file.read_bytes()
+        assert len(list((disk / "out").iterdir())) == len(list(out.iterdir()))
+
+
+def test_a_place_that_may_not_be_written_is_refused_in_one_line(
+    measurements: list[Measurement], tmp_path: Path
+) -> None:
+    with mounted(tmp_path / "disk", "-o", "ro") as disk, replayed(measurements):
+        outcome = verify("run", SESSION, "-o", disk / "out")
+        left = list(disk.iterdir())
+    assert_refused(outcome.status, outcome.err, "out")
+    assert left == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="nothing is forbidden to root")
+def test_a_folder_without_permission_is_refused_in_one_line(
+    measurements: list[Measurement], tmp_path: Path
+) -> None:
+    place = tmp_path / "locked"
+    place.mkdir(mode=0o555)
+    with replayed(measurements):
+        outcome = verify("run", SESSION, "-o", place / "out")
+    assert_refused(outcome.status, outcome.err, "permission")
+    assert list(place.iterdir()) == []

@@ -1,0 +1,359 @@
+"""`verify run` on the sample sessions, as a user types it: what it says, writes and returns."""
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.end_to_end.command import SAMPLES, Outcome, verify
+from tests.end_to_end.replay import remembered, replayed
+from verify import Setup, analyse, measure, open_session
+from verify.records import Measurement
+
+FAULTY, HEALTHY, QUARTER = "multi_joint_fault_6r", "multi_joint_rv_3sd", "quarter_circle_6r"
+WRITTEN = {"report.html", "report.pdf", "summary.json", "frames.csv", "results"}
+Word = Literal["conform", "nonconform", "undecided"] | None
+
+
+class Joint(msgspec.Struct):
+    joint: int
+    mean_error_deg: float | None
+    rms_error_deg: float | None
+    max_abs_error_deg: float | None
+    standard_uncertainty_deg: float | None
+    expanded_uncertainty_deg: float | None
+    coverage_factor: float | None
+    worst_error_deg: float | None
+    worst_error_standard_uncertainty_deg: float | None
+    tolerance_deg: float | None
+    conformance_probability: float | None
+    verdict: Word
+    visible_fraction: float | None
+    visible_fraction_since_registration: float | None
+    minimum_detectable_error_deg: float | None
+    minimum_separable_error_deg: float | None
+
+
+class Position(msgspec.Struct):
+    rms_error_mm: float | None
+    max_error_mm: float | None
+    expanded_uncertainty_mm: float | None
+    tolerance_mm: float | None
+    conformance_probability: float | None
+    verdict: Word
+
+
+class Orientation(msgspec.Struct):
+    rms_error_deg: float | None
+    max_error_deg: float | None
+    expanded_uncertainty_deg: float | None
+    tolerance_deg: float | None
+    conformance_probability: float | None
+    verdict: Word
+
+
+class Cause(msgspec.Struct):
+    joint: int | None
+    kind: str
+    value: float | None
+    unit: str
+    standard_uncertainty: float | None
+    expanded_uncertainty: float | None
+    explains: float
+
+
+class Pairs(msgspec.Struct):
+    recorded: int
+    measured: int
+    rejected: dict[str, int]
+
+
+class Clock(msgspec.Struct):
+    encoder_offset_s: float | None
+    standard_uncertainty_s: float | None
+    source: str
+
+
+class Tool(msgspec.Struct):
+    name: Literal["verify"]
+    version: str
+
+
+class Recorded(msgspec.Struct):
+    path: str
+    robot: str
+    description: str
+    started: str | None
+
+
+class Budget(msgspec.Struct):
+    uncounted: list[str]
+
+
+class Summary(msgspec.Struct):
+    """summary.json, format 1: every key that other programs may rely on, with its type."""
+
+    format: Literal[1]
+    tool: Tool
+    session: Recorded
+    pairs: Pairs
+    clock: Clock
+    verdict: Word
+    decision_rule: str
+    joints: list[Joint]
+    joint_error_correlation: list[list[float | None]]
+    position: Position
+    orientation: Orientation
+    diagnosis: list[Cause]
+    budget: Budget
+    inputs: dict[str, str]
+    warnings: list[str]
+
+
+COLUMNS = [
+    *("frame", "t_s", "status", "leds_seen", "known_dof", "reprojection_rms_px"),
+    *("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"),
+    *("x_encoder_mm", "y_encoder_mm", "z_encoder_mm"),
+    *("rx_encoder_deg", "ry_encoder_deg", "rz_encoder_deg"),
+    *(
+        f"q{joint}_{suffix}"
+        for suffix in ("measured_deg", "encoder_deg", "error_deg", "u_deg", "error_u_deg")
+        for joint in range(1, 7)
+    ),
+    *("position_error_mm", "orientation_error_deg", "ambiguous_joints"),
+]
+
+
+@dataclass(frozen=True)
+class Run:
+    folder: Path
+    out: Path
+    outcome: Outcome
+    measurements: list[Measurement]
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        return dict(json.loads((self.out / "summary.json").read_text(encoding="utf-8")))
+
+    @property
+    def frames(self) -> pd.DataFrame:
+        return pd.read_csv(self.out / "frames.csv")
+
+
+def run(folder: Path, out: Path, *options: str) -> Run:
+    with remembered() as measurements:
+        outcome = verify("run", folder, "-o", out, *options)
+    return Run(folder, out, outcome, measurements)
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return run(SAMPLES / FAULTY, tmp_path_factory.mktemp("faulty") / "out")
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return run(SAMPLES / HEALTHY, tmp_path_factory.mktemp("healthy") / "out", "--quiet")
+
+
+@pytest.fixture(scope="module")
+def cut_short(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """An encoder log that ends early, no tolerance, and a name that shells and codecs dislike."""
+    folder = tmp_path_factory.mktemp("names") / "Prüfung № 3 – ñandú" / "a b"
+    shutil.copytree(SAMPLES / QUARTER, folder)
+    log = (folder / "encoders.csv").read_text().splitlines()
+    kept = [line for line in log[1:] if float(line.split(",")[0]) < 11.0]
+    (folder / "encoders.csv").write_text("\n".join([log[0], *kept, ""]))
+    facts = (folder / "session.toml").read_text().partition("[tolerance]")[0]
+    (folder / "session.toml").write_text(facts)
+    return run(folder, folder.parent / "out put")
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    inside = [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in inside}
+
+
+def test_out_holds_what_is_promised_and_nothing_else(faulty: Run) -> None:
+    assert {path.name for path in faulty.out.iterdir()} == WRITTEN
+    assert [path.name for path in faulty.out.parent.iterdir()] == ["out"]
+    assert (faulty.out / "report.html").read_bytes().startswith(b"<!doctype html>")
+    assert (faulty.out / "report.pdf").read_bytes().startswith(b"%PDF-")
+    assert str(faulty.out / "report.html") in faulty.outcome.out  # it says where the report is
+
+
+def test_the_summary_has_every_promised_key_with_its_type(
+    faulty: Run, healthy: Run, cut_short: Run
+) -> None:
+    for one in (faulty, healthy, cut_short):
+        text = (one.out / "summary.json").read_bytes()
+        summary = msgspec.json.decode(text, type=Summary)
+        assert [joint.joint for joint in summary.joints] == [1, 2, 3, 4, 5, 6]
+        assert np.shape(summary.joint_error_correlation) == (6, 6)
+        assert set(summary.inputs) >= {"rig.toml", "marker.toml", "encoders.csv", "left.mkv"}
+        assert all(value.startswith("sha256:") for value in summary.inputs.values())
+        assert b"NaN" not in text
+        assert b"Infinity" not in text
+
+
+def test_the_frames_table_has_its_columns_in_order_and_a_row_a_pair(
+    faulty: Run, cut_short: Run
+) -> None:
+    for one in (faulty, cut_short):
+        header, *rows = (one.out / "frames.csv").read_text(encoding="utf-8").splitlines()
+        assert header.split(",") == COLUMNS
+        recorded = len((one.folder / "frames.csv").read_text().splitlines()) - 1
+        assert len(rows) == recorded == one.summary["pairs"]["recorded"]
+        assert one.frames["frame"].tolist() == list(range(recorded))
+
+
+def test_a_pair_without_a_reading_keeps_its_row_with_empty_figures(cut_short: Run) -> None:
+    frames, pairs = cut_short.frames, cut_short.summary["pairs"]
+    lost = frames[frames["status"] != "measured"]
+    assert set(lost["status"]) == {"no_encoder"}
+    assert pairs["rejected"] == {"no_encoder": len(lost)}
+    assert pairs["measured"] == len(frames) - len(lost) > 20
+    figures = [c for c in COLUMNS if c[0] == "q" or c.endswith(("_mm", "_error_deg"))]
+    assert lost[figures].isna().all(axis=None)
+    assert not frames[frames["status"] == "measured"][figures].isna().any(axis=None)
+
+
+def test_figures_of_the_table_and_of_the_summary_agree(faulty: Run) -> None:
+    frames = faulty.frames
+    for joint in faulty.summary["joints"]:
+        error = frames[f"q{joint['joint']}_error_deg"]
+        reading = frames[f"q{joint['joint']}_encoder_deg"]
+        assert np.allclose(reading - frames[f"q{joint['joint']}_measured_deg"], error, atol=2e-6)
+        assert joint["mean_error_deg"] == pytest.approx(error.mean(), abs=1e-6)
+        assert joint["max_abs_error_deg"] == pytest.approx(error.abs().max(), abs=1e-6)
+        assert joint["rms_error_deg"] == pytest.approx(np.sqrt((error**2).mean()), abs=1e-6)
+
+
+def test_the_fault_of_the_sample_is_named_and_its_tolerance_is_the_sessions(faulty: Run) -> None:
+    assert faulty.outcome.status == 1
+    summary = faulty.summary
+    assert [joint["tolerance_deg"] for joint in summary["joints"]] == pytest.approx([0.2] * 6)
+    assert summary["position"]["tolerance_mm"] == pytest.approx(1.0)
+    assert summary["orientation"]["tolerance_deg"] == pytest.approx(0.3)
+    (cause,) = summary["diagnosis"]
+    assert (cause["joint"], cause["kind"]) == (2, "offset")
+    assert abs(cause["value"] - 0.35) <= 1.5 * cause["expanded_uncertainty"]
+    assert summary["joints"][1]["verdict"] == summary["verdict"] == "nonconform"
+
+
+def test_a_healthy_robot_conforms_and_quiet_means_silence(healthy: Run) -> None:
+    assert healthy.outcome == Outcome(0, "", "")
+    assert healthy.summary["verdict"] == "conform"
+    assert healthy.summary["diagnosis"] == []
+
+
+def test_a_tolerance_finer_than_the_measurement_is_undecided(healthy: Run, tmp_path: Path) -> None:
+    with replayed(healthy.measurements):
+        outcome = verify("run", healthy.folder, "-o", tmp_path / "out", "--tolerance", "0.02")
+    assert outcome.status == 3
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["verdict"] == "undecided"
+    assert not any(joint["verdict"] == "conform" for joint in summary["joints"])
+
+
+def test_a_tolerance_a_joint_is_taken_joint_by_joint(faulty: Run, tmp_path: Path) -> None:
+    wide = "0.2,0.6,0.2,0.25,0.2,0.3"
+    with replayed(faulty.measurements):
+        outcome = verify("run", faulty.folder, "-o", tmp_path / "out", "--tolerance", wide,
+                         "--position-tolerance=9", "--orientation-tolerance=5")  # fmt: skip
+    assert outcome.status == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    given = [joint["tolerance_deg"] for joint in summary["joints"]]
+    assert given == pytest.approx([0.2, 0.6, 0.2, 0.25, 0.2, 0.3])
+    assert {joint["verdict"] for joint in summary["joints"]} == {"conform"}
+    assert summary["position"]["tolerance_mm"] == pytest.approx(9.0)
+
+
+def test_bad_input_is_status_2(tmp_path: Path) -> None:
+    assert verify("run", tmp_path / "nowhere").status == 2
+
+
+def test_the_same_session_gives_the_same_bytes_and_json_is_all_that_json_prints(
+    faulty: Run, tmp_path: Path
+) -> None:
+    again = run(faulty.folder, tmp_path / "again", "--json")
+    assert again.outcome.status == faulty.outcome.status
+    assert again.outcome.err == ""
+    said = [json.loads(line) for line in again.outcome.out.splitlines()]
+    assert all(isinstance(line, dict) for line in said)
+    assert said[-1]["type"] == "result"
+    assert said[-1]["summary"] == faulty.summary
+    assert files(again.out) == files(faulty.out)
+
+
+def test_reports_built_again_are_the_same_bytes(faulty: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(faulty.out, out)
+    for name in ("report.html", "report.pdf"):
+        (out / name).unlink()
+    (out / "notes.txt").write_text("mine")
+    assert verify("report", out).status == 0
+    assert (out / "notes.txt").read_text() == "mine"
+    (out / "notes.txt").unlink()
+    assert files(out) == files(faulty.out)
+
+
+def test_a_report_on_a_folder_without_results_is_refused_in_one_line(tmp_path: Path) -> None:
+    outcome = verify("report", tmp_path)
+    assert outcome.status == 2
+    assert len(outcome.err.splitlines()) == 1
+
+
+def test_without_a_tolerance_there_is_no_verdict_and_status_0(cut_short: Run) -> None:
+    assert cut_short.outcome.status == 0
+    summary = cut_short.summary
+    judged = [summary, *summary["joints"], summary["position"], summary["orientation"]]
+    assert {part["verdict"] for part in judged} == {None}
+    assert {joint["tolerance_deg"] for joint in summary["joints"]} == {None}
+    assert {joint["conformance_probability"] for joint in summary["joints"]} == {None}
+
+
+def test_an_awkward_path_is_no_obstacle(cut_short: Run) -> None:
+    assert cut_short.summary["session"]["path"] == "a b"
+    assert {path.name for path in cut_short.out.iterdir()} == WRITTEN
+
+
+def test_without_out_the_results_go_beside_the_user_named_for_the_session(
+    healthy: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with replayed(healthy.measurements):
+        assert verify("run", healthy.folder, "--quiet").status == 0
+    assert [path.name for path in tmp_path.iterdir()] == [f"{HEALTHY}-report"]
+    frames = tmp_path / f"{HEALTHY}-report" / "frames.csv"
+    assert frames.read_bytes() == (healthy.out / "frames.csv").read_bytes()
+
+
+def test_the_library_gives_what_the_command_writes(faulty: Run) -> None:
+    session = open_session(str(faulty.folder))
+    with replayed(faulty.measurements):
+        results = analyse(session)
+    assert json.loads(json.dumps(results.summary)) == faulty.summary
+    chain = measure(session.pairs(), Setup(session.rig, session.marker))
+    first = list(islice(chain, 3))
+    assert [m.status for m in first] == ["measured"] * 3
+    for one, other in zip(first, faulty.measurements, strict=False):
+        assert one.pose is not None
+        assert other.pose is not None
+        # encoders may choose among assignments; they enter no value
+        assert np.array_equal(one.pose.rig_T_flange, other.pose.rig_T_flange)
+
+
+def test_naming_the_library_loads_nothing_heavy() -> None:
+    code = "import sys, verify; print([m for m in ('cv2', 'pandas', 'scipy') if m in sys.modules])"
+    words = [sys.executable, "-c", code]
+    assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == "[]\n"
