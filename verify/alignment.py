@@ -34,7 +34,12 @@ def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array
 
 
 def align(
-    now: RawSighting, neighbour: RawSighting | None, t: float, camera: Camera
+    now: RawSighting,
+    neighbour: RawSighting | None,
+    t: float,
+    camera: Camera,
+    *,
+    alone: bool = False,
 ) -> Sighting | None:
     """Carry one camera's spots to the instant `t`.
 
@@ -44,14 +49,14 @@ def align(
             None where there is none, or none with an LED in it.
         t: s, the pair's instant.
         camera: the camera that saw both.
+        alone: the pair is a single visit, far in time from its neighbours: taken as standing still.
 
     Returns:
         The sighting at `t`, or None where it has to be moved and nothing says how.
     """
+    if alone:
+        return replace(now.sighting, t=t)
     shift = t - now.taken
-    apart = abs(neighbour.sighting.t - now.sighting.t) if neighbour is not None else 0.0
-    if neighbour is not None and apart > LONGEST_GAP:
-        return replace(now.sighting, t=t)  # a single visit: taken as standing still
     motion = _motion(now, neighbour, shift, camera) if neighbour is not None else None
     if motion is None:
         at_rest = bool(np.all(np.abs(shift) < SAME_INSTANT))

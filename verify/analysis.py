@@ -10,7 +10,7 @@ import pandas as pd
 import robots
 from reports import Results
 from verify.clock import ClockEstimate, estimate_clock
-from verify.comparison import Comparison, compare
+from verify.comparison import Comparison, about, compare, correlated
 from verify.description import describe
 from verify.errors import InputError
 from verify.joints import Joints, solve_joints
@@ -18,14 +18,14 @@ from verify.judgement.budget import budget
 from verify.judgement.diagnosis import diagnose
 from verify.judgement.means import JointErrors, mean_errors
 from verify.judgement.model import Model, build, with_pan_noise
-from verify.judgement.resolved import resolve
+from verify.judgement.resolved import predicted, resolve
 from verify.judgement.visibility import visibility
 from verify.measurement import Setup, measure
 from verify.plausibility import refuse_radians
 from verify.preview import draw_pair
 from verify.readings import Readings
 from verify.records import Array, Measurement, StereoPair
-from verify.regression import autocorrelation_factor
+from verify.regression import autocorrelation
 from verify.session import Session, Tolerance
 from verify.summary import Judged, summarise
 from verify.systematics import Systematics, sensitivities, stated
@@ -91,8 +91,34 @@ def analyse(
             "readings must cover the pictures once [clock] encoder_offset_s is added",
             "Check that clock and recording belong together.",
         )
-    model = build(comparison, track, session.rig, session.marker, clock, seen.systematics)
+    model = _model(session, track, clock, seen.systematics, comparison, joints)
     return _judge(session, tolerance, seen, clock, model, joints, unreachable)
+
+
+def _model(
+    session: Session,
+    track: Track,
+    clock: ClockEstimate,
+    systematics: Systematics,
+    comparison: Comparison,
+    joints: Joints,
+) -> Model:
+    """The linear model about the errors that are there, with pairs that repeat each other."""
+
+    def built(compared: Comparison) -> Model:
+        return build(compared, track, session.rig, session.marker, clock, systematics)
+
+    error, told = np.nan_to_num(joints.error), ~np.isnan(joints.error)
+    typical = error.sum(axis=0) / np.maximum(told.sum(axis=0), 1)
+    if not told.any(axis=0).all():  # joints that no pair tells: from a first fit
+        typical = np.where(
+            told.any(axis=0), typical, np.nan_to_num(resolve(built(comparison)).mean)
+        )
+    middle = about(comparison, session.arm, typical)
+    model = built(middle)
+    residual = model.xi - predicted(model, resolve(model))
+    factors = autocorrelation(model.white.by_pair(residual))
+    return built(correlated(middle, factors)) if np.any(factors > 1) else model
 
 
 def _see(session: Session, readings: Readings, progress: Progress) -> _Seen:
@@ -202,17 +228,16 @@ def _judge(
     unreachable: set[int],
 ) -> Results:
     comparison, systematics = model.comparison, seen.systematics
-    first = resolve(model, 1.0)
-    factor = autocorrelation_factor(model.white.by_pair(first.fit.residual))
-    resolved = resolve(model, factor) if factor > 1 else first
+    random = joints.inverse @ comparison.covariance @ np.swapaxes(joints.inverse, 1, 2)
     errors = JointErrors(
         error=joints.single,
-        covariance=joints.covariance,
+        covariance=random,
         covariance_measured=joints.covariance_measured,
         systematic=joints.inverse @ model.prior_columns,
     )
+    resolved = resolve(model)
     estimated = clock.standard_uncertainty if clock.source == "estimated" else None
-    means = mean_errors(model, errors, factor, estimated, systematics)
+    means = mean_errors(model, errors, resolved, estimated, systematics)
     status, rows = _statuses(seen, comparison, unreachable)
     uncounted = _uncounted(systematics, clock)
     judged = Judged(
@@ -223,11 +248,13 @@ def _judge(
         clock=clock,
         comparison=comparison,
         joints=joints,
+        random=random,
+        systematic=errors.systematic,
         means=means,
         visibility=visibility(model),
         resolved=resolved,
-        causes=diagnose(model, factor),
-        flange=_flange(model, factor, estimated),
+        causes=diagnose(model, resolved),
+        flange=_flange(model, estimated),
         through_encoders=model.through_encoders,
         uncounted=uncounted,
         warnings=_warnings(session, seen, systematics, uncounted, clock, model),
@@ -271,11 +298,11 @@ def _error_uncertainty(
     return uncertainty
 
 
-def _flange(model: Model, factor: float, clock_uncertainty: float | None) -> tuple[Array, Array]:
+def _flange(model: Model, clock_uncertainty: float | None) -> tuple[Array, Array]:
     """Mean twist of the flange over the pairs and its covariance."""
     comparison = model.comparison
     n = len(comparison)
-    covariance = comparison.covariance.sum(axis=0) / n**2 * factor
+    covariance = comparison.covariance.sum(axis=0) / n**2
     moved = model.prior_columns.mean(axis=0)
     covariance = covariance + moved @ moved.T
     if clock_uncertainty is not None:
@@ -298,7 +325,7 @@ def _statuses(
 
 
 def _uncounted(systematics: Systematics, clock: ClockEstimate) -> tuple[str, ...]:
-    if clock.source == "given" and clock.standard_uncertainty is None:
+    if clock.standard_uncertainty is None:  # given without one, or not observable
         return (*systematics.uncounted, "clock")
     return systematics.uncounted
 
@@ -359,6 +386,12 @@ def _warnings(
     if model.stands_in:
         warnings.append(
             "The motion of that registration is not known: this session's stands for it."
+        )
+    if clock.rivals:
+        others = ", ".join(f"{o:+.3f}" for o in clock.rivals[:4])
+        warnings.append(
+            "The motion repeats itself: the readings' clock could as well be off by "
+            f"{others} s. State [clock] encoder_offset_s, or add a movement that does not repeat."
         )
     if clock.source == "not_observable":
         warnings.append(

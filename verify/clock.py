@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 import robots
 from verify.comparison import Comparison, compare, difference
-from verify.readings import Readings
+from verify.readings import LONGEST_GAP, Readings
 from verify.records import Array
-from verify.regression import autocorrelation_factor, whiten
+from verify.regression import autocorrelation, whiten
 from verify.track import Track
 
 MOST_PAIRS = 400  # enough to find the offset coarsely; more only cost time
@@ -41,6 +41,7 @@ class ClockEstimate:
     standard_uncertainty: float | None  # s; None: taken as exact, or not known
     source: str  # given, estimated, not_observable
     curve: Array  # (m, 2): offset s, cost a pair
+    rivals: tuple[float, ...] = ()  # s, other offsets at which a periodic motion fits as well
 
 
 def estimate_clock(track: Track, arm: robots.Arm, readings: Readings) -> ClockEstimate:
@@ -54,12 +55,33 @@ def estimate_clock(track: Track, arm: robots.Arm, readings: Readings) -> ClockEs
     if not len(offsets):
         return ClockEstimate(0.0, None, "not_observable", np.zeros((0, 2)))
     curve = np.stack([offsets, cost], axis=1)
-    offset = float(offsets[np.argmin(cost)])
+    offset, rivals = _choose(track, readings, offsets, cost)
     fine = _fine(track, arm, readings, offset)
     if fine is None:
         at_rest = 0.0 if _covered(track, readings, 0.0) else offset
         return ClockEstimate(at_rest, None, "not_observable", curve)
-    return ClockEstimate(fine[0], fine[1], "estimated", curve)
+    return ClockEstimate(fine[0], fine[1], "estimated", curve, rivals)
+
+
+def _choose(
+    track: Track, readings: Readings, offsets: Array, cost: Array
+) -> tuple[float, tuple[float, ...]]:
+    """The best offset; of several as good (a periodic motion) the one with most readings."""
+    lowest = float(cost.min())
+    noise = 3 * np.sqrt(2 / len(track)) * max(lowest, 1.0)  # of a mean of squares, three sigma
+    padded = np.concatenate([[np.inf], cost, [np.inf]])
+    minima = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:])
+    good = offsets[minima & (cost <= lowest + noise)]
+    apart = [float(good[0])]
+    for offset in good[1:]:
+        if offset - apart[-1] > 10 * COARSE_STEP:  # nearer minima are one, roughened by noise
+            apart.append(float(offset))
+    if len(apart) == 1:
+        return float(offsets[np.argmin(cost)]), ()
+    best = max(apart, key=lambda o: (round(float(readings.known(track.t - o).mean()), 2), -abs(o)))
+    near = np.abs(offsets - best) <= 10 * COARSE_STEP
+    best = float(offsets[near][np.argmin(cost[near])])
+    return best, tuple(o for o in apart if abs(o - best) > 10 * COARSE_STEP)
 
 
 def _covered(track: Track, readings: Readings, offset: float) -> bool:
@@ -77,7 +99,7 @@ def _coarse(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, A
     highest = track.t[0] - readings.t[0] + 0.5 * (track.t[-1] - track.t[0])
     count = max(int(np.ceil((highest - lowest) / COARSE_STEP)), 1) + 1
     # poses along the whole log once; every offset then only looks them up
-    grid_t = np.arange(readings.t[0], readings.t[-1] + COARSE_STEP, COARSE_STEP)
+    grid_t = _grid(readings)
     grid_pose = robots.forward(arm, readings.at(grid_t))
     offsets, cost = [], []
     for offset in np.linspace(lowest, highest, count):
@@ -86,7 +108,7 @@ def _coarse(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, A
         if known.mean() < LEAST_OVERLAP:
             continue
         places = [
-            np.clip(np.rint((t[known] - grid_t[0]) / COARSE_STEP).astype(int), 0, len(grid_t) - 1)
+            np.clip(np.searchsorted(grid_t, t[known] - COARSE_STEP / 2), 0, len(grid_t) - 1)
             for t in (one, two)
         ]
         read = _invariants(grid_pose[places[0]], grid_pose[places[1]])
@@ -94,6 +116,18 @@ def _coarse(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, A
         offsets.append(offset)
         cost.append(float(np.mean(np.minimum(misfit, 100.0))))  # a wild pair has one vote
     return np.array(offsets), np.array(cost)
+
+
+def _grid(readings: Readings) -> Array:
+    """Instants COARSE_STEP apart wherever there are readings, (g,) s."""
+    ends = np.flatnonzero(np.diff(readings.t) > LONGEST_GAP)
+    starts = np.concatenate([[0], ends + 1])
+    stops = np.concatenate([ends, [len(readings.t) - 1]])
+    bursts = [
+        np.arange(readings.t[a], readings.t[b] + COARSE_STEP, COARSE_STEP)
+        for a, b in zip(starts, stops, strict=True)
+    ]
+    return np.concatenate(bursts)
 
 
 def _neighbours(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -160,5 +194,5 @@ def _step(comparison: Comparison) -> tuple[float, float] | None:
     residual = xi - basis_u @ (basis_u.T @ xi) + left * step
     degrees = max(len(xi) - basis_u.shape[1] - 1, 1)
     misfit = max(float(residual @ residual) / degrees, 1.0)  # what offsets alone do not explain
-    factor = autocorrelation_factor(white.by_pair(residual))
+    factor = float(autocorrelation(white.by_pair(residual)).max())
     return step, float(np.sqrt(misfit * factor)) / size

@@ -5,7 +5,7 @@ axes at the flange; m and rad) and the Jacobian that carries joint errors to it.
 inverted for them, so a pair near a singularity does no harm.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,8 @@ class Comparison:
     q: Array  # (n, j), rad, readings at the left camera's instant
     rate: Array  # (n, j), rad/s
     direction: Array  # (n, j), last direction of travel
-    jacobian: Array  # (n, 6, j), at the readings
+    jacobian: Array  # (n, 6, j), carries joint errors to xi; see `about`
+    base_T_jacobian: Array  # (n, 4, 4), the flange where the Jacobian is taken
     base_T_encoder: Array  # (n, 4, 4), the flange where the readings put it
     base_T_measured: Array  # (n, 4, 4); directions that the LEDs leave open follow the readings
     xi: Array  # (n, 6), readings' pose less measured
@@ -96,6 +97,7 @@ def compare(
         rate=rate,
         direction=readings.direction(there),
         jacobian=jacobian,
+        base_T_jacobian=encoder,
         base_T_encoder=encoder,
         base_T_measured=measured,
         xi=difference(encoder, measured),
@@ -106,6 +108,36 @@ def compare(
         reading_variance=variance,
         rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
     )
+
+
+def about(comparison: Comparison, arm: robots.Arm, error: Array) -> Comparison:
+    """Take the Jacobian halfway between readings and truth, for errors (j,) of about this size.
+
+    There the first order is exact to the third: a joint that is 3° off accuses no neighbour.
+    """
+    between = comparison.q - error / 2
+    return replace(
+        comparison,
+        jacobian=robots.jacobian(arm, between),
+        base_T_jacobian=robots.forward(arm, between),
+    )
+
+
+def correlated(comparison: Comparison, factors: Array) -> Comparison:
+    """Let pairs that repeat each other's errors count for fewer.
+
+    Args:
+        comparison: the compared pairs.
+        factors: (6,), by which the variance of a mean grows in each whitened direction.
+    """
+    covariance = comparison.covariance.copy()
+    for i, known in enumerate(comparison.determined):
+        if known.shape[1] == 6:
+            lower = np.linalg.cholesky(covariance[i])
+            covariance[i] = (lower * factors) @ lower.T
+        else:
+            covariance[i] *= factors.max()
+    return replace(comparison, covariance=covariance)
 
 
 def difference(a_T_one: Array, a_T_other: Array) -> Array:

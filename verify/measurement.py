@@ -67,24 +67,29 @@ def measure(pairs: Iterable[StereoPair], setup: Setup) -> Iterator[Measurement]:
 
     Yields:
         One measurement a pair, in order. A pair that cannot be measured has a status that says
-        why. The first pair is delivered with the second, whose motion it borrows.
+        why. The first pair, also after a gap, is delivered with its successor, whose motion it
+        borrows.
     """
     memory: _Memory | None = None
-    held: _Seen | None = None
-    first = True
+    previous: _Seen | None = None
+    held: _Seen | None = None  # the first pair of a burst, until its successor is there
     for pair in pairs:
-        seen = _look(pair, setup, memory)
-        if first:
-            held, first = seen, False
-            continue
+        seen = _look(pair, setup, memory if held is None else None)
         if held is not None:
-            outcome, memory = _finish(held, seen, setup)
+            outcome, memory, previous = _finish(held, seen, setup)
             yield outcome
             held = None
-        outcome, memory = _finish(seen, memory.seen if memory else None, setup)
+        if previous is None or _apart(seen, previous):
+            held = seen
+            continue
+        outcome, memory, previous = _finish(seen, previous, setup)
         yield outcome
     if held is not None:
         yield _finish(held, None, setup)[0]
+
+
+def _apart(one: _Seen, other: _Seen) -> bool:
+    return abs(one.pair_t - other.pair_t) > LONGEST_GAP
 
 
 def _look(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _Seen:
@@ -185,8 +190,8 @@ def _raw(
 
 def _finish(
     seen: _Seen, neighbour: _Seen | None, setup: Setup
-) -> tuple[Measurement, _Memory | None]:
-    """Align, fit the pose, and say what came of the pair."""
+) -> tuple[Measurement, _Memory | None, _Seen]:
+    """Align, fit the pose, and say what came of the pair and what the next may lean on."""
     found = seen.found
     leds = len(set(found.left_led.tolist()) | set(found.right_led.tolist()))
     outcome = Measurement(
@@ -194,30 +199,31 @@ def _finish(
         whole_frame=seen.whole_frame,
     )  # fmt: skip
     if found.status != "measured" or found.rig_T_flange is None:
-        return outcome, None
+        return outcome, None, seen
+    alone = neighbour is None or _apart(seen, neighbour)
     sides = []
     for camera, now, before in (
         (setup.rig.left, seen.left, neighbour.left if neighbour else None),
         (setup.rig.right, seen.right, neighbour.right if neighbour else None),
     ):
         useful = before if before is not None and len(before.sighting) else None
-        sides.append(align(now, useful, seen.pair_t, camera) if len(now.sighting) else now.sighting)
+        aligned = align(now, useful, seen.pair_t, camera, alone=alone)
+        sides.append(aligned if len(now.sighting) else now.sighting)
     left, right = sides
     if left is None or right is None:
-        return replace(outcome, status="unaligned"), None
+        return replace(outcome, status="unaligned"), None, seen
     pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange)
     status = "measured" if pose.consistent else "outlier"
     outcome = replace(outcome, status=status, pose=pose, left=left, right=right)
-    return outcome, _remember(seen, pose) if pose.consistent else None
+    kept = _kept(seen, pose)
+    return outcome, _Memory(kept, pose) if pose.consistent else None, kept
 
 
-def _remember(seen: _Seen, pose: Pose) -> _Memory:
-    """Keep what the next pair may lean on: spots that the pose did not reject."""
+def _kept(seen: _Seen, pose: Pose) -> _Seen:
+    """Leave out spots that the pose rejected: the next pair leans on the others."""
     good = ~pose.rejected
     m = len(seen.left.sighting)
-    return _Memory(
-        replace(seen, left=_only(seen.left, good[:m]), right=_only(seen.right, good[m:])), pose
-    )
+    return replace(seen, left=_only(seen.left, good[:m]), right=_only(seen.right, good[m:]))
 
 
 def _only(raw: RawSighting, keep: NDArray[np.bool_]) -> RawSighting:

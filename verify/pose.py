@@ -25,6 +25,9 @@ from verify.rig import Camera, Rig, distort, distortion_jacobian
 ACCELERATION_PER_SPEED = 3.0
 ROUGH_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and stops
 LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
+# LEDs that barely leave a line: a turn known worse than this is no measurement, and too large
+# for the linearisation that its uncertainty rests on.
+WORST_KNOWN = 0.1  # rad, or 10 mm at the marker's size
 UNDETERMINED = 1e-10  # information a direction, relative to the best: rounding, not measurement
 OUTLIER = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
 MODEL_FLOOR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
@@ -179,7 +182,7 @@ def _inverse(information: Array, scale: Array) -> tuple[Array, Array]:
     vectors are the motions that no picture shows.
     """
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    known = values > UNDETERMINED * values[-1]
+    known = (values > UNDETERMINED * values[-1]) & (values > WORST_KNOWN**-2)
     inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T * np.outer(scale, scale)
     if known.all():
         return inverse, np.eye(6)

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from verify.comparison import Comparison
 from verify.records import Array
 
+CHUNK = 4000  # rows reduced at a time
+FEWEST_FOR_CORRELATION = 12  # pairs; the bias correction needs more than its own size
+MOST_CORRELATED = 0.95  # closer to 1 the length of the session says nothing any more
 RANK = 1e-9  # singular values below this share of the largest are rounding
 
 
@@ -57,11 +60,11 @@ class Fit:
     """A solved regression; c free columns."""
 
     value: Array  # (c,)
-    covariance: Array  # (c, c), everything stated included; inf-free only on estimable columns
+    covariance: Array  # (c, c), everything stated included; of use on estimable columns alone
     estimable: NDArray[np.bool_]  # (c,), the data determine this column's coefficient
     chi2: float  # of the rows and the prior together
     degrees_of_freedom: int
-    residual: Array  # (rows,), whitened, with all fitted columns taken off
+    held: Array  # (p,), coefficients of the prior columns, in their standard deviations
 
 
 def solve(rows: Array, target: Array, prior: Array | None = None) -> Fit:
@@ -71,18 +74,19 @@ def solve(rows: Array, target: Array, prior: Array | None = None) -> Fit:
     """
     free = rows.shape[1]
     held = np.zeros((len(rows), 0)) if prior is None else prior
-    design = np.concatenate([rows, held], axis=1)
-    penalty = np.concatenate([np.zeros((held.shape[1], free)), np.eye(held.shape[1])], axis=1)
-    design = np.concatenate([design, penalty])
-    wanted = np.concatenate([target, np.zeros(held.shape[1])])
+    count = free + held.shape[1]
+    reduced = _with_prior(_triangle(rows, held, target[:, None]), free, held.shape[1])
+    design, wanted = reduced[:, :count], reduced[:, count]
     scale = np.linalg.norm(design, axis=0)
-    scale[scale == 0] = 1.0
+    empty = scale == 0
+    scale[empty] = 1.0
     left, size, right = np.linalg.svd(design / scale, full_matrices=False)
     good = size > RANK * max(float(size[0]), 1e-300) if len(size) else np.zeros(0, dtype=bool)
     basis = right[good].T
     solution = basis @ ((left[:, good].T @ wanted) / size[good]) / scale
     covariance = (basis / size[good] ** 2) @ basis.T / np.outer(scale, scale)
-    hidden = np.sum(right[~good] ** 2, axis=0) if (~good).any() else np.zeros(design.shape[1])
+    hidden = 1.0 - np.sum(right[good] ** 2, axis=0)
+    hidden[empty] = 1.0
     residual = wanted - design @ solution
     return Fit(
         value=solution[:free],
@@ -90,45 +94,69 @@ def solve(rows: Array, target: Array, prior: Array | None = None) -> Fit:
         estimable=hidden[:free] < 1e-6,  # a millionth of a share is rounding in the null space
         chi2=float(residual @ residual),
         degrees_of_freedom=int(len(target) - good.sum() + held.shape[1]),
-        residual=residual[: len(target)],
+        held=solution[free:],
     )
 
 
-def project_out(columns: Array, target: Array, prior: Array | None = None) -> Array:
-    """What free columns (and held ones) leave of target columns, with the prior's rows appended."""
+def left_over(columns: Array, target: Array, prior: Array | None = None) -> Array:
+    """Products of what free columns (and held ones) leave of target columns, (t, t)."""
+    free = columns.shape[1]
     held = np.zeros((len(target), 0)) if prior is None else prior
-    design = np.concatenate(
-        [
-            np.concatenate([columns, held], axis=1),
-            np.concatenate([np.zeros((held.shape[1], columns.shape[1])), np.eye(held.shape[1])], 1),
-        ]
-    )
-    wanted = np.concatenate([target, np.zeros((held.shape[1], target.shape[1]))])
+    count = free + held.shape[1]
+    reduced = _with_prior(_triangle(columns, held, target), free, held.shape[1])
+    design, wanted = reduced[:, :count], reduced[:, count:]
     norm = np.linalg.norm(design, axis=0)
     design = design[:, norm > 0] / norm[norm > 0]
     left, size, _ = np.linalg.svd(design, full_matrices=False)
     basis = left[:, size > RANK * size[0]] if len(size) else left[:, :0]
-    remaining: Array = wanted - basis @ (basis.T @ wanted)
-    return remaining
+    remaining = wanted - basis @ (basis.T @ wanted)
+    products: Array = remaining.T @ remaining
+    return products
 
 
-def autocorrelation_factor(by_pair: Array) -> float:
-    """By how much correlation from pair to pair inflates the variance of a mean, >= 1.
+def _triangle(*parts: Array) -> Array:
+    """The triangular factor of columns side by side, a chunk of rows at a time.
 
-    1 + 2 sum rho over the first run of lags in which rho is significant.
+    All that least squares needs of rows is their products; the factor holds them without squaring
+    the condition, and a session of any length fits into one chunk's memory.
+    """
+    width = sum(p.shape[1] for p in parts)
+    triangle = np.zeros((0, width))
+    for start in range(0, len(parts[0]), CHUNK):
+        rows = np.concatenate([p[start : start + CHUNK] for p in parts], axis=1)
+        triangle = np.asarray(
+            np.linalg.qr(np.concatenate([triangle, rows]), mode="r"), dtype=np.float64
+        )
+    return triangle
+
+
+def _with_prior(triangle: Array, free: int, held: int) -> Array:
+    """Append one row of unit weight for each held column."""
+    penalty = np.zeros((held, triangle.shape[1]))
+    penalty[:, free : free + held] = np.eye(held)
+    return np.concatenate([triangle, penalty])
+
+
+def autocorrelation(by_pair: Array) -> Array:
+    """By how much correlation from pair to pair inflates the variance of a mean, (6,), >= 1.
+
+    One factor a whitened direction, as alignment correlates depth and leaves the rest alone:
+    (1 + rho) / (1 - rho) with the lag-one correlation rho, corrected for its bias, where it is
+    significant.
 
     Args:
         by_pair: (n, 6) whitened residuals in time order, nan where missing.
     """
-    series = np.nan_to_num(by_pair - np.nanmean(by_pair, axis=0)) if len(by_pair) else by_pair
-    power = float(np.sum(series**2))
-    if len(series) < 10 or power == 0:
-        return 1.0  # fewer pairs show no correlation
-    limit = 2 / np.sqrt(series.size)  # two standard deviations of rho for white noise
-    total = 0.0
-    for lag in range(1, len(series) // 4):
-        rho = float(np.sum(series[lag:] * series[:-lag])) / power
-        if rho < limit:
-            break
-        total += rho
-    return 1 + 2 * total
+    factors = np.ones(by_pair.shape[1])
+    for i, column in enumerate(by_pair.T):
+        series = column[~np.isnan(column)]
+        n = len(series)
+        series = series - series.mean() if n else series
+        power = float(series @ series)
+        if n < FEWEST_FOR_CORRELATION or power == 0:
+            continue
+        rho = float(series[1:] @ series[:-1]) / power
+        if rho > 2 / np.sqrt(n):  # two standard deviations of white noise
+            corrected = min((n * rho + 1) / (n - 4), MOST_CORRELATED)
+            factors[i] = (1 + corrected) / (1 - corrected)
+    return factors

@@ -35,6 +35,8 @@ class Judged:
     clock: ClockEstimate
     comparison: Comparison
     joints: Joints
+    random: Array  # (n, j, j), covariance of the joints' errors that averages out
+    systematic: Array  # (n, j, p), what does not: d error / d prior column
     means: Means
     visibility: Visibility
     resolved: Resolved
@@ -162,8 +164,8 @@ def _flange(
 ) -> dict[str, Any]:
     whole = np.array([b.shape[1] == 6 for b in judged.comparison.determined], dtype=bool)
     size = np.linalg.norm(judged.comparison.xi[:, part], axis=1)[whole]
-    covariance = judged.flange[1][part, part]
-    largest = float(np.linalg.eigvalsh(covariance)[-1]) if np.isfinite(covariance).all() else np.nan
+    # where LEDs leave directions open, nothing is known of the error along them
+    largest = float(np.linalg.eigvalsh(judged.flange[1][part, part])[-1]) if whole.all() else np.nan
     given = judged.tolerance.position if unit == "mm" else judged.tolerance.orientation
     return {
         f"rms_error_{unit}": number(float(np.sqrt(np.mean(size**2))) * scale)
@@ -198,20 +200,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
 
 def _combinations(judged: Judged) -> list[dict[str, Any]]:
     """Sums of joints that are known where the single ones are not, or not well."""
-    rows = []
-    couplings = [c for c in judged.joints.coupling if c is not None and c.combination is not None]
-    for coupling in {c.label: c for c in couplings}.values():
-        mine = [
-            i for i, c in enumerate(judged.joints.coupling)
-            if c is not None and c.label == coupling.label
-        ]  # fmt: skip
-        weights = coupling.combination
-        if weights is None:
-            continue
-        mean = float(np.mean(judged.joints.error[mine] @ weights))
-        spread = np.einsum("i,nij,j->n", weights, judged.joints.covariance[mine], weights)
-        u = float(np.sqrt(spread.sum())) / len(mine)
-        rows.append(_combination(weights, mean, u, len(mine), "singularity"))
+    rows = [] if judged.through_encoders else _coupled_sums(judged)
     for weights in _parallel(judged.session.arm):
         mean = float(weights @ np.nan_to_num(judged.means.mean))
         variance = float(weights @ np.nan_to_num(judged.means.covariance) @ weights)
@@ -219,6 +208,31 @@ def _combinations(judged: Judged) -> list[dict[str, Any]]:
         if np.isfinite(judged.means.mean[used]).all():
             pairs = int(judged.means.pairs[used].min())
             rows.append(_combination(weights, mean, math.sqrt(variance), pairs, "well_known"))
+    return rows
+
+
+def _coupled_sums(judged: Judged) -> list[dict[str, Any]]:
+    """Means of the sums that a singularity leaves determined, over the pairs near it."""
+    joints = judged.joints
+    groups: dict[tuple[str, tuple[float, ...]], list[int]] = {}
+    for i, coupling in enumerate(joints.coupling):
+        if coupling is not None and coupling.combination is not None:
+            key = (coupling.label, tuple(coupling.combination.tolist()))
+            groups.setdefault(key, []).append(i)
+    rows = []
+    for (_, combination), mine in groups.items():
+        weights = np.array(combination)
+        used = weights != 0
+        errors = joints.error[mine][:, used] @ weights[used]
+        told = ~np.isnan(errors)
+        if not told.any():
+            continue
+        places = np.array(mine)[told]
+        spread = np.einsum("i,nij,j->n", weights, judged.random[places], weights)
+        moved = np.einsum("i,nip->p", weights, judged.systematic[places]) / len(places)
+        u = math.sqrt(float(spread.sum()) / len(places) ** 2 + float(moved @ moved))
+        mean = float(errors[told].mean())
+        rows.append(_combination(weights, mean, u, len(places), "singularity"))
     return rows
 
 

@@ -1,5 +1,7 @@
 """Tables of a session: units at the door (mm, degrees), a row a pair, a spot, a joint."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -32,17 +34,24 @@ def frames_table(
         joints: their joint angles.
         error_uncertainty: (n, j), rad, of each pair's error from all sources.
     """
-    table: dict[str, Array | list[str] | list[int]] = {
+    table: dict[str, Any] = {
         "frame": [m.frame for m in measurements],
         "t_s": np.array([m.t for m in measurements]),
         "status": status,
         "leds_seen": [m.leds_seen for m in measurements],
-        "known_dof": [_known_dof(m) for m in measurements],
-        "reprojection_rms_px": np.array([_rms(m.pose) for m in measurements]),
+        "known_dof": _known_dof(measurements, status),
+        "reprojection_rms_px": np.array(
+            [
+                _rms(m.pose) if s == "measured" else np.nan
+                for m, s in zip(measurements, status, strict=True)
+            ]
+        ),
     }
     place = np.array(rows, dtype=np.int64)
     count = len(measurements)
-    _pose_columns(table, count, place, comparison.base_T_measured, POSE)
+    whole = np.array([b.shape[1] == 6 for b in comparison.determined], dtype=bool)
+    measured = comparison.base_T_measured
+    _pose_columns(table, count, place[whole], measured[whole], POSE)  # else partly the readings'
     encoder = tuple(n.replace("_", "_encoder_") for n in POSE)
     _pose_columns(table, count, place, comparison.base_T_encoder, encoder)
     uncertainty = np.sqrt(np.diagonal(joints.covariance_measured, axis1=1, axis2=2))
@@ -57,7 +66,6 @@ def frames_table(
         for j in range(values.shape[1]):
             table[f"q{j + 1}_{suffix}"] = _spread(count, place, np.rad2deg(values[:, j]))
     size = [np.linalg.norm(comparison.xi[:, part], axis=1) for part in (slice(0, 3), slice(3, 6))]
-    whole = np.array([b.shape[1] == 6 for b in comparison.determined], dtype=bool)
     table["position_error_mm"] = _spread(count, place, np.where(whole, size[0] * 1e3, np.nan))
     table["orientation_error_deg"] = _spread(
         count, place, np.where(whole, np.rad2deg(size[1]), np.nan)
@@ -69,8 +77,12 @@ def frames_table(
     return pd.DataFrame(table)
 
 
-def _known_dof(measurement: Measurement) -> int:
-    return measurement.pose.known_dof if measurement.pose is not None else 0
+def _known_dof(measurements: list[Measurement], status: list[str]) -> pd.Series:
+    known = [
+        m.pose.known_dof if m.pose is not None and s == "measured" else pd.NA
+        for m, s in zip(measurements, status, strict=True)
+    ]
+    return pd.Series(known, dtype="Int64")  # empty, not 0, where nothing was measured
 
 
 def _rms(pose: Pose | None) -> float:
@@ -84,7 +96,7 @@ def _spread(count: int, rows: NDArray[np.int64], values: Array) -> Array:
 
 
 def _pose_columns(
-    table: dict[str, Array | list[str] | list[int]],
+    table: dict[str, Any],
     count: int,
     rows: NDArray[np.int64],
     poses: Array,

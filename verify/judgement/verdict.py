@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from verify.judgement.resolved import Resolved
 from verify.records import Array
@@ -36,7 +36,13 @@ def judge_joint(
 ) -> Verdict:
     """Judge one joint by its resolved error at every pair."""
     error, u = resolved.error[:, joint], resolved.uncertainty[:, joint]
-    return _judge(error, u, len(resolved.terms[joint]), tolerance, detectable, resolved.lack_of_fit)
+    terms = len(resolved.terms[joint])
+    z = float(norm.isf(FALSE_ALARM / 2 / terms))
+    swing, doubt = float(resolved.swing[joint]), float(resolved.swing_uncertainty[joint])
+    if np.isnan(error).any() and tolerance is not None and swing - z * doubt > tolerance:
+        # whatever its constant may be, at one end or the other it is beyond the tolerance
+        return Verdict("nonconform", "exceeds_tolerance", float("nan"), float("nan"), None)
+    return _judge(error, u, z, tolerance, detectable, resolved.lack_of_fit)
 
 
 def judge_norm(
@@ -50,13 +56,15 @@ def judge_norm(
     # a vector shorter than its uncertainty has no direction to speak of
     variance = np.where(size**2 > largest, variance, largest)
     u = np.sqrt(np.where(np.isnan(size), np.nan, variance))
-    return _judge(size, u, terms, tolerance, 0.0, resolved.lack_of_fit)
+    # the length of three components is larger by chance than any one of them
+    z = float(max(norm.isf(FALSE_ALARM / 2 / terms), np.sqrt(chi2.isf(FALSE_ALARM / terms, 3))))
+    return _judge(size, u, z, tolerance, 0.0, resolved.lack_of_fit)
 
 
 def _judge(
     error: Array,
     u: Array,
-    terms: int,
+    z: float,
     tolerance: float | None,
     detectable: float,
     lack_of_fit: bool,
@@ -70,7 +78,6 @@ def _judge(
     if tolerance is None:
         return Verdict(None, "no_tolerance", value, doubt, None)
     probability = float(np.min(_within(error, u, tolerance)))
-    z = norm.isf(FALSE_ALARM / 2 / terms)
     if bool(np.any(np.abs(error) - z * u > tolerance)):
         return Verdict("nonconform", "exceeds_tolerance", value, doubt, probability)
     reason = ""

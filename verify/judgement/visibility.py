@@ -4,14 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from verify.judgement.model import Model
+from verify.judgement.model import INVISIBLE, Model
 from verify.records import Array
-from verify.regression import project_out
+from verify.regression import left_over
 
 FEWEST_PAIRS = 10  # fewer say nothing of a session's shares
 # False alarm 0.1 % (two-sided, 3.29) and power 80 % (0.84).
 DETECTION = 4.13
-INVISIBLE = 1e-3  # a share below this is what rounding leaves of nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,34 +28,36 @@ def visibility(model: Model) -> Visibility:
 
     Source: Baarda's internal reliability; shares as docs/results.md defines them.
     """
-    joints = model.joints.shape[1]
-    nothing = np.full(joints, np.nan)
-    if len(model.comparison) < FEWEST_PAIRS:
-        return Visibility(nothing, nothing, nothing, nothing)
     seen = model.seen
+    nothing = np.full(model.joints.shape[1], np.nan)
     whole = np.linalg.norm(seen.joints, axis=0)
     before = _share(seen.fitted, seen.hidden, whole)
     since = _share(seen.clock, seen.joints, whole)
-    remaining = project_out(model.fitted, model.offsets, model.prior)
-    remaining[:, before == 0] = 0.0
-    left = np.linalg.norm(remaining, axis=0)
+    gram = left_over(model.fitted, model.offsets, model.prior)
+    gram[before == 0] = gram[:, before == 0] = 0.0
+    left = np.sqrt(np.diag(gram))
     detectable = np.divide(DETECTION, left, out=nothing.copy(), where=left > 0)
-    return Visibility(before, since, detectable, _separable(remaining))
+    few = len(model.comparison) < FEWEST_PAIRS
+    return Visibility(
+        fraction=nothing if few else before,
+        fraction_since=nothing if few else since,
+        detectable=detectable,
+        separable=_separable(gram),
+    )
 
 
 def _share(fitted: Array, columns: Array, whole: Array) -> Array:
-    left = np.linalg.norm(project_out(fitted, columns), axis=0)
+    left = np.sqrt(np.diag(left_over(fitted, columns)))
     share = np.divide(left, whole, out=np.full(len(whole), np.nan), where=whole > 0)
     return np.where(share < INVISIBLE, 0.0, share)
 
 
-def _separable(remaining: Array) -> Array:
+def _separable(gram: Array) -> Array:
     """The largest over rivals of what an offset must reach to be told from theirs, (j,).
 
     Args:
-        remaining: (r, j), what everything fitted and stated leaves of each joint's column.
+        gram: (j, j), products of what everything fitted and stated leaves of the joints' columns.
     """
-    gram = remaining.T @ remaining
     joints = len(gram)
     separable = np.full(joints, np.nan)
     for j in range(joints):
