@@ -14,11 +14,14 @@ import robots
 from verify.comparison import Comparison, compare, difference
 from verify.readings import LONGEST_GAP, Readings
 from verify.records import Array
-from verify.regression import autocorrelation, whiten
-from verify.track import Track
+from verify.regression import autocorrelation, solve, whiten
+from verify.track import Track, subset
 
 MOST_PAIRS = 400  # enough to find the offset coarsely; more only cost time
 COARSE_STEP = 0.02  # s; brisk joints turn half a degree in it
+FEW_PAIRS = 40  # where each offset costs a comparison
+POSE_STEP = 0.05  # s, likewise: the fine search converges from further off
+MOST_OFFSETS = 400
 LEAST_OVERLAP = 0.5  # of the pairs must have a reading at an offset that is tried
 # Angle and distance errors that a wrong rig or table leaves in a relative motion, so that the
 # search is not ruled by pairs that happen to be exact: rad, m.
@@ -52,6 +55,8 @@ def estimate_clock(track: Track, arm: robots.Arm, readings: Readings) -> ClockEs
         (at rest, or at constant speed) cannot show it.
     """
     offsets, cost = _coarse(track, arm, readings)
+    if not len(offsets):
+        offsets, cost = _coarse_by_pose(track, arm, readings)
     if not len(offsets):
         return ClockEstimate(0.0, None, "not_observable", np.zeros((0, 2)))
     curve = np.stack([offsets, cost], axis=1)
@@ -95,8 +100,7 @@ def _coarse(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, A
         return np.zeros(0), np.zeros(0)
     seen = _invariants(track.base_T_flange[early], track.base_T_flange[late])
     variance = np.square(MODEL_ERROR) + _invariant_variance(track, early, late)
-    lowest = track.t[-1] - readings.t[-1] - 0.5 * (track.t[-1] - track.t[0])
-    highest = track.t[0] - readings.t[0] + 0.5 * (track.t[-1] - track.t[0])
+    lowest, highest = _span(track, readings)
     count = max(int(np.ceil((highest - lowest) / COARSE_STEP)), 1) + 1
     # poses along the whole log once; every offset then only looks them up
     grid_t = _grid(readings)
@@ -116,6 +120,32 @@ def _coarse(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, A
         offsets.append(offset)
         cost.append(float(np.mean(np.minimum(misfit, 100.0))))  # a wild pair has one vote
     return np.array(offsets), np.array(cost)
+
+
+def _coarse_by_pose(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, Array]:
+    """The same from what few LEDs determine: misfit of the poses beside constant joint errors."""
+    few = np.linspace(0, len(track) - 1, min(len(track), FEW_PAIRS)).astype(int)
+    sample = subset(track, np.unique(few))
+    lowest, highest = _span(track, readings)
+    count = min(max(int(np.ceil((highest - lowest) / POSE_STEP)), 1), MOST_OFFSETS) + 1
+    offsets, cost = [], []
+    for offset in np.linspace(lowest, highest, count):
+        if len(sample) < 3 or readings.known(sample.t - offset).mean() < LEAST_OVERLAP:
+            continue
+        comparison = compare(sample, arm, readings, offset)
+        white = whiten(comparison)
+        misfit = solve(white.rows(comparison.jacobian), white.rows(comparison.xi[:, :, None])[:, 0])
+        offsets.append(offset)
+        cost.append(misfit.chi2 / max(misfit.degrees_of_freedom, 1))
+    return np.array(offsets), np.array(cost)
+
+
+def _span(track: Track, readings: Readings) -> tuple[float, float]:
+    """Offsets at which half the pairs' span can have readings."""
+    half = 0.5 * float(track.t[-1] - track.t[0])
+    lowest = float(track.t[-1] - readings.t[-1]) - half
+    highest = float(track.t[0] - readings.t[0]) + half
+    return lowest, highest
 
 
 def _grid(readings: Readings) -> Array:

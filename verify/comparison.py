@@ -16,6 +16,9 @@ from verify.readings import RATE_SPAN, Readings
 from verify.records import Array
 from verify.track import Track
 
+GAUGE_STEPS = 12  # Newton on a turn: from half a turn away it takes six
+GAUGE_SETTLED = 1e-9  # rad
+
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
@@ -34,6 +37,7 @@ class Comparison:
     covariance: Array  # (n, 6, 6), of xi from pair to pair: pixels, alignment, readings
     covariance_measured: Array  # (n, 6, 6), of the measured pose alone
     systematic: Array  # (n, 6, p + 2), d xi / d stated parameter, pan readings last
+    alignment_error: Array  # (n, 6), what alignment left, as far as the neighbours show it
     determined: tuple[Array, ...]  # n of (6, d)
     reading_variance: Array  # (n, j), rad²
     rate_variance: Array  # (j,), (rad/s)², what the readings' noise does to `rate`
@@ -80,8 +84,9 @@ def compare(
     q, rate = readings.at(there), readings.rate(there)
     jacobian = robots.jacobian(arm, q)
     encoder = robots.forward(arm, q)
-    determined = tuple(track.determined[i] for i in index)
-    measured = _filled(track.base_T_flange[index], encoder, determined)
+    measured, determined, carry = _filled(
+        track.base_T_flange[index], encoder, tuple(track.determined[i] for i in index)
+    )
     variance = np.repeat(readings.noise[None] ** 2, len(index), axis=0)
     if resolution is not None:
         variance = variance + resolution**2 / 12
@@ -89,7 +94,8 @@ def compare(
     if time_uncertainty is not None:
         speed = np.einsum("nij,nj->ni", jacobian, rate)
         spread = spread + time_uncertainty**2 * speed[:, :, None] * speed[:, None, :]
-    own = alignment_scale(track) * track.covariance_alignment + track.covariance_pixels
+    own = (alignment_scale(track) * track.covariance_alignment + track.covariance_pixels)[index]
+    own = carry @ own @ np.swapaxes(carry, 1, 2)
     return Comparison(
         index=index,
         t=track.t[index],
@@ -101,9 +107,10 @@ def compare(
         base_T_encoder=encoder,
         base_T_measured=measured,
         xi=difference(encoder, measured),
-        covariance=own[index] + spread,
-        covariance_measured=own[index],
-        systematic=-track.systematic[index],
+        covariance=own + spread,
+        covariance_measured=own,
+        systematic=-carry @ track.systematic[index],
+        alignment_error=-np.einsum("nij,nj->ni", carry, track.alignment_error[index]),
         determined=determined,
         reading_variance=variance,
         rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
@@ -147,24 +154,53 @@ def difference(a_T_one: Array, a_T_other: Array) -> Array:
     return np.concatenate([a_T_one[:, :3, 3] - a_T_other[:, :3, 3], rotation], axis=1)
 
 
-def _filled(measured: Array, encoder: Array, determined: tuple[Array, ...]) -> Array:
+def _filled(
+    measured: Array, encoder: Array, determined: tuple[Array, ...]
+) -> tuple[Array, tuple[Array, ...], Array]:
     """Move measured poses along what their LEDs leave open to where the readings are nearest.
 
-    A gauge, not a value: the determined directions do not change to first order, and the steps
-    are repeated until the open ones agree.
+    A gauge, not a value: the LEDs that were seen stay where they are. The flange's origin moves
+    about them, and with it the point that twists refer to.
+
+    Returns:
+        The poses, what is determined there (functionals of twists at the new origin), and the
+        matrices (n, 6, 6) that carry twists from the old origin to the new one.
     """
-    filled = measured.copy()
-    for i, known in enumerate(determined):
-        if known.shape[1] == 6:
+    filled, known = measured.copy(), list(determined)
+    carry = np.tile(np.eye(6), (len(measured), 1, 1))
+    for i, functionals in enumerate(determined):
+        if functionals.shape[1] == 6:
             continue
-        hidden = np.linalg.svd(known, full_matrices=True)[0][:, known.shape[1] :]
-        for _ in range(8):  # a turn of 90° about the LEDs' line needs five
+        for _ in range(GAUGE_STEPS):
+            hidden = np.linalg.svd(known[i], full_matrices=True)[0][:, known[i].shape[1] :]
             xi = difference(encoder[i : i + 1], filled[i : i + 1])[0]
-            step = hidden @ (hidden.T @ xi)
-            turn = Rotation.from_rotvec(step[3:]).as_matrix()
-            filled[i, :3, :3] = turn @ filled[i, :3, :3]
-            filled[i, :3, 3] += step[:3]
-    return filled
+            step = hidden @ np.linalg.lstsq(hidden[3:], xi[3:], rcond=None)[0]
+            _turn_about_the_leds(filled[i], step)
+            carry[i] = _to_origin(filled[i, :3, 3] - measured[i, :3, 3])
+            known[i] = np.linalg.inv(carry[i]).T @ functionals
+            if np.linalg.norm(step[3:]) < GAUGE_SETTLED:
+                break
+    return filled, tuple(known), carry
+
+
+def _turn_about_the_leds(pose: Array, step: Array) -> None:
+    """Turn a pose, in place, by a screw without pitch about the axis that the step defines."""
+    angle = float(np.linalg.norm(step[3:]))
+    if angle == 0.0:
+        return
+    turn = Rotation.from_rotvec(step[3:]).as_matrix()
+    # of a pure turn: velocity at the origin = axis x (origin - a point of the axis)
+    arm = np.cross(step[:3], step[3:]) / angle**2  # origin less the axis' nearest point, negated
+    pose[:3, :3] = turn @ pose[:3, :3]
+    pose[:3, 3] += (np.eye(3) - turn) @ -arm
+
+
+def _to_origin(shift: Array) -> Array:
+    """Carry a twist to an origin that lies `shift` further on, (6, 6)."""
+    carry = np.eye(6)
+    x, y, z = shift
+    carry[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # rho + phi x shift
+    return carry
 
 
 def alignment_scale(track: Track) -> float:

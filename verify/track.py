@@ -1,8 +1,9 @@
 """The measured poses of a session as arrays in the robot's base frame: the seam to the tables."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from verify.alignment import LONGEST_GAP
 from verify.records import Array, Measurement, Sighting
@@ -33,6 +34,13 @@ class Track:
     def known_dof(self) -> Array:
         """Degrees of freedom determined in each pair, (n,)."""
         return np.array([b.shape[1] for b in self.determined], dtype=np.int64)
+
+
+def subset(track: Track, chosen: NDArray[np.int64]) -> Track:
+    """Some of the pairs, by their place in the track."""
+    parts = {f.name: getattr(track, f.name) for f in fields(Track)}
+    parts = {name: part[chosen] for name, part in parts.items() if name != "determined"}
+    return Track(**parts, determined=tuple(track.determined[i] for i in chosen))
 
 
 def collect(measurements: list[Measurement], rig: Rig, systematic: list[Array]) -> Track:

@@ -105,9 +105,11 @@ def _latency(comparison: Comparison, *, steady: bool = False) -> Array:
     """
     rate = comparison.rate
     if steady:
+        noise = np.sqrt(comparison.rate_variance)
         mean = rate.mean(axis=0)
-        noise = np.sqrt(comparison.rate_variance / len(rate))
-        rate = np.tile(np.where(np.abs(mean) > STEADY * noise, mean, 0.0), (len(rate), 1))
+        moves = np.abs(mean) > STEADY * noise / np.sqrt(len(rate))
+        varies = rate.std(axis=0) > STEADY * noise
+        rate = np.where(varies, rate, np.where(moves, mean, 0.0))
     effect: Array = -np.einsum("nij,nj->ni", comparison.jacobian, rate)[:, :, None]
     return effect
 
@@ -160,8 +162,8 @@ def prior_columns(
     columns = [comparison.systematic[:, :, :count] @ _root(systematics.covariance)]
     if clock.source == "given" and clock.standard_uncertainty:
         columns.append(_latency(comparison) * clock.standard_uncertainty)
-    if track.alignment_error.any():
-        columns.append(-track.alignment_error[comparison.index][:, :, None])
+    if comparison.alignment_error.any():
+        columns.append(comparison.alignment_error[:, :, None])
     columns.extend(pan_columns(comparison, track, systematics, side) for side in (0, 1))
     return np.concatenate(columns, axis=2)
 
