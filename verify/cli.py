@@ -70,9 +70,6 @@ def _status(words: list[str]) -> int:
         return _refuse(f"{said}{'' if said[-1:] in '.?!' else '.'} See `verify --help`.")
     except (KeyboardInterrupt, typer.Abort):  # older typer; newer ones give back the status
         outcome = INTERRUPTED
-    except BrokenPipeError:  # the reader of our output has gone: nobody is left to tell
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except OSError as problem:
         if problem.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
             traceback.print_exc()

@@ -105,11 +105,21 @@ def _look(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _Seen:
         ]
         spots = detect(pair.left, windows[0]), detect(pair.right, windows[1])
         seen = _identified(pair, spots, setup, memory, prediction, whole_frame=False)
-        enough = len(memory.seen.found.left_led) if memory is not None else 0
-        if seen.found.status == "measured" and len(seen.found.left_led) >= enough:
+        if _every_led(seen, setup):
             return seen
     spots = detect(pair.left), detect(pair.right)
+    # with an LED missing the prediction may follow a reflection: pictures that show the whole
+    # marker elsewhere overrule it
+    fresh = _identified(pair, spots, setup, memory, None, whole_frame=True)
+    if prediction is None or _every_led(fresh, setup):
+        return fresh
     return _identified(pair, spots, setup, memory, prediction, whole_frame=True)
+
+
+def _every_led(seen: _Seen, setup: Setup) -> bool:
+    """Both pictures show the whole marker."""
+    fewest = min(len(seen.found.left_led), len(seen.found.right_led))
+    return seen.found.status == "measured" and fewest == len(setup.marker)
 
 
 def _identified(

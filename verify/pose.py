@@ -9,7 +9,7 @@ spots that were moved share it. It is marginalised, so it correlates their error
 pretending to average out over LEDs.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ UNDETERMINED = 1e-10  # information a direction, relative to the best: rounding,
 OUTLIER = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
 MODEL_FLOOR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
 FEWEST_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
+MOMENT = 0.01  # s: long against rounding, short against the motion
 ITERATIONS = 25
 CONVERGED = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
 
@@ -67,12 +68,18 @@ def fit_pose(left: Sighting, right: Sighting, rig: Rig, marker: Marker, start: A
     views = _stack(left, right, rig, marker)
     keep = np.ones(len(views.centre), dtype=bool)
     tolerance = _tolerance(views, marker)
+    curvature = np.zeros_like(views.centre)
+    if views.lever.any():
+        rough = _gauss_newton(views, keep, start)
+        curvature = _curvature(views, rough.rig_T_flange, rough.twist)
+        straight = views.centre - curvature * views.lever[:, None]
+        views, start = replace(views, centre=straight), rough.rig_T_flange
     while True:
         fit = _gauss_newton(views, keep, start)
         worst, size = _worst_spot(fit, keep, tolerance)
         settled = size < OUTLIER
         if settled or keep.sum() <= FEWEST_SPOTS or (~keep).sum() >= len(keep) // 3:
-            return _pose(fit, views, keep, settled)
+            return _pose(fit, views, keep, settled, curvature)
         keep[worst] = False
 
 
@@ -254,7 +261,24 @@ def _worst_spot(fit: _Fit, keep: NDArray[np.bool_], tolerance: Array) -> tuple[i
     return int(np.flatnonzero(keep)[worst]), float(size[worst])
 
 
-def _pose(fit: _Fit, views: Views, keep: NDArray[np.bool_], consistent: bool) -> Pose:
+def _curvature(views: Views, rig_T_flange: Array, twist: Array) -> Array:
+    """Image acceleration of a flange that keeps its twist, (s, 2), px/s².
+
+    LEDs that turn about the flange, and points that come nearer, do not cross the image at a
+    steady rate even then. It points one way, so it would not average out.
+    """
+    if not twist.any():
+        return np.zeros_like(views.centre)
+    early, now, late = (
+        predict(views, perturb(rig_T_flange, twist * h))[0] for h in (-MOMENT, 0.0, MOMENT)
+    )
+    second: Array = (early + late - 2 * now) / MOMENT**2
+    return second
+
+
+def _pose(
+    fit: _Fit, views: Views, keep: NDArray[np.bool_], consistent: bool, curvature: Array
+) -> Pose:
     spread = np.repeat(np.square(fit.prior), 3)  # of the acceleration's components
     kept = fit.residual[keep].reshape(-1)
     gain = np.zeros((6, 2 * len(keep)))
@@ -268,6 +292,7 @@ def _pose(fit: _Fit, views: Views, keep: NDArray[np.bool_], consistent: bool) ->
         determined=fit.determined,
         gain=gain,
         sensitivity=fit.by_point,
+        curvature=curvature,
         residual=fit.residual,
         spot_uncertainty=np.sqrt(
             np.trace(views.covariance, axis1=1, axis2=2) / 2

@@ -89,6 +89,7 @@ class Pose:
     determined: Array  # (6, known_dof), orthonormal: functionals that the visible LEDs determine
     gain: Array  # (6, 2 s): d pose / d spot centre, left sightings then right; 0 for rejected ones
     sensitivity: Array  # (s, 2, 3): d px / d point in the rig, the same order
+    curvature: Array  # (s, 2), px/s²: image acceleration of a steady twist, which was allowed for
     residual: Array  # (s, 2), px, seen less predicted
     spot_uncertainty: Array  # (s,), px a coordinate: noise, and what alignment adds to it
     rejected: NDArray[np.bool_]  # (s,), sightings that the fit refused as outliers

@@ -1,6 +1,7 @@
 """What the user sees while a command works: progress, lines, or JSON; colour honours NO_COLOR."""
 
 import json
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,7 +36,7 @@ class Terminal:
     def say(self, text: str) -> None:
         """Print a line for the reader; nothing with --quiet or --json."""
         if not (self.quiet or self.as_json):
-            sys.stdout.write(text + "\n")
+            _write(text)
 
     def detail(self, text: str) -> None:
         """Print a line that only --verbose asks for."""
@@ -52,8 +53,7 @@ class Terminal:
     def record(self, fields: dict[str, Any]) -> None:
         """Print one JSON object on a line of its own, with --json."""
         if self.as_json:
-            sys.stdout.write(json.dumps(fields, ensure_ascii=False, allow_nan=False) + "\n")
-            sys.stdout.flush()
+            _write(json.dumps(fields, ensure_ascii=False, allow_nan=False))
 
     @contextmanager
     def progress(self, what: str) -> Iterator["Counter"]:
@@ -73,6 +73,15 @@ class Terminal:
             )
             with Progress(*columns, console=console, transient=True) as bar:
                 yield Counter(bar, what, silent=False)
+
+
+def _write(line: str) -> None:
+    """Write a line to standard output; to nowhere once the reader has gone (`| head`)."""
+    try:
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class _Rate(ProgressColumn):

@@ -83,21 +83,24 @@ def _alignment_errors(measurements: list[Measurement]) -> Array:
 
 
 def _alignment_error(before: Measurement, now: Measurement, after: Measurement) -> Array:
-    shifts = []
+    if now.pose is None:
+        return np.zeros(6)
+    shifts, start = [], 0
     for side in ("left", "right"):
         seen = [getattr(m, side) for m in (before, now, after)]
         if any(s is None for s in seen):
             return np.zeros(6)
-        shifts.append(_second_difference(*seen) * seen[1].acceleration_lever[:, None])
-    if now.pose is None:
-        return np.zeros(6)
+        allowed_for = now.pose.curvature[start : start + len(seen[1])]
+        start += len(seen[1])
+        unknown = _second_difference(*seen, unseen=allowed_for) - allowed_for
+        shifts.append(unknown * seen[1].acceleration_lever[:, None])
     error: Array = now.pose.gain @ np.concatenate(shifts).reshape(-1)
     return error
 
 
-def _second_difference(before: Sighting, now: Sighting, after: Sighting) -> Array:
-    """Acceleration of each LED's image, (m, 2), px/s²; 0 where a neighbour did not see it."""
-    acceleration = np.zeros((len(now), 2))
+def _second_difference(before: Sighting, now: Sighting, after: Sighting, *, unseen: Array) -> Array:
+    """Acceleration of each LED's image, (m, 2), px/s²; `unseen` where a neighbour lacks it."""
+    acceleration = unseen.copy()
     if not np.any(now.acceleration_lever) or before.pan != now.pan or after.pan != now.pan:
         return acceleration
     places = [{int(led): i for i, led in enumerate(s.led)} for s in (before, after)]

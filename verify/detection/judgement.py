@@ -18,7 +18,7 @@ ROUGH = 0.035  # rms residual over peak, likewise; both must hold: a bright LED 
 FAINTEST = 8.0  # sigma of the peak: chance does not reach it in a picture
 WANDERED = 1.5  # half-widths: a fit that left its candidate has found something else
 LONGEST = 2.0  # axis ratio of the fitted profile; a blurred LED stays below, streaks do not
-CHANCE = 2.0  # standard deviations of a reduced chi² that noise alone reaches
+CHANCE = 3.0  # standard deviations of a reduced chi² that noise alone reaches
 TOGETHER = 20.0  # pixels that a wrong shape lifts together, so that they do not average
 BORDER = 1.2  # half-widths that must be inside the image
 

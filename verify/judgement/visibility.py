@@ -49,7 +49,7 @@ def visibility(model: Model) -> Visibility:
 def _share(fitted: Array, columns: Array, whole: Array) -> Array:
     left = np.sqrt(np.diag(left_over(fitted, columns)))
     share = np.divide(left, whole, out=np.full(len(whole), np.nan), where=whole > 0)
-    return np.where(share < INVISIBLE, 0.0, share)
+    return np.where(share < INVISIBLE, 0.0, np.minimum(share, 1.0))  # rounding leaves 1 + 2e-16
 
 
 def _separable(gram: Array) -> Array:
