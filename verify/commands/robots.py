@@ -87,7 +87,7 @@ def _report(arm: "arms.Arm", check: "arms.SelfCheck") -> int:
     for what, figure in figures.items():
         said = "does not apply" if math.isnan(figure) else f"{figure:.1e}"
         terminal.say(f"  {what}: {said}")
-    terminal.say(f"  Jacobian against differences: {check.difference_jacobian:.1e} (not judged)")
+    terminal.detail(f"  Jacobian against differences: {check.difference_jacobian:.1e} (not judged)")
     terminal.say(f"  poses whose own joints were not among the answers: {check.lost}")
     known = {what: figure for what, figure in figures.items() if not math.isnan(figure)}
     good = max(known.values(), default=0.0) <= LIMIT and check.lost == 0

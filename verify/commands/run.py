@@ -124,8 +124,27 @@ def _say(results: "Results", target: Path) -> None:
     terminal.say(f"{verdict.label}: {verdict.sentence}")
     for joint in summary["joints"]:
         terminal.say(_line(joint))
+    for line in _details(summary):
+        terminal.detail(line)
     terminal.say(f"Report: {target / 'report.html'} and {target / 'report.pdf'}")
     terminal.record({"type": "result", "out": str(target), "summary": summary})
+
+
+def _details(summary: dict[str, Any]) -> list[str]:
+    """What --verbose adds: pairs, clock, how LEDs were told apart, detectable errors."""
+    pairs, clock = summary["pairs"], summary["clock"]
+    lost = ", ".join(f"{n} {status}" for status, n in pairs["rejected"].items()) or "none"
+    offset = clock["encoder_offset_s"]
+    said = "not shown by the motion" if offset is None else f"{offset:+.6f} s, {clock['source']}"
+    told = ", ".join(f"{n} by {how}" for how, n in summary["choices"].items()) or "-"
+    smallest = [j["minimum_detectable_error_deg"] for j in summary["joints"]]
+    shown = ", ".join("-" if s is None else f"{s:.3f}°" for s in smallest)
+    return [
+        f"pairs: {pairs['measured']} of {pairs['recorded']} measured; rejected: {lost}",
+        f"encoder clock: {said}",
+        f"LEDs told apart: {told}",
+        f"smallest offset that would be noticed, a joint: {shown}",
+    ]
 
 
 def _line(joint: dict[str, Any]) -> str:
