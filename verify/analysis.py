@@ -9,6 +9,7 @@ import pandas as pd
 
 import robots
 from reports import Results
+from verify.caveats import caveats, uncounted
 from verify.clock import ClockEstimate, estimate_clock
 from verify.comparison import Comparison, about, compare, correlated
 from verify.description import describe
@@ -239,7 +240,6 @@ def _judge(
     estimated = clock.standard_uncertainty if clock.source == "estimated" else None
     means = mean_errors(model, errors, resolved, estimated, systematics)
     status, rows = _statuses(seen, comparison, unreachable)
-    uncounted = _uncounted(systematics, clock)
     judged = Judged(
         session=session,
         tolerance=_tolerance(session, tolerance),
@@ -256,8 +256,8 @@ def _judge(
         causes=diagnose(model, resolved),
         flange=_flange(model, estimated),
         through_encoders=model.through_encoders,
-        uncounted=uncounted,
-        warnings=_warnings(session, seen, systematics, uncounted, clock, model),
+        uncounted=uncounted(systematics, clock),
+        warnings=caveats(session, seen.measurements, systematics, clock, model),
     )
     tables = {
         "frames": frames_table(
@@ -322,80 +322,3 @@ def _statuses(
         if place not in compared:
             status[row] = "unreachable" if place in unreachable else "no_encoder"
     return status, [measured[i] for i in comparison.index]
-
-
-def _uncounted(systematics: Systematics, clock: ClockEstimate) -> tuple[str, ...]:
-    if clock.standard_uncertainty is None:  # given without one, or not observable
-        return (*systematics.uncounted, "clock")
-    return systematics.uncounted
-
-
-def _never_used(session: Session, seen: _Seen) -> list[str]:
-    """LEDs that no measured pair used, by name."""
-    used: set[int] = set()
-    for m in seen.measurements:
-        if m.status == "measured" and m.pose is not None and m.left and m.right:
-            led = np.concatenate([m.left.led, m.right.led])
-            used.update(led[~m.pose.rejected].tolist())
-    return [name for i, name in enumerate(session.marker.names) if i not in used]
-
-
-def _warnings(
-    session: Session,
-    seen: _Seen,
-    systematics: Systematics,
-    uncounted: tuple[str, ...],
-    clock: ClockEstimate,
-    model: Model,
-) -> list[str]:
-    warnings = list(session.warnings)
-    if uncounted:
-        warnings.append(
-            "No uncertainty is stated for " + ", ".join(uncounted) + ": taken as exact; the "
-            "verdict holds on that condition."
-        )
-    unseen = _never_used(session, seen)
-    if unseen:
-        warnings.append(
-            f"Never seen where marker.toml puts them, in any pair: LED {', '.join(unseen)}. Check "
-            "that they are lit and in view, and their position_mm."
-        )
-    if systematics.unknown:
-        warnings.append(
-            "rig.toml [covariance]: not counted, as the names are not known here: "
-            + ", ".join(systematics.unknown) + "."
-        )  # fmt: skip
-    if model.through_encoders:
-        warnings.append(
-            "Base or LED positions were fitted through the robot's own encoders: the errors in "
-            "frames.csv are residuals, which may accuse the wrong joint; mean errors come from a "
-            "fit together with that registration."
-        )
-    joints, known = session.arm.dof, min(b.shape[1] for b in model.comparison.determined)
-    if joints > 6:
-        warnings.append(
-            f"A pose determines six combinations of the robot's {joints} joints: along its "
-            "self-motion no pair tells them apart, so single joints stay empty in frames.csv; "
-            "mean errors come from a fit over the session."
-        )
-    if known < 6:
-        warnings.append(
-            f"In some pairs the LEDs determine only {known} of 6 degrees of freedom: joints that "
-            "the open ones move stay empty there, and mean errors come from a fit over the session."
-        )
-    if model.stands_in:
-        warnings.append(
-            "The motion of that registration is not known: this session's stands for it."
-        )
-    if clock.rivals:
-        others = ", ".join(f"{o:+.3f}" for o in clock.rivals[:4])
-        warnings.append(
-            "The motion repeats itself: the readings' clock could as well be off by "
-            f"{others} s. State [clock] encoder_offset_s, or add a movement that does not repeat."
-        )
-    if clock.source == "not_observable":
-        warnings.append(
-            "The motion (at rest or at constant speed) does not show the clock offset: readings "
-            f"are taken {clock.offset:g} s later than stamped."
-        )
-    return warnings
