@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
+from verify.alignment import LONGEST_GAP
 from verify.readings import RATE_SPAN, Readings
 from verify.records import Array
 from verify.track import Track
 
+FEWEST_ACCELERATIONS = 5  # second differences that make a session's mean square
 GAUGE_STEPS = 12  # Newton on a turn: from half a turn away it takes six
 GAUGE_SETTLED = 1e-9  # rad
 
@@ -94,7 +96,8 @@ def compare(
     if time_uncertainty is not None:
         speed = np.einsum("nij,nj->ni", jacobian, rate)
         spread = spread + time_uncertainty**2 * speed[:, :, None] * speed[:, None, :]
-    own = (alignment_scale(track) * track.covariance_alignment + track.covariance_pixels)[index]
+    scale = alignment_scale(track)[:, None, None]
+    own = (scale * track.covariance_alignment + track.covariance_pixels)[index]
     own = carry @ own @ np.swapaxes(carry, 1, 2)
     return Comparison(
         index=index,
@@ -203,30 +206,30 @@ def _to_origin(shift: Array) -> Array:
     return carry
 
 
-def alignment_scale(track: Track) -> float:
-    """How far the session's real accelerations exceed (or fall short of) what poses assumed.
+def alignment_scale(track: Track) -> Array:
+    """How far the session's real accelerations exceed (or fall short of) what poses assumed, (n,).
 
     The second differences of the measured poses show the motion's acceleration; their mean square
-    over the assumed one, with the poses' own noise taken off, corrects the covariance. Without
-    three neighbouring pairs the assumption stands.
+    over the session, with the poses' own noise taken off, replaces what each pair assumed from its
+    speed: an arm accelerates most where it turns back and has none. Without three neighbouring
+    pairs the assumption stands.
     """
     interval = np.diff(track.t)
-    regular = (interval[:-1] < 1.0) & (interval[1:] < 1.0)  # s; visits show no acceleration
+    regular = (interval[:-1] < LONGEST_GAP) & (interval[1:] < LONGEST_GAP)
     full = track.known_dof == 6
     usable = np.flatnonzero(regular & full[:-2] & full[1:-1] & full[2:]) + 1
-    if len(usable) < 5 or not track.covariance_alignment.any():
-        return 1.0
+    if len(usable) < FEWEST_ACCELERATIONS or not track.covariance_alignment.any():
+        return np.ones(len(track))
     pose = track.base_T_flange
     before = difference(pose[usable], pose[usable - 1]) / interval[usable - 1, None]
     after = difference(pose[usable + 1], pose[usable]) / interval[usable, None]
     span = (track.t[usable + 1] - track.t[usable - 1]) / 2
     acceleration = (after - before) / span[:, None]
     noise = _second_difference_variance(track, usable, interval, span)
-    excess = np.maximum(acceleration**2 - noise, 0.0)
-    assumed = np.repeat(track.acceleration_prior[usable] ** 2, 3, axis=1)
-    ratios = np.array([excess[:, :3].sum() / assumed[:, :3].sum(),
-                       excess[:, 3:].sum() / assumed[:, 3:].sum()])  # fmt: skip
-    return float(ratios.mean())
+    square = np.maximum(np.mean(acceleration**2 - noise, axis=0), 0.0)  # of each component
+    seen = np.array([square[:3].mean(), square[3:].mean()])
+    scale: Array = np.mean(seen / track.acceleration_prior**2, axis=1)
+    return scale
 
 
 def _second_difference_variance(
