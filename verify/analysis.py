@@ -233,7 +233,6 @@ def _judge(
     errors = JointErrors(
         error=joints.single,
         covariance=random,
-        covariance_measured=joints.covariance_measured,
         systematic=joints.inverse @ model.prior_columns,
     )
     resolved = resolve(model)

@@ -41,17 +41,11 @@ class Comparison:
     systematic: Array  # (n, 6, p + 2), d xi / d stated parameter, pan readings last
     alignment_error: Array  # (n, 6), what alignment left, as far as the neighbours show it
     determined: tuple[Array, ...]  # n of (6, d)
-    reading_variance: Array  # (n, j), rad²
     rate_variance: Array  # (j,), (rad/s)², what the readings' noise does to `rate`
 
     def __len__(self) -> int:
         """Count the compared pairs."""
         return len(self.index)
-
-    @property
-    def complete(self) -> bool:
-        """Every pair determines all six degrees of freedom."""
-        return all(b.shape[1] == 6 for b in self.determined)
 
 
 def compare(
@@ -115,7 +109,6 @@ def compare(
         systematic=-carry @ track.systematic[index],
         alignment_error=-np.einsum("nij,nj->ni", carry, track.alignment_error[index]),
         determined=determined,
-        reading_variance=variance,
         rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
     )
 

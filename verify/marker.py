@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from verify.records import Array
 
 COLOURS = ("white", "red", "green", "blue", "infrared")
@@ -27,9 +25,3 @@ class Marker:
     def __len__(self) -> int:
         """Count the LEDs."""
         return len(self.names)
-
-    @property
-    def distances(self) -> Array:
-        """Distances between the LEDs, (n, n), m."""
-        separation: Array = np.linalg.norm(self.leds[:, None] - self.leds[None], axis=-1)
-        return separation

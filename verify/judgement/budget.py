@@ -42,7 +42,7 @@ def budget(
         track: measured poses (pan readings).
         clock: the offset and how it came about.
     """
-    sources = [*dict.fromkeys(systematics.sources), *_others(systematics, clock)]
+    sources = [*dict.fromkeys(systematics.sources), *_others(model.comparison, systematics, clock)]
     parts = [(RANDOM, "random", means.random)]
     for source in sources:
         if is_fitted(model, errors):
@@ -59,23 +59,41 @@ def budget(
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _others(systematics: Systematics, clock: ClockEstimate) -> list[str]:
-    pan = [PAN] if np.any(systematics.pan > 0) else []
-    return pan + ([CLOCK] if clock.standard_uncertainty else [])
+def _others(comparison: Comparison, systematics: Systematics, clock: ClockEstimate) -> list[str]:
+    there = {
+        PAN: bool(np.any(systematics.pan > 0)),
+        CLOCK: bool(clock.standard_uncertainty),
+        ALIGNMENT: bool(comparison.alignment_error.any()),
+    }
+    return [source for source, counts in there.items() if counts]
 
 
-def _only(
-    systematics: Systematics, clock: ClockEstimate, source: str, *, inverted: bool = False
-) -> tuple[Systematics, ClockEstimate]:
-    """Take every source but one as exact; inverted: that one alone."""
-    keep = np.array([(s == source) != inverted for s in systematics.sources], dtype=bool)
-    mask = np.outer(keep, keep)
-    pan = systematics.pan if (source == PAN) != inverted else np.full(2, np.nan)
-    doubt = clock.standard_uncertainty if (source == CLOCK) != inverted else None
-    return (
-        replace(systematics, covariance=systematics.covariance * mask, pan=pan),
-        replace(clock, standard_uncertainty=doubt),
+def _columns(
+    comparison: Comparison,
+    track: Track,
+    clock: ClockEstimate,
+    systematics: Systematics,
+    source: str,
+    *,
+    without: bool,
+) -> Array:
+    """Prior columns (n, 6, p) of one source alone, or of all without it."""
+
+    def counts(name: str) -> bool:
+        return (name == source) != without
+
+    keep = np.array([counts(s) for s in systematics.sources], dtype=bool)
+    some = replace(
+        systematics,
+        covariance=systematics.covariance * np.outer(keep, keep),
+        pan=systematics.pan if counts(PAN) else np.full(2, np.nan),
     )
+    stamped = clock if counts(CLOCK) else replace(clock, standard_uncertainty=None)
+    left = comparison.alignment_error
+    aligned = replace(
+        comparison, alignment_error=left if counts(ALIGNMENT) else np.zeros_like(left)
+    )
+    return prior_columns(aligned, track, stamped, some)
 
 
 def _carried(
@@ -90,9 +108,9 @@ def _carried(
     """A source's standard uncertainty carried through the plain mean, (j,), rad."""
     known = ~np.isnan(errors.error)
     weight = known / np.maximum(known.sum(axis=0), 1)
-    alone, stamped = _only(systematics, clock, source)
     # an estimated clock does not average out either: its column is that of a given one
-    columns = prior_columns(comparison, track, replace(stamped, source="given"), alone)
+    given = replace(clock, source="given")
+    columns = _columns(comparison, track, given, systematics, source, without=False)
     share = np.einsum("ni,nij,njp->ip", weight, inverse, columns)
     size: Array = np.linalg.norm(share, axis=1)
     return size
@@ -107,8 +125,8 @@ def _lost(
     source: str,
 ) -> Array:
     """What the fitted means' uncertainty loses when a source is exact, (j,), rad."""
-    rest, stamped = _only(systematics, clock, source, inverted=True)
-    held = model.white.rows(prior_columns(model.comparison, track, stamped, rest))
+    rest = _columns(model.comparison, track, clock, systematics, source, without=True)
+    held = model.white.rows(rest)
     design = np.concatenate([model.offsets, model.fitted], axis=1)
     joints = model.offsets.shape[1]
     without = np.diag(solve(design, model.xi, held).covariance)[:joints]

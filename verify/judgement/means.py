@@ -21,7 +21,6 @@ class JointErrors:
 
     error: Array  # (n, j)
     covariance: Array  # (n, j, j), random, of the error
-    covariance_measured: Array  # (n, j, j), random, of the measured angle alone
     systematic: Array  # (n, j, p), d error / d prior column
 
 
