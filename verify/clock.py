@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
-from verify.comparison import Comparison, compare, difference
+from verify.comparison import Comparison, compare
 from verify.readings import LONGEST_GAP, Readings
 from verify.records import Array
 from verify.regression import autocorrelation, solve, whiten
@@ -176,8 +176,11 @@ def _neighbours(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 def _invariants(a_T_one: Array, a_T_other: Array) -> Array:
     """Angle (rad) and distance (m) of the motion between poses, (n, 2): the same in any frame."""
-    xi = difference(a_T_one, a_T_other)
-    return np.stack([np.linalg.norm(xi[:, 3:], axis=1), np.linalg.norm(xi[:, :3], axis=1)], axis=1)
+    between = a_T_one[:, :3] - a_T_other[:, :3]
+    # the Frobenius norm of two rotations' difference is sqrt(8) times the sine of half the angle
+    turn = np.sqrt(np.einsum("nij,nij->n", between[:, :, :3], between[:, :, :3]) / 8)
+    distance = np.sqrt(np.einsum("ni,ni->n", between[:, :, 3], between[:, :, 3]))
+    return np.stack([2 * np.arcsin(np.minimum(turn, 1.0)), distance], axis=1)
 
 
 def _invariant_variance(track: Track, early: NDArray[np.int64], late: NDArray[np.int64]) -> Array:
