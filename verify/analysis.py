@@ -18,7 +18,7 @@ from verify.joints import Joints, solve_joints
 from verify.judgement.budget import budget
 from verify.judgement.diagnosis import diagnose
 from verify.judgement.means import JointErrors, mean_errors
-from verify.judgement.model import Model, build, with_pan_noise
+from verify.judgement.model import Model, build, clock_effect, with_pan_noise
 from verify.judgement.resolved import predicted, resolve
 from verify.judgement.visibility import visibility
 from verify.measurement import Setup, measure
@@ -234,6 +234,7 @@ def _judge(
         error=joints.single,
         covariance=random,
         systematic=joints.inverse @ model.prior_columns,
+        clock=(joints.inverse @ clock_effect(comparison))[:, :, 0],
     )
     resolved = resolve(model)
     estimated = clock.standard_uncertainty if clock.source == "estimated" else None

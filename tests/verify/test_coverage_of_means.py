@@ -111,7 +111,7 @@ def replicate(rig: Rig, marker: Marker, parameters: Systematics, seed: int) -> M
     joints = solve_joints(comparison, ARM)
     model = build(comparison, track, rig, marker, GIVEN, parameters)
     systematic = joints.inverse @ model.prior_columns
-    errors = JointErrors(joints.single, joints.covariance, systematic)
+    errors = JointErrors(joints.single, joints.covariance, systematic, np.zeros_like(joints.error))
     return mean_errors(model, errors, resolve(model), None, parameters)
 
 

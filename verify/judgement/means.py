@@ -22,6 +22,7 @@ class JointErrors:
     error: Array  # (n, j)
     covariance: Array  # (n, j, j), random, of the error
     systematic: Array  # (n, j, p), d error / d prior column
+    clock: Array  # (n, j), d error / d clock offset, rad/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +62,7 @@ def mean_errors(
     moved = np.einsum("ni,nip->ip", weight, np.nan_to_num(errors.systematic))
     covariance = random + moved @ moved.T
     if clock_uncertainty is not None:
-        drift = (model.comparison.rate * weight).sum(axis=0) * clock_uncertainty
+        drift = (np.nan_to_num(errors.clock) * weight).sum(axis=0) * clock_uncertainty
         covariance = covariance + np.outer(drift, drift)
     covariance[pairs == 0] = covariance[:, pairs == 0] = np.nan
     spread = np.sqrt(np.diag(random))

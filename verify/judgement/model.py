@@ -65,7 +65,7 @@ def build(
     """Lay a comparison out as a whitened linear model."""
     white = whiten(comparison)
     jacobian = comparison.jacobian
-    latency = _latency(comparison, steady=clock.source == "not_observable")
+    latency = clock_effect(comparison, steady=clock.source == "not_observable")
     open_clock = clock.source != "given" and bool(latency.any())
     clock_columns = latency if open_clock else latency[:, :, :0]
     held = prior_columns(comparison, track, clock, systematics)
@@ -96,7 +96,7 @@ def build(
     )
 
 
-def _latency(comparison: Comparison, *, steady: bool = False) -> Array:
+def clock_effect(comparison: Comparison, *, steady: bool = False) -> Array:
     """What a second of clock offset does to xi, (n, 6, 1); steady: at the joints' mean speeds.
 
     A motion that does not show the offset is at rest or of constant speed; what its speeds seem
@@ -161,7 +161,7 @@ def prior_columns(
     count = len(systematics.names)
     columns = [comparison.systematic[:, :, :count] @ _root(systematics.covariance)]
     if clock.source == "given" and clock.standard_uncertainty:
-        columns.append(_latency(comparison) * clock.standard_uncertainty)
+        columns.append(clock_effect(comparison) * clock.standard_uncertainty)
     if comparison.alignment_error.any():
         columns.append(comparison.alignment_error[:, :, None])
     columns.extend(pan_columns(comparison, track, systematics, side) for side in (0, 1))
