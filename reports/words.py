@@ -57,6 +57,7 @@ SOURCES = {
 COUPLINGS = {
     "singularity": "the joints' axes line up: only the sum is determined",
     "well_known": "known better than its members",
+    "self_motion": "of more than six joints a pose determines six sums; shares as at mid-session",
 }
 
 UNITS = {"deg": "°", "ratio": "", "s": "s", "mm": "mm", "m": "m", "rad": "rad"}

@@ -11,6 +11,7 @@ import robots
 from reports import Results
 from verify.caveats import caveats, uncounted
 from verify.clock import ClockEstimate, estimate_clock
+from verify.combinations import combinations
 from verify.comparison import Comparison, about, compare, correlated
 from verify.description import describe
 from verify.errors import InputError
@@ -248,8 +249,15 @@ def _judge(
         clock=clock,
         comparison=comparison,
         joints=joints,
-        random=random,
-        systematic=errors.systematic,
+        combinations=combinations(
+            session.arm,
+            comparison,
+            joints,
+            errors,
+            means,
+            estimated,
+            through_encoders=model.through_encoders,
+        ),
         means=means,
         visibility=visibility(model),
         resolved=resolved,

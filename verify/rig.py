@@ -120,10 +120,15 @@ class Rig:
     image_size: tuple[int, int]  # width, height, px
     left: Camera
     right: Camera
-    rig_T_base: Array  # (4, 4)
-    base_source: str = "fixture"  # or "motion": fitted through the robot's own encoders
+    rig_T_base: Array  # (4, 4); nan where no robot was registered
+    base_source: str = "fixture"  # "motion": fitted through the robot's own encoders; "": none
     registration: str | None = None
     absorption: Array | None = (
         None  # (12, joints): base and LED-body motion a rad of offset; m, rad
     )
     covariance: Covariance | None = None
+
+    @property
+    def registered(self) -> bool:
+        """A robot's place in the rig is known."""
+        return bool(self.base_source)

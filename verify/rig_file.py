@@ -60,12 +60,16 @@ class RigTable(msgspec.Struct, kw_only=True):
     image_size: tuple[int, int]
     left: CameraTable
     right: CameraTable
-    robot_base: BaseTable
+    robot_base: BaseTable | None = None
     covariance: CovarianceTable | None = None
 
 
-def read(path: str | Path) -> tuple[Rig, tuple[str, ...]]:
+def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, ...]]:
     """Read and check a rig.toml.
+
+    Args:
+        path: the file.
+        registered: the robot's place is needed; without it one that has none will do.
 
     Returns:
         The rig, and what is worth a warning: unknown keys, a principal point far off the centre.
@@ -78,18 +82,18 @@ def read(path: str | Path) -> tuple[Rig, tuple[str, ...]]:
     width, height = table.image_size
     if min(width, height) < 1:
         raise fault(path, "image_size", f"is {width} x {height}", "both are at least one pixel")
-    base = table.robot_base
+    if registered and table.robot_base is None:
+        expected = "where the robot stands in the rig is needed here"
+        remedy = "Register the robot first: `verify calibrate register`."
+        raise fault(path, "robot_base", "is missing", expected, remedy)
     rig = Rig(
         image_size=table.image_size,
         left=_camera(path, "left", table.left),
         right=_camera(path, "right", table.right),
-        rig_T_base=_placed(path, "robot_base.rotation", base.rotation, base.position_mm),
-        base_source=one_of(path, "robot_base.source", base.source, SOURCES),
-        registration=base.registration,
-        absorption=_absorption(path, base.absorption),
         covariance=None
         if table.covariance is None
         else covariance_file.checked(path, table.covariance),
+        **_base(path, table.robot_base),
     )
     sides = (("left", rig.left), ("right", rig.right))
     off = [
@@ -102,7 +106,6 @@ def read(path: str | Path) -> tuple[Rig, tuple[str, ...]]:
 
 def encode(rig: Rig) -> bytes:
     """Write a rig as the text of a rig.toml; what is None stays out."""
-    absorption = None if rig.absorption is None else rig.absorption / _absorption_units()
     covariance = rig.covariance
     return encode_toml(
         {
@@ -110,16 +113,21 @@ def encode(rig: Rig) -> bytes:
             "image_size": list(rig.image_size),
             "left": _camera_table(rig.left),
             "right": _camera_table(rig.right),
-            "robot_base": {
-                "rotation": encode_numbers(rig.rig_T_base[:3, :3]),
-                "position_mm": encode_numbers(rig.rig_T_base[:3, 3] / _MM),
-                "source": rig.base_source,
-                "registration": rig.registration,
-                "absorption": None if absorption is None else encode_numbers(absorption),
-            },
+            "robot_base": _base_table(rig) if rig.registered else None,
             "covariance": None if covariance is None else covariance_file.table(covariance),
         }
     )
+
+
+def _base_table(rig: Rig) -> dict[str, Any]:
+    absorption = None if rig.absorption is None else rig.absorption / _absorption_units()
+    return {
+        "rotation": encode_numbers(rig.rig_T_base[:3, :3]),
+        "position_mm": encode_numbers(rig.rig_T_base[:3, 3] / _MM),
+        "source": rig.base_source,
+        "registration": rig.registration,
+        "absorption": None if absorption is None else encode_numbers(absorption),
+    }
 
 
 def write(path: str | Path, rig: Rig) -> None:
@@ -129,6 +137,17 @@ def write(path: str | Path, rig: Rig) -> None:
         InputError: the disk or the system refuses it.
     """
     write_whole(Path(path), encode(rig))
+
+
+def _base(path: Path, base: BaseTable | None) -> dict[str, Any]:
+    if base is None:
+        return {"rig_T_base": np.full((4, 4), np.nan), "base_source": ""}
+    return {
+        "rig_T_base": _placed(path, "robot_base.rotation", base.rotation, base.position_mm),
+        "base_source": one_of(path, "robot_base.source", base.source, SOURCES),
+        "registration": base.registration,
+        "absorption": _absorption(path, base.absorption),
+    }
 
 
 def _camera(path: Path, side: str, table: CameraTable) -> Camera:

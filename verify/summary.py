@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-import robots
 from verify import __version__
 from verify.clock import ClockEstimate
+from verify.combinations import Combination
 from verify.comparison import Comparison
 from verify.joints import Joints
 from verify.judgement.diagnosis import Cause
@@ -35,8 +35,7 @@ class Judged:
     clock: ClockEstimate
     comparison: Comparison
     joints: Joints
-    random: Array  # (n, j, j), covariance of the joints' errors that averages out
-    systematic: Array  # (n, j, p), what does not: d error / d prior column
+    combinations: list[Combination]
     means: Means
     visibility: Visibility
     resolved: Resolved
@@ -80,7 +79,7 @@ def summarise(judged: Judged) -> dict[str, Any]:
         "budget": {"uncounted": list(judged.uncounted)},
         "inputs": dict(sorted(session.inputs.items())),
         "warnings": judged.warnings,
-        "combinations": _combinations(judged),
+        "combinations": [_combination(c) for c in judged.combinations],
         "choices": dict(sorted(judged.choices.items())),
         "known_dof": max((b.shape[1] for b in judged.comparison.determined), default=0),
     }
@@ -198,71 +197,13 @@ def _cause(cause: Cause) -> dict[str, Any]:
     return worded
 
 
-def _combinations(judged: Judged) -> list[dict[str, Any]]:
-    """Sums of joints that are known where the single ones are not, or not well."""
-    rows = [] if judged.through_encoders else _coupled_sums(judged)
-    for weights in _parallel(judged.session.arm):
-        mean = float(weights @ np.nan_to_num(judged.means.mean))
-        variance = float(weights @ np.nan_to_num(judged.means.covariance) @ weights)
-        used = weights != 0
-        if np.isfinite(judged.means.mean[used]).all():
-            pairs = int(judged.means.pairs[used].min())
-            rows.append(_combination(weights, mean, math.sqrt(variance), pairs, "well_known"))
-    return rows
-
-
-def _coupled_sums(judged: Judged) -> list[dict[str, Any]]:
-    """Means of the sums that a singularity leaves determined, over the pairs near it."""
-    joints = judged.joints
-    groups: dict[tuple[str, tuple[float, ...]], list[int]] = {}
-    for i, coupling in enumerate(joints.coupling):
-        if coupling is not None and coupling.combination is not None:
-            key = (coupling.label, tuple(coupling.combination.tolist()))
-            groups.setdefault(key, []).append(i)
-    rows = []
-    for (_, combination), mine in groups.items():
-        weights = np.array(combination)
-        used = weights != 0
-        errors = joints.error[mine][:, used] @ weights[used]
-        told = ~np.isnan(errors)
-        if not told.any():
-            continue
-        places = np.array(mine)[told]
-        spread = np.einsum("i,nij,j->n", weights, judged.random[places], weights)
-        moved = np.einsum("i,nip->p", weights, judged.systematic[places]) / len(places)
-        u = math.sqrt(float(spread.sum()) / len(places) ** 2 + float(moved @ moved))
-        mean = float(errors[told].mean())
-        rows.append(_combination(weights, mean, u, len(places), "singularity"))
-    return rows
-
-
-def _combination(weights: Array, mean: float, u: float, pairs: int, why: str) -> dict[str, Any]:
-    used = [j for j, w in enumerate(weights) if w]
-    label = "".join(f"{'+' if weights[j] > 0 else '-'}q{j + 1}" for j in used).removeprefix("+")
+def _combination(found: Combination) -> dict[str, Any]:
     return {
-        "label": label,
-        "joints": [j + 1 for j in used],
-        "mean_error_deg": number(mean * DEGREE),
-        "standard_uncertainty_deg": number(u * DEGREE),
-        "pairs": pairs,
-        "why": why,
+        "label": found.label,
+        "joints": found.joints,
+        "weights": [round(float(w), 6) for w in found.weights],
+        "mean_error_deg": number(found.mean * DEGREE),
+        "standard_uncertainty_deg": number(found.standard_uncertainty * DEGREE),
+        "pairs": found.pairs,
+        "why": found.why,
     }
-
-
-def _parallel(arm: robots.Arm) -> list[Array]:
-    """Sums over joints with parallel axes: the angle of the last link, known better than each."""
-    if not isinstance(arm, robots.DhArm):
-        return []
-    groups: list[list[int]] = [[0]]
-    for j in range(1, arm.dof):
-        if abs(float(np.sin(arm.alpha[j - 1]))) < 1e-9:  # of a table's right or zero angle
-            groups[-1].append(j)
-        else:
-            groups.append([j])
-    sums = []
-    for group in groups:
-        if len(group) > 1:
-            weights = np.zeros(arm.dof)
-            weights[group] = arm.sign[group]
-            sums.append(weights)
-    return sums

@@ -77,14 +77,15 @@ def _from_rig(rig: Rig, marker: Marker) -> tuple[list[str], list[Array], list[st
     unknown = [n for n in given.parameters if not _understood(n, marker)]
     names = [given.parameters[i] for i in understood]
     sigma = np.array(
-        [given.standard_uncertainty[i] * _unit(given.parameters[i]) for i in understood]
+        [given.standard_uncertainty[i] * unit(given.parameters[i]) for i in understood]
     )
     correlation = given.correlation[np.ix_(understood, understood)]
     degrees = given.degrees_of_freedom or float("inf")
     return names, [correlation * np.outer(sigma, sigma)], unknown, degrees
 
 
-def _unit(name: str) -> float:
+def unit(name: str) -> float:
+    """SI units (or pixels, or one) in a unit of the parameter, by its name's suffix."""
     return UNITS.get(name.rsplit("_", 1)[-1], 1.0)
 
 
