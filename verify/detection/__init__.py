@@ -2,7 +2,8 @@
 
 Candidates are compact bright things (candidates.py). Each is fitted by a profile between a halo,
 a Gaussian and a blurred disc, under the image's own noise (fit.py, profile.py, noise.py), and
-judged by what the fit leaves (judgement.py).
+judged by what the fit leaves (judgement.py). A rim with a hidden sliver has its own say on where
+the whole LED is centred (bite.py).
 """
 
 from dataclasses import replace
@@ -10,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from verify.detection.bite import RimScore, score_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
 from verify.detection.fit import Fit, first_look, fit_spots, reweighted
 from verify.detection.judgement import FITTED, SEEN, Judgement, core_pixels, joined, judge
@@ -43,7 +45,9 @@ def detect(
 
     Returns:
         Spots by falling peak. Those whose shape no single LED has are flagged `merged` and their
-        covariance enlarged by the misfit; spots cut by the image's border are left out.
+        covariance enlarged by the misfit; where a sliver of the rim may be hidden, the centre is
+        the whole disc's and the covariance says how surely; spots cut by the image's border are
+        left out.
 
     Raises:
         InputError: not an 8-bit grey or BGR image, or windows of another shape.
@@ -67,9 +71,10 @@ def detect(
     likeness = judgement.peak[keep] / (1 + judgement.misfit[keep]) / judgement.elongation[keep]
     keep = keep[np.argsort(-likeness)[:limit]]
     keep = keep[np.argsort(-judgement.peak[keep])]
+    shift, doubt = whole_discs(rims(batches, judgements).taken(keep))
     return Spots(
-        centre=judgement.centre[keep],
-        covariance=judgement.covariance[keep],
+        centre=judgement.centre[keep] + shift,
+        covariance=judgement.covariance[keep] + doubt,
         peak=judgement.peak[keep],
         diameter=judgement.diameter[keep],
         elongation=judgement.elongation[keep],
@@ -164,6 +169,25 @@ def renewed(batch: Batch, noise: Noise) -> Batch:
     cut, state = batch
     cut = replace(cut, patches=replace(cut.patches, noise=noise))
     return cut, reweighted(cut.patches, state)
+
+
+def rims(batches: list[Batch], judgements: list[Judgement]) -> RimScore:
+    """What every spot's rim says of a bite."""
+    scores = [
+        score_rims(cut.patches, state, single(judgement), judgement.misfit)
+        for (cut, state), judgement in zip(batches, judgements, strict=True)
+    ]
+    return RimScore(
+        gradient=np.concatenate([score.gradient for score in scores]),
+        information=np.concatenate([score.information for score in scores]),
+        pull=np.concatenate([score.pull for score in scores]),
+    )
+
+
+def single(judgement: Judgement) -> NDArray[np.bool_]:
+    """Which spots show the shape of one LED, perhaps with a part hidden."""
+    which: NDArray[np.bool_] = judgement.sound & ~judgement.saturated & ~judgement.merged
+    return which
 
 
 def without_twins(judgement: Judgement, keep: NDArray[np.intp]) -> NDArray[np.bool_]:

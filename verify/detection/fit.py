@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from verify.detection.noise import QUANTISATION
-from verify.detection.profile import LAST, LOWEST, STEP, profile_table
+from verify.detection.profile import look_up
 from verify.records import Array, Noise
 
 X, Y, PEAK, FLOOR, SLOPE_X, SLOPE_Y, XX, XY, YY, STEEPNESS = range(10)
 SENSOR_LIMIT = 255.0  # DN
 ITERATIONS = 20  # a clean spot takes five, a saturated one ten or more
-GLANCES = 8  # steps of a first look; what has not taken shape by then is no spot
 SETTLED = 0.05  # of chi² that a step may still gain: under a quarter sigma, and it is taken
 STEPS = 8  # from a first look on; a clean spot takes three
 STEPS_SATURATED = 20  # its top is hidden, the valley long
@@ -217,13 +216,10 @@ def bounded(step: Array, parameters: Array) -> Array:
 def evaluate(patches: Patches, parameters: Array, prior_mean: Array, prior_weight: Array) -> Fit:
     """State of all patches at the parameters."""
     p = parameters[:, :, None]
-    dx, dy = patches.column - p[:, X], patches.row - p[:, Y]
-    u, w = dx / patches.scale[:, None], dy / patches.scale[:, None]
-    uu, uw, ww = u * u, 2 * u * w, w * w
-    radius2 = np.maximum(p[:, XX] * uu + p[:, XY] * uw + p[:, YY] * ww, 0.0)
-    value, slope, change = look_up(radius2, parameters[:, STEEPNESS])
+    place = placed(patches, parameters)
+    radius2, profile = place[2], look_up(place[2], parameters[:, STEEPNESS])
     mu = p[:, FLOOR] + p[:, SLOPE_X] * patches.column + p[:, SLOPE_Y] * patches.row
-    mu += p[:, PEAK] * value
+    mu += p[:, PEAK] * profile[0]
     signal = np.maximum(mu - patches.noise.black, 0.0)
     read_variance = patches.read_share * patches.noise.read**2
     gain = patches.gain_share * patches.noise.gain
@@ -233,17 +229,7 @@ def evaluate(patches: Patches, parameters: Array, prior_mean: Array, prior_weigh
     outside = (radius2 > FOOT**2) & (residual**2 > OUTLIER**2 * noise)
     used = patches.valid & ~outside
 
-    jacobian = np.empty((len(parameters), 10, patches.value.shape[1]))
-    bend = p[:, PEAK] * slope
-    pull = -2 * bend / patches.scale[:, None]
-    jacobian[:, X] = pull * (p[:, XX] * u + p[:, XY] * w)
-    jacobian[:, Y] = pull * (p[:, XY] * u + p[:, YY] * w)
-    jacobian[:, PEAK] = value
-    jacobian[:, FLOOR] = 1.0
-    jacobian[:, SLOPE_X], jacobian[:, SLOPE_Y] = patches.column, patches.row
-    jacobian[:, XX], jacobian[:, XY], jacobian[:, YY] = bend * uu, bend * uw, bend * ww
-    jacobian[:, STEEPNESS] = p[:, PEAK] * change
-
+    jacobian = derivatives(patches, parameters, place, profile)
     weight = used * visible / variance
     weighted = jacobian * (weight * visible)[:, None]
     information = weighted @ jacobian.transpose(0, 2, 1)
@@ -258,25 +244,34 @@ def evaluate(patches: Patches, parameters: Array, prior_mean: Array, prior_weigh
     )
 
 
-def look_up(radius2: Array, log_steepness: Array) -> tuple[Array, Array, Array]:
-    """f, df/d(t²) and df/d(ln steepness) at t², per spot from the table, first order in t²."""
-    table = profile_table()
-    rows, samples = table.value.shape
-    height = table.log_steepness[1] - table.log_steepness[0]
-    place = np.clip((log_steepness - LOWEST) / height, 0.0, rows - 1.001)
-    row = place.astype(np.intp)
-    share = (place - row)[:, None]
-    low, high = table.value[row], table.value[row + 1]
-    change = (high - low) / height
-    value = low + share * (high - low)
-    slope = (1 - share) * table.slope[row] + share * table.slope[row + 1]
-    index = (np.sqrt(radius2) * (1 / STEP) + 0.5).astype(np.intp)
-    np.minimum(index, samples - 1, out=index)
-    t2 = (index * STEP) ** 2
-    index += (np.arange(len(row)) * samples)[:, None]
-    slope_here = slope.ravel()[index]
-    beyond = np.minimum(radius2 - t2, 2 * LAST * STEP)  # past the table the profile stands
-    return value.ravel()[index] + slope_here * beyond, slope_here, change.ravel()[index]
+def placed(patches: Patches, parameters: Array) -> tuple[Array, Array, Array]:
+    """Where the pixels lie on their spots: offsets in start half-widths and t², (n, p) each."""
+    p, scale = parameters[:, :, None], patches.scale[:, None]
+    u, w = (patches.column - p[:, X]) / scale, (patches.row - p[:, Y]) / scale
+    radius2 = p[:, XX] * u * u + 2 * p[:, XY] * u * w + p[:, YY] * w * w
+    return u, w, np.maximum(radius2, 0.0)
+
+
+def derivatives(
+    patches: Patches,
+    parameters: Array,
+    place: tuple[Array, Array, Array],
+    profile: tuple[Array, Array, Array],
+) -> Array:
+    """Derivatives of mu by the parameters, (n, 10, p); `profile` is what `look_up` says there."""
+    p, (u, w, _), (value, slope, change) = parameters[:, :, None], place, profile
+    jacobian = np.empty((len(parameters), 10, patches.value.shape[1]))
+    bend = p[:, PEAK] * slope
+    pull = -2 * bend / patches.scale[:, None]
+    jacobian[:, X] = pull * (p[:, XX] * u + p[:, XY] * w)
+    jacobian[:, Y] = pull * (p[:, XY] * u + p[:, YY] * w)
+    jacobian[:, PEAK] = value
+    jacobian[:, FLOOR] = 1.0
+    jacobian[:, SLOPE_X], jacobian[:, SLOPE_Y] = patches.column, patches.row
+    jacobian[:, XX], jacobian[:, XY] = bend * (u * u), bend * (2 * u * w)
+    jacobian[:, YY] = bend * (w * w)
+    jacobian[:, STEEPNESS] = p[:, PEAK] * change
+    return jacobian
 
 
 def clipped(mu: Array, noise: Array) -> tuple[Array, Array, Array]:

@@ -55,6 +55,27 @@ def profile_table() -> ProfileTable:
     return ProfileTable(log_steepness, t, value, slope)
 
 
+def look_up(radius2: Array, log_steepness: Array) -> tuple[Array, Array, Array]:
+    """f, df/d(t²) and df/d(ln steepness) at t², per spot from the table, first order in t²."""
+    table = profile_table()
+    rows, samples = table.value.shape
+    height = table.log_steepness[1] - table.log_steepness[0]
+    place = np.clip((log_steepness - LOWEST) / height, 0.0, rows - 1.001)
+    row = place.astype(np.intp)
+    share = (place - row)[:, None]
+    low, high = table.value[row], table.value[row + 1]
+    change = (high - low) / height
+    value = low + share * (high - low)
+    slope = (1 - share) * table.slope[row] + share * table.slope[row + 1]
+    index = (np.sqrt(radius2) * (1 / STEP) + 0.5).astype(np.intp)
+    np.minimum(index, samples - 1, out=index)
+    t2 = (index * STEP) ** 2
+    index += (np.arange(len(row)) * samples)[:, None]
+    slope_here = slope.ravel()[index]
+    beyond = np.minimum(radius2 - t2, 2 * LAST * STEP)  # past the table the profile stands
+    return value.ravel()[index] + slope_here * beyond, slope_here, change.ravel()[index]
+
+
 def blurred_disc(r: Array, ratio: float) -> Array:
     """Uniform disc of radius `ratio` convolved with a unit Gaussian, at radius r, 1 at the centre.
 

@@ -1,0 +1,147 @@
+"""Where a spot's whole disc is centred when something before the LED hides a sliver of its rim.
+
+A narrow bite draws the fitted centre away from itself. It has harmonics of the rim's radius of like
+size: the first is the centre's error, the second goes to the ellipse, and the third and higher
+ones, which no whole disc has, give the bite away. One spot seldom shows them above its noise; but
+the LEDs of one marker stand alike, so that what hides one hides the same side of the others.
+
+Bayesian model averaging (Hoeting et al., Bayesian model averaging: a tutorial, Statistical Science
+14, 1999) over no bite, a bite of each spot's own, and bites on one side of all, first order in
+their depth: no threshold decides, and what stays open is said by the covariance.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr
+
+from verify.detection.fit import PEAK, STEEPNESS, Fit, Patches, X, Y, derivatives, placed, taken
+from verify.detection.profile import look_up
+from verify.records import Array
+
+DIRECTIONS = 24  # round the rim: steps of 15°, under a bite's own width
+WIDTH = 0.3  # rad, standard deviation: a stalk of a third to a half of its LED's diameter
+RIM = 1.8  # half-widths: no rim beyond
+TOLD = 0.05  # share of a bite's information that the fit's own parameters must leave
+DEPTH = 0.05  # half-widths, scale of what is expected; far deeper ones show without a prior
+SHARED = 0.1  # prior probability that something hides one side of an image's LEDs
+STRUCK = 0.8  # of an LED's being bitten then
+SINGLE = 0.02  # of an LED's being bitten, when nothing is shared
+
+
+@dataclass(frozen=True, slots=True)
+class RimScore:
+    """What the pixels say of a bite in each direction, first order in its depth in half-widths."""
+
+    gradient: Array  # (n, DIRECTIONS), of the log-likelihood, other parameters following
+    information: Array  # (n, DIRECTIONS)
+    pull: Array  # (n, DIRECTIONS, 2), px a depth, by which the centre moves when it is granted
+
+    def taken(self, which: NDArray[np.intp]) -> "RimScore":
+        """Some of the spots."""
+        return RimScore(self.gradient[which], self.information[which], self.pull[which])
+
+
+def score_rims(patches: Patches, state: Fit, which: NDArray[np.bool_], misfit: Array) -> RimScore:
+    """Ask each chosen spot's residuals for bites; those not chosen know nothing.
+
+    Args:
+        patches: pixels of n spots.
+        state: their fits.
+        which: (n,), spots whose rims are worth asking.
+        misfit: (n,), reduced chi²; above 1, unmodelled errors make the pixels worth less.
+    """
+    n, rows = len(which), np.flatnonzero(which)
+    score = RimScore(
+        np.zeros((n, DIRECTIONS)), np.zeros((n, DIRECTIONS)), np.zeros((n, DIRECTIONS, 2))
+    )
+    if not len(rows):
+        return score
+    near = np.flatnonzero((state.radius2[rows] < RIM**2).any(axis=0))
+    part, pixels = columns_taken(taken(patches, rows), near), np.ix_(rows, near)
+    parameters, misfit = state.parameters[rows], misfit[rows, None]
+    place = placed(part, parameters)
+    profile = look_up(place[2], parameters[:, STEEPNESS])
+    visible = state.visible[pixels]
+    weight = state.used[pixels] * visible / state.variance[pixels]
+    sunk = bites(parameters, place, profile[1])
+    weighted = sunk * (weight * visible)[:, None]
+    cross = derivatives(part, parameters, place, profile) @ weighted.transpose(0, 2, 1)
+    follow = np.linalg.solve(state.information[rows], cross)  # how the parameters give way
+    whole = (sunk * weighted).sum(axis=2)
+    left = whole - (cross * follow).sum(axis=1)
+    slope = (sunk @ (weight * (part.value - state.mean[pixels]))[..., None])[..., 0]
+    slope -= (state.gradient[rows, None] @ follow)[:, 0]
+    told = left > TOLD * whole
+    score.gradient[rows] = np.where(told, slope / np.maximum(misfit, 1.0), 0.0)
+    score.information[rows] = np.where(told, left / np.maximum(misfit, 1.0), 0.0)
+    score.pull[rows] = np.where(told[..., None], -follow[:, [X, Y]].transpose(0, 2, 1), 0.0)
+    return score
+
+
+def columns_taken(patches: Patches, which: NDArray[np.intp]) -> Patches:
+    """Some of the pixels of every patch."""
+    return replace(
+        patches,
+        value=patches.value[:, which],
+        valid=patches.valid[:, which],
+        column=patches.column[:, which],
+        row=patches.row[:, which],
+    )
+
+
+def bites(parameters: Array, place: tuple[Array, Array, Array], slope: Array) -> Array:
+    """Change of the pixels by a bite in each direction, per depth: (n, DIRECTIONS, p), DN."""
+    u, w, radius2 = place
+    angle = 2 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)
+    sides = np.column_stack([np.cos(angle), np.sin(angle)])
+    length = np.maximum(np.hypot(u, w), 1e-9)  # at the very centre no bite changes anything
+    along = sides @ np.stack([u / length, w / length], axis=1)
+    # von Mises' bump, a Gaussian round a circle
+    share = np.exp((along - 1) / WIDTH**2)
+    # a smaller radius is a larger t: d(t²) = 2 t² times the relative depth
+    changed: Array = share * (2 * parameters[:, PEAK, None] * slope * radius2)[:, None]
+    return changed
+
+
+def whole_discs(score: RimScore) -> tuple[Array, Array]:
+    """Average over all bites that an image's spots may have.
+
+    Returns:
+        What to add to the centres for those of the whole discs, (n, 2) px, and to their
+        covariances, (n, 2, 2) px².
+    """
+    if not len(score.gradient):
+        return np.zeros((0, 2)), np.zeros((0, 2, 2))
+    evidence, depth, depth2 = depths(score)
+    probability = bite_probability(evidence)
+    shift = np.einsum("nk,nk,nkc->nc", probability, depth, score.pull)
+    doubt = np.einsum("nk,nk,nkc,nkd->ncd", probability, depth2, score.pull, score.pull)
+    return shift, doubt - shift[:, :, None] * shift[:, None, :]
+
+
+def depths(score: RimScore) -> tuple[Array, Array, Array]:
+    """Log evidence of a bite against none, and its depth's posterior mean and mean square.
+
+    A half-normal prior of scale DEPTH and a Gaussian likelihood make a normal law cut off at 0.
+    """
+    sigma = (score.information + DEPTH**-2) ** -0.5
+    z = score.gradient * sigma
+    evidence = np.log(2 * sigma / DEPTH) + log_ndtr(z) + z * z / 2
+    hazard = np.exp(-z * z / 2 - log_ndtr(z)) / np.sqrt(2 * np.pi)
+    mean = sigma * (z + hazard)
+    return evidence, mean, sigma**2 * (1 + z * (z + hazard))
+
+
+def bite_probability(evidence: Array) -> Array:
+    """Posterior probability of each spot's bite in each direction, (n, DIRECTIONS)."""
+    struck = np.logaddexp(np.log(1 - STRUCK), np.log(STRUCK) + evidence)
+    own = np.log(SINGLE / DIRECTIONS) + evidence
+    free = np.logaddexp(np.log(1 - SINGLE), np.logaddexp.reduce(own, axis=1))
+    sides = np.log(SHARED / DIRECTIONS) + struck.sum(axis=0)
+    nothing_shared = np.log(1 - SHARED) + free.sum()
+    total = np.logaddexp(np.logaddexp.reduce(sides), nothing_shared)
+    shared: Array = np.exp(sides - total + np.log(STRUCK) + evidence - struck)
+    alone: Array = np.exp(nothing_shared - total + own - free[:, None])
+    return shared + alone
