@@ -4,6 +4,7 @@ from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import robots
 from verify import marker_file, rig_file, session_file
@@ -13,15 +14,26 @@ from verify.marker import Marker
 from verify.records import Image, StereoPair
 from verify.rig import Rig
 from verify.series import Encoders, Frames, read_encoders, read_frames
-from verify.session_file import Clock, SessionTable, Tolerance
+from verify.session_file import Clock, RecordingTable, Tolerance
 from verify.toml_file import fault
 from verify.video import Images, in_step, open_images
 
-__all__ = ["Clock", "Encoders", "Frames", "Session", "Tolerance", "open_session"]
+__all__ = [
+    "Clock",
+    "Encoders",
+    "Frames",
+    "Recording",
+    "Session",
+    "Tolerance",
+    "open_recording",
+    "open_session",
+]
+
+_STREAMS = ("left", "right", "frames", "encoders")
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
+class Recording:
     """What one run recorded: every fact checked, every series in memory, the images on disk."""
 
     folder: Path
@@ -32,11 +44,9 @@ class Session:
     started: str | None  # ISO 8601
     open: bool  # cut off while being written: the series end with the shortest stream
     rig: Rig
-    marker: Marker
     clock: Clock | None  # None: the offset is estimated from the motion
     encoder_resolution: float | None  # rad
     encoder_time_standard_uncertainty: float | None  # s
-    tolerance: Tolerance | None  # None: no verdict is asked for
     temperature_c: float | None
     frames: Frames
     encoders: Encoders
@@ -78,6 +88,14 @@ class Session:
             raise InputError(side.path, found, expected, "Use the rig.toml of these cameras.")
 
 
+@dataclass(frozen=True, slots=True)
+class Session(Recording):
+    """A recording of a robot whose place and LEDs are known: all that measuring needs."""
+
+    marker: Marker
+    tolerance: Tolerance | None  # None: no verdict is asked for
+
+
 def open_session(folder: str | Path) -> Session:
     """Open a session's folder and check all of it but the images' content.
 
@@ -95,54 +113,93 @@ def open_session(folder: str | Path) -> Session:
     folder = Path(folder)
     path = _session_file(folder)
     table, warnings = session_file.read(path)
-    inside = {
-        key: _inside(folder, path, key, getattr(table, key))
-        for key in ("rig", "marker", "left", "right", "frames", "encoders")
-    }
-    if inside["left"].resolve() == inside["right"].resolve():
-        expected = "each camera has its own images"
-        raise fault(path, "right", f'names what left names, "{table.right}"', expected)
+    inside = _named(folder, path, table, ("rig", "marker", *_STREAMS))
     arm = _arm(folder, path, table)
     rig, rig_warnings = rig_file.read(inside["rig"])
     marker, marker_warnings = marker_file.read(inside["marker"])
     _check_absorption(inside["rig"], rig, arm.dof)
     tolerance = session_file.tolerance(path, table.tolerance, arm.dof)
+    facts = (*warnings, *rig_warnings, *marker_warnings, *_misfits(folder, rig, marker))
+    parts = _parts(folder, path, table, inside, (arm, rig), facts)
+    return Session(**parts, marker=marker, tolerance=tolerance)
+
+
+def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Recording:
+    """Open a session's folder to register the robot: neither its place nor its LEDs are needed.
+
+    Args:
+        folder: holds session.toml and what that names; a marker file is not read.
+        rig: a rig.toml to use in place of the one that session.toml names; it may lie anywhere.
+
+    Returns:
+        The recording. Its rig may lack a robot base; one that is there is read and checked.
+
+    Raises:
+        InputError: as `open_session`.
+    """
+    folder = Path(folder)
+    path = _session_file(folder)
+    table, warnings = session_file.read_recording(path)
+    if rig is None and table.rig is None:
+        expected = "the calibrated cameras are needed"
+        raise fault(path, "rig", "is missing", expected, "Name them there or with --rig.")
+    inside = _named(folder, path, table, _STREAMS if rig is not None else ("rig", *_STREAMS))
+    cameras = inside["rig"] if rig is None else Path(rig)
+    arm = _arm(folder, path, table)
+    seen, rig_warnings = rig_file.read(cameras, registered=False)
+    parts = _parts(folder, path, table, inside, (arm, seen), (*warnings, *rig_warnings))
+    if rig is not None:
+        parts["inputs"][str(rig)] = digest(cameras)
+    return Recording(**parts)
+
+
+def _named(
+    folder: Path, path: Path, table: RecordingTable, keys: tuple[str, ...]
+) -> dict[str, Path]:
+    """Find what session.toml names under each key."""
+    inside = {key: _inside(folder, path, key, getattr(table, key)) for key in keys}
+    if inside["left"].resolve() == inside["right"].resolve():
+        expected = "each camera has its own images"
+        raise fault(path, "right", f'names what left names, "{table.right}"', expected)
+    return inside
+
+
+def _parts(
+    folder: Path,
+    path: Path,
+    table: RecordingTable,
+    inside: dict[str, Path],
+    known: tuple[robots.Arm, Rig],
+    warnings: tuple[str, ...],
+) -> dict[str, Any]:
+    """Read and check the streams: every field of a Recording."""
+    arm, rig = known
     torn = table.recording == "open"
     pan = (rig.left.pan, rig.right.pan)
     frames, frames_warnings = read_frames(inside["frames"], pan, torn)
     encoders, encoders_warnings = read_encoders(inside["encoders"], arm.dof, torn)
     left, right = open_images(inside["left"]), open_images(inside["right"])
     frames, length_warnings = _in_step(inside["frames"], frames, (left, right), torn)
-    return Session(
-        folder=folder,
-        name=folder.resolve().name,
-        arm=arm,
-        robot=table.robot,
-        description=table.description,
-        started=session_file.started(table.started),
-        open=torn,
-        rig=rig,
-        marker=marker,
-        clock=session_file.clock(table.clock),
-        encoder_resolution=session_file.radians(table.encoder_readings.resolution_deg),
-        encoder_time_standard_uncertainty=table.encoder_readings.time_standard_uncertainty_s,
-        tolerance=tolerance,
-        temperature_c=table.environment.temperature_c,
-        frames=frames,
-        encoders=encoders,
-        inputs=_inputs(folder, path, table, inside),
-        warnings=(
-            *warnings,
-            *rig_warnings,
-            *marker_warnings,
-            *_misfits(folder, rig, marker),
-            *frames_warnings,
-            *encoders_warnings,
-            *length_warnings,
-        ),
-        left=left,
-        right=right,
-    )
+    return {
+        "folder": folder,
+        "name": folder.resolve().name,
+        "arm": arm,
+        "robot": table.robot,
+        "description": table.description,
+        "started": session_file.started(table.started),
+        "open": torn,
+        "rig": rig,
+        "clock": session_file.clock(table.clock),
+        "encoder_resolution": session_file.radians(table.encoder_readings.resolution_deg),
+        "encoder_time_standard_uncertainty": table.encoder_readings.time_standard_uncertainty_s,
+        "temperature_c": table.environment.temperature_c,
+        "frames": frames,
+        "encoders": encoders,
+        "inputs": _inputs(folder, path, table, inside),
+        "warnings": (*warnings, *frames_warnings, *encoders_warnings, *length_warnings),
+        "left": left,
+        "right": right,
+    }
 
 
 def _session_file(folder: Path) -> Path:
@@ -183,7 +240,7 @@ def _robot_file(folder: Path, path: Path, robot: str) -> Path | None:
     return _inside(folder, path, "robot", robot) if is_file else None
 
 
-def _arm(folder: Path, path: Path, table: SessionTable) -> robots.Arm:
+def _arm(folder: Path, path: Path, table: RecordingTable) -> robots.Arm:
     file = _robot_file(folder, path, table.robot)
     chain = table.robot_frames
     try:
@@ -244,7 +301,7 @@ def _in_step(
 
 
 def _inputs(
-    folder: Path, path: Path, table: SessionTable, inside: dict[str, Path]
+    folder: Path, path: Path, table: RecordingTable, inside: dict[str, Path]
 ) -> dict[str, str]:
     """Take the digest of everything that was read, by the name that session.toml gives it."""
     read = {path.name: path} | {getattr(table, key): file for key, file in inside.items()}

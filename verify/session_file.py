@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -48,16 +49,16 @@ class RobotFramesTable(msgspec.Struct, kw_only=True):
     tip: str | None = None
 
 
-class SessionTable(msgspec.Struct, kw_only=True):
-    """The keys of session.toml."""
+class RecordingTable(msgspec.Struct, kw_only=True):
+    """The keys of session.toml, where the robot and its LEDs need not be registered yet."""
 
     format: int
     robot: str
     description: str = ""
     started: datetime | None = None
     recording: str = "closed"
-    rig: str
-    marker: str
+    rig: str | None = None
+    marker: str | None = None
     left: str
     right: str
     frames: str
@@ -67,6 +68,16 @@ class SessionTable(msgspec.Struct, kw_only=True):
     tolerance: ToleranceTable | None = None
     environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
     robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
+
+
+class SessionTable(RecordingTable, kw_only=True):
+    """The keys of session.toml, as measuring needs them."""
+
+    rig: str
+    marker: str
+
+
+T = TypeVar("T", bound=RecordingTable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +106,16 @@ def read(path: Path) -> tuple[SessionTable, tuple[str, ...]]:
     Raises:
         InputError: names the key, what stands there, what should, and what to do.
     """
-    table, warnings = decode(path, SessionTable)
+    return _checked(path, SessionTable)
+
+
+def read_recording(path: Path) -> tuple[RecordingTable, tuple[str, ...]]:
+    """Read session.toml likewise, where rig and marker need not be named."""
+    return _checked(path, RecordingTable)
+
+
+def _checked(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
+    table, warnings = decode(path, kind)
     one_of(path, "recording", table.recording, RECORDING)
     if table.clock is not None:
         key = "encoder_offset_standard_uncertainty_s"

@@ -1,0 +1,120 @@
+"""Do base and LEDs from a motion lie as near the truth as they claim? Spot level, no rendering.
+
+A replicate is one simulated session: true spots with white noise, encoders with theirs, base,
+LEDs, clock and skew fitted. d² of base and LEDs against truth must follow chi².
+
+    python -m tests.bench.registration [SESSIONS] [SEED]
+"""
+
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.stats import chi2
+
+from verify.calibration.motion_adjust import Adjusted, Setup, adjust
+from verify.calibration.motion_model import Registered, Spotted
+from verify.calibration.motion_readings import reading_variance
+from verify.readings import Readings
+from verify.records import Array
+from verify.rig import Camera
+from verify.sim.draws import random_scenario
+from verify.sim.scenario import Scenario
+from verify.sim.sessions import SimulatedSession, simulate
+
+ARMS = ("iust_6r", "rv_3sd_melfa")
+SESSIONS = 60  # an arm
+SEED = 20261123  # fixed beforehand
+PAIRS = 60
+SIGMA_PX = 0.02
+
+
+def played(scenario: Scenario) -> SimulatedSession:
+    """Play a scenario; its pictures are never rendered."""
+    return simulate(scenario)
+
+
+def spot_level(session: SimulatedSession, sigma: float, rng: np.random.Generator) -> Spotted:
+    """True spots with white noise of `sigma` px, which is also what is stated (0: 0.02)."""
+    parts: list[tuple[Array, ...]] = []
+    for side, camera in enumerate((session.rig.left, session.rig.right)):
+        spots = session.spots(side)
+        pair, led = np.nonzero(np.isfinite(spots[:, :, 0]))
+        centre = spots[pair, led] + sigma * rng.standard_normal((len(pair), 2))
+        t, pan = session.t[pair, side], session.pan[pair, side]
+        parts.append((pair, np.full(len(pair), side), led, centre, t, pan, _placed(camera, pan)))
+    pair, side, led, centre, t, pan, camera_T_rig = (
+        np.concatenate(p) for p in zip(*parts, strict=True)
+    )
+    order = np.argsort(pair, kind="stable")
+    stated = np.tile(np.eye(2) * (sigma or SIGMA_PX) ** 2, (len(pair), 1, 1))
+    return Spotted(
+        pair=pair[order],
+        frame=np.arange(len(session)),
+        side=side[order],
+        led=led[order],
+        centre=centre[order],
+        covariance=stated,
+        t=t[order],
+        pan=pan[order],
+        camera_T_rig=camera_T_rig[order],
+        used=np.ones(len(pair), dtype=bool),
+        sightings=(),
+    )
+
+
+def _placed(camera: Camera, pan: Array) -> Array:
+    return np.array([np.linalg.inv(camera.rig_T_camera(float(p))) for p in pan])
+
+
+def adjusted(session: SimulatedSession, spotted: Spotted, error: Array | float = 0.0) -> Adjusted:
+    """Register a played session whose readings carry a constant error (j,), rad."""
+    readings = Readings(session.encoder_t, session.encoder_q + error)
+    offset = session.scenario.encoders.clock_offset_s
+    start = Registered(session.rig.rig_T_base, session.marker.leds, offset, 0.0)
+    setup = Setup(
+        rig=session.rig,
+        arm=session.world.arm,
+        readings=readings,
+        variance=reading_variance(readings, None),
+        time_variance=0.0,
+        clock=None,
+    )
+    return adjust(spotted, setup, start, np.ones(start.size, dtype=bool))
+
+
+def squared(arm: str, seed: int) -> tuple[float, int, float]:
+    """Return d² of base and LEDs against truth, its dimension, and chi² a degree of freedom."""
+    rng = np.random.default_rng(seed)
+    session = played(random_scenario(rng, arm, pairs=PAIRS))
+    found = adjusted(session, spot_level(session, SIGMA_PX, rng))
+    base = found.at.rig_T_base
+    true = session.world.bench.rig_T_base
+    turn = base[:3, :3] @ true[:3, :3].T
+    vector = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    leds = (found.at.leds - session.world.bench.leds).ravel()
+    error = np.concatenate([base[:3, 3] - true[:3, 3], vector / 2, leds])
+    n = len(error)
+    distance = float(error @ np.linalg.solve(found.covariance[:n, :n], error))
+    return distance, n, found.chi2 / found.degrees_of_freedom
+
+
+def lines(sessions: int = SESSIONS, seed: int = SEED) -> Iterator[str]:
+    """Compare with chi², an arm a line."""
+    for arm in ARMS:
+        seeds = np.random.SeedSequence(seed).generate_state(sessions).tolist()
+        outcomes = [squared(arm, s) for s in seeds]
+        total, dof = sum(o[0] for o in outcomes), sum(o[1] for o in outcomes)
+        inside = np.mean([o[0] < chi2.ppf(0.95, o[1]) for o in outcomes])
+        low, high = chi2.ppf([0.005, 0.995], dof) / dof
+        yield (
+            f"{arm}: mean of d²/dof {total / dof:.3f} (99 % of chi²: {low:.3f} to {high:.3f}); "
+            f"{inside:.0%} within their 95 %; chi²/dof of the residuals "
+            f"{np.mean([o[2] for o in outcomes]):.3f}; {sessions} sessions of {PAIRS} pairs"
+        )
+
+
+if __name__ == "__main__":
+    numbers = [int(a) for a in sys.argv[1:]]
+    for line in lines(*numbers):
+        print(line)

@@ -1,0 +1,99 @@
+"""Robot-world and hand-eye calibration in closed form: A X = Y B."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.transforms import difference
+from verify.records import Array
+
+FEWEST = 3  # poses: two relative motions about different axes
+# The second singular value over the first: 1 where the motions leave a turn open. A turn of all
+# poses by an angle a about every axis leaves 1 - a² / 3.
+OPEN = 1 - 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class HandEye:
+    """The two unknown places of a closed loop, and what the poses say of them."""
+
+    x: Array  # (4, 4)
+    y: Array  # (4, 4)
+    residual: Array  # (n, 6), A X less Y B: m and rad, in the axes of A and Y
+    mirrored: bool  # the poses fit a mirror image: A was seen in a mirror
+    open: bool  # all turns are about one axis, or there are none: x and y are not determined
+
+
+def solve_hand_eye(a: Array, b: Array) -> HandEye:
+    """Solve A X = Y B for X and Y.
+
+    Args:
+        a: (n, 4, 4), the target as a fixed camera sees it (rig_T_body), m.
+        b: (n, 4, 4), the flange as the encoders put it (base_T_flange), at the same instants.
+
+    Returns:
+        x (body_T_flange) and y (rig_T_base) with each pose's residual.
+
+    Raises:
+        ValueError: fewer than three poses, or not as many of one as of the other.
+
+    Source: Shah, "Solving the Robot-World/Hand-Eye Calibration Problem Using the Kronecker
+    Product", J. Mechanisms and Robotics 5(3), 2013: vec(R_X) and vec(R_Y) are the first right and
+    left singular vectors of the sum of R_B ⊗ R_A; the translations follow by least squares.
+    """
+    if len(a) < FEWEST or a.shape != b.shape:
+        raise ValueError(f"needs {FEWEST} poses or more, twice; got {len(a)} and {len(b)}")
+    turns_a, turns_b = a[:, :3, :3], b[:, :3, :3]
+    kronecker = np.einsum("nij,nkl->ikjl", turns_b, turns_a).reshape(9, 9)
+    u, size, vt = np.linalg.svd(kronecker)
+    x_like, y_like = (v.reshape(3, 3).T for v in (vt[0], u[:, 0]))  # vec stacks columns
+    x, y = np.eye(4), np.eye(4)
+    x[:3, :3], y[:3, :3] = _rotation(x_like), _rotation(y_like)
+    places, misfit = _translations(a, b, y[:3, :3])
+    # the turns fit X and Y as well as -X and -Y, a mirror image; the places tell which it is
+    mirrored = _translations(a, b, -y[:3, :3])[1] < misfit
+    x[:3, 3], y[:3, 3] = places[:3], places[3:]
+    return HandEye(
+        x=x,
+        y=y,
+        residual=difference(a @ x, y @ b),
+        mirrored=mirrored,
+        open=bool(size[1] > OPEN * size[0]),
+    )
+
+
+def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[np.bool_]]:
+    """Solve again without poses whose residual is `worst` times the median, until none is.
+
+    Returns:
+        The solution, its residuals for all n poses, and which poses it rests on, (n,).
+    """
+    good = np.ones(len(a), dtype=bool)
+    while True:
+        solved = solve_hand_eye(a[good], b[good])
+        off = difference(a @ solved.x, solved.y @ b)
+        size = np.stack([np.linalg.norm(part, axis=1) for part in (off[:, :3], off[:, 3:])])
+        limit = worst * np.median(size[:, good], axis=1, keepdims=True)
+        kept = good & (size <= limit).all(axis=0)
+        if kept.sum() in (good.sum(), *range(FEWEST)):
+            whole = HandEye(solved.x, solved.y, off, solved.mirrored, solved.open)
+            return whole, good
+        good = kept
+
+
+def _rotation(like: Array) -> Array:
+    """The rotation nearest to a multiple of it, of either sign."""
+    u, _, vt = np.linalg.svd(like * np.sign(np.linalg.det(like)))
+    rotation: Array = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return rotation
+
+
+def _translations(a: Array, b: Array, y_rotation: Array) -> tuple[Array, float]:
+    """Least squares of R_A t_X - t_Y = R_Y t_B - t_A: both (6,), and the residual's size."""
+    n = len(a)
+    rows = np.concatenate([a[:, :3, :3], np.tile(-np.eye(3), (n, 1, 1))], axis=2)
+    wanted = b[:, :3, 3] @ y_rotation.T - a[:, :3, 3]
+    design, target = rows.reshape(-1, 6), wanted.reshape(-1)
+    solution = np.linalg.lstsq(design, target, rcond=None)[0]
+    return solution, float(np.linalg.norm(target - design @ solution))
