@@ -9,7 +9,7 @@ import pandas as pd
 
 import robots
 from reports import Results
-from verify.caveats import caveats, uncounted
+from verify.caveats import caveats, rig_moved, uncounted
 from verify.clock import ClockEstimate, estimate_clock
 from verify.combinations import combinations
 from verify.comparison import Comparison, about, compare, correlated
@@ -75,7 +75,7 @@ def analyse(
     seen = _see(session, readings, progress)
     track = seen.track
     if not len(track):
-        raise _nothing_measured(session, seen.measurements)
+        raise _nothing_measured(session, seen)
     clock = _clock(session, track, readings)
     refuse_radians(session, track, readings, clock)
     comparison, joints, unreachable = _compare(session, track, readings, clock, seen.systematics)
@@ -168,7 +168,8 @@ def _expectation(session: Session, readings: Readings) -> Callable[[float], Sequ
     return expected
 
 
-def _nothing_measured(session: Session, measurements: list[Measurement]) -> InputError:
+def _nothing_measured(session: Session, seen: _Seen) -> InputError:
+    measurements = seen.measurements
     counts = Counter(m.status for m in measurements)
     most = max((m.leds_seen for m in measurements), default=0)
     said = ", ".join(f"{n} {status}" for status, n in sorted(counts.items())) or "no pairs"
@@ -176,7 +177,8 @@ def _nothing_measured(session: Session, measurements: list[Measurement]) -> Inpu
         session.folder,
         f"no pair could be measured ({said}; at most {most} LEDs recognised in one pair)",
         f"{len(session.marker)} LEDs are asked for by marker.toml",
-        "Check that the LEDs are lit and in view, and that rig.toml and marker.toml belong to "
+        rig_moved(session, measurements, seen.systematics)
+        or "Check that the LEDs are lit and in view, and that rig.toml and marker.toml belong to "
         "this recording.",
     )
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from verify.clock import ClockEstimate
+from verify.interim import consistency, moved
 from verify.judgement.model import Model
 from verify.records import Measurement
 from verify.session import Session
@@ -32,6 +33,7 @@ def caveats(
     return [
         *session.warnings,
         *_stated(session, measurements, systematics, clock),
+        *filter(None, [rig_moved(session, measurements, systematics)]),
         *_registered(model),
         *_determined(session, model),
         *_timed(clock),
@@ -61,6 +63,14 @@ def _stated(
             "rig.toml [covariance]: not counted, as the names are not known here: "
             f"{', '.join(systematics.unknown)}."
         )
+
+
+def rig_moved(
+    session: Session, measurements: list[Measurement], systematics: Systematics
+) -> str | None:
+    """Say that the cameras no longer stand as they were calibrated, where the marker shows it."""
+    found = consistency(measurements, session.rig, session.marker, systematics)
+    return None if found is None else moved(found, systematics.uncounted)
 
 
 def _never_used(session: Session, measurements: list[Measurement]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from verify.marker import Marker
 from verify.pose import ACCELERATION_PER_SPEED, ROUGH_ACCELERATION, fit_pose, perturb
 from verify.records import Array, Image, Measurement, Pose, Sighting, Spots, StereoPair
 from verify.rig import Camera, Rig
+from verify.systematics import spot_columns, stated
 
 NEVER: tuple[Array, ...] = ()
 # A spot's surroundings: its own radius several times over, for the background that is fitted.
@@ -222,11 +224,20 @@ def _finish(
     left, right = sides
     if left is None or right is None:
         return replace(outcome, status="unaligned"), None, seen
-    pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange)
+    doubt = partial(_doubt, setup, left, right)
+    pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange, doubt)
     status = "measured" if pose.consistent else "outlier"
     outcome = replace(outcome, status=status, pose=pose, left=left, right=right)
     kept = _kept(seen, pose)
     return outcome, _Memory(kept, pose) if pose.consistent else None, kept
+
+
+def _doubt(
+    setup: Setup, left: Sighting, right: Sighting, rig_T_flange: Array, by_point: Array
+) -> Array:
+    """What rig and marker state of themselves, as the spots would show it."""
+    parameters = stated(setup.rig, setup.marker, turning=True)
+    return spot_columns(parameters, left, right, rig_T_flange, by_point, setup.rig, setup.marker)
 
 
 def _kept(seen: _Seen, pose: Pose) -> _Seen:

@@ -9,6 +9,7 @@ spots that were moved share it. It is marginalised, so it correlates their error
 pretending to average out over LEDs.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,7 +52,19 @@ class Views:
     ]  # camera, camera_T_rig, its spots
 
 
-def fit_pose(left: Sighting, right: Sighting, rig: Rig, marker: Marker, start: Array) -> Pose:
+# d spots by what is stated of rig and marker, columns of unit variance (2 s, p), at a pose (4, 4)
+# and the derivative of its pixels by their points (s, 2, 3)
+Doubt = Callable[[Array, Array], Array]
+
+
+def fit_pose(
+    left: Sighting,
+    right: Sighting,
+    rig: Rig,
+    marker: Marker,
+    start: Array,
+    doubt: Doubt | None = None,
+) -> Pose:
     """Find the pose under which both images are most likely.
 
     Args:
@@ -61,13 +74,15 @@ def fit_pose(left: Sighting, right: Sighting, rig: Rig, marker: Marker, start: A
         marker: the LEDs in the flange frame.
         start: rig_T_flange to begin with, (4, 4). Directions that the LEDs do not determine
             keep its value.
+        doubt: how far rig and marker themselves may be off, which must not make an outlier of a
+            healthy spot; asked for where a spot looks like one. None: by a rough bound.
 
     Returns:
         The pose with its covariance; spots that no pose explains with the rest are rejected.
     """
     views = _stack(left, right, rig, marker)
     keep = np.ones(len(views.centre), dtype=bool)
-    tolerance = _tolerance(views, marker)
+    tolerance = np.diag(np.repeat(_tolerance(views, marker), 2))
     curvature = np.zeros_like(views.centre)
     if views.lever.any():
         rough = _gauss_newton(views, keep, start)
@@ -77,6 +92,10 @@ def fit_pose(left: Sighting, right: Sighting, rig: Rig, marker: Marker, start: A
     while True:
         fit = _gauss_newton(views, keep, start)
         worst, size = _worst_spot(fit, keep, tolerance)
+        if size >= OUTLIER and doubt is not None:
+            columns, doubt = doubt(fit.rig_T_flange, fit.by_point), None
+            tolerance = tolerance + columns @ columns.T
+            worst, size = _worst_spot(fit, keep, tolerance)
         settled = size < OUTLIER
         if settled or keep.sum() <= FEWEST_SPOTS or (~keep).sum() >= len(keep) // 3:
             return _pose(fit, views, keep, settled, curvature)
@@ -247,7 +266,8 @@ def _tolerance(views: Views, marker: Marker) -> Array:
 
 def _worst_spot(fit: _Fit, keep: NDArray[np.bool_], tolerance: Array) -> tuple[int, float]:
     """The kept spot that fits worst, by its own residual in its own uncertainty."""
-    total = fit.noise + fit.acceleration + np.diag(np.repeat(tolerance[keep], 2))
+    rows = np.repeat(keep, 2)
+    total = fit.noise + fit.acceleration + tolerance[np.ix_(rows, rows)]
     design = fit.by_pose[keep].reshape(-1, 6)
     hat = np.eye(len(total)) - design @ fit.gain
     spread = hat @ total @ hat.T

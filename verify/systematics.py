@@ -154,7 +154,7 @@ def sensitivities(parameters: Systematics, seen: Measurement, rig: Rig, marker: 
     base_R_rig = rig.rig_T_base[:3, :3].T
     turn = np.kron(np.eye(2), base_R_rig)
     columns = np.zeros((6, len(parameters.names) + 2))
-    views = _views(pose, left, right, rig, marker)
+    views = _views(pose.rig_T_flange, left, right, rig, marker)
     for i, name in enumerate(parameters.names):
         if name.startswith("robot_base."):
             columns[:, i] = _base(name, rig, pose)
@@ -167,6 +167,52 @@ def sensitivities(parameters: Systematics, seen: Measurement, rig: Rig, marker: 
     return columns
 
 
+def spot_columns(
+    parameters: Systematics,
+    left: Sighting,
+    right: Sighting,
+    rig_T_flange: Array,
+    by_point: Array,
+    rig: Rig,
+    marker: Marker,
+) -> Array:
+    """Columns of unit variance: how what is stated moves the spots that a pose predicts.
+
+    Args:
+        parameters: stated; a robot base moves no spot.
+        left: LEDs in the left image.
+        right: LEDs in the right image.
+        rig_T_flange: (4, 4), the pose.
+        by_point: (s, 2, 3), d px / d point in the rig, left spots first.
+        rig: the cameras.
+        marker: the LEDs.
+
+    Returns:
+        (2 s, p), px, left spots first.
+    """
+    views = _views(rig_T_flange, left, right, rig, marker)
+    names = [n for n in parameters.names if not n.startswith("robot_base.")]
+    places = [parameters.names.index(n) for n in names]
+    spread = root(parameters.covariance[np.ix_(places, places)])
+    moved = [_pixels(views, name, by_point).reshape(-1) for name in names]
+    columns = [np.stack(moved, axis=1) @ spread] if names else [np.zeros((2 * len(views.led), 0))]
+    for side, sigma in zip(("left", "right"), parameters.pan, strict=True):
+        if sigma > 0:
+            turned = _pixels(views, f"{side}.pan_zero_deg", by_point)
+            columns.append(turned.reshape(-1, 1) * sigma)
+    return np.concatenate(columns, axis=1)
+
+
+def root(covariance: Array) -> Array:
+    """A matrix whose square is the covariance, (p, q), without the directions of no variance."""
+    sigma = np.sqrt(np.diag(covariance))
+    safe = np.where(sigma > 0, sigma, 1.0)  # metres beside pixels: scaled before the eigenvalues
+    values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
+    some = values > 1e-12  # of a correlation matrix: rounding
+    found: Array = sigma[:, None] * vectors[:, some] * np.sqrt(values[some])
+    return found
+
+
 @dataclass(frozen=True, slots=True)
 class _Views:
     """Everything about the spots that a derivative needs."""
@@ -176,12 +222,16 @@ class _Views:
     led: Array  # (s,) index
     names: tuple[str, ...]
     offset: Array  # (s, 3), LED from flange, rig axes
+    rig_R_flange: Array  # (3, 3)
 
 
-def _views(pose: Pose, left: Sighting, right: Sighting, rig: Rig, marker: Marker) -> _Views:
+def _views(
+    rig_T_flange: Array, left: Sighting, right: Sighting, rig: Rig, marker: Marker
+) -> _Views:
     led = np.concatenate([left.led, right.led])
-    offset = marker.leds[led] @ pose.rig_T_flange[:3, :3].T
-    points = offset + pose.rig_T_flange[:3, 3]
+    rig_R_flange = rig_T_flange[:3, :3]
+    offset = marker.leds[led] @ rig_R_flange.T
+    points = offset + rig_T_flange[:3, 3]
     sides = []
     for name, camera, sighting, spots in (
         ("left", rig.left, left, slice(0, len(left))),
@@ -190,27 +240,32 @@ def _views(pose: Pose, left: Sighting, right: Sighting, rig: Rig, marker: Marker
         camera_T_rig = np.linalg.inv(camera.rig_T_camera(sighting.pan))
         inside = points[spots] @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]
         sides.append((name, camera, sighting, spots, inside))
-    return _Views(tuple(sides), points, led, marker.names, offset)
+    return _Views(tuple(sides), points, led, marker.names, offset, rig_R_flange)
 
 
 def _through_pixels(views: _Views, name: str, pose: Pose) -> Array:
     """- gain · d pixels / d parameter, (6,), rig axes."""
+    change: Array = -pose.gain @ _pixels(views, name, pose.sensitivity).reshape(-1)
+    return change
+
+
+def _pixels(views: _Views, name: str, by_point: Array) -> Array:
+    """Derivative of the predicted spots by a parameter, (s, 2), px a SI unit."""
     head, _, key = name.partition(".")
     pixels = np.zeros((len(views.led), 2))
     if head in ("left", "right"):
         for side, camera, sighting, spots, inside in views.side:
             if side == head:
-                pixels[spots] = _camera_pixels(
-                    key, camera, sighting, inside, views.points_rig[spots], pose.sensitivity[spots]
+                pixels[spots] = camera_pixels(
+                    key, camera, sighting, inside, views.points_rig[spots], by_point[spots]
                 )
     else:
-        moved = _led_motion(head, key, views, pose)
-        pixels = np.einsum("sij,sj->si", pose.sensitivity, moved)
-    change: Array = -pose.gain @ pixels.reshape(-1)
-    return change
+        moved = _led_motion(head, key, views)
+        pixels = np.einsum("sij,sj->si", by_point, moved)
+    return pixels
 
 
-def _camera_pixels(
+def camera_pixels(
     key: str, camera: Camera, sighting: Sighting, inside: Array, points: Array, by_point: Array
 ) -> Array:
     """Derivative of one camera's pixels by one of its parameters, (m, 2)."""
@@ -246,9 +301,9 @@ def _camera_motion(key: str, camera: Camera, pan: float) -> tuple[Array, Array, 
     return turned @ unit, none, none
 
 
-def _led_motion(head: str, key: str, views: _Views, pose: Pose) -> Array:
+def _led_motion(head: str, key: str, views: _Views) -> Array:
     """Motion of each seen LED in the rig for a unit of a marker parameter, (s, 3)."""
-    rig_R_flange = pose.rig_T_flange[:3, :3]
+    rig_R_flange = views.rig_R_flange
     if head == "body":
         unit = rig_R_flange[:, AXES.index(key.split("_")[0][-1])]
         if key.startswith("r"):

@@ -10,7 +10,7 @@ from verify.marker import Marker
 from verify.records import Array
 from verify.regression import Whitener, whiten
 from verify.rig import Rig
-from verify.systematics import Systematics
+from verify.systematics import Systematics, root
 from verify.track import Track
 
 # More distinct pan readings than this are taken as errors of single pairs, which average out.
@@ -159,23 +159,13 @@ def prior_columns(
 ) -> Array:
     """Columns of unit variance for everything stated that does not average out, (n, 6, p)."""
     count = len(systematics.names)
-    columns = [comparison.systematic[:, :, :count] @ _root(systematics.covariance)]
+    columns = [comparison.systematic[:, :, :count] @ root(systematics.covariance)]
     if clock.source == "given" and clock.standard_uncertainty:
         columns.append(clock_effect(comparison) * clock.standard_uncertainty)
     if comparison.alignment_error.any():
         columns.append(comparison.alignment_error[:, :, None])
     columns.extend(pan_columns(comparison, track, systematics, side) for side in (0, 1))
     return np.concatenate(columns, axis=2)
-
-
-def _root(covariance: Array) -> Array:
-    """A matrix whose square is the covariance, (p, q), without the directions of no variance."""
-    sigma = np.sqrt(np.diag(covariance))
-    safe = np.where(sigma > 0, sigma, 1.0)  # metres beside pixels: scaled before the eigenvalues
-    values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
-    some = values > 1e-12  # of a correlation matrix: rounding
-    root: Array = sigma[:, None] * vectors[:, some] * np.sqrt(values[some])
-    return root
 
 
 def pan_columns(comparison: Comparison, track: Track, systematics: Systematics, side: int) -> Array:

@@ -1,0 +1,178 @@
+"""Where a board stands, seen by a calibrated rig: each pair of views as one measured pose.
+
+A board is a marker with many points, so what is known of measured poses (systematics.py) serves
+it as well. The fit differs from the LEDs' (pose.py): nothing moves between the two pictures, so
+corners are independent of one another and a board of hundreds of them costs no dense matrix.
+"""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.board import Board, BoardPair, BoardView
+from verify.marker import Marker
+from verify.pose import Views, perturb, predict
+from verify.records import Array, Measurement, Pose, Sighting
+from verify.rig import Camera, Rig
+from verify.triangulation import fit_rigid, triangulate
+
+FEWEST_CORNERS = 6  # in one view: a plane's pose has six unknowns, and something must be left over
+OUTLIER = 20.0  # chi² of one corner, 2 degrees of freedom: 5e-5 false rejections
+MODEL_FLOOR_PX = 0.05  # print, lens model and corner finder: what a corner may miss beside noise
+MOST_REJECTED = 0.1  # of the corners: beyond that it is not single corners that are wrong
+ITERATIONS = 25
+CONVERGED = 1e-10  # m and rad: far below what pixels allow
+
+
+def as_marker(board: Board) -> Marker:
+    """The board's corners as points of a body, named by their number."""
+    return Marker(
+        names=tuple(str(i) for i in range(len(board))),
+        leds=board.points,
+        colours=(None,) * len(board),
+        led_diameter=board.square,
+    )
+
+
+def board_poses(
+    rig: Rig, pairs: Sequence[BoardPair], board: Board, *, reject: bool = True
+) -> list[Measurement]:
+    """Measure the board's pose in each pair; `rig_T_flange` is rig_T_board here.
+
+    Args:
+        rig: the calibrated cameras; the robot's place is not used.
+        pairs: what was seen. A pair that neither camera saw enough of is left out.
+        board: the pattern.
+        reject: leave out single corners that the others contradict.
+
+    Returns:
+        One measurement a usable pair, by maximum likelihood on the corners of both images.
+    """
+    points = board.points
+    return [
+        _measured(rig, pair, points, reject)
+        for pair in pairs
+        if max(_count(pair.left), _count(pair.right)) >= FEWEST_CORNERS
+    ]
+
+
+def _count(view: BoardView | None) -> int:
+    return 0 if view is None else len(view)
+
+
+def _measured(rig: Rig, pair: BoardPair, points: Array, reject: bool) -> Measurement:
+    left, right = _sighting(pair.left, pair.pan_left), _sighting(pair.right, pair.pan_right)
+    pose = _fit(_views(rig, left, right, points), _start(rig, left, right, points), reject)
+    seen = len(np.union1d(left.led, right.led))
+    return Measurement(pair.frame, 0.0, "measured", seen, pose, left, right)
+
+
+def _sighting(view: BoardView | None, pan: float) -> Sighting:
+    n = _count(view)
+    none = np.zeros((0, 2))
+    return Sighting(
+        led=np.zeros(0, dtype=np.int64) if view is None else view.corner,
+        centre=none if view is None else view.centre,
+        covariance=np.zeros((0, 2, 2)) if view is None else view.covariance,
+        t=0.0,
+        pan=pan,
+        peak=np.zeros(n),
+        velocity=np.zeros((n, 2)),
+        acceleration_lever=np.zeros(n),
+    )
+
+
+def _views(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Views:
+    m = len(left)
+    placed = [
+        np.asarray(np.linalg.inv(camera.rig_T_camera(view.pan)), dtype=np.float64)
+        for camera, view in ((rig.left, left), (rig.right, right))
+    ]
+    return Views(
+        points=points[np.concatenate([left.led, right.led])],
+        centre=np.concatenate([left.centre, right.centre]),
+        covariance=np.concatenate([left.covariance, right.covariance]),
+        velocity=np.concatenate([left.velocity, right.velocity]),
+        lever=np.concatenate([left.acceleration_lever, right.acceleration_lever]),
+        cameras=((rig.left, placed[0], slice(0, m)), (rig.right, placed[1], slice(m, None))),
+    )
+
+
+def _start(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Array:
+    """rig_T_board in closed form: triangulated corners, or the one camera's own view."""
+    both, of_left, of_right = np.intersect1d(left.led, right.led, return_indices=True)
+    if len(both) >= FEWEST_CORNERS:
+        seen = left.centre[of_left], right.centre[of_right]
+        placed, _ = triangulate(rig.left, rig.right, left.pan, right.pan, *seen)
+        good = np.isfinite(placed).all(axis=1)
+        if good.sum() >= FEWEST_CORNERS:
+            return fit_rigid(placed[good], points[both[good]])
+    camera, view = (rig.left, left) if len(left) >= len(right) else (rig.right, right)
+    return _by_one_camera(camera, view, points)
+
+
+def _by_one_camera(camera: Camera, view: Sighting, points: Array) -> Array:
+    xy = camera.normalise(view.centre)
+    # of the two poses that a plane's perspective nearly shares, OpenCV gives the better one
+    _, turn, shift = cv2.solvePnP(
+        points[view.led], xy, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+    )
+    camera_T_board = np.eye(4)
+    camera_T_board[:3, :3], camera_T_board[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
+    placed: Array = camera.rig_T_camera(view.pan) @ camera_T_board
+    return placed
+
+
+def _fit(views: Views, start: Array, reject: bool) -> Pose:
+    keep = np.ones(len(views.centre), dtype=bool)
+    while True:
+        pose = _gauss_newton(views, keep, start)
+        size = _sizes(views, pose)
+        worst = int(np.argmax(np.where(keep, size, 0.0)))
+        settled = size[worst] < OUTLIER or not keep[worst]
+        if not reject or settled or (~keep).sum() >= MOST_REJECTED * len(keep):
+            return pose
+        keep[worst] = False
+        start = pose.rig_T_flange
+
+
+def _sizes(views: Views, pose: Pose) -> Array:
+    """chi² of each corner in its noise and what a good one may miss, (s,)."""
+    total = views.covariance + MODEL_FLOOR_PX**2 * np.eye(2)
+    solved = np.linalg.solve(total, pose.residual[:, :, None])[:, :, 0]
+    size: Array = np.sum(pose.residual * solved, axis=1)
+    return size
+
+
+def _gauss_newton(views: Views, keep: NDArray[np.bool_], start: Array) -> Pose:
+    pose = np.array(start, dtype=float)
+    weight = np.linalg.inv(views.covariance) * keep[:, None, None]
+    for _ in range(ITERATIONS):
+        pixels, by_point, by_pose = predict(views, pose)
+        residual = views.centre - pixels
+        weighted = weight @ by_pose  # (s, 2, 6)
+        covariance = np.linalg.inv(np.einsum("sia,sib->ab", by_pose, weighted))
+        step = covariance @ np.einsum("sia,si->a", weighted, residual)
+        pose = perturb(pose, step)
+        if np.max(np.abs(step)) < CONVERGED:
+            break
+    gain = covariance @ weighted.reshape(-1, 6).T
+    return Pose(
+        rig_T_flange=pose,
+        covariance_pixels=covariance,
+        covariance_alignment=np.zeros((6, 6)),
+        twist=np.zeros(6),
+        acceleration_prior=(0.0, 0.0),
+        determined=np.eye(6),
+        gain=gain,
+        sensitivity=by_point,
+        curvature=np.zeros_like(residual),
+        residual=residual,
+        spot_uncertainty=np.sqrt(np.trace(views.covariance, axis1=1, axis2=2) / 2),
+        rejected=~keep,
+        consistent=True,
+        chi2=float(np.einsum("si,sij,sj->", residual, weight, residual)),
+        degrees_of_freedom=int(2 * keep.sum() - 6),
+    )
