@@ -73,7 +73,7 @@ def read_frames(
     Raises:
         InputError: names the file, the line and the column.
     """
-    table, warnings = _opened(Path(path), torn)
+    table, warnings = opened(Path(path), torn)
     required = ("frame", "t_left_s", "t_right_s")
     optional = tuple(name for name in ("pan_left_deg", "pan_right_deg") if name in table.header)
     columns = table.columns(required + optional)
@@ -108,7 +108,7 @@ def read_encoders(
     Raises:
         InputError: names the file, the line and the column.
     """
-    table, warnings = _opened(Path(path), torn)
+    table, warnings = opened(Path(path), torn)
     wanted = tuple(f"q{joint}_deg" for joint in range(1, joints + 1))
     there = [name for name in table.header if _JOINT.fullmatch(name)]
     if there and (len(there) < joints or set(there) - set(wanted)):
@@ -227,7 +227,8 @@ class _Table:
             raise InputError(place, f"is not CSV: {error}", "", "Export it again.") from error
 
 
-def _opened(path: Path, torn: bool) -> tuple[_Table, tuple[str, ...]]:
+def opened(path: Path, torn: bool) -> tuple[_Table, tuple[str, ...]]:
+    """Read a CSV file's header and rows; the warnings name a last row that was cut off."""
     data = read_bytes(path)
     warnings: tuple[str, ...] = ()
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

@@ -1,8 +1,9 @@
-"""Make a session with known truth and chosen faults.
+"""Make a session with known truth and chosen faults, or board pictures for a calibration.
 
 Example: verify simulate multi_joint_fault_6r -o my_session
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,7 @@ def simulate(
     scenario: Annotated[
         str, typer.Argument(help="A scenario file (TOML), or the name of a built-in scenario.")
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the new session.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the result.")],
     seed: Annotated[
         int | None, typer.Option(min=0, help="Draw other numbers than the scenario's own seed.")
     ] = None,
@@ -23,7 +24,7 @@ def simulate(
         bool, typer.Option("--force", help="Replace files in a folder that is not empty.")
     ] = False,
 ) -> None:
-    """Make a session with known truth and chosen faults.
+    """Make a session with known truth and chosen faults, or board pictures for a calibration.
 
     Example: verify simulate multi_joint_fault_6r -o my_session
     """
@@ -31,17 +32,21 @@ def simulate(
 
     import robots
     from verify.errors import InputError
-    from verify.sim import library
-    from verify.sim.folder import write
-    from verify.sim.sessions import simulate as play
+    from verify.sim import board_files, boards, folder, library, sessions
+    from verify.sim.board_scenario import BoardScenario
     from verify.writing import folder_written_whole
 
     chosen = library.load(scenario)
     if seed is not None:
         chosen = msgspec.structs.replace(chosen, seed=seed)
-    with folder_written_whole(out, force) as folder:
+    with folder_written_whole(out, force) as place:
         try:
-            session = play(chosen)
+            if isinstance(chosen, BoardScenario):
+                made = boards.simulate(chosen)
+                pairs, write = len(made), partial(board_files.write, made, place)
+            else:
+                session = sessions.simulate(chosen)
+                pairs, write = len(session), partial(folder.write, session, place)
         except InputError as error:
             raise InputError(
                 f"{scenario}, {error.place}", error.found, error.expected, error.remedy
@@ -51,13 +56,13 @@ def simulate(
                 f"{scenario}, robot: {error.place}", error.found, error.expected, error.remedy
             ) from None
         with terminal.progress("pictures") as progress:
-            done, total = 0, 2 * len(session)
+            done, total = 0, 2 * pairs
 
             def one_more() -> None:
                 nonlocal done
                 done += 1
                 progress(done, total)
 
-            write(session, folder, one_more)
-    terminal.say(f"{len(session)} pairs in {out}")
-    terminal.record({"type": "result", "out": str(out), "pairs": len(session)})
+            write(one_more)
+    terminal.say(f"{pairs} pairs in {out}")
+    terminal.record({"type": "result", "out": str(out), "pairs": pairs})
