@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from tests.verify.devices.bench import gather, kept, running
+from verify.devices.intake import AngleMap, same_angles
+from verify.devices.labenc import LabencSettings
+from verify.devices.pan import PanReader, PanServo
+from verify.emulators.faults import Faults
+from verify.emulators.labenc import BoardOptions
+from verify.emulators.pan import PanEngine
+
+OPTIONS = BoardOptions(arm="PANBASE", rate=50, greeting_after=0.05)
+
+
+@pytest.mark.parametrize("where", ["tcp:0", "pty"])
+def test_bases_are_turned_and_their_way_is_marked_as_moving(where: str) -> None:
+    with running(PanEngine(OPTIONS), where) as emulated:
+        servo = kept(PanServo(LabencSettings(emulated.address), same_angles(2)))
+        gather(servo, lambda found: len(found) >= 3)
+        wanted = np.deg2rad([10.0, -5.0])
+        assert servo.turn_to(*wanted)
+        readings = gather(
+            servo, lambda found: bool(found) and not found[-1].moving and found[-1].pan[0] > 0.1
+        )
+        np.testing.assert_allclose(readings[-1].pan, wanted, atol=2e-6)
+        way = [reading for reading in readings if 0.01 < reading.pan[0] < 0.16]
+        assert way
+        assert all(reading.moving for reading in way)
+
+
+def test_the_reader_cannot_turn_anything() -> None:
+    engine = PanEngine(OPTIONS)
+    with running(engine) as emulated:
+        reader = kept(PanReader(LabencSettings(emulated.address), same_angles(2)))
+        gather(reader, lambda found: len(found) >= 3)
+        assert not hasattr(reader, "turn_to")
+        with pytest.raises(ValueError, match="may send"):
+            reader._board.send("G", "1", "5.0")
+    assert not any(order.startswith("G") for order in engine.log)
+
+
+def test_sign_and_zero_of_the_bases_go_both_ways() -> None:
+    turned = AngleMap(np.array([1.0, -1.0]), np.deg2rad([2.0, -3.0]))
+    with running(PanEngine(OPTIONS)) as emulated:
+        servo = kept(PanServo(LabencSettings(emulated.address), turned))
+        gather(servo, lambda found: len(found) >= 1)
+        servo.turn_to(*np.deg2rad([4.0, 4.0]))
+        last = gather(
+            servo, lambda found: bool(found) and not found[-1].moving and found[-1].pan[1] > 0.06
+        )[-1]
+        np.testing.assert_allclose(last.pan, np.deg2rad([4.0, 4.0]), atol=2e-6)
+
+
+def test_a_limit_is_refused_by_the_board_and_said() -> None:
+    with running(PanEngine(OPTIONS)) as emulated:
+        servo = kept(PanServo(LabencSettings(emulated.address), same_angles(2)))
+        gather(servo, lambda found: len(found) >= 1)
+        servo.turn_to(np.deg2rad(80.0), 0.0)
+        gather(servo, lambda _: "G,3,axis 1 limit" in servo.state().sentence)
+        with pytest.raises(ValueError, match="cannot be turned"):
+            servo.turn_to(float("nan"), 0.0)
+
+
+def test_a_servo_that_is_gone_is_said() -> None:
+    with running(PanEngine(OPTIONS), faults=Faults(unplug=(0.5, 0.6))) as emulated:
+        servo = kept(PanServo(LabencSettings(emulated.address), same_angles(2)))
+        gather(servo, lambda found: len(found) >= 1)
+        gather(servo, lambda _: not servo.state().connected)
+        assert not servo.turn_to(0.1, 0.1)
+        gather(servo, lambda found: len(found) >= 1)

@@ -1,0 +1,86 @@
+import itertools
+import os
+import socket
+import time
+
+import pytest
+
+from tests.verify.devices.bench import gather, kept
+from verify.devices.intake import same_angles
+from verify.devices.labenc import LabencEncoders, LabencSettings
+from verify.devices.link import Link
+from verify.devices.ports import USUAL_LINE, SerialLine, in_words, open_port
+from verify.errors import InputError
+
+
+@pytest.mark.parametrize("address", ["tcp:host", "tcp:host:x", "udp:1.2.3.4:99999", "nonsense://a"])
+def test_an_address_that_never_can_be_opened_is_refused(address: str) -> None:
+    with pytest.raises(InputError, match=r"port .*expected"):
+        open_port(address, USUAL_LINE)
+
+
+def test_settings_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(InputError, match="parity"):
+        open_port("loop://", SerialLine(parity="X"))
+
+
+def test_a_line_without_a_descriptor_is_waited_on_all_the_same() -> None:
+    port = open_port("loop://", USUAL_LINE)
+    begin = time.monotonic()
+    assert not port.wait(0.05)
+    assert time.monotonic() - begin >= 0.05
+    port.send(b"abc")
+    assert port.wait(0.05)
+    assert port.take() == b"abc"
+    port.close()
+
+
+def test_socket_urls_are_taken_too() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_port(f"socket://127.0.0.1:{server.getsockname()[1]}", USUAL_LINE)
+        port.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (FileNotFoundError(2, "x"), "is it plugged in"),
+        (PermissionError(13, "x"), "dialout"),
+        (ConnectionRefusedError(111, "x"), "nobody listens"),
+        (TimeoutError("x"), "check address, cable and power"),
+        (socket.gaierror("x"), "no computer of that name"),
+        (OSError(113, "No route to host"), "no route to host"),
+    ],
+)
+def test_why_a_port_does_not_open_is_said_in_words(error: OSError, said: str) -> None:
+    assert said in in_words(error)
+
+
+def test_one_program_at_a_time_has_a_serial_port() -> None:
+    ends = os.openpty()
+    name = os.ttyname(ends[1])
+    first = open_port(name, USUAL_LINE)
+    second = kept(LabencEncoders(LabencSettings(name), same_angles(6)))
+    gather(second, lambda _: "another program has it open" in second.state().sentence)
+    first.close()
+    gather(second, lambda _: second.state().connected)
+    for end in ends:
+        os.close(end)
+    gather(second, lambda _: not second.state().connected)
+
+
+def test_a_port_is_tried_ever_more_seldom() -> None:
+    t, tries = [0.0], []
+
+    def refuse() -> None:
+        tries.append(t[0])
+        raise ConnectionRefusedError
+
+    link = Link("somewhere", refuse, lambda: t[0])  # type: ignore[arg-type]
+    for step in range(3000):
+        t[0] = 0.01 * step
+        link.receive(0.0)
+    gaps = [b - a for a, b in itertools.pairwise(tries)]
+    assert gaps[0] < 0.6
+    assert 3.9 < gaps[-1] < 4.2
+    assert gaps == sorted(gaps)
