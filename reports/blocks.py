@@ -143,6 +143,11 @@ def as_data(value: Any) -> Any:
     return value
 
 
+def drawn_or_said(figure: Figure, drawing: Chart | Path | bytes | None, otherwise: str) -> Block:
+    """Show a figure where there is something to draw, else say in words why there is none."""
+    return Paragraph(otherwise, "note") if drawing is None else replace(figure, drawing=drawing)
+
+
 def row(*cells: str | Cell) -> tuple[Cell, ...]:
     """Make a table row from texts."""
     return tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in cells)

@@ -23,6 +23,7 @@ PALETTE = {
     "tolerance": ("#7a1f5c", "#e79bc9"),
     "used": ("#0072b2", "#56b4e9"),
     "unused": ("#d55e00", "#ff9a4d"),
+    "vector": ("#5b606866", "#a6acb466"),
     "low": ("#0072b2", "#56b4e9"),
     "high": ("#d55e00", "#ff9a4d"),
     "series_1": ("#0072b2", "#56b4e9"),
@@ -71,12 +72,13 @@ class Level:
 
 @dataclass(frozen=True)
 class Points:
-    """Separate points."""
+    """Separate points; a few are drawn larger than thousands."""
 
     x: Array
     y: Array
     role: str
     name: str = ""
+    size: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,7 @@ class Bars:
     below: Array
     role: str
     name: str
+    width: float = 0.62
 
 
 @dataclass(frozen=True)

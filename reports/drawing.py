@@ -28,11 +28,12 @@ LEGEND_IN = 0.2  # height of a row of the legend
 LINE_LETTERS = 118  # letters of the legend's size in a line
 SIGN_LETTERS = 7  # what the sign before a legend's word and the gap behind it take
 STYLE = File(__file__).with_name("style.mplstyle")
+DARK = 0.36  # luminance of a cell below which white letters are read better than black ones
 LINE_STYLES: dict[str, tuple[float, tuple[float, ...]]] = {
     "dash": (0, (4, 2)),
     "dot": (0, (1.2, 1.6)),
 }
-LINE_WIDTHS = {"error": 0.6, "resolved": 1.1, "encoder": 0.9}
+LINE_WIDTHS = {"error": 0.6, "resolved": 1.1, "encoder": 0.9, "vector": 0.35}
 
 
 def svg(chart: Chart | Path) -> bytes:
@@ -158,7 +159,7 @@ def _draw_mark(axes: Axes, mark: Mark) -> None:
             linestyle="",
             color=_colour(mark.role),
             marker="o",
-            markersize=1.6,
+            markersize=1.6 * mark.size,
             markeredgewidth=0.0,
             alpha=0.55,
         )
@@ -172,7 +173,7 @@ def _draw_mark(axes: Axes, mark: Mark) -> None:
         _draw_cells(axes, mark)
     elif isinstance(mark, charts.Bars):
         axes.bar(
-            mark.x, mark.heights, 0.62, bottom=mark.below, color=_colour(mark.role),
+            mark.x, mark.heights, mark.width, bottom=mark.below, color=_colour(mark.role),
             edgecolor="white", linewidth=0.3,
         )  # fmt: skip
     else:
@@ -201,15 +202,21 @@ def _draw_cells(axes: Axes, cells: charts.Cells) -> None:
         cells.x, cells.y, cells.values, cmap=scale, vmin=cells.low, vmax=cells.high,
         rasterized=cells.values.size > 200,  # thousands of vector cells would only be slow
     )  # fmt: skip
-    middle = (cells.low + cells.high) / 2
-    reach = max((cells.high - cells.low) / 2, 1e-12)  # no division by zero for a flat matrix
+    extent = max(cells.high - cells.low, 1e-12)  # no division by zero for a flat matrix
     for row, line in enumerate(cells.text):
         for column_, text in enumerate(line):
-            strong = abs(cells.values[row, column_] - middle) / reach > 0.6  # dark enough for white
+            behind = scale((cells.values[row, column_] - cells.low) / extent)
             axes.text(
                 cells.x[column_], cells.y[row], text, ha="center", va="center", fontsize=6.5,
-                color=_colour("paper" if strong else "ink"),
+                color=_colour("paper" if _luminance(behind) < DARK else "ink"),
             )  # fmt: skip
+
+
+def _luminance(colour: tuple[float, float, float, float]) -> float:
+    """Relative luminance of an sRGB colour; source: WCAG 2.2."""
+    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+                        for c in colour[:3])  # fmt: skip
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
 def _path(path: Path) -> Figure:

@@ -19,8 +19,10 @@ PIXELS_PER_INCH = 150  # of a chart's height: strips on a screen want more room 
 GAP_PX = 40  # between rows of panels that have labels of their own
 STRIP_GAP_PX = 14  # between strips that share their time axis
 TITLE_GAP_PX = 18  # more, where a panel has a title
+LABEL_GAP_PX = 16  # more, where a label stands above a title
 TOP_PX, BOTTOM_PX = 34, 44  # for the legend and for the label of the time axis
-LINE_WIDTHS = {"error": 1.1, "resolved": 2.0, "encoder": 1.6}
+FLAT_BOX = 1.2  # diagonal of a box, its longest side 1, that the nearest view holds
+LINE_WIDTHS = {"error": 1.1, "resolved": 2.0, "encoder": 1.6, "vector": 0.7}
 
 
 def specification(chart: Chart | Path) -> dict[str, Any]:
@@ -70,7 +72,7 @@ def _traces(mark: Mark, panel: Panel, chart: Chart) -> list[dict[str, Any]]:
     if isinstance(mark, charts.Points):
         return [
             _scatter(mark.x, mark.y, "markers", mark.name)
-            | {"marker": {"color": colour(mark.role), "size": 4, "opacity": 0.6}}
+            | {"marker": {"color": colour(mark.role), "size": 4 * mark.size, "opacity": 0.6}}
             | _hover(panel)
         ]
     if isinstance(mark, charts.Runs):
@@ -191,9 +193,9 @@ def _bars(bars: charts.Bars, panel: Panel) -> dict[str, Any]:
         "legendgroup": text(bars.name),
         "x": _floats(bars.x),
         "y": _floats(bars.heights),
-        "width": 0.62,
+        "width": bars.width,
         "marker": {"color": colour(bars.role), "line": {"width": 0}},
-        "hovertemplate": f"%{{y:.1f}} {panel.unit}",
+        "hovertemplate": f"%{{y:.3~g}} {panel.unit}",
     }
 
 
@@ -204,6 +206,8 @@ def _layout(chart: Chart, columns: int) -> dict[str, Any]:
     gap += TITLE_GAP_PX * titled + (
         GAP_PX if any(p.equal and p.x_label for p in chart.panels) else 0
     )
+    if titled and any(p.x_label for p in chart.panels) and not chart.shared_x:
+        gap += LABEL_GAP_PX
     row = chart.row_height * PIXELS_PER_INCH
     plot = rows * row + (rows - 1) * gap
     above = TOP_PX + TITLE_GAP_PX * titled
@@ -276,13 +280,12 @@ def _path(path: Path) -> dict[str, Any]:
         trace |= {axis: _floats(points[:, i]) for i, axis in enumerate("xyz")}
         data.append(trace)
     longest = max(high - low for low, high in path.ranges)
+    sides = [(high - low) / longest for low, high in path.ranges]
+    away = max(float(np.linalg.norm(sides)) / FLAT_BOX, 1.0)  # a cube needs more room than a plate
     scene: dict[str, Any] = {
         "aspectmode": "manual",
-        "aspectratio": {
-            axis: (high - low) / longest
-            for axis, (low, high) in zip("xyz", path.ranges, strict=True)
-        },
-        "camera": {"eye": {"x": 0.95, "y": -1.3, "z": 0.7}},
+        "aspectratio": dict(zip("xyz", sides, strict=True)),
+        "camera": {"eye": {"x": 0.95 * away, "y": -1.3 * away, "z": 0.7 * away}},
         "dragmode": "orbit",
     }
     for axis, label, ends in zip("xyz", path.labels, path.ranges, strict=True):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import reports
 from reports import ReportError, Results
+from reports.results import plain
 from verify.errors import InputError
 from verify.writing import folder_written_whole
 
@@ -23,6 +24,19 @@ def refuse_existing(out: Path, *, force: bool) -> None:
                          "Choose another with -o, or give --force.")  # fmt: skip
 
 
+def refuse_file(path: Path, *, force: bool) -> None:
+    """Refuse to write where something is, before hours of work go into it.
+
+    Raises:
+        InputError: `path` is a folder, or a file and `force` was not given.
+    """
+    if path.is_dir():
+        raise InputError(path, "is a folder", "the name of a file is expected", "")
+    if path.exists() and not force:
+        remedy = "Choose another name, or give --force."
+        raise InputError(path, "exists", "nothing is overwritten unasked", remedy)
+
+
 def write_results(results: Results, out: Path, *, force: bool) -> None:
     """Write everything that `verify run` promises; whole or not at all.
 
@@ -30,22 +44,32 @@ def write_results(results: Results, out: Path, *, force: bool) -> None:
         InputError: the folder cannot be written.
     """
     with folder_written_whole(out, force) as folder:
-        try:
-            reports.write(results, folder / RESULTS)
-        except ReportError as problem:
-            if isinstance(problem.__cause__, OSError):  # a full disk, say: worded where files are
-                raise problem.__cause__ from None
-            raise
-        _write_readable(results, folder)
-        write_reports(results, folder)
+        _write_reported(results, folder)
+        results.tables["frames"].to_csv(
+            folder / "frames.csv", index=False, float_format="%.6f", lineterminator="\n"
+        )
 
 
-def _write_readable(results: Results, folder: Path) -> None:
-    text = json.dumps(results.summary, indent=2, ensure_ascii=False, allow_nan=False)
+def write_reported(results: Results, out: Path, *, force: bool) -> None:
+    """Write reports, summary.json and what they are made of; whole or not at all.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with folder_written_whole(out, force) as folder:
+        _write_reported(results, folder)
+
+
+def _write_reported(results: Results, folder: Path) -> None:
+    try:
+        reports.write(results, folder / RESULTS)
+    except ReportError as problem:
+        if isinstance(problem.__cause__, OSError):  # a full disk, say: worded where files are
+            raise problem.__cause__ from None
+        raise
+    text = json.dumps(plain(results.summary), indent=2, ensure_ascii=False, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    results.tables["frames"].to_csv(
-        folder / "frames.csv", index=False, float_format="%.6f", lineterminator="\n"
-    )
+    write_reports(results, folder)
 
 
 def write_reports(results: Results, folder: Path) -> None:
