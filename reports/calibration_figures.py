@@ -222,7 +222,7 @@ def accuracy(results: Results) -> Chart | None:
     known = np.concatenate([column(table, name) for name, _ in parts])
     if not np.isfinite(known).any():
         return None
-    top, decimals = float(np.nanmax(known)), decimals_of(float(np.nanmin(known)))
+    top = float(np.nanmax(known))
     panels = []
     for distance in np.unique(column(table, "distance_mm")).tolist():
         own = table[column(table, "distance_mm") == distance]
@@ -230,8 +230,7 @@ def accuracy(results: Results) -> Chart | None:
             grid = own.pivot_table(index="y_mm", columns="x_mm", values=name, dropna=False)
             values = grid.to_numpy(dtype=float)
             text = tuple(
-                tuple(number(v, decimals) if np.isfinite(v) else "" for v in line)
-                for line in values
+                tuple(_brief(v) if np.isfinite(v) else "" for v in line) for line in values
             )
             x, y = grid.columns.to_numpy(dtype=float), grid.index.to_numpy(dtype=float)
             panels.append(
@@ -263,12 +262,20 @@ def contributions(results: Results) -> Chart | None:
             Line(ends, np.full(2, total), "tolerance", f"as it is: {quantity(total, 'mm')}")
         )
         top = max(top, total)
-    ticks = tuple(zip(places.tolist(), texts(table, "group"), strict=True))
+    names = [
+        text.replace(" ", "\n", 1) for text in texts(table, "group")
+    ]  # they stand side by side
+    ticks = tuple(zip(places.tolist(), names, strict=True))
     panel = Panel(
         tuple(marks), "u of the depth [mm]", "were they exact", x_ticks=ticks,
         x_range=(-0.6, len(table) - 0.4), y_range=(0.0, 1.08 * top), unit="mm",
     )  # fmt: skip
     return Chart((panel,), row_height=1.9)
+
+
+def _brief(value: float) -> str:
+    """Two significant digits, and no finer than a micrometre: as many as fit a cell."""
+    return number(value, 0 if value >= 10 else min(decimals_of(value), 3))
 
 
 def correlation(results: Results) -> Chart | None:

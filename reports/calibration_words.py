@@ -149,3 +149,14 @@ FIGURES = {
         "The correlation of the parameters is not known.",
     ),
 }
+
+SHORT = {  # of what contributes, where the names stand side by side
+    "spot noise": "LED noise",
+    "pan readings": "pan angle",
+    "pan axes and zeros": "pan axes",
+    "lens distortion": "lens",
+    "focal lengths": "focal",
+    "principal points": "principal",
+    "cameras' places": "places",
+    "cameras' turns": "turns",
+}

@@ -12,6 +12,9 @@ import typer
 # that decodes; numpy reads this when it is first imported, which the commands do later
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from verify.commands.board import board
+from verify.commands.calibrate import calibrate
+from verify.commands.emulate import emulate
 from verify.commands.report import report
 from verify.commands.robots import robots
 from verify.commands.run import run
@@ -40,8 +43,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,  # an unknown error shows Python's own traceback
     rich_markup_mode=None,
 )
-for command in (run, report, simulate, robots):
+for command in (run, report, board, simulate, robots, emulate):
     app.command(epilog=EVERYWHERE)(command)
+app.add_typer(calibrate)
 
 
 @app.callback()

@@ -15,13 +15,20 @@ import pytest
 
 import robots
 from tests.end_to_end.command import ROOT, verify
-from verify import marker_file, rig_file, session_file
+from verify import board_file, marker_file, rig_file, session_file
+from verify.calibration import fixture_file
 from verify.cli import app
 from verify.sim import library
 
 README = ROOT / "README.md"
 DOCUMENTS = sorted([README, ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
-COMMANDS = sorted(str(c.callback.__name__) for c in app.registered_commands if c.callback)
+GROUPS = {g.name: g.typer_instance for g in app.registered_groups if g.typer_instance is not None}
+COMMANDS = sorted(
+    f"{group} {c.callback.__name__}".strip()
+    for group, commands in {"": app, **GROUPS}.items()
+    for c in commands.registered_commands
+    if c.callback
+)
 EVERYWHERE = {"--help", "--version", "--quiet", "--verbose", "--json"}
 SETS_UP = ("make", "python3 -m venv", ".venv/bin/pip", ".venv/bin/python -m pytest")
 OURS = {"README.md", "LICENSE", "Makefile", "CHANGELOG.md", "pyproject.toml"}
@@ -67,7 +74,7 @@ def test_every_command_of_the_readme_runs_as_written(
 ) -> None:
     assert len(outcomes) >= len(COMMANDS)
     for line, done in outcomes.items():
-        said = re.search(r"# status (\d)", line)
+        said = re.search(r"# status (\d+)", line)
         assert done.returncode == (int(said[1]) if said else 0), f"{line}\n{done.stderr}"
 
 
@@ -112,7 +119,8 @@ def test_every_subcommand_and_option_is_in_the_readme(command: str) -> None:
 
 def options(command: str) -> set[str]:
     """Long options by --help, but those of every command, and --out, which is shown as -o."""
-    return set(re.findall(r"--[a-z-]+", verify(command, "--help").out)) - EVERYWHERE - {"--out"}
+    said = verify(*command.split(), "--help").out
+    return set(re.findall(r"--[a-z-]+", said)) - EVERYWHERE - {"--out"}
 
 
 @each_document
@@ -120,9 +128,10 @@ def test_every_command_and_option_that_is_named_is_real(document: Path) -> None:
     text = document.read_text()
     typed = re.findall(r"^(?:\.venv/bin/)?(verify .*)$|`(verify [^`]*)`", text, re.MULTILINE)
     for words in (shlex.split(a or b, comments=True) for a, b in typed):
-        assert words[1] in COMMANDS, words
+        command = " ".join(words[1 : 3 if words[1] in GROUPS else 2])
+        assert command in COMMANDS, words
         named = {word for word in words if word.startswith("--")}
-        assert named <= options(words[1]) | EVERYWHERE | {"--out"}, words
+        assert named <= options(command) | EVERYWHERE | {"--out"}, words
     every = set().union(*map(options, COMMANDS)) | EVERYWHERE | {"--strict"}  # mypy's own
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= every
 
@@ -153,7 +162,13 @@ def headings(document: Path) -> set[str]:
 def test_every_file_that_is_shown_is_read_without_a_complaint(
     document: Path, tmp_path: Path
 ) -> None:
-    readers = {"session": session_file.read, "rig": rig_file.read, "marker": marker_file.read}
+    readers = {
+        "session": session_file.read,
+        "rig": rig_file.read,
+        "marker": marker_file.read,
+        "board": board_file.read,
+        "fixture": fixture_file.read,
+    }
     for text in blocks(document, "toml"):
         name = text.partition("\n")[0].removeprefix("# ").removesuffix(".toml")
         path = tmp_path / f"{name}.toml"

@@ -104,8 +104,9 @@ def test_no_sums_of_self_motion_for_six_joints() -> None:
             recording=Recording(pairs=12, rate_hz=5.0),
             marker=MarkerTable(
                 led=[
-                    Led(name=n, position_mm=p)
-                    for n, p in zip("ABC", [(60, 0, 10), (-45, 40, 15), (-10, -55, 25)], strict=True)
+                    Led(name="A", position_mm=(60, 0, 10)),
+                    Led(name="B", position_mm=(-45, 40, 15)),
+                    Led(name="C", position_mm=(-10, -55, 25)),
                 ]
             ),
             clock=Clock(),

@@ -1,0 +1,252 @@
+"""What the `verify calibrate` commands share: options into boards, registrations, checks."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from verify import board_file, marker_file, rig_file
+from verify.board_file import BoardTable
+from verify.board_folder import open_boards
+from verify.calibration import check as interim
+from verify.calibration import fixture_file
+from verify.calibration.fixture import register_fixture
+from verify.calibration.motion import register_motion
+from verify.calibration.registration_results import fixture_results, motion_results
+from verify.calibration.sightings import see_boards
+from verify.calibration.sweeps import axes_from_sweeps
+from verify.commands.board import parse_corners
+from verify.errors import InputError
+from verify.measurement import Setup, measure
+from verify.results_folder import write_reported
+from verify.session import Recording, Session, open_recording, open_session
+from verify.terminal import terminal
+from verify.toml_file import FORMAT
+
+if TYPE_CHECKING:
+    from verify.board import Board
+    from verify.calibration.check import CheckResult
+    from verify.calibration.motion_result import MotionRegistration
+    from verify.calibration.sweeps import SweepResult
+    from verify.marker import Marker
+    from verify.rig import Rig
+
+BY_OPTION = "the board given by option"
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What a registration from motion shall keep or add."""
+
+    leds: int | None
+    known_marker: Path | None
+    keep_base: bool
+    keep_leds: bool
+    sweeps: bool
+
+
+def board_by_option(
+    corners: str | None, square_mm: float | None, square_uncertainty_mm: float | None
+) -> "Board | None":
+    """Make a board of the options; None where board.toml is to say it."""
+    if corners is None and square_mm is None and square_uncertainty_mm is None:
+        return None
+    if corners is None or square_mm is None:
+        missing = "--corners" if corners is None else "--square-mm"
+        remedy = "Give both, or neither and a board.toml in the folder."
+        raise InputError(missing, "is missing", "corners and square make a board together", remedy)
+    table = BoardTable(
+        format=FORMAT,
+        inner_corners=parse_corners(corners),
+        square_mm=square_mm,
+        square_standard_uncertainty_mm=square_uncertainty_mm,
+    )
+    return board_file.checked(BY_OPTION, table)
+
+
+@contextmanager
+def prefixed(folder: Path) -> Iterator[None]:
+    """Put the folder in front of the place that a complaint names."""
+    try:
+        yield
+    except InputError as problem:
+        place = f"{folder}, {problem.place}"
+        raise InputError(place, problem.found, problem.expected, problem.remedy) from problem
+
+
+def refuse_contradictions(
+    *, fixture: bool, motion_only: Mapping[str, bool], fixture_only: Mapping[str, bool]
+) -> None:
+    """Refuse options that the chosen way of registering has no use for."""
+    useless = motion_only if fixture else fixture_only
+    given = [option for option, there in useless.items() if there]
+    if given:
+        way = "a board on the base" if fixture else "a motion"
+        raise InputError(given[0], f"has no meaning when {way} is used", "", "Leave it out.")
+
+
+def by_fixture(
+    folder: Path,
+    fixture: Path,
+    rig_path: Path | None,
+    board: "Board | None",
+    out: Path,
+    target: Path,
+    *,
+    force: bool,
+) -> None:
+    """Register the base by pictures of a board that sits on it; write rig and report."""
+    if rig_path is None:
+        expected = "the calibrated cameras are needed"
+        raise InputError("--rig", "is missing", expected, "Give the rig of `calibrate boards`.")
+    rig, rig_warnings = rig_file.read(rig_path, registered=False)
+    place, fixture_warnings = fixture_file.read(fixture)
+    opened = open_boards(folder, board)
+    _same_size(opened.folder, opened.image_size, rig)
+    with terminal.progress("pairs searched for the board") as progress:
+        pairs = see_boards(opened, progress)
+    with prefixed(folder):
+        found = register_fixture(rig, pairs, opened.board, place.base_T_board, place.covariance)
+    warnings = (*rig_warnings, *opened.warnings, *fixture_warnings, *found.warnings)
+    for warning in warnings:
+        terminal.warn(warning)
+    write_reported(
+        fixture_results(
+            replace(found, warnings=warnings),
+            robot="a robot by a board on its base",
+            source=folder.resolve().name,
+            inputs=opened.inputs,
+        ),
+        target,
+        force=force,
+    )
+    rig_file.write(out, found.rig)
+    _say(found.decisions, [out], target)
+
+
+def by_motion(
+    folder: Path, rig: Path | None, wishes: Wishes, places: tuple[Path, Path, Path], *, force: bool
+) -> None:
+    """Register base and LEDs by the robot's own motion; write rig, marker and report."""
+    out, marker_out, target = places
+    recording = open_recording(folder, rig=rig)
+    known = None if wishes.known_marker is None else marker_file.read(wishes.known_marker)
+    with terminal.progress("pairs") as progress:
+        found = register_motion(
+            recording,
+            leds=wishes.leds,
+            marker=None if known is None else known[0],
+            keep_base=wishes.keep_base,
+            keep_leds=wishes.keep_leds,
+            progress=progress,
+        )
+    warnings = (*recording.warnings, *(known[1] if known else ()), *found.warnings)
+    for warning in warnings:
+        terminal.warn(warning)
+    swept = _swept(recording, found.rig, found.marker) if wishes.sweeps else None
+    write_reported(
+        motion_results(
+            replace(found, warnings=warnings),
+            robot=recording.robot,
+            source=recording.name,
+            description=recording.description,
+            inputs=recording.inputs,
+            sweeps=swept,
+            base_held=wishes.keep_base,
+            leds_held=wishes.keep_leds,
+        ),
+        target,
+        force=force,
+    )
+    rig_file.write(out, found.rig)
+    if not wishes.keep_leds:
+        marker_file.write(marker_out, found.marker)
+    written = [out] if wishes.keep_leds else [out, marker_out]
+    words = (*found.decisions, *_hidden(found), *(swept.decisions if swept else ()))
+    _say(words, written, target)
+
+
+def _hidden(found: "MotionRegistration") -> Iterator[str]:
+    """What the registration took in of each joint's faults, in words."""
+    shares = found.visible_fractions
+    gone = [f"{j + 1}" for j, share in enumerate(shares) if share == 0]
+    if gone:
+        joints = f"joint{'s' if len(gone) > 1 else ''} {' and '.join(gone)}"
+        yield f"A constant offset of {joints} that was there already is hidden altogether."
+    left = [f"joint {j + 1} {share:.0%}" for j, share in enumerate(shares) if share > 0]
+    if left:
+        yield f"Of such an offset there stays visible: {', '.join(left)}. A later one shows fully."
+    if found.held_out_rms_px is not None and found.fit_rms_px is not None:
+        yield (
+            f"Registered on half of the pairs: {found.fit_rms_px:.3f} px rms; "
+            f"on the other half, not used: {found.held_out_rms_px:.3f} px."
+        )
+
+
+def _swept(recording: Recording, rig: "Rig", marker: "Marker") -> "SweepResult":
+    """Measure once more, with what was registered, and fit each swept joint's axis."""
+    parts = {f.name: getattr(recording, f.name) for f in fields(Recording)} | {"rig": rig}
+    session = Session(**parts, marker=marker, tolerance=None)
+    with terminal.progress("pairs measured") as progress:
+        measured = []
+        for measurement in measure(session.pairs(), Setup(rig, marker)):
+            measured.append(measurement)
+            progress(len(measured), len(session))
+    return axes_from_sweeps(session, measured)
+
+
+def checked(
+    source: Path,
+    rig_path: Path | None,
+    length_mm: float | None,
+    length_uncertainty_mm: float | None,
+    board: "Board | None",
+) -> "CheckResult":
+    """Check a rig by a session's LEDs, a bar, or pictures of a board."""
+    rig = None if rig_path is None else rig_file.read(rig_path, registered=False)[0]
+    if (source / "session.toml").exists():
+        session = open_session(source)
+        session = session if rig is None else replace(session, rig=rig)
+        with terminal.progress("pairs") as progress:
+            return interim.check_session(
+                session,
+                length=None if length_mm is None else length_mm * 1e-3,
+                length_standard_uncertainty=None
+                if length_uncertainty_mm is None
+                else length_uncertainty_mm * 1e-3,
+                progress=progress,
+            )
+    if rig is None:
+        expected = "pictures of a board do not say which rig is to be checked"
+        raise InputError("--rig", "is missing", expected, "Give the rig file, or a session.")
+    if length_mm is not None:
+        raise InputError("--length-mm", "has no meaning for a board", "", "Leave it out.")
+    opened = open_boards(source, board)
+    _same_size(opened.folder, opened.image_size, rig)
+    with terminal.progress("pairs searched for the board") as progress:
+        return interim.check_board(rig, see_boards(opened, progress), opened.board)
+
+
+def _same_size(folder: Path, size: tuple[int, int], rig: "Rig") -> None:
+    if size != rig.image_size:
+        found = "shows pictures of {} x {} px".format(*size)
+        expected = "the rig is calibrated for {} x {}".format(*rig.image_size)
+        raise InputError(folder, found, expected, "Use the rig.toml of these cameras.")
+
+
+def _say(decisions: tuple[str, ...], written: list[Path], target: Path) -> None:
+    for sentence in decisions:
+        terminal.say(f"  {sentence}")
+    terminal.say(
+        f"Written: {', '.join(map(str, written))}; report: {target / 'report.html'} and "
+        f"{target / 'report.pdf'}"
+    )
+    terminal.record(
+        {
+            "type": "result",
+            "out": [str(path) for path in written],
+            "report": str(target),
+            "decisions": list(decisions),
+        }
+    )
