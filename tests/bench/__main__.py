@@ -1,15 +1,16 @@
 """Every benchmark in one run, as ratios: `make bench`.
 
-python -m tests.bench [NAME…]     detection, chain, ik, memory; all of them without a name
+python -m tests.bench [NAME…]     detection, corners, chain, ik, memory; all without a name
 """
 
 import sys
 from collections.abc import Callable, Iterator
 
-from tests.bench import chain, detection, ik, memory
+from tests.bench import chain, corners, detection, ik, memory
 
 BENCHES: dict[str, Callable[[], Iterator[str]]] = {
     "detection": detection.lines,
+    "corners": corners.lines,
     "chain": chain.lines,
     "ik": ik.lines,
     "memory": memory.lines,
