@@ -43,6 +43,9 @@ bench: $(STAMP)
 
 bench-coverage: $(STAMP)
 	$(BIN)/python -m tests.bench.coverage
+	$(BIN)/python -m tests.bench.calibration
+	$(BIN)/python -m tests.bench.registration
+	$(BIN)/python -m tests.bench.whole_chain
 
 clean:
 	rm -rf $(VENV) build *.egg-info

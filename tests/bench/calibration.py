@@ -1,0 +1,167 @@
+"""Are a calibration's stated uncertainties true? Synthetic corners, a new rig and seed each time.
+
+A cell is one parameter: the share of replicates whose ±1.96 u holds the truth, which must lie
+within 93 to 97 %; the mean of d² over its degrees of freedom must lie within its 99 % interval.
+
+    python -m tests.bench.calibration [REPLICATES] [SEED]
+"""
+
+import os
+import sys
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from tests.verify.calibration.calibrated import squared_distance
+from tests.verify.calibration.made_views import BOARD, SIGMA, SIZE, levelled, make_pairs, poses
+from verify.calibration.boards import calibrate
+from verify.calibration.covariance import in_si
+from verify.records import Array
+from verify.rig import Camera, Rig
+
+REPLICATES = 2000
+SEEDS = (20261121, 20270101)  # fixed beforehand; the second set is the check of the first
+PAIRS = 20
+KINDS = ("fixed", "turning", "scattering")  # the last: readings that are off by PAN_ERROR_DEG
+PAN_ERROR_DEG = 0.05
+WITHIN = 1.96
+LOW, HIGH = 0.93, 0.97
+LENS = ("k1", "k2", "p1", "p2", "k3")
+
+
+def random_rig(rng: np.random.Generator, turning: bool) -> Rig:
+    """Draw two webcams 120 to 240 mm apart; with `turning`, axes and mounts that are not ideal."""
+    baseline = rng.uniform(0.12, 0.24)
+    sides = [_camera(rng, sign * baseline / 2, turning) for sign in (-1, 1)]
+    return levelled(Rig(SIZE, sides[0], sides[1], np.full((4, 4), np.nan), ""), turning)
+
+
+def _camera(rng: np.random.Generator, x: float, turning: bool) -> Camera:
+    focal = rng.uniform(950, 1100)
+    matrix = np.eye(3)
+    matrix[[0, 1], [0, 1]] = focal, focal * rng.uniform(0.997, 1.003)
+    matrix[:2, 2] = np.array([639.5, 359.5]) + rng.uniform(-12, 12, 2)
+    distortion = rng.uniform([-0.12, -0.05, -8e-4, -8e-4, 0], [0.05, 0.08, 8e-4, 8e-4, 0])
+    mount = np.eye(4)
+    mount[:3, :3] = Rotation.from_rotvec(rng.uniform(-0.03, 0.03, 3)).as_matrix()
+    axis = np.array([0.0, 1.0, 0.0])
+    if turning:
+        axis = axis + rng.uniform(-0.03, 0.03, 3)
+        mount[:3, 3] = rng.uniform(-0.02, 0.02, 3)
+    return Camera(
+        matrix=matrix,
+        distortion=distortion,
+        pan_center=np.array([x, 0.0, 0.0]),
+        pan_axis=axis / np.linalg.norm(axis),
+        pan_zero=rng.uniform(-0.02, 0.02) if turning else 0.0,
+        mount=mount,
+        pan=float(-np.sign(x) * rng.uniform(0.05, 0.15)),
+    )
+
+
+def deviation(name: str, found: Rig, true: Rig) -> float:
+    """Found less true for a parameter of [covariance], in SI units and pixels."""
+    side, _, key = name.partition(".")
+    one, other = (rig.left if side == "left" else rig.right for rig in (found, true))
+    entry = {"fx_px": (0, 0), "fy_px": (1, 1), "cx_px": (0, 2), "cy_px": (1, 2)}.get(key)
+    if entry:
+        return float(one.matrix[entry] - other.matrix[entry])
+    if key in LENS:
+        return float((one.distortion - other.distortion)[LENS.index(key)])
+    if key == "pan_zero_deg":
+        return one.pan_zero - other.pan_zero
+    what, axis, _ = key.rsplit("_", 2)
+    at = "xyz".index(axis[-1])
+    if what == "pan_center":
+        return float((one.pan_center - other.pan_center)[at])
+    if what == "pan_axis":
+        return float(np.cross(other.pan_axis, one.pan_axis)[at])
+    if axis.startswith("r"):
+        turn = Rotation.from_matrix(one.mount[:3, :3] @ other.mount[:3, :3].T).as_rotvec()
+        return float(turn[at])
+    return float((one.mount[:3, 3] - other.mount[:3, 3])[at])
+
+
+def replicate(kind: str, seed: int) -> tuple[dict[str, float], float, int, float]:
+    """Normalised errors by parameter, d², its degrees of freedom, the noise factor."""
+    rng = np.random.default_rng(seed)
+    turning = kind != "fixed"
+    rig = random_rig(rng, turning)
+    boards = poses(rng, PAIRS)
+    pan = np.tile([rig.left.pan, rig.right.pan], (PAIRS, 1))
+    error = np.zeros((PAIRS, 2))
+    if turning:
+        pan = pan + np.deg2rad(rng.uniform(-12, 12, (PAIRS, 2)))
+    if kind == "scattering":
+        error = np.deg2rad(rng.normal(0, PAN_ERROR_DEG, (PAIRS, 2)))
+    stated = SIGMA * np.exp(rng.uniform(-0.5, 0.5))  # the stated noise is off by a factor
+    pairs = make_pairs(rig, boards, rng, pan, error, stated=stated)
+    found = calibrate(pairs, BOARD, SIZE)
+    covariance = found.rig.covariance
+    assert covariance is not None
+    errors = np.array([deviation(name, found.rig, rig) for name in covariance.parameters])
+    full = in_si(covariance)
+    d2, rank = squared_distance(errors, full)
+    z = errors / np.sqrt(np.diag(full))
+    return dict(zip(covariance.parameters, z.tolist(), strict=True)), d2, rank, found.noise * stated
+
+
+def study(
+    kind: str, replicates: int, seed: int, jobs: int | None = None
+) -> tuple[dict[str, Array], Array, Array]:
+    """Normalised errors of every parameter over all replicates; d² and its degrees of freedom."""
+    seeds = np.random.SeedSequence(seed).generate_state(replicates).tolist()
+    if jobs == 1:
+        outcomes: Iterable[tuple[dict[str, float], float, int, float]] = [
+            replicate(kind, s) for s in seeds
+        ]
+    else:
+        with ProcessPoolExecutor(max_workers=jobs or os.cpu_count()) as pool:
+            outcomes = list(pool.map(replicate, [kind] * replicates, seeds, chunksize=4))
+    errors: dict[str, list[float]] = {}
+    for z, *_ in outcomes:
+        for name, value in z.items():
+            errors.setdefault(name, []).append(value)
+    d2 = np.array([o[1] for o in outcomes])
+    rank = np.array([o[2] for o in outcomes])
+    return {name: np.array(values) for name, values in errors.items()}, d2, rank
+
+
+def mean_d2(d2: Array, rank: Array) -> tuple[float, float, float]:
+    """Sum of d² over the sum of its degrees of freedom, and the 99 % interval of that."""
+    total = float(rank.sum())
+    low, high = chi2.ppf([0.005, 0.995], total) / total
+    return float(d2.sum()) / total, float(low), float(high)
+
+
+def main(replicates: int, seeds: tuple[int, ...]) -> int:
+    """Print every cell; 1 where one fails."""
+    failed = 0
+    for seed in seeds:
+        for kind in KINDS:
+            errors, d2, rank = study(kind, replicates, seed)
+            ratio, low, high = mean_d2(d2, rank)
+            pooled = float(np.mean(np.abs(np.concatenate(list(errors.values()))) <= WITHIN))
+            fine = low <= ratio <= high and LOW <= pooled <= HIGH
+            failed += int(not fine)
+            print(f"{kind}, seed {seed}, {replicates} replicates of {PAIRS} pairs: pooled "
+                  f"{pooled:.1%}, d²/dof {ratio:.4f} (99 %: {low:.4f} to {high:.4f})"
+                  f"{'' if fine else '  FAILS'}")  # fmt: skip
+            for name, z in sorted(errors.items()):
+                share = float(np.mean(np.abs(z) <= WITHIN))
+                often = len(z) == replicates  # a coefficient that is mostly held is no cell
+                good = LOW <= share <= HIGH or not often
+                failed += int(not good)
+                print(f"  {name:26s} {share:.1%}  of {len(z)}{'' if good else '  FAILS'}")
+    print("all cells hold" if not failed else f"{failed} cells fail")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    os.environ["OMP_NUM_THREADS"] = "1"
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else REPLICATES
+    chosen = (int(sys.argv[2]),) if len(sys.argv) > 2 else SEEDS
+    sys.exit(main(count, chosen))

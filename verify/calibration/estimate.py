@@ -1,0 +1,128 @@
+"""What an adjustment says of its parameters: noise, covariance, and whether views err together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from verify.calibration import bundle, gauge
+from verify.calibration.gauge import Model
+from verify.calibration.parameters import Corners, State
+from verify.records import Array
+
+CHANCE = 0.01  # that pairs which err independently seem to err together
+FINEST_PX = 1e-5  # corners that scatter by less were computed, and what is left is rounding
+FEWEST_PAIRS = 5  # fewer say nothing about how pairs differ
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """An adjusted state with its uncertainty."""
+
+    state: State
+    model: Model
+    used: NDArray[np.bool_]  # (n,), corners that were not refused
+    system: bundle.Normal
+    rows: Array  # (c, 44), constraints
+    place: dict[str, int]  # at which row each held coefficient stands
+    basis: Array  # (44, p), the free directions
+    noise: float  # what the corners' stated uncertainty has to be multiplied with
+    degrees_of_freedom: int
+    together: float  # by how much the covariance grows because a pair's corners err together, >= 1
+    together_degrees: float  # degrees of freedom of that factor
+
+    @property
+    def information(self) -> Array:
+        """Of the free directions, (p, p), for corners as stated."""
+        full: Array = self.basis.T @ self.system.information.sum(axis=0) @ self.basis
+        return full
+
+    @property
+    def variance(self) -> float:
+        """Factor on the inverse information."""
+        return self.noise**2 * self.together
+
+    @property
+    def covariance(self) -> Array:
+        """Of all parameters, (44, 44), SI units and pixels; 0 for what is held."""
+        full: Array = self.variance * self.basis @ inverted(self.information) @ self.basis.T
+        return full
+
+
+def inverted(matrix: Array) -> Array:
+    """Invert a positive definite matrix whose rows differ in unit."""
+    size = np.sqrt(np.diag(matrix))
+    inner = np.linalg.inv(matrix / np.outer(size, size))
+    inverse: Array = (inner + inner.T) / 2 / np.outer(size, size)
+    return inverse
+
+
+def estimate(state: State, corners: Corners, model: Model, used: NDArray[np.bool_]) -> Estimate:
+    """Take stock of an adjusted state."""
+    weight = used.astype(float)
+    system = bundle.normal(state, corners, model, weight)
+    rows, place = gauge.constraints(state, model, corners.pan[0])
+    basis = gauge.free_directions(rows)
+    degrees = 2 * int(used.sum()) - basis.shape[1] - 6 * len(state.boards)
+    squares = bundle.cost(state, corners, model, weight)
+    finest = FINEST_PX / float(np.median(corners.uncertainty))
+    noise = max(float(np.sqrt(squares / max(degrees, 1))), finest)
+    together, own_degrees = _together(system, basis, noise)
+    return Estimate(
+        state, model, used, system, rows, place, basis, noise, degrees, together, own_degrees
+    )
+
+
+def _together(system: bundle.Normal, basis: Array, noise: float) -> tuple[float, float]:
+    """By how much pairs pull at the parameters harder than independent corners would.
+
+    A board that is not flat, or a blur that shifts all corners of a picture, makes the corners of
+    a pair err together, which the scatter of single residuals does not show. Each pair's pull at
+    the parameters does: its square, measured in the parameters' own information and summed over
+    pairs, against what independent corners give. The factor counts where chance exceeds it once
+    in a hundred.
+
+    Source: the cluster-robust covariance of Liang and Zeger, Biometrika 73, 1986, averaged over
+    the parameters, as there are too few pairs to fill a matrix; Rao and Scott's design effect.
+    """
+    count = len(system.information)
+    if count < FEWEST_PAIRS:
+        return 1.0, np.inf
+    information = basis.T @ system.information @ basis
+    pull = system.gradient @ basis / noise
+    inverse = inverted(information.sum(axis=0))
+    share = inverse @ information  # (b, p, p)
+    seen = float(np.einsum("bi,ij,bj->", pull, inverse, pull))
+    squared = np.einsum("bij,bji->b", share, share)
+    expected = len(inverse) - float(squared.sum())
+    # the pulls of two pairs are correlated through the parameters that both helped to find
+    own = share - share @ share
+    spread = 2 * float(np.einsum("bij,bji->", own, own))
+    if expected <= 0 or spread <= 0:
+        return 1.0, np.inf
+    degrees = 2 * expected**2 / spread
+    factor = seen / expected
+    if factor <= 1 or factor * degrees <= chi2.ppf(1 - CHANCE, degrees):
+        return 1.0, np.inf
+    return factor, float(degrees)
+
+
+def board_covariance(found: Estimate, covariance: Array) -> Array:
+    """Of each board's pose, (b, 6, 6), m and rad, with the rig's own share (44, 44)."""
+    shared = found.system.shared[:, :6]
+    own = found.variance * found.system.own[:, :6, :6]
+    full: Array = own + shared @ covariance @ shared.transpose(0, 2, 1)
+    return full
+
+
+def response(found: Estimate, names: tuple[str, ...]) -> Array:
+    """How the estimate moves when held coefficients are held elsewhere, (44, h).
+
+    A unit of each named coefficient (which the model holds); the others stay held.
+    """
+    full = found.system.information.sum(axis=0)
+    forced = np.linalg.pinv(found.rows)[:, [found.place[n] for n in names]]
+    pulled = found.basis.T @ full @ forced
+    moved: Array = forced - found.basis @ inverted(found.information) @ pulled
+    return moved

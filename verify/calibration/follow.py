@@ -1,0 +1,103 @@
+"""Steps in which the boards go with the cameras that see them.
+
+Turning the whole rig against its own baseline is what pictures of boards tell least of. In the
+rig's frame such a turn sweeps every board along an arc, and a straight step leaves the arc at
+once. A board that keeps its place before its camera stays in that camera's picture however far
+the camera is moved; only what the step wants beyond that is then added, straight.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from verify.calibration.parameters import (
+    AXIS,
+    CENTER,
+    OFFSET,
+    TURN,
+    WIDTH,
+    ZERO,
+    Corners,
+    State,
+    moved,
+    placed,
+)
+from verify.records import Array
+from verify.rig import Camera
+
+
+def step(state: State, corners: Corners, change: Array, own: Array) -> State:
+    """Step all unknowns at once.
+
+    Args:
+        state: where to step from.
+        corners: what was seen; says by which camera.
+        change: (44,), of the rig's parameters.
+        own: (b, 8), of each board's pose in rig axes and of the bases' departures from their
+            readings, as a straight step has them.
+
+    Returns:
+        The state a step on: to first order the straight one.
+    """
+    changes = (change[:WIDTH], change[WIDTH:])
+    errors = state.pan_error + own[:, 6:]
+    cameras = _cameras(state, changes, corners.pan.mean(axis=0))
+    boards, beyond = state.boards.copy(), own[:, :6].copy()
+    host = _hosts(corners, len(boards))
+    for side, (old, new, d) in enumerate(zip(state.cameras, cameras, changes, strict=True)):
+        mine = host == side
+        before = corners.pan[mine, side] + state.pan_error[mine, side]
+        after = corners.pan[mine, side] + errors[mine, side]
+        there = placements(new, after) @ np.linalg.inv(placements(old, before))
+        beyond[mine] -= _motion(old, before, after - before, d, boards[mine, :3, 3])
+        boards[mine] = there @ boards[mine]
+    return State(*cameras, placed(boards, beyond), errors)
+
+
+def _cameras(state: State, changes: tuple[Array, Array], pan: Array) -> tuple[Camera, Camera]:
+    """Step both cameras; the right one goes with the left one, at their middle readings (2,)."""
+    left, right = (moved(c, d) for c, d in zip(state.cameras, changes, strict=True))
+    at_left, at_right = pan[:1], pan[1:]
+    before = placements(state.right, at_right)
+    there = placements(left, at_left) @ np.linalg.inv(placements(state.left, at_left))
+    still = np.zeros(1)
+    straight = _motion(state.right, at_right, still, changes[1], before[:, :3, 3])
+    with_left = _motion(state.left, at_left, still, changes[0], before[:, :3, 3])
+    wanted = placed(there @ before, straight - with_left)
+    turntable = placements(right, at_right) @ np.linalg.inv(right.mount)
+    return left, replace(right, mount=(np.linalg.inv(turntable) @ wanted)[0])
+
+
+def _hosts(corners: Corners, count: int) -> NDArray[np.int64]:
+    """The camera that each board goes with: the left one, if it saw the board."""
+    host = np.ones(count, dtype=np.int64)
+    host[corners.board[corners.camera == 0]] = 0
+    return host
+
+
+def placements(camera: Camera, pan: Array) -> Array:
+    """Place a camera for readings (b,), rad: rig_T_camera (b, 4, 4)."""
+    turns = np.tile(np.eye(4), (len(pan), 1, 1))
+    angle = pan + camera.pan_zero
+    turns[:, :3, :3] = Rotation.from_rotvec(angle[:, None] * camera.pan_axis).as_matrix()
+    turns[:, :3, 3] = camera.pan_center
+    placed_there: Array = turns @ camera.mount
+    return placed_there
+
+
+def _motion(camera: Camera, pan: Array, turned_on: Array, change: Array, points: Array) -> Array:
+    """How a step of a camera carries points (b, 3) that go with it, to first order, (b, 6)."""
+    placed_there = placements(camera, pan)
+    turned = placed_there[:, :3, :3] @ camera.mount[:3, :3].T
+    about_center = change[AXIS] - turned @ change[AXIS]
+    about_center = about_center + (change[ZERO] + turned_on)[:, None] * camera.pan_axis
+    about_camera = turned @ change[TURN]
+    shift = (
+        change[CENTER]
+        + turned @ change[OFFSET]
+        + np.cross(about_center, points - camera.pan_center)
+        + np.cross(about_camera, points - placed_there[:, :3, 3])
+    )
+    return np.concatenate([shift, about_center + about_camera], axis=1)

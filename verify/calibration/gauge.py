@@ -1,0 +1,243 @@
+"""What the pictures of boards cannot tell, and the choice that takes its place.
+
+The rig's frame is ours to choose: its origin stands midway between the pan centres, x from the
+left one to the right one, and of the turns about x the one is taken at which the mean of the two
+upward directions has no z component. A camera's upward direction is its pan axis where its base
+was turned, the camera's own y axis where it was not.
+
+A base that never turned shows no axis: its pan centre is the optical centre, its axis +y, its
+zero 0, and the camera's orientation goes to the mount's rotation. A base that turned leaves the
+position along its axis open, held at 0 in the mount, and the turn about the axis, which goes to
+the pan zero.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import null_space
+from scipy.spatial.transform import Rotation
+
+from verify.calibration.parameters import (
+    AXIS,
+    CENTER,
+    KEYS,
+    LENS,
+    OFFSET,
+    SIDES,
+    TURN,
+    WIDTH,
+    ZERO,
+    State,
+)
+from verify.records import Array
+from verify.rig import Camera
+
+FIXED, TURNING, CENTRED = "fixed", "turning", "centred"
+# centred: turned, but too little to show where the axis passes: through the optical centre, then
+LENS_KEYS = ("k1", "k2", "p1", "p2", "k3")
+FOCAL_TIE = "fy_px"  # held: fy equals fx
+UNSEEN: dict[str, tuple[str, ...]] = {  # what is held of each kind of base
+    FIXED: (*KEYS[AXIS], KEYS[ZERO], *KEYS[OFFSET]),
+    CENTRED: (*KEYS[OFFSET],),
+    TURNING: (),
+}
+Y = np.array([0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """What is free in an adjustment."""
+
+    bases: tuple[str, str]  # left and right: FIXED, TURNING or CENTRED
+    held: tuple[str, ...] = ()  # left.k3: at 0; left.fy_px: fy equals fx
+    pan_precision: float = np.inf  # 1/rad², of a pan reading against corners' stated weights
+
+    @property
+    def pan_errors(self) -> bool:
+        """The bases may stand off their readings."""
+        return bool(np.isfinite(self.pan_precision)) and any(b != FIXED for b in self.bases)
+
+
+def settle(state: State, model: Model, pan: Array) -> State:
+    """Bring a state into the gauge exactly; no picture of a board changes.
+
+    Args:
+        state: any state.
+        model: which bases turned, and what is held.
+        pan: (2,), rad, the readings at which bases that never turned stand.
+    """
+    cameras = [
+        _centred(_with_held(c, side, model), base, p)
+        for c, side, base, p in zip(state.cameras, SIDES, model.bases, pan, strict=True)
+    ]
+    new_T_old = _rig_frame(cameras, model.bases, pan)
+    turned = [_carried(c, new_T_old) for c in cameras]
+    left, right = (
+        _upright(c, p) if base == FIXED else _unspun(c)
+        for c, base, p in zip(turned, model.bases, pan, strict=True)
+    )
+    return State(left, right, new_T_old @ state.boards, state.pan_error)
+
+
+def _with_held(camera: Camera, side: str, model: Model) -> Camera:
+    matrix, distortion = camera.matrix.copy(), camera.distortion.copy()
+    for i, key in enumerate(LENS_KEYS):
+        if f"{side}.{key}" in model.held:
+            distortion[i] = 0.0
+    if f"{side}.{FOCAL_TIE}" in model.held:
+        matrix[[0, 1], [0, 1]] = (matrix[0, 0] + matrix[1, 1]) / 2
+    return replace(camera, matrix=matrix, distortion=distortion)
+
+
+def _centred(camera: Camera, base: str, pan: float) -> Camera:
+    """Put the pan centre where it may be seen, or chosen."""
+    mount = camera.mount.copy()
+    if base == TURNING:
+        along = camera.pan_axis * (camera.pan_axis @ mount[:3, 3])
+        mount[:3, 3] -= along
+        return replace(camera, mount=mount, pan_center=camera.pan_center + along)
+    centre = camera.rig_T_camera(pan)[:3, 3]
+    mount[:3, 3] = 0.0
+    return replace(camera, mount=mount, pan_center=centre)
+
+
+def upward(camera: Camera, base: str, pan: float) -> Array:
+    """The direction that the turn of the rig about x goes by, (3,)."""
+    if base == FIXED:
+        return np.asarray(camera.rig_T_camera(pan)[:3, 1], dtype=np.float64)
+    return camera.pan_axis * _sense(camera.pan_axis)
+
+
+def _sense(axis: Array) -> float:
+    """A base whose readings grow the other way has its axis along -y."""
+    return -1.0 if axis[1] < 0 else 1.0
+
+
+def _rig_frame(cameras: list[Camera], bases: tuple[str, str], pan: Array) -> Array:
+    left, right = (c.pan_center for c in cameras)
+    x = (right - left) / np.linalg.norm(right - left)
+    up = sum(upward(c, b, p) for c, b, p in zip(cameras, bases, pan, strict=True))
+    y = up - x * (x @ up)
+    y = y / np.linalg.norm(y)
+    new_T_old = np.eye(4)
+    new_T_old[:3, :3] = [x, y, np.cross(x, y)]
+    new_T_old[:3, 3] = -new_T_old[:3, :3] @ (left + right) / 2
+    return new_T_old
+
+
+def _carried(camera: Camera, new_T_old: Array) -> Camera:
+    """Express a camera in another rig frame; at angle 0 the turntable's axes are the rig's."""
+    turn = np.eye(4)
+    turn[:3, :3] = new_T_old[:3, :3]
+    return replace(
+        camera,
+        pan_center=turn[:3, :3] @ camera.pan_center + new_T_old[:3, 3],
+        pan_axis=turn[:3, :3] @ camera.pan_axis,
+        mount=turn @ camera.mount,
+    )
+
+
+def _upright(camera: Camera, pan: float) -> Camera:
+    """Give a base that never turned the axis +y; the orientation goes to the mount."""
+    mount = np.eye(4)
+    turned_back = Rotation.from_rotvec(-Y * pan).as_matrix()
+    mount[:3, :3] = turned_back @ camera.rig_T_camera(pan)[:3, :3]
+    return replace(camera, pan_axis=Y, pan_zero=0.0, mount=mount)
+
+
+def _unspun(camera: Camera) -> Camera:
+    """Move the mount's turn about the pan axis to the pan zero."""
+    axis, mount, zero = camera.pan_axis, camera.mount.copy(), camera.pan_zero
+    for _ in range(20):  # converges as the mount's tilt squared
+        spin = float(axis @ Rotation.from_matrix(mount[:3, :3]).as_rotvec())
+        back = Rotation.from_rotvec(-axis * spin).as_matrix()
+        mount[:3] = back @ mount[:3]
+        zero += spin
+        if abs(spin) < 1e-15:
+            break
+    return replace(camera, mount=mount, pan_zero=zero)
+
+
+def constraints(state: State, model: Model, pan: Array) -> tuple[Array, dict[str, int]]:
+    """The gauge and what is held, as rows on a step of the parameters that must stay 0.
+
+    Returns:
+        Rows (c, 44), and at which row each held coefficient stands.
+    """
+    rows: list[Array] = []
+    unit = np.eye(2 * WIDTH)
+    ends = [unit[side * WIDTH : (side + 1) * WIDTH] for side in (0, 1)]
+    for axis in (1, 2):
+        rows += [own[CENTER][axis] for own in ends]
+    rows.append(ends[0][CENTER][0] + ends[1][CENTER][0])
+    level = np.zeros(2 * WIDTH)
+    for own, camera, base, p in zip(ends, state.cameras, model.bases, pan, strict=True):
+        level += _tilt(own, camera, base, p)
+        rows += _base_rows(own, camera, base)
+    rows.append(level)
+    place: dict[str, int] = {}
+    for name in model.held:
+        side, _, key = name.partition(".")
+        own = ends[SIDES.index(side)]
+        place[name] = len(rows)
+        rows.append(own[1] - own[0] if key == FOCAL_TIE else own[LENS][LENS_KEYS.index(key)])
+    return np.array(rows), place
+
+
+def free_directions(rows: Array) -> Array:
+    """An orthonormal basis (44, p) of the steps that the constraints leave."""
+    return np.asarray(null_space(rows), dtype=np.float64)
+
+
+def _tilt(own: Array, camera: Camera, base: str, pan: float) -> Array:
+    """Change of the upward direction's z component; (u × w)_z = u_x w_y - u_y w_x for a turn u."""
+    up = upward(camera, base, pan)
+    if base == FIXED:
+        turned = Rotation.from_rotvec(camera.pan_axis * (pan + camera.pan_zero)).as_matrix()
+        by_turn = np.array([up[1], -up[0], 0.0]) @ turned
+        return np.asarray(by_turn @ own[TURN])
+    return np.asarray(np.array([up[1], -up[0], 0.0]) @ own[AXIS])
+
+
+def _base_rows(own: Array, camera: Camera, base: str) -> list[Array]:
+    if base == FIXED:
+        return [*own[AXIS], own[ZERO], *own[OFFSET]]
+    axis = camera.pan_axis
+    turn = Rotation.from_matrix(camera.mount[:3, :3]).as_rotvec()
+    # (d × axis) · w = d · (axis × w): how a step d of the axis changes its product with w
+    rows = [
+        axis @ own[AXIS],
+        np.cross(axis, turn) @ own[AXIS] + axis @ _log_derivative(turn) @ own[TURN],
+    ]
+    if base == CENTRED:
+        return [*rows, *own[OFFSET]]
+    offset = camera.mount[:3, 3]
+    return [*rows, np.cross(axis, offset) @ own[AXIS] + axis @ own[OFFSET]]
+
+
+def _log_derivative(w: Array) -> Array:
+    """Inverse left Jacobian of SO(3): log(exp(d) exp(w)) = w + J d, to first order.
+
+    Source: Solà et al., A micro Lie theory for state estimation in robotics, 2018, eq. 146.
+    """
+    angle = float(np.linalg.norm(w))
+    cross = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+    if angle < 1e-4:
+        factor = 1 / 12
+    else:
+        factor = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
+    jacobian: Array = np.eye(3) - cross / 2 + factor * cross @ cross
+    return jacobian
+
+
+def fixed_names(model: Model) -> tuple[str, ...]:
+    """What the pictures do not determine, named for the reader."""
+    names: list[str] = []
+    for side, base in zip(SIDES, model.bases, strict=True):
+        unseen = {
+            FIXED: (*KEYS[AXIS], KEYS[ZERO], *KEYS[OFFSET]),
+            CENTRED: (*KEYS[OFFSET],),
+            TURNING: (),
+        }
+        names += [f"{side}.{key}" for key in unseen[base]]
+    return (*names, *model.held)
