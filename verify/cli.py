@@ -45,7 +45,7 @@ app = typer.Typer(
 )
 for command in (run, report, board, simulate, robots, emulate):
     app.command(epilog=EVERYWHERE)(command)
-app.add_typer(calibrate)
+app.add_typer(calibrate, name="calibrate", epilog=EVERYWHERE)
 
 
 @app.callback()

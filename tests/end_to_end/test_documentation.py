@@ -22,7 +22,11 @@ from verify.sim import library
 
 README = ROOT / "README.md"
 DOCUMENTS = sorted([README, ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
-GROUPS = {g.name: g.typer_instance for g in app.registered_groups if g.typer_instance is not None}
+GROUPS = {
+    str(group.name): group.typer_instance
+    for group in app.registered_groups
+    if group.typer_instance is not None
+}
 COMMANDS = sorted(
     f"{group} {c.callback.__name__}".strip()
     for group, commands in {"": app, **GROUPS}.items()
