@@ -32,7 +32,7 @@ from tests.verify.recorded import require_shared
 from tests.verify.scene import project
 from verify import rig_file
 from verify.board import Board, BoardPair, BoardView
-from verify.calibration import bundle
+from verify.calibration import bundle, follow
 from verify.calibration.boards import calibrate, stack
 from verify.calibration.covariance import in_si
 from verify.calibration.parameters import NAMES, State
@@ -79,6 +79,22 @@ def test_every_derivative_is_what_opencv_shows_with_the_parameter_moved() -> Non
         expected = (ends[0] - ends[1]) / (2 * step)
         # rounding of 1e-12 px over the step; an axis' turn about itself moves nothing else
         assert np.abs(by_rig[:, :, i] - expected).max() < 1e-6 * np.abs(expected).max() + 1e-3, name
+
+
+def test_a_step_that_the_boards_follow_is_the_straight_one_to_first_order() -> None:
+    rng = np.random.default_rng(15)
+    rig, boards, pan = turning_rig(), poses(rng, 6), readings(rng, 6)
+    corners = stack(make_pairs(rig, boards, None, pan), BOARD)
+    state = State(rig.left, rig.right, boards, np.zeros((6, 2)))
+    by_rig, by_board = bundle.derivatives(state, corners)
+    change, own = rng.normal(0, 1e-3, 44), rng.normal(0, 1e-3, (6, 8))
+    straight = by_rig @ change + np.einsum("nij,nj->ni", by_board, own[corners.board])
+    start = bundle.predict(state, corners)
+    off = []
+    for share in (1e-2, 1e-3):
+        there = bundle.predict(follow.step(state, corners, share * change, share * own), corners)
+        off.append(np.abs(there - start - share * straight).max())
+    assert off[1] < 0.02 * off[0]  # a tenth of the step, a hundredth of what is left
 
 
 @pytest.mark.parametrize("kind", ["fixed", "turning"])
