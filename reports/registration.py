@@ -166,7 +166,7 @@ def base(results: Results) -> Section:
     entry = summary.get("base") or {}
     blocks: list[Block] = []
     if entry:
-        blocks.append(_base_table(entry))
+        blocks.append(_base_table(entry, summary.get("method") == "motion"))
     else:
         blocks.append(Paragraph("The robot's base was not found."))
     if summary.get("leds"):
@@ -178,7 +178,7 @@ def base(results: Results) -> Section:
     return Section("base", "Base and LEDs", tuple(blocks))
 
 
-def _base_table(entry: dict[str, Any]) -> Table:
+def _base_table(entry: dict[str, Any], through_encoders: bool) -> Table:
     empty = [None] * 3
     rows = [
         row(f"{name}, {axis} [{sign}]", measured(value, u, signed=False))
@@ -190,7 +190,7 @@ def _base_table(entry: dict[str, Any]) -> Table:
                                   strict=True)
     ]  # fmt: skip
     title = "Robot base in the rig, with standard uncertainties (k = 1)."
-    note = (Words.HELD_BASE,) if entry.get("held") else ()
+    note = (Words.HELD_BASE,) if entry.get("held") else (Words.THROUGH,) * through_encoders
     return Table(title, "lr", ("Quantity", "Value ± u"), tuple(rows), note)
 
 

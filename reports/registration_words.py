@@ -26,6 +26,10 @@ class Words:
         "Pairs that were held out fit clearly worse than those that were registered on: something "
         "moves that is held fixed here, or the motion is too poor. Look at the residuals over time."
     )
+    THROUGH = (
+        "Stated for encoders without errors of their own; what a constant offset of a joint moves "
+        "with it is in the absorption matrix of rig.toml."
+    )
     HELD_BASE = "The base was held as the rig had it."
     HELD_LEDS = "The LEDs were held as the marker had them."
     NOTHING_HIDDEN = (

@@ -21,6 +21,7 @@ VIDEOS = {".mkv", ".avi", ".mp4", ".mov", ".webm", ".m4v"}
 LAYOUT = "expected are left/ and right/ with pictures, or two videos left.* and right.*"
 
 PANS = ("pan_left_deg", "pan_right_deg")
+SMALLEST_TURN = np.deg2rad(1.5)  # of a base that is turned on purpose; ± 45° read as radians
 
 Size = tuple[int, int]
 
@@ -235,7 +236,16 @@ def _pan(path: Path, count: int) -> tuple[tuple[Array, Array], tuple[str, ...]]:
         found = f"has {len(columns['frame'])} rows"
         raise InputError(path, found, f"there are {count} pairs", "Write one row a pair.")
     pan = tuple(np.deg2rad(columns[name]) if name in columns else still for name in PANS)
-    return (pan[0], pan[1]), tuple(_misnamed(path, table.header, there))
+    notes = (*_misnamed(path, table.header, there), *_small(path, pan))
+    return (pan[0], pan[1]), notes
+
+
+def _small(path: Path, pan: tuple[Array, ...]) -> Iterator[str]:
+    """Warn of angles that are varied but tiny: radians, as a rule."""
+    for name, angles in zip(PANS, pan, strict=True):
+        if 0 < np.ptp(angles) < SMALLEST_TURN:
+            span = np.rad2deg(np.ptp(angles))
+            yield one_line(f"{path}: {name} spans {span:.2g}°; are these radians?")
 
 
 def _misnamed(path: Path, header: list[str], there: list[str]) -> Iterator[str]:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from verify.board import Board, BoardPair
-from verify.calibration import bases, bundle, order, refusals, robust, starting
+from verify.calibration import bases, bundle, flatness, order, refusals, robust, starting
 from verify.calibration.covariance import stated
 from verify.calibration.estimate import Estimate, board_covariance, estimate, response
 from verify.calibration.gauge import FIXED, Model, fixed_names
@@ -71,22 +71,36 @@ def calibrate(
     state = robust.settle_roughly(rough.state, corners, model)
     state, used = robust.adjust(state, corners, model)
     progress(3, STAGES)
-    found, scatter, loose = bases.settled(estimate(state, corners, model, used), corners)
+    flat, corners, bow = flatness.straightened(
+        estimate(state, corners, model, used), corners, board
+    )
+    if bow is not None:  # corners that only the bow put off come back
+        state, used = robust.adjust(flat.state, corners, model)
+        flat, corners, again = flatness.straightened(
+            estimate(state, corners, model, used), corners, board
+        )
+        bow = bow if again is None else again
+    found, scatter, loose = bases.settled(flat, corners)
+    if scatter is not None:
+        refusals.wrong_readings(scatter.deviation)
     dropped: tuple[order.Dropped, ...] = ()
     if lens == "supported":
         found, dropped = order.reduce(found, corners)
     progress(4, STAGES)
     state, used = robust.adjust(found.state, corners, found.model)
     found = estimate(state, corners, found.model, used)
+    if bow is not None:
+        bow = flatness.restated(bow, found, corners, board)
     decisions = (
         *begin.notes,
         *loose,
         *(d.sentence for d in dropped),
         *bases.sentences(found, scatter, corners.pan),
+        *(() if bow is None else (bow.sentence,)),
         *_sentences(found, board),
     )
     progress(STAGES, STAGES)
-    return _calibration(found, corners, begin, board, image_size, dropped, scatter, decisions)
+    return _calibration(found, corners, begin, board, image_size, dropped, scatter, decisions, bow)
 
 
 def stack(pairs: Sequence[BoardPair], board: Board) -> Corners:
@@ -120,8 +134,9 @@ def _calibration(
     dropped: Sequence[order.Dropped],
     scatter: Scatter | None,
     decisions: tuple[str, ...],
+    bow: flatness.Bow | None,
 ) -> Calibration:
-    full, boards = _covariances(found, board, dropped)
+    full, boards = _covariances(found, board, dropped, bow)
     frames = np.array([p.frame for p in begin.pairs])
     left, right = (
         _with_reading(camera, base, corners.pan[:, side], scatter)
@@ -163,12 +178,17 @@ def _calibration(
 
 
 def _covariances(
-    found: Estimate, board: Board, dropped: Sequence[order.Dropped]
+    found: Estimate,
+    board: Board,
+    dropped: Sequence[order.Dropped],
+    bow: flatness.Bow | None,
 ) -> tuple[Array, Array]:
     """Of the rig's parameters (44, 44) and of the boards' poses (b, 6, 6)."""
     full = found.covariance
     if dropped:
         full = full + order.left_open(dropped, response(found, tuple(d.name for d in dropped)))
+    if bow is not None:  # fitted along, so not known exactly
+        full = full + found.together * bow.response @ bow.covariance @ bow.response.T
     boards = board_covariance(found, full)
     if board.square_standard_uncertainty:  # all lengths grow with the squares, together
         share = board.square_standard_uncertainty / board.square
@@ -205,7 +225,7 @@ def _sentences(found: Estimate, board: Board) -> list[str]:
                     "contradict them.")  # fmt: skip
     if found.together > 1:
         said.append(
-            "corners of a pair err together (a board that is not flat, blur): every standard "
+            "corners of a pair err together (a board that bends in the hand, blur): every standard "
             f"uncertainty is {np.sqrt(found.together):.2f} times what single residuals say."
         )
     if board.square_standard_uncertainty is None:

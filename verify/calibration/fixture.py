@@ -95,6 +95,8 @@ def register_fixture(
     used, common, warnings = _agreeing(seen, effects, parameters, noise)
     base, by_board, by_fixture = _base(common.pose, base_T_board)
     fixture = by_fixture @ base_T_board_covariance @ by_fixture.T
+    size = by_board @ _by_square(rig, pairs, board, common.pose)
+    fixture = fixture + np.outer(size, size)
     own = by_board @ common.own @ by_board.T + fixture
     covariance = extend(
         rig.covariance, BASE_NAMES, by_board @ _spread(rig, parameters, common.by_rig), own
@@ -122,6 +124,25 @@ def register_fixture(
         decisions=_decisions(seen, used, noise, common, fixture),
         warnings=(*warnings, *_unstated(rig, parameters, base_T_board_covariance)),
     )
+
+
+def _by_square(rig: Rig, pairs: Sequence[BoardPair], board: Board, pose: Array) -> Array:
+    """What a standard uncertainty of the squares moves the board's pose by, (6,), m and rad."""
+    sigma = board.square_standard_uncertainty
+    if not sigma:
+        return np.zeros(6)
+    ends = [
+        np.array(
+            [
+                difference(m.pose.rig_T_flange, pose)
+                for m in board_poses(rig, pairs, replace(board, square=board.square + s * sigma))
+                if m.pose
+            ]
+        ).mean(axis=0)
+        for s in (0.5, -0.5)
+    ]
+    moved: Array = ends[0] - ends[1]
+    return moved
 
 
 def _cameras_only(given: Covariance | None) -> Covariance | None:

@@ -35,6 +35,7 @@ FEWEST_PAIRS = 6  # three poses determine base and LEDs, as many check them
 TYPICAL_DIAMETER = 5e-3  # m, of an LED, until its image has told
 WILD = 30.0  # times the session's own misfit: a pair whose readings belong to another moment
 POSE_ROWS = 6
+STRANGE_PX = 10.0  # rms: a degree of joint error makes a few; these are another robot's readings
 
 
 def _quiet(_done: int, _total: int) -> None:
@@ -86,6 +87,7 @@ def register_motion(
     spotted = stack(seen, recording.rig)
     adjusted = _observable(spotted, setup, at, free)
     adjusted, wild = _without_wild_pairs(adjusted, setup)
+    _refuse_strange(adjusted, place)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
     diameter = round(float(np.median([s.diameter for s in seen])), 4)
     found = Found(adjusted, setup, start, diameter, dict(sorted(left_out.items())))
@@ -101,7 +103,9 @@ def _checked(recording: Recording, marker: Marker | None, keep_base: bool, keep_
             "Register the base by a fixture first, or fit it as well.",
         )  # fmt: skip
     if keep_leds and marker is None:
-        raise InputError("--keep-leds", "no marker.toml is given", "", "Give it with --marker.")
+        raise InputError(
+            "--keep-leds", "no marker.toml is given", "", "Give it with --known-marker."
+        )
     return Held(keep_base, keep_leds)
 
 
@@ -212,6 +216,18 @@ def _observable(
         skew=adjusted.at.skew if still[-1] else 0.0,
     )
     return adjust(adjusted.spotted, setup, back, still)
+
+
+def _refuse_strange(adjusted: Adjusted, place: str) -> None:
+    """Refuse readings that do not belong to what the pictures show."""
+    left = adjusted.predicted.residual[adjusted.spotted.used]
+    rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1)))) if len(left) else np.inf
+    if rms > STRANGE_PX:
+        raise InputError(
+            place, f"the readings put the LEDs {rms:.0f} px (rms) from where they are seen",
+            f"{STRANGE_PX:.0f} px are the worst that joint errors explain",
+            "Check the robot's name, the readings' unit (degrees) and order, and the rig.",
+        )  # fmt: skip
 
 
 def _without_wild_pairs(adjusted: Adjusted, setup: Setup) -> tuple[Adjusted, list[int]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify import marker_file, rig_file
-from verify.calibration.absorption import absorption, visible_fractions
+from verify.calibration.absorption import absorption, inherited, visible_fractions
 from verify.calibration.motion_adjust import Adjusted, Setup, adjust
 from verify.calibration.motion_marker import found_marker
 from verify.calibration.motion_model import predict
@@ -60,6 +60,7 @@ def outcome(
     marker = found_marker(at.leds, diameter, named)
     if held.leds and named is not None:
         marker = named
+    before = inherited(recording.rig, marker, base=held.base, leds=held.leds)
     covariance = with_inherited(recording.rig, marker, adjusted, held_marker=held.leds)
     if held.leds:  # stated in the rig's covariance now, where its correlation with the base is
         marker = replace(marker, body_standard_uncertainty=None, led_standard_uncertainty=None)
@@ -67,7 +68,7 @@ def outcome(
         recording.rig,
         rig_T_base=at.rig_T_base,
         base_source=recording.rig.base_source if held.base else "motion",
-        absorption=absorption(adjusted),
+        absorption=absorption(adjusted, before),
         covariance=covariance,
     )
     rig, marker = _signed(rig, marker)
@@ -81,7 +82,7 @@ def outcome(
         clock_standard_uncertainty=shown[0],
         skew=at.skew,
         skew_standard_uncertainty=shown[1],
-        visible_fractions=visible_fractions(adjusted),
+        visible_fractions=visible_fractions(adjusted, before),
         rms_px=_rms(adjusted.predicted.residual[spotted.used]),
         fit_rms_px=fit_rms,
         held_out_rms_px=held_out,
@@ -97,7 +98,7 @@ def outcome(
             used=spotted.used,
         ),
         decisions=tuple(_decisions(recording, named, held, adjusted, diameter)),
-        warnings=(*recording.warnings, *map(one_line, _warnings(adjusted, found.start, shown))),
+        warnings=tuple(map(one_line, _warnings(adjusted, found.start, shown))),
     )
 
 

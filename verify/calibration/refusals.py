@@ -14,6 +14,7 @@ FEWEST_PAIRS = 3
 LOOSE = 0.01  # of the focal length: 6 mm at 0.6 m, which is no calibration
 ALIKE = np.deg2rad(6.0)  # boards whose normals spread by less are parallel
 NAMED = 8  # pairs that a message lists
+WORST_PAN = np.deg2rad(2.0)  # scatter of readings beyond which they are no readings
 MORE = "Move the board through the whole picture, near and far, tilted 20 to 40° every way."
 
 
@@ -100,6 +101,18 @@ def inconsistent(relation: Relation, pairs: int, turned: bool) -> None:
         expected = "the cameras must stand still, or their pan angles be given"
         remedy = "Check that left and right were taken together; give pan angles in frames.csv."
     raise InputError("pairs", found, expected, remedy)
+
+
+def wrong_readings(scatter: float) -> None:
+    """Refuse pan readings that the pictures contradict.
+
+    Raises:
+        InputError: the bases stand `scatter` (rad, rms) off them.
+    """
+    if scatter > WORST_PAN:
+        found = f"stand {np.rad2deg(scatter):.1f}° (rms) off the pan angles given"
+        remedy = "Check the pan columns of frames.csv: degrees, their signs and their order."
+        raise InputError("pairs", found, f"± {np.rad2deg(WORST_PAN):.0f}° is the worst", remedy)
 
 
 def undetermined(found: Estimate) -> None:

@@ -113,9 +113,9 @@ def register(
         typer.Argument(help="A recorded motion; with --board-in-base, pictures of that board."),
     ],
     out: RigOut = Path("rig.toml"),
-    marker_out: Annotated[Path, typer.Option("--marker", help="The marker file to write.")] = Path(
-        "marker.toml"
-    ),
+    marker: Annotated[
+        Path | None, typer.Option(help="The marker file to write; default: marker.toml.")
+    ] = None,
     rig: Annotated[
         Path | None, typer.Option(help="The calibrated rig, instead of the session's own.")
     ] = None,
@@ -157,15 +157,18 @@ def register(
     calibrating.refuse_contradictions(
         fixture=fixture,
         motion_only={
-            "--leds": leds is not None, "--known-marker": known_marker is not None,
-            "--keep-base": keep_base, "--keep-leds": keep_leds, "--sweeps": sweeps,
+            "--marker": marker is not None, "--leds": leds is not None,
+            "--known-marker": known_marker is not None, "--keep-base": keep_base,
+            "--keep-leds": keep_leds, "--sweeps": sweeps,
         },
         fixture_only={"--corners": corners is not None, "--square-mm": square_mm is not None},
     )  # fmt: skip
+    marker_out = marker if marker is not None else Path("marker.toml")
     target = report if report is not None else Path(f"{session.resolve().name}-registration")
     refuse_file(out, force=force)
-    if not (fixture or keep_leds):
+    if not fixture:
         refuse_file(marker_out, force=force)
+        calibrating.refuse_one_file(out, marker_out)
     refuse_existing(target, force=force)
     if board_in_base is not None:
         calibrating.by_fixture(

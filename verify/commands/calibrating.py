@@ -56,6 +56,8 @@ def board_by_option(
         missing = "--corners" if corners is None else "--square-mm"
         remedy = "Give both, or neither and a board.toml in the folder."
         raise InputError(missing, "is missing", "corners and square make a board together", remedy)
+    if 0 < square_mm < board_file.SMALLEST_MM:
+        terminal.warn(f"--square-mm: is {square_mm} mm; is that in metres?")
     table = BoardTable(
         format=FORMAT,
         inner_corners=parse_corners(corners),
@@ -84,6 +86,13 @@ def refuse_contradictions(
     if given:
         way = "a board on the base" if fixture else "a motion"
         raise InputError(given[0], f"has no meaning when {way} is used", "", "Leave it out.")
+
+
+def refuse_one_file(out: Path, marker_out: Path) -> None:
+    """Refuse to write the marker over the rig."""
+    if out.resolve() == marker_out.resolve():
+        expected = "rig and marker are two files"
+        raise InputError(marker_out, "is named for both", expected, "Give --marker another name.")
 
 
 def by_fixture(
@@ -160,9 +169,8 @@ def by_motion(
         force=force,
     )
     rig_file.write(out, found.rig)
-    if not wishes.keep_leds:
-        marker_file.write(marker_out, found.marker)
-    written = [out] if wishes.keep_leds else [out, marker_out]
+    marker_file.write(marker_out, found.marker)  # kept LEDs too: it carries the registration
+    written = [out, marker_out]
     words = (*found.decisions, *_hidden(found), *(swept.decisions if swept else ()))
     _say(words, written, target)
 
@@ -205,7 +213,18 @@ def checked(
 ) -> "CheckResult":
     """Check a rig by a session's LEDs, a bar, or pictures of a board."""
     rig = None if rig_path is None else rig_file.read(rig_path, registered=False)[0]
+    if length_uncertainty_mm is not None and length_mm is None:
+        raise InputError(
+            "--length-uncertainty-mm", "has no length to belong to", "", "Give --length-mm too."
+        )
     if (source / "session.toml").exists():
+        if board is not None:
+            raise InputError(
+                "--corners",
+                "has no meaning for a session",
+                "its LEDs are measured",
+                "Leave it out.",
+            )
         session = open_session(source)
         session = session if rig is None else replace(session, rig=rig)
         with terminal.progress("pairs") as progress:

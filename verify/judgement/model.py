@@ -78,7 +78,7 @@ def build(
         registered = _registered(comparison, base=base, body=body)
         fitted = np.concatenate([clock_columns, registered], axis=2)
     hidden = _without_rounding(hidden, jacobian, white)
-    # a registration weighs its pictures, not the readings: so do the shares that it leaves
+    # shares are of what the pictures show, whatever the readings' noise
     pictures = whiten(comparison, comparison.covariance_measured)
     return Model(
         comparison=comparison,
