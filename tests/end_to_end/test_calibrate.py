@@ -118,7 +118,11 @@ def test_the_same_pictures_give_the_same_figures(
     np.testing.assert_allclose(
         one.covariance.standard_uncertainty, other.covariance.standard_uncertainty, rtol=1e-6
     )
-    assert (tmp_path / "r" / "report.pdf").read_bytes() == (report / "report.pdf").read_bytes()
+    said = [
+        json.loads((folder / "summary.json").read_text()) for folder in (report, tmp_path / "r")
+    ]
+    assert said[0]["pairs"] == said[1]["pairs"]
+    assert said[0]["decisions"] == said[1]["decisions"]
 
 
 def test_reports_are_built_again_from_results(calibrated: tuple[Path, Path, Outcome]) -> None:
