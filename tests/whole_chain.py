@@ -57,7 +57,7 @@ BOARD = Board(columns=9, rows=7, square=0.04, square_standard_uncertainty=8e-6)
 FIXTURE_BOARD = Board(columns=8, rows=5, square=0.03)
 CORNER_PX, SPOT_PX = 0.04, 0.03
 PAN_DEG = 0.01  # of each reading
-FINE_DEG = 0.001  # no two readings are alike, so that each errs by itself
+FINE_DEG = 1e-6  # no two readings are alike: registration takes like ones to err alike
 FIXTURE = np.array([1e-4] * 3 + [np.deg2rad(0.02)] * 3)  # m, rad: of the board on the base
 STATED = Uncertainty(led_body_mm=0.03, led_body_deg=0.02, led_mm=0.02, pan_deg=PAN_DEG)
 CLOCK = Clock(encoder_offset_standard_uncertainty_s=0.001)
