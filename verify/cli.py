@@ -14,6 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from verify.commands.board import board
 from verify.commands.calibrate import calibrate
+from verify.commands.doctor import doctor
 from verify.commands.emulate import emulate
 from verify.commands.report import report
 from verify.commands.robots import robots
@@ -43,7 +44,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,  # an unknown error shows Python's own traceback
     rich_markup_mode=None,
 )
-for command in (run, report, board, simulate, robots, emulate):
+for command in (run, report, board, simulate, robots, emulate, doctor):
     app.command(epilog=EVERYWHERE)(command)
 app.add_typer(calibrate, name="calibrate", epilog=EVERYWHERE)
 

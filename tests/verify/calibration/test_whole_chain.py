@@ -1,0 +1,57 @@
+"""From boards to mean joint errors in one seed, small: metrology.md section 5 (b) and (c)."""
+
+import numpy as np
+import pytest
+
+from tests.bench.whole_chain import WITHIN, d2_ratio, holds
+from tests.whole_chain import ARMS, Checked, replicate
+
+REPLICATES = 12  # d²/6 of two arms is then known to 12 %
+SEED = 20260131
+
+
+@pytest.fixture(scope="module")
+def outcomes() -> list[dict[str, Checked]]:
+    seeds = np.random.SeedSequence(SEED).generate_state(REPLICATES).tolist()
+    return [replicate(seed, apart=True) for seed in seeds]
+
+
+def of_arms(outcomes: list[dict[str, Checked]], what: str) -> list[Checked]:
+    return [o[f"{arm} {what}"] for o in outcomes for arm in ARMS]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["base", "base given rig", "means"])
+def test_d_squared_is_chi_squared(outcomes: list[dict[str, Checked]], what: str) -> None:
+    ratio, low, high = d2_ratio(of_arms(outcomes, what))
+    assert low < ratio < high
+
+
+@pytest.mark.slow
+def test_the_calibration_lies_as_near_its_truth_as_it_says(
+    outcomes: list[dict[str, Checked]],
+) -> None:
+    rigs = [o["rig"] for o in outcomes]
+    ratio, low, high = d2_ratio(rigs)
+    assert low < ratio < high
+    # parameters of a rig err together: worth some ten a rig, of which 95 % hold to 2 %
+    pooled = np.concatenate([r.z for r in rigs])
+    assert 0.88 < np.mean(np.abs(pooled) < WITHIN) < 0.99
+
+
+@pytest.mark.slow
+def test_every_joint_of_a_healthy_arm_is_found_healthy(outcomes: list[dict[str, Checked]]) -> None:
+    z = np.array([c.z for c in of_arms(outcomes, "means")])
+    assert z.shape == (REPLICATES * len(ARMS), 6)
+    assert all(holds(joint) for joint in z.T)
+
+
+@pytest.mark.slow
+def test_base_and_cameras_taken_as_independent_would_state_too_much(
+    outcomes: list[dict[str, Checked]],
+) -> None:
+    """What a registration found through the cameras shares with them cancels in the session."""
+    together = np.array([c.z for c in of_arms(outcomes, "means")])
+    apart = np.array([c.z for c in of_arms(outcomes, "means apart")])
+    # joint 1 turns with the base, which the cameras' own errors moved along
+    assert np.median(np.abs(apart[:, 0]) / np.abs(together[:, 0])) < 0.7

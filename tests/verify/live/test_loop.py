@@ -1,0 +1,422 @@
+"""The loop with devices that a test plays: what is measured, what is lost, what is said."""
+
+import ast
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import verify.live
+from tests.verify.live.spot_level import READ_EVERY, SpotRun, facing_rig, without_pictures
+from verify.cameras import CameraFrame, CameraState
+from verify.devices import DeviceState, EncoderReading
+from verify.live.alarms import Alarm
+from verify.live.clock_keeper import estimate
+from verify.live.joint_alarms import AlarmLimits
+from verify.live.joint_row import JointRow
+from verify.live.loop import Live, Plan
+from verify.live.outputs import Command, Lines, Posted
+from verify.live.ports import Devices, Subject
+from verify.measurement import Setup, measure
+from verify.readings import Readings
+from verify.records import Array, Measurement, StereoPair
+
+RATE = 10.0  # pairs a second: a machine that does other things keeps up
+WAIT = 0.02  # s
+
+
+@dataclass
+class Stage:
+    """What the played devices share: a clock, a robot, and what is wrong."""
+
+    run: SpotRun
+    began: float = field(default_factory=time.monotonic)
+    away: dict[str, tuple[float, float]] = field(default_factory=dict)
+    reset_at: float = float("inf")
+    ends_at: float = float("inf")
+
+    def now(self) -> float:
+        return time.monotonic() - self.began
+
+    def gone(self, name: str) -> bool:
+        begin, end = self.away.get(name, (0.0, 0.0))
+        return begin <= self.now() < end
+
+
+class PlayedCamera:
+    def __init__(self, stage: Stage, side: int) -> None:
+        self._stage, self._side, self._name = stage, side, ("left", "right")[side]
+        self._number = 0
+        self._last: float | None = None
+
+    def read(self) -> CameraFrame | None:
+        due = 0.1 + self._number / RATE
+        time.sleep(min(max(due - self._stage.now(), 0.0), WAIT))
+        if self._stage.now() < due:
+            return None
+        self._number += 1
+        if self._stage.gone(self._name):
+            return None
+        t = self._stage.began + due
+        self._last = time.monotonic()
+        spots = self._stage.run.spots(self._side, due)
+        if self._stage.gone("leds"):
+            spots = spots[:0]
+        from tests.verify.live.spot_level import picture
+
+        return CameraFrame(t, 0.0, picture(spots), None, self._number)
+
+    def state(self) -> CameraState:
+        age = None if self._last is None else time.monotonic() - self._last
+        return CameraState(not self._stage.gone(self._name), age, 0, 0, f"played {self._name}")
+
+    def close(self) -> None:
+        pass
+
+
+class PlayedEncoders:
+    def __init__(self, stage: Stage) -> None:
+        self._stage, self._number = stage, 0
+        self._last: float | None = None
+
+    def read(self) -> list[EncoderReading]:
+        time.sleep(0.005)
+        found = []
+        while self._number * READ_EVERY < self._stage.now() - 0.002:
+            reading = self._stage.run.reading(self._number)
+            self._number += 1
+            if self._stage.gone("encoders"):
+                continue
+            t_host = self._stage.began + self._number * READ_EVERY
+            reset = self._stage.reset_at
+            segment = int(reading.t_host >= reset)
+            t = reading.t - 7.0 if segment else reading.t
+            found.append(EncoderReading(t, t_host, 50e-6, segment, reading.q))
+        if found:
+            self._last = time.monotonic()
+        return found
+
+    def state(self) -> DeviceState:
+        age = None if self._last is None else time.monotonic() - self._last
+        running = self._stage.now() < self._stage.ends_at
+        return DeviceState(True, age, 0, 0, {}, "played encoders", running)
+
+    def close(self) -> None:
+        pass
+
+
+@dataclass(frozen=True)
+class Said:
+    recording: bool = False
+    sentence: str = "kept by the test"
+
+
+@dataclass
+class Memory:
+    """A recorder that keeps everything in memory."""
+
+    pairs: list[StereoPair] = field(default_factory=list)
+    readings: list[EncoderReading] = field(default_factory=list)
+    closed: bool = False
+
+    def keep(self, pairs: Iterator[StereoPair]) -> Iterator[StereoPair]:
+        for pair in pairs:
+            self.pairs.append(pair)
+            yield pair
+
+    def reading(self, reading: EncoderReading) -> EncoderReading:
+        self.readings.append(reading)
+        return reading
+
+    def state(self) -> Said:
+        return Said()
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@dataclass
+class Heard:
+    rows: list[JointRow] = field(default_factory=list)
+    alarms: list[Alarm] = field(default_factory=list)
+
+    def row(self, row: JointRow, _statistic: Array) -> None:
+        self.rows.append(row)
+
+    def alarm(self, alarm: Alarm) -> None:
+        self.alarms.append(alarm)
+
+    def close(self) -> None:
+        pass
+
+
+def watched(seconds: float, stage: Stage) -> tuple[Live, Memory, Heard]:
+    run = stage.run
+    devices = Devices(PlayedCamera(stage, 0), PlayedCamera(stage, 1), PlayedEncoders(stage))
+    recorder, heard = Memory(), Heard()
+    subject = Subject(run.arm, run.rig, run.marker, None)
+    plan = Plan(AlarmLimits(0.1, RATE, None), duration=seconds)
+    live = Live(subject, devices, recorder, plan, estimate, [heard])
+    with without_pictures():
+        live.run(threading.Event())
+    return live, recorder, heard
+
+
+def stage(**wrong: object) -> Stage:
+    rig, marker = facing_rig()
+    return Stage(SpotRun(rig, marker), **wrong)  # type: ignore[arg-type]  # fields of Stage
+
+
+def again(recorder: Memory, run: SpotRun) -> list[Measurement]:
+    """Measure the recorded pairs, as a session is."""
+    with without_pictures():
+        return list(measure(iter(recorder.pairs), Setup(run.rig, run.marker)))
+
+
+def test_live_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -> None:
+    played = stage()
+    _, recorder, heard = watched(4.0, played)
+    from verify.comparison import compare
+    from verify.joints import solve_joints
+    from verify.track import collect
+
+    measured = again(recorder, played.run)
+    assert recorder.closed
+    assert len(heard.rows) == len(measured) == len(recorder.pairs) > 25
+    live = [r for r in heard.rows if r.status == "measured"]
+    assert len(live) >= 0.9 * len(measured)
+    track = collect(measured, played.run.rig, [np.zeros((6, 2))] * len(measured))
+    readings = Readings(
+        np.array([r.t for r in recorder.readings]), np.array([r.q for r in recorder.readings])
+    )
+    clock = live[-1].clock
+    assert clock is not None
+    comparison = compare(track, played.run.arm, readings, clock.offset)
+    joints = solve_joints(comparison, played.run.arm)
+    found = dict(zip(track.t[comparison.index].tolist(), joints.q, strict=True))
+    for row in live:
+        if row.t in found:
+            np.testing.assert_array_equal(row.measured, found[row.t])
+
+
+def test_a_camera_that_goes_is_named_waited_for_and_taken_up_again() -> None:
+    _, _, heard = watched(6.0, stage(away={"left": (1.5, 3.5)}))
+    kinds = [(a.kind, a.device) for a in heard.alarms if a.ended is None]
+    assert ("device", "left camera") in kinds
+    assert ("target", None) in kinds
+    ended = {(a.kind, a.device) for a in heard.alarms if a.ended is not None}
+    assert {("device", "left camera"), ("target", None)} <= ended
+    assert not [a for a in heard.alarms if a.kind == "change"]
+
+
+def test_covered_leds_are_a_lost_target_and_never_no_error() -> None:
+    _, _, heard = watched(5.0, stage(away={"leds": (1.5, 3.2)}))
+    target = [a for a in heard.alarms if a.kind == "target"]
+    assert target
+    assert "too few LEDs" in target[0].text
+    assert target[-1].ended is not None
+    dark = [r for r in heard.rows if r.status == "too_few_leds"]
+    assert dark
+    assert all(np.isnan(r.error).all() for r in dark)
+
+
+def test_silent_encoders_leave_pairs_without_error_and_are_named() -> None:
+    _, _, heard = watched(4.5, stage(away={"encoders": (1.0, 9.0)}))
+    assert "no_encoder" in {r.status for r in heard.rows}
+    assert [a.device for a in heard.alarms if a.kind == "device"] == ["encoders"]
+    late = [r for r in heard.rows if r.status == "no_encoder"]
+    assert all(np.isnan(r.error).all() for r in late)
+
+
+def test_a_reset_controller_begins_a_new_clock_and_accuses_no_joint() -> None:
+    _, _, heard = watched(5.0, stage(reset_at=2.5))
+    segments = [r.clock.segment for r in heard.rows if r.clock is not None]
+    assert segments[0] == 0
+    assert segments[-1] == 1
+    assert not [a for a in heard.alarms if a.kind == "change"]
+    late = [r for r in heard.rows[-5:] if r.status == "measured"]
+    assert late
+    assert np.nanmax(np.abs(np.rad2deg([r.error[0] for r in late]))) < 0.5
+
+
+def test_the_run_ends_with_the_robot_s_program() -> None:
+    begin = time.monotonic()
+    watched(60.0, stage(ends_at=1.0))
+    assert time.monotonic() - begin < 20.0
+
+
+def test_a_listener_that_hangs_holds_up_nobody_and_gets_its_alarms() -> None:
+    release, heard = threading.Event(), Heard()
+
+    class Slow(Heard):
+        def row(self, _row: JointRow, _statistic: Array) -> None:
+            release.wait(30.0)
+
+        def alarm(self, alarm: Alarm) -> None:
+            heard.alarm(alarm)
+
+    posted = Posted(Slow(), lambda _words: None)
+    row = JointRow(0, 0.0, "measured", 4, *[np.zeros(6)] * 5, None)
+    begin = time.monotonic()
+    for _ in range(5000):
+        posted.row(row, np.zeros(6))
+    posted.alarm(Alarm(1, "target", 0.0, 0.0, "gone"))
+    assert time.monotonic() - begin < 5.0
+    release.set()
+    posted.close()
+    assert [a.number for a in heard.alarms] == [1]
+
+
+def test_json_lines_carry_units_the_clock_and_no_nan() -> None:
+    written: list[dict[str, object]] = []
+    lines = Lines(written.append)
+    row = JointRow(3, 1.5, "too_few_leds", 1, *[np.full(6, np.nan)] * 5, None)
+    lines.row(row, np.zeros(6))
+    lines.alarm(Alarm(1, "change", 2.0, 1.5, "text", (4, 3), 0.01, 0.001))
+    assert written[0]["error_deg"] == [None] * 6
+    assert written[0]["clock"] is None
+    assert written[1]["joint"] == 4
+    assert written[1]["not_told_apart_from"] == [3]
+    assert written[1]["error_deg"] == pytest.approx(0.573, abs=1e-3)
+
+
+def test_the_command_gets_the_facts_and_no_shell_reads_them(tmp_path: Path) -> None:
+    script, out = tmp_path / "told.py", tmp_path / "out"
+    script.write_text(
+        "import os, sys, pathlib\n"
+        "pathlib.Path(sys.argv[1]).write_text("
+        "os.environ['VERIFY_ALARM_JOINT'] + '|' + sys.argv[2] + '|' + sys.stdin.read())\n"
+    )
+    import sys
+
+    command = Command(f"{sys.executable} {script} {out} '$(touch nothing); *'")
+    command.alarm(Alarm(7, "change", 0.0, 0.0, "text", (4,), 0.01, 0.001))
+    joint, word, told = out.read_text().split("|")
+    assert (joint, word) == ("4", "$(touch nothing); *")
+    assert '"alarm": 7' in told
+    command.alarm(Alarm(8, "change", 0.0, 0.0, "text", (4,), 0.01, 0.001, revised=True))
+    assert '"alarm": 7' in out.read_text()  # a revision calls nobody again
+
+
+def test_nothing_that_watches_can_command_a_robot() -> None:
+    """What is imported knows no way to move one; only readers and their records."""
+    allowed = {"verify.devices"}  # protocols and records alone: drivers are opened by the station
+    for file in Path(verify.live.__file__).parent.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("verify."):
+                module = node.module or ""
+                if module.startswith(("verify.devices", "verify.emulators", "verify.sim")):
+                    assert module in allowed, f"{file.name} imports {module}"
+                    names = {alias.name for alias in node.names}
+                    assert names <= {
+                        "DeviceState",
+                        "EncoderReading",
+                        "Encoders",
+                        "Pan",
+                        "PanReading",
+                    }
+
+
+def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None:
+    import cv2
+
+    from verify.detection import detect
+    from verify.live.beside import BesideDetector
+
+    chance, said = np.random.default_rng(0), []
+    pictures = []
+    for x in (100.3, 140.8):
+        picture = np.zeros((240, 320), dtype=np.uint8)
+        cv2.circle(picture, (round(x), 120), 4, 200, -1, cv2.LINE_AA)
+        pictures.append(
+            cv2.GaussianBlur(picture, (0, 0), 1.2)
+            + chance.integers(0, 4, (240, 320)).astype(np.uint8)
+        )
+    windows = np.array([[60.0, 80.0, 200.0, 160.0]])
+    detector = BesideDetector(said.append)
+    for where in (None, windows):
+        found = detector(pictures[0], pictures[1], where, where)
+        for picture, spots in zip(pictures, found, strict=True):
+            expected = detect(picture, where)
+            np.testing.assert_array_equal(spots.centre, expected.centre)
+            np.testing.assert_array_equal(spots.covariance, expected.covariance)
+    helper = detector._helper
+    assert helper is not None
+    helper._process.kill()
+    found = detector(pictures[0], pictures[1], None, None)
+    assert len(found[1]) == 1
+    assert len(said) == 1
+    detector.close()
+
+
+def test_a_file_waits_until_its_pictures_are_measured() -> None:
+    from verify.live.intake import DEPTH, PairQueue, Pump, camera_step
+    from verify.live.pairing import Pairing
+
+    class File:
+        """Gives pictures as fast as they are read."""
+
+        def __init__(self) -> None:
+            self.number = 0
+
+        def read(self) -> CameraFrame | None:
+            if self.number == 200:
+                time.sleep(WAIT)
+                return None
+            self.number += 1
+            return CameraFrame(self.number / 30, 0.0, np.zeros((2, 2), np.uint8), None, 0)
+
+    queue, failed = PairQueue(Pairing(1 / 30)), []
+    pumps = [
+        Pump(str(side), camera_step(File(), side, queue, patient=True), lambda *e: failed.append(e))  # type: ignore[arg-type]  # what a camera step needs of one
+        for side in (0, 1)
+    ]
+    for pump in pumps:
+        pump.start()
+    times = []
+    for _ in range(200):
+        pair = queue.take()
+        assert pair is not None
+        times.append(pair.left.t)
+        time.sleep(0.001)
+    for pump in pumps:
+        pump.stop()
+        pump.join(5.0)
+    assert times == [k / 30 for k in range(1, 201)]
+    assert queue.dropped() == {}
+    assert failed == []
+    assert DEPTH < 200
+
+
+def test_the_live_table_says_what_stands() -> None:
+    from rich.console import Console
+
+    from verify.live.state import DeviceLine, LiveState
+    from verify.live.table import drawn
+
+    state = LiveState()
+    error = np.deg2rad([0.01, -0.02, 0.5, np.nan, 0.0, 0.0])
+    nothing = np.full(6, np.nan)
+    doubt = np.deg2rad(np.full(6, 0.02))
+    state.row(JointRow(1, 1.0, "measured", 4, nothing, nothing, error, doubt, error, None), doubt)
+    state.alarm(Alarm(1, "target", 0.0, 0.0, "Lost.\x1b[31m[red]"))
+    state.facts((DeviceLine("left camera", False, "gone"),), {"no partner in time": 3}, "kept")
+    console = Console(width=110, record=True, force_terminal=False, no_color=True)
+    with console.capture() as capture:
+        console.print(drawn(state.snapshot(), [0.2] * 6))
+    text = capture.get()
+    for part in (
+        "+0.500°",
+        "0.020°",
+        "left camera",
+        "gone",
+        "3 no partner in time",
+        "Lost.",
+        "[red]",
+    ):
+        assert part in text
+    assert "\x1b" not in text

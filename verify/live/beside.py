@@ -1,0 +1,93 @@
+"""Both pictures of a pair at once: the right one in a second process, for latency's sake."""
+
+import threading
+from collections.abc import Callable
+from multiprocessing.shared_memory import SharedMemory
+
+import numpy as np
+
+from verify.detection import detect
+from verify.live.helper import Helper, HelperLostError
+from verify.records import Array, Image, Spots
+
+PATIENCE = 1.0  # s for a picture, ten times what a whole frame takes; then it is done here
+Question = tuple[str, tuple[int, ...], Array | None]  # shared memory, shape, windows
+
+
+class BesideDetector:
+    """Finds the spots of both pictures at once; the same spots as one after the other.
+
+    Should the second process be lost, both pictures are searched here from then on.
+
+    Args:
+        warn: is told if so.
+
+    Raises:
+        HelperLostError: the second process does not start.
+    """
+
+    def __init__(self, warn: Callable[[str], None]) -> None:
+        self._warn = warn
+        self._helper: Helper[Question, Spots] | None = Helper(_detect_there, "right picture")
+        self._helper.wait_until_ready()
+        self._memory: SharedMemory | None = None
+        self._lock = threading.Lock()
+
+    def __call__(
+        self, left: Image, right: Image, left_windows: Array | None, right_windows: Array | None
+    ) -> tuple[Spots, Spots]:
+        """Find the spots of a pair.
+
+        Args:
+            left: (h, w) grey or (h, w, 3) BGR.
+            right: likewise.
+            left_windows: (m, 4) px, where to look; None: everywhere.
+            right_windows: likewise.
+        """
+        helper = self._helper
+        if helper is None:
+            return detect(left, left_windows), detect(right, right_windows)
+        try:
+            helper.begin((self._shared(right), right.shape, right_windows))
+            here = detect(left, left_windows)
+            return here, helper.finish(PATIENCE)
+        except HelperLostError as error:
+            self._warn(f"pictures are searched one after the other from now on: {error}")
+            self.close()
+            return detect(left, left_windows), detect(right, right_windows)
+
+    def close(self) -> None:
+        """End the second process."""
+        with self._lock:
+            if self._helper is not None:
+                self._helper.close()
+                self._helper = None
+            if self._memory is not None:
+                self._memory.close()
+                self._memory.unlink()
+                self._memory = None
+
+    def _shared(self, image: Image) -> str:
+        """Put a picture where both processes see it; the place's name."""
+        if self._memory is None or self._memory.size < image.nbytes:
+            if self._memory is not None:
+                self._memory.close()
+                self._memory.unlink()
+            self._memory = SharedMemory(create=True, size=image.nbytes)
+        view = np.ndarray(image.shape, dtype=np.uint8, buffer=self._memory.buf)
+        view[:] = image
+        return self._memory.name
+
+
+_attached: dict[str, SharedMemory] = {}  # in the second process: one, until the pictures grow
+
+
+def _detect_there(question: Question) -> Spots:
+    name, shape, windows = question
+    if name not in _attached:
+        for old in _attached.values():
+            old.close()
+        _attached.clear()
+        _attached[name] = SharedMemory(name=name)
+    image = np.ndarray(shape, dtype=np.uint8, buffer=_attached[name].buf)
+    return detect(image, windows)

@@ -1,0 +1,123 @@
+"""A second process for work that must not take the measurement's time: one question at once."""
+
+import multiprocessing
+import signal
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any, Generic, TypeVar
+
+Question = TypeVar("Question")
+Answer = TypeVar("Answer")
+START_LIMIT = 60.0  # s
+GOODBYE = 1.0  # s that it is given to end by itself
+
+
+class HelperLostError(Exception):
+    """The second process is gone, or its work failed; the words say why."""
+
+
+class Helper(Generic[Question, Answer]):
+    """Answers questions in a process of its own, which ends when this one does.
+
+    Args:
+        function: an importable function; question and answer are pickled.
+        name: what a list of processes calls it.
+    """
+
+    def __init__(self, function: Callable[[Question], Answer], name: str) -> None:
+        # not forked: a copy of a process with threads and cameras is no sound one
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_serve, args=(function, theirs), name=name, daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        self._lock = threading.Lock()
+        self._ready = False
+
+    def wait_until_ready(self) -> None:
+        """Wait until it has imported what it needs, which a busy machine takes seconds for.
+
+        Raises:
+            HelperLostError: it does not start.
+        """
+        if not self._ready:
+            self._received(START_LIMIT)
+            self._ready = True
+
+    def ask(self, question: Question, patience: float) -> Answer:
+        """Ask, and wait for the answer.
+
+        Args:
+            question: what the function takes.
+            patience: s.
+
+        Raises:
+            HelperLostError: no answer came, or the work failed.
+        """
+        with self._lock:
+            self.begin(question)
+            return self.finish(patience)
+
+    def begin(self, question: Question) -> None:
+        """Hand over a question; `finish` waits for its answer.
+
+        Raises:
+            HelperLostError: nobody is there.
+        """
+        self.wait_until_ready()
+        try:
+            self._connection.send(question)
+        except (OSError, ValueError) as error:
+            raise HelperLostError(str(error)) from error
+
+    def finish(self, patience: float) -> Answer:
+        """Wait for the answer to `begin`'s question.
+
+        Raises:
+            HelperLostError: none came, or the work failed.
+        """
+        answer: Answer = self._received(patience)
+        return answer
+
+    def _received(self, patience: float) -> Any:
+        try:
+            if not self._connection.poll(patience):
+                raise HelperLostError(f"no answer within {patience:g} s")
+            outcome, value = self._connection.recv()
+        except (OSError, EOFError) as error:
+            raise HelperLostError(str(error) or "the helper has ended") from error
+        if outcome == "failed":
+            raise HelperLostError(str(value))
+        return value
+
+    def close(self) -> None:
+        """Let it end."""
+        self._connection.close()
+        self._process.join(GOODBYE)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(GOODBYE)
+
+
+def _serve(function: Callable[[Any], Any], connection: Connection) -> None:
+    """Answer until nobody asks any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks
+    with suppress(OSError):
+        connection.send(("ready", None))
+    while True:
+        try:
+            question = connection.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            answer = ("done", function(question))
+        except Exception as error:
+            answer = ("failed", f"{type(error).__name__}: {error}")
+        try:
+            connection.send(answer)
+        except OSError:
+            return

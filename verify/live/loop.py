@@ -1,0 +1,314 @@
+"""The live loop: devices in their threads, the chain in one, comparison and alarms in another."""
+
+import itertools
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+import robots
+from verify.cameras import Camera, TakenPair
+from verify.devices import Encoders, Pan
+from verify.live.alarms import Alarm
+from verify.live.clock_keeper import ClockKeeper, Estimator
+from verify.live.compared import Bracketing, Outcome, Taken
+from verify.live.intake import PairQueue, Pump, camera_step, encoders_step, pan_step
+from verify.live.joint_alarms import AlarmLimits, JointAlarms
+from verify.live.lost import DeviceWatch, TargetWatch
+from verify.live.pairing import FramePair, Pairing
+from verify.live.pan_book import PanBook
+from verify.live.ports import Devices, Listener, Recorder, Subject
+from verify.live.readings_book import ReadingsBook
+from verify.live.state import DeviceLine, LiveState
+from verify.measurement import Setup, measure
+from verify.records import Array, Measurement, StereoPair
+
+LOOK = 0.1  # s from one look at the devices to the next
+GOODBYE = 3.0  # s that a thread is given to end
+TURNING = "a camera base was turning, or its angle is not known"
+AROUND = np.array([-0.1, -0.05, 0.0, 0.05, 0.1])  # s: an arrival's clock is known to that
+DEVICE_SILENT = 1.0  # s; more for devices that give less than two a second
+UNDER_WAY = 8  # pairs between the cameras and the comparison, at most
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a run goes."""
+
+    limits: AlarmLimits
+    duration: float | None = None  # s; None: until told to stop
+    until_program_ends: bool = True  # of the robot, where its controller tells
+
+
+class Live:
+    """Watches a robot.
+
+    Args:
+        subject: what is known of it.
+        devices: what looks at it. They are closed at the end.
+        recorder: keeps the evidence. It is closed at the end.
+        plan: how the run goes.
+        estimator: estimates the clock; in another process, as it takes longer than a picture.
+        listeners: are told every row and alarm, in this loop's threads: they must not wait.
+        setup: makes the chain's setup, from what the readings suggest.
+    """
+
+    def __init__(
+        self,
+        subject: Subject,
+        devices: Devices,
+        recorder: Recorder,
+        plan: Plan,
+        estimator: Estimator,
+        listeners: Sequence[Listener] = (),
+        setup: Callable[[Callable[[float], Sequence[Array]]], Setup] | None = None,
+    ) -> None:
+        self.state = LiveState()
+        self._subject, self._devices, self._recorder = subject, devices, recorder
+        self._plan, self._listeners = plan, listeners
+        self._book, self._pan = ReadingsBook(), PanBook()
+        self._keeper = ClockKeeper(subject.arm, subject.rig, self._book, subject.clock, estimator)
+        self._queue = PairQueue(Pairing())
+        turning = devices.pan is not None
+        self._bracketing = Bracketing(subject, self._book, self._keeper, turning=turning)
+        numbers = itertools.count(1)
+        self._joints = JointAlarms(subject.arm.dof, plan.limits, numbers)
+        self._target = TargetWatch(plan.limits.lost_after, numbers)
+        self._lost = DeviceWatch(DEVICE_SILENT, numbers)
+        self._setup = (
+            Setup(subject.rig, subject.marker, self._expected)
+            if setup is None
+            else setup(self._expected)
+        )
+        self._arrivals: dict[float, tuple[float, float, StereoPair]] = {}
+        self._measured: deque[Taken] = deque()
+        self._wake = threading.Condition()
+        self._tell = threading.Lock()
+        self._measuring_ended = False
+        self._troubles: dict[str, str] = {}
+        self._ran = False
+
+    def run(self, stop: threading.Event, look: Callable[[LiveState], None] | None = None) -> None:
+        """Watch until told to stop, the time is up, the program ends, or the pictures do.
+
+        Args:
+            stop: set to end the run; what is under way is still measured and recorded.
+            look: called ten times a second, from this thread.
+        """
+        begin = time.monotonic()
+        self._target.begin(begin)
+        self._lost.begin(begin)
+        pumps = self._pumps()
+        halt = threading.Event()
+        works = [
+            threading.Thread(target=self._measure, name="measure", daemon=True),
+            threading.Thread(target=self._compare, name="compare", daemon=True),
+            threading.Thread(target=self._keeper.run, args=(halt,), name="clock", daemon=True),
+        ]
+        for pump in pumps:
+            pump.start()
+        for work in works:
+            work.start()
+        try:
+            while not self._over(begin, stop):
+                self._look()
+                if look is not None:
+                    look(self.state)
+                stop.wait(LOOK)
+        finally:
+            self._end(pumps, works, halt)
+        self._look(final=True)
+        if look is not None:
+            look(self.state)
+
+    def _pumps(self) -> list[Pump]:
+        devices = self._devices
+        steps = [
+            ("left camera", camera_step(devices.left, 0, self._queue, patient=devices.files)),
+            ("right camera", camera_step(devices.right, 1, self._queue, patient=devices.files)),
+            ("encoders", encoders_step(devices.encoders, self._recorder, self._book)),
+        ]
+        if devices.pan is not None:
+            steps.append(("pan bases", pan_step(devices.pan, self._pan)))
+        return [Pump(name, step, self._failed) for name, step in steps]
+
+    def _failed(self, name: str, error: Exception) -> None:
+        self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
+
+    def _over(self, begin: float, stop: threading.Event) -> bool:
+        if stop.is_set() or self._measuring_ended:
+            return True
+        if self._plan.duration is not None and time.monotonic() - begin >= self._plan.duration:
+            return True
+        running = self._devices.encoders.state().program_running
+        self._ran = self._ran or running is True
+        if self._plan.until_program_ends and self._ran and running is False:
+            return True
+        return all(camera.state().ended for camera in (self._devices.left, self._devices.right))
+
+    def _end(self, pumps: list[Pump], works: list[threading.Thread], halt: threading.Event) -> None:
+        """Cameras first; then what they gave is measured, recorded and told; devices last."""
+        for pump in pumps[:2]:
+            pump.stop()
+        for pump in pumps[:2]:
+            pump.join(GOODBYE)
+        self._queue.close()
+        for work in works[:2]:
+            work.join(GOODBYE)
+        halt.set()
+        for pump in pumps[2:]:
+            pump.stop()
+            pump.join(GOODBYE)
+        self._recorder.close()
+        for device in (self._devices.left, self._devices.right, self._devices.encoders):
+            device.close()
+        if self._devices.pan is not None:
+            self._devices.pan.close()
+        for listener in self._listeners:
+            listener.close()
+
+    # measuring
+
+    def _measure(self) -> None:
+        try:
+            pairs = self._noted(self._recorder.keep(self._taken()))
+            for measurement in measure(pairs, self._setup):
+                self._hand_over(measurement)
+        except Exception as error:
+            self._failed("measurement", error)
+        finally:
+            with self._wake:
+                self._measuring_ended = True
+                self._wake.notify_all()
+
+    def _taken(self) -> Iterator[StereoPair]:
+        """Pairs of pictures with the angles of their bases."""
+        frame = 0
+        while (pair := self._queue.take()) is not None:
+            pan = self._pans(pair)
+            if pan is None:
+                self._queue.drop(TURNING)
+                continue
+            taken = TakenPair(
+                frame=frame,
+                t_left=pair.left.t,
+                t_right=pair.right.t,
+                pan_left=pan[0],
+                pan_right=pan[1],
+                left=pair.left.image,
+                right=pair.right.image,
+                left_raw=pair.left.raw,
+                right_raw=pair.right.raw,
+            )
+            doubt = max(pair.left.t_uncertainty, pair.right.t_uncertainty)
+            self._arrivals[pair.left.t] = (pair.arrived, doubt, taken)
+            frame += 1
+            yield taken
+
+    def _pans(self, pair: FramePair) -> tuple[float, float] | None:
+        if self._devices.pan is None:
+            return self._subject.rig.left.pan, self._subject.rig.right.pan
+        left, right = self._pan.at(pair.left.t), self._pan.at(pair.right.t)
+        return None if left is None or right is None else (left[0], right[1])
+
+    def _noted(self, pairs: Iterator[StereoPair]) -> Iterator[StereoPair]:
+        """Pairs as they are recorded; pictures of those that are through are let go."""
+        for pair in pairs:
+            while len(self._arrivals) > UNDER_WAY:
+                del self._arrivals[min(self._arrivals)]
+            yield pair
+
+    def _hand_over(self, measurement: Measurement) -> None:
+        self._keeper.add(measurement)
+        nothing = (time.monotonic(), 0.0, None)
+        arrived, doubt, pair = self._arrivals.pop(measurement.t, nothing)
+        if pair is not None:
+            self.state.seen(pair, measurement)
+        with self._wake:
+            self._measured.append(Taken(measurement, arrived, doubt, time.monotonic()))
+            self._wake.notify_all()
+
+    def _expected(self, t: float) -> Sequence[Array]:
+        """Where the readings put the flange in the rig, about an instant (s, cameras' clock)."""
+        clock = self._keeper.at(t)
+        readings = None if clock is None else self._book.about(t - clock.offset)
+        if clock is None or readings is None or len(readings.t) < 2:
+            return ()
+        around = np.zeros(1) if clock.source != "arrival" else AROUND
+        q = readings.at(t - clock.offset + around)
+        poses: Array = self._subject.rig.rig_T_base @ robots.forward(self._subject.arm, q)
+        return list(poses)
+
+    # comparing
+
+    def _compare(self) -> None:
+        while (item := self._next_measured()) is not None:
+            try:
+                outcome = self._bracketing.compare(*item)
+                alarms = self._judged(outcome)
+                self.state.latency.add(time.monotonic() - outcome.since)
+                self._tell_all(outcome, alarms)
+            except Exception as error:
+                self._failed("comparison", error)
+
+    def _next_measured(self) -> tuple[Taken, int] | None:
+        with self._wake:
+            while not self._measured and not self._measuring_ended:
+                self._wake.wait()
+            if not self._measured:
+                return None
+            return self._measured.popleft(), len(self._measured)
+
+    def _judged(self, outcome: Outcome) -> list[Alarm]:
+        now = time.time()
+        with self._tell:
+            alarms = self._target.take(outcome.row, time.monotonic(), now)
+        return alarms + self._joints.take(outcome.row, now)
+
+    def _tell_all(self, outcome: Outcome, alarms: list[Alarm]) -> None:
+        statistic = self._joints.statistic
+        self.state.row(outcome.row, statistic)
+        for alarm in alarms:
+            self._raise(alarm)
+        for listener in self._listeners:
+            listener.row(outcome.row, statistic)
+
+    def _raise(self, alarm: Alarm) -> None:
+        self.state.alarm(alarm)
+        for listener in self._listeners:
+            listener.alarm(alarm)
+
+    # looking after
+
+    def _look(self, *, final: bool = False) -> None:
+        """See how the devices are."""
+        lines = []
+        t, now = time.monotonic(), time.time()
+        alarms: list[Alarm] = []
+        for name, device in self._named():
+            said = device.state()
+            silent = said.age is None or said.age > DEVICE_SILENT
+            lines.append(DeviceLine(name, said.connected and not silent, said.sentence))
+            if not final:
+                alarms += self._lost.take(name, said.age, said.sentence, t, now)
+        lines += [DeviceLine(name, False, said) for name, said in self._troubles.items()]
+        if self._keeper.trouble:
+            lines.append(DeviceLine("clock", False, self._keeper.trouble))
+        self.state.facts(tuple(lines), self._queue.dropped(), self._recorder.state().sentence)
+        if not final:
+            with self._tell:
+                alarms += self._target.look(t, now)
+        for alarm in alarms:
+            self._raise(alarm)
+
+    def _named(self) -> list[tuple[str, Camera | Encoders | Pan]]:
+        devices = self._devices
+        named: list[tuple[str, Camera | Encoders | Pan]] = [
+            ("left camera", devices.left),
+            ("right camera", devices.right),
+            ("encoders", devices.encoders),
+        ]
+        return named + ([("pan bases", devices.pan)] if devices.pan is not None else [])

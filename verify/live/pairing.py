@@ -1,0 +1,118 @@
+"""Pictures of two cameras that run freely, brought together by time."""
+
+from collections import Counter, deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.cameras import CameraFrame
+
+USUAL_PERIOD = 1 / 30  # s, until the cameras have shown their own
+INTERVALS = 31  # of each camera, whose median is its period
+# of a period: with half of it every picture has its partner, whatever the cameras' phase
+TOLERANCE = 0.5
+SLACK = 0.1  # of a period: time stamps jitter
+WAITING = 8  # pictures of a side that wait for their partner; the other camera may be stalled
+
+NO_PARTNER = "no partner in time"
+BACKWARDS = "not later than the picture before"
+STALLED = "the other camera gives no pictures"
+
+
+@dataclass(frozen=True, slots=True)
+class FramePair:
+    """Two pictures of about one instant, left and right."""
+
+    left: CameraFrame
+    right: CameraFrame
+    arrived: float  # s, host's monotonic clock, when the later one was in hand
+
+
+class Pairing:
+    """Finds each picture's partner: the nearest in time, not further than half a period.
+
+    A partner within half a period cannot be beaten by a picture that is still to come, so nothing
+    waits for longer than its own partner takes. Pictures of a pair rise strictly in time on either
+    side.
+
+    Args:
+        period: s, of the slower camera; None has it found from the pictures.
+    """
+
+    def __init__(self, period: float | None = None) -> None:
+        self._given = period
+        self._waiting: tuple[deque[CameraFrame], deque[CameraFrame]] = (deque(), deque())
+        self._times: tuple[deque[float], deque[float]] = (
+            deque(maxlen=INTERVALS),
+            deque(maxlen=INTERVALS),
+        )
+        self.dropped: Counter[str] = Counter()
+        self.paired = 0
+
+    def waiting(self, side: int) -> int:
+        """Count the pictures of a side that wait for their partner."""
+        return len(self._waiting[side])
+
+    @property
+    def period(self) -> float:
+        """Time between two pictures of the slower camera, s."""
+        if self._given is not None:
+            return self._given
+        known = [float(np.median(np.diff(times))) for times in self._times if len(times) > 2]
+        return max(known) if len(known) == 2 else USUAL_PERIOD
+
+    @property
+    def tolerance(self) -> float:
+        """How far apart the pictures of a pair may be taken, s."""
+        return (TOLERANCE + SLACK) * self.period
+
+    def add(self, side: int, frame: CameraFrame, arrived: float) -> FramePair | None:
+        """Take a picture of the left (0) or right (1) camera.
+
+        Args:
+            side: which camera.
+            frame: its picture.
+            arrived: s, host's monotonic clock, now.
+
+        Returns:
+            The pair that it completes, if it does.
+        """
+        times = self._times[side]
+        if times and frame.t <= times[-1]:
+            self.dropped[BACKWARDS] += 1
+            return None
+        times.append(frame.t)
+        others = self._waiting[1 - side]
+        partner = self._partner(others, frame)
+        if partner is None:
+            self._wait(side, frame)
+            return None
+        self._leave_behind(self._waiting[side])
+        self.paired += 1
+        left, right = (frame, partner) if side == 0 else (partner, frame)
+        return FramePair(left, right, arrived)
+
+    def _partner(self, others: "deque[CameraFrame]", frame: CameraFrame) -> CameraFrame | None:
+        """Take the nearest waiting picture of the other side; older ones have missed theirs."""
+        while others and others[0].t < frame.t - self.tolerance:
+            others.popleft()
+            self.dropped[NO_PARTNER] += 1
+        near = [other for other in others if abs(other.t - frame.t) <= self.tolerance]
+        if not near:
+            return None
+        best = min(near, key=lambda other: abs(other.t - frame.t))
+        while others.popleft() is not best:
+            self.dropped[NO_PARTNER] += 1
+        return best
+
+    def _wait(self, side: int, frame: CameraFrame) -> None:
+        queue = self._waiting[side]
+        queue.append(frame)
+        while len(queue) > WAITING:
+            queue.popleft()
+            self.dropped[STALLED] += 1
+
+    def _leave_behind(self, queue: "deque[CameraFrame]") -> None:
+        if queue:
+            self.dropped[NO_PARTNER] += len(queue)
+            queue.clear()

@@ -1,0 +1,136 @@
+"""What is known right now, for whoever looks: terminal, page, metrics. Looking costs no pair."""
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from verify.live.alarms import Alarm
+from verify.live.joint_row import JointRow
+from verify.live.latency import Latency, Percentiles
+from verify.records import Array, Measurement, StereoPair
+
+ALARMS = 200  # remembered; the JSON lines have all
+ROWS = 600  # remembered for lookers-on: twenty seconds at 30 pairs a second
+RATE_OVER = 5.0  # s
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceLine:
+    """One device in a line."""
+
+    name: str
+    well: bool  # connected, and giving something
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """The newest pair and what was measured in it."""
+
+    pair: StereoPair
+    measurement: Measurement
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything that there is to say, at one moment."""
+
+    row: JointRow | None
+    statistic: Array | None  # (j,), share of what raises an alarm
+    rate: float  # pairs a second, of the last seconds
+    pairs: int
+    measured: int
+    dropped: Mapping[str, int]
+    latency: Percentiles
+    devices: tuple[DeviceLine, ...]
+    alarms: tuple[Alarm, ...]  # newest first
+    alarm_counts: Mapping[str, int]  # all of the run, by kind
+    recording: str
+
+
+@dataclass
+class LiveState:
+    """Shared between the loop, which writes, and lookers-on, who read."""
+
+    latency: Latency = field(default_factory=Latency)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _rows: "deque[tuple[int, JointRow]]" = field(default_factory=lambda: deque(maxlen=ROWS))
+    _times: "deque[float]" = field(default_factory=lambda: deque(maxlen=ROWS))
+    _alarms: dict[int, Alarm] = field(default_factory=dict)
+    _counts: Counter[str] = field(default_factory=Counter)
+    _status: Counter[str] = field(default_factory=Counter)
+    _seen: Seen | None = None
+    _statistic: Array | None = None
+    _dropped: Mapping[str, int] = field(default_factory=dict)
+    _devices: tuple[DeviceLine, ...] = ()
+    _recording: str = ""
+    _count: int = 0
+
+    def row(self, row: JointRow, statistic: Array) -> None:
+        """Take a pair's outcome."""
+        with self._lock:
+            self._count += 1
+            self._rows.append((self._count, row))
+            self._times.append(time.monotonic())
+            self._status[row.status] += 1
+            self._statistic = statistic
+
+    def seen(self, pair: StereoPair, measurement: Measurement) -> None:
+        """Take the newest pictures; those that nobody looked at are let go."""
+        self._seen = Seen(pair, measurement)
+
+    def alarm(self, alarm: Alarm) -> None:
+        """Take an alarm that is new, revised or over."""
+        with self._lock:
+            self._counts[alarm.kind] += not alarm.revised and alarm.ended is None
+            self._alarms[alarm.number] = alarm
+            while len(self._alarms) > ALARMS:
+                del self._alarms[min(self._alarms)]
+
+    def facts(
+        self, devices: tuple[DeviceLine, ...], dropped: Mapping[str, int], recording: str
+    ) -> None:
+        """Take how everything is."""
+        with self._lock:
+            self._devices, self._dropped, self._recording = devices, dict(dropped), recording
+
+    def latest_pictures(self) -> Seen | None:
+        """Give the newest pictures."""
+        return self._seen
+
+    def rows_after(self, number: int) -> list[tuple[int, JointRow]]:
+        """Give the rows that came after one, with their numbers, oldest first."""
+        with self._lock:
+            new = []
+            for item in reversed(self._rows):
+                if item[0] <= number:
+                    break
+                new.append(item)
+        return new[::-1]
+
+    def statuses(self) -> dict[str, int]:
+        """Count pairs by what became of them."""
+        with self._lock:
+            return dict(self._status)
+
+    def snapshot(self) -> Snapshot:
+        """Say everything."""
+        with self._lock:
+            now = time.monotonic()
+            recent = sum(1 for t in self._times if t > now - RATE_OVER)
+            alarms = tuple(self._alarms[n] for n in sorted(self._alarms, reverse=True))
+            return Snapshot(
+                row=self._rows[-1][1] if self._rows else None,
+                statistic=self._statistic,
+                rate=recent / RATE_OVER,
+                pairs=self._count,
+                measured=self._status["measured"],
+                dropped=self._dropped,
+                latency=self.latency.percentiles(),
+                devices=self._devices,
+                alarms=alarms,
+                alarm_counts=dict(self._counts),
+                recording=self._recording,
+            )

@@ -1,0 +1,172 @@
+"""In the run's process: tells the page's server what there is to see, ten times a second."""
+
+import json
+import multiprocessing
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any, Protocol
+
+from verify.errors import InputError
+from verify.page.access import check
+from verify.page.server import serve
+
+EVERY = 0.1  # s: faster than eyes follow; pictures too
+STATE_EVERY = 0.5  # s
+START_LIMIT = 20.0  # s: a process that imports its modules on a busy machine
+GOODBYE = 2.0  # s
+USUAL_PORT = 8646
+
+
+class Source(Protocol):
+    """What a mode of the program has to show. Called from the feed's thread."""
+
+    def hello(self) -> dict[str, Any]:
+        """What never changes: mode, names, how the scene is built."""
+        ...
+
+    def rows(self) -> list[dict[str, Any]]:
+        """What has come since the last call."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """How everything is."""
+        ...
+
+    def alarms(self) -> Sequence[dict[str, Any]]:
+        """All alarms that are remembered, newest first."""
+        ...
+
+    def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
+        """Newest pictures: side, what was found, JPEG. Asked for only while somebody looks."""
+        ...
+
+    def metrics(self) -> str:
+        """The same figures as text for Prometheus."""
+        ...
+
+
+class Page:
+    """A page that is being served.
+
+    Args:
+        source: what there is to see.
+        port: to serve at; 0 takes a free one.
+        address: of this computer; another one than loopback needs a token.
+        token: what viewers must show.
+
+    Raises:
+        InputError: the port is taken, or the address is open to others without a token.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        port: int = USUAL_PORT,
+        address: str = "127.0.0.1",
+        token: str | None = None,
+    ) -> None:
+        self._source = source
+        self._access = check(address, port or _free_port(address), token)
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(
+            target=serve, args=(theirs, self._access), name="page", daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        self._viewers = 0
+        self.trouble = ""
+        self._wait_until_ready()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._feed, name="page", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """What to open in a browser."""
+        access = self._access
+        host = f"[{access.address}]" if ":" in access.address else access.address
+        token = "" if access.token is None else f"?token={access.token}"
+        return f"http://{host}:{access.port}/{token}"
+
+    @property
+    def viewers(self) -> int:
+        """How many look on."""
+        return self._viewers
+
+    def close(self) -> None:
+        """Send what is left, and end the server."""
+        self._stop.set()
+        self._thread.join(GOODBYE)
+        self._connection.close()
+        self._process.join(GOODBYE)
+        if self._process.is_alive():
+            self._process.terminate()
+
+    def _wait_until_ready(self) -> None:
+        answer: tuple[str, Any] = ("failed", "it does not start")
+        with suppress(EOFError, OSError):
+            if self._connection.poll(START_LIMIT):
+                answer = self._connection.recv()
+        if answer[0] != "ready":
+            self._process.terminate()
+            place = f"--page, {self._access.address}:{self._access.port}"
+            remedy = "Choose another port, such as --page 8700."
+            raise InputError(place, f"the page cannot be served: {answer[1]}", "", remedy)
+
+    def _feed(self) -> None:
+        """Send until told to stop; a page that is gone costs the run nothing but a word."""
+        try:
+            self._send("hello", _text("hello", self._source.hello()))
+            due = 0.0
+            while not self._stop.is_set():
+                begin = time.monotonic()
+                self._send_news(full=begin >= due)
+                due = begin + STATE_EVERY if begin >= due else due
+                self._stop.wait(max(EVERY - (time.monotonic() - begin), EVERY / 10))
+            self._send_news(full=True)
+        except OSError as error:
+            self.trouble = f"the page is gone: {error}"
+
+    def _send_news(self, *, full: bool) -> None:
+        self._listen(self._connection)
+        rows = self._source.rows()
+        if rows:
+            self._send("rows", [json.dumps(row, allow_nan=False) for row in rows])
+        if full:
+            self._send("state", _text("state", self._source.state()))
+            self._send("alarms", _text("alarms", {"alarms": list(self._source.alarms())}))
+            self._send("metrics", self._source.metrics())
+        if self._viewers:
+            for side, found, jpeg in self._source.pictures():
+                self._send("picture", side, _framed(side, found, jpeg))
+
+    def _send(self, *message: Any) -> None:
+        self._connection.send(message)
+
+    def _listen(self, connection: Connection) -> None:
+        while connection.poll():
+            kind, value = connection.recv()
+            if kind == "viewers":
+                self._viewers = value
+
+
+def _text(kind: str, fields: dict[str, Any]) -> str:
+    return json.dumps({"type": kind, **fields}, ensure_ascii=False, allow_nan=False)
+
+
+def _framed(side: int, found: dict[str, Any], jpeg: bytes) -> bytes:
+    """One side's picture: its number, the length of what was found, that as JSON, the JPEG."""
+    text = json.dumps(found, allow_nan=False).encode()
+    return bytes([side]) + len(text).to_bytes(4, "big") + text + jpeg
+
+
+def _free_port(address: str) -> int:
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.bind((address, 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,203 @@
+"""The page's server: runs in a process of its own, and ends with the run that feeds it."""
+
+import asyncio
+import signal
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware.base import BaseHTTPMiddleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from verify.page.access import COOKIE, HEADERS, Access
+from verify.page.hub import Hub
+
+STATIC = Path(__file__).with_name("static")
+FILES = {
+    "index.html": "text/html",
+    "style.css": "text/css",
+    "page.js": "text/javascript",
+    "strips.js": "text/javascript",
+    "scene.js": "text/javascript",
+    "icon.svg": "image/svg+xml",
+}
+REFUSED = 1008  # of web sockets: policy violation
+TRY_AGAIN = 1013
+LARGEST = 1 << 16  # bytes from a viewer, who has nothing to say
+
+Next = Callable[[Request], Awaitable[Response]]
+
+
+def application(hub: Hub, access: Access) -> Starlette:
+    """Make the application: the page, its files, its web socket, and metrics."""
+
+    async def guarded(request: Request, go_on: Next) -> Response:
+        response = _token_taken(request, access) or _refused(request, access)
+        if response is None:
+            response = await go_on(request)
+        response.headers.update(HEADERS)
+        return response
+
+    async def file(request: Request) -> Response:
+        name = request.path_params.get("name", "index.html")
+        if name not in FILES:
+            return PlainTextResponse("There is no such page.", status_code=404)
+        return FileResponse(STATIC / name, media_type=FILES[name])
+
+    async def metrics(_request: Request) -> Response:
+        return PlainTextResponse(hub.metrics, media_type="text/plain; version=0.0.4")
+
+    async def live(socket: WebSocket) -> None:
+        cookie = socket.cookies.get(COOKIE)
+        if access.refusal(socket.headers, cookie, script=True) is not None:
+            await socket.close(REFUSED)
+            return
+        await socket.accept()
+        await _show(socket, hub)
+
+    app = Starlette(
+        routes=[
+            Route("/", file),
+            Route("/metrics", metrics),
+            WebSocketRoute("/live", live),
+            Route("/{name}", file),
+        ]
+    )
+    app.add_middleware(BaseHTTPMiddleware, dispatch=guarded)
+    return app
+
+
+def _token_taken(request: Request, access: Access) -> Response | None:
+    """Move a right token from the address into a cookie, so that it is seen and sent no more."""
+    given = request.query_params.get("token")
+    if request.url.path != "/" or not access.matches(given) or given is None:
+        return None
+    response = RedirectResponse("/", status_code=303)
+    response.set_cookie(COOKIE, given, httponly=True, samesite="strict")
+    return response
+
+
+def _refused(request: Request, access: Access) -> Response | None:
+    shown = request.cookies.get(COOKIE)
+    word, _, bearer = request.headers.get("authorization", "").partition(" ")
+    token = bearer if word.lower() == "bearer" else shown
+    refusal = access.refusal(request.headers, token, script=False)
+    return None if refusal is None else PlainTextResponse(f"Refused: {refusal}.\n", 403)
+
+
+async def _show(socket: WebSocket, hub: Hub) -> None:
+    """Send until the viewer leaves, or cannot keep up."""
+    viewer = hub.enter()
+    gone = asyncio.create_task(_gone(socket))
+    try:
+        while not gone.done():
+            news = asyncio.create_task(viewer.next())
+            await asyncio.wait({news, gone}, return_when=asyncio.FIRST_COMPLETED)
+            if not news.done():
+                news.cancel()
+                break
+            for message in news.result():
+                if isinstance(message, str):
+                    await socket.send_text(message)
+                else:
+                    await socket.send_bytes(message)
+            if viewer.lagging:
+                await socket.close(TRY_AGAIN)
+                break
+    except (WebSocketDisconnect, RuntimeError, OSError):
+        pass  # it left while something was on its way
+    finally:
+        gone.cancel()
+        hub.leave(viewer)
+
+
+async def _gone(socket: WebSocket) -> None:
+    """Wait for the viewer to leave; what it says is not listened to."""
+    with suppress(WebSocketDisconnect, RuntimeError):
+        while True:
+            await socket.receive_text()
+
+
+class _Server(uvicorn.Server):
+    """Leaves signals alone: the run ends this process."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Take no signal."""
+        yield
+
+
+def serve(connection: Connection, access: Access) -> None:
+    """Serve until the run ends; the body of the server's process.
+
+    Args:
+        connection: to the run: messages come, the number of viewers goes.
+        access: where, and for whom.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the run, and the run ends this
+    asyncio.run(_serve(connection, access))
+
+
+async def _serve(connection: Connection, access: Access) -> None:
+    loop = asyncio.get_running_loop()
+
+    def counted(viewers: int) -> None:
+        with suppress(OSError):
+            connection.send(("viewers", viewers))
+
+    hub = Hub(counted)
+    config = uvicorn.Config(
+        application(hub, access),
+        host=access.address,
+        port=access.port,
+        log_level="critical",
+        access_log=False,
+        lifespan="off",
+        ws="websockets-sansio",
+        ws_max_size=LARGEST,
+        ws_per_message_deflate=False,  # JPEGs do not get smaller
+        timeout_graceful_shutdown=1,
+        server_header=False,
+    )
+    server = _Server(config)
+
+    def listen() -> None:
+        """Pass on what the run sends; end with it."""
+        with suppress(EOFError, OSError):
+            while True:
+                kind, *content = connection.recv()
+                loop.call_soon_threadsafe(_deliver, hub, kind, content)
+        server.should_exit = True
+
+    threading.Thread(target=listen, name="feed", daemon=True).start()
+    asyncio.get_running_loop().create_task(_ready(server, connection))
+    try:
+        await server.serve()
+    except SystemExit:  # uvicorn's way to say that it could not begin
+        with suppress(OSError):
+            connection.send(("failed", f"port {access.port} is taken or not allowed"))
+
+
+async def _ready(server: _Server, connection: Connection) -> None:
+    while not server.started and not server.should_exit:
+        await asyncio.sleep(0.02)
+    if server.started:
+        with suppress(OSError):
+            connection.send(("ready", server.servers[0].sockets[0].getsockname()[1]))
+
+
+def _deliver(hub: Hub, kind: str, content: list[Any]) -> None:
+    if kind == "rows":
+        hub.rows(content[0])
+    elif kind == "picture":
+        hub.picture(content[0], content[1])
+    else:
+        hub.message(kind, content[0])

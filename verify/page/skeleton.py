@@ -1,0 +1,43 @@
+"""Where an arm's joints are, for drawing: the chain of points from base to flange."""
+
+import numpy as np
+import pinocchio
+
+import robots
+from robots.arm import DhArm, UrdfArm
+from verify.records import Array
+
+
+def joint_origins(arm: robots.Arm, q: Array) -> Array:
+    """Points along the arm in its base frame, (n + 1, 3), m, for joint angles q (n,), rad."""
+    if isinstance(arm, UrdfArm):
+        return _of_urdf(arm, q)
+    assert isinstance(arm, DhArm)
+    frame = np.eye(4)
+    points = [np.zeros(3)]
+    for theta, (a, d, cosine, sine) in zip(arm.theta(q).tolist(), arm.links, strict=True):
+        c, s = np.cos(theta), np.sin(theta)
+        if d and a:  # the corner between the two, as the link is built
+            points.append(frame[:3, 3] + d * frame[:3, 2])
+        frame = frame @ np.array(
+            [
+                [c, -s * cosine, s * sine, a * c],
+                [s, c * cosine, -c * sine, a * s],
+                [0.0, sine, cosine, d],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+        points.append(frame[:3, 3].copy())
+    return np.array(points)
+
+
+def _of_urdf(arm: UrdfArm, q: Array) -> Array:
+    data = arm.model.createData()  # the arm's own is the measurement's
+    pinocchio.framesForwardKinematics(arm.model, data, arm.configuration(q))
+    base = data.oMf[arm.base_frame]
+    points = [np.zeros(3)]
+    points += [
+        base.actInv(data.oMi[arm.model.getJointId(name)].translation) for name in arm.joint_names
+    ]
+    points.append(base.actInv(data.oMf[arm.tip_frame].translation))
+    return np.array(points)

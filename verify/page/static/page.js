@@ -1,0 +1,238 @@
+// The live page. All text comes from outside and goes in as text: no markup is ever made of it.
+import { Scene } from "./scene.js";
+import { sized, Strips } from "./strips.js";
+
+const RETRY_MS = [300, 600, 1200, 2500]; // then always the last
+const STALE_MS = 3000; // without a word on an open line
+const BANNER_S = 60; // an event that long ago is history
+
+const $ = (id) => document.getElementById(id);
+const strips = new Strips($("strips"));
+const scene = new Scene($("scene"));
+const pictures = [new PictureView($("left"), $("left-said"), "Left"), new PictureView($("right"), $("right-said"), "Right")];
+const textDecoder = new TextDecoder();
+let colours = {};
+let paused = false;
+let hello = null;
+let attempts = 0;
+let heard = 0;
+let changed = true;
+
+function PictureView(canvas, caption, side) {
+  let latest = 0;
+  this.names = [];
+  this.show = async (found, jpeg) => {
+    const number = ++latest;
+    let image;
+    try {
+      image = await createImageBitmap(new Blob([jpeg], { type: "image/jpeg" }));
+    } catch {
+      return; // half a picture; the next one comes at once
+    }
+    if (number !== latest) return image.close();
+    const { context, width, height } = fitted(canvas, found.width / found.height);
+    context.drawImage(image, 0, 0, width, height);
+    image.close();
+    const scale = width / found.width;
+    context.font = "600 12px system-ui, sans-serif";
+    for (const { led, x, y } of found.leds) mark(context, (x + 0.5) * scale, (y + 0.5) * scale, String(led + 1));
+    const names = found.leds.map(({ led }) => `${led + 1} ${this.names[led] ?? ""}`.trim());
+    caption.textContent = `${side.toLowerCase()}: ${names.length ? `LEDs ${names.join(", ")}` : "no LED recognised"}`;
+    canvas.setAttribute("aria-label", `${side} camera, ${found.leds.length} of ${this.names.length} LEDs recognised`);
+  };
+}
+
+function fitted(canvas, aspect) {
+  canvas.style.aspectRatio = String(aspect);
+  return sized(canvas);
+}
+
+function mark(context, x, y, text) {
+  context.lineWidth = 3;
+  context.strokeStyle = "#000a";
+  context.beginPath();
+  context.arc(x, y, 9, 0, 2 * Math.PI);
+  context.stroke();
+  context.strokeText(text, x + 11, y - 7);
+  context.lineWidth = 1.5;
+  context.strokeStyle = "#50c850";
+  context.stroke();
+  context.fillStyle = "#ffdc3c";
+  context.fillText(text, x + 11, y - 7);
+}
+
+function connect() {
+  const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  socket.binaryType = "arraybuffer";
+  heard = Date.now();
+  const watch = setInterval(() => {
+    if (Date.now() - heard > STALE_MS && socket.readyState === WebSocket.OPEN) socket.close();
+  }, 500);
+  socket.onopen = () => {
+    attempts = 0;
+    connection("well", "live");
+  };
+  socket.onmessage = (event) => {
+    heard = Date.now();
+    if (typeof event.data === "string") take(JSON.parse(event.data));
+    else if (!paused) picture(event.data);
+  };
+  socket.onclose = () => {
+    clearInterval(watch);
+    connection("ill", "connection lost, trying again");
+    setTimeout(connect, RETRY_MS[Math.min(attempts++, RETRY_MS.length - 1)]);
+  };
+}
+
+function connection(kind, text) {
+  const pill = $("connection");
+  pill.className = `pill ${paused && kind === "well" ? "waits" : kind}`;
+  pill.textContent = paused && kind === "well" ? "paused" : text;
+}
+
+function picture(buffer) {
+  const view = new DataView(buffer);
+  const length = view.getUint32(1);
+  const found = JSON.parse(textDecoder.decode(new Uint8Array(buffer, 5, length)));
+  pictures[view.getUint8(0)].show(found, buffer.slice(5 + length));
+}
+
+const takers = {
+  hello(message) {
+    hello = message;
+    document.title = `${message.robot} · verify`;
+    $("robot").textContent = message.robot;
+    $("description").textContent = message.description;
+    for (const section of document.querySelectorAll("[data-modes]"))
+      section.hidden = !section.dataset.modes.split(" ").includes(message.mode);
+    for (const view of pictures) view.names = message.leds ?? [];
+    strips.begin(message.joints ?? 0, message.tolerance_deg ?? null);
+    scene.begin(message);
+  },
+  rows(message) {
+    if (paused && !message.past) return;
+    strips.add(message.rows);
+    const last = message.rows.at(-1);
+    if (last?.scene) {
+      scene.show({ measured: last.scene.measured, encoder: last.scene.encoder });
+      strips.meters(last.scene.statistic);
+    }
+    $("figures").dataset.clock = last?.clock ? `${last.clock}, offset ${last.offset_s.toFixed(6)} s` : "";
+  },
+  state: showState,
+  alarms: showAlarms,
+};
+
+function take(message) {
+  takers[message.type]?.(message);
+  changed = true;
+}
+
+function showState(state) {
+  $("devices").replaceChildren(
+    ...state.devices.map((device) => {
+      const item = element("li", "", device.well ? "" : "ill");
+      item.append(element("span", device.name), element("span", device.sentence));
+      return item;
+    }),
+  );
+  const dropped = Object.entries(state.dropped).map(([reason, count]) => `${count} ${reason}`);
+  const latency = state.latency_p50_ms === null ? "–" : `${state.latency_p50_ms} ms, 99 % within ${state.latency_p99_ms} ms`;
+  const figures = {
+    "Pairs": `${state.measured} of ${state.pairs} measured, ${state.rate_hz.toFixed(1)} a second`,
+    "Dropped": dropped.join("; ") || "none",
+    "Latency": latency,
+    "Clock": $("figures").dataset.clock || "–",
+    "Recording": state.recording || "–",
+  };
+  $("figures").replaceChildren(...Object.entries(figures).flatMap(([name, value]) => [element("dt", name), element("dd", value)]));
+}
+
+function showAlarms({ alarms }) {
+  const list = $("alarms");
+  const standing = alarms.filter((alarm) => alarm.ended_s === null && alarm.kind !== "change");
+  const recent = alarms.filter((alarm) => alarm.kind === "change" && Date.now() / 1000 - alarm.began_s < BANNER_S);
+  const urgent = [...standing, ...recent].sort((a, b) => b.began_s - a.began_s);
+  const banner = $("banner");
+  banner.hidden = urgent.length === 0;
+  const text = urgent.length ? urgent[0].text + (urgent.length > 1 ? ` (and ${urgent.length - 1} more)` : "") : "";
+  if (banner.textContent !== text) banner.textContent = text; // said aloud once, not twice a second
+  strips.mark(new Set(urgent.filter((alarm) => alarm.joint !== null).map((alarm) => alarm.joint)));
+  const key = JSON.stringify(alarms.map((alarm) => [alarm.alarm, alarm.ended_s, alarm.text]));
+  if (list.dataset.key === key) return;
+  list.dataset.key = key;
+  if (!alarms.length) {
+    list.replaceChildren(element("li", `None so far; ${hello?.false_alarms_per_hour ?? "?"} false ones an hour are allowed for.`, "none"));
+    return;
+  }
+  list.replaceChildren(...alarms.map(alarmItem));
+}
+
+function alarmItem(alarm) {
+  const stands = alarm.ended_s === null && alarm.kind !== "change";
+  const item = element("li", "", `${alarm.kind} ${stands ? "stands" : ""}`);
+  const time = element("time", clock(alarm.began_s));
+  time.dateTime = new Date(alarm.began_s * 1000).toISOString();
+  item.append(time, element("span", alarm.text));
+  if (alarm.ended_s !== null) item.append(element("span", ` Over at ${clock(alarm.ended_s)}.`, "over"));
+  return item;
+}
+
+function clock(seconds) {
+  return new Date(seconds * 1000).toLocaleTimeString([], { hour12: false });
+}
+
+function element(name, text = "", kind = "") {
+  const made = document.createElement(name);
+  made.textContent = text;
+  if (kind) made.className = kind;
+  return made;
+}
+
+function theme(name) {
+  document.documentElement.dataset.theme = name;
+  const style = getComputedStyle(document.documentElement);
+  for (const key of ["ink", "muted", "grid", "measured", "encoder", "band", "tolerance"])
+    colours[key] = style.getPropertyValue(`--${key}`).trim();
+  scene.dirty = changed = true;
+}
+
+function otherTheme() {
+  const next = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+  localStorage.setItem("theme", next);
+  theme(next);
+}
+
+function pause() {
+  paused = !paused;
+  $("pause").setAttribute("aria-pressed", String(paused));
+  $("pause").textContent = paused ? "Go on" : "Pause";
+  connection("well", "live");
+}
+
+function draw() {
+  if (changed && !document.hidden) {
+    changed = false;
+    strips.draw(colours);
+  }
+  if (scene.dirty && !document.hidden) scene.draw(colours);
+  requestAnimationFrame(draw);
+}
+
+$("pause").addEventListener("click", pause);
+$("theme").addEventListener("click", otherTheme);
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const onButton = event.target instanceof HTMLButtonElement;
+  if (event.key === " " && !onButton) pause();
+  else if (event.key.toLowerCase() === "t") otherTheme();
+  else if (/^[1-9]$/.test(event.key)) strips.toggle(Number(event.key) - 1), (changed = true);
+  else return;
+  if (!onButton || event.key !== " ") event.preventDefault();
+});
+const dark = matchMedia("(prefers-color-scheme: dark)");
+dark.addEventListener("change", () => localStorage.getItem("theme") || theme(dark.matches ? "dark" : "light"));
+addEventListener("resize", () => (scene.dirty = changed = true));
+theme(localStorage.getItem("theme") ?? (dark.matches ? "dark" : "light"));
+connect();
+draw();

@@ -1,0 +1,133 @@
+"""A simulated camera: looks at the world at its rate, in real time or faster."""
+
+from collections import deque
+
+import cv2
+import numpy as np
+
+from verify.cameras import READ_LIMIT, CameraFrame, CameraSettings, CameraState, Refusal
+from verify.records import Image
+from verify.sim.chance import Stream, generator
+from verify.sim.device_scene import Scene
+from verify.sim.lights import SIDES, lights
+
+KEPT = 4  # pictures that a camera's driver holds for a slow reader
+TRANSFER = 0.002  # s, from the end of the exposure to the picture in hand
+RENDERING = 0.010  # s: so long before a picture is due its rendering begins
+
+
+class SimulatedCameraDevice:
+    """One of the two cameras.
+
+    The next picture is rendered shortly before it is due: a real camera, too, costs its reader
+    nothing until the picture is there, nor the measurement of the one before.
+
+    Args:
+        scene: what it looks at, and the clock.
+        side: 0 left, 1 right.
+        settings: rate and whether in grey; other settings have no meaning here and are refused.
+    """
+
+    def __init__(self, scene: Scene, side: int, settings: CameraSettings) -> None:
+        self._scene, self._side, self._settings = scene, side, settings
+        recording = scene.scenario.recording
+        self._rate = settings.rate or recording.rate_hz
+        self._skew = recording.skew_s if side else 0.0
+        self._jitter = recording.skew_jitter_s if side else 0.0
+        self._chance = generator(scene.scenario.seed, Stream.TIMES, 1 + side)
+        self._exposure = scene.world.bench.cameras[side].exposure
+        self._number = self._due(scene.clock.now())  # of the next picture
+        self._ready: CameraFrame | None = None
+        self._frames = self._lost = 0
+        self._recent: deque[float] = deque(maxlen=256)
+        self._closed = False
+
+    def read(self) -> CameraFrame | None:
+        """Give the next picture; None after READ_LIMIT without one."""
+        clock = self._scene.clock
+        if self._away() is not None:
+            clock.wait_until(float("inf"), READ_LIMIT / 10)  # soon enough to see it come back
+            self._ready = None
+            self._number = self._due(clock.now())
+            return None
+        if self._ready is None:
+            begin = clock.began + self._number / self._rate - RENDERING
+            if not clock.wait_until(begin, READ_LIMIT):
+                return None
+            self._ready = self._take()
+        arrival = self._ready.t + self._exposure / 2 + TRANSFER
+        if not clock.wait_until(arrival, READ_LIMIT):
+            return None
+        frame, self._ready = self._ready, None
+        self._frames += 1
+        self._recent.append(frame.t)
+        return frame
+
+    def state(self) -> CameraState:
+        """Say how the camera is."""
+        now, away = self._scene.clock.now(), self._away()
+        age = now - self._recent[-1] if self._recent else None
+        within = [t for t in self._recent if t > now - 1.0]
+        name = f"simulated {SIDES[self._side]} camera"
+        said = {"camera_gone": "not connected: it was unplugged", "camera_stalls": "silent"}
+        notes = [str(refusal) for refusal in self._refused()]
+        notes += [f"{self._lost} pictures that nobody read in time"] if self._lost else []
+        return CameraState(
+            connected=away != "camera_gone" and not self._closed,
+            age=age,
+            frames=self._frames,
+            lost=self._lost,
+            sentence="; ".join([f"{name}: {said.get(away or '', 'reading')}", *notes]),
+            size=self._scene.scenario.rig.image_size,
+            rate=float(len(within)) if within else None,
+            refused=self._refused(),
+        )
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        self._closed = True
+
+    def _away(self) -> str | None:
+        """What keeps pictures from coming, if anything."""
+        for event in self._scene.present():
+            if event.what in ("camera_gone", "camera_stalls") and event.strikes(self._side):
+                return event.what
+        return None
+
+    def _due(self, t: float) -> int:
+        """Number of the first picture after an instant."""
+        return max(int(np.ceil((t - self._scene.clock.began) * self._rate)), 0)
+
+    def _take(self) -> CameraFrame:
+        """Render the next picture; those that a slow reader missed are gone."""
+        newest = self._due(self._scene.clock.now())
+        if newest - self._number > KEPT:
+            self._lost += newest - self._number - KEPT
+            self._number = newest - KEPT
+        number, self._number = self._number, self._number + 1
+        t = self._scene.clock.began + number / self._rate + self._skew
+        t += self._jitter * float(self._chance.standard_normal())
+        return CameraFrame(t, 0.0, self._picture(t, number), None, number)
+
+    def _picture(self, t: float, number: int) -> Image:
+        scene, side = self._scene, self._side
+        seconds = scene.seconds(t)
+        pan = float(scene.pan(t)[side])
+        seen = lights(scene.world_at(seconds), side, seconds, pan, scene.hidden(t, side))
+        turned_px = pan * scene.world.bench.cameras[side].matrix[0, 0]
+        image = scene.renderers[side].render(seen, number, turned_px)
+        if self._settings.grey and image.ndim == 3:
+            return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        return image
+
+    def _refused(self) -> tuple[Refusal, ...]:
+        """Settings that a simulation has no use for, and a size that is not the scenario's."""
+        asked, size = self._settings, self._scene.scenario.rig.image_size
+        refused = [
+            Refusal(name, str(value), "not simulated")
+            for name in ("format", "exposure", "gain", "white_balance")
+            if (value := getattr(asked, name)) is not None
+        ]
+        if asked.size not in (None, size):
+            refused.append(Refusal("size", "{} x {}".format(*asked.size), "{} x {}".format(*size)))
+        return tuple(refused)

@@ -1,0 +1,281 @@
+"""A station: the robot, the calibrated cameras, and the devices that one file names."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+import msgspec
+import numpy as np
+
+import robots
+from verify import marker_file, rig_file, session_file, station_devices, station_file
+from verify.cameras import Camera, CameraSettings
+from verify.cameras.opening import open_camera
+from verify.devices import Encoders, Pan
+from verify.errors import InputError
+from verify.files import read_bytes
+from verify.marker import Marker
+from verify.recording import Facts, Recorder
+from verify.rig import Rig
+from verify.session_file import Clock, Tolerance
+from verify.station_file import SIM
+from verify.station_sim import SimEvent, SimSettings, Simulate, Simulated
+from verify.station_tables import SimTable, StationTable
+from verify.toml_file import fault
+
+T = TypeVar("T")
+ROBOT_FILES = {".toml", ".urdf"}  # what robots.load takes for a file; else it is a name
+
+
+@runtime_checkable
+class Servo(Pan, Protocol):
+    """Bases that can be turned: what `open_pan` gives where they follow."""
+
+    def turn_to(self, left: float, right: float) -> bool:
+        """Order both bases to angles, rad, as read; False if the line is down."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmSettings:
+    """When an alarm is raised, and who is told."""
+
+    false_alarms_per_hour: float
+    command: str | None = None  # called with the alarm as JSON
+    mqtt: str | None = None  # mqtt://HOST:PORT/TOPIC
+    prometheus: str | None = None  # HOST:PORT where metrics are served
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSettings:
+    """Where recordings go."""
+
+    folder: Path
+    name: str  # of a recording's folder, for strftime
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """Everything that `verify run` needs; devices are opened when they are asked for."""
+
+    path: Path
+    name: str
+    arm: robots.Arm
+    robot: str  # as the file names it
+    rig: Rig
+    marker: Marker
+    tolerance: Tolerance | None  # None: no verdict is asked for
+    clock: Clock | None  # None: the offset is estimated from the motion
+    encoder_resolution: float | None  # rad
+    encoder_time_standard_uncertainty: float | None  # s
+    alarm: AlarmSettings
+    recording: RecordingSettings
+    follow: bool  # the bases turn to keep the LEDs in view; open_pan gives a Servo then
+    warnings: tuple[str, ...]
+    open_cameras: Callable[[], tuple[Camera, Camera]]  # left, right
+    open_encoders: Callable[[], Encoders]
+    open_pan: Callable[[], Pan | None]  # None: fixed bases, which stand as the rig says
+    facts: Facts  # what a recording's session.toml says
+
+    def open_recorder(self) -> Recorder:
+        """Begin to record; the session's folder is made with the first pair."""
+        return Recorder(self.recording.folder, self.recording.name, self.facts)
+
+
+def open_station(path: str | Path, simulate: Simulate) -> Station:
+    """Read a station file and all that it names; no device is opened yet.
+
+    Args:
+        path: the file.
+        simulate: makes the simulated devices, where the file asks for them.
+
+    Raises:
+        InputError: one line that names the file, the place in it, what stands there, what should,
+            and what to do.
+    """
+    path = Path(path)
+    table, warnings = station_file.read(path)
+    sim = _simulated(path, table, simulate)
+    arm = _arm(path, table)
+    if sim is not None and table.robot != sim.robot:
+        expected = f'the simulated robot is "{sim.robot}"'
+        raise fault(path, "robot", f'is "{table.robot}"', expected)
+    rig, rig_warnings = _rig(path, table, sim)
+    if table.left.source == SIM and sim is not None and sim.rig.image_size != rig.image_size:
+        found = "is for {} x {} px".format(*rig.image_size)
+        expected = "the simulated cameras have {} x {}".format(*sim.rig.image_size)
+        raise fault(path, "rig", found, expected, 'Write rig = "sim".')
+    marker, marker_warnings = _marker(path, table, sim)
+    for side, camera in (("left", table.left), ("right", table.right)):
+        if camera.size is not None and tuple(camera.size) != tuple(rig.image_size):
+            found = "is {} x {}".format(*camera.size)
+            expected = "the rig is calibrated for {} x {}".format(*rig.image_size)
+            raise fault(path, f"{side}.size", found, expected)
+    resolution = session_file.radians(station_devices.resolution_deg(table.encoders))
+    slug = "".join(c if c.isalnum() or c in "-_" else "_" for c in arm.name)
+    station = Station(
+        path=path,
+        name=table.description or path.stem,
+        arm=arm,
+        robot=table.robot,
+        rig=rig,
+        marker=marker,
+        tolerance=session_file.tolerance(path, table.tolerance, arm.dof),
+        clock=session_file.clock(table.clock),
+        encoder_resolution=resolution,
+        encoder_time_standard_uncertainty=table.encoders.time_standard_uncertainty_s,
+        alarm=AlarmSettings(**msgspec.structs.asdict(table.alarm)),
+        recording=RecordingSettings(
+            path.parent / table.recording.folder,
+            table.recording.name.replace("{robot}", slug),
+        ),
+        follow=table.pan.follow,
+        warnings=(*warnings, *rig_warnings, *marker_warnings),
+        open_cameras=partial(_open_cameras, path, table, rig, sim),
+        open_encoders=partial(_open_encoders, path, table, arm.dof, sim),
+        open_pan=partial(_open_pan, path, table, sim),
+        facts=_facts(path, table, arm.dof, rig, marker),
+    )
+    _try_settings(path, table, arm.dof)
+    return station
+
+
+def _open_cameras(
+    path: Path, table: StationTable, rig: Rig, sim: Simulated | None
+) -> tuple[Camera, Camera]:
+    left, right = camera_settings(path, table, rig)
+    if sim is not None and left.source == SIM:
+        return sim.camera(0, left), sim.camera(1, right)
+    return open_camera(left), open_camera(right)
+
+
+def camera_settings(
+    path: Path, table: StationTable, rig: Rig
+) -> tuple[CameraSettings, CameraSettings]:
+    """Say what both cameras are asked for."""
+    size = rig.image_size
+    left = station_devices.camera_settings(path, table.left, size)
+    return left, station_devices.camera_settings(path, table.right, size)
+
+
+def _open_encoders(path: Path, table: StationTable, joints: int, sim: Simulated | None) -> Encoders:
+    if sim is not None and table.encoders.driver == SIM:
+        return sim.encoders(table.encoders.rate_hz)
+    return station_devices.open_encoders(path, table.encoders, joints)
+
+
+def _open_pan(path: Path, table: StationTable, sim: Simulated | None) -> Pan | None:
+    if sim is not None and table.pan.driver == SIM:
+        return sim.pan()
+    return station_devices.open_pan(path, table.pan)
+
+
+def _try_settings(path: Path, table: StationTable, joints: int) -> None:
+    """Find wrong settings now, not when the run begins: drivers open their ports later.
+
+    Raises:
+        InputError: as the driver says.
+    """
+    if table.encoders.driver != SIM:
+        station_devices.open_encoders(path, table.encoders, joints).close()
+    if table.pan.driver != SIM and (pan := station_devices.open_pan(path, table.pan)) is not None:
+        pan.close()
+
+
+def _simulated(path: Path, table: StationTable, simulate: Simulate) -> Simulated | None:
+    if SIM not in (table.left.source, table.encoders.driver):
+        return None
+    try:
+        return simulate(_sim_settings(path, table.sim))
+    except InputError as error:
+        if error.place.startswith("sim."):
+            key, found = error.place, error.found
+        else:
+            key, found = "sim.scenario", f"{error.place}: {error.found}"
+        raise InputError(f"{path}, {key}", found, error.expected, error.remedy) from error
+
+
+def _sim_settings(path: Path, table: SimTable) -> SimSettings:
+    events = tuple(
+        SimEvent(
+            event.what, event.at_s, event.for_s, event.joint, float(np.deg2rad(event.degrees)),
+            event.camera, event.led,
+        )
+        for event in table.event
+    )  # fmt: skip
+    is_file = Path(table.scenario).suffix == ".toml"
+    scenario = str(path.parent / table.scenario) if is_file else table.scenario
+    return SimSettings(scenario, table.speed, events)
+
+
+def _arm(path: Path, table: StationTable) -> robots.Arm:
+    chain = table.robot_frames
+    is_file = Path(table.robot).suffix in ROBOT_FILES
+    named = str(path.parent / table.robot) if is_file else table.robot
+    try:
+        return robots.load(named, base=chain.base, tip=chain.tip)
+    except robots.RobotError as error:
+        found = f"{error.place} {error.found}"
+        raise InputError(f"{path}, robot", found, error.expected, error.remedy) from error
+
+
+def _rig(path: Path, table: StationTable, sim: Simulated | None) -> tuple[Rig, tuple[str, ...]]:
+    if sim is not None and table.rig == SIM:
+        return _from_file(sim.rig, rig_file.write, rig_file.read), ()
+    return rig_file.read(path.parent / table.rig)
+
+
+def _marker(
+    path: Path, table: StationTable, sim: Simulated | None
+) -> tuple[Marker, tuple[str, ...]]:
+    if sim is not None and table.marker == SIM:
+        return _from_file(sim.marker, marker_file.write, marker_file.read), ()
+    return marker_file.read(path.parent / table.marker)
+
+
+def _from_file(
+    thing: T, write: Callable[[Path, T], None], read: Callable[[Path], tuple[T, tuple[str, ...]]]
+) -> T:
+    """Give what a recording's file will say: numbers are rounded there, in the 15th digit.
+
+    What is measured live must be measured again from the recording, to the last digit.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "written.toml"
+        write(path, thing)
+        return read(path)[0]
+
+
+def _facts(path: Path, table: StationTable, joints: int, rig: Rig, marker: Marker) -> Facts:
+    """What a recording of this station says of itself: copies of its files, and the tables."""
+    robot, files = table.robot, {"rig.toml": b"", "marker.toml": b""}
+    if Path(robot).suffix in ROBOT_FILES:
+        data = read_bytes(path.parent / robot)
+        robot = f"robot{Path(robot).suffix}"
+        files[robot] = data
+    for name, given, written in (
+        ("rig.toml", table.rig, rig_file.encode(rig)),
+        ("marker.toml", table.marker, marker_file.encode(marker)),
+    ):
+        files[name] = written if given == SIM else read_bytes(path.parent / given)
+    stated = table.encoders.time_standard_uncertainty_s
+    readings = {
+        "resolution_deg": station_devices.resolution_deg(table.encoders),
+        "time_standard_uncertainty_s": stated,
+    }
+    tables: dict[str, Any] = {"description": table.description or path.stem}
+    for key, part in (
+        ("clock", table.clock),
+        ("encoder_readings", readings),
+        ("tolerance", table.tolerance),
+        ("environment", table.environment),
+        ("robot_frames", table.robot_frames),
+    ):
+        said = {k: v for k, v in (msgspec.to_builtins(part) or {}).items() if v is not None}
+        if said:
+            tables[key] = said
+    turning = table.pan.driver != "fixed"
+    return Facts(robot, joints, files, tables, turning, stated is not None)
