@@ -19,6 +19,10 @@ class InputError(Exception):
         sentence = f"{place}: {clause}."
         super().__init__(one_line(f"{sentence} {remedy}".strip()))
 
+    def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str, str]]:
+        """Cross from one process to another: an exception's own way keeps only the sentence."""
+        return type(self), (self.place, self.found, self.expected, self.remedy)
+
 
 def one_line(text: str) -> str:
     """Keep hostile names (newlines, escape sequences) from breaking the promised one line."""

@@ -13,7 +13,8 @@ import numpy as np
 import robots
 from verify import marker_file, rig_file, session_file, station_devices, station_file
 from verify.cameras import Camera, CameraSettings
-from verify.cameras.opening import open_camera
+from verify.cameras.opening import is_file, open_camera
+from verify.cameras.replay import USUAL_RATE
 from verify.devices import Encoders, Pan
 from verify.errors import InputError
 from verify.files import read_bytes
@@ -73,6 +74,8 @@ class Station:
     encoder_time_standard_uncertainty: float | None  # s
     alarm: AlarmSettings
     recording: RecordingSettings
+    rate: float  # Hz, pairs: of the slower camera, as asked for
+    files: bool  # the cameras are files, whose pictures can wait
     follow: bool  # the bases turn to keep the LEDs in view; open_pan gives a Servo then
     warnings: tuple[str, ...]
     open_cameras: Callable[[], tuple[Camera, Camera]]  # left, right
@@ -132,6 +135,8 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
             path.parent / table.recording.folder,
             table.recording.name.replace("{robot}", slug),
         ),
+        rate=min(table.left.rate_hz or USUAL_RATE, table.right.rate_hz or USUAL_RATE),
+        files=all(c.source != SIM and is_file(c.source) for c in (table.left, table.right)),
         follow=table.pan.follow,
         warnings=(*warnings, *rig_warnings, *marker_warnings),
         open_cameras=partial(_open_cameras, path, table, rig, sim),

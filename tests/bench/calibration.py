@@ -8,7 +8,6 @@ within 93 to 97 %; the mean of d² over its degrees of freedom must lie within i
 
 import os
 import sys
-from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
@@ -19,6 +18,7 @@ from tests.verify.calibration.calibrated import squared_distance
 from tests.verify.calibration.made_views import BOARD, SIGMA, SIZE, levelled, make_pairs, poses
 from verify.calibration.boards import calibrate
 from verify.calibration.covariance import in_si
+from verify.errors import InputError
 from verify.records import Array
 from verify.rig import Camera, Rig
 
@@ -29,6 +29,7 @@ KINDS = ("fixed", "turning", "scattering")  # the last: readings that are off by
 PAN_ERROR_DEG = 0.05
 WITHIN = 1.96
 LOW, HIGH = 0.93, 0.97
+Outcome = tuple[dict[str, float], float, int, float]
 LENS = ("k1", "k2", "p1", "p2", "k3")
 
 
@@ -85,7 +86,7 @@ def deviation(name: str, found: Rig, true: Rig) -> float:
     return float((one.mount[:3, 3] - other.mount[:3, 3])[at])
 
 
-def replicate(kind: str, seed: int) -> tuple[dict[str, float], float, int, float]:
+def replicate(kind: str, seed: int) -> Outcome:
     """Normalised errors by parameter, d², its degrees of freedom, the noise factor."""
     rng = np.random.default_rng(seed)
     turning = kind != "fixed"
@@ -109,18 +110,31 @@ def replicate(kind: str, seed: int) -> tuple[dict[str, float], float, int, float
     return dict(zip(covariance.parameters, z.tolist(), strict=True)), d2, rank, found.noise * stated
 
 
+def attempt(kind: str, seed: int) -> Outcome | str:
+    """One replicate, or why it was refused."""
+    try:
+        return replicate(kind, seed)
+    except InputError as error:
+        return f"refused, {kind}, replicate's seed {seed}: {error}"
+
+
 def study(
     kind: str, replicates: int, seed: int, jobs: int | None = None
 ) -> tuple[dict[str, Array], Array, Array]:
-    """Normalised errors of every parameter over all replicates; d² and its degrees of freedom."""
+    """Normalised errors of every parameter over all replicates; d² and its degrees of freedom.
+
+    What is refused is printed and left out: a draw may lack what the data must show.
+    """
     seeds = np.random.SeedSequence(seed).generate_state(replicates).tolist()
     if jobs == 1:
-        outcomes: Iterable[tuple[dict[str, float], float, int, float]] = [
-            replicate(kind, s) for s in seeds
-        ]
+        attempts = [attempt(kind, s) for s in seeds]
     else:
         with ProcessPoolExecutor(max_workers=jobs or os.cpu_count()) as pool:
-            outcomes = list(pool.map(replicate, [kind] * replicates, seeds, chunksize=4))
+            attempts = list(pool.map(attempt, [kind] * replicates, seeds, chunksize=4))
+    outcomes = [a for a in attempts if not isinstance(a, str)]
+    for refused in attempts:
+        if isinstance(refused, str):
+            print(refused)
     errors: dict[str, list[float]] = {}
     for z, *_ in outcomes:
         for name, value in z.items():
@@ -152,7 +166,7 @@ def main(replicates: int, seeds: tuple[int, ...]) -> int:
                   f"{'' if fine else '  FAILS'}")  # fmt: skip
             for name, z in sorted(errors.items()):
                 share = float(np.mean(np.abs(z) <= WITHIN))
-                often = len(z) == replicates  # a coefficient that is mostly held is no cell
+                often = len(z) == len(d2)  # a coefficient that is mostly held is no cell
                 good = LOW <= share <= HIGH or not often
                 failed += int(not good)
                 print(f"  {name:26s} {share:.1%}  of {len(z)}{'' if good else '  FAILS'}")

@@ -1,21 +1,25 @@
 """Measure a recorded session, compare it with the encoders, judge, and write the reports."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from verify.terminal import terminal
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
-    from reports import Results
-    from verify.session import Session, Tolerance
+    from verify.commands.asked import Asked
+    from verify.commands.watching import PageWish
 
 STATUS = {"conform": 0, None: 0, "nonconform": 1, "undecided": 3}
+SEVERITY = [None, "conform", "undecided", "nonconform"]  # of a run with several recordings
 
 
 def run(
-    source: Annotated[Path, typer.Argument(help="A recorded session's folder.")],
+    source: Annotated[
+        Path | None,
+        typer.Argument(help="A recorded session's folder, or a station file: live cameras."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Where to; default: NAME-report, here.")
     ] = None,
@@ -32,124 +36,116 @@ def run(
     force: Annotated[
         bool, typer.Option("--force", help="Write into a folder that exists.")
     ] = False,
+    new_station: Annotated[
+        bool,
+        typer.Option("--new-station", help="Write a commented station file, and do nothing else."),
+    ] = False,
+    duration: Annotated[
+        str | None, typer.Option("--for", help="Station: how long to watch: 60s, 10m, 1.5h.")
+    ] = None,
+    on_alarm: Annotated[
+        str | None,
+        typer.Option(help="Station: a command for each alarm; JSON on its standard input."),
+    ] = None,
+    page: Annotated[
+        bool, typer.Option("--page", help="Station: serve a page for the browser.")
+    ] = False,
+    page_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="The page's port; 0: any that is free.")
+    ] = 8646,
+    page_address: Annotated[
+        str, typer.Option(help="The page's address; another one than this needs a token.")
+    ] = "127.0.0.1",
+    page_token: Annotated[
+        str | None, typer.Option(help="What viewers must show; 16 characters or more.")
+    ] = None,
 ) -> int:
-    """Measure a recorded session, compare with the encoders, judge, report.
+    """Measure a recorded session or a moving robot, compare with the encoders, judge, report.
+
+    A station is watched until Ctrl-C, --for is over, or the robot's program ends; the report is
+    made from what was recorded. Nothing in it can command the robot.
 
     Exit status 0: ran, conforms where a verdict was asked for; 1: does not conform; 2: could not
     run; 3: undecided.
 
     Example: verify run sample_sessions/multi_joint_fault_6r --tolerance 0.2
     """
-    from verify.analysis import analyse
-    from verify.results_folder import refuse_existing, write_results
-    from verify.session import open_session
+    if new_station:
+        return _new_station(source)
+    if source is None:
+        raise typer.BadParameter("name a session's folder or a station file")
+    from verify.commands.asked import Asked
 
-    session = open_session(source)
-    target = out if out is not None else Path(f"{session.name}-report")
-    refuse_existing(target, force=force)
-    for warning in session.warnings:
+    asked = Asked(tolerance, position_tolerance, orientation_tolerance)
+    if source.is_dir() or source.suffix != ".toml":
+        _refuse_live_options(duration, on_alarm, page=page)
+        from verify.commands.measuring import measure_recorded
+
+        return STATUS[measure_recorded(source, out, asked, force=force)]
+    from verify.commands.watching import PageWish
+
+    wish = PageWish(page_port, page_address, page_token) if page else None
+    return _watch(source, out, asked, duration, on_alarm, wish, force=force)
+
+
+def _watch(
+    source: Path,
+    out: Path | None,
+    asked: "Asked",
+    duration: str | None,
+    on_alarm: str | None,
+    page: "PageWish | None",
+    *,
+    force: bool,
+) -> int:
+    from verify.commands.asked import seconds
+    from verify.commands.measuring import measure_recorded
+    from verify.commands.watching import Wish, watch
+    from verify.results_folder import refuse_existing
+    from verify.sim.devices import SimulatedStation
+    from verify.station import open_station
+
+    length = None if duration is None else seconds("--for", duration)
+    station = open_station(source, SimulatedStation)
+    if out is not None:
+        refuse_existing(out, force=force)
+    for warning in station.warnings:
         terminal.warn(warning)
-    asked = _tolerance(session, tolerance, position_tolerance, orientation_tolerance)
-    with terminal.progress("pairs") as progress:
-        results = analyse(session, tolerance=asked, progress=progress)
-    for warning in results.summary["warnings"]:
-        if warning not in session.warnings:
-            terminal.warn(warning)
-    write_results(results, target, force=force)
-    _say(results, target)
-    return STATUS[results.summary["verdict"]]
+    wish = Wish(length, asked.tolerance(station.arm.dof), on_alarm, page)
+    verdicts = []
+    for number, folder in enumerate(watch(station, wish)):
+        target = out if out is None or number == 0 else out.with_name(f"{out.name}-{number + 1}")
+        verdicts.append(measure_recorded(folder, target, asked, force=force))
+    return STATUS[max(verdicts, key=SEVERITY.index)]
 
 
-def _tolerance(
-    session: "Session",
-    joints: str | None,
-    position_mm: float | None,
-    orientation_deg: float | None,
-) -> "Tolerance":
-    import numpy as np
+def _new_station(path: Path | None) -> int:
+    """Write the commented station file; nothing is overwritten."""
+    from importlib.resources import files
 
-    from verify.session import Tolerance
+    from verify.results_folder import refuse_file
+    from verify.writing import write_whole
 
-    given = None if joints is None else np.deg2rad(_numbers(joints, session.arm.dof))
-    for name, value in (
-        ("--position-tolerance", position_mm),
-        ("--orientation-tolerance", orientation_deg),
-    ):
-        if value is not None:
-            _require_positive(name, value)
-    return Tolerance(
-        joints=given,
-        position=None if position_mm is None else position_mm * 1e-3,
-        orientation=None if orientation_deg is None else float(np.deg2rad(orientation_deg)),
-    )
+    target = path if path is not None else Path("station.toml")
+    refuse_file(target, force=False)
+    write_whole(target, files("verify").joinpath("station.toml").read_bytes())
+    terminal.say(f"{target} runs as it is, with simulated devices: verify run {target} --for 20s")
+    terminal.record({"type": "result", "out": str(target)})
+    return 0
 
 
-def _numbers(text: str, joints: int) -> list[float]:
+def _refuse_live_options(duration: str | None, on_alarm: str | None, *, page: bool) -> None:
+    """An option that does nothing must not pass for one that did."""
     from verify.errors import InputError
 
-    try:
-        values = [float(word) for word in text.split(",")]
-    except ValueError:
-        raise InputError(
-            "--tolerance", f'"{text}" is not a number of degrees',
-            f"one number is asked for, or {joints} with commas between", "Example: 0.2",
-        ) from None  # fmt: skip
-    for value in values:
-        _require_positive("--tolerance", value)
-    if len(values) == 1:
-        values = values * joints
-    if len(values) != joints:
-        raise InputError(
-            "--tolerance", f"{len(values)} numbers were given",
-            f"the robot has {joints} joints", "Give one number, or one a joint.",
-        )  # fmt: skip
-    return values
-
-
-def _require_positive(name: str, value: float) -> None:
-    import math
-
-    from verify.errors import InputError
-
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(name, f"{value:g} was given", "a tolerance is greater than 0", "")
-
-
-def _say(results: "Results", target: Path) -> None:
-    """Tell what was found, briefly; the report has the rest."""
-    from reports.headline import headline
-
-    summary: dict[str, Any] = results.summary
-    verdict = headline(results)
-    terminal.say(f"{verdict.label}: {verdict.sentence}")
-    for joint in summary["joints"]:
-        terminal.say(_line(joint))
-    for line in _details(summary):
-        terminal.detail(line)
-    terminal.say(f"Report: {target / 'report.html'} and {target / 'report.pdf'}")
-    terminal.record({"type": "result", "out": str(target), "summary": summary})
-
-
-def _details(summary: dict[str, Any]) -> list[str]:
-    """What --verbose adds: pairs, clock, how LEDs were told apart, detectable errors."""
-    pairs, clock = summary["pairs"], summary["clock"]
-    lost = ", ".join(f"{n} {status}" for status, n in pairs["rejected"].items()) or "none"
-    offset = clock["encoder_offset_s"]
-    said = "not shown by the motion" if offset is None else f"{offset:+.6f} s, {clock['source']}"
-    told = ", ".join(f"{n} by {how}" for how, n in summary["choices"].items()) or "-"
-    smallest = [j["minimum_detectable_error_deg"] for j in summary["joints"]]
-    shown = ", ".join("-" if s is None else f"{s:.3f}°" for s in smallest)
-    return [
-        f"pairs: {pairs['measured']} of {pairs['recorded']} measured; rejected: {lost}",
-        f"encoder clock: {said}",
-        f"LEDs told apart: {told}",
-        f"smallest offset that would be noticed, a joint: {shown}",
+    given = [
+        ("--for", duration is not None),
+        ("--on-alarm", on_alarm is not None),
+        ("--page", page),
     ]
-
-
-def _line(joint: dict[str, Any]) -> str:
-    mean, u = joint["mean_error_deg"], joint["expanded_uncertainty_deg"]
-    error = "not determined" if mean is None else f"{mean:+.3f}°"
-    doubt = "" if u is None else f" ± {u:.3f}°"
-    verdict = "" if joint["verdict"] is None else f"  {joint['verdict']}"
-    return f"  joint {joint['joint']}: {error}{doubt}{verdict}"
+    for name, asked in given:
+        if asked:
+            raise InputError(
+                name, "was given with a recorded session", "it is for stations",
+                "Leave it out, or name a station file.",
+            )  # fmt: skip

@@ -144,10 +144,12 @@ def encoders_step(encoders: Encoders, recorder: Recorder, book: ReadingsBook) ->
     return step
 
 
-def pan_step(pan: Pan, book: PanBook) -> Callable[[], bool]:
-    """Read how the bases stand."""
+def pan_step(pan: Pan, book: PanBook, turn: Callable[[], None] | None = None) -> Callable[[], bool]:
+    """Read how the bases stand; turn them first, where an order waits."""
 
     def step() -> bool:
+        if turn is not None:
+            turn()
         readings = pan.read()
         for reading in readings:
             book.add(reading)

@@ -15,6 +15,7 @@ from verify.devices import Encoders, Pan
 from verify.live.alarms import Alarm
 from verify.live.clock_keeper import ClockKeeper, Estimator
 from verify.live.compared import Bracketing, Outcome, Taken
+from verify.live.follow import Follower
 from verify.live.intake import PairQueue, Pump, camera_step, encoders_step, pan_step
 from verify.live.joint_alarms import AlarmLimits, JointAlarms
 from verify.live.lost import DeviceWatch, TargetWatch
@@ -54,6 +55,7 @@ class Live:
         estimator: estimates the clock; in another process, as it takes longer than a picture.
         listeners: are told every row and alarm, in this loop's threads: they must not wait.
         setup: makes the chain's setup, from what the readings suggest.
+        state: where it is told how things are; made here unless lookers-on have it already.
     """
 
     def __init__(
@@ -65,13 +67,16 @@ class Live:
         estimator: Estimator,
         listeners: Sequence[Listener] = (),
         setup: Callable[[Callable[[float], Sequence[Array]]], Setup] | None = None,
+        state: LiveState | None = None,
     ) -> None:
-        self.state = LiveState()
+        self.state = LiveState() if state is None else state
         self._subject, self._devices, self._recorder = subject, devices, recorder
         self._plan, self._listeners = plan, listeners
         self._book, self._pan = ReadingsBook(), PanBook()
         self._keeper = ClockKeeper(subject.arm, subject.rig, self._book, subject.clock, estimator)
         self._queue = PairQueue(Pairing())
+        follows = devices.turn is not None
+        self._follower = Follower(subject.rig, subject.marker) if follows else None
         turning = devices.pan is not None
         self._bracketing = Bracketing(subject, self._book, self._keeper, turning=turning)
         numbers = itertools.count(1)
@@ -132,8 +137,14 @@ class Live:
             ("encoders", encoders_step(devices.encoders, self._recorder, self._book)),
         ]
         if devices.pan is not None:
-            steps.append(("pan bases", pan_step(devices.pan, self._pan)))
+            steps.append(("pan bases", pan_step(devices.pan, self._pan, self._turn)))
         return [Pump(name, step, self._failed) for name, step in steps]
+
+    def _turn(self) -> None:
+        """Carry an order of the follower's out, in the thread that owns the bases' line."""
+        order = None if self._follower is None else self._follower.order()
+        if order is not None and self._devices.turn is not None:
+            self._devices.turn(*order)
 
     def _failed(self, name: str, error: Exception) -> None:
         self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
@@ -227,6 +238,8 @@ class Live:
         arrived, doubt, pair = self._arrivals.pop(measurement.t, nothing)
         if pair is not None:
             self.state.seen(pair, measurement)
+            if self._follower is not None:
+                self._follower.look(pair, measurement, self._expected(measurement.t))
         with self._wake:
             self._measured.append(Taken(measurement, arrived, doubt, time.monotonic()))
             self._wake.notify_all()

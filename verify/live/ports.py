@@ -1,7 +1,7 @@
 """What the loop needs of others, and no more."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -76,6 +76,8 @@ class Devices:
     right: Camera
     encoders: Encoders
     pan: Pan | None = None  # None: the bases stand as the rig says
+    # orders both bases to angles as read, rad; None: they are not turned from here
+    turn: Callable[[float, float], bool] | None = None
     files: bool = False  # the cameras are files, which wait until their pictures are measured
 
 

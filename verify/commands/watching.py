@@ -1,0 +1,214 @@
+"""`verify run` on a station: open its devices, watch, tell what is seen, record."""
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+from rich.console import Console
+
+from verify.errors import InputError
+from verify.live.clock_keeper import estimate
+from verify.live.helper import Helper
+from verify.live.joint_alarms import AlarmLimits
+from verify.live.lines import PlainLines
+from verify.live.loop import Live, Plan
+from verify.live.outputs import Command, Lines, Posted, mqtt
+from verify.live.ports import Devices, Listener, Subject
+from verify.live.state import LiveState
+from verify.live.table import LiveTable
+from verify.page.feed import Page
+from verify.page.metrics_server import MetricsServer
+from verify.page.run_source import Facts, RunSource
+from verify.session import Tolerance
+from verify.station import Servo, Station
+from verify.terminal import terminal
+
+ESTIMATE_PATIENCE = 20.0  # s for the clock, on a busy machine
+
+
+@dataclass(frozen=True, slots=True)
+class PageWish:
+    """Where the page is wanted."""
+
+    port: int
+    address: str
+    token: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """How the run is wanted."""
+
+    duration: float | None  # s
+    tolerance: Tolerance  # replaces the station's, entry by entry
+    on_alarm: str | None
+    page: PageWish | None
+
+
+def watch(station: Station, wish: Wish) -> tuple[Path, ...]:
+    """Watch until Ctrl-C, the time is up, or the robot's program ends.
+
+    Args:
+        station: what is watched.
+        wish: how.
+
+    Returns:
+        The sessions that were recorded: more than one where the controller's clock began anew.
+
+    Raises:
+        InputError: a device, the page or who is to be told cannot be had; nothing is running then.
+    """
+    joints = wish.tolerance.joints
+    if joints is None and station.tolerance is not None:
+        joints = station.tolerance.joints
+    subject = Subject(
+        station.arm,
+        station.rig,
+        station.marker,
+        station.clock,
+        station.encoder_resolution,
+        station.encoder_time_standard_uncertainty,
+    )
+    limits = AlarmLimits(station.alarm.false_alarms_per_hour, station.rate, joints)
+    state = LiveState()
+    facts = Facts(station.robot, station.name, joints, limits.false_alarms_per_hour)
+    with ExitStack() as stack:
+        listeners = _listeners(station, wish, stack)
+        _serve(station, wish, RunSource(state, subject, facts), stack)
+        clock = Helper(estimate, "clock")
+        stack.callback(clock.close)
+        recorder = station.open_recorder()
+        stack.callback(recorder.close)
+        live = Live(
+            subject,
+            _open(station),
+            recorder,
+            Plan(limits, wish.duration),
+            lambda question: clock.ask(question, ESTIMATE_PATIENCE),
+            listeners,
+            state=state,
+        )
+        look = stack.enter_context(_shown(None if joints is None else np.rad2deg(joints).tolist()))
+        stop = stack.enter_context(_stopped_politely())
+        live.run(stop, look)
+    _say_how_it_was(state)
+    recorded = recorder.state()
+    terminal.say(recorded.sentence)
+    if not recorded.folders:
+        raise _nothing_recorded(station, recorded.sentence)
+    return recorded.folders
+
+
+def _serve(station: Station, wish: Wish, source: RunSource, stack: ExitStack) -> None:
+    """Serve the page and the metrics, as far as they are wanted."""
+    if wish.page is not None:
+        page = Page(source, wish.page.port, wish.page.address, wish.page.token)
+        stack.callback(page.close)
+        terminal.say(f"page: {page.url}")
+        terminal.record({"type": "page", "url": page.url})
+    if station.alarm.prometheus is not None:
+        stack.callback(MetricsServer(station.alarm.prometheus, source.metrics).close)
+
+
+def _open(station: Station) -> Devices:
+    """Open all devices; none stays open if one cannot be."""
+    with ExitStack() as opened:
+        left, right = station.open_cameras()
+        opened.callback(left.close)
+        opened.callback(right.close)
+        encoders = station.open_encoders()
+        opened.callback(encoders.close)
+        pan = station.open_pan()
+        opened.pop_all()
+    turn = pan.turn_to if station.follow and isinstance(pan, Servo) else None
+    return Devices(left, right, encoders, pan, turn, station.files)
+
+
+def _listeners(station: Station, wish: Wish, stack: ExitStack) -> list[Listener]:
+    """Everybody who is told what happens; each is let go with the stack."""
+    told: list[Listener] = []
+
+    def tell(listener: Listener) -> None:
+        told.append(Posted(listener, terminal.warn))
+        stack.callback(told[-1].close)
+
+    command = wish.on_alarm if wish.on_alarm is not None else station.alarm.command
+    if command is not None:
+        tell(Command(command))
+    if station.alarm.mqtt is not None:
+        tell(mqtt(station.alarm.mqtt))
+    if terminal.as_json:
+        tell(Lines(terminal.record))
+    elif not _is_screen():
+        tell(PlainLines(terminal.say))
+    return told
+
+
+def _is_screen() -> bool:
+    return sys.stdout.isatty() and not terminal.as_json and not terminal.quiet
+
+
+@contextmanager
+def _shown(tolerance_deg: list[float] | None) -> Iterator[Callable[[LiveState], None] | None]:
+    """Draw the table where there is a terminal to draw it on."""
+    if not _is_screen():
+        yield None
+        return
+    with LiveTable(tolerance_deg, Console()) as table:
+        yield table.look
+
+
+@contextmanager
+def _stopped_politely() -> Iterator[threading.Event]:
+    """Ctrl-C and a polite kill end the run, and its report is made; a second one ends that too."""
+    stop = threading.Event()
+
+    def first(number: int, _frame: FrameType | None) -> None:
+        stop.set()
+        signal.signal(number, before[signal.Signals(number)])
+
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, first)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _say_how_it_was(state: LiveState) -> None:
+    now = state.snapshot()
+    p50, p99 = now.latency.p50, now.latency.p99
+    terminal.record(
+        {
+            "type": "watched",
+            "pairs": now.pairs,
+            "statuses": state.statuses(),
+            "dropped": dict(now.dropped),
+            "alarms": dict(now.alarm_counts),
+            "latency_p50_ms": None if p50 is None else p50 * 1e3,
+            "latency_p99_ms": None if p99 is None else p99 * 1e3,
+            "recording": now.recording,
+        }
+    )
+    lost = ", ".join(f"{n} {why}" for why, n in now.dropped.items()) or "none"
+    alarms = ", ".join(f"{n} {kind}" for kind, n in now.alarm_counts.items()) or "none"
+    terminal.say(f"{now.measured} of {now.pairs} pairs measured; lost: {lost}; alarms: {alarms}")
+    for line in now.devices:
+        if not line.well:
+            terminal.warn(f"{line.name}: {line.sentence}")
+
+
+def _nothing_recorded(station: Station, sentence: str) -> InputError:
+    """Say that there is nothing to make a report of."""
+    return InputError(
+        station.path, f"no pair of pictures was recorded ({sentence})",
+        "two cameras that deliver, and room on the disk", "Try `verify doctor` on this file.",
+    )  # fmt: skip
