@@ -24,6 +24,16 @@ UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
 MINIMUM_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
 
 
+Detector = Callable[[Image, Image, Array | None, Array | None], tuple[Spots, Spots]]
+
+
+def one_after_the_other(
+    left: Image, right: Image, left_windows: Array | None, right_windows: Array | None
+) -> tuple[Spots, Spots]:
+    """Find the spots of both pictures of a pair; windows (m, 4) px, None for the whole frame."""
+    return detect(left, left_windows), detect(right, right_windows)
+
+
 def nothing_expected(_t: float) -> Sequence[Array]:
     """Stand in for encoders where there are none: no candidate poses."""
     return NEVER
@@ -38,6 +48,8 @@ class Setup:
     # candidates for rig_T_flange at a time (s), from the encoders: settles which LED is which
     # where nothing else does; a choice, never a value
     expected: Callable[[float], Sequence[Array]] = field(default=nothing_expected)
+    # who looks for spots: another one that is quicker must find the same
+    detect: Detector = field(default=one_after_the_other)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +117,11 @@ def _look(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _Seen:
                 (setup.rig.right, pair.pan_right, pair.right),
             )
         ]
-        spots = detect(pair.left, windows[0]), detect(pair.right, windows[1])
+        spots = setup.detect(pair.left, pair.right, *windows)
         seen = _identified(pair, spots, setup, memory, prediction, whole_frame=False)
         if _every_led(seen, setup):
             return seen
-    spots = detect(pair.left), detect(pair.right)
+    spots = setup.detect(pair.left, pair.right, None, None)
     # with an LED missing the prediction may follow a reflection: pictures that show the whole
     # marker elsewhere overrule it
     fresh = _identified(pair, spots, setup, memory, None, whole_frame=True)

@@ -142,7 +142,7 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
         open_cameras=partial(_open_cameras, path, table, rig, sim),
         open_encoders=partial(_open_encoders, path, table, arm.dof, sim),
         open_pan=partial(_open_pan, path, table, sim),
-        facts=_facts(path, table, arm.dof, rig, marker),
+        facts=_facts(path, table, arm.dof, sim),
     )
     _try_settings(path, table, arm.dof)
     return station
@@ -254,18 +254,22 @@ def _from_file(
         return read(path)[0]
 
 
-def _facts(path: Path, table: StationTable, joints: int, rig: Rig, marker: Marker) -> Facts:
+def _facts(path: Path, table: StationTable, joints: int, sim: Simulated | None) -> Facts:
     """What a recording of this station says of itself: copies of its files, and the tables."""
-    robot, files = table.robot, {"rig.toml": b"", "marker.toml": b""}
+    robot: str = table.robot
+    files: dict[str, bytes] = {}
     if Path(robot).suffix in ROBOT_FILES:
         data = read_bytes(path.parent / robot)
         robot = f"robot{Path(robot).suffix}"
         files[robot] = data
-    for name, given, written in (
-        ("rig.toml", table.rig, rig_file.encode(rig)),
-        ("marker.toml", table.marker, marker_file.encode(marker)),
-    ):
-        files[name] = written if given == SIM else read_bytes(path.parent / given)
+    if sim is not None:  # the very bytes that this run reads: written again they end otherwise
+        files |= {
+            "rig.toml": rig_file.encode(sim.rig),
+            "marker.toml": marker_file.encode(sim.marker),
+        }
+    for name, given in (("rig.toml", table.rig), ("marker.toml", table.marker)):
+        if given != SIM:
+            files[name] = read_bytes(path.parent / given)
     stated = table.encoders.time_standard_uncertainty_s
     readings = {
         "resolution_deg": station_devices.resolution_deg(table.encoders),

@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from verify.errors import InputError
+from verify.live.beside import BesideDetector
 from verify.live.clock_keeper import estimate
 from verify.live.helper import Helper
 from verify.live.joint_alarms import AlarmLimits
@@ -22,6 +23,7 @@ from verify.live.outputs import Command, Lines, Posted, mqtt
 from verify.live.ports import Devices, Listener, Subject
 from verify.live.state import LiveState
 from verify.live.table import LiveTable
+from verify.measurement import Setup
 from verify.page.feed import Page
 from verify.page.metrics_server import MetricsServer
 from verify.page.run_source import Facts, RunSource
@@ -83,6 +85,8 @@ def watch(station: Station, wish: Wish) -> tuple[Path, ...]:
         _serve(station, wish, RunSource(state, subject, facts), stack)
         clock = Helper(estimate, "clock")
         stack.callback(clock.close)
+        beside = BesideDetector(terminal.warn)
+        stack.callback(beside.close)
         recorder = station.open_recorder()
         stack.callback(recorder.close)
         live = Live(
@@ -92,6 +96,7 @@ def watch(station: Station, wish: Wish) -> tuple[Path, ...]:
             Plan(limits, wish.duration),
             lambda question: clock.ask(question, ESTIMATE_PATIENCE),
             listeners,
+            setup=lambda expected: Setup(station.rig, station.marker, expected, beside),
             state=state,
         )
         look = stack.enter_context(_shown(None if joints is None else np.rad2deg(joints).tolist()))

@@ -1,0 +1,159 @@
+"""`verify run` on a station for ten minutes at 30 pairs a second: losses, latency, memory.
+
+Three runs, with recording and a viewer of the page each: everything simulated, a LABENC board on a
+pty, and a MELFA controller over TCP; the emulators are a process of their own and follow the
+simulated arm. Goals: no pair lost, p50 under 10 ms and p99 under 30 ms from the later of picture
+and bracketing reading to the joint errors, memory flat within 50 MB after the first minute.
+
+    python -m tests.bench.soak [MINUTES] [sim|labenc|melfa …]
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+from tests.verify.live.followed import emulator
+
+MINUTES = 10.0
+RATE = 30.0  # pairs a second
+P50, P99 = 10.0, 30.0  # ms
+FLAT = 50.0  # MB
+SAMPLED = 5.0  # s from one look at the memory to the next
+SETTLED = 60.0  # s until memory is compared; a short soak: half of it
+PORTS = {"labenc": "pty", "melfa": "tcp:0"}
+STATION = """format = 1
+robot = "rv_3sd_melfa"
+rig = "sim"
+marker = "sim"
+[left]
+source = "sim"
+rate_hz = 30.0
+[right]
+source = "sim"
+rate_hz = 30.0
+[encoders]
+{encoders}
+[alarm]
+false_alarms_per_hour = 0.1
+[recording]
+folder = "recordings"
+[sim]
+scenario = "multi_joint_rv_3sd"
+"""
+
+
+def _look_on(url: str, stop: threading.Event, received: list[int]) -> None:
+    """A viewer: takes everything that the page would, pictures too."""
+    while not stop.is_set():
+        try:
+            address = url.replace("http", "ws") + "live"
+            with connect(address, origin=url.rstrip("/"), max_size=None) as socket:
+                while not stop.is_set():
+                    socket.recv(timeout=5.0)
+                    received[0] += 1
+        except (OSError, TimeoutError, WebSocketException):
+            stop.wait(0.2)
+
+
+def _resident(pid: int) -> float:
+    """Memory of a process and its children, MB."""
+    total = 0.0
+    pending = [pid]
+    while pending:
+        p = pending.pop()
+        try:
+            status = Path(f"/proc/{p}/smaps_rollup").read_text()
+            total += next(int(x.split()[1]) for x in status.splitlines() if x.startswith("Pss:"))
+            children = Path(f"/proc/{p}/task").glob("*/children")
+            pending += [int(c) for f in children for c in f.read_text().split()]
+        except (OSError, StopIteration):
+            continue
+    return total / 1024
+
+
+def soak(kind: str, seconds: float) -> bool:
+    """Run one station and print what came of it; whether all goals were met."""
+    began = time.monotonic()
+    with ExitStack() as stack:
+        encoders = 'driver = "sim"\nrate_hz = 100.0'
+        if kind != "sim":
+            address, go = stack.enter_context(emulator(kind, PORTS[kind], began))
+            go()
+            encoders = f'driver = "{kind}"\nport = "{address}"'
+        path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "station.toml"
+        path.write_text(STATION.format(encoders=encoders))
+        words = [sys.executable, "-m", "tests.verify.live.followed", str(path), str(began)]
+        process = subprocess.Popen([*words, str(seconds)], stdout=subprocess.PIPE, text=True)
+        return _followed(kind, process, began, seconds)
+
+
+def _followed(kind: str, process: "subprocess.Popen[str]", began: float, seconds: float) -> bool:
+    stop, received = threading.Event(), [0]
+    memory: list[tuple[float, float]] = []
+
+    def sample() -> None:
+        while not stop.wait(SAMPLED):
+            memory.append((time.monotonic() - began, _resident(process.pid)))
+
+    threading.Thread(target=sample, daemon=True).start()
+    summary: dict[str, object] = {}
+    assert process.stdout is not None
+    for line in process.stdout:
+        said = json.loads(line)
+        if said["type"] == "page":
+            args = (said["url"], stop, received)
+            threading.Thread(target=_look_on, args=args, daemon=True).start()
+        elif said["type"] == "watched":
+            stop.set()
+            summary = said
+        elif said["type"] in {"warning", "alarm"}:
+            print(f"  {said['type']}: {said['text']}")
+    process.wait()
+    return _told(kind, summary, memory, received[0], seconds)
+
+
+def _told(
+    kind: str,
+    said: dict[str, object],
+    memory: list[tuple[float, float]],
+    received: int,
+    seconds: float,
+) -> bool:
+    """Print the figures beside their goals."""
+    settled = [m for t, m in memory if min(SETTLED, seconds / 2) < t < seconds]
+    growth = max(settled) - settled[0] if settled else float("nan")
+    pairs, dropped = int(str(said["pairs"])), said["dropped"]
+    p50, p99 = (float(str(said[f"latency_{p}_ms"])) for p in ("p50", "p99"))
+    share = pairs / (RATE * seconds)
+    goals = {
+        f"{pairs} pairs in {seconds:.0f} s, {share:.1%} of 30 a second, lost {dropped or 'none'}, "
+        f"{said['statuses']}": not dropped,
+        f"latency p50 {p50:.1f} ms (goal {P50:.0f}), p99 {p99:.1f} ms (goal {P99:.0f}), last "
+        f"minute": p50 < P50 and p99 < P99,
+        f"memory {settled[0] if settled else 0:.0f} MB with all its processes, grown by "
+        f"{growth:.0f} MB (goal {FLAT:.0f})": growth < FLAT,
+    }
+    print(f"{kind}: alarms {said['alarms'] or 'none'}, the viewer got {received} messages")
+    for text, met in goals.items():
+        print(f"  {'met ' if met else 'MISSED'} {text}", flush=True)
+    return all(goals.values())
+
+
+def main(words: list[str]) -> int:
+    """Soak; 1 where a goal is missed."""
+    numbers = [float(w) for w in words if w.replace(".", "").isdigit()]
+    kinds = [w for w in words if w in {"sim", *PORTS}] or ["sim", *PORTS]
+    seconds = 60.0 * (numbers[0] if numbers else MINUTES)
+    return int(not min([soak(kind, seconds) for kind in kinds]))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,282 @@
+"""`verify run STATION` as a user runs it: faults of every device, the disk, the clock; no fault is
+said as a number, and each is said in words."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.end_to_end.command import verify
+from tests.verify.live.followed import emulator
+from verify.emulators.faults import Faults
+from verify.session import open_session
+from verify.station_file import template
+
+pytestmark = pytest.mark.slow
+SLOW = "rate_hz = 10.0"  # pictures a second: a machine that does other things keeps up
+
+
+@dataclass
+class Run:
+    """What a run said."""
+
+    pairs: list[dict[str, Any]] = field(default_factory=list)
+    alarms: list[dict[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    watched: dict[str, Any] = field(default_factory=dict)
+    result: dict[str, Any] = field(default_factory=dict)
+    status: int = -1
+    err: str = ""
+
+    def told(self, kind: str, *, over: bool = False) -> list[dict[str, Any]]:
+        return [
+            a
+            for a in self.alarms
+            if a["kind"] == kind and (a["ended_s"] is not None) == over and not a["revised"]
+        ]
+
+    def worst(self, joint: int | None = None) -> float:
+        """The largest error of any pair in its own standard uncertainty, but for small ones."""
+        worst = 0.0
+        for pair in self.pairs:
+            for j, (error, u) in enumerate(
+                zip(pair["error_deg"], pair["error_u_deg"], strict=True)
+            ):
+                if error is not None and j + 1 != joint:
+                    worst = max(worst, abs(error) / max(u, 0.02))
+        return worst
+
+
+def listen(
+    process: "subprocess.Popen[str]",
+    run: Run,
+    until: Callable[[dict[str, Any]], bool] | None = None,
+) -> Run:
+    """Take what is said, up to a certain pair, or to the end."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        said = json.loads(line)
+        match said["type"]:
+            case "pair":
+                run.pairs.append(said)
+                if until is not None and until(said):
+                    return run
+            case "alarm":
+                run.alarms.append(said)
+            case "warning":
+                run.warnings.append(said["text"])
+            case "watched":
+                run.watched = said
+            case "result":
+                run.result = said
+    run.status = process.wait()
+    process.stdout.close()
+    if until is not None:
+        pytest.fail(f"ended with {run.status} before its time: {run.watched}, {run.warnings}")
+    return run
+
+
+def station(folder: Path, text: str = "", **replaced: str) -> Path:
+    """The template, slower, with more at its end and some lines replaced."""
+    written = template().replace("rate_hz = 30.0", SLOW)
+    for old, new in replaced.items():
+        key = f"{old} = "
+        line = next(x for x in written.splitlines() if x.startswith(key))
+        written = written.replace(line, f"{key}{new}", 1)
+    path = folder / "station.toml"
+    path.write_text(written + text)
+    return path
+
+
+def started(path: Path, *words: str) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "verify", "run", str(path), "--json", *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=path.parent)
+
+
+def event(what: str, at: float, lasts: float | None = None, **more: object) -> str:
+    keys = {"what": what, "at_s": at, "for_s": lasts, **more}
+    lines = [f"{k} = {json.dumps(v)}" for k, v in keys.items() if v is not None]
+    return "\n[[sim.event]]\n" + "\n".join(lines) + "\n"
+
+
+def test_what_befalls_the_cameras_is_said_and_the_joint_that_jumps_is_named(tmp_path: Path) -> None:
+    events = (
+        event("camera_gone", 4.0, 2.0, camera="left")
+        + event("camera_stalls", 8.0, 2.0, camera="right")
+        + event("leds_covered", 12.0, 2.0)
+        + event("lamp_on", 16.0, 2.0)
+        + event("encoder_jump", 21.0, joint=4, degrees=0.5)
+    )
+    run = listen(started(station(tmp_path, events), "--for", "25s", "-o", "out"), Run())
+    devices = [a["device"] for a in run.told("device")]
+    assert devices == ["left camera", "right camera"]
+    assert [a["device"] for a in run.told("device", over=True)] == devices
+    lost = run.told("target")
+    assert len(lost) == len(run.told("target", over=True)) == 3
+    assert any("too few LEDs" in a["text"] for a in lost)
+    assert run.worst(joint=4) < 6.0
+    jumped = [a for a in run.told("change") if a["joint"] == 4]
+    assert len(jumped) == 1
+    assert jumped[0]["error_deg"] == pytest.approx(0.5, abs=0.1)
+    healthy = [p["t_s"] for p in run.pairs if p["status"] == "measured"]
+    sizes = [(p["t_s"], p["error_deg"][3]) for p in run.pairs if p["error_deg"][3] is not None]
+    before = max(t for t, size in sizes if size < 0.25)
+    assert jumped[0]["t_s"] - before < 1.0
+    assert len(healthy) > 100
+    assert run.told("change") == jumped
+    assert run.result["summary"]["pairs"]["measured"] > 100
+    assert (tmp_path / "out" / "report.pdf").exists()
+    assert (
+        run.status
+        == {"conform": 0, "nonconform": 1, "undecided": 3}[run.result["summary"]["verdict"]]
+    )
+
+
+def test_what_was_measured_live_is_what_the_recording_gives(tmp_path: Path) -> None:
+    run = listen(started(station(tmp_path), "--for", "8s", "-o", "out"), Run())
+    again = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert again["pairs"]["recorded"] == len(run.pairs)
+    (folder,) = (tmp_path / "recordings").iterdir()
+    session = open_session(folder)
+    assert len(session) == len(run.pairs)
+    import pandas as pd
+
+    frames = pd.read_parquet(tmp_path / "out" / "results" / "frames.parquet")
+    live = {p["frame"]: p["measured_deg"] for p in run.pairs if p["status"] == "measured"}
+    names = [f"q{j}_measured_deg" for j in range(1, 7)]
+    recorded = frames.set_index("frame")[names]
+    assert len(live) > 50
+    for frame, angles in live.items():
+        np.testing.assert_array_equal(recorded.loc[frame].to_numpy(), angles)
+
+
+def test_a_bad_line_resets_and_jumps_of_its_clock_give_no_false_number(tmp_path: Path) -> None:
+    faults = Faults(
+        noise=0.02, half=0.02, digit=0.02, double=0.02, lost=0.02, split=0.02,
+        silence=(6.0, 2.0), jump=(11.0, 3.0), reset=(16.0, 16.0),
+    )  # fmt: skip
+    began = time.monotonic()
+    with emulator("labenc", "pty", began, faults) as (address, go):
+        path = station(tmp_path, driver=f'"labenc"\nport = "{address}"')
+        words = [sys.executable, "-m", "tests.verify.live.followed", str(path), str(began), "90"]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        run = Run()
+        listen(process, run, lambda pair: pair["frame"] == 5)
+        go()
+        end = time.monotonic() + 22.0
+        listen(process, run, lambda _: time.monotonic() > end)
+        process.send_signal(signal.SIGINT)
+        listen(process, run)
+    assert "encoders" in [a["device"] for a in run.told("device")]
+    assert "no_encoder" in {p["status"] for p in run.pairs}
+    assert run.worst() < 6.0
+    assert not run.told("change")
+    segments = [p["clock"]["segment"] for p in run.pairs if p["clock"] is not None]
+    assert segments == sorted(segments)
+    assert segments[-1] == 2
+    assert "stopped" not in run.watched["recording"]
+    folders = sorted((tmp_path / "recordings").iterdir())
+    assert len(folders) == 3
+    assert sum(len(open_session(folder)) for folder in folders) == len(run.pairs)
+    assert len([p for p in run.pairs if p["status"] == "measured"]) > 100
+
+
+def test_bases_follow_and_a_base_that_is_gone_is_said(tmp_path: Path) -> None:
+    scenario = tmp_path / "wide.toml"
+    scenario.write_text(WIDE)
+    events = event("pan_gone", 14.0, 3.0)
+    path = station(tmp_path, events, scenario='"wide.toml"')
+    fixed = '[pan]\ndriver = "fixed"'
+    assert fixed in path.read_text()
+    path.write_text(path.read_text().replace(fixed, '[pan]\ndriver = "sim"\nfollow = true'))
+    run = listen(started(path, "--for", "20s", "-o", "out"), Run())
+    assert [a["device"] for a in run.told("device")] == ["pan bases"]
+    dropped = run.watched["dropped"]
+    assert any("base" in why for why in dropped)
+    (folder,) = (tmp_path / "recordings").iterdir()
+    frames = open_session(folder).frames
+    assert np.ptp(np.rad2deg(frames.pan_left)) > 3.0  # they turned
+    assert run.worst() < 6.0
+    measured = [p for p in run.pairs if p["status"] == "measured"]
+    assert len(measured) > 0.9 * len(run.pairs)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk takes root")
+def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
+    disk = tmp_path / "recordings"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(disk)]
+    if subprocess.run(mount, check=False).returncode:
+        pytest.skip("no tmpfs can be mounted here")
+    try:
+        path = station(tmp_path, event("encoder_jump", 9.0, joint=4, degrees=0.5))
+        run = listen(started(path, "--for", "12s", "-o", "out"), Run())
+        assert "no space left on device" in run.watched["recording"]
+        (folder,) = disk.iterdir()
+        kept = len(open_session(folder))
+        assert 5 < kept < len(run.pairs)
+        assert run.result["summary"]["pairs"]["recorded"] == kept
+        assert [a["joint"] for a in run.told("change")] == [4]
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_run_that_is_killed_leaves_a_session_up_to_its_last_second(tmp_path: Path) -> None:
+    process = started(station(tmp_path))
+    run = listen(process, Run(), lambda pair: pair["frame"] == 40)
+    process.kill()
+    process.wait()
+    assert process.stdout is not None
+    process.stdout.close()
+    (folder,) = (tmp_path / "recordings").iterdir()
+    session = open_session(folder)
+    assert session.frames.t_left[-1] > run.pairs[-1]["t_s"] - 1.0
+    assert verify("run", folder, "-o", tmp_path / "again").status in {0, 1, 3}
+
+
+def test_ctrl_c_ends_the_run_and_its_report_is_made(tmp_path: Path) -> None:
+    process = started(station(tmp_path), "-o", "out")
+    run = listen(process, Run(), lambda pair: pair["frame"] == 30)
+    process.send_signal(signal.SIGINT)
+    listen(process, run)
+    assert run.result["summary"]["pairs"]["measured"] > 25
+    assert run.status in {0, 1, 3}
+    assert "closed" in run.watched["recording"]
+
+
+def test_options_of_a_station_are_refused_for_a_recording_and_the_other_way_round(
+    tmp_path: Path,
+) -> None:
+    said = verify("run", tmp_path, "--for", "10s")
+    assert said.status == 2
+    assert "--for" in said.err
+    assert verify("run", tmp_path / "none.toml").status == 2
+    path = tmp_path / "station.toml"
+    assert verify("run", "--new-station", path).status == 0
+    again = verify("run", "--new-station", path)
+    assert again.status == 2
+    assert "exists" in again.err
+    for wrong in ("10 parsecs", "-3s", "0"):
+        said = verify("run", path, "--for", wrong)
+        assert said.status == 2
+        assert "--for" in said.err
+
+
+WIDE = (
+    (Path(__file__).parents[2] / "verify" / "sim" / "scenarios" / "multi_joint_rv_3sd.toml")
+    .read_text()
+    .replace("amplitude_deg = [14.0,", "amplitude_deg = [34.0,")
+    .replace("slowest_hz = 0.2", "slowest_hz = 0.05")
+    .replace("fastest_hz = 0.6", "fastest_hz = 0.15")
+    .replace("pairs = 60", "pairs = 300")
+    .replace("distance_mm = 650.0", 'distance_mm = 650.0\nbases = "follow"')
+)
