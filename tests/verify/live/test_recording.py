@@ -145,7 +145,7 @@ def start(folder: Path, rate: float | str) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("round_number", range(2))
+@pytest.mark.parametrize("round_number", range(4))
 def test_after_a_kill_every_pair_that_was_handed_on_is_there(
     tmp_path: Path, round_number: int
 ) -> None:
