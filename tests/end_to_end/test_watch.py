@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.end_to_end.command import verify
@@ -135,6 +136,10 @@ def test_what_befalls_the_cameras_is_said_and_the_joint_that_jumps_is_named(tmp_
     assert run.told("change") == jumped
     assert run.result["summary"]["pairs"]["measured"] > 100
     assert (tmp_path / "out" / "report.pdf").exists()
+    kept = pd.read_csv(tmp_path / "out" / "alarms.csv")
+    assert list(kept["device"].dropna()) == devices
+    assert kept["joint"].dropna().tolist() == [4]
+    assert kept["began_utc"].is_monotonic_increasing
     assert (
         run.status
         == {"conform": 0, "nonconform": 1, "undecided": 3}[run.result["summary"]["verdict"]]
@@ -148,8 +153,6 @@ def test_what_was_measured_live_is_what_the_recording_gives(tmp_path: Path) -> N
     (folder,) = (tmp_path / "recordings").iterdir()
     session = open_session(folder)
     assert len(session) == len(run.pairs)
-    import pandas as pd
-
     frames = pd.read_parquet(tmp_path / "out" / "results" / "frames.parquet")
     live = {p["frame"]: p["measured_deg"] for p in run.pairs if p["status"] == "measured"}
     names = [f"q{j}_measured_deg" for j in range(1, 7)]

@@ -100,10 +100,11 @@ def _watch(
 ) -> int:
     from verify.commands.asked import seconds
     from verify.commands.measuring import measure_recorded
-    from verify.commands.watching import Wish, watch
+    from verify.commands.watching import Wish, alarms_table, watch
     from verify.results_folder import refuse_existing
     from verify.sim.devices import SimulatedStation
     from verify.station import open_station
+    from verify.writing import write_whole
 
     length = None if duration is None else seconds("--for", duration)
     station = open_station(source, SimulatedStation)
@@ -112,10 +113,13 @@ def _watch(
     for warning in station.warnings:
         terminal.warn(warning)
     wish = Wish(length, asked.tolerance(station.arm.dof), on_alarm, page)
+    watched = watch(station, wish)
+    out = out if out is not None else Path(f"{watched.folders[0].name}-report")
     verdicts = []
-    for number, folder in enumerate(watch(station, wish)):
-        target = out if out is None or number == 0 else out.with_name(f"{out.name}-{number + 1}")
+    for number, folder in enumerate(watched.folders):
+        target = out if number == 0 else out.with_name(f"{out.name}-{number + 1}")
         verdicts.append(measure_recorded(folder, target, asked, force=force))
+    write_whole(out / "alarms.csv", alarms_table(watched.alarms))
     return STATUS[max(verdicts, key=SEVERITY.index)]
 
 

@@ -6,13 +6,16 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
 
 import numpy as np
+import pandas as pd
 from rich.console import Console
 
 from verify.errors import InputError
+from verify.live.alarms import Alarm
 from verify.live.beside import BesideDetector
 from verify.live.clock_keeper import estimate
 from verify.live.helper import Helper
@@ -53,15 +56,20 @@ class Wish:
     page: PageWish | None
 
 
-def watch(station: Station, wish: Wish) -> tuple[Path, ...]:
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """What a run leaves."""
+
+    folders: tuple[Path, ...]  # sessions: more than one where the controller's clock began anew
+    alarms: tuple[Alarm, ...]  # oldest first; of very many the newest
+
+
+def watch(station: Station, wish: Wish) -> Watched:
     """Watch until Ctrl-C, the time is up, or the robot's program ends.
 
     Args:
         station: what is watched.
         wish: how.
-
-    Returns:
-        The sessions that were recorded: more than one where the controller's clock began anew.
 
     Raises:
         InputError: a device, the page or who is to be told cannot be had; nothing is running then.
@@ -107,7 +115,29 @@ def watch(station: Station, wish: Wish) -> tuple[Path, ...]:
     terminal.say(recorded.sentence)
     if not recorded.folders:
         raise _nothing_recorded(station, recorded.sentence)
-    return recorded.folders
+    return Watched(recorded.folders, state.snapshot().alarms[::-1])
+
+
+def alarms_table(alarms: tuple[Alarm, ...]) -> bytes:
+    """Write alarms as alarms.csv has them, one a row."""
+    rows = [alarm.fields() for alarm in alarms]
+    for row in rows:
+        row["not_told_apart_from"] = "+".join(map(str, row["not_told_apart_from"]))
+        for key in ("began_s", "ended_s"):
+            row[key.replace("_s", "_utc")] = _utc(row.pop(key))
+        del row["revised"]
+    columns = [
+        *("alarm", "kind", "began_utc", "ended_utc", "t_s", "device", "joint"),
+        *("not_told_apart_from", "error_deg", "standard_uncertainty_deg", "text"),
+    ]
+    table = pd.DataFrame(rows, columns=columns).astype({"joint": "Int64"})
+    return table.to_csv(index=False, lineterminator="\n").encode()
+
+
+def _utc(epoch: float | None) -> str | None:
+    if epoch is None:
+        return None
+    return datetime.fromtimestamp(epoch, UTC).isoformat(timespec="milliseconds")
 
 
 def _serve(station: Station, wish: Wish, source: RunSource, stack: ExitStack) -> None:
