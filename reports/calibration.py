@@ -4,6 +4,7 @@ from typing import Any
 
 import pandas as pd
 
+from reports import calibration_check
 from reports.blocks import (
     Block,
     Bullets,
@@ -19,9 +20,8 @@ from reports.blocks import (
 )
 from reports.calibration_accuracy import accuracy, drawn, first, improvement, metres, working
 from reports.calibration_rig import parameters, stereo
-from reports.calibration_words import (
-    Words,
-)
+from reports.calibration_sources import provenance
+from reports.calibration_words import Words
 from reports.formatting import (
     DASH,
     count,
@@ -38,8 +38,10 @@ EXPANDED = 2.0  # coverage factor of the figures in the headline
 
 
 def document(results: Results) -> Document:
-    """Lay out the whole report."""
+    """Lay out the whole report; that of an interim check where the results are one's."""
     summary = results.summary
+    if summary.get("method") == "check":
+        return calibration_check.document(results)
     tool, source = summary.get("tool") or {}, summary.get("source") or {}
     return numbered(
         Document(
@@ -193,21 +195,6 @@ def conditions(results: Results) -> Section:
         )
     )
     return Section("conditions", "Board, pictures and software", (facts, *provenance(summary)))
-
-
-def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
-    """List the files that were read and the warnings."""
-    blocks: list[Block] = []
-    inputs = summary.get("inputs") or {}
-    if inputs:
-        rows = tuple(row(word(name), word(digest)) for name, digest in inputs.items())
-        blocks.append(Table("Files that were read.", "ll", ("File", "Hash"), rows, wide=(1,)))
-    warnings = summary.get("warnings") or []
-    if warnings:
-        blocks.append(Bullets(tuple(word(warning) for warning in warnings), "warning"))
-    else:
-        blocks.append(Paragraph("There were no warnings."))
-    return tuple(blocks)
 
 
 SECTIONS = (

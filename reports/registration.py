@@ -37,7 +37,7 @@ from reports.blocks import (
     numbered,
     row,
 )
-from reports.calibration import provenance
+from reports.calibration_sources import provenance
 from reports.formatting import (
     DASH,
     count,

@@ -24,7 +24,14 @@ from reports.errors import ReportError
 
 FORMAT = 1  # of results.json; a change that older readers cannot follow raises it
 MANIFEST = "results.json"
-AGAIN = "Run `verify run` on the session again."
+COMMANDS = {  # what wrote a results folder, by the kind and the method in its summary
+    ("run", None): "`verify run` on the session",
+    ("calibration", None): "`verify calibrate boards` on the pictures",
+    ("calibration", "check"): "`verify calibrate check` with -o",
+    ("registration", "motion"): "`verify calibrate register` on the session",
+    ("registration", "fixture"): "`verify calibrate register` on the pictures",
+    ("registration", "sweeps"): "`verify calibrate register` on the session",
+}
 NAME = re.compile(
     r"[a-z0-9_]+"
 )  # of a table or image: it becomes a file name, so no dots or slashes
@@ -82,6 +89,24 @@ def write(results: Results, folder: Path) -> None:
             "a folder that may be written is needed",
             "Choose another place.",
         ) from problem
+
+
+def again(folder: Path) -> str:
+    """Say which command makes a results folder anew, as far as what is left of it tells.
+
+    A manifest that cannot be read has the same summary beside the folder, in summary.json.
+    """
+    for place, key in ((folder / MANIFEST, "summary"), (folder.parent / "summary.json", None)):
+        try:
+            content = json.loads(place.read_bytes())
+            summary = content if key is None else content[key]
+            kind = summary.get("kind", "run"), summary.get("method")
+        except (OSError, ValueError, AttributeError, KeyError, TypeError):
+            continue
+        command = COMMANDS.get(kind) or COMMANDS.get((kind[0], None))
+        if command:
+            return f"Run {command} again."
+    return "Run the command again that wrote it."
 
 
 def read(folder: Path) -> Results:
@@ -152,26 +177,31 @@ def _manifest(folder: Path) -> dict[str, Any]:
         raise ReportError(
             folder,
             f"there is no {MANIFEST} in it",
-            "a results folder that `verify run` wrote is expected",
-            "Name the OUT folder of a run.",
+            "a results folder that `verify run` or `verify calibrate` wrote is expected",
+            "Name the folder of its report.",
         ) from problem
     except OSError as problem:
         raise ReportError(
-            place, f"cannot be read ({problem.strerror})", "a readable file is needed", AGAIN
+            place,
+            f"cannot be read ({problem.strerror})",
+            "a readable file is needed",
+            again(folder),
         ) from problem
     except ValueError as problem:
-        raise ReportError(place, "it is not JSON", "it is damaged or cut short", AGAIN) from problem
+        raise ReportError(
+            place, "it is not JSON", "it is damaged or cut short", again(folder)
+        ) from problem
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         found = manifest.get("format") if isinstance(manifest, dict) else None
         raise ReportError(
             place,
             f"its format is {json.dumps(found)}",
             f"this version reads format {FORMAT}",
-            "Use the version of verify that wrote it, or run the session again.",
+            f"Use the version of verify that wrote it. {again(folder)}",
         )
     for key in ("summary", "setup", "tables", "images"):
         if not isinstance(manifest.get(key), dict):
-            raise ReportError(place, f"{key} is missing", "it must be an object", AGAIN)
+            raise ReportError(place, f"{key} is missing", "it must be an object", again(folder))
     return manifest
 
 
@@ -181,7 +211,7 @@ def _content(folder: Path, name: str, ending: str, entry: object) -> bytes:
             folder / MANIFEST,
             f"{name!r} is no name for a table or an image",
             "lower-case letters, digits and underscores make one",
-            AGAIN,
+            again(folder),
         )
     place = folder / (name + ending)
     try:
@@ -191,14 +221,14 @@ def _content(folder: Path, name: str, ending: str, entry: object) -> bytes:
             place,
             f"cannot be read ({problem.strerror})",
             f"{MANIFEST} lists it as part of the results",
-            AGAIN,
+            again(folder),
         ) from problem
     if hashlib.sha256(content).hexdigest() != entry.get("sha256"):
         raise ReportError(
             place,
             "its content is not what was written",
             f"{MANIFEST} holds another hash",
-            AGAIN,
+            again(folder),
         )
     return content
 
@@ -210,7 +240,7 @@ def _table(folder: Path, name: str, entry: object) -> pd.DataFrame:
     except pa.ArrowInvalid as problem:
         place = folder / f"{name}.parquet"
         raise ReportError(
-            place, "it is not a Parquet file", "a table is expected", AGAIN
+            place, "it is not a Parquet file", "a table is expected", again(folder)
         ) from problem
     return table
 
@@ -219,5 +249,5 @@ def _image(folder: Path, name: str, entry: object) -> bytes:
     content = _content(folder, name, ".png", entry)
     if not content.startswith(PNG):
         place = folder / f"{name}.png"
-        raise ReportError(place, "it is not a PNG file", "an image is expected", AGAIN)
+        raise ReportError(place, "it is not a PNG file", "an image is expected", again(folder))
     return content

@@ -28,6 +28,11 @@ class Board:
         return self.columns * self.rows
 
     @property
+    def four_fold(self) -> bool:
+        """Whether a quarter turn leaves the pattern as it is: plain, square, of even counts."""
+        return self.markers is None and self.columns == self.rows and self.columns % 2 == 0
+
+    @property
     def points(self) -> Array:
         """Inner corners in the board's frame, (columns * rows, 3), m, along x first."""
         y, x = np.mgrid[: self.rows, : self.columns]

@@ -61,6 +61,14 @@ class BoardFolder:
         return bool(np.ptp(self.pan_left) > 0 or np.ptp(self.pan_right) > 0)
 
     @property
+    def doubtful_pan(self) -> str:
+        """Say that the pan angles look like radians; "" where they do not."""
+        said = [
+            f"{name} spans {span:.2g}°" for name, span in _tiny((self.pan_left, self.pan_right))
+        ]
+        return f"{' and '.join(said)}, as if in radians" if said else ""
+
+    @property
     def frames(self) -> NDArray[np.int64]:
         """Number of each pair, (n,), from 0."""
         return np.arange(len(self))
@@ -235,17 +243,22 @@ def _pan(path: Path, count: int) -> tuple[tuple[Array, Array], tuple[str, ...]]:
     if len(columns["frame"]) != count:
         found = f"has {len(columns['frame'])} rows"
         raise InputError(path, found, f"there are {count} pairs", "Write one row a pair.")
-    pan = tuple(np.deg2rad(columns[name]) if name in columns else still for name in PANS)
-    notes = (*_misnamed(path, table.header, there), *_small(path, pan))
-    return (pan[0], pan[1]), notes
+    left, right = (np.deg2rad(columns[name]) if name in columns else still for name in PANS)
+    notes = (*_misnamed(path, table.header, there), *_small(path, (left, right)))
+    return (left, right), notes
 
 
-def _small(path: Path, pan: tuple[Array, ...]) -> Iterator[str]:
-    """Warn of angles that are varied but tiny: radians, as a rule."""
+def _small(path: Path, pan: tuple[Array, Array]) -> Iterator[str]:
+    """Warn of angles that are varied but tiny."""
+    for name, span in _tiny(pan):
+        yield one_line(f"{path}: {name} spans {span:.2g}°; are these radians?")
+
+
+def _tiny(pan: tuple[Array, Array]) -> Iterator[tuple[str, float]]:
+    """Columns that are varied by too little to be degrees, and their spans, deg."""
     for name, angles in zip(PANS, pan, strict=True):
         if 0 < np.ptp(angles) < SMALLEST_TURN:
-            span = np.rad2deg(np.ptp(angles))
-            yield one_line(f"{path}: {name} spans {span:.2g}°; are these radians?")
+            yield name, float(np.rad2deg(np.ptp(angles)))
 
 
 def _misnamed(path: Path, header: list[str], there: list[str]) -> Iterator[str]:

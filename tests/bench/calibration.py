@@ -3,11 +3,12 @@
 A cell is one parameter: the share of replicates whose ±1.96 u holds the truth, which must lie
 within 93 to 97 %; the mean of d² over its degrees of freedom must lie within its 99 % interval.
 
-    python -m tests.bench.calibration [REPLICATES] [SEED]
+    python -m tests.bench.calibration [REPLICATES] [SEED] [fixed|turning|scattering …]
 """
 
 import os
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
@@ -151,11 +152,11 @@ def mean_d2(d2: Array, rank: Array) -> tuple[float, float, float]:
     return float(d2.sum()) / total, float(low), float(high)
 
 
-def main(replicates: int, seeds: tuple[int, ...]) -> int:
+def main(replicates: int, seeds: tuple[int, ...], kinds: Sequence[str]) -> int:
     """Print every cell; 1 where one fails."""
     failed = 0
     for seed in seeds:
-        for kind in KINDS:
+        for kind in kinds:
             errors, d2, rank = study(kind, replicates, seed)
             ratio, low, high = mean_d2(d2, rank)
             pooled = float(np.mean(np.abs(np.concatenate(list(errors.values()))) <= WITHIN))
@@ -176,6 +177,7 @@ def main(replicates: int, seeds: tuple[int, ...]) -> int:
 
 if __name__ == "__main__":
     os.environ["OMP_NUM_THREADS"] = "1"
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else REPLICATES
-    chosen = (int(sys.argv[2]),) if len(sys.argv) > 2 else SEEDS
-    sys.exit(main(count, chosen))
+    numbers = [int(word) for word in sys.argv[1:] if word not in KINDS]
+    chosen = (numbers[1],) if len(numbers) > 1 else SEEDS
+    asked = [word for word in sys.argv[1:] if word in KINDS]
+    sys.exit(main(numbers[0] if numbers else REPLICATES, chosen, asked or KINDS))

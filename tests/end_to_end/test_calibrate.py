@@ -1,5 +1,6 @@
 """From pictures of a board to a registered rig and a check, as a user types it."""
 
+import errno
 import json
 import shutil
 import tomllib
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.end_to_end.command import SAMPLES, Outcome, shared, verify
-from verify import rig_file
+from verify import results_folder, rig_file
 
 WRITTEN = {"report.html", "report.pdf", "summary.json", "results"}
 SMALL = """format = 1
@@ -191,6 +192,38 @@ def test_a_bumped_camera_fails_the_check(
     assert "does not hold" in said.out
 
 
+def test_a_check_leaves_a_report_where_one_is_asked_for(
+    calibrated: tuple[Path, Path, Outcome], pictures: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "check"
+    plain = verify("calibrate", "check", pictures, "--rig", calibrated[0])
+    said = verify("calibrate", "check", pictures, "--rig", calibrated[0], "-o", out)
+    assert said.status == plain.status == 0
+    assert said.out == f"{plain.out}Report: {out / 'report.html'} and {out / 'report.pdf'}\n"
+    assert {path.name for path in out.iterdir()} == WRITTEN
+    assert json.loads((out / "summary.json").read_text())["verdict"] == "held"
+    before = (out / "report.html").read_bytes()
+    assert verify("report", out).status == 0
+    assert ((out / "report.html").read_bytes() == before) is True
+    again = verify("calibrate", "check", pictures, "--rig", calibrated[0], "-o", out)
+    assert again.status == 2
+    assert "--force" in again.err
+
+
+@pytest.mark.slow
+def test_readings_of_another_robot_are_named_as_the_first_suspect(tmp_path: Path) -> None:
+    session = tmp_path / "session"
+    shutil.copytree(SAMPLES / "multi_joint_rv_3sd", session)
+    text = (session / "session.toml").read_text()
+    (session / "session.toml").write_text(text.replace('"rv_3sd_melfa"', '"iust_6r"'))
+    said = verify(
+        "calibrate", "register", session, "-o", tmp_path / "rig.toml",
+        "--marker", tmp_path / "marker.toml", "--report", tmp_path / "report",
+    )  # fmt: skip
+    one_line(said, '"iust_6r" is the robot that moved', "order")
+    assert "mirror" not in said.err
+
+
 @pytest.mark.slow
 def test_a_motion_registers_base_and_leds(tmp_path: Path) -> None:
     session = SAMPLES / "multi_joint_rv_3sd"
@@ -257,6 +290,42 @@ def test_bad_pictures_are_refused_in_one_line(pictures: Path, tmp_path: Path) ->
     assert not (tmp_path / "report").exists()
 
 
+def test_pan_angles_in_radians_are_suspected_before_the_boards(tmp_path: Path) -> None:
+    turning = SMALL.format(pairs=12) + "\n[bases]\nrange_deg = 15.0\n"
+    (tmp_path / "turning.toml").write_text(turning)
+    folder = tmp_path / "turning"
+    assert verify("simulate", tmp_path / "turning.toml", "-o", folder).status == 0
+    lines = (folder / "frames.csv").read_text().splitlines()
+    header = lines[0].split(",")
+    pans = [header.index(f"pan_{side}_deg") for side in ("left", "right")]
+    rows = [line.split(",") for line in lines[1:]]
+    for row in rows:
+        for at in pans:
+            row[at] = f"{np.deg2rad(float(row[at])):.6f}"
+    (folder / "frames.csv").write_text("\n".join([lines[0], *map(",".join, rows)]) + "\n")
+    said = verify(
+        "calibrate", "boards", folder, "-o", tmp_path / "rig.toml", "--report", tmp_path / "r"
+    )
+    one_line(said, "frames.csv: pan_left_deg spans", "as if in radians", "As they stand:")
+
+
+@pytest.mark.parametrize("what", ["rig", "report"])
+def test_a_disk_that_fills_up_leaves_neither_rig_nor_report(
+    what: str, pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    if what == "report":
+        monkeypatch.setattr(results_folder, "write_reports", full)
+    place = tmp_path / "out"
+    place.mkdir()
+    out = place / "rig.toml" if what == "report" else place / "nowhere" / "rig.toml"
+    said = verify("calibrate", "boards", pictures, "-o", out, "--report", place / "report")
+    one_line(said, "space" if what == "report" else "nowhere")
+    assert list(place.iterdir()) == []
+
+
 def test_another_number_of_corners_is_named(pictures: Path, tmp_path: Path) -> None:
     said = verify(
         "calibrate", "boards", pictures, "-o", tmp_path / "rig.toml", "--report", tmp_path / "r",
@@ -295,3 +364,11 @@ def test_the_recorded_boards_calibrate_as_typed(tmp_path: Path) -> None:
     assert 1e3 * np.linalg.norm(found.right.pan_center - found.left.pan_center) == pytest.approx(
         170.0, abs=0.1
     )
+
+
+def test_a_board_that_a_quarter_turn_leaves_as_it_is_is_spoken_of(tmp_path: Path) -> None:
+    said = verify("board", "--corners", "8x8", "--square-mm", "20", "-o", tmp_path / "square")
+    assert said.status == 0
+    assert "quarter turn" in said.err
+    other = verify("board", "--corners", "9x8", "--square-mm", "20", "-o", tmp_path / "other")
+    assert "quarter turn" not in other.err

@@ -120,3 +120,29 @@ def test_a_place_that_cannot_be_written_is_said_in_one_line(tmp_path: Path) -> N
     (tmp_path / "file").write_text("")
     with pytest.raises(reports.ReportError, match="cannot be written"):
         reports.write(made.one_pair(), tmp_path / "file" / "results")
+
+
+@pytest.mark.parametrize(
+    ("summary", "command"),
+    [
+        ({}, "verify run"),
+        ({"kind": "calibration"}, "verify calibrate boards"),
+        ({"kind": "calibration", "method": "check"}, "verify calibrate check"),
+        ({"kind": "registration", "method": "fixture"}, "verify calibrate register"),
+        ({"kind": "registration"}, "command again that wrote it"),
+    ],
+)
+def test_a_damaged_folder_names_the_command_that_makes_it_anew(
+    summary: dict[str, str], command: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "results"
+    table = pd.DataFrame({"frame": [1, 2]})
+    reports.write(reports.Results(summary, {}, {"pairs": table}), folder)
+    (folder / "pairs.parquet").write_bytes(b"PAR1")
+    assert command in _complaint(folder)
+
+
+def test_a_manifest_that_cannot_be_read_is_named_by_the_summary_beside_it(folder: Path) -> None:
+    (folder.parent / "summary.json").write_text(json.dumps({"kind": "calibration"}))
+    (folder / MANIFEST).write_text("{")
+    assert "verify calibrate boards" in _complaint(folder)

@@ -184,6 +184,11 @@ def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResu
     return _result(found, nothing, square, seen, exact, [])
 
 
+def limit_of(found: Consistency) -> float:
+    """How many standard uncertainties one of the figures may be off, all of them being tested."""
+    return float(norm.isf((1 - CONFIDENCE) / 2 / int((~np.isnan(found.value)).sum())))
+
+
 def _turning(measurements: Sequence[Measurement]) -> bool:
     pans = {(m.left.pan, m.right.pan) for m in measurements if m.left and m.right}
     return len(pans) > 1
@@ -208,8 +213,7 @@ def _result(
     uncounted: Sequence[str],
     notes: list[str],
 ) -> CheckResult:
-    shown = ~np.isnan(found.value)
-    limit = float(norm.isf((1 - CONFIDENCE) / 2 / shown.sum()))
+    limit = limit_of(found)
     beyond = np.abs(np.nan_to_num(found.z)) > limit
     holds = not bool(beyond.any())
     exact = tuple(s for s in uncounted if s in MATTERS)

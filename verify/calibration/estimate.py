@@ -68,13 +68,13 @@ def estimate(state: State, corners: Corners, model: Model, used: NDArray[np.bool
     squares = bundle.cost(state, corners, model, weight)
     finest = FINEST_PX / float(np.median(corners.uncertainty))
     noise = max(float(np.sqrt(squares / max(degrees, 1))), finest)
-    together, own_degrees = _together(system, basis, noise)
+    together, own_degrees = design_effect(system, basis, noise)
     return Estimate(
         state, model, used, system, rows, place, basis, noise, degrees, together, own_degrees
     )
 
 
-def _together(system: bundle.Normal, basis: Array, noise: float) -> tuple[float, float]:
+def design_effect(system: bundle.Normal, basis: Array, noise: float) -> tuple[float, float]:
     """By how much pairs pull at the parameters harder than independent corners would.
 
     A board that is not flat, or a blur that shifts all corners of a picture, makes the corners of
@@ -82,6 +82,14 @@ def _together(system: bundle.Normal, basis: Array, noise: float) -> tuple[float,
     the parameters does: its square, measured in the parameters' own information and summed over
     pairs, against what independent corners give. The factor counts where chance exceeds it once
     in a hundred.
+
+    Args:
+        system: the normal equations, a block a pair, at the adjusted state.
+        basis: (44, p), the free directions.
+        noise: what the corners' stated uncertainty has to be multiplied with.
+
+    Returns:
+        Factor on the variances, 1 or more, and the degrees of freedom that it rests on.
 
     Source: the cluster-robust covariance of Liang and Zeger, Biometrika 73, 1986, averaged over
     the parameters, as there are too few pairs to fill a matrix; Rao and Scott's design effect.

@@ -19,6 +19,7 @@ from verify.calibration.motion_poses import Seen, body_poses
 from verify.calibration.motion_readings import reading_variance
 from verify.calibration.motion_result import MotionRegistration, SpotResiduals
 from verify.calibration.motion_start import Start, begin
+from verify.calibration.motion_strange import refuse_far_off, refuse_other_robot
 from verify.calibration.motion_undetermined import refuse_undetermined
 from verify.calibration.tracks import Look, Progress, find_leds, look, without_what_stands
 from verify.clock import LEAST_OVER_NOISE, WORST_UNCERTAINTY
@@ -35,7 +36,6 @@ FEWEST_PAIRS = 6  # three poses determine base and LEDs, as many check them
 TYPICAL_DIAMETER = 5e-3  # m, of an LED, until its image has told
 WILD = 30.0  # times the session's own misfit: a pair whose readings belong to another moment
 POSE_ROWS = 6
-STRANGE_PX = 10.0  # rms: a degree of joint error makes a few; these are another robot's readings
 
 
 def _quiet(_done: int, _total: int) -> None:
@@ -87,7 +87,7 @@ def register_motion(
     spotted = stack(seen, recording.rig)
     adjusted = _observable(spotted, setup, at, free)
     adjusted, wild = _without_wild_pairs(adjusted, setup)
-    _refuse_strange(adjusted, place)
+    refuse_far_off(adjusted, place)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
     diameter = round(float(np.median([s.diameter for s in seen])), 4)
     found = Found(adjusted, setup, start, diameter, dict(sorted(left_out.items())))
@@ -157,13 +157,9 @@ def _started(
             "Check that clock and recording belong together.",
         ) from error
     if not held.base and not held.leds:
+        refuse_other_robot(start, recording.folder, recording.robot)
         there = readings.at(t[start.good] - start.clock)
         refuse_undetermined(recording.arm, there, _noise(recording, seen, there, readings), place)
-    if start.solved.mirrored:
-        raise InputError(
-            place, "what moves together moves like the LEDs' mirror image", "the LEDs themselves",
-            "Cover the shiny surface, or let both cameras see the LEDs.",
-        )  # fmt: skip
     flange_T_body = np.linalg.inv(start.solved.x)
     leds = body @ flange_T_body[:3, :3].T + flange_T_body[:3, 3]
     if held.leds and marker is not None:
@@ -216,18 +212,6 @@ def _observable(
         skew=adjusted.at.skew if still[-1] else 0.0,
     )
     return adjust(adjusted.spotted, setup, back, still)
-
-
-def _refuse_strange(adjusted: Adjusted, place: str) -> None:
-    """Refuse readings that do not belong to what the pictures show."""
-    left = adjusted.predicted.residual[adjusted.spotted.used]
-    rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1)))) if len(left) else np.inf
-    if rms > STRANGE_PX:
-        raise InputError(
-            place, f"the readings put the LEDs {rms:.0f} px (rms) from where they are seen",
-            f"{STRANGE_PX:.0f} px are the worst that joint errors explain",
-            "Check the robot's name, the readings' unit (degrees) and order, and the rig.",
-        )  # fmt: skip
 
 
 def _without_wild_pairs(adjusted: Adjusted, setup: Setup) -> tuple[Adjusted, list[int]]:

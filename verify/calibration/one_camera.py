@@ -8,41 +8,42 @@ means nothing are they refused.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from verify.board import Board, BoardPair, BoardView
 from verify.calibration import (
     bundle,
-    follow,
-    gauge,
     initial,
+    one_camera_adjust,
     order,
     quality_views,
     refusals,
     robust,
 )
 from verify.calibration.boards import HELD, stack
-from verify.calibration.estimate import FINEST_PX, Estimate, _together, response
-from verify.calibration.gauge import FIXED, FOCAL_TIE, LENS_KEYS, Model
-from verify.calibration.parameters import FOCAL, KEYS, LENS, PRINCIPAL, WIDTH, Corners, State, moved
+from verify.calibration.estimate import Estimate, response
+from verify.calibration.one_camera_adjust import (
+    ALL_LENS,
+    MAY_GO,
+    SIDE,
+    adjust_good,
+    held_names,
+    settle_roughly,
+)
+from verify.calibration.parameters import FOCAL, KEYS, LENS, PRINCIPAL, Corners, State
 from verify.calibration.quality import ODD, SURE, PrincipalPoint
 from verify.calibration.records import Residuals
-from verify.calibration.starting import _shown
+from verify.calibration.starting import usable_view
 from verify.errors import InputError
 from verify.records import Array
 from verify.rig import Camera
 
-SIDE = "left"  # whose place the camera takes
 FEWEST_VIEWS = 3
 OPEN = 0.1  # of the focal length: over so wide a range the pictures are no straight function
-ALL_LENS = LENS.stop  # fx, fy, cx, cy and the coefficients
-NOT_THERE = tuple(name for name in order.shortest() if not name.startswith(SIDE))
-MAY_GO = tuple(name for name in order.shortest() if name.startswith(SIDE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,21 +89,21 @@ def calibrate_camera(
         InputError: fewer than three views of the board, or views that leave the focal length or
             the principal point open. Its place is "views" or "camera".
     """
-    usable = {f: v for f, v in sorted(views.items()) if _shown(v, board)}
+    usable = {f: v for f, v in sorted(views.items()) if usable_view(v, board)}
     foreign = initial.foreign(usable, board)
     chosen = {f: v for f, v in usable.items() if f not in foreign}
     _counted(len(chosen))
     corners = stack([BoardPair(f, 0.0, 0.0, v, None) for f, v in chosen.items()], board)
-    state = _settle_roughly(_start(chosen, board, image_size), corners, MAY_GO)
-    rough = _estimate(state, corners, MAY_GO, robust.good(state, corners))
+    state = settle_roughly(_start(chosen, board, image_size), corners, MAY_GO)
+    rough = one_camera_adjust.estimate(state, corners, MAY_GO, robust.good(state, corners))
     _determined(rough.state, rough.covariance)
-    state, used = _refuse(_settle_roughly(state, corners, ()), corners, ())
-    found = _estimate(state, corners, (), used)
+    state, used = adjust_good(settle_roughly(state, corners, ()), corners, ())
+    found = one_camera_adjust.estimate(state, corners, (), used)
     dropped: tuple[order.Dropped, ...] = ()
     if lens == "supported":
-        found, dropped = _reduce(found, corners)
-    state, used = _refuse(found.state, corners, _held(dropped))
-    found = _estimate(state, corners, _held(dropped), used)
+        found, dropped = one_camera_adjust.reduce(found, corners)
+    state, used = adjust_good(found.state, corners, held_names(dropped))
+    found = one_camera_adjust.estimate(state, corners, held_names(dropped), used)
     left_out = tuple(f for f in sorted(views) if f not in chosen)
     return _record(found, corners, np.array(list(chosen)), dropped, left_out, image_size)
 
@@ -138,131 +139,6 @@ def _start(seen: Mapping[int, BoardView], board: Board, image_size: tuple[int, i
     return State(own, own, poses, np.zeros((len(poses), 2)))
 
 
-def _held(dropped: tuple[order.Dropped, ...]) -> tuple[str, ...]:
-    return tuple(d.name for d in dropped)
-
-
-def _rows(held: tuple[str, ...]) -> tuple[Array, dict[str, int]]:
-    """What must stay 0 of a step: all but this camera's lens, and what is held of that."""
-    unit = np.eye(2 * WIDTH)
-    rows = [*unit[ALL_LENS:]]
-    place: dict[str, int] = {}
-    for name in held:
-        key = name.partition(".")[2]
-        place[name] = len(rows)
-        rows.append(unit[1] - unit[0] if key == FOCAL_TIE else unit[LENS][LENS_KEYS.index(key)])
-    return np.array(rows), place
-
-
-def _model(held: tuple[str, ...]) -> Model:
-    return Model((FIXED, FIXED), (*NOT_THERE, *held))
-
-
-def _with_held(state: State, rows: Array) -> State:
-    """Bring the lens to where held coefficients are 0 and tied focal lengths equal."""
-    camera, lens = state.left, np.zeros(2 * WIDTH)
-    lens[:ALL_LENS] = *camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *camera.distortion
-    change = -np.linalg.pinv(rows) @ (rows @ lens)
-    return replace(state, left=moved(camera, change[:WIDTH]))
-
-
-def _adjust(
-    state: State,
-    corners: Corners,
-    held: tuple[str, ...],
-    weight: Array,
-    iterations: int = bundle.ITERATIONS,
-) -> State:
-    """Find the lens and the poses of least squares, as `bundle.adjust` does for a rig."""
-    rows, _ = _rows(held)
-    basis, model = gauge.free_directions(rows), _model(held)
-    state = _with_held(state, rows)
-    here, damping = bundle.cost(state, corners, model, weight), 1e-4
-    for _ in range(iterations):
-        trial, promised = _stepped(state, corners, model, basis, weight, damping)
-        there = bundle.cost(trial, corners, model, weight)
-        gained = here - there
-        if gained >= 0:
-            state, here, damping = trial, there, damping / 10
-        else:
-            damping *= 10
-        if promised < bundle.CONVERGED and gained < bundle.CONVERGED:
-            break
-    return state
-
-
-def _stepped(
-    state: State, corners: Corners, model: Model, basis: Array, weight: Array, damping: float
-) -> tuple[State, float]:
-    """One damped step, and by how much it should lower the cost."""
-    system = bundle.normal(state, corners, model, weight, damping)
-    full = system.information.sum(axis=0) + damping * np.diag(system.diagonal)
-    matrix, gradient = basis.T @ full @ basis, system.gradient.sum(axis=0)
-    scale = 1 / np.sqrt(np.diag(matrix))
-    factor = cho_factor(matrix * np.outer(scale, scale) + 1e-14 * np.eye(len(matrix)))
-    change = basis @ (scale * cho_solve(factor, scale * (basis.T @ gradient)))
-    straight = np.einsum("bij,bj->bi", system.own, system.own_gradient)
-    promised = float(gradient @ change + np.sum(system.own_gradient * straight))
-    return follow.step(state, corners, change, straight - system.shared @ change), promised
-
-
-def _settle_roughly(state: State, corners: Corners, held: tuple[str, ...]) -> State:
-    """Adjust with Cauchy's weights, so that no single corner steers the start."""
-    before = np.inf
-    for _ in range(robust.ROUNDS):
-        squares = bundle.distances(state, corners)
-        width = robust.CAUCHY**2 * max(robust.scale(squares), 1e-12)
-        state = _adjust(state, corners, held, 1 / (1 + squares / width), iterations=4)
-        now = float(np.sum(np.log1p(bundle.distances(state, corners) / width)))
-        if abs(before - now) < robust.SETTLED * now:
-            break
-        before = now
-    return state
-
-
-def _refuse(
-    state: State, corners: Corners, held: tuple[str, ...]
-) -> tuple[State, NDArray[np.bool_]]:
-    """Adjust on the corners that are good, and say which those are, as `robust.adjust` does."""
-    used = robust.good(state, corners)
-    for _ in range(3):
-        state = _adjust(state, corners, held, used.astype(float))
-        again = robust.good(state, corners)
-        if np.array_equal(again, used):
-            break
-        used = again
-    return state, used
-
-
-def _estimate(
-    state: State, corners: Corners, held: tuple[str, ...], used: NDArray[np.bool_]
-) -> Estimate:
-    """Take stock of an adjusted state, as `estimate.estimate` does for a rig."""
-    model, weight = _model(held), used.astype(float)
-    system = bundle.normal(state, corners, model, weight)
-    rows, place = _rows(held)
-    basis = gauge.free_directions(rows)
-    degrees = 2 * int(used.sum()) - basis.shape[1] - 6 * len(state.boards)
-    squares = bundle.cost(state, corners, model, weight)
-    finest = FINEST_PX / float(np.median(corners.uncertainty))
-    noise = max(float(np.sqrt(squares / max(degrees, 1))), finest)
-    together, own_degrees = _together(system, basis, noise)
-    return Estimate(
-        state, model, used, system, rows, place, basis, noise, degrees, together, own_degrees
-    )
-
-
-def _reduce(found: Estimate, corners: Corners) -> tuple[Estimate, tuple[order.Dropped, ...]]:
-    """Take away what the pictures do not support, one at a time, by the rule of `order`."""
-    gone: tuple[order.Dropped, ...] = ()
-    while (unsupported := next(order._unsupported(found), None)) is not None:
-        gone = (*gone, unsupported)
-        weight = found.used.astype(float)
-        state = _adjust(found.state, corners, _held(gone), weight, order.REFIT)
-        found = _estimate(state, corners, _held(gone), found.used)
-    return found, gone
-
-
 def _record(
     found: Estimate,
     corners: Corners,
@@ -283,7 +159,7 @@ def _record(
     each = quality_views.views(residuals)
     full = found.covariance
     if dropped:
-        full = full + order.left_open(dropped, response(found, _held(dropped)))
+        full = full + order.left_open(dropped, response(found, held_names(dropped)))
     _determined(found.state, full)
     full = full[:ALL_LENS, :ALL_LENS]
     camera = found.state.left

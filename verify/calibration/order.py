@@ -55,15 +55,20 @@ class Dropped:
 def reduce(found: Estimate, corners: Corners) -> tuple[Estimate, tuple[Dropped, ...]]:
     """Take away what the pictures do not support, one at a time, and adjust again."""
     gone: list[Dropped] = []
-    while (unsupported := next(_unsupported(found), None)) is not None:
-        gone.append(unsupported)
-        model = replace(found.model, held=(*found.model.held, unsupported.name))
+    while (weak := next(unsupported(found), None)) is not None:
+        gone.append(weak)
+        model = replace(found.model, held=(*found.model.held, weak.name))
         state = bundle.adjust(found.state, corners, model, found.used.astype(float), REFIT)
         found = estimate(state, corners, model, found.used)
     return found, tuple(gone)
 
 
-def _unsupported(found: Estimate) -> Iterator[Dropped]:
+def unsupported(found: Estimate) -> Iterator[Dropped]:
+    """Name the free coefficients that the pictures do not support, the first to go first.
+
+    Args:
+        found: an adjusted state; what its model holds already is not named.
+    """
     # a pair whose corners err together counts for fewer
     price = float(np.log(max(2 * found.used.sum() / found.together, np.e)))
     for side in SIDES:

@@ -83,8 +83,14 @@ def swapped(relation: Relation) -> None:
         raise InputError("left", found, expected, remedy)
 
 
-def inconsistent(relation: Relation, pairs: int, turned: bool) -> None:
+def inconsistent(relation: Relation, pairs: int, turned: bool, four_fold: bool) -> None:
     """Refuse where most pairs do not agree on how the cameras stand to each other.
+
+    Args:
+        relation: on which most agree.
+        pairs: how many there are.
+        turned: the bases were turned between them.
+        four_fold: a quarter turn leaves the board's pattern as it is.
 
     Raises:
         InputError: half of the pairs or more are strangers to the others.
@@ -100,6 +106,11 @@ def inconsistent(relation: Relation, pairs: int, turned: bool) -> None:
     else:
         expected = "the cameras must stand still, or their pan angles be given"
         remedy = "Check that left and right were taken together; give pan angles in frames.csv."
+    if four_fold:
+        remedy += (
+            " A square board of even counts does not tell a quarter turn: hold it upright in both "
+            "cameras, or use one of unequal counts."
+        )
     raise InputError("pairs", found, expected, remedy)
 
 

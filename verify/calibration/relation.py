@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,6 +23,7 @@ class Relation:
     axes: Array  # (2, 3), left and right: ±y, the sense in which the readings grow
     half_turned: tuple[int, ...]  # pairs that agree once one view is numbered from the far end
     strangers: tuple[int, ...]  # pairs that agree neither way
+    quarter_turned: tuple[int, ...]  # of these, those that agree once one view is turned by 90°
     scatter: float  # rad, median angle between the pairs' relations and this one
 
 
@@ -59,7 +60,12 @@ def relate(
             back[0] @ lefts @ relabelled @ rights @ back[1].transpose(0, 2, 1)
             for relabelled in (np.eye(4), _half_turn(board))
         )
-        found.append(_consensus(straight, halved, both, axes, tolerance))
+        relation, price = _consensus(straight, halved, both, axes, tolerance)
+        if board.four_fold:
+            quarters = [back[0] @ lefts @ turn @ rights @ back[1].transpose(0, 2, 1)
+                        for turn in _quarter_turns(board)]  # fmt: skip
+            relation = _with_quarters(relation, quarters, both, tolerance)
+        found.append((relation, price))
     return min(found, key=lambda f: f[1])[0]
 
 
@@ -68,6 +74,23 @@ def _half_turn(board: Board) -> Array:
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     turn[:3, 3] = board.points[-1]
     return turn
+
+
+def _quarter_turns(board: Board) -> tuple[Array, Array]:
+    """Number the corners of a square board from the next corner, either way round."""
+    edge = board.points[-1, 0]
+    one = np.eye(4)
+    one[:3] = [[0.0, -1.0, 0.0, edge], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+    return one, np.asarray(np.linalg.inv(one), dtype=np.float64)
+
+
+def _with_quarters(
+    relation: Relation, quarters: Sequence[Array], both: Sequence[int], tolerance: float
+) -> Relation:
+    """Say which strangers agree once one view is numbered a quarter turn on."""
+    gaps = np.min([_angles(relation.left_T_right[None], turned)[0] for turned in quarters], axis=0)
+    agree = {i for i, gap in zip(both, gaps, strict=True) if gap < tolerance}
+    return replace(relation, quarter_turned=tuple(i for i in relation.strangers if i in agree))
 
 
 def _turns(axis: Array, angle: Array) -> Array:
@@ -99,7 +122,7 @@ def _consensus(
     left_T_right[:3, 3] = np.median(chosen[:, :3, 3], axis=0)
     half = tuple(i for i, t, a in zip(both, turned, agree, strict=True) if t and a)
     strangers = tuple(i for i, a in zip(both, agree, strict=True) if not a)
-    return Relation(left_T_right, axes, half, strangers, float(np.median(gap))), float(price[k])
+    return Relation(left_T_right, axes, half, strangers, (), float(np.median(gap))), float(price[k])
 
 
 def _angles(one: Array, other: Array) -> Array:

@@ -47,6 +47,15 @@ LEAST_PIXELS = 40  # three a parameter
 
 
 @dataclass(frozen=True, slots=True)
+class Fit:
+    """The model fitted to a window's pixels."""
+
+    parameters: Array  # (13,), see corner_model.py
+    residual: Array  # (p,), DN, pixels less model
+    derivatives: Array  # (p, 13), of the model by the parameters
+
+
+@dataclass(frozen=True, slots=True)
 class Corner:
     """A fitted corner."""
 
@@ -80,33 +89,33 @@ def fit_corner(grey: Array, place: Place, parameters: Array | None = None) -> Co
     for _ in range(CLEARINGS):
         if found is None:
             return None
-        own = window.far_from(strays(window, edges, found))
+        own = window.far_from(strays(found))
         if np.count_nonzero(own) < max(LEAST_PIXELS, OWN * len(own)):
             return None  # most of it is something else
         if own.all():
             break
         window = window.only(own)
-        found = converge(window, edges, found)
-    if found is None or np.abs(np.linalg.solve(place.jacobian, found[:2])).max() > HALF_WINDOW / 2:
+        found = converge(window, edges, found.parameters)
+    if found is None:
         return None
-    return judged(window, edges, found, place)
+    squares_off = np.linalg.solve(place.jacobian, found.parameters[:2])
+    return None if np.abs(squares_off).max() > HALF_WINDOW / 2 else judged(window, found, place)
 
 
-def strays(window: Window, edges: Edges, parameters: Array) -> NDArray[np.bool_]:
+def strays(found: Fit) -> NDArray[np.bool_]:
     """Which pixels (p,) are no part of the corner that was fitted."""
-    mean, derivatives = model(window, edges, parameters)
-    residual = np.abs(window.value - mean)
+    residual = np.abs(found.residual)
     sigma = float(np.median(residual)) / MAD
-    usual = max(STRAY * abs(parameters[CONTRAST]), OUTLIER * sigma)
-    return np.asarray(residual > usual + UNEVEN * np.abs(derivatives[:, SPREAD]))
+    usual = max(STRAY * abs(found.parameters[CONTRAST]), OUTLIER * sigma)
+    return np.asarray(residual > usual + UNEVEN * np.abs(found.derivatives[:, SPREAD]))
 
 
-def converge(window: Window, edges: Edges, start: Array) -> Array | None:
+def converge(window: Window, edges: Edges, start: Array) -> Fit | None:
     """Find the parameters by Gauss-Newton with Levenberg's damping; None: it does not settle."""
     parameters, damping = start, 1e-3
     mean, derivatives = model(window, edges, parameters)
+    residual = window.value - mean
     for _ in range(ITERATIONS):
-        residual = window.value - mean
         normal = derivatives.T @ derivatives
         normal[np.diag_indices(PARAMETERS)] *= 1 + damping
         try:
@@ -115,12 +124,13 @@ def converge(window: Window, edges: Edges, start: Array) -> Array | None:
             return None
         trial = parameters + step
         if sane(trial, edges):
-            new = model(window, edges, trial)
-            better = np.sum((window.value - new[0]) ** 2) <= residual @ residual
+            mean, slopes = model(window, edges, trial)
+            left = window.value - mean
+            better = np.sum(left**2) <= residual @ residual
             if better:
-                parameters, (mean, derivatives) = trial, new
+                parameters, residual, derivatives = trial, left, slopes
             if np.abs(step[:2]).max() < SETTLED and damping < 1:
-                return parameters
+                return Fit(parameters, residual, derivatives)
             damping = damping / 10 if better else damping * 30
         else:
             damping *= 30
@@ -133,7 +143,7 @@ def sane(parameters: Array, edges: Edges) -> bool:
     return bool(near and np.abs(parameters[BLUR]).max() < BLUREST)
 
 
-def judged(window: Window, edges: Edges, parameters: Array, place: Place) -> Corner | None:
+def judged(window: Window, found: Fit, place: Place) -> Corner | None:
     """Covariance of the centre, and how its scores scatter over the window.
 
     Were residuals independent, the sum over cells of the centre's squared scores would be what
@@ -143,8 +153,7 @@ def judged(window: Window, edges: Edges, parameters: Array, place: Place) -> Cor
     cancels. (Sandwich estimator with clusters; Liang and Zeger, Biometrika 73, 1986, with the
     expectation of the meat taken exactly.)
     """
-    mean, derivatives = model(window, edges, parameters)
-    residual = window.value - mean
+    parameters, residual, derivatives = found.parameters, found.residual, found.derivatives
     try:
         inverse = np.linalg.inv(derivatives.T @ derivatives)
     except np.linalg.LinAlgError:

@@ -1,7 +1,7 @@
 """Pictures of a board to its corners: every pair of a folder, on all cores."""
 
 import os
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
@@ -10,12 +10,11 @@ import numpy as np
 
 from verify.board import BoardPair, BoardView
 from verify.board_folder import BoardFolder, BoardImages
-from verify.calibration.find import ambiguous, find_board, seen_instead
+from verify.calibration.find import ambiguous, find_board
+from verify.calibration.other_pattern import LOOKED_AT, asked, refuse_another_pattern
 from verify.errors import InputError
 
 AHEAD = 2  # pairs a core that wait decoded: enough to keep it busy, few enough for memory
-ASKED = 3  # pairs without a board after which another pattern is looked for
-AGREEING = 2  # pictures that must show it
 
 Progress = Callable[[int, int], None]
 
@@ -37,11 +36,11 @@ def see_boards(folder: BoardFolder, progress: Progress) -> list[BoardPair]:
     for pair in _in_order(folder):
         pairs.append(pair)
         progress(len(pairs), len(folder))
-        if len(pairs) == ASKED and not _any_found(pairs):
-            _refuse_another_pattern(folder)
+        if len(pairs) == min(LOOKED_AT, len(folder)) and not _any_found(pairs):
+            refuse_another_pattern(folder)
     if not _any_found(pairs):
         remedy = "See that the whole board is in view, flat, sharp, evenly lit, with a white rim."
-        expected = f"{_asked(folder)} are asked for"
+        expected = f"{asked(folder.board)} are asked for"
         raise InputError(folder.folder, "no board was found in any picture", expected, remedy)
     _refuse_lying(folder, pairs)
     return pairs
@@ -49,10 +48,6 @@ def see_boards(folder: BoardFolder, progress: Progress) -> list[BoardPair]:
 
 def _any_found(pairs: Sequence[BoardPair]) -> bool:
     return any(pair.left is not None or pair.right is not None for pair in pairs)
-
-
-def _asked(folder: BoardFolder) -> str:
-    return f"{folder.board.columns} x {folder.board.rows} inner corners"
 
 
 def _in_order(folder: BoardFolder) -> Iterator[BoardPair]:
@@ -90,7 +85,7 @@ def _refuse_lying(folder: BoardFolder, pairs: Sequence[BoardPair]) -> None:
     lying = sum(_runs_down(view, board.columns) for view in views)
     if 2 * lying > len(views):
         found = f"{board.columns} corners run down most pictures, {board.rows} across"
-        expected = f"{_asked(folder)} are stated, along x and along y"
+        expected = f"{asked(board)} are stated, along x and along y"
         remedy = "Swap the two numbers, or hold the board upright."
         raise InputError(folder.folder, found, expected, remedy)
 
@@ -100,25 +95,6 @@ def _runs_down(view: BoardView, columns: int) -> bool:
     beside = (np.diff(view.corner) == 1) & (view.corner[:-1] % columns != columns - 1)
     x, y = np.abs(np.diff(view.centre, axis=0)[beside].sum(axis=0))
     return bool(y > x)
-
-
-def _refuse_another_pattern(folder: BoardFolder) -> None:
-    """Refuse pictures of another board, once two of the first ones agree on which.
-
-    Raises:
-        InputError: says how many corners are there.
-    """
-    seen: Counter[tuple[int, int]] = Counter()
-    for images in islice(folder.pairs(), ASKED):
-        for picture in (images.left, images.right):
-            counts = seen_instead(picture, folder.board)
-            if counts is None:
-                continue
-            seen[counts] += 1
-            if seen[counts] >= AGREEING:
-                found = f"the pictures show {counts[0]} x {counts[1]} inner corners"
-                remedy = "Mend inner_corners in board.toml, or give --corners."
-                raise InputError(folder.folder, found, f"{_asked(folder)} are asked for", remedy)
 
 
 def show_pair(folder: BoardFolder, frames: Sequence[int]) -> BoardImages:

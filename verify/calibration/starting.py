@@ -40,11 +40,18 @@ def gather(pairs: Sequence[BoardPair], board: Board, image_size: tuple[int, int]
     frames = [p.frame for p in usable]
     refusals.half_turned(relation, [lens.poses for lens in lenses], frames)
     both = sum(p.left is not None and p.right is not None for p in usable)
-    refusals.inconsistent(relation, both, turned=kinds != (FIXED, FIXED))
+    refusals.inconsistent(relation, both, kinds != (FIXED, FIXED), four_fold=board.four_fold)
     refusals.swapped(relation)
-    if relation.strangers:
-        named = refusals.listed([frames[i] for i in relation.strangers])
+    strangers = sorted(set(relation.strangers) - set(relation.quarter_turned))
+    if strangers:
+        named = refusals.listed([frames[i] for i in strangers])
         notes.append(f"{named} left out: the cameras stand otherwise there than in the others.")
+    if relation.quarter_turned:
+        named = refusals.listed([frames[i] for i in relation.quarter_turned])
+        notes.append(
+            f"{named} left out: one camera numbers the board's corners a quarter turn from the "
+            "other, which a square board of even counts cannot tell; hold it upright."
+        )
     places = [
         i
         for i, pair in enumerate(usable)
@@ -77,10 +84,11 @@ def _sorted_out(pairs: list[BoardPair], board: Board) -> tuple[list[BoardPair], 
 
 
 def _usable(pair: BoardPair, board: Board) -> BoardPair:
-    return replace(pair, left=_shown(pair.left, board), right=_shown(pair.right, board))
+    return replace(pair, left=usable_view(pair.left, board), right=usable_view(pair.right, board))
 
 
-def _shown(view: BoardView | None, board: Board) -> BoardView | None:
+def usable_view(view: BoardView | None, board: Board) -> BoardView | None:
+    """Take a view whose corners fix a board's pose; None: too few of them, or all on one line."""
     if view is None or len(view) < FEWEST_CORNERS:
         return None
     points = board.points[view.corner, :2]

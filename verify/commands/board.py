@@ -62,6 +62,12 @@ def board(
         marker_mm=marker_mm,
     )
     asked = checked(OPTIONS, table)
+    if asked.four_fold:
+        terminal.warn(
+            f"--corners: {corners}: this board looks the same after a quarter turn, so nothing "
+            "tells which corner is the first; hold it with the arrow up in every picture. "
+            f"{asked.columns + 1}x{asked.rows} cannot be mistaken."
+        )
     layout = lay_out(asked, paper)
     with folder_written_whole(out, force) as folder:
         (folder / "board.pdf").write_bytes(board_pages.pdf(asked, layout))

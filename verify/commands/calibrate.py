@@ -55,6 +55,7 @@ def boards(
     from verify.calibration.boards import calibrate as adjust
     from verify.calibration.results import results
     from verify.calibration.sightings import see_boards, show_pair
+    from verify.calibration.undoing import undone_on_failure
     from verify.commands.calibrating import board_by_option, prefixed
     from verify.results_folder import refuse_existing, refuse_file, write_reported
 
@@ -66,7 +67,10 @@ def boards(
         terminal.warn(warning)
     with terminal.progress("pairs searched for the board") as progress:
         pairs = see_boards(opened, progress)
-    with terminal.progress("stages of the adjustment") as progress, prefixed(folder):
+    with (
+        terminal.progress("stages of the adjustment") as progress,
+        prefixed(folder, opened.doubtful_pan),
+    ):
         found = adjust(pairs, opened.board, opened.image_size, progress=progress)
     shown = show_pair(opened, found.frames.tolist())
     pan = np.stack([opened.pan_left, opened.pan_right], axis=1)
@@ -80,8 +84,9 @@ def boards(
         inputs=opened.inputs,
         warnings=opened.warnings,
     )
-    write_reported(made, target, force=force)
-    rig_file.write(out, found.rig)
+    with undone_on_failure(out):
+        rig_file.write(out, found.rig)
+        write_reported(made, target, force=force)
     _say_calibration(found, out, target)
 
 
@@ -201,6 +206,10 @@ def check(
     ] = None,
     corners: Corners = None,
     square_mm: SquareMm = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder of the report; none unless given.")
+    ] = None,
+    force: Force = False,
 ) -> int:
     """Say whether a calibration still holds, by known lengths measured anywhere in the volume.
 
@@ -209,15 +218,21 @@ def check(
     Example: verify calibrate check sample_sessions/quarter_circle_6r
     """
     from verify.commands import calibrating
+    from verify.results_folder import refuse_existing
 
     board = calibrating.board_by_option(corners, square_mm, None)
-    found = calibrating.checked(source, rig, length_mm, length_uncertainty_mm, board)
+    if out is not None:
+        refuse_existing(out, force=force)
+    done = calibrating.checked(source, rig, length_mm, length_uncertainty_mm, board)
+    found = done.found
     for warning in found.warnings:
         terminal.warn(warning)
     terminal.say("The calibration holds." if found.holds else "The calibration does not hold.")
     for sentence in found.decisions:
         terminal.say(f"  {sentence}")
-    terminal.record(
-        {"type": "result", "verdict": found.verdict, "decisions": list(found.decisions)}
-    )
+    record = {"type": "result", "verdict": found.verdict, "decisions": list(found.decisions)}
+    if out is not None:
+        calibrating.write_check(done, out, force=force)
+        record["report"] = str(out)
+    terminal.record(record)
     return 0 if found.holds else DOES_NOT_HOLD

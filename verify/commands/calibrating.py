@@ -11,13 +11,16 @@ from verify.board_file import BoardTable
 from verify.board_folder import open_boards
 from verify.calibration import check as interim
 from verify.calibration import fixture_file
+from verify.calibration.check_results import check_results
 from verify.calibration.fixture import register_fixture
 from verify.calibration.motion import register_motion
 from verify.calibration.registration_results import fixture_results, motion_results
 from verify.calibration.sightings import see_boards
 from verify.calibration.sweeps import axes_from_sweeps
+from verify.calibration.undoing import undone_on_failure
 from verify.commands.board import parse_corners
 from verify.errors import InputError
+from verify.files import digest
 from verify.measurement import Setup, measure
 from verify.results_folder import write_reported
 from verify.session import Recording, Session, open_recording, open_session
@@ -68,11 +71,20 @@ def board_by_option(
 
 
 @contextmanager
-def prefixed(folder: Path) -> Iterator[None]:
-    """Put the folder in front of the place that a complaint names."""
+def prefixed(folder: Path, doubt: str = "") -> Iterator[None]:
+    """Put the folder in front of the place that a complaint names.
+
+    Args:
+        folder: of the pictures.
+        doubt: what is suspicious of frames.csv; it comes before the complaint, as its likely cause.
+    """
     try:
         yield
     except InputError as problem:
+        if doubt:
+            remedy = f"Convert them. As they stand: {problem.place} {problem.found}."
+            where = folder / "frames.csv"
+            raise InputError(where, doubt, "degrees are expected", remedy) from problem
         place = f"{folder}, {problem.place}"
         raise InputError(place, problem.found, problem.expected, problem.remedy) from problem
 
@@ -120,17 +132,15 @@ def by_fixture(
     warnings = (*rig_warnings, *opened.warnings, *fixture_warnings, *found.warnings)
     for warning in warnings:
         terminal.warn(warning)
-    write_reported(
-        fixture_results(
-            replace(found, warnings=warnings),
-            robot="a robot by a board on its base",
-            source=folder.resolve().name,
-            inputs=opened.inputs,
-        ),
-        target,
-        force=force,
+    made = fixture_results(
+        replace(found, warnings=warnings),
+        robot="a robot by a board on its base",
+        source=folder.resolve().name,
+        inputs=opened.inputs,
     )
-    rig_file.write(out, found.rig)
+    with undone_on_failure(out):
+        rig_file.write(out, found.rig)
+        write_reported(made, target, force=force)
     _say(found.decisions, [out], target)
 
 
@@ -154,22 +164,20 @@ def by_motion(
     for warning in warnings:
         terminal.warn(warning)
     swept = _swept(recording, found.rig, found.marker) if wishes.sweeps else None
-    write_reported(
-        motion_results(
-            replace(found, warnings=warnings),
-            robot=recording.robot,
-            source=recording.name,
-            description=recording.description,
-            inputs=recording.inputs,
-            sweeps=swept,
-            base_held=wishes.keep_base,
-            leds_held=wishes.keep_leds,
-        ),
-        target,
-        force=force,
+    made = motion_results(
+        replace(found, warnings=warnings),
+        robot=recording.robot,
+        source=recording.name,
+        description=recording.description,
+        inputs=recording.inputs,
+        sweeps=swept,
+        base_held=wishes.keep_base,
+        leds_held=wishes.keep_leds,
     )
-    rig_file.write(out, found.rig)
-    marker_file.write(marker_out, found.marker)  # kept LEDs too: it carries the registration
+    with undone_on_failure(out, marker_out):
+        rig_file.write(out, found.rig)
+        marker_file.write(marker_out, found.marker)  # kept LEDs too: it carries the registration
+        write_reported(made, target, force=force)
     written = [out, marker_out]
     words = (*found.decisions, *_hidden(found), *(swept.decisions if swept else ()))
     _say(words, written, target)
@@ -204,15 +212,35 @@ def _swept(recording: Recording, rig: "Rig", marker: "Marker") -> "SweepResult":
     return axes_from_sweeps(session, measured)
 
 
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """An interim check, and what it was made from."""
+
+    found: "CheckResult"
+    name: str  # of the folder
+    description: str
+    inputs: Mapping[str, str]
+
+
+def write_check(done: Checked, out: Path, *, force: bool) -> None:
+    """Write the report of a check, and say where."""
+    made = check_results(
+        done.found, source=done.name, description=done.description, inputs=done.inputs
+    )
+    write_reported(made, out, force=force)
+    terminal.say(f"Report: {out / 'report.html'} and {out / 'report.pdf'}")
+
+
 def checked(
     source: Path,
     rig_path: Path | None,
     length_mm: float | None,
     length_uncertainty_mm: float | None,
     board: "Board | None",
-) -> "CheckResult":
+) -> Checked:
     """Check a rig by a session's LEDs, a bar, or pictures of a board."""
     rig = None if rig_path is None else rig_file.read(rig_path, registered=False)[0]
+    other_rig = {} if rig_path is None else {str(rig_path): digest(rig_path)}
     if length_uncertainty_mm is not None and length_mm is None:
         raise InputError(
             "--length-uncertainty-mm", "has no length to belong to", "", "Give --length-mm too."
@@ -228,7 +256,7 @@ def checked(
         session = open_session(source)
         session = session if rig is None else replace(session, rig=rig)
         with terminal.progress("pairs") as progress:
-            return interim.check_session(
+            found = interim.check_session(
                 session,
                 length=None if length_mm is None else length_mm * 1e-3,
                 length_standard_uncertainty=None
@@ -236,6 +264,7 @@ def checked(
                 else length_uncertainty_mm * 1e-3,
                 progress=progress,
             )
+        return Checked(found, session.name, session.description, session.inputs | other_rig)
     if rig is None:
         expected = "pictures of a board do not say which rig is to be checked"
         raise InputError("--rig", "is missing", expected, "Give the rig file, or a session.")
@@ -244,7 +273,8 @@ def checked(
     opened = open_boards(source, board)
     _same_size(opened.folder, opened.image_size, rig)
     with terminal.progress("pairs searched for the board") as progress:
-        return interim.check_board(rig, see_boards(opened, progress), opened.board)
+        found = interim.check_board(rig, see_boards(opened, progress), opened.board)
+    return Checked(found, source.resolve().name, "", opened.inputs | other_rig)
 
 
 def _same_size(folder: Path, size: tuple[int, int], rig: "Rig") -> None:

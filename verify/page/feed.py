@@ -5,7 +5,7 @@ import multiprocessing
 import socket
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
@@ -57,6 +57,7 @@ class Page:
         port: to serve at; 0 takes a free one.
         address: of this computer; another one than loopback needs a token.
         token: what viewers must show.
+        asked: what viewers may ask for, by its word, and what is then done, in the feed's thread.
 
     Raises:
         InputError: the port is taken, or the address is open to others without a token.
@@ -68,13 +69,18 @@ class Page:
         port: int = USUAL_PORT,
         address: str = "127.0.0.1",
         token: str | None = None,
+        asked: Mapping[str, Callable[[], None]] | None = None,
     ) -> None:
         self._source = source
+        self._asked = dict(asked or {})
         self._access = check(address, port or _free_port(address), token)
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
-            target=serve, args=(theirs, self._access), name="page", daemon=True
+            target=serve,
+            args=(theirs, self._access, frozenset(self._asked)),
+            name="page",
+            daemon=True,
         )
         self._process.start()
         theirs.close()
@@ -110,8 +116,13 @@ class Page:
     def _wait_until_ready(self) -> None:
         answer: tuple[str, Any] = ("failed", "it does not start")
         with suppress(EOFError, OSError):
-            if self._connection.poll(START_LIMIT):
-                answer = self._connection.recv()
+            while self._connection.poll(START_LIMIT):
+                kind, value = self._connection.recv()
+                if kind in ("ready", "failed"):
+                    answer = (kind, value)
+                    break
+                if kind == "viewers":  # one that waited for the page to come back is quicker
+                    self._viewers = value
         if answer[0] != "ready":
             self._process.terminate()
             place = f"--page, {self._access.address}:{self._access.port}"
@@ -153,6 +164,8 @@ class Page:
             kind, value = connection.recv()
             if kind == "viewers":
                 self._viewers = value
+            elif kind == "asked":
+                self._asked[value]()
 
 
 def _text(kind: str, fields: dict[str, Any]) -> str:

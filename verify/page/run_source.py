@@ -5,18 +5,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 
 from verify.live.joint_row import JointRow
 from verify.live.metrics import exposition
 from verify.live.ports import Subject
 from verify.live.state import LiveState
+from verify.page.pictures import small_jpeg
 from verify.page.skeleton import joint_origins
 from verify.records import Array, Image, Sighting
 
-WIDTH = 640  # px of a picture on the page
-QUALITY = 72  # of JPEG
 LONGEST_TEXT = 2000  # characters of a description
 
 
@@ -53,7 +51,7 @@ class RunSource:
         return {
             "mode": "run",
             "run": self._run,
-            "robot": facts.robot,
+            "title": facts.robot,
             "description": facts.description[:LONGEST_TEXT],
             "joints": subject.arm.dof,
             "leds": list(subject.marker.names),
@@ -174,11 +172,6 @@ def _picture(
     side: int, image: Image, sighting: Sighting | None
 ) -> tuple[int, dict[str, Any], bytes]:
     height, width = image.shape[:2]
-    scale = min(WIDTH / width, 1.0)
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    encoded, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    if not encoded:
-        raise ValueError("OpenCV could not encode a picture for the page as JPEG")
     found = [] if sighting is None else list(zip(sighting.led, sighting.centre, strict=True))
     return (
         side,
@@ -190,5 +183,5 @@ def _picture(
                 for led, (x, y) in found
             ],
         },
-        jpeg.tobytes(),
+        small_jpeg(image),
     )

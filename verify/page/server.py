@@ -25,19 +25,31 @@ FILES = {
     "index.html": "text/html",
     "style.css": "text/css",
     "page.js": "text/javascript",
+    "canvas.js": "text/javascript",
     "strips.js": "text/javascript",
     "scene.js": "text/javascript",
+    "boards.js": "text/javascript",
+    "pictures.js": "text/javascript",
+    "vendor/uplot/uPlot.iife.min.js": "text/javascript",
+    "vendor/uplot/uPlot.min.css": "text/css",
     "icon.svg": "image/svg+xml",
 }
 REFUSED = 1008  # of web sockets: policy violation
 TRY_AGAIN = 1013
-LARGEST = 1 << 16  # bytes from a viewer, who has nothing to say
+LARGEST = 1 << 12  # bytes from a viewer, who has a word to say at most
 
 Next = Callable[[Request], Awaitable[Response]]
+Asked = Callable[[str], None]
 
 
-def application(hub: Hub, access: Access) -> Starlette:
-    """Make the application: the page, its files, its web socket, and metrics."""
+def application(hub: Hub, access: Access, asked: Asked) -> Starlette:
+    """Make the application: the page, its files, its web socket, and metrics.
+
+    Args:
+        hub: what there is to see.
+        access: who may look.
+        asked: takes what viewers say, whatever it is.
+    """
 
     async def guarded(request: Request, go_on: Next) -> Response:
         response = _token_taken(request, access) or _refused(request, access)
@@ -61,14 +73,14 @@ def application(hub: Hub, access: Access) -> Starlette:
             await socket.close(REFUSED)
             return
         await socket.accept()
-        await _show(socket, hub)
+        await _show(socket, hub, asked)
 
     app = Starlette(
         routes=[
             Route("/", file),
             Route("/metrics", metrics),
             WebSocketRoute("/live", live),
-            Route("/{name}", file),
+            Route("/{name:path}", file),
         ]
     )
     app.add_middleware(BaseHTTPMiddleware, dispatch=guarded)
@@ -93,10 +105,10 @@ def _refused(request: Request, access: Access) -> Response | None:
     return None if refusal is None else PlainTextResponse(f"Refused: {refusal}.\n", 403)
 
 
-async def _show(socket: WebSocket, hub: Hub) -> None:
+async def _show(socket: WebSocket, hub: Hub, asked: Asked) -> None:
     """Send until the viewer leaves, or cannot keep up."""
     viewer = hub.enter()
-    gone = asyncio.create_task(_gone(socket))
+    gone = asyncio.create_task(_gone(socket, asked))
     try:
         while not gone.done():
             news = asyncio.create_task(viewer.next())
@@ -119,11 +131,11 @@ async def _show(socket: WebSocket, hub: Hub) -> None:
         hub.leave(viewer)
 
 
-async def _gone(socket: WebSocket) -> None:
-    """Wait for the viewer to leave; what it says is not listened to."""
-    with suppress(WebSocketDisconnect, RuntimeError):
+async def _gone(socket: WebSocket, asked: Asked) -> None:
+    """Wait for the viewer to leave; pass on what it says."""
+    with suppress(WebSocketDisconnect, RuntimeError, KeyError):  # KeyError: it sent bytes
         while True:
-            await socket.receive_text()
+            asked(await socket.receive_text())
 
 
 class _Server(uvicorn.Server):
@@ -135,27 +147,33 @@ class _Server(uvicorn.Server):
         yield
 
 
-def serve(connection: Connection, access: Access) -> None:
+def serve(connection: Connection, access: Access, words: frozenset[str]) -> None:
     """Serve until the run ends; the body of the server's process.
 
     Args:
-        connection: to the run: messages come, the number of viewers goes.
+        connection: to the run: messages come, the number of viewers and what they ask for go.
         access: where, and for whom.
+        words: what viewers may ask for; anything else is not listened to.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the run, and the run ends this
-    asyncio.run(_serve(connection, access))
+    asyncio.run(_serve(connection, access, words))
 
 
-async def _serve(connection: Connection, access: Access) -> None:
+async def _serve(connection: Connection, access: Access, words: frozenset[str]) -> None:
     loop = asyncio.get_running_loop()
 
     def counted(viewers: int) -> None:
         with suppress(OSError):
             connection.send(("viewers", viewers))
 
+    def asked(word: str) -> None:
+        if word in words:
+            with suppress(OSError):
+                connection.send(("asked", word))
+
     hub = Hub(counted)
     config = uvicorn.Config(
-        application(hub, access),
+        application(hub, access, asked),
         host=access.address,
         port=access.port,
         log_level="critical",

@@ -16,7 +16,7 @@ from tests.verify.calibration.made_views import (
     poses,
     turning_rig,
 )
-from verify.board import BoardPair, BoardView
+from verify.board import Board, BoardPair, BoardView
 from verify.calibration.boards import calibrate
 from verify.errors import InputError
 from verify.records import Array
@@ -173,3 +173,42 @@ def test_a_view_that_shows_no_board_is_left_out_and_named() -> None:
     found = calibrate(pairs, BOARD, SIZE)
     assert any(d.startswith("left camera: pair 3 left out") for d in found.decisions)
     assert found.noise == pytest.approx(1.0, abs=0.05)
+
+
+SQUARE = Board(columns=8, rows=8, square=0.03)
+
+
+def quarter_turned(view: BoardView | None) -> BoardView:
+    """Number the corners of the square board from the next one, by the pattern's symmetry."""
+    assert view is not None
+    y, x = np.divmod(view.corner, 8)
+    order = np.argsort(8 * x + 7 - y)
+    return BoardView((8 * x + 7 - y)[order], view.centre[order], view.covariance[order])
+
+
+def square_pairs(turned_ones: Sequence[int]) -> list[BoardPair]:
+    rng = np.random.default_rng(27)
+    pairs = make_pairs(fixed_rig(), poses(rng, 12), rng, board=SQUARE)
+    return [
+        replace(p, right=quarter_turned(p.right)) if p.frame in turned_ones else p for p in pairs
+    ]
+
+
+def test_a_square_board_turned_by_90_degrees_in_one_camera_is_left_out_and_named() -> None:
+    assert SQUARE.four_fold
+    found = calibrate(square_pairs([2, 7]), SQUARE, SIZE)
+    assert not {2, 7} & set(found.frames.tolist())
+    said = next(d for d in found.decisions if "quarter turn" in d)
+    assert said.startswith("pairs 2, 7 left out")
+    assert found.noise == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_square_board_that_nobody_turned_is_not_spoken_of() -> None:
+    found = calibrate(square_pairs([]), SQUARE, SIZE)
+    assert len(found.frames) == 12
+    assert not any("quarter turn" in d for d in found.decisions)
+
+
+def test_a_square_board_turned_in_one_camera_throughout_is_refused_with_the_reason() -> None:
+    with pytest.raises(InputError, match="does not tell a quarter turn"):
+        calibrate(square_pairs(range(12)), SQUARE, SIZE)

@@ -1,14 +1,11 @@
 """The page in a real browser, and who may not look."""
 
-import asyncio
-import functools
 import http.client
 import json
-import shutil
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
-from contextlib import ExitStack, asynccontextmanager, closing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -19,6 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 import robots
+from tests.verify.live.chromium import Browser, Tab, browser_needed, launched
 from tests.verify.live.spot_level import HOME, facing_rig
 from verify.errors import InputError
 from verify.live.alarms import Alarm
@@ -35,8 +33,6 @@ from verify.records import Measurement, Sighting, StereoPair
 
 HOSTILE = "<b>bold</b><script>document.title='taken'</script><img src=x onerror=document.title='x'>"
 TOKEN = "a-token-that-nobody-guesses"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-browser_needed = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 ARM = robots.load("iust_6r")
 RIG, MARKER = facing_rig()
 
@@ -276,127 +272,117 @@ def test_metrics_have_an_address_of_their_own_where_no_page_is_wanted() -> None:
 # in the browser
 
 
-def in_a_loop(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
-    """Playwright's other interface runs on greenlets, which Python 3.11's parser does not bear."""
-
-    @functools.wraps(test)
-    def run(*args: Any, **kwargs: Any) -> None:
-        asyncio.run(test(*args, **kwargs))
-
-    return run
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with launched(tmp_path_factory.mktemp("chromium")) as started:
+        yield started
 
 
-@asynccontextmanager
-async def browsing(
-    url: str, width: int = 1300, height: int = 900, scheme: str = "light"
-) -> AsyncIterator[tuple[Any, list[str]]]:
-    playwright = pytest.importorskip("playwright.async_api")
-    async with playwright.async_playwright() as started:
-        browser = await started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        size = {"width": width, "height": height}
-        context = await browser.new_context(viewport=size, color_scheme=scheme)
-        context.set_default_timeout(30_000)
-        complaints: list[str] = []
-        tab = await context.new_page()
-        tab.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
-        tab.on("pageerror", lambda error: complaints.append(str(error)))
-        await tab.goto(url)
-        await shown(tab, "document.querySelector('#connection').textContent === 'live'")
-        await shown(tab, "document.querySelectorAll('.strip').length === 6")
-        yield tab, complaints
-        await browser.close()
-
-
-async def shown(tab: Any, condition: str, argument: Any = None) -> None:
-    """Wait for a condition; asked from outside, as the page's policy lets nobody evaluate text."""
-    end = time.monotonic() + 30.0
-    while not await tab.evaluate(condition, argument):
-        assert time.monotonic() < end, condition
-        await asyncio.sleep(0.05)
-
-
+LIVE = "document.querySelector('#connection')?.textContent === 'live'"
 INK = """id => { const c = document.getElementById(id) ?? document.querySelector(id);
   const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
   let n = 0; for (let i = 0; i < d.length; i += 4) n += d[i + 3] > 0 && d[i] + d[i+1] + d[i+2] > 0;
   return n / (d.length / 4); }"""
+KINDS = """selector => { const c = document.querySelector(selector);
+  const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+  const seen = { measured: 0, band: 0, tolerance: 0 };
+  for (let i = 0; i < d.length; i += 4) {
+    const [r, g, b, a] = d.slice(i, i + 4);
+    if (a === 255 && b > r + 100) seen.measured++;
+    else if (a && a < 90 && b > r + 100) seen.band++;
+    else if (r > g + 30 && b > g + 20) seen.tolerance++;
+  }
+  return seen; }"""  # by their colours in style.css, light: blue, thin blue, purple
+
+
+@contextmanager
+def looking(browser: Browser, page: Page, *size: int, scheme: str = "light") -> Iterator[Tab]:
+    with browser.open(page.url, *size, scheme=scheme) as tab:
+        tab.until(LIVE)
+        tab.until("document.querySelectorAll('.strip canvas').length === 6")
+        yield tab
 
 
 @browser_needed
-@in_a_loop
-async def test_the_browser_draws_and_keeps_drawing(served: Page) -> None:
-    async with browsing(served.url) as (tab, complaints):
-        await shown(tab, "document.querySelector('#left').ariaLabel.includes('4 of 4')")
-        assert await tab.evaluate(INK, "left") > 0.9
-        assert await tab.evaluate(INK, "scene") > 0.01
-        assert await tab.evaluate(INK, ".strip canvas") > 0.01
-        value = tab.locator(".strip .value").first
-        before = await value.inner_text()
-        await shown(tab, "b => document.querySelector('.strip .value').innerText !== b", before)
-        assert complaints == []
+def test_the_browser_draws_and_keeps_drawing(browser: Browser, served: Page) -> None:
+    with looking(browser, served) as tab:
+        tab.until("document.querySelector('#left').ariaLabel.includes('4 of 4')")
+        assert tab.evaluate(f"({INK})('left')") > 0.9
+        tab.until(f"({INK})('scene') > 0.01")
+        before = tab.text(".strip .value")
+        tab.until(f"document.querySelector('.strip .value').innerText !== {before!r}")
+        assert tab.complaints == []
 
 
 @browser_needed
-@in_a_loop
-async def test_what_is_html_is_shown_as_text(served: Page) -> None:
-    async with browsing(served.url) as (tab, complaints):
-        assert await tab.locator("#description").inner_text() == HOSTILE
-        await tab.wait_for_selector("#devices li")
-        assert HOSTILE in await tab.locator("#devices").inner_text()
-        await tab.wait_for_selector("#alarms time")
-        assert HOSTILE in await tab.locator("#alarms").inner_text()
-        assert HOSTILE in await tab.locator("#banner").inner_text()
-        assert await tab.title() == "iust_6r · verify"
-        assert await tab.locator("#description *, #alarms img, #devices b").count() == 0
-        assert complaints == []
+def test_a_strip_shows_error_band_and_tolerance(browser: Browser, served: Page) -> None:
+    with looking(browser, served) as tab:
+        tab.until(f"({KINDS})('.strip canvas').measured > 50")
+        seen = tab.evaluate(f"({KINDS})('.strip canvas')")
+        assert seen["band"] > seen["measured"]
+        assert seen["tolerance"] > 20
+        assert tab.complaints == []
 
 
 @browser_needed
-@in_a_loop
-async def test_the_browser_comes_back_after_the_server_does() -> None:
+def test_what_is_html_is_shown_as_text(browser: Browser, served: Page) -> None:
+    with looking(browser, served) as tab:
+        assert tab.text("#description") == HOSTILE
+        tab.until("document.querySelector('#devices li') && document.querySelector('#alarms time')")
+        for place in ("#devices", "#alarms", "#banner"):
+            assert HOSTILE in tab.text(place)
+        assert tab.evaluate("document.title") == "iust_6r · verify"
+        made = "document.querySelectorAll('#description *, #alarms img, #devices b').length"
+        assert tab.evaluate(made) == 0
+        assert tab.complaints == []
+
+
+@browser_needed
+def test_the_browser_comes_back_after_the_server_does(browser: Browser) -> None:
     with Playing("first") as playing:
         page = Page(playing.source, 0)
         where = port(page)
-        async with browsing(page.url) as (tab, _):
+        with looking(browser, page) as tab:
             page.close()
-            await shown(tab, "document.querySelector('#connection').className.includes('ill')")
+            tab.until("document.querySelector('#connection').className.includes('ill')")
             with Playing("second") as later:
                 again = Page(later.source, where)
-                await shown(
-                    tab,
-                    "document.querySelector('#connection').textContent === 'live'"
-                    " && document.querySelector('#description').textContent === 'second'",
+                tab.until(
+                    f"{LIVE} && document.querySelector('#description').textContent === 'second'"
                 )
+                tab.until("document.querySelectorAll('.strip canvas').length === 6")
                 again.close()
 
 
 @browser_needed
-@in_a_loop
-async def test_keys_do_what_the_pointer_does(served: Page) -> None:
-    async with browsing(served.url) as (tab, complaints):
-        await tab.keyboard.press("4")
-        assert "tall" in await tab.locator(".strip").nth(3).get_attribute("class")
-        await tab.keyboard.press("t")
-        assert await tab.evaluate("document.documentElement.dataset.theme") == "dark"
-        await tab.keyboard.press(" ")
-        assert await tab.locator("#connection").inner_text() == "paused"
-        await tab.locator("#scene").focus()
-        before = await tab.evaluate("document.querySelector('#scene').toDataURL()")
-        await tab.keyboard.press("ArrowLeft")
-        await shown(tab, "b => document.querySelector('#scene').toDataURL() !== b", before)
-        assert complaints == []
+def test_keys_do_what_the_pointer_does(browser: Browser, served: Page) -> None:
+    with looking(browser, served) as tab:
+        tab.press("4")
+        fourth = "document.querySelectorAll('.strip')[3]"
+        assert "tall" in tab.evaluate(f"{fourth}.className")
+        tab.until(f"{fourth}.querySelector('canvas').clientHeight > 200")
+        tab.press("t")
+        assert tab.evaluate("document.documentElement.dataset.theme") == "dark"
+        tab.press(" ")
+        assert tab.text("#connection") == "paused"
+        tab.evaluate("document.querySelector('#scene').focus()")
+        tab.evaluate("window.before = document.querySelector('#scene').toDataURL(); 0")
+        tab.press("ArrowLeft")
+        tab.until("document.querySelector('#scene').toDataURL() !== window.before")
+        assert tab.complaints == []
 
 
 @browser_needed
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@in_a_loop
-async def test_a_phone_scrolls_down_only(served: Page, scheme: str) -> None:
-    async with browsing(served.url, 360, 740, scheme) as (tab, complaints):
-        await tab.wait_for_selector("#devices li")
-        assert await tab.evaluate("document.documentElement.scrollWidth") <= 360
-        assert await tab.evaluate("document.documentElement.dataset.theme") == scheme
-        sections = await tab.locator("main > section").all()
-        boxes = [await section.bounding_box() for section in sections]
-        boxes.sort(key=lambda box: box["y"])
-        for above, below in pairwise(boxes):
-            assert above["y"] + above["height"] <= below["y"]
-        assert complaints == []
+def test_a_phone_scrolls_down_only(browser: Browser, served: Page, scheme: str) -> None:
+    with looking(browser, served, 360, 740, scheme=scheme) as tab:
+        tab.until("document.querySelector('#devices li')")
+        assert tab.evaluate("document.documentElement.scrollWidth") <= 360
+        assert tab.evaluate("document.documentElement.dataset.theme") == scheme
+        boxes = tab.evaluate(
+            "[...document.querySelectorAll('main > section')].filter(s => !s.hidden)"
+            ".map(s => s.getBoundingClientRect()).map(b => [b.top, b.bottom])"
+        )
+        for above, below in pairwise(sorted(boxes)):
+            assert above[1] <= below[0]
+        assert tab.complaints == []

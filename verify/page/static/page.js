@@ -1,6 +1,8 @@
 // The live page. All text comes from outside and goes in as text: no markup is ever made of it.
+import { Boards } from "./boards.js";
+import { PictureView } from "./pictures.js";
 import { Scene } from "./scene.js";
-import { sized, Strips } from "./strips.js";
+import { Strips } from "./strips.js";
 
 const RETRY_MS = [300, 600, 1200, 2500]; // then always the last
 const STALE_MS = 3000; // without a word on an open line
@@ -9,61 +11,21 @@ const BANNER_S = 60; // an event that long ago is history
 const $ = (id) => document.getElementById(id);
 const strips = new Strips($("strips"));
 const scene = new Scene($("scene"));
+const boards = new Boards((word) => line?.readyState === WebSocket.OPEN && line.send(word));
 const pictures = [new PictureView($("left"), $("left-said"), "Left"), new PictureView($("right"), $("right-said"), "Right")];
 const textDecoder = new TextDecoder();
 let colours = {};
 let paused = false;
 let hello = null;
+let line = null; // to the server
 let attempts = 0;
 let heard = 0;
 let changed = true;
 
-function PictureView(canvas, caption, side) {
-  let latest = 0;
-  this.names = [];
-  this.show = async (found, jpeg) => {
-    const number = ++latest;
-    let image;
-    try {
-      image = await createImageBitmap(new Blob([jpeg], { type: "image/jpeg" }));
-    } catch {
-      return; // half a picture; the next one comes at once
-    }
-    if (number !== latest) return image.close();
-    const { context, width, height } = fitted(canvas, found.width / found.height);
-    context.drawImage(image, 0, 0, width, height);
-    image.close();
-    const scale = width / found.width;
-    context.font = "600 12px system-ui, sans-serif";
-    for (const { led, x, y } of found.leds) mark(context, (x + 0.5) * scale, (y + 0.5) * scale, String(led + 1));
-    const names = found.leds.map(({ led }) => `${led + 1} ${this.names[led] ?? ""}`.trim());
-    caption.textContent = `${side.toLowerCase()}: ${names.length ? `LEDs ${names.join(", ")}` : "no LED recognised"}`;
-    canvas.setAttribute("aria-label", `${side} camera, ${found.leds.length} of ${this.names.length} LEDs recognised`);
-  };
-}
-
-function fitted(canvas, aspect) {
-  canvas.style.aspectRatio = String(aspect);
-  return sized(canvas);
-}
-
-function mark(context, x, y, text) {
-  context.lineWidth = 3;
-  context.strokeStyle = "#000a";
-  context.beginPath();
-  context.arc(x, y, 9, 0, 2 * Math.PI);
-  context.stroke();
-  context.strokeText(text, x + 11, y - 7);
-  context.lineWidth = 1.5;
-  context.strokeStyle = "#50c850";
-  context.stroke();
-  context.fillStyle = "#ffdc3c";
-  context.fillText(text, x + 11, y - 7);
-}
-
 function connect() {
   const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
   socket.binaryType = "arraybuffer";
+  line = socket;
   heard = Date.now();
   const watch = setInterval(() => {
     if (Date.now() - heard > STALE_MS && socket.readyState === WebSocket.OPEN) socket.close();
@@ -79,7 +41,8 @@ function connect() {
   };
   socket.onclose = () => {
     clearInterval(watch);
-    connection("ill", "connection lost, trying again");
+    if (boards.finished) connection("waits", "finished");
+    else connection("ill", "connection lost, trying again");
     setTimeout(connect, RETRY_MS[Math.min(attempts++, RETRY_MS.length - 1)]);
   };
 }
@@ -94,22 +57,25 @@ function picture(buffer) {
   const view = new DataView(buffer);
   const length = view.getUint32(1);
   const found = JSON.parse(textDecoder.decode(new Uint8Array(buffer, 5, length)));
-  pictures[view.getUint8(0)].show(found, buffer.slice(5 + length));
+  pictures[view.getUint8(0)].show(found, buffer.slice(5 + length), boards.cells(view.getUint8(0)));
 }
 
 const takers = {
   hello(message) {
     hello = message;
-    document.title = `${message.robot} · verify`;
-    $("robot").textContent = message.robot;
+    document.title = `${message.title} · verify`;
+    $("title").textContent = message.title;
     $("description").textContent = message.description;
-    for (const section of document.querySelectorAll("[data-modes]"))
-      section.hidden = !section.dataset.modes.split(" ").includes(message.mode);
+    for (const part of document.querySelectorAll("[data-modes]"))
+      part.hidden = !part.dataset.modes.split(" ").includes(message.mode);
     for (const view of pictures) view.names = message.leds ?? [];
-    strips.begin(message.joints ?? 0, message.tolerance_deg ?? null);
+    if (paused && message.mode !== "run") pause();
+    if (message.mode === "calibrate") return boards.begin(message);
+    strips.begin(message.joints, message.tolerance_deg);
     scene.begin(message);
   },
   rows(message) {
+    if (hello.mode === "calibrate") return boards.now(message.rows.at(-1));
     if (paused && !message.past) return;
     strips.add(message.rows);
     const last = message.rows.at(-1);
@@ -136,6 +102,7 @@ function showState(state) {
       return item;
     }),
   );
+  if (hello.mode === "calibrate") return boards.state(state);
   const dropped = Object.entries(state.dropped).map(([reason, count]) => `${count} ${reason}`);
   const latency = state.latency_p50_ms === null ? "–" : `${state.latency_p50_ms} ms, 99 % within ${state.latency_p99_ms} ms`;
   const figures = {
@@ -192,7 +159,7 @@ function element(name, text = "", kind = "") {
 function theme(name) {
   document.documentElement.dataset.theme = name;
   const style = getComputedStyle(document.documentElement);
-  for (const key of ["ink", "muted", "grid", "measured", "encoder", "band", "tolerance"])
+  for (const key of ["ink", "muted", "grid", "paper", "measured", "encoder", "band", "tolerance"])
     colours[key] = style.getPropertyValue(`--${key}`).trim();
   scene.dirty = changed = true;
 }
@@ -214,6 +181,7 @@ function draw() {
   if (changed && !document.hidden) {
     changed = false;
     strips.draw(colours);
+    boards.draw(colours);
   }
   if (scene.dirty && !document.hidden) scene.draw(colours);
   requestAnimationFrame(draw);
@@ -224,6 +192,7 @@ $("theme").addEventListener("click", otherTheme);
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   const onButton = event.target instanceof HTMLButtonElement;
+  if (hello?.mode === "calibrate" && boards.key(event.key, onButton)) return event.preventDefault();
   if (event.key === " " && !onButton) pause();
   else if (event.key.toLowerCase() === "t") otherTheme();
   else if (/^[1-9]$/.test(event.key)) strips.toggle(Number(event.key) - 1), (changed = true);

@@ -1,5 +1,5 @@
 // Arm and marker in three dimensions: as seen, and as the encoders tell. Lines on a canvas.
-import { sized } from "./strips.js";
+import { sized } from "./canvas.js";
 
 export class Scene {
   constructor(canvas) {

@@ -1,51 +1,77 @@
 // Joint errors scrolling, each with its 2u band, its tolerance, and how near an alarm is.
+// uPlot draws them; it is a plain script, loaded before this module.
+const { uPlot } = window;
+
 const SPAN = 30; // s shown
 const KEPT = 60; // s remembered
+const GAP = 0.5; // s without a row: the line breaks
 const SMALLEST = 0.05; // degrees, half the height: less would show noise as drama
+const FONT = "11px system-ui, sans-serif";
 
 export class Strips {
   constructor(root) {
     this.root = root;
     this.rows = [];
+    this.shown = [];
     this.strips = [];
     this.tolerance = null;
+    this.colours = {};
   }
 
   begin(joints, tolerance) {
+    for (const { plot } of this.strips) plot.destroy();
     this.rows = [];
+    this.shown = [];
     this.tolerance = tolerance;
-    this.strips = [];
     this.root.replaceChildren();
-    for (let j = 0; j < joints; j++) this.strips.push(this.make(j));
+    this.strips = Array.from({ length: joints }, (_, j) => this.make(j));
   }
 
   make(j) {
-    const strip = document.createElement("div");
-    strip.className = "strip";
-    const told = document.createElement("div");
-    told.className = "told";
-    const name = document.createElement("button");
+    const strip = element("div", "strip");
+    const told = element("div", "told");
+    const name = element("button", "name");
     name.type = "button";
-    name.className = "name";
     name.textContent = `Joint ${j + 1}`;
     name.title = `${j + 1}: taller, and back`;
     name.setAttribute("aria-expanded", "false");
     name.addEventListener("click", () => this.toggle(j));
-    const value = document.createElement("div");
-    value.className = "value";
+    const value = element("div", "value");
     value.textContent = "–";
-    const meter = document.createElement("div");
-    meter.className = "meter";
+    const meter = element("div", "meter");
     meter.title = "How near the sum is to an alarm";
-    const fill = document.createElement("i");
+    const fill = element("i");
     meter.append(fill);
     told.append(name, value, meter);
-    const canvas = document.createElement("canvas");
-    canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `Error of joint ${j + 1} over the last ${SPAN} seconds`);
-    strip.append(told, canvas);
+    const chart = element("div", "chart");
+    chart.setAttribute("role", "img");
+    chart.setAttribute("aria-label", `Error of joint ${j + 1} over the last ${SPAN} seconds`);
+    strip.append(told, chart);
     this.root.append(strip);
-    return { strip, name, value, fill, canvas };
+    const part = { strip, name, value, fill, chart, half: SMALLEST };
+    part.plot = new uPlot(this.options(part, j), [[], [], [], [], [], []], chart);
+    return part;
+  }
+
+  options(part, j) {
+    const colour = (key) => () => this.colours[key];
+    const tall = () => part.strip.classList.contains("tall");
+    const line = (key, width, dash) => ({ stroke: colour(key), width, dash, points: { show: false } });
+    const axis = { stroke: colour("muted"), font: FONT, ticks: { show: false }, grid: { stroke: colour("grid"), width: 1 } };
+    return {
+      ...size(part.chart),
+      legend: { show: false },
+      cursor: { y: false, points: { show: false }, drag: { setScale: false, x: false }, sync: { key: "joints" } },
+      scales: { x: { time: false, range: () => [-SPAN, 0] }, y: { range: () => [-part.half, part.half] } },
+      series: [{}, line("band", 0), line("band", 0), line("tolerance", 1.5, [2, 3]), line("tolerance", 1.5, [2, 3]), line("measured", 1.3)],
+      bands: [{ series: [1, 2], fill: colour("band") }],
+      padding: [6, 14, 6, 0],
+      axes: [
+        { ...axis, size: () => (tall() ? 22 : 0), gap: 4, space: 40, incrs: [5, 10], values: (_, splits) => splits.map((s) => (!tall() ? "" : s ? `−${-s} s` : "now")) },
+        { ...axis, size: 50, gap: 6, space: 20, values: (_, splits) => splits.map((v) => `${v > 0 ? "+" : v < 0 ? "−" : ""}${Number(Math.abs(v).toFixed(5))}°`) },
+      ],
+      hooks: { setCursor: [() => this.say(part, j)] },
+    };
   }
 
   toggle(j) {
@@ -76,106 +102,68 @@ export class Strips {
   }
 
   draw(colours) {
-    const last = this.rows.at(-1);
-    if (!last) return;
-    const end = last.t_s;
-    const shown = this.rows.filter((row) => row.t_s >= end - SPAN);
-    this.strips.forEach((part, j) => this.drawOne(part, j, shown, end, last, colours));
+    this.colours = colours;
+    const end = this.rows.at(-1)?.t_s;
+    if (end === undefined) return;
+    this.shown = [...broken(this.rows.filter((row) => row.t_s >= end - SPAN))];
+    const x = this.shown.map((row) => row.t_s - end);
+    this.strips.forEach((part, j) => this.drawOne(part, j, x));
   }
 
-  drawOne(part, j, rows, end, last, colours) {
-    const told = rows.filter((row) => row.error_deg[j] !== null && row.u_deg[j] !== null);
-    this.say(part, j, last);
-    const tolerance = this.tolerance ? this.tolerance[j] : null;
-    const { context, width, height } = sized(part.canvas);
-    context.clearRect(0, 0, width, height);
-    const sizes = told.map((row) => Math.abs(row.error_deg[j]) + 2 * row.u_deg[j]).sort((a, b) => a - b);
-    let half = Math.max(SMALLEST, 1.1 * (sizes[Math.floor(sizes.length * 0.98)] ?? 0));
-    if (tolerance !== null && tolerance < 6 * half) half = Math.max(half, 1.15 * tolerance);
-    half = rounded(half);
-    const x = (t) => width * (1 - (end - t) / SPAN);
-    const y = (v) => height / 2 - (v / half) * (height / 2 - 8);
-    this.frame(context, width, height, half, y, colours);
-    if (tolerance !== null && tolerance <= half) {
-      context.strokeStyle = colours.tolerance;
-      context.setLineDash([2, 3]);
-      for (const v of [tolerance, -tolerance]) line(context, 0, y(v), width, y(v));
-      context.setLineDash([]);
-    }
-    for (const run of runs(told)) {
-      context.fillStyle = colours.band;
-      context.beginPath();
-      run.forEach((row) => context.lineTo(x(row.t_s), y(row.error_deg[j] + 2 * row.u_deg[j])));
-      run.toReversed().forEach((row) => context.lineTo(x(row.t_s), y(row.error_deg[j] - 2 * row.u_deg[j])));
-      context.fill();
-      context.strokeStyle = colours.measured;
-      context.lineWidth = 1.3;
-      context.beginPath();
-      run.forEach((row) => context.lineTo(x(row.t_s), y(row.error_deg[j])));
-      context.stroke();
-    }
+  drawOne(part, j, x) {
+    const error = this.shown.map((row) => (row.u_deg?.[j] == null ? null : row.error_deg[j]));
+    const edge = (sign) => error.map((e, i) => (e === null ? null : e + sign * 2 * this.shown[i].u_deg[j]));
+    const [above, below] = [edge(1), edge(-1)];
+    const tolerance = this.tolerance?.[j] ?? null;
+    part.half = halfHeight(above, below, tolerance);
+    const level = (v) => x.map(() => v);
+    const { width, height } = size(part.chart);
+    if (width !== part.plot.width || height !== part.plot.height) part.plot.setSize({ width, height });
+    part.plot.setData([x, above, below, level(tolerance), level(tolerance === null ? null : -tolerance), error]);
+    this.say(part, j);
   }
 
-  frame(context, width, height, half, y, colours) {
-    context.lineWidth = 1;
-    context.strokeStyle = colours.grid;
-    for (let s = 0; s <= SPAN; s += 5) {
-      const at = Math.round(width * (s / SPAN)) + 0.5;
-      line(context, at, 0, at, height);
-    }
-    context.strokeStyle = colours.muted;
-    line(context, 0, y(0), width, y(0));
-    context.fillStyle = colours.muted;
-    context.font = "11px system-ui, sans-serif";
-    context.fillText(`+${half}°`, 3, 11);
-    context.fillText(`−${half}°`, 3, height - 3);
-  }
-
-  say(part, j, last) {
-    const error = last.error_deg[j];
-    const u = last.u_deg[j];
-    const bold = document.createElement("b");
+  /** The value under the pointer, which all joints share; the newest where there is none. */
+  say(part, j) {
+    const row = this.shown[part.plot?.cursor.idx ?? this.shown.length - 1];
+    if (!row?.u_deg) return;
+    const [error, u] = [row.error_deg[j], row.u_deg[j]];
+    const bold = element("b");
     bold.textContent = error === null ? "–" : `${signed(error)}°`;
-    const rest = u === null ? ` ${last.status === "measured" ? "not told" : last.status.replaceAll("_", " ")}` : ` ± ${u.toFixed(3)}°`;
+    const rest = u === null ? ` ${row.status === "measured" ? "not told" : row.status.replaceAll("_", " ")}` : ` ± ${u.toFixed(3)}°`;
     part.value.replaceChildren(bold, rest);
   }
 }
 
-export function sized(canvas) {
-  const ratio = Math.min(window.devicePixelRatio || 1, 2);
-  const width = canvas.clientWidth;
-  const height = canvas.clientHeight;
-  const wanted = [Math.round(width * ratio), Math.round(height * ratio)];
-  if (canvas.width !== wanted[0] || canvas.height !== wanted[1]) [canvas.width, canvas.height] = wanted;
-  const context = canvas.getContext("2d");
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  return { context, width, height };
+function element(name, kind = "") {
+  const made = document.createElement(name);
+  made.className = kind;
+  return made;
 }
 
-function line(context, x0, y0, x1, y1) {
-  context.beginPath();
-  context.moveTo(x0, y0);
-  context.lineTo(x1, y1);
-  context.stroke();
+function size(chart) {
+  return { width: chart.clientWidth, height: chart.clientHeight };
+}
+
+/** Rows with an empty one where some are missing. */
+function* broken(rows) {
+  let before = null;
+  for (const row of rows) {
+    if (before !== null && row.t_s - before > GAP) yield { t_s: before + GAP / 2 };
+    yield row;
+    before = row.t_s;
+  }
+}
+
+/** Room for all but the wildest 2 % of the band, and for the tolerance unless that is far away. */
+function halfHeight(above, below, tolerance) {
+  const sizes = above.flatMap((a, i) => (a === null ? [] : [Math.max(a, -below[i])])).sort((a, b) => a - b);
+  let half = Math.max(SMALLEST, 1.1 * (sizes[Math.floor(sizes.length * 0.98)] ?? 0));
+  if (tolerance !== null && tolerance < 6 * half) half = Math.max(half, 1.15 * tolerance);
+  const power = 10 ** Math.floor(Math.log10(half)); // round, so that a plot does not breathe
+  return [1, 1.5, 2, 3, 5, 7, 10].find((m) => m * power >= half) * power;
 }
 
 function signed(value) {
   return `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(3)}`;
-}
-
-function rounded(value) {
-  const power = 10 ** Math.floor(Math.log10(value));
-  return Number(([1, 1.5, 2, 3, 5, 7, 10].find((m) => m * power >= value) * power).toPrecision(2));
-}
-
-function* runs(rows) {
-  let run = [];
-  for (const row of rows) {
-    if (run.length && row.t_s - run.at(-1).t_s > 0.5) {
-      yield run;
-      run = [];
-    }
-    run.push(row);
-  }
-  if (run.length) yield run;
 }
