@@ -297,23 +297,22 @@ class Live:
     # looking after
 
     def _look(self, *, final: bool = False) -> None:
-        """See how the devices are."""
-        lines = []
+        """See how the devices are; after the end, when they are closed, what was dropped alone."""
         t, now = time.monotonic(), time.time()
         alarms: list[Alarm] = []
-        for name, device in self._named():
+        lines = [] if not final else list(self.state.snapshot().devices)
+        for name, device in () if final else self._named():
             said = device.state()
             silent = said.age is None or said.age > DEVICE_SILENT
             lines.append(DeviceLine(name, said.connected and not silent, said.sentence))
-            if not final:
-                alarms += self._lost.take(name, said.age, said.sentence, t, now)
-        lines += [DeviceLine(name, False, said) for name, said in self._troubles.items()]
-        if self._keeper.trouble:
-            lines.append(DeviceLine("clock", False, self._keeper.trouble))
-        self.state.facts(tuple(lines), self._queue.dropped(), self._recorder.state().sentence)
+            alarms += self._lost.take(name, said.age, said.sentence, t, now)
         if not final:
+            lines += [DeviceLine(name, False, said) for name, said in self._troubles.items()]
+            if self._keeper.trouble:
+                lines.append(DeviceLine("clock", False, self._keeper.trouble))
             with self._tell:
                 alarms += self._target.look(t, now)
+        self.state.facts(tuple(lines), self._queue.dropped(), self._recorder.state().sentence)
         for alarm in alarms:
             self._raise(alarm)
 

@@ -126,7 +126,7 @@ class Page:
         if answer[0] != "ready":
             self._process.terminate()
             place = f"--page, {self._access.address}:{self._access.port}"
-            remedy = "Choose another port, such as --page 8700."
+            remedy = "Choose another port, such as --page-port 8700."
             raise InputError(place, f"the page cannot be served: {answer[1]}", "", remedy)
 
     def _feed(self) -> None:
