@@ -9,7 +9,7 @@ from verify.terminal import terminal
 
 
 def report(
-    out: Annotated[Path, typer.Argument(help="A folder that `verify run` wrote.")],
+    out: Annotated[Path, typer.Argument(help="A folder that `verify run` or `verify calibrate` wrote.")],
 ) -> int:
     """Build report.html and report.pdf again from the results on disk.
 

@@ -1,0 +1,21 @@
+"""What a calibration, a check or a registration was made from, in its report."""
+
+from typing import Any
+
+from reports.blocks import Block, Bullets, Paragraph, Table, row
+from reports.formatting import word
+
+
+def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
+    """List the files that were read and the warnings."""
+    blocks: list[Block] = []
+    inputs = summary.get("inputs") or {}
+    if inputs:
+        rows = tuple(row(word(name), word(digest)) for name, digest in inputs.items())
+        blocks.append(Table("Files that were read.", "ll", ("File", "Hash"), rows, wide=(1,)))
+    warnings = summary.get("warnings") or []
+    if warnings:
+        blocks.append(Bullets(tuple(word(warning) for warning in warnings), "warning"))
+    else:
+        blocks.append(Paragraph("There were no warnings."))
+    return tuple(blocks)
