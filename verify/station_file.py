@@ -29,8 +29,8 @@ def read(path: Path) -> tuple[StationTable, tuple[str, ...]]:
     """
     table, warnings = decode(path, StationTable)
     for side in ("left", "right"):
-        _check_camera(path, side, getattr(table, side))
-    _check_sources(path, table)
+        check_camera(path, side, getattr(table, side))
+    check_sources(path, table)
     one_of(path, "encoders.driver", table.encoders.driver, tuple(ENCODER_KEYS))
     one_of(path, "pan.driver", table.pan.driver, tuple(PAN_KEYS))
     if table.pan.follow and table.pan.driver == "fixed":
@@ -45,7 +45,7 @@ def read(path: Path) -> tuple[StationTable, tuple[str, ...]]:
         not_negative(path, f"encoders.{key}", getattr(table.encoders, key))
     _check_alarm(path, table)
     _check_recording(path, table)
-    _check_sim(path, table)
+    check_sim(path, table)
     return table, (*warnings, *_pointless(path, table))
 
 
@@ -60,7 +60,12 @@ def _several(table: StationTable) -> int:
     return len(given) if isinstance(given, list) else 1
 
 
-def _check_camera(path: Path, side: str, table: CameraTable) -> None:
+def check_camera(path: Path, side: str, table: CameraTable) -> None:
+    """Check [left] or [right].
+
+    Raises:
+        InputError: names the key, what stands there, and what should.
+    """
     if isinstance(table.source, int):
         not_negative(path, f"{side}.source", table.source)
     elif not table.source:
@@ -78,8 +83,12 @@ def _check_camera(path: Path, side: str, table: CameraTable) -> None:
             raise fault(path, f"{side}.{key}", f"is {value}", "a number above 0 is expected")
 
 
-def _check_sources(path: Path, table: StationTable) -> None:
-    """Refuse one camera for both sides, and half a simulation."""
+def check_sources(path: Path, table: StationTable) -> None:
+    """Refuse one camera for both sides, and half a simulation.
+
+    Raises:
+        InputError: names the key, what stands there, and what should.
+    """
     left, right = table.left.source, table.right.source
     simulated = (left == SIM, right == SIM)
     if any(simulated) and not all(simulated):
@@ -122,7 +131,12 @@ def _check_recording(path: Path, table: StationTable) -> None:
         raise fault(path, "recording.name", f'is "{name}"', expected)
 
 
-def _check_sim(path: Path, table: StationTable) -> None:
+def check_sim(path: Path, table: StationTable) -> None:
+    """Check [sim].
+
+    Raises:
+        InputError: names the key, what stands there, and what should.
+    """
     if table.sim.speed <= 0:
         raise fault(path, "sim.speed", f"is {table.sim.speed}", "a number above 0 is expected")
     for index, event in enumerate(table.sim.event):

@@ -31,7 +31,10 @@ Force = Annotated[bool, typer.Option("--force", help="Replace files that are the
 @calibrate.command()
 def boards(
     folder: Annotated[
-        Path, typer.Argument(help="Pictures of a board: left/ and right/, or two videos.")
+        Path,
+        typer.Argument(
+            help="Pictures of a board: left/ and right/, or two videos; with --live a station file."
+        ),
     ],
     out: RigOut = Path("rig.toml"),
     report: ReportOut = None,
@@ -40,11 +43,34 @@ def boards(
     square_uncertainty_mm: Annotated[
         float | None, typer.Option(help="Standard uncertainty of that edge, mm.")
     ] = None,
+    board: Annotated[
+        Path | None, typer.Option(help="Another board.toml than the one with the pictures.")
+    ] = None,
     force: Force = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Take the pictures now, by a station's cameras.")
+    ] = False,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Live: their folder; default: boards-DATE-TIME, here.")
+    ] = None,
+    enough: Annotated[
+        int | None, typer.Option("--pairs", min=3, help="Live: finish after so many pairs.")
+    ] = None,
+    page: Annotated[bool, typer.Option("--page", help="Live: serve a page.")] = False,
+    page_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="The page's port; 0: any that is free.")
+    ] = 8646,
+    page_address: Annotated[
+        str, typer.Option(help="The page's address; another one than this needs a token.")
+    ] = "127.0.0.1",
+    page_token: Annotated[
+        str | None, typer.Option(help="What viewers must show; 16 characters or more.")
+    ] = None,
 ) -> None:
     """Calibrate both cameras and their turning bases from pictures of a board.
 
-    Writes the rig file and a report, by default in NAME-calibration, NAME the folder's.
+    Writes the rig file and a report, by default in NAME-calibration, NAME the folder's. With --live
+    the pictures are taken first: each when the board is still and stands otherwise than before.
 
     Example: verify calibrate boards tuesday_boards -o rig.toml
     """
@@ -56,13 +82,31 @@ def boards(
     from verify.calibration.results import results
     from verify.calibration.sightings import see_boards, show_pair
     from verify.calibration.undoing import undone_on_failure
+    from verify.commands.calibrate_live import (
+        LiveWish,
+        board_of,
+        pictures_folder,
+        refuse_without_live,
+        take_pictures,
+    )
     from verify.commands.calibrating import board_by_option, prefixed
+    from verify.commands.watching import PageWish
+    from verify.live.board_pictures import settle
     from verify.results_folder import refuse_existing, refuse_file, write_reported
 
-    opened = open_boards(folder, board_by_option(corners, square_mm, square_uncertainty_mm))
+    station, folder = folder, pictures_folder(pictures) if live else folder
     target = report if report is not None else Path(f"{folder.resolve().name}-calibration")
     refuse_file(out, force=force)
     refuse_existing(target, force=force)
+    known = board_of(board_by_option(corners, square_mm, square_uncertainty_mm), board)
+    if live:
+        wish = PageWish(page_port, page_address, page_token) if page else None
+        take_pictures(station, folder, LiveWish(known, enough, wish))
+    else:
+        live_only = {"--pictures": pictures is not None, "--pairs": enough is not None}
+        refuse_without_live(folder, live_only | {"--page": page})
+        settle(folder)
+    opened = open_boards(folder, known)
     for warning in opened.warnings:
         terminal.warn(warning)
     with terminal.progress("pairs searched for the board") as progress:

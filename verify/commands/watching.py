@@ -108,7 +108,7 @@ def watch(station: Station, wish: Wish) -> Watched:
             state=state,
         )
         look = stack.enter_context(_shown(None if joints is None else np.rad2deg(joints).tolist()))
-        stop = stack.enter_context(_stopped_politely())
+        stop = stack.enter_context(stopped_politely())
         live.run(stop, look)
     _say_how_it_was(state)
     recorded = recorder.state()
@@ -200,7 +200,7 @@ def _shown(tolerance_deg: list[float] | None) -> Iterator[Callable[[LiveState], 
 
 
 @contextmanager
-def _stopped_politely() -> Iterator[threading.Event]:
+def stopped_politely() -> Iterator[threading.Event]:
     """Ctrl-C and a polite kill end the run, and its report is made; a second one ends that too."""
     stop = threading.Event()
 

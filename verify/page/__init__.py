@@ -3,5 +3,5 @@
 feed.py        in the run's process: pictures and numbers, ten times a second, to the server
 server.py      in its own process: pages, web sockets, metrics; viewers cost the run nothing
 access.py      who may look
-run_source.py  what a run has to show; another mode is another `Source`
+run_source.py, board_source.py  what a run has to show, and the taking of board pictures
 """

@@ -132,8 +132,8 @@ async def _show(socket: WebSocket, hub: Hub, asked: Asked) -> None:
 
 
 async def _gone(socket: WebSocket, asked: Asked) -> None:
-    """Wait for the viewer to leave; pass on what it says."""
-    with suppress(WebSocketDisconnect, RuntimeError, KeyError):  # KeyError: it sent bytes
+    """Wait for the viewer to leave, or to send bytes, which no page does; pass on what it says."""
+    with suppress(WebSocketDisconnect, RuntimeError, KeyError):  # KeyError: bytes
         while True:
             asked(await socket.receive_text())
 

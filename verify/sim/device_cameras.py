@@ -67,7 +67,7 @@ class SimulatedCameraDevice:
         """Say how the camera is."""
         now, away = self._scene.clock.now(), self._away()
         age = now - self._recent[-1] if self._recent else None
-        within = [t for t in self._recent if t > now - 1.0]
+        within = [t for t in list(self._recent) if t > now - 1.0]
         name = f"simulated {SIDES[self._side]} camera"
         said = {"camera_gone": "not connected: it was unplugged", "camera_stalls": "silent"}
         notes = [str(refusal) for refusal in self._refused()]

@@ -196,6 +196,20 @@ def test_pictures_are_encoded_once_for_all_and_only_while_somebody_looks() -> No
         page.close()
 
 
+def test_viewers_may_ask_for_what_is_offered_and_for_nothing_else() -> None:
+    with Playing() as playing:
+        asked: list[str] = []
+        page = Page(playing.source, 0, asked={"take": lambda: asked.append("take")})
+        with own(page) as line:
+            for word in ("stop", "take", "x" * 1000):
+                line.send(word)
+            assert until(lambda: bool(asked))
+            line.send(b"take")  # no page sends that: whoever does is let go
+            assert until(lambda: page.viewers == 0)
+        assert asked == ["take"]
+        page.close()
+
+
 def test_metrics_are_prometheus_text(served: Page) -> None:
     assert until(lambda: "verify_joint_error_degrees" in get(served, "/metrics").text)
     text = get(served, "/metrics").text
