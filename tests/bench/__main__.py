@@ -1,12 +1,12 @@
 """Every benchmark in one run, as ratios: `make bench`.
 
-python -m tests.bench [NAME…]     detection, corners, chain, ik, memory; all without a name
+python -m tests.bench [NAME…]     detection, corners, chain, ik, memory, tracking; all without
 """
 
 import sys
 from collections.abc import Callable, Iterator
 
-from tests.bench import chain, corners, detection, ik, memory
+from tests.bench import chain, corners, detection, ik, memory, tracking
 
 BENCHES: dict[str, Callable[[], Iterator[str]]] = {
     "detection": detection.lines,
@@ -14,6 +14,7 @@ BENCHES: dict[str, Callable[[], Iterator[str]]] = {
     "chain": chain.lines,
     "ik": ik.lines,
     "memory": memory.lines,
+    "tracking": tracking.lines,
 }
 
 

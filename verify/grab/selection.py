@@ -1,0 +1,117 @@
+"""How a person says what to follow: a colour's name, a box, or a shape drawn in one picture."""
+
+import cv2
+import numpy as np
+
+from verify.errors import InputError
+from verify.grab.camshift import LIKELY, Box, camshift, clipped
+from verify.grab.camshift_search import find_all
+from verify.grab.colour import ColourModel, to_hsv
+from verify.grab.colour_learning import learn
+from verify.grab.stereo_target_pairing import Thing, pair_up
+from verify.grab.target import Drawn, Options
+from verify.records import Image, StereoPair
+from verify.rig import Rig
+
+SURROUNDINGS = 0.75  # of the box, on every side: what the target must be told from
+_CLOSE = "Draw it close around a coloured object."
+SMALLEST = 8  # px, either side of a box
+
+
+def parse_box(text: str, option: str = "--roi") -> Box:
+    """Read x,y,w,h in whole pixels.
+
+    Raises:
+        InputError: something else stands there, or the box is too small to learn a colour from.
+    """
+    expected = "x,y,w,h in whole pixels is expected, such as --roi 610,340,48,52"
+    try:
+        numbers = [int(part) for part in text.split(",")]
+        x, y, width, height = numbers
+    except ValueError:
+        raise InputError(option, f'is "{text}"', expected) from None
+    if min(x, y) < 0:
+        raise InputError(option, f'is "{text}"', "x and y count from the picture's upper left, 0,0")
+    if min(width, height) < SMALLEST:
+        found = f"is {width} x {height} px"
+        raise InputError(option, found, f"{SMALLEST} x {SMALLEST} px is the least")
+    return x, y, width, height
+
+
+def model_from_box(image: Image, box: Box, alike: ColourModel | None = None) -> ColourModel:
+    """Learn a target's colours from a box around it, against its surroundings.
+
+    Args:
+        image: (h, w, 3) BGR.
+        box: x, y, width, height, px. What fills the ellipse inside it counts as the target.
+        alike: colours that are not learned as surroundings: another such object may stand there.
+
+    Raises:
+        InputError: the picture is grey, the box reaches out of it, or nothing in the box has a
+            colour of its own.
+    """
+    if clipped(box, image) != box:
+        found = "reaches out of the picture"
+        expected = f"it has {image.shape[1]} x {image.shape[0]} px"
+        raise InputError("--roi", found, expected)
+    x, y, width, height = box
+    dx, dy = round(SURROUNDINGS * width), round(SURROUNDINGS * height)
+    rx, ry, rw, rh = clipped((x - dx, y - dy, width + 2 * dx, height + 2 * dy), image)
+    hsv = to_hsv(image[ry : ry + rh, rx : rx + rw])
+    outside = np.full((rh, rw), 255, dtype=np.uint8)
+    inside = np.zeros_like(outside)
+    outside[y - ry : y - ry + height, x - rx : x - rx + width] = 0
+    if alike is not None:
+        outside[alike.back_project(hsv) > LIKELY] = 0
+    middle = (x - rx + width // 2, y - ry + height // 2)
+    cv2.ellipse(inside, middle, (width // 2, height // 2), 0, 0, 360, 255, cv2.FILLED)
+    model = learn(hsv, inside, outside)
+    if model.mixture is None or not model.mixture.any():
+        found = "holds no colour that its surroundings have not"
+        raise InputError("--roi", found, "", _CLOSE)
+    return model
+
+
+def counterpart(
+    pair: StereoPair, rig: Rig, drawn: Drawn, options: Options
+) -> tuple[tuple[ColourModel, ColourModel], Thing | None]:
+    """Learn a drawn target, and find it in the other picture.
+
+    There it lies on the epipolar line of its centre and has its colours and its size. Others that
+    look the same are told from it by what else stands in the picture that was drawn in.
+
+    Args:
+        pair: the pictures that it was drawn in.
+        rig: the cameras.
+        drawn: the box, and in which picture it is.
+        options: sizes and distances that a target may have.
+
+    Returns:
+        The colours in the left and in the right picture, and the target as both cameras see it;
+        None where nothing in the other picture fits, or more than one thing does.
+
+    Raises:
+        InputError: see `model_from_box`; or nothing in the box hangs together.
+    """
+    pictures = [pair.left, pair.right]
+    own = 0 if drawn.side == "left" else 1
+    model = model_from_box(pictures[own], drawn.box)
+    blob = camshift(pictures[own], drawn.box, drawn.box, model)
+    if blob is None:
+        raise InputError("--roi", "holds no patch of one colour", "", _CLOSE)
+    here = [blob, *find_all(pictures[own], model, blob.box)]
+    there = [other for other in find_all(pictures[1 - own], model) if not other.cut]
+    lefts, rights = (here, there) if own == 0 else (there, here)
+    things = pair_up(lefts, rights, pair, rig, options)
+    taken = [(thing.left, thing.right)[1 - own] for thing in things]
+    chosen = next((thing for thing in things if (thing.left, thing.right)[own] is blob), None)
+    free = [other for other in there if not any(other is one for one in taken)]
+    for other in free:  # what nothing else explains might be it as well
+        left, right = (blob, other) if own == 0 else (other, blob)
+        if pair_up([left], [right], pair, rig, options):
+            return (model, model), None
+    if chosen is None:
+        return (model, model), None
+    box = (chosen.left, chosen.right)[1 - own].box
+    theirs = model_from_box(pictures[1 - own], box, model)
+    return ((model, theirs) if own == 0 else (theirs, model)), chosen

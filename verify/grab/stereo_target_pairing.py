@@ -1,0 +1,185 @@
+"""Patches of colour in two pictures to objects in the rig: which belongs to which.
+
+Two patches are one object where their rays meet, at a distance and of a size that a target may
+have, and where they are equally large in metres.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from verify.alignment import spot_instants
+from verify.grab.camshift import Blob
+from verify.grab.stereo_target import Place, locate, rough, size
+from verify.grab.stereo_target_camera import Sight, both, sight
+from verify.grab.target import Options
+from verify.records import Array, StereoPair
+from verify.rig import Rig
+from verify.triangulation import triangulate
+
+MISMATCH = 4.0  # standard deviations between two rays that meet
+NEAR_PX = 8.0  # a first, generous look at the same
+AREAS = math.log(1.8)  # of the two areas in m²: a side view, a part hidden in one picture
+FORBIDDEN = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How something moves, as far as is known; for pictures not taken at one instant."""
+
+    velocity: Array  # (3,), m/s
+    covariance: Array  # (3, 3), (m/s)²
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """A coloured object seen by both cameras."""
+
+    left: Blob
+    right: Blob
+    place: Place
+    areas: Array  # (2,), m², as the left and the right picture have it
+    reaches: Array  # (2,), m², with what hangs together with it
+    size: Array  # (2,), m, width and height
+    size_uncertainty: Array  # (2,), m
+
+
+def pair_up(
+    lefts: list[Blob], rights: list[Blob], pair: StereoPair, rig: Rig, options: Options
+) -> list[Thing]:
+    """Find the objects that two pictures' patches belong to, one patch for one object.
+
+    How fast they go is not known here; `join` them again where it is. Where two patches fit two
+    others either way, opaque objects beside each other stand in the same order in both pictures.
+    """
+    motion = Motion(np.zeros(3), np.eye(3) * options.speed**2)
+    cost = np.full((len(lefts), len(rights)), FORBIDDEN)
+    things: dict[tuple[int, int], Thing] = {}
+    for i, j in _meeting(lefts, rights, pair, rig):
+        thing = join(lefts[i], rights[j], pair, rig, motion)
+        if thing is not None and plausible(thing, options):
+            things[i, j] = thing
+            unlike = math.log(thing.areas[0] / thing.areas[1]) / AREAS
+            cost[i, j] = thing.place.mismatch**2 + (3 * unlike) ** 2
+    rows, columns = linear_sum_assignment(cost)
+    best = [(int(i), int(j)) for i, j in zip(rows, columns, strict=True)]
+    chosen = {i: j for i, j in best if (i, j) in things}
+    _put_in_order(chosen, things, lefts, rights)
+    return [things[i, j] for i, j in chosen.items()]
+
+
+def join(
+    left: Blob,
+    right: Blob,
+    pair: StereoPair,
+    rig: Rig,
+    motion: Motion,
+    doubt: tuple[float, float] = (0.0, 0.0),
+) -> Thing | None:
+    """Make an object of two patches.
+
+    Args:
+        left: the patch in the left picture.
+        right: the patch in the right one.
+        pair: the pictures' instants and pans.
+        rig: the cameras.
+        motion: how the object moves, to bring both to the left picture's instant.
+        doubt: px, standard, left and right, by which a patch's centre may miss the object's.
+
+    Returns:
+        None where the rays do not meet before both cameras.
+    """
+    cameras = both(rig, pair)
+    blobs, times = (left, right), (pair.t_left, pair.t_right)
+    sights = []
+    for camera, blob, extra in zip(cameras, blobs, doubt, strict=True):
+        covariance = blob.covariance + np.eye(2) * extra**2
+        sights.append(sight(camera, blob.centre, covariance, blob.extent))
+    start = rough(sights[0], sights[1])
+    for i, (t, blob) in enumerate(zip(times, blobs, strict=True)):
+        taken = spot_instants(t, blob.centre[None], cameras[i].camera, rig.image_size[1])
+        sights[i] = _moved(sights[i], start, motion, float(taken[0]) - pair.t_left)
+    place = locate(sights[0], sights[1], rig, start)
+    if place is None:
+        return None
+    worth = np.array([square_metres(s, z) for s, z in zip(sights, place.depth, strict=True)])
+    metres, uncertainty = size(sights[0], sights[1], place)
+    return Thing(
+        left,
+        right,
+        place,
+        np.array([left.area, right.area]) * worth,
+        np.array([left.reach, right.reach]) * worth,
+        metres,
+        uncertainty,
+    )
+
+
+def square_metres(where: Sight, depth: float) -> float:
+    """What a pixel is worth at a place, m², across its own line of sight.
+
+    Towards a picture's corner a ball looks larger: its pixels see it at a slant.
+    """
+    slant = float(np.sqrt(1.0 + where.xy @ where.xy))
+    return float(depth**2 / (np.linalg.det(where.lens) * slant))
+
+
+def plausible(thing: Thing, options: Options) -> bool:
+    """Whether two patches can be one object, and one that is looked for."""
+    low, high = options.depths
+    return bool(
+        thing.place.mismatch < MISMATCH
+        and (thing.place.depth > low).all()
+        and (thing.place.depth < high).all()
+        and abs(math.log(thing.areas[0] / thing.areas[1])) < AREAS
+        and options.sizes[0] < thing.size.max() < options.sizes[1]
+    )
+
+
+def _meeting(
+    lefts: list[Blob], rights: list[Blob], pair: StereoPair, rig: Rig
+) -> list[tuple[int, int]]:
+    """Pairs of patches whose rays pass each other closely."""
+    if not lefts or not rights:
+        return []
+    points, gap = triangulate(
+        rig.left,
+        rig.right,
+        pair.pan_left,
+        pair.pan_right,
+        np.array([blob.centre for blob in lefts])[:, None],
+        np.array([blob.centre for blob in rights])[None],
+    )
+    reach = np.array([[max(a.extent.max(), b.extent.max()) for b in rights] for a in lefts])
+    allowed = (NEAR_PX + 0.2 * reach) * np.linalg.norm(points, axis=-1) / rig.left.matrix[0, 0]
+    with np.errstate(invalid="ignore"):  # nan where the rays do not meet at all
+        near = gap < allowed
+    return [(int(i), int(j)) for i, j in np.argwhere(near)]
+
+
+def _moved(seen: Sight, point: Array, motion: Motion, late: float) -> Sight:
+    """Bring a patch seen `late` s after the instant back to it."""
+    if late == 0 or not np.isfinite(point).all():
+        return seen
+    slope = seen.placed.slope(seen.placed.inside(point))
+    spread = slope @ motion.covariance @ slope.T * late**2
+    xy = seen.xy - slope @ motion.velocity * late
+    return replace(seen, xy=xy, covariance=seen.covariance + spread)
+
+
+def _put_in_order(
+    chosen: dict[int, int],
+    things: dict[tuple[int, int], Thing],
+    lefts: list[Blob],
+    rights: list[Blob],
+) -> None:
+    for i in list(chosen):
+        for k in list(chosen):
+            swapped = (i, chosen[k]) in things and (k, chosen[i]) in things
+            if k <= i or not swapped:
+                continue
+            before = lefts[i].centre[0] < lefts[k].centre[0]
+            if before != (rights[chosen[i]].centre[0] < rights[chosen[k]].centre[0]):
+                chosen[i], chosen[k] = chosen[k], chosen[i]
