@@ -29,6 +29,8 @@ def forward(arm: Arm, q: Array) -> Array:
     if isinstance(arm, UrdfArm):
         return _one_by_one(arm, q, _urdf_forward, (4, 4))
     assert isinstance(arm, DhArm)
+    if q.ndim > 1 and q.size == arm.dof:  # one pose, the quicker way
+        return forward(arm, q.reshape(-1)).reshape(*q.shape[:-1], 4, 4)
     return _assembled(_chain(arm, q)[-1], q.shape[:-1])
 
 
@@ -47,6 +49,8 @@ def jacobian(arm: Arm, q: Array) -> Array:
     if isinstance(arm, UrdfArm):
         return _one_by_one(arm, q, _urdf_jacobian, (6, arm.dof))
     assert isinstance(arm, DhArm)
+    if q.ndim > 1 and q.size == arm.dof:
+        return jacobian(arm, q.reshape(-1)).reshape(*q.shape[:-1], 6, 6)
     *before, (_, _, _, tip) = _chain(arm, q)
     columns = []
     for sign, (_, _, axis, origin) in zip(arm.sign.tolist(), before, strict=True):

@@ -10,22 +10,25 @@ pretending to average out over LEDs.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial.transform import Rotation
 
 from verify.marker import Marker
 from verify.records import Array, Pose, Sighting
-from verify.rig import Camera, Rig, distort, distortion_jacobian
+from verify.rig import Camera, Rig, distort, distort_with_jacobian
 
 # Acceleration assumed a speed, 1/s: arms move in sines near 0.5 Hz (2 pi f = 3) or in ramps of a
 # third of a second. The session's own motion corrects it afterwards (comparison.py).
 ACCELERATION_PER_SPEED = 3.0
 ROUGH_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and stops
 LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
+SCALE = np.repeat([LEVER, 1.0], 3)
+SCALES = np.outer(SCALE, SCALE)
+# (a @ TURN) as (3, 3) is phi -> phi x a
+TURN = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 9)
 # LEDs that barely leave a line: a turn known worse than this is no measurement, and too large
 # for the linearisation that its uncertainty rests on.
 WORST_KNOWN = 0.1  # rad, or 10 mm at the marker's size
@@ -35,6 +38,7 @@ MODEL_FLOOR_PX = 0.03  # shape of a real LED, lens model: what noise alone does 
 FEWEST_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
 MOMENT = 0.01  # s: long against rounding, short against the motion
 ITERATIONS = 25
+FLOOR = np.eye(2) * 1e-6  # px²
 CONVERGED = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
 
 
@@ -50,6 +54,30 @@ class Views:
     cameras: tuple[
         tuple[Camera, Array, "slice[int, int | None, None]"], ...
     ]  # camera, camera_T_rig, its spots
+    # each spot's camera, so that one pass serves both
+    camera_R_rig: Array = field(init=False)  # (s, 3, 3)
+    origin: Array = field(init=False)  # (s, 3), m, of the rig in the camera
+    lens: Array = field(init=False)  # (5, s), k1, k2, p1, p2, k3
+    focal: Array = field(init=False)  # (s, 2, 2), px, of the camera's matrix
+    middle: Array = field(init=False)  # (s, 2), px, likewise
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        shapes = {
+            "camera_R_rig": (count, 3, 3),
+            "origin": (count, 3),
+            "lens": (5, count),
+            "focal": (count, 2, 2),
+            "middle": (count, 2),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, np.empty(shape))
+        for camera, camera_T_rig, spots in self.cameras:
+            self.camera_R_rig[spots] = camera_T_rig[:3, :3]
+            self.origin[spots] = camera_T_rig[:3, 3]
+            self.lens[:, spots] = camera.distortion[:, None]
+            self.focal[spots] = camera.matrix[:2, :2]
+            self.middle[spots] = camera.matrix[:2, 2]
 
 
 # d spots by what is stated of rig and marker, columns of unit variance (2 s, p), at a pose (4, 4)
@@ -129,29 +157,29 @@ def predict(views: Views, rig_T_flange: Array) -> tuple[Array, Array, Array]:
         (s, 2, 6), a translation and a rotation vector in rig axes.
     """
     offset = views.points @ rig_T_flange[:3, :3].T
-    points_rig = offset + rig_T_flange[:3, 3]
-    pixels = np.empty((len(offset), 2))
-    by_point = np.empty((len(offset), 2, 3))
-    for camera, camera_T_rig, spots in views.cameras:
-        in_camera = points_rig[spots] @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]
-        pixels[spots], by_camera = _project(camera, in_camera)
-        by_point[spots] = by_camera @ camera_T_rig[:3, :3]
-    x, y, z = offset.T
-    zero = np.zeros_like(x)
-    turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(-1, 3, 3)
-    return pixels, by_point, np.concatenate([by_point, by_point @ turn], axis=-1)
+    xy, depth = _seen(views, offset + rig_T_flange[:3, 3])
+    distorted, by_xy = distort_with_jacobian(xy, views.lens)
+    by_xy = views.focal @ by_xy / depth[..., None]
+    by_camera = np.empty((len(offset), 2, 3))
+    by_camera[..., :2] = by_xy
+    by_camera[..., 2:] = -(by_xy @ xy[..., None])
+    by_pose = np.empty((len(offset), 2, 6))
+    by_point = by_camera @ views.camera_R_rig
+    by_pose[..., :3] = by_point
+    by_pose[..., 3:] = by_point @ (offset @ TURN).reshape(-1, 3, 3)
+    return _pixels(views, distorted), by_point, by_pose
 
 
-def _project(camera: Camera, points: Array) -> tuple[Array, Array]:
-    """Pixels of points in the camera frame, and their derivative (n, 2, 3), px/m."""
-    depth = points[:, 2:3]
-    xy = points[:, :2] / depth
-    by_xy = distortion_jacobian(xy, camera.distortion)
-    by_xy = camera.matrix[:2, :2] @ by_xy
-    perspective = np.zeros((len(points), 2, 3))
-    perspective[:, 0, 0] = perspective[:, 1, 1] = 1 / depth[:, 0]
-    perspective[:, :, 2] = -xy / depth
-    return camera.to_pixels(distort(xy, camera.distortion)), by_xy @ perspective
+def _seen(views: Views, points_rig: Array) -> tuple[Array, Array]:
+    """Ideal image coordinates (s, 2) and depths (s, 1), m, of points in the rig."""
+    local = (views.camera_R_rig @ points_rig[..., None])[..., 0] + views.origin
+    depth = local[:, 2:]
+    return local[:, :2] / depth, depth
+
+
+def _pixels(views: Views, distorted: Array) -> Array:
+    pixels: Array = (views.focal @ distorted[..., None])[..., 0] + views.middle
+    return pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +199,6 @@ class _Fit:
 def _gauss_newton(views: Views, keep: NDArray[np.bool_], start: Array) -> _Fit:
     pose = np.array(start, dtype=float)
     rows = np.repeat(keep, 2)
-    scale = np.array([LEVER] * 3 + [1.0] * 3)
     for iteration in range(ITERATIONS):
         pixels, by_point, by_pose = predict(views, pose)
         residual = views.centre - pixels
@@ -180,13 +207,13 @@ def _gauss_newton(views: Views, keep: NDArray[np.bool_], start: Array) -> _Fit:
             noise = _block_diagonal(views.covariance[keep])
             twist, prior = _motion(views, design, keep)
             acceleration = _acceleration(views, by_pose, keep, prior)
-            factor = cho_factor(noise + acceleration)
-        information = design.T @ cho_solve(factor, design)
-        inverse, determined = _inverse(information, scale)
-        gain = inverse @ cho_solve(factor, design).T
+            weight = np.linalg.inv(noise + acceleration)
+        weighted = design.T @ weight
+        inverse, determined = _inverse(weighted @ design)
+        gain = inverse @ weighted
         step = gain @ residual.reshape(-1)[rows]
         pose = perturb(pose, step)
-        if np.max(np.abs(step)) < CONVERGED:
+        if np.abs(step).max() < CONVERGED:
             break
     return _Fit(
         pose, residual, by_point, by_pose, noise, acceleration, twist, prior, gain, determined
@@ -196,23 +223,23 @@ def _gauss_newton(views: Views, keep: NDArray[np.bool_], start: Array) -> _Fit:
 def perturb(pose: Array, step: Array) -> Array:
     """Move a pose by a translation and a small rotation vector, both in the outer frame's axes."""
     moved = pose.copy()
-    moved[:3, :3] = Rotation.from_rotvec(step[3:]).as_matrix() @ pose[:3, :3]
+    moved[:3, :3] = cv2.Rodrigues(step[3:])[0] @ pose[:3, :3]
     moved[:3, 3] += step[:3]
     return moved
 
 
-def _inverse(information: Array, scale: Array) -> tuple[Array, Array]:
+def _inverse(information: Array) -> tuple[Array, Array]:
     """Covariance in the determined directions, and the functionals that are determined.
 
     The information matrix of one or two LEDs (or of LEDs on one line) is singular; its null
     vectors are the motions that no picture shows.
     """
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(information * SCALES)
     known = (values > UNDETERMINED * values[-1]) & (values > WORST_KNOWN**-2)
-    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T * np.outer(scale, scale)
     if known.all():
-        return inverse, np.eye(6)
-    hidden = vectors[:, ~known] * scale[:, None]
+        return (vectors / values) @ vectors.T * SCALES, np.eye(6)
+    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T * SCALES
+    hidden = vectors[:, ~known] * SCALE[:, None]
     complement = np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]
     return inverse, complement
 
@@ -222,12 +249,12 @@ def _motion(
 ) -> tuple[Array, tuple[float, float]]:
     """How the flange moves, from the spots' velocities, and the acceleration that this suggests."""
     velocity = views.velocity[keep].reshape(-1)
-    scale = np.array([LEVER] * 3 + [1.0] * 3)
     if not velocity.any():
         return np.zeros(6), ROUGH_ACCELERATION
-    scaled = design * scale
-    ridge = 1e-6 * np.trace(scaled.T @ scaled) / 6  # keeps one or two LEDs solvable
-    twist = scale * np.linalg.solve(scaled.T @ scaled + ridge * np.eye(6), scaled.T @ velocity)
+    scaled = design * SCALE
+    square = scaled.T @ scaled
+    ridge = 1e-6 * np.trace(square) / 6  # keeps one or two LEDs solvable
+    twist = SCALE * np.linalg.solve(square + ridge * np.eye(6), scaled.T @ velocity)
     linear = ACCELERATION_PER_SPEED * float(np.linalg.norm(twist[:3])) + ROUGH_ACCELERATION[0]
     angular = ACCELERATION_PER_SPEED * float(np.linalg.norm(twist[3:])) + ROUGH_ACCELERATION[1]
     return twist, (linear / np.sqrt(3), angular / np.sqrt(3))  # a component
@@ -244,39 +271,30 @@ def _acceleration(
 
 
 def _block_diagonal(blocks: Array) -> Array:
-    matrix = np.zeros((2 * len(blocks), 2 * len(blocks)))
-    for i, block in enumerate(blocks):
-        matrix[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = block
-    return matrix
+    matrix = np.zeros((len(blocks), 2, len(blocks), 2))
+    np.einsum("iaib->iab", matrix)[:] = blocks
+    return matrix.reshape(2 * len(blocks), -1)
 
 
 def _tolerance(views: Views, marker: Marker) -> Array:
     """Variance a spot may show beside its noise before it counts as an outlier, (s,), px²."""
     shift = marker.centre_shift_standard_uncertainty or 0.0
     led = marker.led_standard_uncertainty or 0.0
-    focal = np.concatenate(
-        [
-            np.full(len(views.centre[spots]), camera.matrix[0, 0])
-            for camera, _, spots in views.cameras
-        ]
-    )
     # half a metre: nearer than LEDs are watched, so the bound is generous
-    return MODEL_FLOOR_PX**2 + np.square(focal / 0.5) * (shift**2 + led**2)
+    return MODEL_FLOOR_PX**2 + np.square(views.focal[:, 0, 0] / 0.5) * (shift**2 + led**2)
 
 
 def _worst_spot(fit: _Fit, keep: NDArray[np.bool_], tolerance: Array) -> tuple[int, float]:
     """The kept spot that fits worst, by its own residual in its own uncertainty."""
     rows = np.repeat(keep, 2)
-    total = fit.noise + fit.acceleration + tolerance[np.ix_(rows, rows)]
+    total = fit.noise + fit.acceleration + tolerance[rows][:, rows]
     design = fit.by_pose[keep].reshape(-1, 6)
     hat = np.eye(len(total)) - design @ fit.gain
-    spread = hat @ total @ hat.T
+    spread = (hat @ total @ hat.T).reshape(keep.sum(), 2, -1, 2)
     residual = fit.residual[keep]
-    size = np.empty(len(residual))
-    for i, r in enumerate(residual):
-        block = spread[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-        # a spot that nothing else checks has no residual to speak of: floor against 0/0
-        size[i] = r @ np.linalg.solve(block + np.eye(2) * 1e-6, r)
+    # a spot that nothing else checks has no residual to speak of: floor against 0/0
+    block = np.einsum("iaib->iab", spread) + FLOOR
+    size = np.sum(residual * np.linalg.solve(block, residual[..., None])[..., 0], axis=1)
     worst = int(np.argmax(size))
     return int(np.flatnonzero(keep)[worst]), float(size[worst])
 
@@ -289,8 +307,10 @@ def _curvature(views: Views, rig_T_flange: Array, twist: Array) -> Array:
     """
     if not twist.any():
         return np.zeros_like(views.centre)
+    moments = (perturb(rig_T_flange, twist * h) for h in (-MOMENT, 0.0, MOMENT))
+    points = (views.points @ pose[:3, :3].T + pose[:3, 3] for pose in moments)
     early, now, late = (
-        predict(views, perturb(rig_T_flange, twist * h))[0] for h in (-MOMENT, 0.0, MOMENT)
+        _pixels(views, distort(_seen(views, place)[0], views.lens)) for place in points
     )
     second: Array = (early + late - 2 * now) / MOMENT**2
     return second
@@ -315,7 +335,7 @@ def _pose(
         curvature=curvature,
         residual=fit.residual,
         spot_uncertainty=np.sqrt(
-            np.trace(views.covariance, axis1=1, axis2=2) / 2
+            np.einsum("saa->s", views.covariance) / 2
             + np.sum((fit.by_pose * views.lever[:, None, None]) ** 2 @ spread, axis=1) / 2
         ),
         rejected=~keep,

@@ -1,11 +1,14 @@
 """The calibrated cameras on their turning bases: the rotating-base camera model."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from verify.records import Array
+
+Coefficients = Array | Sequence[float]  # k1, k2, p1, p2, k3
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +29,7 @@ class Camera:
     def rig_T_camera(self, pan: float) -> Array:
         """Place the camera for one pan reading (rad); (4, 4)."""
         turn = np.eye(4)
-        turn[:3, :3] = Rotation.from_rotvec(self.pan_axis * (pan + self.pan_zero)).as_matrix()
+        turn[:3, :3] = cv2.Rodrigues(self.pan_axis * (pan + self.pan_zero))[0]
         turn[:3, 3] = self.pan_center
         placed: Array = turn @ self.mount
         return placed
@@ -42,48 +45,62 @@ class Camera:
     def to_pixels(self, distorted: Array) -> Array:
         """Carry distorted normalised coordinates (..., 2) to pixels."""
         k = self.matrix
-        x, y = distorted[..., 0], distorted[..., 1]
-        return np.stack([k[0, 0] * x + k[0, 1] * y + k[0, 2], k[1, 1] * y + k[1, 2]], axis=-1)
+        pixels: Array = distorted @ k[:2, :2].T + k[:2, 2]
+        return pixels
 
     def normalise(self, pixels: Array) -> Array:
         """Invert lens and matrix: (..., 2) px to undistorted normalised coordinates (x/z, y/z).
 
-        Newton on the distortion until nothing moves by more than 1e-13; far below the 1e-6 px
-        that a spot's centre asks for (cv2.undistortPoints stops 0.06 px short by default).
+        Newton on the distortion to rounding; far below the 1e-6 px that a spot's centre asks for
+        (cv2.undistortPoints stops 0.06 px short by default).
         """
         k = self.matrix
-        y = (pixels[..., 1] - k[1, 2]) / k[1, 1]
-        x = (pixels[..., 0] - k[0, 2] - k[0, 1] * y) / k[0, 0]
-        target = np.stack([x, y], axis=-1)
+        target = np.empty(np.shape(pixels))
+        target[..., 1] = (pixels[..., 1] - k[1, 2]) / k[1, 1]
+        target[..., 0] = (pixels[..., 0] - k[0, 2] - k[0, 1] * target[..., 1]) / k[0, 0]
         return undistort(target, self.distortion)
 
 
-def distort(xy: Array, coefficients: Array) -> Array:
+def distort(xy: Array, coefficients: Coefficients) -> Array:
     """Apply OpenCV's distortion k1, k2, p1, p2, k3 to normalised coordinates (..., 2)."""
     k1, k2, p1, p2, k3 = coefficients
     x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
+    xx, yy, twice_xy = x * x, y * y, 2 * x * y
+    r2 = xx + yy
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=-1,
-    )
+    distorted = np.empty(xy.shape)
+    distorted[..., 0] = x * radial + p1 * twice_xy + p2 * (r2 + 2 * xx)
+    distorted[..., 1] = y * radial + p1 * (r2 + 2 * yy) + p2 * twice_xy
+    return distorted
 
 
-def distortion_jacobian(xy: Array, coefficients: Array) -> Array:
+def distortion_jacobian(xy: Array, coefficients: Coefficients) -> Array:
     """Derivative of `distort` by the coordinates, (..., 2, 2)."""
+    return distort_with_jacobian(xy, coefficients)[1]
+
+
+def distort_with_jacobian(xy: Array, coefficients: Coefficients) -> tuple[Array, Array]:
+    """Apply `distort` and say how it changes with the coordinates: (..., 2) and (..., 2, 2).
+
+    The derivative is symmetric. Coefficients may differ from point to point, (...,) each.
+    """
     k1, k2, p1, p2, k3 = coefficients
     x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d radial / d r2, times 2
-    cross = x * y * slope + 2 * p1 * x + 2 * p2 * y
-    row_x = np.stack([radial + x * x * slope + 2 * p1 * y + 6 * p2 * x, cross], axis=-1)
-    row_y = np.stack([cross, radial + y * y * slope + 6 * p1 * y + 2 * p2 * x], axis=-1)
-    return np.stack([row_x, row_y], axis=-2)
+    xx, xy_, yy = x * x, x * y, y * y
+    r2 = xx + yy
+    higher = r2 * k3 + k2
+    radial = 1 + r2 * (k1 + r2 * higher)
+    slope = 2 * (k1 + r2 * (higher + higher + r2 * k3))  # d radial / d r2, times 2
+    p1_x, p1_y, p2_x, p2_y = p1 * x, p1 * y, p2 * x, p2 * y
+    lean = p1_y + p2_x
+    straight = radial + 2 * lean
+    distorted, jacobian = np.empty(xy.shape), np.empty((*xy.shape, 2))
+    distorted[..., 0] = x * straight + p2 * r2
+    distorted[..., 1] = y * straight + p1 * r2
+    jacobian[..., 0, 0] = straight + xx * slope + 4 * p2_x
+    jacobian[..., 0, 1] = jacobian[..., 1, 0] = xy_ * slope + 2 * (p1_x + p2_y)
+    jacobian[..., 1, 1] = straight + yy * slope + 4 * p1_y
+    return distorted, jacobian
 
 
 def undistort(distorted: Array, coefficients: Array) -> Array:
@@ -91,11 +108,16 @@ def undistort(distorted: Array, coefficients: Array) -> Array:
     xy = np.array(distorted, dtype=float)
     if not np.any(coefficients):
         return xy
-    for _ in range(30):  # quadratic convergence: five or six suffice for any sane lens
-        error = distort(xy, coefficients) - distorted
-        step = np.linalg.solve(distortion_jacobian(xy, coefficients), error[..., None])[..., 0]
+    plain = coefficients.tolist()  # arrays multiply by them more quickly than by numpy's own
+    for _ in range(30):  # quadratic convergence: three or four suffice for any sane lens
+        seen, slope = distort_with_jacobian(xy, plain)
+        a, b, d = slope[..., 0, 0], slope[..., 0, 1], slope[..., 1, 1]
+        off = seen - distorted
+        across = off[..., ::-1] * b[..., None]
+        step = (off * np.stack([d, a], axis=-1) - across) / (a * d - b * b)[..., None]
         xy -= step
-        if not np.any(np.abs(step) > 1e-13):
+        # the next step would be about the square of this one: below rounding
+        if not np.any(np.abs(step) > 1e-9):
             break
     return xy
 

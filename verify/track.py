@@ -47,7 +47,8 @@ def collect(measurements: list[Measurement], rig: Rig, systematic: list[Array]) 
     """Gather what was measured; `systematic` holds (6, p) a measured pair, in base axes."""
     measured = [m for m in measurements if m.status == "measured" and m.pose is not None]
     base_T_rig = np.linalg.inv(rig.rig_T_base)
-    turn = np.kron(np.eye(2), base_T_rig[:3, :3])
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = base_T_rig[:3, :3]
     n = len(measured)
     poses = [m.pose for m in measured if m.pose is not None]
     return Track(

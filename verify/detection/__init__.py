@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from verify.detection.bite import RimScore, score_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
-from verify.detection.fit import Fit, first_look, fit_spots, reweighted
+from verify.detection.fit import first_look, fit_spots, reweighted
 from verify.detection.judgement import FITTED, SEEN, Judgement, core_pixels, joined, judge
+from verify.detection.model import Fit
 from verify.detection.noise import LIKELY, background_noise, refined
 from verify.detection.patches import Cut, cut_out, glance_at
 from verify.errors import InputError

@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from verify.detection.fit import PEAK, STEEPNESS, Fit, Patches, X, Y, derivatives, placed, taken
-from verify.detection.profile import look_up
+from verify.detection.fit import taken
+from verify.detection.model import PARAMETERS, PEAK, Fit, Patches, Shape, X, Y, placed, whitened
 from verify.records import Array
 
 DIRECTIONS = 24  # round the rim: steps of 15°, under a bite's own width
+ANGLES = 2 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)
+SIDES = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
 WIDTH = 0.3  # rad, standard deviation: a stalk of a third to a half of its LED's diameter
 RIM = 1.8  # half-widths: no rim beyond
 TOLD = 0.05  # share of a bite's information that the fit's own parameters must leave
@@ -58,21 +60,19 @@ def score_rims(patches: Patches, state: Fit, which: NDArray[np.bool_], misfit: A
     )
     if not len(rows):
         return score
-    near = np.flatnonzero((state.radius2[rows] < RIM**2).any(axis=0))
+    near = np.flatnonzero((state.shape.radius2[rows] < RIM**2).any(axis=0))
     part, pixels = columns_taken(taken(patches, rows), near), np.ix_(rows, near)
     parameters, misfit = state.parameters[rows], misfit[rows, None]
-    place = placed(part, parameters)
-    profile = look_up(place[2], parameters[:, STEEPNESS])
-    visible = state.visible[pixels]
-    weight = state.used[pixels] * visible / state.variance[pixels]
-    sunk = bites(parameters, place, profile[1])
-    weighted = sunk * (weight * visible)[:, None]
-    cross = derivatives(part, parameters, place, profile) @ weighted.transpose(0, 2, 1)
+    shape, visible = placed(part, parameters), state.visible[pixels]
+    root = np.sqrt(state.used[pixels] / state.variance[pixels])
+    weight, residual = root * visible, root * (part.value - state.mean[pixels])
+    sunk = bites(parameters, shape, weight)
+    cross = whitened(part, parameters, shape, weight, residual) @ sunk.transpose(0, 2, 1)
+    cross, slope = cross[:, :PARAMETERS], cross[:, PARAMETERS]
     follow = np.linalg.solve(state.information[rows], cross)  # how the parameters give way
-    whole = (sunk * weighted).sum(axis=2)
+    whole = np.square(sunk).sum(axis=2)
     left = whole - (cross * follow).sum(axis=1)
-    slope = (sunk @ (weight * (part.value - state.mean[pixels]))[..., None])[..., 0]
-    slope -= (state.gradient[rows, None] @ follow)[:, 0]
+    slope = slope - (state.gradient[rows, None] @ follow)[:, 0]
     told = left > TOLD * whole
     score.gradient[rows] = np.where(told, slope / np.maximum(misfit, 1.0), 0.0)
     score.information[rows] = np.where(told, left / np.maximum(misfit, 1.0), 0.0)
@@ -91,17 +91,19 @@ def columns_taken(patches: Patches, which: NDArray[np.intp]) -> Patches:
     )
 
 
-def bites(parameters: Array, place: tuple[Array, Array, Array], slope: Array) -> Array:
-    """Change of the pixels by a bite in each direction, per depth: (n, DIRECTIONS, p), DN."""
-    u, w, radius2 = place
-    angle = 2 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)
-    sides = np.column_stack([np.cos(angle), np.sin(angle)])
-    length = np.maximum(np.hypot(u, w), 1e-9)  # at the very centre no bite changes anything
-    along = sides @ np.stack([u / length, w / length], axis=1)
+def bites(parameters: Array, shape: Shape, weight: Array) -> Array:
+    """Change of the pixels by a bite in each direction, per depth: (n, DIRECTIONS, p), DN.
+
+    Each pixel's is multiplied by its `weight`, (n, p).
+    """
+    # at the very centre no bite changes anything
+    length = np.maximum(np.hypot(shape.u, shape.w), 1e-9)
+    along = SIDES @ np.stack([shape.u / length, shape.w / length], axis=1)
     # von Mises' bump, a Gaussian round a circle
     share = np.exp((along - 1) / WIDTH**2)
     # a smaller radius is a larger t: d(t²) = 2 t² times the relative depth
-    changed: Array = share * (2 * parameters[:, PEAK, None] * slope * radius2)[:, None]
+    depth = 2 * parameters[:, PEAK, None] * shape.slope * shape.radius2 * weight
+    changed: Array = share * depth[:, None]
     return changed
 
 

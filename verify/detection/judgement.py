@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.detection.fit import PEAK, SENSOR_LIMIT, XX, XY, YY, Fit, Patches, X, Y
+from verify.detection.model import PEAK, SENSOR_LIMIT, XX, XY, YY, Fit, Patches, X, Y
 from verify.detection.patches import Cut
 from verify.records import Array
 
@@ -93,7 +93,7 @@ def core_pixels(patches: Patches, state: Fit) -> NDArray[np.bool_]:
     """The pixels that are a spot's own."""
     off = [a - state.parameters[:, k, None] for a, k in ((patches.column, X), (patches.row, Y))]
     near = np.square(off).sum(axis=0) < CORE_LEAST**2
-    own: NDArray[np.bool_] = ((state.radius2 < CORE**2) | near) & patches.valid
+    own: NDArray[np.bool_] = ((state.shape.radius2 < CORE**2) | near) & patches.valid
     return own
 
 

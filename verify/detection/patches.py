@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection.candidates import Candidates
-from verify.detection.fit import Patches
+from verify.detection.model import Patches
 from verify.records import Array, Image, Noise
 
 RADII = (8, 11, 14, 18, 26, 40, 62)  # px, of cut-outs: few sizes, so that many share a batch
@@ -48,7 +48,7 @@ def cut_out(
         for begin in range(0, len(members), TOGETHER):
             part = members[begin : begin + TOGETHER]
             origin = np.rint(candidates.centre[part]).astype(np.intp)
-            offsets = [np.broadcast_to(axis, (len(part), len(axis))) for axis in (column, row)]
+            offsets = [np.tile(axis, (len(part), 1)) for axis in (column, row)]
             radius = candidates.radius[part]
             yield part, read_pixels(image, origin, radius, offsets[0], offsets[1], noise)
 

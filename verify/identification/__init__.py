@@ -129,9 +129,11 @@ def _find(
     found = search(views, rig_R_flange, single=prediction is not None)
     if prediction is not None:
         there = found.take(_off(views.leds, found, prediction) <= BELIEVED)
-        sizes = prediction.position_uncertainty / BOUND, prediction.rotation_uncertainty / BOUND
-        found = unique(found.join(track(views, there, prediction.rig_T_flange, *sizes)))
+        tracked = track(views, there, prediction.rig_T_flange, *_sizes(prediction))
+        found = unique(found.join(tracked))
     lone = _lone(found)
+    if not lone.any():
+        return found
     if prediction is not None:
         lone &= _off(views.leds, found, prediction) > BELIEVED
     return found.take(~lone)
@@ -146,8 +148,12 @@ def _lone(found: Hypotheses) -> NDArray[np.bool_]:
 
 def _off(leds: Array, found: Hypotheses, prediction: Prediction) -> Array:
     """Departures of hypotheses (h,) from a prediction, in its standard deviations."""
-    sizes = prediction.position_uncertainty / BOUND, prediction.rotation_uncertainty / BOUND
-    return departure(leds, found, prediction.rig_T_flange, *sizes)
+    return departure(leds, found, prediction.rig_T_flange, *_sizes(prediction))
+
+
+def _sizes(prediction: Prediction) -> tuple[float, float]:
+    """Standard deviations of a prediction, m and rad."""
+    return prediction.position_uncertainty / BOUND, prediction.rotation_uncertainty / BOUND
 
 
 def departure(

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from verify.identification.seeds import GATE, Graph, Index, Points, project_slope
+from verify.identification.seeds import GATE, Graph, Index, Points, cross, project_slope
 from verify.identification.views import Views
 from verify.records import Array
 
@@ -115,10 +114,10 @@ def _least_turn(source: Array, target: Array) -> Array:
 def _triad(corner: Array) -> Array:
     """Axes (h, 3, 3) of triangles (h, 3, 3): along the first side, in the plane, across it."""
     along = corner[:, 1] - corner[:, 0]
-    across = np.cross(along, corner[:, 2] - corner[:, 0])
+    across = cross(along, corner[:, 2] - corner[:, 0])
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     across = across / np.linalg.norm(across, axis=1, keepdims=True)
-    return np.stack([along, np.cross(across, along), across], axis=2)
+    return np.stack([along, cross(across, along), across], axis=2)
 
 
 def polish(views: Views, hypotheses: Hypotheses) -> Hypotheses:
@@ -138,12 +137,14 @@ def settle_spots(views: Views, hypotheses: Hypotheses) -> Hypotheses:
 
 def predict(views: Views, hypotheses: Hypotheses) -> tuple[Array, Array, Array]:
     """Predict LED images (h, 2, n, 2), their derivative (h, 2, n, 2, 8), and depths (h, 2, n)."""
-    arm, local = _locate(views, hypotheses)
-    depth = local[..., 2]
-    local = np.where(depth[..., None] > NEAREST, local, [0.0, 0.0, 1.0])
-    image = views.focal[:, None] * local[..., :2] / local[..., 2:]
+    arm = views.leds @ np.swapaxes(hypotheses.rotation, 1, 2)
+    rig = arm + hypotheses.position[:, None]
+    local = (rig[:, None] - views.center[:, None]) @ np.swapaxes(views.camera_R_rig, 1, 2)
+    depth = local[..., 2].copy()
+    local[depth <= NEAREST] = 0.0, 0.0, 1.0
+    slope = project_slope(local, views.focal[:, None])
+    image = slope[..., [0, 1], [0, 1]] * local[..., :2]
     image[:, 1] += hypotheses.shift[:, None]
-    slope = project_slope(local, np.broadcast_to(views.focal[:, None], image.shape))
     slope = slope @ views.camera_R_rig[:, None]
     derivative = np.zeros((*image.shape, 8))
     derivative[..., :3] = slope
@@ -152,38 +153,33 @@ def predict(views: Views, hypotheses: Hypotheses) -> tuple[Array, Array, Array]:
     return image, derivative, depth
 
 
-def _locate(views: Views, hypotheses: Hypotheses) -> tuple[Array, Array]:
-    """Place LEDs: about the flange in rig axes (h, n, 3), and in the cameras (h, 2, n, 3)."""
-    arm = views.leds @ np.swapaxes(hypotheses.rotation, 1, 2)
-    rig = arm + hypotheses.position[:, None]
-    local = (rig[:, None] - views.center[:, None]) @ np.swapaxes(views.camera_R_rig, 1, 2)
-    return arm, local
-
-
 def refine(views: Views, hypotheses: Hypotheses, steps: int) -> Hypotheses:
     """Fit pose and shift to the assigned spots by Gauss-Newton, all hypotheses at once."""
     if len(hypotheses) == 0:
         return hypotheses
     current = hypotheses
-    side = np.arange(2)[:, None]
-    _, local = _locate(views, current)
-    spread = views.covariance[side, current.spot] + _play(views, local[..., 2])
-    used = current.spot >= 0
-    whiten = np.where(used[..., None, None], _inverse_root(spread), 0.0)
-    held = np.full((len(current), 2), 1 / max(views.skew, LEAST_SKEW) ** 2)
-    hold = np.concatenate([current.hold, held], axis=1)[:, :, None] * np.eye(8)
+    count, side = len(current), np.arange(2)[:, None]
+    used = (current.spot >= 0)[..., None]
+    held = 1 / max(views.skew, LEAST_SKEW) ** 2
+    hold = np.full((count, 8), held)
+    hold[:, :6] = current.hold
     for step in range(steps + 1):
-        image, derivative, _ = predict(views, current)
-        residual = np.where(used[..., None], views.pixels[side, current.spot] - image, 0.0)
-        residual = (whiten @ residual[..., None]).reshape(len(current), -1)
-        derivative = (whiten @ derivative).reshape(len(current), -1, 8)
+        image, derivative, depth = predict(views, current)
+        if step == 0:
+            spread = views.covariance[side, current.spot] + _play(views, depth)
+            whiten = _inverse_root(spread) * used[..., None]
+            seen = np.where(used, views.pixels[side, current.spot], 0.0)
+        residual = (whiten @ (seen - image * used)[..., None]).reshape(count, -1)
+        derivative = (whiten @ derivative).reshape(count, -1, 8)
         transposed = np.swapaxes(derivative, 1, 2)
-        covariance = np.asarray(np.linalg.inv(transposed @ derivative + hold), dtype=float)
+        information = transposed @ derivative
+        np.einsum("hii->hi", information)[:] += hold
+        covariance = np.asarray(np.linalg.inv(information), dtype=float)
         if step < steps:
             pull = (transposed @ residual[..., None])[..., 0]
             pull[:, 6:] -= held * current.shift
             current = _step(current, (covariance @ pull[..., None])[..., 0])
-    chi2 = np.sum(residual**2, axis=1) + np.sum(held * current.shift**2, axis=1)
+    chi2 = np.sum(residual**2, axis=1) + held * np.sum(current.shift**2, axis=1)
     return replace(current, covariance=covariance, chi2=chi2)
 
 
@@ -191,15 +187,25 @@ def _step(hypotheses: Hypotheses, move: Array) -> Hypotheses:
     """Move poses and shifts by (h, 8): m, small rotation vector, px."""
     return replace(
         hypotheses,
-        rotation=Rotation.from_rotvec(move[:, 3:6]).as_matrix() @ hypotheses.rotation,
+        rotation=_turned(move[:, 3:6]) @ hypotheses.rotation,
         position=hypotheses.position + move[:, :3],
         shift=hypotheses.shift + move[:, 6:],
     )
 
 
+def _turned(vectors: Array) -> Array:
+    """Rotation matrices (h, 3, 3) of rotation vectors (h, 3), by Rodrigues' formula."""
+    angle = np.sqrt(np.sum(vectors**2, axis=1))[:, None, None]
+    turns: Array = np.cos(angle) * np.eye(3) - np.sinc(angle / np.pi) * (vectors @ TURN).reshape(
+        -1, 3, 3
+    )
+    turns += np.sinc(angle / (2 * np.pi)) ** 2 / 2 * vectors[:, :, None] * vectors[:, None]
+    return turns
+
+
 def _play(views: Views, depth: Array) -> Array:
     """Covariance (..., 2, 2), px², of an LED that sits a little off its place in the marker."""
-    spread = (views.led_play * views.focal.mean() / np.maximum(depth, NEAREST)) ** 2
+    spread = (views.led_play * views.mean_focal / np.maximum(depth, NEAREST)) ** 2
     covariance: Array = spread[..., None, None] * np.eye(2)
     return covariance
 
@@ -223,7 +229,7 @@ def gather(views: Views, hypotheses: Hypotheses, largest: float = LARGEST_GATE) 
         return hypotheses
     image, derivative, depth = predict(views, hypotheses)
     own = derivative @ hypotheses.covariance[:, None, None] @ np.swapaxes(derivative, -1, -2)
-    known = np.trace(own, axis1=-2, axis2=-1) <= 2 * largest**2
+    known = own[..., 0, 0] + own[..., 1, 1] <= 2 * largest**2
     spread = (own + _play(views, depth))[:, :, :, None] + views.covariance[:, None]
     away = views.pixels[:, None] - image[:, :, :, None]
     squared = _squared_distance(away, spread)
@@ -244,11 +250,12 @@ def _squared_distance(away: Array, spread: Array) -> Array:
 
 def unique(hypotheses: Hypotheses) -> Hypotheses:
     """Keep the best fit of each assignment: two poses of a flat marker may share one."""
-    ordered = hypotheses.take(np.argsort(hypotheses.chi2, kind="stable"))
-    if len(ordered) < 2:
-        return ordered
-    _, first = np.unique(ordered.spot.reshape(len(ordered), -1), axis=0, return_index=True)
-    return ordered.take(np.sort(first))
+    if len(hypotheses) < 2:
+        return hypotheses
+    best: dict[bytes, int] = {}
+    for index in np.argsort(hypotheses.chi2, kind="stable").tolist():
+        best.setdefault(hypotheses.spot[index].tobytes(), index)
+    return hypotheses.take(np.array(list(best.values())))
 
 
 def plausible(hypotheses: Hypotheses) -> NDArray[np.bool_]:

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from verify.identification.hypotheses import (
+    ALONE_COST,
+    REWARD,
     Hypotheses,
     gather,
     polish,
@@ -12,6 +14,7 @@ from verify.identification.hypotheses import (
     seed,
     settle_spots,
     start,
+    unique,
 )
 from verify.identification.seeds import Graph, Index, find_edges, find_points, find_triangles, link
 from verify.identification.views import Views
@@ -30,7 +33,6 @@ def search(views: Views, rig_R_flange: Array, *, single: bool) -> Hypotheses:
     """
     points = find_points(views)
     graph = link(views, points)
-    found = seed(views, points, graph, np.zeros((0, 1), dtype=np.int64), rig_R_flange)
     for leds in (3, 2, 1) if single or len(views.leds) == 1 else (3, 2):
         nodes = _nodes(graph, views.leds, leds)
         found = polish(views, seed(views, points, graph, nodes, rig_R_flange))
@@ -62,6 +64,23 @@ def track(
     none = np.full((1, 2, len(views.leds)), -1, dtype=np.int64)
     begun = start(views, rig_T_flange[None, :3, :3], rig_T_flange[None, :3, 3], none)
     begun.covariance[:, range(6), range(6)] = place**2
-    held = refine(views, replace(found, hold=np.tile(place**-2, (len(found), 1))), 0)
-    begun = replace(begun, hold=place[None] ** -2).join(held)
-    return settle_spots(views, refine(views, gather(views, begun, np.inf), 2))
+    begun = gather(views, replace(begun, hold=place[None] ** -2), np.inf)
+    held = replace(found, hold=np.tile(place**-2, (len(found), 1)))
+    if _nothing_left(views, found) and np.array_equal(begun.spot, found.spot):
+        return refine(views, unique(refine(views, begun.join(held), 2)), 1)
+    held = gather(views, refine(views, held, 0), np.inf)
+    return settle_spots(views, refine(views, begun.join(held), 2))
+
+
+def _nothing_left(views: Views, found: Hypotheses) -> bool:
+    """Say whether there is one assignment, with a spot for every LED and none to spare.
+
+    Its fit is so good that no LED less would explain the images better.
+    """
+    spots = np.count_nonzero(np.isfinite(views.pixels[..., 0]), axis=1)
+    return (
+        len(found) == 1
+        and bool(np.all(found.spot >= 0))
+        and bool(np.all(spots == len(views.leds)))
+        and bool(found.chi2[0] < REWARD + ALONE_COST)
+    )

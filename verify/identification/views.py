@@ -33,6 +33,7 @@ class Views:
     camera_R_rig: Array  # (2, 3, 3)
     center: Array  # (2, 3), m, optical centres in the rig
     focal: Array  # (2, 2), px
+    mean_focal: float  # px
     leds: Array  # (n, 3), m, flange frame
     led_play: float  # m, how far an LED's light may be from where the marker file says
     skew: float  # px, by how much the whole marker may have moved between the two images
@@ -76,6 +77,7 @@ def look(
         camera_R_rig=np.array([pose[:3, :3].T for pose in placed]),
         center=np.array([pose[:3, 3] for pose in placed]),
         focal=focal,
+        mean_focal=float(focal.mean()),
         leds=marker.leds,
         led_play=led_play(marker),
         skew=skew,

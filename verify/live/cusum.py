@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from verify.live.innovations import Innovation
 from verify.records import Array
 
+BOTH_WAYS = np.array([[1.0], [-1.0]])
 REFERENCE = 0.5  # standard deviations of a pair: a change of twice that is found soonest
 
 
@@ -49,14 +50,14 @@ class Cusum:
 
     def take(self, innovation: Innovation) -> None:
         """Add a pair."""
-        length = np.linalg.norm(innovation.joints, axis=0)
+        length = np.sqrt(np.sum(innovation.joints**2, axis=0))
         score: Array = np.divide(
             innovation.residual @ innovation.joints,
             length,
             out=np.zeros_like(length),
             where=length > 0,
         )
-        self.sums = np.maximum(self.sums + np.stack([score, -score]) - REFERENCE, 0.0)
+        self.sums = np.maximum(self.sums + BOTH_WAYS * score - REFERENCE, 0.0)
         self._since = np.where(self.sums > 0, self._since + 1, 0)
         self.count += 1
 

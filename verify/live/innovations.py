@@ -35,6 +35,7 @@ RETOLD = 90  # pairs that can be gone through again once a fault is known to hav
 CLIPPED = 3.0  # standard deviations: a fault must not hide itself by widening its own measure
 
 
+EVERY_WAY = np.eye(6)
 MODEL_COVARIANCE = np.diag(np.repeat(np.square(MODEL), 3))
 
 
@@ -169,21 +170,21 @@ class Innovations:
         """
         self._advance(t, evidence, clock)
         design = np.concatenate(
-            [evidence.prior, evidence.clock[:, None], evidence.jacobian, np.eye(6)], axis=1
+            [evidence.prior, evidence.clock[:, None], evidence.jacobian, EVERY_WAY], axis=1
         )
         lower = np.linalg.cholesky(evidence.noise)
         noise = (lower * self._factors) @ lower.T
-        spread = design @ self._p @ design.T + noise
+        seen = design @ self._p
         new = evidence.xi - design @ self._x
-        white = np.linalg.cholesky(spread)
-        residual: Array = np.asarray(np.linalg.solve(white, new), dtype=np.float64)
-        joints: Array = np.asarray(np.linalg.solve(white, evidence.jacobian), dtype=np.float64)
-        gain = np.linalg.solve(spread, design @ self._p).T
-        self._x = self._x + gain @ new
-        self._p = self._p - gain @ spread @ gain.T
-        self._p = (self._p + self._p.T) / 2
+        white = np.linalg.cholesky(seen @ design.T + noise)
+        whiten = np.linalg.inv(white)
+        residual: Array = whiten @ new
+        joints: Array = whiten @ evidence.jacobian
+        learned = whiten @ seen
+        self._x = self._x + residual @ learned
+        self._p = self._p - learned.T @ learned
         by_noise = np.asarray(np.linalg.solve(lower, new), dtype=np.float64)
-        return residual, joints, by_noise, 2 * float(np.sum(np.log(np.diag(white))))
+        return residual, joints, by_noise, 2 * float(np.sum(np.log(np.diagonal(white))))
 
     def reset(self) -> None:
         """Forget what was learned: the robot's clock or place is another one now."""
@@ -233,12 +234,13 @@ class Innovations:
             factor[place] = math.exp(-elapsed / CLOCK)
         self._clock = clock
         self._x = factor * self._x
-        self._p = factor[:, None] * self._p * factor
+        self._p = np.multiply.outer(factor, factor) * self._p
         diagonal = np.einsum("ii->i", self._p)
         diagonal[:width] += 1.0 - keep**2
         self._p[-6:, -6:] += (1.0 - fading**2) * (evidence.alignment + MODEL_COVARIANCE)
         diagonal[place] += (1.0 - factor[place] ** 2) * evidence.clock_uncertainty**2
-        diagonal[[place + 1 + joint for joint in self._open]] += WANDERS**2 * elapsed
+        for joint in self._open:
+            diagonal[place + 1 + joint] += WANDERS**2 * elapsed
 
     def _learn_spread(self, by_noise: Array) -> None:
         """Measure how far the innovations exceed and repeat each other; every so many pairs."""
