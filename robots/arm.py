@@ -1,6 +1,6 @@
 """What an arm is: joints with limits, and either a DH table or a URDF chain."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,10 @@ class Arm:
     fingerprint: str  # sha256 of the definition file's bytes, hexadecimal
     lower: Array  # (n,), limits of q
     upper: Array  # (n,)
+    # (n,), greatest rates of each joint; None where the arm's file states none
+    speed: Array | None = field(default=None, kw_only=True)  # rad/s
+    acceleration: Array | None = field(default=None, kw_only=True)  # rad/s²
+    jerk: Array | None = field(default=None, kw_only=True)  # rad/s³
 
     @property
     def dof(self) -> int:

@@ -12,10 +12,16 @@ import numpy as np
 from robots.arm import DhArm
 from robots.errors import RobotError
 from robots.families import FAMILIES
+from robots.transforms import Array
 
 HEAD = {"format", "name", "family", "description", "source", "joint"}
 NUMBERS = {"a_mm": None, "d_mm": None, "alpha_deg": None, "offset_deg": 0.0, "sign": 1.0}
-JOINT = {*NUMBERS, "limits_deg"}
+RATES = {  # optional: what moves the arm needs them, what watches it does not
+    "speed": "speed_deg_s",
+    "acceleration": "acceleration_deg_s2",
+    "jerk": "jerk_deg_s3",
+}
+JOINT = {*NUMBERS, *RATES.values(), "limits_deg"}
 
 
 def read(path: Path) -> DhArm:
@@ -49,6 +55,7 @@ def read(path: Path) -> DhArm:
         sign=columns["sign"],
         offset=np.radians(columns["offset_deg"]),
         family=words["family"],
+        **{name: _rates(path, table["joint"], key) for name, key in RATES.items()},
     )
     _belongs_to_its_family(path, arm)
     return arm
@@ -113,6 +120,17 @@ def _joint(path: Path, where: str, table: dict[str, Any]) -> dict[str, Any]:
         remedy = "Write limits_deg = [-170.0, 170.0], for instance."
         raise RobotError(f"{path}, {where}limits_deg", found, expected, remedy)
     return joint
+
+
+def _rates(path: Path, joints: list[dict[str, Any]], key: str) -> Array | None:
+    """Read one rate of every joint, a second; None where none states it."""
+    if not any(key in joint for joint in joints):
+        return None
+    for number, joint in enumerate(joints, start=1):
+        if not _is_number(joint.get(key)) or joint[key] <= 0:
+            expected = "a number above 0 is needed, for all joints or for none"
+            raise RobotError(f"{path}, joint {number}, {key}", _shown(joint, key), expected)
+    return np.radians([joint[key] for joint in joints])
 
 
 def _belongs_to_its_family(path: Path, arm: DhArm) -> None:

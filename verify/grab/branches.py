@@ -1,0 +1,182 @@
+"""Every way the arm could stand for a grasp, scored; and why the others are not taken, in words."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robots
+from robots.coupling import LENGTH_SCALE
+from robots.limits import near, near_within
+from verify.grab.approach import flange_pose, hand_poses, turn_of
+from verify.grab.limits import JointLimits, at_rest, violation
+from verify.grab.workspace import RESOLUTION, Workspace
+from verify.records import Array
+
+IntArray = NDArray[np.int64]
+
+TURNS = 24  # of the hand about the approach, 15° apart; the first is the one it has now
+SINGULAR = 0.02  # least singular value of J, lengths over 143 mm: below, joints race
+ROOMY = 0.1  # m of clearance that is as good as any more
+SUPPLE = 0.3  # singular value that is as good as any more
+PATIENCE = 1.0  # s at full speed: a posture so far off counts half
+SINGULAR_STAGE, GOOD = 2, 4  # of _Table.stage
+ENDS = ("above the object", "at the object")
+LEAST = 1e-3  # of each score: a posture at the edge of one is still told from a worse one
+
+
+@dataclass(frozen=True, slots=True)
+class Posture:
+    """One way to stand above the object and at it."""
+
+    branch: int  # of robots.inverse
+    turn: float  # rad, of the hand about the approach
+    q_above: Array  # (n,), rad, where the line begins
+    q_grip: Array  # (n,), rad, where it ends; its branch, turns of joints near q_above
+    limits: float  # 0 to 1: least distance of a joint from its limits, in half ranges
+    dexterity: float  # 0 to 1: distance from singularities
+    nearness: float  # 0 to 1: of q_above to where the arm stands
+    clearance: float  # 0 to 1: to table, cameras and the box's walls, above the object
+
+    @property
+    def score(self) -> float:
+        """The four multiplied."""
+        return self.limits * self.dexterity * self.nearness * self.clearance
+
+    @property
+    def name(self) -> str:
+        """The branch in words."""
+        return branch_name(self.branch)
+
+
+def branch_name(branch: int) -> str:
+    """Say which of the eight branches it is: branch = 4 · shoulder + 2 · elbow + wrist."""
+    shoulder = "away" if branch & 4 else "facing"
+    elbow, wrist = ("−" if branch & bit else "+" for bit in (2, 1))
+    return f"shoulder {shoulder}, elbow {elbow}, wrist {wrist}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """All postures of a grasp, (k, 8): the hand's turns times the branches; nan where none."""
+
+    q: Array  # (2, k, 8, n), rad, above the object and at it
+    beyond: Array  # rad by which the worst joint is beyond its limits; below 0 within
+    singular: Array  # the smaller of both ends' least singular values of J
+    margin: Array  # m, the smaller of both ends' least clearances
+
+    @property
+    def stage(self) -> IntArray:
+        """How far each came: 0 no answer, 1 beyond limits, 2 singular, 3 not clear, 4 good."""
+        passed = (
+            np.isfinite(self.beyond),
+            self.beyond <= 0,
+            self.singular >= SINGULAR,
+            self.margin >= -RESOLUTION,
+        )
+        return np.asarray(np.cumprod(passed, axis=0).sum(axis=0))
+
+
+def postures(
+    workspace: Workspace, limits: JointLimits, point: Array, q_now: Array
+) -> tuple[list[Posture], dict[int, str]]:
+    """List how the arm could stand above an object and at it: all branches, 24 turns of the hand.
+
+    A posture must exist, keep the joints' limits, be off singularities and clear, at both ends of
+    the line between.
+
+    Args:
+        workspace: the arm and what is around it.
+        limits: of the joints.
+        point: (3,), m, base frame, where the grip point goes.
+        q_now: (n,), rad, where the arm stands.
+
+    Returns:
+        Those that can be, best score first; and why each other branch cannot, in words, told of
+        the turn of the hand that came farthest; branches that came farthest first.
+    """
+    direction = workspace.cell.approach.direction
+    now = turn_of(direction, workspace.grip(q_now)[:3, :3])
+    turns: Array = now + np.linspace(0.0, 2 * np.pi, TURNS, endpoint=False)
+    table = _table(workspace, limits, point, q_now, turns)
+    stage = table.stage
+    good = [
+        _scored(table, limits, int(turn), int(branch), float(turns[turn]), q_now)
+        for turn, branch in np.argwhere(stage == GOOD)
+    ]
+    good.sort(key=lambda posture: -posture.score)
+    rejected = {
+        branch: _told(workspace, limits, table, branch)
+        for branch in np.argsort(-stage.max(axis=0), kind="stable").tolist()
+        if not (stage[:, branch] == GOOD).any()
+    }
+    return good, rejected
+
+
+def smallest_singular_value(arm: robots.DhArm, q: Array) -> Array:
+    """Of the Jacobian, its lengths over 143 mm; (...) for joint angles (..., n)."""
+    moves = robots.jacobian(arm, q)
+    moves[..., :3, :] /= LENGTH_SCALE
+    return np.asarray(np.linalg.svd(moves, compute_uv=False)[..., -1])
+
+
+def _table(
+    workspace: Workspace, limits: JointLimits, point: Array, q_now: Array, turns: Array
+) -> _Table:
+    cell, arm = workspace.cell, workspace.arm
+    approach = cell.approach
+    ends = (point - approach.height * approach.direction, point)
+    poses = np.array([hand_poses(approach.direction, end, turns) for end in ends])
+    q = robots.inverse(arm, flange_pose(poses, cell.gripper.flange_T_grip), hold=q_now).q
+    above = near_within(arm, q[0], q_now)
+    above = np.where(np.isnan(above), near(q[0], q_now), above)  # to say by how much it is beyond
+    q = np.array([above, near(q[1], above)])  # the line does not wind joints up
+    exists = np.isfinite(q).all(axis=(0, -1))
+    beyond, singular, margin = (np.full(exists.shape, np.nan) for _ in range(3))
+    found = q[:, exists]
+    beyond[exists] = np.maximum(limits.lower - found, found - limits.upper).max(axis=(0, 2))
+    singular[exists] = smallest_singular_value(arm, found).min(axis=0)
+    margins = workspace.margins(found.reshape(-1, arm.dof)).min(axis=1)
+    margin[exists] = margins.reshape(2, -1).min(axis=0)
+    return _Table(q, beyond, singular, margin)
+
+
+def _scored(
+    table: _Table, limits: JointLimits, turn: int, branch: int, angle: float, q_now: Array
+) -> Posture:
+    q = table.q[:, turn, branch]
+    half = (limits.upper - limits.lower) / 2
+    room = np.minimum(q - limits.lower, limits.upper - q) / half
+    time = float((np.abs(q[0] - q_now) / limits.speed).max())
+    parts = (
+        float(room.min()),
+        float(table.singular[turn, branch]) / SUPPLE,
+        1 / (1 + time / PATIENCE),
+        float(table.margin[turn, branch]) / ROOMY,
+    )
+    return Posture(branch, angle, q[0], q[1], *(min(max(part, LEAST), 1.0) for part in parts))
+
+
+def _told(workspace: Workspace, limits: JointLimits, table: _Table, branch: int) -> str:
+    """Why a branch has no posture, of its turn of the hand that came farthest."""
+    stage = table.stage[:, branch]
+    farthest = int(stage.max())
+    if farthest == 0:
+        return "out of reach, however the hand is turned"
+    value = (table.beyond, table.singular, table.margin)[farthest - 1][:, branch]
+    better = -value if farthest == 1 else value
+    turn = int(np.argmax(np.where(stage == farthest, better, -np.inf)))
+    ends = table.q[:, turn, branch]
+    if farthest == 1:
+        return next(
+            f"{end} {said}"
+            for end, q in zip(ENDS, ends, strict=True)
+            if (said := violation(limits, at_rest(q)))
+        )
+    if farthest == SINGULAR_STAGE:
+        singular = [robots.coupled(workspace.arm, q) for q in ends]
+        factor = next((found.factor for found in singular if found), "arm")
+        return f"next to a singularity ({factor})"
+    margins = workspace.margins(ends)
+    end = int(np.argmin(margins.min(axis=1)))
+    return f"{ENDS[end]} {workspace.trouble(margins[end])}"
