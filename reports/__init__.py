@@ -1,44 +1,76 @@
 """Reports: results in, `report.html`, `report.pdf` and a results folder out.
 
 A leaf: it knows tables, words and pages, and nothing of cameras, robots or `verify`. What a report
-says follows the results' kind: a run's, a calibration's from boards, a robot's registration.
+says follows the results' kind: a run's, a calibration's from boards, an interim check's, a robot's
+registration.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 
-from reports import calibration, html, outline, pdf, registration
+from reports import branding, calibration, fleet, html, outline, pdf, registration
 from reports.blocks import Document
+from reports.branding import PLAIN, Look
 from reports.errors import ReportError
+from reports.language import language as read_language
 from reports.results import Results, read, write
 
-__all__ = ["ReportError", "Results", "read", "render_html", "render_pdf", "write"]
+__all__ = ["Look", "ReportError", "Results", "look", "read", "render_html", "render_pdf", "write"]
 
 OUTLINES: dict[str, Callable[[Results], Document]] = {
     "run": outline.document,
     "calibration": calibration.document,
     "registration": registration.document,
+    "fleet": fleet.document,
 }
 
 
-def render_html(results: Results) -> str:
+def look(
+    *,
+    language: str = "en",
+    logo: Path | None = None,
+    owner: str | None = None,
+    templates: Path | None = None,
+) -> Look:
+    """Read how a report is to look; nothing given is the usual look.
+
+    Args:
+        language: "en", "de" or a language file.
+        logo: a PNG or SVG.
+        owner: a line at the top: whose report it is.
+        templates: a folder with report.html.j2, report.css or report.typ.
+
+    Raises:
+        ReportError: one of them cannot be used.
+    """
+    return Look(
+        language=read_language(language),
+        logo=None if logo is None else branding.logo(logo),
+        owner="" if owner is None else branding.owner(owner),
+        templates=None if templates is None else branding.templates(templates),
+    )
+
+
+def render_html(results: Results, look: Look = PLAIN) -> str:
     """Render results as one page that opens offline; the same results give the same text.
 
     Raises:
-        ReportError: results of a kind that this version does not know.
+        ReportError: results of a kind that this version does not know; a template of the user's
+            own with an error.
     """
-    return html.page(_document(results))
+    return html.page(_document(results, look), look)
 
 
-def render_pdf(results: Results) -> bytes:
+def render_pdf(results: Results, look: Look = PLAIN) -> bytes:
     """Render results as a PDF; the same results give the same bytes.
 
     Raises:
-        ReportError: results of a kind that this version does not know.
+        ReportError: as of `render_html`.
     """
-    return pdf.pages(_document(results))
+    return pdf.pages(_document(results, look), look)
 
 
-def _document(results: Results) -> Document:
+def _document(results: Results, look: Look) -> Document:
     kind = str(results.summary.get("kind", "run"))
     if kind not in OUTLINES:
         raise ReportError(
@@ -47,4 +79,4 @@ def _document(results: Results) -> Document:
             f"this version reports {', '.join(OUTLINES)}",
             "Use the version of verify that wrote it.",
         )
-    return OUTLINES[kind](results)
+    return look.language.document(OUTLINES[kind](results))

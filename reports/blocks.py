@@ -13,6 +13,7 @@ class Cell:
 
     text: str
     tone: str = ""
+    link: str = ""  # a file beside the report, on the screen alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +99,7 @@ class Document:
     subtitle: str
     footer: str  # what identifies the evidence on every page
     sections: tuple[Section, ...] = field(default=())
+    sortable: bool = False  # tables sort and filter on the screen
 
 
 def numbered(document: Document) -> Document:

@@ -2,21 +2,30 @@
 
 import base64
 import json
+import traceback
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import plotly.offline
+from jinja2.sandbox import ImmutableSandboxedEnvironment
 
 from reports import charts, plotting
 from reports.blocks import Document, as_data, figures
+from reports.branding import PLAIN, Look
+from reports.errors import ReportError
 
 TEMPLATES = Path(__file__).with_name("templates")
+PAGE, STYLE = "report.html.j2", "report.css"
 
 
-def page(document: Document) -> str:
-    """Render a document as HTML; the same document gives the same text."""
+def page(document: Document, look: Look = PLAIN) -> str:
+    """Render a document as HTML; the same document gives the same text.
+
+    Raises:
+        ReportError: a template of the user's own has an error.
+    """
     drawings = figures(document)
     plots = {
         name: plotting.specification(drawing)
@@ -28,27 +37,89 @@ def page(document: Document) -> str:
         for name, drawing in drawings.items()
         if isinstance(drawing, bytes)
     }
-    return _template().render(
-        document=as_data(document),
-        palette={role: {"light": a, "dark": b} for role, (a, b) in charts.PALETTE.items()},
-        plots=_for_script({"palette": charts.PALETTE, "plots": plots}),
-        pictures=pictures,
-        plotly=_plotly() if plots else "",
-        style=_text("report.css"),
-        script=_text("report.js"),
-    )
+    data = {
+        "document": as_data(document),
+        "palette": {role: {"light": a, "dark": b} for role, (a, b) in charts.PALETTE.items()},
+        "plots": _for_script({"palette": charts.PALETTE, "plots": plots}),
+        "pictures": pictures,
+        "plotly": _plotly() if plots else "",
+        "style": _text(STYLE),
+        "own_style": _own_style(look),
+        "script": _text("report.js"),
+        "tables": _text("fleet.js") if document.sortable else "",
+        "words": look.language.page_words(),
+        "language": look.language.code,
+        "plot_words": _for_script(look.language.plot),
+        "logo": look.logo and {
+            "address": look.logo.address,
+            "width_mm": look.logo.width_mm,
+            "height_mm": look.logo.height_mm,
+        },
+        "owner": look.owner,
+    }  # fmt: skip
+    if look.templates is None or not (look.templates / PAGE).is_file():
+        return _template().render(data)
+    return _rendered(look.templates, data)
 
 
 @cache
 def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
+    return _environment(jinja2.FileSystemLoader(TEMPLATES)).get_template(PAGE)
+
+
+def _environment(loader: jinja2.BaseLoader) -> jinja2.Environment:
+    return ImmutableSandboxedEnvironment(  # a user's template may be another's: it sees data only
+        loader=loader,
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    return environment.get_template("report.html.j2")
+
+
+def _rendered(folder: Path, data: dict[str, Any]) -> str:
+    """Render a template of the user's own, which may extend `verify/report.html.j2`."""
+    own = jinja2.FileSystemLoader(folder)
+    ours = jinja2.PrefixLoader({"verify": jinja2.FileSystemLoader(TEMPLATES)})
+    environment = _environment(jinja2.ChoiceLoader([own, ours]))
+    try:
+        return environment.get_template(PAGE).render(data)
+    except jinja2.TemplateSyntaxError as problem:
+        place = f"{problem.filename or folder / PAGE}, line {problem.lineno}"
+        raise _faulty(place, problem) from None
+    except Exception as problem:  # whatever an expression in it can raise
+        raise _faulty(_line(problem, folder), problem) from None
+
+
+def _line(problem: Exception, folder: Path) -> str:
+    """Name the template's line in which something went wrong."""
+    lines = [
+        f"{frame.filename}, line {frame.lineno}"
+        for frame in traceback.extract_tb(problem.__traceback__)
+        if Path(frame.filename).is_relative_to(folder)
+    ]
+    return lines[-1] if lines else str(folder / PAGE)
+
+
+def _faulty(place: str, problem: Exception) -> ReportError:
+    found = f"{problem}".rstrip(".") or type(problem).__name__
+    expected = "a Jinja2 template is expected"
+    return ReportError(place, found, expected, "docs/reports.md says what a template is given.")
+
+
+def _own_style(look: Look) -> str:
+    """Give the user's own styles, which come after ours and so prevail."""
+    path = look.templates / STYLE if look.templates is not None else None
+    if path is None or not path.is_file():
+        return ""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        expected, remedy = "a style sheet is expected", "Save it again as UTF-8."
+        raise ReportError(path, "cannot be read as text", expected, remedy) from None
+    if "</" in text:
+        raise ReportError(path, 'holds "</"', "a style sheet has no markup", "Take it out.")
+    return text
 
 
 @cache

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +13,11 @@ import typst
 
 from reports import drawing
 from reports.blocks import Document, as_data, figures
+from reports.branding import PLAIN, Logo, Look
+from reports.errors import ReportError
 
 TEMPLATES = Path(__file__).with_name("templates")
+PAGES = "report.typ"
 FONTS: dict[str, Any] = {
     "ignore_system_fonts": True,
     "font_paths": [str(Path(mpl.get_data_path()) / "fonts" / "ttf")],
@@ -21,12 +25,17 @@ FONTS: dict[str, Any] = {
 _compile = cast("Callable[..., bytes]", typst.compile)  # its types leave out files in memory
 
 
-def pages(document: Document) -> bytes:
+def pages(document: Document, look: Look = PLAIN) -> bytes:
     """Render a document as PDF; the same document gives the same bytes.
 
     Only fonts that typst and matplotlib bring along are used, no font of the machine.
+
+    Raises:
+        ReportError: a template of the user's own has an error.
     """
-    return typeset(sources(document))
+    files = sources(document, look)
+    own = look.templates if look.templates and (look.templates / PAGES).is_file() else None
+    return typeset(files) if own is None else _typeset_by(own, files)
 
 
 def typeset(files: dict[str, bytes]) -> bytes:
@@ -34,10 +43,31 @@ def typeset(files: dict[str, bytes]) -> bytes:
     return _compile(files, format="pdf", timestamp=0, **FONTS)
 
 
-def sources(document: Document) -> dict[str, bytes]:
+def _typeset_by(folder: Path, files: dict[str, bytes]) -> bytes:
+    """Let typst set a template of the user's own; it reads files of its folder, and no others."""
+    own = files | {"verify.typ": files["main.typ"], "main.typ": _read(folder / PAGES)}
+    try:
+        return _compile(own, format="pdf", timestamp=0, root=str(folder), **FONTS)
+    except (typst.TypstError, RuntimeError) as problem:
+        found = re.search(r"\u250c\u2500 \\?(\S+?):(\d+):", str(getattr(problem, "diagnostic", "")))
+        name = PAGES if found is None or found[1] == "main.typ" else found[1]
+        place = f"{folder / name}, line {found[2]}" if found else str(folder / PAGES)
+        remedy = "docs/reports.md says what a template is given."
+        raise ReportError(place, str(problem), "a typst template is expected", remedy) from None
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as problem:
+        found = f"cannot be read ({problem.strerror})"
+        raise ReportError(path, found, "a typst template is expected", "") from None
+
+
+def sources(document: Document, look: Look = PLAIN) -> dict[str, bytes]:
     """Make the files that typst reads: the template, the text as JSON, the drawings."""
     drawn = {}
-    files = {"main.typ": (TEMPLATES / "report.typ").read_bytes()}
+    files = {"main.typ": (TEMPLATES / PAGES).read_bytes()}
     for name, content in figures(document).items():
         if isinstance(content, bytes):
             drawn[name] = {"file": f"{name}.svg", "width": 1.0}
@@ -45,9 +75,22 @@ def sources(document: Document) -> dict[str, bytes]:
         else:
             drawn[name] = {"file": f"{name}.svg", "width": drawing.width(content)}
             files[f"{name}.svg"] = drawing.svg(content)
-    data = {"document": as_data(document), "figures": drawn}
+    if look.logo is not None:
+        files["logo.svg"] = look.logo.content if look.logo.is_svg else _framed(look.logo.content)
+    data = {
+        "document": as_data(document),
+        "figures": drawn,
+        "words": look.language.page_words(),
+        "language": look.language.code,
+        "logo": look.logo and _placed(look.logo),
+        "owner": look.owner,
+    }
     files["report.json"] = json.dumps(data).encode()
     return files
+
+
+def _placed(logo: Logo) -> dict[str, Any]:
+    return {"file": "logo.svg", "width_mm": logo.width_mm, "height_mm": logo.height_mm}
 
 
 def _framed(png: bytes) -> bytes:

@@ -1,7 +1,7 @@
 """A recorded session from pixels to results: chain, clock, comparison, judgement."""
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +39,7 @@ SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie 
 MOST_CANDIDATES = 200
 
 Progress = Callable[[int, int], None]
+Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
 
 
 def _quiet(_done: int, _total: int) -> None:
@@ -56,7 +57,11 @@ class _Seen:
 
 
 def analyse(
-    session: Session, *, tolerance: Tolerance | None = None, progress: Progress = _quiet
+    session: Session,
+    *,
+    tolerance: Tolerance | None = None,
+    progress: Progress = _quiet,
+    chain: Chain | None = None,
 ) -> Results:
     """Measure a recorded session and judge the robot by it.
 
@@ -64,6 +69,7 @@ def analyse(
         session: an opened session.
         tolerance: replaces what session.toml says, entry by entry.
         progress: called with pairs done and pairs in all.
+        chain: what measures the pairs, `measure` unless another gives the same.
 
     Returns:
         Results, ready for `reports.render_html`, `render_pdf` and `write`.
@@ -72,7 +78,7 @@ def analyse(
         InputError: the session cannot be measured; nothing is returned in part.
     """
     readings = Readings(session.encoders.t, session.encoders.q)
-    seen = _see(session, readings, progress)
+    seen = _see(session, progress, chain or measure)
     track = seen.track
     if not len(track):
         raise _nothing_measured(session, seen)
@@ -123,16 +129,22 @@ def _model(
     return built(correlated(middle, factors)) if np.any(factors > 1) else model
 
 
-def _see(session: Session, readings: Readings, progress: Progress) -> _Seen:
+def setup_of(session: Session) -> Setup:
+    """What the chain needs to know to measure a session."""
+    readings = Readings(session.encoders.t, session.encoders.q)
+    return Setup(session.rig, session.marker, _expectation(session, readings))
+
+
+def _see(session: Session, progress: Progress, chain: Chain) -> _Seen:
     """Stream the pictures through the chain; only numbers are kept."""
-    setup = Setup(session.rig, session.marker, _expectation(session, readings))
+    setup = setup_of(session)
     turning = bool(np.ptp(session.frames.pan_left) or np.ptp(session.frames.pan_right))
     systematics = stated(session.rig, session.marker, turning)
     measurements: list[Measurement] = []
     effects: list[Array] = []
     recent: deque[StereoPair] = deque(maxlen=2)
     preview: bytes | None = None
-    for m in measure(_watched(session.pairs(), recent), setup):
+    for m in chain(_watched(session.pairs(), recent), setup):
         measurements.append(m)
         if m.status == "measured":
             effects.append(sensitivities(systematics, m, session.rig, session.marker))

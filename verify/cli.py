@@ -12,6 +12,7 @@ import typer
 # that decodes; numpy reads this when it is first imported, which the commands do later
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from verify.commands.batch import batch
 from verify.commands.board import board
 from verify.commands.calibrate import calibrate
 from verify.commands.doctor import doctor
@@ -44,7 +45,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,  # an unknown error shows Python's own traceback
     rich_markup_mode=None,
 )
-for command in (run, report, board, simulate, robots, emulate, doctor):
+for command in (run, batch, report, board, simulate, robots, emulate, doctor):
     app.command(epilog=EVERYWHERE)(command)
 app.add_typer(calibrate, name="calibrate", epilog=EVERYWHERE)
 

@@ -72,34 +72,45 @@ class _Memory:
     pose: Pose
 
 
-def measure(pairs: Iterable[StereoPair], setup: Setup) -> Iterator[Measurement]:
+@dataclass(slots=True)
+class Carried:
+    """What the chain carries from one pair to the next: all that a later pair depends on."""
+
+    memory: _Memory | None = None
+    previous: _Seen | None = None
+    held: _Seen | None = None  # the first pair of a burst, until its successor is there
+
+
+def measure(
+    pairs: Iterable[StereoPair], setup: Setup, carried: Carried | None = None
+) -> Iterator[Measurement]:
     """Measure the flange's pose in each stereo pair.
 
     Args:
         pairs: stereo pairs in time order, streamed; two are held at most.
         setup: rig, marker, and what the encoders suggest.
+        carried: to go on from, and kept up to date whenever the next pair is asked for; None
+            begins anew.
 
     Yields:
         One measurement a pair, in order. A pair that cannot be measured has a status that says
         why. The first pair, also after a gap, is delivered with its successor, whose motion it
         borrows.
     """
-    memory: _Memory | None = None
-    previous: _Seen | None = None
-    held: _Seen | None = None  # the first pair of a burst, until its successor is there
+    now = carried if carried is not None else Carried()
     for pair in pairs:
-        seen = _look(pair, setup, memory if held is None else None)
-        if held is not None:
-            outcome, memory, previous = _finish(held, seen, setup)
+        seen = _look(pair, setup, now.memory if now.held is None else None)
+        if now.held is not None:
+            outcome, now.memory, now.previous = _finish(now.held, seen, setup)
             yield outcome
-            held = None
-        if previous is None or _apart(seen, previous):
-            held = seen
+            now.held = None
+        if now.previous is None or _apart(seen, now.previous):
+            now.held = seen
             continue
-        outcome, memory, previous = _finish(seen, previous, setup)
+        outcome, now.memory, now.previous = _finish(seen, now.previous, setup)
         yield outcome
-    if held is not None:
-        yield _finish(held, None, setup)[0]
+    if now.held is not None:
+        yield _finish(now.held, None, setup)[0]
 
 
 def _apart(one: _Seen, other: _Seen) -> bool:

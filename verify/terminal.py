@@ -100,13 +100,14 @@ class Counter:
         self._task = bar.add_task(what, total=None) if bar is not None else None
         self._said = 0
 
-    def __call__(self, done: int, total: int) -> None:
-        """Take note that `done` of `total` are through."""
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Take note that `done` of `total` are through; `note` says more about them."""
         if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=done, total=total)
+            said = f"{self._what}, {note}" if note else self._what
+            self._bar.update(self._task, completed=done, total=total, description=said)
         elif not self._silent and done * LINES // max(total, 1) > self._said:
             self._said = done * LINES // max(total, 1)
-            sys.stderr.write(f"{self._what}: {done} of {total}\n")
+            sys.stderr.write(f"{self._what}: {done} of {total}{f', {note}' if note else ''}\n")
 
 
 terminal = Terminal()

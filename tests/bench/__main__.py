@@ -1,12 +1,12 @@
 """Every benchmark in one run, as ratios: `make bench`.
 
-python -m tests.bench [NAME…]     detection, corners, chain, ik, memory, tracking; all without
+python -m tests.bench [NAME…]     detection, corners, chain, ik, memory, tracking, batch; or all
 """
 
 import sys
 from collections.abc import Callable, Iterator
 
-from tests.bench import chain, corners, detection, ik, memory, tracking
+from tests.bench import batch, chain, corners, detection, ik, memory, tracking
 
 BENCHES: dict[str, Callable[[], Iterator[str]]] = {
     "detection": detection.lines,
@@ -15,6 +15,7 @@ BENCHES: dict[str, Callable[[], Iterator[str]]] = {
     "ik": ik.lines,
     "memory": memory.lines,
     "tracking": tracking.lines,
+    "batch": batch.lines,
 }
 
 

@@ -82,7 +82,10 @@ def test_every_command_of_the_readme_runs_as_written(
         assert done.returncode == (int(said[1]) if said else 0), f"{line}\n{done.stderr}"
 
 
-def test_every_python_example_of_the_readme_runs_as_written(clone: Path) -> None:
+def test_every_python_example_of_the_readme_runs_as_written(
+    clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
+) -> None:
+    assert outcomes  # an example reads what a command wrote
     examples = blocks(README, "python")
     assert examples
     for code in examples:

@@ -1,4 +1,4 @@
-"""Build the reports again from results on disk."""
+"""Build the reports again from results on disk, as the user wants them to look."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,18 +10,41 @@ from verify.terminal import terminal
 
 def report(
     out: Annotated[Path, typer.Argument(help="A folder that `verify run` or `verify calibrate` wrote.")],
+    language: Annotated[
+        str, typer.Option(help="en, de, or a language file of your own (FILE.toml).")
+    ] = "en",
+    logo: Annotated[
+        Path | None, typer.Option(help="A PNG or SVG for the top of the report.")
+    ] = None,
+    owner: Annotated[
+        str | None, typer.Option(help="A line for the top of the report: whose it is.")
+    ] = None,
+    template: Annotated[
+        Path | None,
+        typer.Option(help="A folder with report.html.j2, report.css or report.typ of your own."),
+    ] = None,
 ) -> int:
     """Build report.html and report.pdf again from the results on disk.
 
-    Example: verify report multi_joint_fault_6r-report
-    """
+    Example: verify report multi_joint_fault_6r-report --language de --logo lab.svg
+    """  # fmt: skip
     import reports
+    from verify.errors import InputError
     from verify.results_folder import read_results
     from verify.writing import write_whole
 
     results = read_results(out)
-    write_whole(out / "report.html", reports.render_html(results).encode())
-    write_whole(out / "report.pdf", reports.render_pdf(results))
-    terminal.say(f"Report: {out / 'report.html'} and {out / 'report.pdf'}")
+    try:
+        look = reports.look(language=language, logo=logo, owner=owner, templates=template)
+        page = reports.render_html(results, look).encode()
+        pages = reports.render_pdf(results, look)
+    except reports.ReportError as problem:
+        raise InputError(
+            problem.place, problem.found, problem.expected, problem.remedy
+        ) from problem
+    name = "fleet" if results.summary.get("kind") == "fleet" else "report"
+    write_whole(out / f"{name}.html", page)
+    write_whole(out / f"{name}.pdf", pages)
+    terminal.say(f"Report: {out / f'{name}.html'} and {out / f'{name}.pdf'}")
     terminal.record({"type": "result", "out": str(out)})
     return 0

@@ -1,0 +1,117 @@
+"""A batch on one core and on two, against pure decoding; and what the fleet report finds.
+
+    python -m tests.bench.batch          throughput and fleets
+    python -m tests.bench.batch fleets   the fleets alone
+
+One core, two cores and decoding take turns, and medians are compared. The fleets are drawn at the
+level of sessions: 3 arms with 6 joints, 100 sessions each in a year.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from tests.verify.batch.fleets import BEGIN, NO_FAILURES, rows
+from verify.fleet.assess import Questions, assess
+from verify.session import open_session
+
+SAMPLE = Path(__file__).parents[2] / "sample_sessions" / "multi_joint_fault_6r"
+SESSIONS = 12
+ROUNDS = 3
+FLEETS = 200
+RUN = "import os, sys; os.sched_setaffinity(0, {cores}); from verify.cli import main; main()"
+
+
+def lines() -> Iterator[str]:
+    """Print throughput, then fleets."""
+    yield from throughput()
+    yield from fleets()
+
+
+def throughput() -> Iterator[str]:
+    """Measure the same sessions on one core and on two, and decode them."""
+    with tempfile.TemporaryDirectory() as place:
+        lab = Path(place) / "lab"
+        for number in range(SESSIONS):
+            shutil.copytree(SAMPLE, lab / f"{number:02d}")
+        cores = sorted(os.sched_getaffinity(0))
+        one, two, decode = [], [], []
+        for number in range(ROUNDS):
+            one.append(_pairs_a_second(lab, Path(place) / f"one{number}", cores[:1]))
+            two.append(_pairs_a_second(lab, Path(place) / f"two{number}", cores[:2]))
+            decode.append(_decoded_a_second(lab))
+    first, second, pure = (float(np.median(values)) for values in (one, two, decode))
+    yield f"{SESSIONS} sessions: {first:.1f} pairs/s on one core, {second:.1f} on {cores[:2]}"
+    yield f"two cores do {second / first:.2f} times as much as one (wanted: 1.8)"
+    yield f"one core takes {pure / first:.1f} times as long as pure decoding (wanted: 1.3)"
+
+
+def _pairs_a_second(lab: Path, out: Path, cores: list[int]) -> float:
+    command = [sys.executable, "-c", RUN.format(cores=set(cores)), "batch", str(lab)]
+    done = subprocess.run(
+        [*command, "-o", str(out), "--json"], capture_output=True, text=True, check=False
+    )
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    return float([t["pairs_per_s"] for t in told if t["type"] == "progress"][-1])
+
+
+def _decoded_a_second(lab: Path) -> float:
+    """Pairs a second of reading and decoding alone, on one core."""
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, set(sorted(allowed)[:1]))
+    try:
+        sessions = [open_session(folder) for folder in sorted(lab.iterdir())]
+        start = time.perf_counter()
+        count = sum(1 for session in sessions for _ in session.pairs())
+        return count / (time.perf_counter() - start)
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
+def fleets() -> Iterator[str]:
+    """Count what is found, how well it is dated, and how often somebody is accused falsely."""
+    for calibrations in (1, 3):
+        right = others = begun = 0
+        off: list[int] = []
+        for seed in range(FLEETS):
+            sessions = rows(seed, drift=0.02, step=0.3, calibrations=calibrations)
+            found = assess(sessions, NO_FAILURES, Questions(), ()).table("changes")
+            named = {(r.arm, r.joint): r for r in found.itertuples()}
+            drift, step = named.get(("arm_a", 3)), named.get(("arm_b", 5))
+            right += drift is not None and drift.kind == "drift" and step is not None
+            begun += drift is not None and drift.session == "lab/arm_a/000"
+            others += len(set(named) - {("arm_a", 3), ("arm_b", 5)})
+            if step is not None:
+                arm = sessions[sessions["robot"] == "arm_b"].reset_index(drop=True)
+                days = (arm["started"] - BEGIN).dt.total_seconds() / 86_400
+                place = int(arm.index[arm["session"] == step.session][0])
+                off.append(abs(place - int((days < 160).sum())))
+        yield (
+            f"{FLEETS} fleets, {calibrations} calibrations a year, drift 0.02°/month, step 0.3°: "
+            f"both named {right}, the step dated to its session {off.count(0)}, the drift from the "
+            f"first on {begun}, others accused {others}"
+        )
+    for scatter in (1.0, 2.0):
+        accused = sum(_accuses(seed, scatter) for seed in range(FLEETS))
+        yield (
+            f"{FLEETS} fleets without change, sessions scatter {scatter:g} times what they state: "
+            f"{accused} accuse somebody (stated: at most 1 %)"
+        )
+
+
+def _accuses(seed: int, scatter: float) -> bool:
+    sessions = rows(10_000 + seed, scatter=scatter, calibrations=seed % 3 + 1)
+    return len(assess(sessions, NO_FAILURES, Questions(), ()).table("changes")) > 0
+
+
+if __name__ == "__main__":
+    for line in fleets() if sys.argv[1:] == ["fleets"] else lines():
+        print(line, flush=True)

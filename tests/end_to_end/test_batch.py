@@ -1,0 +1,294 @@
+"""`verify batch` as a user types it."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import reports
+from tests.end_to_end.command import verify
+from tests.verify.batch.fleets import record
+from verify.sim.scenario import Fault
+
+TABLES = ("sessions.parquet", "frames.parquet", "failures.csv")
+REPORTS = ("fleet.html", "fleet.pdf")
+SESSIONS = 8
+REPAIRED = 5  # the first session after the encoder of joint 2 was knocked, from 1
+PATIENCE = 300.0  # s: a busy machine is slow to import
+Start = Callable[[], tuple[subprocess.Popen[str], Path]]
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One arm through pixels, a session a fortnight; joint 2 reads 0.3° more from the fifth on."""
+    folder = tmp_path_factory.mktemp("data") / "lab"
+    for number in range(1, SESSIONS + 1):
+        fault = Fault(joint=2, offset_deg=0.3) if number >= REPAIRED else None
+        record(folder / f"{number:02d}", number, fault, day=14.0 * number)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def out(lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out") / "fleet"
+    done = verify("batch", lab, "-o", out, "--workers", "2", "--tolerance", "0.2")
+    assert done.status == 1, done.err
+    return out
+
+
+@pytest.fixture
+def without_pdf(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spare the seconds that a PDF takes where it is not what the test is about."""
+    monkeypatch.setattr(reports, "render_pdf", lambda _: b"%PDF-")
+
+
+def tables(out: Path) -> dict[str, bytes]:
+    return {name: (out / name).read_bytes() for name in (*TABLES, *REPORTS)}
+
+
+def assert_same(one: dict[str, bytes], other: dict[str, bytes]) -> None:
+    for name, content in one.items():
+        assert bool(content == other[name]), name
+
+
+def test_out_holds_what_is_promised_and_nothing_else(out: Path) -> None:
+    inside = {path.name for path in out.iterdir()}
+    assert inside == {*TABLES, *REPORTS, "sessions", "results"}
+
+
+def test_figures_are_those_of_verify_run(lab: Path, out: Path, tmp_path: Path) -> None:
+    place = tmp_path / "run"
+    verify("run", lab / "03", "-o", place, "--tolerance", "0.2", "--quiet")
+    summary = json.loads((place / "summary.json").read_text())
+    sessions = pd.read_parquet(out / "sessions.parquet").set_index("session")
+    row = sessions.loc[str(lab / "03")]
+    for joint in summary["joints"]:
+        for key, value in joint.items():
+            if key != "joint":
+                assert row[f"q{joint['joint']}_{key}"] == value, key
+    frames = pd.read_parquet(out / "frames.parquet")
+    own = frames[frames["session"] == str(lab / "03")].drop(columns="session")
+    plain = pd.read_parquet(place / "results" / "frames.parquet")
+    pd.testing.assert_frame_equal(
+        own.reset_index(drop=True), plain, check_exact=True, check_dtype=False
+    )
+
+
+def test_the_report_names_the_joint_and_dates_the_step_to_its_session(lab: Path, out: Path) -> None:
+    changes = pd.read_parquet(out / "results" / "changes.parquet")
+    (found,) = changes.to_dict("records")
+    assert (found["joint"], found["kind"]) == (2, "step")
+    assert found["session"] == str(lab / f"{REPAIRED:02d}")
+    assert abs(found["size"] - 0.3) < 0.05
+    page = (out / "fleet.html").read_text()
+    assert "Joint 2 of iust_6r stepped up" in page
+
+
+def test_started_again_nothing_is_measured_and_the_bytes_are_the_same(lab: Path, out: Path) -> None:
+    before = tables(out)
+    again = verify("batch", lab, "-o", out, "--workers", "1", "--tolerance", "0.2")
+    assert again.status == 1
+    assert f"0 sessions measured, {SESSIONS} kept from before, 0 failed" in again.out
+    assert_same(before, tables(out))
+
+
+def test_the_reports_are_built_again_from_the_results(out: Path) -> None:
+    before = tables(out)
+    for name in REPORTS:
+        (out / name).unlink()
+    assert verify("report", out).status == 0
+    assert not (out / "report.html").exists()
+    assert_same(before, tables(out))
+
+
+@pytest.mark.usefixtures("without_pdf")
+def test_json_gives_one_object_a_line(lab: Path, out: Path, tmp_path: Path) -> None:
+    place = tmp_path / "fleet"
+    shutil.copytree(out, place)
+    said = verify("batch", lab, "-o", place, "--tolerance", "0.2", "--json")
+    lines = [json.loads(line) for line in said.out.splitlines()]
+    progress = [line for line in lines if line["type"] == "progress"]
+    assert progress[-1]["done"] == progress[-1]["sessions"] == SESSIONS
+    assert set(progress[0]) >= {"pairs_per_s", "time_left_s", "failures", "kept"}
+    assert lines[-1]["type"] == "result"
+    assert lines[-1]["summary"]["kind"] == "fleet"
+
+
+@pytest.mark.usefixtures("without_pdf")
+def test_before_and_after_a_day_is_in_the_report(lab: Path, out: Path, tmp_path: Path) -> None:
+    place = tmp_path / "fleet"
+    shutil.copytree(out, place)
+    verify("batch", lab, "-o", place, "--tolerance", "0.2", "--since", "2025-03-05", "--quiet")
+    table = pd.read_parquet(place / "results" / "contrasts.parquet")
+    assert table[table["shown"]]["joint"].tolist() == [2]
+    assert "since 2025-03-05" in (place / "fleet.html").read_text()
+
+
+def test_session_reports_are_written_where_asked_and_linked(lab: Path, tmp_path: Path) -> None:
+    some = tmp_path / "some"
+    shutil.copytree(lab / "01", some / "01")
+    place = tmp_path / "fleet"
+    verify("batch", some, "-o", place, "--workers", "1", "--reports", "--quiet")
+    (own,) = (place / "sessions").iterdir()
+    written = {path.name for path in own.iterdir()}
+    assert written >= {"report.html", "report.pdf", "summary.json", "frames.csv", "results"}
+    assert f'href="sessions/{own.name}/report.html"' in (place / "fleet.html").read_text()
+
+
+@pytest.fixture
+def heap(lab: Path, tmp_path: Path) -> Path:
+    """Sessions spoilt in every way, and two that are not."""
+    heap = tmp_path / "heap"
+    for name in ("good 1", "good 2", "cut", "schema", "sparse", 'a,"b"\n<script>x</script>'):
+        shutil.copytree(lab / "01", heap / name)
+    video = heap / "cut" / "left.mkv"
+    video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
+    (heap / "schema" / "session.toml").write_text('format = "one"\nrobot = 7\n')
+    sparse = heap / "sparse" / "right.mkv"
+    sparse.unlink()
+    with sparse.open("wb") as file:
+        file.truncate(4 * 2**30)
+    (heap / 'a,"b"\n<script>x</script>' / "frames.csv").write_text("frame,t_left_s\n0,0\n")
+    (heap / "circle").symlink_to("circle")
+    (heap / "closed").mkdir()
+    return heap
+
+
+@pytest.fixture
+def closed(heap: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = os.scandir
+
+    def guarded(path: str) -> object:  # whoever runs the tests may be allowed everything
+        if str(path) == str(heap / "closed"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return plain(path)
+
+    monkeypatch.setattr(os, "scandir", guarded)
+
+
+@pytest.mark.usefixtures("closed", "without_pdf")
+def test_each_spoilt_session_is_reported_and_the_rest_unharmed(heap: Path, tmp_path: Path) -> None:
+    place = tmp_path / "fleet"
+    done = verify("batch", heap, "-o", place, "--workers", "2", "--tolerance", "5")
+    assert done.status == 4, done.err
+    assert "Traceback" not in done.err
+    sessions = pd.read_parquet(place / "sessions.parquet")
+    assert sessions["session"].tolist() == [f"{heap}/good 1", f"{heap}/good 2"]
+    assert set(sessions["verdict"]) == {"conform"}
+    failures = pd.read_csv(place / "failures.csv").set_index("session")
+    assert sorted(name.removeprefix(f"{heap}/") for name in failures.index) == [
+        'a,"b"\n<script>x</script>', "circle", "closed", "cut", "schema", "sparse",
+    ]  # fmt: skip
+    kinds = {n.removeprefix(f"{heap}/"): k for n, k in failures["kind"].items()}
+    assert kinds["circle"] == kinds["closed"] == "unreadable"
+    assert set(failures["kind"]) == {"unreadable", "refused"}
+    assert all("\n" not in why for why in failures["why"])
+    assert "left.mkv" in failures.loc[f"{heap}/cut", "why"]
+    assert "right.mkv" in failures.loc[f"{heap}/sparse", "why"]
+    assert "<script>x" not in (place / "fleet.html").read_text()
+
+
+def test_where_no_session_can_be_measured_failures_are_written_and_nothing_else(
+    heap: Path, tmp_path: Path
+) -> None:
+    place = tmp_path / "fleet"
+    done = verify("batch", heap / "schema", "-o", place, "--workers", "1", "--quiet")
+    assert done.status == 2
+    (line,) = done.err.splitlines()
+    assert "none of its 1 sessions could be measured" in line
+    assert not (place / "sessions.parquet").exists()
+    assert len(pd.read_csv(place / "failures.csv")) == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("nowhere",),
+        (".", "--since", "yesterday"),
+        (".", "--by", "colour"),
+        (".", "--compare", "s", "elsewhere"),
+        (".", "--workers", "0"),
+        (".", "--scheduler", "tcp://127.0.0.1:1", "--workers", "2"),
+        (),
+    ],
+)
+def test_wrong_usage_takes_one_line(
+    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s" / "session.toml").write_text("")
+    done = verify("batch", *words)
+    assert done.status == 2
+    assert done.err.startswith("error: ")
+    assert len(done.err.splitlines()) == 1
+
+
+@pytest.fixture
+def started(lab: Path, tmp_path: Path) -> Iterator[Start]:
+    """Start a batch in a process of its own and wait until something has been kept."""
+    running: list[subprocess.Popen[str]] = []
+
+    def start() -> tuple[subprocess.Popen[str], Path]:
+        place = tmp_path / "fleet"
+        command = [sys.executable, "-m", "verify", "batch", str(lab), "-o", str(place),
+                   "--workers", "2", "--tolerance", "0.2"]  # fmt: skip
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        running.append(process)
+        limit = time.monotonic() + PATIENCE
+        while not list((place / "sessions").glob("[!.]*/entry.json")):
+            assert time.monotonic() < limit
+            signal.sigtimedwait([signal.SIGUSR2], 0.05)
+        return process, place
+
+    yield start
+    for process in running:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def children(pid: int) -> list[int]:
+    words = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    command = {int(w): Path(f"/proc/{w}/cmdline").read_bytes() for w in words}
+    return [child for child, said in command.items() if b"spawn_main" in said]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_a_worker_that_is_killed_costs_nothing_but_time(out: Path, started: Start) -> None:
+    process, place = started()
+    os.kill(children(process.pid)[0], signal.SIGKILL)
+    process.communicate(timeout=3 * PATIENCE)
+    assert process.returncode == 1
+    assert_same(tables(out), tables(place))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "kill"])
+def test_an_interrupted_batch_keeps_what_was_done_and_goes_on_from_there(
+    lab: Path,
+    out: Path,
+    started: Start,
+    sent: signal.Signals,
+) -> None:
+    process, place = started()
+    workers = children(process.pid)
+    process.send_signal(sent)
+    _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, said
+    assert said.splitlines()[-1] == "interrupted"
+    assert not any(Path(f"/proc/{worker}").exists() for worker in workers)
+    assert {path.name for path in place.iterdir()} == {"sessions"}
+    again = verify("batch", lab, "-o", place, "--workers", "2", "--tolerance", "0.2")
+    kept = int(again.out.split(" kept from before")[0].rsplit(" ", 1)[1])
+    assert kept >= 1
+    assert_same(tables(out), tables(place))

@@ -1,0 +1,96 @@
+"""Processes on this machine: tasks are done once each, and a killed one costs itself alone."""
+
+import os
+import signal
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from verify.batch.crew import TRIES, Processes
+from verify.batch.records import Lost, Task
+
+
+@dataclass(frozen=True)
+class Square:
+    number: int
+
+    def perform(self) -> int:
+        return self.number**2
+
+
+@dataclass(frozen=True)
+class Dies:
+    """Kills its own process the first so many times; a file remembers how often."""
+
+    memory: str
+    times: int
+
+    def perform(self) -> str:
+        tally = Path(self.memory)
+        before = len(tally.read_text()) if tally.exists() else 0
+        tally.write_text("x" * (before + 1))
+        if before < self.times:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return f"alive after {before}"
+
+
+@pytest.fixture
+def crew() -> Processes:
+    return Processes(2)
+
+
+def test_every_task_is_done_once_and_new_ones_may_come_meanwhile(crew: Processes) -> None:
+    tasks: deque[Task] = deque(Square(n) for n in range(4))
+    outcomes = []
+    try:
+        for _task, outcome in crew.run(tasks):
+            if outcome == 4:
+                tasks.append(Square(10))
+            outcomes.append(outcome)
+    finally:
+        crew.close()
+    assert sorted(outcomes) == [0, 1, 4, 9, 100]
+
+
+def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
+    crew: Processes, tmp_path: Path
+) -> None:
+    twice, always = Dies(f"{tmp_path}/a", 2), Dies(f"{tmp_path}/b", 99)
+    tasks: deque[Task] = deque([twice, always, *(Square(n) for n in range(3))])
+    try:
+        outcomes = {task: outcome for task, outcome in crew.run(tasks)}  # noqa: C416
+    finally:
+        crew.close()
+    assert outcomes[twice] == "alive after 2"
+    assert outcomes[always] == Lost(TRIES)
+    assert [outcomes[Square(n)] for n in range(3)] == [0, 1, 4]
+    assert (tmp_path / "b").read_text() == "x" * TRIES
+
+
+def test_closing_sends_every_process_home(crew: Processes) -> None:
+    tasks: deque[Task] = deque([Pid(0), Pid(1)])
+    pids = [outcome for _, outcome in crew.run(tasks)]
+    crew.close()
+    for pid in pids:
+        for _ in range(500):
+            if not _running(pid):
+                break
+            signal.sigtimedwait([signal.SIGUSR2], 0.02)
+        assert not _running(pid)
+
+
+@dataclass(frozen=True)
+class Pid:
+    number: int
+
+    def perform(self) -> int:
+        return os.getpid()
+
+
+def _running(pid: int) -> bool:
+    try:
+        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False

@@ -1,0 +1,119 @@
+"""A Dask cluster that runs already, somewhere: its workers are the crew."""
+
+from collections import Counter, deque
+from collections.abc import Iterator
+from typing import Any
+
+from verify import __version__
+from verify.batch.crew import TRIES
+from verify.batch.records import Lost, Task
+from verify.errors import InputError
+
+PATIENCE = 30  # s, for a scheduler to answer and a worker to be there
+AHEAD = 2  # tasks under way a thread: the next is there when one is done
+
+
+class Cluster:
+    """A crew behind a scheduler.
+
+    Args:
+        address: of the scheduler, such as `tcp://10.0.0.1:8786`.
+
+    Raises:
+        InputError: nobody answers there, no worker has come, or one runs another version.
+    """
+
+    def __init__(self, address: str) -> None:
+        distributed = _distributed()
+        try:
+            self._client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise _refused(address, f"does not answer ({error})") from error
+        try:
+            self._client.wait_for_workers(1, timeout=PATIENCE)
+        except (TimeoutError, distributed.TimeoutError) as error:
+            self.close()
+            raise _refused(address, f"has no worker within {PATIENCE} s") from error
+        self._require_version(address)
+
+    @property
+    def workers(self) -> int:
+        """Count the threads of its workers."""
+        return max(int(sum(self._client.nthreads().values())), 1)
+
+    @property
+    def page(self) -> str | None:
+        """Dask's own page about the work; None where the scheduler serves none."""
+        serves = "dashboard" in self._client.scheduler_info().get("services", {})
+        return str(self._client.dashboard_link) if serves else None
+
+    def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
+        """Have tasks done; see `Crew`. A worker that dies is the scheduler's to replace."""
+        distributed = _distributed()
+        done = distributed.as_completed(loop=self._client.loop, raise_errors=False)
+        under_way: dict[str, Task] = {}
+        died: Counter[int] = Counter()
+        while tasks or under_way:
+            self._hand_out(tasks, under_way, done)
+            future = next(done)
+            task = under_way.pop(future.key)
+            error = future.exception() if future.status == "error" else None
+            lost = future.status in ("cancelled", "lost")
+            if lost:  # the scheduler itself was restarted: it knows nothing of it any more
+                died[id(task)] += 1
+                if died[id(task)] < TRIES:
+                    tasks.appendleft(task)
+                    continue
+            if error is not None and not isinstance(error, distributed.KilledWorker):
+                raise error
+            outcome = Lost(TRIES) if lost or error is not None else future.result()
+            died.pop(id(task), None)
+            future.release()
+            yield task, outcome
+
+    def close(self) -> None:
+        """Leave the cluster as it was; what is under way is dropped."""
+        self._client.close()
+
+    def _hand_out(self, tasks: deque[Task], under_way: dict[str, Task], done: Any) -> None:
+        while tasks and len(under_way) < AHEAD * self.workers:
+            task = tasks.popleft()
+            future = self._client.submit(perform, task, pure=False)
+            under_way[future.key] = task
+            done.add(future)
+
+    def _require_version(self, address: str) -> None:
+        try:
+            versions = set(self._client.run(version).values())
+        except Exception as error:  # whatever goes wrong there is pickled and raised here
+            self.close()
+            raise _refused(address, f"its workers have no verify ({error})") from error
+        if versions != {__version__}:
+            self.close()
+            others = ", ".join(sorted(versions - {__version__}))
+            raise _refused(address, f"its workers run verify {others}, this is {__version__}")
+
+
+def perform(task: Task) -> Any:
+    """Do a task, on a worker."""
+    return task.perform()
+
+
+def version() -> str:
+    """Tell a worker's version of the program."""
+    return __version__
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise InputError(
+            "--scheduler", "needs the package distributed", "", "Install verify-robot[cluster]."
+        ) from error
+    return distributed
+
+
+def _refused(address: str, found: str) -> InputError:
+    expected = "a Dask scheduler with workers that have this version of verify is expected"
+    return InputError(f"--scheduler {address}", found, expected, "Start one, or leave it out.")

@@ -1,0 +1,127 @@
+"""Processes on this machine, one a worker: a killed one costs its own task and nothing else."""
+
+import os
+import signal
+import threading
+from collections import Counter, deque
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from multiprocessing import get_context, parent_process
+from typing import Any, Protocol
+
+from verify.batch.records import Lost, Task
+
+TRIES = 3  # of a task whose worker dies: the first, and twice again
+
+
+class Crew(Protocol):
+    """Workers, wherever they are."""
+
+    @property
+    def workers(self) -> int:
+        """Count them."""
+
+    def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
+        """Have tasks done, taking from the left, until none is left or under way.
+
+        Whoever reads may append further ones meanwhile. As many are under way as there are
+        workers, or few more: memory follows the workers, not the tasks.
+
+        Yields:
+            Each task with what came of it, as they finish; `Lost` where its worker died each time.
+        """
+
+    def close(self) -> None:
+        """Send the workers home; what they were at is dropped."""
+
+
+class Processes:
+    """A crew of processes on this machine.
+
+    Args:
+        workers: how many.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self._idle: list[_Worker] = [_Worker() for _ in range(workers)]
+        self._busy: dict[Future[Any], tuple[_Worker, Task]] = {}
+
+    def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
+        """Have tasks done; see `Crew`."""
+        died: Counter[int] = Counter()
+        while tasks or self._busy:
+            while tasks and self._idle:
+                worker, task = self._idle.pop(), tasks.popleft()
+                self._busy[worker.start(task)] = worker, task
+            for future in wait(self._busy, return_when=FIRST_COMPLETED).done:
+                worker, task = self._busy.pop(future)
+                try:
+                    outcome = future.result()
+                except BrokenProcessPool:
+                    worker.close()
+                    worker = _Worker()
+                    died[id(task)] += 1
+                    if died[id(task)] < TRIES:
+                        tasks.appendleft(task)
+                        self._idle.append(worker)
+                        continue
+                    outcome = Lost(TRIES)
+                died.pop(id(task), None)
+                self._idle.append(worker)
+                yield task, outcome
+
+    def close(self) -> None:
+        """Send the workers home; what they were at is dropped."""
+        for worker in [*self._idle, *(worker for worker, _ in self._busy.values())]:
+            worker.close()
+        self._idle, self._busy = [], {}
+
+
+class _Worker:
+    """One process, started with its first task."""
+
+    def __init__(self) -> None:
+        self._pool: ProcessPoolExecutor | None = None
+        self._process: Future[int] | None = None
+
+    def start(self, task: Task) -> Future[Any]:
+        if self._pool is None:
+            # a fresh interpreter: threads and open videos of this one stay out of it
+            self._pool = ProcessPoolExecutor(1, get_context("spawn"), _settle)
+            self._process = self._pool.submit(os.getpid)
+        return self._pool.submit(task.perform)
+
+    def close(self) -> None:
+        if self._pool is None:
+            return
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        if self._process is not None and self._process.done():
+            with suppress(ProcessLookupError, BrokenProcessPool):  # it died before
+                os.kill(self._process.result(), signal.SIGTERM)
+        self._pool = None
+
+
+def _settle() -> None:
+    """Leave Ctrl-C to the one who started us, and go when that one is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
+def _leave(_signal: int, _frame: object) -> None:
+    raise SystemExit(1)  # what was fetched to this machine is removed on the way out
+
+
+def _leave_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def processors() -> int:
+    """Count the processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

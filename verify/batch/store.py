@@ -1,0 +1,106 @@
+"""OUT/sessions: each finished session's results, there at once, whole or not at all."""
+
+import hashlib
+import json
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from verify.batch.records import Measured, Options
+from verify.errors import InputError
+from verify.files import system_refusal
+from verify.results_folder import RESULTS
+from verify.writing import folder_written_whole
+
+SESSIONS = "sessions"
+ENTRY = "entry.json"
+FORMAT = 1
+_NAME_LETTERS = 40  # of a session's own name in its folder's
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """Results that an earlier batch left."""
+
+    folder: Path
+    inputs: dict[str, str]  # digest of all that they rest on
+    options: str
+
+
+class Store:
+    """Finished sessions by name.
+
+    Args:
+        out: the batch's folder.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self.folder = out / SESSIONS
+
+    def place(self, session: str) -> Path:
+        """Where a session's results are kept: its name made harmless, and a hash of all of it."""
+        own = re.sub(r"[^A-Za-z0-9_-]+", "-", session.rstrip("/").rpartition("/")[2])
+        code = hashlib.sha256(session.encode()).hexdigest()[:12]
+        return self.folder / f"{own.strip('-')[:_NAME_LETTERS] or 'session'}-{code}"
+
+    def kept(self, session: str) -> Kept | None:
+        """Find a session's results; None where there are none, or none that can be trusted."""
+        folder = self.place(session)
+        try:
+            entry: Any = json.loads((folder / ENTRY).read_bytes())
+            if entry["format"] != FORMAT or entry["session"] != session:
+                return None
+            whole = all(
+                hashlib.sha256((folder / name).read_bytes()).hexdigest() == was
+                for name, was in entry["files"].items()
+            )
+            return Kept(folder, dict(entry["inputs"]), str(entry["options"])) if whole else None
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def keep(self, measured: Measured, options: Options) -> None:
+        """Put a session's results in place, instead of older ones.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        folder = self.place(measured.session)
+        self._remove(folder)
+        entry = {
+            "format": FORMAT,
+            "session": measured.session,
+            "options": options.described,
+            "inputs": measured.inputs,
+            "files": {n: hashlib.sha256(c).hexdigest() for n, c in measured.files.items()},
+        }
+        with folder_written_whole(folder) as partial:
+            (partial / RESULTS).mkdir()
+            for name, content in measured.files.items():
+                (partial / name).write_bytes(content)
+            text = json.dumps(entry, indent=1, sort_keys=True)
+            (partial / ENTRY).write_text(text + "\n", encoding="utf-8")
+
+    def _remove(self, folder: Path) -> None:
+        """Take older results away, first what makes them count."""
+        try:
+            (folder / ENTRY).unlink(missing_ok=True)
+            if folder.exists():
+                shutil.rmtree(folder)
+        except OSError as error:
+            raise system_refusal(folder, error) from error
+
+
+def require_usable(out: Path) -> None:
+    """Refuse a place where no batch can write, before hours of work go into it.
+
+    Raises:
+        InputError: it is a file, or cannot be made.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(out, "is a file", "a folder is expected", "Choose another -o.")
+    try:
+        (out / SESSIONS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise system_refusal(out, error) from error

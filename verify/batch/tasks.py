@@ -1,0 +1,168 @@
+"""What workers do: measure a session, see whether one has changed, write its own report."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import reports
+from reports import Results
+from reports.results import plain
+from verify.analysis import analyse
+from verify.batch.parts import Part, Span, joined, measure_part, measured_session, spans
+from verify.batch.places import at_hand, is_url, states
+from verify.batch.records import (
+    DEFECT,
+    REFUSED,
+    UNREADABLE,
+    Failure,
+    Found,
+    Measured,
+    Options,
+    named,
+)
+from verify.errors import InputError, one_line
+from verify.files import digest, system_refusal
+from verify.results_folder import RESULTS, read_results, write_results
+from verify.session import Session, open_session
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Long:
+    """A session that is worth measuring in parts."""
+
+    session: Session = field(repr=False)
+    spans: list[Span]
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """Measure one session from end to end."""
+
+    found: Found
+    options: Options
+    whole: bool = True  # in one go, however long
+
+    def perform(self) -> Measured | Long | Failure:
+        """Give its results as files, or why there are none; a long one is handed back opened."""
+        return _guarded(self.found, self._measured)
+
+    def _measured(self) -> Measured | Long:
+        with at_hand(self.found.folder) as folder:
+            opened = open_session(folder)
+            remote = is_url(self.found.folder)
+            pieces = spans(len(opened))
+            if len(pieces) > 1 and not self.whole and not remote:  # a copy stays on one worker
+                return Long(opened, pieces)
+            tolerance = self.options.asked.tolerance(opened.arm.dof)
+            results = called(analyse(opened, tolerance=tolerance), str(folder), self.found.session)
+            return measured(
+                self.found.session, results, states(self.found.folder) if remote else None
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurePart:
+    """Measure some pairs of a long session."""
+
+    found: Found
+    session: Session = field(repr=False)
+    span: Span
+
+    def perform(self) -> Part | Failure:
+        """Give what came of them."""
+        return _guarded(self.found, lambda: measure_part(self.session, self.span))
+
+
+@dataclass(frozen=True, slots=True)
+class Join:
+    """Analyse a session whose parts have been measured."""
+
+    found: Found
+    options: Options
+    session: Session = field(repr=False)
+    parts: list[Part] = field(repr=False)
+
+    def perform(self) -> Measured | Failure:
+        """Give the results that measuring it in one go would give."""
+        return _guarded(self.found, self._measured)
+
+    def _measured(self) -> Measured:
+        session = measured_session(self.session, *joined(self.session, self.parts))
+        tolerance = self.options.asked.tolerance(session.arm.dof)
+        results = analyse(session, tolerance=tolerance, chain=session.chain)
+        return measured(
+            self.found.session, called(results, self.found.folder, self.found.session), None
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Compare:
+    """See whether what a session's results rest on is still the same."""
+
+    found: Found
+    inputs: dict[str, str]  # digest by name, as kept
+
+    def perform(self) -> list[str]:
+        """Name what has changed or is gone; nothing where all is as it was."""
+        try:
+            if is_url(self.found.folder):
+                now = states(self.found.folder)
+                names = sorted({*now, *self.inputs})
+                return [name for name in names if now.get(name) != self.inputs.get(name)]
+            folder = Path(self.found.folder)
+            return [name for name, was in self.inputs.items() if digest(folder / name) != was]
+        except InputError as problem:
+            return [problem.place]
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Write a kept session's own report beside its results."""
+
+    folder: str
+
+    def perform(self) -> None:
+        """Write all that `verify run` writes."""
+        folder = Path(self.folder)
+        write_results(read_results(folder), folder, force=True)
+
+
+def measured(session: str, results: Results, inputs: dict[str, str] | None) -> Measured:
+    """Turn results into the files of a results folder."""
+    with tempfile.TemporaryDirectory(prefix="verify-results-") as place:
+        folder = Path(place) / RESULTS
+        reports.write(results, folder)
+        files = {f"{RESULTS}/{file.name}": file.read_bytes() for file in sorted(folder.iterdir())}
+    digests = results.summary["inputs"] if inputs is None else inputs
+    return Measured(session, files, dict(digests), int(results.summary["pairs"]["recorded"]))
+
+
+def called(results: Results, folder: str, session: str) -> Results:
+    """Call a session by its name in the tables, wherever a worker found it."""
+    summary: dict[str, Any] = plain(results.summary)
+    summary["session"]["path"] = session
+    was, now = one_line(folder), one_line(session)
+    summary["warnings"] = [named(text.replace(was, now)) for text in summary["warnings"]]
+    return replace(results, summary=summary)
+
+
+def _guarded(found: Found, work: Callable[[], T]) -> T | Failure:
+    """Do the work on one session; whatever is wrong with it must not stop the others."""
+    try:
+        return work()
+    except InputError as problem:
+        return Failure(found.session, REFUSED, _said(str(problem), found))
+    except OSError as problem:
+        refused = system_refusal(problem.filename or found.folder, problem)
+        return Failure(found.session, UNREADABLE, _said(str(refused), found))
+    except Exception as problem:  # a defect of ours: it is told, and the batch goes on
+        why = f"{found.session}: {type(problem).__name__}: {problem}. Please report this defect."
+        return Failure(found.session, DEFECT, named(one_line(why)))
+
+
+def _said(text: str, found: Found) -> str:
+    return named(text.replace(one_line(found.folder), one_line(found.session)))
