@@ -33,7 +33,7 @@ class ControllerOptions:
     latency: float = 0.008  # s
     jitter: float = 0.004  # s, added, uniform
     need_open: bool = True  # QeR6500 before OPEN
-    least_pause: float = 0.0  # s: asked sooner while a program runs, it refuses with 6130
+    least_pause: float = 0.0  # s: asked sooner while the arm moves, it refuses with 6130
 
 
 class MelfaEngine:
@@ -66,7 +66,7 @@ class MelfaEngine:
     def afflict(self, fault: str, value: float) -> None:
         """Raise an alarm."""
         if fault == "alarm":
-            self.arm.alarm = int(value)
+            self.arm.raise_alarm(int(value))
 
     def step(self, t: float, received: bytes) -> list[Message]:
         """Answer what has come; without a terminator, a short silence ends a command."""
@@ -106,7 +106,7 @@ class MelfaEngine:
         if not self._open and name != "OPEN" and self._options.need_open:
             return 6500
         hasty = t - self._free < self._options.least_pause
-        if self._options.least_pause and hasty and self.arm.running:
+        if self._options.least_pause and hasty and self.arm.moving:
             return 6130
         if (name in STARRED) and not self.arm.right:
             return 6020

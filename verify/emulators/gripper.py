@@ -1,0 +1,192 @@
+"""A Robotiq 3-finger gripper on Modbus RTU: framing, checks, registers; `gripper_hand` is the rest.
+
+Written apart from the library that the driver uses, so that the two check each other. A request
+ends where its length says, or, where that cannot be known, at a silence.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+from verify.emulators.gripper_hand import BYTES, NOTHING, GripperHand
+from verify.emulators.server import Message
+from verify.records import Array
+
+SLAVE = 9
+OUTPUTS, INPUTS = 1000, 2000  # first registers, as they stand on the wire
+REGISTERS = BYTES // 2
+MOST_READ, MOST_WRITTEN = 125, 121  # registers a request, by the Modbus specification
+READ, READ_INPUT, WRITE_ONE, WRITE, READ_WRITE = 3, 4, 6, 16, 23
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
+QUIET = 0.005  # s without a byte: what has come is all there is
+CYCLE = 0.005  # s: the gripper takes new outputs up, and echoes them, 200 times a second
+SHORTEST = 4  # bytes: slave, function, check
+
+
+@dataclass(frozen=True, slots=True)
+class GripperOptions:
+    """What kind of gripper it is."""
+
+    activation: float = 3.0  # s
+    contacts: Array | None = None  # (4,), positions where A, B, C and scissor meet an object
+    latency: float = 0.002  # s from request to answer
+    exceptions: bool = True  # grippers of 2014 answer a wrong request with silence
+
+
+class RefusedError(Exception):
+    """A request that the gripper answers with an exception code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+class GripperEngine:
+    """The gripper behind its line.
+
+    Args:
+        options: what kind of gripper it is.
+    """
+
+    def __init__(self, options: GripperOptions) -> None:
+        self.log: list[bytes] = []  # every request that was whole, without slave and check
+        self.dropped: Counter[str] = Counter()  # requests that got no answer: why -> how often
+        contacts = NOTHING if options.contacts is None else options.contacts
+        self.hand = GripperHand(options.activation, contacts)
+        self._options = options
+        self._buffer, self._heard = b"", 0.0
+        self._outputs = bytes(BYTES)
+        self._due: float | None = None  # s: when the hand takes the outputs up
+
+    def greet(self, t: float) -> None:  # noqa: ARG002  a bus has no callers
+        """Forget half a request."""
+        self._buffer = b""
+
+    def reset(self, t: float) -> None:
+        """Lose power and have it back."""
+        self.hand.go_on(t)
+        self.hand.restart()
+        self._outputs, self._due, self._buffer = bytes(BYTES), None, b""
+
+    def afflict(self, fault: str, value: float) -> None:
+        """Have a fault (gFLT) until the next reset."""
+        if fault == "alarm":
+            self.hand.on_demand = int(value)
+
+    def step(self, t: float, received: bytes) -> list[Message]:
+        """Move the hand on; answer what has come."""
+        if self._due is not None and t >= self._due:
+            self.hand.obey(self._outputs, self._due)
+            self._due = None
+        self.hand.go_on(t)
+        if received:
+            self._buffer, self._heard = self._buffer + received, t
+        frame = self._frame(t)
+        answer = self._answer(frame, t) if frame else b""
+        return [Message(t + self._options.latency, answer)] if answer else []
+
+    def _frame(self, t: float) -> bytes:
+        """Take a whole request from the buffer; what fails the check goes at the next silence."""
+        size = request_size(self._buffer)
+        if size is not None and len(self._buffer) >= size and checked(self._buffer[:size]):
+            frame, self._buffer = self._buffer[:size], self._buffer[size:]
+            return frame
+        if not self._buffer or t - self._heard <= QUIET:
+            return b""
+        frame, self._buffer = self._buffer, b""
+        if len(frame) >= SHORTEST and checked(frame):
+            return frame  # of a function whose length is not known here
+        self.dropped["wrong check, or cut short"] += 1
+        return b""
+
+    def _answer(self, frame: bytes, t: float) -> bytes:
+        if frame[0] != SLAVE:
+            self.dropped["other slave"] += 1
+            return b""
+        body = frame[1:-2]
+        self.log.append(body)
+        try:
+            return framed(bytes([SLAVE, body[0]]) + self._carry_out(body, t))
+        except RefusedError as refused:
+            if not self._options.exceptions:
+                self.dropped["refused"] += 1
+                return b""
+            return framed(bytes([SLAVE, body[0] | 0x80, refused.code]))
+
+    def _carry_out(self, body: bytes, t: float) -> bytes:
+        """Do what a request asks; give what follows the function code in its answer."""
+        match body[0]:
+            case 3 | 4:
+                return self._read(body[1:5])
+            case 6:
+                self._write(body[1:3] + b"\0\1", body[3:5], t)
+                return body[1:5]
+            case 16:
+                self._write(body[1:5], body[6:], t)
+                return body[1:5]
+            case 23:
+                self._write(body[5:9], body[10:], t)
+                return self._read(body[1:5])
+        raise RefusedError(ILLEGAL_FUNCTION)
+
+    def _read(self, span: bytes) -> bytes:
+        address, count = pair(span)
+        if not 1 <= count <= MOST_READ:
+            raise RefusedError(ILLEGAL_VALUE)
+        first = INPUTS if address >= INPUTS else OUTPUTS
+        block = self.hand.inputs() if first == INPUTS else self._outputs
+        begin, end = address - first, address - first + count
+        if begin < 0 or end > REGISTERS:
+            raise RefusedError(ILLEGAL_ADDRESS)
+        return bytes([2 * count]) + block[2 * begin : 2 * end]
+
+    def _write(self, span: bytes, data: bytes, t: float) -> None:
+        address, count = pair(span)
+        if not 1 <= count <= MOST_WRITTEN or len(data) != 2 * count:
+            raise RefusedError(ILLEGAL_VALUE)
+        begin = 2 * (address - OUTPUTS)
+        if begin < 0 or address + count > OUTPUTS + REGISTERS:
+            raise RefusedError(ILLEGAL_ADDRESS)
+        self._outputs = self._outputs[:begin] + data + self._outputs[begin + len(data) :]
+        self._due = t + CYCLE
+
+
+def request_size(data: bytes) -> int | None:
+    """Bytes that a request has by its function and count; None where that is not known (yet)."""
+    function = data[1] if len(data) > 1 else None
+    if function in (READ, READ_INPUT, WRITE_ONE):
+        return 8
+    count_at = {WRITE: 6, READ_WRITE: 10}.get(function or 0)
+    if count_at is None or len(data) <= count_at:
+        return None
+    return count_at + 1 + data[count_at] + 2
+
+
+def check(data: bytes) -> bytes:
+    """CRC-16 of Modbus (polynomial 0x8005 reflected, start 0xFFFF), low byte first."""
+    register = 0xFFFF
+    for byte in data:
+        register ^= byte
+        for _ in range(8):
+            register = register >> 1 ^ (0xA001 if register & 1 else 0)
+    return register.to_bytes(2, "little")
+
+
+def checked(frame: bytes) -> bool:
+    """Whether a frame's check is right."""
+    return check(frame[:-2]) == frame[-2:]
+
+
+def framed(body: bytes) -> bytes:
+    """Put the check behind slave, function and data."""
+    return body + check(body)
+
+
+def pair(span: bytes) -> tuple[int, int]:
+    """Take address and count apart, 16 bits each, high byte first.
+
+    Raises:
+        RefusedError: they are not whole.
+    """
+    if len(span) != 4:
+        raise RefusedError(ILLEGAL_VALUE)
+    return int.from_bytes(span[:2], "big"), int.from_bytes(span[2:], "big")

@@ -1,0 +1,48 @@
+"""Opening a port while a control loop goes on: in a thread of its own."""
+
+import contextlib
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from verify.devices.ports import Port
+
+QUICK = 0.005  # s: a port in this room is open by then, and nobody has to ask again
+
+
+class BackgroundOpening:
+    """Opens a port without making anybody wait for a computer that does not answer.
+
+    Args:
+        open_port: opens it; may take a second.
+    """
+
+    def __init__(self, open_port: Callable[[], Port]) -> None:
+        self._open_port = open_port
+        self._worker = ThreadPoolExecutor(1, "opening")
+        self._opening: Future[Port] | None = None
+
+    def __call__(self) -> Port:
+        """Give the port once it is open.
+
+        Raises:
+            OSError: not yet, or it cannot be opened now.
+        """
+        opening = self._opening or self._worker.submit(self._open_port)
+        self._opening = opening
+        with contextlib.suppress(Exception):  # what went wrong is raised below
+            opening.exception(QUICK)
+        if not opening.done():
+            raise BlockingIOError(0, "the port is being opened")
+        self._opening = None
+        return opening.result()
+
+    def close(self) -> None:
+        """Open nothing any more."""
+        self._worker.shutdown(wait=False, cancel_futures=True)
+        if self._opening is not None:
+            self._opening.add_done_callback(_close_again)
+
+
+def _close_again(opening: Future[Port]) -> None:
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().close()
