@@ -12,10 +12,20 @@ from reports import branding, calibration, fleet, html, outline, pdf, registrati
 from reports.blocks import Document
 from reports.branding import PLAIN, Look
 from reports.errors import ReportError
-from reports.language import language as read_language
+from reports.language_file import language as read_language
 from reports.results import Results, read, write
 
-__all__ = ["Look", "ReportError", "Results", "look", "read", "render_html", "render_pdf", "write"]
+__all__ = [
+    "Look",
+    "ReportError",
+    "Results",
+    "look",
+    "read",
+    "render_html",
+    "render_pdf",
+    "untranslated",
+    "write",
+]
 
 OUTLINES: dict[str, Callable[[Results], Document]] = {
     "run": outline.document,
@@ -70,7 +80,16 @@ def render_pdf(results: Results, look: Look = PLAIN) -> bytes:
     return pdf.pages(_document(results, look), look)
 
 
+def untranslated(results: Results, look: Look) -> list[str]:
+    """List what stays English in a report, in whole or in part; the user's own words among it."""
+    return look.language.missing(_worded(results))
+
+
 def _document(results: Results, look: Look) -> Document:
+    return look.language.document(_worded(results))
+
+
+def _worded(results: Results) -> Document:
     kind = str(results.summary.get("kind", "run"))
     if kind not in OUTLINES:
         raise ReportError(
@@ -79,4 +98,4 @@ def _document(results: Results, look: Look) -> Document:
             f"this version reports {', '.join(OUTLINES)}",
             "Use the version of verify that wrote it.",
         )
-    return look.language.document(OUTLINES[kind](results))
+    return OUTLINES[kind](results)

@@ -51,7 +51,14 @@ def width(chart: Chart | Path) -> float:
 
 
 def printable(text: str) -> str:
-    """Shorten a user's word, and show letters that the font lacks as a replacement sign."""
+    """Shorten a user's word, and show letters that the font lacks as a replacement sign.
+
+    A label may have lines of its own making.
+    """
+    return "\n".join(_printable_line(line) for line in text.split("\n"))
+
+
+def _printable_line(text: str) -> str:
     text = one_line(text)
     if len(text) > LABEL_LENGTH:
         text = text[: LABEL_LENGTH - 1] + "…"

@@ -78,9 +78,9 @@ def _environment(loader: jinja2.BaseLoader) -> jinja2.Environment:
 
 
 def _rendered(folder: Path, data: dict[str, Any]) -> str:
-    """Render a template of the user's own, which may extend `verify/report.html.j2`."""
+    """Render a template of the user's own, which may extend `shipped/report.html.j2`."""
     own = jinja2.FileSystemLoader(folder)
-    ours = jinja2.PrefixLoader({"verify": jinja2.FileSystemLoader(TEMPLATES)})
+    ours = jinja2.PrefixLoader({"shipped": jinja2.FileSystemLoader(TEMPLATES)})
     environment = _environment(jinja2.ChoiceLoader([own, ours]))
     try:
         return environment.get_template(PAGE).render(data)

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import os
 import re
 import struct
 from collections.abc import Callable
@@ -45,15 +46,22 @@ def typeset(files: dict[str, bytes]) -> bytes:
 
 def _typeset_by(folder: Path, files: dict[str, bytes]) -> bytes:
     """Let typst set a template of the user's own; it reads files of its folder, and no others."""
-    own = files | {"verify.typ": files["main.typ"], "main.typ": _read(folder / PAGES)}
+    own = files | {"shipped.typ": files["main.typ"], "main.typ": _read(folder / PAGES)}
     try:
         return _compile(own, format="pdf", timestamp=0, root=str(folder), **FONTS)
     except (typst.TypstError, RuntimeError) as problem:
-        found = re.search(r"\u250c\u2500 \\?(\S+?):(\d+):", str(getattr(problem, "diagnostic", "")))
-        name = PAGES if found is None or found[1] == "main.typ" else found[1]
-        place = f"{folder / name}, line {found[2]}" if found else str(folder / PAGES)
+        place = _place(folder, str(getattr(problem, "diagnostic", "")))
         remedy = "docs/reports.md says what a template is given."
         raise ReportError(place, str(problem), "a typst template is expected", remedy) from None
+
+
+def _place(folder: Path, diagnostic: str) -> str:
+    """Name the file and line that typst complains of, in the user's own names."""
+    found = re.search(r"─ (.+?):(\d+):\d+\n", diagnostic)
+    if found is None:
+        return str(folder / PAGES)
+    name = os.path.relpath(found[1], folder)
+    return f"{folder / (PAGES if name == 'main.typ' else name)}, line {found[2]}"
 
 
 def _read(path: Path) -> bytes:

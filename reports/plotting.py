@@ -52,7 +52,7 @@ def colour(role: str) -> str:
 
 def text(words: str) -> str:
     """Make a user's words safe for plotly, which reads some HTML in its labels."""
-    return html.escape(one_line(words), quote=False)
+    return "<br>".join(html.escape(one_line(line), quote=False) for line in words.split("\n"))
 
 
 def _suffix(index: int) -> str:

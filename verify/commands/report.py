@@ -9,7 +9,7 @@ from verify.terminal import terminal
 
 
 def report(
-    out: Annotated[Path, typer.Argument(help="A folder that `verify run` or `verify calibrate` wrote.")],
+    out: Annotated[Path, typer.Argument(help="What `verify run`, `calibrate` or `batch` wrote.")],
     language: Annotated[
         str, typer.Option(help="en, de, or a language file of your own (FILE.toml).")
     ] = "en",
@@ -27,9 +27,9 @@ def report(
     """Build report.html and report.pdf again from the results on disk.
 
     Example: verify report multi_joint_fault_6r-report --language de --logo lab.svg
-    """  # fmt: skip
+    """
     import reports
-    from verify.errors import InputError
+    from verify.errors import InputError, one_line
     from verify.results_folder import read_results
     from verify.writing import write_whole
 
@@ -38,10 +38,13 @@ def report(
         look = reports.look(language=language, logo=logo, owner=owner, templates=template)
         page = reports.render_html(results, look).encode()
         pages = reports.render_pdf(results, look)
+        english = [] if language == "en" else reports.untranslated(results, look)
     except reports.ReportError as problem:
         raise InputError(
             problem.place, problem.found, problem.expected, problem.remedy
         ) from problem
+    for text in english:
+        terminal.detail(f"stays English: {one_line(text)}")
     name = "fleet" if results.summary.get("kind") == "fleet" else "report"
     write_whole(out / f"{name}.html", page)
     write_whole(out / f"{name}.pdf", pages)

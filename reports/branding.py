@@ -1,0 +1,178 @@
+"""What a report shows of those who give it: language, logo, owner, templates of their own."""
+
+import base64
+import io
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import matplotlib.image
+
+from reports.errors import ReportError, one_line
+from reports.language import ENGLISH, Language
+
+MOST_BYTES = 2_000_000  # a page carries its logo along as text
+MOST_PX = 4_000  # a side: 45 mm at more than 2000 dpi
+WIDEST_MM, HIGHEST_MM = 45.0, 16.0  # a quarter of the text's width, three lines high
+FLATTEST = 20.0  # ratio of the sides; a logo beyond it would be a line
+OWNER_LENGTH = 80  # letters, what fits beside a logo
+PNG = b"\x89PNG\r\n\x1a\n"
+SVG_NAME = "{http://www.w3.org/2000/svg}svg"
+RUNS = {"script", "foreignObject", "iframe", "handler", "listener", "audio", "video"}
+NUMBER = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(px|pt|pc|mm|cm|in|em)?\s*")
+TEMPLATES = ("report.html.j2", "report.css", "report.typ")
+
+
+@dataclass(frozen=True, slots=True)
+class Logo:
+    """A picture for the top of a report, and how large it stands there."""
+
+    content: bytes  # a PNG or an SVG
+    is_svg: bool
+    width_mm: float
+    height_mm: float
+
+    @property
+    def address(self) -> str:
+        """Give it as an address that holds the picture itself."""
+        kind = "svg+xml" if self.is_svg else "png"
+        return f"data:image/{kind};base64,{base64.b64encode(self.content).decode()}"
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How a report looks, apart from what it says; that of one without any wish is the usual one.
+
+    Args:
+        language: what it is given in.
+        logo: stands at its top.
+        owner: a line at its top: whose report it is.
+        templates: a folder with report.html.j2, report.css or report.typ of the user's own.
+    """
+
+    language: Language = ENGLISH
+    logo: Logo | None = None
+    owner: str = ""
+    templates: Path | None = None
+
+
+PLAIN = Look()
+
+
+def owner(text: str) -> str:
+    """Take the line that names whose report it is.
+
+    Raises:
+        ReportError: it is empty, has more than one line or is too long.
+    """
+    if not text.strip() or len(text) > OWNER_LENGTH or one_line(text) != text:
+        raise ReportError(
+            "--owner", f"is {one_line(text)[:OWNER_LENGTH]!r}",
+            f"one line of at most {OWNER_LENGTH} letters is expected", "Shorten it.",
+        )  # fmt: skip
+    return text
+
+
+def templates(folder: Path) -> Path:
+    """Check that a folder holds a template.
+
+    Raises:
+        ReportError: it holds none.
+    """
+    if not any((folder / name).is_file() for name in TEMPLATES):
+        found = "holds none of them" if folder.is_dir() else "is no folder"
+        raise ReportError(
+            folder, found, f"a folder with {', '.join(TEMPLATES)}, or one of them, is expected",
+            "docs/reports.md says how to write one.",
+        )  # fmt: skip
+    return folder
+
+
+def logo(path: Path) -> Logo:
+    """Read a logo and see that it is a picture and nothing else.
+
+    Raises:
+        ReportError: it cannot be read; is neither PNG nor SVG, or a damaged one; is too large; or
+            is an SVG that runs or fetches something.
+    """
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise _unfit(path, f"has {path.stat().st_size / 1e6:.1f} MB", "at most 2 MB")
+        content = path.read_bytes()
+    except OSError as problem:
+        raise _unfit(path, f"cannot be read ({problem.strerror})", "a PNG or SVG") from None
+    if content.startswith(PNG):
+        return _placed(path, content, *_png_size(path, content), is_svg=False)
+    if b"<svg" in content[:4096] or b":svg" in content[:4096]:
+        return _placed(path, content, *_svg_size(path, content), is_svg=True)
+    raise _unfit(path, "is neither", "a PNG or SVG")
+
+
+def _placed(path: Path, content: bytes, width: float, height: float, *, is_svg: bool) -> Logo:
+    """Fit a picture into the room for a logo."""
+    ratio = width / height if height > 0 else 0.0
+    if not 1 / FLATTEST <= ratio <= FLATTEST:
+        raise _unfit(path, f"is {width:g} x {height:g}", f"sides of at most {FLATTEST:g} to 1")
+    shown = min(WIDEST_MM, HIGHEST_MM * ratio)
+    return Logo(content, is_svg, round(shown, 2), round(shown / ratio, 2))
+
+
+def _png_size(path: Path, content: bytes) -> tuple[float, float]:
+    if len(content) < 24:
+        raise _unfit(path, "is a damaged PNG", "a whole one")
+    width, height = struct.unpack(">II", content[16:24])  # IHDR, the first chunk of every PNG
+    if max(width, height) > MOST_PX:  # asked before anybody unpacks it
+        raise _unfit(path, f"has {width} x {height} px", f"at most {MOST_PX} a side")
+    try:
+        matplotlib.image.imread(io.BytesIO(content), format="png")
+    except (OSError, SyntaxError, ValueError, EOFError):
+        raise _unfit(path, "is a damaged PNG", "a whole one") from None
+    return width, height
+
+
+def _svg_size(path: Path, content: bytes) -> tuple[float, float]:
+    """Look an SVG through for what is no picture, and give its width and height."""
+    if b"<!ENTITY" in content:  # a few can unfold to gigabytes
+        raise _unfit(path, "defines entities", "a plain SVG")
+    try:
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ValueError, LookupError):
+        raise _unfit(path, "is a damaged SVG", "a whole one") from None
+    if root.tag != SVG_NAME:
+        raise _unfit(path, "is XML but no SVG", "a PNG or SVG")
+    for element in root.iter():
+        _look_through(path, element)
+    box = [float(part) for part in re.findall(r"[-+.\deE]+", root.get("viewBox", "")) if _is(part)]
+    if len(box) == 4:
+        return box[2], box[3]
+    sides = [NUMBER.fullmatch(root.get(name, "")) for name in ("width", "height")]
+    if sides[0] is None or sides[1] is None:
+        raise _unfit(path, "has no viewBox and no width and height", "an SVG that has")
+    return float(sides[0][1]), float(sides[1][1])
+
+
+def _look_through(path: Path, element: ElementTree.Element) -> None:
+    name = str(element.tag).rpartition("}")[2]
+    if name in RUNS:
+        raise _unfit(path, f"holds a <{name}>", "a plain SVG")
+    texts = [element.text or ""] if name == "style" else []
+    for key, value in element.attrib.items():
+        plain = key.rpartition("}")[2]
+        if plain.lower().startswith("on"):
+            raise _unfit(path, f"runs something ({plain})", "a plain SVG")
+        if plain == "href" and not re.match(r"#|data:image/(png|jpeg);", value.strip()):
+            raise _unfit(path, f'fetches "{value[:40]}"', "a plain SVG with all it shows in it")
+        texts.append(value)
+    for text in texts:
+        if re.search(r"url\(\s*['\"]?(?!\s*['\"]?#)|@import", text, re.IGNORECASE):
+            raise _unfit(path, "fetches something by its style", "a plain SVG")
+
+
+def _is(text: str) -> bool:
+    return NUMBER.fullmatch(text.lstrip("+-")) is not None
+
+
+def _unfit(path: Path, found: str, expected: str) -> ReportError:
+    return ReportError(path, found, f"expected: {expected}", "Give another file as --logo.")
