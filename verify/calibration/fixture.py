@@ -33,7 +33,7 @@ FALSE_ALARM = 1e-3  # of pairs being said to disagree where noise alone is at wo
 # of the corners' residuals, from which their scatter is known to 7 % and counts as it is: never
 # letting it fall below 1 overstates the base's covariance by 4 % where corners keep their word
 ENOUGH_DEGREES = 100
-MOST_BENT = 0.5  # of chi² is left to the corners at least, however poor the rig is said to be
+LEAST_NOISE = 0.25  # times what is stated: pictures without any noise would agree with nothing
 MOST_LEFT_OUT = 0.25  # of the pairs; more that disagree, and it is not known which are right
 
 
@@ -166,36 +166,37 @@ def _cameras_only(given: Covariance | None) -> Covariance | None:
 def _noise(seen: list[Measurement], parameters: Systematics, rig: Rig, marker: Marker) -> float:
     """By what factor corners scatter about their poses more, or less, than they state.
 
-    What the rig's own errors bend the pattern by is no scatter of corners, and stands in the
-    result already: its expectation is taken off first. Where few corners tell, the factor may
-    come out small by chance, and is then taken as 1 at least.
+    What the rig's own stated errors bend the pattern by is no scatter of corners, and stands in
+    the result already. Where few corners tell, the factor may come out small by chance, and is
+    then taken as 1 at least.
     """
-    chi2_sum = sum(m.pose.chi2 for m in seen if m.pose)
+    chi2_sum = sum(_beside_rig(m, m.pose, parameters, rig, marker) for m in seen if m.pose)
     degrees = sum(m.pose.degrees_of_freedom for m in seen if m.pose)
-    bent = sum(_bent(m, m.pose, parameters, rig, marker) for m in seen if m.pose)
-    left = max(chi2_sum - bent, MOST_BENT * chi2_sum)
-    factor = float(np.sqrt(left / degrees))
-    return factor if degrees >= ENOUGH_DEGREES else max(1.0, factor)
+    factor = float(np.sqrt(chi2_sum / degrees))
+    return max(factor, LEAST_NOISE if degrees >= ENOUGH_DEGREES else 1.0)
 
 
-def _bent(
+def _beside_rig(
     seen: Measurement, pose: Pose, parameters: Systematics, rig: Rig, marker: Marker
 ) -> float:
-    """What the rig's stated errors add to a pose's chi² on average: their part that no pose takes.
+    """chi² of a pose's residuals r with the rig's errors fitted beside it, each within its doubt.
 
-    With columns S of unit variance, weights W, and K = C J' W the pose's gain, that is the trace of
-    S' W S - (K S)' C^-1 (K S).
+    With columns S of unit variance, weights W, and the pose's gain K = C J' W, M = W - K' C^-1 K
+    is what the pose leaves of the weights, and r' W r - r' W S (1 + S' M S)^-1 S' W r the chi².
     """
     left, right = seen.left, seen.right
     if left is None or right is None:
-        return 0.0
+        return pose.chi2
     moved = spot_columns(parameters, left, right, pose.rig_T_flange, pose.sensitivity, rig, marker)
     stated_noise = np.concatenate([left.covariance, right.covariance])
     weight = np.linalg.inv(stated_noise) * (~pose.rejected)[:, None, None]
     by_spot = moved.reshape(len(weight), 2, -1)
+    weighted = np.einsum("sij,sjp->sip", weight, by_spot).reshape(len(moved), -1)
     taken = pose.gain @ moved
-    whole = float(np.einsum("sip,sij,sjp->", by_spot, weight, by_spot))
-    return whole - float(np.sum(taken * np.linalg.solve(pose.covariance_pixels, taken)))
+    free = moved.T @ weighted - taken.T @ np.linalg.solve(pose.covariance_pixels, taken)
+    along = weighted.T @ pose.residual.reshape(-1)
+    explained = along @ np.linalg.solve(np.eye(len(free)) + free, along)
+    return pose.chi2 - float(explained)
 
 
 def _agreeing(

@@ -94,7 +94,7 @@ def test_without_noise_the_base_is_where_it_is() -> None:
     found = register_fixture(rig, pairs, BOARD, base_T_board, np.zeros((6, 6)))
     assert_allclose(found.rig.rig_T_base, base, atol=1e-9)
     assert found.residual_rms_px < 1e-6
-    assert found.noise == 1.0
+    assert found.noise == 0.25  # no less is believed
 
 
 def test_one_camera_alone_places_the_board() -> None:

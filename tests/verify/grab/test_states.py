@@ -98,7 +98,7 @@ def test_no_way_leads_into_motion_but_out_of_motion_or_with_the_right() -> None:
             assert way.source in MOVING | {State.CHECKING} or Need.EXECUTE in way.needs
 
 
-@pytest.mark.parametrize("state", [*HOLDING, *SAFE], ids=str)
+@pytest.mark.parametrize("state", sorted({*HOLDING, *SAFE}), ids=str)
 def test_a_state_that_holds_orders_no_motion(state: State) -> None:
     assert ORDERS[state] in {Order.HOLD, Order.NONE}
     assert state not in MOVING
