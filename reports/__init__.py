@@ -8,7 +8,7 @@ registration.
 from collections.abc import Callable
 from pathlib import Path
 
-from reports import branding, calibration, fleet, html, outline, pdf, registration
+from reports import branding, calibration, fleet, grab, html, outline, pdf, registration
 from reports.blocks import Document
 from reports.branding import PLAIN, Look
 from reports.errors import ReportError
@@ -32,6 +32,7 @@ OUTLINES: dict[str, Callable[[Results], Document]] = {
     "calibration": calibration.document,
     "registration": registration.document,
     "fleet": fleet.document,
+    "grab": grab.document,
 }
 
 

@@ -31,6 +31,7 @@ COMMANDS = {  # what wrote a results folder, by the kind and the method in its s
     ("registration", "motion"): "`verify calibrate register` on the session",
     ("registration", "fixture"): "`verify calibrate register` on the pictures",
     ("registration", "sweeps"): "`verify calibrate register` on the session",
+    ("grab", None): "`verify grab`",
 }
 NAME = re.compile(
     r"[a-z0-9_]+"

@@ -1,0 +1,219 @@
+"""What the report of a grab says, in which order.
+
+The summary's keys, units in their names; what is not known is null:
+
+    kind                  "grab"
+    tool                  name, version
+    robot, cell, target   in words
+    execute               whether anything was allowed to move
+    state, reason         the named state that it ended in, and why
+    released              the controls were given back
+    seen_from_grip_mm     at the end, by the cameras; null where they did not see it then
+    plan                  branch, score and its parts, q_above_deg, q_grip_deg, grip_mm, duration_s,
+                          margin (across_mm, across_needed_mm, along_mm, along_needed_mm,
+                          raised_mm), rejected (branch, reason); null without a plan
+    refusal               kind, reason, rejected; null where none was refused
+
+Tables: cycles (t_s, state, status, quality, target_ and grip_ x/y/z_mm, u_x/y/z_mm, left_ and
+right_ x/y/width/height_px, q1_deg …, q1_ordered_deg …, gripper, opening_mm), passages (t_s,
+from_state, event, to_state, reason), plan (t_s, part, q1_deg …, grip_x/y/z_mm).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from reports import grab_figures as figures
+from reports.blocks import (
+    Block,
+    Bullets,
+    Document,
+    Facts,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    Verdict,
+    drawn_or_said,
+    numbered,
+    row,
+)
+from reports.formatting import DASH, count, number, word
+from reports.results import Results
+from reports.series import column, texts
+
+STAGES = ("idle", "following", "approaching", "closing", "lifting", "lifted", "missed")
+ENDED = {  # by the state: tone, label
+    "lifted": ("conform", "Grasped and lifted"),
+    "missed": ("nonconform", "Missed: nothing was held"),
+    "fault": ("nonconform", "Stopped by a fault"),
+    "holding-stale": ("undecided", "Held: pictures or joint angles were too old"),
+    "holding-lost": ("undecided", "Held: the target was out of sight"),
+    "holding-unreachable": ("undecided", "Held: no safe way led to the target"),
+    "holding-operator": ("undecided", "Held by the operator"),
+}
+
+
+def document(results: Results) -> Document:
+    """Lay out the whole report."""
+    summary = results.summary
+    tool = summary.get("tool") or {}
+    sections = (_outcome, _states, _track, _camshift, _joints, _margins, _plan)
+    return numbered(
+        Document(
+            title=f"Grab with {word(summary.get('robot'))}",
+            subtitle=f"{word(summary.get('target'))}, {word(summary.get('cell'))} cell",
+            footer=f"{tool.get('name') or 'verify'} {tool.get('version') or DASH} · grab",
+            sections=tuple(section(results) for section in sections),
+        )
+    )
+
+
+def outcome(summary: dict[str, Any]) -> Verdict:
+    """Say how it ended, in a label and a sentence."""
+    state, reason = str(summary.get("state")), word(summary.get("reason"))
+    plan, refusal = summary.get("plan"), summary.get("refusal") or {}
+    if not summary.get("execute") and plan:
+        duration = number(plan.get("duration_s"), 1)
+        return Verdict("none", "Planned; nothing was moved", f"{plan['branch']}, {duration} s.")
+    if refusal:
+        return Verdict("undecided", "Refused", f"{refusal['reason']}.")
+    if state == "searching":
+        sentence = (
+            "Nothing of the target's colours was seen by both cameras, or more than one thing."
+        )
+        return Verdict("undecided", "The target was not found", sentence)
+    if state not in ENDED:
+        return Verdict("undecided", f"Ended while {state}", "Its time was over, or it was ended.")
+    tone, label = ENDED[state]
+    return Verdict(tone, label, f"{reason[:1].upper()}{reason[1:]}.")
+
+
+def _outcome(results: Results) -> Section:
+    summary = results.summary
+    table = results.table("cycles")
+    t, took = column(table, "t_s"), column(table, "took_ms")
+    items = [
+        ("State at the end", word(summary.get("state"))),
+        ("Controls given back", "yes" if summary.get("released") else "no"),
+        ("Allowed to move", "yes" if summary.get("execute") else "no"),
+        ("Length", f"{number(float(np.ptp(t)) if len(t) else None, 1)} s"),
+        ("Cycles", count(summary.get("cycles"))),
+        ("Work a cycle, median", f"{number(float(np.median(took)) if len(t) else None, 1)} ms"),
+        ("Object from the grip point, seen", f"{number(summary.get('seen_from_grip_mm'), 1)} mm"),
+        ("Film", word(summary.get("film"))),
+        ("Recorded session", word(summary.get("session"))),
+    ]
+    blocks: list[Block] = [outcome(summary), Facts(tuple(items))]
+    if summary.get("warnings"):
+        blocks.append(Bullets(tuple(summary["warnings"]), "warning"))
+    picture = results.images.get("pictures")
+    shown = Figure(
+        "pictures", "Both cameras, left and right: what was searched (box) and seen (ellipse).",
+        "Pictures of both cameras in the main states", picture,
+    )  # fmt: skip
+    blocks.append(drawn_or_said(shown, picture, "There are no pictures."))
+    return Section("outcome", "Outcome", tuple(blocks))
+
+
+def _states(results: Results) -> Section:
+    chart = figures.states(results)
+    figure = Figure("states", "The states over time.", "A bar for each state's time")
+    table = results.table("passages")
+    rows = tuple(
+        row(number(t, 2), a, b, event, because)
+        for t, a, b, event, because in zip(
+            column(table, "t_s"), texts(table, "from_state"), texts(table, "to_state"),
+            texts(table, "event"), texts(table, "reason"), strict=True,
+        )
+    )  # fmt: skip
+    head = ("t [s]", "from", "to", "event", "because")
+    blocks = (
+        drawn_or_said(figure, chart, "It was too short to draw."),
+        Table("Every passage from one state to another.", "rllll", head, rows, wide=(4,)),
+    )
+    return Section("states", "States over time", blocks)
+
+
+def _track(results: Results) -> Section:
+    figure = Figure(
+        "track", "The target's track and the grip point's way, in the robot's base.",
+        "Lines in space: target and grip point",
+    )  # fmt: skip
+    drawing = figures.track(results)
+    said = "The target was not seen by both cameras."
+    return Section("track", "Track", (drawn_or_said(figure, drawing, said),))
+
+
+def _camshift(results: Results) -> Section:
+    figure = Figure(
+        "camshift", "CAMSHIFT in both pictures: centre and size of the target's box, quality.",
+        "Strips over time: centre, size, quality",
+    )  # fmt: skip
+    drawing = figures.windows(results)
+    said = "CAMSHIFT saw nothing of the target's colours."
+    return Section("camshift", "CAMSHIFT over time", (drawn_or_said(figure, drawing, said),))
+
+
+def _joints(results: Results) -> Section:
+    figure = Figure("joints", "Joint angles, read and ordered.", "Six strips of joint angles")
+    blocks: list[Block] = [
+        drawn_or_said(figure, figures.joints(results), "No joint angles were read.")
+    ]
+    table = results.table("cycles")
+    names, t = texts(table, "state"), column(table, "t_s")
+    rows = []
+    for stage in STAGES:
+        if stage in names:
+            first = names.index(stage)
+            angles = [column(table, f"q{n}_deg")[first] for n in range(1, figures.JOINTS + 1)]
+            rows.append(row(stage, number(t[first], 2), *(number(q, 2) for q in angles)))
+    head = ("beginning of", "t [s]", *(f"joint {n} [°]" for n in range(1, figures.JOINTS + 1)))
+    caption = "Joint angles, read, at the beginning of each stage."
+    blocks.append(Table(caption, "l" + "r" * (figures.JOINTS + 1), head, tuple(rows)))
+    return Section("joints", "Joint angles", tuple(blocks))
+
+
+def _margins(results: Results) -> Section:
+    plan = results.summary.get("plan")
+    figure = Figure(
+        "margins", "Standard uncertainty of the target's place in the base, and what the gripper "
+        "leaves of expanded uncertainty. From the descent on, the hand hides part of the target.",
+        "Three lines over time, and what the gripper leaves",
+    )  # fmt: skip
+    drawing = figures.margins(results)
+    blocks: list[Block] = [drawn_or_said(figure, drawing, "The target's place was never known.")]
+    if plan:
+        margin = plan["margin"]
+        rows = tuple(
+            row(what, number(margin[f"{key}_mm"], 1), number(margin[f"{key}_needed_mm"], 1))
+            for what, key in (("sideways", "across"), ("along the approach", "along"))
+        )
+        head = ("direction", "gripper leaves [mm]", "needed [mm]")
+        blocks.append(Table("Margins of the planned grasp.", "lrr", head, rows))
+        raised = number(margin["raised_mm"], 1)
+        blocks.append(
+            Paragraph(f"Gripped {raised} mm above its middle, so the tips stay off the table.")
+        )
+    return Section("margins", "Margins", tuple(blocks))
+
+
+def _plan(results: Results) -> Section:
+    plan, refusal = results.summary.get("plan"), results.summary.get("refusal")
+    blocks: list[Block] = []
+    figure = Figure("planned", "Joint angles as planned.", "Six strips of planned joint angles")
+    said = "There is no plan."
+    if refusal:
+        said = f"Refused ({refusal['kind']}): {refusal['reason']}."
+    blocks.append(drawn_or_said(figure, figures.planned(results), said))
+    chosen = plan or refusal or {}
+    rows = [row(entry["branch"], entry["reason"]) for entry in chosen.get("rejected") or []]
+    if plan:
+        parts = ", ".join(f"{key} {number(value, 2)}" for key, value in plan["parts"].items())
+        taken = f"taken: score {number(plan['score'], 3)} ({parts})"
+        rows.insert(0, row(plan["branch"], taken))
+    if rows:
+        head = ("branch", "why")
+        table = Table("The arm's postures.", "ll", head, tuple(rows), wide=(1,))
+        blocks.append(table)
+    return Section("plan", "Plan", tuple(blocks))

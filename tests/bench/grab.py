@@ -1,0 +1,158 @@
+"""Simulated grasps: successes, false successes, limits, grip error;
+python -m tests.bench.grab [N] [--full] [--figure FILE.svg].
+
+Cells are drawn at random: where the cap stands or slides to, other caps, light, noise, an arm that
+is not quite where it was registered. A success is a cap in the hand, as the world knows it; a false
+one is a grab that ended in `lifted` without it. Then the paper's experiment: a cap on marks 4 cm
+apart, distances measured against actual ones, and drawn where a file for it is named.
+"""
+
+import sys
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from reports.charts import Band, Chart, Line, Panel, Points
+from reports.drawing import svg
+from verify.grab.motion_port import ExecuteRight
+from verify.grab.run import Ends, run
+from verify.grab.states import State
+from verify.grab.workspace import RESOLUTION
+from verify.records import Array
+from verify.sim.cell_grab import cell_grab
+from verify.sim.cell_scene import Cap, Scene, drawn_scene
+from verify.sim.cell_setup import FULL, SMALL, CellSetup, cell_setup
+
+ENDS = Ends(duration=40.0, patience=5.0)
+ROUNDING = 1e-6  # of a limit
+PAIRS = 15  # at each mark: half a second
+SPACING = 0.04  # m
+
+
+@dataclass(frozen=True)
+class Grasp:
+    seed: int
+    state: State
+    reason: str
+    held: bool  # the target is in the hand, as the world knows it
+    error: float  # m, of the grip point from where it was to be, across the approach; nan: no grip
+    height_error: float  # m, along it
+    speed: float  # greatest share of a joint's limit
+    acceleration: float
+    outside: float  # m
+    seconds: float
+    works: Array  # s of each cycle
+
+
+def grasp(setup: CellSetup, seed: int) -> Grasp:
+    made = cell_grab(setup, drawn_scene(seed), right=ExecuteRight("bench"), auto=True)
+    works: list[float] = []
+    ended = run(made.loop, made.source, ENDS, lambda cycle: works.append(cycle.took))
+    world, plan = made.world, made.loop.aim.plan
+    off = np.full(3, np.nan)
+    if world.closed_on is not None and world.closed_at is not None and plan is not None:
+        off = world.closed_on - world.closed_at - [0.0, 0.0, plan.margin.raised]
+    return Grasp(
+        seed, ended.state, ended.reason,
+        world.held is not None and world.held[0] == 0,
+        float(np.hypot(off[0], off[1])), float(off[2]),
+        world.watch.speed, world.watch.acceleration, world.watch.outside, world.t, np.array(works),
+    )  # fmt: skip
+
+
+def distances(setup: CellSetup, rows: int = 3, columns: int = 5) -> Array:
+    """Measured and actual distance and its standard uncertainty between all marks, (k, 3), m."""
+    marks, places, spreads = [], [], []
+    for row in range(rows):
+        for column in range(columns):
+            mark = (0.40 + SPACING * row, SPACING * (column - (columns - 1) / 2))
+            made = cell_grab(setup, Scene((Cap("blue", mark),), seed=row * columns + column))
+            for _ in range(PAIRS):
+                made.loop.cycle(made.source.pair())
+                made.source.wait()
+            known = made.loop.aim.known
+            assert known is not None
+            marks.append(mark)
+            places.append(known.thing.position)
+            spreads.append(known.thing.covariance)
+    base = np.array([0.3e-3, 0.3e-3, 0.3e-3]) ** 2  # where the robot stands: the same for all
+    found = []
+    for i, j in combinations(range(len(marks)), 2):
+        apart = places[i] - places[j]
+        length = float(np.linalg.norm(apart))
+        along = apart / length
+        spread = spreads[i] + spreads[j] - 2 * np.diag(base)
+        actual = float(np.hypot(*(np.array(marks[i]) - marks[j])))
+        found.append((length, actual, float(np.sqrt(along @ spread @ along))))
+    return np.array(found)
+
+
+def figure(found: Array) -> bytes:
+    """Measured against actual distance, and the error with its expanded uncertainty, as SVG."""
+    order = np.argsort(found[:, 1])
+    measured, actual, u = 1e3 * found[order].T
+    ends = (0.0, float(actual.max()) * 1.1)
+    error = measured - actual
+    spread = actual + np.linspace(-3.0, 3.0, len(actual))  # mm: equal distances side by side
+    even = Line(np.array(ends), np.array(ends), "encoder", "measured = actual")
+    first = Panel(
+        (even, Points(actual, measured, "measured", "a pair of marks", 2.0)),
+        "measured [mm]", x_range=ends, y_range=ends,
+    )  # fmt: skip
+    bars = [Band(np.array([x]), np.array([e - 2 * s]), np.array([e + 2 * s]), "error_band")
+            for x, e, s in zip(spread, error, u, strict=True)]  # fmt: skip
+    second = Panel(
+        (*bars, Points(spread, error, "measured", "", 2.0)),
+        "error, ± 2 u [mm]", "actual distance [mm]", x_range=ends,
+    )  # fmt: skip
+    return svg(Chart((first, second), row_height=2.0, width=0.8))
+
+
+def main() -> None:
+    words = sys.argv[1:]
+    place = Path(words.pop(words.index("--figure") + 1)) if "--figure" in words else None
+    count = next((int(word) for word in words if word.isdigit()), 100)
+    size = FULL if "--full" in words else SMALL
+    setup = cell_setup(size)
+    grasps = []
+    for seed in range(count):
+        done = grasp(setup, seed)
+        grasps.append(done)
+        if not done.held or done.state is not State.LIFTED:
+            print(f"  seed {seed}: {done.state.value}, {done.reason}; held: {done.held}")
+    lifted = [g for g in grasps if g.state is State.LIFTED]
+    errors = np.array([g.error for g in grasps if np.isfinite(g.error)]) * 1e3
+    heights = np.array([g.height_error for g in grasps if np.isfinite(g.error)]) * 1e3
+    print(f"pictures of {size[0]} x {size[1]}, {count} cells")
+    print(f"lifted with the cap in the hand: {sum(g.held for g in lifted)} of {count}")
+    print(f"false successes: {sum(not g.held for g in lifted)}")
+    over = [
+        g for g in grasps
+        if max(g.speed, g.acceleration) > 1 + ROUNDING or g.outside > RESOLUTION
+    ]  # fmt: skip
+    print(f"beyond a limit or the box: {[g.seed for g in over] or 'none'}")
+    speed, hard = max(g.speed for g in grasps), max(g.acceleration for g in grasps)
+    print(f"greatest share of a joint's speed limit {speed:.3f}, of its acceleration {hard:.3f}")
+    if len(errors):
+        rms = np.sqrt(np.mean(errors**2))
+        print(f"grip error across: rms {rms:.2f} mm, worst {errors.max():.2f} mm")
+        print(f"grip error along: worst {np.abs(heights).max():.2f} mm")
+    works = 1e3 * np.concatenate([g.works for g in grasps])
+    told = np.percentile(works, [50, 95, 100])
+    print("work a cycle: median {:.1f} ms, 95 % {:.1f} ms, worst {:.1f} ms".format(*told))
+    print(f"time to the end: median {np.median([g.seconds for g in grasps]):.1f} s")
+    found = distances(setup)
+    if place is not None:
+        place.write_bytes(figure(found))
+    found *= 1e3
+    off = found[:, 0] - found[:, 1]
+    print(f"distances between marks 40 mm apart: {len(found)}, {found[:, 1].min():.0f} mm to "
+          f"{found[:, 1].max():.0f} mm")  # fmt: skip
+    print(f"error: rms {np.sqrt(np.mean(off**2)):.2f} mm, worst {np.abs(off).max():.2f} mm; stated "
+          f"{np.sqrt(np.mean(found[:, 2] ** 2)):.2f} mm")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,218 @@
+"""Grabs in the simulated cell from start to a named end; the world says what really happened."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from verify.grab.loop_record import Cycle
+from verify.grab.motion_port import ExecuteRight
+from verify.grab.run import Ends, Outcome, run
+from verify.grab.states import Event, State
+from verify.grab.workspace import RESOLUTION
+from verify.sim.cell_grab import CellGrab, cell_grab
+from verify.sim.cell_scene import Cap, Happening, Scene, drawn_scene
+from verify.sim.cell_setup import SMALL, cell_setup
+
+ENDS = Ends(duration=20.0, patience=1.0)
+STANDS = Scene((Cap("blue", (0.47, 0.03)), Cap("green", (0.47, -0.12))), seed=1)
+
+
+def made(
+    scene: Scene, *, execute: bool = True, auto: bool = True, stepped: bool = False
+) -> CellGrab:
+    right = ExecuteRight("test") if execute else None
+    return cell_grab(cell_setup(SMALL), scene, right=right, auto=auto, stepped=stepped)
+
+
+def grabbed(
+    scene: Scene,
+    *happenings: Happening,
+    orders: dict[State, Event] | None = None,
+    stepped: bool = False,
+) -> tuple[CellGrab, Outcome, list[Cycle]]:
+    """Run to the end; each order is given once, ten cycles into its state."""
+    grab = made(replace(scene, happenings=happenings), stepped=stepped)
+    seen: list[Cycle] = []
+    waiting = dict(orders or {})
+
+    def given() -> Sequence[Event]:
+        state = grab.loop.machine.state
+        long = len(seen) > 10 and all(cycle.state is state for cycle in seen[-10:])
+        return [waiting.pop(state)] if long and state in waiting else []
+
+    return grab, run(grab.loop, grab.source, ENDS, seen.append, given), seen
+
+
+def kept_limits(grab: CellGrab) -> bool:
+    watch = grab.world.watch
+    return max(watch.speed, watch.acceleration) < 1 + 1e-6 and watch.outside < RESOLUTION
+
+
+def rests(seen: list[Cycle]) -> bool:
+    last = [cycle.q for cycle in seen[-5:] if cycle.q is not None]
+    return bool(np.abs(np.diff(last, axis=0)).max() < 1e-3)
+
+
+def test_a_cap_is_tracked_gripped_within_3_mm_and_lifted() -> None:
+    grab, ended, _ = grabbed(STANDS)
+    world, plan = grab.world, grab.loop.aim.plan
+    assert ended.state is State.LIFTED
+    assert ended.released
+    assert world.held is not None
+    assert world.held[0] == 0
+    assert world.closed_on is not None
+    assert world.closed_at is not None
+    assert plan is not None
+    off = world.closed_on - world.closed_at - [0, 0, plan.margin.raised]
+    assert np.linalg.norm(off) < 3e-3
+    height = world.cap(0, world.t)
+    assert height is not None
+    assert height[2, 3] > 0.1
+    assert kept_limits(grab)
+    assert [p.target for p in ended.passages] == [
+        State.SEARCHING, State.TRACKING, State.FOLLOWING, State.APPROACHING, State.CLOSING,
+        State.CHECKING, State.LIFTING, State.LIFTED, State.RELEASING, State.RELEASED,
+    ]  # fmt: skip
+
+
+def test_one_move_at_a_time_does_it_too() -> None:
+    grab, ended, _ = grabbed(STANDS, stepped=True)
+    assert ended.state is State.LIFTED
+    assert grab.world.held is not None
+    assert kept_limits(grab)
+
+
+def test_a_cap_that_slides_is_followed_and_grasped_where_it_stops() -> None:
+    slides = Cap("blue", (0.46, -0.06), (0.02, 0.06), 2.0)
+    grab, ended, _ = grabbed(Scene((slides,), seed=2))
+    assert ended.state is State.LIFTED
+    assert grab.world.held is not None
+    assert kept_limits(grab)
+
+
+def test_nothing_moves_without_the_right() -> None:
+    grab = made(STANDS, execute=False, auto=False)
+    home = grab.world.arm.q(0.0)
+    ended = run(grab.loop, grab.source, ENDS, lambda _: None)
+    assert ended.state is State.TRACKING
+    assert grab.loop.aim.plan is not None
+    assert np.array_equal(grab.world.arm.q(grab.world.t), home)
+
+
+def test_without_auto_it_waits_for_the_order() -> None:
+    grab = made(STANDS, auto=False)
+    ended = run(grab.loop, grab.source, Ends(3.0, 1.0), lambda _: None)
+    assert ended.state is State.FOLLOWING
+    assert ended.released
+
+
+def test_an_order_that_does_not_count_is_answered_with_what_lacks() -> None:
+    grab = made(STANDS, auto=False)
+    assert "no order" in grab.loop.tell(Event.GRAB)
+
+
+@pytest.mark.parametrize("stepped", [False, True], ids=["stream", "stop and go"])
+def test_a_camera_that_dies_in_mid_approach_holds_the_arm(stepped: bool) -> None:
+    grab, ended, seen = grabbed(STANDS, Happening("camera_gone", near=0.09), stepped=stepped)
+    assert ended.state is State.HOLDING_STALE
+    assert grab.world.held is None
+    assert rests(seen)
+    assert kept_limits(grab)
+
+
+def test_an_alarm_of_the_controller_is_a_fault() -> None:
+    grab, ended, seen = grabbed(STANDS, Happening("alarm", near=0.08))
+    assert ended.state is State.FAULT
+    assert "0930" in ended.reason
+    assert grab.world.held is None
+    assert rests(seen)
+
+
+def test_an_object_taken_at_the_last_moment_is_a_miss_not_a_success() -> None:
+    grab, ended, _ = grabbed(STANDS, Happening("taken", near=0.03))
+    assert ended.state is State.MISSED
+    assert grab.world.grip()[2, 3] > 0.1
+    assert kept_limits(grab)
+
+
+def test_an_object_taken_before_the_approach_is_lost_to_sight() -> None:
+    grab, ended, _ = grabbed(STANDS, Happening("taken", near=0.16))
+    assert ended.state is State.HOLDING_LOST
+    assert kept_limits(grab)
+
+
+def test_a_target_that_is_hidden_a_while_is_grasped_after_it() -> None:
+    hidden = Happening("hidden", at=0.9, lasts=1.6)
+    grab, ended, _ = grabbed(STANDS, hidden)
+    assert State.HOLDING_LOST in [p.target for p in ended.passages]
+    assert ended.state is State.LIFTED
+    assert grab.world.held is not None
+
+
+def test_the_light_may_halve_within_a_second() -> None:
+    _, ended, _ = grabbed(STANDS, Happening("dusk", at=1.0))
+    assert ended.state is State.LIFTED
+
+
+@pytest.mark.parametrize(
+    ("cap", "word"),
+    [
+        (Cap("blue", (0.345, 0.0)), "posture"),
+        (Cap("blue", (0.47, 0.0), radius=0.042, height=0.03), "wide"),
+    ],
+    ids=["out of reach", "too wide"],
+)
+def test_what_cannot_be_grasped_is_refused_with_the_reason(cap: Cap, word: str) -> None:
+    grab, ended, _ = grabbed(Scene((cap,), seed=3))
+    assert ended.state is State.HOLDING_UNREACHABLE
+    assert word in ended.reason
+    assert grab.world.held is None
+    assert kept_limits(grab)
+
+
+@pytest.mark.parametrize("stepped", [False, True], ids=["stream", "stop and go"])
+def test_the_operators_hold_stops_a_descent_and_the_hand_goes_up_when_told(stepped: bool) -> None:
+    orders = {State.APPROACHING: Event.HOLD, State.HOLDING_OPERATOR: Event.RETREAT}
+    grab, ended, _ = grabbed(STANDS, orders=orders, stepped=stepped)
+    assert State.HOLDING_OPERATOR in [p.target for p in ended.passages]
+    assert ended.state is State.MISSED
+    assert grab.world.grip()[2, 3] > 0.1
+    assert kept_limits(grab)
+
+
+def test_a_hold_on_the_way_up_keeps_the_grip_and_goes_on_when_told() -> None:
+    orders = {State.LIFTING: Event.HOLD, State.HOLDING_OPERATOR: Event.RESUME}
+    grab, ended, _ = grabbed(STANDS, orders=orders)
+    assert State.HOLDING_OPERATOR in [p.target for p in ended.passages]
+    assert ended.state is State.LIFTED
+    assert grab.world.held is not None
+    assert grab.world.grip()[2, 3] > 0.1
+    assert kept_limits(grab)
+
+
+def test_ctrl_c_in_mid_approach_comes_to_rest_and_gives_the_controls_back() -> None:
+    grab = made(STANDS)
+    near = lambda: bool(grab.loop.machine.state is State.APPROACHING)  # noqa: E731
+    ended = run(grab.loop, grab.source, ENDS, lambda _: None, stop=near)
+    assert ended.stopped
+    assert ended.released
+    assert kept_limits(grab)
+
+
+def test_a_target_that_passes_behind_another_of_its_colour_ends_safely() -> None:
+    passes = Cap("blue", (0.43, -0.10), (0.0, 0.13), 2.4)
+    other = Cap("blue", (0.49, 0.0))
+    scene = Scene((passes, other), seed=4)
+    grab = made(scene)
+    ended = run(grab.loop, grab.source, ENDS, lambda _: None)
+    lifted = ended.state is State.LIFTED
+    assert not lifted or grab.world.held is not None  # no false success
+    assert ended.state in (State.LIFTED, State.HOLDING_LOST, State.SEARCHING, State.MISSED)
+    assert kept_limits(grab)
+
+
+def test_the_same_seed_draws_the_same_cell() -> None:
+    assert drawn_scene(7) == drawn_scene(7)
+    assert drawn_scene(7) != drawn_scene(8)

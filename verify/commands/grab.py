@@ -1,0 +1,97 @@
+"""Track a coloured object with both cameras, and pick it up: `verify grab`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+DID_NOT = 1
+
+
+def grab(
+    station: Annotated[
+        Path | None,
+        typer.Argument(help="A station file: its cameras, and the MELFA controller it names."),
+    ] = None,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="The simulated cell: caps on a table, arm, cameras.")
+    ] = False,
+    target: Annotated[
+        str | None,
+        typer.Option(help="The object's colour: red, orange, yellow, green, cyan, blue, …"),
+    ] = None,
+    roi: Annotated[
+        str | None,
+        typer.Option(help="The object's box in the first left picture: x,y,w,h in pixels."),
+    ] = None,
+    execute: Annotated[
+        bool, typer.Option("--execute", help="Move. Without it the plan is shown and drawn.")
+    ] = False,
+    auto: Annotated[
+        bool, typer.Option("--auto", help="Grab once the object stands still; else on key g.")
+    ] = False,
+    stop_and_go: Annotated[
+        bool,
+        typer.Option("--stop-and-go", help="--sim: one move at a time, as MELFA takes them."),
+    ] = False,
+    duration: Annotated[
+        str, typer.Option("--for", help="The longest it may take: 60s, 10m.")
+    ] = "60s",
+    cell: Annotated[
+        Path | None,
+        typer.Option(help="Station: the cell's grab.toml; default: beside the station file."),
+    ] = None,
+    gripper: Annotated[
+        str | None, typer.Option(help="Station: the gripper's port; needed with --execute.")
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, help="--sim: which cell is drawn: where caps stand, the light.")
+    ] = 0,
+    small: Annotated[
+        bool, typer.Option("--small", help="--sim: pictures of 640 x 360 instead of 1280 x 720.")
+    ] = False,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Where film, session and report go.")
+    ] = Path("grab-report"),
+    force: Annotated[
+        bool, typer.Option("--force", help="Write into a folder that exists.")
+    ] = False,
+) -> int:
+    """Track a coloured object with both cameras, follow it with the arm, and pick it up.
+
+    Nothing moves without --execute: the plan is shown and drawn, or why there is none. With it,
+    keys, each followed by Enter: g grabs, h holds, r resumes, u opens the fingers and goes up, q
+    ends. A station's robot moves only after its name and port were typed.
+    None of this replaces the emergency stop.
+
+    Exit status 0: lifted, or planned where nothing may move; 1: it ended in another state, which is
+    named; 2: could not run.
+
+    Example: verify grab --sim --execute --auto
+    """
+    if sim == (station is not None):
+        raise typer.BadParameter("give a station file, or --sim for the simulated cell")
+    if auto and not execute:
+        raise typer.BadParameter("--auto grabs, which --execute has to allow")
+    if stop_and_go and not execute:
+        raise typer.BadParameter("--stop-and-go moves, which --execute has to allow")
+    if target is not None and roi is not None:
+        raise typer.BadParameter("give --target or --roi, not both")
+    from verify.commands.grabbing import Wish
+
+    wish = Wish(target or "blue", roi, execute, auto, duration)
+    if station is not None:
+        if seed or small or stop_and_go:
+            raise typer.BadParameter("--seed, --small and --stop-and-go are for --sim")
+        from verify.commands.grabbing_station import Ports, grab_on_station
+
+        good = grab_on_station(station, Ports(cell, gripper), wish, out, force=force)
+    else:
+        if cell is not None or gripper is not None:
+            raise typer.BadParameter("--cell and --gripper are for a station")
+        from verify.commands.grabbing_cell import grab_simulated
+
+        good = grab_simulated(
+            wish, out, seed=seed, small=small, stop_and_go=stop_and_go, force=force
+        )
+    return 0 if good else DID_NOT

@@ -1,0 +1,251 @@
+"""`verify grab STATION`: real cameras, a MELFA controller and a gripper as the stage of a grab."""
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from robots.transforms import invert
+from verify import station_file
+from verify.cameras import Camera
+from verify.commands.grabbing import STDIN, Stage, Wish, conduct, in_words
+from verify.devices import EncoderReading
+from verify.devices.intake import AngleMap
+from verify.devices.ports import host_and_port
+from verify.errors import InputError
+from verify.grab import cell_file
+from verify.grab.gripper import GripperDriver
+from verify.grab.gripper_reader import GripperSettings
+from verify.grab.loop import Hands, Loop
+from verify.grab.loop_steps import SteppedArm
+from verify.grab.loop_target import Aim
+from verify.grab.melfa_motion import MelfaMover
+from verify.grab.melfa_motion_settings import MotionSettings, MoveLimits
+from verify.grab.motion_port import ExecuteRight
+from verify.grab.plan import Planner, planner
+from verify.grab.record import Told
+from verify.grab.target import Options
+from verify.grab.target_tracking import Tracker
+from verify.grab.workspace import camera_places
+from verify.live.intake import Pump
+from verify.live.pairing import FramePair, Pairing
+from verify.records import StereoPair
+from verify.results_folder import refuse_existing
+from verify.rig import Rig
+from verify.sim.devices import SimulatedStation
+from verify.station import Station, open_station
+from verify.station_tables import EncodersTable
+from verify.terminal import terminal
+from verify.toml_file import fault
+
+CELL = "grab.toml"  # beside the station file
+HALF_WIDTH = 0.05  # s: within which the controller reads its joints, as far as it tells
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """What moves, as the options name it."""
+
+    cell: Path | None  # grab.toml; None: beside the station file
+    gripper: str | None  # port; needed to move
+
+
+def grab_on_station(path: Path, ports: Ports, wish: Wish, out: Path, *, force: bool) -> bool:
+    """Grab with real devices; see `conduct`.
+
+    Args:
+        path: the station file; its [encoders] name the controller that moves.
+        ports: what else is needed.
+        wish: what is asked for.
+        out: the folder.
+        force: write into a folder that exists.
+
+    Raises:
+        InputError: a file, an option, a device or the folder; or the order was not confirmed.
+    """
+    refuse_existing(out, force=force)
+    target, ends = wish.target, wish.ends
+    station = open_station(path, SimulatedStation)
+    cell_path = ports.cell or path.with_name(CELL)
+    cell, warnings = cell_file.read(cell_path, station.arm.dof)
+    for warning in (*station.warnings, *warnings):
+        terminal.warn(warning)
+    rig = station.rig
+    places = [camera.rig_T_camera(camera.pan) for camera in (rig.left, rig.right)]
+    setup = planner(station.arm, cell, camera_places(invert(rig.rig_T_base), places))
+    tracker = Tracker(rig, target, Options())
+    with ExitStack() as stack:
+        began = time.monotonic()
+
+        def now() -> float:
+            return time.monotonic() - began
+
+        joints, hands = _devices(station, setup, ports, wish, stack, began)
+        left, right = station.open_cameras()
+        source = LivePairs(left, right, rig, station.rate, began)
+        stack.callback(source.close)
+        aim = Aim(setup, rig)
+        loop = Loop(setup, tracker, aim, hands, joints, now, auto=wish.auto)
+        started = datetime.now(UTC)
+        told = Told(station.robot, in_words(target), station.name, wish.execute, started)
+        tables = {"description": f"a grab at {station.name}"}
+        facts = replace(station.facts, tables=tables, turning=False, time_stated=False)
+        stage = Stage(loop, source, setup.workspace, facts, told, station.rate, keys=wish.execute)
+        return conduct(stage, ends, out, force=force)
+
+
+class LivePairs:
+    """The newest pair of two cameras that run freely; fixed bases, as the rig says.
+
+    Args:
+        left: camera; closed with this.
+        right: likewise.
+        rig: where they stand.
+        rate: Hz, of the loop.
+        began: s, host's monotonic clock: zero of the pairs' times.
+    """
+
+    def __init__(self, left: Camera, right: Camera, rig: Rig, rate: float, began: float) -> None:
+        self._rig, self._period, self._began = rig, 1 / rate, began
+        self._pairing, self._lock = Pairing(1 / rate), threading.Lock()
+        self._newest: FramePair | None = None
+        self._cameras = (left, right)
+        self._frame, self._due = 0, time.monotonic()
+        self._pumps = [
+            Pump(name, self._step(side), _defect) for side, name in enumerate(("left", "right"))
+        ]
+        for pump in self._pumps:
+            pump.start()
+
+    def pair(self) -> StereoPair | None:
+        """Take the newest pair; None where none has come since last time."""
+        with self._lock:
+            taken, self._newest = self._newest, None
+        if taken is None:
+            return None
+        self._frame += 1
+        left, right, rig = taken.left, taken.right, self._rig
+        times = (left.t - self._began, right.t - self._began)
+        pans = (rig.left.pan, rig.right.pan)
+        return StereoPair(self._frame - 1, *times, *pans, left.image, right.image)
+
+    def wait(self) -> None:
+        """Wait until the next turn is due."""
+        self._due = max(self._due + self._period, time.monotonic())
+        time.sleep(max(0.0, self._due - time.monotonic()))
+
+    def close(self) -> None:
+        """Let go of the cameras."""
+        for pump in self._pumps:
+            pump.stop()
+        for pump, camera in zip(self._pumps, self._cameras, strict=True):
+            pump.join(1.0)
+            camera.close()
+
+    def _step(self, side: int) -> Callable[[], bool]:
+        def step() -> bool:
+            frame = self._cameras[side].read()
+            if frame is None:
+                return False
+            with self._lock:
+                self._newest = self._pairing.add(side, frame, time.monotonic()) or self._newest
+            return True
+
+        return step
+
+
+def _defect(name: str, error: Exception) -> None:
+    terminal.warn(f"{name} camera: {error}")
+
+
+def _devices(
+    station: Station,
+    setup: Planner,
+    ports: Ports,
+    wish: Wish,
+    stack: ExitStack,
+    began: float,
+) -> tuple[Callable[[], EncoderReading | None], Hands | None]:
+    """Open what reads the joints, and what moves, once that was confirmed."""
+    if not wish.execute:
+        encoders = station.open_encoders()
+        stack.callback(encoders.close)
+
+        def read() -> EncoderReading | None:
+            newest = encoders.read()[-1:]
+            return replace(newest[0], t_host=newest[0].t_host - began) if newest else None
+
+        return read, None
+    table, _ = station_file.read(station.path)
+    settings = _controller(station.path, table.encoders)
+    if ports.gripper is None:
+        expected = "the gripper's port is needed to move"
+        raise InputError("--gripper", "is missing", expected, "Example: --gripper /dev/ttyUSB0")
+    right = confirmed(f"{settings.robot_type} {settings.port}")
+    limits = np.column_stack([setup.limits.lower, setup.limits.upper])
+    angles = _angles(table.encoders, station.arm.dof)
+    override = max(1, round(100 * setup.cell.moving.share))
+    most = MoveLimits(limits, override=override)
+    mover = stack.enter_context(MelfaMover(settings, angles, most, right))
+    gripper = GripperDriver(GripperSettings(ports.gripper), right)
+    stack.callback(gripper.close)
+
+    def joints() -> EncoderReading | None:
+        status = mover.step()
+        if status.q is None or status.t is None:
+            return None
+        return EncoderReading(status.t, status.t - began, HALF_WIDTH, 0, status.q)
+
+    return joints, Hands(SteppedArm(setup, mover), gripper)
+
+
+def confirmed(what: str) -> ExecuteRight:
+    """Have the operator type what will move.
+
+    Args:
+        what: robot and port.
+
+    Raises:
+        InputError: something else was typed.
+    """
+    terminal.say(f"This moves a robot. Is the emergency stop at hand? Type: {what}")
+    typed = _line()
+    if typed != what:
+        raise InputError("confirmation", f'"{typed}" was typed', f'"{what}" is expected')
+    return ExecuteRight(f"--execute, and typed: {typed}")
+
+
+def _line() -> str:
+    """Read one line, and not a byte beyond it: the keys that follow are others' to read."""
+    typed = b""
+    while (byte := os.read(STDIN, 1)) not in (b"", b"\n"):
+        typed += byte
+    return typed.decode(errors="replace").strip()
+
+
+def _controller(path: Path, table: EncodersTable) -> MotionSettings:
+    """Take the controller that [encoders] names."""
+    if table.driver != "melfa":
+        expected = 'only a MELFA controller can be moved: driver = "melfa"'
+        raise fault(path, "encoders.driver", f'is "{table.driver}"', expected)
+    if table.robot_type is None:
+        expected = 'another robot than it names is not moved: robot_type = "RV-3SD"'
+        raise fault(path, "encoders.robot_type", "is missing", expected)
+    port = table.port or ""
+    if not port.startswith("tcp:"):
+        expected = 'the controller is moved over the network: port = "tcp:HOST:10001"'
+        raise fault(path, "encoders.port", f'is "{port}"', expected)
+    host_and_port(port.removeprefix("tcp:"), port)
+    settings = MotionSettings(port, table.robot_type)
+    return settings if table.pause_ms is None else replace(settings, pause=table.pause_ms * 1e-3)
+
+
+def _angles(table: EncodersTable, joints: int) -> AngleMap:
+    sign, offset = table.sign or [1] * joints, table.offset_deg or [0.0] * joints
+    return AngleMap(np.array(sign, dtype=float), np.deg2rad(np.array(offset, dtype=float)))

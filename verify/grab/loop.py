@@ -1,0 +1,289 @@
+"""The control loop: two pictures in, one set point out, as far as the state machine allows."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.devices import EncoderReading
+from verify.grab.loop_arm import DrivenArm
+from verify.grab.loop_record import Cycle
+from verify.grab.loop_target import Aim
+from verify.grab.motion_port import (
+    Gripper,
+    GripperState,
+    GripperStatus,
+    MotionRefusedError,
+    MoverState,
+    MoverStatus,
+)
+from verify.grab.plan import Planner
+from verify.grab.states import Event, Order, State
+from verify.grab.states_machine import Machine
+from verify.grab.states_watch import Observation, Watchdog
+from verify.grab.target import TargetSeen
+from verify.grab.target_tracking import Tracker
+from verify.records import Array, StereoPair
+
+AT_REST = frozenset(
+    {GripperState.REACHED, GripperState.GRIPPED, GripperState.UNSURE, GripperState.LOST}
+)
+AIMS = frozenset({State.TRACKING, State.FOLLOWING, State.HOLDING_UNREACHABLE})
+
+
+@dataclass(frozen=True, slots=True)
+class Hands:
+    """What moves; there is none without the operator's right."""
+
+    arm: DrivenArm
+    gripper: Gripper
+
+
+class Loop:
+    """Tracks, follows, grabs; one `cycle` a pair of pictures.
+
+    Args:
+        setup: arm and cell.
+        tracker: sees the target.
+        aim: what is made of that.
+        hands: arm and gripper; None: nothing may move, the plan is all there is.
+        joints: reads the joint angles; None where there is no reading.
+        clock: s, monotonic; the pictures' times and the devices' are on it too.
+        auto: grab as soon as the target stands still.
+    """
+
+    def __init__(
+        self,
+        setup: Planner,
+        tracker: Tracker,
+        aim: Aim,
+        hands: Hands | None,
+        joints: Callable[[], EncoderReading | None],
+        clock: Callable[[], float],
+        *,
+        auto: bool = False,
+    ) -> None:
+        self._setup, self._tracker, self._hands = setup, tracker, hands
+        self._joints, self._clock = joints, clock
+        self.aim = aim
+        self.machine = Machine(hands is not None, clock)
+        self._watchdog = Watchdog(
+            self.machine, setup.cell.watch, setup.cell.still, auto=auto and hands is not None
+        )
+        self._acted: State | None = None  # in which state `_act` was last
+        self._pictures_t: float | None = None
+        self._tracked_t: float | None = None
+        self._joints_t: float | None = None
+        self._q: Array | None = None
+        self._refused = ""  # what a device refused
+        self._fingers: GripperStatus | None = None
+
+    @property
+    def may_move(self) -> bool:
+        """There are arm and gripper, and the right to move them."""
+        return self._hands is not None
+
+    def start(self) -> None:
+        """Take the arm's controls and make the gripper ready, where they may be used."""
+        if self._hands is not None:
+            self._try(self._hands.arm.take_controls)
+            self._try(self._hands.gripper.activate)
+
+    def tell(self, event: Event) -> str:
+        """Take the operator's order in; says what speaks against it, where something does."""
+        if self.machine.tell(event):
+            return ""
+        lacks = ", ".join(sorted(need.value for need in self.machine.lacks(event)))
+        lacks = lacks or f"it is no order while the state is {self.machine.state.value}"
+        return f"{event.value}: what lacks: {lacks}"
+
+    def cycle(self, pair: StereoPair | None) -> Cycle:
+        """Look, decide, order.
+
+        Args:
+            pair: the newest pictures; None: there are no new ones.
+
+        Raises:
+            InputError: the pictures are grey, or the selected box teaches no colour.
+        """
+        began = time.perf_counter()
+        now = self._clock()
+        seen = self._see(pair)
+        self._read()
+        arm = self._devices(now)
+        self._watchdog.observe(now, self._observed(arm))
+        self._act(now)
+        return Cycle(
+            now,
+            self.machine.state,
+            self.machine.reason,
+            pair,
+            seen,
+            self.aim.known,
+            self._q,
+            None if self._hands is None else self._hands.arm.q,
+            self._fingers,
+            time.perf_counter() - began,
+        )
+
+    def _see(self, pair: StereoPair | None) -> TargetSeen | None:
+        if pair is None:
+            return None
+        seen = self._tracker.step(pair)
+        self._pictures_t = pair.t_left
+        if seen.status == "tracked":
+            self._tracked_t = pair.t_left
+        self.aim.see(seen)
+        return seen
+
+    def _read(self) -> None:
+        reading = self._joints()
+        if reading is not None:
+            self._q, self._joints_t = reading.q, reading.t_host
+
+    def _devices(self, now: float) -> MoverStatus | None:
+        """Let the devices go on; start once they are ready."""
+        if self._hands is None:
+            if self._sees(now):
+                self.machine.tell(Event.START)
+            return None
+        arm, self._fingers = self._hands.arm.step(), self._hands.gripper.step()
+        ready = self._hands.arm.takes_orders and self._fingers.state is GripperState.READY
+        if ready and self._sees(now):
+            self.machine.tell(Event.START)
+        return arm
+
+    def _sees(self, now: float) -> bool:
+        """Pictures and joint angles have come, and are fresh."""
+        if self._pictures_t is None or self._joints_t is None:
+            return False
+        watch = self._setup.cell.watch
+        return now - self._pictures_t <= watch.stale and now - self._joints_t <= watch.joints
+
+    def _observed(self, arm: MoverStatus | None) -> Observation:
+        error = self._refused
+        if arm is not None and arm.state is MoverState.FAILED:
+            error = f"the arm: {arm.reason}"
+        if self._fingers is not None and self._fingers.state is GripperState.FAILED:
+            error = f"the gripper: {self._fingers.reason}"
+        known, state = self.aim.known, self.machine.state
+        hidden = self._near_object()
+        unreachable = self.aim.unreachable
+        if state is State.APPROACHING:
+            unreachable = "" if hidden else self.aim.moved_off()
+        return Observation(
+            self._pictures_t,
+            self._joints_t,
+            self._tracked_t,
+            known.thing.position if known is not None and known.tracked else None,
+            unreachable,
+            error,
+            hidden,
+        )
+
+    def _near_object(self) -> bool:
+        """The hand is so near that it may hide the object."""
+        if self.aim.plan is None or self._q is None:
+            return False
+        grip = self._setup.workspace.grip(self._q)[:3, 3]
+        away = float(np.linalg.norm(grip - self.aim.plan.margin.grip))
+        return away <= self._setup.cell.approach.hidden
+
+    def _act(self, now: float) -> None:
+        """Order what the state asks for; plan where it is time to."""
+        entered = self.machine.state is not self._acted
+        self._acted = self.machine.state
+        if self._hands is None:
+            if self.machine.state in AIMS and self.machine.still and self._q is not None:
+                self.aim.plan_now(now, self._q)
+            self.machine.planned = self.aim.plan is not None
+            return
+        self._try(lambda: self._order(now, entered=entered))
+
+    def _order(self, now: float, *, entered: bool) -> None:
+        assert self._hands is not None
+        arm, order = self._hands.arm, self.machine.order
+        if self.machine.state in AIMS and arm.q is not None:
+            self._aim(now, arm)
+        elif order is Order.DESCEND:
+            self._descend(arm, entered=entered)
+        elif order in (Order.LIFT, Order.RETREAT):
+            self._go_up(arm)
+        elif order in (Order.CLOSE, Order.CHECK, Order.OPEN):
+            arm.hold()
+            self._grip(self._hands.gripper, order, entered=entered)
+        elif order is Order.RELEASE:
+            arm.hold()
+            if arm.resting:
+                arm.release()
+                self.machine.tell(Event.STOPPED)
+        elif order is Order.HOLD and arm.takes_orders:
+            self._stand(arm, self._hands.gripper)
+
+    def _aim(self, now: float, arm: DrivenArm) -> None:
+        """Stand above the target; plan the grasp once both are at rest."""
+        machine = self.machine
+        assert arm.q is not None
+        goal = self.aim.hover(now, arm.q, still=machine.still)
+        if machine.state is State.FOLLOWING and goal is not None:
+            arm.follow(goal)
+        else:
+            arm.hold()
+        ready = machine.still and self._q is not None and arm.arrived(self._q)
+        if ready:
+            self.aim.plan_now(now, arm.q)
+        elif machine.state is State.FOLLOWING:
+            self.aim.forget()
+        machine.planned = ready and self.aim.plan is not None
+
+    def _descend(self, arm: DrivenArm, *, entered: bool) -> None:
+        plan = self.aim.plan
+        assert plan is not None  # the machine asks for one
+        if entered:
+            arm.begin(plan.over, plan.down)
+        arm.go()
+        if self._q is not None and arm.arrived(self._q):
+            self.machine.tell(Event.AT_OBJECT)
+
+    def _go_up(self, arm: DrivenArm) -> None:
+        holds = self._fingers is not None and self._fingers.state is GripperState.GRIPPED
+        if self.machine.state is State.LIFTING and not holds:
+            self.machine.tell(Event.NOTHING_HELD)
+        if not arm.going_back:
+            arm.hold()  # a stop may be under way
+            if not arm.resting:
+                return
+            arm.begin_back()
+        arm.go()
+        if self._q is not None and arm.arrived(self._q):
+            self.machine.tell(Event.AT_TOP)
+
+    def _grip(self, gripper: Gripper, order: Order, *, entered: bool) -> None:
+        fingers = self._fingers
+        assert fingers is not None  # read before every order
+        if order is Order.CHECK:
+            held = fingers.state is GripperState.GRIPPED
+            self.machine.tell(Event.HELD if held else Event.NOTHING_HELD)
+        elif order is Order.CLOSE and entered:
+            gripper.close_to(0.0)
+        elif order is Order.CLOSE and fingers.state in AT_REST:
+            self.machine.tell(Event.CLOSED)
+        elif order is Order.OPEN and fingers.state is GripperState.IDLE:
+            gripper.activate()  # a stop has ended it
+        elif order is Order.OPEN and (entered or fingers.state is GripperState.READY):
+            gripper.open_to(self._setup.cell.gripper.opening)
+        elif order is Order.OPEN and fingers.state is GripperState.REACHED:
+            self.machine.tell(Event.OPENED)
+
+    def _stand(self, arm: DrivenArm, gripper: Gripper) -> None:
+        arm.hold()
+        if self._fingers is not None and self._fingers.state is GripperState.MOVING:
+            gripper.stop()
+
+    def _try(self, ordered: Callable[[], None]) -> None:
+        """Give an order; a refusal is a device's error, and the next cycle stops for it."""
+        try:
+            ordered()
+        except (MotionRefusedError, ValueError) as refusal:
+            self._refused = str(refusal)

@@ -1,0 +1,106 @@
+"""A grab as tables: a row a cycle, the states' passages, the plan; units in the columns' names."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from verify.grab.loop_record import Cycle
+from verify.grab.plan import Plan
+from verify.grab.plan_margin import Margin
+from verify.grab.states_machine import Passage
+from verify.grab.target import Outline
+from verify.grab.workspace import Workspace
+from verify.records import Array
+
+_MM = 1e3  # mm/m
+PLAN_STEP = 0.02  # s between two rows of a plan
+PARTS = ("over", "down", "up")
+
+
+def row(cycle: Cycle, workspace: Workspace) -> dict[str, Any]:
+    """Write a cycle as one row."""
+    told: dict[str, Any] = {"t_s": cycle.t, "state": cycle.state.value}
+    seen, known = cycle.seen, cycle.known
+    told["status"] = None if seen is None else seen.status
+    told["lost_because"] = None if seen is None else seen.reason
+    told["quality"] = None if seen is None else seen.quality
+    if known is not None:
+        told |= _point("target", known.thing.position)
+        spread = np.sqrt(np.diag(known.thing.covariance))
+        told |= {f"u_{axis}_mm": _MM * u for axis, u in zip("xyz", spread, strict=True)}
+        told["width_mm"] = _MM * known.thing.width
+    for side in ("left", "right"):
+        told |= _outline(side, None if seen is None else getattr(seen, side))
+    if cycle.q is not None:
+        told |= _joints("q{}_deg", cycle.q)
+        told |= _point("grip", workspace.grip(cycle.q)[:3, 3])
+    if cycle.q_ordered is not None:
+        told |= _joints("q{}_ordered_deg", cycle.q_ordered)
+    if cycle.gripper is not None:
+        opening = cycle.gripper.opening
+        told["gripper"] = cycle.gripper.state.value
+        told["opening_mm"] = None if opening is None else _MM * opening
+    told["took_ms"] = 1e3 * cycle.took
+    return told
+
+
+def passages_table(passages: Sequence[Passage]) -> pd.DataFrame:
+    """Write the states' passages, one a row."""
+    rows = [
+        {
+            "t_s": p.t,
+            "from_state": p.source.value,
+            "event": p.event.value,
+            "to_state": p.target.value,
+            "reason": p.reason,
+        }
+        for p in passages
+    ]
+    return pd.DataFrame(rows, columns=["t_s", "from_state", "event", "to_state", "reason"])
+
+
+def plan_table(plan: Plan | None, workspace: Workspace) -> pd.DataFrame:
+    """Write a plan's joint angles and grip point over time; empty where there is no plan."""
+    if plan is None:
+        return pd.DataFrame()
+    rows: list[dict[str, Any]] = []
+    began = 0.0
+    for part, ways in zip(PARTS, (plan.over, (plan.down,), (plan.up,)), strict=True):
+        for way in ways:
+            times, motion = way.sampled(PLAN_STEP)
+            grips = workspace.grip(motion.q)[:, :3, 3]
+            for t, q, grip in zip(times, motion.q, grips, strict=True):
+                told: dict[str, Any] = {"t_s": began + float(t), "part": part}
+                rows.append(told | _joints("q{}_deg", q) | _point("grip", grip))
+            began += way.duration
+    return pd.DataFrame(rows)
+
+
+def margin_fields(margin: Margin) -> dict[str, float]:
+    """Write what the gripper leaves and what is needed of it, mm."""
+    return {
+        "across_mm": _MM * margin.across,
+        "across_needed_mm": _MM * margin.across_needed,
+        "along_mm": _MM * margin.along,
+        "along_needed_mm": _MM * margin.along_needed,
+        "raised_mm": _MM * margin.raised,
+    }
+
+
+def _outline(side: str, outline: Outline | None) -> dict[str, float | None]:
+    if outline is None:
+        return {f"{side}_{what}_px": None for what in ("x", "y", "width", "height")}
+    _, _, width, height = outline.box
+    x, y = (float(v) for v in outline.centre)
+    values = zip(("x", "y", "width", "height"), (x, y, width, height), strict=True)
+    return {f"{side}_{what}_px": value for what, value in values}
+
+
+def _point(name: str, point: Array) -> dict[str, float]:
+    return {f"{name}_{axis}_mm": float(_MM * v) for axis, v in zip("xyz", point, strict=True)}
+
+
+def _joints(pattern: str, q: Array) -> dict[str, float]:
+    return {pattern.format(n): float(v) for n, v in enumerate(np.degrees(q), start=1)}

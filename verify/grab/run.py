@@ -1,0 +1,122 @@
+"""A grab from its start to a named end: the loop, turn by turn, and who looks on."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from verify.grab.loop import Loop
+from verify.grab.loop_record import Cycle
+from verify.grab.states import Event, State
+from verify.grab.states_machine import Passage
+from verify.records import StereoPair
+
+DONE = frozenset({State.LIFTED, State.MISSED, State.FAULT, State.RELEASED})
+HOLDING = frozenset(s for s in State if s.value.startswith("holding-"))
+LINGER = 0.7  # s that are still watched after the end
+GIVE_BACK = 10.0  # s for coming to rest and giving the controls back
+
+
+class Source(Protocol):
+    """Where pictures come from, and when the next turn is due."""
+
+    def pair(self) -> StereoPair | None:
+        """Give the newest pictures; None where there are no new ones."""
+        ...
+
+    def wait(self) -> None:
+        """Let time pass until the next turn."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """When a grab that has not ended by itself is over."""
+
+    duration: float  # s
+    patience: float  # s in one of the holding states
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a grab ended."""
+
+    state: State  # before the controls were given back
+    reason: str
+    released: bool  # and were they?
+    passages: tuple[Passage, ...]
+    cycles: int
+    stopped: bool  # the operator ended it
+
+
+Orders = Callable[[], Sequence[Event]]
+Look = Callable[[Cycle], None]
+
+
+def run(
+    loop: Loop,
+    source: Source,
+    ends: Ends,
+    look: Look,
+    orders: Orders = tuple,
+    say: Callable[[str], None] = lambda _: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Outcome:
+    """Run until it ends by itself, the time is over, or the operator stops it.
+
+    Args:
+        loop: not started yet.
+        source: of pictures.
+        ends: when it is over.
+        look: sees every cycle.
+        orders: what the operator has ordered since it was last asked.
+        say: told why an order does not count.
+        stop: whether the operator wants it to end.
+    """
+    loop.start()
+    began: float | None = None
+    count, over_since, stopped = 0, None, False
+    while True:
+        cycle = loop.cycle(source.pair())
+        count += 1
+        began = cycle.t if began is None else began
+        look(cycle)
+        for event in orders():
+            if said := loop.tell(event):
+                say(said)
+        stopped = stop()
+        if _over(loop) and over_since is None:
+            over_since = cycle.t
+        elif not _over(loop):
+            over_since = None
+        lingered = over_since is not None and cycle.t - over_since >= LINGER
+        if lingered or stopped or cycle.t - began >= ends.duration or _waits(loop, cycle.t, ends):
+            break
+        source.wait()
+    state, reason = loop.machine.state, loop.machine.reason
+    count += _release(loop, source, look)
+    passages = tuple(loop.machine.log)
+    released = loop.machine.state is State.RELEASED
+    return Outcome(state, reason, released, passages, count, stopped)
+
+
+def _over(loop: Loop) -> bool:
+    """It has ended, or nothing may move and the plan, or why there is none, is known."""
+    return loop.machine.state in DONE or (not loop.may_move and loop.aim.planned is not None)
+
+
+def _waits(loop: Loop, now: float, ends: Ends) -> bool:
+    machine = loop.machine
+    return machine.state in HOLDING and now - machine.since > ends.patience
+
+
+def _release(loop: Loop, source: Source, look: Look) -> int:
+    """Come to rest and give the controls back; says in how many cycles."""
+    loop.machine.tell(Event.INTERRUPT)
+    began, count, now = None, 0, 0.0
+    while loop.machine.state is State.RELEASING and (began is None or now - began < GIVE_BACK):
+        source.wait()
+        cycle = loop.cycle(source.pair())
+        look(cycle)
+        now, count = cycle.t, count + 1
+        began = now if began is None else began
+    return count

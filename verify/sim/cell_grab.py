@@ -1,0 +1,63 @@
+"""A grab in the simulated cell, put together: the world, its source of pictures, and the loop."""
+
+from dataclasses import dataclass
+
+from verify.grab.loop import Hands, Loop
+from verify.grab.loop_arm import DrivenArm, StreamedArm
+from verify.grab.loop_steps import SteppedArm
+from verify.grab.loop_target import Aim
+from verify.grab.motion_port import ExecuteRight
+from verify.grab.target import Named, Options, Target
+from verify.grab.target_tracking import Tracker
+from verify.sim.cell import RATE, World
+from verify.sim.cell_scene import Scene
+from verify.sim.cell_setup import CellSetup
+from verify.sim.cell_source import CellSource
+
+
+@dataclass(frozen=True, slots=True)
+class CellGrab:
+    """What a grab in the cell runs on."""
+
+    world: World
+    source: CellSource
+    loop: Loop
+
+
+def cell_grab(
+    setup: CellSetup,
+    scene: Scene,
+    target: Target | None = None,
+    right: ExecuteRight | None = None,
+    *,
+    auto: bool = False,
+    stepped: bool = False,
+    paced: bool = False,
+) -> CellGrab:
+    """Put a grab together; nothing has begun yet.
+
+    Args:
+        setup: what is known of the cell.
+        scene: what stands there, and what happens.
+        target: what to grab; by default the colour of the scene's first cap.
+        right: the operator's order that the arm may move; None: it may not.
+        auto: grab as soon as the target stands still.
+        stepped: the arm takes one move at a time; else a stream of set points.
+        paced: keep to the computer's clock.
+
+    Raises:
+        InputError: the target's colour has no name.
+    """
+    tracker = Tracker(setup.rig, target or Named(scene.caps[0].colour), Options())
+    world = World(setup, scene)
+    source = CellSource(world, paced=paced)
+    hands = None
+    if right is not None:
+        mover, gripper = source.devices(right)
+        arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
+        if stepped:
+            arm = SteppedArm(setup.planner, mover)
+        hands = Hands(arm, gripper)
+    aim = Aim(setup.planner, setup.rig)
+    loop = Loop(setup.planner, tracker, aim, hands, source.joints, world.now, auto=auto)
+    return CellGrab(world, source, loop)

@@ -1,0 +1,103 @@
+"""The simulated cell's fixed parts: arm, grab.toml, calibrated cameras, LEDs on the flange."""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+import robots
+from robots.transforms import invert
+from verify.grab import cell_file
+from verify.grab.cell_file import Cell
+from verify.grab.plan import Planner, planner
+from verify.grab.workspace import camera_places
+from verify.marker import Marker
+from verify.records import Array
+from verify.rig import Camera, Covariance, Rig
+
+ROBOT = "rv_3sd_melfa"
+FULL, SMALL = (1280, 720), (640, 360)  # px
+FOCAL = 1.05  # focal length over the picture's width
+BASELINE = 0.36  # m
+EYE = np.array([1.15, 0.0, 0.62])  # m, base frame, midway between the cameras
+AIM = np.array([0.44, 0.0, 0.02])  # m, where both look
+RIG_UNCERTAINTY = {"robot_base.x_mm": 0.3, "robot_base.y_mm": 0.3, "robot_base.z_mm": 0.3}
+LED_RING = 0.045  # m, radius
+
+
+@dataclass(frozen=True)
+class CellSetup:
+    """What is known of the simulated cell by those who work in it."""
+
+    planner: Planner
+    rig: Rig
+    marker: Marker
+
+    @property
+    def cell(self) -> Cell:
+        """What grab.toml says."""
+        return self.planner.cell
+
+    @property
+    def home(self) -> Array:
+        """Where the arm stands at first, (n,), rad."""
+        home = self.cell.moving.home
+        assert home is not None  # cell.toml states it
+        return home
+
+
+@cache
+def cell_setup(size: tuple[int, int] = FULL) -> CellSetup:
+    """Put the cell together.
+
+    Args:
+        size: of the pictures, px.
+    """
+    arm = robots.load(ROBOT)
+    file = resources.files("verify.sim") / "cell.toml"
+    with resources.as_file(file) as path:
+        cell, _ = cell_file.read(Path(path), arm.dof)
+    rig = _rig(size)
+    places = [camera.rig_T_camera(camera.pan) for camera in (rig.left, rig.right)]
+    cameras = camera_places(invert(rig.rig_T_base), places)
+    return CellSetup(planner(arm, cell, cameras), rig, _marker())
+
+
+def _rig(size: tuple[int, int]) -> Rig:
+    """Two cameras before the robot that look down at the table; the rig's z is where they aim."""
+    z = (AIM - EYE) / np.linalg.norm(AIM - EYE)
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    base_T_rig = np.eye(4)
+    base_T_rig[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    base_T_rig[:3, 3] = EYE
+    toe_in = float(np.arctan2(BASELINE / 2, np.linalg.norm(AIM - EYE)))
+    left, right = (_camera(size, sign, -sign * toe_in) for sign in (-1, 1))
+    named = RIG_UNCERTAINTY
+    covariance = Covariance(tuple(named), np.array(list(named.values())), np.eye(len(named)))
+    return Rig(size, left, right, invert(base_T_rig), covariance=covariance)
+
+
+def _camera(size: tuple[int, int], sign: int, pan: float) -> Camera:
+    width, height = size
+    focal = FOCAL * width
+    matrix = [[focal, 0, (width - 1) / 2 + 3 * sign], [0, focal, (height - 1) / 2], [0, 0, 1]]
+    return Camera(
+        matrix=np.array(matrix, dtype=float),
+        distortion=np.array([-0.06, 0.03, 0.0004, -0.0003, 0.0]),
+        pan_center=np.array([sign * BASELINE / 2, 0.0, 0.0]),
+        pan_axis=np.array([0.0, 1.0, 0.0]),
+        pan_zero=0.0,
+        mount=np.eye(4),
+        pan=pan,
+    )
+
+
+def _marker() -> Marker:
+    """Five LEDs about the palm, no two at one height: each turn of the hand shows some."""
+    angles = np.deg2rad([0.0, 70.0, 150.0, 215.0, 290.0])
+    heights = np.array([0.012, 0.028, 0.018, 0.033, 0.022])
+    leds = np.stack([LED_RING * np.cos(angles), LED_RING * np.sin(angles), heights], axis=1)
+    return Marker(tuple("ABCDE"), leds, ("white",) * 5, led_diameter=0.005, source="jig")
