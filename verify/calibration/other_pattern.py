@@ -38,11 +38,7 @@ def refuse_another_pattern(folder: BoardFolder) -> None:
     pictures = [p for pair in islice(folder.pairs(), LOOKED_AT) for p in (pair.left, pair.right)]
     if board.markers is not None and not _shows(pictures, board.markers):
         _refuse_without_its_markers(folder, pictures, board.markers)
-    counts = _counts(pictures, board)
-    if counts is not None and counts != (board.columns, board.rows):
-        found = f"the pictures show {_by(counts)}"
-        remedy = "Mend inner_corners in board.toml, or give --corners."
-        raise InputError(folder.folder, found, f"{asked(board)} are asked for", remedy)
+    # markers first: to search a picture of them for plain boards of any counts takes long
     if board.markers is None and (kind := _kind(pictures)) is not None:
         raise InputError(
             folder.folder,
@@ -50,6 +46,11 @@ def refuse_another_pattern(folder: BoardFolder) -> None:
             f"a plain one of {asked(board)} is asked for",
             "Use the board.toml that `verify board --charuco` wrote, or add markers and marker_mm.",
         )
+    counts = _counts(pictures, board)
+    if counts is not None and counts != (board.columns, board.rows):
+        found = f"the pictures show {_by(counts)}"
+        remedy = "Mend inner_corners in board.toml, or give --corners."
+        raise InputError(folder.folder, found, f"{asked(board)} are asked for", remedy)
 
 
 def asked(board: Board) -> str:
@@ -66,11 +67,12 @@ def _refuse_without_its_markers(
     folder: BoardFolder, pictures: Sequence[Image], markers: str
 ) -> None:
     """Refuse where none of the stated markers is seen but another board is."""
-    kind, counts = _kind(pictures), _counts(pictures, folder.board)
+    kind = _kind(pictures)
     expected = f"board.toml says ChArUco, with markers of {markers}"
     if kind is not None:
         found = f"the pictures show markers as in {kind}"
         raise InputError(folder.folder, found, expected, "Mend markers in board.toml.")
+    counts = _counts(pictures, folder.board)
     if counts is not None:
         raise InputError(
             folder.folder,
