@@ -34,6 +34,7 @@ from verify.session import Tolerance
 from verify.station import Servo, Station
 from verify.terminal import terminal
 
+SWITCH = 0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
 ESTIMATE_PATIENCE = 20.0  # s for the clock, on a busy machine
 
 
@@ -86,6 +87,7 @@ def watch(station: Station, wish: Wish) -> Watched:
         station.encoder_time_standard_uncertainty,
     )
     limits = AlarmLimits(station.alarm.false_alarms_per_hour, station.rate, joints)
+    sys.setswitchinterval(SWITCH)
     state = LiveState()
     facts = Facts(station.robot, station.name, joints, limits.false_alarms_per_hour)
     with ExitStack() as stack:
