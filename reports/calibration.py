@@ -20,7 +20,6 @@ from reports.blocks import (
 )
 from reports.calibration_accuracy import accuracy, drawn, first, improvement, metres, working
 from reports.calibration_rig import parameters, stereo
-from reports.calibration_sources import provenance
 from reports.calibration_words import Words
 from reports.formatting import (
     DASH,
@@ -33,6 +32,7 @@ from reports.formatting import (
     word,
 )
 from reports.results import Results
+from reports.sources import provenance, software
 
 EXPANDED = 2.0  # coverage factor of the figures in the headline
 
@@ -42,12 +42,12 @@ def document(results: Results) -> Document:
     summary = results.summary
     if summary.get("method") == "check":
         return calibration_check.document(results)
-    tool, source = summary.get("tool") or {}, summary.get("source") or {}
+    source = summary.get("source") or {}
     return numbered(
         Document(
             title="Calibration of two cameras from boards",
             subtitle=word(source.get("description") or source.get("path") or "a set of pictures"),
-            footer=f"{tool.get('name') or 'verify'} {tool.get('version') or DASH} · calibration",
+            footer=f"{software(summary)} · calibration",
             sections=tuple(section(results) for section in SECTIONS),
         )
     )
@@ -176,7 +176,7 @@ def rectified(results: Results) -> Section:
 def conditions(results: Results) -> Section:
     """Say what the calibration was made from."""
     setup, summary = results.setup, results.summary
-    board, tool = setup.get("board") or {}, summary.get("tool") or {}
+    board = setup.get("board") or {}
     size = setup.get("image_size_px")
     kind = "chessboard"
     if board.get("markers"):
@@ -191,7 +191,7 @@ def conditions(results: Results) -> Section:
                 f"{' × '.join(count(v) for v in size)} px" if isinstance(size, list) else DASH,
             ),
             ("Bases", "turned between pairs" if summary.get("turning") else "fixed"),
-            ("Software", f"{tool.get('name') or 'verify'} {tool.get('version') or DASH}"),
+            ("Software", software(summary)),
         )
     )
     return Section("conditions", "Board, pictures and software", (facts, *provenance(summary)))

@@ -37,9 +37,7 @@ from reports.blocks import (
 )
 from reports.calibration_check_figures import CHECK_FIGURES
 from reports.calibration_check_words import CHECKED, FIGURES, KEYS, NAMES, UNITS, Words
-from reports.calibration_sources import provenance
 from reports.formatting import (
-    DASH,
     count,
     finite,
     joined,
@@ -52,17 +50,18 @@ from reports.formatting import (
 )
 from reports.results import Results
 from reports.series import column, texts
+from reports.sources import provenance, software
 
 
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
-    tool, source = summary.get("tool") or {}, summary.get("source") or {}
+    source = summary.get("source") or {}
     return numbered(
         Document(
             title="Interim check of a calibration",
             subtitle=word(source.get("description") or source.get("path") or "a set of pictures"),
-            footer=f"{tool.get('name') or 'verify'} {tool.get('version') or DASH} · interim check",
+            footer=f"{software(results.summary)} · interim check",
             sections=tuple(section(results) for section in SECTIONS),
         )
     )
@@ -214,8 +213,7 @@ def _unit(unit: Any) -> str:
 
 def conditions(results: Results) -> Section:
     """Say what the check was made from."""
-    tool = results.summary.get("tool") or {}
-    facts = Facts((("Software", f"{tool.get('name') or 'verify'} {tool.get('version') or DASH}"),))
+    facts = Facts((("Software", software(results.summary)),))
     return Section("conditions", "Files and software", (facts, *provenance(results.summary)))
 
 

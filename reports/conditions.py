@@ -3,10 +3,11 @@
 from typing import Any
 
 from reports import words
-from reports.blocks import Block, Bullets, Facts, Paragraph, Section, Table, row
+from reports.blocks import Block, Facts, Paragraph, Section, Table, row
 from reports.formatting import DASH, count, finite, number, quantity, significant, stated, word
 from reports.headline import capital
 from reports.results import Results
+from reports.sources import provenance, software
 
 RULE = (
     "Conform: |ê| + 1.645 u within the tolerance at every measured pair, no lack of fit, and the "
@@ -24,23 +25,14 @@ def conditions(results: Results) -> Section:
     blocks += _robot(setup.get("robot") or {})
     rule = summary.get("decision_rule") or RULE
     blocks.append(Facts(tuple(_provenance(summary, word(rule)))))
-    inputs = summary.get("inputs") or {}
-    if inputs:
-        rows = tuple(row(word(name), word(digest)) for name, digest in inputs.items())
-        blocks.append(Table("Files that were read.", "ll", ("File", "Hash"), rows, wide=(1,)))
-    warnings = summary.get("warnings") or []
-    if warnings:
-        blocks.append(Bullets(tuple(word(warning) for warning in warnings), "warning"))
-    else:
-        blocks.append(Paragraph("There were no warnings."))
+    blocks += provenance(summary)
     return Section("conditions", "Rig, marker, robot and rule", tuple(blocks))
 
 
 def _provenance(summary: dict[str, Any], rule: str) -> list[tuple[str, str]]:
-    tool = summary.get("tool") or {}
     items = [
         ("Decision rule", rule),
-        ("Software", f"{tool.get('name') or 'verify'} {tool.get('version') or DASH}"),
+        ("Software", software(summary)),
     ]
     for name, value in (summary.get("thresholds") or {}).items():
         text = str(value) if isinstance(value, str) else stated(value)

@@ -19,6 +19,7 @@ from reports.blocks import (
 from reports.fleet_charts import charts
 from reports.formatting import DASH, count, finite, joined, measured, quantity, word
 from reports.results import Results
+from reports.sources import software
 
 EXPLAINED = (
     "State: what the sessions show of a change over time. Error now: level of the mean error at "
@@ -47,13 +48,12 @@ def document(results: Results) -> Document:
         fleet_evidence.failures,
         fleet_evidence.method,
     )
-    tool = results.summary.get("tool") or {}
     held = results.summary.get("sessions") or {}
     return numbered(
         Document(
             title=f"Fleet report: {_arms(results)}",
             subtitle=f"{count(held.get('measured'))} sessions{fleet_words.period(held)}",
-            footer=f"{tool.get('name') or 'verify'} {tool.get('version') or DASH} · fleet report",
+            footer=f"{software(results.summary)} · fleet report",
             sections=tuple(s for make in sections if (s := make(results)) is not None),
             sortable=True,
         )

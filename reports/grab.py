@@ -38,9 +38,10 @@ from reports.blocks import (
     numbered,
     row,
 )
-from reports.formatting import DASH, count, number, word
+from reports.formatting import count, number, word
 from reports.results import Results
 from reports.series import column, texts
+from reports.sources import software
 
 STAGES = ("idle", "following", "approaching", "closing", "lifting", "lifted", "missed")
 ENDED = {  # by the state: tone, label
@@ -57,13 +58,12 @@ ENDED = {  # by the state: tone, label
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
-    tool = summary.get("tool") or {}
     sections = (_outcome, _states, _track, _camshift, _joints, _margins, _plan)
     return numbered(
         Document(
             title=f"Grab with {word(summary.get('robot'))}",
             subtitle=f"{word(summary.get('target'))}, {word(summary.get('cell'))} cell",
-            footer=f"{tool.get('name') or 'verify'} {tool.get('version') or DASH} · grab",
+            footer=f"{software(summary)} · grab",
             sections=tuple(section(results) for section in sections),
         )
     )

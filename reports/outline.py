@@ -6,6 +6,7 @@ from reports import conditions, evidence, findings
 from reports.blocks import Document, Section, numbered
 from reports.formatting import DASH, word
 from reports.results import Results
+from reports.sources import software
 
 SECTIONS: tuple[Callable[[Results], Section], ...] = (
     findings.verdict,
@@ -24,13 +25,10 @@ SECTIONS: tuple[Callable[[Results], Section], ...] = (
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     session = results.summary.get("session") or {}
-    tool = results.summary.get("tool") or {}
     robot = (results.setup.get("robot") or {}).get("name") or session.get("robot") or DASH
     description = session.get("description") or "a recorded session"
     fingerprint = word((results.setup.get("robot") or {}).get("fingerprint"))
-    footer = (
-        f"{tool.get('name') or 'verify'} {tool.get('version') or DASH} · robot {fingerprint[:23]}"
-    )
+    footer = f"{software(results.summary)} · robot {fingerprint[:23]}"
     return numbered(
         Document(
             title=f"Encoder verification of {robot}",

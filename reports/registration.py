@@ -37,9 +37,7 @@ from reports.blocks import (
     numbered,
     row,
 )
-from reports.calibration_sources import provenance
 from reports.formatting import (
-    DASH,
     count,
     finite,
     joined,
@@ -53,6 +51,7 @@ from reports.headline import capital
 from reports.registration_evidence import axes, drawn, residuals
 from reports.registration_words import METHODS, Words
 from reports.results import Results
+from reports.sources import provenance, software
 
 HIDDEN = 0.005  # shown as 0 %: nothing of the offset is left
 MOSTLY = 0.3  # the share at which the smallest visible offset triples
@@ -62,15 +61,12 @@ WORSE = 1.5  # held-out over fitted rms: more says that the model does not carry
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
-    tool, source = summary.get("tool") or {}, summary.get("source") or {}
+    source = summary.get("source") or {}
     return numbered(
         Document(
             title=f"Registration of {word(summary.get('robot'))}",
             subtitle=word(source.get("description") or source.get("path") or "a recorded session"),
-            footer=(
-                f"{tool.get('name') or 'verify'} {tool.get('version') or DASH} · registration "
-                f"{word(summary.get('registration'))[:23]}"
-            ),
+            footer=(f"{software(summary)} · registration {word(summary.get('registration'))[:23]}"),
             sections=tuple(section(results) for section in SECTIONS),
         )
     )
@@ -269,11 +265,10 @@ def _share_words(joint: dict[str, Any]) -> str:
 
 def conditions(results: Results) -> Section:
     """Say what the registration was made from."""
-    tool = results.summary.get("tool") or {}
     facts = Facts(
         (
             ("Registration", word(results.summary.get("registration"))),
-            ("Software", f"{tool.get('name') or 'verify'} {tool.get('version') or DASH}"),
+            ("Software", software(results.summary)),
         )
     )
     return Section("conditions", "Files and software", (facts, *provenance(results.summary)))

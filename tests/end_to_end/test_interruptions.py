@@ -6,14 +6,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from tests.end_to_end.command import SAMPLES, verify
 from tests.end_to_end.replay import remembered, replayed
+from tests.small_disk import mounted
 from verify import analyse, open_session
 from verify.records import Measurement
 
@@ -27,23 +26,6 @@ def measurements() -> list[Measurement]:
     with remembered() as seen:
         analyse(open_session(SESSION))
     return seen
-
-
-@contextmanager
-def mounted(place: Path, *options: str) -> Iterator[Path]:
-    """A small file system of its own, where whoever runs the tests may mount one."""
-    place.mkdir()
-    words = ["mount", "-t", "tmpfs", *options, "tmpfs", str(place)]
-    try:
-        done = subprocess.run(words, capture_output=True, text=True)
-    except FileNotFoundError:
-        pytest.skip("needs mount")
-    if done.returncode:
-        pytest.skip(f"may not mount a file system here: {done.stderr.strip()}")
-    try:
-        yield place
-    finally:
-        subprocess.run(["umount", str(place)], check=True)
 
 
 def assert_refused(status: int, err: str, *named: str) -> None:

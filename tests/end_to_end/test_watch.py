@@ -2,7 +2,7 @@
 said as a number, and each is said in words."""
 
 import json
-import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,9 +16,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.end_to_end.command import verify
+from tests.end_to_end.command import SAMPLES, verify
+from tests.small_disk import mounted
 from tests.verify.live.followed import emulator
+from verify.commands.asked import Asked
+from verify.commands.measuring import measure_parts
 from verify.emulators.faults import Faults
+from verify.errors import InputError
 from verify.session import open_session
 from verify.station_file import template
 
@@ -213,14 +217,8 @@ def test_bases_follow_and_a_base_that_is_gone_is_said(tmp_path: Path) -> None:
     assert len(measured) > 0.9 * len(run.pairs)
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk takes root")
 def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
-    disk = tmp_path / "recordings"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(disk)]
-    if subprocess.run(mount, check=False).returncode:
-        pytest.skip("no tmpfs can be mounted here")
-    try:
+    with mounted(tmp_path / "recordings", "-o", "size=8m") as disk:
         path = station(tmp_path, event("encoder_jump", 9.0, joint=4, degrees=0.5))
         run = listen(started(path, "--for", "12s", "-o", "out"), Run())
         assert "no space left on device" in run.watched["recording"]
@@ -229,8 +227,6 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path
         assert 5 < kept < len(run.pairs)
         assert run.result["summary"]["pairs"]["recorded"] == kept
         assert [a["joint"] for a in run.told("change")] == [4]
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
 
 
 def test_a_run_that_is_killed_leaves_a_session_up_to_its_last_second(tmp_path: Path) -> None:
@@ -283,3 +279,17 @@ WIDE = (
     .replace("pairs = 60", "pairs = 300")
     .replace("distance_mm = 650.0", 'distance_mm = 650.0\nbases = "follow"')
 )
+
+
+def test_a_part_that_cannot_be_measured_takes_no_other_with_it(tmp_path: Path) -> None:
+    good = SAMPLES / "multi_joint_rv_3sd"
+    broken = tmp_path / "broken"
+    shutil.copytree(good, broken)
+    (broken / "encoders.csv").write_text("t_s,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n")
+    asked = Asked(None, None, None)
+    verdicts = measure_parts([broken, good], tmp_path / "out", asked, force=False)
+    assert verdicts == {tmp_path / "out-2": "conform"}
+    assert (tmp_path / "out-2" / "report.pdf").exists()
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match=r"encoders\.csv"):
+        measure_parts([broken], tmp_path / "again", asked, force=False)

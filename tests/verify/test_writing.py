@@ -1,11 +1,11 @@
 import errno
 import os
-import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.small_disk import mounted
 from verify.errors import InputError
 from verify.writing import folder_written_whole, write_whole
 
@@ -17,14 +17,9 @@ def names(folder: Path) -> list[str]:
 
 @pytest.fixture
 def full_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 64 kB, where the tests may mount one."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)]
-    if os.geteuid() or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("may not mount a small disk here")
-    yield disk
-    subprocess.run(["umount", str(disk)], check=True)
+    """A disk of 64 kB."""
+    with mounted(tmp_path / "disk", "-o", "size=64k") as disk:
+        yield disk
 
 
 def build(out: Path, force: bool = False, then: Callable[[], object] = lambda: None) -> None:

@@ -7,13 +7,13 @@ from typing import Literal
 import numpy as np
 
 from verify.board import Board, BoardPair
-from verify.calibration import bases, bundle, flatness, order, refusals, robust, starting
+from verify.calibration import bases, flatness, order, refusals, robust, starting
 from verify.calibration.covariance import stated
-from verify.calibration.estimate import Estimate, board_covariance, estimate, response
+from verify.calibration.estimate import Estimate, board_covariance, estimate, residuals_of, response
 from verify.calibration.gauge import FIXED, Model, fixed_names
 from verify.calibration.pan import Scatter
 from verify.calibration.parameters import NAMES, Corners, lengths
-from verify.calibration.records import Calibration, Residuals
+from verify.calibration.records import Calibration
 from verify.calibration.square import edges
 from verify.records import Array
 from verify.rig import Camera, Covariance, Rig
@@ -152,15 +152,7 @@ def _calibration(
         base_source="",
         covariance=_named(found, full, dropped),
     )
-    residuals = Residuals(
-        camera=corners.camera,
-        frame=frames[corners.board],
-        corner=corners.corner,
-        seen=corners.seen,
-        residual=corners.seen - bundle.predict(found.state, corners),
-        uncertainty=corners.uncertainty * found.noise,
-        used=found.used,
-    )
+    residuals = residuals_of(found, corners, frames)
     return Calibration(
         rig=rig,
         board=board,

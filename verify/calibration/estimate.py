@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from verify.calibration import bundle, gauge
 from verify.calibration.gauge import Model
 from verify.calibration.parameters import Corners, State
+from verify.calibration.records import Residuals
 from verify.records import Array
 
 CHANCE = 0.01  # that pairs which err independently seem to err together
@@ -60,9 +61,28 @@ def inverted(matrix: Array) -> Array:
 
 def estimate(state: State, corners: Corners, model: Model, used: NDArray[np.bool_]) -> Estimate:
     """Take stock of an adjusted state."""
+    return taken_stock(state, corners, model, used, gauge.constraints(state, model, corners.pan[0]))
+
+
+def taken_stock(
+    state: State,
+    corners: Corners,
+    model: Model,
+    used: NDArray[np.bool_],
+    constraints: tuple[Array, dict[str, int]],
+) -> Estimate:
+    """Take stock of an adjusted state with what was held given.
+
+    Args:
+        state: adjusted.
+        corners: of all views.
+        model: what was adjusted.
+        used: (n,), corners that were not refused.
+        constraints: rows that hold the rest, and their place, as of `gauge.constraints`.
+    """
     weight = used.astype(float)
     system = bundle.normal(state, corners, model, weight)
-    rows, place = gauge.constraints(state, model, corners.pan[0])
+    rows, place = constraints
     basis = gauge.free_directions(rows)
     degrees = 2 * int(used.sum()) - basis.shape[1] - 6 * len(state.boards)
     squares = bundle.cost(state, corners, model, weight)
@@ -71,6 +91,19 @@ def estimate(state: State, corners: Corners, model: Model, used: NDArray[np.bool
     together, own_degrees = design_effect(system, basis, noise)
     return Estimate(
         state, model, used, system, rows, place, basis, noise, degrees, together, own_degrees
+    )
+
+
+def residuals_of(found: Estimate, corners: Corners, frames: NDArray[np.int64]) -> Residuals:
+    """Residuals of all corners by their pictures' frames, each with what it was weighed by."""
+    return Residuals(
+        camera=corners.camera,
+        frame=frames[corners.board],
+        corner=corners.corner,
+        seen=corners.seen,
+        residual=corners.seen - bundle.predict(found.state, corners),
+        uncertainty=corners.uncertainty * found.noise,
+        used=found.used,
     )
 
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from verify.board import Board, BoardPair, BoardView
 from verify.calibration import (
-    bundle,
     initial,
     one_camera_adjust,
     order,
@@ -25,7 +24,7 @@ from verify.calibration import (
     robust,
 )
 from verify.calibration.boards import HELD, stack
-from verify.calibration.estimate import Estimate, response
+from verify.calibration.estimate import Estimate, residuals_of, response
 from verify.calibration.one_camera_adjust import (
     ALL_LENS,
     MAY_GO,
@@ -36,7 +35,6 @@ from verify.calibration.one_camera_adjust import (
 )
 from verify.calibration.parameters import FOCAL, KEYS, LENS, PRINCIPAL, Corners, State
 from verify.calibration.quality import ODD, SURE, PrincipalPoint
-from verify.calibration.records import Residuals
 from verify.calibration.starting import usable_view
 from verify.errors import InputError
 from verify.records import Array
@@ -147,15 +145,7 @@ def _record(
     left_out: tuple[int, ...],
     image_size: tuple[int, int],
 ) -> OneCamera:
-    residuals = Residuals(
-        camera=corners.camera,
-        frame=frames[corners.board],
-        corner=corners.corner,
-        seen=corners.seen,
-        residual=corners.seen - bundle.predict(found.state, corners),
-        uncertainty=corners.uncertainty * found.noise,
-        used=found.used,
-    )
+    residuals = residuals_of(found, corners, frames)
     each = quality_views.views(residuals)
     full = found.covariance
     if dropped:

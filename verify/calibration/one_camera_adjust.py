@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from verify.calibration import bundle, follow, gauge, order, robust
-from verify.calibration.estimate import FINEST_PX, Estimate, design_effect
+from verify.calibration.estimate import Estimate, taken_stock
 from verify.calibration.gauge import FIXED, FOCAL_TIE, LENS_KEYS, Model
 from verify.calibration.parameters import LENS, WIDTH, Corners, State, moved
 from verify.records import Array
@@ -76,18 +76,7 @@ def estimate(
         held: what was held.
         used: (n,), corners that were not refused.
     """
-    model, weight = _model(held), used.astype(float)
-    system = bundle.normal(state, corners, model, weight)
-    rows, place = _rows(held)
-    basis = gauge.free_directions(rows)
-    degrees = 2 * int(used.sum()) - basis.shape[1] - 6 * len(state.boards)
-    squares = bundle.cost(state, corners, model, weight)
-    finest = FINEST_PX / float(np.median(corners.uncertainty))
-    noise = max(float(np.sqrt(squares / max(degrees, 1))), finest)
-    together, own_degrees = design_effect(system, basis, noise)
-    return Estimate(
-        state, model, used, system, rows, place, basis, noise, degrees, together, own_degrees
-    )
+    return taken_stock(state, corners, _model(held), used, _rows(held))
 
 
 def reduce(found: Estimate, corners: Corners) -> tuple[Estimate, tuple[order.Dropped, ...]]:

@@ -1,11 +1,9 @@
 """What a calibration from boards is worth: fit, coverage, accuracy of a point, what helps most."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from verify.board import BoardPair
 from verify.calibration.covariance import in_si
 from verify.calibration.quality_accuracy import SPOT, Field, field, parameters, sight
 from verify.calibration.quality_coverage import ImageCoverage, Stance, image_coverage, stances
@@ -67,12 +65,6 @@ class Quality:
     working_distance: float  # m, median distance of the boards
     fields: tuple[Field, ...]  # nearest first
     contributions: tuple[Contribution, ...]  # what would help most first
-
-
-def pan_readings(calibration: Calibration, pairs: Sequence[BoardPair]) -> Array:
-    """Readings of both bases at the pairs that a calibration used, (b, 2), rad."""
-    read = {pair.frame: (pair.pan_left, pair.pan_right) for pair in pairs}
-    return np.array([read[frame] for frame in calibration.frames.tolist()]).reshape(-1, 2)
 
 
 def judge(calibration: Calibration, pan: Array | None = None) -> Quality:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from verify.commands.options import JointTolerance, OrientationTolerance, PositionTolerance
 from verify.terminal import terminal
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
@@ -24,16 +25,9 @@ def batch(
     out: Annotated[
         Path, typer.Option("-o", "--out", help="Where to; what is done there is not done again.")
     ] = Path("fleet-report"),
-    tolerance: Annotated[
-        str | None,
-        typer.Option(help="Joint errors allowed, degrees: one number, or one a joint: 0.2,0.2,…"),
-    ] = None,
-    position_tolerance: Annotated[
-        float | None, typer.Option(help="Position error allowed, mm.")
-    ] = None,
-    orientation_tolerance: Annotated[
-        float | None, typer.Option(help="Orientation error allowed, degrees.")
-    ] = None,
+    tolerance: JointTolerance = None,
+    position_tolerance: PositionTolerance = None,
+    orientation_tolerance: OrientationTolerance = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes here; default: one a processor.")
     ] = None,

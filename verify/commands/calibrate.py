@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from verify.commands.options import PageAddress, PagePort, PageToken
+from verify.page.access import LOOPBACK, USUAL_PORT
 from verify.terminal import terminal
 
 if TYPE_CHECKING:  # imported when a command runs: `--help` answers at once
@@ -57,15 +59,9 @@ def boards(
         int | None, typer.Option("--pairs", min=3, help="Live: finish after so many pairs.")
     ] = None,
     page: Annotated[bool, typer.Option("--page", help="Live: serve a page.")] = False,
-    page_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="The page's port; 0: any that is free.")
-    ] = 8646,
-    page_address: Annotated[
-        str, typer.Option(help="The page's address; another one than this needs a token.")
-    ] = "127.0.0.1",
-    page_token: Annotated[
-        str | None, typer.Option(help="What viewers must show; 16 characters or more.")
-    ] = None,
+    page_port: PagePort = USUAL_PORT,
+    page_address: PageAddress = LOOPBACK,
+    page_token: PageToken = None,
 ) -> None:
     """Calibrate both cameras and their turning bases from pictures of a board.
 

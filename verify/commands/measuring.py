@@ -1,5 +1,6 @@
 """One recorded session: measured, judged, reported; the end of every `verify run`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ from reports import Results
 from reports.headline import headline
 from verify.analysis import analyse
 from verify.commands.asked import Asked
+from verify.errors import InputError
 from verify.results_folder import refuse_existing, write_results
 from verify.session import open_session
 from verify.terminal import terminal
@@ -42,6 +44,38 @@ def measure_recorded(folder: Path, out: Path | None, asked: Asked, *, force: boo
     _say(results, target)
     verdict: str | None = results.summary["verdict"]
     return verdict
+
+
+def measure_parts(
+    folders: Sequence[Path], out: Path, asked: Asked, *, force: bool
+) -> dict[Path, str | None]:
+    """Measure the sessions of one live run, a report each; one that cannot be is no other's harm.
+
+    Args:
+        folders: in their order: more than one where the controller's clock began anew.
+        out: the first one's report; the others' have a number behind it.
+        asked: as for `measure_recorded`.
+        force: likewise.
+
+    Returns:
+        The verdict of each report, at least one.
+
+    Raises:
+        InputError: none can be measured: what the first one lacks.
+    """
+    verdicts: dict[Path, str | None] = {}
+    refusals: list[InputError] = []
+    for number, folder in enumerate(folders, start=1):
+        target = out if number == 1 else out.with_name(f"{out.name}-{number}")
+        try:
+            verdicts[target] = measure_recorded(folder, target, asked, force=force)
+        except InputError as refusal:
+            refusals.append(refusal)
+    if not verdicts:
+        raise refusals[0]
+    for left_out in refusals:
+        terminal.warn(str(left_out))
+    return verdicts
 
 
 def _say(results: Results, target: Path) -> None:

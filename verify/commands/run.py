@@ -5,6 +5,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from verify.commands.options import (
+    JointTolerance,
+    OrientationTolerance,
+    PageAddress,
+    PagePort,
+    PageToken,
+    PositionTolerance,
+)
+from verify.page.access import LOOPBACK, USUAL_PORT
 from verify.terminal import terminal
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
@@ -23,16 +32,9 @@ def run(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Where to; default: NAME-report, here.")
     ] = None,
-    tolerance: Annotated[
-        str | None,
-        typer.Option(help="Joint errors allowed, degrees: one number, or one a joint: 0.2,0.2,…"),
-    ] = None,
-    position_tolerance: Annotated[
-        float | None, typer.Option(help="Position error allowed, mm.")
-    ] = None,
-    orientation_tolerance: Annotated[
-        float | None, typer.Option(help="Orientation error allowed, degrees.")
-    ] = None,
+    tolerance: JointTolerance = None,
+    position_tolerance: PositionTolerance = None,
+    orientation_tolerance: OrientationTolerance = None,
     force: Annotated[
         bool, typer.Option("--force", help="Write into a folder that exists.")
     ] = False,
@@ -50,15 +52,9 @@ def run(
     page: Annotated[
         bool, typer.Option("--page", help="Station: serve a page for the browser.")
     ] = False,
-    page_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="The page's port; 0: any that is free.")
-    ] = 8646,
-    page_address: Annotated[
-        str, typer.Option(help="The page's address; another one than this needs a token.")
-    ] = "127.0.0.1",
-    page_token: Annotated[
-        str | None, typer.Option(help="What viewers must show; 16 characters or more.")
-    ] = None,
+    page_port: PagePort = USUAL_PORT,
+    page_address: PageAddress = LOOPBACK,
+    page_token: PageToken = None,
 ) -> int:
     """Measure a recorded session or a moving robot, compare with the encoders, judge, report.
 
@@ -99,7 +95,7 @@ def _watch(
     force: bool,
 ) -> int:
     from verify.commands.asked import seconds
-    from verify.commands.measuring import measure_recorded
+    from verify.commands.measuring import measure_parts
     from verify.commands.watching import Wish, alarms_table, watch
     from verify.results_folder import refuse_existing
     from verify.sim.devices import SimulatedStation
@@ -115,12 +111,9 @@ def _watch(
     wish = Wish(length, asked.tolerance(station.arm.dof), on_alarm, page)
     watched = watch(station, wish)
     out = out if out is not None else Path(f"{watched.folders[0].name}-report")
-    verdicts = []
-    for number, folder in enumerate(watched.folders):
-        target = out if number == 0 else out.with_name(f"{out.name}-{number + 1}")
-        verdicts.append(measure_recorded(folder, target, asked, force=force))
-    write_whole(out / "alarms.csv", alarms_table(watched.alarms))
-    return STATUS[max(verdicts, key=SEVERITY.index)]
+    reported = measure_parts(watched.folders, out, asked, force=force)
+    write_whole(next(iter(reported)) / "alarms.csv", alarms_table(watched.alarms))
+    return STATUS[max(reported.values(), key=SEVERITY.index)]
 
 
 def _new_station(path: Path | None) -> int:

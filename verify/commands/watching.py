@@ -87,10 +87,11 @@ def watch(station: Station, wish: Wish) -> Watched:
         station.encoder_time_standard_uncertainty,
     )
     limits = AlarmLimits(station.alarm.false_alarms_per_hour, station.rate, joints)
-    sys.setswitchinterval(SWITCH)
     state = LiveState()
     facts = Facts(station.robot, station.name, joints, limits.false_alarms_per_hour)
     with ExitStack() as stack:
+        stack.callback(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(SWITCH)
         listeners = _listeners(station, wish, stack)
         _serve(station, wish, RunSource(state, subject, facts), stack)
         clock = Helper(estimate, "clock")

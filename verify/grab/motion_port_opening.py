@@ -29,7 +29,7 @@ class BackgroundOpening:
         """
         opening = self._opening or self._worker.submit(self._open_port)
         self._opening = opening
-        with contextlib.suppress(Exception):  # what went wrong is raised below
+        with contextlib.suppress(TimeoutError):  # what went wrong there is raised below
             opening.exception(QUICK)
         if not opening.done():
             raise BlockingIOError(0, "the port is being opened")

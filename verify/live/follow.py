@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -33,19 +33,24 @@ class Follower:
         self._order: tuple[float, float] | None = None
         self._ordered = float("-inf")
 
-    def look(self, pair: StereoPair, measurement: Measurement, expected: Sequence[Array]) -> None:
+    def look(
+        self,
+        pair: StereoPair,
+        measurement: Measurement,
+        expected: Callable[[float], Sequence[Array]],
+    ) -> None:
         """See where the LEDs are, and order a turn if they are too far aside.
 
         Args:
             pair: says how the bases stood.
             measurement: what was seen in it.
-            expected: rig_T_flange from the readings, for pairs that show no pose; of several none
-                is believed.
+            expected: gives rig_T_flange from the readings at an instant, for pairs that show no
+                pose; of several none is believed.
         """
         if measurement.pose is not None:
             rig_T_flange = measurement.pose.rig_T_flange
-        elif len(expected) == 1:
-            rig_T_flange = expected[0]
+        elif len(found := expected(measurement.t)) == 1:
+            rig_T_flange = found[0]
         else:
             return
         point = rig_T_flange @ self._middle

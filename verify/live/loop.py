@@ -239,7 +239,7 @@ class Live:
         if pair is not None:
             self.state.seen(pair, measurement)
             if self._follower is not None:
-                self._follower.look(pair, measurement, self._expected(measurement.t))
+                self._follower.look(pair, measurement, self._expected)
         with self._wake:
             self._measured.append(Taken(measurement, arrived, doubt, time.monotonic()))
             self._wake.notify_all()

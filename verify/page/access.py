@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from verify.errors import InputError
 
 COOKIE = "verify_token"
+USUAL_PORT = 8646
+LOOPBACK = "127.0.0.1"
 LEAST_TOKEN = 16  # characters: what nobody guesses over a network
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "

@@ -11,14 +11,13 @@ from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
 from verify.errors import InputError
-from verify.page.access import check
+from verify.page.access import LOOPBACK, USUAL_PORT, check
 from verify.page.server import serve
 
 EVERY = 0.1  # s: faster than eyes follow; pictures too
 STATE_EVERY = 0.5  # s
 START_LIMIT = 20.0  # s: a process that imports its modules on a busy machine
 GOODBYE = 2.0  # s
-USUAL_PORT = 8646
 
 
 class Source(Protocol):
@@ -67,7 +66,7 @@ class Page:
         self,
         source: Source,
         port: int = USUAL_PORT,
-        address: str = "127.0.0.1",
+        address: str = LOOPBACK,
         token: str | None = None,
         asked: Mapping[str, Callable[[], None]] | None = None,
     ) -> None:

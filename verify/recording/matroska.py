@@ -91,10 +91,7 @@ class MatroskaFile:
         Raises:
             OSError: the system refuses it; it is closed all the same.
         """
-        try:
-            os.fsync(self._file)
-        finally:
-            os.close(self._file)
+        close_for_good(self._file)
 
     def _append(self, data: bytes) -> None:
         write_all(self._file, data, self._length)
@@ -115,6 +112,18 @@ def write_all(file: int, data: bytes, at: int) -> None:
     except OSError:
         cut(file, at)
         raise
+
+
+def close_for_good(file: int) -> None:
+    """Have the disk hold a file, and close it.
+
+    Raises:
+        OSError: the system refuses it; it is closed all the same.
+    """
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
 
 
 def cut(file: int, length: int) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from verify.cameras import TakenPair
 from verify.devices import EncoderReading
-from verify.recording.matroska import write_all
+from verify.recording.matroska import close_for_good, write_all
 from verify.records import StereoPair
 
 
@@ -50,10 +50,7 @@ class Rows:
         Raises:
             OSError: the system refuses it; it is closed all the same.
         """
-        try:
-            os.fsync(self._file)
-        finally:
-            os.close(self._file)
+        close_for_good(self._file)
 
 
 def frames_header(turning: bool) -> str:

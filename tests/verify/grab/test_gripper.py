@@ -10,6 +10,7 @@ import pytest
 from pymodbus.pdu.register_message import WriteMultipleRegistersRequest
 
 from tests.verify.devices.bench import Emulated, running
+from tests.verify.grab.stepping import stepped
 from verify.emulators.faults import Faults
 from verify.emulators.gripper import GripperEngine, GripperOptions
 from verify.emulators.gripper_hand import NOTHING, contacts_of
@@ -28,9 +29,6 @@ from verify.grab.motion_port import (
 
 PORTS = ["tcp:0", "pty"]
 RIGHT = ExecuteRight("--execute, in a test")
-PERIOD = 1 / 60  # s, of the control loop
-LONGEST_STEP = 0.5  # s: a step waits for nothing; the rest is a machine that does other things
-USUAL_STEP = 0.01  # s
 OPEN_MM = 150.7  # the emulated software limit: position 7 of 255
 
 
@@ -47,23 +45,6 @@ def driver(emulated: Emulated | str, **settings: object) -> Iterator[GripperDriv
         yield found
     finally:
         found.close()
-
-
-def stepped(
-    gripper: GripperReader, until: Callable[[GripperStatus], bool], limit: float = 10.0
-) -> list[GripperStatus]:
-    """Step as a control loop does; every step is quick."""
-    end, seen, took = time.monotonic() + limit, [], []
-    while True:
-        begin = time.monotonic()
-        seen.append(gripper.step())
-        took.append(time.monotonic() - begin)
-        assert took[-1] < LONGEST_STEP
-        if until(seen[-1]):
-            assert len(took) < 20 or np.median(took) < USUAL_STEP
-            return seen
-        assert time.monotonic() < end, seen[-1]
-        time.sleep(PERIOD)
 
 
 def settled(gripper: GripperDriver, *states: GripperState) -> GripperStatus:

@@ -2,6 +2,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import robots
 from tests.verify.devices.bench import Emulated, running
+from tests.verify.grab import stepping
 from verify.devices.intake import AngleMap, same_angles
 from verify.devices.melfa_lines import READING, ForbiddenCommandError
 from verify.emulators import trajectory
@@ -33,9 +35,6 @@ ARM = robots.load("rv_3sd_melfa")
 LIMITS = np.column_stack([ARM.lower, ARM.upper])
 HOME = np.deg2rad(trajectory.HOME_DEG)
 NEXT = HOME + np.deg2rad([8.0, -5.0, 6.0, 10.0, -8.0, 12.0])
-PERIOD = 1 / 60  # s, of the control loop
-LONGEST_STEP = 0.5  # s: a step waits for nothing; the rest is a machine that does other things
-USUAL_STEP = 0.01  # s
 FAST = 0.01  # s, pause: tests cannot wait
 GIVEN_BACK = ["STOP", "ERROR", "SRVOFF", "CNTLOFF", "STATE"]
 
@@ -74,21 +73,7 @@ def mover(
         yield found
 
 
-def stepped(
-    arm: MelfaMover, until: Callable[[MoverStatus], bool], limit: float = 15.0
-) -> list[MoverStatus]:
-    """Step as a control loop does; every step is quick."""
-    end, seen, took = time.monotonic() + limit, [], []
-    while True:
-        begin = time.monotonic()
-        seen.append(arm.step())
-        took.append(time.monotonic() - begin)
-        assert took[-1] < LONGEST_STEP
-        if until(seen[-1]):
-            assert len(took) < 20 or np.median(took) < USUAL_STEP
-            return seen
-        assert time.monotonic() < end, seen[-1]
-        time.sleep(PERIOD)
+stepped = partial(stepping.stepped, limit=15.0)  # a move takes longer
 
 
 RESTS = {

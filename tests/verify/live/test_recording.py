@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from tests.small_disk import mounted
 from tests.verify.live.recording_process import FACTS, pair, reading
 from tests.verify.recorded import HEIGHT, WIDTH
 from verify import station_file
@@ -297,14 +298,7 @@ def kept_in_time(recorder: Recorder, pairs: list[TakenPair]) -> float:
 
 
 def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)], capture_output=True
-    )
-    if mounted.returncode:
-        pytest.skip("only an administrator may mount a small disk")
-    try:
+    with mounted(tmp_path / "disk", "-o", "size=2m") as disk:
         recorder = Recorder(disk, "session", FACTS)
         recorder.reading(reading(1.0))
         pairs = pairs_at_thirty_hertz(300)
@@ -319,8 +313,6 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path: Path) -> None
         assert 50 < len(session) == state.pairs < 300
         for before, after in zip(pairs, session.pairs(), strict=False):
             assert_array_equal(after.right, before.right)
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
 
 
 def test_a_disk_that_fills_to_the_last_byte_leaves_whole_pairs(

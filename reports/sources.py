@@ -1,9 +1,15 @@
-"""What a calibration, a check or a registration was made from, in its report."""
+"""What a result was made from, in its report."""
 
 from typing import Any
 
 from reports.blocks import Block, Bullets, Paragraph, Table, row
-from reports.formatting import word
+from reports.formatting import DASH, word
+
+
+def software(summary: dict[str, Any]) -> str:
+    """Name the program that made a result, and its version."""
+    tool = summary.get("tool") or {}
+    return f"{tool.get('name') or 'verify'} {tool.get('version') or DASH}"
 
 
 def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
