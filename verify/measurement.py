@@ -163,7 +163,7 @@ def _identified(
         pair.pan_right,
         setup.marker,
         prediction=prediction,
-        expected_poses=setup.expected(pair.t_left),
+        expected=partial(setup.expected, pair.t_left),
         motion_tolerance_px=_motion_px(pair, setup, memory),
     )
     sides = []

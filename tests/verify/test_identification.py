@@ -51,7 +51,7 @@ class Scene:
             PANS[1],
             self.marker,
             prediction=prediction,
-            expected_poses=expected,
+            expected=lambda: expected,
             motion_tolerance_px=skew,
         )
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from verify.detection.bite import RimScore, score_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
 from verify.detection.fit import first_look, fit_spots, reweighted
-from verify.detection.judgement import FITTED, SEEN, Judgement, core_pixels, joined, judge
+from verify.detection.judgement import FITTED, Judgement, joined, judge
+from verify.detection.kernel import SEEN
 from verify.detection.model import Fit
 from verify.detection.noise import LIKELY, background_noise, refined
 from verify.detection.patches import Cut, cut_out, glance_at
@@ -148,7 +149,7 @@ def residuals(
     speakers: list[tuple[float, Array, Array]] = []
     for (cut, state), judgement in zip(batches, judgements, strict=True):
         patches, own = cut.patches, state.used & (state.visible > SEEN)
-        core = core_pixels(patches, state)
+        core = state.own
         count = (own & core).sum(axis=1)
         for row in np.flatnonzero(judgement.sound & (count > 2 * FITTED)):
             pixels = own[row]
@@ -175,8 +176,8 @@ def renewed(batch: Batch, noise: Noise) -> Batch:
 def rims(batches: list[Batch], judgements: list[Judgement]) -> RimScore:
     """What every spot's rim says of a bite."""
     scores = [
-        score_rims(cut.patches, state, single(judgement), judgement.misfit)
-        for (cut, state), judgement in zip(batches, judgements, strict=True)
+        score_rims(state, single(judgement), judgement.misfit)
+        for (_, state), judgement in zip(batches, judgements, strict=True)
     ]
     return RimScore(
         gradient=np.concatenate([score.gradient for score in scores]),

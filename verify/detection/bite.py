@@ -10,14 +10,14 @@ Bayesian model averaging (Hoeting et al., Bayesian model averaging: a tutorial, 
 their depth: no threshold decides, and what stays open is said by the covariance.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from verify.detection.fit import taken
-from verify.detection.model import PARAMETERS, PEAK, Fit, Patches, Shape, X, Y, placed, whitened
+from verify.detection.kernel import PARAMETERS, PEAK, RESIDUAL, X, Y
+from verify.detection.model import Fit
 from verify.records import Array
 
 DIRECTIONS = 24  # round the rim: steps of 15°, under a bite's own width
@@ -45,12 +45,11 @@ class RimScore:
         return RimScore(self.gradient[which], self.information[which], self.pull[which])
 
 
-def score_rims(patches: Patches, state: Fit, which: NDArray[np.bool_], misfit: Array) -> RimScore:
+def score_rims(state: Fit, which: NDArray[np.bool_], misfit: Array) -> RimScore:
     """Ask each chosen spot's residuals for bites; those not chosen know nothing.
 
     Args:
-        patches: pixels of n spots.
-        state: their fits.
+        state: fits of n spots.
         which: (n,), spots whose rims are worth asking.
         misfit: (n,), reduced chi²; above 1, unmodelled errors make the pixels worth less.
     """
@@ -60,15 +59,13 @@ def score_rims(patches: Patches, state: Fit, which: NDArray[np.bool_], misfit: A
     )
     if not len(rows):
         return score
-    near = np.flatnonzero((state.shape.radius2[rows] < RIM**2).any(axis=0))
-    part, pixels = columns_taken(taken(patches, rows), near), np.ix_(rows, near)
-    parameters, misfit = state.parameters[rows], misfit[rows, None]
-    shape, visible = placed(part, parameters), state.visible[pixels]
-    root = np.sqrt(state.used[pixels] / state.variance[pixels])
-    weight, residual = root * visible, root * (part.value - state.mean[pixels])
-    sunk = bites(parameters, shape, weight)
-    cross = whitened(part, parameters, shape, weight, residual) @ sunk.transpose(0, 2, 1)
-    cross, slope = cross[:, :PARAMETERS], cross[:, PARAMETERS]
+    near = np.flatnonzero((state.radius2[rows] < RIM**2).any(axis=0))
+    pixels = np.ix_(rows, near)
+    misfit = misfit[rows, None]
+    weight = state.visible[pixels] * np.sqrt(state.used[pixels] / state.variance[pixels])
+    sunk = bites(state, rows, near, weight)
+    cross = state.whitened[rows][:, :, near] @ sunk.transpose(0, 2, 1)
+    cross, slope = cross[:, :PARAMETERS], cross[:, RESIDUAL]
     follow = np.linalg.solve(state.information[rows], cross)  # how the parameters give way
     whole = np.square(sunk).sum(axis=2)
     left = whole - (cross * follow).sum(axis=1)
@@ -80,30 +77,21 @@ def score_rims(patches: Patches, state: Fit, which: NDArray[np.bool_], misfit: A
     return score
 
 
-def columns_taken(patches: Patches, which: NDArray[np.intp]) -> Patches:
-    """Some of the pixels of every patch."""
-    return replace(
-        patches,
-        value=patches.value[:, which],
-        valid=patches.valid[:, which],
-        column=patches.column[:, which],
-        row=patches.row[:, which],
-    )
+def bites(state: Fit, rows: NDArray[np.intp], near: NDArray[np.intp], weight: Array) -> Array:
+    """Change of pixels by a bite in each direction, per depth: (rows, DIRECTIONS, near), DN.
 
-
-def bites(parameters: Array, shape: Shape, weight: Array) -> Array:
-    """Change of the pixels by a bite in each direction, per depth: (n, DIRECTIONS, p), DN.
-
-    Each pixel's is multiplied by its `weight`, (n, p).
+    Each pixel's is multiplied by its `weight`, (rows, near).
     """
+    offset = state.offset[rows][:, :, near]
     # at the very centre no bite changes anything
-    length = np.maximum(np.hypot(shape.u, shape.w), 1e-9)
-    along = SIDES @ np.stack([shape.u / length, shape.w / length], axis=1)
+    length = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-9)
+    along = SIDES @ (offset / length[:, None])
     # von Mises' bump, a Gaussian round a circle
     share = np.exp((along - 1) / WIDTH**2)
     # a smaller radius is a larger t: d(t²) = 2 t² times the relative depth
-    depth = 2 * parameters[:, PEAK, None] * shape.slope * shape.radius2 * weight
-    changed: Array = share * depth[:, None]
+    pixels = np.ix_(rows, near)
+    depth = 2 * state.parameters[rows, PEAK, None] * state.slope[pixels] * state.radius2[pixels]
+    changed: Array = share * (depth * weight)[:, None]
     return changed
 
 

@@ -5,14 +5,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.detection.model import PEAK, SENSOR_LIMIT, XX, XY, YY, Fit, Patches, X, Y
+from verify.detection.kernel import PEAK, SENSOR_LIMIT, XX, XY, YY, X, Y, tally
+from verify.detection.model import Fit
 from verify.detection.patches import Cut
 from verify.records import Array
 
 FITTED = 8  # parameters that a spot's own pixels pay for; the slopes live on the surroundings
-CORE = 1.5  # half-widths: the spot's own pixels, by which its fit is judged
-CORE_LEAST = 3.0  # px, likewise for the smallest: 28 pixels against 8 parameters
-SEEN = 0.9  # share of a pixel's noise that clipping must leave for its residual to count
 MISFIT = 6.0  # reduced chi² of a shape that no clean LED has
 ROUGH = 0.035  # rms residual over peak, likewise; both must hold: a bright LED shows every flaw
 FAINTEST = 8.0  # sigma of the peak: chance does not reach it in a picture
@@ -48,18 +46,16 @@ def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
     positive = mean > split
     half_long = patches.scale / np.sqrt(np.where(positive, mean - split, 1.0))
     half_short = patches.scale / np.sqrt(np.where(positive, mean + split, 1.0))
-    core = core_pixels(patches, state)
-    seen = core & (state.visible > SEEN)
-    residual2 = np.square(patches.value - state.mean)
-    freedom = seen.sum(axis=1) - FITTED
-    chi2 = (seen * residual2 / state.variance).sum(axis=1)
-    misfit = np.where(freedom > 0, chi2 / np.maximum(freedom, 1), 1.0)
-    rough = np.sqrt((seen * residual2).sum(axis=1) / np.maximum(freedom, 1))
+    count, squares, square_dn, full = tally(patches.pixels, state.known).T
+    freedom = count - FITTED
+    # few pixels are left of a spot far over the limit, and its foot pays for the parameters
+    misfit = np.where(freedom >= FITTED, squares / np.maximum(freedom, 1), 1.0)
+    rough = np.sqrt(square_dn / np.maximum(freedom, 1))
     merged = (misfit > MISFIT) & (rough > ROUGH * np.minimum(p[:, PEAK], SENSOR_LIMIT))
     # A shape that the profiles lack (a stalk before the LED, a reflection beside it) leaves errors
     # larger than noise, in neighbouring pixels alike: said in the covariance too.
     excess = np.maximum(misfit - 1 - CHANCE * np.sqrt(2 / np.maximum(freedom, 1)), 0.0)
-    saturated = np.asarray((core & (patches.value >= SENSOR_LIMIT)).any(axis=1), np.bool_)
+    saturated: NDArray[np.bool_] = full > 0
     excess[saturated] = 0.0  # what is left of a clipped spot is too little to judge its shape by
     inflation = np.where(merged, TOGETHER * misfit, 1 + TOGETHER * excess)
     covariance = covariance * inflation[:, None, None]
@@ -87,14 +83,6 @@ def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
         merged=merged,
         sound=sound,
     )
-
-
-def core_pixels(patches: Patches, state: Fit) -> NDArray[np.bool_]:
-    """The pixels that are a spot's own."""
-    off = [a - state.parameters[:, k, None] for a, k in ((patches.column, X), (patches.row, Y))]
-    near = np.square(off).sum(axis=0) < CORE_LEAST**2
-    own: NDArray[np.bool_] = ((state.shape.radius2 < CORE**2) | near) & patches.valid
-    return own
 
 
 def joined(parts: list[Judgement]) -> Judgement:

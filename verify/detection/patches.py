@@ -92,8 +92,8 @@ def read_pixels(
         square = np.square(weight)
         # The channels' shares of the signal are the weights themselves, up to a factor.
         share = square.sum(axis=1), (square * weight).sum(axis=1) / square.sum(axis=1)
-    offset = column.astype(float), row.astype(float)
-    return Cut(Patches(value, valid, *offset, scale, *share, noise), origin, colour)
+    known = np.stack([value, valid, column, row], axis=1, dtype=np.float64)
+    return Cut(Patches(known, scale, *share, noise), origin, colour)
 
 
 def is_grey(pixels: Image) -> bool:

@@ -6,7 +6,6 @@ uniform emissive sphere through a lens), less for a Moffat profile (a Gaussian w
 sides leave the Gaussian along the same direction, f (t⁴ - t²), so the family is smooth.
 """
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -26,19 +25,12 @@ STEP = 1 / 128  # half-widths between samples: a Taylor step of first order errs
 LAST = 8.0  # half-widths; beyond it the last sample stands
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileTable:
-    """Samples of the family on a grid, (row, sample), and their steps from row to row."""
-
-    value: Array  # (rows, samples), f
-    value_step: Array  # (rows, samples), to the next row; the last one has none
-    slope: Array  # (rows, samples), df / d(t²)
-    slope_step: Array  # (rows, samples)
-
-
 @cache
-def profile_table() -> ProfileTable:
-    """Tabulate the family once."""
+def profile_table() -> Array:
+    """Tabulate the family once, (4, rows, samples), a row a steepness, a sample a radius.
+
+    The four are f, its step to the next row (the last one has none), df / d(t²), and its step.
+    """
     log_steepness = np.linspace(LOWEST, HIGHEST, ROWS)
     t = np.arange(0, LAST + STEP / 2, STEP)
     ratios = np.geomspace(0.3, 60.0, 120)  # disc radius over blur
@@ -54,25 +46,7 @@ def profile_table() -> ProfileTable:
         slope[row, 1:] = np.gradient(value[row], STEP)[1:] / (2 * t[1:])
         slope[row, 0] = (value[row, 1] - value[row, 0]) / STEP**2
     value_step, slope_step = (np.diff(table, axis=0, append=table[-1:]) for table in (value, slope))
-    return ProfileTable(value, value_step, slope, slope_step)
-
-
-def look_up(radius2: Array, log_steepness: Array) -> tuple[Array, Array, Array]:
-    """f, df/d(t²) and df/d(ln steepness) at t², per spot from the table, first order in t²."""
-    table = profile_table()
-    rows, samples = table.value.shape
-    place = np.minimum(np.maximum((log_steepness - LOWEST) / ROW_STEP, 0.0), rows - 1.001)
-    row = place.astype(np.intp)
-    share = (place - row)[:, None]
-    index = (np.sqrt(radius2) * (1 / STEP) + 0.5).astype(np.intp)
-    np.minimum(index, samples - 1, out=index)
-    # past the table the profile stands
-    beyond = np.minimum(radius2 - (index * STEP) ** 2, 2 * LAST * STEP)
-    index += (row * samples)[:, None]
-    step = table.value_step.take(index)
-    slope = table.slope.take(index) + share * table.slope_step.take(index)
-    value = table.value.take(index) + share * step + slope * beyond
-    return value, slope, step * (1 / ROW_STEP)
+    return np.stack([value, value_step, slope, slope_step])
 
 
 def blurred_disc(r: Array, ratio: float) -> Array:

@@ -6,7 +6,7 @@ then by continuity with the previous pair, then by the candidate nearest to the 
 encoders choose, their value enters nothing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +57,11 @@ class Identification:
     status: str  # measured, too_few_leds, ambiguous_leds
 
 
+def nothing_expected() -> Sequence[Array]:
+    """Stand in for encoders where there are none."""
+    return ()
+
+
 def identify(
     left: Spots,
     right: Spots,
@@ -66,7 +71,7 @@ def identify(
     marker: Marker,
     *,
     prediction: Prediction | None = None,
-    expected_poses: Sequence[Array] = (),
+    expected: Callable[[], Sequence[Array]] = nothing_expected,
     motion_tolerance_px: float = 2.0,
 ) -> Identification:
     """Find which spot is which LED.
@@ -80,8 +85,8 @@ def identify(
         marker: the LEDs, one to six in any arrangement.
         prediction: from the previous pairs; settles what geometry and colour leave open, and
             finds LEDs where too few are seen for geometry alone.
-        expected_poses: rig_T_flange (4, 4) from the encoders; the nearest settles what is still
-            open, and nothing else.
+        expected: gives rig_T_flange (4, 4) from the encoders; the nearest settles what is still
+            open, and nothing else. Asked only then, and where nothing is predicted.
         motion_tolerance_px: px, how far LEDs may have moved between the two exposures.
 
     Returns:
@@ -91,7 +96,7 @@ def identify(
     if len(left) == 0 or len(right) == 0:
         return _nothing("too_few_leds")
     views = look((left, right), rig, (pan_left, pan_right), marker, motion_tolerance_px)
-    found = _find(views, prediction, expected_poses)
+    found = _find(views, prediction, expected)
     if len(found) == 0:
         return _nothing("too_few_leds")
     evidence = score(views, found)
@@ -112,7 +117,7 @@ def identify(
     else:
         choice = "encoders"
         open_ones = np.flatnonzero(rivals | (np.arange(len(found)) == best))
-        nearest = _nearest(views.leds, found.take(open_ones), expected_poses)
+        nearest = _nearest(views.leds, found.take(open_ones), expected())
         if nearest is None:
             return _nothing("ambiguous_leds", alternatives)
         best = int(open_ones[nearest])
@@ -120,12 +125,11 @@ def identify(
 
 
 def _find(
-    views: Views, prediction: Prediction | None, expected_poses: Sequence[Array]
+    views: Views, prediction: Prediction | None, expected: Callable[[], Sequence[Array]]
 ) -> Hypotheses:
     """Search the images, and follow the prediction where there is one."""
-    references = [prediction.rig_T_flange] if prediction is not None else []
-    references += list(expected_poses)
-    rig_R_flange = references[0][:3, :3] if references else np.eye(3)
+    references = [prediction.rig_T_flange] if prediction is not None else expected()
+    rig_R_flange = references[0][:3, :3] if len(references) else np.eye(3)
     found = search(views, rig_R_flange, single=prediction is not None)
     if prediction is not None:
         there = found.take(_off(views.leds, found, prediction) <= BELIEVED)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from verify.identification.seeds import GATE, Graph, Index, Points, cross, project_slope
+from verify.identification import kernel
+from verify.identification.seeds import GATE, Graph, Index, Points, cross
 from verify.identification.views import Views
 from verify.records import Array
 
@@ -23,9 +24,6 @@ LARGEST_GATE = 10.0  # px, an LED predicted worse than this could be any spot
 REWARD = 20.0  # 2 ln of how much denser spots are at an LED (half a px) than clutter (20 an image)
 MERGED_COST = 9.0  # of the same kind: a clean spot is taken unless it lies 3 sigma farther off
 IMPROBABLE = 1e-4  # chi² beyond this probability is not this marker
-TURN = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(
-    3, 9
-)  # (a @ TURN) as (3, 3) is phi -> phi x a
 ALONE_COST = 7.0  # likewise: an LED in view of one camera is hidden from the other once in 30 times
 
 
@@ -137,70 +135,50 @@ def settle_spots(views: Views, hypotheses: Hypotheses) -> Hypotheses:
 
 def predict(views: Views, hypotheses: Hypotheses) -> tuple[Array, Array, Array]:
     """Predict LED images (h, 2, n, 2), their derivative (h, 2, n, 2, 8), and depths (h, 2, n)."""
-    arm = views.leds @ np.swapaxes(hypotheses.rotation, 1, 2)
-    rig = arm + hypotheses.position[:, None]
-    local = (rig[:, None] - views.center[:, None]) @ np.swapaxes(views.camera_R_rig, 1, 2)
-    depth = local[..., 2].copy()
-    local[depth <= NEAREST] = 0.0, 0.0, 1.0
-    slope = project_slope(local, views.focal[:, None])
-    image = slope[..., [0, 1], [0, 1]] * local[..., :2]
-    image[:, 1] += hypotheses.shift[:, None]
-    slope = slope @ views.camera_R_rig[:, None]
-    derivative = np.zeros((*image.shape, 8))
-    derivative[..., :3] = slope
-    derivative[..., 3:6] = slope @ (arm @ TURN).reshape(*arm.shape, 3)[:, None]
-    derivative[:, 1, :, 0, 6] = derivative[:, 1, :, 1, 7] = 1.0
+    shape = (len(hypotheses), 2, len(views.leds))
+    image, derivative, depth = np.empty((*shape, 2)), np.empty((*shape, 2, 8)), np.empty(shape)
+    kernel.predict_all(
+        (views.camera_R_rig, views.center, views.focal),
+        NEAREST,
+        views.leds,
+        np.ascontiguousarray(hypotheses.rotation),
+        hypotheses.position,
+        hypotheses.shift,
+        image,
+        derivative,
+        depth,
+    )
     return image, derivative, depth
 
 
 def refine(views: Views, hypotheses: Hypotheses, steps: int) -> Hypotheses:
-    """Fit pose and shift to the assigned spots by Gauss-Newton, all hypotheses at once."""
-    if len(hypotheses) == 0:
+    """Fit pose and shift to the assigned spots by Gauss-Newton, every hypothesis by itself."""
+    count = len(hypotheses)
+    if count == 0:
         return hypotheses
-    current = hypotheses
-    count, side = len(current), np.arange(2)[:, None]
-    used = (current.spot >= 0)[..., None]
-    held = 1 / max(views.skew, LEAST_SKEW) ** 2
-    hold = np.full((count, 8), held)
-    hold[:, :6] = current.hold
-    for step in range(steps + 1):
-        image, derivative, depth = predict(views, current)
-        if step == 0:
-            spread = views.covariance[side, current.spot] + _play(views, depth)
-            whiten = _inverse_root(spread) * used[..., None]
-            seen = np.where(used, views.pixels[side, current.spot], 0.0)
-        residual = (whiten @ (seen - image * used)[..., None]).reshape(count, -1)
-        derivative = (whiten @ derivative).reshape(count, -1, 8)
-        transposed = np.swapaxes(derivative, 1, 2)
-        information = transposed @ derivative
-        np.einsum("hii->hi", information)[:] += hold
-        covariance = np.asarray(np.linalg.inv(information), dtype=float)
-        if step < steps:
-            pull = (transposed @ residual[..., None])[..., 0]
-            pull[:, 6:] -= held * current.shift
-            current = _step(current, (covariance @ pull[..., None])[..., 0])
-    chi2 = np.sum(residual**2, axis=1) + held * np.sum(current.shift**2, axis=1)
-    return replace(current, covariance=covariance, chi2=chi2)
-
-
-def _step(hypotheses: Hypotheses, move: Array) -> Hypotheses:
-    """Move poses and shifts by (h, 8): m, small rotation vector, px."""
-    return replace(
+    fitted = replace(
         hypotheses,
-        rotation=_turned(move[:, 3:6]) @ hypotheses.rotation,
-        position=hypotheses.position + move[:, :3],
-        shift=hypotheses.shift + move[:, 6:],
+        rotation=np.array(hypotheses.rotation, order="C"),
+        position=hypotheses.position.copy(),
+        shift=hypotheses.shift.copy(),
+        covariance=np.empty((count, kernel.FREE, kernel.FREE)),
+        chi2=np.empty(count),
     )
-
-
-def _turned(vectors: Array) -> Array:
-    """Rotation matrices (h, 3, 3) of rotation vectors (h, 3), by Rodrigues' formula."""
-    angle = np.sqrt(np.sum(vectors**2, axis=1))[:, None, None]
-    turns: Array = np.cos(angle) * np.eye(3) - np.sinc(angle / np.pi) * (vectors @ TURN).reshape(
-        -1, 3, 3
+    kernel.fit_all(
+        (views.camera_R_rig, views.center, views.focal),
+        (views.pixels, views.covariance),
+        (NEAREST, views.led_play * views.mean_focal, 1 / max(views.skew, LEAST_SKEW) ** 2),
+        views.leds,
+        fitted.rotation,
+        fitted.position,
+        fitted.shift,
+        fitted.spot,
+        fitted.hold,
+        steps,
+        fitted.covariance,
+        fitted.chi2,
     )
-    turns += np.sinc(angle / (2 * np.pi)) ** 2 / 2 * vectors[:, :, None] * vectors[:, None]
-    return turns
+    return fitted
 
 
 def _play(views: Views, depth: Array) -> Array:
@@ -208,16 +186,6 @@ def _play(views: Views, depth: Array) -> Array:
     spread = (views.led_play * views.mean_focal / np.maximum(depth, NEAREST)) ** 2
     covariance: Array = spread[..., None, None] * np.eye(2)
     return covariance
-
-
-def _inverse_root(spread: Array) -> Array:
-    """Inverse of the Cholesky factor of (..., 2, 2) covariances."""
-    root = np.zeros_like(spread)
-    root[..., 0, 0] = 1 / np.sqrt(spread[..., 0, 0])
-    slant = spread[..., 1, 0] * root[..., 0, 0]
-    root[..., 1, 1] = 1 / np.sqrt(spread[..., 1, 1] - slant**2)
-    root[..., 1, 0] = -slant * root[..., 0, 0] * root[..., 1, 1]
-    return root
 
 
 def gather(views: Views, hypotheses: Hypotheses, largest: float = LARGEST_GATE) -> Hypotheses:

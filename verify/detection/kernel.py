@@ -1,0 +1,318 @@
+"""The fit's inner loop, compiled: a patch's pixels at a spot's parameters, and the way down.
+
+What a pixel is expected to be, and what it weighs, is told in model.py.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.compiled import compiled, compiled_sums
+from verify.detection.noise import QUANTISATION
+from verify.detection.profile import LAST, LOWEST, ROW_STEP, STEP
+from verify.records import Array
+
+X, Y, PEAK, FLOOR, SLOPE_X, SLOPE_Y, XX, XY, YY, STEEPNESS = range(10)
+PARAMETERS = 10
+RESIDUAL = PARAMETERS  # the row behind the derivatives
+WHITENED = PARAMETERS + 1
+# what is known of each pixel, in the order of a state's rows
+MEAN, VARIANCE, SIGNAL, USED, VISIBLE, U, W, RADIUS2, SLOPE, OWN = range(10)
+KNOWN = 10
+SENSOR_LIMIT = 255.0  # DN
+FOOT = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
+OUTLIER = 5.0  # sigma, likewise
+CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
+ROOT_TWO, ROOT_TWO_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
+FIRST_DAMPING = 1e-4
+CORE = 1.5  # half-widths: the spot's own pixels, by which its fit is judged
+CORE_LEAST = 3.0  # px, likewise for the smallest: 28 pixels against 8 parameters
+SEEN = 0.9  # share of a pixel's noise that clipping must leave for its residual to count
+
+
+@compiled
+def clipped(mu: float, noise: float) -> tuple[float, float, float]:
+    """Mean, variance and d mean / d mu of a normal variable clipped to the sensor's range."""
+    from_above = SENSOR_LIMIT - mu
+    room = min(from_above, mu)  # the farther limit is always out of reach
+    sigma = math.sqrt(noise)
+    z = room / sigma
+    if z >= CLIP_REACH:
+        return mu, noise, 1.0
+    inside = 0.5 * math.erfc(-z / ROOT_TWO)
+    excess = room * inside + math.exp(-0.5 * z * z) * (sigma / ROOT_TWO_PI)
+    # E[u²] less E[u]², u the clipped room. No less than rounding: a deviation there is the
+    # model's, not a miracle of the noise.
+    variance = max(noise * inside + excess * (room - excess), QUANTISATION)
+    return (SENSOR_LIMIT - excess if from_above < mu else excess), variance, inside
+
+
+@compiled
+def place(p: Array, pixels: Array, scale: float, known: Array, rows: Array) -> None:
+    """Place a patch's pixels on the spot: u, w, t² and, in rows that are free still, t and lean."""
+    x, y, xx, xy, yy = p[X], p[Y], p[XX], p[XY], p[YY]
+    inverse = 1.0 / scale
+    for k in range(pixels.shape[1]):
+        u, w = (pixels[2, k] - x) * inverse, (pixels[3, k] - y) * inverse
+        lean_u, lean_w = xx * u + xy * w, xy * u + yy * w
+        radius2 = lean_u * u + lean_w * w
+        radius2 = radius2 if radius2 > 0.0 else 0.0
+        known[U, k], known[W, k], known[RADIUS2, k] = u, w, radius2
+        rows[X, k], rows[Y, k], rows[RESIDUAL, k] = lean_u, lean_w, math.sqrt(radius2)
+
+
+@compiled
+def look_up(log_steepness: float, table: Array, known: Array, rows: Array) -> None:
+    """Look f, df / d(t²) and df / d(ln steepness) up, first order in t², at the pixels' t."""
+    samples = table.shape[2]
+    found = min(max((log_steepness - LOWEST) / ROW_STEP, 0.0), table.shape[1] - 1.001)
+    line = int(found)
+    share = found - line
+    for k in range(rows.shape[1]):
+        radius = rows[RESIDUAL, k]
+        # the last sample also where the radius is no number
+        index = int(radius * (1.0 / STEP) + 0.5) if radius < LAST else samples - 1
+        sample = index * STEP
+        # past the table the profile stands
+        beyond = min(known[RADIUS2, k] - sample * sample, 2 * LAST * STEP)
+        step = table[1, line, index]
+        slope = table[2, line, index] + share * table[3, line, index]
+        known[SLOPE, k], rows[STEEPNESS, k] = slope, step * (1.0 / ROW_STEP)
+        rows[PEAK, k] = table[0, line, index] + share * step + slope * beyond
+
+
+@compiled
+def expect(p: Array, pixels: Array, noise: Array, known: Array, rows: Array) -> None:
+    """Expect each pixel's mean and variance, as the sensor would clip it."""
+    read, gain, black = noise[0], noise[1], noise[2]
+    peak, floor, slope_x, slope_y = p[PEAK], p[FLOOR], p[SLOPE_X], p[SLOPE_Y]
+    near = 0
+    for k in range(pixels.shape[1]):
+        mu = floor + slope_x * pixels[2, k] + slope_y * pixels[3, k] + peak * rows[PEAK, k]
+        signal = mu - black
+        signal = signal if signal > 0.0 else 0.0
+        sigma2 = read + gain * signal
+        room = min(SENSOR_LIMIT - mu, mu)
+        clips = room < 0.0 or room * room < CLIP_REACH**2 * sigma2
+        near += clips
+        known[MEAN, k], known[VARIANCE, k], known[SIGNAL, k] = mu, sigma2, signal
+        known[VISIBLE, k], rows[RESIDUAL, k] = 1.0, sigma2
+    if near == 0:
+        return
+    for k in range(pixels.shape[1]):
+        mu, sigma2 = known[MEAN, k], known[VARIANCE, k]
+        room = min(SENSOR_LIMIT - mu, mu)
+        if room < 0.0 or room * room < CLIP_REACH**2 * sigma2:
+            known[MEAN, k], known[VARIANCE, k], known[VISIBLE, k] = clipped(mu, sigma2)
+
+
+@compiled
+def whiten(p: Array, pixels: Array, scale: float, known: Array, rows: Array) -> float:
+    """Leave out what does not fit, and put every row over its pixels' sigmas.
+
+    Returns:
+        How many valid pixels are left out.
+    """
+    peak, lever, left_out = p[PEAK], -2.0 * p[PEAK] / scale, 0.0
+    for k in range(pixels.shape[1]):
+        residual = pixels[0, k] - known[MEAN, k]
+        foot, sigma2 = known[RADIUS2, k] > FOOT**2, rows[RESIDUAL, k]
+        outside = 1.0 if foot and residual * residual > OUTLIER**2 * sigma2 else 0.0
+        left_out += outside * pixels[1, k]
+        used = pixels[1, k] * (1.0 - outside)
+        root = used * math.sqrt(1.0 / known[VARIANCE, k])
+        weight = root * known[VISIBLE, k]
+        bend, u, w = weight * known[SLOPE, k], known[U, k], known[W, k]
+        known[USED, k], rows[RESIDUAL, k] = used, root * residual
+        rows[X, k], rows[Y, k] = lever * bend * rows[X, k], lever * bend * rows[Y, k]
+        rows[PEAK, k], rows[FLOOR, k] = weight * rows[PEAK, k], weight
+        rows[SLOPE_X, k], rows[SLOPE_Y, k] = weight * pixels[2, k], weight * pixels[3, k]
+        bend *= peak
+        rows[XX, k], rows[XY, k], rows[YY, k] = bend * u * u, 2.0 * bend * u * w, bend * w * w
+        rows[STEEPNESS, k] = peak * weight * rows[STEEPNESS, k]
+    return left_out
+
+
+@compiled
+def weigh(
+    p: Array, pixels: Array, scale: float, noise: Array, table: Array, known: Array, rows: Array
+) -> float:
+    """Place one patch's pixels on the spot that p (10,) describes, and weigh them.
+
+    Args:
+        p: the parameters.
+        pixels: (4, p): value, 1 where valid, column, row.
+        scale: px, half-width that the fit starts from.
+        noise: (3,): read variance, gain, black.
+        table: (4, rows, samples), of the profiles.
+        known: (10, p), filled but for OWN.
+        rows: (11, p), filled: derivatives and residual, over each pixel's sigma.
+
+    Returns:
+        What the pixels that are left out add to chi².
+    """
+    place(p, pixels, scale, known, rows)
+    look_up(p[STEEPNESS], table, known, rows)
+    expect(p, pixels, noise, known, rows)
+    return OUTLIER**2 * whiten(p, pixels, scale, known, rows)
+
+
+@compiled_sums
+def sum_products(rows: Array, products: Array) -> None:
+    """Products of every row (m, p) with every other, (m, m)."""
+    for a in range(rows.shape[0]):
+        for b in range(a + 1):
+            total = 0.0
+            for k in range(rows.shape[1]):
+                total += rows[a, k] * rows[b, k]
+            products[a, b] = products[b, a] = total
+
+
+@compiled
+def normal_equations(
+    p: Array, rows: Array, out: float, prior: Array, information: Array, gradient: Array
+) -> float:
+    """Sum the pixels up; `prior` (2, 10) is mean and inverse variance. Gives chi²."""
+    products = np.empty((WHITENED, WHITENED))
+    sum_products(rows, products)
+    chi2 = products[RESIDUAL, RESIDUAL] + out
+    for a in range(PARAMETERS):
+        off = prior[0, a] - p[a]
+        information[a] = products[a, :PARAMETERS]
+        information[a, a] += prior[1, a]
+        gradient[a] = products[RESIDUAL, a] + prior[1, a] * off
+        chi2 += prior[1, a] * off * off
+    return float(chi2)
+
+
+@compiled
+def shorten(step: NDArray[np.floating], p: Array) -> None:
+    """Shorten a step that leaves the region in which the linearisation means anything."""
+    least = min(p[XX], p[YY])
+    ratio = max(abs(step[X]), abs(step[Y])) / 1.5  # px
+    ratio = max(ratio, abs(step[PEAK]) / (0.7 * p[PEAK]))
+    ratio = max(ratio, abs(step[FLOOR]) / 30.0)  # DN
+    ratio = max(ratio, max(abs(step[SLOPE_X]), abs(step[SLOPE_Y])) / 5.0)  # DN a px
+    ratio = max(ratio, max(abs(step[XX]), abs(step[XY]), abs(step[YY])) / (0.45 * least))
+    ratio = max(ratio, abs(step[STEEPNESS]) / 0.5)
+    if ratio > 1.0:
+        step /= ratio
+
+
+@compiled
+def mark_own(p: Array, pixels: Array, known: Array) -> None:
+    """Mark the pixels that are the spot's own: its core, and for the smallest a few about it."""
+    for k in range(pixels.shape[1]):
+        x, y = pixels[2, k] - p[X], pixels[3, k] - p[Y]
+        near = known[RADIUS2, k] < CORE**2 or x * x + y * y < CORE_LEAST**2
+        known[OWN, k] = pixels[1, k] if near else 0.0
+
+
+@compiled
+def descend(
+    p: Array,
+    pixels: Array,
+    scale: float,
+    noise: Array,
+    table: Array,
+    prior: Array,
+    steps: int,
+    settled: float,
+    known: Array,
+    rows: Array,
+    information: Array,
+    gradient: Array,
+) -> float:
+    """Fit one patch by Gauss-Newton with Levenberg's damping until it settles.
+
+    Args:
+        p: (10,), to begin with; the best met, afterwards.
+        pixels: as for `weigh`, and so are scale, noise and table.
+        scale: px.
+        noise: of this patch.
+        table: of the profiles.
+        prior: as for `normal_equations`.
+        steps: at most; 0 looks how the pixels stand at p.
+        settled: of chi² that a step may still gain.
+        known: filled as by `weigh`, at the end's p; and so are rows.
+        rows: whitened derivatives and residual.
+        information: (10, 10), filled.
+        gradient: (10,), filled.
+
+    Returns:
+        chi².
+    """
+    size = pixels.shape[1]
+    tried_information, tried_gradient = np.empty_like(information), np.empty_like(gradient)
+    out = weigh(p, pixels, scale, noise, table, known, rows)
+    chi2 = normal_equations(p, rows, out, prior, information, gradient)
+    damping, refused = FIRST_DAMPING, False
+    for _ in range(steps):
+        damped = information.copy()
+        for a in range(PARAMETERS):
+            damped[a, a] *= 1.0 + damping
+        step = np.linalg.solve(damped, gradient)
+        shorten(step, p)
+        tried = p + step
+        out = weigh(tried, pixels, scale, noise, table, known, rows)
+        trial = normal_equations(tried, rows, out, prior, tried_information, tried_gradient)
+        # The weights move with the model, so chi² may rise a little on the way to the solution.
+        refused = not trial <= 1.1 * chi2 + 1.0
+        if refused:
+            damping *= 30.0
+            continue
+        gained = step @ gradient  # what the step takes from chi²
+        p[:], chi2, damping = tried, trial, damping / 10.0
+        information[:], gradient[:] = tried_information, tried_gradient
+        if not gained > settled * (1.0 + trial / size):
+            break
+    if refused:
+        weigh(p, pixels, scale, noise, table, known, rows)
+    mark_own(p, pixels, known)
+    return float(chi2)
+
+
+@compiled
+def descend_all(
+    p: Array,
+    pixels: Array,
+    scale: Array,
+    noise: Array,
+    table: Array,
+    prior: Array,
+    steps: int,
+    settled: float,
+    known: Array,
+    rows: Array,
+    information: Array,
+    gradient: Array,
+    chi2: Array,
+) -> None:
+    """Fit n patches: as `descend`, all but table, steps and settled a row a patch."""
+    for n in range(len(p)):
+        chi2[n] = descend(
+            p[n], pixels[n], scale[n], noise[n], table, prior[n], steps, settled, known[n],
+            rows[n], information[n], gradient[n],
+        )  # fmt: skip
+
+
+@compiled
+def tally(pixels: Array, known: Array) -> Array:
+    """Count what judges n spots by their own pixels, (n, 4).
+
+    Pixels that clipping leaves alone; their squared residuals over the variance, summed; the
+    same in DN²; and how many of all are at the sensor's limit.
+    """
+    told = np.zeros((len(pixels), 4))
+    for n in range(len(pixels)):
+        for k in range(pixels.shape[2]):
+            if known[n, OWN, k] == 0.0:
+                continue
+            told[n, 3] += pixels[n, 0, k] >= SENSOR_LIMIT
+            if known[n, VISIBLE, k] > SEEN:
+                square = (pixels[n, 0, k] - known[n, MEAN, k]) ** 2
+                told[n, 0] += 1.0
+                told[n, 1] += square / known[n, VARIANCE, k]
+                told[n, 2] += square
+    return told
