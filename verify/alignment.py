@@ -112,5 +112,5 @@ def _with_the_base_turned(raw: RawSighting, pan: float, camera: Camera) -> Array
         return seen.centre
     rays = np.concatenate([camera.normalise(seen.centre), np.ones((len(seen), 1))], axis=1)
     points = np.concatenate([rays * raw.depth[:, None], np.ones((len(seen), 1))], axis=1)
-    now_T_then = np.linalg.inv(camera.rig_T_camera(pan)) @ camera.rig_T_camera(seen.pan)
+    now_T_then = camera.camera_T_rig(pan) @ camera.rig_T_camera(seen.pan)
     return camera.project((points @ now_T_then.T)[:, :3])

@@ -217,7 +217,7 @@ def _raw(
     if found.rig_T_flange is not None and len(index):
         points = setup.marker.leds[sighting.led] @ found.rig_T_flange[:3, :3].T
         points = points + found.rig_T_flange[:3, 3]
-        camera_T_rig = np.linalg.inv(camera.rig_T_camera(pan))
+        camera_T_rig = camera.camera_T_rig(pan)
         depth = points @ camera_T_rig[2, :3] + camera_T_rig[2, 3]
     taken = spot_instants(t, sighting.centre, camera, image.shape[0])
     return RawSighting(sighting, taken, depth)
@@ -308,7 +308,7 @@ def _windows(
     setup: Setup, camera: Camera, pan: float, prediction: Prediction, image: Image
 ) -> Array:
     """Where to look for each LED, (n, 4) px: x0, y0, x1, y1, overlapping ones merged."""
-    camera_T_flange = np.linalg.inv(camera.rig_T_camera(pan)) @ prediction.rig_T_flange
+    camera_T_flange = camera.camera_T_rig(pan) @ prediction.rig_T_flange
     points = setup.marker.leds @ camera_T_flange[:3, :3].T + camera_T_flange[:3, 3]
     ahead = points[points[:, 2] > 0]  # behind the camera there is nothing to look for
     if not len(ahead):

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.marker import Marker
+from verify.pose_prediction import predict_spots
 from verify.records import Array, Pose, Sighting
-from verify.rig import Camera, Rig, distort, distort_with_jacobian
+from verify.rig import Camera, Rig, distort
 
 # Acceleration assumed a speed, 1/s: arms move in sines near 0.5 Hz (2 pi f = 3) or in ramps of a
 # third of a second. The session's own motion corrects it afterwards (comparison.py).
@@ -27,8 +28,6 @@ ROUGH_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and 
 LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
 SCALE = np.repeat([LEVER, 1.0], 3)
 SCALES = np.outer(SCALE, SCALE)
-# (a @ TURN) as (3, 3) is phi -> phi x a
-TURN = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 9)
 # LEDs that barely leave a line: a turn known worse than this is no measurement, and too large
 # for the linearisation that its uncertainty rests on.
 WORST_KNOWN = 0.1  # rad, or 10 mm at the marker's size
@@ -133,7 +132,7 @@ def fit_pose(
 def _stack(left: Sighting, right: Sighting, rig: Rig, marker: Marker) -> Views:
     m = len(left)
     camera_T_rig: list[Array] = [
-        np.asarray(np.linalg.inv(camera.rig_T_camera(sighting.pan)), dtype=np.float64)
+        camera.camera_T_rig(sighting.pan)
         for camera, sighting in ((rig.left, left), (rig.right, right))
     ]
     return Views(
@@ -156,18 +155,22 @@ def predict(views: Views, rig_T_flange: Array) -> tuple[Array, Array, Array]:
         pixels (s, 2); their derivative by the point in the rig (s, 2, 3), px/m; and by the pose
         (s, 2, 6), a translation and a rotation vector in rig axes.
     """
-    offset = views.points @ rig_T_flange[:3, :3].T
-    xy, depth = _seen(views, offset + rig_T_flange[:3, 3])
-    distorted, by_xy = distort_with_jacobian(xy, views.lens)
-    by_xy = views.focal @ by_xy / depth[..., None]
-    by_camera = np.empty((len(offset), 2, 3))
-    by_camera[..., :2] = by_xy
-    by_camera[..., 2:] = -(by_xy @ xy[..., None])
-    by_pose = np.empty((len(offset), 2, 6))
-    by_point = by_camera @ views.camera_R_rig
-    by_pose[..., :3] = by_point
-    by_pose[..., 3:] = by_point @ (offset @ TURN).reshape(-1, 3, 3)
-    return _pixels(views, distorted), by_point, by_pose
+    count = len(views.points)
+    pixels, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
+    by_pose = np.empty((count, 2, 6))
+    predict_spots(
+        rig_T_flange,
+        views.points,
+        views.camera_R_rig,
+        views.origin,
+        views.lens,
+        views.focal,
+        views.middle,
+        pixels,
+        by_point,
+        by_pose,
+    )
+    return pixels, by_point, by_pose
 
 
 def _seen(views: Views, points_rig: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """The calibrated cameras on their turning bases: the rotating-base camera model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -25,14 +25,33 @@ class Camera:
     pan_standard_uncertainty: float | None = None  # rad, of each pan reading
     line_time: float = 0.0  # s a row, rolling shutter
     exposure: float | None = None  # s
+    # the last reading's place: asked for a dozen times a pair
+    _placed: dict[float, tuple[Array, Array]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def rig_T_camera(self, pan: float) -> Array:
-        """Place the camera for one pan reading (rad); (4, 4)."""
+        """Place the camera for one pan reading (rad); (4, 4), not to be written to."""
+        return self._place(pan)[0]
+
+    def camera_T_rig(self, pan: float) -> Array:
+        """Carry points of the rig into the camera, for one pan reading (rad); (4, 4), likewise."""
+        return self._place(pan)[1]
+
+    def _place(self, pan: float) -> tuple[Array, Array]:
+        known = self._placed.get(pan)
+        if known is not None:
+            return known
         turn = np.eye(4)
         turn[:3, :3] = cv2.Rodrigues(self.pan_axis * (pan + self.pan_zero))[0]
         turn[:3, 3] = self.pan_center
-        placed: Array = turn @ self.mount
-        return placed
+        placed = turn @ self.mount
+        both = placed, np.asarray(np.linalg.inv(placed), dtype=np.float64)
+        for matrix in both:
+            matrix.flags.writeable = False
+        self._placed.clear()
+        self._placed[pan] = both
+        return both
 
     def project(self, points_camera: Array) -> Array:
         """Image of points in the camera frame: (..., 3) m to (..., 2) px, distortion included.

@@ -236,7 +236,7 @@ def _views(
         ("left", rig.left, left, slice(0, len(left))),
         ("right", rig.right, right, slice(len(left), None)),
     ):
-        camera_T_rig = np.linalg.inv(camera.rig_T_camera(sighting.pan))
+        camera_T_rig = camera.camera_T_rig(sighting.pan)
         inside = points[spots] @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]
         sides.append((name, camera, sighting, spots, inside))
     return _Views(tuple(sides), points, led, marker.names, offset, rig_R_flange)

@@ -87,8 +87,7 @@ def _sighting(view: BoardView | None, pan: float) -> Sighting:
 def _views(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Views:
     m = len(left)
     placed = [
-        np.asarray(np.linalg.inv(camera.rig_T_camera(view.pan)), dtype=np.float64)
-        for camera, view in ((rig.left, left), (rig.right, right))
+        camera.camera_T_rig(view.pan) for camera, view in ((rig.left, left), (rig.right, right))
     ]
     return Views(
         points=points[np.concatenate([left.led, right.led])],

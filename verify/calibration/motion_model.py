@@ -81,7 +81,7 @@ def stack(seen: Sequence[Seen], rig: Rig) -> Spotted:
             parts["cov"].append(raw.sighting.covariance)
             parts["t"].append(raw.taken)
             parts["pan"].append(np.full(m, raw.sighting.pan))
-            camera_T_rig = np.linalg.inv(camera.rig_T_camera(raw.sighting.pan))
+            camera_T_rig = camera.camera_T_rig(raw.sighting.pan)
             parts["T"].append(np.tile(camera_T_rig, (m, 1, 1)))
             parts["led"].append(raw.sighting.led.astype(float))
     return Spotted(

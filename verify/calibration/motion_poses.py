@@ -139,7 +139,7 @@ def _raw(now: Look, side: int, found: Identification, camera: Camera) -> RawSigh
         acceleration_lever=np.zeros(len(index)),
     )
     assert found.rig_T_flange is not None
-    camera_T_rig = np.linalg.inv(camera.rig_T_camera(now.pan[side]))
+    camera_T_rig = camera.camera_T_rig(now.pan[side])
     ahead = camera_T_rig[2, :3] @ found.rig_T_flange[:3, 3] + camera_T_rig[2, 3]
     depth = np.full(len(index), ahead)  # rough: for bases that turn between two pairs
     return RawSighting(sighting, spot_instants(now.t[side], centre, camera, now.height), depth)

@@ -97,7 +97,7 @@ def _pixels(rig: Rig, pan: Array, places: Array) -> Array:
 
 
 def _image(camera: Camera, pan: float, places: Array) -> Array:
-    camera_T_rig = np.linalg.inv(camera.rig_T_camera(pan))
+    camera_T_rig = camera.camera_T_rig(pan)
     return camera.project(places @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3])
 
 

@@ -76,5 +76,5 @@ def _aside(camera: Camera, pan: float, point: Array) -> float:
 
     Positive pan turns the optical axis to the image's right.
     """
-    x, _, z, _ = np.linalg.inv(camera.rig_T_camera(pan)) @ point
+    x, _, z, _ = camera.camera_T_rig(pan) @ point
     return math.atan2(x, z)
