@@ -154,13 +154,13 @@ def sensitivities(parameters: Systematics, seen: Measurement, rig: Rig, marker: 
     base_R_rig = rig.rig_T_base[:3, :3].T
     gain = np.concatenate([base_R_rig @ pose.gain[:3], base_R_rig @ pose.gain[3:]])
     columns = np.zeros((6, len(parameters.names) + 2))
-    views = _views(pose.rig_T_flange, left, right, rig, marker)
+    views = _views(pose.rig_T_flange, left, right, pose.sensitivity, rig, marker)
     spotted, places = [], []
     for i, name in enumerate((*parameters.names, "left.pan_zero_deg", "right.pan_zero_deg")):
         if name.startswith("robot_base."):
             columns[:, i] = _base(name, rig, pose)
         else:
-            spotted.append(_pixels(views, name, pose.sensitivity).reshape(-1))
+            spotted.append(_pixels(views, name).reshape(-1))
             places.append(i)
     columns[:, places] = -gain @ np.array(spotted).T
     return columns
@@ -189,15 +189,15 @@ def spot_columns(
     Returns:
         (2 s, p), px, left spots first.
     """
-    views = _views(rig_T_flange, left, right, rig, marker)
+    views = _views(rig_T_flange, left, right, by_point, rig, marker)
     names = [n for n in parameters.names if not n.startswith("robot_base.")]
     places = [parameters.names.index(n) for n in names]
     spread = root(parameters.covariance[np.ix_(places, places)])
-    moved = [_pixels(views, name, by_point).reshape(-1) for name in names]
+    moved = [_pixels(views, name).reshape(-1) for name in names]
     columns = [np.stack(moved, axis=1) @ spread] if names else [np.zeros((2 * len(views.led), 0))]
     for side, sigma in zip(("left", "right"), parameters.pan, strict=True):
         if sigma > 0:
-            turned = _pixels(views, f"{side}.pan_zero_deg", by_point)
+            turned = _pixels(views, f"{side}.pan_zero_deg")
             columns.append(turned.reshape(-1, 1) * sigma)
     return np.concatenate(columns, axis=1)
 
@@ -222,10 +222,12 @@ class _Views:
     names: tuple[str, ...]
     offset: Array  # (s, 3), LED from flange, rig axes
     rig_R_flange: Array  # (3, 3)
+    by_point: Array  # (s, 2, 3), d px / d point in the rig
+    by_led: Array  # (s, 2, 3), d px / d LED in the flange
 
 
 def _views(
-    rig_T_flange: Array, left: Sighting, right: Sighting, rig: Rig, marker: Marker
+    rig_T_flange: Array, left: Sighting, right: Sighting, by_point: Array, rig: Rig, marker: Marker
 ) -> _Views:
     led = np.concatenate([left.led, right.led])
     rig_R_flange = rig_T_flange[:3, :3]
@@ -239,22 +241,39 @@ def _views(
         camera_T_rig = camera.camera_T_rig(sighting.pan)
         inside = points[spots] @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]
         sides.append((name, camera, sighting, spots, inside))
-    return _Views(tuple(sides), points, led, marker.names, offset, rig_R_flange)
+    return _Views(
+        tuple(sides),
+        points,
+        led,
+        marker.names,
+        offset,
+        rig_R_flange,
+        by_point,
+        by_point @ rig_R_flange,
+    )
 
 
-def _pixels(views: _Views, name: str, by_point: Array) -> Array:
+def _pixels(views: _Views, name: str) -> Array:
     """Derivative of the predicted spots by a parameter, (s, 2), px a SI unit."""
     head, _, key = name.partition(".")
-    pixels = np.zeros((len(views.led), 2))
     if head in ("left", "right"):
-        for side, camera, sighting, spots, inside in views.side:
-            if side == head:
-                pixels[spots] = camera_pixels(
-                    key, camera, sighting, inside, views.points_rig[spots], by_point[spots]
-                )
-    else:
-        moved = _led_motion(head, key, views)
-        pixels = (by_point @ moved[:, :, None])[:, :, 0]
+        return _by_camera(views, head, key)
+    if head == "body":
+        moved = _body_motion(key, views)
+        pixels: Array = (views.by_point @ moved[:, :, None])[:, :, 0]
+        return pixels
+    led, _, axis = key.rpartition(".")
+    chosen = views.led == views.names.index(led)
+    by_axis: Array = views.by_led[:, :, AXES.index(axis[0])] * chosen[:, None]
+    return by_axis
+
+
+def _by_camera(views: _Views, head: str, key: str) -> Array:
+    pixels = np.zeros((len(views.led), 2))
+    for side, camera, sighting, spots, inside in views.side:
+        if side == head:
+            points, by_point = views.points_rig[spots], views.by_point[spots]
+            pixels[spots] = camera_pixels(key, camera, sighting, inside, points, by_point)
     return pixels
 
 
@@ -301,17 +320,12 @@ def _camera_motion(key: str, camera: Camera, pan: float) -> tuple[Array, Array, 
     return turned @ unit, none, none
 
 
-def _led_motion(head: str, key: str, views: _Views) -> Array:
-    """Motion of each seen LED in the rig for a unit of a marker parameter, (s, 3)."""
-    rig_R_flange = views.rig_R_flange
-    if head == "body":
-        unit = rig_R_flange[:, AXES.index(key.split("_")[0][-1])]
-        if key.startswith("r"):
-            return _swept(unit, views.offset)
-        return np.tile(unit, (len(views.led), 1))
-    led, _, axis = key.rpartition(".")
-    chosen = views.led == views.names.index(led)
-    return np.outer(chosen, rig_R_flange[:, AXES.index(axis[0])])
+def _body_motion(key: str, views: _Views) -> Array:
+    """Motion of each seen LED in the rig for a unit of a displacement of all, (s, 3)."""
+    unit = views.rig_R_flange[:, AXES.index(key.split("_")[0][-1])]
+    if key.startswith("r"):
+        return _swept(unit, views.offset)
+    return np.tile(unit, (len(views.led), 1))
 
 
 def _base(name: str, rig: Rig, pose: Pose) -> Array:
