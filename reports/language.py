@@ -35,6 +35,9 @@ PAGE = {
     "page": "page",
     "of": "of",
     "logo": "Logo",
+    "filter": "Filter",
+    "filter_hint": "words, all of them",
+    "rows": "rows",
 }
 
 # What is text in a document; the other fields are names, numbers and marks of a kind.

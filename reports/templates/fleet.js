@@ -1,6 +1,7 @@
 "use strict";
 // Tables that sort by a click on a heading and keep the rows that hold what was typed.
 (() => {
+  const words = document.currentScript.dataset;
   const style = document.createElement("style");
   style.textContent = `
     thead button { all: unset; cursor: pointer; font: inherit; }
@@ -54,19 +55,19 @@
     const said = document.createElement("output");
     box.className = "filter";
     input.type = "search";
-    input.placeholder = "words, all of them";
-    label.append("Filter: ", input);
+    input.placeholder = words.hint;
+    label.append(`${words.filter}: `, input);
     box.append(label, said);
     before.before(box);
     input.addEventListener("input", () => {
-      const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
+      const asked = input.value.toLowerCase().split(/\s+/).filter(Boolean);
       let shown = 0;
       for (const row of rows) {
         const text = [...row.cells].map((cell) => cell.textContent.toLowerCase()).join(" ");
-        row.hidden = !words.every((word) => text.includes(word));
+        row.hidden = !asked.every((word) => text.includes(word));
         shown += !row.hidden;
       }
-      said.textContent = words.length ? `${shown} of ${rows.length} rows` : "";
+      said.textContent = asked.length ? `${shown} ${words.of} ${rows.length} ${words.rows}` : "";
     });
   };
 
