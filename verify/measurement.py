@@ -1,5 +1,6 @@
 """The chain composed: stereo pairs in, one measurement a pair out. Every mode drives this."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -184,9 +185,9 @@ def _motion_px(pair: StereoPair, setup: Setup, memory: _Memory | None) -> float:
         return MOTION_FLOOR_PX + skew * UNKNOWN_SPEED_PX
     twist, pose = memory.pose.twist, memory.pose.rig_T_flange
     radius = float(np.max(np.linalg.norm(setup.marker.leds, axis=1)))
-    speed = float(np.linalg.norm(twist[:3]) + radius * np.linalg.norm(twist[3:]))
+    speed = _length(twist[:3]) + radius * _length(twist[3:])
     focal = setup.rig.left.matrix[0, 0]
-    depth = max(float(np.linalg.norm(pose[:3, 3])), MINIMUM_DEPTH)
+    depth = max(_length(pose[:3, 3]), MINIMUM_DEPTH)
     # twice the last speed: between two pairs an arm may as much as double it
     return MOTION_FLOOR_PX + 2 * skew * float(focal) * speed / depth
 
@@ -293,7 +294,7 @@ def _predict(memory: _Memory, t: float) -> Prediction | None:
         return None
     pose = memory.pose
     linear, angular = (
-        ACCELERATION_PER_SPEED * float(np.linalg.norm(part)) + rough
+        ACCELERATION_PER_SPEED * _length(part) + rough
         for part, rough in zip((pose.twist[:3], pose.twist[3:]), ROUGH_ACCELERATION, strict=True)
     )
     # the twist is that of half a pair ago, so the error is an acceleration over interval², not half
@@ -302,6 +303,11 @@ def _predict(memory: _Memory, t: float) -> Prediction | None:
         position_uncertainty=linear * interval**2 + 1e-3,  # m; pairs taken while starting to move
         rotation_uncertainty=angular * interval**2 + 0.01,  # rad, likewise
     )
+
+
+def _length(vector: Array) -> float:
+    """Length of three numbers; numpy's own way would let other threads in, for a wait."""
+    return math.hypot(*vector.tolist())
 
 
 def _windows(

@@ -9,6 +9,7 @@ spots that were moved share it. It is marginalised, so it correlates their error
 pretending to average out over LEDs.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -258,8 +259,8 @@ def _motion(
     square = scaled.T @ scaled
     ridge = 1e-6 * np.trace(square) / 6  # keeps one or two LEDs solvable
     twist = SCALE * np.linalg.solve(square + ridge * np.eye(6), scaled.T @ velocity)
-    linear = ACCELERATION_PER_SPEED * float(np.linalg.norm(twist[:3])) + ROUGH_ACCELERATION[0]
-    angular = ACCELERATION_PER_SPEED * float(np.linalg.norm(twist[3:])) + ROUGH_ACCELERATION[1]
+    linear = ACCELERATION_PER_SPEED * math.hypot(*twist[:3].tolist()) + ROUGH_ACCELERATION[0]
+    angular = ACCELERATION_PER_SPEED * math.hypot(*twist[3:].tolist()) + ROUGH_ACCELERATION[1]
     return twist, (linear / np.sqrt(3), angular / np.sqrt(3))  # a component
 
 
