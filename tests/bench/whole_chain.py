@@ -7,7 +7,8 @@ With 2,000 replicates it must be 93 to 97 %; with fewer a cell fails where a tru
 so few hits as seldom as 86 of 100. The mean of d² over its degrees of freedom must lie within the
 99 % interval of chi²: of the rig, of the base by itself and given the rig, of the joints together.
 "Means apart" is what would be stated if base and cameras were taken as independent: it is there to
-fail. A replicate that is refused counts as a failure, as nothing is wrong with any.
+fail. Nothing is wrong with any replicate; of those that are refused all the same there may be no
+more than the registration's own false alarms, one in a thousand an arm, make likely.
 
     python -m tests.bench.whole_chain [REPLICATES] [SEED] [--pixels]
 """
@@ -21,6 +22,7 @@ import numpy as np
 from scipy.stats import binom, chi2
 
 from tests.whole_chain import Checked, replicate
+from verify.calibration.fixture import FALSE_ALARM
 from verify.errors import InputError
 from verify.records import Array
 
@@ -30,6 +32,7 @@ WITHIN = 1.96
 MANY, LOW, HIGH = 2000, 0.93, 0.97
 RARE = binom.cdf(86, 100, 0.95)
 APART = "apart"
+ARMS = 2
 
 
 def attempt(seed: int, pixels: bool) -> dict[str, Checked] | str:
@@ -100,7 +103,7 @@ def main(replicates: int, seeds: tuple[int, ...], pixels: bool) -> int:
         level = "through pixels" if pixels else "at spot level"
         print(f"seed {seed}, {replicates} replicates {level}, {spent / replicates:.1f} s each")
         print("\n".join(refused) or "none refused")
-        failed += len(refused)
+        failed += int(len(refused) > binom.isf(0.005, replicates, ARMS * FALSE_ALARM))
         for group in outcomes[0]:
             wrong = report(group, [o[group] for o in outcomes])
             if not group.endswith(APART):

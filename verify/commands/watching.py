@@ -1,5 +1,6 @@
 """`verify run` on a station: open its devices, watch, tell what is seen, record."""
 
+import gc
 import signal
 import sys
 import threading
@@ -33,6 +34,7 @@ from verify.page.run_source import Facts, RunSource
 from verify.session import Tolerance
 from verify.station import Servo, Station
 from verify.terminal import terminal
+from verify.warm_up import warm_up
 
 SWITCH = 0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
 ESTIMATE_PATIENCE = 20.0  # s for the clock, on a busy machine
@@ -98,6 +100,7 @@ def watch(station: Station, wish: Wish) -> Watched:
         stack.callback(clock.close)
         beside = BesideDetector(terminal.warn)
         stack.callback(beside.close)
+        warm_up(beside)
         recorder = station.open_recorder()
         stack.callback(recorder.close)
         live = Live(
@@ -110,6 +113,7 @@ def watch(station: Station, wish: Wish) -> Watched:
             setup=lambda expected: Setup(station.rig, station.marker, expected, beside),
             state=state,
         )
+        stack.enter_context(_collected())
         look = stack.enter_context(_shown(None if joints is None else np.rad2deg(joints).tolist()))
         stop = stack.enter_context(stopped_politely())
         live.run(stop, look)
@@ -190,6 +194,17 @@ def _listeners(station: Station, wish: Wish, stack: ExitStack) -> list[Listener]
 
 def _is_screen() -> bool:
     return sys.stdout.isatty() and not terminal.as_json and not terminal.quiet
+
+
+@contextmanager
+def _collected() -> Iterator[None]:
+    """Keep what is there already out of Python's search for garbage, which holds all threads up."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 @contextmanager

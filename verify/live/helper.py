@@ -1,5 +1,6 @@
 """A second process for work that must not take the measurement's time: one question at once."""
 
+import gc
 import multiprocessing
 import signal
 import threading
@@ -106,6 +107,7 @@ class Helper(Generic[Question, Answer]):
 def _serve(function: Callable[[Any], Any], connection: Connection) -> None:
     """Answer until nobody asks any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks
+    gc.freeze()  # what was imported is no garbage: looking through it would take a picture's time
     with suppress(OSError):
         connection.send(("ready", None))
     while True:

@@ -1,0 +1,60 @@
+"""Have everything that numba compiles compiled, and in memory, before pictures come.
+
+python -m verify.warm_up     after an installation: the first run need not wait then
+"""
+
+import numpy as np
+
+from verify.marker import Marker
+from verify.measurement import Detector, Setup, measure, one_after_the_other
+from verify.records import Array, Image, StereoPair
+from verify.rig import Camera, Rig
+
+SIZE = (320, 240)  # px
+FOCAL = 400.0  # px
+APART = 0.2  # m from camera to camera
+AWAY = 0.6  # m from cameras to marker
+LEDS = np.array([[0.0, 0.0, 0.0], [0.06, 0.0, 0.01], [0.01, 0.05, 0.0], [0.05, 0.06, 0.02]])  # m
+CORNER = np.array([-0.03, -0.03, AWAY])  # m, of the marker, in the rig
+SPOT = 2.2  # px, standard deviation
+PAIRS, RATE = 4, 30.0
+
+
+def warm_up(detect: Detector = one_after_the_other) -> None:
+    """Measure a few small pictures of four LEDs; takes a moment, after an installation longer.
+
+    Args:
+        detect: what will look for spots; in another process too.
+    """
+    rig = Rig(SIZE, _camera(-APART / 2), _camera(APART / 2), np.eye(4))
+    marker = Marker(tuple("ABCD"), LEDS, (None,) * len(LEDS), 0.005)
+    pictures = [_picture(camera) for camera in (rig.left, rig.right)]
+    times = (number / RATE for number in range(PAIRS))
+    pairs = (StereoPair(n, t, t + 1e-3, 0.0, 0.0, *pictures) for n, t in enumerate(times))
+    for _ in measure(pairs, Setup(rig, marker, detect=detect)):
+        pass
+
+
+def _camera(x: float) -> Camera:
+    width, height = SIZE
+    matrix = np.array([[FOCAL, 0.0, width / 2], [0.0, FOCAL, height / 2], [0.0, 0.0, 1.0]])
+    aim = np.arctan2(-x, AWAY)
+    mount = np.eye(4)
+    mount[[0, 0, 2, 2], [0, 2, 0, 2]] = [np.cos(aim), np.sin(aim), -np.sin(aim), np.cos(aim)]
+    place, axis = np.array([x, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    return Camera(matrix, np.full(5, 1e-3), place, axis, 0.0, mount)
+
+
+def _picture(camera: Camera) -> Image:
+    """Four Gaussian spots in faint noise."""
+    points = np.column_stack([LEDS + CORNER, np.ones(len(LEDS))])
+    pixels: Array = camera.project((points @ camera.camera_T_rig(0.0).T)[:, :3])
+    column, row = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    light = np.random.default_rng(0).normal(8.0, 1.5, (SIZE[1], SIZE[0]))
+    for x, y in pixels.tolist():
+        light += 260.0 * np.exp(-((column - x) ** 2 + (row - y) ** 2) / (2 * SPOT**2))
+    return np.clip(light, 0, 255).astype(np.uint8)
+
+
+if __name__ == "__main__":
+    warm_up()
