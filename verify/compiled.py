@@ -1,7 +1,6 @@
 """Functions compiled to machine code, for loops over pixels that arrays are too slow for."""
 
 import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar, cast
@@ -9,25 +8,23 @@ from typing import TypeVar, cast
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., object])
+QUICK_SUMS = {"reassoc", "contract", "nsz"}
 
 
-def _keep_in(folder: Path) -> None:
-    vars(numba.config)["CACHE_DIR"] = str(folder)
-
-
-def _where_it_is_kept() -> None:
-    """Let the machine code be kept where no folder beside the sources can be written."""
+def _kept() -> bool:
+    """Whether machine code can be kept for the next time: beside the sources, or by the user."""
     if "NUMBA_CACHE_DIR" in os.environ or os.access(Path(__file__).parent, os.W_OK):
-        return
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        return True
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "verify"
     try:
-        (home / "verify").mkdir(parents=True, exist_ok=True)
-        _keep_in(home / "verify")
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError:
-        _keep_in(Path(tempfile.gettempdir()) / f"verify-{os.getuid()}")
+        return False
+    vars(numba.config)["CACHE_DIR"] = str(folder)
+    return os.access(folder, os.W_OK)
 
 
-_where_it_is_kept()
+KEPT = _kept()
 
 
 def compiled(function: Function) -> Function:
@@ -35,13 +32,10 @@ def compiled(function: Function) -> Function:
 
     Other threads run meanwhile: it must touch nothing but its arguments.
     """
-    return cast("Function", numba.njit(function, cache=True, nogil=True, error_model="numpy"))
+    return cast("Function", numba.njit(function, cache=KEPT, nogil=True, error_model="numpy"))
 
 
 def compiled_sums(function: Function) -> Function:
     """Compile likewise a function whose sums may be taken several terms at once: far quicker."""
-    quick = {"reassoc", "contract", "nsz"}
-    return cast(
-        "Function",
-        numba.njit(function, cache=True, nogil=True, error_model="numpy", fastmath=quick),
-    )
+    quick = numba.njit(function, cache=KEPT, nogil=True, error_model="numpy", fastmath=QUICK_SUMS)
+    return cast("Function", quick)
