@@ -1,0 +1,119 @@
+"""Relative motions that no registration enters: laws, healthy arms, faults."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from scipy.stats import kstest
+
+from tests.verify.motions import ARM
+from tests.verify.test_judgement import ESTIMATED, compared, model_of
+from verify.judgement.congruence import DETECTABLE, congruence, derivatives, screw
+from verify.judgement.model import Model
+from verify.records import Array
+
+
+def poses(rng: np.random.Generator, count: int) -> Array:
+    made = np.tile(np.eye(4), (count, 1, 1))
+    made[:, :3, :3] = Rotation.random(count, random_state=rng).as_matrix()
+    made[:, :3, 3] = rng.normal(size=(count, 3))
+    return made
+
+
+def model(seed: int, error: Array | float = 0.0) -> Model:
+    return model_of(*compared(seed, error), "fixture", "jig")
+
+
+def test_turn_and_advance_are_the_same_in_any_frame_and_for_any_point_of_the_flange() -> None:
+    rng = np.random.default_rng(1)
+    early, late = poses(rng, 40), poses(rng, 40)
+    base, tool = poses(rng, 2)
+    assert_allclose(screw(base @ early @ tool, base @ late @ tool), screw(early, late), atol=1e-12)
+
+
+def test_turn_and_advance_of_a_known_screw() -> None:
+    axis, point = np.array([0.0, 0.6, 0.8]), np.array([0.2, -0.1, 0.3])
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_rotvec(0.7 * axis).as_matrix()
+    motion[:3, 3] = point - motion[:3, :3] @ point + 0.05 * axis
+    early = poses(np.random.default_rng(2), 1)
+    assert_allclose(screw(early, motion @ early), [[0.7, 0.05]], atol=1e-12)
+
+
+def test_how_a_base_moves_the_poses_cancels() -> None:
+    """A twist of the base about its origin moves both flanges, and nothing of the relative."""
+    rng = np.random.default_rng(3)
+    early, late = poses(rng, 20), poses(rng, 20)
+    by_early, by_late = derivatives(early, late)
+    total = np.zeros((20, 2, 6))
+    for by, pose in ((by_early, early), (by_late, late)):
+        carry = np.tile(np.eye(6), (20, 1, 1))
+        x, y, z = pose[:, :3, 3].T
+        zero = np.zeros(20)
+        carry[:, :3, 3:] = np.moveaxis(
+            np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]), 2, 0
+        )
+        total += by @ carry
+    assert_allclose(total, 0, atol=1e-7)
+
+
+def test_offsets_of_the_first_and_the_last_joint_do_not_show_and_the_others_do() -> None:
+    """Joint 1's is a turned base, joint 6's a turned LED body: metrology.md section 4."""
+    found = congruence(model(4))
+    assert found is not None
+    assert np.isinf(found.detectable[[0, 5]]).all()
+    assert np.all(np.rad2deg(found.detectable[1:5]) < 1.0)
+
+
+def test_healthy_arms_are_not_accused_and_chance_is_what_is_stated() -> None:
+    p, inside, count = [], 0, 0
+    for seed in range(60):
+        found = congruence(model(100 + seed))
+        assert found is not None
+        p.append(found.p_value)
+        inside += int(np.sum(np.abs(found.error) < 1.96 * found.uncertainty))
+        count += found.error.size
+    assert kstest(p, "uniform").pvalue > 1e-3
+    assert 0.94 < inside / count < 0.96  # 4,000 of them: 0.35 % standard
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3, 4])
+def test_an_offset_of_twice_what_is_detectable_is_seen_and_one_of_joint_1_is_not(
+    joint: int,
+) -> None:
+    healthy = congruence(model(5))
+    assert healthy is not None
+    error = np.zeros(ARM.dof)
+    error[joint] = 2 * healthy.detectable[joint]
+    faulty = congruence(model(5, error))
+    assert faulty is not None
+    # that noise of one degree of freedom: 2 * 4.13 sigma raise chi² by 68
+    assert faulty.chi2 - healthy.chi2 > DETECTABLE**2
+    hidden = congruence(model(5, np.eye(ARM.dof)[0] * np.deg2rad(0.5)))
+    assert hidden is not None
+    assert_allclose(hidden.chi2, healthy.chi2, rtol=5e-3)  # the readings' noise is weighed anew
+
+
+def test_where_the_robot_stands_and_the_clock_s_doubt_are_counted_once_or_not_at_all() -> None:
+    track, comparison = compared(6)
+    base = model_of(track, comparison, "fixture", "jig")
+    given, estimated = (
+        congruence(base),
+        congruence(model_of(track, comparison, "fixture", "jig", ESTIMATED)),
+    )
+    assert given is not None
+    assert estimated is not None
+    assert np.all(estimated.uncertainty >= given.uncertainty * (1 - 1e-12))
+
+
+def test_too_few_motions_are_no_test() -> None:
+    track, comparison = compared(7)
+    some = replace(
+        model_of(track, comparison, "fixture", "jig"),
+        comparison=replace(
+            comparison, determined=tuple(np.eye(6)[:, :5] for _ in range(len(comparison)))
+        ),
+    )
+    assert congruence(some) is None

@@ -1,0 +1,161 @@
+"""Relative motions, measured against the encoders': a test that no registration enters.
+
+Between two poses the flange makes a screw motion. How far it turns and how far it advances along
+the screw's axis are the same in whatever frame the poses are given and wherever on the flange the
+LEDs sit (Chen, A screw motion approach to uniqueness analysis of head-eye geometry, CVPR 1991). So
+where the base stands and how the LEDs are mounted cancel; cameras, clock and arm do not.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2 as chi_squared
+
+from verify.judgement.model import Model
+from verify.records import Array
+
+LEAST_TURN, MOST_TURN = np.deg2rad([10.0, 170.0])  # outside, a screw's axis is hardly known
+FEWEST = 5  # relative motions
+MOST = 400  # of them; their errors are told in one matrix
+SHIFTS = (2, 3, 4, 5, 7)  # a pair's partner comes this part of the session later
+STEP = 1e-6  # m and rad, of the numerical derivative
+ROUNDING = 1e-5  # of what either pose gives: the rest has cancelled but for that derivative
+DETECTABLE = 4.13  # standard uncertainties: false alarm 0.1 %, power 80 %
+
+
+@dataclass(frozen=True, slots=True)
+class Congruence:
+    """m relative motions, no pair of pictures in two of them; arm with j joints."""
+
+    early: NDArray[np.int64]  # (m,), rows of the comparison
+    late: NDArray[np.int64]
+    turn: Array  # (m,), rad, by the encoders
+    error: Array  # (m, 2), encoders' less measured: turn, rad, and advance, m
+    uncertainty: Array  # (m, 2), standard
+    chi2: float
+    degrees: int
+    p_value: float  # that noise and stated doubts alone would give as much
+    detectable: Array  # (j,), rad, of a constant offset of that joint by this test; inf: none
+
+
+def congruence(model: Model) -> Congruence | None:
+    """Compare the relative motions of a session.
+
+    Args:
+        model: the session; pairs whose pose is not wholly determined are left out.
+
+    Returns:
+        The comparison; None where there are too few motions that turn far enough.
+    """
+    comparison = model.comparison
+    whole = np.flatnonzero([known.shape[1] == 6 for known in comparison.determined])
+    early, late = _partners(comparison.base_T_encoder[whole], whole)
+    if len(early) < FEWEST:
+        return None
+    encoder, measured = comparison.base_T_encoder, comparison.base_T_measured
+    told = screw(encoder[early], encoder[late])
+    error = told - screw(measured[early], measured[late])
+    # where the Jacobian is taken too: what a base or a tool does cancels there to rounding
+    by_early, by_late = derivatives(encoder[early], encoder[late])
+    own = sum(
+        by @ comparison.covariance[rows] @ np.swapaxes(by, 1, 2)
+        for by, rows in ((by_early, early), (by_late, late))
+    )
+    shared = by_early @ model.prior_columns[early] + by_late @ model.prior_columns[late]
+    weight = np.asarray(np.linalg.inv(_whole(np.asarray(own), shared)), dtype=np.float64)
+    flat = error.reshape(-1)
+    chi2 = float(flat @ weight @ flat)
+    spread = np.einsum("naa->na", own) + np.sum(shared**2, axis=2)
+    begin, end = by_early @ comparison.jacobian[early], by_late @ comparison.jacobian[late]
+    return Congruence(
+        early=early,
+        late=late,
+        turn=told[:, 0],
+        error=error,
+        uncertainty=np.sqrt(spread),
+        chi2=chi2,
+        degrees=len(flat),
+        p_value=float(chi_squared.sf(chi2, len(flat))),
+        detectable=_detectable(begin, end, weight),
+    )
+
+
+def screw(a_T_early: Array, a_T_late: Array) -> Array:
+    """Turn (rad, 0 to pi) and advance along the axis (m) between poses (m, 4, 4), (m, 2)."""
+    turn = a_T_late[:, :3, :3] @ np.swapaxes(a_T_early[:, :3, :3], 1, 2)
+    vector = Rotation.from_matrix(turn).as_rotvec()
+    angle = np.linalg.norm(vector, axis=1)
+    axis = vector / np.where(angle > 0, angle, 1.0)[:, None]
+    moved = a_T_late[:, :3, 3] - (turn @ a_T_early[:, :3, 3, None])[:, :, 0]
+    return np.column_stack([angle, np.sum(axis * moved, axis=1)])
+
+
+def derivatives(a_T_early: Array, a_T_late: Array) -> tuple[Array, Array]:
+    """How turn and advance change with either pose, (m, 2, 6) each.
+
+    Poses are moved by twists in a's axes at the flange (m, rad).
+    """
+    by: list[Array] = []
+    for which in (0, 1):
+        columns = []
+        for k in range(6):
+            sides = []
+            for step in (STEP, -STEP):
+                poses = [a_T_early, a_T_late]
+                poses[which] = _moved(poses[which], k, step)
+                sides.append(screw(*poses))
+            columns.append((sides[0] - sides[1]) / (2 * STEP))
+        by.append(np.stack(columns, axis=2))
+    return by[0], by[1]
+
+
+def _moved(poses: Array, k: int, step: float) -> Array:
+    moved = poses.copy()
+    if k < 3:
+        moved[:, k, 3] += step
+        return moved
+    moved[:, :3, :3] = Rotation.from_rotvec(step * np.eye(3)[k - 3]).as_matrix() @ poses[:, :3, :3]
+    return moved
+
+
+def _partners(
+    base_T_flange: Array, rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of rows, none in two of them, that turn far enough: of a few ways the richest."""
+    best: tuple[float, NDArray[np.int64], NDArray[np.int64]] = (-1.0, rows[:0], rows[:0])
+    for part in SHIFTS:
+        shift = len(rows) // part
+        if shift == 0:
+            continue
+        first = np.flatnonzero(np.arange(len(rows)) // shift % 2 == 0)
+        first = first[first + shift < len(rows)]
+        turn = screw(base_T_flange[first], base_T_flange[first + shift])[:, 0]
+        useful = first[(turn > LEAST_TURN) & (turn < MOST_TURN)]
+        worth = float(np.sum(np.sin(turn[(turn > LEAST_TURN) & (turn < MOST_TURN)] / 2) ** 2))
+        if worth > best[0]:
+            best = worth, rows[useful], rows[useful + shift]
+    _, early, late = best
+    thinned = np.linspace(0, len(early) - 1, min(len(early), MOST)).round().astype(np.int64)
+    return early[thinned], late[thinned]
+
+
+def _whole(own: Array, shared: Array) -> Array:
+    """Covariance of all turns and advances, (2 m, 2 m)."""
+    count = len(own)
+    whole = np.zeros((count, 2, count, 2))
+    np.einsum("iaib->iab", whole)[:] = own
+    columns = shared.reshape(2 * count, -1)
+    total: Array = whole.reshape(2 * count, -1) + columns @ columns.T
+    return total
+
+
+def _detectable(begin: Array, end: Array, weight: Array) -> Array:
+    """Smallest constant offset of each joint that this test would notice, (j,), rad; inf: none."""
+    columns = (begin + end).reshape(len(weight), -1)
+    single = np.sqrt(np.sum(begin**2 + end**2, axis=(0, 1)))
+    told = np.einsum("rj,rs,sj->j", columns, weight, columns)
+    hidden = np.linalg.norm(columns, axis=0) < ROUNDING * single
+    detectable: Array = np.where(hidden, np.inf, DETECTABLE / np.sqrt(np.where(hidden, 1.0, told)))
+    return detectable
