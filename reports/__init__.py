@@ -8,7 +8,17 @@ registration.
 from collections.abc import Callable
 from pathlib import Path
 
-from reports import branding, calibration, fleet, grab, html, outline, pdf, registration
+from reports import (
+    branding,
+    calibration,
+    fleet,
+    grab,
+    html,
+    identification,
+    outline,
+    pdf,
+    registration,
+)
 from reports.blocks import Document
 from reports.branding import PLAIN, Look
 from reports.errors import ReportError
@@ -33,6 +43,7 @@ OUTLINES: dict[str, Callable[[Results], Document]] = {
     "registration": registration.document,
     "fleet": fleet.document,
     "grab": grab.document,
+    "identification": identification.document,
 }
 
 

@@ -57,6 +57,14 @@ def _in_unit(name: str, value: Any) -> str:
 def _rig(rig: dict[str, Any]) -> list[Block]:
     if not rig:
         return [Paragraph("The rig is not described in these results.", "note")]
+    base = (
+        ("Robot base found", words.said(words.SOURCES, rig.get("base_source"))),
+        ("Robot base position", _vector(rig.get("base_position_mm"), 2, "mm")),
+        ("Robot base rotation vector", _vector(rig.get("base_rotation_vector_deg"), 3, "°")),
+        ("Registration", word(rig.get("registration"))),
+    )
+    if rig.get("instrument"):
+        return [Facts((("Instrument", word(rig["instrument"])), *base))]
     rows = []
     for side in ("left", "right"):
         camera = rig.get(side) or {}
@@ -77,10 +85,7 @@ def _rig(rig: dict[str, Any]) -> list[Block]:
     facts = (
         ("Image size", f"{size_text} px"),
         ("Baseline", quantity(rig.get("baseline_mm"), "mm", 5)),
-        ("Robot base found", words.said(words.SOURCES, rig.get("base_source"))),
-        ("Robot base position", _vector(rig.get("base_position_mm"), 2, "mm")),
-        ("Robot base rotation vector", _vector(rig.get("base_rotation_vector_deg"), 3, "°")),
-        ("Registration", word(rig.get("registration"))),
+        *base,
     )
     table = Table(
         "Cameras on their turning bases.",
@@ -101,6 +106,10 @@ def _rig(rig: dict[str, Any]) -> list[Block]:
 def _marker(marker: dict[str, Any]) -> list[Block]:
     if not marker:
         return [Paragraph("The marker is not described in these results.", "note")]
+    if "point_mm" in marker:
+        found = words.said(words.SOURCES, marker.get("source"))
+        point = _vector(marker["point_mm"], 2, "mm")
+        return [Facts((("Measured point on the flange", point), ("Measured point found", found)))]
     rows = tuple(
         row(
             word(led.get("name")),

@@ -50,8 +50,9 @@ def verdict(results: Results) -> Section:
         ("Robot", word(session.get("robot"))),
         ("Session", word(PurePath(session.get("path") or "").name)),
         ("Started", word(session.get("started"))),
+        *([("Measured by", word(session["instrument"]))] if session.get("instrument") else []),
         (
-            "Stereo pairs",
+            "Poses" if session.get("instrument") else "Stereo pairs",
             f"{count(pairs.get('measured'))} measured of {count(pairs.get('recorded'))}",
         ),
         ("Encoder clock", clock_words(summary)),
@@ -314,7 +315,9 @@ def _pose_table(summary: dict[str, Any]) -> Table:
             )
         )
     dof = summary.get("known_dof")
-    text = f"The LEDs determine {count(dof)} of the flange's 6 degrees of freedom." if dof else ""
+    posed = (summary.get("session") or {}).get("instrument")
+    who = "The poses" if posed else "The LEDs"
+    text = f"{who} determine {count(dof)} of the flange's 6 degrees of freedom." if dof else ""
     missing = [n for n in ("position", "orientation") if not summary.get(n)]
     if missing:
         text = f"{text} No figures for {joined(missing)}.".strip()

@@ -9,6 +9,10 @@ The summary's keys, units in their names; what is not known is null:
     state, reason         the named state that it ended in, and why
     released              the controls were given back
     seen_from_grip_mm     at the end, by the cameras; null where they did not see it then
+    hand                  used (the end point was corrected), reason, pictures, measured, told_mm,
+                          read_mm, seen_mm (the grip point above the object, as ordered, by the
+                          encoders, by the LEDs), off_mm (at the object, seen less told) and
+                          off_expanded_uncertainty_mm (k = 2); null where it was not looked at
     plan                  branch, score and its parts, q_above_deg, q_grip_deg, grip_mm, duration_s,
                           margin (across_mm, across_needed_mm, along_mm, along_needed_mm,
                           raised_mm), rejected (branch, reason); null without a plan
@@ -16,7 +20,8 @@ The summary's keys, units in their names; what is not known is null:
 
 Tables: cycles (t_s, state, status, quality, target_ and grip_ x/y/z_mm, u_x/y/z_mm, left_ and
 right_ x/y/width/height_px, q1_deg …, q1_ordered_deg …, gripper, opening_mm), passages (t_s,
-from_state, event, to_state, reason), plan (t_s, part, q1_deg …, grip_x/y/z_mm).
+from_state, event, to_state, reason), plan (t_s, part, q1_deg …, grip_x/y/z_mm), hand (t_s,
+status, grip_x/y/z_mm: a picture a row).
 """
 
 from typing import Any
@@ -58,7 +63,7 @@ ENDED = {  # by the state: tone, label
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
-    sections = (_outcome, _states, _track, _camshift, _joints, _margins, _plan)
+    sections = (_outcome, _states, _track, _camshift, _joints, _hand, _margins, _plan)
     return numbered(
         Document(
             title=f"Grab with {word(summary.get('robot'))}",
@@ -77,7 +82,7 @@ def outcome(summary: dict[str, Any]) -> Verdict:
         duration = number(plan.get("duration_s"), 1)
         return Verdict("none", "Planned; nothing was moved", f"{plan['branch']}, {duration} s.")
     if refusal:
-        return Verdict("undecided", "Refused", f"{refusal['reason']}.")
+        return Verdict("undecided", "Refused", f"{refusal['reason']}.{_of_hand(summary)}")
     if state == "searching":
         sentence = (
             "Nothing of the target's colours was seen by both cameras, or more than one thing."
@@ -86,7 +91,17 @@ def outcome(summary: dict[str, Any]) -> Verdict:
     if state not in ENDED:
         return Verdict("undecided", f"Ended while {state}", "Its time was over, or it was ended.")
     tone, label = ENDED[state]
-    return Verdict(tone, label, f"{reason[:1].upper()}{reason[1:]}.")
+    return Verdict(tone, label, f"{_sentence(reason)}{_of_hand(summary)}")
+
+
+def _of_hand(summary: dict[str, Any]) -> str:
+    """What came of looking at the hand, as a sentence to add; empty where nobody looked."""
+    hand = summary.get("hand")
+    return f" {_sentence(hand['reason'])}" if hand else ""
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}."
 
 
 def _outcome(results: Results) -> Section:
@@ -172,6 +187,29 @@ def _joints(results: Results) -> Section:
     caption = "Joint angles, read, at the beginning of each stage."
     blocks.append(Table(caption, "l" + "r" * (figures.JOINTS + 1), head, tuple(rows)))
     return Section("joints", "Joint angles", tuple(blocks))
+
+
+def _hand(results: Results) -> Section:
+    """Did the arm stand where it was told to, by the LEDs on its flange?"""
+    hand = results.summary.get("hand")
+    if not hand:
+        said = "Nobody looked at the hand: there was no descent, or nothing was to move."
+        return Section("hand", "The hand, seen by its LEDs", (Paragraph(said),))
+    blocks: list[Block] = [Paragraph(_sentence(hand["reason"]))]
+    rows = [
+        row(what, *(number(v, 2) for v in hand[f"{key}_mm"] or (None,) * 3))
+        for what, key in (
+            ("grip point above the object, as ordered", "told"),
+            ("the same, by the encoders", "read"),
+            ("the same, by the LEDs", "seen"),
+            ("at the object: seen less ordered", "off"),
+            ("its expanded uncertainty (k = 2)", "off_expanded_uncertainty"),
+        )
+    ]
+    head = ("", "x [mm]", "y [mm]", "z [mm]")
+    caption = f"{hand['measured']} of {hand['pictures']} pairs of pictures showed the flange."
+    blocks.append(Table(caption, "lrrr", head, tuple(rows)))
+    return Section("hand", "The hand, seen by its LEDs", tuple(blocks))
 
 
 def _margins(results: Results) -> Section:

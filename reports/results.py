@@ -32,6 +32,7 @@ COMMANDS = {  # what wrote a results folder, by the kind and the method in its s
     ("registration", "fixture"): "`verify calibrate register` on the pictures",
     ("registration", "sweeps"): "`verify calibrate register` on the session",
     ("grab", None): "`verify grab`",
+    ("identification", None): "`verify identify` on the sessions",
 }
 NAME = re.compile(
     r"[a-z0-9_]+"

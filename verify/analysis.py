@@ -1,59 +1,55 @@
 """A recorded session from pixels to results: chain, clock, comparison, judgement."""
 
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-import robots
 from reports import Results
-from verify.caveats import caveats, rig_moved, uncounted
-from verify.clock import ClockEstimate, estimate_clock
+from verify.caveats import caveats, uncounted
+from verify.clock import ClockEstimate
 from verify.combinations import combinations
 from verify.comparison import Comparison, about, compare, correlated
 from verify.description import describe
 from verify.errors import InputError
+from verify.instrument_misread import refuse_misread
 from verify.joints import Joints, solve_joints
-from verify.judgement.budget import budget
+from verify.judgement.budget import RANDOM, budget
+from verify.judgement.congruence import congruence
 from verify.judgement.diagnosis import diagnose
 from verify.judgement.means import JointErrors, mean_errors
 from verify.judgement.model import Model, build, clock_effect, with_pan_noise
 from verify.judgement.resolved import predicted, resolve
 from verify.judgement.visibility import visibility
-from verify.measurement import Setup, measure
+from verify.measurement import measure
 from verify.plausibility import refuse_radians
-from verify.preview import draw_pair
 from verify.readings import Readings
-from verify.records import Array, Measurement, StereoPair
+from verify.records import Array
 from verify.regression import autocorrelation
+from verify.seeing import (
+    Chain,
+    Progress,
+    Seen,
+    clock_of,
+    nothing_measured,
+    see_instrument,
+    see_pictures,
+    setup_of,
+)
 from verify.session import Session, Tolerance
 from verify.summary import Judged, summarise
-from verify.systematics import Systematics, sensitivities, stated
-from verify.tables import frames_table, resolved_table, spots_table
-from verify.track import Track, collect
+from verify.systematics import Systematics
+from verify.tables import frames_table, relative_table, resolved_table, spots_table
+from verify.track import Track
 
-SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
-SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
-MOST_CANDIDATES = 200
+__all__ = ["analyse", "measure", "setup_of"]
 
-Progress = Callable[[int, int], None]
-Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
+UNSEEN = 1e-9  # of a joint's column: a share below this is what rounding leaves of nothing
 
 
 def _quiet(_done: int, _total: int) -> None:
     """Report no progress."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """What the pictures gave."""
-
-    measurements: list[Measurement]
-    track: Track
-    systematics: Systematics
-    preview: bytes | None
 
 
 def analyse(
@@ -78,27 +74,21 @@ def analyse(
         InputError: the session cannot be measured; nothing is returned in part.
     """
     readings = Readings(session.encoders.t, session.encoders.q)
-    seen = _see(session, progress, chain or measure)
+    instrument = session.instrument
+    if instrument is None:
+        seen = see_pictures(session, progress, chain or measure)
+        if not len(seen.track):
+            raise nothing_measured(session, seen)
+        clock = clock_of(session, seen.track, readings)
+    else:
+        seen, clock = see_instrument(session, instrument, readings)
+        progress(len(session), len(session))
+        refuse_misread(session, instrument, seen.track, readings, clock)
     track = seen.track
-    if not len(track):
-        raise _nothing_measured(session, seen)
-    clock = _clock(session, track, readings)
     refuse_radians(session, track, readings, clock)
     comparison, joints, unreachable = _compare(session, track, readings, clock, seen.systematics)
-    if not len(comparison) and unreachable:
-        raise InputError(
-            session.folder / "rig.toml",
-            f"{session.arm.name} can stand in none of the {len(track)} measured poses",
-            "robot, [robot_base] and marker.toml must belong to this recording",
-            "Check robot_base.position_mm and the robot's name.",
-        )
     if not len(comparison):
-        raise InputError(
-            session.folder / "encoders.csv",
-            f"no reading for any of the {len(track)} measured pairs",
-            "readings must cover the pictures once [clock] encoder_offset_s is added",
-            "Check that clock and recording belong together.",
-        )
+        raise _nothing_compared(session, track, reached=not unreachable)
     model = _model(session, track, clock, seen.systematics, comparison, joints)
     return _judge(session, tolerance, seen, clock, model, joints, unreachable)
 
@@ -114,7 +104,8 @@ def _model(
     """The linear model about the errors that are there, with pairs that repeat each other."""
 
     def built(compared: Comparison) -> Model:
-        return build(compared, track, session.rig, session.marker, clock, systematics)
+        shown = without_unseen(compared)
+        return build(shown, track, session.rig, session.marker, clock, systematics)
 
     error, told = np.nan_to_num(joints.error), ~np.isnan(joints.error)
     typical = error.sum(axis=0) / np.maximum(told.sum(axis=0), 1)
@@ -129,78 +120,36 @@ def _model(
     return built(correlated(middle, factors)) if np.any(factors > 1) else model
 
 
-def setup_of(session: Session) -> Setup:
-    """What the chain needs to know to measure a session."""
-    readings = Readings(session.encoders.t, session.encoders.q)
-    return Setup(session.rig, session.marker, _expectation(session, readings))
+def without_unseen(comparison: Comparison) -> Comparison:
+    """Empty the Jacobian's columns of joints that no pair determines anything of.
+
+    A single LED, or a tracker's target, on the last joint's axis stands still when that turns: what
+    rounding leaves of the column would pass for a joint with an error of any size.
+    """
+    columns = comparison.jacobian
+    seen = [known.T @ one for known, one in zip(comparison.determined, columns, strict=True)]
+    shown = np.max([np.linalg.norm(one, axis=0) for one in seen], axis=0)
+    whole = np.linalg.norm(columns, axis=1).max(axis=0)
+    return replace(comparison, jacobian=np.where(shown > UNSEEN * whole, columns, 0.0))
 
 
-def _see(session: Session, progress: Progress, chain: Chain) -> _Seen:
-    """Stream the pictures through the chain; only numbers are kept."""
-    setup = setup_of(session)
-    turning = bool(np.ptp(session.frames.pan_left) or np.ptp(session.frames.pan_right))
-    systematics = stated(session.rig, session.marker, turning)
-    measurements: list[Measurement] = []
-    effects: list[Array] = []
-    recent: deque[StereoPair] = deque(maxlen=2)
-    preview: bytes | None = None
-    for m in chain(_watched(session.pairs(), recent), setup):
-        measurements.append(m)
-        if m.status == "measured":
-            effects.append(sensitivities(systematics, m, session.rig, session.marker))
-            if preview is None and m.frame >= len(session) // 2:
-                pair = next((p for p in recent if p.frame == m.frame), None)
-                preview = draw_pair(pair, m, session.marker) if pair is not None else None
-        progress(len(measurements), len(session))
-    return _Seen(measurements, collect(measurements, session.rig, effects), systematics, preview)
-
-
-def _watched(pairs: Iterator[StereoPair], recent: deque[StereoPair]) -> Iterator[StereoPair]:
-    for pair in pairs:
-        recent.append(pair)
-        yield pair
-
-
-def _expectation(session: Session, readings: Readings) -> Callable[[float], Sequence[Array]]:
-    """Where the readings put the flange in the rig at a time; many places with an open clock."""
-    offset = 0.0 if session.clock is None else session.clock.encoder_offset
-    around = np.arange(-SEARCH_SPAN, SEARCH_SPAN + SEARCH_STEP, SEARCH_STEP)
-    every = np.linspace(readings.t[0], readings.t[-1], MOST_CANDIDATES)
-
-    def expected(t: float) -> Sequence[Array]:
-        if session.clock is not None:
-            times = np.array([t - offset])
-        else:
-            times = t + around
-            times = times[(times >= readings.t[0]) & (times <= readings.t[-1])]
-            times = times if len(times) else every
-        poses = session.rig.rig_T_base @ robots.forward(session.arm, readings.at(times))
-        return list(poses)
-
-    return expected
-
-
-def _nothing_measured(session: Session, seen: _Seen) -> InputError:
-    measurements = seen.measurements
-    counts = Counter(m.status for m in measurements)
-    most = max((m.leds_seen for m in measurements), default=0)
-    said = ", ".join(f"{n} {status}" for status, n in sorted(counts.items())) or "no pairs"
+def _nothing_compared(session: Session, track: Track, *, reached: bool) -> InputError:
+    """Say why no measured pose has a reading that it could be set against."""
+    posed = session.instrument is not None
+    if reached:
+        return InputError(
+            session.folder / "encoders.csv",
+            f"no reading for any of the {len(track)} measured {'poses' if posed else 'pairs'}",
+            f"readings must cover the {'poses' if posed else 'pictures'} once [clock] "
+            "encoder_offset_s is added",
+            "Check that clock and recording belong together.",
+        )
+    registration = "[poses] and [robot_base]" if posed else "[robot_base] and marker.toml"
     return InputError(
-        session.folder,
-        f"no pair could be measured ({said}; at most {most} LEDs recognised in one pair)",
-        f"{len(session.marker)} LEDs are asked for by marker.toml",
-        rig_moved(session, measurements, seen.systematics)
-        or "Check that the LEDs are lit and in view, and that rig.toml and marker.toml belong to "
-        "this recording.",
-    )
-
-
-def _clock(session: Session, track: Track, readings: Readings) -> ClockEstimate:
-    if session.clock is None:
-        return estimate_clock(track, session.arm, readings)
-    given = session.clock
-    return ClockEstimate(
-        given.encoder_offset, given.standard_uncertainty, "given", np.zeros((0, 2))
+        session.folder / ("session.toml" if posed else "rig.toml"),
+        f"{session.arm.name} can stand in none of the {len(track)} measured poses",
+        f"robot, {registration} must belong to this recording",
+        "Check robot_base.position_mm and the robot's name.",
     )
 
 
@@ -237,7 +186,7 @@ def _compare(
 def _judge(
     session: Session,
     tolerance: Tolerance | None,
-    seen: _Seen,
+    seen: Seen,
     clock: ClockEstimate,
     model: Model,
     joints: Joints,
@@ -251,7 +200,7 @@ def _judge(
         systematic=joints.inverse @ model.prior_columns,
         clock=(joints.inverse @ clock_effect(comparison))[:, :, 0],
     )
-    resolved = resolve(model)
+    resolved, relative = resolve(model), congruence(model)
     estimated = clock.standard_uncertainty if clock.source == "estimated" else None
     means = mean_errors(model, errors, resolved, estimated, systematics)
     status, rows = _statuses(seen, comparison, unreachable)
@@ -275,6 +224,7 @@ def _judge(
         means=means,
         visibility=visibility(model),
         resolved=resolved,
+        relative=relative,
         causes=diagnose(model, resolved),
         flange=_flange(model, estimated),
         through_encoders=model.through_encoders,
@@ -288,12 +238,15 @@ def _judge(
         ),
         "spots": spots_table(seen.measurements, session.marker),
         "resolved": resolved_table(comparison, resolved, seen.track.frame[comparison.index]),
+        "relative": relative_table(relative, seen.track.frame[comparison.index]),
         "clock_curve": pd.DataFrame(clock.curve, columns=["offset_s", "cost"]),
         "budget": budget(
             model, errors, means, joints.inverse, systematics, seen.track,
             clock,
         ),
     }  # fmt: skip
+    if session.instrument is not None:  # no pixel was looked at, no two instants were aligned
+        tables["budget"] = tables["budget"].replace({"source": {RANDOM: "instrument, readings"}})
     images = {"pair": seen.preview} if seen.preview is not None else {}
     return Results(summarise(judged), describe(session), tables, images)
 
@@ -334,7 +287,7 @@ def _flange(model: Model, clock_uncertainty: float | None) -> tuple[Array, Array
 
 
 def _statuses(
-    seen: _Seen, comparison: Comparison, unreachable: set[int]
+    seen: Seen, comparison: Comparison, unreachable: set[int]
 ) -> tuple[list[str], list[int]]:
     """What is finally said of each pair, and which rows were compared."""
     status = [m.status for m in seen.measurements]

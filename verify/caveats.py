@@ -104,10 +104,14 @@ def _determined(session: Session, model: Model) -> Iterator[str]:
             "mean errors come from a fit over the session."
         )
     if known < FULL:
+        seen = (
+            "In some poses only" if session.instrument else "In some pairs the LEDs determine only"
+        )
+        told = " are determined" if session.instrument else ""
         yield (
-            f"In some pairs the LEDs determine only {known} of 6 degrees of freedom: joints that "
-            "the open ones move stay empty there; mean errors of joints that no pair tells come "
-            "from a fit over the session."
+            f"{seen} {known} of 6 degrees of freedom{told}: joints that the open ones move "
+            "stay empty there; mean errors of joints that no pair tells come from a fit over the "
+            "session."
         )
 
 

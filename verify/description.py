@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import robots
+from verify.instrument import instrument_setup
 from verify.marker import Marker
 from verify.records import Array
 from verify.rig import Camera, Rig
@@ -14,6 +15,8 @@ from verify.session import Session
 
 def describe(session: Session) -> dict[str, Any]:
     """Everything that a reader needs to know of the set-up, JSON-able."""
+    if session.instrument is not None:
+        return instrument_setup(session, session.instrument) | {"robot": _robot(session.arm)}
     return {
         "rig": _rig(session.rig, session.frames.pan_left, session.frames.pan_right),
         "marker": _marker(session.marker),

@@ -46,6 +46,7 @@ def row_of(seen: Measurement, marker: Marker) -> Row | None:
     figure = white @ figures.reshape(-1, 3)[rows]
     left_of = figure - _shadow(white @ by_pose.reshape(-1, 6)[rows], figure)
     left_of[:, np.sum(left_of**2, axis=0) < FAINT * np.sum(figure**2, axis=0)] = 0.0
+    left_of[:, _alike(left_of, figure)] = 0.0
     functional = np.zeros((3, len(rows)))
     functional[:, rows] = left_of.T @ white
     return Row(
@@ -96,6 +97,17 @@ def _shadow(design: Array, columns: Array) -> Array:
     basis = basis[:, size > RANK * size[0]]
     part: Array = basis @ (basis.T @ columns)
     return part
+
+
+def _alike(left_of: Array, figure: Array) -> list[int]:
+    """Figures that a pair of few spots cannot tell from its others: it shows none of them."""
+    found = []
+    for k in range(figure.shape[1]):
+        own, others = left_of[:, k], np.delete(left_of, k, axis=1)
+        alone = own - _shadow(others, own) if others.any() and own.any() else own
+        if alone @ alone < FAINT * (figure[:, k] @ figure[:, k]):
+            found.append(k)
+    return found
 
 
 def inverse_of(information: Array) -> Array:

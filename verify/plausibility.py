@@ -37,7 +37,7 @@ def refuse_radians(
     if _agree(track, session.arm, radians, offset):
         raise InputError(
             session.folder / "encoders.csv",
-            "the q columns agree with the pictures as radians and not as degrees",
+            "the q columns agree with what was measured as radians and not as degrees",
             "degrees are asked for (q1_deg, …)",
             "Multiply them by 180/π, or export again in degrees.",
         )

@@ -12,6 +12,7 @@ from verify.records import Array
 # Between readings further apart than this the motion is not known: single visits, logged in bursts.
 LONGEST_GAP = 0.6  # s; readings at 2 Hz still pass
 RATE_SPAN = 0.05  # s: shorter differences of readings are noise, longer ones blur the motion
+FEWEST_DIFFERENCES = 8  # fewer say nothing about their spread
 HOLD = 0.5  # s: at the edge of a burst the arm is taken as standing still for so long
 # Third differences of a smooth motion vanish; of white noise they have 20 times its variance.
 THIRD_DIFFERENCE_VARIANCE = 20.0
@@ -82,10 +83,14 @@ class Readings:
         The smallest of the estimates from second to fourth differences: motion that a low order
         mistakes for noise, a higher one removes.
         """
+        lonely = np.diff(self.t) > LONGEST_GAP  # a difference across a gap is motion
         estimates = []
         for order, variance in ((2, 6.0), (3, THIRD_DIFFERENCE_VARIANCE), (4, 70.0)):
-            if len(self.q) > order + 8:  # fewer differences say nothing about their spread
-                difference = np.diff(self.q, order, axis=0)
+            if len(self.q) <= order + FEWEST_DIFFERENCES:
+                continue
+            inside = ~np.lib.stride_tricks.sliding_window_view(lonely, order).any(axis=1)
+            if inside.sum() > FEWEST_DIFFERENCES:
+                difference = np.diff(self.q, order, axis=0)[inside]
                 spread = MAD_TO_SIGMA * np.median(np.abs(difference), axis=0)
                 estimates.append(spread / np.sqrt(variance))
         if not estimates:

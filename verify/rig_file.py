@@ -93,7 +93,7 @@ def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, 
         covariance=None
         if table.covariance is None
         else covariance_file.checked(path, table.covariance),
-        **_base(path, table.robot_base),
+        **base_of(path, table.robot_base),
     )
     sides = (("left", rig.left), ("right", rig.right))
     off = [
@@ -139,11 +139,12 @@ def write(path: str | Path, rig: Rig) -> None:
     write_whole(Path(path), encode(rig))
 
 
-def _base(path: Path, base: BaseTable | None) -> dict[str, Any]:
+def base_of(path: Path, base: BaseTable | None) -> dict[str, Any]:
+    """Read where the robot stands, as a `Rig` has it; nan where it says nothing."""
     if base is None:
         return {"rig_T_base": np.full((4, 4), np.nan), "base_source": ""}
     return {
-        "rig_T_base": _placed(path, "robot_base.rotation", base.rotation, base.position_mm),
+        "rig_T_base": placed(path, "robot_base.rotation", base.rotation, base.position_mm),
         "base_source": one_of(path, "robot_base.source", base.source, SOURCES),
         "registration": base.registration,
         "absorption": _absorption(path, base.absorption),
@@ -171,7 +172,7 @@ def _camera(path: Path, side: str, table: CameraTable) -> Camera:
         pan_center=np.array(table.pan_center_mm) * _MM,
         pan_axis=np.array(table.pan_axis) / axis_length,
         pan_zero=float(np.deg2rad(table.pan_zero_deg)),
-        mount=_placed(path, f"{side}.mount_rotation", table.mount_rotation, table.mount_offset_mm),
+        mount=placed(path, f"{side}.mount_rotation", table.mount_rotation, table.mount_offset_mm),
         pan=float(np.deg2rad(table.pan_deg)),
         pan_standard_uncertainty=None if u is None else float(np.deg2rad(u)),
         line_time=table.line_time_s,
@@ -196,7 +197,7 @@ def _camera_table(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _placed(path: Path, key: str, rotation: Matrix, position_mm: Triple) -> Array:
+def placed(path: Path, key: str, rotation: Matrix, position_mm: Triple) -> Array:
     """Build the (4, 4) motion from the orthonormal matrix that comes nearest to the rotation."""
     matrix = np.array(rotation)
     off = float(np.abs(matrix.T @ matrix - np.eye(3)).max())

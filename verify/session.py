@@ -2,19 +2,21 @@
 
 from collections.abc import Generator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import robots
 from verify import marker_file, rig_file, session_file
 from verify.errors import InputError, one_line
-from verify.files import digest, system_refusal
+from verify.files import digest
 from verify.marker import Marker
 from verify.records import Image, StereoPair
 from verify.rig import Rig
 from verify.series import Encoders, Frames, read_encoders, read_frames
 from verify.session_file import Clock, RecordingTable, Tolerance
+from verify.session_folder import arm_of, check_absorption, digests, facts, inside, session_file_of
+from verify.session_poses import Instrument, pose_parts
 from verify.toml_file import fault
 from verify.video import Images, in_step, open_images
 
@@ -22,6 +24,7 @@ __all__ = [
     "Clock",
     "Encoders",
     "Frames",
+    "Instrument",
     "Recording",
     "Session",
     "Tolerance",
@@ -94,13 +97,15 @@ class Session(Recording):
 
     marker: Marker
     tolerance: Tolerance | None  # None: no verdict is asked for
+    # None: the poses come from the pictures; else there are none, and no LEDs to look for
+    instrument: Instrument | None = field(default=None, kw_only=True)
 
 
 def open_session(folder: str | Path) -> Session:
     """Open a session's folder and check all of it but the images' content.
 
     Args:
-        folder: holds session.toml and what that names.
+        folder: holds session.toml and what that names: pictures, or an instrument's poses.
 
     Returns:
         The session. Its warnings name unknown keys, a recording that was cut off, and facts that
@@ -111,16 +116,18 @@ def open_session(folder: str | Path) -> Session:
             and what to do.
     """
     folder = Path(folder)
-    path = _session_file(folder)
+    path = session_file_of(folder)
+    if session_file.holds_poses(path):
+        return Session(**pose_parts(folder, path))
     table, warnings = session_file.read(path)
-    inside = _named(folder, path, table, ("rig", "marker", *_STREAMS))
-    arm = _arm(folder, path, table)
-    rig, rig_warnings = rig_file.read(inside["rig"])
-    marker, marker_warnings = marker_file.read(inside["marker"])
-    _check_absorption(inside["rig"], rig, arm.dof)
+    named = _named(folder, path, table, ("rig", "marker", *_STREAMS))
+    arm = arm_of(folder, path, table)
+    rig, rig_warnings = rig_file.read(named["rig"])
+    marker, marker_warnings = marker_file.read(named["marker"])
+    check_absorption(named["rig"], rig, arm.dof)
     tolerance = session_file.tolerance(path, table.tolerance, arm.dof)
-    facts = (*warnings, *rig_warnings, *marker_warnings, *_misfits(folder, rig, marker))
-    parts = _parts(folder, path, table, inside, (arm, rig), facts)
+    said = (*warnings, *rig_warnings, *marker_warnings, *_misfits(folder, rig, marker))
+    parts = _parts(folder, path, table, named, (arm, rig), said)
     return Session(**parts, marker=marker, tolerance=tolerance)
 
 
@@ -135,19 +142,23 @@ def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Reco
         The recording. Its rig may lack a robot base; one that is there is read and checked.
 
     Raises:
-        InputError: as `open_session`.
+        InputError: as `open_session`; a session of poses has nothing to register by.
     """
     folder = Path(folder)
-    path = _session_file(folder)
+    path = session_file_of(folder)
+    if session_file.holds_poses(path):
+        expected = "robot and LEDs are registered by pictures of the LEDs"
+        remedy = "Register the instrument by its own means; docs/session.md says where that goes."
+        raise fault(path, "poses", "stands in place of pictures", expected, remedy)
     table, warnings = session_file.read_recording(path)
     if rig is None and table.rig is None:
         expected = "the calibrated cameras are needed"
         raise fault(path, "rig", "is missing", expected, "Name them there or with --rig.")
-    inside = _named(folder, path, table, _STREAMS if rig is not None else ("rig", *_STREAMS))
-    cameras = inside["rig"] if rig is None else Path(rig)
-    arm = _arm(folder, path, table)
+    named = _named(folder, path, table, _STREAMS if rig is not None else ("rig", *_STREAMS))
+    cameras = named["rig"] if rig is None else Path(rig)
+    arm = arm_of(folder, path, table)
     seen, rig_warnings = rig_file.read(cameras, registered=False)
-    parts = _parts(folder, path, table, inside, (arm, seen), (*warnings, *rig_warnings))
+    parts = _parts(folder, path, table, named, (arm, seen), (*warnings, *rig_warnings))
     if rig is not None:
         parts["inputs"][str(rig)] = digest(cameras)
     return Recording(**parts)
@@ -157,18 +168,18 @@ def _named(
     folder: Path, path: Path, table: RecordingTable, keys: tuple[str, ...]
 ) -> dict[str, Path]:
     """Find what session.toml names under each key."""
-    inside = {key: _inside(folder, path, key, getattr(table, key)) for key in keys}
-    if inside["left"].resolve() == inside["right"].resolve():
+    named = {key: inside(folder, path, key, getattr(table, key)) for key in keys}
+    if named["left"].resolve() == named["right"].resolve():
         expected = "each camera has its own images"
         raise fault(path, "right", f'names what left names, "{table.right}"', expected)
-    return inside
+    return named
 
 
 def _parts(
     folder: Path,
     path: Path,
     table: RecordingTable,
-    inside: dict[str, Path],
+    named: dict[str, Path],
     known: tuple[robots.Arm, Rig],
     warnings: tuple[str, ...],
 ) -> dict[str, Any]:
@@ -176,87 +187,21 @@ def _parts(
     arm, rig = known
     torn = table.recording == "open"
     pan = (rig.left.pan, rig.right.pan)
-    frames, frames_warnings = read_frames(inside["frames"], pan, torn)
-    encoders, encoders_warnings = read_encoders(inside["encoders"], arm.dof, torn)
-    left, right = open_images(inside["left"]), open_images(inside["right"])
-    frames, length_warnings = _in_step(inside["frames"], frames, (left, right), torn)
+    frames, frames_warnings = read_frames(named["frames"], pan, torn)
+    encoders, encoders_warnings = read_encoders(named["encoders"], arm.dof, torn)
+    left, right = open_images(named["left"]), open_images(named["right"])
+    frames, length_warnings = _in_step(named["frames"], frames, (left, right), torn)
+    files = {getattr(table, key): file for key, file in named.items()}
     return {
-        "folder": folder,
-        "name": folder.resolve().name,
-        "arm": arm,
-        "robot": table.robot,
-        "description": table.description,
-        "started": session_file.started(table.started),
-        "open": torn,
+        **facts(folder, table, arm),
         "rig": rig,
-        "clock": session_file.clock(table.clock),
-        "encoder_resolution": session_file.radians(table.encoder_readings.resolution_deg),
-        "encoder_time_standard_uncertainty": table.encoder_readings.time_standard_uncertainty_s,
-        "temperature_c": table.environment.temperature_c,
         "frames": frames,
         "encoders": encoders,
-        "inputs": _inputs(folder, path, table, inside),
+        "inputs": digests(folder, path, table.robot, files),
         "warnings": (*warnings, *frames_warnings, *encoders_warnings, *length_warnings),
         "left": left,
         "right": right,
     }
-
-
-def _session_file(folder: Path) -> Path:
-    """Find session.toml; say which of the usual mistakes was made."""
-    remedy = "Give the folder of a recorded session."
-    try:
-        is_folder = folder.is_dir()
-        path = folder / "session.toml"
-        missing = is_folder and not path.exists()
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        refused = error if isinstance(error, OSError) else OSError(str(error))
-        raise system_refusal(folder, refused) from error
-    if not is_folder:
-        found = "is a file" if folder.exists() else "does not exist"
-        raise InputError(folder, found, "a session's folder is expected", remedy)
-    if missing:
-        raise InputError(folder, "has no session.toml", "a session's folder is expected", remedy)
-    return path
-
-
-def _inside(folder: Path, path: Path, key: str, text: str) -> Path:
-    """Find what a key of session.toml names; it stays in the folder, also through symlinks."""
-    expected = "a path inside the session's folder is expected"
-    if not text or "\0" in text:
-        raise fault(path, key, "names nothing", expected)
-    named = folder / text
-    if not named.resolve().is_relative_to(folder.resolve()):
-        remedy = "Copy the file into the folder and name it there."
-        raise fault(path, key, f'is "{text}", outside the folder', expected, remedy)
-    if not named.exists():
-        raise fault(path, key, f'names "{text}", which does not exist', expected, "Put it there.")
-    return named
-
-
-def _robot_file(folder: Path, path: Path, robot: str) -> Path | None:
-    """Find the robot's file in the folder; None where session.toml gives a name instead."""
-    is_file = Path(robot).suffix in {".toml", ".urdf"}  # what robots.load takes for one
-    return _inside(folder, path, "robot", robot) if is_file else None
-
-
-def _arm(folder: Path, path: Path, table: RecordingTable) -> robots.Arm:
-    file = _robot_file(folder, path, table.robot)
-    chain = table.robot_frames
-    try:
-        return robots.load(str(file or table.robot), base=chain.base, tip=chain.tip)
-    except robots.RobotError as error:
-        if file is not None:
-            raise InputError(error.place, error.found, error.expected, error.remedy) from error
-        found = f"{error.place} {error.found}"
-        raise InputError(f"{path}, robot", found, error.expected, error.remedy) from error
-
-
-def _check_absorption(path: Path, rig: Rig, joints: int) -> None:
-    if rig.absorption is not None and rig.absorption.shape[1] != joints:
-        found = f"has {rig.absorption.shape[1]} columns"
-        remedy = "Register this robot again, or name the right one in session.toml."
-        raise fault(path, "robot_base.absorption", found, f"the robot has {joints} joints", remedy)
 
 
 def _misfits(folder: Path, rig: Rig, marker: Marker) -> list[str]:
@@ -298,14 +243,3 @@ def _in_step(
         f"{path.parent}: the recording was cut off ({lengths}); {shortest} pairs are measured."
     )
     return frames.first(shortest), [one_line(warning)]
-
-
-def _inputs(
-    folder: Path, path: Path, table: RecordingTable, inside: dict[str, Path]
-) -> dict[str, str]:
-    """Take the digest of everything that was read, by the name that session.toml gives it."""
-    read = {path.name: path} | {getattr(table, key): file for key, file in inside.items()}
-    robot = _robot_file(folder, path, table.robot)
-    if robot is not None:
-        read[table.robot] = robot
-    return {name: digest(file) for name, file in read.items()}

@@ -8,10 +8,16 @@ from typing import TypeVar
 import msgspec
 import numpy as np
 
+from verify.covariance_file import CovarianceTable
+from verify.marker_file import SOURCES as BODY_SOURCES
+from verify.marker_file import BodyUncertaintyTable
 from verify.records import Array
+from verify.rig_file import BaseTable, Matrix, Triple
 from verify.toml_file import decode, fault, not_negative, one_of
 
 RECORDING = ("open", "closed")
+FRAMES = ("robot_base", "instrument", "rig")  # that an instrument's poses may be in
+PICTURES = ("left", "right", "frames", "marker")  # keys that poses stand in for
 
 
 class ClockTable(msgspec.Struct, kw_only=True):
@@ -49,25 +55,44 @@ class RobotFramesTable(msgspec.Struct, kw_only=True):
     tip: str | None = None
 
 
-class RecordingTable(msgspec.Struct, kw_only=True):
-    """The keys of session.toml, where the robot and its LEDs need not be registered yet."""
+class PosesTable(msgspec.Struct, kw_only=True):
+    """The keys of [poses]."""
+
+    file: str
+    instrument: str
+    frame: str
+    position_standard_uncertainty_mm: float | None = None
+    orientation_standard_uncertainty_deg: float | None = None
+    point_mm: Triple = (0.0, 0.0, 0.0)
+    rotation: Matrix | None = None
+    source: str | None = None
+    body_standard_uncertainty: BodyUncertaintyTable | None = None
+
+
+class RunTable(msgspec.Struct, kw_only=True):
+    """The keys of session.toml that every session may have."""
 
     format: int
     robot: str
     description: str = ""
     started: datetime | None = None
     recording: str = "closed"
-    rig: str | None = None
-    marker: str | None = None
-    left: str
-    right: str
-    frames: str
     encoders: str
     clock: ClockTable | None = None
     encoder_readings: ReadingsTable = msgspec.field(default_factory=ReadingsTable)
     tolerance: ToleranceTable | None = None
     environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
     robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
+
+
+class RecordingTable(RunTable, kw_only=True):
+    """The keys of session.toml, where the robot and its LEDs need not be registered yet."""
+
+    rig: str | None = None
+    marker: str | None = None
+    left: str
+    right: str
+    frames: str
 
 
 class SessionTable(RecordingTable, kw_only=True):
@@ -77,7 +102,24 @@ class SessionTable(RecordingTable, kw_only=True):
     marker: str
 
 
-T = TypeVar("T", bound=RecordingTable)
+class PosesSessionTable(RunTable, kw_only=True):
+    """The keys of session.toml where an instrument's poses stand in for the pictures."""
+
+    poses: PosesTable
+    rig: str | None = None
+    robot_base: BaseTable | None = None
+    covariance: CovarianceTable | None = None
+    left: str | None = None
+    right: str | None = None
+    frames: str | None = None
+    marker: str | None = None
+
+
+class _HoldsTable(msgspec.Struct, kw_only=True):
+    poses: PosesTable | None = None
+
+
+T = TypeVar("T", bound=RunTable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +154,53 @@ def read(path: Path) -> tuple[SessionTable, tuple[str, ...]]:
 def read_recording(path: Path) -> tuple[RecordingTable, tuple[str, ...]]:
     """Read session.toml likewise, where rig and marker need not be named."""
     return _checked(path, RecordingTable)
+
+
+def holds_poses(path: Path) -> bool:
+    """Say whether session.toml speaks of an instrument's poses in place of pictures.
+
+    Raises:
+        InputError: it is no session.toml, or its [poses] is none.
+    """
+    return decode(path, _HoldsTable)[0].poses is not None
+
+
+def read_poses(path: Path) -> tuple[PosesSessionTable, tuple[str, ...]]:
+    """Read session.toml likewise, where an instrument's poses stand in for the pictures."""
+    table, warnings = _checked(path, PosesSessionTable)
+    for key in PICTURES:
+        if getattr(table, key) is not None:
+            remedy = "Leave it out, or leave out [poses]."
+            raise fault(
+                path, key, "stands beside [poses]", "a session has one or the other", remedy
+            )
+    poses = table.poses
+    if not poses.instrument.strip():
+        raise fault(path, "poses.instrument", "is empty", "the instrument's name is expected")
+    one_of(path, "poses.frame", poses.frame, FRAMES)
+    if poses.source is not None:
+        one_of(path, "poses.source", poses.source, BODY_SOURCES)
+    for key in ("position_standard_uncertainty_mm", "orientation_standard_uncertainty_deg"):
+        _positive(path, f"poses.{key}", getattr(poses, key), "a standard uncertainty")
+    _check_frame(path, table)
+    return table, warnings
+
+
+def _check_frame(path: Path, table: PosesSessionTable) -> None:
+    """Ask for what carries the poses to the robot's base, and for nothing beside it."""
+    frame = table.poses.frame
+    wanted = {"rig": "rig", "instrument": "robot_base"}.get(frame)
+    for key in ("rig", "robot_base"):
+        there = getattr(table, key) is not None
+        if key == wanted and not there:
+            expected = "it says where the robot stands in the poses' frame"
+            raise fault(path, key, "is missing", expected, f'poses.frame is "{frame}".')
+        if there and key != wanted:
+            expected = f'poses in the frame "{frame}" do not ask for it'
+            raise fault(path, key, "is given", expected, "Leave it out, or mend poses.frame.")
+    if table.covariance is not None and frame == "rig":
+        expected = "that of rig.toml counts"
+        raise fault(path, "covariance", "is given", expected, "Leave it out.")
 
 
 def _checked(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
@@ -172,6 +261,6 @@ def radians(degrees: float | None) -> float | None:
     return None if degrees is None else float(np.deg2rad(degrees))
 
 
-def _positive(path: Path, key: str, value: float | None) -> None:
+def _positive(path: Path, key: str, value: float | None, what: str = "a tolerance") -> None:
     if value is not None and value <= 0:
-        raise fault(path, key, f"is {value}", "a tolerance is positive")
+        raise fault(path, key, f"is {value}", f"{what} is positive")

@@ -12,6 +12,7 @@ from verify.clock import ClockEstimate
 from verify.combinations import Combination
 from verify.comparison import Comparison
 from verify.joints import Joints
+from verify.judgement.congruence import Congruence
 from verify.judgement.diagnosis import Cause
 from verify.judgement.means import Means
 from verify.judgement.resolved import Resolved
@@ -39,6 +40,7 @@ class Judged:
     means: Means
     visibility: Visibility
     resolved: Resolved
+    relative: Congruence | None
     causes: list[Cause]
     flange: tuple[Array, Array]  # (6,) mean error twist and (6, 6) its covariance
     through_encoders: bool  # base or LEDs were fitted through the encoders: errors are residuals
@@ -62,6 +64,7 @@ def summarise(judged: Judged) -> dict[str, Any]:
             "robot": session.robot,
             "description": session.description,
             "started": session.started,
+            **({} if session.instrument is None else {"instrument": session.instrument.name}),
         },
         "pairs": {
             "recorded": len(judged.status),
@@ -75,6 +78,7 @@ def summarise(judged: Judged) -> dict[str, Any]:
         "joint_error_correlation": _correlation(judged.means.covariance),
         "position": _flange(judged, position, slice(0, 3), MILLIMETRE, "mm"),
         "orientation": _flange(judged, orientation, slice(3, 6), DEGREE, "deg"),
+        "relative_motions": _relative(judged.relative),
         "diagnosis": [_cause(c) for c in judged.causes],
         "budget": {"uncounted": list(judged.uncounted)},
         "inputs": dict(sorted(session.inputs.items())),
@@ -178,6 +182,21 @@ def _flange(
         "conformance_probability": number(verdict.probability),
         "verdict": verdict.verdict,
         "reason": verdict.reason,
+    }
+
+
+def _relative(found: Congruence | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    turn, advance = np.sqrt(np.mean(found.error**2, axis=0))
+    return {
+        "motions": len(found.early),
+        "turn_rms_error_deg": number(float(turn) * DEGREE),
+        "advance_rms_error_mm": number(float(advance) * MILLIMETRE),
+        "chi2": number(found.chi2),
+        "degrees_of_freedom": found.degrees,
+        "p_value": number(found.p_value),
+        "detectable_offset_deg": [number(float(d) * DEGREE) for d in found.detectable],
     }
 
 

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from verify.comparison import Comparison
 from verify.joints import Joints
+from verify.judgement.congruence import Congruence
 from verify.judgement.resolved import Resolved
 from verify.marker import Marker
 from verify.records import Array, Measurement, Pose
@@ -144,3 +145,19 @@ def resolved_table(comparison: Comparison, resolved: Resolved, frame: Array) -> 
         trace = np.trace(spread[:, part, part], axis1=1, axis2=2)
         table[name.format("_u")] = np.sqrt(trace / 3) * unit
     return pd.DataFrame(table)
+
+
+def relative_table(found: Congruence | None, frame: Array) -> pd.DataFrame:
+    """One row a relative motion; `frame` (n,) numbers the compared pairs."""
+    names = ["frame_early", "frame_late", "turn_deg", "turn_error_deg", "turn_u_deg"]
+    names += ["advance_error_mm", "advance_u_mm"]
+    if found is None:
+        return pd.DataFrame(columns=names)
+    turn, advance = found.error.T
+    turn_u, advance_u = found.uncertainty.T
+    values = [
+        *(frame[found.early], frame[found.late]),
+        *(np.rad2deg(found.turn), np.rad2deg(turn), np.rad2deg(turn_u)),
+        *(advance * 1e3, advance_u * 1e3),
+    ]
+    return pd.DataFrame(dict(zip(names, values, strict=True)))

@@ -126,11 +126,11 @@ def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_cap_is_grasped_through_the_real_drivers_once_that_was_confirmed(
+def test_a_cap_is_grasped_through_the_real_drivers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with cell(tmp_path, 25.0) as (station, controller, gripper):
-        typed(monkeypatch, f"RV-3SD {controller}\n")
+    with cell(tmp_path, 25.0) as (station, _, gripper):
+        typed(monkeypatch, "")
         out = tmp_path / "out"
         assert grab_on_station(station, Ports(None, gripper), GRABS, out, force=False)
     summary = json.loads((out / "summary.json").read_text())
@@ -141,6 +141,7 @@ def test_a_cap_is_grasped_through_the_real_drivers_once_that_was_confirmed(
 def test_a_wrong_confirmation_moves_nothing_and_writes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(grabbing_station, "is_emulated_melfa", lambda *_, **__: False)
     with cell(tmp_path, 0.5) as (station, _, gripper):
         typed(monkeypatch, "yes\n")
         out = tmp_path / "out"

@@ -228,6 +228,7 @@ def _made(
         "resolved": resolved,
         "spots": _spots(t, seen, random),
         "clock_curve": _clock_curve(),
+        "relative": _relative(),
         "budget": _budget(rows),
     }
     summary = _summary(frames, rows, faults, tolerance)
@@ -341,6 +342,15 @@ def _summary(
         "position": pose,
         "orientation": {k.replace("_mm", "_deg"): v for k, v in pose.items()},
         "diagnosis": [_cause(j, "offset", v, 0.015, "deg") for j, v in faults.items()],
+        "relative_motions": {
+            "motions": 12,
+            "turn_rms_error_deg": 0.041,
+            "advance_rms_error_mm": 0.152,
+            "chi2": 80.3,
+            "degrees_of_freedom": 24,
+            "p_value": 5.1e-8,
+            "detectable_offset_deg": [None, 0.101, 0.16, 0.093, 0.067, None],
+        },
         "combinations": [
             {"label": "q4+q6", "joints": [4, 6], "mean_error_deg": 0.0123,
              "standard_uncertainty_deg": 0.0041, "pairs": 7, "why": "singularity"},
@@ -403,6 +413,21 @@ def _spots(t: np.ndarray, seen: np.ndarray, random: np.random.Generator) -> pd.D
         "peak_dn": 180.0,
         "used": used,
     })  # fmt: skip
+
+
+def _relative() -> pd.DataFrame:
+    rng, count = np.random.default_rng(8), 12
+    return pd.DataFrame(
+        {
+            "frame_early": np.arange(count),
+            "frame_late": np.arange(count) + 40,
+            "turn_deg": rng.uniform(15, 80, count),
+            "turn_error_deg": rng.normal(0, 0.04, count),
+            "turn_u_deg": np.full(count, 0.02),
+            "advance_error_mm": rng.normal(0, 0.15, count),
+            "advance_u_mm": np.full(count, 0.08),
+        }
+    )
 
 
 def _clock_curve() -> pd.DataFrame:

@@ -6,8 +6,12 @@ import pytest
 
 from tests.verify.led_images import Sensor, Spot, centre_bound, picture, scattered
 from verify.detection import detect, estimate_noise
+from verify.detection.fit import fit_spots
+from verify.detection.judgement import judge
+from verify.detection.model import Patches
+from verify.detection.patches import Cut, disc
 from verify.errors import InputError
-from verify.records import Array, Spots
+from verify.records import Array, Noise, Spots
 
 CASES = {
     "dim": Spot(60, 2.0),
@@ -201,3 +205,13 @@ def test_what_is_not_an_8_bit_picture_is_refused() -> None:
         detect(np.zeros((10, 10), dtype=np.uint16))
     with pytest.raises(InputError, match="windows"):
         detect(np.zeros((10, 10), dtype=np.uint8), np.zeros((2, 3)))
+
+
+def test_a_patch_without_a_single_pixel_that_counts_is_no_spot_and_no_crash() -> None:
+    column, row = (axis.astype(float) for axis in disc(8))
+    nothing = np.zeros_like(column)
+    pixels = np.stack([nothing, nothing, column, row])[None]
+    one = np.ones(1)
+    patches = Patches(pixels, 4.0 * one, one, one, Noise(1.5, 0.03, 0.0))
+    cut = Cut(patches, np.array([[100, 100]]), np.zeros((1, 3)))
+    assert not judge(cut, fit_spots(patches), (200, 200)).sound.any()

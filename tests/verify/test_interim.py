@@ -14,6 +14,7 @@ from tests.verify.scene import facing, make_marker, make_rig, sight
 from tests.verify.test_coverage_of_means import SPOT_SIGMA, believed, drawn
 from verify.analysis import analyse
 from verify.interim import CHANGES, Consistency, consistency, moved
+from verify.interim_pair import _alike
 from verify.marker import Marker
 from verify.measurement import Setup, measure
 from verify.pose import fit_pose
@@ -229,3 +230,11 @@ def test_the_recorded_sessions_are_healthy_and_a_bumped_rig_would_show(name: str
         found = consistency(measurements, rig, session.marker, stated(rig, session.marker, False))
         assert found is not None
         assert (moved(found, ()) is None) == (what == "healthy")
+
+
+def test_figures_that_a_pair_cannot_tell_apart_are_not_shown_by_it() -> None:
+    figures = np.random.default_rng(3).normal(size=(8, 3))
+    alike = figures.copy()
+    alike[:, 2] = 2 * alike[:, 1]
+    assert _alike(figures, figures) == []
+    assert _alike(alike, figures) == [1, 2]

@@ -254,6 +254,9 @@ def checked(
                 "Leave it out.",
             )
         session = open_session(source)
+        if session.instrument is not None:
+            expected = "cameras are checked by pictures of LEDs or of a board"
+            raise InputError(source, "holds poses and no pictures", expected, "Give one of those.")
         session = session if rig is None else replace(session, rig=rig)
         with terminal.progress("pairs") as progress:
             found = interim.check_session(

@@ -5,7 +5,11 @@ from typing import Annotated
 
 import typer
 
+from verify.commands.options import PageAddress, PagePort, PageToken
+from verify.page.access import LOOPBACK, USUAL_PORT
+
 DID_NOT = 1
+USUAL_COLOUR = "blue"
 
 
 def grab(
@@ -34,6 +38,13 @@ def grab(
         bool,
         typer.Option("--stop-and-go", help="--sim: one move at a time, as MELFA takes them."),
     ] = False,
+    page: Annotated[
+        bool,
+        typer.Option("--page", help="Serve a page: pictures, state, plan; select, grab, stop."),
+    ] = False,
+    page_port: PagePort = USUAL_PORT,
+    page_address: PageAddress = LOOPBACK,
+    page_token: PageToken = None,
     duration: Annotated[
         str, typer.Option("--for", help="The longest it may take: 60s, 10m.")
     ] = "60s",
@@ -61,8 +72,10 @@ def grab(
 
     Nothing moves without --execute: the plan is shown and drawn, or why there is none. With it,
     keys, each followed by Enter: g grabs, h holds, r resumes, u opens the fingers and goes up, q
-    ends. A station's robot moves only after its name and port were typed.
-    None of this replaces the emergency stop.
+    ends. A station's robot moves only after its name and port were typed;
+    emulators need --execute alone.
+    With --page and neither --target nor --roi the object is selected on the page.
+    None of this replaces the emergency stop, the page's stop button included.
 
     Exit status 0: lifted, or planned where nothing may move; 1: it ended in another state, which is
     named; 2: could not run.
@@ -78,8 +91,11 @@ def grab(
     if target is not None and roi is not None:
         raise typer.BadParameter("give --target or --roi, not both")
     from verify.commands.grabbing import Wish
+    from verify.commands.watching import PageWish
 
-    wish = Wish(target or "blue", roi, execute, auto, duration)
+    colour = target if target is not None or roi is not None or page else USUAL_COLOUR
+    shown = PageWish(page_port, page_address, page_token) if page else None
+    wish = Wish(colour, roi, execute, auto, duration, shown)
     if station is not None:
         if seed or small or stop_and_go:
             raise typer.BadParameter("--seed, --small and --stop-and-go are for --sim")

@@ -4,8 +4,8 @@ import json
 import os
 import threading
 from collections import deque
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,8 @@ from reports import Results, html, pdf
 from reports.grab import document, outcome
 from reports.results import plain
 from verify.commands.asked import seconds
-from verify.commands.watching import stopped_politely
+from verify.commands.grabbing_page import SELECTED, GrabPage, OnPage
+from verify.commands.watching import PageWish, stopped_politely
 from verify.grab.loop import Loop
 from verify.grab.loop_record import Cycle
 from verify.grab.record import FILM, GrabRecord, Told
@@ -23,12 +24,14 @@ from verify.grab.selection import parse_box
 from verify.grab.states import Event, State
 from verify.grab.target import Drawn, Named, Target
 from verify.grab.workspace import Workspace
+from verify.page.grab_source import GrabFacts
 from verify.recording.part import Facts
 from verify.results_folder import RESULTS
 from verify.terminal import terminal
 from verify.writing import folder_written_whole
 
 PATIENCE = 5.0  # s in a holding state, and the grab is over
+PATIENCE_SHOWN = 60.0  # s likewise, where a person looks on and may select another target
 KEYS = {
     "g": Event.GRAB,
     "h": Event.HOLD,
@@ -43,20 +46,23 @@ STDIN = 0  # its descriptor
 class Wish:
     """What is asked for, as it was typed."""
 
-    colour: str
+    colour: str | None
     roi: str | None
     execute: bool
     auto: bool
     duration: str
+    page: PageWish | None = None
 
     @property
-    def target(self) -> Target:
-        """What to grab.
+    def given(self) -> Target | None:
+        """What to grab; None: it is selected on the page.
 
         Raises:
             InputError: the box is none.
         """
-        return Named(self.colour) if self.roi is None else Drawn(parse_box(self.roi))
+        if self.roi is not None:
+            return Drawn(parse_box(self.roi))
+        return None if self.colour is None else Named(self.colour)
 
     @property
     def ends(self) -> Ends:
@@ -65,7 +71,8 @@ class Wish:
         Raises:
             InputError: the duration is none.
         """
-        return Ends(seconds("--for", self.duration), PATIENCE)
+        patience = PATIENCE if self.page is None else PATIENCE_SHOWN
+        return Ends(seconds("--for", self.duration), patience, planned=self.page is None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +86,7 @@ class Stage:
     told: Told
     rate: float  # Hz
     keys: bool  # the operator's keys are listened to
+    page: OnPage | None = None
 
 
 def conduct(stage: Stage, ends: Ends, out: Path, *, force: bool) -> bool:
@@ -99,46 +107,73 @@ def conduct(stage: Stage, ends: Ends, out: Path, *, force: bool) -> bool:
     with folder_written_whole(out, force) as folder:
         record = GrabRecord(folder, stage.facts, stage.workspace, stage.told, stage.rate)
         try:
-            ended = _run(stage, ends, record)
+            with _served(stage, ends) as page:
+                ended = _run(stage, ends, record, page)
         finally:
             record.close()
         aim = stage.loop.aim
         results = record.results(ended, aim)
+        if page is not None:
+            results = page.told(results)
         _write(results, folder)
     _say(results, out)
     return ended.state is State.LIFTED or (not stage.told.execute and aim.plan is not None)
 
 
-def in_words(target: Target) -> str:
-    """Name a target for the report."""
+def in_words(target: Target | None) -> str:
+    """Name a target for the report; None: selected on the page."""
+    if target is None:
+        return SELECTED
     if isinstance(target, Named):
         return f"{target.colour} object"
     return "object in the box {},{},{},{}".format(*target.box)
 
 
-def _run(stage: Stage, ends: Ends, record: GrabRecord) -> Outcome:
+@contextmanager
+def _served(stage: Stage, ends: Ends) -> Iterator[GrabPage | None]:
+    """Serve the page, where one is wanted."""
+    on, told = stage.page, stage.told
+    if on is None:
+        yield None
+        return
+    said = f"{told.target}, {told.cell}"
+    facts = GrabFacts(told.robot, said, on.setup, on.rig, told.execute, ends.duration)
+    with closing(GrabPage(stage.loop, on, facts)) as page:
+        yield page
+
+
+def _run(stage: Stage, ends: Ends, record: GrabRecord, page: GrabPage | None) -> Outcome:
     state: State | None = None
+    keys = Keys(STDIN) if stage.keys else None
 
     def look(cycle: Cycle) -> None:
         nonlocal state
         record.see(cycle)
+        if page is not None:
+            page.see(cycle)
         if cycle.state is not state:
             state = cycle.state
             terminal.say(f"{cycle.t:7.2f} s  {cycle.state.value}: {cycle.reason or 'ready'}")
             fields = {"t_s": round(cycle.t, 3), "state": state.value, "reason": cycle.reason}
             terminal.record({"type": "state", **fields})
 
-    keys = Keys(STDIN) if stage.keys else None
+    def orders() -> Sequence[Event]:
+        pressed = () if keys is None else keys.pressed()
+        return pressed if page is None else (*pressed, *page.orders())
+
     with stopped_politely() as stop:
-        return run(
+        ended = run(
             stage.loop,
             stage.source,
             ends,
             look,
-            orders=tuple if keys is None else keys.pressed,
-            say=terminal.warn,
+            orders,
+            say=terminal.warn if page is None else page.answer,
             stop=lambda: stop.is_set() or (keys is not None and keys.quit),
         )
+    if page is not None:
+        page.end(ended)
+    return ended
 
 
 class Keys:

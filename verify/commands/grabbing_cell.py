@@ -5,6 +5,7 @@ from pathlib import Path
 
 from verify import marker_file, rig_file
 from verify.commands.grabbing import Stage, Wish, conduct, in_words
+from verify.commands.grabbing_page import OnPage
 from verify.grab.motion_port import ExecuteRight
 from verify.grab.record import Told
 from verify.recording.part import Facts
@@ -32,15 +33,20 @@ def grab_simulated(
         InputError: an option is no colour, box or duration; the folder cannot be written.
     """
     refuse_existing(out, force=force)
-    target, ends = wish.target, wish.ends
+    target, ends = wish.given, wish.ends
     setup = cell_setup(SMALL if small else FULL)
     scene = drawn_scene(seed, wish.colour if wish.colour in COLOURS else "blue")
-    by_key = wish.execute and not wish.auto
+    watched = wish.page is not None
+    by_key = wish.execute and (watched or not wish.auto)
     right = ExecuteRight("--execute") if wish.execute else None
-    made = cell_grab(setup, scene, target, right, auto=wish.auto, stepped=stop_and_go, paced=by_key)
+    paced = watched or by_key
+    made = cell_grab(setup, scene, target, right, auto=wish.auto, stepped=stop_and_go, paced=paced)
     told = Told(ROBOT, in_words(target), "simulated", wish.execute, datetime.now(UTC))
+    page = None
+    if wish.page is not None:
+        page = OnPage(wish.page, setup.planner, setup.rig, selects=target is None)
     workspace = setup.planner.workspace
-    stage = Stage(made.loop, made.source, workspace, _facts(setup), told, RATE, by_key)
+    stage = Stage(made.loop, made.source, workspace, _facts(setup), told, RATE, by_key, page)
     return conduct(stage, ends, out, force=force)
 
 

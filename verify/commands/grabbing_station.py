@@ -4,9 +4,11 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +17,18 @@ from robots.transforms import invert
 from verify import station_file
 from verify.cameras import Camera
 from verify.commands.grabbing import STDIN, Stage, Wish, conduct, in_words
+from verify.commands.grabbing_page import OnPage
 from verify.devices import EncoderReading
 from verify.devices.intake import AngleMap
-from verify.devices.ports import host_and_port
+from verify.devices.ports import host_and_port, open_port
 from verify.errors import InputError
 from verify.grab import cell_file
+from verify.grab.emulated import OnlyEmulators, is_emulated_gripper, is_emulated_melfa
+from verify.grab.flange_watch import FlangeWatch
 from verify.grab.gripper import GripperDriver
 from verify.grab.gripper_reader import GripperSettings
 from verify.grab.loop import Hands, Loop
+from verify.grab.loop_closed import ClosedAim, WatchedSource
 from verify.grab.loop_steps import SteppedArm
 from verify.grab.loop_target import Aim
 from verify.grab.melfa_motion import MelfaMover
@@ -70,7 +76,7 @@ def grab_on_station(path: Path, ports: Ports, wish: Wish, out: Path, *, force: b
         InputError: a file, an option, a device or the folder; or the order was not confirmed.
     """
     refuse_existing(out, force=force)
-    target, ends = wish.target, wish.ends
+    target, ends = wish.given, wish.ends
     station = open_station(path, SimulatedStation)
     cell_path = ports.cell or path.with_name(CELL)
     cell, warnings = cell_file.read(cell_path, station.arm.dof)
@@ -79,7 +85,7 @@ def grab_on_station(path: Path, ports: Ports, wish: Wish, out: Path, *, force: b
     rig = station.rig
     places = [camera.rig_T_camera(camera.pan) for camera in (rig.left, rig.right)]
     setup = planner(station.arm, cell, camera_places(invert(rig.rig_T_base), places))
-    tracker = Tracker(rig, target, Options())
+    tracker = None if target is None else Tracker(rig, target, Options())
     with ExitStack() as stack:
         began = time.monotonic()
 
@@ -90,14 +96,25 @@ def grab_on_station(path: Path, ports: Ports, wish: Wish, out: Path, *, force: b
         left, right = station.open_cameras()
         source = LivePairs(left, right, rig, station.rate, began)
         stack.callback(source.close)
-        aim = Aim(setup, rig)
-        loop = Loop(setup, tracker, aim, hands, joints, now, auto=wish.auto)
+        watch = _watch(station, setup, stack)
+        # nothing stands above the target that may not move: there is no hand to look at
+        aim = Aim(setup, rig) if hands is None else ClosedAim(setup, rig, watch)
+        loop = Loop(setup, tracker, aim, hands, lambda: watch.read(joints()), now, auto=wish.auto)
         started = datetime.now(UTC)
         told = Told(station.robot, in_words(target), station.name, wish.execute, started)
         tables = {"description": f"a grab at {station.name}"}
         facts = replace(station.facts, tables=tables, turning=False, time_stated=False)
-        stage = Stage(loop, source, setup.workspace, facts, told, station.rate, keys=wish.execute)
+        seen = WatchedSource(source, watch)
+        page = None if wish.page is None else OnPage(wish.page, setup, rig, selects=target is None)
+        stage = Stage(loop, seen, setup.workspace, facts, told, station.rate, wish.execute, page)
         return conduct(stage, ends, out, force=force)
+
+
+def _watch(station: Station, setup: Planner, stack: ExitStack) -> FlangeWatch:
+    """Measure the flange beside the loop, which waits for nothing."""
+    worker = ThreadPoolExecutor(1, "flange")
+    stack.callback(worker.shutdown, cancel_futures=True)
+    return FlangeWatch(setup.arm, station.rig, station.marker, worker.submit)
 
 
 class LivePairs:
@@ -187,13 +204,28 @@ def _devices(
     if ports.gripper is None:
         expected = "the gripper's port is needed to move"
         raise InputError("--gripper", "is missing", expected, "Example: --gripper /dev/ttyUSB0")
-    right = confirmed(f"{settings.robot_type} {settings.port}")
+    fingers = GripperSettings(ports.gripper)
+    melfa = OnlyEmulators(
+        partial(open_port, settings.port, settings.line),
+        partial(is_emulated_melfa, terminator=settings.terminator),
+    )
+    hand = OnlyEmulators(partial(open_port, fingers.port, fingers.line), is_emulated_gripper)
+    stack.callback(melfa.close)
+    stack.callback(hand.close)
+    # a gripper is asked only beside an emulated controller: nothing in a real cell is
+    emulated = melfa.there() and hand.there()
+    right = _emulators_right() if emulated else confirmed(f"{settings.robot_type} {settings.port}")
+    if not emulated:
+        melfa.close()
+        hand.close()
     limits = np.column_stack([setup.limits.lower, setup.limits.upper])
     angles = _angles(table.encoders, station.arm.dof)
     override = max(1, round(100 * setup.cell.moving.share))
     most = MoveLimits(limits, override=override)
-    mover = stack.enter_context(MelfaMover(settings, angles, most, right))
-    gripper = GripperDriver(GripperSettings(ports.gripper), right)
+    mover = stack.enter_context(
+        MelfaMover(settings, angles, most, right, melfa if emulated else None)
+    )
+    gripper = GripperDriver(fingers, right, hand if emulated else None)
     stack.callback(gripper.close)
 
     def joints() -> EncoderReading | None:
@@ -203,6 +235,12 @@ def _devices(
         return EncoderReading(status.t, status.t - began, HALF_WIDTH, 0, status.q)
 
     return joints, Hands(SteppedArm(setup, mover), gripper)
+
+
+def _emulators_right() -> ExecuteRight:
+    """Take `--execute` for the order that it is: nothing but emulators can be opened with it."""
+    terminal.say("Controller and gripper are emulators: nobody has to confirm")
+    return ExecuteRight("--execute, and both ends have proved to be emulators")
 
 
 def confirmed(what: str) -> ExecuteRight:

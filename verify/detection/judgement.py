@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.detection.kernel import PEAK, SENSOR_LIMIT, XX, XY, YY, X, Y, tally
+from verify.detection.kernel import PEAK, SENSOR_LIMIT, UNTOLD, XX, XY, YY, X, Y, tally
 from verify.detection.model import Fit
 from verify.detection.patches import Cut
 from verify.records import Array
@@ -41,7 +41,8 @@ def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
     patches, p = cut.patches, state.parameters
     offset = p[:, [X, Y]]
     centre = cut.origin + offset
-    covariance = np.asarray(np.linalg.inv(state.information)[:, :2, :2], dtype=np.float64)
+    told = state.information + UNTOLD * np.eye(state.information.shape[1])
+    covariance = np.asarray(np.linalg.inv(told)[:, :2, :2], dtype=np.float64)
     mean, split = (p[:, XX] + p[:, YY]) / 2, np.hypot((p[:, XX] - p[:, YY]) / 2, p[:, XY])
     positive = mean > split
     half_long = patches.scale / np.sqrt(np.where(positive, mean - split, 1.0))

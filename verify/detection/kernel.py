@@ -26,6 +26,7 @@ OUTLIER = 5.0  # sigma, likewise
 CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
 ROOT_TWO, ROOT_TWO_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 FIRST_DAMPING = 1e-4
+UNTOLD = 1e-9  # information in every direction: of a patch none of whose pixels counts
 CORE = 1.5  # half-widths: the spot's own pixels, by which its fit is judged
 CORE_LEAST = 3.0  # px, likewise for the smallest: 28 pixels against 8 parameters
 SEEN = 0.9  # share of a pixel's noise that clipping must leave for its residual to count
@@ -251,7 +252,7 @@ def descend(
     for _ in range(steps):
         damped = information.copy()
         for a in range(PARAMETERS):
-            damped[a, a] *= 1.0 + damping
+            damped[a, a] = damped[a, a] * (1.0 + damping) + UNTOLD
         step = np.linalg.solve(damped, gradient)
         shorten(step, p)
         tried = p + step

@@ -1,7 +1,8 @@
 """A Robotiq 3-finger gripper on Modbus RTU: framing, checks, registers; `gripper_hand` is the rest.
 
 Written apart from the library that the driver uses, so that the two check each other. A request
-ends where its length says, or, where that cannot be known, at a silence.
+ends where its length says, or, where that cannot be known, at a silence. Asked who made it
+(function 43/14, Modbus specification 6.21), it says what no maker's gripper does: an emulator.
 """
 
 from collections import Counter
@@ -15,7 +16,11 @@ SLAVE = 9
 OUTPUTS, INPUTS = 1000, 2000  # first registers, as they stand on the wire
 REGISTERS = BYTES // 2
 MOST_READ, MOST_WRITTEN = 125, 121  # registers a request, by the Modbus specification
-READ, READ_INPUT, WRITE_ONE, WRITE, READ_WRITE = 3, 4, 6, 16, 23
+READ, READ_INPUT, WRITE_ONE, WRITE, READ_WRITE, IDENTIFY = 3, 4, 6, 16, 23, 43
+DEVICE = 14  # the kind of interface behind function 43
+# vendor, product code and revision, all that the basic stream of an identification holds
+IDENTITY = (b"verify", b"emulated gripper", b"1")
+BASIC = 1  # the stream, and the conformity that goes with it
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
 QUIET = 0.005  # s without a byte: what has come is all there is
 CYCLE = 0.005  # s: the gripper takes new outputs up, and echoes them, 200 times a second
@@ -126,6 +131,8 @@ class GripperEngine:
             case 23:
                 self._write(body[5:9], body[10:], t)
                 return self._read(body[1:5])
+            case 43:
+                return _identity(body[1:])
         raise RefusedError(ILLEGAL_FUNCTION)
 
     def _read(self, span: bytes) -> bytes:
@@ -150,11 +157,25 @@ class GripperEngine:
         self._due = t + CYCLE
 
 
+def _identity(asked: bytes) -> bytes:
+    """Say what it is: MEI type, stream, conformity, nothing more to follow, three objects.
+
+    Raises:
+        RefusedError: another stream is asked for.
+    """
+    if asked[:2] != bytes([DEVICE, BASIC]):
+        raise RefusedError(ILLEGAL_VALUE)
+    objects = [bytes([number, len(text)]) + text for number, text in enumerate(IDENTITY)]
+    return bytes([DEVICE, BASIC, BASIC, 0, 0, len(objects)]) + b"".join(objects)
+
+
 def request_size(data: bytes) -> int | None:
     """Bytes that a request has by its function and count; None where that is not known (yet)."""
     function = data[1] if len(data) > 1 else None
     if function in (READ, READ_INPUT, WRITE_ONE):
         return 8
+    if function == IDENTIFY:
+        return 7
     count_at = {WRITE: 6, READ_WRITE: 10}.get(function or 0)
     if count_at is None or len(data) <= count_at:
         return None

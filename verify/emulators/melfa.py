@@ -1,5 +1,10 @@
-"""A MELFA controller that speaks the R3 line protocol: the line, rights and refusals."""
+"""A MELFA controller that speaks the R3 line protocol: the line, rights and refusals.
 
+Its identity says that it is emulated: the notice, which on a controller is its maker's, holds a
+digest of the name under which the line was opened. Who draws that name by chance can tell.
+"""
+
+import hashlib
 import re
 from dataclasses import dataclass
 
@@ -118,7 +123,7 @@ class MelfaEngine:
         """Do it: the answer's data, or the number of the error."""
         if name == "OPEN":
             self._open = True
-            return self._identity()
+            return self._identity(argument.removeprefix("=").partition(";")[0])
         if name == "CLOSE":
             self._open = False
             return ""
@@ -127,11 +132,12 @@ class MelfaEngine:
         told = self.arm.told(name, argument, t, self._options.axes)
         return told if told is not None else self.arm.obey(name, argument, t)
 
-    def _identity(self) -> str:
+    def _identity(self, client: str) -> str:
         kind = self._options.robot_type
+        digest = hashlib.sha256(f"verify emulate {client}".encode()).hexdigest()[:16]
         return (
             f"3F;3F;7,0;3,5,A,1E,32,46,64;MB5;PRM;{kind};CRn-7xx;MELFA;09-01-20;Ver.N8a;ENG;"
-            "COPYRIGHT(C)2009;1;1;8;"
+            f"EMULATED {digest};1;1;8;"
         )
 
     def _refusal(self, number: int) -> str:

@@ -30,6 +30,10 @@ AT_REST = frozenset(
     {GripperState.REACHED, GripperState.GRIPPED, GripperState.UNSURE, GripperState.LOST}
 )
 AIMS = frozenset({State.TRACKING, State.FOLLOWING, State.HOLDING_UNREACHABLE})
+AT_EASE = {  # where another target may be chosen
+    State.IDLE, State.SEARCHING, State.TRACKING, State.HOLDING_STALE, State.HOLDING_LOST,
+    State.HOLDING_UNREACHABLE, State.HOLDING_OPERATOR,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +49,7 @@ class Loop:
 
     Args:
         setup: arm and cell.
-        tracker: sees the target.
+        tracker: sees the target; None: there is none until `look_for` is called.
         aim: what is made of that.
         hands: arm and gripper; None: nothing may move, the plan is all there is.
         joints: reads the joint angles; None where there is no reading.
@@ -56,7 +60,7 @@ class Loop:
     def __init__(
         self,
         setup: Planner,
-        tracker: Tracker,
+        tracker: Tracker | None,
         aim: Aim,
         hands: Hands | None,
         joints: Callable[[], EncoderReading | None],
@@ -72,9 +76,11 @@ class Loop:
             self.machine, setup.cell.watch, setup.cell.still, auto=auto and hands is not None
         )
         self._acted: State | None = None  # in which state `_act` was last
-        self._pictures_t: float | None = None
+        self.pictures_t: float | None = None  # s, when the newest pair was taken
         self._tracked_t: float | None = None
-        self._joints_t: float | None = None
+        self.joints_t: float | None = None  # s, when the joints were last read
+        self.arm: MoverStatus | None = None  # None: there is none, or it was not asked yet
+        self._hold_first = False  # the operator's stop came before anything had begun
         self._q: Array | None = None
         self._refused = ""  # what a device refused
         self._fingers: GripperStatus | None = None
@@ -83,6 +89,30 @@ class Loop:
     def may_move(self) -> bool:
         """There are arm and gripper, and the right to move them."""
         return self._hands is not None
+
+    @property
+    def may_choose(self) -> bool:
+        """Another target may be chosen: nothing moves, and the hand is up and empty."""
+        machine = self.machine
+        if machine.state not in AT_EASE or machine.low or machine.carrying:
+            return False
+        return self._hands is None or self._hands.arm.resting
+
+    def look_for(self, tracker: Tracker | None) -> None:
+        """Go after another target from now on; what was known of the last one is forgotten.
+
+        Args:
+            tracker: sees it; None: there is none until the next call.
+
+        Raises:
+            ValueError: not now; see `may_choose`.
+        """
+        if not self.may_choose:
+            raise ValueError(f"no other target while the state is {self.machine.state.value}")
+        self._tracker, self._tracked_t = tracker, None
+        self.aim.forget()
+        self.aim.known, self.aim.unreachable = None, ""
+        self.machine.still = self.machine.planned = False
 
     def start(self) -> None:
         """Take the arm's controls and make the gripper ready, where they may be used."""
@@ -93,6 +123,9 @@ class Loop:
     def tell(self, event: Event) -> str:
         """Take the operator's order in; says what speaks against it, where something does."""
         if self.machine.tell(event):
+            return ""
+        if event is Event.HOLD and self.machine.state is State.IDLE:
+            self._hold_first = True  # once it begins, it holds
             return ""
         lacks = ", ".join(sorted(need.value for need in self.machine.lacks(event)))
         lacks = lacks or f"it is no order while the state is {self.machine.state.value}"
@@ -130,8 +163,10 @@ class Loop:
     def _see(self, pair: StereoPair | None) -> TargetSeen | None:
         if pair is None:
             return None
+        self.pictures_t = pair.t_left
+        if self._tracker is None:
+            return None
         seen = self._tracker.step(pair)
-        self._pictures_t = pair.t_left
         if seen.status == "tracked":
             self._tracked_t = pair.t_left
         self.aim.see(seen)
@@ -140,26 +175,30 @@ class Loop:
     def _read(self) -> None:
         reading = self._joints()
         if reading is not None:
-            self._q, self._joints_t = reading.q, reading.t_host
+            self._q, self.joints_t = reading.q, reading.t_host
 
     def _devices(self, now: float) -> MoverStatus | None:
         """Let the devices go on; start once they are ready."""
         if self._hands is None:
             if self._sees(now):
-                self.machine.tell(Event.START)
+                self._begin()
             return None
-        arm, self._fingers = self._hands.arm.step(), self._hands.gripper.step()
+        self.arm, self._fingers = self._hands.arm.step(), self._hands.gripper.step()
         ready = self._hands.arm.takes_orders and self._fingers.state is GripperState.READY
         if ready and self._sees(now):
-            self.machine.tell(Event.START)
-        return arm
+            self._begin()
+        return self.arm
+
+    def _begin(self) -> None:
+        if self.machine.tell(Event.START) and self._hold_first:
+            self.machine.tell(Event.HOLD)
 
     def _sees(self, now: float) -> bool:
         """Pictures and joint angles have come, and are fresh."""
-        if self._pictures_t is None or self._joints_t is None:
+        if self.pictures_t is None or self.joints_t is None:
             return False
         watch = self._setup.cell.watch
-        return now - self._pictures_t <= watch.stale and now - self._joints_t <= watch.joints
+        return now - self.pictures_t <= watch.stale and now - self.joints_t <= watch.joints
 
     def _observed(self, arm: MoverStatus | None) -> Observation:
         error = self._refused
@@ -173,8 +212,8 @@ class Loop:
         if state is State.APPROACHING:
             unreachable = "" if hidden else self.aim.moved_off()
         return Observation(
-            self._pictures_t,
-            self._joints_t,
+            self.pictures_t,
+            self.joints_t,
             self._tracked_t,
             known.thing.position if known is not None and known.tracked else None,
             unreachable,
@@ -195,6 +234,8 @@ class Loop:
         entered = self.machine.state is not self._acted
         self._acted = self.machine.state
         if self._hands is None:
+            if self.machine.state is State.RELEASING:
+                self.machine.tell(Event.STOPPED)  # nothing was taken
             if self.machine.state in AIMS and self.machine.still and self._q is not None:
                 self.aim.plan_now(now, self._q)
             self.machine.planned = self.aim.plan is not None

@@ -41,6 +41,7 @@ STATE, JPOSF, CLOSE = Request("STATE"), Request("JPOSF"), Request("CLOSE")
 STATE_EVERY = 0.5  # s
 CONNECT_LIMIT, CHECK_LIMIT, POWER_LIMIT, STOP_LIMIT = 10.0, 10.0, 10.0, 5.0  # s
 GIVE_BACK_LIMIT = 10.0  # s
+PERCENT = range(1, 101)  # that an override can be
 PAUSE = 0.005  # s, between the steps of `close`
 STANDS = TAKES_MOVES | {MoverState.STOPPING}
 MOVES = frozenset({MoverState.ORDERING, MoverState.MOVING})
@@ -58,6 +59,8 @@ class Progress:
     right_asked: bool = False  # from here on there is something to give back
     state_due: float = 0.0  # s
     limits_deg: Array | None = None  # (joints, 2), the controller's own
+    override_found: int | None = None  # %, before the controls were taken
+    override_set: bool = False  # another was ordered: the one found is to be put back
     arrival: Arrival | None = None
     still: bool = False  # STATE says that nothing runs
     giving_back: GivingBack | None = None
@@ -261,6 +264,7 @@ class MelfaMover:
                 self._enter(MoverState.TAKING_CONTROLS, CHECK_LIMIT, Order("CNTLON"))
             case MoverState.TAKING_CONTROLS:
                 override = Order("OVRD", f"={self._limits.override}")
+                self._progress.override_set = True
                 self._enter(MoverState.POWERING, POWER_LIMIT, override, Order("SRVON"))
             case MoverState.ORDERING:
                 self._enter(MoverState.MOVING, self._settings.move_limit)
@@ -295,6 +299,8 @@ class MelfaMover:
         if not readings:
             return  # a leap that no arm makes: a digit was disturbed
         self._q, self._t, self._speed = readings[-1].q, told.t, position.speed
+        if not self._progress.right_asked and position.override in PERCENT:
+            self._progress.override_found = position.override
         if self._state not in ENDED and self._progress.right_asked:
             self._follow(position)
 
@@ -343,7 +349,9 @@ class MelfaMover:
     def _give_back(self, state: MoverState, reason: str) -> None:
         self._state, self._reason = state, reason
         if self._progress.right_asked:
-            self._progress.giving_back = GivingBack(self._now() + GIVE_BACK_LIMIT)
+            progress = self._progress
+            override = progress.override_found if progress.override_set else None
+            progress.giving_back = GivingBack(self._now() + GIVE_BACK_LIMIT, override)
             self._talk.urge()
         else:
             self._end([])

@@ -1,4 +1,4 @@
-"""How a MELFA controller is given back: stop, servo off, right returned, and looked whether so.
+"""How a MELFA controller is given back: stop, servo off, override and right as before, and a look.
 
 Each is tried even if the one before was refused; one that got no answer is said again on a new
 connection, until the time is up. What could not be done is put in words.
@@ -12,13 +12,26 @@ from verify.devices.melfa_lines import Request
 from verify.grab.melfa_motion_lines import Order
 from verify.grab.melfa_motion_talk import Told
 
-STATE, ERROR = Request("STATE"), Request("ERROR")
-WORDS = {"STOP": "stop", "SRVOFF": "servo off", "CNTLOFF": "controls returned"}
+STATE, ERROR, JPOSF = Request("STATE"), Request("ERROR"), Request("JPOSF")
+WORDS = {
+    "STOP": "stop",
+    "SRVOFF": "servo off",
+    "OVRD": "override put back",
+    "CNTLOFF": "controls returned",
+}
 
 
-def standing_orders() -> deque[Request | Order]:
-    """What has to be said to give a controller back, in this order."""
-    return deque([Order("STOP"), ERROR, Order("SRVOFF"), Order("CNTLOFF"), STATE])
+def standing_orders(override: int | None) -> deque[Request | Order]:
+    """Say what has to be said to give a controller back, in this order.
+
+    Args:
+        override: %, as it was before the controls were taken; None: it was not changed. It is put
+            back once the servo has no power, while there still is a right to.
+    """
+    before: list[Request | Order] = []
+    if override is not None:
+        before = [Order("OVRD", f"={override}"), JPOSF]
+    return deque([Order("STOP"), ERROR, Order("SRVOFF"), *before, Order("CNTLOFF"), STATE])
 
 
 @dataclass(slots=True)
@@ -26,11 +39,15 @@ class GivingBack:
     """Where the giving back stands."""
 
     until: float  # s, host's monotonic clock
-    to_say: deque[Request | Order] = field(default_factory=standing_orders)
+    override: int | None = None  # %, to be put back; None: it was not changed
+    to_say: deque[Request | Order] = field(init=False)
     notes: list[str] = field(default_factory=list)  # what went wrong with it
     alarm: int | None = None  # that stands
     alarm_text: str = ""  # the controller's own, of one that no list here holds
     found: r3.RunState | None = None  # what STATE told last
+
+    def __post_init__(self) -> None:
+        self.to_say = standing_orders(self.override)
 
     @property
     def over(self) -> bool:
@@ -53,6 +70,8 @@ class GivingBack:
                 self.to_say.appendleft(Request("ERRORMES", f"{self.alarm:04d}"))
         elif request.name == "ERRORMES":
             self.alarm_text = answer.data.strip(" ;")
+        elif request.name == "JPOSF":
+            self._look_at_override(answer.data)
         elif request.name == "STATE":
             self._look(answer.data)
 
@@ -74,6 +93,14 @@ class GivingBack:
         else:
             self.notes.append("it still moves" if self.found.running else "the servo is still on")
         self.to_say.clear()
+
+    def _look_at_override(self, data: str) -> None:
+        """Believe that it is back when the controller shows it."""
+        position = r3.parse_joints(data, 1)
+        if position is None:
+            self.notes.append("nobody knows whether the override is as before: look")
+        elif position.override != self.override:
+            self.notes.append(f"the override is {position.override} %, it was {self.override} %")
 
     def _look(self, data: str) -> None:
         """Ask again until the servo is off and nothing runs."""

@@ -19,6 +19,7 @@ from verify.grab.workspace import Workspace
 from verify.records import Array
 
 SLOWEST = 4.0  # times slower than asked for: a line that needs more runs past a singularity
+SAME_POSTURE = 0.15  # rad: no other branch and no other turn of the hand is so near
 TRIED = 40  # postures whose ways are looked at, best first: all branches, some turns of each
 
 
@@ -84,6 +85,8 @@ def plan(setup: Planner, thing: Thing, q_now: Array) -> Plan | Refusal:
     if said := violation(setup.limits, at_rest(q_now)) or setup.workspace.clear(q_now[None]):
         return Refusal("way", f"the arm cannot begin where it stands: {said}")
     good, reasons = postures(setup.workspace, setup.limits, margin.grip, q_now)
+    if thing.seen is not None and thing.seen.used:  # a correction holds where it was measured
+        good = [p for p in good if np.abs(p.q_above - q_now).max() < SAME_POSTURE]
     ways: dict[int, str] = {}  # why not, of branches that could stand there
     for posture in good[:TRIED]:
         found = _ways(setup, posture, q_now)
@@ -93,6 +96,8 @@ def plan(setup: Planner, thing: Thing, q_now: Array) -> Plan | Refusal:
             return Plan(posture, margin, over, down, down.returning(), slowed, rejected)
         ways.setdefault(posture.branch, found)
     told = tuple((branch_name(branch), said) for branch, said in {**ways, **reasons}.items())
+    if not told:
+        return Refusal("reach", "the posture in which the hand was seen does not reach it")
     said = "no posture of the arm can grasp it; what comes nearest ({}): {}".format(*told[0])
     return Refusal("way" if ways else "reach", said, told)
 

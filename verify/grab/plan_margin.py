@@ -26,7 +26,7 @@ class Refusal:
 class Margin:
     """What the gripper leaves and what is needed of it, m; expanded at the cell's coverage."""
 
-    grip: Array  # (3,), m, base frame: where the grip point goes
+    grip: Array  # (3,), m, base frame: where the grip point is told to go
     raised: float  # from the object's middle, against the approach, to keep the tips off the table
     across: float  # by which the object may be off sideways
     across_needed: float
@@ -75,16 +75,39 @@ def grip_margin(thing: Thing, cell: Cell) -> Margin | Refusal:
         return Refusal("width", said)
     across, along = _spread(thing, cell)
     sideways = float(np.hypot(across, thing.width_standard_uncertainty / 2))
-    grip, raised = grip_point(thing.position, cell)
+    grip, raised = _told(thing, cell)
     if raised > hand.tips:
         said = f"it lies too flat: its middle is {_mm(_over(thing, cell))} above the table, "
         said += f"the finger tips must stay {_mm(cell.table.finger_clearance)} above it"
         return Refusal("table", said)
+    known_across, known_along = _known_off(thing, cell)
     margin = Margin(
-        grip, raised, (hand.opening - thing.width) / 2, two * sideways,
-        hand.tips - raised, one * along,
+        grip, raised, (hand.opening - thing.width) / 2, two * sideways + known_across,
+        hand.tips - raised, one * along + known_along,
     )  # fmt: skip
     return _refused(thing, cell, margin, one) or margin
+
+
+def _told(thing: Thing, cell: Cell) -> tuple[Array, float]:
+    """Where to tell the grip point to go, and how far behind the object's middle it will then be.
+
+    A hand that is seen elsewhere than told is told elsewhere. The tips keep off the table both by
+    what is told and by what is seen: where the arm is too high, the rest stays.
+    """
+    wanted, raised = grip_point(thing.position, cell)
+    if thing.seen is None or thing.seen.hand is None or not thing.seen.used:
+        return wanted, raised
+    told, more = grip_point(wanted - thing.seen.hand.off, cell)
+    return told, raised + more
+
+
+def _known_off(thing: Thing, cell: Cell) -> tuple[float, float]:
+    """By how much the hand is known to be off sideways and along, m, without being corrected."""
+    if thing.seen is None or thing.seen.hand is None or thing.seen.used:
+        return 0.0, 0.0
+    off, direction = thing.seen.hand.off, cell.approach.direction
+    along = float(off @ direction)
+    return float(np.linalg.norm(off - along * direction)), abs(along)
 
 
 def _refused(thing: Thing, cell: Cell, margin: Margin, one: float) -> Refusal | None:
@@ -117,6 +140,8 @@ def _spread(thing: Thing, cell: Cell) -> tuple[float, float]:
     """Standard uncertainty, the greatest sideways and that along the approach, with the robot's."""
     direction = cell.approach.direction
     total = thing.covariance + np.eye(3) * cell.accuracy.robot**2
+    if thing.seen is not None and thing.seen.hand is not None:
+        total = total + thing.seen.hand.covariance  # the arm need not repeat itself any better
     sideways = np.linalg.svd(direction[None])[2][1:]  # two unit vectors across the approach
     across = float(np.linalg.eigvalsh(sideways @ total @ sideways.T)[-1])
     return float(np.sqrt(across)), float(np.sqrt(direction @ total @ direction))

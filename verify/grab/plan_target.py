@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robots.transforms import carry, invert
+from verify.grab.hand_off import HandSeen
 from verify.grab.target import TargetSeen
 from verify.records import Array
 from verify.rig import Rig
@@ -23,6 +24,7 @@ class Thing:
     width_standard_uncertainty: float  # m
     length: float  # m, along the approach
     length_standard_uncertainty: float  # m
+    seen: HandSeen | None = None  # the hand, looked at above it; None: it was not
 
 
 def into_base(rig: Rig, point: Array, covariance: Array) -> tuple[Array, Array]:
@@ -42,7 +44,7 @@ def into_base(rig: Rig, point: Array, covariance: Array) -> tuple[Array, Array]:
     """
     base_T_rig = invert(rig.rig_T_base)
     base_R_rig = base_T_rig[:3, :3]
-    total = base_R_rig @ (covariance + _of_base(rig, point)) @ base_R_rig.T
+    total = base_R_rig @ (covariance + base_spread(rig, point)) @ base_R_rig.T
     return carry(base_T_rig, point), total
 
 
@@ -72,8 +74,16 @@ def from_seen(seen: TargetSeen, rig: Rig, direction: Array) -> Thing:
     )
 
 
-def _of_base(rig: Rig, point: Array) -> Array:
-    """Covariance of a fixed point of the base, seen in the rig, (3, 3), m²."""
+def base_spread(rig: Rig, point: Array) -> Array:
+    """Covariance of a fixed point of the base, seen in the rig: what rig.toml states of the base.
+
+    Args:
+        rig: with the robot's place.
+        point: (3,), m, rig frame.
+
+    Returns:
+        (3, 3), m², rig frame; 0 where nothing is stated.
+    """
     given = rig.covariance
     if given is None:
         return np.zeros((3, 3))

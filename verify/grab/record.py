@@ -16,7 +16,14 @@ from verify.grab.loop_record import Cycle
 from verify.grab.loop_target import Aim
 from verify.grab.plan import Plan
 from verify.grab.plan_margin import Refusal
-from verify.grab.record_rows import margin_fields, passages_table, plan_table, row
+from verify.grab.record_rows import (
+    hand_fields,
+    hand_table,
+    margin_fields,
+    passages_table,
+    plan_table,
+    row,
+)
 from verify.grab.record_video import Film
 from verify.grab.run import Outcome
 from verify.grab.states import State
@@ -101,6 +108,7 @@ class GrabRecord:
         """Make what the report is made of."""
         plan = None if aim.planned is None else aim.planned.answer
         good = plan if isinstance(plan, Plan) else None
+        hand = None if aim.planned is None else aim.planned.thing.seen
         summary: dict[str, Any] = {
             "kind": "grab",
             "tool": {"name": "verify", "version": __version__},
@@ -117,6 +125,7 @@ class GrabRecord:
             "seen_from_grip_mm": self._seen_from_grip,
             "plan": None if good is None else _plan_fields(good),
             "refusal": _refusal_fields(plan) if isinstance(plan, Refusal) else None,
+            "hand": None if hand is None else hand_fields(hand, self._workspace),
             "film": FILM,
             "session": SESSION,
             "warnings": list(self._told.warnings),
@@ -125,6 +134,7 @@ class GrabRecord:
             "cycles": pd.DataFrame(self._rows),
             "passages": passages_table(outcome.passages),
             "plan": plan_table(good, self._workspace),
+            "hand": hand_table(hand, self._workspace),
         }
         return Results(summary, {}, tables, self._images())
 
@@ -144,6 +154,9 @@ def _from_grip(cycle: Cycle, workspace: Workspace) -> float | None:
     if not np.isfinite(cycle.seen.measured).all():
         return None
     grip = workspace.grip(cycle.q)[:3, 3]
+    seen = cycle.known.thing.seen
+    if seen is not None and seen.hand is not None:  # the hand is there, whatever its encoders say
+        grip = grip + seen.hand.off
     return float(1e3 * np.linalg.norm(cycle.known.thing.position - grip))
 
 

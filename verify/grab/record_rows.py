@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from verify.grab.hand_off import HandSeen
 from verify.grab.loop_record import Cycle
 from verify.grab.plan import Plan
 from verify.grab.plan_margin import Margin
@@ -78,6 +79,37 @@ def plan_table(plan: Plan | None, workspace: Workspace) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def hand_table(seen: HandSeen | None, workspace: Workspace) -> pd.DataFrame:
+    """Write the pictures in which the hand was looked at, one a row; its grip point by its LEDs."""
+    rows: list[dict[str, Any]] = []
+    for sight in seen.sights if seen is not None else ():
+        told: dict[str, Any] = {"t_s": sight.t, "status": sight.status}
+        if sight.base_T_flange is not None:
+            told |= _point("grip", _grip(sight.base_T_flange, workspace))
+        rows.append(told)
+    columns = ["t_s", "status", "grip_x_mm", "grip_y_mm", "grip_z_mm"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def hand_fields(seen: HandSeen, workspace: Workspace) -> dict[str, Any]:
+    """Write where the hand was told to be, read and seen, and what came of it; mm, k = 2."""
+    hand, places = seen.hand, {"told": seen.told, "read": seen.read, "seen": seen.measured}
+    return {
+        "used": seen.used,
+        "reason": seen.reason,
+        "pictures": len(seen.sights),
+        "measured": sum(sight.base_T_flange is not None for sight in seen.sights),
+        **{
+            f"{what}_mm": None if pose is None else (_MM * _grip(pose, workspace)).tolist()
+            for what, pose in places.items()
+        },
+        "off_mm": None if hand is None else (_MM * hand.off).tolist(),
+        "off_expanded_uncertainty_mm": None
+        if hand is None
+        else (2 * _MM * np.sqrt(np.diag(hand.covariance))).tolist(),
+    }
+
+
 def margin_fields(margin: Margin) -> dict[str, float]:
     """Write what the gripper leaves and what is needed of it, mm."""
     return {
@@ -87,6 +119,12 @@ def margin_fields(margin: Margin) -> dict[str, float]:
         "along_needed_mm": _MM * margin.along_needed,
         "raised_mm": _MM * margin.raised,
     }
+
+
+def _grip(base_T_flange: Array, workspace: Workspace) -> Array:
+    """Where the grip point is, (3,), m."""
+    found: Array = (base_T_flange @ workspace.cell.gripper.flange_T_grip)[:3, 3]
+    return found
 
 
 def _outline(side: str, outline: Outline | None) -> dict[str, float | None]:

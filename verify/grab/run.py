@@ -34,6 +34,7 @@ class Ends:
 
     duration: float  # s
     patience: float  # s in one of the holding states
+    planned: bool = True  # a plan ends it, where nothing may move
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +85,10 @@ def run(
             if said := loop.tell(event):
                 say(said)
         stopped = stop()
-        if _over(loop) and over_since is None:
+        over = _over(loop, ends)
+        if over and over_since is None:
             over_since = cycle.t
-        elif not _over(loop):
+        elif not over:
             over_since = None
         lingered = over_since is not None and cycle.t - over_since >= LINGER
         if lingered or stopped or cycle.t - began >= ends.duration or _waits(loop, cycle.t, ends):
@@ -99,9 +101,10 @@ def run(
     return Outcome(state, reason, released, passages, count, stopped)
 
 
-def _over(loop: Loop) -> bool:
+def _over(loop: Loop, ends: Ends) -> bool:
     """It has ended, or nothing may move and the plan, or why there is none, is known."""
-    return loop.machine.state in DONE or (not loop.may_move and loop.aim.planned is not None)
+    planned = ends.planned and not loop.may_move and loop.aim.planned is not None
+    return loop.machine.state in DONE or planned
 
 
 def _waits(loop: Loop, now: float, ends: Ends) -> bool:

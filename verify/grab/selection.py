@@ -38,6 +38,18 @@ def parse_box(text: str, option: str = "--roi") -> Box:
     return x, y, width, height
 
 
+def parse_drawn(text: str, place: str) -> Drawn:
+    """Read what a person drew: left or right, a space, and x,y,w,h as `parse_box` reads it.
+
+    Raises:
+        InputError: something else stands there.
+    """
+    side, _, box = text.partition(" ")
+    if side not in ("left", "right"):
+        raise InputError(place, f'"{side}" is no picture', "left or right is expected")
+    return Drawn(parse_box(box, place), "left" if side == "left" else "right")
+
+
 def model_from_box(image: Image, box: Box, alike: ColourModel | None = None) -> ColourModel:
     """Learn a target's colours from a box around it, against its surroundings.
 

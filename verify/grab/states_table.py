@@ -78,7 +78,7 @@ _TROUBLE = (
         for s in (S.TRACKING, S.FOLLOWING, S.APPROACHING)
     ),
     *(_way(s, E.TIME_OUT, S.FAULT, "it took longer than it may") for s in LIMITED),
-    *(_way(s, E.HOLD, S.HOLDING_OPERATOR, "the operator's key") for s in HOLDABLE),
+    *(_way(s, E.HOLD, S.HOLDING_OPERATOR, "the operator's order") for s in HOLDABLE),
     *(_way(s, E.DEVICE_ERROR, S.FAULT, "a device said so, or fell silent") for s in RUNNING),
 )
 

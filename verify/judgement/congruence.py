@@ -22,6 +22,7 @@ MOST = 400  # of them; their errors are told in one matrix
 SHIFTS = (2, 3, 4, 5, 7)  # a pair's partner comes this part of the session later
 STEP = 1e-6  # m and rad, of the numerical derivative
 ROUNDING = 1e-5  # of what either pose gives: the rest has cancelled but for that derivative
+LARGEST = np.deg2rad(20.0)  # of an offset that first order may speak of
 DETECTABLE = 4.13  # standard uncertainties: false alarm 0.1 %, power 80 %
 
 
@@ -58,7 +59,8 @@ def congruence(model: Model) -> Congruence | None:
     told = screw(encoder[early], encoder[late])
     error = told - screw(measured[early], measured[late])
     # where the Jacobian is taken too: what a base or a tool does cancels there to rounding
-    by_early, by_late = derivatives(encoder[early], encoder[late])
+    where = comparison.base_T_jacobian
+    by_early, by_late = derivatives(where[early], where[late])
     own = sum(
         by @ comparison.covariance[rows] @ np.swapaxes(by, 1, 2)
         for by, rows in ((by_early, early), (by_late, late))
@@ -157,5 +159,6 @@ def _detectable(begin: Array, end: Array, weight: Array) -> Array:
     single = np.sqrt(np.sum(begin**2 + end**2, axis=(0, 1)))
     told = np.einsum("rj,rs,sj->j", columns, weight, columns)
     hidden = np.linalg.norm(columns, axis=0) < ROUNDING * single
-    detectable: Array = np.where(hidden, np.inf, DETECTABLE / np.sqrt(np.where(hidden, 1.0, told)))
-    return detectable
+    detectable = DETECTABLE / np.sqrt(np.where(hidden, 1.0, told))
+    shows: Array = np.where(hidden | (detectable > LARGEST), np.inf, detectable)
+    return shows

@@ -54,7 +54,7 @@ class Access:
         if (script or origin is not None) and origin != f"http://{host}":
             return "another site's page may not look at this one"
         if self.token is not None and not _same(cookie, self.token):
-            return "the token is missing or wrong; open the address that `verify run` printed"
+            return "the token is missing or wrong; open the address that `verify` printed"
         return None
 
     def matches(self, token: str | None) -> bool:

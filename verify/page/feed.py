@@ -1,18 +1,22 @@
-"""In the run's process: tells the page's server what there is to see, ten times a second."""
+"""In the run's process: tells the page's server what there is to see, ten times a second.
+
+What viewers say comes back on a line and a thread of its own: no picture that is under way, and no
+viewer who is slow, can make it wait.
+"""
 
 import json
 import multiprocessing
+import queue
 import socket
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
 from verify.errors import InputError
 from verify.page.access import LOOPBACK, USUAL_PORT, check
-from verify.page.server import serve
+from verify.page.server import Words, serve
 
 EVERY = 0.1  # s: faster than eyes follow; pictures too
 STATE_EVERY = 0.5  # s
@@ -56,7 +60,9 @@ class Page:
         port: to serve at; 0 takes a free one.
         address: of this computer; another one than loopback needs a token.
         token: what viewers must show.
-        asked: what viewers may ask for, by its word, and what is then done, in the feed's thread.
+        asked: what viewers may ask for, by its word, and what is then done.
+        given: what they may say more about, by its first word; called with what follows that word.
+            Both are called in a thread of their own, and have to be quick.
 
     Raises:
         InputError: the port is taken, or the address is open to others without a token.
@@ -69,22 +75,29 @@ class Page:
         address: str = LOOPBACK,
         token: str | None = None,
         asked: Mapping[str, Callable[[], None]] | None = None,
+        given: Mapping[str, Callable[[str], None]] | None = None,
     ) -> None:
         self._source = source
-        self._asked = dict(asked or {})
+        self._asked, self._given = dict(asked or {}), dict(given or {})
         self._access = check(address, port or _free_port(address), token)
         context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
+        their_news, self._news = context.Pipe(duplex=False)
+        self._back, their_back = context.Pipe(duplex=False)
+        words = Words(frozenset(self._asked), frozenset(self._given))
         self._process = context.Process(
             target=serve,
-            args=(theirs, self._access, frozenset(self._asked)),
+            args=(their_news, their_back, self._access, words),
             name="page",
             daemon=True,
         )
         self._process.start()
-        theirs.close()
+        their_news.close()
+        their_back.close()
         self._viewers = 0
         self.trouble = ""
+        self._began: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        self._ear = threading.Thread(target=self._listen, name="page-ear", daemon=True)
+        self._ear.start()
         self._wait_until_ready()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._feed, name="page", daemon=True)
@@ -107,26 +120,28 @@ class Page:
         """Send what is left, and end the server."""
         self._stop.set()
         self._thread.join(GOODBYE)
-        self._connection.close()
+        self._end()
+
+    def _end(self) -> None:
+        """Let go of the server: it ends once nothing can come any more, and then the ear does."""
+        self._news.close()
         self._process.join(GOODBYE)
         if self._process.is_alive():
             self._process.terminate()
+        self._ear.join(GOODBYE)
+        self._back.close()
 
     def _wait_until_ready(self) -> None:
-        answer: tuple[str, Any] = ("failed", "it does not start")
-        with suppress(EOFError, OSError):
-            while self._connection.poll(START_LIMIT):
-                kind, value = self._connection.recv()
-                if kind in ("ready", "failed"):
-                    answer = (kind, value)
-                    break
-                if kind == "viewers":  # one that waited for the page to come back is quicker
-                    self._viewers = value
-        if answer[0] != "ready":
+        try:
+            kind, value = self._began.get(timeout=START_LIMIT)
+        except queue.Empty:
+            kind, value = "failed", "it does not start"
+        if kind != "ready":
             self._process.terminate()
+            self._end()
             place = f"--page, {self._access.address}:{self._access.port}"
             remedy = "Choose another port, such as --page-port 8700."
-            raise InputError(place, f"the page cannot be served: {answer[1]}", "", remedy)
+            raise InputError(place, f"the page cannot be served: {value}", "", remedy)
 
     def _feed(self) -> None:
         """Send until told to stop; a page that is gone costs the run nothing but a word."""
@@ -143,7 +158,6 @@ class Page:
             self.trouble = f"the page is gone: {error}"
 
     def _send_news(self, *, full: bool) -> None:
-        self._listen(self._connection)
         rows = self._source.rows()
         if rows:
             self._send("rows", [json.dumps(row, allow_nan=False) for row in rows])
@@ -156,15 +170,28 @@ class Page:
                 self._send("picture", side, _framed(side, found, jpeg))
 
     def _send(self, *message: Any) -> None:
-        self._connection.send(message)
+        self._news.send(message)
 
-    def _listen(self, connection: Connection) -> None:
-        while connection.poll():
-            kind, value = connection.recv()
-            if kind == "viewers":
-                self._viewers = value
-            elif kind == "asked":
-                self._asked[value]()
+    def _listen(self) -> None:
+        """Take what the server says, at once and to its end."""
+        with suppress(EOFError, OSError):
+            while True:
+                kind, *content = self._back.recv()
+                try:
+                    self._take(kind, *content)
+                except Exception as error:  # the next word may be a stop
+                    self.trouble = f"the page asked for what could not be done: {error}"
+        self._began.put(("failed", "its process ended"))
+
+    def _take(self, kind: str, value: Any, more: str = "") -> None:
+        if kind == "viewers":
+            self._viewers = value
+        elif kind == "asked":
+            self._asked[value]()
+        elif kind == "given":
+            self._given[value](more)
+        else:
+            self._began.put((kind, value))
 
 
 def _text(kind: str, fields: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ import signal
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,8 @@ FILES = {
     "strips.js": "text/javascript",
     "scene.js": "text/javascript",
     "boards.js": "text/javascript",
+    "grab.js": "text/javascript",
+    "grab_select.js": "text/javascript",
     "pictures.js": "text/javascript",
     "vendor/uplot/uPlot.iife.min.js": "text/javascript",
     "vendor/uplot/uPlot.min.css": "text/css",
@@ -36,10 +39,18 @@ FILES = {
 }
 REFUSED = 1008  # of web sockets: policy violation
 TRY_AGAIN = 1013
-LARGEST = 1 << 12  # bytes from a viewer, who has a word to say at most
+LARGEST = 1 << 12  # bytes from a viewer, who has a word to say, or a line
 
 Next = Callable[[Request], Awaitable[Response]]
 Asked = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """What viewers may say; anything else is not listened to."""
+
+    whole: frozenset[str] = frozenset()
+    leading: frozenset[str] = frozenset()  # what more there is follows after a space
 
 
 def application(hub: Hub, access: Access, asked: Asked) -> Starlette:
@@ -147,31 +158,34 @@ class _Server(uvicorn.Server):
         yield
 
 
-def serve(connection: Connection, access: Access, words: frozenset[str]) -> None:
+def serve(news: Connection, back: Connection, access: Access, words: Words) -> None:
     """Serve until the run ends; the body of the server's process.
 
     Args:
-        connection: to the run: messages come, the number of viewers and what they ask for go.
+        news: from the run, what there is to see.
+        back: to the run, which reads it at once: the number of viewers, and what they say.
         access: where, and for whom.
-        words: what viewers may ask for; anything else is not listened to.
+        words: what viewers may say.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the run, and the run ends this
-    asyncio.run(_serve(connection, access, words))
+    asyncio.run(_serve(news, back, access, words))
 
 
-async def _serve(connection: Connection, access: Access, words: frozenset[str]) -> None:
+async def _serve(news: Connection, back: Connection, access: Access, words: Words) -> None:
     loop = asyncio.get_running_loop()
 
-    def counted(viewers: int) -> None:
+    def tell(*message: Any) -> None:
         with suppress(OSError):
-            connection.send(("viewers", viewers))
+            back.send(message)
 
-    def asked(word: str) -> None:
-        if word in words:
-            with suppress(OSError):
-                connection.send(("asked", word))
+    def asked(text: str) -> None:
+        word, _, more = text.partition(" ")
+        if text in words.whole:
+            tell("asked", text)
+        elif word in words.leading:
+            tell("given", word, more)
 
-    hub = Hub(counted)
+    hub = Hub(lambda viewers: tell("viewers", viewers))
     config = uvicorn.Config(
         application(hub, access, asked),
         host=access.address,
@@ -191,25 +205,23 @@ async def _serve(connection: Connection, access: Access, words: frozenset[str]) 
         """Pass on what the run sends; end with it."""
         with suppress(EOFError, OSError):
             while True:
-                kind, *content = connection.recv()
+                kind, *content = news.recv()
                 loop.call_soon_threadsafe(_deliver, hub, kind, content)
         server.should_exit = True
 
     threading.Thread(target=listen, name="feed", daemon=True).start()
-    asyncio.get_running_loop().create_task(_ready(server, connection))
+    asyncio.get_running_loop().create_task(_ready(server, tell))
     try:
         await server.serve()
     except SystemExit:  # uvicorn's way to say that it could not begin
-        with suppress(OSError):
-            connection.send(("failed", f"port {access.port} is taken or not allowed"))
+        tell("failed", f"port {access.port} is taken or not allowed")
 
 
-async def _ready(server: _Server, connection: Connection) -> None:
+async def _ready(server: _Server, tell: Callable[..., None]) -> None:
     while not server.started and not server.should_exit:
         await asyncio.sleep(0.02)
     if server.started:
-        with suppress(OSError):
-            connection.send(("ready", server.servers[0].sockets[0].getsockname()[1]))
+        tell("ready", server.servers[0].sockets[0].getsockname()[1])
 
 
 def _deliver(hub: Hub, kind: str, content: list[Any]) -> None:

@@ -1,4 +1,6 @@
-"""Where an arm's joints are, for drawing: the chain of points from base to flange."""
+"""What the page's scene is drawn from: an arm as the chain of points from base to flange; mm."""
+
+from typing import Any
 
 import numpy as np
 import pinocchio
@@ -29,6 +31,20 @@ def joint_origins(arm: robots.Arm, q: Array) -> Array:
         )
         points.append(frame[:3, 3].copy())
     return np.array(points)
+
+
+def millimetres(metres: Array) -> list[list[float]]:
+    """Write points (n, 3), m, as JSON has them."""
+    rounded: list[list[float]] = np.round(metres * 1e3, 2).tolist()
+    return rounded
+
+
+def placed(a_T_b: Array) -> dict[str, Any]:
+    """Write a pose (4, 4), m, as JSON has it."""
+    return {
+        "rotation": np.round(a_T_b[:3, :3], 6).tolist(),
+        "at_mm": millimetres(a_T_b[None, :3, 3])[0],
+    }
 
 
 def _of_urdf(arm: UrdfArm, q: Array) -> Array:

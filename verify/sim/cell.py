@@ -89,7 +89,9 @@ class World:
 
     def judge(self) -> None:
         """Look whether the arm keeps its limits; once a set point, as those are made."""
-        self.watch.see(self.t, self.arm.q(self.t), self.grip()[:3, 3] - self._off)
+        q = self.arm.q(self.t)
+        _, told = joint_points(self.setup.planner.arm, q)  # limits are of what was told
+        self.watch.see(self.t, q, (told @ self.setup.cell.gripper.flange_T_grip)[:3, 3])
 
     def encoders(self) -> EncoderReading:
         """Read the joints."""
@@ -184,7 +186,10 @@ class World:
         return reach and aside + radius <= max(self.hand.opening, 2 * radius) / 2 + 0.01
 
     def _posed(self) -> Posed:
-        points, flange = joint_points(self.setup.planner.arm, self.arm.q(self.t))
+        q = self.arm.q(self.t)
+        if self.scene.joint_errors:
+            q = q + np.array(self.scene.joint_errors)
+        points, flange = joint_points(self.setup.planner.arm, q)
         moved = flange.copy()
         moved[:3, 3] += self._off
         return Posed(points + self._off, moved, self.hand.opening)

@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 
+from verify.grab.flange_watch import FlangeWatch
 from verify.grab.loop import Hands, Loop
 from verify.grab.loop_arm import DrivenArm, StreamedArm
+from verify.grab.loop_closed import ClosedAim, WatchedSource
 from verify.grab.loop_steps import SteppedArm
 from verify.grab.loop_target import Aim
 from verify.grab.motion_port import ExecuteRight
+from verify.grab.run import Source
 from verify.grab.target import Named, Options, Target
 from verify.grab.target_tracking import Tracker
 from verify.sim.cell import RATE, World
@@ -20,7 +23,7 @@ class CellGrab:
     """What a grab in the cell runs on."""
 
     world: World
-    source: CellSource
+    source: Source
     loop: Loop
 
 
@@ -33,6 +36,7 @@ def cell_grab(
     auto: bool = False,
     stepped: bool = False,
     paced: bool = False,
+    closed: bool = True,
 ) -> CellGrab:
     """Put a grab together; nothing has begun yet.
 
@@ -44,20 +48,31 @@ def cell_grab(
         auto: grab as soon as the target stands still.
         stepped: the arm takes one move at a time; else a stream of set points.
         paced: keep to the computer's clock.
+        closed: the hand is seen above the object, and its end point corrected.
 
     Raises:
         InputError: the target's colour has no name.
     """
     tracker = Tracker(setup.rig, target or Named(scene.caps[0].colour), Options())
     world = World(setup, scene)
-    source = CellSource(world, paced=paced)
-    hands = None
-    if right is not None:
-        mover, gripper = source.devices(right)
-        arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
-        if stepped:
-            arm = SteppedArm(setup.planner, mover)
-        hands = Hands(arm, gripper)
-    aim = Aim(setup.planner, setup.rig)
-    loop = Loop(setup.planner, tracker, aim, hands, source.joints, world.now, auto=auto)
-    return CellGrab(world, source, loop)
+    cell = CellSource(world, paced=paced)
+    if right is None:
+        aim = Aim(setup.planner, setup.rig)
+        loop = Loop(setup.planner, tracker, aim, None, cell.joints, world.now)
+        return CellGrab(world, cell, loop)
+    mover, gripper = cell.devices(right)
+    arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
+    if stepped:
+        arm = SteppedArm(setup.planner, mover)
+    watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker)
+    aim = ClosedAim(setup.planner, setup.rig, watch) if closed else Aim(setup.planner, setup.rig)
+    loop = Loop(
+        setup.planner,
+        tracker,
+        aim,
+        Hands(arm, gripper),
+        lambda: watch.read(cell.joints()),
+        world.now,
+        auto=auto,
+    )
+    return CellGrab(world, WatchedSource(cell, watch), loop)

@@ -15,9 +15,12 @@ from verify.rig import Camera
 from verify.sim.cell_scene import COLOURS
 
 PAINT, DARK, STEEL = (206, 210, 212), (70, 70, 72), (150, 152, 155)  # BGR: arm, palm, fingers
+BLACK, LED = (24, 24, 25), 220.0
 WOOD, FLOOR = (110, 150, 180), (150, 155, 160)
 TABLE = ((0.24, -0.42), (0.74, -0.42), (0.74, 0.42), (0.24, 0.42))  # m, corners of its top
 LINK, FINGER = 0.045, 0.008  # m, radii as drawn: the links' own, not their safety's
+COLLAR = (0.04, 0.07)  # m, of the flange's z: a black collar about the palm, with the LEDs on it
+COLLAR_RADIUS = 0.052  # m
 BLUR = 0.6  # px
 GRAIN = 64  # px by which the noise pattern may be shifted
 CIRCLE = np.linspace(0.0, 2 * np.pi, 20, endpoint=False)
@@ -142,6 +145,8 @@ class CellCamera:
         grip = flange @ hand.flange_T_grip
         palm = hand.finger_length - hand.tips
         capsule(flange[:3, 3], carry(grip, np.array([0.0, 0.0, -palm])), 0.035, DARK)
+        top, bottom = (carry(flange, np.array([0.0, 0.0, z])) for z in COLLAR)
+        capsule(top, bottom, COLLAR_RADIUS, BLACK)
         for angle in np.deg2rad([90.0, 210.0, 330.0]).tolist():
             out = np.array([np.cos(angle), np.sin(angle), 0.0])
             root = carry(grip, 0.03 * out - [0.0, 0.0, palm])
@@ -161,10 +166,7 @@ class CellCamera:
             outwards = flange[:3, :3] @ np.array([led[0], led[1], 0.0])
             if outwards @ (eye - at) > 0.3 * np.linalg.norm(outwards) * np.linalg.norm(eye - at):
                 radius = self._camera.matrix[0, 0] * self._marker.led_diameter / 2 / self._away(at)
-                centre = np.rint(self._pixels(at[None])[0] * 16).astype(int)
-                where = (int(centre[0]), int(centre[1]))
-                white = (255, 255, 255)
-                cv2.circle(picture, where, round(16 * radius), white, cv2.FILLED, cv2.LINE_AA, 4)
+                _lit(picture, self._pixels(at[None])[0], radius)
 
     def _cap(self, picture: Image, cap: Drawn) -> None:
         """A short cylinder: a lit top, a darker side, darker still to the right, a reflection."""
@@ -211,6 +213,20 @@ class CellCamera:
         outline = cv2.convexHull(pixels)
         shade = np.asarray(colour, dtype=float).tolist()
         cv2.fillConvexPoly(picture, outline, shade, cv2.LINE_AA, shift=4)
+
+
+def _lit(picture: Image, centre: Array, radius: float) -> None:
+    """Light an LED: a disc about a place (2,), px, true to a small part of a pixel."""
+    reach = int(np.ceil(radius)) + 1
+    x, y = (int(v) for v in np.rint(centre))
+    height, width = picture.shape[:2]
+    if not (reach <= x < width - reach and reach <= y < height - reach):
+        return
+    rows, columns = np.mgrid[y - reach : y + reach + 1, x - reach : x + reach + 1]
+    away = np.hypot(columns - centre[0], rows - centre[1])
+    share = np.clip(radius + 0.5 - away, 0.0, 1.0)[..., None]
+    patch = picture[y - reach : y + reach + 1, x - reach : x + reach + 1]
+    patch[:] = np.rint((1 - share) * patch + share * LED).astype(np.uint8)
 
 
 def joint_points(arm: DhArm, q: Array) -> tuple[Array, Array]:

@@ -62,6 +62,7 @@ class Scene:
     light: float = 1.0  # share of the usual light
     noise: float = 2.0  # DN, standard deviation of a pixel
     hand_error: float = 0.3e-3  # m, standard, a coordinate: the arm is not where it was registered
+    joint_errors: tuple[float, ...] = ()  # rad, true less told by the encoders; none: all 0
     encoder_noise: float = 2e-5  # rad, standard
     delay: float = 0.03  # s, from an order to the arm's being there
     seed: int = 0

@@ -22,9 +22,12 @@ FULL, SMALL = (1280, 720), (640, 360)  # px
 FOCAL = 1.05  # focal length over the picture's width
 BASELINE = 0.36  # m
 EYE = np.array([1.15, 0.0, 0.62])  # m, base frame, midway between the cameras
-AIM = np.array([0.44, 0.0, 0.02])  # m, where both look
+AIM = np.array([0.44, 0.0, 0.08])  # m, where both look
 RIG_UNCERTAINTY = {"robot_base.x_mm": 0.3, "robot_base.y_mm": 0.3, "robot_base.z_mm": 0.3}
-LED_RING = 0.045  # m, radius
+LED_RING, LED_DIAMETER = 0.052, 0.006  # m, radius; and diameter
+# no two neighbours are like two others, or they would be taken for one another
+LED_ANGLES_DEG = np.array([0, 35, 54, 93, 127, 146, 182, 203, 246, 268, 304, 325], dtype=float)
+LED_HEIGHTS = np.array([42, 68, 50, 74, 45, 61, 77, 43, 71, 52, 40, 64]) * 1e-3  # m
 
 
 @dataclass(frozen=True)
@@ -96,8 +99,9 @@ def _camera(size: tuple[int, int], sign: int, pan: float) -> Camera:
 
 
 def _marker() -> Marker:
-    """Five LEDs about the palm, no two at one height: each turn of the hand shows some."""
-    angles = np.deg2rad([0.0, 70.0, 150.0, 215.0, 290.0])
-    heights = np.array([0.012, 0.028, 0.018, 0.033, 0.022])
-    leds = np.stack([LED_RING * np.cos(angles), LED_RING * np.sin(angles), heights], axis=1)
-    return Marker(tuple("ABCDE"), leds, ("white",) * 5, led_diameter=0.005, source="jig")
+    """Twelve LEDs on a collar about the palm: each turn of the hand shows some."""
+    angles = np.deg2rad(LED_ANGLES_DEG)
+    leds = np.stack([LED_RING * np.cos(angles), LED_RING * np.sin(angles), LED_HEIGHTS], axis=1)
+    return Marker(
+        tuple("ABCDEFGHIJKL"), leds, ("white",) * 12, led_diameter=LED_DIAMETER, source="jig"
+    )

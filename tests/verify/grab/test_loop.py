@@ -23,7 +23,9 @@ def made(
     scene: Scene, *, execute: bool = True, auto: bool = True, stepped: bool = False
 ) -> CellGrab:
     right = ExecuteRight("test") if execute else None
-    return cell_grab(cell_setup(SMALL), scene, right=right, auto=auto, stepped=stepped)
+    return cell_grab(  # grasps with a look at the hand: test_loop_closed.py
+        cell_setup(SMALL), scene, right=right, auto=auto, stepped=stepped, closed=False
+    )
 
 
 def grabbed(

@@ -1,5 +1,6 @@
 // The live page. All text comes from outside and goes in as text: no markup is ever made of it.
 import { Boards } from "./boards.js";
+import { Grab } from "./grab.js";
 import { PictureView } from "./pictures.js";
 import { Scene } from "./scene.js";
 import { Strips } from "./strips.js";
@@ -11,8 +12,9 @@ const BANNER_S = 60; // an event that long ago is history
 const $ = (id) => document.getElementById(id);
 const strips = new Strips($("strips"));
 const scene = new Scene($("scene"));
-const boards = new Boards((word) => line?.readyState === WebSocket.OPEN && line.send(word));
+const boards = new Boards(say);
 const pictures = [new PictureView($("left"), $("left-said"), "Left"), new PictureView($("right"), $("right-said"), "Right")];
+const grab = new Grab(say, pictures);
 const textDecoder = new TextDecoder();
 let colours = {};
 let paused = false;
@@ -21,6 +23,13 @@ let line = null; // to the server
 let attempts = 0;
 let heard = 0;
 let changed = true;
+
+/** Send a line to the program, which alone decides what it does; false where it cannot be sent. */
+function say(text) {
+  if (line?.readyState !== WebSocket.OPEN) return false;
+  line.send(text);
+  return true;
+}
 
 function connect() {
   const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
@@ -33,6 +42,7 @@ function connect() {
   socket.onopen = () => {
     attempts = 0;
     connection("well", "live");
+    grab.connected(true);
   };
   socket.onmessage = (event) => {
     heard = Date.now();
@@ -41,7 +51,8 @@ function connect() {
   };
   socket.onclose = () => {
     clearInterval(watch);
-    if (boards.finished) connection("waits", "finished");
+    grab.connected(false);
+    if (boards.finished || grab.finished) connection("waits", "finished");
     else connection("ill", "connection lost, trying again");
     setTimeout(connect, RETRY_MS[Math.min(attempts++, RETRY_MS.length - 1)]);
   };
@@ -70,12 +81,15 @@ const takers = {
       part.hidden = !part.dataset.modes.split(" ").includes(message.mode);
     for (const view of pictures) view.names = message.leds ?? [];
     if (paused && message.mode !== "run") pause();
+    document.body.dataset.mode = message.mode;
     if (message.mode === "calibrate") return boards.begin(message);
+    if (message.mode === "grab") return grab.begin(message), sceneOf(message, "Arm and target", "Arm, target and planned way");
+    sceneOf(message, "Arm and marker", "Arm as seen and as the encoders tell it");
     strips.begin(message.joints, message.tolerance_deg);
-    scene.begin(message);
   },
   rows(message) {
     if (hello.mode === "calibrate") return boards.now(message.rows.at(-1));
+    if (hello.mode === "grab") return grab.now(message.rows.at(-1)), scene.show(grab.scene());
     if (paused && !message.past) return;
     strips.add(message.rows);
     const last = message.rows.at(-1);
@@ -88,6 +102,12 @@ const takers = {
   state: showState,
   alarms: showAlarms,
 };
+
+function sceneOf(facts, title, seen) {
+  scene.begin(facts);
+  $("scene-title").textContent = title;
+  $("scene").setAttribute("aria-label", `${seen}; arrow keys turn the view, plus and minus bring it nearer`);
+}
 
 function take(message) {
   takers[message.type]?.(message);
@@ -103,6 +123,7 @@ function showState(state) {
     }),
   );
   if (hello.mode === "calibrate") return boards.state(state);
+  if (hello.mode === "grab") return grab.state(state);
   const dropped = Object.entries(state.dropped).map(([reason, count]) => `${count} ${reason}`);
   const latency = state.latency_p50_ms === null ? "–" : `${state.latency_p50_ms} ms, 99 % within ${state.latency_p99_ms} ms`;
   const figures = {
@@ -116,6 +137,7 @@ function showState(state) {
 }
 
 function showAlarms({ alarms }) {
+  if (hello?.mode === "grab") return;
   const list = $("alarms");
   const standing = alarms.filter((alarm) => alarm.ended_s === null && alarm.kind !== "change");
   const recent = alarms.filter((alarm) => alarm.kind === "change" && Date.now() / 1000 - alarm.began_s < BANNER_S);
@@ -191,13 +213,17 @@ $("pause").addEventListener("click", pause);
 $("theme").addEventListener("click", otherTheme);
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (hello?.mode === "grab" && grab.key(event, true)) return event.preventDefault();
   const onButton = event.target instanceof HTMLButtonElement;
   if (hello?.mode === "calibrate" && boards.key(event.key, onButton)) return event.preventDefault();
-  if (event.key === " " && !onButton) pause();
+  if (event.key === " " && !onButton && hello?.mode === "run") pause();
   else if (event.key.toLowerCase() === "t") otherTheme();
   else if (/^[1-9]$/.test(event.key)) strips.toggle(Number(event.key) - 1), (changed = true);
   else return;
   if (!onButton || event.key !== " ") event.preventDefault();
+});
+document.addEventListener("keyup", (event) => {
+  if (hello?.mode === "grab" && grab.key(event, false)) event.preventDefault(); // a button would be pressed by Space now
 });
 const dark = matchMedia("(prefers-color-scheme: dark)");
 dark.addEventListener("change", () => localStorage.getItem("theme") || theme(dark.matches ? "dark" : "light"));

@@ -1,11 +1,11 @@
-// A camera's picture with what was found in it: LEDs, or a board's corners over what is covered.
+// A camera's picture with what was found in it: LEDs, a board's corners over what is covered, or a target.
 import { sized } from "./canvas.js";
 
 const ENOUGH = 12; // corners in a cell, from which it is as green as it gets
 
 export class PictureView {
   constructor(canvas, caption, side) {
-    Object.assign(this, { canvas, caption, side, names: [], latest: 0 });
+    Object.assign(this, { canvas, caption, side, names: [], latest: 0, found: null });
   }
 
   async show(found, jpeg, cells) {
@@ -17,12 +17,14 @@ export class PictureView {
       return; // half a picture; the next one comes at once
     }
     if (number !== this.latest) return image.close();
+    this.found = found;
     this.canvas.style.aspectRatio = String(found.width / found.height);
     const { context, width, height } = sized(this.canvas);
     context.drawImage(image, 0, 0, width, height);
     image.close();
     const scale = width / found.width;
-    if (found.corners) this.board(context, found.corners, cells, scale, width, height);
+    if ("target" in found) this.target(context, found.target, scale);
+    else if (found.corners) this.board(context, found.corners, cells, scale, width, height);
     else this.leds(context, found.leds, scale);
   }
 
@@ -32,6 +34,34 @@ export class PictureView {
     const names = leds.map(({ led }) => `${led + 1} ${this.names[led] ?? ""}`.trim());
     this.caption.textContent = `${this.side.toLowerCase()}: ${names.length ? `LEDs ${names.join(", ")}` : "no LED recognised"}`;
     this.canvas.setAttribute("aria-label", `${this.side} camera, ${leds.length} of ${this.names.length} LEDs recognised`);
+  }
+
+  target(context, target, scale) {
+    const at = (v) => (v + 0.5) * scale; // centres are at whole numbers
+    const twice = (path, colour) => {
+      for (const [width, style] of [[4, "#000a"], [1.8, colour]]) {
+        Object.assign(context, { lineWidth: width, strokeStyle: style });
+        context.beginPath();
+        path();
+        context.stroke();
+      }
+    };
+    const { window, outline, place, status } = target ?? { status: "no target yet" };
+    const missing = target && !outline ? ", not seen here" : "";
+    context.setLineDash([5, 4]);
+    if (window) twice(() => context.rect(window[0] * scale, window[1] * scale, window[2] * scale, window[3] * scale), "#f2f2f2");
+    context.setLineDash([]);
+    if (outline) {
+      const [x, y] = outline.centre.map(at);
+      const [a, b] = outline.axes.map((axis) => (axis * scale) / 2);
+      twice(() => context.ellipse(x, y, a, b, (outline.angle_deg * Math.PI) / 180, 0, 2 * Math.PI), "#ffe63c");
+    }
+    if (place) {
+      const [x, y] = place.map(at);
+      twice(() => [[7, 14], [-7, -14]].forEach(([near, far]) => (context.moveTo(x + near, y), context.lineTo(x + far, y), context.moveTo(x, y + near), context.lineTo(x, y + far))), "#4fd6ff");
+    }
+    this.caption.textContent = `${this.side.toLowerCase()}: ${status}${missing}${place ? "; cross: where it should be" : ""}`;
+    this.canvas.setAttribute("aria-label", `${this.side} camera, target ${status}${outline ? `, at ${outline.centre.map(Math.round).join(", ")} pixels` : ""}`);
   }
 
   board(context, corners, cells, scale, width, height) {

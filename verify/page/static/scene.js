@@ -1,4 +1,5 @@
-// Arm and marker in three dimensions: as seen, and as the encoders tell. Lines on a canvas.
+// Arm and marker in three dimensions: as seen, and as the encoders tell; or the arm, its planned way and
+// the target. Lines on a canvas.
 import { sized } from "./canvas.js";
 
 export class Scene {
@@ -76,13 +77,26 @@ export class Scene {
     const parts = this.parts ?? {};
     this.arm(context, parts.measured ?? {}, colours.measured, [], 4);
     this.arm(context, parts.encoder ?? {}, colours.encoder, [7, 5], 2);
+    this.thing(context, colours, parts);
     this.dirty = false;
+  }
+
+  /** A target, and the way to it. */
+  thing(context, colours, { way, target }) {
+    context.strokeStyle = context.fillStyle = colours.encoder;
+    context.lineWidth = 1.5;
+    if (way) this.path(context, way);
+    if (!target) return;
+    context.fillStyle = colours.tolerance;
+    this.dot(context, target, 5);
   }
 
   /** Look at the middle of everything that is there, from far enough to see it all. */
   fit(width, height) {
     const points = [[0, 0, 0], ...this.facts.cameras.map((camera) => camera.at_mm)];
-    for (const part of Object.values(this.parts ?? {})) points.push(...(part.arm_mm ?? []), ...(part.leds_mm ?? []));
+    const { measured, encoder, target } = this.parts ?? {};
+    for (const part of [measured, encoder]) points.push(...(part?.arm_mm ?? []), ...(part?.leds_mm ?? []));
+    if (target) points.push(target);
     const low = [0, 1, 2].map((i) => Math.min(...points.map((p) => p[i])));
     const high = [0, 1, 2].map((i) => Math.max(...points.map((p) => p[i])));
     const middle = low.map((v, i) => (v + high[i]) / 2);

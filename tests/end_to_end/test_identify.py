@@ -1,0 +1,88 @@
+"""`verify identify` from the pictures to the corrected robot file, and what it refuses."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robots
+from tests.verify.arm_identification.laser_tracker import series, write_session
+
+from .command import SAMPLES, shared, verify
+
+
+@pytest.mark.shared
+def test_a_session_gives_a_corrected_arm_with_its_sign_spelled_out(tmp_path: Path) -> None:
+    session, out = shared("sessions", "multi_joint_fault_6r"), tmp_path / "out"
+    done = verify("identify", session, "-o", out, "--splits", "2")
+    assert done.status == 0, done.err
+    assert "joint 3: encoder less measured +0.40" in done.out
+    assert "to the reading" in done.out
+    assert {entry.name for entry in out.iterdir()} == {
+        "iust_6r_identified.toml", "parameters.csv", "report.html", "report.pdf", "results",
+        "summary.json",
+    }  # fmt: skip
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["kind"] == "identification"
+    third = summary["offsets"][2]
+    assert third["error_deg"] == pytest.approx(0.40, abs=3 * third["standard_uncertainty_deg"])
+    assert third["add_to_reading_deg"] == -third["error_deg"]
+    assert {h["name"] for h in summary["held"] if h["reason"] == "gauge"} == {"d_2", "d_3"}
+    held_out = {level["name"]: level["held_out"]["mean_mm"] for level in summary["levels"]}
+    assert held_out["offsets"] < 0.1 * held_out["registration"]
+    with (out / "parameters.csv").open() as table:
+        rows = {row["name"]: row for row in csv.DictReader(table)}
+    assert float(rows["offset_3"]["change"]) == pytest.approx(third["add_to_reading_deg"])
+    corrected = robots.load(str(out / "iust_6r_identified.toml"))
+    assert isinstance(corrected, robots.DhArm)
+    assert np.degrees(corrected.offset[2]) == pytest.approx(third["add_to_reading_deg"])
+    again = verify("report", out, "--language", "de")
+    assert again.status == 0, again.err
+    assert "Versätze der Gelenke" in (out / "report.html").read_text()
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("positions_alone", "rank"), [(False, 30), (True, 27)])
+def test_a_laser_tracker_s_poses_need_no_registration(
+    positions_alone: bool, rank: int, tmp_path: Path
+) -> None:
+    """A real UR10; where its base and the tracker's target are, nobody says."""
+    session = write_session(tmp_path / "b", series("B", 5), positions_alone=positions_alone)
+    out = tmp_path / "out"
+    # months before, with robot, tracker and target elsewhere
+    other = write_session(tmp_path / "a", series("A", 40), positions_alone=positions_alone)
+    free = ("--base", "free", "--leds", "free", "--splits", "2", "--judge", other)
+    done = verify("identify", session, "-o", out, *free)
+    assert done.status == 0, done.err
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["level"], summary["rank"]) == ("geometry", rank)
+    assert summary["poses"]["position_only"] is positions_alone
+    held_out = {level["name"]: level["held_out"]["mean_mm"] for level in summary["levels"]}
+    assert held_out["geometry"] < 0.5 * held_out["registration"]
+    judged = summary["judged"]
+    assert judged["path"] == "a"
+    assert judged["after"]["mean_mm"] < 0.75 * judged["before"]["mean_mm"]
+    assert robots.load(str(out / "ur10_identified.urdf")).dof == 6
+
+
+def test_what_cannot_be_identified_from_is_refused_in_one_line(tmp_path: Path) -> None:
+    one, other = SAMPLES / "multi_joint_fault_6r", SAMPLES / "multi_joint_rv_3sd"
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "a").write_text("")
+    for words, said in (
+        ((tmp_path / "nowhere",), "nowhere"),
+        ((one, one), "is given twice"),
+        ((one, other), "one arm is identified at a time"),
+        ((one, "--judge", one), "is given twice"),
+        ((one, "-o", full), "is not empty"),
+        ((one, "--share", "0"), "0.05"),
+        ((one, "--model", "all"), "geometry"),
+    ):
+        done = verify("identify", *words)
+        assert done.status == 2, words
+        assert done.err.count("\n") == 1, done.err
+        assert said in done.err
+        assert not (Path.cwd() / "multi_joint_fault_6r-identification").exists()

@@ -1,0 +1,177 @@
+"""Looks at the flange's LEDs while the arm stands: the chain of `verify run`, on still pictures."""
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+import robots
+from robots import DhArm
+from robots.transforms import difference, invert
+from verify.detection import detect
+from verify.devices import EncoderReading
+from verify.grab.hand_off import LARGEST, LedSight
+from verify.marker import Marker
+from verify.measurement import Setup, measure
+from verify.records import Array, Image, Measurement, Pose, Spots, StereoPair
+from verify.rig import Camera, Rig
+from verify.systematics import sensitivities, stated
+
+ENOUGH, MOST = 8, 16  # pictures of one look: measured ones, and those that are tried
+SETTLES = 0.3  # s from the arm's arrival: it may lag behind its encoders, or swing
+STANDS = 3e-4  # rad by which encoders of an arm at rest may differ: two of MELFA's last digits
+SAME = 1e-5  # rad: orders that differ by less are one
+SURROUNDINGS_PX = 14.0  # about an LED: the background that is fitted with it
+SEARCHED = 1.5 * LARGEST  # m: LEDs that are farther from where they are told are not looked for
+TURNED = 0.1  # rad: no offset that moves the hand by so little turns it so far
+
+Submit = Callable[[Callable[[], LedSight]], Future[LedSight]]
+
+
+def at_once(work: Callable[[], LedSight]) -> Future[LedSight]:
+    """Do it now; where time stands still meanwhile, as in the simulated cell."""
+    done: Future[LedSight] = Future()
+    done.set_result(work())
+    return done
+
+
+@dataclass(slots=True)
+class _Look:
+    """What was gathered since the arm has come to rest."""
+
+    q: Array  # (n,), rad, as ordered
+    since: float  # s
+    read: list[Array] = field(default_factory=list)  # (n,), rad each
+    sights: list[LedSight] = field(default_factory=list)
+    taken: float = -np.inf  # s, when the newest of the pictures was taken
+
+
+class FlangeWatch:
+    """Measures where the flange is, picture by picture, and keeps nobody waiting.
+
+    Args:
+        arm: that carries the LEDs.
+        rig: the cameras, and the robot's place in the rig.
+        marker: the LEDs.
+        submit: does the measuring; at once, or beside the loop.
+    """
+
+    def __init__(self, arm: DhArm, rig: Rig, marker: Marker, submit: Submit = at_once) -> None:
+        self._arm, self._rig, self._marker, self._submit = arm, rig, marker, submit
+        self._pair: StereoPair | None = None
+        self._reading: EncoderReading | None = None
+        self._look: _Look | None = None
+        self._working: Future[LedSight] | None = None
+
+    def see(self, pair: StereoPair | None) -> StereoPair | None:
+        """Take note of the newest pictures, and pass them on."""
+        self._pair = pair if pair is not None else self._pair
+        return pair
+
+    def read(self, reading: EncoderReading | None) -> EncoderReading | None:
+        """Take note of the newest joint angles, and pass them on."""
+        self._reading = reading if reading is not None else self._reading
+        return reading
+
+    def forget(self) -> None:
+        """The arm moves: what was gathered counts no more."""
+        self._look = None
+
+    def gather(self, now: float, q: Array) -> tuple[tuple[LedSight, ...], Array | None] | None:
+        """Go on with a look at an arm that stands.
+
+        Args:
+            now: s, on the pictures' clock.
+            q: (n,), rad, where it was ordered to stand.
+
+        Returns:
+            The sights, and the mean of the joint angles read meanwhile, (n,), rad, None where they
+            show that it did not stand; or None: there is more to gather.
+        """
+        if self._look is None or np.abs(self._look.q - q).max() > SAME:
+            self._look = _Look(np.array(q), now)
+        look = self._look
+        if self._reading is not None and self._reading.t_host >= look.since + SETTLES:
+            look.read.append(self._reading.q)
+        if self._working is not None:
+            if not self._working.done():
+                return None
+            sight, self._working = self._working.result(), None
+            if sight.t >= look.since + SETTLES:  # else of the look before this one
+                look.sights.append(sight)
+        measured = sum(sight.base_T_flange is not None for sight in look.sights)
+        if measured >= ENOUGH or len(look.sights) >= MOST:
+            return tuple(look.sights), _stood(look.read)
+        pair = self._pair
+        if pair is not None and pair.t_left >= look.since + SETTLES and pair.t_left > look.taken:
+            look.taken = pair.t_left
+            self._working = self._submit(partial(self._measured, pair, look.q))
+        return None
+
+    def _measured(self, pair: StereoPair, q: Array) -> LedSight:
+        """Measure a pair by itself: a visit, at which the arm stands still."""
+        told = self._rig.rig_T_base @ robots.forward(self._arm, q)
+        setup = Setup(self._rig, self._marker, lambda _: [told], partial(self._near, told))
+        try:
+            (seen,) = measure([pair], setup)
+        except np.linalg.LinAlgError:  # a fit of a few pixels failed: one picture fewer
+            return LedSight(pair.t_left, "not_fitted", None, None, None)
+        if seen.status != "measured" or seen.pose is None or seen.pose.known_dof < 6:
+            status = seen.status if seen.status != "measured" else "too_few_leds"
+            return LedSight(pair.t_left, status, None, None, None)
+        away = np.abs(difference(seen.pose.rig_T_flange, told))
+        if away[:3].max() > SEARCHED or away[3:].max() > TURNED:  # LEDs taken for one another
+            return LedSight(pair.t_left, "implausible", None, None, None)
+        return self._sight(seen, seen.pose)
+
+    def _sight(self, seen: Measurement, pose: Pose) -> LedSight:
+        base_T_rig = invert(self._rig.rig_T_base)
+        turn = np.kron(np.eye(2), base_T_rig[:3, :3])
+        given = stated(self._rig, self._marker, turning=False)
+        columns = sensitivities(given, seen, self._rig, self._marker)
+        # the base's own place is a part of what is looked for
+        chosen = [i for i, name in enumerate(given.names) if not name.startswith("robot_base.")]
+        by, spread = columns[:, chosen], given.covariance[np.ix_(chosen, chosen)]
+        pans = columns[:, len(given.names) :] * np.nan_to_num(given.pan)
+        return LedSight(
+            seen.t,
+            seen.status,
+            base_T_rig @ pose.rig_T_flange,
+            turn @ pose.covariance @ turn.T,
+            by @ spread @ by.T + pans @ pans.T,
+        )
+
+    def _near(
+        self, told: Array, left: Image, right: Image, _left: Array | None, _right: Array | None
+    ) -> tuple[Spots, Spots]:
+        """Find spots where the LEDs can be, by where the flange was told to be."""
+        rig = self._rig
+        return (
+            detect(left, self._window(told, rig.left, left)),
+            detect(right, self._window(told, rig.right, right)),
+        )
+
+    def _window(self, told: Array, camera: Camera, image: Image) -> Array:
+        """One box around all LEDs, (1, 4) px: x0, y0, x1, y1."""
+        camera_T_flange = invert(camera.rig_T_camera(camera.pan)) @ told
+        points = self._marker.leds @ camera_T_flange[:3, :3].T + camera_T_flange[:3, 3]
+        points = points[points[:, 2] > 0]  # behind the camera there is nothing to look for
+        if not len(points):
+            return np.zeros((0, 4))
+        wide = SEARCHED + self._marker.led_diameter
+        border = SURROUNDINGS_PX + camera.matrix[0, 0] * wide / points[:, 2].min()
+        pixels = camera.project(points)
+        box = np.concatenate([pixels.min(axis=0) - border, pixels.max(axis=0) + border])
+        height, width = image.shape[:2]
+        kept: Array = np.clip(box, 0, [width, height, width, height])
+        return kept[None] if np.all(kept[2:] > kept[:2]) else np.zeros((0, 4))
+
+
+def _stood(read: list[Array]) -> Array | None:
+    """The mean of joint angles that agree; None: they do not, or there are none."""
+    if not read or np.ptp(read, axis=0).max() > STANDS:
+        return None
+    mean: Array = np.mean(read, axis=0)
+    return mean

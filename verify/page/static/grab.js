@@ -1,0 +1,183 @@
+// A grab: state, target, plan, and the three things to ask for: hold, grab, another target.
+// What they do is decided by the program alone; this page only asks, and shows what came of it.
+import { Selector } from "./grab_select.js";
+
+const ANSWER_MS = 1000; // within which a stop must be heard of
+const LATE_MS = 10000; // a stop that could not be sent for longer belongs to the past
+const LOST = "This page's connection is lost. That stops nothing: use key h at the terminal, or the emergency stop.";
+const UNHEARD = "STOP was not answered. Use key h at the terminal, or the emergency stop.";
+const SAFE = new Set(["idle", "searching", "tracking", "lifted", "released"]);
+
+const $ = (id) => document.getElementById(id);
+
+export class Grab {
+  /** `send` sends a line to the program, and says whether it could; `views` show the cameras' pictures. */
+  constructor(send, views) {
+    this.send = send;
+    this.row = null;
+    this.way = null;
+    this.stopped = null; // a press: when, and how many stops had been heard of
+    this.unsent = null; // when a stop was pressed that could not be sent
+    this.lost = false;
+    this.answers = null;
+    this.silent = 0;
+    this.selector = new Selector(views, (side, box) => this.send(`select ${side} ${box.join(",")}`));
+    $("stop").addEventListener("click", () => this.stop());
+    $("grab").addEventListener("click", () => this.grab());
+    $("select").addEventListener("click", () => this.select());
+    setInterval(() => this.warn(), 250);
+  }
+
+  get finished() {
+    return Boolean(this.row?.finished);
+  }
+
+  begin(facts) {
+    Object.assign(this, { facts, row: null, way: null, answers: null, stopped: null });
+    $("held").textContent = facts.execute ? "" : "Nothing moves: there is no --execute. The plan is shown.";
+  }
+
+  /** The line is there, or it is gone. */
+  connected(there) {
+    this.lost = !there;
+    if (this.row) this.offer(this.row);
+    if (there && this.unsent !== null && Date.now() - this.unsent < LATE_MS) this.send("hold");
+    if (there) this.unsent = null;
+    this.warn();
+  }
+
+  stop() {
+    this.selector.cancel();
+    this.stopped = { at: Date.now(), heard: this.row?.stops ?? 0 };
+    this.unsent = this.send("hold") ? null : Date.now();
+    this.warn();
+  }
+
+  grab() {
+    if (!$("grab").disabled) this.send(`grab ${this.row.passages}`);
+  }
+
+  select() {
+    if (!$("select").disabled) this.selector.arm(!this.selector.armed);
+  }
+
+  /** Space and H stop whatever has the focus; Enter presses a button. */
+  key(event, isDown) {
+    const key = event.key.toLowerCase();
+    if (key === " " || key === "h") isDown && this.stop();
+    else if (!isDown) return false;
+    else if (key === "g") event.repeat || this.grab();
+    else if (key === "s") event.repeat || this.select();
+    else return this.selector.key(event);
+    return true;
+  }
+
+  now(row) {
+    const before = this.row;
+    this.row = row;
+    const pill = $("state");
+    pill.className = `pill ${row.state === "fault" || row.state.startsWith("holding") || row.state === "missed" ? "ill" : row.moving ? "moves" : SAFE.has(row.state) ? "well" : "waits"}`;
+    say(pill, row.state);
+    say($("reason"), row.reason || "not begun yet");
+    $("elapsed").textContent = `${row.elapsed_s.toFixed(1)} s of at most ${this.facts.duration_s} s`;
+    this.offer(row);
+    if (before === null && row.may_choose && row.status === null) this.selector.arm(true);
+    if (row.answers !== this.answers || this.finished) say($("answer"), row.finished || row.answer);
+    else if (row.passages !== before?.passages) say($("answer"), ""); // it was about another state
+    this.answers = row.answers;
+    if (this.stopped && row.stops > this.stopped.heard) {
+      this.stopped = null;
+      say($("answer"), `STOP was heard: ${row.state}.`);
+    }
+    this.target(row);
+    this.warn();
+  }
+
+  offer(row) {
+    const idle = this.finished || this.lost;
+    $("grab").disabled = idle || row.grab_lacks !== "";
+    $("select").disabled = idle || !row.may_choose;
+    this.selector.offer(!$("select").disabled);
+  }
+
+  why(row) {
+    if (this.finished) return "";
+    if (row.state === "holding-operator") return this.facts.execute ? "Held. Keys at the terminal: r goes on, u opens the fingers and goes up, q ends." : "Held. Ctrl-C at the terminal ends it.";
+    if (row.status === null) return "Select the object: drag a rectangle around it.";
+    if (row.grab_lacks === "") return "The grab may be ordered.";
+    if (!this.facts.execute) return "";
+    return row.grab_lacks === null ? `Grab counts while following; now: ${row.state}.` : `Grab waits for: ${row.grab_lacks}.`;
+  }
+
+  target(row) {
+    const known = row.position_mm !== null;
+    const facts = { Seen: row.status === null ? "no target yet" : [row.status, row.unseen_because].filter(Boolean).join(": ") };
+    if (known) {
+      facts["Place in the base"] = row.position_mm.map((v, i) => `${"xyz"[i]} ${v.toFixed(1)} ± ${(2 * row.standard_uncertainty_mm[i]).toFixed(1)}`).join(", ") + " mm (2u)";
+      facts.Size = row.size_mm.every((v) => v !== null) ? `${row.size_mm[0]} wide, ${row.size_mm[1]} high, mm` : "not known";
+      facts.Speed = `${row.speed_mm_s} mm/s`;
+    } else facts["Place in the base"] = "not known";
+    facts.Quality = row.quality === null ? "–" : `${row.quality.toFixed(2)} of 1`;
+    facts.Joints = row.q_deg === null ? "not read yet" : row.q_deg.map((v) => `${v.toFixed(1)}°`).join("  ");
+    list($("target"), facts);
+  }
+
+  state({ plan, way, passages, silent_s }) {
+    this.way = way;
+    this.silent = silent_s;
+    const words = $("plan-words");
+    words.className = `pill ${plan === null ? "waits" : plan.refused ? "ill" : "well"}`;
+    say(words, plan === null ? "none yet" : plan.refused ? `refused (${plan.refused}): ${plan.reason}` : `planned: ${plan.posture}`);
+    const branches = plan?.branches ?? plan?.not_taken ?? {};
+    list($("plan"), plan === null || plan.refused ? {} : planned(plan));
+    $("branches-section").hidden = !Object.keys(branches).length;
+    list($("branches"), branches);
+    $("passages").replaceChildren(
+      ...passages.map(({ elapsed_s, state, reason }) => {
+        const item = document.createElement("li");
+        item.append(part("time", `${elapsed_s.toFixed(2)} s`), part("b", state), part("span", reason));
+        return item;
+      }),
+    );
+    this.warn();
+  }
+
+  /** What a person must know at once, above everything. */
+  warn() {
+    if (!this.facts) return; // another mode's page
+    const late = this.stopped && Date.now() - this.stopped.at > ANSWER_MS && !this.finished;
+    const words = this.finished ? "" : this.lost ? (this.unsent !== null ? `STOP was NOT sent. ${LOST}` : LOST) : late ? UNHEARD : this.silent ? `The program has not turned for ${this.silent} s.` : "";
+    $("banner").hidden = !words;
+    say($("banner"), words);
+    $("orders").classList.toggle("wrong", Boolean(words));
+    say($("lacks"), words || (this.row ? this.why(this.row) : ""));
+  }
+
+  scene() {
+    const scene = this.row?.scene ?? {};
+    return { measured: { arm_mm: scene.arm_mm }, encoder: { arm_mm: this.way?.arm_mm }, way: this.way?.grip_mm, target: scene.target_mm };
+  }
+}
+
+function planned(plan) {
+  const total = [...plan.over_s, plan.down_s].reduce((sum, s) => sum + s, 0);
+  return {
+    "Grip point": plan.grip_mm.map((v, i) => `${"xyz"[i]} ${v.toFixed(1)}`).join(", ") + " mm",
+    "Sideways": `${plan.margin_across_mm.toFixed(1)} mm are left, ${plan.needed_across_mm.toFixed(1)} mm needed`,
+    "Along": `${plan.margin_along_mm.toFixed(1)} mm are left, ${plan.needed_along_mm.toFixed(1)} mm needed`,
+    "Takes": `${total.toFixed(1)} s to the object, ${plan.up_s.toFixed(1)} s up`,
+  };
+}
+
+function list(root, facts) {
+  root.replaceChildren(...Object.entries(facts).flatMap(([name, value]) => [part("dt", name), part("dd", value)]));
+}
+
+function part(name, text) {
+  return Object.assign(document.createElement(name), { textContent: text });
+}
+
+/** Change a text only where it is another: what is read aloud is not repeated ten times a second. */
+function say(root, text) {
+  if (root.textContent !== text) root.textContent = text;
+}
