@@ -19,7 +19,8 @@ demo: $(STAMP)
 	status=$$?; [ $$status -le 1 ] || exit $$status
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n 2
+# three on two cores: many tests wait for devices that answer in their own time
+	$(BIN)/python -m pytest -n 3 --dist loadgroup
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -34,6 +34,8 @@ COMMANDS = sorted(
     if c.callback
 )
 EVERYWHERE = {"--help", "--version", "--quiet", "--verbose", "--json"}
+# the commands run once, in one of the processes that share the tests
+pytestmark = pytest.mark.xdist_group("documentation")
 SETS_UP = ("make", "python3 -m venv", ".venv/bin/pip", ".venv/bin/python -m pytest")
 OURS = {"README.md", "LICENSE", "Makefile", "CHANGELOG.md", "pyproject.toml"}
 each_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda d: str(d.name))
