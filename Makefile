@@ -20,7 +20,7 @@ demo: $(STAMP)
 
 test: $(STAMP)
 # three on two cores: many tests wait for devices that answer in their own time
-	$(BIN)/python -m pytest -n 3 --dist loadgroup
+	$(BIN)/python -m pytest -n 3
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

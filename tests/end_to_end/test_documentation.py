@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -34,8 +35,6 @@ COMMANDS = sorted(
     if c.callback
 )
 EVERYWHERE = {"--help", "--version", "--quiet", "--verbose", "--json"}
-# the commands run once, in one of the processes that share the tests
-pytestmark = pytest.mark.xdist_group("documentation")
 SETS_UP = ("make", "python3 -m venv", ".venv/bin/pip", ".venv/bin/python -m pytest")
 OURS = {"README.md", "LICENSE", "Makefile", "CHANGELOG.md", "pyproject.toml"}
 each_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda d: str(d.name))
@@ -75,19 +74,24 @@ def outcomes(clone: Path) -> dict[str, subprocess.CompletedProcess[str]]:
     return {line: run(["bash", "-c", line], clone) for line in typed}
 
 
-def test_every_command_of_the_readme_runs_as_written(
-    outcomes: dict[str, subprocess.CompletedProcess[str]],
+def test_the_readme_runs_as_written_and_what_it_leaves_is_explained(
+    clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
 ) -> None:
+    """One test: processes that share the tests would each run the commands, which takes minutes."""
+    every_command_runs(outcomes)
+    every_python_example_runs(clone)
+    every_key_and_column_is_explained(clone)
+    every_file_is_named(clone)
+
+
+def every_command_runs(outcomes: dict[str, subprocess.CompletedProcess[str]]) -> None:
     assert len(outcomes) >= len(COMMANDS)
     for line, done in outcomes.items():
         said = re.search(r"# status (\d+)", line)
         assert done.returncode == (int(said[1]) if said else 0), f"{line}\n{done.stderr}"
 
 
-def test_every_python_example_of_the_readme_runs_as_written(
-    clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
-) -> None:
-    assert outcomes  # an example reads what a command wrote
+def every_python_example_runs(clone: Path) -> None:
     examples = blocks(README, "python")
     assert examples
     for code in examples:
@@ -126,6 +130,7 @@ def test_every_subcommand_and_option_is_in_the_readme(command: str) -> None:
     assert not missing
 
 
+@cache
 def options(command: str) -> set[str]:
     """Long options by --help, but those of every command, and --out, which is shown as -o."""
     said = verify(*command.split(), "--help").out
@@ -192,10 +197,7 @@ def test_every_file_that_is_shown_is_read_without_a_complaint(
             assert tomllib.loads(text)
 
 
-def test_every_key_and_column_of_a_run_is_explained(
-    clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
-) -> None:
-    assert outcomes
+def every_key_and_column_is_explained(clone: Path) -> None:
     explained = (ROOT / "docs" / "results.md").read_text()
     summary = json.loads((clone / "demo-report" / "summary.json").read_text())
     tables = [
@@ -212,9 +214,6 @@ def test_every_key_and_column_of_a_run_is_explained(
     assert [key for key in keys if f"`{key}`" not in explained] == []
 
 
-def test_every_file_of_a_run_is_in_the_readme(
-    clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
-) -> None:
-    assert outcomes
+def every_file_is_named(clone: Path) -> None:
     written = {path.name + "/" * path.is_dir() for path in (clone / "demo-report").iterdir()}
     assert [name for name in written if f"`{name}`" not in README.read_text()] == []
