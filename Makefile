@@ -19,8 +19,7 @@ demo: $(STAMP)
 	status=$$?; [ $$status -le 1 ] || exit $$status
 
 test: $(STAMP)
-# three on two cores: many tests wait for devices that answer in their own time
-	$(BIN)/python -m pytest -n 3
+	$(BIN)/python -m pytest -n 2
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
