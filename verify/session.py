@@ -11,11 +11,13 @@ from verify import marker_file, rig_file, session_file
 from verify.errors import InputError, one_line
 from verify.files import digest
 from verify.marker import Marker
+from verify.pending import NAME as PENDING
 from verify.records import Image, StereoPair
 from verify.rig import Rig
 from verify.series import Encoders, Frames, read_encoders, read_frames
 from verify.session_file import Clock, RecordingTable, Tolerance
 from verify.session_folder import arm_of, check_absorption, digests, facts, inside, session_file_of
+from verify.session_pending import with_pending
 from verify.session_poses import Instrument, pose_parts
 from verify.toml_file import fault
 from verify.video import Images, in_step, open_images
@@ -190,8 +192,10 @@ def _parts(
     frames, frames_warnings = read_frames(named["frames"], pan, torn)
     encoders, encoders_warnings = read_encoders(named["encoders"], arm.dof, torn)
     left, right = open_images(named["left"]), open_images(named["right"])
-    frames, length_warnings = _in_step(named["frames"], frames, (left, right), torn)
+    frames, sides, length_warnings = _in_step(named["frames"], frames, (left, right), torn)
     files = {getattr(table, key): file for key, file in named.items()}
+    if torn and (folder / PENDING).exists():
+        files[PENDING] = folder / PENDING
     return {
         **facts(folder, table, arm),
         "rig": rig,
@@ -199,8 +203,8 @@ def _parts(
         "encoders": encoders,
         "inputs": digests(folder, path, table.robot, files),
         "warnings": (*warnings, *frames_warnings, *encoders_warnings, *length_warnings),
-        "left": left,
-        "right": right,
+        "left": sides[0],
+        "right": sides[1],
     }
 
 
@@ -224,7 +228,7 @@ def _misfits(folder: Path, rig: Rig, marker: Marker) -> list[str]:
 
 def _in_step(
     path: Path, frames: Frames, sides: tuple[Images, Images], torn: bool
-) -> tuple[Frames, list[str]]:
+) -> tuple[Frames, tuple[Images, Images], list[str]]:
     """Compare the streams: of one length in a closed session, cut to the shortest if torn."""
     counts = [side.count(torn) for side in sides]
     if not torn:
@@ -233,13 +237,15 @@ def _in_step(
                 expected = f"{path.name} has {len(frames)} rows"
                 remedy = 'Copy the session again, or write `recording = "open"` if it was cut off.'
                 raise InputError(side.path, f"has {count} images", expected, remedy)
-        return frames, []
+        return frames, sides, []
+    lengths = f"{len(frames)} rows, {counts[0]} left and {counts[1]} right images"
     shortest = min(len(frames), *counts)
-    if not shortest:
+    frames, sides, pending = with_pending(path.parent, frames.first(shortest), sides)
+    if not len(frames):
         remedy = "Record it again."
         raise InputError(path.parent, "was cut off before the first whole pair", "", remedy)
-    lengths = f"{len(frames)} rows, {counts[0]} left and {counts[1]} right images"
+    lengths += f", {pending} pairs in {PENDING}" if pending else ""
     warning = (
-        f"{path.parent}: the recording was cut off ({lengths}); {shortest} pairs are measured."
+        f"{path.parent}: the recording was cut off ({lengths}); {len(frames)} pairs are measured."
     )
-    return frames.first(shortest), [one_line(warning)]
+    return frames, sides, [one_line(warning)]

@@ -17,8 +17,8 @@ from rich.console import Console
 
 from verify.errors import InputError
 from verify.live.alarms import Alarm
-from verify.live.beside import BesideDetector
 from verify.live.clock_keeper import estimate
+from verify.live.elsewhere import MeasuringProcess
 from verify.live.helper import Helper
 from verify.live.joint_alarms import AlarmLimits
 from verify.live.lines import PlainLines
@@ -27,14 +27,12 @@ from verify.live.outputs import Command, Lines, Posted, mqtt
 from verify.live.ports import Devices, Listener, Subject
 from verify.live.state import LiveState
 from verify.live.table import LiveTable
-from verify.measurement import Setup
 from verify.page.feed import Page
 from verify.page.metrics_server import MetricsServer
 from verify.page.run_source import Facts, RunSource
 from verify.session import Tolerance
 from verify.station import Servo, Station
 from verify.terminal import terminal
-from verify.warm_up import warm_up
 
 SWITCH = 0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
 ESTIMATE_PATIENCE = 20.0  # s for the clock, on a busy machine
@@ -98,9 +96,8 @@ def watch(station: Station, wish: Wish) -> Watched:
         _serve(station, wish, RunSource(state, subject, facts), stack)
         clock = Helper(estimate, "clock")
         stack.callback(clock.close)
-        beside = BesideDetector(terminal.warn)
-        stack.callback(beside.close)
-        warm_up(beside)
+        chain = MeasuringProcess(station.rig, station.marker, terminal.warn)
+        stack.callback(chain.close)
         recorder = station.open_recorder()
         stack.callback(recorder.close)
         live = Live(
@@ -110,7 +107,7 @@ def watch(station: Station, wish: Wish) -> Watched:
             Plan(limits, wish.duration),
             lambda question: clock.ask(question, ESTIMATE_PATIENCE),
             listeners,
-            setup=lambda expected: Setup(station.rig, station.marker, expected, beside),
+            measuring=chain.measure,
             state=state,
         )
         stack.enter_context(_collected())

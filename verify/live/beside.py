@@ -2,12 +2,10 @@
 
 import threading
 from collections.abc import Callable
-from multiprocessing.shared_memory import SharedMemory
-
-import numpy as np
 
 from verify.detection import detect
 from verify.live.helper import Helper, HelperLostError
+from verify.live.shared_picture import SharedPicture, picture_of
 from verify.records import Array, Image, Spots
 
 PATIENCE = 1.0  # s for a picture, ten times what a whole frame takes; then it is done here
@@ -30,7 +28,7 @@ class BesideDetector:
         self._warn = warn
         self._helper: Helper[Question, Spots] | None = Helper(_detect_there, "right picture")
         self._helper.wait_until_ready()
-        self._memory: SharedMemory | None = None
+        self._picture = SharedPicture()
         self._lock = threading.Lock()
 
     def __call__(
@@ -48,7 +46,7 @@ class BesideDetector:
         if helper is None:
             return detect(left, left_windows), detect(right, right_windows)
         try:
-            helper.begin((self._shared(right), right.shape, right_windows))
+            helper.begin((*self._picture.put(right), right_windows))
             here = detect(left, left_windows)
             return here, helper.finish(PATIENCE)
         except HelperLostError as error:
@@ -62,32 +60,9 @@ class BesideDetector:
             if self._helper is not None:
                 self._helper.close()
                 self._helper = None
-            if self._memory is not None:
-                self._memory.close()
-                self._memory.unlink()
-                self._memory = None
-
-    def _shared(self, image: Image) -> str:
-        """Put a picture where both processes see it; the place's name."""
-        if self._memory is None or self._memory.size < image.nbytes:
-            if self._memory is not None:
-                self._memory.close()
-                self._memory.unlink()
-            self._memory = SharedMemory(create=True, size=image.nbytes)
-        view = np.ndarray(image.shape, dtype=np.uint8, buffer=self._memory.buf)
-        view[:] = image
-        return self._memory.name
-
-
-_attached: dict[str, SharedMemory] = {}  # in the second process: one, until the pictures grow
+            self._picture.close()
 
 
 def _detect_there(question: Question) -> Spots:
     name, shape, windows = question
-    if name not in _attached:
-        for old in _attached.values():
-            old.close()
-        _attached.clear()
-        _attached[name] = SharedMemory(name=name)
-    image = np.ndarray(shape, dtype=np.uint8, buffer=_attached[name].buf)
-    return detect(image, windows)
+    return detect(picture_of(name, shape), windows)

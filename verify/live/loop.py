@@ -32,6 +32,7 @@ GOODBYE = 3.0  # s that a thread is given to end
 TURNING = "a camera base was turning, or its angle is not known"
 AROUND = np.array([-0.1, -0.05, 0.0, 0.05, 0.1])  # s: an arrival's clock is known to that
 DEVICE_SILENT = 1.0  # s; more for devices that give less than two a second
+Expected = Callable[[float], Sequence[Array]]
 UNDER_WAY = 8  # pairs between the cameras and the comparison, at most
 
 
@@ -54,7 +55,7 @@ class Live:
         plan: how the run goes.
         estimator: estimates the clock; in another process, as it takes longer than a picture.
         listeners: are told every row and alarm, in this loop's threads: they must not wait.
-        setup: makes the chain's setup, from what the readings suggest.
+        measuring: the chain, where it runs elsewhere: pairs, and what the readings suggest.
         state: where it is told how things are; made here unless lookers-on have it already.
     """
 
@@ -66,7 +67,7 @@ class Live:
         plan: Plan,
         estimator: Estimator,
         listeners: Sequence[Listener] = (),
-        setup: Callable[[Callable[[float], Sequence[Array]]], Setup] | None = None,
+        measuring: Callable[[Iterator[StereoPair], Expected], Iterator[Measurement]] | None = None,
         state: LiveState | None = None,
     ) -> None:
         self.state = LiveState() if state is None else state
@@ -83,11 +84,7 @@ class Live:
         self._joints = JointAlarms(subject.arm.dof, plan.limits, numbers)
         self._target = TargetWatch(plan.limits.lost_after, numbers)
         self._lost = DeviceWatch(DEVICE_SILENT, numbers)
-        self._setup = (
-            Setup(subject.rig, subject.marker, self._expected)
-            if setup is None
-            else setup(self._expected)
-        )
+        self._measuring = self._here if measuring is None else measuring
         self._arrivals: dict[float, tuple[float, float, StereoPair]] = {}
         self._measured: deque[Taken] = deque()
         self._wake = threading.Condition()
@@ -186,7 +183,7 @@ class Live:
     def _measure(self) -> None:
         try:
             pairs = self._noted(self._recorder.keep(self._taken()))
-            for measurement in measure(pairs, self._setup):
+            for measurement in self._measuring(pairs, self._expected):
                 self._hand_over(measurement)
         except Exception as error:
             self._failed("measurement", error)
@@ -194,6 +191,9 @@ class Live:
             with self._wake:
                 self._measuring_ended = True
                 self._wake.notify_all()
+
+    def _here(self, pairs: Iterator[StereoPair], expected: Expected) -> Iterator[Measurement]:
+        return measure(pairs, Setup(self._subject.rig, self._subject.marker, expected))
 
     def _taken(self) -> Iterator[StereoPair]:
         """Pairs of pictures with the angles of their bases."""

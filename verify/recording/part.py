@@ -15,6 +15,8 @@ import numpy as np
 
 from verify.devices import EncoderReading
 from verify.errors import InputError
+from verify.pending import NAME as PENDING
+from verify.pending import PendingRing, ring_bytes
 from verify.recording.matroska import MatroskaFile
 from verify.recording.pictures import Coder, Kind, kind_of
 from verify.recording.rows import (
@@ -29,6 +31,8 @@ from verify.toml_file import FORMAT, encode
 from verify.writing import write_whole
 
 RESERVE = 1 << 20  # bytes that stay free: to close the session properly
+ASIDE = 16  # pairs that may wait to be encoded: half a second
+SHARE = 0.05  # of what the disk has free, that waiting pairs may take
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +96,39 @@ class Part:
         self._frames = Rows(folder / "frames.csv", frames_header(facts.turning))
         self._encoders = Rows(folder / "encoders.csv", encoders_header(facts.joints))
         self._other = ThreadPoolExecutor(max_workers=1, thread_name_prefix="record")
+        self._ring: PendingRing | None = None
+        self._aside = 0
 
     @property
     def pairs(self) -> int:
         """How many pairs it holds."""
         return self._frames.count
+
+    @property
+    def room(self) -> bool:
+        """Whether one more pair may be set aside."""
+        return self._aside < ASIDE
+
+    def set_aside(self, pair: StereoPair, raws: tuple[bytes | None, bytes | None]) -> bool:
+        """Put a pair on the disk as it is; `add_pair` encodes it, in its turn, when there is time.
+
+        Returns:
+            False where that is no help: it is to be added at once. The first pair is, so that
+            every file holds something; JPEGs are, which need no encoding.
+
+        Raises:
+            OSError: the system refuses it.
+        """
+        if not self.pairs or raws != (None, None):
+            return False
+        if self._ring is None:
+            shapes = (pair.left.shape, pair.right.shape)
+            if ring_bytes(*shapes, ASIDE) > SHARE * shutil.disk_usage(self.folder).free:
+                return False
+            self._ring = PendingRing(self.folder / PENDING, *shapes, ASIDE)
+        self._ring.put(self.pairs + self._aside, pair)
+        self._aside += 1
+        return True
 
     @property
     def readings(self) -> int:
@@ -124,6 +156,7 @@ class Part:
             if (refused := next(filter(None, failures), None)) is not None:
                 raise refused
             self._frames.add(frames_row(self.pairs, pair, self._facts.turning))
+            self._aside = max(self._aside - 1, 0)
         except Exception:  # whatever it was: neither side keeps a picture that has no row
             for side, failure in zip(self._sides, failures, strict=True):
                 if failure is None:
@@ -159,6 +192,8 @@ class Part:
                 failure = error
         if failure is not None:
             raise failure
+        if self._ring is not None:
+            self._ring.close()
         self._say("closed")
 
     def _say(self, recording: str) -> None:

@@ -1,7 +1,8 @@
 """The recorder: every pair is on the disk before it is measured, unless the disk is too slow.
 
-One thread writes, in the order in which things came. Whoever measures waits for it a few
-milliseconds at most: a disk that refuses or lags ends the recording, never the measurement.
+One thread writes, in the order in which things came: pairs as they are at first, and encoded
+when the measurement has gone by. Whoever measures waits for it a few milliseconds at most: a disk
+that refuses or lags ends the recording, never the measurement.
 """
 
 import threading
@@ -21,6 +22,7 @@ from verify.recording.rows import pair_as_written, reading_as_written
 from verify.records import StereoPair
 
 PATIENCE = 0.02  # s: a pair is measured after it, on the disk or not
+REST = 0.015  # s from a pair's coming to its encoding, which would take the measurement's time
 LAG = 0.8  # s behind, and the recording ends: a kill must not cost a second
 BEFORE = 1.0  # s of readings before the first pair: they bracket it
 CLOSING = 10.0  # s: what is under way is given so long to reach the disk
@@ -51,6 +53,15 @@ class _Item:
     done: threading.Event = field(default_factory=threading.Event)
 
 
+@dataclass(frozen=True, slots=True)
+class _Aside:
+    """A pair that is on the disk as it is."""
+
+    pair: StereoPair
+    raws: Raws
+    due: float  # s, host's monotonic clock: then it is encoded
+
+
 class Recorder:
     """Writes what a run sees as sessions that can be measured again.
 
@@ -69,6 +80,7 @@ class Recorder:
     ) -> None:
         self._parent, self._name, self._facts, self._make = parent, name, facts, make
         self._items: deque[_Item] = deque()
+        self._aside: deque[_Aside] = deque()  # the writing thread's own
         self._wake = threading.Condition()
         self._closing = False
         self._trouble = ""  # why the recording has ended
@@ -162,19 +174,32 @@ class Recorder:
 
     def _write(self) -> None:
         """Write items until the end, then close; runs in its own thread."""
-        while (item := self._next()) is not None:
+        while self._wait():
+            if not self._items:
+                self._guarded(self._encode)
+                continue
+            item = self._items[0]
             if not self._trouble:
-                self._guarded(lambda item=item: self._put(item.what))  # type: ignore[misc]
+                self._guarded(lambda item=item: self._put(item))  # type: ignore[misc]
             with self._wake:
                 self._items.popleft()  # only now: its age is how far the disk lags
             item.done.set()
         self._guarded(self._close_part)
 
-    def _next(self) -> _Item | None:
+    def _wait(self) -> bool:
+        """Wait for an item, or until a pair is to be encoded; False at the end."""
         with self._wake:
-            while not self._items and not self._closing:
-                self._wake.wait()
-            return self._items[0] if self._items else None
+            while not self._items:
+                if self._aside:
+                    rest = self._aside[0].due - time.monotonic()
+                    if rest <= 0 or self._closing:
+                        return True
+                    self._wake.wait(rest)
+                elif self._closing:
+                    return False
+                else:
+                    self._wake.wait()
+            return True
 
     def _guarded(self, action: Callable[[], None]) -> None:
         """Do something with the disk; whatever goes wrong ends the recording and nothing else."""
@@ -188,22 +213,40 @@ class Recorder:
 
     def _fail(self, why: str) -> None:
         self._trouble = self._trouble or why
+        self._aside.clear()
         part, self._current = self._current, None
         if part is not None:
             self._guarded(part.close)
 
-    def _put(self, what: tuple[StereoPair, Raws] | EncoderReading) -> None:
-        if isinstance(what, EncoderReading):
-            self._put_reading(what)
+    def _put(self, item: _Item) -> None:
+        if isinstance(item.what, EncoderReading):
+            self._put_reading(item.what)
         else:
-            self._put_pair(*what)
+            self._put_pair(*item.what, item.came)
 
-    def _put_pair(self, pair: StereoPair, raws: Raws) -> None:
+    def _put_pair(self, pair: StereoPair, raws: Raws, came: float) -> None:
         if self._current is not None and not self._current.fits(raws, pair):
             self._close_part()  # a camera has changed its format
         if self._current is None:
             self._current = self._begin(pair, raws)
-        self._current.add_pair(pair, raws)
+        part = self._current
+        while self._aside and not part.room:
+            self._encode()
+        if part.set_aside(pair, raws):
+            self._aside.append(_Aside(pair, raws, came + REST))
+            return
+        while self._aside:
+            self._encode()
+        part.add_pair(pair, raws)
+        self._pairs += 1
+
+    def _encode(self) -> None:
+        """Carry the oldest pair that was set aside to where it belongs."""
+        if self._current is None:
+            raise RuntimeError("a pair was set aside in a session that is closed")
+        aside = self._aside[0]
+        self._current.add_pair(aside.pair, aside.raws)
+        self._aside.popleft()
         self._pairs += 1
 
     def _put_reading(self, reading: EncoderReading) -> None:
@@ -234,6 +277,8 @@ class Recorder:
         return part
 
     def _close_part(self) -> None:
+        while self._aside:
+            self._encode()
         part, self._current = self._current, None
         if part is not None:
             part.close()

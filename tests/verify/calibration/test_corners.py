@@ -224,8 +224,7 @@ def test_recorded_boards_are_measured_to_a_hundredth_of_a_pixel() -> None:
 @pytest.mark.parametrize(
     ("pattern", "board", "count"),
     [
-        ("camera_1280x720_photonvision/lifecam_1280x720/*.png", Board(10, 10, 1.0), 14),
-        ("camera_1280x720_photonvision/gloworm_1280x720/*.jpg", Board(8, 6, 0.0254), 25),
+        # those of camera_1280x720_photonvision: test_one_camera.py
         ("stereo_checkerboard_opencv/*.jpg", Board(9, 6, 0.030), 26),
     ],
 )

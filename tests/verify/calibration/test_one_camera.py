@@ -163,7 +163,7 @@ def test_two_views_are_refused_and_a_row_of_corners_is_no_view() -> None:
 
 
 def found_in(folder: str, pattern: str, board: Board) -> dict[int, BoardView]:
-    """The board in every picture of a real set, by the picture's number."""
+    """The board in every picture of a real set, whole in each, by the picture's number."""
     base: Path = require_shared().parent / "data" / "camera_1280x720_photonvision" / folder
     views = {}
     for path in base.glob(pattern):
@@ -171,6 +171,7 @@ def found_in(folder: str, pattern: str, board: Board) -> dict[int, BoardView]:
         assert image is not None
         view = find_board(np.asarray(image, dtype=np.uint8), board)
         assert view is not None, path.name
+        assert len(view.corner) == len(board), path.name
         views[int(path.stem.removeprefix("img"))] = view
     return views
 

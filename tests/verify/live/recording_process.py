@@ -13,12 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from tests.verify.recorded import HEIGHT, MARKER, RIG, WIDTH
-from verify import station_file
 from verify.cameras import TakenPair
 from verify.devices import EncoderReading
 from verify.recording import Facts, Recorder
-from verify.sim.devices import SimulatedStation
-from verify.station import open_station
 
 FACTS = Facts("iust_6r", 6, {"rig.toml": RIG.encode(), "marker.toml": MARKER.encode()}, {}, False)
 
@@ -53,6 +50,11 @@ def of_noise(folder: Path, rate: float) -> None:
 
 def of_the_simulated_station(folder: Path) -> None:
     """The template's station; cameras are read one after the other, which 15 Hz allows."""
+    # here: a process that records noise begins sooner without
+    from verify import station_file
+    from verify.sim.devices import SimulatedStation
+    from verify.station import open_station
+
     folder.mkdir(parents=True)
     text = station_file.template().replace("rate_hz = 30.0", "rate_hz = 15.0")
     (folder / "station.toml").write_text(text)

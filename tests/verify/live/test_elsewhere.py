@@ -1,0 +1,96 @@
+"""A measurement in a process of its own gives what one here gives, and its loss costs no pair."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from verify.live.elsewhere import MeasuringProcess
+from verify.measurement import Setup, measure
+from verify.records import Array, Measurement, StereoPair
+from verify.sim import library
+from verify.sim.sessions import SimulatedSession, simulate
+
+PAIRS = 8
+LOST_AFTER = 4
+
+
+@pytest.fixture(scope="module")
+def session() -> SimulatedSession:
+    return simulate(library.load("multi_joint_rv_3sd"))
+
+
+@pytest.fixture(scope="module")
+def here(session: SimulatedSession) -> list[Measurement]:
+    return list(measure(pairs(session), Setup(session.rig, session.marker)))
+
+
+def pairs(session: SimulatedSession) -> Iterator[StereoPair]:
+    return (session.pair(index) for index in range(PAIRS))
+
+
+def nothing(_t: float) -> list[Array]:
+    return []
+
+
+def alike(found: list[Measurement], wanted: list[Measurement]) -> None:
+    assert [m.frame for m in found] == [m.frame for m in wanted]
+    for one, other in zip(found, wanted, strict=True):
+        assert (one.status, one.t, one.choice) == (other.status, other.t, other.choice)
+        assert one.pose is not None
+        assert other.pose is not None
+        np.testing.assert_array_equal(one.pose.rig_T_flange, other.pose.rig_T_flange)
+        np.testing.assert_array_equal(one.pose.covariance, other.pose.covariance)
+
+
+def test_it_gives_the_same_to_the_last_digit_and_ends(
+    session: SimulatedSession, here: list[Measurement]
+) -> None:
+    said: list[str] = []
+    process = MeasuringProcess(session.rig, session.marker, said.append)
+    try:
+        alike(list(process.measure(pairs(session), nothing)), here)
+    finally:
+        process.close()
+    assert not said
+    assert not process._process.is_alive()
+
+
+def test_its_loss_costs_no_pair_and_is_said(
+    session: SimulatedSession, here: list[Measurement]
+) -> None:
+    said: list[str] = []
+    process = MeasuringProcess(session.rig, session.marker, said.append)
+
+    def given() -> Iterator[StereoPair]:
+        for pair in pairs(session):
+            if pair.frame == LOST_AFTER:
+                process._process.kill()
+                process._process.join()
+            yield pair
+
+    try:
+        found = list(process.measure(given(), nothing))
+    finally:
+        process.close()
+    assert [m.frame for m in found] == [m.frame for m in here]
+    assert all(m.status == "measured" for m in found)
+    alike(found[:LOST_AFTER], here[:LOST_AFTER])
+    assert len(said) == 1
+    assert "measured by the main process from now on" in said[0]
+
+
+def test_it_asks_where_the_readings_put_the_flange(session: SimulatedSession) -> None:
+    asked: list[float] = []
+
+    def expected(t: float) -> list[Array]:
+        asked.append(t)
+        return []
+
+    process = MeasuringProcess(session.rig, session.marker, [].append)
+    try:
+        first = list(process.measure(iter([session.pair(0)]), expected))
+    finally:
+        process.close()
+    assert [m.frame for m in first] == [0]
+    assert asked == [session.pair(0).t_left]  # nothing is predicted for the first pair

@@ -1,0 +1,189 @@
+"""The chain in a process of its own: whoever looks on, records or renders costs it nothing.
+
+Threads of one Python process take turns; a pair whose measurement takes a few milliseconds would
+wait for as many more. So pictures go to another process through shared memory, one pair at a time,
+and measurements come back.
+"""
+
+import gc
+import multiprocessing
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from itertools import chain
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from verify.live.beside import BesideDetector
+from verify.live.helper import HelperLostError
+from verify.live.shared_picture import SharedPicture, picture_of
+from verify.marker import Marker
+from verify.measurement import Setup, measure
+from verify.records import Array, Image, Measurement, StereoPair
+from verify.rig import Rig
+from verify.warm_up import warm_up
+
+START_LIMIT = 120.0  # s: the first start after an installation compiles
+PATIENCE = 2.0  # s for a pair, twenty times what a whole frame takes; then it is done here
+NO_PICTURE: Image = np.zeros((0, 0), dtype=np.uint8)
+GOODBYE = 2.0  # s that it is given to end by itself
+
+Place = tuple[str, tuple[int, ...]]
+Expected = Callable[[float], Sequence[Array]]
+Told = tuple[StereoPair, Place, Place]  # without its pictures, and where those are
+
+
+class MeasuringProcess:
+    """Measures pairs elsewhere; the same measurements as `verify.measurement.measure` gives.
+
+    Should the process be lost, pairs are measured here from then on.
+
+    Args:
+        rig: the calibrated cameras.
+        marker: the LEDs.
+        warn: is told if so.
+
+    Raises:
+        HelperLostError: the process does not start.
+    """
+
+    def __init__(self, rig: Rig, marker: Marker, warn: Callable[[str], None]) -> None:
+        self._rig, self._marker, self._warn = rig, marker, warn
+        # not forked: a copy of a process with threads and cameras is no sound one
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        # it starts a process itself, which a daemon may not; it ends when its pipe is closed
+        self._process = context.Process(
+            target=_serve, args=(theirs, rig, marker), name="measurement", daemon=False
+        )
+        self._process.start()
+        theirs.close()
+        self._pictures = (SharedPicture(), SharedPicture())
+        self._lost = False
+        try:
+            self._answer(START_LIMIT)
+        except HelperLostError:
+            self.close()
+            raise
+
+    def measure(self, pairs: Iterator[StereoPair], expected: Expected) -> Iterator[Measurement]:
+        """Measure pairs in order, as `verify.measurement.measure` does.
+
+        Args:
+            pairs: in time order.
+            expected: candidates for rig_T_flange at a time (s), from the encoders.
+        """
+        unanswered: deque[StereoPair] = deque()
+        try:
+            for pair in pairs:
+                unanswered.append(pair)
+                self._send(self._told(pair))
+                yield from self._measured(expected, unanswered)
+            self._send(None)
+            yield from self._measured(expected, unanswered)
+        except HelperLostError as error:
+            self._lost = True
+            self._warn(f"pairs are measured by the main process from now on: {error}")
+            setup = Setup(self._rig, self._marker, expected)
+            yield from measure(chain(list(unanswered), pairs), setup)
+
+    def close(self) -> None:
+        """End the process."""
+        self._connection.close()
+        self._process.join(GOODBYE)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(GOODBYE)
+        for picture in self._pictures:
+            picture.close()
+
+    def _told(self, pair: StereoPair) -> Told:
+        left, right = self._pictures
+        times = (pair.frame, pair.t_left, pair.t_right, pair.pan_left, pair.pan_right)
+        bare = StereoPair(*times, NO_PICTURE, NO_PICTURE)  # a taken pair has JPEGs beside
+        return bare, left.put(pair.left), right.put(pair.right)
+
+    def _measured(self, expected: Expected, unanswered: deque[StereoPair]) -> Iterator[Measurement]:
+        """What comes of a pair, until the next one is asked for."""
+        while True:
+            kind, value = self._answer(PATIENCE)
+            if kind == "next":
+                return
+            if kind == "expected":
+                self._send(expected(value))
+            elif kind == "warning":
+                self._warn(value)
+            else:
+                while unanswered and unanswered[0].frame <= value.frame:
+                    unanswered.popleft()
+                yield value
+
+    def _send(self, what: Any) -> None:
+        if self._lost:
+            raise HelperLostError("the process is gone")
+        try:
+            self._connection.send(what)
+        except (OSError, ValueError) as error:
+            raise HelperLostError(str(error)) from error
+
+    def _answer(self, patience: float) -> tuple[str, Any]:
+        try:
+            if not self._connection.poll(patience):
+                raise HelperLostError(f"no answer within {patience:g} s")
+            kind, value = self._connection.recv()
+        except (OSError, EOFError) as error:
+            raise HelperLostError(str(error) or "the process has ended") from error
+        if kind == "failed":
+            raise HelperLostError(str(value))
+        return kind, value
+
+
+def _serve(connection: Connection, rig: Rig, marker: Marker) -> None:
+    """Measure until nobody asks any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks
+    with suppress(EOFError, OSError):
+        try:
+            detect = BesideDetector(lambda text: connection.send(("warning", text)))
+            warm_up(detect)
+            gc.collect()
+            gc.freeze()  # what is there is no garbage: looking through it takes a picture's time
+            connection.send(("ready", None))
+            setup = Setup(rig, marker, _Asked(connection), detect)
+            for measurement in measure(_received(connection), setup):
+                connection.send(("measured", measurement))
+            connection.send(("next", None))
+        except (EOFError, OSError):
+            raise
+        except Exception as error:
+            connection.send(("failed", f"{type(error).__name__}: {error}"))
+        detect.close()
+
+
+def _received(connection: Connection) -> Iterator[StereoPair]:
+    """Pairs as they come; whenever one is asked for, the one before is through."""
+    first = True
+    while True:
+        if not first:
+            connection.send(("next", None))
+        first = False
+        told: Told | None = connection.recv()
+        if told is None:
+            return
+        pair, left, right = told
+        yield replace(pair, left=picture_of(*left), right=picture_of(*right))
+
+
+class _Asked:
+    """Asks the main process where the readings put the flange."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def __call__(self, t: float) -> Sequence[Array]:
+        self._connection.send(("expected", t))
+        poses: Sequence[Array] = self._connection.recv()
+        return poses
