@@ -15,7 +15,8 @@ import robots
 from verify.readings import Readings
 from verify.records import Array, Measurement, Pose
 from verify.session import Instrument, Session
-from verify.systematics import AXES, BODY, Systematics, stated
+from verify.spot_derivatives import AXES
+from verify.systematics import BODY, Systematics, stated
 from verify.track import Track, collect
 
 NOISE = "the instrument's noise"

@@ -7,19 +7,18 @@ flange's for the LED body.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from scipy.linalg import block_diag
 
 from verify.marker import Marker
 from verify.records import Array, Measurement, Pose, Sighting
-from verify.rig import Camera, Rig, distort
+from verify.rig import Rig
+from verify.spot_derivatives import AXES, look_at, moved_spots, swept
 
-AXES = ("x", "y", "z")
 BODY = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
-LENS = ("k1", "k2", "p1", "p2", "k3")
 UNITS = {"mm": 1e-3, "deg": np.pi / 180, "px": 1.0}
 CAMERA_KEYS = re.compile(
     r"^(fx_px|fy_px|cx_px|cy_px|k1|k2|p1|p2|k3|pan_zero_deg|pan_axis_r[xyz]_deg"
@@ -153,16 +152,13 @@ def sensitivities(parameters: Systematics, seen: Measurement, rig: Rig, marker: 
         raise ValueError("only a measured pair has sensitivities")
     base_R_rig = rig.rig_T_base[:3, :3].T
     gain = np.concatenate([base_R_rig @ pose.gain[:3], base_R_rig @ pose.gain[3:]])
-    columns = np.zeros((6, len(parameters.names) + 2))
-    views = _views(pose.rig_T_flange, left, right, pose.sensitivity, rig, marker)
-    spotted, places = [], []
-    for i, name in enumerate((*parameters.names, "left.pan_zero_deg", "right.pan_zero_deg")):
-        if name.startswith("robot_base."):
-            columns[:, i] = _base(name, rig, pose)
-        else:
-            spotted.append(_pixels(views, name).reshape(-1))
-            places.append(i)
-    columns[:, places] = -gain @ np.array(spotted).T
+    names = (*parameters.names, "left.pan_zero_deg", "right.pan_zero_deg")
+    views = look_at(pose.rig_T_flange, left, right, pose.sensitivity, rig, marker)
+    moved = moved_spots(views, names)
+    columns = -gain @ moved.reshape(len(names), -1).T
+    placed = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
+    if placed:
+        columns[:, placed] = _base([names[i] for i in placed], rig, pose)
     return columns
 
 
@@ -189,17 +185,15 @@ def spot_columns(
     Returns:
         (2 s, p), px, left spots first.
     """
-    views = _views(rig_T_flange, left, right, by_point, rig, marker)
-    names = [n for n in parameters.names if not n.startswith("robot_base.")]
+    views = look_at(rig_T_flange, left, right, by_point, rig, marker)
+    names = tuple(n for n in parameters.names if not n.startswith("robot_base."))
     places = [parameters.names.index(n) for n in names]
     spread = root(parameters.covariance[np.ix_(places, places)])
-    moved = [_pixels(views, name).reshape(-1) for name in names]
-    columns = [np.stack(moved, axis=1) @ spread] if names else [np.zeros((2 * len(views.led), 0))]
-    for side, sigma in zip(("left", "right"), parameters.pan, strict=True):
-        if sigma > 0:
-            turned = _pixels(views, f"{side}.pan_zero_deg")
-            columns.append(turned.reshape(-1, 1) * sigma)
-    return np.concatenate(columns, axis=1)
+    turning = [i for i in (0, 1) if parameters.pan[i] > 0]
+    angles = [f"{('left', 'right')[i]}.pan_zero_deg" for i in turning]
+    moved = moved_spots(views, (*names, *angles)).reshape(-1, 2 * len(views.led)).T
+    own = [moved[:, : len(names)] @ spread, moved[:, len(names) :] * parameters.pan[turning]]
+    return np.concatenate(own, axis=1)
 
 
 def root(covariance: Array) -> Array:
@@ -212,128 +206,17 @@ def root(covariance: Array) -> Array:
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class _Views:
-    """Everything about the spots that a derivative needs."""
-
-    side: tuple[tuple[str, Camera, Sighting, slice, Array], ...]  # …, (m, 3) points in the camera
-    points_rig: Array  # (s, 3)
-    led: Array  # (s,) index
-    names: tuple[str, ...]
-    offset: Array  # (s, 3), LED from flange, rig axes
-    rig_R_flange: Array  # (3, 3)
-    by_point: Array  # (s, 2, 3), d px / d point in the rig
-    by_led: Array  # (s, 2, 3), d px / d LED in the flange
-
-
-def _views(
-    rig_T_flange: Array, left: Sighting, right: Sighting, by_point: Array, rig: Rig, marker: Marker
-) -> _Views:
-    led = np.concatenate([left.led, right.led])
-    rig_R_flange = rig_T_flange[:3, :3]
-    offset = marker.leds[led] @ rig_R_flange.T
-    points = offset + rig_T_flange[:3, 3]
-    sides = []
-    for name, camera, sighting, spots in (
-        ("left", rig.left, left, slice(0, len(left))),
-        ("right", rig.right, right, slice(len(left), None)),
-    ):
-        camera_T_rig = camera.camera_T_rig(sighting.pan)
-        inside = points[spots] @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]
-        sides.append((name, camera, sighting, spots, inside))
-    return _Views(
-        tuple(sides),
-        points,
-        led,
-        marker.names,
-        offset,
-        rig_R_flange,
-        by_point,
-        by_point @ rig_R_flange,
-    )
-
-
-def _pixels(views: _Views, name: str) -> Array:
-    """Derivative of the predicted spots by a parameter, (s, 2), px a SI unit."""
-    head, _, key = name.partition(".")
-    if head in ("left", "right"):
-        return _by_camera(views, head, key)
-    if head == "body":
-        moved = _body_motion(key, views)
-        pixels: Array = (views.by_point @ moved[:, :, None])[:, :, 0]
-        return pixels
-    led, _, axis = key.rpartition(".")
-    chosen = views.led == views.names.index(led)
-    by_axis: Array = views.by_led[:, :, AXES.index(axis[0])] * chosen[:, None]
-    return by_axis
-
-
-def _by_camera(views: _Views, head: str, key: str) -> Array:
-    pixels = np.zeros((len(views.led), 2))
-    for side, camera, sighting, spots, inside in views.side:
-        if side == head:
-            points, by_point = views.points_rig[spots], views.by_point[spots]
-            pixels[spots] = camera_pixels(key, camera, sighting, inside, points, by_point)
-    return pixels
-
-
-def camera_pixels(
-    key: str, camera: Camera, sighting: Sighting, inside: Array, points: Array, by_point: Array
-) -> Array:
-    """Derivative of one camera's pixels by one of its parameters, (m, 2)."""
-    xy = inside[:, :2] / inside[:, 2:3]
-    if key in ("cx_px", "cy_px"):
-        return np.tile([float(key == "cx_px"), float(key == "cy_px")], (len(xy), 1))
-    if key in ("fx_px", "fy_px"):
-        return distort(xy, camera.distortion) * [float(key == "fx_px"), float(key == "fy_px")]
-    if key in LENS:  # the model is linear in its coefficients
-        unit = np.array([float(key == k) for k in LENS])
-        lens: Array = (distort(xy, unit) - xy) @ camera.matrix[:2, :2].T
-        return lens
-    shift, turn, origin = _camera_motion(key, camera, sighting.pan)
-    moved = -(shift + _swept(turn, points - origin))  # the world moves against the camera
-    pixels: Array = (by_point @ moved[:, :, None])[:, :, 0]
-    return pixels
-
-
-def _swept(turn: Array, points: Array) -> Array:
-    """Cross product turn x points, (m, 3); numpy's own takes five times as long for one vector."""
-    x, y, z = turn.tolist()
-    swept: Array = points @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-    return swept
-
-
-def _camera_motion(key: str, camera: Camera, pan: float) -> tuple[Array, Array, Array]:
-    """Translation, rotation vector and its origin, in rig axes, of a camera a unit parameter."""
-    none = np.zeros(3)
-    turned = cv2.Rodrigues(camera.pan_axis * (pan + camera.pan_zero))[0]
-    if key == "pan_zero_deg":
-        return none, camera.pan_axis, camera.pan_center
-    what, axis, _ = key.rsplit("_", 2)
-    unit = np.eye(3)[AXES.index(axis[-1])]
-    if what == "pan_center":
-        return unit, none, none
-    if what == "pan_axis":
-        return none, unit - turned @ unit, camera.pan_center
-    if axis.startswith("r"):
-        return none, turned @ unit, camera.rig_T_camera(pan)[:3, 3]
-    return turned @ unit, none, none
-
-
-def _body_motion(key: str, views: _Views) -> Array:
-    """Motion of each seen LED in the rig for a unit of a displacement of all, (s, 3)."""
-    unit = views.rig_R_flange[:, AXES.index(key.split("_")[0][-1])]
-    if key.startswith("r"):
-        return _swept(unit, views.offset)
-    return np.tile(unit, (len(views.led), 1))
-
-
-def _base(name: str, rig: Rig, pose: Pose) -> Array:
-    """Change of the flange's pose in the base when the base's place in the rig changes, (6,)."""
-    key = name.partition(".")[2]
-    unit = np.eye(3)[AXES.index(key.split("_")[0][-1])]
+def _base(names: Sequence[str], rig: Rig, pose: Pose) -> Array:
+    """Change of the flange's pose in the base when the base's place in the rig changes, (6, p)."""
     base_R_rig = rig.rig_T_base[:3, :3].T
-    if not key.startswith("r"):
-        return np.concatenate([-base_R_rig @ unit, np.zeros(3)])
     arm = pose.rig_T_flange[:3, 3] - rig.rig_T_base[:3, 3]
-    return np.concatenate([-base_R_rig @ _swept(unit, arm), -base_R_rig @ unit])
+    columns = np.zeros((6, len(names)))
+    for i, name in enumerate(names):
+        key = name.partition(".")[2]
+        axis = AXES.index(key.split("_")[0][-1])
+        if key.startswith("r"):
+            columns[:3, i] = -base_R_rig @ swept(np.eye(3)[axis], arm)
+            columns[3:, i] = -base_R_rig[:, axis]
+        else:
+            columns[:3, i] = -base_R_rig[:, axis]
+    return columns

@@ -23,7 +23,8 @@ from verify.marker import Marker
 from verify.pose import perturb
 from verify.records import Array, Measurement, Pose
 from verify.rig import Covariance, Rig
-from verify.systematics import AXES, Systematics, sensitivities, spot_columns, stated
+from verify.spot_derivatives import AXES
+from verify.systematics import Systematics, sensitivities, spot_columns, stated
 
 BASE_NAMES = (
     *(f"robot_base.{axis}_mm" for axis in AXES),

@@ -12,7 +12,8 @@ from verify.calibration.motion_adjust import Adjusted
 from verify.marker import Marker
 from verify.records import Array
 from verify.rig import Covariance, Rig
-from verify.systematics import AXES, BODY, CAMERA_KEYS, camera_pixels
+from verify.spot_derivatives import AXES, camera_pixels
+from verify.systematics import BODY, CAMERA_KEYS
 
 BASE_NAMES = tuple(f"robot_base.{key}" for key in BODY)
 

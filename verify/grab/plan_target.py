@@ -9,7 +9,8 @@ from verify.grab.hand_off import HandSeen
 from verify.grab.target import TargetSeen
 from verify.records import Array
 from verify.rig import Rig
-from verify.systematics import AXES, BODY, unit
+from verify.spot_derivatives import AXES
+from verify.systematics import BODY, unit
 
 UPRIGHT = 0.7  # |cosine| from which a picture's columns run along the approach: within 45°
 

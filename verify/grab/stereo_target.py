@@ -7,7 +7,8 @@ import numpy as np
 from verify.grab.stereo_target_camera import Sight
 from verify.records import Array, Sighting
 from verify.rig import Rig
-from verify.systematics import CAMERA_KEYS, camera_pixels, unit
+from verify.spot_derivatives import camera_pixels
+from verify.systematics import CAMERA_KEYS, unit
 from verify.triangulation import meet
 
 # of a patch's extent, standard: by as much its centroid misses the object's middle, differently in
