@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from verify.detection import kernel_noise
 from verify.detection.bite import RimScore, score_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
 from verify.detection.fit import first_look, fit_spots, reweighted
 from verify.detection.judgement import FITTED, Judgement, joined, judge
-from verify.detection.kernel import SEEN
+from verify.detection.kernel import MEAN, OWN, SEEN, SIGNAL, USED, VISIBLE
 from verify.detection.model import Fit
 from verify.detection.noise import LIKELY, background_noise, refined
 from verify.detection.patches import Cut, cut_out, glance_at
@@ -25,6 +26,7 @@ from verify.records import Array, Image, Noise, Spots
 __all__ = ["detect", "estimate_noise"]
 
 APART = 0.5  # diameters: closer spots are one spot found twice
+RESIDUAL_ROWS = (MEAN, SIGNAL, USED, VISIBLE, OWN)
 Batch = tuple[Cut, Fit]
 
 
@@ -146,23 +148,27 @@ def residuals(
     batches: list[Batch], judgements: list[Judgement]
 ) -> tuple[Array, Array, NDArray[np.intp]]:
     """Squared residuals and signals on and around the brightest spots, for `refined`."""
-    speakers: list[tuple[float, Array, Array]] = []
-    for (cut, state), judgement in zip(batches, judgements, strict=True):
-        patches, own = cut.patches, state.used & (state.visible > SEEN)
-        core = state.own
-        count = (own & core).sum(axis=1)
-        for row in np.flatnonzero(judgement.sound & (count > 2 * FITTED)):
-            pixels = own[row]
-            # What the fit's parameters took, they took from the spot's own pixels.
-            paid = np.where(core[row, pixels], count[row] / (count[row] - FITTED), 1.0)
-            # Combined colours have a noise of their own; brought back to that of one channel.
-            square = np.square(patches.value[row] - state.mean[row])[pixels]
-            square *= paid / patches.read_share[row]
-            signal = state.signal[row, pixels] * patches.gain_share[row] / patches.read_share[row]
-            speakers.append((judgement.peak[row] / judgement.elongation[row], square, signal))
-    speakers = sorted(speakers, key=lambda speaker: -speaker[0])[:LIKELY]
-    squares, signals = [s for _, s, _ in speakers], [s for *_, s in speakers]
-    spot = np.repeat(np.arange(len(speakers)), [len(s) for s in squares])
+    speakers: list[tuple[float, Batch, np.intp]] = []
+    for batch, judgement in zip(batches, judgements, strict=True):
+        brightness = judgement.peak / judgement.elongation
+        speakers += [
+            (float(brightness[row]), batch, row) for row in np.flatnonzero(judgement.sound)
+        ]
+    squares, signals = [], []
+    for _, (cut, state), row in sorted(speakers, key=lambda speaker: -speaker[0]):
+        patches = cut.patches
+        square, signal = np.empty(patches.value.shape[1]), np.empty(patches.value.shape[1])
+        shares = np.array([patches.read_share[row], patches.gain_share[row]])
+        pixels, own = kernel_noise.gather_residuals(
+            patches.value[row], state.known[row], shares, RESIDUAL_ROWS, (SEEN, float(FITTED)),
+            square, signal,
+        )  # fmt: skip
+        if own > 2 * FITTED:
+            squares.append(square[:pixels])
+            signals.append(signal[:pixels])
+        if len(squares) == LIKELY:
+            break
+    spot = np.repeat(np.arange(len(squares)), [len(s) for s in squares])
     return np.concatenate([*squares, []]), np.concatenate([*signals, []]), spot
 
 

@@ -1,16 +1,14 @@
 """The noise of an image, read from the image itself: its dark parts, then its spots' residuals."""
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
+from verify.detection import kernel_noise
 from verify.records import Array, Image, Noise
 
-# Fourth difference along a line: cubic shading vanishes; white noise of variance v leaves 70 v.
-STENCIL = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
-STENCIL_GAIN = float(STENCIL @ STENCIL)
-LEVEL = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35  # local cubic fit: the level without bias
+# Fourth difference along a line: cubic shading vanishes; white noise of variance v leaves 70 v. The
+# level beside it is a local cubic's, which has no bias.
+STENCIL_GAIN, STENCIL_WIDTH = 70.0, 5
 MAD = 0.67449  # median of |x| over sigma, Gaussian
 TRIM = 3.0  # sigma; the variance within it is TRIMMED of the whole
 TRIMMED = 0.9733
@@ -44,28 +42,18 @@ def background_noise(image: Image) -> tuple[Noise, float]:
     grey = image if image.ndim == 2 else image[..., 1]
     rows = grey[:: max(len(grey) // ROWS, 1)]
     typical = Noise(TYPICAL_READ, TYPICAL_GAIN, 0.0)
-    if rows.shape[1] < len(STENCIL):
+    if rows.shape[1] < STENCIL_WIDTH:
         return typical, TYPICAL_SPREAD
-    row, column = np.nonzero((rows[:, 2:-2] > 0) & (rows[:, 2:-2] < 255))
-    values = np.array([rows[row, column + k] for k in range(len(STENCIL))])
-    values = values[:, (values.min(axis=0) > 0) & (values.max(axis=0) < 255)].astype(float)
-    level, difference = LEVEL @ values, np.abs(STENCIL @ values)
-    black = float(np.percentile(level, 1)) if values.shape[1] > rows.size // 2 else 0.0
-    best, spread, at = np.inf, TYPICAL_SPREAD, 0.0
-    order = np.argsort(level)
-    bounds = np.searchsorted(level[order], np.arange(CLEAR, 256.0 + CLASS, CLASS))
-    for part in (order[a:b] for a, b in pairwise(bounds) if b - a >= FEWEST):
-        size = difference[part]
-        inner = size[size <= TRIM * max(np.median(size) / MAD, 1.0)]
-        variance = float(inner @ inner) / len(inner) / TRIMMED / STENCIL_GAIN
-        dark = variance - TYPICAL_GAIN * float(level[part].mean() - black)
-        relative = float(np.sqrt(2 / (EFFECTIVE * len(inner))))
-        if dark + 2 * relative * variance < best:
-            best, spread, at = dark + 2 * relative * variance, relative, dark
-    if values.shape[1] < rows.size // 2 and at > TYPICAL_READ**2:
-        # What is not black here may be all texture.
-        return typical, TYPICAL_SPREAD
-    if not np.isfinite(best):
+    level, difference = np.empty(rows.size), np.empty(rows.size)
+    count = kernel_noise.stencils(rows, level, difference)
+    level, difference = level[:count], difference[:count]
+    black = kernel_noise.share_of(level, 0.01) if count > rows.size // 2 else 0.0
+    best, spread, at = kernel_noise.quietest(
+        level, difference, black, (CLEAR, CLASS, FEWEST), (MAD, TRIM, TRIMMED),
+        (STENCIL_GAIN, TYPICAL_GAIN, EFFECTIVE),
+    )  # fmt: skip
+    if not np.isfinite(best) or (count < rows.size // 2 and at > TYPICAL_READ**2):
+        # nothing unclipped, or what is not black here may be all texture
         return typical, TYPICAL_SPREAD
     return Noise(float(np.sqrt(max(at, QUANTISATION))), TYPICAL_GAIN, black), spread + TEXTURE
 
@@ -88,20 +76,9 @@ def refined(
     """
     if not len(spot):
         return noise
-    count = np.bincount(spot)
     dark = noise.read**2
     usual = np.array([1 / (dark_spread * dark), 1 / (TYPICAL_SPREAD * TYPICAL_GAIN)])
     line = np.array([dark, TYPICAL_GAIN])
-    for _ in range(3):  # which spots are clean settles in two rounds
-        variance = line[0] + line[1] * signal
-        misfit = np.bincount(spot, residual2 / variance) / count
-        clean = misfit <= CLEAN * misfit.min()
-        use = clean[spot]
-        weight = 1 / (np.sqrt(2) * variance[use])
-        rows = np.column_stack([weight, weight * signal[use]])
-        line = np.linalg.solve(
-            np.diag(usual**2) + rows.T @ rows,
-            usual**2 * [dark, TYPICAL_GAIN] + rows.T @ (weight * residual2[use]),
-        )
-        line = np.clip(line, [QUANTISATION, LOWEST_GAIN], [np.inf, HIGHEST_GAIN])
+    limits = (CLEAN, QUANTISATION, LOWEST_GAIN, HIGHEST_GAIN)
+    kernel_noise.variance_line(residual2, signal, spot, line, usual, limits)
     return Noise(float(np.sqrt(line[0])), float(line[1]), noise.black)

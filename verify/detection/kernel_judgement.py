@@ -1,0 +1,125 @@
+"""What a fit says about its spot, compiled: the arithmetic of judgement.py, a patch at a time."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.compiled import compiled
+from verify.detection.kernel import (
+    PARAMETERS,
+    PEAK,
+    SENSOR_LIMIT,
+    UNTOLD,
+    XX,
+    XY,
+    YY,
+    X,
+    Y,
+    tally,
+)
+from verify.records import Array
+
+# columns of a told spot
+CENTRE_X, CENTRE_Y, COVARIANCE_XX, COVARIANCE_XY, COVARIANCE_YY = range(5)
+DIAMETER, ELONGATION, MISFIT, SATURATED, MERGED, SOUND = range(5, 11)
+TOLD = 11
+
+
+@compiled
+def known_centre(information: Array, told: Array) -> None:
+    """Covariance of the centre, other parameters free, px²; nan where nothing is known."""
+    known = True
+    for a in range(PARAMETERS):
+        for b in range(PARAMETERS):
+            known = known and math.isfinite(information[a, b])
+    told[COVARIANCE_XX : COVARIANCE_YY + 1] = np.nan
+    if not known:
+        return
+    covariance = np.linalg.inv(information + UNTOLD * np.eye(PARAMETERS))
+    told[COVARIANCE_XX], told[COVARIANCE_XY] = covariance[X, X], covariance[X, Y]
+    told[COVARIANCE_YY] = covariance[Y, Y]
+
+
+@compiled
+def tell_shape(counted: Array, peak: float, limits: tuple[float, ...], told: Array) -> None:
+    """Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
+
+    Args:
+        counted: (4,), of `tally`.
+        peak: DN.
+        limits: FITTED, MISFIT, ROUGH, CHANCE, TOGETHER of judgement.py.
+        told: (11,), changed.
+    """
+    fitted, most, rough_most, chance, together = limits
+    count, squares, square_dn, full = counted[0], counted[1], counted[2], counted[3]
+    freedom = count - fitted
+    paid = max(freedom, 1.0)
+    misfit = squares / paid if freedom >= fitted else 1.0
+    rough = math.sqrt(square_dn / paid)
+    merged = misfit > most and rough > rough_most * min(peak, SENSOR_LIMIT)
+    excess = max(misfit - 1.0 - chance * math.sqrt(2.0 / paid), 0.0) if full == 0.0 else 0.0
+    told[COVARIANCE_XX : COVARIANCE_YY + 1] *= (
+        together * misfit if merged else 1.0 + together * excess
+    )
+    told[MISFIT], told[SATURATED], told[MERGED] = (
+        misfit,
+        1.0 if full > 0.0 else 0.0,
+        1.0 if merged else 0.0,
+    )
+
+
+@compiled
+def tell_all(
+    parameters: Array,
+    information: Array,
+    pixels: Array,
+    known: Array,
+    scale: Array,
+    origin: NDArray[np.int64],
+    size: tuple[int, int],
+    limits: tuple[float, ...],
+    bounds: tuple[float, float, float, float],
+    told: Array,
+) -> None:
+    """Judge n fits.
+
+    Args:
+        parameters: (n, 10).
+        information: (n, 10, 10).
+        pixels: (n, 4, p), as fitted.
+        known: (n, 10, p), of the pixels at the parameters.
+        scale: (n,), px.
+        origin: (n, 2), px, of each patch's centre pixel.
+        size: width and height of the picture, px.
+        limits: as for `tell_shape`.
+        bounds: FAINTEST, LONGEST, WANDERED, BORDER of judgement.py.
+        told: (n, 11), filled.
+    """
+    faintest, longest, wandered, border = bounds
+    counted = tally(pixels, known)
+    for n in range(len(parameters)):
+        p, row = parameters[n], told[n]
+        x, y = origin[n, 0] + p[X], origin[n, 1] + p[Y]
+        mean, split = (p[XX] + p[YY]) / 2.0, math.hypot((p[XX] - p[YY]) / 2.0, p[XY])
+        positive = mean > split
+        long = scale[n] / math.sqrt(mean - split) if positive else scale[n]
+        short = scale[n] / math.sqrt(mean + split) if positive else scale[n]
+        row[CENTRE_X], row[CENTRE_Y] = x, y
+        row[DIAMETER], row[ELONGATION] = long + short, long / short
+        known_centre(information[n], row)
+        tell_shape(counted[n], p[PEAK], limits, row)
+        rim = border * long - 0.5
+        inside = x > rim and y > rim and x < size[0] - 1.0 - rim and y < size[1] - 1.0 - rim
+        finite = True
+        for value in p:
+            finite = finite and math.isfinite(value)
+        sound = (
+            positive
+            and inside
+            and finite
+            and p[PEAK] * math.sqrt(information[n, PEAK, PEAK]) > faintest
+            and long < longest * short
+            and math.hypot(p[X], p[Y]) < wandered * scale[n] + 1.0
+        )
+        row[SOUND] = 1.0 if sound else 0.0

@@ -1,0 +1,194 @@
+"""The noise of an image, compiled: what noise.py sums up over pixels."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.compiled import compiled
+from verify.records import Array, Image
+
+
+@compiled
+def stencils(rows: Image, level: Array, difference: Array) -> int:
+    """Level and fourth difference at every place where nothing is clipped.
+
+    Args:
+        rows: (r, w), DN.
+        level: (r w,), filled from the begin: a local cubic's value, DN.
+        difference: (r w,), likewise: size of the fourth difference, DN.
+
+    Returns:
+        How many places there are.
+    """
+    count = 0
+    for r in range(rows.shape[0]):
+        row = rows[r]
+        for x in range(2, rows.shape[1] - 2):
+            clipped = False
+            for k in range(-2, 3):
+                clipped = clipped or row[x + k] == 0 or row[x + k] == 255
+            if clipped:
+                continue
+            a, b, c = float(row[x - 2]), float(row[x - 1]), float(row[x])
+            d, e = float(row[x + 1]), float(row[x + 2])
+            level[count] = (-3.0 * (a + e) + 12.0 * (b + d) + 17.0 * c) / 35.0
+            difference[count] = abs(a - 4.0 * b + 6.0 * c - 4.0 * d + e)
+            count += 1
+    return count
+
+
+@compiled
+def share_of(values: Array, share: float) -> float:
+    """A quantile of values (k,), k > 0, interpolated as numpy does; 0.5 is the median."""
+    place = share * (len(values) - 1)
+    low = int(place)
+    high = min(low + 1, len(values) - 1)
+    ordered = np.partition(values, low)
+    above = ordered[low]
+    if high > low:
+        above = np.min(ordered[high:])
+    return float(ordered[low] + (above - ordered[low]) * (place - low))
+
+
+@compiled
+def quietest(
+    level: Array,
+    difference: Array,
+    black: float,
+    classes: tuple[float, float, int],
+    trim: tuple[float, float, float],
+    gain: tuple[float, float, float],
+) -> tuple[float, float, float]:
+    """Find the class of brightness whose dark variance is least, its doubt included.
+
+    Args:
+        level: (k,), DN.
+        difference: (k,), DN.
+        black: DN.
+        classes: where the first begins (DN), how wide each is (DN), fewest members.
+        trim: MAD over sigma, sigma beyond which none counts, the share of variance within.
+        gain: of the stencil's variance, DN a DN of signal, share of independent stencils.
+
+    Returns:
+        The least (inf where no class has members enough), its relative spread, its dark variance.
+    """
+    begin, width, fewest = classes
+    mad, reach, within = trim
+    stencil_gain, shot, effective = gain
+    number = math.ceil((256.0 + width - begin) / width)
+    best, spread, at = np.inf, 0.0, 0.0
+    member = np.floor((level - begin) / width)
+    members = np.zeros(number)
+    for part in member:
+        if 0 <= part < number:
+            members[int(part)] += 1.0
+    for part in range(number - 1):
+        if members[part] < fewest:
+            continue
+        size = difference[member == part]
+        most = reach * max(share_of(size, 0.5) / mad, 1.0)
+        total, count = 0.0, 0
+        for value in size:
+            if value <= most:
+                total += value * value
+                count += 1
+        variance = total / count / within / stencil_gain
+        mean = 0.0
+        for k in range(len(level)):
+            if member[k] == part:
+                mean += level[k]
+        dark = variance - shot * (mean / len(size) - black)
+        relative = math.sqrt(2.0 / (effective * count))
+        if dark + 2.0 * relative * variance < best:
+            best, spread, at = dark + 2.0 * relative * variance, relative, dark
+    return best, spread, at
+
+
+@compiled
+def gather_residuals(
+    value: Array,
+    known: Array,
+    shares: Array,
+    rows: tuple[int, int, int, int, int],
+    limits: tuple[float, float],
+    square: Array,
+    signal: Array,
+) -> tuple[int, float]:
+    """Squared residuals and signals of one spot's unclipped pixels, for `refined`.
+
+    Args:
+        value: (p,), DN.
+        known: (10, p), of the pixels.
+        shares: (2,), read share and gain share of the patch.
+        rows: of `known`: MEAN, SIGNAL, USED, VISIBLE, OWN.
+        limits: SEEN, FITTED.
+        square: (p,), filled from the begin, DN².
+        signal: (p,), likewise, DN.
+
+    Returns:
+        How many pixels, and how many of them are the spot's own.
+    """
+    mean, above, used, visible, own = rows
+    seen, fitted = limits
+    count = 0.0
+    for k in range(len(value)):
+        if known[used, k] > 0.0 and known[visible, k] > seen and known[own, k] > 0.0:
+            count += 1.0
+    # what the fit's parameters took, they took from the spot's own pixels
+    paid = count / (count - fitted) if count > 2 * fitted else 1.0
+    pixels = 0
+    for k in range(len(value)):
+        if known[used, k] > 0.0 and known[visible, k] > seen:
+            off = value[k] - known[mean, k]
+            # combined colours have a noise of their own; brought back to that of one channel
+            square[pixels] = off * off * (paid if known[own, k] > 0.0 else 1.0) / shares[0]
+            signal[pixels] = known[above, k] * shares[1] / shares[0]
+            pixels += 1
+    return pixels, count
+
+
+@compiled
+def variance_line(
+    residual2: Array,
+    signal: Array,
+    spot: NDArray[np.int64],
+    line: Array,
+    usual: Array,
+    limits: tuple[float, float, float, float],
+) -> None:
+    """Regress squared residuals on signal, misfitting spots left out; `line` is changed.
+
+    Args:
+        residual2: (k,), DN².
+        signal: (k,), DN.
+        spot: (k,), which spot each pixel belongs to, from 0 without gaps.
+        line: (2,), dark variance and gain to begin with.
+        usual: (2,), one over their standard uncertainties.
+        limits: how much worse than the best a clean spot may be; least dark variance; least and
+            largest gain.
+    """
+    clean, darkest, lowest, highest = limits
+    first0, first1 = line[0], line[1]
+    spots = spot.max() + 1
+    for _ in range(3):  # which spots are clean settles in two rounds
+        misfit, count = np.zeros(spots), np.zeros(spots)
+        for k in range(len(spot)):
+            misfit[spot[k]] += residual2[k] / (line[0] + line[1] * signal[k])
+            count[spot[k]] += 1.0
+        misfit /= count
+        most = clean * misfit.min()
+        a, b, d = usual[0] ** 2, 0.0, usual[1] ** 2
+        u, v = a * first0, d * first1
+        for k in range(len(spot)):
+            if misfit[spot[k]] > most:
+                continue
+            weight = 0.5 / (line[0] + line[1] * signal[k]) ** 2
+            a += weight
+            b += weight * signal[k]
+            d += weight * signal[k] ** 2
+            u += weight * residual2[k]
+            v += weight * signal[k] * residual2[k]
+        determinant = a * d - b * b
+        line[0] = max((d * u - b * v) / determinant, darkest)
+        line[1] = min(max((a * v - b * u) / determinant, lowest), highest)
