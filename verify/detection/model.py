@@ -12,14 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.detection import kernel
+from verify.detection import kernel, kernel_priors
 from verify.detection.kernel import (
     FLOOR,
     PARAMETERS,
     PEAK,
-    SENSOR_LIMIT,
-    SLOPE_X,
-    SLOPE_Y,
     STEEPNESS,
     XX,
     YY,
@@ -146,27 +143,11 @@ class Fit:
 def expected(patches: Patches) -> Priors:
     """Say what is expected of each patch's spot before it is fitted."""
     n = len(patches.value)
-    value, valid, column, row = np.moveaxis(patches.pixels, 1, 0)
-    scale, valid = patches.scale[:, None], valid > 0
-    distance2 = column**2 + row**2
-    third = value.shape[1] * 3 // 10
-    floor = np.partition(value, third, axis=1)[:, third]
-    core = (distance2 <= (0.5 * scale + 0.5) ** 2) & valid
-    top = (value * core).sum(axis=1) / np.maximum(core.sum(axis=1), 1)
-    peak = np.where(top > SENSOR_LIMIT - 3, 1.3, 1.05) * np.maximum(top - floor, 1.0)
-    mean = np.zeros((n, PARAMETERS))
-    mean[:, PEAK], mean[:, FLOOR], mean[:, STEEPNESS] = peak, floor, START_STEEPNESS
-    mean[:, XX] = mean[:, YY] = 1.0
-    weight = np.zeros((n, PARAMETERS))
+    mean, weight = np.zeros((n, PARAMETERS)), np.zeros((n, PARAMETERS))
+    kernel_priors.expect_all(patches.pixels, patches.scale, mean, weight)
+    mean[:, STEEPNESS], mean[:, XX], mean[:, YY] = START_STEEPNESS, 1.0, 1.0
     weight[:, PEAK], weight[:, FLOOR] = PRIOR_PEAK**-2, PRIOR_FLOOR**-2
     weight[:, STEEPNESS], weight[:, XX : YY + 1] = PRIOR_STEEPNESS**-2, PRIOR_SHAPE**-2
-    # A slope costs the centre information, so it is let in as far as the surroundings have one.
-    ring = (distance2 > (2.3 * scale + 1) ** 2) & valid
-    # DN: a neighbour is not a slope
-    excess = np.minimum(np.maximum(value - floor[:, None], -30.0), 30.0) * ring
-    for parameter, axis in ((SLOPE_X, column), (SLOPE_Y, row)):
-        slope = (excess * axis).sum(axis=1) / np.maximum((ring * axis**2).sum(axis=1), 1)
-        weight[:, parameter] = 1 / (slope**2 + 1e-8)
     return Priors(mean, weight)
 
 
