@@ -22,7 +22,7 @@ from verify.recording.rows import pair_as_written, reading_as_written
 from verify.records import StereoPair
 
 PATIENCE = 0.02  # s: a pair is measured after it, on the disk or not
-REST = 0.015  # s from a pair's coming to its encoding, which would take the measurement's time
+REST = 0.02  # s from a pair's coming to its encoding, which would take the measurement's time
 LAG = 0.8  # s behind, and the recording ends: a kill must not cost a second
 BEFORE = 1.0  # s of readings before the first pair: they bracket it
 CLOSING = 10.0  # s: what is under way is given so long to reach the disk
