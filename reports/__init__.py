@@ -17,6 +17,7 @@ from reports import (
     identification,
     outline,
     pdf,
+    plan,
     registration,
 )
 from reports.blocks import Document
@@ -44,6 +45,7 @@ OUTLINES: dict[str, Callable[[Results], Document]] = {
     "fleet": fleet.document,
     "grab": grab.document,
     "identification": identification.document,
+    "plan": plan.document,
 }
 
 

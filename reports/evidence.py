@@ -1,24 +1,18 @@
 """The second half of a report: what the figures rest on."""
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 
 from reports import words
-from reports.blocks import Block, Bullets, Cell, Figure, Paragraph, Section, Table, row
+from reports.blocks import Block, Figure, Paragraph, Section, Table, row
 from reports.findings import clock_words, figure_or_words
-from reports.formatting import DASH, count, finite, joined, number, percent, significant, word
+from reports.formatting import DASH, count, finite, number, percent, word
 from reports.results import Results
 from reports.series import column, texts
 
 MEANS = (
     "A mean far from zero beside a small scatter speaks of an LED that sits elsewhere than the "
     "marker file says, or of a calibration that no longer holds."
-)
-PARTS = (
-    "Random parts are those of the mean, autocorrelation included; systematic parts do not average "
-    "out. Expanded: combined times its coverage factor."
 )
 
 
@@ -150,59 +144,3 @@ def pairs(results: Results) -> Section:
         made = tuple(row(words.said(words.CHOICES, name), count(n)) for name, n in choices.items())
         blocks.append(Table("How the LEDs were told apart.", "lr", ("Settled", "Pairs"), made))
     return Section("pairs", "Pairs rejected, and why", tuple(blocks))
-
-
-def budget(results: Results) -> Section:
-    """Break each joint's uncertainty down by source."""
-    blocks: list[Block] = []
-    table = results.table("budget")
-    if len(table) and {"joint", "source"} <= set(table.columns):
-        blocks.append(_budget_table(table, results.summary))
-    blocks.append(
-        figure_or_words(
-            results,
-            Figure(
-                "budget",
-                "Share of each source in the sum of the variances of a joint's mean error. What is "
-                "largest is what to improve first.",
-                "Stacked bars, one a joint: share of variance in percent by source.",
-            ),
-            "The uncertainty was not broken down by source.",
-        )
-    )
-    uncounted = (results.summary.get("budget") or {}).get("uncounted") or []
-    if uncounted:
-        named = joined([word(name) for name in uncounted])
-        text = (
-            f"Not counted, because their uncertainty is not stated: {named}. "
-            "They are taken as exact, and every uncertainty here holds on that condition."
-        )
-        blocks.append(Bullets((text,), "warning"))
-    else:
-        blocks.append(Paragraph("Every source that is known of is counted."))
-    return Section("budget", "Uncertainty budget", tuple(blocks))
-
-
-def _budget_table(table: pd.DataFrame, summary: dict[str, Any]) -> Table:
-    frame = table.assign(u=column(table, "standard_uncertainty_deg"), word=texts(table, "kind"))
-    joints = sorted(frame["joint"].dropna().unique().tolist())
-    rows = []
-    for (source, kind), part in frame.groupby(["source", "word"], sort=False, dropna=False):
-        by_joint = dict(zip(part["joint"].tolist(), part["u"].tolist(), strict=True))
-        cells = [significant(by_joint.get(joint)) for joint in joints]
-        rows.append(row(word(source).replace("_", " "), word(kind), *cells))
-    known = {joint.get("joint"): joint for joint in (summary.get("joints") or [])}
-    for label, key in (
-        ("combined", "standard_uncertainty_deg"),
-        ("expanded", "expanded_uncertainty_deg"),
-    ):
-        cells = [significant((known.get(joint) or {}).get(key)) for joint in joints]
-        rows.append(tuple(Cell(text, "total") for text in (label, "", *cells)))
-    return Table(
-        "Standard uncertainty of each joint's mean error by source, in degrees.",
-        "ll" + "r" * len(joints),
-        ("Source", "Kind", *(f"q{joint} [°]" for joint in joints)),
-        tuple(rows),
-        (PARTS,),
-        wide=(0,),
-    )

@@ -184,7 +184,9 @@ def budget_shares(table: pd.DataFrame) -> pd.DataFrame:
     if not {"joint", "source", "standard_uncertainty_deg"} <= set(table.columns):
         return pd.DataFrame()
     known = table.dropna(subset=["joint", "source", "standard_uncertainty_deg"])
-    variance = known.assign(variance=known["standard_uncertainty_deg"].astype(float) ** 2)
+    u = known["standard_uncertainty_deg"].astype(float)
+    # correlated sources that cancel take away from the sum; there is no bar for that
+    variance = known.assign(variance=(u * u.abs()).clip(lower=0.0))
     wide = variance.pivot_table(
         index="source", columns="joint", values="variance", aggfunc="sum", sort=False
     ).fillna(0.0)

@@ -38,8 +38,10 @@ SEEN = (
 )
 NAMED = (
     "A cause is named only where its fit beats every rival's by Δχ² ≥ 15 (at unequal numbers of "
-    "parameters: BIC by 10). Explains: share of the weighted errors that goes with it."
+    "parameters: BIC by 10). Explains: share of the weighted errors that goes with it. Runner-up: "
+    "the rival that fits best in its place, and by how much worse."
 )
+MOST_PAIRS = 30  # listed by their numbers; summary.json lists all
 
 
 def verdict(results: Results) -> Section:
@@ -212,32 +214,42 @@ def diagnosis(results: Results) -> Section:
         text = (
             "The data single out no cause: no fault beats its rivals by the margin that is asked."
         )
-        return Section("diagnosis", "Diagnosis", (Paragraph(text),))
-    rows = []
-    for entry in entries:
-        if entry.get("kind") == "ambiguous":
-            rivals = [words.candidate(c) for c in entry.get("candidates") or []]
-            name = f"ambiguous, one of: {'; '.join(rivals) or DASH}"
-        else:
-            name = words.cause(entry)
-        rows.append(
-            row(
-                name,
-                words.value(entry),
-                words.unit(entry),
-                percent(entry.get("explains")),
-                words.remedy(entry),
-            )
-        )
+        return Section("diagnosis", "Diagnosis", (Paragraph(text), *_outlying(results)))
     table = Table(
         "Causes of the errors found.",
-        "lrlrl",
-        ("Cause", "Value ± U", "Unit", "Explains", "What to do"),
-        tuple(rows),
+        "lrlrll",
+        ("Cause", "Value ± U", "Unit", "Explains", "Runner-up", "What to do"),
+        tuple(_cause_row(entry) for entry in entries),
         (NAMED,),
-        wide=(0, 4),
+        wide=(0, 4, 5),
     )
-    return Section("diagnosis", "Diagnosis", (table,))
+    return Section("diagnosis", "Diagnosis", (table, *_outlying(results)))
+
+
+def _cause_row(entry: dict[str, Any]) -> tuple[Cell, ...]:
+    unclear = entry.get("kind") == "ambiguous"
+    return row(
+        f"ambiguous, one of: {words.rivals(entry, '; ')}" if unclear else words.cause(entry),
+        DASH if unclear else words.value(entry),  # each candidate says its own
+        DASH if unclear else words.unit(entry),
+        percent(entry.get("explains")),
+        DASH if unclear else words.runner_up(entry),
+        words.remedy(entry),
+    )
+
+
+def _outlying(results: Results) -> tuple[Block, ...]:
+    """List the pairs that follow none of the causes."""
+    pairs = results.summary.get("outlying_pairs") or []
+    if not pairs:
+        return ()
+    shown = ", ".join(count(pair) for pair in pairs[:MOST_PAIRS])
+    more = f" and {count(len(pairs) - MOST_PAIRS)} more" if len(pairs) > MOST_PAIRS else ""
+    text = (
+        f"Left out of the diagnosis: {count(len(pairs))} of the pairs, which lie further off than "
+        f"noise explains (numbers {shown}{more}). They count in every other figure."
+    )
+    return (Paragraph(text, "note"),)
 
 
 def errors_over_time(results: Results) -> Section:

@@ -9,7 +9,7 @@ from reports.series import Array, column, texts
 
 JOINTS = 6
 LONGER = 1.15  # of the data, so that no line runs along the frame
-LEAST_SIDE = 0.45  # of a box in space, against its longest side
+LEAST_SIDE = 0.8  # of a box in space, against its longest side: a slim one is cut off
 LEAST_SPAN = 2.0  # °, of an axis: what is less is noise
 ROOM = 1.3  # times what the gripper leaves: an axis shows no more
 SIDES = (("left", "series_1"), ("right", "series_6"))
@@ -132,7 +132,7 @@ def margins(results: Results) -> Chart | None:
         allowed = margin.get(f"{key}_mm")
         if allowed:
             most = max(most, ROOM * float(allowed))
-            marks.append(Level(float(allowed), "tolerance", f"gripper leaves {what}"))
+            marks.append(Level(float(allowed), "tolerance", f"room {what}"))
     ends = (0.0, most) if most else None
     panel = Panel(tuple(marks), "u [mm]", "time [s]", y_range=ends, unit="mm")
     return Chart((panel,), row_height=1.7)

@@ -74,10 +74,8 @@ def _nonconform(results: Results) -> str:
     unclear = [e for e in (summary.get("diagnosis") or []) if e.get("kind") == "ambiguous"]
     what = _exceeding(summary, failing)
     if unclear:
-        rivals = [words.candidate(c) for c in unclear[0].get("candidates") or []]
-        return f"{what}; the data do not say whether by {' or '.join(rivals)}: " + (
-            words.remedy(unclear[0]) + "."
-        )
+        rivals = words.rivals(unclear[0], " or ")
+        return f"{what}; the data do not say whether by {rivals}: {words.remedy(unclear[0])}."
     return f"{what}, and no single cause accounts for it: look at the errors over time below."
 
 

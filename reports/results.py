@@ -33,6 +33,7 @@ COMMANDS = {  # what wrote a results folder, by the kind and the method in its s
     ("registration", "sweeps"): "`verify calibrate register` on the session",
     ("grab", None): "`verify grab`",
     ("identification", None): "`verify identify` on the sessions",
+    ("plan", None): "`verify plan` on the robot and the rig",
 }
 NAME = re.compile(
     r"[a-z0-9_]+"

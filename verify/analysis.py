@@ -15,14 +15,20 @@ from verify.description import describe
 from verify.errors import InputError
 from verify.instrument_misread import refuse_misread
 from verify.joints import Joints, solve_joints
-from verify.judgement.budget import RANDOM, budget
+from verify.judgement.budget import budget
+from verify.judgement.budget_words import drawn_table
 from verify.judgement.congruence import congruence
-from verify.judgement.diagnosis import diagnose
+from verify.judgement.diagnosis import examine
+from verify.judgement.diagnosis_detectable import detectable
 from verify.judgement.means import JointErrors, mean_errors
 from verify.judgement.model import Model, build, clock_effect, with_pan_noise
+from verify.judgement.monte_carlo import monte_carlo
 from verify.judgement.resolved import predicted, resolve
+from verify.judgement.sweep_words import sweeps_table
+from verify.judgement.sweeps import sweeps
 from verify.judgement.visibility import visibility
 from verify.measurement import measure
+from verify.performance.of_session import performed
 from verify.plausibility import refuse_radians
 from verify.readings import Readings
 from verify.records import Array
@@ -90,7 +96,7 @@ def analyse(
     if not len(comparison):
         raise _nothing_compared(session, track, reached=not unreachable)
     model = _model(session, track, clock, seen.systematics, comparison, joints)
-    return _judge(session, tolerance, seen, clock, model, joints, unreachable)
+    return _judge(session, tolerance, seen, clock, model, comparison, joints, unreachable)
 
 
 def _model(
@@ -189,6 +195,7 @@ def _judge(
     seen: Seen,
     clock: ClockEstimate,
     model: Model,
+    plain: Comparison,
     joints: Joints,
     unreachable: set[int],
 ) -> Results:
@@ -203,6 +210,16 @@ def _judge(
     resolved, relative = resolve(model), congruence(model)
     estimated = clock.standard_uncertainty if clock.source == "estimated" else None
     means = mean_errors(model, errors, resolved, estimated, systematics)
+    sources = budget(
+        model, plain, joints, errors, means, resolved, session, systematics, seen.track, clock
+    )
+    means = replace(means, coverage_factor=sources.coverage_factor)
+    measured = [m for m in seen.measurements if m.status == "measured"]
+    drawn = monte_carlo(session, measured, seen.track, plain, joints, systematics, clock)
+    given = clock.source == "given"
+    swept = sweeps(model, session, seen.track, systematics, clock_given=given)
+    frame = seen.track.frame[comparison.index]
+    diagnosis = examine(model, resolved, session.arm, session.rig)
     status, rows = _statuses(seen, comparison, unreachable)
     judged = Judged(
         session=session,
@@ -222,10 +239,14 @@ def _judge(
             through_encoders=model.through_encoders,
         ),
         means=means,
+        sources=sources,
+        drawn=drawn,
+        sweeps=swept,
+        frame=frame,
         visibility=visibility(model),
         resolved=resolved,
         relative=relative,
-        causes=diagnose(model, resolved),
+        diagnosis=diagnosis,
         flange=_flange(model, estimated),
         through_encoders=model.through_encoders,
         uncounted=uncounted(systematics, clock),
@@ -240,15 +261,17 @@ def _judge(
         "resolved": resolved_table(comparison, resolved, seen.track.frame[comparison.index]),
         "relative": relative_table(relative, seen.track.frame[comparison.index]),
         "clock_curve": pd.DataFrame(clock.curve, columns=["offset_s", "cost"]),
-        "budget": budget(
-            model, errors, means, joints.inverse, systematics, seen.track,
-            clock,
-        ),
+        "budget": sources.lines,
+        "budget_parameters": sources.parameters,
+        "monte_carlo": drawn_table(drawn, frame),
+        "sweeps": sweeps_table(swept, frame),
+        "detectable": detectable(diagnosis.products),
     }  # fmt: skip
-    if session.instrument is not None:  # no pixel was looked at, no two instants were aligned
-        tables["budget"] = tables["budget"].replace({"source": {RANDOM: "instrument, readings"}})
     images = {"pair": seen.preview} if seen.preview is not None else {}
-    return Results(summarise(judged), describe(session), tables, images)
+    repeated, repeated_tables = performed(session, model, clock.offset)
+    return Results(
+        summarise(judged) | repeated, describe(session), tables | repeated_tables, images
+    )
 
 
 def _tolerance(session: Session, override: Tolerance | None) -> Tolerance:

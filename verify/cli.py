@@ -19,6 +19,7 @@ from verify.commands.doctor import doctor
 from verify.commands.emulate import emulate
 from verify.commands.grab import grab
 from verify.commands.identify import identify
+from verify.commands.plan import plan
 from verify.commands.report import report
 from verify.commands.robots import robots
 from verify.commands.run import run
@@ -47,7 +48,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,  # an unknown error shows Python's own traceback
     rich_markup_mode=None,
 )
-for command in (run, batch, identify, grab, report, board, simulate, robots, emulate, doctor):
+for command in (run, batch, identify, plan, grab, report, board, simulate, robots, emulate, doctor):
     app.command(epilog=EVERYWHERE)(command)
 app.add_typer(calibrate, name="calibrate", epilog=EVERYWHERE)
 

@@ -55,6 +55,14 @@ class RobotFramesTable(msgspec.Struct, kw_only=True):
     tip: str | None = None
 
 
+class StretchTable(msgspec.Struct, kw_only=True):
+    """The keys of [[pose]] and of [[path]]."""
+
+    name: str
+    t_start_s: float
+    t_end_s: float
+
+
 class PosesTable(msgspec.Struct, kw_only=True):
     """The keys of [poses]."""
 
@@ -83,6 +91,8 @@ class RunTable(msgspec.Struct, kw_only=True):
     tolerance: ToleranceTable | None = None
     environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
     robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
+    pose: list[StretchTable] = []
+    path: list[StretchTable] = []
 
 
 class RecordingTable(RunTable, kw_only=True):
@@ -119,6 +129,11 @@ class _HoldsTable(msgspec.Struct, kw_only=True):
     poses: PosesTable | None = None
 
 
+class _StretchesTable(msgspec.Struct, kw_only=True):
+    pose: list[StretchTable] = []
+    path: list[StretchTable] = []
+
+
 T = TypeVar("T", bound=RunTable)
 
 
@@ -137,6 +152,15 @@ class Tolerance:
     joints: Array | None  # (n,), rad, bounds the error at every pose
     position: float | None  # m
     orientation: float | None  # rad
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A stretch of time that session.toml names: a visit of a pose, a passage of a path."""
+
+    name: str
+    start: float  # s, cameras' clock
+    end: float
 
 
 def read(path: Path) -> tuple[SessionTable, tuple[str, ...]]:
@@ -163,6 +187,20 @@ def holds_poses(path: Path) -> bool:
         InputError: it is no session.toml, or its [poses] is none.
     """
     return decode(path, _HoldsTable)[0].poses is not None
+
+
+def stretches(path: Path) -> tuple[tuple[Stretch, ...], tuple[Stretch, ...]]:
+    """Read [[pose]] and [[path]] of a session.toml that is known to be one.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    table = decode(path, _StretchesTable)[0]
+    poses, paths = (
+        tuple(Stretch(one.name, one.t_start_s, one.t_end_s) for one in named)
+        for named in (table.pose, table.path)
+    )
+    return poses, paths
 
 
 def read_poses(path: Path) -> tuple[PosesSessionTable, tuple[str, ...]]:
@@ -211,7 +249,18 @@ def _checked(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
         not_negative(path, f"clock.{key}", table.clock.encoder_offset_standard_uncertainty_s)
     for key in ("resolution_deg", "time_standard_uncertainty_s"):
         not_negative(path, f"encoder_readings.{key}", getattr(table.encoder_readings, key))
+    for key in ("pose", "path"):
+        _check_stretches(path, key, getattr(table, key))
     return table, warnings
+
+
+def _check_stretches(path: Path, key: str, named: list[StretchTable]) -> None:
+    for index, one in enumerate(named):
+        if not one.name.strip():
+            raise fault(path, f"{key}[{index}].name", "is empty", "a name is expected")
+        if one.t_end_s <= one.t_start_s:
+            expected = f"a time after t_start_s, {one.t_start_s}, is expected"
+            raise fault(path, f"{key}[{index}].t_end_s", f"is {one.t_end_s}", expected)
 
 
 def clock(table: ClockTable | None) -> Clock | None:

@@ -1,22 +1,40 @@
 """summary.json: what docs/results.md promises, from what was judged."""
 
 import math
+import platform
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
+import numba
 import numpy as np
+import scipy
 
 from verify import __version__
 from verify.clock import ClockEstimate
 from verify.combinations import Combination
 from verify.comparison import Comparison
 from verify.joints import Joints
+from verify.judgement.budget import Budget
+from verify.judgement.budget_words import budget_entry, drawn_entry
+from verify.judgement.causes_words import entry_of
 from verify.judgement.congruence import Congruence
-from verify.judgement.diagnosis import Cause
+from verify.judgement.diagnosis import Diagnosis
 from verify.judgement.means import Means
+from verify.judgement.monte_carlo import MonteCarlo
 from verify.judgement.resolved import Resolved
-from verify.judgement.verdict import RULE, Verdict, judge_joint, judge_norm, overall
+from verify.judgement.sweep_words import sweep_entries
+from verify.judgement.sweeps import Sweep
+from verify.judgement.verdict import (
+    FALSE_ALARM,
+    GUARD,
+    RULE,
+    Verdict,
+    judge_joint,
+    judge_norm,
+    overall,
+)
 from verify.judgement.visibility import Visibility
 from verify.records import Array
 from verify.session import Session, Tolerance
@@ -38,10 +56,14 @@ class Judged:
     joints: Joints
     combinations: list[Combination]
     means: Means
+    sources: Budget
+    drawn: MonteCarlo | None
+    sweeps: list[Sweep]
+    frame: Array  # (n,), number of each compared pair
     visibility: Visibility
     resolved: Resolved
     relative: Congruence | None
-    causes: list[Cause]
+    diagnosis: Diagnosis
     flange: tuple[Array, Array]  # (6,) mean error twist and (6, 6) its covariance
     through_encoders: bool  # base or LEDs were fitted through the encoders: errors are residuals
     uncounted: tuple[str, ...]
@@ -62,6 +84,7 @@ def summarise(judged: Judged) -> dict[str, Any]:
         "session": {
             "path": str(session.folder),
             "robot": session.robot,
+            "robot_fingerprint": f"sha256:{session.arm.fingerprint}",
             "description": session.description,
             "started": session.started,
             **({} if session.instrument is None else {"instrument": session.instrument.name}),
@@ -79,13 +102,56 @@ def summarise(judged: Judged) -> dict[str, Any]:
         "position": _flange(judged, position, slice(0, 3), MILLIMETRE, "mm"),
         "orientation": _flange(judged, orientation, slice(3, 6), DEGREE, "deg"),
         "relative_motions": _relative(judged.relative),
-        "diagnosis": [_cause(c) for c in judged.causes],
-        "budget": {"uncounted": list(judged.uncounted)},
+        "diagnosis": [entry_of(c) for c in judged.diagnosis.causes],
+        "outlying_pairs": [int(f) for f in judged.frame[judged.diagnosis.outlying]],
+        "budget": {
+            **budget_entry(judged.sources, judged.uncounted),
+            "monte_carlo": drawn_entry(judged.drawn, judged.frame),
+        },
+        "sweeps": sweep_entries(judged.sweeps, judged.frame),
+        "decision": _decision(judged),
+        "software": _software(),
         "inputs": dict(sorted(session.inputs.items())),
         "warnings": judged.warnings,
         "combinations": [_combination(c) for c in judged.combinations],
         "choices": dict(sorted(judged.choices.items())),
         "known_dof": max((b.shape[1] for b in judged.comparison.determined), default=0),
+    }
+
+
+def _decision(judged: Judged) -> dict[str, Any]:
+    """The decision rule's figures, for a program that checks the verdicts."""
+    fit = judged.resolved.fit
+    return {
+        "guard": GUARD,
+        "false_alarm": FALSE_ALARM,
+        "fitted_terms": [list(terms) for terms in judged.resolved.terms],
+        "lack_of_fit": judged.resolved.lack_of_fit,
+        "chi2": number(fit.chi2),
+        "degrees_of_freedom": fit.degrees_of_freedom,
+        "tolerance_from": _tolerance_from(judged),
+    }
+
+
+def _tolerance_from(judged: Judged) -> str | None:
+    """Who asked for the tolerances: the session's file, or whoever had it judged."""
+    used, own = judged.tolerance, judged.session.tolerance
+    parts = used.joints, used.position, used.orientation
+    if all(part is None for part in parts):
+        return None
+    given = (None, None, None) if own is None else (own.joints, own.position, own.orientation)
+    alike = (np.array_equal(np.array(a), np.array(b)) for a, b in zip(parts, given, strict=True))
+    return "session.toml" if all(alike) else "command line"
+
+
+def _software() -> dict[str, str]:
+    """Versions of what the figures depend on beside this program."""
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "numba": numba.__version__,
+        "opencv": cv2.__version__,
     }
 
 
@@ -198,22 +264,6 @@ def _relative(found: Congruence | None) -> dict[str, Any] | None:
         "p_value": number(found.p_value),
         "detectable_offset_deg": [number(float(d) * DEGREE) for d in found.detectable],
     }
-
-
-def _cause(cause: Cause) -> dict[str, Any]:
-    scale = DEGREE if cause.unit == "deg" else 1.0
-    worded: dict[str, Any] = {
-        "joint": cause.joint,
-        "kind": cause.kind,
-        "value": number(cause.value * scale),
-        "unit": cause.unit,
-        "standard_uncertainty": number(cause.standard_uncertainty * scale),
-        "expanded_uncertainty": number(2 * cause.standard_uncertainty * scale),
-        "explains": number(cause.explains),
-    }
-    if cause.candidates:
-        worded["candidates"] = [{"joint": c.joint, "kind": c.kind} for c in cause.candidates]
-    return worded
 
 
 def _combination(found: Combination) -> dict[str, Any]:

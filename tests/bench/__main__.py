@@ -1,12 +1,13 @@
 """Every benchmark in one run, as ratios: `make bench`.
 
-python -m tests.bench [NAME…]     detection, corners, chain, ik, memory, tracking, batch; or all
+python -m tests.bench [NAME…]     detection, corners, chain, ik, memory, tracking, batch,
+                                  monte_carlo; or all
 """
 
 import sys
 from collections.abc import Callable, Iterator
 
-from tests.bench import batch, chain, corners, detection, ik, memory, tracking
+from tests.bench import batch, chain, corners, detection, ik, memory, monte_carlo, tracking
 
 BENCHES: dict[str, Callable[[], Iterator[str]]] = {
     "detection": detection.lines,
@@ -16,6 +17,7 @@ BENCHES: dict[str, Callable[[], Iterator[str]]] = {
     "memory": memory.lines,
     "tracking": tracking.lines,
     "batch": batch.lines,
+    "monte_carlo": monte_carlo.lines,
 }
 
 

@@ -21,7 +21,8 @@ from verify.emulators.melfa import ControllerOptions, MelfaEngine
 from verify.emulators.melfa_arm import MelfaArm
 from verify.grab.gripper import GripperDriver
 from verify.grab.gripper_reader import GripperSettings
-from verify.grab.loop import Hands, Loop
+from verify.grab.loop import Loop
+from verify.grab.loop_orders import Hands
 from verify.grab.loop_steps import SteppedArm
 from verify.grab.loop_target import Aim
 from verify.grab.melfa_motion import MelfaMover

@@ -1,6 +1,7 @@
 """`verify grab --sim` as a user runs it: exit status, what is left behind, what is said."""
 
 import json
+import math
 import os
 import re
 import time
@@ -126,3 +127,16 @@ def test_keys_become_orders_and_others_are_named(capsys: pytest.CaptureFixture[s
     assert list(keys.pressed()) == [Event.GRAB, Event.HOLD]
     assert keys.pressed() == []
     assert '"x" is no key' in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_turning_bases_are_recorded_as_they_stood(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ("--sim", "--execute", "--auto", "--small", "--seed", "4", "--turning", "-o", str(out))
+    status, said = verify_grab(*words)
+    assert status == 0
+    assert "holding-stale" in said
+    pans = [math.degrees(pair.pan_left) for pair in open_session(out / "session").pairs()]
+    stood = [pans[0], pans[0] + 3.0, pans[0] - 2.0]
+    assert all(min(abs(pan - angle) for angle in stood) < 0.02 for pan in pans)
+    assert all(min(abs(pan - angle) for pan in pans) < 0.02 for angle in stood)

@@ -63,10 +63,10 @@ def test_all_that_the_outline_says_stands_on_the_page(
 
 
 def test_the_sections_stand_in_the_order_of_the_outline(html: Callable[[str], str]) -> None:
-    titles = [section(made.nonconforming()).title for section in SECTIONS]
+    titles = [section.title for section in document(made.nonconforming()).sections]
     found = re.findall(r"<h2[^>]*>.*?</span> (.*?)</h2>", html("nonconforming"))
     assert found == titles
-    assert len(titles) == 11
+    assert len(titles) == len(SECTIONS) - 1  # nothing is said of repeated poses
 
 
 @pytest.mark.parametrize("name", ["nonconforming", "hostile"])

@@ -8,14 +8,21 @@ from pathlib import Path
 import pytest
 
 import reports
-from reports import calibration, fleet, outline, registration
+from reports import calibration, fleet, grab, identification, outline, registration
 from reports.blocks import Document, Facts, Paragraph, Section, Table, figures, row
 from reports.charts import Chart
 from reports.charts import Path as Way
 from reports.language import ENGLISH, LONGEST, PAGE, Language
 from reports.language_file import language
 from reports.results import Results
-from tests.reports import made, made_calibration, made_fleet, test_calibration_check_report
+from tests.reports import (
+    made,
+    made_calibration,
+    made_fleet,
+    made_grab,
+    test_calibration_check_report,
+    test_identification_report,
+)
 from tests.reports import test_calibration_report as calibrations
 from verify.calibration.results import results as worded
 
@@ -24,10 +31,13 @@ OUTLINES = {
     "calibration": calibration.document,
     "registration": registration.document,
     "fleet": fleet.document,
+    "grab": grab.document,
+    "identification": identification.document,
 }
 USERS_OWN = {  # names, descriptions and sources that somebody chose; none of them is the report's
     "all joints moving, one at fault", "dowel hole of the flange", "paper, table 1", "boards",
     "conform: |ê| + 1.645 u ≤ tolerance at every pair (95 %)", "furlong", "session", "held",
+    "monday",
     "frames.csv: column temperature is not known and was left alone.", "novel kind of joint 1",
     "ambiguous, one of: something said in words; constant offset of joint 6, +0.100°",
     "4 LEDs move together.", "lab/bad: has no frames.csv.", "frames.csv: no pan.",
@@ -49,6 +59,10 @@ def every() -> dict[str, Results]:
     found |= {f"check, {n}": make for n, make in test_calibration_check_report.EVERY.items()}
     found |= {f"fleet, {make.__name__}": make for make in (made_fleet.quiet, made_fleet.young)}
     found["fleet, changed"] = lambda: made_fleet.changed(date(2025, 6, 10))
+    found["grab"] = made_grab.whole
+    found["grab, nothing seen"] = lambda: Results({"kind": "grab", "state": "idle"}, {}, {})
+    found["identification, geometry"] = lambda: test_identification_report.made(1.0, outlying=True)
+    found["identification, bare"] = lambda: Results({"kind": "identification"}, {}, {})
     found["run, long"] = lambda: made.long(12_000)
     found["calibration, one flat board after the other"] = flat
     return {name: make() for name, make in found.items()}

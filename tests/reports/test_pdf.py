@@ -8,7 +8,7 @@ import typst
 import reports
 from reports import pdf as pdf_format
 from reports.blocks import Table
-from reports.outline import SECTIONS, document
+from reports.outline import document
 from tests.reports import made
 from tests.reports.conftest import files_of
 
@@ -26,7 +26,7 @@ def test_nothing_in_the_pdf_tells_when_it_was_made(pdf: Callable[[str], bytes]) 
 def test_the_sections_stand_in_the_order_of_the_outline(name: str) -> None:
     results = made.EVERY[name]()
     found = json.loads(typst.query(files_of(name), "heading", field="body", **pdf_format.FONTS))
-    titles = [section(results).title for section in SECTIONS]
+    titles = [section.title for section in document(results).sections]
     assert [heading["text"] for heading in found] == titles
 
 

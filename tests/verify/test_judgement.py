@@ -10,7 +10,7 @@ from tests.verify.motions import ARM, make_track, read, swinging
 from tests.verify.scene import make_marker, make_rig
 from verify.clock import ClockEstimate
 from verify.comparison import Comparison, compare
-from verify.judgement.diagnosis import Cause, diagnose
+from verify.judgement.diagnosis import Cause, examine
 from verify.judgement.model import Model, build
 from verify.judgement.resolved import resolve
 from verify.judgement.verdict import judge_joint
@@ -41,7 +41,7 @@ def model_of(
 
 
 def diagnosed(model: Model) -> list[Cause]:
-    return diagnose(model, resolve(model))
+    return examine(model, resolve(model)).causes
 
 
 def test_with_base_and_leds_from_the_encoders_joints_1_and_6_are_invisible() -> None:

@@ -38,6 +38,9 @@ def grab(
         bool,
         typer.Option("--stop-and-go", help="--sim: one move at a time, as MELFA takes them."),
     ] = False,
+    turning: Annotated[
+        bool, typer.Option("--turning", help="--sim: the camera bases turn meanwhile.")
+    ] = False,
     page: Annotated[
         bool,
         typer.Option("--page", help="Serve a page: pictures, state, plan; select, grab, stop."),
@@ -97,8 +100,9 @@ def grab(
     shown = PageWish(page_port, page_address, page_token) if page else None
     wish = Wish(colour, roi, execute, auto, duration, shown)
     if station is not None:
-        if seed or small or stop_and_go:
-            raise typer.BadParameter("--seed, --small and --stop-and-go are for --sim")
+        if seed or small or stop_and_go or turning:
+            said = "--seed, --small, --stop-and-go and --turning are for --sim"
+            raise typer.BadParameter(said)
         from verify.commands.grabbing_station import Ports, grab_on_station
 
         good = grab_on_station(station, Ports(cell, gripper), wish, out, force=force)
@@ -108,6 +112,12 @@ def grab(
         from verify.commands.grabbing_cell import grab_simulated
 
         good = grab_simulated(
-            wish, out, seed=seed, small=small, stop_and_go=stop_and_go, force=force
+            wish,
+            out,
+            seed=seed,
+            small=small,
+            stop_and_go=stop_and_go,
+            turning=turning,
+            force=force,
         )
     return 0 if good else DID_NOT

@@ -8,16 +8,25 @@ from verify.commands.grabbing import Stage, Wish, conduct, in_words
 from verify.commands.grabbing_page import OnPage
 from verify.grab.motion_port import ExecuteRight
 from verify.grab.record import Told
+from verify.live.pan_book import PanBook
 from verify.recording.part import Facts
 from verify.results_folder import refuse_existing
 from verify.sim.cell import RATE
 from verify.sim.cell_grab import cell_grab
-from verify.sim.cell_scene import COLOURS, drawn_scene
+from verify.sim.cell_scene import COLOURS, drawn_scene, with_turns
 from verify.sim.cell_setup import FULL, ROBOT, SMALL, CellSetup, cell_setup
+from verify.warm_up import warm_up
 
 
 def grab_simulated(
-    wish: Wish, out: Path, *, seed: int, small: bool, stop_and_go: bool, force: bool
+    wish: Wish,
+    out: Path,
+    *,
+    seed: int,
+    small: bool,
+    stop_and_go: bool,
+    turning: bool,
+    force: bool,
 ) -> bool:
     """Grab in the simulated cell; see `conduct`.
 
@@ -27,6 +36,7 @@ def grab_simulated(
         seed: which cell is drawn.
         small: pictures of 640 x 360.
         stop_and_go: the arm takes one move at a time.
+        turning: the camera bases turn meanwhile.
         force: write into a folder that exists.
 
     Raises:
@@ -34,23 +44,36 @@ def grab_simulated(
     """
     refuse_existing(out, force=force)
     target, ends = wish.given, wish.ends
-    setup = cell_setup(SMALL if small else FULL)
+    setup = cell_setup(SMALL if small else FULL, turning=turning)
     scene = drawn_scene(seed, wish.colour if wish.colour in COLOURS else "blue")
+    scene = with_turns(scene) if turning else scene
+    bases = PanBook() if turning else None
     watched = wish.page is not None
     by_key = wish.execute and (watched or not wish.auto)
     right = ExecuteRight("--execute") if wish.execute else None
     paced = watched or by_key
-    made = cell_grab(setup, scene, target, right, auto=wish.auto, stepped=stop_and_go, paced=paced)
+    warm_up()  # compiling while the arm waits would look like stale pictures
+    made = cell_grab(
+        setup,
+        scene,
+        target,
+        right,
+        auto=wish.auto,
+        stepped=stop_and_go,
+        paced=paced,
+        bases=bases,
+    )
     told = Told(ROBOT, in_words(target), "simulated", wish.execute, datetime.now(UTC))
     page = None
     if wish.page is not None:
         page = OnPage(wish.page, setup.planner, setup.rig, selects=target is None)
     workspace = setup.planner.workspace
-    stage = Stage(made.loop, made.source, workspace, _facts(setup), told, RATE, by_key, page)
+    facts = _facts(setup, turning=turning)
+    stage = Stage(made.loop, made.source, workspace, facts, told, RATE, by_key, page)
     return conduct(stage, ends, out, force=force)
 
 
-def _facts(setup: CellSetup) -> Facts:
+def _facts(setup: CellSetup, *, turning: bool) -> Facts:
     return Facts(
         robot=ROBOT,
         joints=len(setup.home),
@@ -59,5 +82,5 @@ def _facts(setup: CellSetup) -> Facts:
             "marker.toml": marker_file.encode(setup.marker),
         },
         tables={"description": "a grab in the simulated cell", "clock": {"encoder_offset_s": 0.0}},
-        turning=False,
+        turning=turning,
     )

@@ -1,7 +1,6 @@
 """`verify grab STATION`: real cameras, a MELFA controller and a gripper as the stage of a grab."""
 
 import os
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -13,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from robots.transforms import invert
 from verify import station_file
-from verify.cameras import Camera
 from verify.commands.grabbing import STDIN, Stage, Wish, conduct, in_words
 from verify.commands.grabbing_page import OnPage
+from verify.commands.grabbing_pairs import LivePairs
 from verify.devices import EncoderReading
 from verify.devices.intake import AngleMap
 from verify.devices.ports import host_and_port, open_port
@@ -27,28 +25,26 @@ from verify.grab.emulated import OnlyEmulators, is_emulated_gripper, is_emulated
 from verify.grab.flange_watch import FlangeWatch
 from verify.grab.gripper import GripperDriver
 from verify.grab.gripper_reader import GripperSettings
-from verify.grab.loop import Hands, Loop
+from verify.grab.loop import Loop
 from verify.grab.loop_closed import ClosedAim, WatchedSource
+from verify.grab.loop_orders import Hands
 from verify.grab.loop_steps import SteppedArm
 from verify.grab.loop_target import Aim
 from verify.grab.melfa_motion import MelfaMover
 from verify.grab.melfa_motion_settings import MotionSettings, MoveLimits
 from verify.grab.motion_port import ExecuteRight
-from verify.grab.plan import Planner, planner
+from verify.grab.plan import Planner
+from verify.grab.plan_cameras import among_cameras
 from verify.grab.record import Told
 from verify.grab.target import Options
 from verify.grab.target_tracking import Tracker
-from verify.grab.workspace import camera_places
-from verify.live.intake import Pump
-from verify.live.pairing import FramePair, Pairing
-from verify.records import StereoPair
 from verify.results_folder import refuse_existing
-from verify.rig import Rig
 from verify.sim.devices import SimulatedStation
 from verify.station import Station, open_station
 from verify.station_tables import EncodersTable
 from verify.terminal import terminal
 from verify.toml_file import fault
+from verify.warm_up import warm_up
 
 CELL = "grab.toml"  # beside the station file
 HALF_WIDTH = 0.05  # s: within which the controller reads its joints, as far as it tells
@@ -82,10 +78,10 @@ def grab_on_station(path: Path, ports: Ports, wish: Wish, out: Path, *, force: b
     cell, warnings = cell_file.read(cell_path, station.arm.dof)
     for warning in (*station.warnings, *warnings):
         terminal.warn(warning)
-    rig = station.rig
-    places = [camera.rig_T_camera(camera.pan) for camera in (rig.left, rig.right)]
-    setup = planner(station.arm, cell, camera_places(invert(rig.rig_T_base), places))
+    rig, turning = station.rig, station.facts.turning
+    setup = among_cameras(station.arm, cell, rig, turning=turning)
     tracker = None if target is None else Tracker(rig, target, Options())
+    warm_up()  # compiling while the arm waits would look like stale pictures
     with ExitStack() as stack:
         began = time.monotonic()
 
@@ -93,8 +89,8 @@ def grab_on_station(path: Path, ports: Ports, wish: Wish, out: Path, *, force: b
             return time.monotonic() - began
 
         joints, hands = _devices(station, setup, ports, wish, stack, began)
-        left, right = station.open_cameras()
-        source = LivePairs(left, right, rig, station.rate, began)
+        cameras, pan = station.open_cameras(), station.open_pan()
+        source = LivePairs(cameras, pan, rig, station.rate, began)
         stack.callback(source.close)
         watch = _watch(station, setup, stack)
         # nothing stands above the target that may not move: there is no hand to look at
@@ -103,7 +99,7 @@ def grab_on_station(path: Path, ports: Ports, wish: Wish, out: Path, *, force: b
         started = datetime.now(UTC)
         told = Told(station.robot, in_words(target), station.name, wish.execute, started)
         tables = {"description": f"a grab at {station.name}"}
-        facts = replace(station.facts, tables=tables, turning=False, time_stated=False)
+        facts = replace(station.facts, tables=tables, turning=turning, time_stated=False)
         seen = WatchedSource(source, watch)
         page = None if wish.page is None else OnPage(wish.page, setup, rig, selects=target is None)
         stage = Stage(loop, seen, setup.workspace, facts, told, station.rate, wish.execute, page)
@@ -115,70 +111,6 @@ def _watch(station: Station, setup: Planner, stack: ExitStack) -> FlangeWatch:
     worker = ThreadPoolExecutor(1, "flange")
     stack.callback(worker.shutdown, cancel_futures=True)
     return FlangeWatch(setup.arm, station.rig, station.marker, worker.submit)
-
-
-class LivePairs:
-    """The newest pair of two cameras that run freely; fixed bases, as the rig says.
-
-    Args:
-        left: camera; closed with this.
-        right: likewise.
-        rig: where they stand.
-        rate: Hz, of the loop.
-        began: s, host's monotonic clock: zero of the pairs' times.
-    """
-
-    def __init__(self, left: Camera, right: Camera, rig: Rig, rate: float, began: float) -> None:
-        self._rig, self._period, self._began = rig, 1 / rate, began
-        self._pairing, self._lock = Pairing(1 / rate), threading.Lock()
-        self._newest: FramePair | None = None
-        self._cameras = (left, right)
-        self._frame, self._due = 0, time.monotonic()
-        self._pumps = [
-            Pump(name, self._step(side), _defect) for side, name in enumerate(("left", "right"))
-        ]
-        for pump in self._pumps:
-            pump.start()
-
-    def pair(self) -> StereoPair | None:
-        """Take the newest pair; None where none has come since last time."""
-        with self._lock:
-            taken, self._newest = self._newest, None
-        if taken is None:
-            return None
-        self._frame += 1
-        left, right, rig = taken.left, taken.right, self._rig
-        times = (left.t - self._began, right.t - self._began)
-        pans = (rig.left.pan, rig.right.pan)
-        return StereoPair(self._frame - 1, *times, *pans, left.image, right.image)
-
-    def wait(self) -> None:
-        """Wait until the next turn is due."""
-        self._due = max(self._due + self._period, time.monotonic())
-        time.sleep(max(0.0, self._due - time.monotonic()))
-
-    def close(self) -> None:
-        """Let go of the cameras."""
-        for pump in self._pumps:
-            pump.stop()
-        for pump, camera in zip(self._pumps, self._cameras, strict=True):
-            pump.join(1.0)
-            camera.close()
-
-    def _step(self, side: int) -> Callable[[], bool]:
-        def step() -> bool:
-            frame = self._cameras[side].read()
-            if frame is None:
-                return False
-            with self._lock:
-                self._newest = self._pairing.add(side, frame, time.monotonic()) or self._newest
-            return True
-
-        return step
-
-
-def _defect(name: str, error: Exception) -> None:
-    terminal.warn(f"{name} camera: {error}")
 
 
 def _devices(

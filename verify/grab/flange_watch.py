@@ -1,4 +1,4 @@
-"""Looks at the flange's LEDs while the arm stands: the chain of `verify run`, on still pictures."""
+"""Looks at the flange's LEDs while the arm stands, picture by picture, beside the loop."""
 
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -10,22 +10,18 @@ import numpy as np
 import robots
 from robots import DhArm
 from robots.transforms import difference, invert
-from verify.detection import detect
 from verify.devices import EncoderReading
-from verify.grab.hand_off import LARGEST, LedSight
+from verify.grab.flange_still import SEARCHED, TURNED, measured_still
+from verify.grab.hand_off import LedSight
 from verify.marker import Marker
-from verify.measurement import Setup, measure
-from verify.records import Array, Image, Measurement, Pose, Spots, StereoPair
-from verify.rig import Camera, Rig
+from verify.records import Array, Measurement, Pose, StereoPair
+from verify.rig import Rig
 from verify.systematics import sensitivities, stated
 
 ENOUGH, MOST = 8, 16  # pictures of one look: measured ones, and those that are tried
 SETTLES = 0.3  # s from the arm's arrival: it may lag behind its encoders, or swing
 STANDS = 3e-4  # rad by which encoders of an arm at rest may differ: two of MELFA's last digits
 SAME = 1e-5  # rad: orders that differ by less are one
-SURROUNDINGS_PX = 14.0  # about an LED: the background that is fitted with it
-SEARCHED = 1.5 * LARGEST  # m: LEDs that are farther from where they are told are not looked for
-TURNED = 0.1  # rad: no offset that moves the hand by so little turns it so far
 
 Submit = Callable[[Callable[[], LedSight]], Future[LedSight]]
 
@@ -111,13 +107,9 @@ class FlangeWatch:
         return None
 
     def _measured(self, pair: StereoPair, q: Array) -> LedSight:
-        """Measure a pair by itself: a visit, at which the arm stands still."""
+        """Measure a pair by itself, and say what came of it."""
         told = self._rig.rig_T_base @ robots.forward(self._arm, q)
-        setup = Setup(self._rig, self._marker, lambda _: [told], partial(self._near, told))
-        try:
-            (seen,) = measure([pair], setup)
-        except np.linalg.LinAlgError:  # a fit of a few pixels failed: one picture fewer
-            return LedSight(pair.t_left, "not_fitted", None, None, None)
+        seen = measured_still(pair, self._rig, self._marker, told)
         if seen.status != "measured" or seen.pose is None or seen.pose.known_dof < 6:
             status = seen.status if seen.status != "measured" else "too_few_leds"
             return LedSight(pair.t_left, status, None, None, None)
@@ -142,31 +134,6 @@ class FlangeWatch:
             turn @ pose.covariance @ turn.T,
             by @ spread @ by.T + pans @ pans.T,
         )
-
-    def _near(
-        self, told: Array, left: Image, right: Image, _left: Array | None, _right: Array | None
-    ) -> tuple[Spots, Spots]:
-        """Find spots where the LEDs can be, by where the flange was told to be."""
-        rig = self._rig
-        return (
-            detect(left, self._window(told, rig.left, left)),
-            detect(right, self._window(told, rig.right, right)),
-        )
-
-    def _window(self, told: Array, camera: Camera, image: Image) -> Array:
-        """One box around all LEDs, (1, 4) px: x0, y0, x1, y1."""
-        camera_T_flange = invert(camera.rig_T_camera(camera.pan)) @ told
-        points = self._marker.leds @ camera_T_flange[:3, :3].T + camera_T_flange[:3, 3]
-        points = points[points[:, 2] > 0]  # behind the camera there is nothing to look for
-        if not len(points):
-            return np.zeros((0, 4))
-        wide = SEARCHED + self._marker.led_diameter
-        border = SURROUNDINGS_PX + camera.matrix[0, 0] * wide / points[:, 2].min()
-        pixels = camera.project(points)
-        box = np.concatenate([pixels.min(axis=0) - border, pixels.max(axis=0) + border])
-        height, width = image.shape[:2]
-        kept: Array = np.clip(box, 0, [width, height, width, height])
-        return kept[None] if np.all(kept[2:] > kept[:2]) else np.zeros((0, 4))
 
 
 def _stood(read: list[Array]) -> Array | None:

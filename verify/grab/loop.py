@@ -2,16 +2,14 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from verify.devices import EncoderReading
-from verify.grab.loop_arm import DrivenArm
+from verify.grab.loop_orders import AIMS, Hands, Orders
 from verify.grab.loop_record import Cycle
 from verify.grab.loop_target import Aim
 from verify.grab.motion_port import (
-    Gripper,
     GripperState,
     GripperStatus,
     MotionRefusedError,
@@ -19,29 +17,17 @@ from verify.grab.motion_port import (
     MoverStatus,
 )
 from verify.grab.plan import Planner
-from verify.grab.states import Event, Order, State
+from verify.grab.states import Event, State
 from verify.grab.states_machine import Machine
 from verify.grab.states_watch import Observation, Watchdog
 from verify.grab.target import TargetSeen
 from verify.grab.target_tracking import Tracker
 from verify.records import Array, StereoPair
 
-AT_REST = frozenset(
-    {GripperState.REACHED, GripperState.GRIPPED, GripperState.UNSURE, GripperState.LOST}
-)
-AIMS = frozenset({State.TRACKING, State.FOLLOWING, State.HOLDING_UNREACHABLE})
 AT_EASE = {  # where another target may be chosen
     State.IDLE, State.SEARCHING, State.TRACKING, State.HOLDING_STALE, State.HOLDING_LOST,
     State.HOLDING_UNREACHABLE, State.HOLDING_OPERATOR,
 }  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Hands:
-    """What moves; there is none without the operator's right."""
-
-    arm: DrivenArm
-    gripper: Gripper
 
 
 class Loop:
@@ -75,6 +61,7 @@ class Loop:
         self._watchdog = Watchdog(
             self.machine, setup.cell.watch, setup.cell.still, auto=auto and hands is not None
         )
+        self._orders = None if hands is None else Orders(setup, aim, hands, self.machine)
         self._acted: State | None = None  # in which state `_act` was last
         self.pictures_t: float | None = None  # s, when the newest pair was taken
         self._tracked_t: float | None = None
@@ -233,94 +220,15 @@ class Loop:
         """Order what the state asks for; plan where it is time to."""
         entered = self.machine.state is not self._acted
         self._acted = self.machine.state
-        if self._hands is None:
+        if self._orders is None:
             if self.machine.state is State.RELEASING:
                 self.machine.tell(Event.STOPPED)  # nothing was taken
             if self.machine.state in AIMS and self.machine.still and self._q is not None:
                 self.aim.plan_now(now, self._q)
             self.machine.planned = self.aim.plan is not None
             return
-        self._try(lambda: self._order(now, entered=entered))
-
-    def _order(self, now: float, *, entered: bool) -> None:
-        assert self._hands is not None
-        arm, order = self._hands.arm, self.machine.order
-        if self.machine.state in AIMS and arm.q is not None:
-            self._aim(now, arm)
-        elif order is Order.DESCEND:
-            self._descend(arm, entered=entered)
-        elif order in (Order.LIFT, Order.RETREAT):
-            self._go_up(arm)
-        elif order in (Order.CLOSE, Order.CHECK, Order.OPEN):
-            arm.hold()
-            self._grip(self._hands.gripper, order, entered=entered)
-        elif order is Order.RELEASE:
-            arm.hold()
-            if arm.resting:
-                arm.release()
-                self.machine.tell(Event.STOPPED)
-        elif order is Order.HOLD and arm.takes_orders:
-            self._stand(arm, self._hands.gripper)
-
-    def _aim(self, now: float, arm: DrivenArm) -> None:
-        """Stand above the target; plan the grasp once both are at rest."""
-        machine = self.machine
-        assert arm.q is not None
-        goal = self.aim.hover(now, arm.q, still=machine.still)
-        if machine.state is State.FOLLOWING and goal is not None:
-            arm.follow(goal)
-        else:
-            arm.hold()
-        ready = machine.still and self._q is not None and arm.arrived(self._q)
-        if ready:
-            self.aim.plan_now(now, arm.q)
-        elif machine.state is State.FOLLOWING:
-            self.aim.forget()
-        machine.planned = ready and self.aim.plan is not None
-
-    def _descend(self, arm: DrivenArm, *, entered: bool) -> None:
-        plan = self.aim.plan
-        assert plan is not None  # the machine asks for one
-        if entered:
-            arm.begin(plan.over, plan.down)
-        arm.go()
-        if self._q is not None and arm.arrived(self._q):
-            self.machine.tell(Event.AT_OBJECT)
-
-    def _go_up(self, arm: DrivenArm) -> None:
-        holds = self._fingers is not None and self._fingers.state is GripperState.GRIPPED
-        if self.machine.state is State.LIFTING and not holds:
-            self.machine.tell(Event.NOTHING_HELD)
-        if not arm.going_back:
-            arm.hold()  # a stop may be under way
-            if not arm.resting:
-                return
-            arm.begin_back()
-        arm.go()
-        if self._q is not None and arm.arrived(self._q):
-            self.machine.tell(Event.AT_TOP)
-
-    def _grip(self, gripper: Gripper, order: Order, *, entered: bool) -> None:
-        fingers = self._fingers
-        assert fingers is not None  # read before every order
-        if order is Order.CHECK:
-            held = fingers.state is GripperState.GRIPPED
-            self.machine.tell(Event.HELD if held else Event.NOTHING_HELD)
-        elif order is Order.CLOSE and entered:
-            gripper.close_to(0.0)
-        elif order is Order.CLOSE and fingers.state in AT_REST:
-            self.machine.tell(Event.CLOSED)
-        elif order is Order.OPEN and fingers.state is GripperState.IDLE:
-            gripper.activate()  # a stop has ended it
-        elif order is Order.OPEN and (entered or fingers.state is GripperState.READY):
-            gripper.open_to(self._setup.cell.gripper.opening)
-        elif order is Order.OPEN and fingers.state is GripperState.REACHED:
-            self.machine.tell(Event.OPENED)
-
-    def _stand(self, arm: DrivenArm, gripper: Gripper) -> None:
-        arm.hold()
-        if self._fingers is not None and self._fingers.state is GripperState.MOVING:
-            gripper.stop()
+        orders, fingers = self._orders, self._fingers
+        self._try(lambda: orders.give(now, self._q, fingers, entered=entered))
 
     def _try(self, ordered: Callable[[], None]) -> None:
         """Give an order; a refusal is a device's error, and the next cycle stops for it."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from verify.grab.limits import at_rest
 from verify.grab.motion_port import TAKES_MOVES, Mover, MoverState, MoverStatus
-from verify.grab.plan import Planner
+from verify.grab.plan import Planner, over
 from verify.grab.plan_follow import Goal
 from verify.grab.trajectory import Trajectory
 from verify.grab.trajectory_follow import Follower
@@ -14,6 +14,7 @@ from verify.records import Array
 
 TAKES_STREAM = TAKES_MOVES | {MoverState.MOVING}
 STILL = 1e-6  # rad/s: what rounding leaves of a speed
+SAME_GOAL = 0.02  # rad: goals no farther apart are one
 ARRIVED = 2e-3  # rad: as near as that, read angles count as the ordered ones
 
 
@@ -69,7 +70,7 @@ class DrivenArm(Protocol):
         """Go towards a goal; says what stands in the way, where something does."""
         ...
 
-    def begin(self, over: tuple[Trajectory, ...], line: Trajectory) -> None:
+    def begin(self, ways: tuple[Trajectory, ...], line: Trajectory) -> None:
         """Go planned ways one after the other, the line to the object last."""
         ...
 
@@ -103,6 +104,7 @@ class StreamedArm:
         self._gone = 0.0  # s along the first of the ways
         self._holding = False
         self._back = False
+        self._over: Array | None = None  # (n,), rad: the goal to which a way was last looked for
         self._state = MoverState.OFF
         self.q: Array | None = None  # (n,), rad, ordered last
 
@@ -134,21 +136,44 @@ class StreamedArm:
     def follow(self, goal: Goal) -> str:
         """Go a period's way towards a goal; says what stands in the way, where something does.
 
+        Each joint goes by itself. Where that ends at something that is in the way, and the goal
+        stands, a way that was looked at as a whole leads there.
+
         Raises:
             ValueError: the arm stands where no way may begin.
         """
-        if self._ways:  # a stop is under way: it comes to its end first
+        if self._ways and self._near(goal) and not self._holding:
+            self.go()
+            return ""
+        if self._ways:  # a stop is under way, or begins: it comes to its end first
             self.hold()
             return ""
         self._line, self._holding, self._back = None, False, False
         step = self._filter().step(goal.q, goal.velocity)
         self._send(step.motion.q)
+        stands = not step.moving and np.abs(goal.velocity).max() < STILL
+        if step.reason and stands and not self._near(goal):
+            return self._begin_over(goal, step.reason)
         return step.reason
 
-    def begin(self, over: tuple[Trajectory, ...], line: Trajectory) -> None:
+    def _near(self, goal: Goal) -> bool:
+        """Whether a way to this goal was looked for already."""
+        return self._over is not None and bool(np.abs(goal.q - self._over).max() < SAME_GOAL)
+
+    def _begin_over(self, goal: Goal, reason: str) -> str:
+        """Begin a way around what stopped the joints; says what it was where there is none."""
+        assert self.q is not None  # it was just sent
+        self._over = np.array(goal.q)
+        ways = over(self._setup, self.q, goal.q)
+        if isinstance(ways, str):
+            return reason
+        self._ways, self._gone, self._follower = list(ways), 0.0, None
+        return ""
+
+    def begin(self, ways: tuple[Trajectory, ...], line: Trajectory) -> None:
         """Go planned ways one after the other, the line to the object last."""
-        self._ways, self._line, self._gone = [*over, line], line, 0.0
-        self._follower, self._holding, self._back = None, False, False
+        self._ways, self._line, self._gone = [*ways, line], line, 0.0
+        self._follower, self._holding, self._back, self._over = None, False, False, None
 
     def begin_back(self) -> None:
         """Go back up the line that was gone down, from wherever on it the arm rests."""
@@ -191,7 +216,7 @@ class StreamedArm:
         self._mover.release()
 
     def _held(self) -> None:
-        on_line = self._ways[0] is self._line
+        on_line, self._over = self._ways[0] is self._line, None
         stopping = self._ways[0].held(self._gone)
         self._ways, self._gone, self._holding, self._back = [stopping], 0.0, True, False
         self._line = stopping if on_line else None  # before the line there is none to go back up

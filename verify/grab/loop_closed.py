@@ -112,7 +112,7 @@ class ClosedAim(Aim):
         place = carry(self._rig.rig_T_base, told[:3, 3])
         base = rig_R_base.T @ base_spread(self._rig, place) @ rig_R_base
         hand = hand_off(found, arm, self._setup.cell, base, q, self._end(q))
-        return HandSeen(_said(hand), sights, told, stood, found.pose, hand)
+        return HandSeen(said_of(hand), sights, told, stood, found.pose, hand)
 
     def _end(self, q: Array) -> Array:
         """Where the line down from here ends, (n,), rad; where there is none, here."""
@@ -124,7 +124,8 @@ class ClosedAim(Aim):
         return q if np.isnan(away).all() else answers[int(np.nanargmin(away))]
 
 
-def _said(hand: HandOff) -> str:
+def said_of(hand: HandOff) -> str:
+    """Word what was seen of the hand, and what came of it."""
     length = float(np.linalg.norm(hand.off))
     u = np.sqrt(hand.off @ hand.covariance @ hand.off) / length if length > 0 else 0.0
     stood = f"the LEDs show the hand {1e3 * length:.2f} mm ± {2e3 * u:.2f} mm (k = 2) off"

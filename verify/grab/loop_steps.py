@@ -86,9 +86,9 @@ class SteppedArm:
             self.go()
         return trouble
 
-    def begin(self, over: tuple[Trajectory, ...], line: Trajectory) -> None:
+    def begin(self, ways: tuple[Trajectory, ...], line: Trajectory) -> None:
         """Go planned ways one after the other, the line to the object last."""
-        ends = [(way.at(way.duration).q, False) for way in over]
+        ends = [(way.at(way.duration).q, False) for way in ways]
         self._moves = [*ends, (line.at(line.duration).q, True)]
         self._top, self._sent, self._back = line.at(0.0).q, False, False
 

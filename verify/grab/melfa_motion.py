@@ -9,7 +9,6 @@ override by.
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from types import TracebackType
 
@@ -23,10 +22,11 @@ from verify.devices.melfa_lines import Answer, Request
 from verify.devices.ports import Port, open_port
 from verify.grab.melfa_motion_arrival import Arrival
 from verify.grab.melfa_motion_lines import Order, joint_move, line_move, parse_limits
+from verify.grab.melfa_motion_progress import JPOSF, MOVES, STATE, Progress
 from verify.grab.melfa_motion_release import GivingBack
 from verify.grab.melfa_motion_settings import MotionSettings, MoveLimits, outside
 from verify.grab.melfa_motion_talk import Talk, Told
-from verify.grab.melfa_motion_words import refused, standing_alarm
+from verify.grab.melfa_motion_words import refused
 from verify.grab.motion_port import (
     ENDED,
     TAKES_MOVES,
@@ -37,33 +37,13 @@ from verify.grab.motion_port import (
 )
 from verify.records import Array
 
-STATE, JPOSF, CLOSE = Request("STATE"), Request("JPOSF"), Request("CLOSE")
+CLOSE = Request("CLOSE")
 STATE_EVERY = 0.5  # s
 CONNECT_LIMIT, CHECK_LIMIT, POWER_LIMIT, STOP_LIMIT = 10.0, 10.0, 10.0, 5.0  # s
 GIVE_BACK_LIMIT = 10.0  # s
 PERCENT = range(1, 101)  # that an override can be
 PAUSE = 0.005  # s, between the steps of `close`
-STANDS = TAKES_MOVES | {MoverState.STOPPING}
-MOVES = frozenset({MoverState.ORDERING, MoverState.MOVING})
 GIVES_BACK = frozenset({MoverState.RELEASING, MoverState.FAILING})
-
-
-@dataclass(slots=True)
-class Progress:
-    """What is known since the controls were asked for."""
-
-    to_say: deque[Request | Order] = field(default_factory=deque)
-    until: float = float("inf")  # s: how long this state may last
-    opened_on: int = 0  # the connection on which OPEN was answered
-    trouble: str = ""  # why OPEN got no answer
-    right_asked: bool = False  # from here on there is something to give back
-    state_due: float = 0.0  # s
-    limits_deg: Array | None = None  # (joints, 2), the controller's own
-    override_found: int | None = None  # %, before the controls were taken
-    override_set: bool = False  # another was ordered: the one found is to be put back
-    arrival: Arrival | None = None
-    still: bool = False  # STATE says that nothing runs
-    giving_back: GivingBack | None = None
 
 
 class MelfaMover:
@@ -195,16 +175,7 @@ class MelfaMover:
         progress = self._progress
         if progress.opened_on != self._talk.connection:
             return Request("OPEN", f"={self._settings.client}")
-        if progress.giving_back is not None:
-            return progress.giving_back.to_say[0]
-        if progress.to_say:
-            return progress.to_say[0]
-        if self._state is MoverState.POWERING or self._now() >= progress.state_due:
-            return STATE
-        arrival = progress.arrival
-        if self._state is MoverState.MOVING and arrival is not None and arrival.wants_state:
-            return STATE
-        return JPOSF
+        return progress.next(self._state, self._now())
 
     # what was answered
 
@@ -277,15 +248,11 @@ class MelfaMover:
             self._fail("its state is not understood")
             return
         progress.state_due, progress.still = self._now() + STATE_EVERY, not state.running
-        alarm = standing_alarm(state)
-        if alarm:
-            self._fail(alarm)
-        elif state.running and self._state not in MOVES | {MoverState.STOPPING}:
-            self._fail("a program runs on the controller; stop it there")
+        wrong = progress.wrong(state, self._state)
+        if wrong:
+            self._fail(wrong)
         elif self._state is MoverState.POWERING and state.servo_on and not progress.to_say:
             self._enter(MoverState.READY, float("inf"))
-        elif not state.servo_on and self._state in STANDS | MOVES:
-            self._fail("the servo has lost its power")
         elif progress.arrival is not None:
             progress.arrival.running = state.running
 

@@ -20,21 +20,29 @@ class BackgroundOpening:
         self._open_port = open_port
         self._worker = ThreadPoolExecutor(1, "opening")
         self._opening: Future[Port] | None = None
+        self._failed: OSError | None = None  # the last time
 
     def __call__(self) -> Port:
         """Give the port once it is open.
 
         Raises:
-            OSError: not yet, or it cannot be opened now.
+            OSError: not yet, or it cannot be opened now; while it is tried again, what went wrong
+                the last time.
         """
         opening = self._opening or self._worker.submit(self._open_port)
         self._opening = opening
         with contextlib.suppress(TimeoutError):  # what went wrong there is raised below
             opening.exception(QUICK)
         if not opening.done():
-            raise BlockingIOError(0, "the port is being opened")
+            raise self._failed or BlockingIOError(0, "the port is being opened")
         self._opening = None
-        return opening.result()
+        try:
+            port = opening.result()
+        except OSError as failed:
+            self._failed = failed
+            raise
+        self._failed = None
+        return port
 
     def close(self) -> None:
         """Open nothing any more."""

@@ -111,8 +111,8 @@ def _ways(
     found = line(setup, posture.branch, posture.q_above, shift, "on the line down")
     if isinstance(found, str):
         return found
-    over = _over(setup, q_now, posture.q_above)
-    return over if isinstance(over, str) else (over, *found)
+    there = over(setup, q_now, posture.q_above)
+    return there if isinstance(there, str) else (there, *found)
 
 
 def line(
@@ -148,8 +148,17 @@ def line(
     return timed(path, setup.limits, rates), max(slowed, 1.0)
 
 
-def _over(setup: Planner, q_now: Array, q_above: Array) -> tuple[Trajectory, ...] | str:
-    """Go straight in joint angles to above the object, or through home; checked all along."""
+def over(setup: Planner, q_now: Array, q_above: Array) -> tuple[Trajectory, ...] | str:
+    """Go straight in joint angles to above the object, or through home; checked all along.
+
+    Args:
+        setup: arm and cell.
+        q_now: (n,), rad, where the arm stands, at rest.
+        q_above: (n,), rad, where it goes.
+
+    Returns:
+        The ways one after the other; or what stands in them.
+    """
     ways = [[q_now, q_above]]
     if setup.cell.moving.home is not None:
         ways.append([q_now, setup.cell.moving.home, q_above])

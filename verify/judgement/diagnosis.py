@@ -1,153 +1,115 @@
-"""Which cause explains the errors: candidates fitted to the whitened errors, rivals compared.
+"""Which causes explain the errors, and which the data cannot tell apart.
 
-A candidate is a column: what a unit of that fault would do to every pair. Constant offsets are
-the first kind; others are added to `candidates` as they come. Every set of candidates is tried,
-so that two faults together cannot pass for a third one.
+A dictionary of faults is fitted to the whitened errors beside everything that was fitted or stated;
+the set of least cost is taken, and each of its members is named only if no rival can stand in its
+place. Pairs that follow no cause are listed and left out of the fit.
 """
 
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi_squared
 
+import robots
+from verify.judgement.causes import Cause, cause, one_ambiguous
+from verify.judgement.diagnosis_search import Chosen, Products, search
+from verify.judgement.diagnosis_thinned import thinned
+from verify.judgement.faults import Fault
+from verify.judgement.faults_dictionary import dictionary
 from verify.judgement.model import Model
-from verify.judgement.resolved import Resolved
+from verify.judgement.resolved import Resolved, predicted
 from verify.records import Array
-from verify.regression import left_over
+from verify.regression import solve
+from verify.rig import Rig
 
-FAMILY_FALSE_ALARM = 1e-3  # chance a candidate, shared out over all of them
-LEAST_ADVANTAGE = 15.0  # in chi-squared over every rival with as many parameters
-LEAST_SHARE = 0.01  # of the misfit: what explains less is no cause worth a name
-RANK = 1e-8  # of a normalised Gram matrix: closer columns cannot be told apart at all
+__all__ = ["Cause", "Diagnosis", "examine"]
 
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A fault that might be: kind, joint (1-based; None for a common one), effect of one unit."""
-
-    kind: str
-    joint: int | None
-    unit: str
-    column: Array  # (r,), whitened, a SI unit
+OUTLYING = 1e-3  # chance of listing any pair of a session without outliers
+MOST_OUTLYING = 0.1  # of the pairs: more of them are no outliers, the fit lacks something
+LACK_OF_FIT = 1e-3  # chance of doubting sound figures
+ROUNDS = 6
+MOST_PAIRS = 2000  # of a session; of longer ones so many, evenly spread
+SETTLED = 0.01  # of the misfit
 
 
 @dataclass(frozen=True, slots=True)
-class Cause:
-    """A fault that the data single out, or several that they cannot tell apart."""
+class Diagnosis:
+    """What a session says of the causes of its errors."""
 
-    kind: str  # offset, …, or ambiguous
-    joint: int | None
-    unit: str
-    value: float  # SI
-    standard_uncertainty: float
-    explains: float
-    candidates: tuple[Candidate, ...] = ()
+    causes: list[Cause]
+    outlying: NDArray[np.int64]  # rows of the comparison that follow no cause
+    misfit: float  # chi-squared a degree of freedom that the causes leave, where they lack; else 1
+    products: Products
 
 
-def candidates(model: Model) -> list[Candidate]:
-    """Every fault that is tried: so far a constant offset of each joint."""
-    return [
-        Candidate("offset", j + 1, "deg", model.offsets[:, j])
-        for j in range(model.offsets.shape[1])
-    ]
-
-
-def diagnose(model: Model, resolved: Resolved) -> list[Cause]:
+def examine(
+    model: Model, resolved: Resolved, arm: robots.Arm | None = None, rig: Rig | None = None
+) -> Diagnosis:
     """Find the set of causes that the data ask for, and say where they cannot tell which.
 
     Args:
         model: the session's linear model; everything stated counts through its prior.
-        resolved: what of the errors changes with angle and direction is fitted beside the
-            candidates, so that a gain or backlash does not pass for offsets; and a fit that
-            lacks accuses nobody on the strength of its noise.
+        resolved: its smooth fit, from which pairs that lie outside are first told.
+        arm: gives the link parameters that are tried.
+        rig: says where the cameras stand, for the skew of their instants.
+
+    Returns:
+        Causes, pairs that lie outside, and the products that `detectable` takes.
     """
-    tried = candidates(model)
-    left = _Left.of(model, tried, resolved)
-    usable = [i for i in range(len(tried)) if left.visible(i)]
-    if not usable:
-        return []
-    # a candidate earns its place by more than chance would give the best of them all
-    price = float(norm.isf(FAMILY_FALSE_ALARM / 2 / len(usable))) ** 2
-    sets = [s for size in range(len(usable) + 1) for s in combinations(usable, size)]
-    best = min(sets, key=lambda s: left.chi2(s) + price * len(s))
-    causes = [_cause(left, tried, best, usable, i) for i in best]
-    return _one_ambiguous([c for c in causes if c.explains > LEAST_SHARE])
+    residual = model.xi - predicted(model, resolved)
+    chosen = np.arange(len(model.comparison))
+    if len(chosen) > MOST_PAIRS:
+        chosen = np.linspace(0, len(chosen) - 1, MOST_PAIRS).round().astype(np.int64)
+        residual = residual[np.isin(model.white.pair, chosen)]
+        model = thinned(model, chosen)
+    faults = dictionary(model, arm, rig)
+    outlying = _outlying(model, residual)
+    for _ in range(ROUNDS):
+        kept = ~np.isin(model.white.pair, outlying)
+        products, best, misfit = _settled(model, faults, kept)
+        again = _outlying(model, _residual(model, products, best, kept))
+        if np.array_equal(again, outlying):
+            break
+        outlying = again
+    causes = sorted((cause(products, best, i) for i in best), key=lambda c: -c.explains)
+    return Diagnosis(one_ambiguous(causes), chosen[outlying], misfit, products)
 
 
-def _one_ambiguous(causes: list[Cause]) -> list[Cause]:
-    """Unite what cannot be told apart in one entry with all its candidates."""
-    unclear = [c for c in causes if c.candidates]
-    if len(unclear) < 2:
-        return causes
-    every = {id(k): k for c in unclear for k in c.candidates}
-    largest = max(unclear, key=lambda c: c.explains)
-    united = replace(largest, candidates=tuple(every.values()))
-    return [*(c for c in causes if not c.candidates), united]
+def _settled(
+    model: Model, faults: list[Fault], kept: NDArray[np.bool_]
+) -> tuple[Products, Chosen, float]:
+    """The best set at the misfit that it leaves: a fit that lacks accuses nobody by its noise."""
+    plain = Products.of(model, faults, kept)
+    misfit = 1.0
+    for _ in range(ROUNDS):
+        products = plain.doubted(misfit)
+        best = search(products)
+        degrees = products.rows - model.fitted.shape[1] - len(products.columns(best))
+        left = plain.chi2(best)
+        lacking = degrees > 0 and left > chi_squared.isf(LACK_OF_FIT, degrees)
+        before, misfit = misfit, left / degrees if lacking else 1.0
+        if misfit <= before * (1 + SETTLED):
+            break
+    return products, best, before
 
 
-def _cause(
-    left: "_Left", tried: list[Candidate], best: tuple[int, ...], usable: list[int], i: int
-) -> Cause:
-    rest = tuple(k for k in best if k != i)
-    least = left.chi2(best)
-    rivals = [k for k in usable if k not in best]
-    close = [k for k in rivals if left.chi2((*rest, k)) - least < LEAST_ADVANTAGE]
-    value, uncertainty = left.estimate(best, i)
-    without = left.chi2(rest)
-    return Cause(
-        kind="ambiguous" if close else tried[i].kind,
-        joint=None if close else tried[i].joint,
-        unit=tried[i].unit,
-        value=value,
-        standard_uncertainty=uncertainty,
-        explains=1 - least / without if without > 0 else 0.0,
-        candidates=tuple(tried[k] for k in (i, *close)) if close else (),
-    )
+def _residual(model: Model, products: Products, best: Chosen, kept: NDArray[np.bool_]) -> Array:
+    """Whitened errors (r,) of all pairs less what the causes and all fitted and stated make."""
+    named = [products.faults[i].columns for i in best]
+    free = np.concatenate([model.fitted, *named], axis=1)
+    fit = solve(free[kept], model.xi[kept], model.prior[kept])
+    residual: Array = model.xi - free @ fit.value - model.prior @ fit.held
+    return residual
 
 
-@dataclass(frozen=True, slots=True)
-class _Left:
-    """What registration, clock and stated doubts leave of the candidates and of the errors."""
-
-    gram: Array  # (c, c)
-    moment: Array  # (c,)
-    power: float
-    whole: Array  # (c,), squared length of the candidates' columns before
-
-    @classmethod
-    def of(cls, model: Model, tried: list[Candidate], resolved: Resolved) -> "_Left":
-        columns = np.stack([c.column for c in tried], axis=1)
-        target = np.concatenate([columns, model.xi[:, None]], axis=1)
-        fitted = np.concatenate([model.fitted, resolved.significant], axis=1)
-        products = left_over(fitted, target, model.prior) / resolved.misfit
-        whole = np.sum(columns**2, axis=0) / resolved.misfit
-        return cls(products[:-1, :-1], products[:-1, -1], float(products[-1, -1]), whole)
-
-    def visible(self, i: int) -> bool:
-        """Something of the candidate is left."""
-        return bool(self.gram[i, i] > RANK * self.whole[i])
-
-    def _solved(self, chosen: tuple[int, ...]) -> tuple[Array, Array] | None:
-        index = list(chosen)
-        size = np.sqrt(np.diag(self.gram)[index])
-        normal = self.gram[np.ix_(index, index)] / np.outer(size, size)
-        if len(index) and np.linalg.eigvalsh(normal)[0] < RANK:
-            return None
-        inverse = np.linalg.inv(normal) / np.outer(size, size)
-        return inverse @ self.moment[index], inverse
-
-    def chi2(self, chosen: tuple[int, ...]) -> float:
-        """Misfit with these candidates fitted; infinite where they cannot be told apart."""
-        solved = self._solved(chosen)
-        if solved is None:
-            return float("inf")
-        return self.power - float(solved[0] @ self.moment[list(chosen)])
-
-    def estimate(self, chosen: tuple[int, ...], i: int) -> tuple[float, float]:
-        """Value and standard uncertainty of one of the chosen, all fitted together."""
-        solved = self._solved(chosen)
-        if solved is None:
-            raise ValueError("a set that cannot be told apart is never the best")
-        place = chosen.index(i)
-        return float(solved[0][place]), float(np.sqrt(solved[1][place, place]))
+def _outlying(model: Model, residual: Array) -> NDArray[np.int64]:
+    """Pairs (of the comparison) whose residual is too large for the others' scatter."""
+    pair, count = model.white.pair, len(model.comparison)
+    distance = np.bincount(pair, residual**2, minlength=count)
+    known = np.bincount(pair, minlength=count)
+    typical = chi_squared.ppf(0.5, np.maximum(known, 1))
+    scatter = max(float(np.median(distance / typical)), 1.0)
+    limit = scatter * chi_squared.isf(OUTLYING / count, np.maximum(known, 1))
+    found = np.flatnonzero(distance > limit)
+    return found if len(found) <= MOST_OUTLYING * count else found[:0]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from robots.transforms import carry, invert
-from verify.devices import EncoderReading
+from verify.devices import EncoderReading, PanReading
 from verify.grab.limits import JointLimits
 from verify.records import Array, StereoPair
 from verify.sim.cell_arm import CellArm
@@ -70,6 +70,7 @@ class World:
         self.closed_at: Array | None = None  # (3,), m: where the target was then
         self._since: dict[What, float] = {}
         self._frame = 0
+        self._turned = 0.0  # rad, by as much the bases stood elsewhere in the last picture
         self._cameras = [
             CellCamera(camera, setup.rig.rig_T_base, setup.rig.image_size, gripper, setup.marker, n)
             for n, camera in enumerate((setup.rig.left, setup.rig.right), scene.seed * 2)
@@ -98,11 +99,24 @@ class World:
         noise = self._rng.normal(0.0, self.scene.encoder_noise, len(self.setup.home))
         return EncoderReading(self.t, self.t, 0.0005, 0, self.arm.q(self.t) + noise)
 
-    def pair(self) -> StereoPair | None:
-        """Take both pictures; None where no camera delivers any more."""
+    def bases(self) -> PanReading:
+        """Read how the camera bases stand."""
+        rig, turned = self.setup.rig, self._gone(self.t)
+        known = [c.pan_standard_uncertainty or 0.0 for c in (rig.left, rig.right)]
+        read = np.array([rig.left.pan, rig.right.pan]) + turned + self._rng.normal(0.0, known)
+        moving = any(turn.at <= self.t < turn.at + turn.lasts for turn in self.scene.turns)
+        return PanReading(self.t, self.t, 0.0005, 0, read, moving)
+
+    def pair(self, pans: tuple[float, float] | None = None) -> StereoPair | None:
+        """Take both pictures; None where no camera delivers any more.
+
+        Args:
+            pans: rad, what was read of the bases, left and right; None: they stand as the rig says.
+        """
         if self.happened("camera_gone"):
             return None
         rig, scene = self.setup.rig, self.scene
+        self._turn_cameras()
         posed = self._posed()
         pictures = []
         for camera, t in zip(self._cameras, (self.t, self.t + SKEW), strict=True):
@@ -113,9 +127,8 @@ class World:
             ]
             board = self._board() if self.happened("hidden") else None
             pictures.append(camera.picture(caps, posed, self._light(t), scene.noise, board))
-        pair = StereoPair(
-            self._frame, self.t, self.t + SKEW, rig.left.pan, rig.right.pan, *pictures
-        )
+        told = (rig.left.pan, rig.right.pan) if pans is None else pans
+        pair = StereoPair(self._frame, self.t, self.t + SKEW, *told, *pictures)
         self._frame += 1
         return pair
 
@@ -140,6 +153,18 @@ class World:
         """Whether something has happened and still lasts."""
         since = self._since.get(what)
         return since is not None and self.t < since + self._of(what).lasts
+
+    def _gone(self, t: float) -> float:
+        """By how much both bases have turned since the start, rad."""
+        return sum(turn.gone(t) for turn in self.scene.turns)
+
+    def _turn_cameras(self) -> None:
+        turned = self._gone(self.t)
+        if turned != self._turned:
+            self._turned = turned
+            rig = self.setup.rig
+            for camera, stands in zip(self._cameras, (rig.left.pan, rig.right.pan), strict=True):
+                camera.turn(stands + turned)
 
     def _of(self, what: What) -> Happening:
         return next(h for h in self.scene.happenings if h.what == what)

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 
 from verify.grab.flange_watch import FlangeWatch
-from verify.grab.loop import Hands, Loop
+from verify.grab.loop import Loop
 from verify.grab.loop_arm import DrivenArm, StreamedArm
 from verify.grab.loop_closed import ClosedAim, WatchedSource
+from verify.grab.loop_orders import Hands
 from verify.grab.loop_steps import SteppedArm
 from verify.grab.loop_target import Aim
 from verify.grab.motion_port import ExecuteRight
@@ -15,7 +16,7 @@ from verify.grab.target_tracking import Tracker
 from verify.sim.cell import RATE, World
 from verify.sim.cell_scene import Scene
 from verify.sim.cell_setup import CellSetup
-from verify.sim.cell_source import CellSource
+from verify.sim.cell_source import Bases, CellSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,7 @@ def cell_grab(
     stepped: bool = False,
     paced: bool = False,
     closed: bool = True,
+    bases: Bases | None = None,
 ) -> CellGrab:
     """Put a grab together; nothing has begun yet.
 
@@ -49,13 +51,14 @@ def cell_grab(
         stepped: the arm takes one move at a time; else a stream of set points.
         paced: keep to the computer's clock.
         closed: the hand is seen above the object, and its end point corrected.
+        bases: keep the angles of turning camera bases; None: fixed ones.
 
     Raises:
         InputError: the target's colour has no name.
     """
     tracker = Tracker(setup.rig, target or Named(scene.caps[0].colour), Options())
     world = World(setup, scene)
-    cell = CellSource(world, paced=paced)
+    cell = CellSource(world, bases, paced=paced)
     if right is None:
         aim = Aim(setup.planner, setup.rig)
         loop = Loop(setup.planner, tracker, aim, None, cell.joints, world.now)

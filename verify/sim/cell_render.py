@@ -67,13 +67,20 @@ class CellCamera:
         marker: Marker,
         seed: int,
     ) -> None:
-        self._camera_T_base = invert(camera.rig_T_camera(camera.pan)) @ rig_T_base
-        self._rotation = cv2.Rodrigues(self._camera_T_base[:3, :3])[0]
+        self._rig_T_base = rig_T_base
         self._camera, self._size, self._hand, self._marker = camera, size, hand, marker
         self._rng = np.random.default_rng(seed)
-        self._background = self._table()
+        coarse = self._rng.normal(0, 9, (size[1] // 16 + 1, size[0] // 16 + 1)).astype(np.float32)
+        self._pattern = cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)[..., None]
+        self.turn(camera.pan)
         shape = (size[1] + GRAIN, size[0] + GRAIN, 3)
         self._grain = self._rng.normal(0.0, 1.0, shape).astype(np.float32)
+
+    def turn(self, pan: float) -> None:
+        """Turn its base to where a reading would be pan, rad."""
+        self._camera_T_base = self._camera.camera_T_rig(pan) @ self._rig_T_base
+        self._rotation = cv2.Rodrigues(self._camera_T_base[:3, :3])[0]
+        self._background = self._table()
 
     def picture(
         self,
@@ -119,8 +126,6 @@ class CellCamera:
     def _table(self) -> Image:
         """The table, a floor, a pale blue and a pale green paper."""
         width, height = self._size
-        coarse = self._rng.normal(0, 9, (height // 16 + 1, width // 16 + 1)).astype(np.float32)
-        pattern = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)[..., None]
         picture = np.empty((height, width, 3), np.uint8)
         picture[:] = FLOOR
         top = np.array([(*corner, 0.0) for corner in TABLE])
@@ -128,7 +133,7 @@ class CellCamera:
         for x, y, colour in ((0.66, -0.34, (190, 170, 150)), (0.62, 0.33, (150, 185, 150))):
             paper = np.array([(x + a, y + b, 0.0) for a, b in ((0, 0), (0.06, 0), (0.06, 0.05))])
             self._fill(picture, np.vstack([paper, [x, y + 0.05, 0.0]]), colour)
-        mixed: Image = np.clip(picture + pattern, 0, 255).astype(np.uint8)
+        mixed: Image = np.clip(picture + self._pattern, 0, 255).astype(np.uint8)
         return mixed
 
     def _arm(self, picture: Image, posed: Posed) -> list[tuple[float, Callable[[], None]]]:

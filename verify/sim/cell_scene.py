@@ -1,6 +1,6 @@
 """What stands and happens in the simulated cell, as data; lengths in m, base frame, times in s."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -54,6 +54,19 @@ class Happening:
 
 
 @dataclass(frozen=True, slots=True)
+class Turn:
+    """Both camera bases turn by an angle, evenly."""
+
+    at: float  # s
+    by: float  # rad
+    lasts: float  # s
+
+    def gone(self, t: float) -> float:
+        """By how much they have turned at t, s; rad."""
+        return self.by * float(np.clip((t - self.at) / self.lasts, 0.0, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
 class Scene:
     """A run's cell; its first cap is the target."""
 
@@ -64,6 +77,7 @@ class Scene:
     hand_error: float = 0.3e-3  # m, standard, a coordinate: the arm is not where it was registered
     joint_errors: tuple[float, ...] = ()  # rad, true less told by the encoders; none: all 0
     encoder_noise: float = 2e-5  # rad, standard
+    turns: tuple[Turn, ...] = ()  # of the bases; for a cell_setup that says they do
     delay: float = 0.03  # s, from an order to the arm's being there
     seed: int = 0
 
@@ -92,6 +106,12 @@ def drawn_scene(seed: int, colour: str = "blue") -> Scene:
     dusk = Happening("dusk", float(rng.uniform(1, 6)))
     happenings = (dusk,) if rng.random() < 0.25 else ()
     return Scene(tuple(caps), happenings, light, float(rng.uniform(1, 3)), seed=seed)
+
+
+def with_turns(scene: Scene) -> Scene:
+    """Let the camera bases turn while the target is followed, and again while the hand is down."""
+    turns = (Turn(1.0, np.deg2rad(3.0), 0.25), Turn(3.6, np.deg2rad(-5.0), 0.2))
+    return replace(scene, turns=turns)
 
 
 def _free_place(rng: np.random.Generator, taken: list[Array]) -> Array | None:

@@ -1,6 +1,6 @@
 """The simulated cell's fixed parts: arm, grab.toml, calibrated cameras, LEDs on the flange."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -11,8 +11,8 @@ import robots
 from robots.transforms import invert
 from verify.grab import cell_file
 from verify.grab.cell_file import Cell
-from verify.grab.plan import Planner, planner
-from verify.grab.workspace import camera_places
+from verify.grab.plan import Planner
+from verify.grab.plan_cameras import among_cameras
 from verify.marker import Marker
 from verify.records import Array
 from verify.rig import Camera, Covariance, Rig
@@ -24,6 +24,7 @@ BASELINE = 0.36  # m
 EYE = np.array([1.15, 0.0, 0.62])  # m, base frame, midway between the cameras
 AIM = np.array([0.44, 0.0, 0.08])  # m, where both look
 RIG_UNCERTAINTY = {"robot_base.x_mm": 0.3, "robot_base.y_mm": 0.3, "robot_base.z_mm": 0.3}
+PAN_UNCERTAINTY = 3e-5  # rad, of a turned base's reading
 LED_RING, LED_DIAMETER = 0.052, 0.006  # m, radius; and diameter
 # no two neighbours are like two others, or they would be taken for one another
 LED_ANGLES_DEG = np.array([0, 35, 54, 93, 127, 146, 182, 203, 246, 268, 304, 325], dtype=float)
@@ -52,23 +53,22 @@ class CellSetup:
 
 
 @cache
-def cell_setup(size: tuple[int, int] = FULL) -> CellSetup:
+def cell_setup(size: tuple[int, int] = FULL, *, turning: bool = False) -> CellSetup:
     """Put the cell together.
 
     Args:
         size: of the pictures, px.
+        turning: the cameras stand on bases that turn.
     """
     arm = robots.load(ROBOT)
     file = resources.files("verify.sim") / "cell.toml"
     with resources.as_file(file) as path:
         cell, _ = cell_file.read(Path(path), arm.dof)
-    rig = _rig(size)
-    places = [camera.rig_T_camera(camera.pan) for camera in (rig.left, rig.right)]
-    cameras = camera_places(invert(rig.rig_T_base), places)
-    return CellSetup(planner(arm, cell, cameras), rig, _marker())
+    rig = _rig(size, PAN_UNCERTAINTY if turning else None)
+    return CellSetup(among_cameras(arm, cell, rig, turning=turning), rig, _marker())
 
 
-def _rig(size: tuple[int, int]) -> Rig:
+def _rig(size: tuple[int, int], pan_uncertainty: float | None) -> Rig:
     """Two cameras before the robot that look down at the table; the rig's z is where they aim."""
     z = (AIM - EYE) / np.linalg.norm(AIM - EYE)
     x = np.cross(z, [0.0, 0.0, 1.0])
@@ -77,7 +77,10 @@ def _rig(size: tuple[int, int]) -> Rig:
     base_T_rig[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
     base_T_rig[:3, 3] = EYE
     toe_in = float(np.arctan2(BASELINE / 2, np.linalg.norm(AIM - EYE)))
-    left, right = (_camera(size, sign, -sign * toe_in) for sign in (-1, 1))
+    left, right = (
+        replace(_camera(size, sign, -sign * toe_in), pan_standard_uncertainty=pan_uncertainty)
+        for sign in (-1, 1)
+    )
     named = RIG_UNCERTAINTY
     covariance = Covariance(tuple(named), np.array(list(named.values())), np.eye(len(named)))
     return Rig(size, left, right, invert(base_T_rig), covariance=covariance)

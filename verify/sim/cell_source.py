@@ -1,8 +1,9 @@
 """The simulated cell as the loop's surroundings: pictures, joints, devices, and what goes wrong."""
 
 import time
+from typing import Protocol
 
-from verify.devices import EncoderReading
+from verify.devices import EncoderReading, PanReading
 from verify.grab.motion_port import ExecuteRight
 from verify.records import StereoPair
 from verify.sim.cell import RATE, SUBSTEPS, World
@@ -12,16 +13,29 @@ from verify.sim.cell_hand import SimGripper
 ALARM = "alarm 0930 (servo error)"
 
 
+class Bases(Protocol):
+    """Turns readings of the camera bases into angles at an instant, as `verify run` does."""
+
+    def add(self, reading: PanReading) -> None:
+        """Take a reading."""
+        ...
+
+    def at(self, t: float) -> tuple[float, float] | None:
+        """Angles of left and right base, rad, at an instant, s; None where they are not known."""
+        ...
+
+
 class CellSource:
     """Gives the loop what it asks for, and lets the world go on while it waits.
 
     Args:
         world: the cell.
+        bases: are told how the camera bases stand, and asked; None: they stand as the rig says.
         paced: keep to the computer's clock, for an operator who watches; else as fast as it goes.
     """
 
-    def __init__(self, world: World, *, paced: bool = False) -> None:
-        self._world, self._paced = world, paced
+    def __init__(self, world: World, bases: Bases | None = None, *, paced: bool = False) -> None:
+        self._world, self._bases, self._paced = world, bases, paced
         self._began = time.monotonic()
         self._mover: SimMover | None = None
 
@@ -32,8 +46,13 @@ class CellSource:
         return self._mover, SimGripper(world.hand, world.now, right)
 
     def pair(self) -> StereoPair | None:
-        """Take both pictures."""
-        return self._world.pair()
+        """Take both pictures; None where a base was turning when they were taken."""
+        if self._bases is None:
+            return self._world.pair()
+        reading = self._world.bases()
+        self._bases.add(reading)
+        pans = self._bases.at(reading.t)
+        return None if pans is None else self._world.pair(pans)
 
     def joints(self) -> EncoderReading | None:
         """Read the joints."""

@@ -6,7 +6,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-PERIOD = 1 / 60  # s, of the control loop
+PERIOD = 1 / 200  # s, quicker than a control loop: tests cannot wait
 LONGEST_STEP = 0.5  # s: a step waits for nothing; the rest is a machine that does other things
 USUAL_STEP = 0.01  # s
 Status = TypeVar("Status", covariant=True)

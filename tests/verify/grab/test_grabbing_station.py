@@ -14,14 +14,14 @@ from verify.emulators.melfa import MelfaEngine
 from verify.errors import InputError
 from verify.grab import emulated
 
-SHORT = replace(bench.GRABS, duration="2s")
+SHORT = replace(bench.GRABS, duration="1s")
 
 
 @pytest.mark.slow
 def test_emulators_need_execute_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grabbing_station, "_line", lambda: pytest.fail("nobody is to be asked"))
     bench.typed(monkeypatch, "")
-    with bench.cell(tmp_path, 4.0) as (station, _, gripper):
+    with bench.cell(tmp_path, 2.5) as (station, _, gripper):
         grab_on_station(station, Ports(None, gripper), SHORT, tmp_path / "out", force=False)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["execute"]

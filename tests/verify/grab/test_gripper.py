@@ -280,7 +280,7 @@ def settled_after_mishap(gripper: GripperDriver) -> GripperStatus:
 def test_silence_is_said_holds_what_is_gripped_and_needs_a_new_order() -> None:
     engine = quick(contacts_of(60.0))
     with (
-        running(engine, faults=Faults(silence=(1.8, 1.5))) as emulated,
+        running(engine, faults=Faults(silence=(1.3, 1.0))) as emulated,
         driver(emulated) as gripper,
     ):
         ready(gripper)

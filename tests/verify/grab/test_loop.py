@@ -6,14 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from robots.transforms import carry
+from tests.verify.grab.quick_cell import quick_cell
+from verify.grab.camshift import Box
 from verify.grab.loop_record import Cycle
 from verify.grab.motion_port import ExecuteRight
 from verify.grab.run import Ends, Outcome, run
 from verify.grab.states import Event, State
+from verify.grab.target import Drawn
 from verify.grab.workspace import RESOLUTION
 from verify.sim.cell_grab import CellGrab, cell_grab
 from verify.sim.cell_scene import Cap, Happening, Scene, drawn_scene
-from verify.sim.cell_setup import SMALL, cell_setup
 
 ENDS = Ends(duration=20.0, patience=1.0)
 STANDS = Scene((Cap("blue", (0.47, 0.03)), Cap("green", (0.47, -0.12))), seed=1)
@@ -24,7 +27,7 @@ def made(
 ) -> CellGrab:
     right = ExecuteRight("test") if execute else None
     return cell_grab(  # grasps with a look at the hand: test_loop_closed.py
-        cell_setup(SMALL), scene, right=right, auto=auto, stepped=stepped, closed=False
+        quick_cell(), scene, right=right, auto=auto, stepped=stepped, closed=False
     )
 
 
@@ -194,6 +197,24 @@ def test_a_hold_on_the_way_up_keeps_the_grip_and_goes_on_when_told() -> None:
     assert kept_limits(grab)
 
 
+def test_a_hold_on_the_way_around_a_wall_stops_there_and_the_hand_gets_above_after() -> None:
+    """Joints by themselves end at the box's far wall: a way that was looked at leads on."""
+    grab = made(Scene((Cap("blue", (0.525, -0.06)),), seed=1))
+    orders = [(1.75, Event.HOLD), (2.3, Event.RESUME)]
+    above: list[float] = []
+
+    def given() -> Sequence[Event]:
+        if grab.loop.machine.state is State.APPROACHING and not above:
+            above.append(float(np.linalg.norm(grab.world.grip()[:2, 3] - (0.525, -0.06))))
+        return [orders.pop(0)[1]] if orders and grab.world.t >= orders[0][0] else []
+
+    ended = run(grab.loop, grab.source, ENDS, lambda _: None, given)
+    assert ended.state is State.LIFTED
+    assert State.HOLDING_OPERATOR in [p.target for p in ended.passages]
+    assert above[0] < 5e-3  # it began where the line down does
+    assert kept_limits(grab)
+
+
 def test_ctrl_c_in_mid_approach_comes_to_rest_and_gives_the_controls_back() -> None:
     grab = made(STANDS)
     near = lambda: bool(grab.loop.machine.state is State.APPROACHING)  # noqa: E731
@@ -203,15 +224,30 @@ def test_ctrl_c_in_mid_approach_comes_to_rest_and_gives_the_controls_back() -> N
     assert kept_limits(grab)
 
 
-def test_a_target_that_passes_behind_another_of_its_colour_ends_safely() -> None:
+def box_of(cap: Cap) -> Box:
+    """The box that a person draws around a cap in the first left picture."""
+    ring = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]) * cap.radius
+    rims = [np.column_stack([ring, np.full(4, z)]) for z in (-cap.height / 2, cap.height / 2)]
+    camera = quick_cell().rig.left
+    camera_T_base = camera.camera_T_rig(camera.pan) @ quick_cell().rig.rig_T_base
+    seen = camera.project(carry(camera_T_base, np.concatenate(rims) + cap.place(0.0)))
+    x, y = np.floor(seen.min(axis=0) - 1).astype(int).tolist()
+    right, bottom = np.ceil(seen.max(axis=0) + 1).astype(int).tolist()
+    return x, y, right - x, bottom - y
+
+
+def test_a_target_that_passes_behind_another_of_its_colour_is_the_one_that_is_lifted() -> None:
     passes = Cap("blue", (0.43, -0.10), (0.0, 0.13), 2.4)
-    other = Cap("blue", (0.49, 0.0))
-    scene = Scene((passes, other), seed=4)
-    grab = made(scene)
-    ended = run(grab.loop, grab.source, ENDS, lambda _: None)
-    lifted = ended.state is State.LIFTED
-    assert not lifted or grab.world.held is not None  # no false success
-    assert ended.state in (State.LIFTED, State.HOLDING_LOST, State.SEARCHING, State.MISSED)
+    scene = Scene((passes, Cap("blue", (0.49, 0.0))), seed=4)
+    target, right = Drawn(box_of(passes)), ExecuteRight("test")
+    grab = cell_grab(quick_cell(), scene, target, right, auto=True, closed=False)
+    seen: list[Cycle] = []
+    ended = run(grab.loop, grab.source, ENDS, seen.append)
+    before = {cycle.seen.status for cycle in seen if cycle.seen is not None and cycle.t < 1.5}
+    assert before & {"lost", "occluded"}  # it was behind the other
+    assert ended.state is State.LIFTED
+    assert grab.world.held is not None
+    assert grab.world.held[0] == 0
     assert kept_limits(grab)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.verify.grab.quick_cell import quick_cell
 from verify.grab.flange_watch import MOST, FlangeWatch
 from verify.grab.hand_off import HandSeen, LedSight
 from verify.grab.motion_port import ExecuteRight
@@ -16,9 +17,8 @@ from verify.records import StereoPair
 from verify.sim.cell import World
 from verify.sim.cell_grab import CellGrab, cell_grab
 from verify.sim.cell_scene import Cap, Scene
-from verify.sim.cell_setup import SMALL, cell_setup
 
-SETUP = cell_setup(SMALL)
+SETUP = quick_cell()
 ENDS = Ends(duration=20.0, patience=1.0)
 STANDS = Scene((Cap("blue", (0.47, 0.03)),), seed=1)
 FIRST = np.eye(6)[0]
@@ -121,6 +121,17 @@ def test_a_hand_too_far_off_is_not_corrected_and_the_margin_decides() -> None:
     grab, ended = grabbed(wide)
     assert ended.state is State.HOLDING_UNREACHABLE
     assert "gripper leaves" in ended.reason
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("far", [(0.525, -0.06), (0.439, -0.021)])
+def test_the_hand_is_seen_where_it_once_was_not(far: tuple[float, float]) -> None:
+    """At the box's far wall, where joints by themselves do not get to; where LEDs look alike."""
+    grab, ended = grabbed(Scene((Cap("blue", far),), seed=1))
+    assert ended.state is State.LIFTED
+    assert hand(grab).used
+    assert error(grab) < 1e-3
+    assert kept_limits(grab)
 
 
 def pair_of(world: World) -> StereoPair:

@@ -41,7 +41,7 @@ GIVEN_BACK = ["STOP", "ERROR", "SRVOFF", "OVRD=100", "CNTLOFF", "STATE"]
 
 @pytest.fixture(autouse=True)
 def a_servo_that_comes_on_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("verify.emulators.melfa_arm.SERVO_TIME", 0.1)
+    monkeypatch.setattr("verify.emulators.melfa_arm.SERVO_TIME", 0.05)
 
 
 def controller(idle: bool = True, limits: Array = LIMITS, **options: object) -> MelfaEngine:
@@ -153,7 +153,7 @@ def found_at(engine: MelfaEngine, override: int) -> MelfaEngine:
 @pytest.mark.parametrize("how", ["release", "hold", "alarm", "silence", "exception"])
 def test_the_override_is_put_back_however_it_ends(where: str, how: str) -> None:
     engine = found_at(controller(), 37)
-    silent = Faults(silence=(1.2, 1.2)) if how == "silence" else None
+    silent = Faults(silence=(0.8, 0.9)) if how == "silence" else None
 
     def moves(emulated: Emulated) -> None:
         with mover(emulated, limits(override=3), timeout=0.4) as arm:
@@ -267,7 +267,7 @@ def test_moves_are_worded_as_the_manual_says() -> None:
 @pytest.mark.parametrize("where", PORTS)
 def test_hold_stops_the_arm_where_it_is_and_keeps_the_controls(where: str) -> None:
     engine = controller()
-    with running(engine, where) as emulated, mover(emulated, limits(override=3)) as arm:
+    with running(engine, where) as emulated, mover(emulated, limits(override=8)) as arm:
         ready(arm)
         under_way(arm, NEXT)
         begin = time.monotonic()
@@ -371,7 +371,7 @@ def test_an_alarm_in_mid_move_stops_gives_back_and_is_worded(
 def test_silence_in_mid_move_is_given_up_within_its_time_and_then_stopped(where: str) -> None:
     engine = controller()
     with (
-        running(engine, where, Faults(silence=(1.2, 1.2))) as emulated,
+        running(engine, where, Faults(silence=(0.8, 0.9))) as emulated,
         mover(emulated, limits(override=3), timeout=0.4) as arm,
     ):
         ready(arm)
@@ -386,10 +386,10 @@ def test_silence_in_mid_move_is_given_up_within_its_time_and_then_stopped(where:
 
 
 def test_silence_without_an_end_is_said_as_what_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("verify.grab.melfa_motion.GIVE_BACK_LIMIT", 2.0)
+    monkeypatch.setattr("verify.grab.melfa_motion.GIVE_BACK_LIMIT", 1.0)
     engine = controller()
     with (
-        running(engine, faults=Faults(silence=(1.2, 60.0))) as emulated,
+        running(engine, faults=Faults(silence=(0.8, 60.0))) as emulated,
         mover(emulated, limits(override=3), timeout=0.3) as arm,
     ):
         ready(arm)
@@ -406,7 +406,7 @@ def test_a_line_that_breaks_in_mid_move_is_taken_up_again_to_stop(
     where = "tcp:0" if kind == "tcp" else f"pty:{tmp_path / 'port'}"
     engine = controller()
     with (
-        running(engine, where, Faults(unplug=(1.2, 0.6))) as emulated,
+        running(engine, where, Faults(unplug=(0.8, 0.6))) as emulated,
         mover(emulated, limits(override=3)) as arm,
     ):
         ready(arm)
@@ -509,7 +509,9 @@ def test_a_servo_that_does_not_come_on_has_a_limit(monkeypatch: pytest.MonkeyPat
         assert "powering takes too long" in settled(arm, MoverState.FAILED)[-1].reason
 
 
-def test_an_arm_that_does_not_go_to_its_target_is_stopped() -> None:
+def test_an_arm_that_does_not_go_to_its_target_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("verify.grab.melfa_motion_arrival.STALLED", 0.5)
+
     class Lazy(MelfaEngine):
         """Says yes, and stops on its way."""
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from tests.verify.grab.quick_cell import quick_cell
 from tests.verify.page.grabbed import filled
 from verify.errors import InputError
 from verify.grab.motion_port import ExecuteRight
@@ -16,9 +17,8 @@ from verify.grab.target import Drawn, Named, Options
 from verify.grab.target_tracking import Tracker
 from verify.sim.cell_grab import CellGrab, cell_grab
 from verify.sim.cell_scene import Cap, Scene
-from verify.sim.cell_setup import SMALL, cell_setup
 
-SETUP = cell_setup(SMALL)
+SETUP = quick_cell()
 STANDS = Scene((Cap("blue", (0.47, 0.03)), Cap("green", (0.47, -0.12))), seed=1)
 CAP = Drawn(filled(STANDS.caps[0], STANDS.caps[0].place(0.0)))
 

@@ -1,0 +1,159 @@
+"""Does the diagnosis accuse nobody wrongly, and name what is there? At spot level, with truth.
+
+False accusations: of sessions without a fault, those with any cause listed. Detection, a kind of
+fault and a joint: the session itself states what it would notice (detectable) and what it would
+tell from every other fault (separable). A fault is put in at 1.5 times the separable size; between
+that and 1.5 times the detectable one; and at half the separable one. Verdicts: a joint that is
+sound, or has one of three faults whose mean is next to nothing, at a tolerance of 0.2°.
+
+    python -m tests.bench.diagnosis [SESSIONS] [SEED]
+"""
+
+import os
+import sys
+from collections import defaultdict
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from tests.bench.diagnosis_sessions import Injected, Watched, diagnosed, watched
+from tests.bench.diagnosis_verdicts import CASES, verdicts
+from verify.judgement.diagnosis import Diagnosis
+from verify.judgement.diagnosis_detectable import detectable
+from verify.judgement.faults import SCALES
+
+SESSIONS = 100  # with faults; three times as many without
+SEED = 20261121
+HEALTHY = 3
+MOST_FALSE = 0.02
+LEVELS = ("1.5 sep", "between", "0.5 sep")
+LEAST_RIGHT, MOST_WRONG = 0.90, 0.02
+UNMADE = ("beta",)  # a DH table has none to put a fault into
+TRIALS = 400
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One fault put in, and what was said."""
+
+    kind: str
+    joint: int  # 0: common
+    level: str
+    named: bool
+    inside: bool  # an entry that is ambiguous
+    wrong: bool  # somebody else named
+
+
+def healthy(seed: int) -> list[str]:
+    """What is said of a session without a fault."""
+    return [f"{c.kind} {c.joint or ''}" for c in diagnosed(watched(seed), None).causes]
+
+
+def trials(seed: int) -> list[Trial]:
+    """Put every fault into one session, one at a time."""
+    case, rng = watched(seed), np.random.default_rng([seed, 1])
+    stated = detectable(diagnosed(case, None).products)
+    stated = stated[stated["separable"].notna()]
+    found = []
+    for _, rows in stated.groupby([stated["kind"], stated["joint"].fillna(0)]):
+        usable = rows[~rows["parameter"].astype(str).str.startswith(UNMADE)]
+        if len(usable):
+            row = usable.iloc[int(rng.integers(len(usable)))]
+            found += [_trial(case, row, level, rng) for level in LEVELS]
+    return found
+
+
+def _trial(case: Watched, row: pd.Series, level: str, rng: np.random.Generator) -> Trial:
+    low, high = 1.5 * float(row["detectable"]), 1.5 * float(row["separable"])
+    size = {"1.5 sep": high, "between": low * (high / low) ** rng.random(), "0.5 sep": high / 3}
+    joint = None if pd.isna(row["joint"]) else int(row["joint"])
+    sign = 1.0 if row["kind"] == "eccentricity" else float(rng.choice([-1.0, 1.0]))
+    fault = Injected(
+        kind=str(row["kind"]),
+        joint=joint,
+        size=sign * size[level] / SCALES[str(row["unit"])],
+        parameter=None if pd.isna(row["parameter"]) else str(row["parameter"]),
+        per_turn=1 if pd.isna(row["per_turn"]) else int(row["per_turn"]),
+        phase=float(rng.uniform(0, 2 * np.pi)),
+    )
+    return _told(fault, level, diagnosed(case, fault))
+
+
+def _told(fault: Injected, level: str, diagnosis: Diagnosis) -> Trial:
+    own = (fault.kind, fault.joint)
+    named = [(c.kind, c.joint) for c in diagnosis.causes if c.kind != "ambiguous"]
+    unclear = [(k.kind, k.joint) for c in diagnosis.causes for k in c.candidates]
+    return Trial(
+        fault.kind, fault.joint or 0, level, own in named, own in unclear,
+        any(name != own for name in named),
+    )  # fmt: skip
+
+
+def accusations(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
+    """Print what is said of sessions without a fault; 1 where too much."""
+    seeds = np.random.SeedSequence([seed, 1]).generate_state(HEALTHY * sessions).tolist()
+    said = [causes for causes in pool.map(healthy, seeds) if causes]
+    good = len(said) <= MOST_FALSE * len(seeds)
+    print(f"without a fault: {len(said)} of {len(seeds)} sessions accuse anybody"
+          f"{'' if good else '  FAILS'}{': ' if said else ''}{'; '.join(map(str, said))}",
+          flush=True)  # fmt: skip
+    return int(not good)
+
+
+def detection(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
+    """Print the table a kind and joint; return how many cells fail."""
+    seeds = np.random.SeedSequence([seed, 2]).generate_state(sessions).tolist()
+    cells: dict[tuple[str, int, str], list[Trial]] = defaultdict(list)
+    for outcome in pool.map(trials, seeds):
+        for trial in outcome:
+            cells[trial.kind, trial.joint, trial.level].append(trial)
+    print(f"{'fault':28s} n    1.5 separable    between: named    0.5 separable")
+    print(f"{'':28s}       named  wrong    or inside  wrong   wrong  named")
+    failed = 0
+    for kind, joint in sorted({key[:2] for key in cells}):
+        high, between, low = (cells[kind, joint, level] for level in LEVELS)
+        named, inside = _share(high, "named"), np.mean([t.named or t.inside for t in between])
+        wrong = _share(low, "wrong")
+        bad = [bool(b) for b in (named < LEAST_RIGHT, inside < LEAST_RIGHT, wrong > MOST_WRONG)]
+        failed += sum(bad)
+        marks = ["!" if b else " " for b in bad]
+        name = f"{kind}, joint {joint}" if joint else kind
+        print(f"{name:28s} {len(high):3d}  {named:5.0%}{marks[0]} {_share(high, 'wrong'):5.0%}"
+              f"      {inside:5.0%}{marks[1]}    {_share(between, 'wrong'):5.0%}"
+              f"   {wrong:5.1%}{marks[2]} {_share(low, 'named'):5.0%}", flush=True)  # fmt: skip
+    return failed
+
+
+def _share(cell: list[Trial], what: str) -> float:
+    return float(np.mean([getattr(t, what) for t in cell]))
+
+
+def judged(pool: ProcessPoolExecutor, count: int, seed: int) -> int:
+    """Print the verdicts; return how many lines fail."""
+    seeds = np.random.SeedSequence([seed, 3]).generate_state(count).tolist()
+    outcomes = list(pool.map(verdicts, seeds))
+    failed = 0
+    for case, wanted, least in CASES:
+        share = float(np.mean([o[case] == wanted for o in outcomes]))
+        failed += int(share < least)
+        print(f"verdict, {case}: {wanted} in {share:.1%} of {count}"
+              f"{'' if share >= least else '  FAILS'}", flush=True)  # fmt: skip
+    return failed
+
+
+def main(sessions: int, seed: int) -> int:
+    """Print the tables; 1 where a cell fails."""
+    with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
+        failed = judged(pool, TRIALS, seed)
+        failed += accusations(pool, sessions, seed)
+        failed += detection(pool, sessions, seed)
+    print("all cells hold" if not failed else f"{failed} cells fail (!)")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    os.environ["OMP_NUM_THREADS"] = "1"
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else SESSIONS
+    sys.exit(main(count, int(sys.argv[2]) if len(sys.argv) > 2 else SEED))

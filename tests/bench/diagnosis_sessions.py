@@ -1,0 +1,270 @@
+"""Sessions at spot level for the diagnosis: pictures are measured once, then faults are put in.
+
+True LEDs are projected by OpenCV (in verify.sim) into a true rig drawn about the stated one, and
+given noise. A fault of a joint or of the clock changes the readings; one of the arm, the base or
+the LED body changes what the poses show; one of the cameras is measured anew.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import robots
+from robots.transforms import invert
+from tests.simulated import InMemory, in_memory
+from verify.analysis import _model
+from verify.clock import ClockEstimate
+from verify.comparison import compare
+from verify.errors import InputError
+from verify.joints import solve_joints
+from verify.judgement.diagnosis import Diagnosis, examine
+from verify.judgement.model import with_pan_noise
+from verify.judgement.resolved import resolve
+from verify.pose import fit_pose
+from verify.readings import Readings
+from verify.records import Array, Measurement, Sighting
+from verify.sim.draws import random_scenario
+from verify.sim.faults import reading_error
+from verify.sim.scenario import Fault, MultiJoint, Recording, Uncertainty
+from verify.sim.sessions import SimulatedSession
+from verify.systematics import Systematics, sensitivities, spot_columns, stated
+from verify.track import Track, collect
+
+ARMS = ("iust_6r", "rv_3sd_melfa")
+SPOT_PX = 0.03
+PAIRS = 60
+WIDE = 2.0  # times the swings of a plain session
+ATTEMPTS = 50
+STATED = Uncertainty(
+    focal_px=0.2,
+    principal_point_px=0.2,
+    camera_rotation_deg=0.005,
+    base_position_mm=0.1,
+    base_rotation_deg=0.01,
+    led_body_mm=0.03,
+    led_body_deg=0.02,
+    led_mm=0.02,
+)
+
+
+@dataclass(frozen=True)
+class Injected:
+    """One fault, in SI units, as the diagnosis would tell it."""
+
+    kind: str
+    joint: int | None
+    size: float
+    parameter: str | None = None
+    per_turn: int = 1
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A session whose poses are measured, and what its user knows."""
+
+    session: InMemory
+    track: Track
+    systematics: Systematics
+    clock: ClockEstimate
+    noise: int  # seed of the spots' noise
+
+
+def watched(seed: int) -> Watched:
+    """Draw a session: one of the arms, swings plain or wide, registered by itself or by fixture."""
+    rng = np.random.default_rng(seed)
+    arm, wide = ARMS[int(rng.integers(2))], rng.random() < 0.5
+    for _ in range(ATTEMPTS):
+        scenario = random_scenario(rng, arm, leds=int(rng.integers(3, 6)), pairs=PAIRS)
+        motion, rig = scenario.motion, scenario.rig
+        assert isinstance(motion, MultiJoint)
+        if wide:
+            swings = [WIDE * a for a in motion.amplitude_deg]
+            motion = msgspec.structs.replace(motion, amplitude_deg=swings)
+            rig = msgspec.structs.replace(rig, bases="follow")
+        scenario = msgspec.structs.replace(
+            scenario,
+            motion=motion,
+            rig=rig,
+            uncertainty=STATED,
+            recording=Recording(pairs=PAIRS, rate_hz=float(rng.choice([5.0, 10.0]))),
+        )
+        try:
+            session = in_memory(scenario)
+        except InputError:  # outside the limits, or nowhere to look from
+            continue
+        if np.isnan(session.simulated.spots(0)).any() or np.isnan(session.simulated.spots(1)).any():
+            continue
+        break
+    else:
+        raise RuntimeError(f"{ATTEMPTS} sessions of {arm} drawn, none of them in view")
+    if rng.random() < 0.3:
+        session = replace(
+            session,
+            rig=replace(session.rig, base_source="motion"),
+            marker=replace(session.marker, source="motion"),
+        )
+    told = session.simulated.scenario.encoders.clock_offset_s
+    given = rng.random() < 0.5
+    clock = ClockEstimate(
+        told, None if given else 1e-4, "given" if given else "estimated", np.zeros((0, 2))
+    )
+    systematics = stated(session.rig, session.marker, turning=False)
+    noise = int(rng.integers(2**31))
+    return Watched(session, measured(session, systematics, noise), systematics, clock, noise)
+
+
+def measured(
+    session: InMemory, systematics: Systematics, noise: int, skew: float = 0.0, turned: float = 0.0
+) -> Track:
+    """Poses from true spots with white noise; the right camera is late by `skew`, and turned."""
+    rng, played = np.random.default_rng(noise), session.simulated
+    late = replace(
+        played,
+        t=played.t + np.array([0.0, skew]),
+        true_pan=played.true_pan + np.array([0.0, turned]),
+    )
+    spots = [late.spots(side) for side in (0, 1)]
+    measurements, effects = [], []
+    for i, q in enumerate(session.truth):
+        left, right = (_sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
+        doubt = partial(_doubt, session, systematics, left, right)
+        start: Array = session.rig.rig_T_base @ robots.forward(session.arm, q)
+        pose = fit_pose(left, right, session.rig, session.marker, start, doubt)
+        seen = Measurement(i, left.t, "measured", len(session.marker), pose, left, right)
+        measurements.append(seen)
+        effects.append(sensitivities(systematics, seen, session.rig, session.marker))
+    return collect(measurements, session.rig, effects)
+
+
+def _doubt(
+    session: InMemory,
+    systematics: Systematics,
+    left: Sighting,
+    right: Sighting,
+    rig_T_flange: Array,
+    by_point: Array,
+) -> Array:
+    return spot_columns(
+        systematics, left, right, rig_T_flange, by_point, session.rig, session.marker
+    )
+
+
+def _sighting(
+    played: SimulatedSession, centre: Array, side: int, index: int, rng: np.random.Generator
+) -> Sighting:
+    count = len(centre)
+    return Sighting(
+        led=np.arange(count),
+        centre=centre + SPOT_PX * rng.standard_normal(centre.shape),
+        covariance=np.tile(SPOT_PX**2 * np.eye(2), (count, 1, 1)),
+        t=float(played.t[index, side]),
+        pan=float(played.pan[index, side]),
+        peak=np.full(count, 200.0),
+        velocity=np.zeros((count, 2)),
+        acceleration_lever=np.zeros(count),
+    )
+
+
+def diagnosed(watched: Watched, fault: Injected | None) -> Diagnosis:
+    """Judge a session with a fault in it, by the steps of a run."""
+    session, clock = watched.session, watched.clock
+    track = watched.track if fault is None else _seen(watched, fault)
+    readings = _read(watched, fault)
+    comparison = compare(track, session.arm, readings, clock.offset)
+    comparison = with_pan_noise(comparison, track, watched.systematics)
+    joints = solve_joints(comparison, session.arm)
+    model = _model(session, track, clock, watched.systematics, comparison, joints)
+    return examine(model, resolve(model), session.arm, session.rig)
+
+
+def _read(watched: Watched, fault: Injected | None) -> Readings:
+    """The readings with a fault of a joint or of the clock."""
+    encoders, played = watched.session.encoders, watched.session.simulated
+    t, q = encoders.t, encoders.q
+    if fault is None:
+        return Readings(t, q)
+    if fault.kind == "clock":
+        return Readings(t - fault.size, q)
+    start = played.t[0, 0]
+    true_t = t + played.scenario.encoders.clock_offset_s
+    if fault.kind == "clock_drift":
+        return Readings(t - fault.size * (true_t - start), q)
+    if fault.joint is None or fault.kind == "dh":
+        return Readings(t, q)
+    true = played.world.joints(true_t)
+    return Readings(t, q + _reading_error(watched, fault, true, true_t, start))
+
+
+def _reading_error(
+    watched: Watched, fault: Injected, true: Array, true_t: Array, start: float
+) -> Array:
+    assert fault.joint is not None
+    j, error = fault.joint - 1, np.zeros_like(true)
+    if fault.kind == "compliance":
+        error[:, j] = fault.size * robots.jacobian(watched.session.arm, true)[:, 2, j]
+        return error
+    if fault.kind == "drift":
+        error[:, j] = fault.size * (true_t - start)
+        return error
+    degrees = float(np.degrees(fault.size))
+    wrong = {
+        "offset": Fault(joint=fault.joint, offset_deg=degrees),
+        "gain": Fault(joint=fault.joint, gain=fault.size),
+        "backlash": Fault(joint=fault.joint, backlash_deg=degrees),
+        "eccentricity": Fault(
+            joint=fault.joint,
+            eccentricity_deg=abs(degrees),
+            phase_deg=float(np.degrees(fault.phase)),
+            per_turn=fault.per_turn,
+        ),
+    }[fault.kind]
+    direction = watched.session.simulated.world.motion.direction(true_t)
+    return reading_error(true, direction, [wrong])
+
+
+def _seen(watched: Watched, fault: Injected) -> Track:
+    """The poses with a fault of the arm, its base, the LED body or a camera."""
+    session, track = watched.session, watched.track
+    if fault.kind == "camera_skew":
+        return measured(session, watched.systematics, watched.noise, skew=fault.size)
+    if fault.kind == "camera_turned":
+        return measured(session, watched.systematics, watched.noise, turned=fault.size)
+    pose = track.base_T_flange
+    if fault.kind == "dh":
+        pose = (
+            pose
+            @ invert(robots.forward(session.arm, session.truth))
+            @ robots.forward(_bent(session.arm, fault), session.truth)
+        )
+    elif fault.kind == "base_moved":
+        pose = _displaced(fault) @ pose
+    elif fault.kind == "led_body_slipped":
+        pose = pose @ _displaced(fault)
+    return replace(track, base_T_flange=pose)
+
+
+def _bent(arm: robots.Arm, fault: Injected) -> robots.Arm:
+    assert isinstance(arm, robots.DhArm)
+    assert fault.parameter is not None
+    assert fault.joint is not None
+    key = fault.parameter.rstrip("123456")
+    column = getattr(arm, key).copy()
+    column[fault.joint - 1] += fault.size
+    if key == "alpha":
+        return replace(arm, alpha=column)
+    return replace(arm, a=column) if key == "a" else replace(arm, d=column)
+
+
+def _displaced(fault: Injected) -> Array:
+    """A displacement along or about one axis, x to rz."""
+    motion = np.eye(4)
+    way = ("x", "y", "z", "rx", "ry", "rz").index(fault.parameter or "x")
+    if way < 3:
+        motion[way, 3] = fault.size
+    else:
+        motion[:3, :3] = Rotation.from_rotvec(fault.size * np.eye(3)[way - 3]).as_matrix()
+    return motion

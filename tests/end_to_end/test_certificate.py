@@ -1,0 +1,96 @@
+"""A result checked by another program: the recipe of docs/results.md, and what it must catch."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import reports
+from reports.results import plain
+from tests.end_to_end.command import SAMPLES
+from verify import analyse, open_session
+
+DOCS = Path(__file__).parents[2] / "docs" / "results.md"
+FAULTY = SAMPLES / "multi_joint_fault_6r"
+SAID = "inputs, verdicts and budget are as stated"
+
+
+@pytest.fixture(scope="module")
+def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    text = DOCS.read_text(encoding="utf-8").partition("### Checking a result")[2]
+    found = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    assert found is not None
+    script = tmp_path_factory.mktemp("recipe") / "check.py"
+    script.write_text(found[1], encoding="utf-8")
+    return script
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a checker reads of OUT; the reports themselves are no part of it."""
+    out: Path = tmp_path_factory.mktemp("result")
+    results = analyse(open_session(FAULTY))
+    reports.write(results, out / "results")
+    (out / "summary.json").write_text(json.dumps(plain(results.summary), allow_nan=False))
+    return out
+
+
+def checked(recipe: Path, session: Path, out: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(recipe), str(session), str(out)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def changed(out: Path, to: Path, change: dict[str, Any]) -> Path:
+    """A copy whose summary says something else of joint 2."""
+    shutil.copytree(out, to)
+    path = to / "summary.json"
+    summary = json.loads(path.read_text())
+    summary["joints"][1] |= change
+    path.write_text(json.dumps(summary))
+    return to
+
+
+def test_a_result_passes_the_recipe_of_the_documentation(recipe: Path, result: Path) -> None:
+    answer = checked(recipe, FAULTY, result)
+    assert answer.returncode == 0, answer.stderr
+    assert SAID in answer.stdout
+
+
+def test_a_session_that_was_changed_since_does_not(
+    recipe: Path, result: Path, tmp_path: Path
+) -> None:
+    session = shutil.copytree(FAULTY, tmp_path / "session")
+    with (session / "encoders.csv").open("a") as file:
+        file.write("\n")
+    answer = checked(recipe, session, result)
+    assert answer.returncode != 0
+    assert "encoders.csv is not what was read" in answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"verdict": "conform"}, "joint 2: nonconform"),
+        ({"tolerance_deg": 1.0}, "joint 2: conform"),
+        ({"standard_uncertainty_deg": 1e-5}, "budget of joint 2"),
+    ],
+)
+def test_a_summary_that_was_changed_does_not(
+    recipe: Path, result: Path, tmp_path: Path, change: dict[str, Any], said: str
+) -> None:
+    answer = checked(recipe, FAULTY, changed(result, tmp_path / "out", change))
+    assert answer.returncode != 0
+    assert said in answer.stderr
+
+
+def test_the_certificate_names_versions_rule_and_arm(result: Path) -> None:
+    summary = json.loads((result / "summary.json").read_text())
+    assert set(summary["software"]) == {"python", "numpy", "scipy", "numba", "opencv"}
+    assert re.fullmatch(r"sha256:[0-9a-f]{64}", summary["session"]["robot_fingerprint"])
+    assert summary["decision"]["tolerance_from"] == "session.toml"
+    assert all(re.fullmatch(r"sha256:[0-9a-f]{64}", d) for d in summary["inputs"].values())

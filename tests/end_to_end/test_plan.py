@@ -1,0 +1,127 @@
+"""`verify plan` from a rig to the motion of the next session, and what it refuses."""
+
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robots
+from tests.verify.planning import scene
+from verify import marker_file, rig_file
+
+from .command import verify
+
+NEAR = ("--near", ",".join(f"{angle:g}" for angle in scene.HOME_DEG), "--within-deg", "35")
+QUICK = (*NEAR, "--poses", "4", "--rate-hz", "4", "--clock-uncertainty-ms", "0.5")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few() -> Iterator[None]:
+    with scene.few_postures():
+        yield
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rig")
+    bench = scene.bench()
+    rig_file.write(folder / "rig.toml", bench.rig)
+    marker_file.write(folder / "marker.toml", bench.marker)
+    return folder
+
+
+def test_a_plan_is_a_motion_and_its_prediction(rig: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = verify("plan", "iust_6r", rig / "rig.toml", "-o", out, *QUICK)
+    assert done.status == 0, done.err
+    assert "4 poses" in done.out
+    assert "joint 6: mean error ± 0." in done.out
+    assert "No uncertainty is stated for" in done.err
+    assert {entry.name for entry in out.iterdir()} == {
+        "plan.csv", "poses.csv", "report.html", "report.pdf", "results", "summary.json",
+    }  # fmt: skip
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["kind"] == "plan"
+    assert summary["observe"] == ["offsets", "gains", "backlash", "clock"]
+    assert set(summary["inputs"]) == {"rig.toml", "marker.toml"}
+    assert all(joint["minimum_detectable_error_deg"] > 0 for joint in summary["joints"])
+    with (out / "plan.csv").open() as table:
+        rows = list(csv.DictReader(table))
+    q = np.deg2rad([[float(row[f"q{j}_deg"]) for j in range(1, 7)] for row in rows])
+    t = np.array([float(row["t_s"]) for row in rows])
+    assert robots.within_limits(robots.load("iust_6r"), q).all()
+    assert np.abs(np.diff(q, axis=0) / np.diff(t)[:, None]).max() < np.deg2rad(30.1)
+    with (out / "poses.csv").open() as table:
+        stops = list(csv.DictReader(table))
+    assert [row["pose"] for row in stops if row["pose"]] == ["1", "2", "3", "4", "3", "2", "1"]
+    again = verify("report", out, "--language", "de")
+    assert again.status == 0, again.err
+    assert "Geplante Sitzung von iust_6r" in (out / "report.html").read_text()
+
+
+def test_json_holds_the_summary(rig: Path, tmp_path: Path) -> None:
+    done = verify("--json", "plan", "iust_6r", rig, "-o", tmp_path / "out", *QUICK,
+                  "--observe", "offsets")  # fmt: skip
+    assert done.status == 0, done.err
+    last = json.loads(done.out.splitlines()[-1])
+    assert last["summary"]["observe"] == ["offsets"]
+    assert last["summary"]["motion"]["there_and_back"] is False
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--near", "1,2,3"), '--near: "1,2,3" is no posture of iust_6r; 6 numbers'),
+        (("--near", "0,0,0,0,0,200"), "--near: joint 6 stands at 200°; its limits are -170°"),
+        (("--poses", "5", "--duration-s", "60"), "--duration-s: is given with --poses"),
+        (("--duration-s", "1", *NEAR), "--duration-s: 1 s; 4 poses take"),
+        (("--duration-s", "-3"), "--duration-s: -3; a number above 0"),
+        (("--speed-deg-s", "nan"), "--speed-deg-s: nan; a number above 0"),
+        (("--rate-hz", "0"), "--rate-hz: 0; a number above 0"),
+        (("--skew-ms", "200"), "--skew-ms: 200 ms; less than the time between two pairs"),
+        (("--marker", "nowhere.toml"), "nowhere.toml"),
+        (("--observe", "everything"), "everything"),
+        (("--view-angle-deg", "1"), "by LEDs turned away from a camera"),
+        (("--floor-mm", "3000", *NEAR), "by the arm below the floor"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(
+    words: tuple[str, ...], said: str, rig: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    done = verify("plan", "iust_6r", rig, "-o", out, *words)
+    assert done.status == 2
+    assert said in done.err
+    assert "Traceback" not in done.err
+    assert done.err.splitlines()[-1].startswith("error: ")
+    assert not out.exists()
+
+
+def test_files_that_are_missing_are_named(rig: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "alone.toml"
+    alone.write_bytes((rig / "rig.toml").read_bytes())
+    done = verify("plan", "iust_6r", alone)
+    assert done.status == 2
+    assert "error: --marker: is not given, and there is no" in done.err
+    unknown = verify("plan", "iust_7r", rig)
+    assert unknown.status == 2
+    assert 'did you mean "iust_6r"?' in unknown.err
+
+
+def test_a_taken_folder_is_refused_before_any_work(rig: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "kept").write_text("")
+    done = verify("plan", "iust_6r", rig, "-o", tmp_path / "out", *QUICK)
+    assert done.status == 2
+    assert "exists and is not empty" in done.err
+
+
+def test_too_few_leds_are_refused(rig: Path, tmp_path: Path) -> None:
+    text = (rig / "marker.toml").read_text().split("[[led]]")
+    (tmp_path / "two.toml").write_text("[[led]]".join(text[:3]))
+    done = verify("plan", "iust_6r", rig, "--marker", tmp_path / "two.toml")
+    assert done.status == 2
+    assert "names 2 LEDs; a plan needs 3 or more" in done.err

@@ -1,0 +1,112 @@
+"""How small a fault of each kind this session would list, and tell from every other fault.
+
+After Baarda's internal reliability, with the thresholds that the diagnosis itself asks: what a
+fault must lower chi-squared by to be listed, and by how much it must beat each rival.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi_squared
+
+from verify.judgement.causes import LEAST_ADVANTAGE, asked
+from verify.judgement.diagnosis_search import Products
+from verify.judgement.faults import SCALES
+from verify.records import Array
+
+MOST_TIMES = 100.0  # the listed size: a rival that leaves less of a fault is the same as it
+POWER = 0.84  # standard deviations beyond a threshold: it is passed four times in five
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+COLUMNS = ["joint", "kind", "parameter", "per_turn", "unit", "detectable", "separable",
+           "rival_joint", "rival_kind"]  # fmt: skip
+
+
+def detectable(products: Products) -> pd.DataFrame:
+    """One row a fault that was tried: its smallest size that is listed, and that is named.
+
+    Args:
+        products: of a diagnosis.
+
+    Returns:
+        `joint` (none of a common fault), `kind`, `parameter` (of a link; the axis of a
+        displacement), `per_turn` (waves of an eccentricity), `unit`; `detectable` and `separable`,
+        in that unit, nan where no size would do; `rival_joint`, `rival_kind`: from which it is
+        told last. An eccentricity's are those of its least favourable phase, a displacement's
+        those of one along or about one axis alone.
+    """
+    ways = _ways(products)
+    listed, named, rival = _sizes(products, ways)
+    rows = []
+    for way, size, told, k in zip(ways, listed.tolist(), named.tolist(), rival, strict=True):
+        fault, other = products.faults[way.fault], products.faults[k] if k >= 0 else None
+        scale = SCALES[way.unit]
+        rows.append(
+            (
+                fault.joint, fault.kind, way.parameter, fault.per_turn, way.unit, size * scale,
+                told * scale, other.joint if other else None, other.kind if other else None,
+            )
+        )  # fmt: skip
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+class _Way(NamedTuple):
+    """A way that a fault can be: its only one, or one axis of a displacement."""
+
+    fault: int
+    first: int  # of its columns; of an eccentricity's two
+    last: int
+    parameter: str | None
+    unit: str
+
+
+def _ways(products: Products) -> list[_Way]:
+    ways = []
+    for i, (fault, place) in enumerate(zip(products.faults, products.places, strict=True)):
+        if not fault.unit:
+            continue
+        if fault.freedom == len(AXES):
+            units = ("mm",) * 3 + ("deg",) * 3
+            along = zip(place.tolist(), AXES, units, strict=True)
+            ways += [_Way(i, k, k, axis, unit) for k, axis, unit in along]
+        else:
+            ways.append(_Way(i, int(place[0]), int(place[-1]), fault.parameter, fault.unit))
+    return ways
+
+
+def _sizes(products: Products, ways: list[_Way]) -> tuple[Array, Array, list[int]]:
+    """Least sizes listed and named, SI, a way each, and the rival that asks for most (or -1)."""
+    fault, first, last = (np.array([way[k] for way in ways], dtype=np.int64) for k in range(3))
+    scale = np.minimum(products.scale[first], products.scale[last])
+    largest = np.array([products.faults[way.fault].largest for way in ways])
+    left = _left(products.gram, first, last) * scale
+    left[~products.visible[fault]] = np.nan
+    # beside those that resemble it, the best of all rivals fits something by mere chance
+    chance = chi_squared.isf(1 / max(int(products.visible.sum()), 2), 1)
+    price = products.price[fault]
+    listed = (np.sqrt(price) + POWER) / left
+    named = (np.sqrt(np.maximum(price, LEAST_ADVANTAGE + chance)) + POWER) / left
+    names = [f.name for f in products.faults]
+    rival = np.full(len(ways), -1)
+    for k in np.flatnonzero(products.visible).tolist():
+        advantage = np.array([asked(products, i, k) for i in range(len(names))])[fault]
+        same = np.array([name == names[k] for name in names])[fault]
+        left = _left(products.rest((k,))[0], first, last) * scale
+        with np.errstate(divide="ignore"):
+            needed = (np.sqrt(np.maximum(advantage, 0.0)) + POWER) / left
+        needed[needed > np.fmin(MOST_TIMES * listed, largest)] = np.nan
+        # a rival with many more coefficients asks for nothing: it never stands in its place
+        harder = ~same & (advantage > 0) & ~np.isnan(named) & ~(needed <= named)
+        named[harder], rival[harder] = needed[harder], k
+    return listed, named, rival.tolist()
+
+
+def _left(gram: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:
+    """Length of what is left of each way's unit column; of two columns' worst mixture."""
+    one, other, mixed = gram[first, first], gram[last, last], gram[first, last]
+    worst = (one + other) / 2 - np.hypot((one - other) / 2, mixed)  # smaller eigenvalue
+    left: Array = np.sqrt(np.maximum(np.where(first == last, one, worst), 0.0))
+    return left

@@ -1,0 +1,195 @@
+"""Which set of faults explains the errors best: products of columns, and a search among sets.
+
+Everything needed of a session is the products of what registration, clock and stated doubts leave
+of the faults' columns and of the errors; any set is then solved in a few small matrices.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi_squared
+
+from verify.judgement.faults import Fault
+from verify.judgement.model import Model
+from verify.records import Array
+from verify.regression import left_over
+
+FAMILY_FALSE_ALARM = 5e-3  # chance of accusing anybody at all where nothing is wrong
+LEAST_SHARE = 0.01  # of the misfit: what explains less is no cause worth a name
+RANK = 1e-8  # of a normalised Gram matrix: closer columns cannot be told apart at all
+NOTICED = 4.13  # standard deviations: false alarm 0.1 %, power 80 %
+BEAM = 16  # sets that are carried on, of each size
+MOST_CAUSES = 8
+PATIENCE = 2  # sizes without a better set after which none is expected
+
+Chosen = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Products:
+    """What is left of c faults with p columns in all, and of the errors."""
+
+    faults: list[Fault]
+    gram: Array  # (p, p), of columns scaled to length 1
+    moment: Array  # (p,)
+    power: float
+    scale: Array  # (p,), length of the columns before
+    rows: int  # what the errors were, in number
+    places: list[NDArray[np.int64]]  # columns of each fault
+    visible: NDArray[np.bool_]  # (c,), something of the fault is left
+    price: Array  # (c,), in chi-squared, of listing a fault
+
+    @classmethod
+    def of(cls, model: Model, faults: list[Fault], kept: NDArray[np.bool_]) -> "Products":
+        """Project out what was fitted and stated.
+
+        Args:
+            model: the session.
+            faults: what is tried.
+            kept: (r,), rows to take.
+        """
+        target = np.concatenate([*(f.columns for f in faults), model.xi[:, None]], axis=1)[kept]
+        whole = np.linalg.norm(target[:, :-1], axis=0)
+        scale = np.where(whole > 0, whole, 1.0)
+        target[:, :-1] /= scale
+        products = left_over(model.fitted[kept], target, model.prior[kept])
+        ends = np.cumsum([f.freedom for f in faults])
+        places = [np.arange(end - f.freedom, end) for f, end in zip(faults, ends, strict=True)]
+        gram = products[:-1, :-1]
+        least = np.array([np.linalg.eigvalsh(gram[np.ix_(p, p)])[0] for p in places])
+        known = np.sqrt(np.maximum(least, 0.0)) * [scale[p].min() for p in places]
+        sizes = np.array([f.largest for f in faults])
+        visible = (least > RANK) & (known * sizes > NOTICED)
+        rows = int(kept.sum())
+        return cls(
+            faults, gram, products[:-1, -1], float(products[-1, -1]), scale, rows, places, visible,
+            _prices(faults, visible, rows),
+        )  # fmt: skip
+
+    def doubted(self, misfit: float) -> "Products":
+        """The same with errors that are `misfit` times as likely as stated, as variances go."""
+        root = np.sqrt(misfit)
+        return replace(
+            self, moment=self.moment / root, power=self.power / misfit, scale=self.scale / root
+        )
+
+    def columns(self, chosen: Chosen) -> NDArray[np.int64]:
+        """Places of the columns of a set."""
+        return np.concatenate([self.places[i] for i in chosen] or [np.zeros(0, dtype=np.int64)])
+
+    def chi2(self, chosen: Chosen) -> float:
+        """Misfit with these faults fitted; infinite where they cannot be told apart."""
+        at = self.columns(chosen)
+        normal = self.gram[np.ix_(at, at)]
+        size = np.sqrt(np.diag(normal))
+        if len(at) and np.linalg.eigvalsh(normal / np.outer(size, size))[0] < RANK:
+            return float("inf")
+        solution = np.linalg.solve(normal, self.moment[at]) if len(at) else self.moment[at]
+        return self.power - float(solution @ self.moment[at])
+
+    def estimate(self, chosen: Chosen, i: int) -> tuple[Array, Array]:
+        """Coefficients (p,) of one of a set and their covariance, SI, all fitted together."""
+        at = self.columns(chosen)
+        inverse = np.linalg.inv(self.gram[np.ix_(at, at)])
+        own = np.isin(at, self.places[i])
+        scale = self.scale[self.places[i]]
+        return (inverse @ self.moment[at])[own] / scale, inverse[np.ix_(own, own)] / np.outer(
+            scale, scale
+        )
+
+    def rest(self, chosen: Chosen) -> tuple[Array, Array]:
+        """Products of all columns, and with the errors, beside a set that is fitted."""
+        at = self.columns(chosen)
+        if not len(at):
+            return self.gram, self.moment
+        shared = np.linalg.solve(self.gram[np.ix_(at, at)], self.gram[at])
+        return self.gram - self.gram[:, at] @ shared, self.moment - shared.T @ self.moment[at]
+
+    def added(self, chosen: Chosen) -> Array:
+        """By how much each fault would lower the misfit beside a set, (c,); 0 where it cannot."""
+        gram, moment = self.rest(chosen)
+        lowered = np.zeros(len(self.faults))
+        for freedom in {f.freedom for f in self.faults}:
+            which = [
+                i for i, f in enumerate(self.faults) if f.freedom == freedom and self.visible[i]
+            ]
+            if not which:
+                continue
+            at = np.array([self.places[i] for i in which])
+            block = gram[at[:, :, None], at[:, None, :]]
+            told = np.linalg.eigvalsh(block)[:, 0] > RANK
+            part = moment[at][told]
+            solved = np.linalg.solve(block[told], part[:, :, None])[:, :, 0]
+            lowered[np.array(which)[told]] = np.sum(solved * part, axis=1)
+        lowered[list(chosen)] = 0.0
+        return lowered
+
+    def cost(self, chosen: Chosen) -> float:
+        """The criterion: misfit and the prices of what is listed."""
+        return self.chi2(chosen) + float(self.price[list(chosen)].sum())
+
+
+def _prices(faults: list[Fault], visible: NDArray[np.bool_], rows: int) -> Array:
+    """What a fault has to lower chi-squared by to be listed.
+
+    More than Schwarz's criterion asks, and more than chance gives the best of them all once in
+    1 / FAMILY_FALSE_ALARM sessions (Bonferroni); and in a long session, where the smallest effect
+    that nobody stated becomes significant, a share of the misfit.
+    """
+    each = FAMILY_FALSE_ALARM / max(int(visible.sum()), 1)
+    freedom = np.array([f.freedom for f in faults])
+    chance = np.asarray(chi_squared.isf(each, freedom), dtype=np.float64)
+    schwarz = freedom * np.log(max(rows, 2))
+    prices: Array = np.maximum.reduce([chance, schwarz, np.full(len(faults), LEAST_SHARE * rows)])
+    return prices
+
+
+def search(products: Products) -> Chosen:
+    """The set of faults of least cost.
+
+    Sets grow a fault at a time, the best BEAM of every size carried on, so that two faults that
+    together pass for a third one are still found; then members are exchanged while that helps.
+    """
+    best: Chosen = ()
+    least = products.cost(best)
+    beam, size, idle = [best], 0, 0
+    while size < MOST_CAUSES and idle < PATIENCE:
+        size += 1
+        beam = _grown(products, beam)
+        if not beam:
+            break
+        idle += 1
+        cost, chosen = min((products.cost(c), c) for c in beam)
+        if cost < least:
+            best, least, idle = chosen, cost, 0
+    return _exchanged(products, best)
+
+
+def _grown(products: Products, beam: list[Chosen]) -> list[Chosen]:
+    """The best sets with one fault more."""
+    found: dict[Chosen, float] = {}
+    for chosen in beam:
+        cost, lowered = products.cost(chosen), products.added(chosen)
+        for i in np.argsort(products.price - lowered)[:BEAM].tolist():
+            if lowered[i] > 0:
+                found[tuple(sorted((*chosen, i)))] = cost - lowered[i] + float(products.price[i])
+    return sorted(found, key=lambda c: found[c])[:BEAM]
+
+
+def _exchanged(products: Products, best: Chosen) -> Chosen:
+    """Leave out or exchange members as long as the cost falls."""
+    least, better = products.cost(best), True
+    while better:
+        better = False
+        for i in best:
+            without = tuple(k for k in best if k != i)
+            lowered = products.added(without)
+            k = int(np.argmin(products.price - lowered))
+            for chosen in (without, tuple(sorted((*without, k)))):
+                cost = products.cost(chosen)
+                if cost < least - 1e-9:
+                    best, least, better = chosen, cost, True
+            if better:
+                break
+    return best

@@ -1,0 +1,103 @@
+"""When the arm is where: legs from rest to rest, limited in jerk, each at a pace of its own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from robots import Arm
+from verify.grab.limits import JointLimits
+from verify.grab.trajectory import Trajectory, between, timed
+from verify.planning.tour import Stop
+from verify.records import Array
+
+# Shares of the greatest speed, leg after leg: what tells a clock's error from a backlash is speed
+# that varies (corr(latency, backlash) is -0.15 to -0.73 at one speed).
+PACES = (1.0, 0.5, 0.8, 0.4)
+RAMP = 0.4  # s to full speed, where the arm's file states no acceleration
+EASE = 0.15  # s to full acceleration, likewise
+PERIOD = 0.05  # s between the rows of plan.csv
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A motion from rest to rest; k stops."""
+
+    stops: tuple[Stop, ...]
+    arrive: Array  # (k,), s; the first at 0
+    leave: Array  # (k,), s
+    legs: tuple[Trajectory, ...]  # (k - 1)
+    pace: Array  # (k - 1,), share of the greatest speed
+    duration: float = field(init=False)  # s
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "duration", float(self.leave[-1]))
+
+    def q(self, t: Array) -> Array:
+        """Joint angles (n, j), rad, at times (n,), s; at rest before and after."""
+        leg = np.clip(np.searchsorted(self.leave, t, side="right") - 1, -1, len(self.legs) - 1)
+        found = np.tile(self.stops[0].q, (len(t), 1))
+        for i in np.unique(leg[leg >= 0]).tolist():
+            own = leg == i
+            found[own] = self._along(i, t[own] - self.leave[i])
+        return found
+
+    def _along(self, leg: int, since: Array) -> Array:
+        trajectory = self.legs[leg]
+        place = np.array([_way(trajectory, s) for s in since.tolist()])
+        return trajectory.path.q(place)
+
+    def resting(self, t: Array) -> list[int | None]:
+        """Which pose the arm rests at, at times (n,)."""
+        at = np.clip(np.searchsorted(self.arrive, t, side="right") - 1, 0, len(self.stops) - 1)
+        rests = t <= self.leave[at]
+        return [
+            self.stops[k].pose if rest else None
+            for k, rest in zip(at.tolist(), rests.tolist(), strict=True)
+        ]
+
+
+def limits(arm: Arm, speed: float) -> JointLimits:
+    """What the joints may do: the arm's file, and no joint faster than asked."""
+    most = np.full(arm.dof, speed)
+    if arm.speed is not None:
+        most = np.minimum(most, arm.speed)
+    acceleration, jerk = most / RAMP, most / RAMP / EASE
+    if arm.acceleration is not None:
+        acceleration = np.minimum(acceleration, arm.acceleration)
+    if arm.jerk is not None:
+        jerk = np.minimum(jerk, arm.jerk)
+    return JointLimits(arm.lower, arm.upper, most, acceleration, jerk)
+
+
+def schedule(stops: Sequence[Stop], greatest: JointLimits, hold: float) -> Timed:
+    """Give each leg its pace and each pose its rest.
+
+    Args:
+        stops: in order.
+        greatest: of each joint.
+        hold: s of rest at each pose; stops that are only passed have none.
+    """
+    now, arrive, leave, legs, paces = 0.0, [], [], [], []
+    for k, stop in enumerate(stops):
+        if k:
+            pace = PACES[(k - 1) % len(PACES)]
+            leg = timed(between(stops[k - 1].q, stop.q), _slower(greatest, pace))
+            now += leg.duration
+            legs.append(leg)
+            paces.append(pace)
+        arrive.append(now)
+        now += hold if stop.pose is not None else 0.0
+        leave.append(now)
+    return Timed(tuple(stops), np.array(arrive), np.array(leave), tuple(legs), np.array(paces))
+
+
+def _slower(greatest: JointLimits, pace: float) -> JointLimits:
+    return JointLimits(
+        greatest.lower, greatest.upper, pace * greatest.speed, greatest.acceleration, greatest.jerk
+    )
+
+
+def _way(trajectory: Trajectory, since: float) -> float:
+    inside = min(max(since, 0.0), trajectory.duration)
+    return float(trajectory.curve.at_time(inside)[0][0])

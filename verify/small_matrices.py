@@ -1,0 +1,90 @@
+"""Vectors of three numbers and small matrices, compiled.
+
+Everything is filled in place, by plain loops: numba takes seconds to compile what assigns whole
+arrays, and for so few numbers its library calls are no quicker.
+"""
+
+import math
+
+from verify.compiled import compiled
+from verify.records import Array
+
+
+@compiled
+def dot(a: Array, b: Array) -> float:
+    """Scalar product of two vectors (3,)."""
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@compiled
+def distance(a: Array, b: Array) -> float:
+    """Distance of two points (3,)."""
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@compiled
+def cross(a: Array, b: Array, product: Array) -> None:
+    """Fill in the cross product of two vectors (3,)."""
+    product[0] = a[1] * b[2] - a[2] * b[1]
+    product[1] = a[2] * b[0] - a[0] * b[2]
+    product[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def scale_to_one(vector: Array) -> None:
+    """Give a vector (3,) the length one."""
+    length = math.sqrt(dot(vector, vector))
+    for i in range(3):
+        vector[i] /= length
+
+
+@compiled
+def compose(a: Array, b: Array, product: Array) -> None:
+    """Fill in the product of two matrices (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@compiled
+def factor(matrix: Array, less: float, root: Array) -> bool:
+    """Fill in the lower Cholesky factor of a matrix (n, n) with `less` taken off its diagonal.
+
+    Returns:
+        False where that is not positive definite; the factor has NaN then.
+    """
+    definite = True
+    for i in range(len(matrix)):
+        for j in range(i + 1):
+            rest = matrix[i, j] - (less if i == j else 0.0)
+            for k in range(j):
+                rest -= root[i, k] * root[j, k]
+            if i > j:
+                root[i, j] = rest / root[j, j]
+            else:
+                definite = definite and rest > 0.0
+                root[i, i] = math.sqrt(rest) if rest > 0.0 else math.nan
+    return definite
+
+
+@compiled
+def solve(root: Array, right: Array) -> None:
+    """Solve in place for a vector (n,), by the lower Cholesky factor (n, n)."""
+    for i in range(len(right)):
+        for k in range(i):
+            right[i] -= root[i, k] * right[k]
+        right[i] /= root[i, i]
+    for i in range(len(right) - 1, -1, -1):
+        for k in range(i + 1, len(right)):
+            right[i] -= root[k, i] * right[k]
+        right[i] /= root[i, i]
+
+
+@compiled
+def invert(root: Array, inverse: Array) -> None:
+    """Fill in the inverse (n, n) of the matrix that a lower Cholesky factor (n, n) belongs to."""
+    for i in range(len(root)):
+        for j in range(len(root)):
+            inverse[i, j] = 1.0 if i == j else 0.0
+        solve(root, inverse[i])
