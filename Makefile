@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint check format samples accept bench soak bench-coverage clean
+.PHONY: demo test lint check format samples accept bench soak bench-coverage bench-diagnosis clean
 
 $(STAMP): pyproject.toml .ci/constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "verify needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
@@ -50,6 +50,9 @@ bench-coverage: $(STAMP)
 	$(BIN)/python -m tests.bench.calibration
 	$(BIN)/python -m tests.bench.registration
 	$(BIN)/python -m tests.bench.whole_chain
+
+bench-diagnosis: $(STAMP)
+	$(BIN)/python -m tests.bench.diagnosis
 
 clean:
 	rm -rf $(VENV) build *.egg-info

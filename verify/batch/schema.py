@@ -47,6 +47,11 @@ CAUSE = pa.struct(
         ("expanded_uncertainty", NUMBER),
         ("explains", NUMBER),
         ("candidates", pa.list_(pa.struct([("joint", COUNT), ("kind", TEXT)]))),
+        ("parameter", TEXT),
+        ("per_turn", COUNT),
+        ("phase_deg", NUMBER),
+        ("turn_deg", NUMBER),
+        ("separating_motion", TEXT),
     ]
 )
 FRAME = (
