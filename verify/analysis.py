@@ -49,7 +49,7 @@ from verify.systematics import Systematics
 from verify.tables import frames_table, relative_table, resolved_table, spots_table
 from verify.track import Track
 
-__all__ = ["analyse", "measure", "setup_of"]
+__all__ = ["analyse", "measure", "model_of", "see_session", "setup_of"]
 
 UNSEEN = 1e-9  # of a joint's column: a share below this is what rounding leaves of nothing
 
@@ -80,9 +80,32 @@ def analyse(
         InputError: the session cannot be measured; nothing is returned in part.
     """
     readings = Readings(session.encoders.t, session.encoders.q)
+    seen, clock = see_session(session, readings, progress, chain or measure)
+    track = seen.track
+    comparison, joints, unreachable = _compare(session, track, readings, clock, seen.systematics)
+    if not len(comparison):
+        raise _nothing_compared(session, track, reached=not unreachable)
+    model = model_of(session, track, clock, seen.systematics, comparison, joints)
+    return _judge(session, tolerance, seen, clock, model, comparison, joints, unreachable)
+
+
+def see_session(
+    session: Session, readings: Readings, progress: Progress, chain: Chain
+) -> tuple[Seen, ClockEstimate]:
+    """Measure a session's pairs, or take its instrument's poses, and find the readings' clock.
+
+    Args:
+        session: an opened session.
+        readings: its readings.
+        progress: called with pairs done and pairs in all.
+        chain: what measures the pairs.
+
+    Raises:
+        InputError: nothing was measured, or in units or axes that are not those of the readings.
+    """
     instrument = session.instrument
     if instrument is None:
-        seen = see_pictures(session, progress, chain or measure)
+        seen = see_pictures(session, progress, chain)
         if not len(seen.track):
             raise nothing_measured(session, seen)
         clock = clock_of(session, seen.track, readings)
@@ -90,16 +113,11 @@ def analyse(
         seen, clock = see_instrument(session, instrument, readings)
         progress(len(session), len(session))
         refuse_misread(session, instrument, seen.track, readings, clock)
-    track = seen.track
-    refuse_radians(session, track, readings, clock)
-    comparison, joints, unreachable = _compare(session, track, readings, clock, seen.systematics)
-    if not len(comparison):
-        raise _nothing_compared(session, track, reached=not unreachable)
-    model = _model(session, track, clock, seen.systematics, comparison, joints)
-    return _judge(session, tolerance, seen, clock, model, comparison, joints, unreachable)
+    refuse_radians(session, seen.track, readings, clock)
+    return seen, clock
 
 
-def _model(
+def model_of(
     session: Session,
     track: Track,
     clock: ClockEstimate,
@@ -107,7 +125,16 @@ def _model(
     comparison: Comparison,
     joints: Joints,
 ) -> Model:
-    """The linear model about the errors that are there, with pairs that repeat each other."""
+    """Lay a session out about the errors that are there; pairs repeat each other.
+
+    Args:
+        session: the session.
+        track: its measured poses.
+        clock: of its readings.
+        systematics: what is stated of rig and marker.
+        comparison: poses against readings.
+        joints: measured angles of the compared pairs.
+    """
 
     def built(compared: Comparison) -> Model:
         shown = without_unseen(compared)

@@ -1,5 +1,6 @@
 """Functions compiled to machine code, for loops over pixels that arrays are too slow for."""
 
+import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -8,20 +9,34 @@ from typing import TypeVar, cast
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., object])
+SOURCES = ("*kernel*.py", "compiled.py", "pose_prediction.py", "small_matrices.py")
 QUICK_SUMS = {"reassoc", "contract", "nsz"}
 
 
 def _kept() -> bool:
-    """Whether machine code can be kept for the next time: beside the sources, or by the user."""
-    if "NUMBA_CACHE_DIR" in os.environ or os.access(Path(__file__).parent, os.W_OK):
+    """Whether machine code can be kept for the next time: beside the sources, or by the user.
+
+    numba looks at a function's own file alone, but a function has others' code in it: so the code
+    of all of them has a folder for each state of the sources.
+    """
+    if "NUMBA_CACHE_DIR" in os.environ:
         return True
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "verify"
+    own = Path(__file__).parent
+    users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "verify"
+    folder = (own / "__pycache__" if os.access(own, os.W_OK) else users) / f"kernels-{_state(own)}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
         return False
     vars(numba.config)["CACHE_DIR"] = str(folder)
     return os.access(folder, os.W_OK)
+
+
+def _state(package: Path) -> str:
+    """A name for the sources as they are, by when they were written and how long they are."""
+    files = [f for pattern in SOURCES for f in sorted(package.rglob(pattern))]
+    told = [(f.name, f.stat().st_mtime_ns, f.stat().st_size) for f in files]
+    return hashlib.sha256(repr(told).encode()).hexdigest()[:12]
 
 
 KEPT = _kept()

@@ -9,37 +9,28 @@ spots that were moved share it. It is marginalised, so it correlates their error
 pretending to average out over LEDs.
 """
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from verify import pose_kernel as kernel
 from verify.marker import Marker
 from verify.pose_prediction import predict_spots
 from verify.records import Array, Pose, Sighting
-from verify.rig import Camera, Rig, distort
+from verify.rig import Camera, Rig
 
 # Acceleration assumed a speed, 1/s: arms move in sines near 0.5 Hz (2 pi f = 3) or in ramps of a
 # third of a second. The session's own motion corrects it afterwards (comparison.py).
 ACCELERATION_PER_SPEED = 3.0
 ROUGH_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and stops
-LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
-SCALE = np.repeat([LEVER, 1.0], 3)
-SCALES = np.outer(SCALE, SCALE)
-# LEDs that barely leave a line: a turn known worse than this is no measurement, and too large
-# for the linearisation that its uncertainty rests on.
-WORST_KNOWN = 0.1  # rad, or 10 mm at the marker's size
-UNDETERMINED = 1e-10  # information a direction, relative to the best: rounding, not measurement
+SCALE = np.repeat([kernel.LEVER, 1.0], 3)
 OUTLIER = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
 MODEL_FLOOR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
 FEWEST_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
 MOMENT = 0.01  # s: long against rounding, short against the motion
-ITERATIONS = 25
-FLOOR = np.eye(2) * 1e-6  # px²
-CONVERGED = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +70,11 @@ class Views:
             self.focal[spots] = camera.matrix[:2, :2]
             self.middle[spots] = camera.matrix[:2, 2]
 
+    @property
+    def places(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """What a prediction needs beside the pose."""
+        return self.points, self.camera_R_rig, self.origin, self.lens, self.focal, self.middle
+
 
 # d spots by what is stated of rig and marker, columns of unit variance (2 s, p), at a pose (4, 4)
 # and the derivative of its pixels by their points (s, 2, 3)
@@ -109,16 +105,15 @@ def fit_pose(
         The pose with its covariance; spots that no pose explains with the rest are rejected.
     """
     views = _stack(left, right, rig, marker)
-    keep = np.ones(len(views.centre), dtype=bool)
+    keep = np.ones(len(views.centre), dtype=np.bool_)
     tolerance = np.diag(np.repeat(_tolerance(views, marker), 2))
-    curvature = np.zeros_like(views.centre)
+    centre, curvature = views.centre, np.zeros_like(views.centre)
     if views.lever.any():
-        rough = _gauss_newton(views, keep, start)
+        rough = _gauss_newton(views, centre, keep, start)
         curvature = _curvature(views, rough.rig_T_flange, rough.twist)
-        straight = views.centre - curvature * views.lever[:, None]
-        views, start = replace(views, centre=straight), rough.rig_T_flange
+        centre, start = centre - curvature * views.lever[:, None], rough.rig_T_flange
     while True:
-        fit = _gauss_newton(views, keep, start)
+        fit = _gauss_newton(views, centre, keep, start)
         worst, size = _worst_spot(fit, keep, tolerance)
         if size >= OUTLIER and doubt is not None:
             columns, doubt = doubt(fit.rig_T_flange, fit.by_point), None
@@ -137,16 +132,20 @@ def _stack(left: Sighting, right: Sighting, rig: Rig, marker: Marker) -> Views:
         for camera, sighting in ((rig.left, left), (rig.right, right))
     ]
     return Views(
-        points=marker.leds[np.concatenate([left.led, right.led])],
-        centre=np.concatenate([left.centre, right.centre]),
-        covariance=np.concatenate([left.covariance, right.covariance]),
-        velocity=np.concatenate([left.velocity, right.velocity]),
-        lever=np.concatenate([left.acceleration_lever, right.acceleration_lever]),
+        points=np.array(marker.leds[np.concatenate([left.led, right.led])], order="C"),
+        centre=_one_array(left.centre, right.centre),
+        covariance=_one_array(left.covariance, right.covariance),
+        velocity=_one_array(left.velocity, right.velocity),
+        lever=_one_array(left.acceleration_lever, right.acceleration_lever),
         cameras=(
             (rig.left, camera_T_rig[0], slice(0, m)),
             (rig.right, camera_T_rig[1], slice(m, None)),
         ),
     )
+
+
+def _one_array(left: Array, right: Array) -> Array:
+    return np.ascontiguousarray(np.concatenate([left, right]))
 
 
 def predict(views: Views, rig_T_flange: Array) -> tuple[Array, Array, Array]:
@@ -159,31 +158,8 @@ def predict(views: Views, rig_T_flange: Array) -> tuple[Array, Array, Array]:
     count = len(views.points)
     pixels, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
     by_pose = np.empty((count, 2, 6))
-    predict_spots(
-        rig_T_flange,
-        views.points,
-        views.camera_R_rig,
-        views.origin,
-        views.lens,
-        views.focal,
-        views.middle,
-        pixels,
-        by_point,
-        by_pose,
-    )
+    predict_spots(rig_T_flange, *views.places, pixels, by_point, by_pose)
     return pixels, by_point, by_pose
-
-
-def _seen(views: Views, points_rig: Array) -> tuple[Array, Array]:
-    """Ideal image coordinates (s, 2) and depths (s, 1), m, of points in the rig."""
-    local = (views.camera_R_rig @ points_rig[..., None])[..., 0] + views.origin
-    depth = local[:, 2:]
-    return local[:, :2] / depth, depth
-
-
-def _pixels(views: Views, distorted: Array) -> Array:
-    pixels: Array = (views.focal @ distorted[..., None])[..., 0] + views.middle
-    return pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,36 +168,45 @@ class _Fit:
     residual: Array  # (s, 2)
     by_point: Array  # (s, 2, 3)
     by_pose: Array  # (s, 2, 6)
-    noise: Array  # (2 k, 2 k) of the kept spots: pixels
-    acceleration: Array  # (2 k, 2 k): alignment
+    noise: Array  # (2 s, 2 s), px²: pixels
+    acceleration: Array  # (2 s, 2 s), px²: alignment
+    weight: Array  # (2 s, 2 s), 1/px²: inverse of both for the kept spots, 0 for the others
     twist: Array  # (6,)
     prior: tuple[float, float]
-    gain: Array  # (6, 2 k)
-    determined: Array  # (6, d)
+    gain: Array  # (6, 2 s), 0 for spots that are not kept
+    directions: Array  # (6, 6), columns: of the pose, in units of SCALE
+    known: NDArray[np.bool_]  # (6,), whether the spots determine them
+
+    @property
+    def predicted(self) -> tuple[Array, Array, Array]:
+        return self.residual, self.by_point, self.by_pose
+
+    @property
+    def spread(self) -> tuple[Array, Array, Array]:
+        return self.noise, self.acceleration, self.weight
 
 
-def _gauss_newton(views: Views, keep: NDArray[np.bool_], start: Array) -> _Fit:
-    pose = np.array(start, dtype=float)
-    rows = np.repeat(keep, 2)
-    for iteration in range(ITERATIONS):
-        pixels, by_point, by_pose = predict(views, pose)
-        residual = views.centre - pixels
-        design = by_pose.reshape(-1, 6)[rows]
-        if iteration == 0:  # velocities and their lever change nothing measurable in later rounds
-            noise = _block_diagonal(views.covariance[keep])
-            twist, prior = _motion(views, design, keep)
-            acceleration = _acceleration(views, by_pose, keep, prior)
-            weight = np.linalg.inv(noise + acceleration)
-        weighted = design.T @ weight
-        inverse, determined = _inverse(weighted @ design)
-        gain = inverse @ weighted
-        step = gain @ residual.reshape(-1)[rows]
-        pose = perturb(pose, step)
-        if np.abs(step).max() < CONVERGED:
-            break
-    return _Fit(
-        pose, residual, by_point, by_pose, noise, acceleration, twist, prior, gain, determined
+def _gauss_newton(views: Views, centre: Array, keep: NDArray[np.bool_], start: Array) -> _Fit:
+    count = len(centre)
+    pose = np.array(start, dtype=float, order="C")
+    twist, gain = np.empty(6), np.empty((6, 2 * count))
+    predicted = np.empty((count, 2)), np.empty((count, 2, 3)), np.empty((count, 2, 6))
+    noise, acceleration, weight = np.empty((3, 2 * count, 2 * count))
+    directions = np.empty((6, 6)), np.empty(6, dtype=np.bool_)
+    prior = kernel.descend(
+        views.places,
+        centre,
+        (views.covariance, views.velocity, views.lever),
+        _rows(keep),
+        (ACCELERATION_PER_SPEED, *ROUGH_ACCELERATION),
+        pose,
+        predicted,
+        (noise, acceleration, weight),
+        gain,
+        directions,
+        twist,
     )
+    return _Fit(pose, *predicted, noise, acceleration, weight, twist, prior, gain, *directions)
 
 
 def perturb(pose: Array, step: Array) -> Array:
@@ -232,52 +217,13 @@ def perturb(pose: Array, step: Array) -> Array:
     return moved
 
 
-def _inverse(information: Array) -> tuple[Array, Array]:
-    """Covariance in the determined directions, and the functionals that are determined.
-
-    The information matrix of one or two LEDs (or of LEDs on one line) is singular; its null
-    vectors are the motions that no picture shows.
-    """
-    values, vectors = np.linalg.eigh(information * SCALES)
-    known = (values > UNDETERMINED * values[-1]) & (values > WORST_KNOWN**-2)
-    if known.all():
-        return (vectors / values) @ vectors.T * SCALES, np.eye(6)
-    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T * SCALES
-    hidden = vectors[:, ~known] * SCALE[:, None]
-    complement = np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]
-    return inverse, complement
-
-
-def _motion(
-    views: Views, design: Array, keep: NDArray[np.bool_]
-) -> tuple[Array, tuple[float, float]]:
-    """How the flange moves, from the spots' velocities, and the acceleration that this suggests."""
-    velocity = views.velocity[keep].reshape(-1)
-    if not velocity.any():
-        return np.zeros(6), ROUGH_ACCELERATION
-    scaled = design * SCALE
-    square = scaled.T @ scaled
-    ridge = 1e-6 * np.trace(square) / 6  # keeps one or two LEDs solvable
-    twist = SCALE * np.linalg.solve(square + ridge * np.eye(6), scaled.T @ velocity)
-    linear = ACCELERATION_PER_SPEED * math.hypot(*twist[:3].tolist()) + ROUGH_ACCELERATION[0]
-    angular = ACCELERATION_PER_SPEED * math.hypot(*twist[3:].tolist()) + ROUGH_ACCELERATION[1]
-    return twist, (linear / np.sqrt(3), angular / np.sqrt(3))  # a component
-
-
-def _acceleration(
-    views: Views, by_pose: Array, keep: NDArray[np.bool_], prior: tuple[float, float]
-) -> Array:
-    """Covariance of the kept spots from the unknown acceleration, (2 k, 2 k), px²."""
-    moved = (by_pose[keep] * views.lever[keep][:, None, None]).reshape(-1, 6)
-    spread = np.repeat(np.square(prior), 3)
-    covariance: Array = (moved * spread) @ moved.T
-    return covariance
-
-
-def _block_diagonal(blocks: Array) -> Array:
-    matrix = np.zeros((len(blocks), 2, len(blocks), 2))
-    np.einsum("iaib->iab", matrix)[:] = blocks
-    return matrix.reshape(2 * len(blocks), -1)
+def _determined(fit: _Fit) -> Array:
+    """Functionals of the pose that the spots determine, (6, d): across what none of them shows."""
+    if fit.known.all():
+        return np.eye(6)
+    hidden = fit.directions[:, ~fit.known] * SCALE[:, None]
+    across: Array = np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]
+    return across
 
 
 def _tolerance(views: Views, marker: Marker) -> Array:
@@ -290,17 +236,12 @@ def _tolerance(views: Views, marker: Marker) -> Array:
 
 def _worst_spot(fit: _Fit, keep: NDArray[np.bool_], tolerance: Array) -> tuple[int, float]:
     """The kept spot that fits worst, by its own residual in its own uncertainty."""
-    rows = np.repeat(keep, 2)
-    total = fit.noise + fit.acceleration + tolerance[rows][:, rows]
-    design = fit.by_pose[keep].reshape(-1, 6)
-    hat = np.eye(len(total)) - design @ fit.gain
-    spread = (hat @ total @ hat.T).reshape(keep.sum(), 2, -1, 2)
-    residual = fit.residual[keep]
-    # a spot that nothing else checks has no residual to speak of: floor against 0/0
-    block = np.einsum("iaib->iab", spread) + FLOOR
-    size = np.sum(residual * np.linalg.solve(block, residual[..., None])[..., 0], axis=1)
-    worst = int(np.argmax(size))
-    return int(np.flatnonzero(keep)[worst]), float(size[worst])
+    return kernel.worst_spot(fit.predicted, fit.spread, fit.gain, _rows(keep), tolerance)
+
+
+def _rows(keep: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Which coordinates (2 k,) are those of kept spots (s,)."""
+    return np.flatnonzero(np.repeat(keep, 2))
 
 
 def _curvature(views: Views, rig_T_flange: Array, twist: Array) -> Array:
@@ -309,12 +250,8 @@ def _curvature(views: Views, rig_T_flange: Array, twist: Array) -> Array:
     LEDs that turn about the flange, and points that come nearer, do not cross the image at a
     steady rate even then. It points one way, so it would not average out.
     """
-    if not twist.any():
-        return np.zeros_like(views.centre)
-    moments = (perturb(rig_T_flange, twist * h) for h in (-MOMENT, 0.0, MOMENT))
-    points = (views.points @ pose[:3, :3].T + pose[:3, 3] for pose in moments)
     early, now, late = (
-        _pixels(views, distort(_seen(views, place)[0], views.lens)) for place in points
+        predict(views, perturb(rig_T_flange, twist * h))[0] for h in (-MOMENT, 0.0, MOMENT)
     )
     second: Array = (early + late - 2 * now) / MOMENT**2
     return second
@@ -324,26 +261,22 @@ def _pose(
     fit: _Fit, views: Views, keep: NDArray[np.bool_], consistent: bool, curvature: Array
 ) -> Pose:
     spread = np.repeat(np.square(fit.prior), 3)  # of the acceleration's components
-    kept = fit.residual[keep].reshape(-1)
-    gain = np.zeros((6, 2 * len(keep)))
-    gain[:, np.repeat(keep, 2)] = fit.gain
+    residual, determined = fit.residual.reshape(-1), _determined(fit)
+    moved = (fit.by_pose * views.lever[:, None, None]) ** 2 @ spread
     return Pose(
         rig_T_flange=fit.rig_T_flange,
         covariance_pixels=fit.gain @ fit.noise @ fit.gain.T,
         covariance_alignment=fit.gain @ fit.acceleration @ fit.gain.T,
         twist=fit.twist,
         acceleration_prior=fit.prior,
-        determined=fit.determined,
-        gain=gain,
+        determined=determined,
+        gain=fit.gain,
         sensitivity=fit.by_point,
         curvature=curvature,
         residual=fit.residual,
-        spot_uncertainty=np.sqrt(
-            np.einsum("saa->s", views.covariance) / 2
-            + np.sum((fit.by_pose * views.lever[:, None, None]) ** 2 @ spread, axis=1) / 2
-        ),
+        spot_uncertainty=np.sqrt((np.diag(fit.noise).reshape(-1, 2) + moved).sum(axis=1) / 2),
         rejected=~keep,
         consistent=consistent,
-        chi2=float(kept @ np.linalg.solve(fit.noise + fit.acceleration, kept)),
-        degrees_of_freedom=len(kept) - fit.determined.shape[1],
+        chi2=float(residual @ fit.weight @ residual),
+        degrees_of_freedom=2 * int(keep.sum()) - determined.shape[1],
     )

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import robots
 from robots.transforms import invert
 from tests.simulated import InMemory, in_memory
-from verify.analysis import _model
+from verify.analysis import model_of
 from verify.clock import ClockEstimate
 from verify.comparison import compare
 from verify.errors import InputError
@@ -177,7 +177,7 @@ def diagnosed(watched: Watched, fault: Injected | None) -> Diagnosis:
     comparison = compare(track, session.arm, readings, clock.offset)
     comparison = with_pan_noise(comparison, track, watched.systematics)
     joints = solve_joints(comparison, session.arm)
-    model = _model(session, track, clock, watched.systematics, comparison, joints)
+    model = model_of(session, track, clock, watched.systematics, comparison, joints)
     return examine(model, resolve(model), session.arm, session.rig)
 
 

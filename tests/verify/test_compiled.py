@@ -5,6 +5,17 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
+import tests.verify.test_identification as scenes
+from tests.verify.scene import facing, make_marker, make_rig, sight
+from verify.identification import Prediction
+from verify.measurement import Setup, measure
+from verify.pose import fit_pose
+from verify.session import open_session
+from verify.warm_up import warm_up
+
+ROOT = Path(__file__).parents[2]
 # the package's own folder as of a user who may not write there
 TELL = """
 import importlib.util, os, pathlib
@@ -35,3 +46,62 @@ def test_where_the_package_cannot_be_written_the_user_s_cache_serves(tmp_path: P
 def test_what_cannot_be_kept_is_compiled_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("in the way")
     assert told(tmp_path / "cache") == ["False", "1.0"]
+
+
+def compiled_now() -> dict[str, list[str]]:
+    """Every compiled function of the package, with the types that it is in memory for."""
+    return {
+        f"{module}.{name}": sorted(map(str, thing.signatures))
+        for module, own in list(sys.modules.items())
+        if module.split(".")[0] == "verify"
+        for name, thing in vars(own).items()
+        if hasattr(thing, "py_func")
+    }
+
+
+def pairs_of_a_session() -> None:
+    session = open_session(ROOT / "sample_sessions" / "quarter_circle_6r")
+    pairs = (pair for pair, _ in zip(session.pairs(), range(4), strict=False))
+    assert len(list(measure(pairs, Setup(session.rig, session.marker)))) == 4
+
+
+def spots_of_every_kind() -> None:
+    rng = np.random.default_rng(0)
+    lit = {"colours": (scenes.RED, scenes.GREEN, scenes.BLUE), "names": ("red", "green", "blue")}
+    for scene in (
+        scenes.make_scene(rng, scenes.EQUILATERAL, **lit),
+        scenes.make_scene(rng, scenes.TWO, lamps=2),
+        scenes.make_scene(rng, scenes.ROW, missing=((0,), (0, 1))),
+        scenes.make_scene(rng, np.array([[0.03, 0.0, 0.02]]), clutter=2),
+    ):
+        pose = scenes.near(scene.rig_T_flange, rng, 0.004, 0.04)
+        scene.identify()
+        scene.identify(Prediction(pose, 0.005, 0.05))
+        scene.identify(expected=(np.asfortranarray(pose), pose))
+
+
+def poses_of_every_kind() -> None:
+    rig, truth = make_rig(), facing(0.05, -0.03, 0.6)
+    for count, off in ((1, 0.0), (2, 0.0), (4, 0.0), (4, 3.0)):
+        left, right = sight(rig, make_marker(count), truth, 0.05)
+        left.centre[0] += off
+        right.acceleration_lever[:] = 1e-4
+        fit_pose(left, right, rig, make_marker(count), np.asfortranarray(truth))
+
+
+def report_what_a_measurement_compiles() -> None:
+    """Print what was not in memory after warming up: run in a process of its own."""
+    warm_up()
+    before = compiled_now()
+    for use in (pairs_of_a_session, spots_of_every_kind, poses_of_every_kind):
+        use()
+        late = {name: types for name, types in compiled_now().items() if before[name] != types}
+        print(use.__name__, late or "nothing")
+
+
+def test_after_warming_up_nothing_is_left_to_compile() -> None:
+    own = "import tests.verify.test_compiled as t; t.report_what_a_measurement_compiles()"
+    done = subprocess.run(
+        [sys.executable, "-c", own], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert [line.split(maxsplit=1)[1] for line in done.stdout.splitlines()] == ["nothing"] * 3

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from verify.analysis import see_session
 from verify.arm_identification.chain import Chain
 from verify.arm_identification.identify import Identified
 from verify.arm_identification.parameters import State
@@ -13,14 +14,12 @@ from verify.arm_identification.poses import Poses, Rows, poses
 from verify.comparison import Comparison, compare
 from verify.errors import InputError
 from verify.instrument import noise_of
-from verify.instrument_misread import refuse_misread
 from verify.judgement.model import clock_effect, prior_columns, with_pan_noise
 from verify.measurement import measure
-from verify.plausibility import refuse_radians
 from verify.readings import Readings
 from verify.records import Array
 from verify.regression import autocorrelation
-from verify.seeing import Progress, clock_of, nothing_measured, see_instrument, see_pictures
+from verify.seeing import Progress
 from verify.session import Session
 
 BLOCKS = 10  # of a session, one after the other: neighbouring pairs repeat each other's posture
@@ -98,18 +97,9 @@ def see(session: Session, progress: Progress) -> Seen:
     Raises:
         InputError: no pair could be measured, or none has a reading.
     """
-    readings, instrument = Readings(session.encoders.t, session.encoders.q), session.instrument
-    if instrument is None:
-        seen = see_pictures(session, progress, measure)
-        if not len(seen.track):
-            raise nothing_measured(session, seen)
-        clock = clock_of(session, seen.track, readings)
-    else:
-        seen, clock = see_instrument(session, instrument, readings)
-        progress(len(session), len(session))
-        refuse_misread(session, instrument, seen.track, readings, clock)
+    readings = Readings(session.encoders.t, session.encoders.q)
+    seen, clock = see_session(session, readings, progress, measure)
     track, systematics = seen.track, seen.systematics
-    refuse_radians(session, track, readings, clock)
     compared = compare(
         track, session.arm, readings, clock.offset, resolution=session.encoder_resolution,
         time_uncertainty=session.encoder_time_standard_uncertainty,

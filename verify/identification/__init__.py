@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.identification.hypotheses import Hypotheses, score, unique
+from verify.identification.hypotheses import Hypotheses, conflicts, departure, lone, score, unique
 from verify.identification.search import search, track
 from verify.identification.views import Views, look
 from verify.marker import Marker
@@ -28,7 +28,6 @@ BELIEVED = 3.0  # departures beyond which a reference says nothing about a pose
 APART = 1.0  # by how many departures the nearest must be nearer than the next
 ENCODERS_POSITION = 0.07  # m, how far a faulty arm and a clock not yet known may be believed to err
 ENCODERS_ROTATION = 0.2  # rad, likewise; marker symmetries lie above 1 rad
-COARSE = 4e-3  # m, how well a coarse pose places an LED: depth, with the images a few ms apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +101,13 @@ def identify(
     evidence = score(views, found)
     informed = evidence.copy()
     if prediction is not None:
-        off = _off(views.leds, found, prediction)
+        off = _off(views, found, prediction)
         informed += np.minimum(off**2, JUMP)
     best = int(np.argmin(informed))
-    rivals = _conflicts(found, best) & (evidence < evidence[best] + CLEARLY)
+    rivals = conflicts(found, best) & (evidence < evidence[best] + CLEARLY)
     alternatives = int(rivals.sum())
     rivals &= informed < informed[best] + CLEARLY
-    if alternatives == 0 and _lone(found)[best]:
+    if alternatives == 0 and lone(found)[best]:
         choice = "continuity"
     elif alternatives == 0:
         choice = "colour" if _colour_decided(views, found, best) else "geometry"
@@ -117,7 +116,7 @@ def identify(
     else:
         choice = "encoders"
         open_ones = np.flatnonzero(rivals | (np.arange(len(found)) == best))
-        nearest = _nearest(views.leds, found.take(open_ones), expected())
+        nearest = _nearest(views, found.take(open_ones), expected())
         if nearest is None:
             return _nothing("ambiguous_leds", alternatives)
         best = int(open_ones[nearest])
@@ -132,27 +131,20 @@ def _find(
     rig_R_flange = references[0][:3, :3] if len(references) else np.eye(3)
     found = search(views, rig_R_flange, single=prediction is not None)
     if prediction is not None:
-        there = found.take(_off(views.leds, found, prediction) <= BELIEVED)
+        there = found.take(_off(views, found, prediction) <= BELIEVED)
         tracked = track(views, there, prediction.rig_T_flange, *_sizes(prediction))
         found = unique(found.join(tracked))
-    lone = _lone(found)
-    if not lone.any():
+    stray = lone(found)
+    if not stray.any():
         return found
     if prediction is not None:
-        lone &= _off(views.leds, found, prediction) > BELIEVED
-    return found.take(~lone)
+        stray &= _off(views, found, prediction) > BELIEVED
+    return found.take(~stray)
 
 
-def _lone(found: Hypotheses) -> NDArray[np.bool_]:
-    """Say where one LED of several is all that both cameras see: any lamp would do as well."""
-    several = found.spot.shape[2] > 1
-    lone: NDArray[np.bool_] = several & (np.all(found.spot >= 0, axis=1).sum(axis=1) == 1)
-    return lone
-
-
-def _off(leds: Array, found: Hypotheses, prediction: Prediction) -> Array:
+def _off(views: Views, found: Hypotheses, prediction: Prediction) -> Array:
     """Departures of hypotheses (h,) from a prediction, in its standard deviations."""
-    return departure(leds, found, prediction.rig_T_flange, *_sizes(prediction))
+    return departure(views, found, prediction.rig_T_flange, *_sizes(prediction))
 
 
 def _sizes(prediction: Prediction) -> tuple[float, float]:
@@ -160,51 +152,12 @@ def _sizes(prediction: Prediction) -> tuple[float, float]:
     return prediction.position_uncertainty / BOUND, prediction.rotation_uncertainty / BOUND
 
 
-def departure(
-    leds: Array, found: Hypotheses, rig_T_flange: Array, position: float, rotation: float
-) -> Array:
-    """Measure how far the LEDs of each hypothesis (h,) are from where a reference pose has them.
-
-    Their mean is compared on the scale of `position` (m), their arrangement about it on that of
-    `rotation` (rad): a symmetric marker's turn stands out however far the whole has moved. What
-    the LEDs seen do not determine plays no part.
-    """
-    seen = (found.spot >= 0).any(axis=1)
-    weight = seen / np.maximum(seen.sum(axis=1), 1)[:, None]
-    at = np.einsum("hij,nj->hni", found.rotation, leds) + found.position[:, None]
-    move = at - (leds @ rig_T_flange[:3, :3].T + rig_T_flange[:3, 3])
-    mean = np.einsum("hn,hni->hi", weight, move)
-    middle = weight @ leds
-    radius = _spread(weight, leds - middle[:, None])
-    lever = np.linalg.norm(middle, axis=1)
-    moved = np.linalg.norm(mean, axis=1) / (position + rotation * lever + COARSE)
-    turned = _spread(weight, move - mean[:, None]) / (rotation * radius + COARSE)
-    total: Array = np.hypot(moved, turned)
-    return total
-
-
-def _spread(weight: Array, vectors: Array) -> Array:
-    """Weighted root mean square length of (h, n, 3) vectors, (h,)."""
-    spread: Array = np.sqrt(np.sum(weight * np.sum(vectors**2, axis=-1), axis=1))
-    return spread
-
-
-def _conflicts(found: Hypotheses, best: int) -> NDArray[np.bool_]:
-    """Say which hypotheses contradict one: another spot for an LED, or another LED for a spot."""
-    mine, theirs = found.spot[best], found.spot
-    other_spot = (mine >= 0) & (theirs >= 0) & (mine != theirs)
-    same = (theirs[..., None] == mine[:, None]) & (theirs[..., None] >= 0)
-    other_led = np.any(same & ~np.eye(mine.shape[1], dtype=bool), axis=-1)
-    conflict: NDArray[np.bool_] = np.any(other_spot | other_led, axis=(1, 2))
-    return conflict
-
-
-def _nearest(leds: Array, found: Hypotheses, expected_poses: Sequence[Array]) -> int | None:
+def _nearest(views: Views, found: Hypotheses, expected_poses: Sequence[Array]) -> int | None:
     """Choose the hypothesis nearest to an encoders' pose, if one is near and clearly nearest."""
     if len(expected_poses) == 0:
         return None
     scales = ENCODERS_POSITION, ENCODERS_ROTATION
-    off = np.min([departure(leds, found, pose, *scales) for pose in expected_poses], axis=0)
+    off = np.min([departure(views, found, pose, *scales) for pose in expected_poses], axis=0)
     best = int(np.argmin(off))
     others = np.delete(off, best)
     clear = off[best] <= BELIEVED and np.all(others >= off[best] + APART)
@@ -213,15 +166,14 @@ def _nearest(leds: Array, found: Hypotheses, expected_poses: Sequence[Array]) ->
 
 def _colour_decided(views: Views, found: Hypotheses, best: int) -> bool:
     """Say whether the same search, colour-blind, would have left a rival to the one found."""
-    coloured = np.isfinite(views.pixels[..., 0])[:, None] & ~views.allowed
-    if not coloured.any():
+    everything = np.repeat(np.isfinite(views.pixels[:, None, :, 0]), len(views.leds), axis=1)
+    if np.array_equal(views.allowed, everything):
         return False
-    everything = np.broadcast_to(np.isfinite(views.pixels[..., 0])[:, None], views.allowed.shape)
     chosen = found.take(np.array([best]))
     blind = replace(views, allowed=everything)
     pool = chosen.join(search(blind, chosen.rotation[0], single=True))
     evidence = score(blind, pool)
-    return bool(np.any(_conflicts(pool, 0) & (evidence < evidence[0] + CLEARLY)))
+    return bool(np.any(conflicts(pool, 0) & (evidence < evidence[0] + CLEARLY)))
 
 
 def _report(found: Hypotheses, best: int, choice: str, alternatives: int) -> Identification:

@@ -6,25 +6,30 @@ a sharp test even where its place does not.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from verify.identification import kernel
-from verify.identification.seeds import GATE, Graph, Index, Points, cross
+from verify.identification import kernel, kernel_seeds, kernel_spots
+from verify.identification.kernel_points import GATE, Index
+from verify.identification.seeds import Graph, Points
 from verify.identification.views import Views
 from verify.records import Array
 
 LEAST_SKEW = 1e-3  # px: simultaneous for every purpose, and nothing is divided by zero
 NEAREST = 0.02  # m, depth below which a point cannot be imaged
-FREE_POSITION = 10.0  # m, standard deviation that leaves position to the images
-FREE_ROTATION = 3.0  # rad, likewise: all the way round
+FREE = np.repeat([10.0, 3.0], 3)  # m, rad: standard deviations that leave a pose to the images
 LARGEST_GATE = 10.0  # px, an LED predicted worse than this could be any spot
 REWARD = 20.0  # 2 ln of how much denser spots are at an LED (half a px) than clutter (20 an image)
 MERGED_COST = 9.0  # of the same kind: a clean spot is taken unless it lies 3 sigma farther off
 IMPROBABLE = 1e-4  # chi² beyond this probability is not this marker
 ALONE_COST = 7.0  # likewise: an LED in view of one camera is hidden from the other once in 30 times
+COARSE = 4e-3  # m, how well a coarse pose places an LED: depth, with the images a few ms apart
+DETERMINED = np.array([0, 3, 5, 6])  # degrees of freedom, by LEDs seen: three determine all
+POSE, SHIFT = np.arange(6), np.arange(6, 8)  # of a covariance
+SIDES = np.array([[0], [1]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,29 +50,38 @@ class Hypotheses:
 
     def take(self, chosen: NDArray[np.bool_] | Index) -> "Hypotheses":
         """Keep some, by index or mask."""
-        kept = {name: getattr(self, name)[chosen] for name in self.__slots__}
-        return Hypotheses(**kept)
+        return Hypotheses(
+            self.rotation[chosen],
+            self.position[chosen],
+            self.shift[chosen],
+            self.spot[chosen],
+            self.hold[chosen],
+            self.covariance[chosen],
+            self.chi2[chosen],
+        )
 
     def join(self, other: "Hypotheses") -> "Hypotheses":
         """Append others."""
-        names = self.__slots__
-        both = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in names}
-        return Hypotheses(**both)
+        return Hypotheses(
+            np.concatenate([self.rotation, other.rotation]),
+            np.concatenate([self.position, other.position]),
+            np.concatenate([self.shift, other.shift]),
+            np.concatenate([self.spot, other.spot]),
+            np.concatenate([self.hold, other.hold]),
+            np.concatenate([self.covariance, other.covariance]),
+            np.concatenate([self.chi2, other.chi2]),
+        )
 
 
 def start(views: Views, rotation: Array, position: Array, spot: Index) -> Hypotheses:
     """Begin hypotheses (h of them) at coarse poses, nothing held."""
     count = len(position)
-    free = np.repeat([FREE_POSITION, FREE_ROTATION], 3)
-    return Hypotheses(
-        rotation=rotation,
-        position=position,
-        shift=np.zeros((count, 2)),
-        spot=spot,
-        hold=np.tile(free**-2, (count, 1)),
-        covariance=np.tile(np.diag([*free**2, views.skew**2, views.skew**2]), (count, 1, 1)),
-        chi2=np.full(count, np.inf),
-    )
+    hold, covariance = np.empty((count, 6)), np.zeros((count, kernel.FREE, kernel.FREE))
+    hold[:] = FREE**-2
+    covariance[:, POSE, POSE] = FREE**2
+    covariance[:, SHIFT, SHIFT] = views.skew**2
+    chi2 = np.full(count, np.inf)
+    return Hypotheses(rotation, position, np.zeros((count, 2)), spot, hold, covariance, chi2)
 
 
 def seed(
@@ -78,20 +92,23 @@ def seed(
     What the nodes leave open (all turns, or that about their line) stays as in `rig_R_flange`.
     """
     count, corners = nodes.shape
-    rig, led = points.rig[graph.point[nodes]], views.leds[graph.led[nodes]]
-    rotation = np.broadcast_to(rig_R_flange, (count, 3, 3))
+    rotation, position = np.empty((count, 3, 3)), np.empty((count, 3))
+    rotation[:] = rig_R_flange
     if corners == 2:
-        rotation = (
-            _least_turn((led[:, 1] - led[:, 0]) @ rig_R_flange.T, rig[:, 1] - rig[:, 0]) @ rotation
-        )
-    elif corners == 3:
-        rotation = _triad(rig) @ np.swapaxes(_triad(led), 1, 2)
-    position = rig.mean(axis=1) - np.einsum("hij,hj->hi", rotation, led.mean(axis=1))
-    spot = np.full((count, 2, len(views.leds)), -1, dtype=np.int64)
-    row = np.arange(count)[:, None]
-    for side in (0, 1):
-        spot[row, side, graph.led[nodes]] = points.spot[side, graph.point[nodes]]
-    return start(views, np.array(rotation), position, spot)
+        rig, led = points.rig[graph.point[nodes]], views.leds[graph.led[nodes]]
+        line = (led[:, 1] - led[:, 0]) @ rig_R_flange.T
+        rotation = np.ascontiguousarray(_least_turn(line, rig[:, 1] - rig[:, 0]) @ rotation)
+    spot = np.empty((count, 2, len(views.leds)), dtype=np.int64)
+    kernel_seeds.begin_poses(
+        (points.spot, points.rig),
+        (graph.point, graph.led),
+        nodes,
+        views.leds,
+        rotation,
+        position,
+        spot,
+    )
+    return start(views, rotation, position, spot)
 
 
 def _least_turn(source: Array, target: Array) -> Array:
@@ -107,15 +124,6 @@ def _least_turn(source: Array, target: Array) -> Array:
     first = 2 * source[:, :, None] * source[:, None] - np.eye(3)
     second = 2 * half[:, :, None] * half[:, None] - np.eye(3)
     return np.where(opposite[:, None, None], second, second @ first)
-
-
-def _triad(corner: Array) -> Array:
-    """Axes (h, 3, 3) of triangles (h, 3, 3): along the first side, in the plane, across it."""
-    along = corner[:, 1] - corner[:, 0]
-    across = cross(along, corner[:, 2] - corner[:, 0])
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    across = across / np.linalg.norm(across, axis=1, keepdims=True)
-    return np.stack([along, cross(across, along), across], axis=2)
 
 
 def polish(views: Views, hypotheses: Hypotheses) -> Hypotheses:
@@ -138,10 +146,10 @@ def predict(views: Views, hypotheses: Hypotheses) -> tuple[Array, Array, Array]:
     shape = (len(hypotheses), 2, len(views.leds))
     image, derivative, depth = np.empty((*shape, 2)), np.empty((*shape, 2, 8)), np.empty(shape)
     kernel.predict_all(
-        (views.camera_R_rig, views.center, views.focal),
+        views.cameras,
         NEAREST,
         views.leds,
-        np.ascontiguousarray(hypotheses.rotation),
+        hypotheses.rotation,
         hypotheses.position,
         hypotheses.shift,
         image,
@@ -156,16 +164,17 @@ def refine(views: Views, hypotheses: Hypotheses, steps: int) -> Hypotheses:
     count = len(hypotheses)
     if count == 0:
         return hypotheses
-    fitted = replace(
-        hypotheses,
-        rotation=np.array(hypotheses.rotation, order="C"),
-        position=hypotheses.position.copy(),
-        shift=hypotheses.shift.copy(),
-        covariance=np.empty((count, kernel.FREE, kernel.FREE)),
-        chi2=np.empty(count),
+    fitted = Hypotheses(
+        hypotheses.rotation.copy(),
+        hypotheses.position.copy(),
+        hypotheses.shift.copy(),
+        hypotheses.spot,
+        hypotheses.hold,
+        np.empty((count, kernel.FREE, kernel.FREE)),
+        np.empty(count),
     )
     kernel.fit_all(
-        (views.camera_R_rig, views.center, views.focal),
+        views.cameras,
         (views.pixels, views.covariance),
         (NEAREST, views.led_play * views.mean_focal, 1 / max(views.skew, LEAST_SKEW) ** 2),
         views.leds,
@@ -181,13 +190,6 @@ def refine(views: Views, hypotheses: Hypotheses, steps: int) -> Hypotheses:
     return fitted
 
 
-def _play(views: Views, depth: Array) -> Array:
-    """Covariance (..., 2, 2), px², of an LED that sits a little off its place in the marker."""
-    spread = (views.led_play * views.mean_focal / np.maximum(depth, NEAREST)) ** 2
-    covariance: Array = spread[..., None, None] * np.eye(2)
-    return covariance
-
-
 def gather(views: Views, hypotheses: Hypotheses, largest: float = LARGEST_GATE) -> Hypotheses:
     """Give every LED the nearest spot within its gate, one spot to one LED at most.
 
@@ -195,25 +197,16 @@ def gather(views: Views, hypotheses: Hypotheses, largest: float = LARGEST_GATE) 
     """
     if len(hypotheses) == 0:
         return hypotheses
-    image, derivative, depth = predict(views, hypotheses)
-    own = derivative @ hypotheses.covariance[:, None, None] @ np.swapaxes(derivative, -1, -2)
-    known = own[..., 0, 0] + own[..., 1, 1] <= 2 * largest**2
-    spread = (own + _play(views, depth))[:, :, :, None] + views.covariance[:, None]
-    away = views.pixels[:, None] - image[:, :, :, None]
-    squared = _squared_distance(away, spread)
-    possible = views.allowed & (squared <= GATE**2) & (known & (depth > NEAREST))[..., None]
-    cost = np.where(possible, squared + MERGED_COST * views.merged[:, None], np.inf)
-    cost[cost > cost.min(axis=2, keepdims=True)] = np.inf  # the nearer LED keeps a spot
-    spot = np.where(np.isfinite(cost.min(axis=3)), np.argmin(cost, axis=3), -1)
-    return replace(hypotheses, spot=spot.astype(np.int64))
-
-
-def _squared_distance(away: Array, spread: Array) -> Array:
-    """Squared Mahalanobis length of (..., 2) under (..., 2, 2)."""
-    x, y = away[..., 0], away[..., 1]
-    a, b, d = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
-    squared: Array = (d * x * x - 2 * b * x * y + a * y * y) / (a * d - b * b)
-    return squared
+    spot = np.empty_like(hypotheses.spot)
+    kernel_spots.gather_all(
+        (views.pixels, views.covariance, views.merged),
+        views.allowed,
+        (NEAREST, views.led_play * views.mean_focal, GATE, largest, MERGED_COST),
+        predict(views, hypotheses),
+        hypotheses.covariance,
+        spot,
+    )
+    return replace(hypotheses, spot=spot)
 
 
 def unique(hypotheses: Hypotheses) -> Hypotheses:
@@ -228,20 +221,65 @@ def unique(hypotheses: Hypotheses) -> Hypotheses:
 
 def plausible(hypotheses: Hypotheses) -> NDArray[np.bool_]:
     """Say which hypotheses see an LED in both images and fit within their noise."""
-    used: NDArray[np.bool_] = hypotheses.spot >= 0
-    seen = np.any(used, axis=1).sum(axis=1)
-    determined = np.array([0, 3, 5, 6])[np.minimum(seen, 3)]
-    freedom = 2 * used.sum(axis=(1, 2)) - determined
-    fits = hypotheses.chi2 <= chdtri(np.maximum(freedom, 1), IMPROBABLE)
-    good: NDArray[np.bool_] = fits & np.any(np.all(used, axis=1), axis=1)
+    used, seen, both = _counts(hypotheses)
+    limits = _greatest_chi2(2 * hypotheses.spot.shape[1] * hypotheses.spot.shape[2])
+    freedom = np.maximum(2 * used - DETERMINED[np.minimum(seen, 3)], 1)
+    good: NDArray[np.bool_] = (both > 0) & (hypotheses.chi2 <= limits[freedom])
     return good
+
+
+@lru_cache(maxsize=8)
+def _greatest_chi2(most: int) -> Array:
+    """Greatest chi² that is not improbable, by degrees of freedom up to `most`."""
+    return np.asarray(chdtri(np.maximum(np.arange(most + 1), 1), IMPROBABLE), dtype=float)
 
 
 def score(views: Views, hypotheses: Hypotheses) -> Array:
     """Twice the negative log evidence of each, against clutter alone: the less the better."""
-    used = hypotheses.spot >= 0
-    merged = used & views.merged[np.arange(2)[:, None], hypotheses.spot]
-    alone = used[:, 0] != used[:, 1]
-    explained = REWARD * used.sum(axis=(1, 2)) - MERGED_COST * merged.sum(axis=(1, 2))
-    total: Array = hypotheses.chi2 + ALONE_COST * alone.sum(axis=1) - explained
+    used, seen, both = _counts(hypotheses)
+    merged = (hypotheses.spot >= 0) & views.merged[SIDES, hypotheses.spot]
+    explained = REWARD * used - MERGED_COST * merged.sum(axis=(1, 2))
+    total: Array = hypotheses.chi2 + ALONE_COST * (seen - both) - explained
     return total
+
+
+def lone(hypotheses: Hypotheses) -> NDArray[np.bool_]:
+    """Say where one LED of several is all that both cameras see: any lamp would do as well."""
+    several = hypotheses.spot.shape[2] > 1
+    alone: NDArray[np.bool_] = several & (_counts(hypotheses)[2] == 1)
+    return alone
+
+
+def _counts(hypotheses: Hypotheses) -> Index:
+    """Count spots in use, LEDs seen, and LEDs seen by both cameras, (3, h)."""
+    counts = np.empty((3, len(hypotheses)), dtype=np.int64)
+    kernel_spots.count_all(hypotheses.spot, counts)
+    return counts
+
+
+def conflicts(hypotheses: Hypotheses, best: int) -> NDArray[np.bool_]:
+    """Say which hypotheses contradict one: another spot for an LED, or another LED for a spot."""
+    marked = np.empty(len(hypotheses), dtype=np.bool_)
+    kernel_spots.mark_conflicts(hypotheses.spot, best, marked)
+    return marked
+
+
+def departure(
+    views: Views, hypotheses: Hypotheses, rig_T_flange: Array, position: float, rotation: float
+) -> Array:
+    """Measure how far the LEDs of each hypothesis (h,) are from where a reference pose has them.
+
+    Their mean is compared on the scale of `position` (m), their arrangement about it on that of
+    `rotation` (rad): a symmetric marker's turn stands out however far the whole has moved. What
+    the LEDs seen do not determine plays no part.
+    """
+    off = np.empty(len(hypotheses))
+    kernel_spots.depart_all(
+        views.leds,
+        hypotheses.spot,
+        (hypotheses.rotation, hypotheses.position),
+        np.array(rig_T_flange, order="C"),
+        (position, rotation, COARSE),
+        off,
+    )
+    return off

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from verify.compiled import compiled
 from verify.records import Array
+from verify.small_matrices import compose, factor, invert, solve
 
 FREE = 8  # pose and shift
 SMALL = 1e-4  # rad: below, series are exact to rounding
@@ -100,6 +101,17 @@ def whitener(spread: Array, play: float, root: Array) -> None:
 
 
 @compiled
+def move_by(step: Array, rotation: Array, position: Array, shift: Array) -> None:
+    """Move a pose and a shift by a step (8,)."""
+    before = rotation.copy()
+    compose(turned(step[3:6]), before, rotation)
+    for i in range(3):
+        position[i] += step[i]
+    for i in range(2):
+        shift[i] += step[6 + i]
+
+
+@compiled
 def fit_one(
     cameras: tuple[Array, Array, Array],
     seen: tuple[Array, Array],
@@ -138,7 +150,7 @@ def fit_one(
     count = len(leds)
     roots = np.empty((2, count, 2, 2))
     pixel, derivative, white = np.empty(2), np.zeros((2, FREE)), np.empty(FREE)
-    information, pull = np.empty((FREE, FREE)), np.empty(FREE)
+    information, root, pull = np.empty((FREE, FREE)), np.empty((FREE, FREE)), np.empty(FREE)
     chi2 = 0.0
     for step in range(steps + 1):
         information[:], pull[:], chi2 = 0.0, 0.0, 0.0
@@ -155,16 +167,14 @@ def fit_one(
                 if step == 0:
                     allowance = (play / max(depth, nearest)) ** 2
                     whitener(spreads[side, which], allowance, roots[side, led])
-                root = roots[side, led]
+                own = roots[side, led]
                 off_x = pixels[side, which, 0] - pixel[0] - side * shift[0]
                 off_y = pixels[side, which, 1] - pixel[1] - side * shift[1]
                 for axis in range(2):
-                    residual = root[axis, 0] * off_x + root[axis, 1] * off_y
+                    residual = own[axis, 0] * off_x + own[axis, 1] * off_y
                     chi2 += residual * residual
                     for a in range(FREE):
-                        white[a] = (
-                            root[axis, 0] * derivative[0, a] + root[axis, 1] * derivative[1, a]
-                        )
+                        white[a] = own[axis, 0] * derivative[0, a] + own[axis, 1] * derivative[1, a]
                         pull[a] += white[a] * residual
                         for b in range(a + 1):
                             information[a, b] += white[a] * white[b]
@@ -172,14 +182,13 @@ def fit_one(
             information[a, a] += hold[a] if a < 6 else held
             for b in range(a):
                 information[b, a] = information[a, b]
-        covariance[:] = np.linalg.inv(information)
+        factor(information, 0.0, root)
         if step < steps:
             pull[6] -= held * shift[0]
             pull[7] -= held * shift[1]
-            move = covariance @ pull
-            rotation[:] = turned(move[3:6]) @ rotation
-            position += move[:3]
-            shift += move[6:]
+            solve(root, pull)
+            move_by(pull, rotation, position, shift)
+    invert(root, covariance)
     return float(chi2 + held * (shift[0] * shift[0] + shift[1] * shift[1]))
 
 
@@ -233,4 +242,5 @@ def predict_all(
                 )  # fmt: skip
                 slope[0, 6] = slope[1, 7] = float(side)
                 slope[0, 7] = slope[1, 6] = 0.0
-                pixel += side * shift[h]
+                for axis in range(2):
+                    pixel[axis] += side * shift[h, axis]

@@ -6,6 +6,7 @@ import numpy as np
 
 from verify.identification.hypotheses import (
     ALONE_COST,
+    POSE,
     REWARD,
     Hypotheses,
     gather,
@@ -16,7 +17,8 @@ from verify.identification.hypotheses import (
     start,
     unique,
 )
-from verify.identification.seeds import Graph, Index, find_edges, find_points, find_triangles, link
+from verify.identification.kernel_points import Index
+from verify.identification.seeds import Graph, find_edges, find_points, find_triangles, link
 from verify.identification.views import Views
 from verify.records import Array
 
@@ -60,12 +62,14 @@ def track(
         position: m, its standard uncertainty.
         rotation: rad, likewise.
     """
-    place = np.repeat([position, rotation], 3)
+    place = np.array([position] * 3 + [rotation] * 3)
     none = np.full((1, 2, len(views.leds)), -1, dtype=np.int64)
-    begun = start(views, rig_T_flange[None, :3, :3], rig_T_flange[None, :3, 3], none)
-    begun.covariance[:, range(6), range(6)] = place**2
-    begun = gather(views, replace(begun, hold=place[None] ** -2), np.inf)
-    held = replace(found, hold=np.tile(place**-2, (len(found), 1)))
+    turn, there = rig_T_flange[None, :3, :3].copy(), rig_T_flange[None, :3, 3].copy()
+    begun = start(views, turn, there, none)
+    begun.covariance[:, POSE, POSE] = place**2
+    begun.hold[:] = place**-2
+    begun = gather(views, begun, np.inf)
+    held = replace(found, hold=begun.hold.repeat(len(found), axis=0))
     if _nothing_left(views, found) and np.array_equal(begun.spot, found.spot):
         return refine(views, unique(refine(views, begun.join(held), 2)), 1)
     held = gather(views, refine(views, held, 0), np.inf)

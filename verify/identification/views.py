@@ -3,11 +3,13 @@
 Image coordinates here are ideal: the lens undone, the principal point at zero, focal length in px.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from verify.identification import kernel_views as kernel
 from verify.marker import Marker
 from verify.records import Array, Spots
 from verify.rig import Rig
@@ -18,8 +20,7 @@ MERGED_PX = 1.0  # px, by how much a neighbour's light drags a spot's centre, or
 UNSTATED_PLAY = 2e-4  # m, of an LED's light where marker.toml states nothing: a good jig's
 LEAST_PLAY = 1e-4  # m, where it does: domes and solder joints do no better
 UNEVEN_SKEW = 0.25  # of the motion tolerance: what differs between LEDs as the flange also turns
-CLEAR_HUE = 0.3  # (largest - second) / largest channel: warm white stays under 0.2, LEDs above 0.4
-CHANNELS = {"blue": 0, "green": 1, "red": 2}
+LIGHTS = {"blue": kernel.BLUE, "green": kernel.GREEN, "red": kernel.RED, "white": kernel.WHITE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,11 @@ class Views:
     led_play: float  # m, how far an LED's light may be from where the marker file says
     skew: float  # px, by how much the whole marker may have moved between the two images
 
+    @property
+    def cameras(self) -> tuple[Array, Array, Array]:
+        """What a projection needs: camera_R_rig, centres and focal lengths."""
+        return self.camera_R_rig, self.center, self.focal
+
 
 def look(
     spots: tuple[Spots, Spots], rig: Rig, pans: tuple[float, float], marker: Marker, skew: float
@@ -51,24 +57,34 @@ def look(
         marker: the LEDs.
         skew: px, how far LEDs may have moved in the image between the two exposures.
     """
+    most = min(max(len(seen) for seen in spots), MOST_SPOTS)
+    pixels, covariance = np.empty((2, most, 2)), np.empty((2, most, 2, 2))
+    merged = np.empty((2, most), dtype=np.bool_)
+    allowed = np.empty((2, len(marker), most), dtype=np.bool_)
     cameras = (rig.left, rig.right)
-    counts = [min(len(seen), MOST_SPOTS) for seen in spots]
-    most = max(counts)
-    pixels = np.full((2, most, 2), np.nan)
-    covariance = np.broadcast_to(np.eye(2), (2, most, 2, 2)).copy()
-    merged = np.zeros((2, most), dtype=bool)
-    allowed = np.zeros((2, len(marker), most), dtype=bool)
-    placed = [camera.rig_T_camera(pan) for camera, pan in zip(cameras, pans, strict=True)]
-    focal = np.array([np.diag(camera.matrix)[:2] for camera in cameras])
-    for side, (seen, count) in enumerate(zip(spots, counts, strict=True)):
-        pixels[side, :count] = cameras[side].normalise(seen.centre[:count]) * focal[side]
-        merged[side, :count] = seen.merged[:count]
-        model = MODEL_PX**2 + (MERGED_PX * merged[side, :count]) ** 2
+    matrix = np.array([camera.matrix for camera in cameras])
+    lens = np.array([camera.distortion for camera in cameras])
+    light = np.array([LIGHTS.get(colour or "", kernel.ANY) for colour in marker.colours])
+    for side, seen in enumerate(spots):
         uneven = side * (UNEVEN_SKEW * skew) ** 2
-        covariance[side, :count] = seen.covariance[:count] + np.multiply.outer(
-            model + uneven, np.eye(2)
+        kernel.look_one(
+            (
+                np.array(seen.centre, order="C"),
+                np.array(seen.covariance, order="C"),
+                np.array(seen.merged, order="C"),
+                np.array(seen.saturated, order="C"),
+                np.array(seen.colour, order="C"),
+            ),
+            (matrix[side], lens[side]),
+            (MODEL_PX**2 + uneven, MERGED_PX**2),
+            light,
+            pixels[side],
+            covariance[side],
+            merged[side],
+            allowed[side],
         )
-        allowed[side, :, :count] = may_be(marker.colours, seen)[:, :count]
+    placed = [camera.rig_T_camera(pan) for camera, pan in zip(cameras, pans, strict=True)]
+    focal = matrix[:, [0, 1], [0, 1]]
     return Views(
         pixels=pixels,
         covariance=covariance,
@@ -78,7 +94,7 @@ def look(
         center=np.array([pose[:3, 3] for pose in placed]),
         focal=focal,
         mean_focal=float(focal.mean()),
-        leds=marker.leds,
+        leds=np.array(marker.leds, order="C"),
         led_play=led_play(marker),
         skew=skew,
     )
@@ -89,24 +105,4 @@ def led_play(marker: Marker) -> float:
     if marker.led_standard_uncertainty is None:
         return UNSTATED_PLAY
     shift = marker.centre_shift_standard_uncertainty or 0.0
-    return max(LEAST_PLAY, float(np.hypot(marker.led_standard_uncertainty, shift)))
-
-
-def may_be(colours: tuple[str | None, ...], spots: Spots) -> NDArray[np.bool_]:
-    """Say which LED (rows) each spot (columns) may be by its colour.
-
-    Only clear contradictions count. A spot with no clear hue may be white, infrared (cameras show
-    it whitish or violet) or, where saturated, any overexposed LED. A grey image tells nothing.
-    """
-    possible = np.ones((len(colours), len(spots)), dtype=bool)
-    if len(spots) == 0 or not np.any(np.ptp(spots.colour, axis=1) > 0):
-        return possible
-    ordered = np.sort(spots.colour, axis=1)
-    clear = ordered[:, 2] - ordered[:, 1] > CLEAR_HUE * np.abs(ordered[:, 2])
-    hue = np.argmax(spots.colour, axis=1)
-    for led, colour in enumerate(colours):
-        if colour == "white":
-            possible[led] = ~clear
-        elif colour in CHANNELS:
-            possible[led] = np.where(clear, hue == CHANNELS[colour], spots.saturated)
-    return possible
+    return max(LEAST_PLAY, math.hypot(marker.led_standard_uncertainty, shift))
