@@ -37,6 +37,8 @@ class Watched:
     @property
     def poses(self) -> tuple[Array, Array]:
         """Instants (n,), s, and rig_T_flange (n, 4, 4) of the measured pairs."""
+        if not self.measurements:
+            self.analyse()
         seen = [m for m in self.measurements if m.status == "measured" and m.pose is not None]
         return (
             np.array([m.t for m in seen]),

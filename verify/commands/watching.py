@@ -35,6 +35,7 @@ from verify.station import Servo, Station
 from verify.terminal import terminal
 
 SWITCH = 0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
+STANDS_BACK = 10  # niceness of what may take its time
 ESTIMATE_PATIENCE = 20.0  # s for the clock, on a busy machine
 
 
@@ -94,7 +95,7 @@ def watch(station: Station, wish: Wish) -> Watched:
         sys.setswitchinterval(SWITCH)
         listeners = _listeners(station, wish, stack)
         _serve(station, wish, RunSource(state, subject, facts), stack)
-        clock = Helper(estimate, "clock")
+        clock = Helper(estimate, "clock", STANDS_BACK)
         stack.callback(clock.close)
         chain = MeasuringProcess(station.rig, station.marker, terminal.warn)
         stack.callback(chain.close)

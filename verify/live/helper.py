@@ -2,6 +2,7 @@
 
 import gc
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Callable
@@ -25,14 +26,17 @@ class Helper(Generic[Question, Answer]):
     Args:
         function: an importable function; question and answer are pickled.
         name: what a list of processes calls it.
+        niceness: how far it stands back where others want the processor too.
     """
 
-    def __init__(self, function: Callable[[Question], Answer], name: str) -> None:
+    def __init__(
+        self, function: Callable[[Question], Answer], name: str, niceness: int = 0
+    ) -> None:
         # not forked: a copy of a process with threads and cameras is no sound one
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(function, theirs), name=name, daemon=True
+            target=_serve, args=(function, theirs, niceness), name=name, daemon=True
         )
         self._process.start()
         theirs.close()
@@ -104,9 +108,11 @@ class Helper(Generic[Question, Answer]):
             self._process.join(GOODBYE)
 
 
-def _serve(function: Callable[[Any], Any], connection: Connection) -> None:
+def _serve(function: Callable[[Any], Any], connection: Connection, niceness: int) -> None:
     """Answer until nobody asks any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks
+    if niceness and hasattr(os, "nice"):
+        os.nice(niceness)
     gc.freeze()  # what was imported is no garbage: looking through it would take a picture's time
     with suppress(OSError):
         connection.send(("ready", None))

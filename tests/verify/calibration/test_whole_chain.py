@@ -6,7 +6,7 @@ import pytest
 from tests.bench.whole_chain import WITHIN, d2_ratio, holds
 from tests.whole_chain import ARMS, Checked, replicate
 
-REPLICATES = 12  # d²/6 of two arms is then known to 12 %
+REPLICATES = 8  # d²/6 of two arms is then known to 15 %
 SEED = 20260131
 
 
