@@ -276,7 +276,7 @@ def test_a_boards_pose_lies_within_its_uncertainty() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fixed", "turning", "scattering"])
 def test_stated_uncertainties_cover_the_truth(kind: str) -> None:
-    errors, d2, rank = study(kind, 12, 20261121, jobs=1)
+    errors, d2, rank = study(kind, 20, 20261121, jobs=1)
     ratio, low, high = mean_d2(d2, rank)
     assert low < ratio < high
     pooled = np.concatenate(list(errors.values()))
