@@ -10,25 +10,24 @@ REPLICATES = 8  # d²/6 of two arms is then known to 15 %
 SEED = 20260131
 
 
-@pytest.fixture(scope="module")
-def outcomes() -> list[dict[str, Checked]]:
-    seeds = np.random.SeedSequence(SEED).generate_state(REPLICATES).tolist()
-    return [replicate(seed, apart=True) for seed in seeds]
-
-
 def of_arms(outcomes: list[dict[str, Checked]], what: str) -> list[Checked]:
     return [o[f"{arm} {what}"] for o in outcomes for arm in ARMS]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ["base", "base given rig", "means"])
-def test_d_squared_is_chi_squared(outcomes: list[dict[str, Checked]], what: str) -> None:
-    ratio, low, high = d2_ratio(of_arms(outcomes, what))
-    assert low < ratio < high
+def test_stated_uncertainties_hold_from_boards_to_mean_joint_errors() -> None:
+    """One test: processes that share the tests would each draw the replicates."""
+    seeds = np.random.SeedSequence(SEED).generate_state(REPLICATES).tolist()
+    outcomes = [replicate(seed, apart=True) for seed in seeds]
+    for what in ("base", "base given rig", "means"):
+        ratio, low, high = d2_ratio(of_arms(outcomes, what))
+        assert low < ratio < high, what
+    the_calibration_lies_as_near_its_truth_as_it_says(outcomes)
+    every_joint_of_a_healthy_arm_is_found_healthy(outcomes)
+    base_and_cameras_taken_as_independent_would_state_too_much(outcomes)
 
 
-@pytest.mark.slow
-def test_the_calibration_lies_as_near_its_truth_as_it_says(
+def the_calibration_lies_as_near_its_truth_as_it_says(
     outcomes: list[dict[str, Checked]],
 ) -> None:
     rigs = [o["rig"] for o in outcomes]
@@ -39,15 +38,13 @@ def test_the_calibration_lies_as_near_its_truth_as_it_says(
     assert 0.88 < np.mean(np.abs(pooled) < WITHIN) < 0.99
 
 
-@pytest.mark.slow
-def test_every_joint_of_a_healthy_arm_is_found_healthy(outcomes: list[dict[str, Checked]]) -> None:
+def every_joint_of_a_healthy_arm_is_found_healthy(outcomes: list[dict[str, Checked]]) -> None:
     z = np.array([c.z for c in of_arms(outcomes, "means")])
     assert z.shape == (REPLICATES * len(ARMS), 6)
     assert all(holds(joint) for joint in z.T)
 
 
-@pytest.mark.slow
-def test_base_and_cameras_taken_as_independent_would_state_too_much(
+def base_and_cameras_taken_as_independent_would_state_too_much(
     outcomes: list[dict[str, Checked]],
 ) -> None:
     """What a registration found through the cameras shares with them cancels in the session."""
