@@ -20,13 +20,14 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.beside import SHARED
 from tests.verify.batch.fleets import BEGIN, NO_FAILURES, rows
 from verify.fleet.assess import Questions, assess
 from verify.session import open_session
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "sample_sessions" / "multi_joint_fault_6r"  # dark, without noise: decoded at once
-SHARED = ROOT.parent / "shared" / "sessions" / "multi_joint_fault_6r"  # noise as a camera has it
+RECORDED = SHARED / "sessions" / "multi_joint_fault_6r"  # noise as a camera has it
 SESSIONS = 40  # enough that the start of the processes is no great part
 ROUNDS = 3
 FLEETS = 200
@@ -41,7 +42,7 @@ def lines() -> Iterator[str]:
 
 def throughput() -> Iterator[str]:
     """Measure the same sessions on one core and on two, and decode them."""
-    for session in (SAMPLE, SHARED):
+    for session in (SAMPLE, RECORDED):
         if session.exists():
             yield from _of(session)
 

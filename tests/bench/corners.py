@@ -13,8 +13,8 @@ from time import perf_counter
 import cv2
 import numpy as np
 
+from tests.beside import SHARED
 from tests.verify.calibration.board_images import Look, camera, corners, picture, random_pose
-from tests.verify.recorded import SHARED
 from verify import rig_file
 from verify.board import Board, BoardView
 from verify.calibration.find import find_board

@@ -11,7 +11,6 @@ from verify.cli import main
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "sample_sessions"
-SHARED = ROOT.parent / "shared"
 
 
 @dataclass(frozen=True)
@@ -27,11 +26,3 @@ def verify(*words: str | Path) -> Outcome:
         main([str(w) for w in words])
     code = stop.value.code
     return Outcome(code if isinstance(code, int) else 0, out.getvalue(), err.getvalue())
-
-
-def shared(*parts: str) -> Path:
-    """A folder beside the clone; its tests skip where a user does not have it."""
-    folder = SHARED.joinpath(*parts)
-    if not folder.exists():
-        pytest.skip(f"needs shared/{'/'.join(parts)} beside the clone")
-    return folder

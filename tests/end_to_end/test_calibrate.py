@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.end_to_end.command import SAMPLES, Outcome, shared, verify
+from tests.beside import shared
+from tests.end_to_end.command import SAMPLES, Outcome, verify
 from verify import results_folder, rig_file
 
 WRITTEN = {"report.html", "report.pdf", "summary.json", "results"}

@@ -16,7 +16,8 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from tests.end_to_end.command import Outcome, shared, verify
+from tests.beside import shared
+from tests.end_to_end.command import Outcome, verify
 from tests.end_to_end.replay import remembered, replayed
 from verify.analysis import analyse
 from verify.records import Array, Measurement

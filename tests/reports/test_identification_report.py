@@ -5,10 +5,11 @@ import pytest
 
 import robots
 from reports import look, render_html, render_pdf
-from reports.blocks import Document, Table, Verdict, figures
+from reports.blocks import Verdict, figures
 from reports.identification import document
 from reports.language_file import language
 from reports.results import Results
+from tests.reports.laid_out import tables
 from tests.verify.arm_identification.true_arm import measured, readings, true_arm
 from verify.arm_identification import Wish, chain_of, identify
 from verify.arm_identification.poses import poses
@@ -46,15 +47,6 @@ def every() -> dict[str, Results]:
         "offsets": made(0.0),
         "positions": made(1.0, position_only=True),
         "bare": Results({"kind": "identification"}, {}, {}),
-    }
-
-
-def tables(of: Document) -> dict[str, Table]:
-    return {
-        block.caption: block
-        for section in of.sections
-        for block in section.blocks
-        if isinstance(block, Table)
     }
 
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from reports import look, render_html, render_pdf
-from reports.blocks import Document, Table, Verdict, figures
+from reports.blocks import Verdict, figures
 from reports.language_file import language
 from reports.plan import document
 from reports.results import Results
+from tests.reports.laid_out import tables
 from tests.verify.planning import scene
 from verify.planning.results import Origin, results
 from verify.planning.wishes import KINDS
@@ -49,15 +50,6 @@ def every() -> dict[str, Results]:
         "plain": plain,
         "blind": through_encoders(plain),
         "bare": Results({"kind": "plan"}, {}, {}),
-    }
-
-
-def tables(of: Document) -> dict[str, Table]:
-    return {
-        block.caption: block
-        for section in of.sections
-        for block in section.blocks
-        if isinstance(block, Table)
     }
 
 

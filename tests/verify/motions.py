@@ -30,7 +30,13 @@ def make_track(t: Array, q: Array, rng: np.random.Generator, arm: robots.Arm = A
     turn = Rotation.from_rotvec(rng.normal(0, SIGMA[1], (n, 3))).as_matrix()
     poses[:, :3, :3] = turn @ poses[:, :3, :3]
     poses[:, :3, 3] += rng.normal(0, SIGMA[0], (n, 3))
-    covariance = np.diag([SIGMA[0] ** 2] * 3 + [SIGMA[1] ** 2] * 3)
+    return track_of(t, poses, *SIGMA)
+
+
+def track_of(t: Array, poses: Array, place: float, turn: float) -> Track:
+    """Poses (n, 4, 4) at instants t with standard uncertainties of `place` (m) and `turn` (rad)."""
+    n = len(t)
+    covariance = np.diag([place**2] * 3 + [turn**2] * 3)
     return Track(
         frame=np.arange(n, dtype=float),
         t=t,

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 
+from tests.beside import shared
 from verify.records import Image
 
-SHARED = Path(__file__).parents[3] / "shared"
 PAIRS, WIDTH, HEIGHT = 6, 64, 48
 
 SESSION = """format = 1
@@ -110,6 +109,4 @@ def replace(path: Path, old: str, new: str) -> None:
 
 def require_shared() -> Path:
     """Find the recorded sessions, or skip the test."""
-    if not (SHARED / "sessions").is_dir():
-        pytest.skip("needs the recorded sessions in ../shared beside the clone")
-    return SHARED / "sessions"
+    return shared("sessions")

@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
-from tests.verify.recorded import SHARED, require_shared
+from tests.beside import shared
 from verify import analyse, open_session
 
 
 @pytest.mark.shared
 def test_sensitivities_to_the_table_are_those_of_metrology_md() -> None:
     """metrology.md section 4: on q3, 1 mm in a2 gives 0.76° and in d1 0.60°."""
-    require_shared()
-    results = analyse(open_session(SHARED / "sessions" / "multi_joint_fault_6r"))
+    results = analyse(open_session(shared("sessions", "multi_joint_fault_6r")))
     table = results.tables["budget_parameters"]
     third = table[table["joint"] == 3].set_index("parameter")["sensitivity_deg"].abs()
     assert third["a2_mm"] == pytest.approx(0.76, abs=0.01)
@@ -26,8 +25,7 @@ def test_sensitivities_to_the_table_are_those_of_metrology_md() -> None:
 
 @pytest.mark.shared
 def test_the_quarter_circle_is_a_sweep_of_joint_1_and_shows_it_sound() -> None:
-    require_shared()
-    results = analyse(open_session(SHARED / "sessions" / "quarter_circle_6r"))
+    results = analyse(open_session(shared("sessions", "quarter_circle_6r")))
     (sweep,) = results.summary["sweeps"]
     assert sweep["joint"] == 1
     assert sweep["span_deg"] > 90

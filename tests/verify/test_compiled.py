@@ -9,6 +9,7 @@ import numpy as np
 
 import tests.verify.test_identification as scenes
 from tests.verify.scene import facing, make_marker, make_rig, sight
+from verify import compiled
 from verify.identification import Prediction
 from verify.measurement import Setup, measure
 from verify.pose import fit_pose
@@ -105,3 +106,11 @@ def test_after_warming_up_nothing_is_left_to_compile() -> None:
         [sys.executable, "-c", own], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert [line.split(maxsplit=1)[1] for line in done.stdout.splitlines()] == ["nothing"] * 3
+
+
+def test_every_compiled_source_counts_when_machine_code_is_looked_up() -> None:
+    package = Path(compiled.__file__).parent
+    counted = {f for pattern in compiled.SOURCES for f in package.rglob(pattern)}
+    has_some = {f for f in package.rglob("*.py") if "@compiled" in f.read_text()}
+    assert len(has_some) > 10
+    assert has_some <= counted

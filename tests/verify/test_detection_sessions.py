@@ -3,16 +3,15 @@
 import csv
 import tomllib
 from collections.abc import Iterator
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from tests.beside import shared
 from verify.detection import detect
 from verify.records import Array, Spots
 
-SHARED = Path(__file__).resolve().parents[3] / "shared"
 # seed_equations.md, section 3: a, d (mm), alpha (deg), standard DH without offsets.
 TABLE = [
     (36.5, 438.0, -90.0),
@@ -43,9 +42,7 @@ def left_frames(
     name: str, every: int = FRAMES_USED, only: tuple[int, ...] = ()
 ) -> Iterator[tuple[int, Array, Spots]]:
     """Frame number, the LEDs' true image points (OpenCV's projection) and the spots found."""
-    folder = SHARED / "sessions" / name
-    if not folder.is_dir():
-        pytest.skip(f"the recorded session {name} is not beside the clone")
+    folder = shared("sessions", name)
     rig = tomllib.loads((folder / "rig.toml").read_text())
     marker = tomllib.loads((folder / "marker.toml").read_text())
     camera, base = rig["left"], rig["robot_base"]
@@ -128,10 +125,8 @@ def test_a_highlight_that_runs_into_an_led_is_flagged_or_kept_out() -> None:
 
 
 def test_real_glare_gives_finite_compact_spots_or_none() -> None:
-    folder = SHARED / "data" / "bright_markers_wpi" / "2019"
-    pictures = sorted(folder.glob("*.jpg"))
-    if not pictures:
-        pytest.skip("the pictures of bright markers are not beside the clone")
+    pictures = sorted(shared("data", "bright_markers_wpi", "2019").glob("*.jpg"))
+    assert pictures
     for path in pictures:
         spots = detect(np.asarray(cv2.imread(str(path)), dtype=np.uint8))
         assert len(spots) <= 24

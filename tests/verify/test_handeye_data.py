@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import invert
+from tests.verify.motions import track_of
 from tests.verify.recorded import require_shared
 from verify.calibration.handeye_fit import FittedLoop, fit_hand_eye, fit_streams
 from verify.calibration.motion_start import begin
 from verify.clock import estimate_clock
 from verify.readings import Readings
 from verify.records import Array
-from verify.track import Track
 
 pytestmark = pytest.mark.shared
 
@@ -239,21 +239,3 @@ def test_other_pictures_find_the_same_clock(streams: Streams, plain: Registered)
     u = [h.offset_standard_uncertainty or np.nan for h in halves]
     assert abs(one.offset - other.offset) < 3 * np.hypot(*u)
     assert abs(one.offset - plain.fitted.offset) < 0.005
-
-
-def track_of(t: Array, poses: Array, place: float, turn: float) -> Track:
-    n = len(t)
-    covariance = np.diag([place**2] * 3 + [turn**2] * 3)
-    return Track(
-        frame=np.arange(n, dtype=float),
-        t=t,
-        pan=np.zeros((n, 2)),
-        base_T_flange=poses,
-        covariance_pixels=np.tile(covariance, (n, 1, 1)),
-        covariance_alignment=np.zeros((n, 6, 6)),
-        twist=np.zeros((n, 6)),
-        acceleration_prior=np.ones((n, 2)),
-        alignment_error=np.zeros((n, 6)),
-        systematic=np.zeros((n, 6, 2)),
-        determined=(np.eye(6),) * n,
-    )

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 import robots
 from reports import render_html
 from robots.transforms import difference
+from tests.beside import shared
 from tests.verify.posed import encoders_csv, poses_csv
-from tests.verify.recorded import SHARED, require_shared
 from verify.analysis import analyse
 from verify.calibration.handeye import solve_hand_eye
 from verify.records import Array
@@ -20,8 +20,7 @@ from verify.session import open_session
 @pytest.mark.shared
 @pytest.mark.parametrize("positions_alone", [False, True])
 def test_a_real_arm_before_a_laser_tracker(tmp_path: Path, *, positions_alone: bool) -> None:
-    require_shared()
-    path = SHARED / "data" / "robot_ur10_lasertracker" / "Series_B"
+    path = shared("data", "robot_ur10_lasertracker", "Series_B")
     text = (path / "measurements_joint_configurations.csv").read_text().replace(",", ".")
     names = text.splitlines()[0].split(";")
     rows = np.array([line.split(";") for line in text.splitlines()[1::10]], dtype=float)

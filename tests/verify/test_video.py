@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from tests.verify.recorded import SHARED, images, require_shared, write_folder, write_video
+from tests.beside import shared
+from tests.verify.recorded import images, write_folder, write_video
 from verify.errors import InputError
 from verify.records import Image
 from verify.video import in_step, open_images
@@ -178,8 +179,7 @@ def test_a_bad_file_gives_no_line_of_its_own(
 
 @pytest.mark.shared
 def test_a_colour_video_of_another_maker_comes_in_three_channels() -> None:
-    require_shared()
-    video = SHARED / "data" / "colour_video_visp" / "cube_video.mp4"
+    video = shared("data", "colour_video_visp", "cube_video.mp4")
     stream = open_images(video)
     reference = cv2.VideoCapture(str(video))
     for image in islice(stream.images(), 3):

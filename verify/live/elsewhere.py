@@ -10,7 +10,7 @@ import multiprocessing
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from itertools import chain
 from multiprocessing.connection import Connection
@@ -145,9 +145,10 @@ class MeasuringProcess:
 def _serve(connection: Connection, rig: Rig, marker: Marker) -> None:
     """Measure until nobody asks any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks
-    with suppress(EOFError, OSError):
+    with suppress(EOFError, OSError), ExitStack() as stack:
         try:
             detect = BesideDetector(lambda text: connection.send(("warning", text)))
+            stack.callback(detect.close)
             warm_up(detect)
             gc.collect()
             gc.freeze()  # what is there is no garbage: looking through it takes a picture's time
@@ -160,7 +161,6 @@ def _serve(connection: Connection, rig: Rig, marker: Marker) -> None:
             raise
         except Exception as error:
             connection.send(("failed", f"{type(error).__name__}: {error}"))
-        detect.close()
 
 
 def _received(connection: Connection) -> Iterator[StereoPair]:

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.verify.recorded import SHARED
+from tests.beside import shared
 from verify.arm_identification.poses import Poses, poses
 
 SERIES = {
@@ -23,10 +22,7 @@ def series(name: str, every: int = 1) -> Poses:
     The tracker's own scatter (0.01 mm, 0.003°) is far below what an arm's model leaves, so no
     covariance is stated.
     """
-    folder = SHARED / "data" / "robot_ur10_lasertracker"
-    if not folder.is_dir():
-        pytest.skip("needs shared/data/robot_ur10_lasertracker beside the clone")
-    return _read(folder / SERIES[name], every)
+    return _read(shared("data", "robot_ur10_lasertracker") / SERIES[name], every)
 
 
 def _read(path: Path, every: int) -> Poses:

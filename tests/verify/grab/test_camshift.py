@@ -2,14 +2,13 @@
 
 import csv
 from collections.abc import Iterator
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from tests.beside import shared
 from tests.verify.grab.caps import BLUE, GREEN
-from tests.verify.recorded import require_shared
 from verify.grab.camshift import Blob, around, camshift
 from verify.grab.camshift_search import find_all, places
 from verify.grab.camshift_video import PictureSeen, follow
@@ -105,8 +104,8 @@ def test_a_whole_picture_gives_every_patch_largest_first() -> None:
     assert len(places(image, named("red"))) == 0
 
 
-def cap_video(shared: Path) -> Iterator[tuple[float, Image]]:
-    capture = cv2.VideoCapture(str(shared.parent / "data/colour_video_visp/cube_video.mp4"))
+def cap_video() -> Iterator[tuple[float, Image]]:
+    capture = cv2.VideoCapture(str(shared("data", "colour_video_visp", "cube_video.mp4")))
     number = 0
     while (taken := capture.read())[0]:
         yield number / 30.0, np.asarray(taken[1], dtype=np.uint8)
@@ -117,18 +116,15 @@ def cap_video(shared: Path) -> Iterator[tuple[float, Image]]:
 @pytest.fixture(scope="module")
 def cap_followed() -> tuple[list[PictureSeen], list[str], list[np.ndarray]]:
     """The bottle's cap in the real video; its colour's centre by thresholds of its own."""
-    shared = require_shared()
-    table = shared.parent / "data/colour_video_visp/cap_visibility.csv"
-    if not table.exists():
-        pytest.skip("needs the colour video in ../shared beside the clone")
+    table = shared("data", "colour_video_visp", "cap_visibility.csv")
     with table.open() as file:
         visible = [row["cap"] for row in csv.DictReader(file)]
     box = (331, 84, 29, 32)  # SOURCE.md: x 331..359, y 84..115 in every frame
-    first = next(cap_video(shared))[1]
+    first = next(cap_video())[1]
     centres = []
 
     def watched() -> Iterator[tuple[float, Image]]:
-        for t, image in cap_video(shared):
+        for t, image in cap_video():
             hsv = cv2.cvtColor(image[84:116, 331:360], cv2.COLOR_BGR2HSV)
             lime = cv2.inRange(hsv, (24, 120, 90), (40, 255, 255))
             rows, columns = np.nonzero(lime)
