@@ -23,7 +23,7 @@ IDENTITY = (b"verify", b"emulated gripper", b"1")
 BASIC = 1  # the stream, and the conformity that goes with it
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
 QUIET = 0.005  # s without a byte: what has come is all there is
-CYCLE = 0.005  # s: the gripper takes new outputs up, and echoes them, 200 times a second
+CYCLE = 0.005  # s: new outputs are taken up and echoed 200 times a second, by the manual
 SHORTEST = 4  # bytes: slave, function, check
 
 
@@ -34,6 +34,7 @@ class GripperOptions:
     activation: float = 3.0  # s
     contacts: Array | None = None  # (4,), positions where A, B, C and scissor meet an object
     latency: float = 0.002  # s from request to answer
+    cycle: float = CYCLE  # s from an order until it is taken up
     exceptions: bool = True  # grippers of 2014 answer a wrong request with silence
 
 
@@ -154,7 +155,7 @@ class GripperEngine:
         if begin < 0 or address + count > OUTPUTS + REGISTERS:
             raise RefusedError(ILLEGAL_ADDRESS)
         self._outputs = self._outputs[:begin] + data + self._outputs[begin + len(data) :]
-        self._due = t + CYCLE
+        self._due = t + self._options.cycle
 
 
 def _identity(asked: bytes) -> bytes:

@@ -64,6 +64,7 @@ class Going:
     until: float = float("inf")  # s
     written: bool = False  # the gripper has acknowledged it
     closing: bool = False
+    resets: bool = False  # over when the activation is gone: until then, what is read is older
     agreed: int = 0  # readings in a row that call it over
 
 
@@ -134,6 +135,7 @@ class GripperDriver(GripperReader):
             return
         if self._phase in (GripperState.ACTIVATING, GripperState.RESETTING):
             self._begin(GripperState.STOPPING, list(RESET), STOP_LIMIT)
+            self._going.resets = True
         elif self._phase is not GripperState.IDLE and inputs is not None and inputs.active:
             self._action = replace(self._action, go=False)
             self._begin(GripperState.STOPPING, self._action.registers(), STOP_LIMIT)
@@ -233,8 +235,10 @@ class GripperDriver(GripperReader):
                 changed = inputs.mode is self._action.mode
                 if self._agree(changed and inputs.activation is Activation.READY):
                     self._rest(GripperState.READY)
-            case GripperState.STOPPING if not inputs.go:
-                self._rest(GripperState.READY if inputs.active else GripperState.IDLE)
+            case GripperState.STOPPING if not inputs.active:
+                self._rest(GripperState.IDLE)
+            case GripperState.STOPPING if not (inputs.go or self._going.resets):
+                self._rest(GripperState.READY)
             case GripperState.MOVING:
                 self._follow(inputs)
             case GripperState.GRIPPED if not self._holds(inputs):

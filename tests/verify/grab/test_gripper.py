@@ -229,8 +229,10 @@ def test_stop_and_the_end_let_go_of_nothing() -> None:
         assert engine.hand.outputs[0] == 0x09
 
 
-def test_stop_ends_an_activation_by_a_reset() -> None:
-    engine = GripperEngine(GripperOptions(activation=5.0))
+@pytest.mark.parametrize("cycle", [0.005, 0.1])
+def test_stop_ends_an_activation_by_a_reset(cycle: float) -> None:
+    """However long the gripper takes to take an order up: until then its inputs are older."""
+    engine = GripperEngine(GripperOptions(activation=5.0, cycle=cycle))
     with running(engine) as emulated, driver(emulated) as gripper:
         gripper.activate()
         stepped(gripper, lambda _: engine.hand.stage == 1)
