@@ -9,6 +9,7 @@ u(orientation) / 0.2, and an honest stereo pose is known to 0.25 mm and 0.10°, 
 """
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,7 +93,7 @@ def _factors(arm: DhArm, q: Array, theta: Array) -> list[tuple[str, float, float
     return [
         ("wrist", abs(float(np.sin(theta[4]))), WRIST_GATE),
         ("elbow", abs(float(np.sin(theta[2] - _stretched(arm)))), ELBOW_GATE),
-        ("shoulder", abs(_wrist_offset(arm, q)[0]), SHOULDER_GATE),
+        ("shoulder", abs(_wrist_distance(arm, forward(arm, q), theta)), SHOULDER_GATE),
     ]
 
 
@@ -101,22 +102,29 @@ def _stretched(arm: DhArm) -> float:
     return spherical_wrist.forearm(arm)[1] if arm.family == "spherical_wrist" else 0.0
 
 
-def _wrist_offset(arm: DhArm, q: Array) -> tuple[float, Array]:
-    """The wrist's signed distance from axis 1, m, and how it changes with each joint, (6,)."""
-    pose, moves = forward(arm, q), jacobian(arm, q)
-    theta1 = arm.theta(q)[0]
-    outward = np.array([np.cos(theta1), np.sin(theta1), 0.0])
-    tool = arm.d[5] * pose[:3, 2]
-    slopes = outward @ (moves[:3] - np.cross(moves[3:], tool, axis=0))
+def _wrist_distance(arm: DhArm, pose: Array, theta: Array) -> float:
+    """The wrist's signed distance from axis 1, m, in the plane that θ1 turns."""
+    x, y = pose[:2, 3] - arm.d[5] * pose[:2, 2]
+    theta1 = float(theta[0])
+    return float(math.cos(theta1) * x + math.sin(theta1) * y)
+
+
+def _wrist_slopes(arm: DhArm, pose: Array, q: Array, theta: Array) -> Array:
+    """How the wrist's distance from axis 1 changes with each joint, (6,), m/rad."""
+    moves = jacobian(arm, q)
+    outward = np.array([np.cos(theta[0]), np.sin(theta[0]), 0.0])
+    slopes: Array = outward @ (moves[:3] - np.cross(moves[3:], arm.d[5] * pose[:3, 2], axis=0))
     slopes[0] = 0.0  # the arm's plane turns along
-    return float(outward @ (pose[:3, 3] - tool)), slopes
+    return slopes
 
 
 def _bring_onto_axis(arm: DhArm, theta: Array) -> None:
     """Move the wrist onto axis 1 by the shortest way, in place: Newton on its distance."""
     for _ in range(20):  # four or five bring rounding
-        distance, slopes = _wrist_offset(arm, arm.joint_angles(theta))
-        slopes = arm.sign * slopes  # by θ
+        q = arm.joint_angles(theta)
+        pose = forward(arm, q)
+        distance = _wrist_distance(arm, pose, theta)
+        slopes = arm.sign * _wrist_slopes(arm, pose, q, theta)  # by θ
         if abs(distance) < ON_AXIS or not slopes.any():
             return
         theta -= distance * slopes / (slopes @ slopes)

@@ -15,6 +15,7 @@ import robots
 from verify.alignment import LONGEST_GAP
 from verify.readings import RATE_SPAN, Readings
 from verify.records import Array
+from verify.small_matrices import rotation_vectors
 from verify.track import Track
 
 FEWEST_ACCELERATIONS = 5  # second differences that make a session's mean square
@@ -146,7 +147,8 @@ def correlated(comparison: Comparison, factors: Array) -> Comparison:
 def difference(a_T_one: Array, a_T_other: Array) -> Array:
     """One pose less the other as a twist in a's axes: (n, 4, 4) twice to (n, 6), m and rad."""
     turn = a_T_one[:, :3, :3] @ np.swapaxes(a_T_other[:, :3, :3], 1, 2)
-    rotation = Rotation.from_matrix(turn).as_rotvec() if len(turn) else np.zeros((0, 3))
+    rotation = np.empty((len(turn), 3))
+    rotation_vectors(turn, rotation)
     return np.concatenate([a_T_one[:, :3, 3] - a_T_other[:, :3, 3], rotation], axis=1)
 
 
@@ -207,11 +209,13 @@ def alignment_scale(track: Track) -> Array:
     speed: an arm accelerates most where it turns back and has none. Without three neighbouring
     pairs the assumption stands.
     """
+    if len(track) < FEWEST_ACCELERATIONS or not track.covariance_alignment.any():
+        return np.ones(len(track))
     interval = np.diff(track.t)
     regular = (interval[:-1] < LONGEST_GAP) & (interval[1:] < LONGEST_GAP)
     full = track.known_dof == 6
     usable = np.flatnonzero(regular & full[:-2] & full[1:-1] & full[2:]) + 1
-    if len(usable) < FEWEST_ACCELERATIONS or not track.covariance_alignment.any():
+    if len(usable) < FEWEST_ACCELERATIONS:
         return np.ones(len(track))
     pose = track.base_T_flange
     before = difference(pose[usable], pose[usable - 1]) / interval[usable - 1, None]

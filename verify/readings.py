@@ -1,12 +1,13 @@
 """The robot's own joint readings as functions of time."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
+from verify.readings_kernel import follow, interpolate, typical_difference
 from verify.records import Array
 
 # Between readings further apart than this the motion is not known: single visits, logged in bursts.
@@ -46,7 +47,8 @@ class Readings:
         """Readings at the instants t (n,), rad, (n, joints); held outside a burst of readings."""
         if len(self.t) < 2:
             return np.repeat(self.q, len(t), axis=0)
-        value: Array = self._spline(self._inside_a_burst(t))
+        value: Array = np.empty((len(t), self.q.shape[1]))
+        interpolate(*self._plain, LONGEST_GAP, np.ascontiguousarray(t, dtype=np.float64), value)
         return value
 
     def rate(self, t: Array) -> Array:
@@ -62,11 +64,12 @@ class Readings:
         return slope
 
     @cached_property
-    def _spline(self) -> CubicHermiteSpline:
-        slope = np.gradient(self.q, self.t, axis=0)
-        lonely = np.diff(self.t) > LONGEST_GAP  # a slope across a gap says nothing
-        slope[np.append(lonely, False) | np.insert(lonely, 0, False)] = 0.0
-        return CubicHermiteSpline(self.t, self.q, slope)
+    def _plain(self) -> tuple[Array, Array]:
+        """Times and readings as compiled functions take them."""
+        return (
+            np.ascontiguousarray(self.t, dtype=np.float64),
+            np.ascontiguousarray(self.q, dtype=np.float64),
+        )
 
     def _inside_a_burst(self, t: Array) -> Array:
         """Move instants that fall into a gap between bursts to the burst's nearest reading."""
@@ -83,20 +86,19 @@ class Readings:
         The smallest of the estimates from second to fourth differences: motion that a low order
         mistakes for noise, a higher one removes.
         """
-        lonely = np.diff(self.t) > LONGEST_GAP  # a difference across a gap is motion
+        smallest: Array = np.array([self._roughness(j) for j in range(self.q.shape[1])])
+        return smallest
+
+    def _roughness(self, joint: int) -> float:
+        t, column = self._plain[0], np.ascontiguousarray(self.q[:, joint], dtype=np.float64)
         estimates = []
         for order, variance in ((2, 6.0), (3, THIRD_DIFFERENCE_VARIANCE), (4, 70.0)):
-            if len(self.q) <= order + FEWEST_DIFFERENCES:
+            if len(column) <= order + FEWEST_DIFFERENCES:
                 continue
-            inside = ~np.lib.stride_tricks.sliding_window_view(lonely, order).any(axis=1)
-            if inside.sum() > FEWEST_DIFFERENCES:
-                difference = np.diff(self.q, order, axis=0)[inside]
-                spread = MAD_TO_SIGMA * np.median(np.abs(difference), axis=0)
-                estimates.append(spread / np.sqrt(variance))
-        if not estimates:
-            return np.zeros(self.q.shape[1])
-        smallest: Array = np.min(estimates, axis=0)
-        return smallest
+            size, count = typical_difference(t, column, order, LONGEST_GAP)
+            if count > FEWEST_DIFFERENCES:
+                estimates.append(MAD_TO_SIGMA * size / math.sqrt(variance))
+        return min(estimates, default=0.0)
 
     def direction(self, t: Array) -> Array:
         """Last direction of travel at the instants t (n,): +1, -1, or 0 before any; (n, joints).
@@ -106,27 +108,12 @@ class Readings:
         """
         held = np.searchsorted(self.t, t, side="right") - 1
         held = np.clip(held, 0, len(self.t) - 1)
-        columns = [
-            _travel(self.q[:, j], max(5 * float(self.noise[j]), SMALLEST_TRAVEL))[held]
-            for j in range(self.q.shape[1])
-        ]
-        return np.stack(columns, axis=-1)
+        directions = np.zeros((self.q.shape[1], len(self.t)), dtype=np.int8)
+        for j, noise in enumerate(self.noise.tolist()):
+            column = np.ascontiguousarray(self.q[:, j], dtype=np.float64)
+            follow(column, max(5 * noise, SMALLEST_TRAVEL), directions[j])
+        last: Array = directions[:, held].T.astype(np.float64)
+        return last
 
 
 SMALLEST_TRAVEL = np.deg2rad(0.02)  # the last digit or two of a common read-out
-
-
-def _travel(q: Array, threshold: float) -> Array:
-    """Direction of travel after each reading, (m,), by a band of `threshold` about the extreme."""
-    directions = np.zeros(len(q))
-    extreme, direction = float(q[0]), 0
-    for i, value in enumerate(q.tolist()):
-        if direction == 0:
-            if abs(value - extreme) > threshold:
-                direction, extreme = (1 if value > extreme else -1), value
-        elif (value - extreme) * direction >= 0:
-            extreme = value
-        elif abs(value - extreme) > threshold:
-            direction, extreme = -direction, value
-        directions[i] = direction
-    return directions

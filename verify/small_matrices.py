@@ -88,3 +88,32 @@ def invert(root: Array, inverse: Array) -> None:
         for j in range(len(root)):
             inverse[i, j] = 1.0 if i == j else 0.0
         solve(root, inverse[i])
+
+
+@compiled
+def rotation_vectors(turns: Array, vectors: Array) -> None:
+    """Fill in the rotation vectors (n, 3), rad, of n matrices (n, 3, 3).
+
+    Source: by way of the quaternion, whose largest component is found first (Shepperd, 1978).
+    """
+    q = [0.0, 0.0, 0.0, 0.0]  # x, y, z, w
+    for n in range(len(turns)):
+        m = turns[n]
+        trace = m[0, 0] + m[1, 1] + m[2, 2]
+        i = 3
+        for j in range(3):
+            if m[j, j] > (trace if i == 3 else m[i, i]):
+                i = j
+        if i == 3:
+            q[0], q[1], q[2] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+            q[3] = 1.0 + trace
+        else:
+            j, k = (i + 1) % 3, (i + 2) % 3
+            q[i] = 1.0 + m[i, i] - m[j, j] - m[k, k]
+            q[j], q[k] = m[j, i] + m[i, j], m[k, i] + m[i, k]
+            q[3] = m[k, j] - m[j, k]
+        size = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+        sign = -1.0 if q[3] < 0.0 else 1.0  # the shorter way round
+        factor = sign * (2.0 * math.atan2(size, sign * q[3]) / size if size > 0.0 else 0.0)
+        for i in range(3):
+            vectors[n, i] = factor * q[i]

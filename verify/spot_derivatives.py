@@ -85,8 +85,8 @@ def moved_spots(views: Views, names: tuple[str, ...]) -> Array:
         moved[column] = (views.by_point @ sweep[:, :, None])[:, :, 0]
     for side, camera, sighting, spots, inside in views.side:
         points, by_point = views.points_rig[spots], views.by_point[spots]
-        for column, key in plan.camera[side]:
-            moved[column, spots] = camera_pixels(key, camera, sighting, inside, points, by_point)
+        columns, keys = plan.camera[side]
+        moved[columns, spots] = camera_pixels(keys, camera, sighting.pan, inside, points, by_point)
     return moved
 
 
@@ -97,7 +97,7 @@ class _Plan:
     leds: NDArray[np.intp]  # (3, .): column, LED, axis
     shifts: NDArray[np.intp]  # (2, .): column, axis, of the LED body along the flange's axes
     turns: NDArray[np.intp]  # (2, .), of the LED body about them
-    camera: dict[str, list[tuple[int, str]]]
+    camera: dict[str, tuple[NDArray[np.intp], tuple[str, ...]]]  # columns, and the parameters' keys
 
 
 @lru_cache(maxsize=16)
@@ -120,26 +120,85 @@ def _planned(names: tuple[str, ...], leds: tuple[str, ...]) -> _Plan:
         np.array(rows, dtype=np.intp).reshape(-1, width).T
         for rows, width in ((one, 3), (shifts, 2), (turns, 2))
     )
-    return _Plan(moved, body_shifts, body_turns, camera)
+    sides = {
+        side: (np.array([c for c, _ in found], dtype=np.intp), tuple(key for _, key in found))
+        for side, found in camera.items()
+    }
+    return _Plan(moved, body_shifts, body_turns, sides)
 
 
 def camera_pixels(
-    key: str, camera: Camera, sighting: Sighting, inside: Array, points: Array, by_point: Array
+    keys: tuple[str, ...],
+    camera: Camera,
+    pan: float,
+    inside: Array,
+    points: Array,
+    by_point: Array,
 ) -> Array:
-    """Derivative of one camera's pixels by one of its parameters, (m, 2)."""
+    """Derivative of one camera's pixels by some of its parameters, (k, m, 2).
+
+    Args:
+        keys: k parameters, by their names in rig.toml.
+        camera: theirs.
+        pan: rad, as read.
+        inside: (m, 3), m, the points in the camera.
+        points: (m, 3), m, the same in the rig.
+        by_point: (m, 2, 3), d px / d point in the rig.
+    """
+    kinds = _sorted(keys)
+    moved = np.zeros((len(keys), *by_point.shape[:2]))
     xy = inside[:, :2] / inside[:, 2:3]
-    if key in ("cx_px", "cy_px"):
-        return np.tile([float(key == "cx_px"), float(key == "cy_px")], (len(xy), 1))
-    if key in ("fx_px", "fy_px"):
-        return distort(xy, camera.distortion) * [float(key == "fx_px"), float(key == "fy_px")]
-    if key in LENS:  # the model is linear in its coefficients
-        unit = np.array([float(key == k) for k in LENS])
-        lens: Array = (distort(xy, unit) - xy) @ camera.matrix[:2, :2].T
-        return lens
-    shift, turn, origin = _camera_motion(key, camera, sighting.pan)
-    moved = -(shift + swept(turn, points - origin))  # the world moves against the camera
-    pixels: Array = (by_point @ moved[:, :, None])[:, :, 0]
-    return pixels
+    rows, axis = kinds.middle
+    moved[rows, :, axis] = 1.0
+    rows, axis = kinds.focal
+    if len(rows):
+        moved[rows, :, axis] = distort(xy, camera.distortion).T[axis]
+    rows, which = kinds.lens
+    if len(rows):
+        moved[rows] = (_by_lens(xy) @ camera.matrix[:2, :2].T)[which]
+    if len(kinds.motion):
+        twist = _twists(tuple(keys[row] for row in kinds.motion), camera, pan)
+        x, y, z = points[:, None, 0], points[:, None, 1], points[:, None, 2]
+        a, b, c = by_point[..., 0], by_point[..., 1], by_point[..., 2]
+        by_twist = np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a])
+        moved[kinds.motion] = -(twist @ by_twist.reshape(6, -1)).reshape(-1, *by_point.shape[:2])
+    return moved
+
+
+@dataclass(frozen=True, slots=True)
+class _Kinds:
+    """One camera's parameters by kind: the row of each, and which one of its kind it is."""
+
+    middle: tuple[NDArray[np.intp], ...]
+    focal: tuple[NDArray[np.intp], ...]
+    lens: tuple[NDArray[np.intp], ...]
+    motion: NDArray[np.intp]
+
+
+@lru_cache(maxsize=32)
+def _sorted(keys: tuple[str, ...]) -> _Kinds:
+    middle, focal, lens = (
+        _places(keys, kind) for kind in (("cx_px", "cy_px"), ("fx_px", "fy_px"), LENS)
+    )
+    others = set(range(len(keys))).difference(*(rows.tolist() for rows, _ in (middle, focal, lens)))
+    return _Kinds(middle, focal, lens, np.array(sorted(others), dtype=np.intp))
+
+
+def _places(keys: tuple[str, ...], kind: tuple[str, ...]) -> tuple[NDArray[np.intp], ...]:
+    """Rows of the keys that are of a kind, and which of it each is."""
+    rows = [row for row, key in enumerate(keys) if key in kind]
+    which = [kind.index(keys[row]) for row in rows]
+    return np.array(rows, dtype=np.intp), np.array(which, dtype=np.intp)
+
+
+def _by_lens(xy: Array) -> Array:
+    """Derivative of distorted coordinates (m, 2) by the coefficients, in which they are linear."""
+    x, y = xy.T
+    r2, twice = x * x + y * y, 2 * x * y
+    radial = r2[:, None] * xy
+    tangential = np.stack([twice, r2 + 2 * y * y], -1), np.stack([r2 + 2 * x * x, twice], -1)
+    fourth = r2[:, None] * radial
+    return np.stack([radial, fourth, *tangential, r2[:, None] * fourth])
 
 
 def swept(turn: Array, points: Array) -> Array:
@@ -149,18 +208,32 @@ def swept(turn: Array, points: Array) -> Array:
     return swept
 
 
-def _camera_motion(key: str, camera: Camera, pan: float) -> tuple[Array, Array, Array]:
-    """Translation, rotation vector and its origin, in rig axes, of a camera a unit parameter."""
-    none = np.zeros(3)
-    turned = cv2.Rodrigues(camera.pan_axis * (pan + camera.pan_zero))[0]
+def _twists(keys: tuple[str, ...], camera: Camera, pan: float) -> Array:
+    """How the camera moves a unit parameter: (k, 6), translation at the rig's origin and turn.
+
+    The world moves against it.
+    """
+    turned = np.asarray(cv2.Rodrigues(camera.pan_axis * (pan + camera.pan_zero))[0], dtype=float)
+    return np.array([_twist(key, camera, pan, turned) for key in keys])
+
+
+def _twist(key: str, camera: Camera, pan: float, turned: Array) -> list[float]:
     if key == "pan_zero_deg":
-        return none, camera.pan_axis, camera.pan_center
+        return _about(camera.pan_axis, camera.pan_center)
     what, axis, _ = key.rsplit("_", 2)
-    unit = np.eye(3)[AXES.index(axis[-1])]
+    along = AXES.index(axis[-1])
     if what == "pan_center":
-        return unit, none, none
+        return [float(i == along) for i in range(6)]
     if what == "pan_axis":
-        return none, unit - turned @ unit, camera.pan_center
+        turn = -turned[:, along]
+        turn[along] += 1.0
+        return _about(turn, camera.pan_center)
     if axis.startswith("r"):
-        return none, turned @ unit, camera.rig_T_camera(pan)[:3, 3]
-    return turned @ unit, none, none
+        return _about(turned[:, along], camera.rig_T_camera(pan)[:3, 3])
+    return [*turned[:, along].tolist(), 0.0, 0.0, 0.0]
+
+
+def _about(turn: Array, origin: Array) -> list[float]:
+    """A turn about a point, as translation at the rig's origin and turn."""
+    (a, b, c), (x, y, z) = turn.tolist(), origin.tolist()
+    return [c * y - b * z, a * z - c * x, b * x - a * y, a, b, c]

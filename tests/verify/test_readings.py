@@ -1,5 +1,6 @@
 import numpy as np
 from numpy.testing import assert_allclose
+from scipy.interpolate import CubicHermiteSpline
 
 from verify.readings import Readings
 
@@ -53,3 +54,25 @@ def test_the_direction_of_travel_is_kept_at_rest_and_ignores_noise() -> None:
     readings = Readings(t, (path + rng.normal(0, np.deg2rad(0.01), len(t)))[:, None])
     seen = readings.direction(np.array([1.0, 3.0, 5.0, 7.5]))[:, 0]
     assert seen.tolist() == [1, 1, -1, -1]
+
+
+def test_uneven_readings_are_joined_by_the_cubic_that_scipy_draws_through_their_slopes() -> None:
+    rng = np.random.default_rng(8)
+    t = np.cumsum(rng.uniform(0.005, 0.03, 400))
+    q = np.stack([wave(t), wave(t, 0.5, 3.0)], axis=1)
+    known = CubicHermiteSpline(t, q, np.gradient(q, t, axis=0))
+    there = np.concatenate([rng.uniform(t[0], t[-1], 500), t[[0, 7, -1]]])
+    assert_allclose(Readings(t, q).at(there), known(there), rtol=0, atol=1e-14)
+
+
+def test_noise_is_the_median_of_differences_that_cross_no_gap() -> None:
+    rng = np.random.default_rng(9)
+    t = np.concatenate([np.arange(30) * 0.01, 5 + np.arange(31) * 0.01])
+    q = np.where(t < 5, 0.1, 0.7) + rng.normal(0, 1e-4, len(t))
+    inside = [np.abs(np.diff(part, 3)) for part in (q[:30], q[30:])]
+    expected = 1.4826 * np.median(np.concatenate(inside)) / np.sqrt(20)
+    others = (
+        1.4826 * np.median(np.abs(np.concatenate([np.diff(q[:30], k), np.diff(q[30:], k)]))) / root
+        for k, root in ((2, 6**0.5), (4, 70**0.5))
+    )
+    assert_allclose(Readings(t, q[:, None]).noise, min(expected, *others), rtol=1e-12)

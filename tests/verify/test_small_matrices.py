@@ -11,7 +11,7 @@ from verify.identification.kernel_views import undistort
 from verify.pose_kernel import LEVER, covariance_of, move
 from verify.records import Array
 from verify.rig import distort
-from verify.small_matrices import factor, invert, solve
+from verify.small_matrices import factor, invert, rotation_vectors, solve
 
 UNITS = np.repeat([LEVER, 1.0], 3)
 
@@ -99,3 +99,21 @@ def test_the_least_costs_are_kept_in_order_and_equal_ones_as_they_came() -> None
     wanted = np.argsort(given, kind="stable")[:40]
     assert_allclose(rows, np.column_stack([wanted, wanted]))
     assert_allclose(costs, given[wanted])
+
+
+def test_rotation_vectors_are_scipys_up_to_half_a_turn() -> None:
+    rng = np.random.default_rng(7)
+    axes = rng.normal(size=(600, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    angles = np.concatenate(
+        [[0.0], 10.0 ** rng.uniform(-12, 0.4, 299), np.pi - 10.0 ** rng.uniform(-7, 0, 300)]
+    )
+    vectors = axes * angles[:, None]
+    found = np.empty_like(vectors)
+    rotation_vectors(Rotation.from_rotvec(vectors).as_matrix(), found)
+    assert_allclose(found, vectors, rtol=1e-7, atol=1e-15)
+    turns = np.array(
+        [np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])]
+    )
+    rotation_vectors(turns, found[:3])
+    assert_allclose(np.abs(found[:3]), np.pi * np.eye(3), atol=1e-15)

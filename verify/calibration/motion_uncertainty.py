@@ -110,9 +110,9 @@ def _camera_change(rig: Rig, side: str, key: str, adjusted: Adjusted) -> Array:
         mine = (spotted.pair == i) & (spotted.side == which)
         if mine.any():
             pixels[mine] = camera_pixels(
-                key, camera, sightings[which], seen.points_camera[mine],
+                (key,), camera, sightings[which].pan, seen.points_camera[mine],
                 seen.points_rig[mine], seen.by_point[mine],
-            )  # fmt: skip
+            )[0]  # fmt: skip
     return pixels
 
 

@@ -1,5 +1,6 @@
 """Measure a recorded session, compare it with the encoders, judge, and write the reports."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -103,7 +104,7 @@ def _watch(
     from verify.writing import write_whole
 
     length = None if duration is None else seconds("--for", duration)
-    station = open_station(source, SimulatedStation)
+    station = open_station(source, partial(SimulatedStation, apart=True))
     if out is not None:
         refuse_existing(out, force=force)
     for warning in station.warnings:

@@ -16,10 +16,10 @@ import pandas as pd
 from rich.console import Console
 
 from verify.errors import InputError
+from verify.helper import Helper
 from verify.live.alarms import Alarm
 from verify.live.clock_keeper import estimate
 from verify.live.elsewhere import MeasuringProcess
-from verify.live.helper import Helper
 from verify.live.joint_alarms import AlarmLimits
 from verify.live.lines import PlainLines
 from verify.live.loop import Live, Plan
@@ -35,7 +35,6 @@ from verify.station import Servo, Station
 from verify.terminal import terminal
 
 SWITCH = 0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
-STANDS_BACK = 10  # niceness of what may take its time
 ESTIMATE_PATIENCE = 20.0  # s for the clock, on a busy machine
 
 
@@ -95,7 +94,7 @@ def watch(station: Station, wish: Wish) -> Watched:
         sys.setswitchinterval(SWITCH)
         listeners = _listeners(station, wish, stack)
         _serve(station, wish, RunSource(state, subject, facts), stack)
-        clock = Helper(estimate, "clock", STANDS_BACK)
+        clock = Helper(estimate, "clock", aside=True)
         stack.callback(clock.close)
         chain = MeasuringProcess(station.rig, station.marker, terminal.warn)
         stack.callback(chain.close)

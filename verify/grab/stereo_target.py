@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.grab.stereo_target_camera import Sight
-from verify.records import Array, Sighting
+from verify.records import Array
 from verify.rig import Rig
 from verify.spot_derivatives import camera_pixels
 from verify.systematics import CAMERA_KEYS, unit
@@ -137,24 +137,8 @@ def _moved(sights: tuple[Sight, Sight], point: Array, slope: Array, head: str, k
     sight, rows = sights[i], slice(2 * i, 2 * i + 2)
     by_point = (sight.lens @ slope[rows])[None]
     inside = sight.placed.inside(point)[None]
-    pixels = camera_pixels(
-        key, sight.placed.camera, _spot(sight.placed.pan), inside, point[None], by_point
-    )
+    placed = sight.placed
+    pixels = camera_pixels((key,), placed.camera, placed.pan, inside, point[None], by_point)[0]
     moved = np.zeros(4)
     moved[rows] = np.linalg.solve(sight.lens, pixels[0])
     return moved
-
-
-def _spot(pan: float) -> Sighting:
-    """What `camera_pixels` asks a pan reading from: one spot."""
-    one = np.zeros((1, 2))
-    return Sighting(
-        led=np.zeros(1, dtype=np.int64),
-        centre=one,
-        covariance=np.zeros((1, 2, 2)),
-        t=0.0,
-        pan=pan,
-        peak=np.ones(1),
-        velocity=one,
-        acceleration_lever=np.zeros(1),
-    )

@@ -4,9 +4,10 @@ import threading
 from collections.abc import Callable
 
 from verify.detection import detect
-from verify.live.helper import Helper, HelperLostError
-from verify.live.shared_picture import SharedPicture, picture_of
+from verify.helper import Helper, HelperLostError
+from verify.priority import keep_apart
 from verify.records import Array, Image, Spots
+from verify.shared_picture import SharedPicture, picture_of
 
 PATIENCE = 1.0  # s for a picture, ten times what a whole frame takes; then it is done here
 Question = tuple[str, tuple[int, ...], Array | None]  # shared memory, shape, windows
@@ -53,6 +54,11 @@ class BesideDetector:
             self._warn(f"pictures are searched one after the other from now on: {error}")
             self.close()
             return detect(left, left_windows), detect(right, right_windows)
+
+    def spread(self) -> None:
+        """Have both pictures searched on processors of their own; moves the calling thread."""
+        if self._helper is not None:
+            keep_apart(self._helper.pid)
 
     def close(self) -> None:
         """End the second process."""

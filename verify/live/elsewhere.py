@@ -18,13 +18,14 @@ from typing import Any
 
 import numpy as np
 
+from verify.helper import HelperLostError
 from verify.live.beside import BesideDetector
-from verify.live.helper import HelperLostError
-from verify.live.shared_picture import SharedPicture, picture_of
+from verify.live.rehearsal import Rehearsal
 from verify.marker import Marker
-from verify.measurement import Setup, measure
+from verify.measurement import Carried, Setup, measure, nothing_expected
 from verify.records import Array, Image, Measurement, StereoPair
 from verify.rig import Rig
+from verify.shared_picture import SharedPicture, picture_of
 from verify.warm_up import warm_up
 
 START_LIMIT = 120.0  # s: the first start after an installation compiles
@@ -149,12 +150,14 @@ def _serve(connection: Connection, rig: Rig, marker: Marker) -> None:
         try:
             detect = BesideDetector(lambda text: connection.send(("warning", text)))
             stack.callback(detect.close)
+            detect.spread()
             warm_up(detect)
             gc.collect()
             gc.freeze()  # what is there is no garbage: looking through it takes a picture's time
             connection.send(("ready", None))
             setup = Setup(rig, marker, _Asked(connection), detect)
-            for measurement in measure(_received(connection), setup):
+            stage = _Stage(setup)
+            for measurement in measure(_received(connection, stage), setup, stage.carried):
                 connection.send(("measured", measurement))
             connection.send(("next", None))
         except (EOFError, OSError):
@@ -163,18 +166,44 @@ def _serve(connection: Connection, rig: Rig, marker: Marker) -> None:
             connection.send(("failed", f"{type(error).__name__}: {error}"))
 
 
-def _received(connection: Connection) -> Iterator[StereoPair]:
+class _Stage:
+    """The last pair, and what was known before it: enough to measure it once more."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.carried = Carried()
+        self.rehearsal = Rehearsal(self._again)
+        self._setup = replace(setup, expected=nothing_expected)
+        self._pair: StereoPair | None = None
+        self._before = Carried()
+
+    def enter(self, pair: StereoPair) -> None:
+        """Take a pair that is about to be measured."""
+        self._pair, self._before = pair, replace(self.carried)
+        self.rehearsal.note()
+
+    def _again(self) -> None:
+        if self._pair is not None and self._before.memory is not None:  # else it takes too long
+            for _ in measure([self._pair], self._setup, replace(self._before)):
+                pass
+
+
+def _received(connection: Connection, stage: _Stage) -> Iterator[StereoPair]:
     """Pairs as they come; whenever one is asked for, the one before is through."""
     first = True
     while True:
         if not first:
             connection.send(("next", None))
         first = False
+        patience = stage.rehearsal.patience()
+        if patience is not None and not connection.poll(patience):
+            stage.rehearsal.run()
         told: Told | None = connection.recv()
         if told is None:
             return
-        pair, left, right = told
-        yield replace(pair, left=picture_of(*left), right=picture_of(*right))
+        bare, left, right = told
+        pair = replace(bare, left=picture_of(*left), right=picture_of(*right))
+        stage.enter(pair)
+        yield pair
 
 
 class _Asked:

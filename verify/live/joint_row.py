@@ -95,7 +95,8 @@ class Comparer:
             return self._empty(measurement, measurement.status, clock)
         effect = sensitivities(self.systematics, measurement, self._rig, self._marker)
         track = collect([measurement], self._rig, [effect])
-        if readings is None or not readings.known(track.t - clock.offset)[0]:
+        known = None if readings is None else readings.known(track.t - clock.offset)
+        if readings is None or known is None or not known[0]:
             return self._measured_alone(measurement, track.base_T_flange[0], clock)
         comparison = compare(
             track,
@@ -104,6 +105,7 @@ class Comparer:
             clock.offset,
             resolution=self._scales.resolution,
             time_uncertainty=self._scales.time_uncertainty,
+            known=known,
         )
         return self._compared(measurement, comparison, clock, track.covariance_alignment[0])
 

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 from verify.errors import InputError
 from verify.page.access import LOOPBACK, USUAL_PORT, check
 from verify.page.server import Words, serve
+from verify.priority import stand_back
 
 EVERY = 0.1  # s: faster than eyes follow; pictures too
 STATE_EVERY = 0.5  # s
@@ -145,6 +146,7 @@ class Page:
 
     def _feed(self) -> None:
         """Send until told to stop; a page that is gone costs the run nothing but a word."""
+        stand_back()
         try:
             self._send("hello", _text("hello", self._source.hello()))
             due = 0.0

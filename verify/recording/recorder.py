@@ -22,7 +22,9 @@ from verify.recording.rows import pair_as_written, reading_as_written
 from verify.records import StereoPair
 
 PATIENCE = 0.02  # s: a pair is measured after it, on the disk or not
-REST = 0.02  # s from a pair's coming to its encoding, which would take the measurement's time
+# a pair's encoding would take the measurement's time, and the comparison's after it
+REST = 0.003  # s from the end of its measurement
+LONGEST_REST = 0.02  # s from its coming
 LAG = 0.8  # s behind, and the recording ends: a kill must not cost a second
 BEFORE = 1.0  # s of readings before the first pair: they bracket it
 CLOSING = 10.0  # s: what is under way is given so long to reach the disk
@@ -59,7 +61,7 @@ class _Aside:
 
     pair: StereoPair
     raws: Raws
-    due: float  # s, host's monotonic clock: then it is encoded
+    came: float  # s, host's monotonic clock
 
 
 class Recorder:
@@ -90,6 +92,7 @@ class Recorder:
         self._early: deque[EncoderReading] = deque()
         self._pairs = self._readings = self._late = 0
         self._numbered = self._dropped = 0
+        self._measured = 0.0  # s, host's monotonic clock: when the last pair was
         self._last = (float("-inf"), float("-inf"))
         self._thread = threading.Thread(target=self._write, name="recorder", daemon=True)
         self._thread.start()
@@ -118,6 +121,13 @@ class Recorder:
             if item is not None and not item.done.wait(PATIENCE):
                 self._late += 1
             yield written
+            self._rest()
+
+    def _rest(self) -> None:
+        """Note that a pair is measured: what is on the disk as it is can be encoded soon."""
+        with self._wake:
+            self._measured = time.monotonic()
+            self._wake.notify()
 
     def reading(self, reading: EncoderReading) -> EncoderReading:
         """Record a reading; gives it as the recording has it."""
@@ -191,7 +201,7 @@ class Recorder:
         with self._wake:
             while not self._items:
                 if self._aside:
-                    rest = self._aside[0].due - time.monotonic()
+                    rest = self._due() - time.monotonic()
                     if rest <= 0 or self._closing:
                         return True
                     self._wake.wait(rest)
@@ -200,6 +210,12 @@ class Recorder:
                 else:
                     self._wake.wait()
             return True
+
+    def _due(self) -> float:
+        """When to encode the oldest pair that was set aside, s, host's monotonic clock."""
+        came = self._aside[0].came
+        through = self._measured if self._measured > came else float("inf")
+        return min(came + LONGEST_REST, through + REST)
 
     def _guarded(self, action: Callable[[], None]) -> None:
         """Do something with the disk; whatever goes wrong ends the recording and nothing else."""
@@ -233,7 +249,7 @@ class Recorder:
         while self._aside and not part.room:
             self._encode()
         if part.set_aside(pair, raws):
-            self._aside.append(_Aside(pair, raws, came + REST))
+            self._aside.append(_Aside(pair, raws, came))
             return
         while self._aside:
             self._encode()

@@ -9,11 +9,12 @@ from verify.cameras import READ_LIMIT, CameraFrame, CameraSettings, CameraState,
 from verify.records import Image
 from verify.sim.chance import Stream, generator
 from verify.sim.device_scene import Scene
-from verify.sim.lights import SIDES, lights
+from verify.sim.lights import SIDES
+from verify.sim.painting import Painter, Sight
 
 KEPT = 4  # pictures that a camera's driver holds for a slow reader
 TRANSFER = 0.002  # s, from the end of the exposure to the picture in hand
-RENDERING = 0.010  # s: so long before a picture is due its rendering begins
+RENDERING = 0.016  # s: so long before a picture is due its rendering begins
 
 
 class SimulatedCameraDevice:
@@ -25,10 +26,12 @@ class SimulatedCameraDevice:
     Args:
         scene: what it looks at, and the clock.
         side: 0 left, 1 right.
+        painter: paints what it sees; closed with the camera.
         settings: rate and whether in grey; other settings have no meaning here and are refused.
     """
 
-    def __init__(self, scene: Scene, side: int, settings: CameraSettings) -> None:
+    def __init__(self, scene: Scene, side: int, painter: Painter, settings: CameraSettings) -> None:
+        self._painter = painter
         self._scene, self._side, self._settings = scene, side, settings
         recording = scene.scenario.recording
         self._rate = settings.rate or recording.rate_hz
@@ -86,6 +89,7 @@ class SimulatedCameraDevice:
     def close(self) -> None:
         """Let go of the camera."""
         self._closed = True
+        self._painter.close()
 
     def _away(self) -> str | None:
         """What keeps pictures from coming, if anything."""
@@ -111,11 +115,11 @@ class SimulatedCameraDevice:
 
     def _picture(self, t: float, number: int) -> Image:
         scene, side = self._scene, self._side
-        seconds = scene.seconds(t)
         pan = float(scene.pan(t)[side])
-        seen = lights(scene.world_at(seconds), side, seconds, pan, scene.hidden(t, side))
-        turned_px = pan * scene.world.bench.cameras[side].matrix[0, 0]
-        image = scene.renderers[side].render(seen, number, turned_px)
+        hidden = scene.hidden(t, side)
+        image = self._painter.paint(
+            Sight(side, scene.seconds(t), pan, scene.lit(t), hidden, number)
+        )
         if self._settings.grey and image.ndim == 3:
             return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         return image

@@ -1,44 +1,41 @@
 """The one scene that simulated cameras, encoders and bases share: world, clock, events, bases."""
 
 import threading
-from dataclasses import replace
 
 import numpy as np
 
 from verify.records import Array
 from verify.sim.device_clock import SimClock
-from verify.sim.device_motion import Endless
-from verify.sim.scenario import Distractor, Scenario
+from verify.sim.painting import NearPainter
+from verify.sim.scenario import Scenario
 from verify.sim.sessions import START, SimulatedSession
 from verify.sim.world import World
 from verify.station_sim import SimEvent
 
 SPEED = np.deg2rad(20.0)  # rad/s, of a turning base
 LIMIT = np.deg2rad(60.0)  # rad, to either side
-LAMP_DN = 200.0  # as bright as an LED
-LAMP_ASIDE = (60.0, 40.0, 0.0)  # mm, rig axes, from the middle of the LEDs' way
 
 
 class Scene:
     """What all simulated devices look at.
 
     Args:
-        session: the played scenario; its motion is made endless.
+        session: the played scenario.
+        painter: of its pictures, its motion made endless.
         clock: the cameras' clock.
         events: what happens when.
     """
 
     def __init__(
-        self, session: SimulatedSession, clock: SimClock, events: tuple[SimEvent, ...]
+        self,
+        session: SimulatedSession,
+        painter: NearPainter,
+        clock: SimClock,
+        events: tuple[SimEvent, ...],
     ) -> None:
         self.scenario: Scenario = session.scenario
-        self.clock, self.renderers = clock, session.renderers
-        begin, end = START, max(float(session.t[-1, 0]), START + 1.0)
-        endless = Endless(session.world.motion, begin, end)
-        self.world: World = replace(session.world, motion=endless)
-        middle = self.world.led_points(np.linspace(begin, end, 50)).mean(axis=(0, 1)) * 1e3
-        lamp = Distractor(position_mm=tuple(middle + LAMP_ASIDE), peak_dn=LAMP_DN)
-        self._lit: World = replace(self.world, lamps=(*self.world.lamps, lamp))
+        self.clock, self.painter = clock, painter
+        self.world: World = painter.worlds[0]
         self._events = events
         self._names = [led.name for led in self.scenario.marker.led]
         self._departure = session.true_pan[0] - session.pan[0]  # rad, of truth from reading
@@ -62,11 +59,9 @@ class Scene:
         """True joint angles at instants of the cameras' clock: (n,) to (n, joints), rad."""
         return self.world.joints(t - self.clock.began + START)
 
-    def world_at(self, seconds: float) -> World:
-        """Give the world, with its lamp where that is on."""
-        elapsed = seconds - START
-        on = any(event.what == "lamp_on" and event.present(elapsed) for event in self._events)
-        return self._lit if on else self.world
+    def lit(self, t: float) -> bool:
+        """Whether a lamp is on at an instant."""
+        return any(event.what == "lamp_on" for event in self.present(t))
 
     def hidden(self, t: float, side: int) -> dict[int, float]:
         """Covered LEDs by index, and by what share."""

@@ -11,6 +11,7 @@ from verify.sim.device_clock import SimClock
 from verify.sim.device_encoders import SimulatedEncoders
 from verify.sim.device_pan import SimulatedPan
 from verify.sim.device_scene import Scene
+from verify.sim.painting import DistantPainter, Painter, near_painter
 from verify.sim.sessions import simulate
 from verify.station_sim import SimEvent, SimSettings
 
@@ -23,12 +24,15 @@ class SimulatedStation:
     Args:
         settings: which scenario, how fast, what happens.
         clock: the cameras' clock; made here unless a test brings its own.
+        apart: pictures are painted in a process of their own.
 
     Raises:
         InputError: no such scenario, or one that contradicts itself or the events.
     """
 
-    def __init__(self, settings: SimSettings, clock: SimClock | None = None) -> None:
+    def __init__(
+        self, settings: SimSettings, clock: SimClock | None = None, *, apart: bool = False
+    ) -> None:
         scenario = library.load(settings.scenario)
         if isinstance(scenario, BoardScenario):
             found = f'"{settings.scenario}" shows boards'
@@ -38,11 +42,13 @@ class SimulatedStation:
         self.robot = scenario.robot
         self.rig: Rig = session.rig
         self.marker: Marker = session.marker
-        self.scene = Scene(session, clock or SimClock(settings.speed), settings.events)
+        near = near_painter(session)
+        self._painter: Painter = DistantPainter(settings.scenario, near) if apart else near
+        self.scene = Scene(session, near, clock or SimClock(settings.speed), settings.events)
 
     def camera(self, side: int, settings: CameraSettings) -> SimulatedCameraDevice:
         """Open the left (0) or right (1) camera."""
-        return SimulatedCameraDevice(self.scene, side, settings)
+        return SimulatedCameraDevice(self.scene, side, self._painter, settings)
 
     def encoders(self, rate: float | None) -> SimulatedEncoders:
         """Open the encoders; rate in Hz, None for the scenario's own."""

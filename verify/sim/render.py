@@ -14,6 +14,7 @@ from verify.sim.lights import Light
 from verify.sim.scenario import Colour, ImageTable
 
 Picture = NDArray[np.float32]
+Glow = tuple[tuple[slice, slice], Picture]
 
 OVERSAMPLING = 5  # grains a pixel, with soft rims: widths right to 1 %, as the tests confirm
 REACH = 5.0  # standard deviations of blur that a patch keeps: 4e-6 of the rim's light beyond
@@ -48,6 +49,12 @@ class Renderer:
         object.__setattr__(self, "_room", self._drawn_room())  # a frozen dataclass's own way in
         object.__setattr__(self, "_dark", self._levels_of_the_dark())
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of a picture: (h, w) or, in colour, (h, w, 3)."""
+        size = self.image_size[::-1]
+        return (*size, 3) if self.table.colour else size
+
     def render(self, lights: Sequence[Light], frame: int, turned_px: float = 0.0) -> Image:
         """Take one picture.
 
@@ -73,17 +80,25 @@ class Renderer:
         """Give the light on each pixel of a grey picture, DN, without noise or limits."""
         scene = self._view(turned_px).copy()
         for light in lights:
-            self._add(scene, light)
+            if (glow := self._glow(light, scene.shape)) is not None:
+                scene[glow[0]] += glow[1]
         return scene
 
     def _expose(self, room: Picture, lights: Sequence[Light], rng: np.random.Generator) -> Image:
-        scene = room.copy()
-        areas = [area for light in lights if (area := self._add(scene, light)) is not None]
+        glows = [glow for light in lights if (glow := self._glow(light, room.shape)) is not None]
         if self._dark[0] < SPARSE:
+            scene = room.copy()
+            for area, light in glows:
+                scene[area] += light
             return self._digitise(scene, rng)
-        image = self._sparse(scene.shape, rng)
-        for area in areas:
-            image[area] = self._digitise(scene[area], rng)
+        image = self._sparse(room.shape, rng)
+        for (rows, columns), _ in glows:  # elsewhere it is as dark as it was
+            scene = room[rows, columns].copy()
+            for (other_rows, other_columns), light in glows:
+                y, dy = shared(rows, other_rows)
+                x, dx = shared(columns, other_columns)
+                scene[y, x] += light[dy, dx]
+            image[rows, columns] = self._digitise(scene, rng)
         return image
 
     def _sparse(self, shape: tuple[int, ...], rng: np.random.Generator) -> Image:
@@ -142,18 +157,25 @@ class Renderer:
         peak = light.peak * BGR[light.colour][channel]
         return Light(light.path, light.disc, peak, light.colour, light.hidden)
 
-    def _add(self, scene: Picture, light: Light) -> tuple[slice, slice] | None:
-        """Add one light to the scene; say which part it touched."""
-        corner, patch = stamp(light, self.table.blur_px)
-        height, width = scene.shape
-        x0, y0 = max(corner[0], 0), max(corner[1], 0)
-        x1 = min(corner[0] + patch.shape[1], width)
-        y1 = min(corner[1] + patch.shape[0], height)
+    def _glow(self, light: Light, shape: tuple[int, ...]) -> Glow | None:
+        """Which part of a picture one light touches, and what it adds there."""
+        (left, top), patch = stamp(light, self.table.blur_px)
+        x0, y0 = max(left, 0), max(top, 0)
+        x1, y1 = min(left + patch.shape[1], shape[1]), min(top + patch.shape[0], shape[0])
         if x1 <= x0 or y1 <= y0:
             return None
         area = (slice(y0, y1), slice(x0, x1))
-        scene[area] += patch[y0 - corner[1] : y1 - corner[1], x0 - corner[0] : x1 - corner[0]]
-        return area
+        return area, patch[y0 - top : y1 - top, x0 - left : x1 - left]
+
+
+def shared(one: slice, other: slice) -> tuple[slice, slice]:
+    """What two stretches have in common, counted from the begin of each; perhaps nothing."""
+    begin = max(one.start, other.start)
+    end = max(min(one.stop, other.stop), begin)
+    return (
+        slice(begin - one.start, end - one.start),
+        slice(begin - other.start, end - other.start),
+    )
 
 
 def stamp(light: Light, blur_px: float) -> tuple[tuple[int, int], Picture]:

@@ -97,7 +97,7 @@ def watch(path: str, began: float, seconds: float) -> None:
     from verify.terminal import terminal
 
     terminal.as_json = True
-    station = open_station(path, lambda s: SimulatedStation(s, _clock(began)))
+    station = open_station(path, lambda s: SimulatedStation(s, _clock(began), apart=True))
     nothing = Asked(None, None, None).tolerance(6)
     run(station, Wish(seconds, nothing, None, PageWish(0, "127.0.0.1", None)))
 

@@ -1,11 +1,12 @@
 """A measurement in a process of its own gives what one here gives, and its loss costs no pair."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from verify.live.elsewhere import MeasuringProcess
+from verify.live.elsewhere import MeasuringProcess, _Stage
 from verify.measurement import Setup, measure
 from verify.records import Array, Measurement, StereoPair
 from verify.sim import library
@@ -54,6 +55,22 @@ def test_it_gives_the_same_to_the_last_digit_and_ends(
         process.close()
     assert not said
     assert not process._process.is_alive()
+
+
+def test_a_rehearsal_between_pairs_changes_nothing(
+    session: SimulatedSession, here: list[Measurement]
+) -> None:
+    setup, done = Setup(session.rig, session.marker), []
+    stage = _Stage(replace(setup, detect=lambda *asked: done.append(1) or setup.detect(*asked)))
+
+    def rehearsed() -> Iterator[StereoPair]:
+        for pair in pairs(session):
+            stage.enter(pair)
+            yield pair
+            stage.rehearsal.run()
+
+    alike(list(measure(rehearsed(), setup, stage.carried)), here)
+    assert len(done) >= PAIRS - 3  # all but the first, for which nothing was known before
 
 
 def test_its_loss_costs_no_pair_and_is_said(

@@ -2,13 +2,14 @@
 
 import gc
 import multiprocessing
-import os
 import signal
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
+
+from verify.priority import stand_back
 
 Question = TypeVar("Question")
 Answer = TypeVar("Answer")
@@ -26,22 +27,34 @@ class Helper(Generic[Question, Answer]):
     Args:
         function: an importable function; question and answer are pickled.
         name: what a list of processes calls it.
-        niceness: how far it stands back where others want the processor too.
+        aside: it stands back where others want the processor too.
+        prepare: called there before it is ready.
     """
 
     def __init__(
-        self, function: Callable[[Question], Answer], name: str, niceness: int = 0
+        self,
+        function: Callable[[Question], Answer],
+        name: str,
+        *,
+        aside: bool = False,
+        prepare: Callable[[], object] | None = None,
     ) -> None:
         # not forked: a copy of a process with threads and cameras is no sound one
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(function, theirs, niceness), name=name, daemon=True
+            target=_serve, args=(function, theirs, aside, prepare), name=name, daemon=True
         )
         self._process.start()
         theirs.close()
         self._lock = threading.Lock()
         self._ready = False
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        assert self._process.pid is not None  # it was started
+        return self._process.pid
 
     def wait_until_ready(self) -> None:
         """Wait until it has imported what it needs, which a busy machine takes seconds for.
@@ -52,6 +65,17 @@ class Helper(Generic[Question, Answer]):
         if not self._ready:
             self._received(START_LIMIT)
             self._ready = True
+
+    def is_ready(self) -> bool:
+        """Whether it can be asked without a wait for its start.
+
+        Raises:
+            HelperLostError: it did not start.
+        """
+        with self._lock:
+            if not self._ready and self._connection.poll(0.0):
+                self.wait_until_ready()
+            return self._ready
 
     def ask(self, question: Question, patience: float) -> Answer:
         """Ask, and wait for the answer.
@@ -108,11 +132,18 @@ class Helper(Generic[Question, Answer]):
             self._process.join(GOODBYE)
 
 
-def _serve(function: Callable[[Any], Any], connection: Connection, niceness: int) -> None:
+def _serve(
+    function: Callable[[Any], Any],
+    connection: Connection,
+    aside: bool,
+    prepare: Callable[[], object] | None,
+) -> None:
     """Answer until nobody asks any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks
-    if niceness and hasattr(os, "nice"):
-        os.nice(niceness)
+    if aside:
+        stand_back()
+    if prepare is not None:
+        prepare()
     gc.freeze()  # what was imported is no garbage: looking through it would take a picture's time
     with suppress(OSError):
         connection.send(("ready", None))

@@ -1,5 +1,6 @@
 """A picture where two processes see it."""
 
+import math
 from multiprocessing.shared_memory import SharedMemory
 
 import numpy as np
@@ -13,14 +14,27 @@ class SharedPicture:
     def __init__(self) -> None:
         self._memory: SharedMemory | None = None
 
-    def put(self, image: Image) -> tuple[str, tuple[int, ...]]:
-        """Put a picture there; name and shape, by which `picture_of` finds it."""
-        if self._memory is None or self._memory.size < image.nbytes:
+    def room(self, shape: tuple[int, ...]) -> tuple[str, tuple[int, ...]]:
+        """Make room; name and shape, by which `picture_of` finds it."""
+        size = math.prod(shape)
+        if self._memory is None or self._memory.size < size:
             self.close()
-            self._memory = SharedMemory(create=True, size=image.nbytes)
-        view = np.ndarray(image.shape, dtype=np.uint8, buffer=self._memory.buf)
-        view[:] = image
-        return self._memory.name, image.shape
+            self._memory = SharedMemory(create=True, size=size)
+        return self._memory.name, shape
+
+    def put(self, image: Image) -> tuple[str, tuple[int, ...]]:
+        """Put a picture there; name and shape, as for `room`."""
+        place = self.room(image.shape)
+        self._view(image.shape)[:] = image
+        return place
+
+    def copy(self, shape: tuple[int, ...]) -> Image:
+        """Take a copy of the picture that somebody has put into the room."""
+        return self._view(shape).copy()
+
+    def _view(self, shape: tuple[int, ...]) -> Image:
+        assert self._memory is not None  # room was made
+        return np.ndarray(shape, dtype=np.uint8, buffer=self._memory.buf)
 
     def close(self) -> None:
         """Give the room back."""

@@ -1,0 +1,37 @@
+"""Pictures painted in another process are those painted here, and its loss costs none."""
+
+import time
+
+import numpy as np
+
+from verify.sim import library
+from verify.sim.painting import DistantPainter, Sight, near_painter
+from verify.sim.sessions import START, simulate
+
+SCENARIO = "multi_joint_rv_3sd"
+LIMIT = 60.0  # s for the other process's start, on a busy machine
+SIGHTS = [
+    Sight(side, START + 0.3 * number, 0.01 * side, lit, hidden, number)
+    for number in range(3)
+    for side, lit, hidden in ((0, False, {}), (1, True, {0: 1.0}))
+]
+
+
+def test_both_paint_the_same_and_one_stands_in_for_the_other() -> None:
+    near = near_painter(simulate(library.load(SCENARIO)))
+    wanted = [near.paint(sight) for sight in SIGHTS]
+    assert not np.array_equal(wanted[0], wanted[1])
+    distant = DistantPainter(SCENARIO, near)
+    assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))  # while it starts
+    helper, end = distant._helper, time.monotonic() + LIMIT
+    assert helper is not None
+    while not helper.is_ready():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
+    assert distant._helper is helper  # it was asked, and answered
+    helper._process.kill()
+    assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
+    assert distant._helper is None
+    distant.close()
+    distant.close()

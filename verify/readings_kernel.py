@@ -1,0 +1,96 @@
+"""Joint readings between readings, compiled: a live row asks for one instant of a few dozen."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.compiled import compiled
+from verify.records import Array
+
+
+@compiled
+def slope_at(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
+    """Give a joint's speed at reading i, from its neighbours; none beside a gap.
+
+    Source: second-order differences for uneven spacing, as in numpy.gradient.
+    """
+    before = t[i] - t[i - 1] if i > 0 else 0.0
+    after = t[i + 1] - t[i] if i < len(t) - 1 else 0.0
+    if before > longest or after > longest:
+        return 0.0  # a slope across a gap says nothing
+    if before == 0.0:
+        return float((q[i + 1, joint] - q[i, joint]) / after)
+    if after == 0.0:
+        return float((q[i, joint] - q[i - 1, joint]) / before)
+    late, early = before * before * q[i + 1, joint], after * after * q[i - 1, joint]
+    middle = (after * after - before * before) * q[i, joint]
+    return float((late + middle - early) / (before * after * (before + after)))
+
+
+@compiled
+def interpolate(t: Array, q: Array, longest: float, there: Array, values: Array) -> None:
+    """Fill in the readings at some instants: cubic between four readings (Catmull-Rom).
+
+    Args:
+        t: (m,), s, increasing; two at least.
+        q: (m, j), rad.
+        longest: s; across a longer gap the nearest reading is held.
+        there: (n,), s.
+        values: (n, j), rad, filled.
+    """
+    for n in range(len(there)):
+        instant = min(max(there[n], t[0]), t[-1])
+        after = min(max(np.searchsorted(t, instant), 1), len(t) - 1)
+        width, passed = t[after] - t[after - 1], instant - t[after - 1]
+        for j in range(q.shape[1]):
+            early, late = q[after - 1, j], q[after, j]
+            if width > longest:
+                values[n, j] = early if passed < t[after] - instant else late
+                continue
+            straight = (late - early) / width
+            begin = slope_at(t, q, after - 1, j, longest)
+            end = slope_at(t, q, after, j, longest)
+            twist = (begin + end - 2.0 * straight) / width
+            bend = (straight - begin) / width - twist
+            values[n, j] = early + passed * (begin + passed * (bend + passed * (twist / width)))
+
+
+@compiled
+def typical_difference(t: Array, column: Array, order: int, longest: float) -> tuple[float, int]:
+    """Give the median size of a joint's differences of an order, and how many there are.
+
+    Differences across a gap are motion and do not count.
+    """
+    differences, sizes, count = column.copy(), np.empty(len(column)), 0
+    for _ in range(order):
+        for i in range(len(column) - 1):
+            differences[i] = differences[i + 1] - differences[i]
+    for i in range(len(column) - order):
+        whole = True
+        for k in range(i, i + order):
+            whole = whole and t[k + 1] - t[k] <= longest
+        if whole:
+            sizes[count] = abs(differences[i])
+            count += 1
+    return (float(np.median(sizes[:count])) if count else 0.0), count
+
+
+@compiled
+def follow(column: Array, threshold: float, directions: NDArray[np.int8]) -> None:
+    """Fill in a joint's direction of travel after each reading, by a band about the extreme.
+
+    Args:
+        column: (m,), rad.
+        threshold: rad, further than which from its extreme it has turned back.
+        directions: (m,), filled: +1, -1, or 0 before any.
+    """
+    extreme, direction = column[0], 0
+    for i in range(len(column)):
+        value = column[i]
+        if direction == 0:
+            if abs(value - extreme) > threshold:
+                direction, extreme = (1 if value > extreme else -1), value
+        elif (value - extreme) * direction >= 0:
+            extreme = value
+        elif abs(value - extreme) > threshold:
+            direction, extreme = -direction, value
+        directions[i] = direction
