@@ -1,4 +1,4 @@
-"""What was done a moment ago is done quicker: after 20 ms of rest it takes twice as long.
+"""What was done a moment ago is done quicker: after a rest it takes far longer.
 
 By then the processor has given its caches, and what it had learnt of the program's course, to
 others. So the last pair is measured once more, for nothing, just before the next one is due.
