@@ -33,6 +33,9 @@ LINE_STYLES: dict[str, tuple[float, tuple[float, ...]]] = {
     "dash": (0, (4, 2)),
     "dot": (0, (1.2, 1.6)),
 }
+VIEW_DEG = (24.0, -58.0)  # elevation and azimuth from which a path in space is seen
+NEAREST = 1.0  # zoom: beyond it the labels on both sides are cut
+HIGHEST = 0.78  # of a box's diagonal, upwards in the picture at zoom 1: more cuts those below
 LINE_WIDTHS = {"error": 0.6, "resolved": 1.1, "encoder": 0.9, "vector": 0.35}
 
 
@@ -227,9 +230,9 @@ def _luminance(colour: tuple[float, float, float, float]) -> float:
 
 
 def _path(path: Path) -> Figure:
-    figure = Figure(figsize=(LINE_WIDTH_IN * 0.72, 3.0))
+    figure = Figure(figsize=(LINE_WIDTH_IN * 0.72, 3.3))
     figure.set_layout_engine("none")  # constrained layout leaves a wide margin around space axes
-    axes: Any = figure.add_axes((0.02, 0.06, 0.92, 0.94), projection="3d")
+    axes: Any = figure.add_axes((0.02, 0.14, 0.92, 0.86), projection="3d")
     for points, role, name in path.lines:
         x, y, z = points.T
         axes.plot(x, y, z, color=_colour(role), linestyle=_line_style(role), label=name)
@@ -240,7 +243,20 @@ def _path(path: Path) -> Figure:
         getattr(axes, f"set_{axis}label")(label)
         getattr(axes, f"set_{axis}lim")(*ends)
         getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(nbins=5))
-    axes.set_box_aspect([high - low for low, high in path.ranges], zoom=1.05)
-    axes.view_init(elev=24, azim=-58)
+    sides = [high - low for low, high in path.ranges]
+    axes.set_box_aspect(sides, zoom=_zoom(sides))
+    elevation, azimuth = VIEW_DEG
+    axes.view_init(elev=elevation, azim=azimuth)
     axes.legend(loc="upper left")
     return figure
+
+
+def _zoom(sides: list[float]) -> float:
+    """Choose from how near a box is seen.
+
+    All are drawn with one diagonal: one that stands high in the picture would lose its labels.
+    """
+    elevation, azimuth = np.deg2rad(VIEW_DEG)
+    level = np.sin(elevation) * np.abs([np.cos(azimuth), np.sin(azimuth)])
+    height = float(np.dot(sides, [*level, np.cos(elevation)]) / np.linalg.norm(sides))
+    return min(NEAREST, HIGHEST / height)

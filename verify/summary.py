@@ -126,6 +126,10 @@ def _decision(judged: Judged) -> dict[str, Any]:
         "guard": GUARD,
         "false_alarm": FALSE_ALARM,
         "fitted_terms": [list(terms) for terms in judged.resolved.terms],
+        "half_range_deg": [number(s * DEGREE) for s in judged.resolved.swing],
+        "half_range_standard_uncertainty_deg": [
+            number(u * DEGREE) for u in judged.resolved.swing_uncertainty
+        ],
         "lack_of_fit": judged.resolved.lack_of_fit,
         "chi2": number(fit.chi2),
         "degrees_of_freedom": fit.degrees_of_freedom,

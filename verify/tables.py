@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from verify.comparison import Comparison
 from verify.joints import Joints
 from verify.judgement.congruence import Congruence
+from verify.judgement.length import length
 from verify.judgement.resolved import Resolved
 from verify.marker import Marker
 from verify.records import Array, Measurement, Pose
@@ -141,9 +142,9 @@ def resolved_table(comparison: Comparison, resolved: Resolved, frame: Array) -> 
         ("position_resolved{}_mm", slice(0, 3), 1e3),
         ("orientation_resolved{}_deg", slice(3, 6), 180 / np.pi),
     ):
-        table[name.format("")] = np.linalg.norm(twist[:, part], axis=1) * unit
-        trace = np.trace(spread[:, part, part], axis1=1, axis2=2)
-        table[name.format("_u")] = np.sqrt(trace / 3) * unit
+        size, u = length(twist[:, part], spread[:, part, part])  # as the verdict takes them
+        table[name.format("")] = size * unit
+        table[name.format("_u")] = u * unit
     return pd.DataFrame(table)
 
 

@@ -34,10 +34,24 @@ def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a checker reads of OUT; the reports themselves are no part of it."""
     out: Path = tmp_path_factory.mktemp("result")
-    results = analyse(open_session(FAULTY))
+    return judged(FAULTY, out)
+
+
+def judged(session: Path, out: Path) -> Path:
+    results = analyse(open_session(session))
     reports.write(results, out / "results")
     (out / "summary.json").write_text(json.dumps(plain(results.summary), allow_nan=False))
     return out
+
+
+@pytest.fixture(scope="module")
+def hiding(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The same session with its base found through the encoders, and its result."""
+    folder = tmp_path_factory.mktemp("hiding")
+    session = shutil.copytree(FAULTY, folder / "session")
+    rig = session / "rig.toml"
+    rig.write_text(rig.read_text().replace('source = "fixture"', 'source = "motion"'))
+    return session, judged(session, folder / "out")
 
 
 def checked(recipe: Path, session: Path, out: Path) -> subprocess.CompletedProcess[str]:
@@ -45,12 +59,14 @@ def checked(recipe: Path, session: Path, out: Path) -> subprocess.CompletedProce
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def changed(out: Path, to: Path, change: dict[str, Any]) -> Path:
-    """A copy whose summary says something else of joint 2."""
+def changed(out: Path, to: Path, change: dict[str, Any], part: str = "joint 2") -> Path:
+    """A copy whose summary says something else of a part: joint 2, position, the decision."""
     shutil.copytree(out, to)
     path = to / "summary.json"
     summary = json.loads(path.read_text())
-    summary["joints"][1] |= change
+    (summary["joints"][int(part[-1]) - 1] if part.startswith("joint") else summary[part]).update(
+        change
+    )
     path.write_text(json.dumps(summary))
     return to
 
@@ -73,19 +89,40 @@ def test_a_session_that_was_changed_since_does_not(
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("part", "change", "said"),
     [
-        ({"verdict": "conform"}, "joint 2: nonconform"),
-        ({"tolerance_deg": 1.0}, "joint 2: conform"),
-        ({"standard_uncertainty_deg": 1e-5}, "budget of joint 2"),
+        ("joint 2", {"verdict": "conform"}, "joint 2: nonconform"),
+        ("joint 2", {"tolerance_deg": 1.0}, "joint 2: conform"),
+        ("joint 2", {"worst_error_deg": 0.1}, "worst error 0.1"),
+        ("joint 2", {"standard_uncertainty_deg": 1e-5}, "budget of joint 2"),
+        ("position", {"verdict": "conform"}, "position: nonconform"),
+        ("position", {"tolerance_mm": 10.0}, "position: conform"),
+        ("position", {"worst_error_standard_uncertainty_mm": 1.0}, "uncertainty 1.0"),
+        ("orientation", {"tolerance_deg": 0.36}, "orientation: undecided"),
+        ("decision", {"lack_of_fit": True}, "joint 1: undecided"),
     ],
 )
 def test_a_summary_that_was_changed_does_not(
-    recipe: Path, result: Path, tmp_path: Path, change: dict[str, Any], said: str
+    recipe: Path, result: Path, tmp_path: Path, part: str, change: dict[str, Any], said: str
 ) -> None:
-    answer = checked(recipe, FAULTY, changed(result, tmp_path / "out", change))
+    answer = checked(recipe, FAULTY, changed(result, tmp_path / "out", change, part))
     assert answer.returncode != 0
     assert said in answer.stderr
+
+
+def test_a_result_with_hidden_joints_passes_too(
+    recipe: Path, hiding: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """What varies of a hidden joint's error decides, and the flange is left undecided."""
+    session, out = hiding
+    answer = checked(recipe, session, out)
+    assert answer.returncode == 0, answer.stderr
+    summary = json.loads((out / "summary.json").read_text())
+    hidden = summary["joints"][0]
+    assert hidden["mean_error_deg"] is None
+    assert [hidden["verdict"], summary["position"]["verdict"]] == ["undecided", "undecided"]
+    swinging = changed(out, tmp_path / "out", {"half_range_deg": [9.0] * 6}, "decision")
+    assert "joint 1: nonconform" in checked(recipe, session, swinging).stderr
 
 
 def test_the_certificate_names_versions_rule_and_arm(result: Path) -> None:

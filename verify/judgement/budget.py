@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.stats import t as student
 
 from verify.clock import ClockEstimate
 from verify.comparison import Comparison
@@ -28,7 +27,13 @@ from verify.judgement.budget_sources import (
     systematic_sources,
     table_columns,
 )
-from verify.judgement.means import LARGE_SAMPLE, JointErrors, Means, is_fitted
+from verify.judgement.means import (
+    JointErrors,
+    Means,
+    coverage_factor,
+    effective_degrees,
+    is_fitted,
+)
 from verify.judgement.model import Model
 from verify.judgement.resolved import Resolved
 from verify.records import Array
@@ -47,7 +52,6 @@ PARAMETER_COLUMNS = [
 ]  # fmt: skip
 TOGETHER = "correlation of sources"
 ROUNDING = 1e-9  # of a variance: what sums leave of nothing
-TWO_SIGMA = 0.97725  # coverage of k = 2, one-sided
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,14 +117,17 @@ def budget(
         np.where(known, sum((li.variance for li in lines if li.kind == k), 0.0), np.nan)
         for k in ("random", "systematic")
     )
-    degrees = _effective(lines, _calibrated(held, by_pair), random + systematic)
+    noise = [li.variance for li in lines if li.kind == "random" and li.degrees is own]
+    degrees = effective_degrees(
+        random + systematic, np.sum(noise, axis=0), own, *_calibrated(held, by_pair)
+    )
     return Budget(
         lines=_table(lines, random + systematic),
         parameters=_parameters(held, session, model.comparison, by_pair),
         random=np.sqrt(np.maximum(random, 0.0)),
         systematic=np.sqrt(np.maximum(systematic, 0.0)),
         degrees=degrees,
-        coverage_factor=_coverage(degrees),
+        coverage_factor=coverage_factor(degrees),
     )
 
 
@@ -161,28 +168,6 @@ def _calibrated(held: Parameters, by_pair: Array) -> tuple[Array, float]:
     part = np.einsum("njk,nkp->jp", by_pair, held.columns[:, :, mine])
     variance = np.einsum("jp,pq,jq->j", part, held.covariance[np.ix_(mine, mine)], part)
     return variance, float(held.degrees[mine].min(initial=np.inf))
-
-
-def _effective(lines: list[_Line], calibrated: tuple[Array, float], total: Array) -> Array:
-    """Welch-Satterthwaite degrees of freedom of each mean, (j,); GUM G.4.1.
-
-    The session's own noise is one estimate, and so is what one calibration found together.
-    """
-    noise = [li for li in lines if li.kind == "random" and np.isfinite(li.degrees).all()]
-    together = np.asarray(sum((li.variance for li in noise), np.zeros(len(total))))
-    below = calibrated[0] ** 2 / calibrated[1] if np.isfinite(calibrated[1]) else 0.0
-    if noise:
-        below = below + together**2 / noise[0].degrees
-    degrees: Array = np.divide(
-        total**2, below, out=np.full(len(total), np.inf), where=np.asarray(below) > 0
-    )
-    return degrees
-
-
-def _coverage(degrees: Array) -> Array:
-    exact = student.ppf(TWO_SIGMA, np.maximum(np.nan_to_num(degrees, nan=np.inf), 1.0))
-    factor: Array = np.where(degrees > LARGE_SAMPLE, 2.0, exact)
-    return factor
 
 
 def _table(lines: list[_Line], total: Array) -> pd.DataFrame:

@@ -10,8 +10,9 @@ from verify.judgement.model import Model
 from verify.judgement.resolved import Resolved
 from verify.records import Array
 from verify.regression import solve
-from verify.systematics import Systematics
+from verify.systematics import Systematics, root
 
+TWO_SIGMA = 0.97725  # coverage of k = 2, one-sided
 LARGE_SAMPLE = 50  # effective degrees of freedom above which k = 2 stands for 95 %
 
 
@@ -34,6 +35,33 @@ class Means:
     random: Array  # (j,), standard uncertainty from what averages out
     coverage_factor: Array  # (j,)
     pairs: NDArray[np.int64]  # (j,), in each joint's statistics
+
+
+def effective_degrees(
+    total: Array, noise: Array, own: Array | float, calibrated: Array, stated: float
+) -> Array:
+    """Welch-Satterthwaite degrees of freedom of each mean, (j,); inf: without bound. GUM G.4.1.
+
+    The session's own noise is one estimate, and so is what one calibration found together; what
+    is stated without degrees of freedom has no bound.
+
+    Args:
+        total: (j,), variance.
+        noise: (j,), the part of it that the session itself shows.
+        own: (j,), its degrees of freedom.
+        calibrated: (j,), the part that one calibration found.
+        stated: its degrees of freedom; may be inf.
+    """
+    below = np.asarray(noise**2 / own + calibrated**2 / stated)
+    degrees: Array = np.divide(total**2, below, out=np.full(len(total), np.inf), where=below > 0)
+    return degrees
+
+
+def coverage_factor(degrees: Array) -> Array:
+    """Coverage factor for 95.45 %: 2 above LARGE_SAMPLE degrees of freedom, else Student's."""
+    exact = student.ppf(TWO_SIGMA, np.maximum(np.nan_to_num(degrees, nan=np.inf), 1.0))
+    factor: Array = np.where(degrees > LARGE_SAMPLE, 2.0, exact)
+    return factor
 
 
 def mean_errors(
@@ -66,8 +94,15 @@ def mean_errors(
         covariance = covariance + np.outer(drift, drift)
     covariance[pairs == 0] = covariance[:, pairs == 0] = np.nan
     spread = np.sqrt(np.diag(random))
-    degrees = _effective(np.diag(covariance), np.diag(random), pairs, systematics)
-    return Means(mean, covariance, spread, _coverage(degrees), pairs.astype(np.int64))
+    # six coordinates a pair share the noise estimate; the spots' own is known far better
+    degrees = effective_degrees(
+        np.diag(covariance),
+        np.diag(random),
+        np.maximum(6.0 * pairs - 6, 1.0),
+        _calibrated(moved, systematics),
+        systematics.degrees_of_freedom,
+    )
+    return Means(mean, covariance, spread, coverage_factor(degrees), pairs.astype(np.int64))
 
 
 def is_fitted(model: Model, errors: JointErrors) -> bool:
@@ -95,26 +130,29 @@ def _fitted(model: Model, resolved: Resolved) -> Means:
     mean = np.where(known, mean, np.nan)
     covariance[~known] = covariance[:, ~known] = np.nan
     pairs = np.full(joints, len(model.comparison))
+    # the fit weighs sources against each other; `budget` takes the calibration's part of it out
     degrees = np.full(joints, float(fit.degrees_of_freedom))
-    return Means(mean, covariance, np.where(known, random, np.nan), _coverage(degrees), pairs)
+    factor = coverage_factor(degrees)
+    return Means(mean, covariance, np.where(known, random, np.nan), factor, pairs)
 
 
-def _effective(
-    total: Array, random: Array, pairs: NDArray[np.int64], systematics: Systematics
-) -> Array:
-    """Welch-Satterthwaite degrees of freedom of each mean."""
-    rest = np.maximum(total - random, 0.0)
-    # six coordinates a pair share the noise estimate; the spots' own is known far better
-    denominator = (
-        random**2 / np.maximum(6.0 * pairs - 6, 1) + rest**2 / systematics.degrees_of_freedom
+def _calibrated(moved: Array, systematics: Systematics) -> Array:
+    """Variance (j,) of the plain means from all that one calibration found.
+
+    A session's budget knows the rig file and counts its parameters; here, where a plan has no
+    budget yet, their names tell: LED positions are the calibration's where no LED body is stated
+    beside them.
+
+    Args:
+        moved: (j, p), of columns of unit variance, those of the stated parameters first.
+        systematics: stated parameters.
+    """
+    body = "LED body" in systematics.sources
+    own = {"rig", "robot base"} if body else {"rig", "robot base", "LED positions"}
+    found = np.array([source in own for source in systematics.sources], dtype=float)
+    unit = root(systematics.covariance)
+    sensitivity = moved[:, : unit.shape[1]] @ np.linalg.pinv(unit)
+    variance: Array = np.einsum(
+        "jp,pq,jq->j", sensitivity * found, systematics.covariance, sensitivity * found
     )
-    degrees: Array = np.divide(
-        total**2, denominator, out=np.full(len(total), np.inf), where=denominator > 0
-    )
-    return degrees
-
-
-def _coverage(degrees: Array) -> Array:
-    exact = student.ppf(0.97725, np.maximum(np.nan_to_num(degrees, nan=np.inf), 1.0))
-    factor: Array = np.where(degrees > LARGE_SAMPLE, 2.0, exact)
-    return factor
+    return variance

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2, norm
 
+from verify.judgement.length import length
 from verify.judgement.resolved import Resolved
 from verify.records import Array
 
@@ -49,13 +50,7 @@ def judge_norm(
     vectors: Array, covariance: Array, terms: int, tolerance: float | None, resolved: Resolved
 ) -> Verdict:
     """Judge the length of an error vector at every pair, (n, 3) with (n, 3, 3)."""
-    size = np.linalg.norm(vectors, axis=1)
-    along = vectors / np.where(size > 0, size, 1.0)[:, None]
-    variance = np.einsum("ni,nij,nj->n", along, covariance, along)
-    largest = np.linalg.eigvalsh(np.nan_to_num(covariance))[:, -1]
-    # a vector shorter than its uncertainty has no direction to speak of
-    variance = np.where(size**2 > largest, variance, largest)
-    u = np.sqrt(np.where(np.isnan(size), np.nan, variance))
+    size, u = length(vectors, covariance)
     # the length of three components is larger by chance than any one of them
     z = float(max(norm.isf(FALSE_ALARM / 2 / terms), np.sqrt(chi2.isf(FALSE_ALARM / terms, 3))))
     return _judge(size, u, z, tolerance, 0.0, resolved.lack_of_fit)

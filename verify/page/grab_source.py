@@ -25,7 +25,8 @@ from verify.page.grab_fields import (
     seen_fields,
 )
 from verify.page.pictures import small_jpeg
-from verify.page.skeleton import joint_origins, millimetres, placed
+from verify.page.run_source import cameras_placed
+from verify.page.skeleton import joint_origins, millimetres
 from verify.rig import Rig
 
 if TYPE_CHECKING:  # types alone: what they come from can move an arm
@@ -124,17 +125,13 @@ class GrabSource:
     def hello(self) -> dict[str, Any]:
         """What never changes."""
         told = self._told
-        base_T_rig = np.linalg.inv(told.rig.rig_T_base)
         return {
             "mode": "grab",
             "title": told.robot,
             "description": told.description[:LONGEST_TEXT],
             "execute": told.execute,
             "duration_s": told.duration,
-            "cameras": [
-                placed(base_T_rig @ camera.rig_T_camera(camera.pan))
-                for camera in (told.rig.left, told.rig.right)
-            ],
+            "cameras": cameras_placed(told.rig, None),
         }
 
     def rows(self) -> list[dict[str, Any]]:
@@ -224,8 +221,9 @@ class GrabSource:
         }
 
     def _scene(self, cycle: "Cycle") -> dict[str, Any]:
-        """Arm as read, and the target."""
-        scene: dict[str, Any] = {}
+        """Arm as read, the target, and the cameras as they stood for the pictures shown."""
+        pair = None if self._pictured is None else self._pictured.pair
+        scene: dict[str, Any] = {"cameras": cameras_placed(self._told.rig, pair)}
         if cycle.q is not None:
             scene["arm_mm"] = millimetres(joint_origins(self._told.setup.arm, cycle.q))
         if cycle.known is not None:

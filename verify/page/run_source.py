@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from robots.transforms import invert
 from verify.live.joint_row import JointRow
 from verify.live.metrics import exposition
 from verify.live.ports import Subject
 from verify.live.state import LiveState
 from verify.page.pictures import small_jpeg
-from verify.page.skeleton import joint_origins
-from verify.records import Array, Image, Sighting
+from verify.page.skeleton import joint_origins, millimetres, placed
+from verify.records import Array, Image, Sighting, StereoPair
+from verify.rig import Rig
 
 LONGEST_TEXT = 2000  # characters of a description
 
@@ -46,7 +48,6 @@ class RunSource:
     def hello(self) -> dict[str, Any]:
         """What never changes."""
         subject, facts = self._subject, self._facts
-        base_T_rig = np.linalg.inv(subject.rig.rig_T_base)
         tolerance = facts.tolerance
         return {
             "mode": "run",
@@ -57,10 +58,7 @@ class RunSource:
             "leds": list(subject.marker.names),
             "tolerance_deg": None if tolerance is None else _degrees(tolerance),
             "false_alarms_per_hour": facts.false_alarms_per_hour,
-            "cameras": [
-                _pose(base_T_rig @ camera.rig_T_camera(camera.pan))
-                for camera in (subject.rig.left, subject.rig.right)
-            ],
+            "cameras": cameras_placed(subject.rig, None),
         }
 
     def rows(self) -> list[dict[str, Any]]:
@@ -132,8 +130,12 @@ class RunSource:
         }
 
     def _scene(self, row: JointRow) -> dict[str, Any]:
-        """Measured and encoder-derived arm and LEDs, base frame, mm."""
-        scene: dict[str, Any] = {}
+        """Measured and encoder-derived arm and LEDs, and the cameras; base frame, mm."""
+        seen = self._state.latest_pictures()
+        rig = self._subject.rig
+        scene: dict[str, Any] = {
+            "cameras": cameras_placed(rig, None if seen is None else seen.pair)
+        }
         leds = self._subject.marker.leds
         for name, q, pose in (
             ("measured", row.measured, row.base_T_measured),
@@ -141,9 +143,9 @@ class RunSource:
         ):
             part: dict[str, Any] = {}
             if np.all(np.isfinite(q)):
-                part["arm_mm"] = _millimetres(joint_origins(self._subject.arm, q))
+                part["arm_mm"] = millimetres(joint_origins(self._subject.arm, q))
             if pose is not None:
-                part["leds_mm"] = _millimetres(leds @ pose[:3, :3].T + pose[:3, 3])
+                part["leds_mm"] = millimetres(leds @ pose[:3, :3].T + pose[:3, 3])
             scene[name] = part
         snapshot = self._state.snapshot()
         if snapshot.statistic is not None:
@@ -156,16 +158,19 @@ def _degrees(angles: Array) -> list[float | None]:
     return [round(a, 5) if np.isfinite(a) else None for a in np.rad2deg(angles).tolist()]
 
 
-def _millimetres(metres: Array) -> list[list[float]]:
-    rounded: list[list[float]] = np.round(metres * 1e3, 2).tolist()
-    return rounded
+def cameras_placed(rig: Rig, pair: StereoPair | None) -> list[dict[str, Any]]:
+    """Write both cameras' poses in the robot's base as JSON has them, left and right.
 
-
-def _pose(a_T_b: Array) -> dict[str, Any]:
-    return {
-        "rotation": np.round(a_T_b[:3, :3], 6).tolist(),
-        "at_mm": _millimetres(a_T_b[None, :3, 3])[0],
-    }
+    Args:
+        rig: the cameras.
+        pair: they are drawn where their bases stood for it; None: where the rig file says.
+    """
+    pans = (rig.left.pan, rig.right.pan) if pair is None else (pair.pan_left, pair.pan_right)
+    base_T_rig = invert(rig.rig_T_base)
+    return [
+        placed(base_T_rig @ camera.rig_T_camera(pan))
+        for camera, pan in zip((rig.left, rig.right), pans, strict=True)
+    ]
 
 
 def _picture(

@@ -1,4 +1,9 @@
-"""What each kind of fault would do to every pair of a session: columns of the judgement's model."""
+"""What each kind of fault would do to every pair of a session: columns of the judgement's model.
+
+The columns are the diagnosis's own. Its faults are not taken whole, as `joint_faults` leaves out
+those that the motion at hand does not show: here a kind has a column for every joint, so that one
+which a plan does not show yet is told to be missing, and single poses can be weighed for it.
+"""
 
 from dataclasses import dataclass
 
@@ -12,6 +17,7 @@ from verify.arm_identification.parameters import (
     geometry_parameters,
     offset_parameters,
 )
+from verify.judgement.faults_joints import shaped
 from verify.judgement.model import Model
 from verify.planning.wishes import Bench
 from verify.records import Array
@@ -35,17 +41,17 @@ def kind(name: str, model: Model) -> Kind:
     if name == "offsets":
         return Kind(name, "deg", degree, (model.offsets,))
     if name == "gains":
-        return Kind(name, "percent", PERCENT, (_shaped(model, q),))
+        return Kind(name, "percent", PERCENT, (_every_joint(model, q),))
     if name == "backlash":
-        return Kind(name, "deg", degree, (_shaped(model, model.comparison.direction / 2),))
-    return Kind(name, "deg", degree, (_shaped(model, np.cos(q)), _shaped(model, np.sin(q))))
+        return Kind(name, "deg", degree, (_every_joint(model, model.comparison.direction / 2),))
+    waves = _every_joint(model, np.cos(q)), _every_joint(model, np.sin(q))
+    return Kind(name, "deg", degree, waves)
 
 
-def _shaped(model: Model, shape: Array) -> Array:
-    """Columns of errors that vary as (n, j) does; of their mean, what registration left of it."""
-    mean = shape.mean(axis=0)
-    columns: Array = model.joints * (shape - mean)[model.white.pair] + model.offsets * mean
-    return columns
+def _every_joint(model: Model, shapes: Array) -> Array:
+    """Columns (r, j) of joint errors that vary as (n, j) does."""
+    joints = range(shapes.shape[1])
+    return np.concatenate([shaped(model, j, shapes[:, [j]]) for j in joints], axis=1)
 
 
 def geometry(bench: Bench, model: Model) -> tuple[tuple[Parameter, ...], Array]:

@@ -386,7 +386,7 @@ def test_silence_in_mid_move_is_given_up_within_its_time_and_then_stopped(where:
 
 
 def test_silence_without_an_end_is_said_as_what_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("verify.grab.melfa_motion.GIVE_BACK_LIMIT", 1.0)
+    monkeypatch.setattr("verify.grab.melfa_motion_course.GIVE_BACK_LIMIT", 1.0)
     engine = controller()
     with (
         running(engine, faults=Faults(silence=(0.8, 60.0))) as emulated,
@@ -445,6 +445,16 @@ def test_a_controller_that_was_reset_is_not_taken_again_unasked() -> None:
     assert names(engine).count("CNTLON") == 1
 
 
+def test_an_old_fault_is_not_told_of_an_arm_that_was_taken_anew() -> None:
+    engine = controller()
+    with running(engine) as emulated, mover(emulated, limits(hand_speed=1e-3)) as arm:
+        ready(arm)
+        arm.move_joints(NEXT)
+        assert "the hand goes at" in settled(arm, MoverState.FAILED)[-1].reason
+        arm.take_controls()
+        assert settled(arm, MoverState.READY)[-1].reason == ""
+
+
 def settled_after(arm: MelfaMover, until: Callable[[MoverStatus], bool]) -> MoverStatus:
     stepped(arm, until)
     return settled(arm, MoverState.FAILED)[-1]
@@ -488,7 +498,7 @@ def test_a_program_that_somebody_starts_and_a_servo_that_somebody_takes_are_noti
 
 
 def test_a_servo_that_stays_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("verify.grab.melfa_motion.GIVE_BACK_LIMIT", 0.5)
+    monkeypatch.setattr("verify.grab.melfa_motion_course.GIVE_BACK_LIMIT", 0.5)
 
     class Stubborn(MelfaArm):
         def obey(self, name: str, argument: str, t: float) -> str | int:
@@ -503,7 +513,7 @@ def test_a_servo_that_stays_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_servo_that_does_not_come_on_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.emulators.melfa_arm.SERVO_TIME", 1e9)
-    monkeypatch.setattr("verify.grab.melfa_motion.POWER_LIMIT", 0.5)
+    monkeypatch.setattr("verify.grab.melfa_motion_answers.POWER_LIMIT", 0.5)
     with running(controller()) as emulated, mover(emulated) as arm:
         arm.take_controls()
         assert "powering takes too long" in settled(arm, MoverState.FAILED)[-1].reason
