@@ -57,6 +57,7 @@ bench-coverage: $(STAMP)
 	$(BIN)/python -m tests.bench.whole_chain
 
 bench-diagnosis: $(STAMP)
+	$(BIN)/python -m tests.bench.judged
 	$(BIN)/python -m tests.bench.diagnosis
 
 clean:

@@ -8,6 +8,7 @@ from reports.formatting import DASH, count, finite, number, quantity, significan
 from reports.headline import capital
 from reports.results import Results
 from reports.sources import provenance, software
+from reports.words_said import NOT_STATED
 
 RULE = (
     "Conform: |ê| + 1.645 u within the tolerance at every measured pair, no lack of fit, and the "
@@ -40,6 +41,11 @@ def _provenance(summary: dict[str, Any], rule: str) -> list[tuple[str, str]]:
     return items
 
 
+def _or_not(text: str) -> str:
+    """Say in words that a session does not state something."""
+    return NOT_STATED if text == DASH else text
+
+
 def _vector(values: Any, decimals: int, unit: str) -> str:
     if not isinstance(values, list | tuple) or not values:
         return DASH
@@ -58,10 +64,10 @@ def _rig(rig: dict[str, Any]) -> list[Block]:
     if not rig:
         return [Paragraph("The rig is not described in these results.", "note")]
     base = (
-        ("Robot base found", words.said(words.SOURCES, rig.get("base_source"))),
+        ("Robot base found", _or_not(words.said(words.SOURCES, rig.get("base_source")))),
         ("Robot base position", _vector(rig.get("base_position_mm"), 2, "mm")),
         ("Robot base rotation vector", _vector(rig.get("base_rotation_vector_deg"), 3, "°")),
-        ("Registration", word(rig.get("registration"))),
+        ("Registration", _or_not(word(rig.get("registration")))),
     )
     if rig.get("instrument"):
         return [Facts((("Instrument", word(rig["instrument"])), *base))]
@@ -107,7 +113,7 @@ def _marker(marker: dict[str, Any]) -> list[Block]:
     if not marker:
         return [Paragraph("The marker is not described in these results.", "note")]
     if "point_mm" in marker:
-        found = words.said(words.SOURCES, marker.get("source"))
+        found = _or_not(words.said(words.SOURCES, marker.get("source")))
         point = _vector(marker["point_mm"], 2, "mm")
         return [Facts((("Measured point on the flange", point), ("Measured point found", found)))]
     rows = tuple(
@@ -119,18 +125,18 @@ def _marker(marker: dict[str, Any]) -> list[Block]:
         for led in marker.get("leds") or []
     )
     body = marker.get("body_standard_uncertainty")
-    body_text = DASH
+    body_text = NOT_STATED
     if isinstance(body, dict):
         body_text = ", ".join(_in_unit(word(name), value) for name, value in body.items())
     facts = (
         ("LED diameter", quantity(marker.get("led_diameter_mm"), "mm")),
-        ("LED positions", words.said(words.SOURCES, marker.get("source"))),
-        ("Datum", word(marker.get("datum"))),
+        ("LED positions", _or_not(words.said(words.SOURCES, marker.get("source")))),
+        ("Datum", _or_not(word(marker.get("datum")))),
         ("u of the body", body_text),
-        ("u of each LED", quantity(marker.get("led_standard_uncertainty_mm"), "mm")),
+        ("u of each LED", _or_not(quantity(marker.get("led_standard_uncertainty_mm"), "mm"))),
         (
             "u of the apparent centre",
-            quantity(marker.get("centre_shift_standard_uncertainty_mm"), "mm"),
+            _or_not(quantity(marker.get("centre_shift_standard_uncertainty_mm"), "mm")),
         ),
     )
     table = Table(
@@ -166,7 +172,7 @@ def _robot(robot: dict[str, Any]) -> list[Block]:
     facts = (
         ("Robot", word(robot.get("name"))),
         ("Family", words.said({}, robot.get("family"))),
-        ("Source of its numbers", word(robot.get("source"))),
+        ("Source of its numbers", _or_not(word(robot.get("source")))),
         ("Fingerprint", word(robot.get("fingerprint"))),
     )
     table = Table(

@@ -10,7 +10,6 @@ from reports.figures import FIGURES
 from reports.formatting import (
     DASH,
     count,
-    finite,
     joined,
     measured,
     number,
@@ -21,7 +20,7 @@ from reports.formatting import (
     word,
 )
 from reports.formatting import joints as name_joints
-from reports.headline import headline
+from reports.headline import headline, is_hidden
 from reports.results import Results
 from reports.series import LIMIT
 
@@ -84,7 +83,7 @@ def joints(results: Results) -> Section:
     summary = results.summary
     entries = summary.get("joints") or []
     blocks: list[Block] = [_found(entries), _seen(entries)]
-    hidden = [j.get("joint") for j in entries if _is_hidden(j)]
+    hidden = [j.get("joint") for j in entries if is_hidden(j)]
     if hidden:
         blocks.append(
             Paragraph(
@@ -110,11 +109,6 @@ def joints(results: Results) -> Section:
         )
     )
     return Section("joints", "Joints", tuple(blocks))
-
-
-def _is_hidden(joint: dict[str, Any]) -> bool:
-    fraction = finite(joint.get("visible_fraction"))
-    return joint.get("reason") == "not_observable" or (fraction is not None and fraction < 0.005)
 
 
 def _found(entries: list[dict[str, Any]]) -> Table:

@@ -15,6 +15,8 @@ LABELS = {
 }
 CAUSES = 3  # named in the headline; more would hide the first, and the diagnosis lists them all
 SCOPE = "This covers the poses, directions and speeds that the session shows, and no others."
+UNSEEN = 0.005  # visible share of an offset, shown as 0 %: nothing of the offset is left
+SINGLE = ("the robot base", "the measured point")
 
 
 def headline(results: Results) -> Verdict:
@@ -27,7 +29,7 @@ def headline(results: Results) -> Verdict:
         "undecided": _undecided,
         "none": _no_verdict,
     }[tone](results)
-    return Verdict(tone, LABELS[tone], capital(sentence), tuple(_remarks(summary, tone)))
+    return Verdict(tone, LABELS[tone], capital(sentence), tuple(_remarks(results, tone)))
 
 
 def capital(sentence: str) -> str:
@@ -116,12 +118,14 @@ def _undecided(results: Results) -> str:
 
 def _first(results: Results, open_joints: list[dict[str, Any]]) -> str:
     """Say what would have to improve first; the reason that bars most comes first."""
+    unseen = [j for j in open_joints if j.get("reason") == "not_observable"]
+    if unseen:
+        freed = _hidden_by(results, unseen[0])[1]
+        return f"an offset of {joints([j.get('joint') for j in unseen])} cannot show: {freed}"
     by_reason = {
         reason: [j.get("joint") for j in open_joints if j.get("reason") == reason]
-        for reason in ("not_observable", "lack_of_fit", "not_detectable", "uncertainty_too_large")
+        for reason in ("lack_of_fit", "not_detectable", "uncertainty_too_large")
     }
-    if by_reason["not_observable"]:
-        return f"an offset of {joints(by_reason['not_observable'])} cannot show: {_freed(results)}"
     if by_reason["lack_of_fit"]:
         return (
             f"the errors of {joints(by_reason['lack_of_fit'])} follow no known curve: "
@@ -134,19 +138,58 @@ def _first(results: Results, open_joints: list[dict[str, Any]]) -> str:
     return "a smaller uncertainty is needed first"
 
 
-def _freed(results: Results) -> str:
-    """Say how a joint's offset is freed from what was fitted with it."""
+def is_hidden(joint: dict[str, Any]) -> bool:
+    """Tell whether a constant offset of a joint could not have shown, however large."""
+    share = finite(joint.get("visible_fraction"))
+    return joint.get("reason") == "not_observable" or (share is not None and share < UNSEEN)
+
+
+def _through_encoders(results: Results) -> str:
+    """Name what was found through the robot's own encoders; empty: nothing was."""
     rig, marker = results.setup.get("rig") or {}, results.setup.get("marker") or {}
-    given = {rig.get("base_source"), marker.get("source")} <= {
-        "fixture",
-        "jig",
-        "measured",
-        "board",
-    }
-    if given:  # then only the clock was left to be fitted
-        return "first give the clock offset, or move at varied speeds in both directions"
+    body = "the measured point" if "point_mm" in marker else "the LED positions"
+    found = (("the robot base", rig.get("base_source")), (body, marker.get("source")))
+    return joined([name for name, source in found if source == "motion"])
+
+
+def _hidden(results: Results) -> list[str]:
+    """Say of which joints an offset cannot show, and why; joints of one reason together."""
+    groups: dict[str, list[Any]] = {}
+    for joint in results.summary.get("joints") or []:
+        if is_hidden(joint):
+            groups.setdefault(_hidden_by(results, joint)[0], []).append(joint.get("joint"))
+    return [
+        f"A constant offset of {joints(names)} cannot show here: {why}."
+        for why, names in groups.items()
+    ]
+
+
+def _hidden_by(results: Results, joint: dict[str, Any]) -> tuple[str, str]:
+    """Say what takes in an offset of a joint, and what would free it."""
+    summary, fitted = results.summary, _through_encoders(results)
+    before, since = (
+        finite(joint.get(f"visible_fraction{when}")) for when in ("", "_since_registration")
+    )
+    if before is not None and before < UNSEEN:
+        if fitted and (since is None or since >= UNSEEN):
+            return (
+                f"{fitted} {'was' if fitted in SINGLE else 'were'} found through the same encoders",
+                f"first give {fitted} by a fixture, or from another registration",
+            )
+        if (summary.get("clock") or {}).get("observable") is False:
+            return (
+                "the motion does not tell it from an offset of the encoder clock",
+                "first give the clock offset, or move at varied speeds in both directions",
+            )
+    for entry in summary.get("combinations") or []:
+        if entry.get("why") == "singularity" and joint.get("joint") in (entry.get("joints") or []):
+            return (
+                f"near a singularity only the sum {word(entry.get('label'))} is determined",
+                "first record poses away from the singularity",
+            )
     return (
-        "first give the robot base and the LED positions by a fixture, or from another registration"
+        "the measured poses do not determine it",
+        "first record other poses, or more points of the flange",
     )
 
 
@@ -175,11 +218,14 @@ def _no_verdict(results: Results) -> str:
         return f"{sentence}."
     worst = max(known, key=lambda j: abs(float(j["mean_error_deg"])))
     amount = measured(worst["mean_error_deg"], worst.get("expanded_uncertainty_deg"), "°")
+    factor = finite(worst.get("coverage_factor"))
+    if factor is not None:
+        amount = f"{amount} (k = {stated(round(factor, 2))})"
     return f"{sentence}; the largest mean error is that of joint {worst.get('joint')}, {amount}."
 
 
-def _remarks(summary: dict[str, Any], tone: str) -> list[str]:
-    remarks = []
+def _remarks(results: Results, tone: str) -> list[str]:
+    summary, remarks = results.summary, []
     if tone == "nonconform":
         failing, open_joints = with_verdict(summary, tone), with_verdict(summary, "undecided")
         if failing:
@@ -189,8 +235,9 @@ def _remarks(summary: dict[str, Any], tone: str) -> list[str]:
             remarks.append(
                 f"Whether {names} conform{'' if len(open_joints) > 1 else 's'} is undecided."
             )
-    if tone == "undecided":
+    if tone in ("nonconform", "undecided"):
         remarks += _reasons(summary)
+    remarks += _hidden(results)
     if tone == "none":
         return remarks
     uncounted = (summary.get("budget") or {}).get("uncounted") or []
@@ -205,10 +252,11 @@ def _remarks(summary: dict[str, Any], tone: str) -> list[str]:
 
 
 def _reasons(summary: dict[str, Any]) -> list[str]:
-    """List the joints of each reason for which the verdict stays open."""
+    """List the joints of each reason for which the verdict stays open, but what cannot show."""
     groups: dict[str, list[Any]] = {}
     for joint in with_verdict(summary, "undecided"):
-        groups.setdefault(str(joint.get("reason") or ""), []).append(joint.get("joint"))
+        if joint.get("reason") != "not_observable":
+            groups.setdefault(str(joint.get("reason") or ""), []).append(joint.get("joint"))
     return [
         f"{joints(names, capital=True)}: {words.said(words.REASONS, reason)}."
         for reason, names in groups.items()

@@ -14,6 +14,7 @@ from typing import Any
 
 from reports import blocks, charts
 from reports.blocks import Document
+from reports.words_said import NOT_STATED
 
 LONGEST = 4_000  # letters of a text that is looked up; no sentence of a report comes near
 DEEPEST = 8  # parts within parts
@@ -160,7 +161,7 @@ class Language:
         changes = {name: self._mapped(getattr(value, name)) for name in names}
         if isinstance(value, blocks.Facts):
             changes["items"] = tuple(
-                (self.text(label), said if label in self.names else self.text(said))
+                (self.text(label), said if _is_name(label, said, self.names) else self.text(said))
                 for label, said in value.items
             )
         elif isinstance(value, blocks.Table):
@@ -251,6 +252,11 @@ class Language:
 ENGLISH = Language("en", {})
 
 
+def _is_name(label: str, said: str, names: frozenset[str]) -> bool:
+    """Tell whether somebody chose what stands beside a label; nobody chose that it is missing."""
+    return label in names and said != NOT_STATED
+
+
 def _texts(value: Any, names: frozenset[str]) -> Iterator[str]:
     """Give every text of a document but those under a label of `names`."""
     if isinstance(value, str):
@@ -263,7 +269,7 @@ def _texts(value: Any, names: frozenset[str]) -> Iterator[str]:
         yield from value.labels
     elif isinstance(value, blocks.Facts):
         for label, said in value.items:
-            yield from (label,) if label in names else (label, said)
+            yield from (label,) if _is_name(label, said, names) else (label, said)
     else:
         own = TEXTS.get(type(value), ())
         if isinstance(value, blocks.Table):

@@ -145,10 +145,13 @@ def _error_panel(
     one_sided: bool = False,
 ) -> Panel:
     (error, u), (fit, u_fit) = pairs, resolved
+    low = fit - 2 * u_fit
+    if one_sided:
+        low = np.maximum(low, 0.0)  # a length
     drawn: list[Band | Line] = [
         Band(*band(t, error - 2 * u, error + 2 * u), "error_band", "±2u of a pair"),
         Line(*trace(t, error), "error", "error of a pair"),
-        Band(*band(t, fit - 2 * u_fit, fit + 2 * u_fit), "resolved_band", "±2u resolved"),
+        Band(*band(t, low, fit + 2 * u_fit), "resolved_band", "±2u resolved"),
         Line(*trace(t, fit), "resolved", "resolved error"),
     ]
     marks: list[Mark] = [mark for mark in drawn if len(mark.x)]
@@ -169,7 +172,7 @@ def _error_panel(
     if reach is None:
         return Panel((), label, title="no measured pair", unit=unit)
     room = ROOM * (reach[1] - reach[0]) or 1e-3  # a thousandth of a degree or millimetre
-    bottom = 0.0 if one_sided and reach[0] >= 0 else reach[0] - room
+    bottom = 0.0 if one_sided else reach[0] - room
     return Panel(tuple(marks), label, title=title, unit=unit, y_range=(bottom, reach[1] + room))
 
 

@@ -130,8 +130,8 @@ def measured(
     spots = [late.spots(side) for side in (0, 1)]
     measurements, effects = [], []
     for i, q in enumerate(session.truth):
-        left, right = (_sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
-        doubt = partial(_doubt, session, systematics, left, right)
+        left, right = (sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
+        doubt = partial(doubt, session, systematics, left, right)
         start: Array = session.rig.rig_T_base @ robots.forward(session.arm, q)
         pose = fit_pose(left, right, session.rig, session.marker, start, doubt)
         seen = Measurement(i, left.t, "measured", len(session.marker), pose, left, right)
@@ -140,7 +140,7 @@ def measured(
     return collect(measurements, session.rig, effects)
 
 
-def _doubt(
+def doubt(
     session: InMemory,
     systematics: Systematics,
     left: Sighting,
@@ -153,7 +153,7 @@ def _doubt(
     )
 
 
-def _sighting(
+def sighting(
     played: SimulatedSession, centre: Array, side: int, index: int, rng: np.random.Generator
 ) -> Sighting:
     count = len(centre)

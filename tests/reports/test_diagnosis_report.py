@@ -75,7 +75,7 @@ def test_signs_are_said_as_they_act() -> None:
     assert "gains 140" in words.finding(EVERY[4])
     assert "later than stamped: add +0.00310 s to t_right_s" in words.finding(EVERY[5])
     assert "earlier than stamped: add −0.00310 s to t_right_s" in words.finding(EVERY[6])
-    assert "moved by 1.20 ± 0.12 mm and 0.081°" in words.finding(EVERY[8])
+    assert "moved by 1.20 ± 0.12 mm (k = 2) and 0.081°" in words.finding(EVERY[8])
 
 
 def test_the_table_of_causes_names_the_runner_up_and_the_pairs_left_out() -> None:

@@ -15,14 +15,18 @@ def _with(results: Results, **summary: Any) -> Results:
 
 def test_a_found_offset_is_said_with_its_correction() -> None:
     said = headline(made.nonconforming())
-    assert said.sentence == "Joint 3 reads 0.400° ± 0.015° too high: add −0.400° to its reading."
+    assert said.sentence == (
+        "Joint 3 reads 0.400° ± 0.015° (k = 2) too high: add −0.400° to its reading."
+    )
     assert said.tone == "nonconform"
 
 
 def test_a_negative_offset_is_corrected_upwards() -> None:
     cause = made.nonconforming().summary["diagnosis"][0] | {"value": -0.25}
     said = headline(_with(made.nonconforming(), diagnosis=[cause]))
-    assert said.sentence == "Joint 3 reads 0.250° ± 0.015° too low: add +0.250° to its reading."
+    assert said.sentence == (
+        "Joint 3 reads 0.250° ± 0.015° (k = 2) too low: add +0.250° to its reading."
+    )
 
 
 def test_a_cause_elsewhere_does_not_explain_a_failing_joint() -> None:
@@ -36,7 +40,7 @@ def test_rival_causes_are_both_named() -> None:
     ambiguous = made.undecided().summary["diagnosis"]
     said = headline(_with(made.nonconforming(), diagnosis=ambiguous))
     assert "offset of joint 3" in said.sentence
-    assert "offset of joint 4" in said.sentence
+    assert "offset of joint 4, −0.050° ± 0.060° (k = 2)" in said.sentence
 
 
 def test_conforming_says_how_surely_and_never_more_than_was_found() -> None:
@@ -80,6 +84,7 @@ def test_without_a_tolerance_there_is_no_verdict_but_a_largest_error() -> None:
     assert said.label == "No verdict"
     assert "no tolerance was given" in said.sentence.lower()
     assert "joint" in said.sentence
+    assert said.sentence.endswith(" (k = 2).")
 
 
 def test_a_tolerance_that_could_not_be_applied_is_not_said_to_be_missing() -> None:
@@ -105,9 +110,12 @@ def test_every_kind_of_cause_has_a_name_and_a_remedy(index: int) -> None:
 
 def test_backlash_gain_and_eccentricity_are_said_in_their_own_terms() -> None:
     said = [words.finding(entry) for entry in made.every_cause().summary["diagnosis"]]
-    assert "joint 2's reading turns 0.520 ± 0.040 % more than the joint" in said[1]
-    assert "joint 4 has 0.310° ± 0.040° of backlash, its encoder on the motor's side" in said[2]
-    assert "joint 5's error is a wave of 0.120° ± 0.020°, 1 wave a turn" in said[3]
+    assert "joint 2's reading turns 0.520 ± 0.040 % (k = 2) more than the joint" in said[1]
+    assert (
+        "joint 4 has 0.310° ± 0.040° (k = 2) of backlash, its encoder on the motor's side"
+        in said[2]
+    )
+    assert "joint 5's error is a wave of 0.120° ± 0.020° (k = 2), 1 wave a turn" in said[3]
     assert "add −0.01230 s to the clock offset" in said[4]
     assert "correct a2 in the robot file by +0.84 mm" in said[5]
 

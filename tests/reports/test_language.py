@@ -145,8 +145,8 @@ def _numbers(text: str) -> list[str]:
     ("english", "other"),
     [
         (
-            "Joint 3 reads 0.400° ± 0.015° too high: add −0.400° to its reading.",
-            "Gelenk 3 zeigt 0.400° ± 0.015° zu viel an: −0.400° zur Anzeige addieren.",
+            "Joint 3 reads 0.400° ± 0.015° (k = 2) too high: add −0.400° to its reading.",
+            "Gelenk 3 zeigt 0.400° ± 0.015° (k = 2) zu viel an: −0.400° zur Anzeige addieren.",
         ),
         (
             ("Joint 2's a2 differs by +0.84 ± 0.20 mm: correct a2 in the robot file by +0.84 mm; "
@@ -176,6 +176,18 @@ def _numbers(text: str) -> list[str]:
             ("Das Messsystem kann nicht entscheiden, ob Gelenk 3 innerhalb von ±0.02° bleibt; "
             "zuerst zu verbessern ist der Beitrag „LED-Positionen“, der allein 0.02° zur "
             "Standardunsicherheit von Gelenk 3 beiträgt."),
+        ),
+        (
+            ("A constant offset of joints 1 and 6 cannot show here: the robot base and the LED "
+             "positions were found through the same encoders."),
+            ("Ein konstanter Versatz der Gelenke 1 und 6 kann sich hier nicht zeigen: Roboterbasis "
+             "und LED-Positionen wurden über dieselben Drehgeber bestimmt."),
+        ),
+        (
+            ("A constant offset of joint 4 cannot show here: near a singularity only the sum q4+q6 "
+            "is determined."),
+            ("Ein konstanter Versatz von Gelenk 4 kann sich hier nicht zeigen: Nahe einer "
+            "Singularität ist nur die Summe q4+q6 bestimmt."),
         ),
         ("undecided: errors follow no known curve",
          "unentschieden: Abweichungen folgen keiner bekannten Kurve"),
