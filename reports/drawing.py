@@ -34,6 +34,7 @@ LINE_STYLES: dict[str, tuple[float, tuple[float, ...]]] = {
     "dot": (0, (1.2, 1.6)),
 }
 VIEW_DEG = (24.0, -58.0)  # elevation and azimuth from which a path in space is seen
+MOST_STEPS = 5  # between the numbers of the longest axis
 NEAREST = 1.0  # zoom: beyond it the labels on both sides are cut
 HIGHEST = 0.78  # of a box's diagonal, upwards in the picture at zoom 1: more cuts those below
 LINE_WIDTHS = {"error": 0.6, "resolved": 1.1, "encoder": 0.9, "vector": 0.35}
@@ -239,11 +240,12 @@ def _path(path: Path) -> Figure:
         alone = lonely(x, y)
         if alone.any():
             axes.plot(x[alone], y[alone], z[alone], linestyle="", marker="o", color=_colour(role))
-    for axis, label, ends in zip("xyz", path.labels, path.ranges, strict=True):
+    sides = [high - low for low, high in path.ranges]
+    for axis, label, ends, side in zip("xyz", path.labels, path.ranges, sides, strict=True):
         getattr(axes, f"set_{axis}label")(label)
         getattr(axes, f"set_{axis}lim")(*ends)
-        getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(nbins=5))
-    sides = [high - low for low, high in path.ranges]
+        steps = max(2, round(MOST_STEPS * side / max(sides)))  # a short side has no room for more
+        getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(nbins=steps))
     axes.set_box_aspect(sides, zoom=_zoom(sides))
     elevation, azimuth = VIEW_DEG
     axes.view_init(elev=elevation, azim=azimuth)
