@@ -8,7 +8,9 @@ The summary's keys, units in their names; what is not known is null:
     execute               whether anything was allowed to move
     state, reason         the named state that it ended in, and why
     released              the controls were given back
-    seen_from_grip_mm     at the end, by the cameras; null where they did not see it then
+    seen_from_grip_mm     the object's middle, by both cameras' last sight of it in the lift;
+                          seen_from_grip_expanded_uncertainty_mm (k = 2), seen_raised_mm (by which
+                          the hand was up then); null where they did not see it after the descent
     hand                  used (the end point was corrected), reason, pictures, measured, told_mm,
                           read_mm, seen_mm (the grip point above the object, as ordered, by the
                           encoders, by the LEDs), off_mm (at the object, seen less told) and
@@ -43,7 +45,7 @@ from reports.blocks import (
     numbered,
     row,
 )
-from reports.formatting import count, number, word
+from reports.formatting import count, finite, measured, number, quantity, significant, word
 from reports.results import Results
 from reports.series import column, texts
 from reports.sources import software
@@ -91,7 +93,29 @@ def outcome(summary: dict[str, Any]) -> Verdict:
     if state not in ENDED:
         return Verdict("undecided", f"Ended while {state}", "Its time was over, or it was ended.")
     tone, label = ENDED[state]
-    return Verdict(tone, label, f"{_sentence(reason)}{_of_hand(summary)}")
+    by = _by_whom(summary) if state == "lifted" else ""
+    return Verdict(tone, label, f"{_sentence(reason + by)}{_of_hand(summary)}")
+
+
+def _by_whom(summary: dict[str, Any]) -> str:
+    """Who says that the object came along: the gripper does, the cameras where they saw it."""
+    far = _from_grip(summary)
+    if far is None:
+        return ", by the gripper's status; the cameras did not see it after the descent"
+    up = quantity(summary.get("seen_raised_mm"), "mm", 3)
+    return (
+        f", by the gripper's status; the cameras saw it last {far} from the grip point, "
+        f"with the hand {up} up"
+    )
+
+
+def _from_grip(summary: dict[str, Any]) -> str | None:
+    """How far the object was seen from the grip point; None where it was not seen."""
+    far = finite(summary.get("seen_from_grip_mm"))
+    if far is None:
+        return None
+    u = summary.get("seen_from_grip_expanded_uncertainty_mm")
+    return f"{measured(far, u, 'mm', signed=False)} (k = 2)"
 
 
 def _of_hand(summary: dict[str, Any]) -> str:
@@ -115,7 +139,11 @@ def _outcome(results: Results) -> Section:
         ("Length", f"{number(float(np.ptp(t)) if len(t) else None, 1)} s"),
         ("Cycles", count(summary.get("cycles"))),
         ("Work a cycle, median", f"{number(float(np.median(took)) if len(t) else None, 1)} ms"),
-        ("Object from the grip point, seen", f"{number(summary.get('seen_from_grip_mm'), 1)} mm"),
+    ]
+    far = _from_grip(summary)
+    if far is not None or summary.get("state") == "lifted":
+        items.append(("Object from the grip point, seen", far or "not after the descent"))
+    items += [
         ("Film", word(summary.get("film"))),
         ("Recorded session", word(summary.get("session"))),
     ]
@@ -247,8 +275,8 @@ def _plan(results: Results) -> Section:
     chosen = plan or refusal or {}
     rows = [row(entry["branch"], entry["reason"]) for entry in chosen.get("rejected") or []]
     if plan:
-        parts = ", ".join(f"{key} {number(value, 2)}" for key, value in plan["parts"].items())
-        taken = f"taken: score {number(plan['score'], 3)} ({parts})"
+        parts = ", ".join(f"{key} {significant(value)}" for key, value in plan["parts"].items())
+        taken = f"taken: score {significant(plan['score'])} ({parts})"
         rows.insert(0, row(plan["branch"], taken))
     if rows:
         head = ("branch", "why")

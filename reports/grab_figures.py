@@ -8,6 +8,7 @@ from reports.results import Results
 from reports.series import Array, column, texts
 
 JOINTS = 6
+COLUMNS = 2  # of their panels
 LONGER = 1.15  # of the data, so that no line runs along the frame
 LEAST_SIDE = 0.8  # of a box in space, against its longest side: a slim one is cut off
 LEAST_SPAN = 2.0  # °, of an axis: what is less is noise
@@ -91,7 +92,7 @@ def joints(results: Results) -> Chart | None:
             name = f"q{joint}_ordered_deg"
             marks.append(Line(t, column(table, name), "encoder", "ordered"))
         panels.append(_angle(joint, marks))
-    return Chart(tuple(panels), columns=2, row_height=0.95, shared_x=True)
+    return Chart(tuple(panels), columns=COLUMNS, row_height=0.95, shared_x=True)
 
 
 def planned(results: Results) -> Chart | None:
@@ -113,7 +114,7 @@ def planned(results: Results) -> Chart | None:
             if (parts == part).any()
         ]
         panels.append(_angle(joint, marks))
-    return Chart(tuple(panels), columns=2, row_height=0.95, shared_x=True)
+    return Chart(tuple(panels), columns=COLUMNS, row_height=0.95, shared_x=True)
 
 
 def margins(results: Results) -> Chart | None:
@@ -140,7 +141,7 @@ def margins(results: Results) -> Chart | None:
 
 def _both(table: pd.DataFrame, t: Array, what: str, label: str) -> Panel:
     marks = tuple(Line(t, column(table, f"{s}_{what}_px"), role, s) for s, role in SIDES)
-    return Panel(marks, label, x_label="time [s]", unit="px")
+    return Panel(marks, label, unit="px")
 
 
 def _angle(joint: int, marks: list[Mark]) -> Panel:
@@ -149,7 +150,8 @@ def _angle(joint: int, marks: list[Mark]) -> Panel:
     half = max((high - low) * LONGER, LEAST_SPAN) / 2
     ends = ((low + high) / 2 - half, (low + high) / 2 + half)
     label = f"joint {joint} [°]"
-    return Panel(tuple(marks), label, x_label="time [s]", y_range=ends, unit="°")
+    below = "time [s]" if joint > JOINTS - COLUMNS else ""  # the lowest row: one axis for all
+    return Panel(tuple(marks), label, x_label=below, y_range=ends, unit="°")
 
 
 def _points(table: pd.DataFrame, name: str) -> Array:

@@ -25,6 +25,18 @@ def system_refusal(path: str | Path, error: OSError) -> InputError:
     return InputError(path, reason[:1].lower() + reason[1:], "", remedy)
 
 
+def output_refusal(path: str | Path, error: OSError) -> InputError:
+    """Word what the system refused of something that we make: nobody can put it there for us."""
+    refused = system_refusal(path, error)
+    if error.errno in (errno.ENOENT, errno.ENOTDIR):
+        what = f"cannot be made: {refused.found}"
+        return InputError(path, what, "", "Choose another place, in a folder that takes files.")
+    if error.errno in (errno.EACCES, errno.EPERM):
+        remedy = "Grant access to the folder that it goes into, or choose another place."
+        return InputError(path, refused.found, "", remedy)
+    return refused
+
+
 def require_file(path: Path) -> None:
     """Refuse what is not a plain file with something in it (a pipe would block for ever).
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from verify.errors import InputError
-from verify.files import system_refusal
+from verify.files import output_refusal
 
 _PARTIAL = ".verify-partial-"  # begins the name of what is being built
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -37,7 +37,7 @@ def write_whole(path: Path, data: bytes) -> None:
         partial.replace(path)
         _flush(path.parent)
     except OSError as error:
-        raise system_refusal(path, error) from error
+        raise output_refusal(path, error) from error
     finally:
         with suppress(OSError):  # gone since the rename, or the folder itself refuses
             partial.unlink()
@@ -68,13 +68,13 @@ def folder_written_whole(out: str | Path, force: bool = False) -> Iterator[Path]
     try:
         partial.mkdir()
     except OSError as error:
-        raise system_refusal(out, error) from error
+        raise output_refusal(out, error) from error
     try:
         yield partial
         _put_in_place(out, partial, target, exists)
     except OSError as error:
         if error.errno in _FULL:  # whatever wrote in there; other refusals are the writer's to word
-            raise system_refusal(out, error) from error
+            raise output_refusal(out, error) from error
         raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
@@ -87,9 +87,10 @@ def _check_vacant(out: Path, target: Path, force: bool) -> bool:
     except FileNotFoundError:
         return False
     except NotADirectoryError as error:
-        raise InputError(out, "is a file", "a folder is expected", "Choose another -o.") from error
+        found = "is a file" if target.exists() else "lies below a file"
+        raise InputError(out, found, "a folder is expected", "Choose another -o.") from error
     except OSError as error:
-        raise system_refusal(out, error) from error
+        raise output_refusal(out, error) from error
     if holds and not force:
         remedy = "Choose another -o or give --force."
         raise InputError(out, "is not empty", "nothing is overwritten unasked", remedy)
@@ -111,7 +112,7 @@ def _put_in_place(out: Path, partial: Path, target: Path, exists: bool) -> None:
                 file.replace(place)
         _flush(target)
     except OSError as error:
-        raise system_refusal(error.filename2 or out, error) from error
+        raise output_refusal(error.filename2 or out, error) from error
 
 
 def _flush(path: Path) -> None:

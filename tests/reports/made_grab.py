@@ -24,6 +24,8 @@ SUMMARY: dict[str, Any] = {
     "released": True,
     "cycles": N,
     "seen_from_grip_mm": 1.2,
+    "seen_from_grip_expanded_uncertainty_mm": 5.4,
+    "seen_raised_mm": 118.2,
     "film": "grab.mp4",
     "session": "session",
     "warnings": [],

@@ -1,12 +1,18 @@
 """The report of a grab says how it ended, and draws nothing where there is nothing."""
 
+from typing import Any
+
 import pandas as pd
 import pytest
 
-from reports.blocks import Figure, figures
+from reports import grab_figures
+from reports.blocks import Facts, Figure, Table, Verdict, figures
 from reports.grab import document, outcome
+from reports.language_file import language
 from reports.results import Results
+from tests.reports import made_grab
 
+GERMAN = language("de")
 BARE = {"kind": "grab", "robot": "an arm", "target": "blue object", "cell": "simulated"}
 
 
@@ -28,6 +34,75 @@ def test_each_end_has_its_words(summary: dict[str, object], tone: str, label: st
     assert said.tone == tone
     assert label in said.label
     assert "None" not in said.sentence
+
+
+BY_GRIPPER = "The object came along, by the gripper's status; the cameras"
+FAR = "16 ± 23 mm (k = 2)"
+SEEN = {
+    "seen_from_grip_mm": 15.83,
+    "seen_from_grip_expanded_uncertainty_mm": 23.13,
+    "seen_raised_mm": 119.99,
+}
+
+
+@pytest.mark.parametrize(
+    ("seen", "sentence", "fact"),
+    [
+        (
+            SEEN,
+            f"{BY_GRIPPER} saw it last {FAR} from the grip point, with the hand 120 mm up.",
+            FAR,
+        ),
+        (
+            dict.fromkeys(SEEN),
+            f"{BY_GRIPPER} did not see it after the descent.",
+            "not after the descent",
+        ),
+    ],
+)
+def test_the_verdict_says_who_saw_the_object_come_along(
+    seen: dict[str, Any], sentence: str, fact: str
+) -> None:
+    ended = made_grab.SUMMARY | seen
+    assert outcome(ended).sentence == sentence
+    told = document(made_grab.results(seen))
+    (facts,) = [block for block in told.sections[0].blocks if isinstance(block, Facts)]
+    assert dict(facts.items)["Object from the grip point, seen"] == fact
+    assert [text for text in GERMAN.missing(told) if text != "session"] == []
+    german = GERMAN.document(told).sections[0].blocks[0]
+    assert isinstance(german, Verdict)
+    assert german.sentence.startswith("Das Objekt kam mit, nach dem Status des Greifers; die Kam")
+
+
+def test_a_grab_that_lifted_nothing_says_nothing_of_an_object_in_the_hand() -> None:
+    told = document(made_grab.results(dict.fromkeys(SEEN) | {"state": "missed"}))
+    (facts,) = [block for block in told.sections[0].blocks if isinstance(block, Facts)]
+    assert "Object from the grip point, seen" not in dict(facts.items)
+    assert "– mm" not in str(facts)
+
+
+def test_small_scores_keep_their_digits() -> None:
+    parts = {"limits": 0.45, "dexterity": 0.2319, "nearness": 0.99992, "clearance": 0.001}
+    plan = made_grab.plan({}) | {"score": 0.000104327, "parts": parts}
+    told = document(made_grab.results({"plan": plan}))
+    (said,) = [cell for block in told.sections[-1].blocks if isinstance(block, Table)
+               for row in block.rows for cell in row if "taken" in str(cell)]  # fmt: skip
+    assert "score 0.00010 (" in str(said)
+    assert "clearance 0.0010" in str(said)
+    assert "dexterity 0.23" in str(said)
+
+
+def test_time_is_written_once_below_panels_that_share_it() -> None:
+    results = made_grab.whole()
+    for chart, lowest in (
+        (grab_figures.windows(results), 1),
+        (grab_figures.joints(results), 2),
+        (grab_figures.planned(results), 2),
+    ):
+        assert chart is not None
+        labels = [panel.x_label for panel in chart.panels]
+        assert labels == [""] * (len(labels) - lowest) + ["time [s]"] * lowest
+        assert lowest == chart.columns
 
 
 def test_what_was_not_seen_is_said_and_not_drawn() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from verify.batch.records import Measured, Options
 from verify.errors import InputError
-from verify.files import system_refusal
+from verify.files import output_refusal, system_refusal
 from verify.results_folder import RESULTS
 from verify.writing import folder_written_whole
 
@@ -103,4 +103,4 @@ def require_usable(out: Path) -> None:
     try:
         (out / SESSIONS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise system_refusal(out, error) from error
+        raise output_refusal(out, error) from error

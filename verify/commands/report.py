@@ -9,7 +9,9 @@ from verify.terminal import terminal
 
 
 def report(
-    out: Annotated[Path, typer.Argument(help="What `verify run`, `calibrate` or `batch` wrote.")],
+    out: Annotated[
+        Path, typer.Argument(help="What `verify run`, `calibrate`, `batch` or `grab` wrote.")
+    ],
     language: Annotated[
         str, typer.Option(help="en, de, or a language file of your own (FILE.toml).")
     ] = "en",

@@ -10,7 +10,7 @@ from robots.coupling import LENGTH_SCALE
 from robots.limits import near, near_within
 from verify.grab.approach import flange_pose, hand_poses, turn_of
 from verify.grab.limits import JointLimits, at_rest, violation
-from verify.grab.workspace import RESOLUTION, Workspace
+from verify.grab.workspace import LINKS, RESOLUTION, Workspace
 from verify.records import Array
 
 IntArray = NDArray[np.int64]
@@ -21,6 +21,7 @@ ROOMY = 0.1  # m of clearance that is as good as any more
 SUPPLE = 0.3  # singular value that is as good as any more
 PATIENCE = 1.0  # s at full speed: a posture so far off counts half
 SINGULAR_STAGE, GOOD = 2, 4  # of _Table.stage
+DIFFERING = LINKS[:-1]  # the wrist's link and the hand stand alike in every posture of a grasp
 ENDS = ("above the object", "at the object")
 LEAST = 1e-3  # of each score: a posture at the edge of one is still told from a worse one
 
@@ -36,7 +37,7 @@ class Posture:
     limits: float  # 0 to 1: least distance of a joint from its limits, in half ranges
     dexterity: float  # 0 to 1: distance from singularities
     nearness: float  # 0 to 1: of q_above to where the arm stands
-    clearance: float  # 0 to 1: to table, cameras and the box's walls, above the object
+    clearance: float  # 0 to 1: of upper arm, elbow and forearm to table and cameras
 
     @property
     def score(self) -> float:
@@ -64,6 +65,7 @@ class _Table:
     beyond: Array  # rad by which the worst joint is beyond its limits; below 0 within
     singular: Array  # the smaller of both ends' least singular values of J
     margin: Array  # m, the smaller of both ends' least clearances
+    room: Array  # m, likewise, of those links alone in which the branches differ
 
     @property
     def stage(self) -> IntArray:
@@ -132,13 +134,17 @@ def _table(
     above = np.where(np.isnan(above), near(q[0], q_now), above)  # to say by how much it is beyond
     q = np.array([above, near(q[1], above)])  # the line does not wind joints up
     exists = np.isfinite(q).all(axis=(0, -1))
-    beyond, singular, margin = (np.full(exists.shape, np.nan) for _ in range(3))
+    beyond, singular, margin, room = (np.full(exists.shape, np.nan) for _ in range(4))
     found = q[:, exists]
     beyond[exists] = np.maximum(limits.lower - found, found - limits.upper).max(axis=(0, 2))
     singular[exists] = smallest_singular_value(arm, found).min(axis=0)
-    margins = workspace.margins(found.reshape(-1, arm.dof)).min(axis=1)
-    margin[exists] = margins.reshape(2, -1).min(axis=0)
-    return _Table(q, beyond, singular, margin)
+    margins = workspace.margins(found.reshape(-1, arm.dof)).reshape(2, -1, len(workspace.names))
+    margins = margins.min(axis=0)
+    margin[exists] = margins.min(axis=1)
+    # what all share would hide it: the tips at an object come as near to the table as they may
+    differing = [name.startswith(DIFFERING) for name in workspace.names]
+    room[exists] = margins[:, differing].min(axis=1)
+    return _Table(q, beyond, singular, margin, room)
 
 
 def _scored(
@@ -152,7 +158,7 @@ def _scored(
         float(room.min()),
         float(table.singular[turn, branch]) / SUPPLE,
         1 / (1 + time / PATIENCE),
-        float(table.margin[turn, branch]) / ROOMY,
+        float(table.room[turn, branch]) / ROOMY,
     )
     return Posture(branch, angle, q[0], q[1], *(min(max(part, LEAST), 1.0) for part in parts))
 

@@ -177,7 +177,7 @@ def _rejected(good: list[Posture], reasons: dict[int, str], taken: Posture) -> d
     told = dict(reasons)
     for posture in good:
         if posture.branch != taken.branch:
-            worse = f"it would do, but scores {posture.score:.3f} against {taken.score:.3f}"
+            worse = f"it would do, but scores {posture.score:.2g} against {taken.score:.2g}"
             told.setdefault(posture.branch, worse)
     told.pop(taken.branch, None)
     return {branch_name(branch): told[branch] for branch in sorted(told)}

@@ -30,10 +30,11 @@ from verify.grab.states import State
 from verify.grab.workspace import Workspace
 from verify.recording.part import Facts, Part
 from verify.recording.pictures import kind_of
-from verify.records import Image
+from verify.records import Array, Image
 
 JPEG_QUALITY = 92  # of pictures that no camera has compressed: a third of what lossless takes
 HALF_WIDTH = 5e-4  # s within which joints are read
+RAISED = frozenset({State.LIFTING, State.LIFTED})  # in which the object should be with the hand
 SHOWN = (State.FOLLOWING, State.CLOSING, State.LIFTED)  # of which the report shows a picture
 FILM, SESSION = "grab.mp4", "session"
 
@@ -48,6 +49,15 @@ class Told:
     execute: bool
     started: datetime
     warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Sight:
+    """The object, seen while the hand goes up with it: did it come along?"""
+
+    from_grip: float  # m, of its middle from the grip point
+    expanded: float  # m, of that, k = 2, in the worst direction
+    raised: float  # m that the hand had come up by then
 
 
 class GrabRecord:
@@ -69,7 +79,8 @@ class GrabRecord:
         self._shown: dict[State, Image] = {}
         self._last: Image | None = None
         self._part: Part | None = None
-        self._seen_from_grip: float | None = None  # mm
+        self._gripped: Array | None = None  # (3,), m, the grip point when the lift began
+        self._sight: _Sight | None = None  # the last since then
         self._film = Film(folder / FILM, rate)
 
     def see(self, cycle: Cycle) -> None:
@@ -79,7 +90,7 @@ class GrabRecord:
             OSError: the system refuses it.
         """
         self._rows.append(row(cycle, self._workspace))
-        self._seen_from_grip = _from_grip(cycle, self._workspace)
+        self._look_whether_it_comes_along(cycle)
         picture = self._film.add(cycle)
         self._last = picture
         if cycle.state not in self._shown and cycle.pair is not None:
@@ -122,7 +133,7 @@ class GrabRecord:
             "released": outcome.released,
             "stopped_by_operator": outcome.stopped,
             "cycles": outcome.cycles,
-            "seen_from_grip_mm": self._seen_from_grip,
+            **_sight_fields(self._sight),
             "plan": None if good is None else _plan_fields(good),
             "refusal": _refusal_fields(plan) if isinstance(plan, Refusal) else None,
             "hand": None if hand is None else hand_fields(hand, self._workspace),
@@ -138,6 +149,17 @@ class GrabRecord:
         }
         return Results(summary, {}, tables, self._images())
 
+    def _look_whether_it_comes_along(self, cycle: Cycle) -> None:
+        if cycle.state is State.APPROACHING:  # another try: what was seen of the last one is past
+            self._gripped = self._sight = None
+        if cycle.state not in RAISED or cycle.q is None:
+            return
+        grip = self._workspace.grip(cycle.q)[:3, 3]
+        if self._gripped is None:
+            self._gripped = grip
+        raised = float(np.linalg.norm(grip - self._gripped))
+        self._sight = _sight(cycle, self._workspace, grip, raised) or self._sight
+
     def _images(self) -> dict[str, bytes]:
         chosen = [self._shown[state] for state in SHOWN if state in self._shown]
         if not chosen and self._last is not None:
@@ -147,17 +169,27 @@ class GrabRecord:
         return {"pictures": cv2.imencode(".png", np.vstack(chosen))[1].tobytes()}
 
 
-def _from_grip(cycle: Cycle, workspace: Workspace) -> float | None:
-    """How far from the grip point the cameras see the target, mm; None where they do not."""
-    if cycle.q is None or cycle.known is None or cycle.seen is None:
+def _sight(cycle: Cycle, workspace: Workspace, grip: Array, raised: float) -> _Sight | None:
+    """How far from the grip point both cameras see the object now; None where they do not."""
+    if cycle.known is None or cycle.seen is None or not np.isfinite(cycle.seen.measured).all():
         return None
-    if not np.isfinite(cycle.seen.measured).all():
-        return None
-    grip = workspace.grip(cycle.q)[:3, 3]
-    seen = cycle.known.thing.seen
-    if seen is not None and seen.hand is not None:  # the hand is there, whatever its encoders say
-        grip = grip + seen.hand.off
-    return float(1e3 * np.linalg.norm(cycle.known.thing.position - grip))
+    thing = cycle.known.thing
+    spread = thing.covariance
+    if thing.seen is not None and thing.seen.hand is not None:
+        hand = thing.seen.hand  # the hand is there, whatever its encoders say
+        grip, spread = grip + hand.off, spread + hand.covariance
+    else:
+        spread = spread + np.eye(3) * workspace.cell.accuracy.robot**2
+    worst = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
+    return _Sight(float(np.linalg.norm(thing.position - grip)), 2 * worst, raised)
+
+
+def _sight_fields(sight: _Sight | None) -> dict[str, float | None]:
+    return {
+        "seen_from_grip_mm": None if sight is None else 1e3 * sight.from_grip,
+        "seen_from_grip_expanded_uncertainty_mm": None if sight is None else 1e3 * sight.expanded,
+        "seen_raised_mm": None if sight is None else 1e3 * sight.raised,
+    }
 
 
 def _jpeg(image: Image) -> bytes:

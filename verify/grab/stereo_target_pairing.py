@@ -126,14 +126,20 @@ def square_metres(where: Sight, depth: float) -> float:
     return float(depth**2 / (np.linalg.det(where.lens) * slant))
 
 
-def plausible(thing: Thing, options: Options) -> bool:
-    """Whether two patches can be one object, and one that is looked for."""
+def plausible(thing: Thing, options: Options, areas: float = AREAS) -> bool:
+    """Whether two patches can be one object, and one that is looked for.
+
+    Args:
+        thing: made of the two.
+        options: how large and how far it may be.
+        areas: the greatest difference of ln(area) between the two pictures.
+    """
     low, high = options.depths
     return bool(
         thing.place.mismatch < MISMATCH
         and (thing.place.depth > low).all()
         and (thing.place.depth < high).all()
-        and abs(math.log(thing.areas[0] / thing.areas[1])) < AREAS
+        and abs(math.log(thing.areas[0] / thing.areas[1])) < areas
         and options.sizes[0] < thing.size.max() < options.sizes[1]
     )
 

@@ -1,5 +1,6 @@
 """Looking for a target in a pair of pictures: where it should be, or everywhere."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +10,18 @@ from verify.grab.camshift_search import find_all
 from verify.grab.colour import ColourModel
 from verify.grab.stereo_target import RIM
 from verify.grab.stereo_target_camera import Placed, both, project
-from verify.grab.stereo_target_pairing import Motion, Thing, join, pair_up, plausible, square_metres
+from verify.grab.stereo_target_pairing import (
+    AREAS,
+    Motion,
+    Thing,
+    join,
+    pair_up,
+    plausible,
+    square_metres,
+)
 from verify.grab.target import Options
 from verify.grab.target_association import Candidate
-from verify.grab.target_identity import Identity, lacking
+from verify.grab.target_identity import SEEN_WHOLE, Identity, lacking
 from verify.grab.track3d import Track
 from verify.records import Array, Image, StereoPair
 from verify.rig import Camera, Rig
@@ -114,7 +123,11 @@ def _ahead(now: Look, ahead: Track) -> tuple[Thing | None, Windows]:
         windows.append(region)
         doubts.append(lacking(share) * float(extent.max()))
     thing = join(blobs[0], blobs[1], now.pair, now.rig, motion, (doubts[0], doubts[1]))
-    if thing is None or not plausible(thing, now.options):
+    if thing is None:
+        return None, NOWHERE
+    # a finger may hide most of it from one camera alone; what is too large is not half hidden
+    hidden = thing.areas.max() < SEEN_WHOLE[1] * known.area
+    if not plausible(thing, now.options, -math.log(PART) if hidden else AREAS):
         return None, NOWHERE
     return thing, (windows[0], windows[1])
 

@@ -17,6 +17,7 @@ from verify.grab.branches import (
     smallest_singular_value,
 )
 from verify.grab.plan import Planner
+from verify.records import Array
 
 POINT = np.array([0.45, 0.05, 0.04])
 
@@ -66,6 +67,44 @@ def test_among_equal_postures_the_nearer_is_better(made: Planner) -> None:
     same = next(p for p in there if np.allclose(p.q_above, good[3].q_above, atol=1e-6))
     assert same.nearness == pytest.approx(1, abs=1e-6)
     assert same.nearness > good[3].nearness
+
+
+def test_an_elbow_near_the_table_counts_against_its_branch(made: Planner) -> None:
+    """The finger tips come as near to the table in every posture; the elbow does not."""
+    turn = np.full(6, 2 * np.pi)
+    wide = dataclasses.replace(made.limits, lower=-turn, upper=turn)  # so that elbow − can be
+    good, _ = postures(made.workspace, wide, POINT, home(made))
+    table, radius = made.cell.table, made.cell.moving.link_radius
+    seen = {}
+    for posture in good:
+        lowest = min(z for q in (posture.q_above, posture.q_grip) for z in joint_heights(q)[:4])
+        seen[posture.branch] = lowest - radius - table.height - table.clearance
+        room = min(seen[posture.branch] / 0.1, 1.0)
+        assert posture.clearance == pytest.approx(room, abs=1e-9)
+    assert seen[2] < 0.05 < 0.1 < seen[0]  # m, as this cell has it
+    point = POINT + np.array([0, 0, 0.15])
+    higher, _ = postures(made.workspace, wide, point, home(made))
+    up = {posture.branch: posture.clearance for posture in higher}
+    down = {posture.branch: posture.clearance for posture in good}
+    assert down[0] == up[0] == 1
+    assert down[2] < up[2] < 1
+
+
+def joint_heights(q: Array) -> list[float]:
+    """Heights of the frames 1 to 6 over the base, m: the DH matrices multiplied out."""
+    arm, pose, heights = melfa(), np.eye(4), []
+    for theta, d, a, alpha in zip(arm.theta(q), arm.d, arm.a, arm.alpha, strict=True):
+        ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+        pose = pose @ np.array(
+            [
+                [ct, -st * ca, st * sa, a * ct],
+                [st, ct * ca, -ct * sa, a * st],
+                [0, sa, ca, d],
+                [0, 0, 0, 1],
+            ]
+        )
+        heights.append(float(pose[2, 3]))
+    return heights
 
 
 @pytest.mark.parametrize(

@@ -2,19 +2,53 @@
 
 import json
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import pytest
 
 from tests.end_to_end import test_grab_station as bench
+from tests.end_to_end.command import verify
 from verify.commands import grabbing_station
 from verify.commands.grabbing_station import Ports, grab_on_station
 from verify.emulators.gripper import GripperEngine
 from verify.emulators.melfa import MelfaEngine
 from verify.errors import InputError
 from verify.grab import emulated
+from verify.sim.cell_setup import ROBOT
 
 SHORT = replace(bench.GRABS, duration="1s")
+
+
+def refused(folder: Path, station: str, cell: str) -> str:
+    """Order a grab with these files; gives the one line of its refusal."""
+    bench.film(folder / "film", 0.1)
+    (folder / "station.toml").write_text(station)
+    (folder / "grab.toml").write_text(cell)
+    words = ("grab", folder / "station.toml", "--execute", "--gripper", "/dev/null")
+    ended = verify(*words, "-o", folder / "out")
+    assert ended.status == 2
+    assert not (folder / "out").exists()
+    assert ended.err.count("\n") == 1, ended.err
+    return ended.err
+
+
+def test_a_cell_without_a_gripper_is_refused(tmp_path: Path) -> None:
+    whole = (resources.files("verify.sim") / "cell.toml").read_text()
+    head, tail = whole.split("[gripper]")
+    without = head + tail[tail.index("\n[") :]
+    station = bench.STATION.format(robot=ROBOT, port="tcp:127.0.0.1:9")
+    said = refused(tmp_path, station, without)
+    assert "grab.toml" in said
+    assert "gripper" in said
+
+
+def test_a_robot_that_is_no_melfa_is_refused(tmp_path: Path) -> None:
+    whole = (resources.files("verify.sim") / "cell.toml").read_text()
+    head = bench.STATION.split("[encoders]")[0].format(robot=ROBOT)
+    other = 'driver = "labenc"\nport = "/dev/null"\nresolution_deg = 0.01\n'
+    said = refused(tmp_path, f"{head}[encoders]\n{other}", whole)
+    assert 'station.toml, encoders.driver: is "labenc"; only a MELFA controller can be' in said
 
 
 @pytest.mark.slow

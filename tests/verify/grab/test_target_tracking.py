@@ -109,6 +109,24 @@ def test_a_hidden_target_is_lost_and_found_again() -> None:
     assert hidden[0].reason
 
 
+def test_a_target_of_which_one_camera_sees_less_than_half_is_not_lost() -> None:
+    """As between the fingers: whole for the one camera, four tenths of it for the other."""
+    cap = Cap(BLUE, still(*HERE))
+
+    def path(t: float) -> tuple[float, float, float]:
+        return (0.09 - 0.044 * float(np.interp(t, [0.4, 0.9, 1.9, 2.4], [0, 1, 1, 0])), 0.0, 0.45)
+
+    finger = Slab(path, width=0.03)
+    seen = list(track(pairs([cap, finger], RIG, 2.6), RIG, drawn(HERE)))
+    assert spans(seen) == ["tracked", "occluded", "tracked"]
+    parts = [s.right.wholeness / s.left.wholeness for s in seen if s.left and s.right]
+    assert min(parts) < 1 / 1.8  # patches as unequal are two things where nothing is known
+    assert errors(seen, cap)[-5:].max() < 0.008  # the first whole sight still carries the parts'
+    for one in seen:
+        off = one.centre - np.array(HERE)
+        assert off @ np.linalg.solve(one.covariance, off) < 11.3  # chi² of 3 at 1 %
+
+
 @pytest.mark.parametrize("gap", [-0.08, 0.08], ids=["before it", "behind it"])
 def test_another_of_its_colour_that_passes_is_not_followed(gap: float) -> None:
     cap = Cap(BLUE, still(*HERE))

@@ -155,6 +155,25 @@ def test_stop_holds_the_arm(browser: Browser, how: str) -> None:
         assert tab.complaints == []
 
 
+def test_the_view_in_space_draws_the_cameras_as_they_stood_for_the_pictures(
+    browser: Browser,
+) -> None:
+    """The file's places until a row tells others; then those: drawn, and fitted into view."""
+    places = "import('./scene.js').then(({ Scene }) => {"
+    places += " const canvas = document.createElement('canvas');"
+    places += " const scene = new Scene(canvas);"
+    places += " const at = (x) => [{ rotation: [[1,0,0],[0,1,0],[0,0,1]], at_mm: [x, 0, 0] }];"
+    places += " const colours = new Proxy({}, { get: () => '#123456' });"
+    places += " const middle = () => { scene.middle = null; scene.draw(colours);"
+    places += "   return [scene.cameras[0].at_mm[0], scene.middle[0]]; };"
+    places += " scene.begin({ cameras: at(600) }); const file = middle();"
+    places += " scene.show({}); const none = middle();"
+    places += " scene.show({ cameras: at(1000) }); return [file, none, middle()]; })"
+    with grabbing(execute=False) as cell, looking(browser, cell) as tab:
+        assert tab.evaluate(places) == [[600, 300], [600, 300], [1000, 500]]
+        assert tab.complaints == []
+
+
 @pytest.mark.slow
 def test_the_grab_button_works_in_the_state_in_which_the_key_does(browser: Browser) -> None:
     with grabbing() as cell, looking(browser, cell) as tab:

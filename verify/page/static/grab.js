@@ -155,7 +155,7 @@ export class Grab {
 
   scene() {
     const scene = this.row?.scene ?? {};
-    return { measured: { arm_mm: scene.arm_mm }, encoder: { arm_mm: this.way?.arm_mm }, way: this.way?.grip_mm, target: scene.target_mm };
+    return { measured: { arm_mm: scene.arm_mm }, encoder: { arm_mm: this.way?.arm_mm }, way: this.way?.grip_mm, target: scene.target_mm, cameras: scene.cameras };
   }
 }
 

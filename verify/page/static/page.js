@@ -94,7 +94,8 @@ const takers = {
     strips.add(message.rows);
     const last = message.rows.at(-1);
     if (last?.scene) {
-      scene.show({ measured: last.scene.measured, encoder: last.scene.encoder });
+      const { measured, encoder, cameras } = last.scene;
+      scene.show({ measured, encoder, cameras });
       strips.meters(last.scene.statistic);
     }
     $("figures").dataset.clock = last?.clock ? `${last.clock}, offset ${last.offset_s.toFixed(6)} s` : "";

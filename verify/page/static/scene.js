@@ -67,13 +67,18 @@ export class Scene {
     this.dirty = true;
   }
 
+  /** As the bases stood for the pictures shown; before any, as the rig file says. */
+  get cameras() {
+    return this.parts?.cameras ?? this.facts.cameras;
+  }
+
   draw(colours) {
     if (!this.facts) return;
     const { context, width, height } = sized(this.canvas);
     context.clearRect(0, 0, width, height);
     this.fit(width, height);
     this.floor(context, colours);
-    this.cameras(context, colours);
+    this.frusta(context, colours);
     const parts = this.parts ?? {};
     this.arm(context, parts.measured ?? {}, colours.measured, [], 4);
     this.arm(context, parts.encoder ?? {}, colours.encoder, [7, 5], 2);
@@ -93,7 +98,7 @@ export class Scene {
 
   /** Look at the middle of everything that is there, from far enough to see it all. */
   fit(width, height) {
-    const points = [[0, 0, 0], ...this.facts.cameras.map((camera) => camera.at_mm)];
+    const points = [[0, 0, 0], ...this.cameras.map((camera) => camera.at_mm)];
     const { measured, encoder, target } = this.parts ?? {};
     for (const part of [measured, encoder]) points.push(...(part?.arm_mm ?? []), ...(part?.leds_mm ?? []));
     if (target) points.push(target);
@@ -137,9 +142,9 @@ export class Scene {
     }
   }
 
-  cameras(context, colours) {
+  frusta(context, colours) {
     context.strokeStyle = context.fillStyle = colours.muted;
-    this.facts.cameras.forEach(({ rotation: r, at_mm: o }, side) => {
+    this.cameras.forEach(({ rotation: r, at_mm: o }, side) => {
       const at = (x, y, z) => [0, 1, 2].map((i) => r[i][0] * x + r[i][1] * y + r[i][2] * z + o[i]);
       const corners = [at(-45, -28, 80), at(45, -28, 80), at(45, 28, 80), at(-45, 28, 80)];
       this.path(context, [...corners, corners[0]]);
