@@ -131,7 +131,7 @@ def measured(
     measurements, effects = [], []
     for i, q in enumerate(session.truth):
         left, right = (sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
-        doubt = partial(doubt, session, systematics, left, right)
+        doubt = partial(stated_doubt, session, systematics, left, right)
         start: Array = session.rig.rig_T_base @ robots.forward(session.arm, q)
         pose = fit_pose(left, right, session.rig, session.marker, start, doubt)
         seen = Measurement(i, left.t, "measured", len(session.marker), pose, left, right)
@@ -140,7 +140,7 @@ def measured(
     return collect(measurements, session.rig, effects)
 
 
-def doubt(
+def stated_doubt(
     session: InMemory,
     systematics: Systematics,
     left: Sighting,

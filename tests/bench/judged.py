@@ -23,7 +23,7 @@ import numpy as np
 
 import robots
 from reports.words import cause
-from tests.bench.diagnosis_sessions import STATED, doubt, sighting
+from tests.bench.diagnosis_sessions import STATED, sighting, stated_doubt
 from tests.bench.memory import long_session
 from tests.simulated import InMemory, in_memory
 from verify.analysis import analyse
@@ -59,7 +59,7 @@ def _measured(session: InMemory, spots: list[Array]) -> Iterator[Measurement]:
     for i, q in enumerate(session.truth):
         left, right = (sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
         start = rig.rig_T_base @ robots.forward(session.arm, q)
-        doubt = partial(doubt, session, systematics, left, right)
+        doubt = partial(stated_doubt, session, systematics, left, right)
         pose = fit_pose(left, right, rig, marker, start, doubt)
         yield Measurement(i, left.t, "measured", len(marker), pose, left, right)
 
