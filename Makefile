@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 WARM := $(VENV)/.warm
 
-.PHONY: demo test lint check format samples accept bench soak bench-coverage bench-diagnosis clean
+.PHONY: demo test lint check format samples accept bench soak bench-coverage bench-diagnosis bench-grab clean
 
 $(STAMP): pyproject.toml .ci/constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "verify needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
@@ -59,6 +59,11 @@ bench-coverage: $(STAMP)
 bench-diagnosis: $(STAMP)
 	$(BIN)/python -m tests.bench.judged
 	$(BIN)/python -m tests.bench.diagnosis
+
+bench-grab: $(STAMP)
+	$(BIN)/python -m tests.bench.grab --full
+	$(BIN)/python -m tests.bench.grab_closed
+	$(BIN)/python -m tests.bench.grab_emulated
 
 clean:
 	rm -rf $(VENV) build *.egg-info
