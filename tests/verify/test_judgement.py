@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.verify.motions import ARM, make_track, read, swinging
+import robots
+from tests.verify.motions import ARM, HOME, make_track, read, swinging
 from tests.verify.scene import make_marker, make_rig
 from verify.clock import ClockEstimate
 from verify.comparison import Comparison, compare
@@ -23,6 +24,10 @@ from verify.track import Track
 PAIRS = np.arange(1.0, 7.0, 1 / 15)
 LOG = np.arange(0.0, 8.0, 0.02)
 GIVEN = ClockEstimate(0.0, None, "given", np.zeros((0, 2)))
+POSTURES = {
+    "iust_6r": (35.0, -60.0, 45.0, 5.0, -80.0, 30.0),
+    "rv_3sd_melfa": (20.0, 10.0, 80.0, 30.0, 60.0, -40.0),
+}
 ESTIMATED = replace(GIVEN, source="estimated", standard_uncertainty=1e-4)
 
 
@@ -63,14 +68,22 @@ def test_with_everything_given_every_offset_is_visible_and_an_estimated_clock_co
 
 
 @pytest.mark.parametrize(("base", "body"), [("motion", "motion"), ("fixture", "motion")])
+@pytest.mark.parametrize(("name", "home_deg"), POSTURES.items())
 def test_the_visible_share_is_what_is_left_of_an_offset_after_registering_by_brute_force(
-    base: str, body: str
+    name: str, home_deg: tuple[float, ...], base: str, body: str
 ) -> None:
     """Inject 0.01°, fit base and LED body by a general optimiser, compare what remains."""
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
 
-    track, comparison = compared(2)
+    arm = robots.load(name)
+
+    def motion(t: Array) -> Array:
+        return swinging(t) - HOME + np.deg2rad(home_deg)
+
+    rng = np.random.default_rng(2)
+    track = make_track(PAIRS, motion(PAIRS), rng, arm)
+    comparison = compare(track, arm, read(motion, LOG, 0.0, rng), 0.0)
     model = model_of(track, comparison, base, body)
     flange = comparison.base_T_encoder
     whole = np.linalg.cholesky(np.linalg.inv(comparison.covariance_measured[0])).T
@@ -84,11 +97,9 @@ def test_the_visible_share_is_what_is_left_of_an_offset_after_registering_by_bru
         turn = Rotation.from_matrix(rotation @ np.swapaxes(flange[:, :3, :3], 1, 2)).as_rotvec()
         return (np.concatenate([place - flange[:, :3, 3], turn], axis=1) @ whole.T).ravel()
 
-    import robots
-
     for joint in (1, 3, 4):
         offset = np.deg2rad(0.01) * np.eye(6)[joint]
-        moved = robots.forward(ARM, comparison.q + offset)
+        moved = robots.forward(arm, comparison.q + offset)
         before = np.linalg.norm(residual(np.zeros(12), moved))
         fit = least_squares(residual, np.zeros(12), args=(moved,), xtol=1e-14, ftol=1e-14)
         share = np.linalg.norm(fit.fun) / before
