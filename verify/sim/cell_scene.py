@@ -21,19 +21,19 @@ DUSK_TAKES = 1.0  # s
 
 @dataclass(frozen=True, slots=True)
 class Cap:
-    """A bottle cap that stands on the table; it may slide, and comes to rest by itself."""
+    """A bottle cap that stands on the table; it may slide, come to rest, and slide back."""
 
     colour: str  # of COLOURS
     start: tuple[float, float]  # m, x and y of its middle at first
     velocity: tuple[float, float] = (0.0, 0.0)  # m/s, at first
     slides: float = 0.0  # s until it stands, slowing down evenly
+    away: float = np.inf  # s that it stands there before it comes back the way it went
     radius: float = 0.015  # m
     height: float = 0.024  # m
 
     def place(self, t: float) -> Array:
         """Where its middle is, (3,), m; the table's top is at z = 0."""
-        going = min(t, self.slides)
-        way = going - going**2 / (2 * self.slides) if self.slides > 0 else 0.0
+        way = self._way(t) - self._way(t - self.slides - self.away)
         return np.array(
             [
                 self.start[0] + self.velocity[0] * way,
@@ -41,6 +41,11 @@ class Cap:
                 self.height / 2,
             ]
         )
+
+    def _way(self, t: float) -> float:
+        """How far it has gone one way, s at its first speed."""
+        going = min(max(t, 0.0), self.slides)
+        return going - going**2 / (2 * self.slides) if self.slides > 0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -156,6 +156,20 @@ def test_a_target_that_is_hidden_a_while_is_grasped_after_it() -> None:
     assert grab.world.held is not None
 
 
+def test_a_target_that_leaves_both_pictures_and_returns_is_grasped_after_it() -> None:
+    leaves = Cap("blue", (0.45, 0.0), (0.0, 1.2), 1.0, away=0.8)
+    grab, ended, seen = grabbed(replace(STANDS, caps=(leaves,)))
+    gone = [cycle.seen.status for cycle in seen if cycle.seen is not None and 1.0 < cycle.t < 1.8]
+    assert gone
+    assert set(gone) == {"lost"}
+    away = [cycle for cycle in seen if 1.2 < cycle.t < 1.8]
+    assert {cycle.state for cycle in away} == {State.SEARCHING}
+    assert rests(away)
+    assert ended.state is State.LIFTED
+    assert grab.world.held is not None
+    assert kept_limits(grab)
+
+
 def test_the_light_may_halve_within_a_second() -> None:
     _, ended, _ = grabbed(STANDS, Happening("dusk", at=1.0))
     assert ended.state is State.LIFTED
