@@ -161,7 +161,8 @@ def camera_pixels(
         x, y, z = points[:, None, 0], points[:, None, 1], points[:, None, 2]
         a, b, c = by_point[..., 0], by_point[..., 1], by_point[..., 2]
         by_twist = np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a])
-        moved[kinds.motion] = -(twist @ by_twist.reshape(6, -1)).reshape(-1, *by_point.shape[:2])
+        pixels = twist @ by_twist.reshape(6, by_point.shape[0] * by_point.shape[1])
+        moved[kinds.motion] = -pixels.reshape(len(twist), *by_point.shape[:2])
     return moved
 
 
