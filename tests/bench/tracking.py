@@ -13,23 +13,32 @@ from time import perf_counter
 import cv2
 import numpy as np
 
+from tests.bench.grab import ENDS
 from tests.verify.grab.caps import BLUE, GREEN, RED, YELLOW, Cap, Path, Slab, pairs, small_rig
 from tests.verify.scene import make_rig, project
+from verify.grab.loop_record import Cycle
+from verify.grab.motion_port import ExecuteRight
+from verify.grab.run import run
 from verify.grab.target import Drawn, Named, Options
 from verify.grab.target_tracking import Tracker
 from verify.records import Array, Image, StereoPair
 from verify.rig import Rig
+from verify.sim.cell_grab import cell_grab
+from verify.sim.cell_scene import drawn_scene
+from verify.sim.cell_setup import FULL, cell_setup
 
 SECONDS = 2.0  # of film for the rate
 SCENES = 5  # of each kind; docs/tracking.md gives the figures of 40
 WRONG = 0.04  # m: `tracked`, but a cap's width from the target or more, or nearer to another
 GRIP = 0.003  # m
+PERIOD = 1 / 30  # s, from one pair of pictures to the next
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 1.0)
 
 
 def lines(scenes: int = SCENES) -> Iterator[str]:
     """One line a figure."""
     yield from rate()
+    yield from whole_loop()
     for name, make in SCENARIOS.items():
         yield robustness(name, make, scenes)
 
@@ -58,6 +67,40 @@ def rate() -> Iterator[str]:
             mine, other = float(figure(ours)), float(figure(theirs))
             said = f"{1e3 * mine:.1f} ms a pair, {1 / mine:.0f} Hz"
             yield f"pair to 3D target, {name}: {said}; {mine / other:.2f} of full-frame CamShift"
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def whole_loop() -> Iterator[str]:
+    """Two pictures of 1280 x 720 to the joints' command, from search to lift, on one core."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        grab = cell_grab(cell_setup(FULL), drawn_scene(0), right=ExecuteRight("bench"), auto=True)
+        ours: list[float] = []
+        theirs: list[float] = []
+        naive: list[_Naive] = []
+
+        def look(cycle: Cycle) -> None:
+            if cycle.pair is None:
+                return
+            images = (cycle.pair.left, cycle.pair.right)
+            if not naive:
+                naive.extend(map(_Naive, images))
+            begin = perf_counter()
+            for one, image in zip(naive, images, strict=True):
+                one.step(image)
+            ours.append(cycle.took)
+            theirs.append(perf_counter() - begin)
+
+        state = run(grab.loop, grab.source, ENDS, look).state.value
+        for name, figure in (("median", median), ("mean", np.mean)):
+            mine, other = float(figure(ours)), float(figure(theirs))
+            said = f"{1e3 * mine:.1f} ms a cycle, {1 / mine:.0f} Hz (wanted: 30)"
+            beside = f"{mine / other:.2f} of full-frame CamShift"
+            yield f"pair to joint command, {name}: {said}; {beside}"
+        within = float(np.mean(np.array(ours) < PERIOD))
+        yield f"  {within:.1%} of {len(ours)} cycles within a picture's time; it ended {state}"
     finally:
         cv2.setNumThreads(threads)
 
