@@ -7,8 +7,10 @@ import numpy as np
 
 from verify.marker import Marker
 from verify.measurement import Detector, Setup, measure, one_after_the_other
+from verify.readings import Readings
 from verify.records import Array, Image, StereoPair
 from verify.rig import Camera, Rig
+from verify.small_matrices import rotation_vectors
 
 SIZE = (320, 240)  # px
 FOCAL = 400.0  # px
@@ -18,6 +20,7 @@ LEDS = np.array([[0.0, 0.0, 0.0], [0.06, 0.0, 0.01], [0.01, 0.05, 0.0], [0.05, 0
 CORNER = np.array([-0.03, -0.03, AWAY])  # m, of the marker, in the rig
 SPOT = 2.2  # px, standard deviation
 PAIRS, RATE = 4, 30.0
+READINGS = 20
 
 
 def warm_up(detect: Detector = one_after_the_other) -> None:
@@ -33,6 +36,16 @@ def warm_up(detect: Detector = one_after_the_other) -> None:
     pairs = (StereoPair(n, t, t + 1e-3, 0.0, 0.0, *pictures) for n, t in enumerate(times))
     for _ in measure(pairs, Setup(rig, marker, detect=detect)):
         pass
+    warm_up_comparison()
+
+
+def warm_up_comparison() -> None:
+    """Have compiled, and in memory, what sets readings against measured poses."""
+    t = np.arange(READINGS) / RATE
+    readings = Readings(t, np.sin(t)[:, None])
+    readings.rate(t)
+    readings.direction(t)  # by the readings' noise
+    rotation_vectors(np.eye(3)[None], np.empty((1, 3)))
 
 
 def _camera(x: float) -> Camera:

@@ -33,6 +33,7 @@ from verify.page.run_source import Facts, RunSource
 from verify.session import Tolerance
 from verify.station import Servo, Station
 from verify.terminal import terminal
+from verify.warm_up import warm_up_comparison
 
 SWITCH = 0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
 ESTIMATE_PATIENCE = 20.0  # s for the clock, on a busy machine
@@ -98,6 +99,7 @@ def watch(station: Station, wish: Wish) -> Watched:
         stack.callback(clock.close)
         chain = MeasuringProcess(station.rig, station.marker, terminal.warn)
         stack.callback(chain.close)
+        warm_up_comparison()  # the first pairs come at once, and soon would be too many
         recorder = station.open_recorder()
         stack.callback(recorder.close)
         live = Live(
