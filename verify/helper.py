@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
 
 from verify.priority import stand_back
@@ -63,7 +64,7 @@ class Helper(Generic[Question, Answer]):
             HelperLostError: it does not start.
         """
         if not self._ready:
-            self._received(START_LIMIT)
+            received(self._connection, START_LIMIT)
             self._ready = True
 
     def is_ready(self) -> bool:
@@ -109,27 +110,42 @@ class Helper(Generic[Question, Answer]):
         Raises:
             HelperLostError: none came, or the work failed.
         """
-        answer: Answer = self._received(patience)
+        answer: Answer = received(self._connection, patience)[1]
         return answer
-
-    def _received(self, patience: float) -> Any:
-        try:
-            if not self._connection.poll(patience):
-                raise HelperLostError(f"no answer within {patience:g} s")
-            outcome, value = self._connection.recv()
-        except (OSError, EOFError) as error:
-            raise HelperLostError(str(error) or "the helper has ended") from error
-        if outcome == "failed":
-            raise HelperLostError(str(value))
-        return value
 
     def close(self) -> None:
         """Let it end."""
         self._connection.close()
-        self._process.join(GOODBYE)
-        if self._process.is_alive():
-            self._process.terminate()
-            self._process.join(GOODBYE)
+        end(self._process, GOODBYE)
+
+
+def received(connection: Connection, patience: float) -> tuple[str, Any]:
+    """Wait for what another process says: of what kind, and what.
+
+    Args:
+        connection: to it.
+        patience: s.
+
+    Raises:
+        HelperLostError: it said nothing, is gone, or says that it failed.
+    """
+    try:
+        if not connection.poll(patience):
+            raise HelperLostError(f"no answer within {patience:g} s")
+        kind, value = connection.recv()
+    except (OSError, EOFError) as error:
+        raise HelperLostError(str(error) or "the process has ended") from error
+    if kind == "failed":
+        raise HelperLostError(str(value))
+    return kind, value
+
+
+def end(process: BaseProcess, goodbye: float) -> None:
+    """End a process whose connection is closed; it is given so many s to do so by itself."""
+    process.join(goodbye)
+    if process.is_alive():
+        process.terminate()
+        process.join(goodbye)
 
 
 def _serve(
@@ -142,8 +158,13 @@ def _serve(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks
     if aside:
         stand_back()
-    if prepare is not None:
-        prepare()
+    try:
+        if prepare is not None:
+            prepare()
+    except Exception as error:
+        with suppress(OSError):
+            connection.send(_failed(error))
+        return
     gc.freeze()  # what was imported is no garbage: looking through it would take a picture's time
     with suppress(OSError):
         connection.send(("ready", None))
@@ -155,8 +176,12 @@ def _serve(
         try:
             answer = ("done", function(question))
         except Exception as error:
-            answer = ("failed", f"{type(error).__name__}: {error}")
+            answer = _failed(error)
         try:
             connection.send(answer)
         except OSError:
             return
+
+
+def _failed(error: Exception) -> tuple[str, str]:
+    return "failed", f"{type(error).__name__}: {error}"

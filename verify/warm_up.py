@@ -36,7 +36,6 @@ def warm_up(detect: Detector = one_after_the_other) -> None:
     pairs = (StereoPair(n, t, t + 1e-3, 0.0, 0.0, *pictures) for n, t in enumerate(times))
     for _ in measure(pairs, Setup(rig, marker, detect=detect)):
         pass
-    warm_up_comparison()
 
 
 def warm_up_comparison() -> None:
@@ -71,3 +70,4 @@ def _picture(camera: Camera) -> Image:
 
 if __name__ == "__main__":
     warm_up()
+    warm_up_comparison()

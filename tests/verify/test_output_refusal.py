@@ -1,13 +1,18 @@
 """An output folder that cannot be made: one line, exit status 2, and a remedy that fits."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
 from tests.end_to_end.command import verify
 from verify.errors import InputError
 from verify.writing import folder_written_whole, write_whole
+
+NOBODY = 65534  # the user id of nobody, by custom
 
 
 def refusal(place: Path) -> str:
@@ -33,14 +38,32 @@ def test_a_place_that_takes_no_folders() -> None:
     assert "Choose another place, in a folder that takes files." in said
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_without_write_permission(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
+@contextmanager
+def nobody() -> Iterator[None]:
+    """Be somebody without rights for a while: to root nothing is forbidden."""
+    before = os.geteuid()
+    if before == 0:
+        os.seteuid(NOBODY)
     try:
-        said = refusal(tmp_path / "report")
+        yield
     finally:
-        tmp_path.chmod(0o700)
-    assert "report: permission denied. Grant access to the folder that it goes into" in said
+        os.seteuid(before)
+
+
+def test_a_folder_without_write_permission() -> None:
+    with TemporaryDirectory() as name:
+        locked = Path(name)
+        locked.chmod(0o555)
+        try:
+            with (
+                nobody(),
+                pytest.raises(InputError, match=r"report: permission denied\. Grant access to the"),
+                folder_written_whole(locked / "report"),
+            ):
+                pytest.fail("the work began")
+            assert list(locked.iterdir()) == []
+        finally:
+            locked.chmod(0o700)
 
 
 def test_a_file_whose_folder_is_not_there(tmp_path: Path) -> None:

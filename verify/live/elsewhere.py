@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from verify.helper import HelperLostError
+from verify.helper import HelperLostError, end, received
 from verify.live.beside import BesideDetector
 from verify.live.rehearsal import Rehearsal
 from verify.marker import Marker
@@ -66,7 +66,7 @@ class MeasuringProcess:
         self._pictures = (SharedPicture(), SharedPicture())
         self._lost = False
         try:
-            self._answer(START_LIMIT)
+            received(self._connection, START_LIMIT)
         except HelperLostError:
             self.close()
             raise
@@ -95,10 +95,7 @@ class MeasuringProcess:
     def close(self) -> None:
         """End the process."""
         self._connection.close()
-        self._process.join(GOODBYE)
-        if self._process.is_alive():
-            self._process.terminate()
-            self._process.join(GOODBYE)
+        end(self._process, GOODBYE)
         for picture in self._pictures:
             picture.close()
 
@@ -111,7 +108,7 @@ class MeasuringProcess:
     def _measured(self, expected: Expected, unanswered: deque[StereoPair]) -> Iterator[Measurement]:
         """What comes of a pair, until the next one is asked for."""
         while True:
-            kind, value = self._answer(PATIENCE)
+            kind, value = received(self._connection, PATIENCE)
             if kind == "next":
                 return
             if kind == "expected":
@@ -130,17 +127,6 @@ class MeasuringProcess:
             self._connection.send(what)
         except (OSError, ValueError) as error:
             raise HelperLostError(str(error)) from error
-
-    def _answer(self, patience: float) -> tuple[str, Any]:
-        try:
-            if not self._connection.poll(patience):
-                raise HelperLostError(f"no answer within {patience:g} s")
-            kind, value = self._connection.recv()
-        except (OSError, EOFError) as error:
-            raise HelperLostError(str(error) or "the process has ended") from error
-        if kind == "failed":
-            raise HelperLostError(str(value))
-        return kind, value
 
 
 def _serve(connection: Connection, rig: Rig, marker: Marker) -> None:

@@ -75,6 +75,7 @@ class SimulatedCameraDevice:
         said = {"camera_gone": "not connected: it was unplugged", "camera_stalls": "silent"}
         notes = [str(refusal) for refusal in self._refused()]
         notes += [f"{self._lost} pictures that nobody read in time"] if self._lost else []
+        notes += [self._painter.trouble] if self._painter.trouble else []
         return CameraState(
             connected=away != "camera_gone" and not self._closed,
             age=age,

@@ -43,6 +43,10 @@ class Sight:
 class Painter(Protocol):
     """Paints what a camera sees."""
 
+    @property
+    def trouble(self) -> str:
+        """What is wrong with how it does; empty: nothing."""
+
     def paint(self, sight: Sight) -> Image:
         """Give the picture, (h, w) grey or (h, w, 3) BGR."""
 
@@ -56,6 +60,11 @@ class NearPainter:
 
     worlds: tuple[World, World]  # as it is, and with a lamp on
     renderers: tuple[Renderer, Renderer]
+
+    @property
+    def trouble(self) -> str:
+        """Nothing can be."""
+        return ""
 
     def paint(self, sight: Sight) -> Image:
         """Give the picture; the same sight comes out the same every time."""
@@ -95,6 +104,7 @@ class DistantPainter:
         )  # fmt: skip
         self._rooms = (SharedPicture(), SharedPicture())
         self._lock, self._closed = threading.Lock(), 0
+        self.trouble = ""
 
     def paint(self, sight: Sight) -> Image:
         """Give the picture; the same as the one painted here."""
@@ -104,7 +114,8 @@ class DistantPainter:
                 name, shape = room.room(self._near.renderers[sight.side].shape)
                 helper.ask((sight, name, shape), PATIENCE)
                 return room.copy(shape)
-        except HelperLostError:
+        except HelperLostError as error:
+            self.trouble = f"painted by the main process from now on: {error}"
             self._end()
         return self._near.paint(sight)
 

@@ -30,8 +30,21 @@ def test_both_paint_the_same_and_one_stands_in_for_the_other() -> None:
         time.sleep(0.05)
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
     assert distant._helper is helper  # it was asked, and answered
+    assert not distant.trouble
     helper._process.kill()
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
     assert distant._helper is None
+    assert "painted by the main process from now on" in distant.trouble
     distant.close()
     distant.close()
+
+
+def test_a_process_that_cannot_prepare_itself_is_said_and_missed_by_nobody() -> None:
+    near = near_painter(simulate(library.load(SCENARIO)))
+    distant, end = DistantPainter("no such scenario", near), time.monotonic() + LIMIT
+    while not distant.trouble:
+        assert np.array_equal(distant.paint(SIGHTS[0]), near.paint(SIGHTS[0]))
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert "InputError" in distant.trouble
+    assert "no such scenario" in distant.trouble
