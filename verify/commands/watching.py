@@ -94,7 +94,7 @@ def watch(station: Station, wish: Wish) -> Watched:
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH)
         listeners = _listeners(station, wish, stack)
-        _serve(station, wish, RunSource(state, subject, facts), stack)
+        _serve(station, wish, RunSource(state, subject, facts), state, stack)
         clock = Helper(estimate, "clock", aside=True)
         stack.callback(clock.close)
         chain = MeasuringProcess(station.rig, station.marker, terminal.warn)
@@ -146,10 +146,15 @@ def _utc(epoch: float | None) -> str | None:
     return datetime.fromtimestamp(epoch, UTC).isoformat(timespec="milliseconds")
 
 
-def _serve(station: Station, wish: Wish, source: RunSource, stack: ExitStack) -> None:
+def _serve(
+    station: Station, wish: Wish, source: RunSource, state: LiveState, stack: ExitStack
+) -> None:
     """Serve the page and the metrics, as far as they are wanted."""
     if wish.page is not None:
-        page = Page(source, wish.page.port, wish.page.address, wish.page.token)
+        asked = wish.page
+        page = Page(
+            source, asked.port, asked.address, asked.token, moment=state.wait_until_told
+        )
         stack.callback(page.close)
         terminal.say(f"page: {page.url}")
         terminal.record({"type": "page", "url": page.url})

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from verify.detection import detect
 from verify.helper import Helper, HelperLostError
-from verify.priority import keep_apart
+from verify.priority import come_soon, keep_apart
 from verify.records import Array, Image, Spots
 from verify.shared_picture import SharedPicture, picture_of
 
@@ -27,7 +27,9 @@ class BesideDetector:
 
     def __init__(self, warn: Callable[[str], None]) -> None:
         self._warn = warn
-        self._helper: Helper[Question, Spots] | None = Helper(_detect_there, "right picture")
+        self._helper: Helper[Question, Spots] | None = Helper(
+            _detect_there, "right picture", prepare=come_soon
+        )
         self._helper.wait_until_ready()
         self._picture = SharedPicture()
         self._lock = threading.Lock()

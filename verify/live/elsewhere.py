@@ -23,6 +23,7 @@ from verify.live.beside import BesideDetector
 from verify.live.rehearsal import Rehearsal
 from verify.marker import Marker
 from verify.measurement import Carried, Setup, measure, nothing_expected
+from verify.priority import come_soon
 from verify.records import Array, Image, Measurement, StereoPair
 from verify.rig import Rig
 from verify.shared_picture import SharedPicture, picture_of
@@ -137,6 +138,7 @@ def _serve(connection: Connection, rig: Rig, marker: Marker) -> None:
             detect = BesideDetector(lambda text: connection.send(("warning", text)))
             stack.callback(detect.close)
             detect.spread()
+            come_soon()
             warm_up(detect)
             gc.collect()
             gc.freeze()  # what is there is no garbage: looking through it takes a picture's time
@@ -168,9 +170,12 @@ class _Stage:
         self.rehearsal.note()
 
     def _again(self) -> None:
-        if self._pair is not None and self._before.memory is not None:  # else it takes too long
-            for _ in measure([self._pair], self._setup, replace(self._before)):
-                pass
+        if self._pair is None or self._before.memory is None:  # it would take too long
+            return
+        come_soon(wanted=False)  # the comparison may still be at work
+        for _ in measure([self._pair], self._setup, replace(self._before)):
+            pass
+        come_soon()
 
 
 def _received(connection: Connection, stage: _Stage) -> Iterator[StereoPair]:

@@ -12,6 +12,7 @@ from verify.live.pairing import WAITING, FramePair, Pairing
 from verify.live.pan_book import PanBook
 from verify.live.ports import Recorder
 from verify.live.readings_book import ReadingsBook
+from verify.priority import come_soon
 
 DEPTH = 16  # pairs that may wait to be measured: half a second, 30 MB
 OVERRUN = "measuring is slower than the cameras"
@@ -104,6 +105,7 @@ class Pump:
         self._thread.join(seconds)
 
     def _run(self) -> None:
+        come_soon()
         while not self._stop.is_set():
             begin = time.monotonic()
             try:

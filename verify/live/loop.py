@@ -25,6 +25,7 @@ from verify.live.ports import Devices, Listener, Recorder, Subject
 from verify.live.readings_book import ReadingsBook
 from verify.live.state import DeviceLine, LiveState
 from verify.measurement import Setup, measure
+from verify.priority import come_soon
 from verify.records import Array, Measurement, StereoPair
 
 LOOK = 0.1  # s from one look at the devices to the next
@@ -181,6 +182,7 @@ class Live:
     # measuring
 
     def _measure(self) -> None:
+        come_soon()
         try:
             pairs = self._noted(self._recorder.keep(self._taken()))
             for measurement in self._measuring(pairs, self._expected):
@@ -258,6 +260,7 @@ class Live:
     # comparing
 
     def _compare(self) -> None:
+        come_soon()
         while (item := self._next_measured()) is not None:
             try:
                 outcome = self._bracketing.compare(*item)
@@ -288,6 +291,8 @@ class Live:
             self._raise(alarm)
         for listener in self._listeners:
             listener.row(outcome.row, statistic)
+        self._recorder.through(outcome.row.frame)
+        self.state.told()
 
     def _raise(self, alarm: Alarm) -> None:
         self.state.alarm(alarm)

@@ -39,6 +39,10 @@ class Recorder(Protocol):
         """Record pairs as they pass."""
         ...
 
+    def through(self, frame: int) -> None:
+        """Note that the pair of that number is measured and compared."""
+        ...
+
     def reading(self, reading: EncoderReading) -> EncoderReading:
         """Record a reading; gives it as the recording has it."""
         ...

@@ -56,6 +56,7 @@ class LiveState:
 
     latency: Latency = field(default_factory=Latency)
     _lock: threading.Lock = field(default_factory=threading.Lock)
+    _told: threading.Condition = field(default_factory=threading.Condition)
     _rows: "deque[tuple[int, JointRow]]" = field(default_factory=lambda: deque(maxlen=ROWS))
     _times: "deque[float]" = field(default_factory=lambda: deque(maxlen=ROWS))
     _alarms: dict[int, Alarm] = field(default_factory=dict)
@@ -76,6 +77,19 @@ class LiveState:
             self._times.append(time.monotonic())
             self._status[row.status] += 1
             self._statistic = statistic
+
+    def told(self) -> None:
+        """Note that a pair is through: nothing is urgent until the next one."""
+        with self._told:
+            self._told.notify_all()
+
+    def wait_until_told(self, patience: float) -> bool:
+        """Wait until a pair is through, for so many s; whether one was.
+
+        Lookers-on that begin then keep no pair from being measured: threads take turns.
+        """
+        with self._told:
+            return self._told.wait(patience)
 
     def seen(self, pair: StereoPair, measurement: Measurement) -> None:
         """Take the newest pictures; those that nobody looked at are let go."""

@@ -17,9 +17,9 @@ from typing import Any, Protocol
 from verify.errors import InputError
 from verify.page.access import LOOPBACK, USUAL_PORT, check
 from verify.page.server import Words, serve
-from verify.priority import stand_back
 
 EVERY = 0.1  # s: faster than eyes follow; pictures too
+PATIENCE = 0.05  # s more, for a moment in which nobody is kept from something more urgent
 STATE_EVERY = 0.5  # s
 START_LIMIT = 20.0  # s: a process that imports its modules on a busy machine
 GOODBYE = 2.0  # s
@@ -64,6 +64,7 @@ class Page:
         asked: what viewers may ask for, by its word, and what is then done.
         given: what they may say more about, by its first word; called with what follows that word.
             Both are called in a thread of their own, and have to be quick.
+        moment: waits, for so many s at most, until what there is to tell holds nobody up.
 
     Raises:
         InputError: the port is taken, or the address is open to others without a token.
@@ -77,8 +78,9 @@ class Page:
         token: str | None = None,
         asked: Mapping[str, Callable[[], None]] | None = None,
         given: Mapping[str, Callable[[str], None]] | None = None,
+        moment: Callable[[float], object] | None = None,
     ) -> None:
-        self._source = source
+        self._source, self._moment = source, moment
         self._asked, self._given = dict(asked or {}), dict(given or {})
         self._access = check(address, port or _free_port(address), token)
         context = multiprocessing.get_context("spawn")
@@ -146,7 +148,6 @@ class Page:
 
     def _feed(self) -> None:
         """Send until told to stop; a page that is gone costs the run nothing but a word."""
-        stand_back()
         try:
             self._send("hello", _text("hello", self._source.hello()))
             due = 0.0
@@ -155,6 +156,8 @@ class Page:
                 self._send_news(full=begin >= due)
                 due = begin + STATE_EVERY if begin >= due else due
                 self._stop.wait(max(EVERY - (time.monotonic() - begin), EVERY / 10))
+                if self._moment is not None and not self._stop.is_set():
+                    self._moment(PATIENCE)
             self._send_news(full=True)
         except OSError as error:
             self.trouble = f"the page is gone: {error}"

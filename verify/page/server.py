@@ -20,6 +20,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from verify.page.access import COOKIE, HEADERS, Access
 from verify.page.hub import Hub
+from verify.priority import stand_back
 
 STATIC = Path(__file__).with_name("static")
 FILES = {
@@ -168,6 +169,8 @@ def serve(news: Connection, back: Connection, access: Access, words: Words) -> N
         words: what viewers may say.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the run, and the run ends this
+    if words == Words():  # nobody can say "stop": nothing is urgent
+        stand_back()
     asyncio.run(_serve(news, back, access, words))
 
 

@@ -1,7 +1,7 @@
 """The recorder: every pair is on the disk before it is measured, unless the disk is too slow.
 
 One thread writes, in the order in which things came: pairs as they are at first, and encoded
-when the measurement has gone by. Whoever measures waits for it a few milliseconds at most: a disk
+when their measurement is through. Whoever measures waits for it a few milliseconds at most: a disk
 that refuses or lags ends the recording, never the measurement.
 """
 
@@ -19,12 +19,12 @@ from verify.errors import InputError
 from verify.recording.part import Facts, Part, discard, new_folder, worded
 from verify.recording.pictures import kind_of
 from verify.recording.rows import pair_as_written, reading_as_written
+from verify.priority import come_soon
 from verify.records import StereoPair
 
 PATIENCE = 0.02  # s: a pair is measured after it, on the disk or not
-# a pair's encoding would take the measurement's time, and the comparison's after it
-REST = 0.003  # s from the end of its measurement
-LONGEST_REST = 0.02  # s from its coming
+# a pair's encoding would take the time of its measurement: until that is through, or so long
+LONGEST_REST = 0.1  # s from its coming
 LAG = 0.8  # s behind, and the recording ends: a kill must not cost a second
 BEFORE = 1.0  # s of readings before the first pair: they bracket it
 CLOSING = 10.0  # s: what is under way is given so long to reach the disk
@@ -92,7 +92,7 @@ class Recorder:
         self._early: deque[EncoderReading] = deque()
         self._pairs = self._readings = self._late = 0
         self._numbered = self._dropped = 0
-        self._measured = 0.0  # s, host's monotonic clock: when the last pair was
+        self._through = -1  # number of the last pair that was measured and compared
         self._last = (float("-inf"), float("-inf"))
         self._thread = threading.Thread(target=self._write, name="recorder", daemon=True)
         self._thread.start()
@@ -121,12 +121,15 @@ class Recorder:
             if item is not None and not item.done.wait(PATIENCE):
                 self._late += 1
             yield written
-            self._rest()
 
-    def _rest(self) -> None:
-        """Note that a pair is measured: what is on the disk as it is can be encoded soon."""
+    def through(self, frame: int) -> None:
+        """Note that a pair is measured and compared: now there is time to encode it.
+
+        Args:
+            frame: its number, as it came out of `keep`.
+        """
         with self._wake:
-            self._measured = time.monotonic()
+            self._through = frame
             self._wake.notify()
 
     def reading(self, reading: EncoderReading) -> EncoderReading:
@@ -184,6 +187,7 @@ class Recorder:
 
     def _write(self) -> None:
         """Write items until the end, then close; runs in its own thread."""
+        come_soon()
         while self._wait():
             if not self._items:
                 self._guarded(self._encode)
@@ -213,9 +217,8 @@ class Recorder:
 
     def _due(self) -> float:
         """When to encode the oldest pair that was set aside, s, host's monotonic clock."""
-        came = self._aside[0].came
-        through = self._measured if self._measured > came else float("inf")
-        return min(came + LONGEST_REST, through + REST)
+        oldest = self._aside[0]
+        return oldest.came + (LONGEST_REST if oldest.pair.frame > self._through else 0.0)
 
     def _guarded(self, action: Callable[[], None]) -> None:
         """Do something with the disk; whatever goes wrong ends the recording and nothing else."""

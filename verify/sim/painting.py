@@ -100,7 +100,7 @@ class DistantPainter:
         self._near = near
         self._helper: Helper[tuple[Sight, str, tuple[int, ...]], None] | None = Helper(
             partial(_paint_there, scenario), "simulated cameras",
-            prepare=partial(_there, scenario),
+            aside=True, prepare=partial(_there, scenario),
         )  # fmt: skip
         self._rooms = (SharedPicture(), SharedPicture())
         self._lock, self._closed = threading.Lock(), 0
