@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from verify.detection.kernel import PARAMETERS, PEAK, RESIDUAL, X, Y
+from verify.detection import kernel_bite
 from verify.detection.model import Fit
 from verify.records import Array
 
@@ -59,40 +59,11 @@ def score_rims(state: Fit, which: NDArray[np.bool_], misfit: Array) -> RimScore:
     )
     if not len(rows):
         return score
-    near = np.flatnonzero((state.radius2[rows] < RIM**2).any(axis=0))
-    pixels = np.ix_(rows, near)
-    misfit = misfit[rows, None]
-    weight = state.visible[pixels] * np.sqrt(state.used[pixels] / state.variance[pixels])
-    sunk = bites(state, rows, near, weight)
-    cross = state.whitened[rows][:, :, near] @ sunk.transpose(0, 2, 1)
-    cross, slope = cross[:, :PARAMETERS], cross[:, RESIDUAL]
-    follow = np.linalg.solve(state.information[rows], cross)  # how the parameters give way
-    whole = np.square(sunk).sum(axis=2)
-    left = whole - (cross * follow).sum(axis=1)
-    slope = slope - (state.gradient[rows, None] @ follow)[:, 0]
-    told = left > TOLD * whole
-    score.gradient[rows] = np.where(told, slope / np.maximum(misfit, 1.0), 0.0)
-    score.information[rows] = np.where(told, left / np.maximum(misfit, 1.0), 0.0)
-    score.pull[rows] = np.where(told[..., None], -follow[:, [X, Y]].transpose(0, 2, 1), 0.0)
+    kernel_bite.score_all(
+        rows, state.parameters, state.information, state.gradient, state.known, state.whitened,
+        np.ascontiguousarray(misfit), SIDES, (RIM, WIDTH, TOLD), (score.gradient, score.information, score.pull),
+    )  # fmt: skip
     return score
-
-
-def bites(state: Fit, rows: NDArray[np.intp], near: NDArray[np.intp], weight: Array) -> Array:
-    """Change of pixels by a bite in each direction, per depth: (rows, DIRECTIONS, near), DN.
-
-    Each pixel's is multiplied by its `weight`, (rows, near).
-    """
-    offset = state.offset[rows][:, :, near]
-    # at the very centre no bite changes anything
-    length = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-9)
-    along = SIDES @ (offset / length[:, None])
-    # von Mises' bump, a Gaussian round a circle
-    share = np.exp((along - 1) / WIDTH**2)
-    # a smaller radius is a larger t: d(t²) = 2 t² times the relative depth
-    pixels = np.ix_(rows, near)
-    depth = 2 * state.parameters[rows, PEAK, None] * state.slope[pixels] * state.radius2[pixels]
-    changed: Array = share * (depth * weight)[:, None]
-    return changed
 
 
 def whole_discs(score: RimScore) -> tuple[Array, Array]:

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.detection.kernel import FLOOR, PEAK, SENSOR_LIMIT, STEEPNESS
+from verify.detection.kernel import FLOOR, PEAK, STEEPNESS
+from verify.detection.kernel_clip import SENSOR_LIMIT
 from verify.detection.model import Fit, Patches, expected, solve
 from verify.records import Array
 
@@ -46,9 +47,11 @@ def first_look(patches: Patches) -> Fit:
 
 def saturated(patches: Patches) -> NDArray[np.bool_]:
     """Whether some pixels on the spot are at the sensor's limit, (n,)."""
-    value, _, column, row = np.moveaxis(patches.pixels, 1, 0)
-    near = column**2 + row**2 <= patches.scale[:, None] ** 2
-    return np.asarray(((value >= SENSOR_LIMIT) & near).any(axis=1), dtype=np.bool_)
+    full = patches.value >= SENSOR_LIMIT
+    if not full.any():
+        return np.zeros(len(full), dtype=np.bool_)
+    near = np.square(patches.pixels[:, 2:]).sum(axis=1) <= patches.scale[:, None] ** 2
+    return np.asarray((full & near).any(axis=1), dtype=np.bool_)
 
 
 def reweighted(patches: Patches, state: Fit) -> Fit:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.compiled import compiled, compiled_sums
-from verify.detection.noise import QUANTISATION
+from verify.detection.kernel_clip import CLIP_REACH, SENSOR_LIMIT, clipped
 from verify.detection.profile import LAST, LOWEST, ROW_STEP, STEP
 from verify.records import Array
 
@@ -20,33 +20,13 @@ WHITENED = PARAMETERS + 1
 # what is known of each pixel, in the order of a state's rows
 MEAN, VARIANCE, SIGNAL, USED, VISIBLE, U, W, RADIUS2, SLOPE, OWN = range(10)
 KNOWN = 10
-SENSOR_LIMIT = 255.0  # DN
 FOOT = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
 OUTLIER = 5.0  # sigma, likewise
-CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
-ROOT_TWO, ROOT_TWO_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 FIRST_DAMPING = 1e-4
 UNTOLD = 1e-9  # information in every direction: of a patch none of whose pixels counts
 CORE = 1.5  # half-widths: the spot's own pixels, by which its fit is judged
 CORE_LEAST = 3.0  # px, likewise for the smallest: 28 pixels against 8 parameters
 SEEN = 0.9  # share of a pixel's noise that clipping must leave for its residual to count
-
-
-@compiled
-def clipped(mu: float, noise: float) -> tuple[float, float, float]:
-    """Mean, variance and d mean / d mu of a normal variable clipped to the sensor's range."""
-    from_above = SENSOR_LIMIT - mu
-    room = min(from_above, mu)  # the farther limit is always out of reach
-    sigma = math.sqrt(noise)
-    z = room / sigma
-    if z >= CLIP_REACH:
-        return mu, noise, 1.0
-    inside = 0.5 * math.erfc(-z / ROOT_TWO)
-    excess = room * inside + math.exp(-0.5 * z * z) * (sigma / ROOT_TWO_PI)
-    # E[u²] less E[u]², u the clipped room. No less than rounding: a deviation there is the
-    # model's, not a miracle of the noise.
-    variance = max(noise * inside + excess * (room - excess), QUANTISATION)
-    return (SENSOR_LIMIT - excess if from_above < mu else excess), variance, inside
 
 
 @compiled
@@ -210,6 +190,21 @@ def mark_own(p: Array, pixels: Array, known: Array) -> None:
         known[OWN, k] = pixels[1, k] if near else 0.0
 
 
+@compiled_sums
+def deviation(p: Array, pixels: Array, known: Array, variance: Array, prior: Array) -> float:
+    """Chi² of a patch at p under given variances (p,): `known` tells the means alone."""
+    total = 0.0
+    for k in range(pixels.shape[1]):
+        residual = pixels[0, k] - known[MEAN, k]
+        square = residual * residual / variance[k]
+        outside = known[RADIUS2, k] > FOOT**2 and square > OUTLIER**2
+        total += pixels[1, k] * (OUTLIER**2 if outside else square)
+    for a in range(PARAMETERS):
+        off = prior[0, a] - p[a]
+        total += prior[1, a] * off * off
+    return total
+
+
 @compiled
 def descend(
     p: Array,
@@ -248,6 +243,8 @@ def descend(
     tried_information, tried_gradient = np.empty_like(information), np.empty_like(gradient)
     out = weigh(p, pixels, scale, noise, table, known, rows)
     chi2 = normal_equations(p, rows, out, prior, information, gradient)
+    variance = known[VARIANCE].copy()
+    stands = deviation(p, pixels, known, variance, prior)
     damping, refused = FIRST_DAMPING, False
     for _ in range(steps):
         damped = information.copy()
@@ -258,11 +255,14 @@ def descend(
         tried = p + step
         out = weigh(tried, pixels, scale, noise, table, known, rows)
         trial = normal_equations(tried, rows, out, prior, tried_information, tried_gradient)
-        # The weights move with the model, so chi² may rise a little on the way to the solution.
-        refused = not trial <= 1.1 * chi2 + 1.0
+        # The weights move with the model, and chi² with them: a step is judged by those that it
+        # was found with.
+        refused = not deviation(tried, pixels, known, variance, prior) <= 1.1 * stands + 1.0
         if refused:
             damping *= 30.0
             continue
+        variance[:] = known[VARIANCE]
+        stands = deviation(tried, pixels, known, variance, prior)
         gained = step @ gradient  # what the step takes from chi²
         p[:], chi2, damping = tried, trial, damping / 10.0
         information[:], gradient[:] = tried_information, tried_gradient

@@ -9,7 +9,6 @@ from verify.compiled import compiled
 from verify.detection.kernel import (
     PARAMETERS,
     PEAK,
-    SENSOR_LIMIT,
     UNTOLD,
     XX,
     XY,
@@ -18,6 +17,7 @@ from verify.detection.kernel import (
     Y,
     tally,
 )
+from verify.detection.kernel_clip import SENSOR_LIMIT
 from verify.records import Array
 
 # columns of a told spot

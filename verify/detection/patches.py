@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,17 +49,19 @@ def cut_out(
         for begin in range(0, len(members), TOGETHER):
             part = members[begin : begin + TOGETHER]
             origin = np.rint(candidates.centre[part]).astype(np.intp)
-            offsets = [np.tile(axis, (len(part), 1)) for axis in (column, row)]
             radius = candidates.radius[part]
-            yield part, read_pixels(image, origin, radius, offsets[0], offsets[1], noise)
+            yield part, read_pixels(image, origin, radius, column[None], row[None], noise)
 
 
+@cache
 def disc(radius: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Columns and rows of the pixels of a disc."""
+    """Columns and rows of the pixels of a disc; everybody's, not to be changed."""
     axis = np.arange(-radius, radius + 1)
     column, row = np.meshgrid(axis, axis)
     within = column**2 + row**2 <= radius**2
-    return column[within], row[within]
+    column, row = column[within], row[within]
+    column.flags.writeable = row.flags.writeable = False
+    return column, row
 
 
 def read_pixels(
@@ -69,7 +72,7 @@ def read_pixels(
     row: NDArray[np.intp],
     noise: Noise,
 ) -> Cut:
-    """Read the image at offsets (n, p) from the origins, its colours combined."""
+    """Read the image at offsets (n, p), or (1, p) for all, from the origins; colours combined."""
     height, width = image.shape[:2]
     x, y = origin[:, :1] + column, origin[:, 1:] + row
     valid = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -92,7 +95,8 @@ def read_pixels(
         square = np.square(weight)
         # The channels' shares of the signal are the weights themselves, up to a factor.
         share = square.sum(axis=1), (square * weight).sum(axis=1) / square.sum(axis=1)
-    known = np.stack([value, valid, column, row], axis=1, dtype=np.float64)
+    known = np.empty((len(origin), 4, value.shape[1]))
+    known[:, 0], known[:, 1], known[:, 2], known[:, 3] = value, valid, column, row
     return Cut(Patches(known, scale, *share, noise), origin, colour)
 
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from verify.cameras import TakenPair
 from verify.devices import EncoderReading
 from verify.errors import InputError
+from verify.priority import come_soon
 from verify.recording.part import Facts, Part, discard, new_folder, worded
 from verify.recording.pictures import kind_of
 from verify.recording.rows import pair_as_written, reading_as_written
-from verify.priority import come_soon
 from verify.records import StereoPair
 
 PATIENCE = 0.02  # s: a pair is measured after it, on the disk or not

@@ -1,0 +1,134 @@
+"""The search for a bite out of a spot's rim, compiled: the arithmetic of bite.py, spot by spot."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.compiled import compiled, compiled_sums
+from verify.detection.kernel import (
+    PARAMETERS,
+    PEAK,
+    RADIUS2,
+    RESIDUAL,
+    SLOPE,
+    USED,
+    VARIANCE,
+    VISIBLE,
+    WHITENED,
+    U,
+    W,
+    X,
+    Y,
+)
+from verify.records import Array
+
+FARTHEST = 1e-9  # half-widths: nearer the very centre no bite changes anything
+
+
+@compiled
+def near_pixels(known: Array, reach: float, near: NDArray[np.int64]) -> int:
+    """List the pixels within so many half-widths; gives how many they are."""
+    count = 0
+    for k in range(known.shape[1]):
+        if known[RADIUS2, k] < reach * reach:
+            near[count] = k
+            count += 1
+    return count
+
+
+@compiled
+def bitten(
+    peak: float, known: Array, near: NDArray[np.int64], sides: Array, width: float, sunk: Array
+) -> None:
+    """Change of pixels by a bite in each direction, per depth and over each pixel's sigma.
+
+    Args:
+        peak: DN.
+        known: (10, p), of the pixels.
+        near: (m,), the pixels meant.
+        sides: (d, 2), unit vectors.
+        width: rad, of a bite: von Mises' bump, a Gaussian round a circle.
+        sunk: (d, m), filled.
+    """
+    sharp = 1.0 / (width * width)
+    for at in range(len(near)):
+        k = near[at]
+        u, w = known[U, k], known[W, k]
+        length = max(math.hypot(u, w), FARTHEST)
+        u, w = u / length, w / length
+        weight = known[VISIBLE, k] * math.sqrt(known[USED, k] / known[VARIANCE, k])
+        # a smaller radius is a larger t: d(t²) = 2 t² times the relative depth
+        depth = 2.0 * peak * known[SLOPE, k] * known[RADIUS2, k] * weight
+        for side in range(len(sides)):
+            along = sides[side, 0] * u + sides[side, 1] * w
+            sunk[side, at] = depth * math.exp((along - 1.0) * sharp)
+
+
+@compiled_sums
+def cross_products(
+    whitened: Array, near: NDArray[np.int64], sunk: Array, cross: Array, whole: Array
+) -> None:
+    """Products of every row (11, p) with every bite (d, m), and of every bite with itself."""
+    row = np.empty(len(near))
+    for a in range(WHITENED):
+        for at in range(len(near)):
+            row[at] = whitened[a, near[at]]
+        for side in range(len(sunk)):
+            total = 0.0
+            for at in range(len(near)):
+                total += row[at] * sunk[side, at]
+            cross[a, side] = total
+    for side in range(len(sunk)):
+        total = 0.0
+        for at in range(len(near)):
+            total += sunk[side, at] * sunk[side, at]
+        whole[side] = total
+
+
+@compiled
+def score_all(
+    rows: NDArray[np.int64],
+    parameters: Array,
+    information: Array,
+    gradient: Array,
+    known: Array,
+    whitened: Array,
+    misfit: Array,
+    sides: Array,
+    limits: tuple[float, float, float],
+    score: tuple[Array, Array, Array],
+) -> None:
+    """Ask the residuals of some of n fits for bites in d directions.
+
+    Args:
+        rows: those fits' numbers.
+        parameters: (n, 10).
+        information: (n, 10, 10).
+        gradient: (n, 10).
+        known: (n, 10, p).
+        whitened: (n, 11, p).
+        misfit: (n,).
+        sides: (d, 2), unit vectors.
+        limits: RIM, WIDTH, TOLD of bite.py.
+        score: (n, d), (n, d), (n, d, 2): gradient, information and pull; filled where told.
+    """
+    reach, width, least = limits
+    directions = len(sides)
+    found = np.empty(known.shape[2], np.int64)
+    cross, whole = np.empty((WHITENED, directions)), np.empty(directions)
+    for n in rows:
+        near = found[: near_pixels(known[n], reach, found)]
+        sunk = np.empty((directions, len(near)))
+        bitten(parameters[n, PEAK], known[n], near, sides, width, sunk)
+        cross_products(whitened[n], near, sunk, cross, whole)
+        follow = np.linalg.solve(information[n], cross[:PARAMETERS])  # how parameters give way
+        worth = max(misfit[n], 1.0)
+        for side in range(directions):
+            left, slope = whole[side], cross[RESIDUAL, side]
+            for a in range(PARAMETERS):
+                left -= cross[a, side] * follow[a, side]
+                slope -= gradient[n, a] * follow[a, side]
+            if left > least * whole[side]:
+                score[0][n, side], score[1][n, side] = slope / worth, left / worth
+                score[2][n, side, 0], score[2][n, side, 1] = -follow[X, side], -follow[Y, side]
