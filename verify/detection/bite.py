@@ -57,11 +57,10 @@ def score_rims(state: Fit, which: NDArray[np.bool_], misfit: Array) -> RimScore:
     score = RimScore(
         np.zeros((n, DIRECTIONS)), np.zeros((n, DIRECTIONS)), np.zeros((n, DIRECTIONS, 2))
     )
-    if not len(rows):
-        return score
     kernel_bite.score_all(
         rows, state.parameters, state.information, state.gradient, state.known, state.whitened,
-        np.ascontiguousarray(misfit), SIDES, (RIM, WIDTH, TOLD), (score.gradient, score.information, score.pull),
+        np.ascontiguousarray(misfit), SIDES, (RIM, WIDTH, TOLD),
+        (score.gradient, score.information, score.pull),
     )  # fmt: skip
     return score
 
