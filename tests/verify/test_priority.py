@@ -1,45 +1,54 @@
+"""Who has the processor first: what the system says of a thread afterwards."""
+
 import os
-import subprocess
+import re
 import sys
 import threading
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from verify.priority import NICENESS, keep_apart, stand_back
+from verify.priority import NICENESS, SHORT, come_soon, stand_back
 
-linux = pytest.mark.skipif(sys.platform != "linux", reason="a matter of Linux")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="threads have priorities on Linux")
 
 
-@linux
-def test_one_thread_stands_back_and_the_others_do_not() -> None:
-    before, seen = os.getpriority(os.PRIO_PROCESS, 0), []
+def seen_in_a_thread(*acts: Callable[[], None]) -> list[tuple[float, int, int]]:
+    """Length of a turn (ns), policy and niceness after each act; the turn nan if not told."""
+    seen = []
 
     def work() -> None:
-        stand_back()
-        seen.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id()))
+        for act in acts:
+            act()
+            told = Path(f"/proc/self/task/{threading.get_native_id()}/sched")
+            turn = re.search(r"se\.slice\s*:\s*(\d+)", told.read_text() if told.exists() else "")
+            length = float(turn[1]) if turn else float("nan")
+            seen.append((length, os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)))
 
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert seen == [min(before + NICENESS, 19)]
-    assert os.getpriority(os.PRIO_PROCESS, 0) == before
+    return seen
 
 
-@linux
-def test_two_that_work_at_once_share_no_processor() -> None:
-    usable = os.sched_getaffinity(0)
-    if len(usable) < 2:
-        pytest.skip("there is one processor")
-    with subprocess.Popen(["sleep", "60"]) as other:
-        try:
-            keep_apart(other.pid)
-            mine, theirs = os.sched_getaffinity(0), os.sched_getaffinity(other.pid)
-            assert mine
-            assert theirs
-            assert mine | theirs == usable
-            assert not mine & theirs
-        finally:
-            os.sched_setaffinity(0, usable)
-            other.kill()
-    keep_apart(other.pid)  # who is gone needs none
-    assert os.sched_getaffinity(0) == usable
+def nothing() -> None:
+    """Leave the thread as it is."""
+
+
+def test_a_thread_that_stands_back_does_so_alone() -> None:
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    (_, policy, niceness), (_, other, unchanged) = (
+        seen_in_a_thread(stand_back)[0],
+        seen_in_a_thread(nothing)[0],
+    )
+    assert (policy, niceness) == (os.SCHED_BATCH, before + NICENESS)
+    assert (other, unchanged) == (os.SCHED_OTHER, before)
+
+
+def test_a_thread_that_comes_soon_has_short_turns_until_it_wants_them_no_more() -> None:
+    usual, short, again = seen_in_a_thread(nothing, come_soon, lambda: come_soon(wanted=False))
+    if usual[0] != usual[0] or usual[0] == short[0]:
+        pytest.skip("this system tells no turns, or grants none")
+    assert short[0] == SHORT < usual[0] == again[0]
+    assert usual[1:] == short[1:] == again[1:]  # share and policy are as they were

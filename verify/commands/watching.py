@@ -240,7 +240,8 @@ def stopped_politely() -> Iterator[threading.Event]:
 
 def _say_how_it_was(state: LiveState) -> None:
     now = state.snapshot()
-    p50, p99 = now.latency.p50, now.latency.p99
+    whole = state.latency.of_all()
+    p50, p99 = whole.p50, whole.p99
     terminal.record(
         {
             "type": "watched",
