@@ -53,11 +53,12 @@ def compare(
     track: Track,
     arm: robots.Arm,
     readings: Readings,
-    offset: float,
+    offset: float | Array,
     *,
     resolution: float | None = None,
     time_uncertainty: float | None = None,
     known: NDArray[np.bool_] | None = None,
+    missed: Array | None = None,
 ) -> Comparison:
     """Set the readings at each pair's instant against its measured pose.
 
@@ -65,10 +66,11 @@ def compare(
         track: measured poses.
         arm: the robot.
         readings: its joint readings, on the controller's clock.
-        offset: s, added to the readings' time to get the cameras' clock.
+        offset: s, added to the readings' time to get the cameras' clock; or one a pair (n,).
         resolution: rad, the readings' last digit.
         time_uncertainty: s, of each reading's time stamp.
         known: which pairs to take; those with a reading where not given.
+        missed: (pairs, j), rad, standard uncertainty of what the curve between readings misses.
 
     Returns:
         One row a pair that has a reading.
@@ -85,6 +87,8 @@ def compare(
         track.base_T_flange[index], encoder, tuple(track.determined[i] for i in index)
     )
     variance = np.repeat(readings.noise[None] ** 2, len(index), axis=0)
+    if missed is not None:
+        variance = variance + missed[index] ** 2
     if resolution is not None:
         variance = variance + resolution**2 / 12
     spread = np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian)

@@ -14,6 +14,24 @@ SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # numbers of the system call
 ATTRIBUTES = struct.Struct("=IIQiIQQQ")
 
 
+_shared = [False]  # whether others like this process have the other processors
+
+
+def leave_the_others() -> None:
+    """Note that this process is one of as many as there are processors: one is its share."""
+    _shared[0] = True
+
+
+def processors() -> int:
+    """Count the processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def has_one_processor() -> bool:
+    """Whether threads of this process would take turns on one processor."""
+    return _shared[0] or processors() == 1
+
+
 def stand_back() -> None:
     """Let others have the processor first, from now on, in this thread and those it starts.
 

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.readings_kernel import follow, interpolate, typical_difference
+from verify.readings_kernel import follow, interpolate, missed, typical_difference
 from verify.records import Array
 
 # Between readings further apart than this the motion is not known: single visits, logged in bursts.
@@ -99,6 +99,16 @@ class Readings:
             if count > FEWEST_DIFFERENCES:
                 estimates.append(MAD_TO_SIGMA * size / math.sqrt(variance))
         return min(estimates, default=0.0)
+
+    def missed(self, t: Array) -> Array:
+        """What the curve between readings may miss at the instants t (n,), rad, (n, joints).
+
+        A standard uncertainty: how much two ways to tell the speeds at its ends differ there.
+        """
+        value: Array = np.zeros((len(t), self.q.shape[1]))
+        if len(self.t) > 1:
+            missed(*self._plain, LONGEST_GAP, np.ascontiguousarray(t, dtype=np.float64), value)
+        return value
 
     def direction(self, t: Array) -> Array:
         """Last direction of travel at the instants t (n,): +1, -1, or 0 before any; (n, joints).

@@ -6,6 +6,8 @@ from numpy.typing import NDArray
 from verify.compiled import compiled
 from verify.records import Array
 
+END_READINGS = 4  # through which a cubic tells the speed at an end
+
 
 @compiled
 def slope_at(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
@@ -18,12 +20,46 @@ def slope_at(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
     if before > longest or after > longest:
         return 0.0  # a slope across a gap says nothing
     if before == 0.0:
-        return float((q[i + 1, joint] - q[i, joint]) / after)
+        return one_sided(t, q, i, 1, joint, longest, END_READINGS)
     if after == 0.0:
-        return float((q[i, joint] - q[i - 1, joint]) / before)
+        return one_sided(t, q, i, -1, joint, longest, END_READINGS)
     late, early = before * before * q[i + 1, joint], after * after * q[i - 1, joint]
     middle = (after * after - before * before) * q[i, joint]
     return float((late + middle - early) / (before * after * (before + after)))
+
+
+@compiled
+def one_sided(t: Array, q: Array, i: int, way: int, joint: int, longest: float, most: int) -> float:
+    """Give a joint's speed at a reading from those on one side of it, by a polynomial.
+
+    The newest interval is all that a live pair has: a straight line there errs by 7 % of
+    acceleration times interval squared, 0.3° for a brisk joint read at 9 Hz.
+
+    Args:
+        t: (m,), s, increasing; two at least.
+        q: (m, j), rad.
+        i: which reading.
+        way: to its neighbours, 1 or -1.
+        joint: which.
+        longest: s; readings beyond a longer gap are left alone.
+        most: readings that the polynomial goes through, where there are as many.
+
+    Source: Newton's divided differences.
+    """
+    slope, lever = 0.0, 1.0
+    columns = np.empty(most)
+    for k in range(most):
+        at = i + way * k
+        if at < 0 or at >= len(t) or (k > 0 and abs(t[at] - t[at - way]) > longest):
+            break
+        columns[k] = q[at, joint]
+        for order in range(1, k + 1):  # the next divided difference, in place
+            first = k - order
+            columns[first] = (columns[first + 1] - columns[first]) / (t[at] - t[at - way * order])
+        if k > 0:
+            slope += lever * columns[0]
+            lever *= t[i] - t[at]
+    return slope
 
 
 @compiled
@@ -52,6 +88,40 @@ def interpolate(t: Array, q: Array, longest: float, there: Array, values: Array)
             twist = (begin + end - 2.0 * straight) / width
             bend = (straight - begin) / width - twist
             values[n, j] = early + passed * (begin + passed * (bend + passed * (twist / width)))
+
+
+@compiled
+def slope_doubt(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
+    """Say how much a joint's speed at reading i differs from what another polynomial makes it."""
+    other = END_READINGS - 1 if i == 0 or i == len(t) - 1 else END_READINGS
+    way = -1 if i > 1 else 1
+    if i == len(t) - 1:
+        way = -1
+    beside = max(t[i] - t[i - 1] if i > 0 else 0.0, t[i + 1] - t[i] if i < len(t) - 1 else 0.0)
+    if beside > longest:
+        return 0.0
+    return abs(slope_at(t, q, i, joint, longest) - one_sided(t, q, i, way, joint, longest, other))
+
+
+@compiled
+def missed(t: Array, q: Array, longest: float, there: Array, values: Array) -> None:
+    """Fill in what `interpolate` may miss at some instants; arguments as there.
+
+    A cubic takes an error of the speed at one of its ends to h s (1 - s)², s the share of the
+    interval h from that end.
+    """
+    for n in range(len(there)):
+        instant = min(max(there[n], t[0]), t[-1])
+        after = min(max(np.searchsorted(t, instant), 1), len(t) - 1)
+        width = t[after] - t[after - 1]
+        late = (instant - t[after - 1]) / width
+        early = 1.0 - late
+        for j in range(q.shape[1]):
+            values[n, j] = 0.0
+            if width <= longest:
+                begin = slope_doubt(t, q, after - 1, j, longest)
+                end = slope_doubt(t, q, after, j, longest)
+                values[n, j] = width * late * early * (begin * early + end * late)
 
 
 @compiled

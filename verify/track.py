@@ -1,5 +1,6 @@
 """The measured poses of a session as arrays in the robot's base frame: the seam to the tables."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -41,6 +42,13 @@ def subset(track: Track, chosen: NDArray[np.int64]) -> Track:
     parts = {f.name: getattr(track, f.name) for f in fields(Track)}
     parts = {name: part[chosen] for name, part in parts.items() if name != "determined"}
     return Track(**parts, determined=tuple(track.determined[i] for i in chosen))
+
+
+def together(tracks: Sequence[Track]) -> Track:
+    """Several tracks as one, in their order."""
+    names = [f.name for f in fields(Track) if f.name != "determined"]
+    parts = {name: np.concatenate([getattr(t, name) for t in tracks]) for name in names}
+    return Track(**parts, determined=tuple(d for t in tracks for d in t.determined))
 
 
 def collect(measurements: list[Measurement], rig: Rig, systematic: list[Array]) -> Track:

@@ -15,6 +15,7 @@ import numpy as np
 from verify.checksums import ffv1_intact, png_intact
 from verify.errors import InputError
 from verify.files import read_bytes, require_file, system_refusal
+from verify.priority import has_one_processor
 from verify.records import Image
 
 # a bad file gets our one line, not a dozen of ffmpeg's; read when OpenCV opens its first video
@@ -91,6 +92,8 @@ class Video(Images):
     @contextmanager
     def _opened(self, *options: int) -> Iterator[cv2.VideoCapture]:
         require_file(self.path)
+        if has_one_processor():
+            options = (*options, cv2.CAP_PROP_N_THREADS, 1)
         # the full path, which no protocol of ffmpeg's (http:, concat:) can be mistaken for
         capture = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG, options)
         try:
@@ -142,6 +145,8 @@ def open_images(path: Path) -> Images:
 def in_step(left: Images, right: Images, count: int) -> Generator[tuple[Image, Image]]:
     """Decode both sides in step, either in a thread of its own and a few images ahead.
 
+    Where this process has but one processor's time, threads would only take it from each other.
+
     Args:
         left: one side.
         right: the other.
@@ -150,8 +155,23 @@ def in_step(left: Images, right: Images, count: int) -> Generator[tuple[Image, I
     Raises:
         InputError: a side ends early or an image of it cannot be decoded.
     """
-    with closing(_ahead(left, count)) as lefts, closing(_ahead(right, count)) as rights:
+    draw = _one_by_one if has_one_processor() else _ahead
+    with closing(draw(left, count)) as lefts, closing(draw(right, count)) as rights:
         yield from zip(lefts, rights, strict=True)
+
+
+def _one_by_one(side: Images, count: int) -> Generator[Image]:
+    """Draw images when they are asked for."""
+    with closing(side.images()) as images:
+        for number in range(count):
+            image = next(images, None)
+            if image is None:
+                raise _ended_early(side, number, count)
+            yield image
+
+
+def _ended_early(side: Images, number: int, count: int) -> InputError:
+    return InputError(side.path, f"only {number} of {count} images can be decoded", "", _AGAIN)
 
 
 def _ahead(side: Images, count: int) -> Generator[Image]:
@@ -163,8 +183,7 @@ def _ahead(side: Images, count: int) -> Generator[Image]:
         for number in range(count):
             image = drawn.popleft().result()
             if image is None:
-                found = f"only {number} of {count} images can be decoded"
-                raise InputError(side.path, found, "", _AGAIN)
+                raise _ended_early(side, number, count)
             if number + AHEAD < count:
                 drawn.append(pool.submit(next, images, None))
             yield image

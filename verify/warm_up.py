@@ -44,6 +44,7 @@ def warm_up_comparison() -> None:
     readings = Readings(t, np.sin(t)[:, None])
     readings.rate(t)
     readings.direction(t)  # by the readings' noise
+    readings.missed(t)
     rotation_vectors(np.eye(3)[None], np.empty((1, 3)))
 
 

@@ -18,17 +18,22 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from tests.beside import SHARED
 from tests.verify.batch.fleets import BEGIN, NO_FAILURES, rows
 from verify.fleet.assess import Questions, assess
 from verify.session import open_session
+from verify.sim import library
+from verify.sim.folder import write
+from verify.sim.sessions import simulate
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "sample_sessions" / "multi_joint_fault_6r"  # dark, without noise: decoded at once
 RECORDED = SHARED / "sessions" / "multi_joint_fault_6r"  # noise as a camera has it
-SESSIONS = 40  # enough that the start of the processes is no great part
+LONG = 450  # pairs: half a minute at 15 a second
+SIZES = {"short": 40, "recorded": 16, "long": 4}  # sessions: the processes' start is no great part
 ROUNDS = 3
 FLEETS = 200
 RUN = "import os, sys; os.sched_setaffinity(0, {cores}); from verify.cli import main; main()"
@@ -42,15 +47,28 @@ def lines() -> Iterator[str]:
 
 def throughput() -> Iterator[str]:
     """Measure the same sessions on one core and on two, and decode them."""
-    for session in (SAMPLE, RECORDED):
-        if session.exists():
-            yield from _of(session)
+    yield from _of(SAMPLE, SIZES["short"])
+    if RECORDED.exists():
+        yield from _of(RECORDED, SIZES["recorded"])
+    with tempfile.TemporaryDirectory() as place:
+        yield from _of(_long(Path(place) / "simulated" / f"{LONG}_pairs"), SIZES["long"])
 
 
-def _of(session: Path) -> Iterator[str]:
+def _long(folder: Path) -> Path:
+    """Simulate half a minute with noise all over the picture, as a camera in a room has it."""
+    scenario = library.load("multi_joint_fault_6r")
+    recording = msgspec.structs.replace(scenario.recording, pairs=LONG)
+    image = msgspec.structs.replace(scenario.image, black_level_dn=8.0)
+    scenario = msgspec.structs.replace(scenario, recording=recording, image=image)
+    folder.mkdir(parents=True)
+    write(simulate(scenario), folder)
+    return folder
+
+
+def _of(session: Path, sessions: int) -> Iterator[str]:
     with tempfile.TemporaryDirectory() as place:
         lab = Path(place) / "lab"
-        for number in range(SESSIONS):
+        for number in range(sessions):
             shutil.copytree(session, lab / f"{number:02d}")
         cores = sorted(os.sched_getaffinity(0))
         one, two, decode = [], [], []
@@ -59,7 +77,7 @@ def _of(session: Path) -> Iterator[str]:
             two.append(_pairs_a_second(lab, Path(place) / f"two{number}", cores[:2]))
             decode.append(_decoded_a_second(lab))
     first, second, pure = (float(np.median(values)) for values in (one, two, decode))
-    yield f"{SESSIONS} times {session.relative_to(session.parents[2])}:"
+    yield f"{sessions} times {session.parent.name}/{session.name}:"
     yield f"  {first:.1f} pairs/s on one core, {second:.1f} on {cores[:2]}, {pure:.1f} decoded"
     yield f"  two cores do {second / first:.2f} times as much as one (wanted: 1.8)"
     yield f"  one core takes {pure / first:.2f} times as long as pure decoding (wanted: 1.3)"

@@ -12,6 +12,7 @@ from multiprocessing import get_context, parent_process
 from typing import Any, Protocol
 
 from verify.batch.records import Lost, Task
+from verify.priority import leave_the_others, processors
 
 TRIES = 3  # of a task whose worker dies: the first, and twice again
 
@@ -46,7 +47,8 @@ class Processes:
 
     def __init__(self, workers: int) -> None:
         self.workers = workers
-        self._idle: list[_Worker] = [_Worker() for _ in range(workers)]
+        self._crowded = workers >= processors()
+        self._idle: list[_Worker] = [_Worker(self._crowded) for _ in range(workers)]
         self._busy: dict[Future[Any], tuple[_Worker, Task]] = {}
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
@@ -62,7 +64,7 @@ class Processes:
                     outcome = future.result()
                 except BrokenProcessPool:
                     worker.close()
-                    worker = _Worker()
+                    worker = _Worker(self._crowded)
                     died[id(task)] += 1
                     if died[id(task)] < TRIES:
                         tasks.appendleft(task)
@@ -81,16 +83,17 @@ class Processes:
 
 
 class _Worker:
-    """One process, started with its first task."""
+    """One process, started with its first task; crowded: there are as many as processors."""
 
-    def __init__(self) -> None:
+    def __init__(self, crowded: bool) -> None:
+        self._crowded = crowded
         self._pool: ProcessPoolExecutor | None = None
         self._process: Future[int] | None = None
 
     def start(self, task: Task) -> Future[Any]:
         if self._pool is None:
             # a fresh interpreter: threads and open videos of this one stay out of it
-            self._pool = ProcessPoolExecutor(1, get_context("spawn"), _settle)
+            self._pool = ProcessPoolExecutor(1, get_context("spawn"), _settle, (self._crowded,))
             self._process = self._pool.submit(os.getpid)
         return self._pool.submit(task.perform)
 
@@ -104,8 +107,10 @@ class _Worker:
         self._pool = None
 
 
-def _settle() -> None:
+def _settle(crowded: bool) -> None:
     """Leave Ctrl-C to the one who started us, and go when that one is gone."""
+    if crowded:
+        leave_the_others()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_leave_with_parent, daemon=True).start()
@@ -120,8 +125,3 @@ def _leave_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def processors() -> int:
-    """Count the processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,9 +1,11 @@
 """From measured pair to joint error: wait for the reading that brackets it, and compare."""
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from verify.live.clock_keeper import ClockKeeper
+from verify.live.clock_live import Clock
 from verify.live.joint_row import Comparer, JointRow, Scales
 from verify.live.ports import Subject
 from verify.live.readings_book import ReadingsBook
@@ -11,6 +13,7 @@ from verify.records import Measurement
 
 LEAST_PATIENCE = 0.1  # s for the bracketing reading; and of slow encoders
 PERIODS = 3.0  # of their periods
+TOGETHER = 4  # pairs that are compared at once, where one reading brackets several
 ENOUGH_QUEUED = 4  # pairs that wait already: then no one waits for readings any more
 
 
@@ -33,6 +36,19 @@ class Outcome:
     taken: Taken
 
 
+@dataclass(frozen=True, slots=True)
+class Bracketed:
+    """A measured pair whose reading is there, or has not come in time."""
+
+    taken: Taken
+    clock: Clock | None  # None: no reading has ever come
+    since: float  # s, host's monotonic clock: the later of picture and bracketing reading
+
+
+def _nothing(_frame: int) -> None:
+    """Do nothing meanwhile."""
+
+
 class Bracketing:
     """Compares measured pairs in order.
 
@@ -50,29 +66,62 @@ class Bracketing:
         self._turning = turning
         self._comparers: dict[float | None, Comparer] = {}
 
-    def compare(self, taken: Taken, queued: int) -> Outcome:
-        """Compare one pair.
+    def wait(
+        self, taken: Taken, queued: int, meanwhile: Callable[[int], None] = _nothing
+    ) -> Bracketed:
+        """Wait for the reading that brackets a pair.
 
         Args:
             taken: the pair.
             queued: how many wait behind it.
-
-        Returns:
-            Its row, and since when it could have been there.
+            meanwhile: called before a wait, with the pair's number: nothing is urgent.
         """
+        now = self.at_once(taken)
+        if now is not None:
+            return now
+        meanwhile(taken.measurement.frame)
+        there, clock = self._placed(taken)
+        if clock is None:
+            return Bracketed(taken, None, taken.arrived)
+        patience = 0.0 if queued >= ENOUGH_QUEUED else self._patience()
+        reading = self._book.wait_past(there, time.monotonic() + patience)
+        since = taken.arrived if reading is None else max(taken.arrived, reading.t_host)
+        return Bracketed(taken, clock, since)
+
+    def at_once(self, taken: Taken) -> Bracketed | None:
+        """Give a pair that needs no wait; None for another."""
+        there, clock = self._placed(taken)
+        if clock is None or taken.measurement.status != "measured":
+            return Bracketed(taken, clock, taken.arrived)
+        reading = self._book.wait_past(there, 0.0)
+        if reading is None:
+            return None
+        return Bracketed(taken, clock, max(taken.arrived, reading.t_host))
+
+    def compare(self, pairs: Sequence[Bracketed]) -> list[Outcome]:
+        """Compare pairs, each by itself, in their order."""
+        comparer = self._comparer()
+        timed = [(p.taken.measurement, p.clock) for p in pairs if p.clock is not None]
+        rows = iter(self._rows(comparer, timed))
+        return [
+            Outcome(
+                comparer.without(p.taken.measurement) if p.clock is None else next(rows),
+                p.since,
+                p.taken,
+            )
+            for p in pairs
+        ]
+
+    def _rows(self, comparer: Comparer, timed: list[tuple[Measurement, Clock]]) -> list[JointRow]:
+        if not timed:
+            return []
+        return comparer.rows(timed, self._book.about(min(m.t - c.offset for m, c in timed)))
+
+    def _placed(self, taken: Taken) -> tuple[float, Clock | None]:
+        """Where a pair stands on the readings' clock, s, and that clock; None before a reading."""
         measurement = taken.measurement
         clock = self._keeper.at(measurement.t, taken.doubt)
-        comparer = self._comparer()
-        if clock is None:
-            return Outcome(comparer.without(measurement), taken.arrived, taken)
-        there = measurement.t - clock.offset
-        since = taken.arrived
-        if measurement.status == "measured":
-            patience = 0.0 if queued >= ENOUGH_QUEUED else self._patience()
-            reading = self._book.wait_past(there, time.monotonic() + patience)
-            since = max(since, reading.t_host) if reading is not None else since
-        row = comparer.row(measurement, self._book.about(there), clock)
-        return Outcome(row, since, taken)
+        return (0.0, None) if clock is None else (measurement.t - clock.offset, clock)
 
     def _patience(self) -> float:
         period = self._book.period()

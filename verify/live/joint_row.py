@@ -1,5 +1,6 @@
-"""One measured pair set against the encoders: the recorded session's own steps on a single row."""
+"""Measured pairs set against the encoders: the recorded session's own steps, each row by itself."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +9,7 @@ from scipy.linalg import block_diag
 
 import robots
 from verify.comparison import Comparison, compare
-from verify.joints import solve_joints
+from verify.joints import Joints, solve_joints
 from verify.judgement.model import clock_effect
 from verify.live.clock_live import Clock
 from verify.marker import Marker
@@ -16,7 +17,7 @@ from verify.readings import Readings
 from verify.records import Array, Measurement
 from verify.rig import Rig
 from verify.systematics import Systematics, root, sensitivities, stated
-from verify.track import collect
+from verify.track import collect, together
 
 NO_ENCODER, UNREACHABLE = "no_encoder", "unreachable"
 
@@ -81,33 +82,62 @@ class Comparer:
         self._root = _columns(self.systematics)
 
     def row(self, measurement: Measurement, readings: Readings | None, clock: Clock) -> JointRow:
-        """Compare one pair.
+        """Compare one pair; see `rows`."""
+        return self.rows([(measurement, clock)], readings)[0]
+
+    def rows(
+        self, pairs: Sequence[tuple[Measurement, Clock]], readings: Readings | None
+    ) -> list[JointRow]:
+        """Compare pairs, each by itself; several take hardly longer than one.
 
         Args:
-            measurement: what the pictures gave.
-            readings: about its instant; None where there are none.
-            clock: to place them on the cameras' clock.
+            pairs: what the pictures gave, each with the clock at its instant.
+            readings: about their instants; None where there are none.
 
         Returns:
-            The row; its status says why there is no error where there is none.
+            A row a pair; its status says why there is no error where there is none.
         """
-        if measurement.status != "measured":
-            return self._empty(measurement, measurement.status, clock)
-        effect = sensitivities(self.systematics, measurement, self._rig, self._marker)
-        track = collect([measurement], self._rig, [effect])
-        known = None if readings is None else readings.known(track.t - clock.offset)
-        if readings is None or known is None or not known[0]:
-            return self._measured_alone(measurement, track.base_T_flange[0], clock)
-        comparison = compare(
-            track,
-            self.arm,
-            readings,
-            clock.offset,
-            resolution=self._scales.resolution,
-            time_uncertainty=self._scales.time_uncertainty,
-            known=known,
-        )
-        return self._compared(measurement, comparison, clock, track.covariance_alignment[0])
+        measured = [i for i, (m, _) in enumerate(pairs) if m.status == "measured"]
+        rows = {
+            i: self._empty(m, m.status, clock)
+            for i, (m, clock) in enumerate(pairs)
+            if m.status != "measured"
+        }
+        if measured:
+            told = self._rows_of_measured([pairs[i] for i in measured], readings)
+            rows |= dict(zip(measured, told, strict=True))
+        return [rows[i] for i in range(len(pairs))]
+
+    def _rows_of_measured(
+        self, pairs: list[tuple[Measurement, Clock]], readings: Readings | None
+    ) -> list[JointRow]:
+        tracks = []
+        for measurement, _ in pairs:
+            effect = sensitivities(self.systematics, measurement, self._rig, self._marker)
+            tracks.append(collect([measurement], self._rig, [effect]))
+        track = together(tracks)
+        offset = np.array([clock.offset for _, clock in pairs])
+        known = np.zeros(len(pairs), dtype=bool)
+        rows = {}
+        if readings is not None and (known := readings.known(track.t - offset)).any():
+            comparison = compare(
+                track,
+                self.arm,
+                readings,
+                offset,
+                resolution=self._scales.resolution,
+                time_uncertainty=self._scales.time_uncertainty,
+                known=known,
+                missed=readings.missed(track.t - offset),
+            )
+            joints = solve_joints(comparison, self.arm)
+            effects = clock_effect(comparison)[:, :, 0]
+            for n, i in enumerate(comparison.index.tolist()):
+                alignment = track.covariance_alignment[i]
+                rows[i] = self._compared(pairs[i], comparison, joints, n, effects[n], alignment)
+        for i in np.flatnonzero(~known).tolist():
+            rows[i] = self._measured_alone(*pairs[i], track.base_T_flange[i])
+        return [rows[i] for i in range(len(pairs))]
 
     def without(self, measurement: Measurement) -> JointRow:
         """Word a pair for which there is no clock yet, as no reading has ever come."""
@@ -115,46 +145,52 @@ class Comparer:
         return self._empty(measurement, status, None)
 
     def _compared(
-        self, measurement: Measurement, comparison: Comparison, clock: Clock, alignment: Array
+        self,
+        pair: tuple[Measurement, Clock],
+        comparison: Comparison,
+        joints: Joints,
+        n: int,
+        effect: Array,
+        alignment: Array,
     ) -> JointRow:
-        joints = solve_joints(comparison, self.arm)
-        if not joints.reached[0]:
-            return self._empty(measurement, UNREACHABLE, clock, comparison)
-        prior = comparison.systematic[0] @ self._root
-        effect = clock_effect(comparison)[0, :, 0]
-        aligned = alignment if comparison.determined[0].shape[1] == 6 else np.zeros((6, 6))
+        """Word row n of a comparison; effect (6,): what a second of clock offset does."""
+        measurement, clock = pair
+        if not joints.reached[n]:
+            return self._empty(measurement, UNREACHABLE, clock, (comparison, n))
+        prior = comparison.systematic[n] @ self._root
+        aligned = alignment if comparison.determined[n].shape[1] == 6 else np.zeros((6, 6))
         doubt = clock.standard_uncertainty or 0.0
-        inverse = joints.inverse[0]
-        variance = np.diag(joints.covariance[0]) + np.sum((inverse @ prior) ** 2, axis=1)
+        inverse = joints.inverse[n]
+        variance = np.diag(joints.covariance[n]) + np.sum((inverse @ prior) ** 2, axis=1)
         variance = variance + (inverse @ effect * doubt) ** 2
-        uncertainty = np.where(np.isnan(joints.q[0]), np.nan, np.sqrt(variance))
+        uncertainty = np.where(np.isnan(joints.q[n]), np.nan, np.sqrt(variance))
         return JointRow(
             frame=measurement.frame,
             t=measurement.t,
             status=measurement.status,
             leds_seen=measurement.leds_seen,
-            measured=joints.q[0],
-            encoder=comparison.q[0],
-            error=joints.error[0],
+            measured=joints.q[n],
+            encoder=comparison.q[n],
+            error=joints.error[n],
             uncertainty=uncertainty,
-            single=joints.single[0],
+            single=joints.single[n],
             clock=clock,
-            base_T_measured=comparison.base_T_measured[0],
-            base_T_encoder=comparison.base_T_encoder[0],
+            base_T_measured=comparison.base_T_measured[n],
+            base_T_encoder=comparison.base_T_encoder[n],
             evidence=Evidence(
-                xi=comparison.xi[0],
-                jacobian=comparison.jacobian[0],
-                noise=comparison.covariance[0] - aligned,
+                xi=comparison.xi[n],
+                jacobian=comparison.jacobian[n],
+                noise=comparison.covariance[n] - aligned,
                 alignment=aligned,
                 prior=prior,
                 clock=effect,
                 clock_uncertainty=doubt,
-                determined=comparison.determined[0],
+                determined=comparison.determined[n],
             ),
         )
 
     def _measured_alone(
-        self, measurement: Measurement, base_T_flange: Array, clock: Clock
+        self, measurement: Measurement, clock: Clock, base_T_flange: Array
     ) -> JointRow:
         return self._empty(measurement, NO_ENCODER, clock, base_T_measured=base_T_flange)
 
@@ -163,14 +199,16 @@ class Comparer:
         measurement: Measurement,
         status: str,
         clock: Clock | None,
-        comparison: Comparison | None = None,
+        compared: tuple[Comparison, int] | None = None,
         **known: Any,
     ) -> JointRow:
         nothing = np.full(self.arm.dof, np.nan)
-        if comparison is not None:
-            known["base_T_measured"] = comparison.base_T_measured[0]
-            known["base_T_encoder"] = comparison.base_T_encoder[0]
-        encoder = nothing if comparison is None else comparison.q[0]
+        encoder = nothing
+        if compared is not None:
+            comparison, n = compared
+            known["base_T_measured"] = comparison.base_T_measured[n]
+            known["base_T_encoder"] = comparison.base_T_encoder[n]
+            encoder = comparison.q[n]
         return JointRow(
             frame=measurement.frame,
             t=measurement.t,

@@ -14,7 +14,7 @@ from verify.cameras import Camera, TakenPair
 from verify.devices import Encoders, Pan
 from verify.live.alarms import Alarm
 from verify.live.clock_keeper import ClockKeeper, Estimator
-from verify.live.compared import Bracketing, Outcome, Taken
+from verify.live.compared import TOGETHER, Bracketed, Bracketing, Outcome, Taken
 from verify.live.follow import Follower
 from verify.live.intake import PairQueue, Pump, camera_step, encoders_step, pan_step
 from verify.live.joint_alarms import AlarmLimits, JointAlarms
@@ -263,10 +263,13 @@ class Live:
         come_soon()
         while (item := self._next_measured()) is not None:
             try:
-                outcome = self._bracketing.compare(*item)
-                alarms = self._judged(outcome)
-                self.state.latency.add(time.monotonic() - outcome.since)
-                self._tell_all(outcome, alarms)
+                pairs = [self._bracketing.wait(*item, self._recorder.through)]
+                while len(pairs) < TOGETHER and (more := self._another()) is not None:
+                    pairs.append(more)
+                for outcome in self._bracketing.compare(pairs):
+                    alarms = self._judged(outcome)
+                    self.state.latency.add(time.monotonic() - outcome.since)
+                    self._tell_all(outcome, alarms)
             except Exception as error:
                 self._failed("comparison", error)
 
@@ -277,6 +280,14 @@ class Live:
             if not self._measured:
                 return None
             return self._measured.popleft(), len(self._measured)
+
+    def _another(self) -> Bracketed | None:
+        """Take the next measured pair if it needs no wait."""
+        with self._wake:
+            found = self._bracketing.at_once(self._measured[0]) if self._measured else None
+            if found is not None:
+                self._measured.popleft()
+            return found
 
     def _judged(self, outcome: Outcome) -> list[Alarm]:
         now = time.time()

@@ -61,7 +61,9 @@ def emulate(kind: str, port: str, began: float, faults: Faults, told: Connection
         engine = LabencEngine(followed, 6, BoardOptions(rate=100))
     else:
         limits = np.deg2rad(np.tile([-360.0, 360.0], (6, 1)))
-        engine = MelfaEngine(MelfaArm(followed, 6, limits), ControllerOptions(), 0)
+        # what the cameras see is the arm itself: no lag behind it
+        arm = MelfaArm(followed, 6, limits, follows="command")
+        engine = MelfaEngine(arm, ControllerOptions(), 0)
     server = Server(front(port, SerialLine()), engine, faults, None, 0)
     told.send(server.front.address)
     told.recv()

@@ -136,7 +136,8 @@ class SpotRun:
                 if measured.t > due:
                     keeper.estimate_now()
                     due = measured.t + EVERY
-                row = bracketing.compare(Taken(measured, 0.0, 0.0, 0.0), 0).row
+                waited = bracketing.wait(Taken(measured, 0.0, 0.0, 0.0), 0)
+                row = bracketing.compare([waited])[0].row
                 rows.append(row)
                 alarms += watch.take(row, measured.t)
         return rows, alarms, keeper

@@ -128,6 +128,9 @@ class Memory:
             self.pairs.append(pair)
             yield pair
 
+    def through(self, frame: int) -> None:
+        assert frame in {pair.frame for pair in self.pairs}
+
     def reading(self, reading: EncoderReading) -> EncoderReading:
         self.readings.append(reading)
         return reading
