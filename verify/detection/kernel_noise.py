@@ -8,6 +8,10 @@ from numpy.typing import NDArray
 from verify.compiled import compiled
 from verify.records import Array, Image
 
+# what `stencils` gives of whole numbers from 0 to 255 is whole again, and can be counted
+LEVEL_PARTS, LOWEST_LEVEL, LEVELS = 35, 6 * 255, 50 * 255 + 1  # a level in parts of one DN
+DIFFERENCES = 8 * 255 + 1
+
 
 @compiled
 def stencils(rows: Image, level: Array, difference: Array) -> int:
@@ -39,16 +43,38 @@ def stencils(rows: Image, level: Array, difference: Array) -> int:
 
 
 @compiled
-def share_of(values: Array, share: float) -> float:
-    """A quantile of values (k,), k > 0, interpolated as numpy does; 0.5 is the median."""
-    place = share * (len(values) - 1)
+def counted_share(counts: NDArray[np.int64], number: int, share: float) -> tuple[int, int, float]:
+    """Where a quantile of counted whole numbers lies: two of them, and how far in between.
+
+    Args:
+        counts: how often each number occurs, from 0 on.
+        number: how many were counted, one at least.
+        share: 0.5 is the median; interpolated as numpy does.
+    """
+    place = share * (number - 1)
     low = int(place)
-    high = min(low + 1, len(values) - 1)
-    ordered = np.partition(values, low)
-    above = ordered[low]
-    if high > low:
-        above = np.min(ordered[high:])
-    return float(ordered[low] + (above - ordered[low]) * (place - low))
+    high = min(low + 1, number - 1)
+    until, first, second = 0, -1, -1
+    for value in range(len(counts)):
+        until += counts[value]
+        if first < 0 and until > low:
+            first = value
+        if until > high:
+            second = value
+            break
+    return first, second, place - low
+
+
+@compiled
+def level_of(level: Array, share: float) -> float:
+    """A quantile of levels (k,), k > 0, as `stencils` gives them: whole thirty-fifths."""
+    counts = np.zeros(LEVELS, np.int64)
+    for value in level:
+        counts[int(value * LEVEL_PARTS + LOWEST_LEVEL + 0.5)] += 1
+    first, second, between = counted_share(counts, len(level), share)
+    low = (first - LOWEST_LEVEL) / LEVEL_PARTS
+    above = (second - LOWEST_LEVEL) / LEVEL_PARTS
+    return float(low + (above - low) * between)
 
 
 @compiled
@@ -63,8 +89,8 @@ def quietest(
     """Find the class of brightness whose dark variance is least, its doubt included.
 
     Args:
-        level: (k,), DN.
-        difference: (k,), DN.
+        level: (k,), DN, as `stencils` gives them.
+        difference: (k,), DN, likewise: whole numbers.
         black: DN.
         classes: where the first begins (DN), how wide each is (DN), fewest members.
         trim: MAD over sigma, sigma beyond which none counts, the share of variance within.
@@ -78,27 +104,25 @@ def quietest(
     stencil_gain, shot, effective = gain
     number = math.ceil((256.0 + width - begin) / width)
     best, spread, at = np.inf, 0.0, 0.0
-    member = np.floor((level - begin) / width)
-    members = np.zeros(number)
-    for part in member:
+    counts = np.zeros((number, DIFFERENCES), np.int64)
+    levels, members = np.zeros(number), np.zeros(number, np.int64)
+    for k in range(len(level)):
+        part = math.floor((level[k] - begin) / width)
         if 0 <= part < number:
-            members[int(part)] += 1.0
+            counts[part, int(difference[k])] += 1
+            levels[part] += level[k]
+            members[part] += 1
     for part in range(number - 1):
         if members[part] < fewest:
             continue
-        size = difference[member == part]
-        most = reach * max(share_of(size, 0.5) / mad, 1.0)
+        first, second, between = counted_share(counts[part], members[part], 0.5)
+        most = reach * max((first + (second - first) * between) / mad, 1.0)
         total, count = 0.0, 0
-        for value in size:
-            if value <= most:
-                total += value * value
-                count += 1
+        for value in range(min(int(most) + 1, DIFFERENCES)):
+            total += float(counts[part, value]) * value * value
+            count += counts[part, value]
         variance = total / count / within / stencil_gain
-        mean = 0.0
-        for k in range(len(level)):
-            if member[k] == part:
-                mean += level[k]
-        dark = variance - shot * (mean / len(size) - black)
+        dark = variance - shot * (levels[part] / members[part] - black)
         relative = math.sqrt(2.0 / (effective * count))
         if dark + 2.0 * relative * variance < best:
             best, spread, at = dark + 2.0 * relative * variance, relative, dark

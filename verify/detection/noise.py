@@ -47,7 +47,7 @@ def background_noise(image: Image) -> tuple[Noise, float]:
     level, difference = np.empty(rows.size), np.empty(rows.size)
     count = kernel_noise.stencils(rows, level, difference)
     level, difference = level[:count], difference[:count]
-    black = kernel_noise.share_of(level, 0.01) if count > rows.size // 2 else 0.0
+    black = kernel_noise.level_of(level, 0.01) if count > rows.size // 2 else 0.0
     best, spread, at = kernel_noise.quietest(
         level, difference, black, (CLEAR, CLASS, FEWEST), (MAD, TRIM, TRIMMED),
         (STENCIL_GAIN, TYPICAL_GAIN, EFFECTIVE),
