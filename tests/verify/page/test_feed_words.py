@@ -10,6 +10,7 @@ from websockets.sync.client import connect
 
 from verify.commands import watching
 from verify.commands.watching import PageWish
+from verify.live.state import LiveState
 from verify.page.feed import Page
 from verify.session import Tolerance
 
@@ -106,7 +107,7 @@ def test_the_page_of_a_run_is_given_nothing_to_ask_for(monkeypatch: pytest.Monke
     page = PageWish(0, "127.0.0.1", None)
     wish = watching.Wish(None, Tolerance(None, None, None), None, page)
     with ExitStack() as stack:
-        watching._serve(Station(), wish, Nothing(), stack)  # type: ignore[arg-type]
+        watching._serve(Station(), wish, Nothing(), LiveState(), stack)  # type: ignore[arg-type]
     ((given, named),) = made
     assert given[1:] == (0, "127.0.0.1", None)
-    assert named == {}
+    assert set(named) == {"moment"}  # no `asked`, no `given`
