@@ -46,6 +46,7 @@ accept: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench
+	$(BIN)/python -m tests.bench.fleet_pixels
 
 soak: $(STAMP)
 	$(BIN)/python -m tests.bench.soak

@@ -75,7 +75,7 @@ def _told(changes: pd.DataFrame, when: dict[str, np.ndarray]) -> int:
     named = {(str(r.arm).rsplit("/", 1)[-1].split()[-1], int(r.joint)): r
              for r in changes.itertuples()}  # fmt: skip
     for (arm, joint), row in named.items():
-        print(f"  {arm}, joint {joint}: {row.kind} from {row.session}")
+        print(f"  {arm}, joint {joint}: {row.kind} from session {row.session[-3:]}")
     drift, step = named.get(DRIFTS), named.get(STEPPED)
     true = int((when[STEPPED[0]] < STEPS_ON).sum())
     goals = {
