@@ -14,24 +14,6 @@ SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # numbers of the system call
 ATTRIBUTES = struct.Struct("=IIQiIQQQ")
 
 
-_shared = [False]  # whether others like this process have the other processors
-
-
-def leave_the_others() -> None:
-    """Note that this process is one of as many as there are processors: one is its share."""
-    _shared[0] = True
-
-
-def processors() -> int:
-    """Count the processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def has_one_processor() -> bool:
-    """Whether threads of this process would take turns on one processor."""
-    return _shared[0] or processors() == 1
-
-
 def stand_back() -> None:
     """Let others have the processor first, from now on, in this thread and those it starts.
 
@@ -39,11 +21,11 @@ def stand_back() -> None:
     """
     if sys.platform == "linux":
         os.nice(NICENESS)
-        with suppress(OSError):
+        with suppress(PermissionError):  # some sandboxes; niceness remains
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
-def come_soon(*, wanted: bool = True) -> None:
+def come_soon(*, wanted: bool = True) -> bool:
     """Let this thread have the processor as soon as it is woken, for short turns at a time.
 
     Linux, from 6.12 on, lets whoever asks for shorter turns interrupt those with longer ones; that
@@ -51,14 +33,17 @@ def come_soon(*, wanted: bool = True) -> None:
 
     Args:
         wanted: False takes it back.
+
+    Returns:
+        Whether the system took the call; one before 6.12 takes it, and does nothing.
     """
     number = SCHED_SETATTR.get(os.uname().machine) if sys.platform == "linux" else None
     if number is None:
-        return
+        return False
     niceness = os.getpriority(os.PRIO_PROCESS, 0)
     turn = SHORT if wanted else USUAL
     told = ATTRIBUTES.pack(ATTRIBUTES.size, os.SCHED_OTHER, 0, niceness, 0, turn, 0, 0)
-    _c_library().syscall(number, 0, told, 0)  # refused by an older one: as it was
+    return bool(_c_library().syscall(number, 0, told, 0) == 0)
 
 
 @lru_cache(maxsize=1)

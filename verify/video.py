@@ -15,7 +15,6 @@ import numpy as np
 from verify.checksums import ffv1_intact, png_intact
 from verify.errors import InputError
 from verify.files import read_bytes, require_file, system_refusal
-from verify.priority import has_one_processor
 from verify.records import Image
 
 # a bad file gets our one line, not a dozen of ffmpeg's; read when OpenCV opens its first video
@@ -92,7 +91,7 @@ class Video(Images):
     @contextmanager
     def _opened(self, *options: int) -> Iterator[cv2.VideoCapture]:
         require_file(self.path)
-        if has_one_processor():
+        if cv2.getNumThreads() == 1:
             options = (*options, cv2.CAP_PROP_N_THREADS, 1)
         # the full path, which no protocol of ffmpeg's (http:, concat:) can be mistaken for
         capture = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG, options)
@@ -155,7 +154,7 @@ def in_step(left: Images, right: Images, count: int) -> Generator[tuple[Image, I
     Raises:
         InputError: a side ends early or an image of it cannot be decoded.
     """
-    draw = _one_by_one if has_one_processor() else _ahead
+    draw = _one_by_one if cv2.getNumThreads() == 1 else _ahead
     with closing(draw(left, count)) as lefts, closing(draw(right, count)) as rights:
         yield from zip(lefts, rights, strict=True)
 

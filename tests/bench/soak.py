@@ -100,7 +100,7 @@ def _followed(kind: str, process: "subprocess.Popen[str]", began: float, seconds
     memory: list[tuple[float, float]] = []
 
     def sample() -> None:
-        while not stop.wait(SAMPLED):
+        while not stop.wait(min(SAMPLED, seconds / 12)):
             memory.append((time.monotonic() - began, _resident(process.pid)))
 
     threading.Thread(target=sample, daemon=True).start()

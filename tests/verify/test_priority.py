@@ -1,54 +1,102 @@
-"""Who has the processor first: what the system says of a thread afterwards."""
-
+import ctypes
 import os
+import platform
 import re
+import subprocess
 import sys
 import threading
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
-from verify.priority import NICENESS, SHORT, come_soon, stand_back
+from verify.priority import (
+    ATTRIBUTES,
+    NICENESS,
+    SCHED_SETATTR,
+    SHORT,
+    come_soon,
+    keep_apart,
+    stand_back,
+)
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="threads have priorities on Linux")
+linux = pytest.mark.skipif(sys.platform != "linux", reason="a matter of Linux")
 
 
-def seen_in_a_thread(*acts: Callable[[], None]) -> list[tuple[float, int, int]]:
-    """Length of a turn (ns), policy and niceness after each act; the turn nan if not told."""
-    seen = []
+@linux
+def test_one_thread_stands_back_and_the_others_do_not() -> None:
+    before, seen = os.getpriority(os.PRIO_PROCESS, 0), []
 
     def work() -> None:
-        for act in acts:
-            act()
-            told = Path(f"/proc/self/task/{threading.get_native_id()}/sched")
-            turn = re.search(r"se\.slice\s*:\s*(\d+)", told.read_text() if told.exists() else "")
-            length = float(turn[1]) if turn else float("nan")
-            seen.append((length, os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)))
+        stand_back()
+        seen.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id()))
+        seen.append(os.sched_getscheduler(0))
 
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    return seen
+    assert seen == [min(before + NICENESS, 19), os.SCHED_BATCH]
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+    assert os.getpriority(os.PRIO_PROCESS, 0) == before
 
 
-def nothing() -> None:
-    """Leave the thread as it is."""
+@linux
+def test_two_that_work_at_once_share_no_processor() -> None:
+    usable = os.sched_getaffinity(0)
+    if len(usable) < 2:
+        pytest.skip("there is one processor")
+    with subprocess.Popen(["sleep", "60"]) as other:
+        try:
+            keep_apart(other.pid)
+            mine, theirs = os.sched_getaffinity(0), os.sched_getaffinity(other.pid)
+            assert mine
+            assert theirs
+            assert mine | theirs == usable
+            assert not mine & theirs
+        finally:
+            os.sched_setaffinity(0, usable)
+            other.kill()
+    keep_apart(other.pid)  # who is gone needs none
+    assert os.sched_getaffinity(0) == usable
 
 
-def test_a_thread_that_stands_back_does_so_alone() -> None:
-    before = os.getpriority(os.PRIO_PROCESS, 0)
-    (_, policy, niceness), (_, other, unchanged) = (
-        seen_in_a_thread(stand_back)[0],
-        seen_in_a_thread(nothing)[0],
-    )
-    assert (policy, niceness) == (os.SCHED_BATCH, before + NICENESS)
-    assert (other, unchanged) == (os.SCHED_OTHER, before)
+def turn_of_this_thread() -> tuple[int, int]:
+    """Niceness and length of a turn (ns), as the system tells them: sched_getattr."""
+    number = SCHED_SETATTR[os.uname().machine] + 1
+    told = ctypes.create_string_buffer(ATTRIBUTES.size)
+    assert ctypes.CDLL(None).syscall(number, 0, told, ATTRIBUTES.size, 0) == 0
+    _, _, _, niceness, _, turn, _, _ = ATTRIBUTES.unpack(told.raw)
+    return niceness, turn
 
 
-def test_a_thread_that_comes_soon_has_short_turns_until_it_wants_them_no_more() -> None:
-    usual, short, again = seen_in_a_thread(nothing, come_soon, lambda: come_soon(wanted=False))
-    if usual[0] != usual[0] or usual[0] == short[0]:
-        pytest.skip("this system tells no turns, or grants none")
-    assert short[0] == SHORT < usual[0] == again[0]
-    assert usual[1:] == short[1:] == again[1:]  # share and policy are as they were
+@linux
+def test_a_thread_has_short_turns_from_linux_6_12_on_until_it_wants_them_no_more() -> None:
+    seen: list[tuple[int, int]] = []
+    taken: list[bool] = []
+
+    def work() -> None:
+        seen.append(turn_of_this_thread())
+        taken.append(come_soon())
+        seen.append(turn_of_this_thread())
+        taken.append(come_soon(wanted=False))
+        seen.append(turn_of_this_thread())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    version = re.match(r"(\d+)\.(\d+)", platform.release())
+    assert version is not None
+    grants = (int(version[1]), int(version[2])) >= (6, 12)
+    usual, short, again = seen
+    assert taken == [True, True]
+    assert usual == again
+    assert short == (usual[0], SHORT if grants else usual[1])
+    assert short[1] < usual[1] or not grants
+
+
+@linux
+def test_elsewhere_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = turn_of_this_thread()
+    monkeypatch.setattr(sys, "platform", "darwin")
+    stand_back()
+    assert not come_soon()
+    monkeypatch.undo()
+    assert turn_of_this_thread() == before

@@ -92,7 +92,7 @@ def test_uneven_readings_are_joined_by_the_cubic_that_scipy_draws_through_their_
         slopes[i] = BarycentricInterpolator(t[end], q[end]).derivative(t[i])
     known = CubicHermiteSpline(t, q, slopes)
     there = np.concatenate([rng.uniform(t[0], t[-1], 500), t[[0, 7, -1]]])
-    assert_allclose(Readings(t, q).at(there), known(there), rtol=0, atol=1e-13)
+    assert_allclose(Readings(t, q).at(there), known(there), rtol=0, atol=1e-14)
 
 
 def test_noise_is_the_median_of_differences_that_cross_no_gap() -> None:

@@ -11,8 +11,9 @@ from contextlib import suppress
 from multiprocessing import get_context, parent_process
 from typing import Any, Protocol
 
+import cv2
+
 from verify.batch.records import Lost, Task
-from verify.priority import leave_the_others, processors
 
 TRIES = 3  # of a task whose worker dies: the first, and twice again
 
@@ -110,7 +111,7 @@ class _Worker:
 def _settle(crowded: bool) -> None:
     """Leave Ctrl-C to the one who started us, and go when that one is gone."""
     if crowded:
-        leave_the_others()
+        cv2.setNumThreads(1)  # the others have the other processors; decoding heeds it too
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_leave_with_parent, daemon=True).start()
@@ -125,3 +126,8 @@ def _leave_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+def processors() -> int:
+    """Count the processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

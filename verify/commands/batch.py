@@ -103,9 +103,8 @@ def _questions(by: str, since: str | None, compare: tuple[str, str] | None) -> "
 
 def _crew(workers: int | None, scheduler: str | None) -> "Crew":
     from verify.batch.cluster import Cluster
-    from verify.batch.crew import Processes
+    from verify.batch.crew import Processes, processors
     from verify.errors import InputError
-    from verify.priority import processors
 
     if scheduler is None:
         return Processes(workers or processors())
@@ -162,9 +161,8 @@ def _note(progress: "Progress", rate: float | None, left: float | None) -> str:
 
 
 def _session_reports(done: "Batch", workers: int | None) -> None:
-    from verify.batch.crew import Processes
+    from verify.batch.crew import Processes, processors
     from verify.batch.run import report_all
-    from verify.priority import processors
 
     crew = Processes(workers or processors())
     try:
