@@ -92,11 +92,13 @@ def interpolate(t: Array, q: Array, longest: float, there: Array, values: Array)
 
 @compiled
 def slope_doubt(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
-    """Say how much a joint's speed at reading i differs from what another polynomial makes it."""
-    other = END_READINGS - 1 if i == 0 or i == len(t) - 1 else END_READINGS
-    way = -1 if i > 1 else 1
-    if i == len(t) - 1:
-        way = -1
+    """Say how much a joint's speed at reading i differs from what another polynomial makes it.
+
+    At an end, one of an order less; of two readings alone, rest.
+    """
+    at_end = i == 0 or i == len(t) - 1
+    other = min(END_READINGS, len(t)) - (1 if at_end else 0)
+    way = -1 if i > 1 or i == len(t) - 1 else 1
     beside = max(t[i] - t[i - 1] if i > 0 else 0.0, t[i + 1] - t[i] if i < len(t) - 1 else 0.0)
     if beside > longest:
         return 0.0

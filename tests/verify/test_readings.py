@@ -45,6 +45,16 @@ def test_what_readings_miss_is_nothing_at_them_and_for_a_parabola() -> None:
     assert_allclose(Readings(t[:1], np.ones((1, 2))).missed(t), 0)
 
 
+def test_two_or_three_readings_do_not_pass_for_a_curve_that_is_known() -> None:
+    t = np.array([0.0, 0.2, 0.4])
+    q = np.sin(4 * t)[:, None]
+    for count in (2, 3):
+        between = np.array([t[count - 1] - 0.1])
+        few = Readings(t[:count], q[:count])
+        off = abs(few.at(between)[0, 0] - np.sin(4 * between[0]))
+        assert few.missed(between)[0, 0] > off / 3 > 1e-3
+
+
 def test_the_speed_is_the_slope_of_the_motion() -> None:
     t = np.arange(0, 6, 0.02)
     readings = Readings(t, wave(t)[:, None])

@@ -173,9 +173,11 @@ class _Stage:
         if self._pair is None or self._before.memory is None:  # it would take too long
             return
         come_soon(wanted=False)  # the comparison may still be at work
-        for _ in measure([self._pair], self._setup, replace(self._before)):
-            pass
-        come_soon()
+        try:
+            for _ in measure([self._pair], self._setup, replace(self._before)):
+                pass
+        finally:
+            come_soon()
 
 
 def _received(connection: Connection, stage: _Stage) -> Iterator[StereoPair]:

@@ -12,6 +12,7 @@ from verify.records import Array
 
 KEPT = 90.0  # s of readings: the clock's window and its margins
 ABOUT = 0.7  # s before an instant that its reading is interpolated from, with room for its speed
+FEWEST_ABOUT = 6  # readings, however slow: what a curve misses shows by those beside it
 ARRIVALS = 30.0  # s over which the quickest delivery is looked for
 
 
@@ -93,9 +94,9 @@ class ReadingsBook:
     def about(self, t: float) -> Readings | None:
         """Readings about an instant t (s, controller's clock), for its angle and speed."""
         with self.arrived:
-            chosen = []
+            chosen: list[EncoderReading] = []
             for reading in reversed(self._readings):
-                if reading.t < t - ABOUT:
+                if reading.t < t - ABOUT and len(chosen) >= FEWEST_ABOUT:
                     break
                 chosen.append(reading)
         return _readings(chosen[::-1])

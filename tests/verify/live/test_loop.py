@@ -166,6 +166,7 @@ def watched(seconds: float, stage: Stage) -> tuple[Live, Memory, Heard]:
     live = Live(subject, devices, recorder, plan, estimate, [heard])
     with without_pictures():
         live.run(threading.Event())
+    assert not live._troubles, "a defect is told and outlived by a run, but not by its test"
     return live, recorder, heard
 
 
