@@ -14,7 +14,7 @@ from verify.records import Array
 LONGEST_GAP = 0.6  # s; readings at 2 Hz still pass
 RATE_SPAN = 0.05  # s: shorter differences of readings are noise, longer ones blur the motion
 FEWEST_DIFFERENCES = 8  # fewer say nothing about their spread
-HOLD = 0.5  # s: at the edge of a burst the arm is taken as standing still for so long
+HOLD = 0.5  # s: at the edge of a burst at rest the arm is taken as standing still for so long
 # Third differences of a smooth motion vanish; of white noise they have 20 times its variance.
 THIRD_DIFFERENCE_VARIANCE = 20.0
 MAD_TO_SIGMA = 1.4826  # of a Gaussian
@@ -32,16 +32,34 @@ class Readings:
     q: Array  # (m, joints), rad
 
     def known(self, t: Array) -> NDArray[np.bool_]:
-        """Whether there is a reading for each instant (n,)."""
+        """Whether there is a reading for each instant (n,).
+
+        In a gap there is one beside a burst whose readings show the arm at rest (or a single
+        reading: a visit). Where the arm moves and its line falls silent, nothing is known.
+        """
         after = np.searchsorted(self.t, t)
         before = np.clip(after - 1, 0, len(self.t) - 1)
         after = np.clip(after, 0, len(self.t) - 1)
         inside = (t >= self.t[0]) & (t <= self.t[-1])
-        bridged = inside & (self.t[after] - self.t[before] <= LONGEST_GAP)
-        nearest = np.minimum(np.abs(t - self.t[before]), np.abs(t - self.t[after]))
-        alone = (self.t[after] - self.t[before] > LONGEST_GAP) & (nearest <= HOLD)
-        known: NDArray[np.bool_] = bridged | (inside & alone)
+        bridged = self.t[after] - self.t[before] <= LONGEST_GAP
+        known: NDArray[np.bool_] = inside & bridged
+        gaps = np.flatnonzero(inside & ~bridged)
+        if len(gaps):
+            past, left = t[gaps] - self.t[before[gaps]], self.t[after[gaps]] - t[gaps]
+            nearest = np.where(past < left, before[gaps], after[gaps])
+            known[gaps] = (np.minimum(past, left) <= HOLD) & self._rests(nearest)
         return known
+
+    def _rests(self, edges: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether the arm stood at readings beside a gap (e,), as their bursts show."""
+        most = np.maximum(5 * self.noise, SMALLEST_TRAVEL)
+        bursts = np.concatenate([[0], np.cumsum(np.diff(self.t) > LONGEST_GAP)])
+        rests: NDArray[np.bool_] = np.zeros(len(edges), dtype=bool)
+        for edge in np.unique(edges).tolist():
+            beside = (bursts == bursts[edge]) & (np.abs(self.t - self.t[edge]) <= HOLD)
+            stood = np.all(np.abs(self.q[beside] - self.q[edge]) <= most)
+            rests[edges == edge] = bool(stood)
+        return rests
 
     def at(self, t: Array) -> Array:
         """Readings at the instants t (n,), rad, (n, joints); held outside a burst of readings."""

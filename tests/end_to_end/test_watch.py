@@ -195,6 +195,13 @@ def test_a_bad_line_resets_and_jumps_of_its_clock_give_no_false_number(tmp_path:
     assert len(folders) == 3
     assert sum(len(open_session(folder)) for folder in folders) == len(run.pairs)
     assert len([p for p in run.pairs if p["status"] == "measured"]) > 100
+    again = verify("run", folders[0], "-o", tmp_path / "again")  # its line fell silent for 2 s
+    assert again.status in {0, 1, 3}
+    frames = pd.read_parquet(tmp_path / "again" / "results" / "frames.parquet")
+    for joint in range(1, 7):
+        doubt = frames[f"q{joint}_error_u_deg"].clip(lower=0.02)
+        assert (frames[f"q{joint}_error_deg"].abs() / doubt).max() < 6.0
+    assert {"measured", "no_encoder"} == set(frames["status"])
 
 
 def test_bases_follow_and_a_base_that_is_gone_is_said(tmp_path: Path) -> None:

@@ -84,6 +84,18 @@ def test_between_two_bursts_of_readings_nothing_is_known() -> None:
     assert not readings.known(np.array([-0.1, 11.5])).any()
 
 
+def test_where_the_arm_moves_and_its_line_falls_silent_nothing_is_held() -> None:
+    t = np.concatenate([np.arange(0, 1, 0.01), np.arange(3, 4, 0.01), [6.0, 8.0, 8.3]])
+    moving = np.stack([wave(t), np.zeros(len(t))], axis=1)
+    edges = np.array([1.05, 2.95, 4.05, 5.95, 6.05, 7.95, 8.15])
+    # a single reading is a visit; of the last two, one says that the other's arm moves
+    assert Readings(t, moving).known(edges).tolist() == [
+        False, False, False, True, True, False, True,
+    ]  # fmt: skip
+    brakes = np.minimum(t, 0.3)[:, None]  # at rest long before the line fell silent
+    assert Readings(t, brakes).known(edges).all()
+
+
 def test_the_direction_of_travel_is_kept_at_rest_and_ignores_noise() -> None:
     rng = np.random.default_rng(2)
     t = np.arange(0, 8, 0.02)

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from verify.devices import EncoderReading
-from verify.readings import Readings
+from verify.readings import LONGEST_GAP, Readings
 from verify.records import Array
 
 KEPT = 90.0  # s of readings: the clock's window and its margins
@@ -92,12 +92,17 @@ class ReadingsBook:
             return found
 
     def about(self, t: float) -> Readings | None:
-        """Readings about an instant t (s, controller's clock), for its angle and speed."""
+        """Readings about an instant t (s, controller's clock), for its angle and speed.
+
+        None from before a silence of the line: what happened in it is not known.
+        """
         with self.arrived:
             chosen: list[EncoderReading] = []
             for reading in reversed(self._readings):
                 if reading.t < t - ABOUT and len(chosen) >= FEWEST_ABOUT:
                     break
+                if chosen and chosen[-1].t - reading.t > LONGEST_GAP:
+                    break  # the arm went on while the line was silent
                 chosen.append(reading)
         return _readings(chosen[::-1])
 

@@ -84,6 +84,16 @@ def test_readings_that_do_not_rise_are_left_out() -> None:
     assert kept.t.tolist() == [0.0, 0.02, 0.03]
 
 
+def test_readings_from_before_a_silence_say_nothing_of_what_came_after_it() -> None:
+    book = ReadingsBook()
+    for t in (*np.arange(0.0, 1.0, 0.1), *np.arange(3.0, 3.25, 0.1)):
+        book.add(reading(float(t), 0.001))
+    about = book.about(2.9)
+    assert about is not None
+    assert about.t.tolist() == pytest.approx([3.0, 3.1, 3.2])
+    assert not about.known(np.array([0.95, 2.9])).any()
+
+
 def test_no_one_waits_longer_than_agreed_for_a_reading() -> None:
     book = ReadingsBook()
     book.add(reading(0.0, 0.001))
