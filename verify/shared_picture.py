@@ -7,6 +7,8 @@ import numpy as np
 
 from verify.records import Image
 
+Place = tuple[str, tuple[int, ...]]  # name and shape
+
 
 class SharedPicture:
     """Room for one picture; it grows when pictures do."""
@@ -14,7 +16,7 @@ class SharedPicture:
     def __init__(self) -> None:
         self._memory: SharedMemory | None = None
 
-    def room(self, shape: tuple[int, ...]) -> tuple[str, tuple[int, ...]]:
+    def room(self, shape: tuple[int, ...]) -> Place:
         """Make room; name and shape, by which `picture_of` finds it."""
         size = math.prod(shape)
         if self._memory is None or self._memory.size < size:
@@ -22,7 +24,7 @@ class SharedPicture:
             self._memory = SharedMemory(create=True, size=size)
         return self._memory.name, shape
 
-    def put(self, image: Image) -> tuple[str, tuple[int, ...]]:
+    def put(self, image: Image) -> Place:
         """Put a picture there; name and shape, as for `room`."""
         place = self.room(image.shape)
         self._view(image.shape)[:] = image
@@ -46,6 +48,16 @@ class SharedPicture:
 
 _attached: dict[str, SharedMemory] = {}  # in the other process: until the pictures grow
 _MOST = 4  # attached at once: two pictures, and their places before they grew
+
+
+def place_of(image: Image) -> Place | None:
+    """Say where a picture that `picture_of` gave stands; None for another one."""
+    for name, memory in _attached.items():
+        if memory.size >= image.nbytes and image.flags.c_contiguous:
+            there = np.ndarray(image.shape, dtype=np.uint8, buffer=memory.buf)
+            if there.ctypes.data == image.ctypes.data:
+                return name, image.shape
+    return None
 
 
 def picture_of(name: str, shape: tuple[int, ...]) -> Image:

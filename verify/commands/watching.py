@@ -111,6 +111,7 @@ def watch(station: Station, wish: Wish) -> Watched:
             listeners,
             measuring=chain.measure,
             state=state,
+            prepare=chain.prepare,
         )
         stack.enter_context(_collected())
         look = stack.enter_context(_shown(None if joints is None else np.rad2deg(joints).tolist()))

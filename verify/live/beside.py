@@ -7,7 +7,7 @@ from verify.detection import detect
 from verify.helper import Helper, HelperLostError
 from verify.priority import come_soon, keep_apart
 from verify.records import Array, Image, Spots
-from verify.shared_picture import SharedPicture, picture_of
+from verify.shared_picture import SharedPicture, picture_of, place_of
 
 PATIENCE = 1.0  # s for a picture, ten times what a whole frame takes; then it is done here
 Question = tuple[str, tuple[int, ...], Array | None]  # shared memory, shape, windows
@@ -49,7 +49,7 @@ class BesideDetector:
         if helper is None:
             return detect(left, left_windows), detect(right, right_windows)
         try:
-            helper.begin((*self._picture.put(right), right_windows))
+            helper.begin((*(place_of(right) or self._picture.put(right)), right_windows))
             here = detect(left, left_windows)
             return here, helper.finish(PATIENCE)
         except HelperLostError as error:

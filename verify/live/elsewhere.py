@@ -26,7 +26,7 @@ from verify.measurement import Carried, Setup, measure, nothing_expected
 from verify.priority import come_soon
 from verify.records import Array, Image, Measurement, StereoPair
 from verify.rig import Rig
-from verify.shared_picture import SharedPicture, picture_of
+from verify.shared_picture import Place, SharedPicture, picture_of
 from verify.warm_up import warm_up
 
 START_LIMIT = 120.0  # s: the first start after an installation compiles
@@ -34,7 +34,6 @@ PATIENCE = 2.0  # s for a pair, twenty times what a whole frame takes; then it i
 NO_PICTURE: Image = np.zeros((0, 0), dtype=np.uint8)
 GOODBYE = 2.0  # s that it is given to end by itself
 
-Place = tuple[str, tuple[int, ...]]
 Expected = Callable[[float], Sequence[Array]]
 Told = tuple[StereoPair, Place, Place]  # without its pictures, and where those are
 
@@ -66,11 +65,16 @@ class MeasuringProcess:
         theirs.close()
         self._pictures = (SharedPicture(), SharedPicture())
         self._lost = False
+        self._prepared: tuple[StereoPair, Told] | None = None
         try:
             received(self._connection, START_LIMIT)
         except HelperLostError:
             self.close()
             raise
+
+    def prepare(self, pair: StereoPair) -> None:
+        """Put the pictures of the pair that comes next where the process sees them."""
+        self._prepared = (pair, self._told(pair))
 
     def measure(self, pairs: Iterator[StereoPair], expected: Expected) -> Iterator[Measurement]:
         """Measure pairs in order, as `verify.measurement.measure` does.
@@ -101,6 +105,8 @@ class MeasuringProcess:
             picture.close()
 
     def _told(self, pair: StereoPair) -> Told:
+        if self._prepared is not None and self._prepared[0] is pair:
+            return self._prepared[1]
         left, right = self._pictures
         times = (pair.frame, pair.t_left, pair.t_right, pair.pan_left, pair.pan_right)
         bare = StereoPair(*times, NO_PICTURE, NO_PICTURE)  # a taken pair has JPEGs beside

@@ -37,6 +37,10 @@ Expected = Callable[[float], Sequence[Array]]
 UNDER_WAY = 8  # pairs between the cameras and the comparison, at most
 
 
+def _nothing(_pair: StereoPair) -> None:
+    """Prepare nothing."""
+
+
 @dataclass(frozen=True, slots=True)
 class Plan:
     """How a run goes."""
@@ -58,6 +62,7 @@ class Live:
         listeners: are told every row and alarm, in this loop's threads: they must not wait.
         measuring: the chain, where it runs elsewhere: pairs, and what the readings suggest.
         state: where it is told how things are; made here unless lookers-on have it already.
+        prepare: is shown each pair while it is being recorded, before it is to be measured.
     """
 
     def __init__(
@@ -70,6 +75,7 @@ class Live:
         listeners: Sequence[Listener] = (),
         measuring: Callable[[Iterator[StereoPair], Expected], Iterator[Measurement]] | None = None,
         state: LiveState | None = None,
+        prepare: Callable[[StereoPair], None] = _nothing,
     ) -> None:
         self.state = LiveState() if state is None else state
         self._subject, self._devices, self._recorder = subject, devices, recorder
@@ -86,6 +92,7 @@ class Live:
         self._target = TargetWatch(plan.limits.lost_after, numbers)
         self._lost = DeviceWatch(DEVICE_SILENT, numbers)
         self._measuring = self._here if measuring is None else measuring
+        self._prepare = prepare
         self._arrivals: dict[float, tuple[float, float, StereoPair]] = {}
         self._measured: deque[Taken] = deque()
         self._wake = threading.Condition()
@@ -184,7 +191,7 @@ class Live:
     def _measure(self) -> None:
         come_soon()
         try:
-            pairs = self._noted(self._recorder.keep(self._taken()))
+            pairs = self._noted(self._recorder.keep(self._taken(), self._prepare))
             for measurement in self._measuring(pairs, self._expected):
                 self._hand_over(measurement)
         except Exception as error:

@@ -35,8 +35,10 @@ class RecorderState(Protocol):
 class Recorder(Protocol):
     """Puts evidence on the disk before anything is computed from it."""
 
-    def keep(self, pairs: Iterator[StereoPair]) -> Iterator[StereoPair]:
-        """Record pairs as they pass."""
+    def keep(
+        self, pairs: Iterator[StereoPair], meanwhile: Callable[[StereoPair], None]
+    ) -> Iterator[StereoPair]:
+        """Record pairs as they pass; the other is called while each is being written."""
         ...
 
     def through(self, frame: int) -> None:

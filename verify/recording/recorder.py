@@ -64,6 +64,10 @@ class _Aside:
     came: float  # s, host's monotonic clock
 
 
+def _nothing(_pair: StereoPair) -> None:
+    """Do nothing meanwhile."""
+
+
 class Recorder:
     """Writes what a run sees as sessions that can be measured again.
 
@@ -97,11 +101,15 @@ class Recorder:
         self._thread = threading.Thread(target=self._write, name="recorder", daemon=True)
         self._thread.start()
 
-    def keep(self, pairs: Iterator[StereoPair]) -> Iterator[StereoPair]:
+    def keep(
+        self, pairs: Iterator[StereoPair], meanwhile: Callable[[StereoPair], None] = _nothing
+    ) -> Iterator[StereoPair]:
         """Record pairs as they pass; each is on the disk before it comes out.
 
         Args:
             pairs: as the cameras give them; JPEGs of a `TakenPair` go to the file as they are.
+            meanwhile: called with each pair while it is being written; it must compute nothing
+                from it that outlives a kill.
 
         Yields:
             The pairs, numbered from 0, as the recording has them. Pairs whose times do not rise
@@ -118,6 +126,7 @@ class Recorder:
             if isinstance(pair, TakenPair):
                 raws = (pair.left_raw, pair.right_raw)
             item = self._hand_over((written, raws))
+            meanwhile(written)
             if item is not None and not item.done.wait(PATIENCE):
                 self._late += 1
             yield written

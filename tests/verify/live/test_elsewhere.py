@@ -9,6 +9,7 @@ import pytest
 from verify.live.elsewhere import MeasuringProcess, _Stage
 from verify.measurement import Setup, measure
 from verify.records import Array, Measurement, StereoPair
+from verify.shared_picture import SharedPicture, picture_of, place_of
 from verify.sim import library
 from verify.sim.sessions import SimulatedSession, simulate
 
@@ -111,3 +112,36 @@ def test_it_asks_where_the_readings_put_the_flange(session: SimulatedSession) ->
         process.close()
     assert [m.frame for m in first] == [0]
     assert asked == [session.pair(0).t_left]  # nothing is predicted for the first pair
+
+
+def test_a_picture_that_is_shared_already_is_not_put_anywhere_again() -> None:
+    shared, image = SharedPicture(), np.arange(12, dtype=np.uint8).reshape(3, 4)
+    try:
+        place = shared.put(image)
+        there = picture_of(*place)
+        np.testing.assert_array_equal(there, image)
+        assert place_of(there) == place
+        assert place_of(there.copy()) is None
+        assert place_of(there[:2]) == (place[0], (2, 4))
+        assert place_of(there[1:]) is None
+        assert place_of(there[:, :2]) is None
+        assert place_of(np.zeros((5000, 5000), dtype=np.uint8)) is None
+    finally:
+        shared.close()
+
+
+def test_a_prepared_pair_is_the_one_that_is_measured(
+    session: SimulatedSession, here: list[Measurement]
+) -> None:
+    process = MeasuringProcess(session.rig, session.marker, [].append)
+
+    def prepared() -> Iterator[StereoPair]:
+        for pair in pairs(session):
+            process.prepare(session.pair(0))  # of which nothing came
+            process.prepare(pair)
+            yield pair
+
+    try:
+        alike(list(process.measure(prepared(), nothing)), here)
+    finally:
+        process.close()

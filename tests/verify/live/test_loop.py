@@ -3,7 +3,7 @@
 import ast
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -123,9 +123,12 @@ class Memory:
     readings: list[EncoderReading] = field(default_factory=list)
     closed: bool = False
 
-    def keep(self, pairs: Iterator[StereoPair]) -> Iterator[StereoPair]:
+    def keep(
+        self, pairs: Iterator[StereoPair], meanwhile: Callable[[StereoPair], None]
+    ) -> Iterator[StereoPair]:
         for pair in pairs:
             self.pairs.append(pair)
+            meanwhile(pair)
             yield pair
 
     def through(self, frame: int) -> None:
