@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from verify.alignment_kernel import carry
 from verify.records import Array, Sighting
 from verify.rig import Camera
 
@@ -56,53 +57,35 @@ def align(
     """
     if alone:
         return replace(now.sighting, t=t)
-    shift = t - now.taken
-    motion = _motion(now, neighbour, shift, camera) if neighbour is not None else None
+    motion = _motion(now, neighbour, t, camera) if neighbour is not None else None
     if motion is None:
-        at_rest = bool(np.all(np.abs(shift) < SAME_INSTANT))
+        at_rest = bool(np.all(np.abs(t - now.taken) < SAME_INSTANT))
         return replace(now.sighting, t=t) if at_rest else None
     return motion
 
 
-def _motion(
-    now: RawSighting, neighbour: RawSighting, shift: Array, camera: Camera
-) -> Sighting | None:
+def _motion(now: RawSighting, neighbour: RawSighting, t: float, camera: Camera) -> Sighting | None:
     """Spots at the common instant, from the line through this sighting and its neighbour."""
     seen, before = now.sighting, neighbour.sighting
-    index = {int(led): i for i, led in enumerate(before.led)}
-    match = np.array([index.get(int(led), -1) for led in seen.led], dtype=np.int64)
-    known = match >= 0
-    if not known.any():
-        return None
-    there = _with_the_base_turned(neighbour, seen.pan, camera)[match]
-    interval = np.where(known, now.taken - neighbour.taken[match], np.inf)
-    share = shift / interval  # 0 where the neighbour did not see the LED
-    velocity = np.where(known[:, None], (seen.centre - there) / interval[:, None], 0.0)
-    covariance = ((1 + share) ** 2)[:, None, None] * seen.covariance
-    covariance = covariance + (share**2)[:, None, None] * before.covariance[match]
-    if not known.all():  # LEDs new to this pair move like the others, give or take their spread
-        velocity[~known] = velocity[known].mean(axis=0)
-        spread = _spread(velocity[known])
-        covariance[~known] += (shift[~known] ** 2)[:, None, None] * spread
-    typical = float(np.median(interval[known]))
-    span = np.where(known, interval, typical)
-    return replace(
-        seen,
-        centre=seen.centre + velocity * shift[:, None],
-        covariance=covariance,
-        t=float(now.sighting.t if not len(shift) else now.taken[0] + shift[0]),
-        velocity=velocity,
-        acceleration_lever=-0.5 * shift * (shift + span),
+    m = len(seen)
+    centre, covariance = np.empty((m, 2)), np.empty((m, 2, 2))
+    velocity, lever = np.empty((m, 2)), np.empty(m)
+    matched = carry(
+        (seen.led, before.led),
+        (
+            np.ascontiguousarray(seen.centre),
+            np.ascontiguousarray(_with_the_base_turned(neighbour, seen.pan, camera)),
+        ),
+        (np.ascontiguousarray(seen.covariance), np.ascontiguousarray(before.covariance)),
+        (now.taken, neighbour.taken),
+        t,
+        (centre, covariance, velocity, lever),
     )
-
-
-def _spread(velocity: Array) -> Array:
-    """Covariance of one LED's velocity about the mean of the others, (2, 2), (px/s)²."""
-    if len(velocity) < 2:
-        return np.diag(velocity[0] ** 2)  # nothing better is known than its size
-    deviation = velocity - velocity.mean(axis=0)
-    covariance: Array = deviation.T @ deviation / (len(velocity) - 1) * (1 + 1 / len(velocity))
-    return covariance
+    if not matched:
+        return None
+    return replace(
+        seen, centre=centre, covariance=covariance, t=t, velocity=velocity, acceleration_lever=lever
+    )
 
 
 def _with_the_base_turned(raw: RawSighting, pan: float, camera: Camera) -> Array:

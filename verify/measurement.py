@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,10 @@ from verify.marker import Marker
 from verify.pose import ACCELERATION_PER_SPEED, ROUGH_ACCELERATION, fit_pose, perturb
 from verify.records import Array, Image, Measurement, Pose, Sighting, Spots, StereoPair
 from verify.rig import Camera, Rig
-from verify.systematics import spot_columns, stated
+from verify.systematics import Systematics, spot_columns, stated
+from verify.windows import windows
 
 NEVER: tuple[Array, ...] = ()
-# A spot's surroundings: its own radius several times over, for the background that is fitted.
-WINDOW_MARGIN_PX = 14.0
 MOTION_FLOOR_PX = 0.3  # what clocks and lenses leave between two pictures of one instant
 UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
 MINIMUM_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
@@ -40,7 +39,7 @@ def nothing_expected(_t: float) -> Sequence[Array]:
     return NEVER
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Setup:
     """What a measurement needs to know beside the pictures."""
 
@@ -51,6 +50,11 @@ class Setup:
     expected: Callable[[float], Sequence[Array]] = field(default=nothing_expected)
     # who looks for spots: another one that is quicker must find the same
     detect: Detector = field(default=one_after_the_other)
+
+    @cached_property
+    def parameters(self) -> Systematics:
+        """What rig and marker state of their own uncertainty, pan angles included."""
+        return stated(self.rig, self.marker, turning=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,14 +126,14 @@ def _look(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _Seen:
     """Find the spots and say which LED each is; the whole frame where prediction fails."""
     prediction = _predict(memory, pair.t_left) if memory is not None else None
     if prediction is not None:
-        windows = [
-            _windows(setup, camera, pan, prediction, image)
+        looked_at = [
+            windows(setup.marker, camera, pan, prediction, image)
             for camera, pan, image in (
                 (setup.rig.left, pair.pan_left, pair.left),
                 (setup.rig.right, pair.pan_right, pair.right),
             )
         ]
-        spots = setup.detect(pair.left, pair.right, *windows)
+        spots = setup.detect(pair.left, pair.right, *looked_at)
         seen = _identified(pair, spots, setup, memory, prediction, whole_frame=False)
         if _every_led(seen, setup):
             return seen
@@ -260,8 +264,8 @@ def _doubt(
     setup: Setup, left: Sighting, right: Sighting, rig_T_flange: Array, by_point: Array
 ) -> Array:
     """What rig and marker state of themselves, as the spots would show it."""
-    parameters = stated(setup.rig, setup.marker, turning=True)
-    return spot_columns(parameters, left, right, rig_T_flange, by_point, setup.rig, setup.marker)
+    known = setup.parameters
+    return spot_columns(known, left, right, rig_T_flange, by_point, setup.rig, setup.marker)
 
 
 def _kept(seen: _Seen, pose: Pose) -> _Seen:
@@ -308,44 +312,3 @@ def _predict(memory: _Memory, t: float) -> Prediction | None:
 def _length(vector: Array) -> float:
     """Length of three numbers; numpy's own way would let other threads in, for a wait."""
     return math.hypot(*vector.tolist())
-
-
-def _windows(
-    setup: Setup, camera: Camera, pan: float, prediction: Prediction, image: Image
-) -> Array:
-    """Where to look for each LED, (n, 4) px: x0, y0, x1, y1, overlapping ones merged."""
-    camera_T_flange = camera.camera_T_rig(pan) @ prediction.rig_T_flange
-    points = setup.marker.leds @ camera_T_flange[:3, :3].T + camera_T_flange[:3, 3]
-    ahead = points[points[:, 2] > 0]  # behind the camera there is nothing to look for
-    if not len(ahead):
-        return np.zeros((0, 4))
-    pixels = camera.project(ahead)
-    radius = float(np.max(np.linalg.norm(setup.marker.leds, axis=1)))
-    doubt = 2 * (prediction.position_uncertainty + radius * prediction.rotation_uncertainty)
-    size = setup.marker.led_diameter + doubt
-    half = WINDOW_MARGIN_PX + camera.matrix[0, 0] * size / ahead[:, 2]
-    height, width = image.shape[:2]
-    low, high = pixels - half[:, None], pixels + half[:, None]
-    inside = (high > 0).all(axis=1) & (low < [width - 1, height - 1]).all(axis=1)
-    boxes = np.concatenate([low, high], axis=1)[inside]
-    return _merged(np.clip(boxes, 0, [width, height, width, height]))
-
-
-def _merged(boxes: Array) -> Array:
-    """Unite boxes that overlap, so that no spot is found twice."""
-    rows: list[list[float]] = boxes.tolist()
-    done: list[list[float]] = []
-    while rows:
-        box = rows.pop()
-        hit = next((o for o in rows if _overlap(box, o)), None)
-        if hit is None:
-            done.append(box)
-            continue
-        rows.remove(hit)
-        rows.append([min(box[0], hit[0]), min(box[1], hit[1]),
-                     max(box[2], hit[2]), max(box[3], hit[3])])  # fmt: skip
-    return np.array(done[::-1]).reshape(-1, 4)
-
-
-def _overlap(a: list[float], b: list[float]) -> bool:
-    return a[0] <= b[2] and b[0] <= a[2] and a[1] <= b[3] and b[1] <= a[3]

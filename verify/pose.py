@@ -250,10 +250,8 @@ def _curvature(views: Views, rig_T_flange: Array, twist: Array) -> Array:
     LEDs that turn about the flange, and points that come nearer, do not cross the image at a
     steady rate even then. It points one way, so it would not average out.
     """
-    early, now, late = (
-        predict(views, perturb(rig_T_flange, twist * h))[0] for h in (-MOMENT, 0.0, MOMENT)
-    )
-    second: Array = (early + late - 2 * now) / MOMENT**2
+    second: Array = np.empty((len(views.points), 2))
+    kernel.curve(views.places, rig_T_flange, twist, MOMENT, second)
     return second
 
 

@@ -14,6 +14,7 @@ from verify.records import Array
 from verify.small_matrices import dot, factor, invert, solve
 
 Flags = NDArray[np.bool_]
+Places = tuple[Array, Array, Array, Array, Array, Array]  # as `predict_spots` takes them
 
 FREE = 6
 LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
@@ -53,6 +54,33 @@ def move(pose: Array, step: Array) -> None:
         pose[1, j] = b + sine * e + versine * (z * d - x * f)
         pose[2, j] = c + sine * f + versine * (x * e - y * d)
         pose[j, 3] += step[j]
+
+
+@compiled
+def curve(places: Places, pose: Array, twist: Array, moment: float, second: Array) -> None:
+    """Fill in the spots' image acceleration (s, 2), px/s², as the pose moves by a steady twist.
+
+    Args:
+        places: of the spots, as `predict_spots` takes them.
+        pose: (4, 4).
+        twist: (6,), m/s and rad/s.
+        moment: s, by which the pose is moved to and fro.
+        second: filled.
+    """
+    count = len(second)
+    pixels, by_point, by_pose = (
+        np.empty((count, 2)),
+        np.empty((count, 2, 3)),
+        np.empty((count, 2, 6)),
+    )
+    second[:] = 0.0
+    for h, share in ((-moment, 1.0), (0.0, -2.0), (moment, 1.0)):
+        moved = pose.copy()
+        move(moved, twist * h)
+        predict_spots(moved, *places, pixels, by_point, by_pose)
+        for s in range(count):
+            for i in range(2):
+                second[s, i] += share * pixels[s, i] / moment**2
 
 
 @compiled

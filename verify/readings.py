@@ -1,13 +1,19 @@
 """The robot's own joint readings as functions of time."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.readings_kernel import follow, interpolate, missed, typical_difference
+from verify.readings_kernel import (
+    bridge,
+    follow,
+    interpolate,
+    missed,
+    rates,
+    roughness,
+)
 from verify.records import Array
 
 # Between readings further apart than this the motion is not known: single visits, logged in bursts.
@@ -15,9 +21,6 @@ LONGEST_GAP = 0.6  # s; readings at 2 Hz still pass
 RATE_SPAN = 0.05  # s: shorter differences of readings are noise, longer ones blur the motion
 FEWEST_DIFFERENCES = 8  # fewer say nothing about their spread
 HOLD = 0.5  # s: at the edge of a burst at rest the arm is taken as standing still for so long
-# Third differences of a smooth motion vanish; of white noise they have 20 times its variance.
-THIRD_DIFFERENCE_VARIANCE = 20.0
-MAD_TO_SIGMA = 1.4826  # of a Gaussian
 
 
 @dataclass(frozen=True)
@@ -37,16 +40,13 @@ class Readings:
         In a gap there is one beside a burst whose readings show the arm at rest (or a single
         reading: a visit). Where the arm moves and its line falls silent, nothing is known.
         """
-        after = np.searchsorted(self.t, t)
-        before = np.clip(after - 1, 0, len(self.t) - 1)
-        after = np.clip(after, 0, len(self.t) - 1)
-        inside = (t >= self.t[0]) & (t <= self.t[-1])
-        bridged = self.t[after] - self.t[before] <= LONGEST_GAP
-        known: NDArray[np.bool_] = inside & bridged
-        gaps = np.flatnonzero(inside & ~bridged)
+        known: NDArray[np.bool_] = np.zeros(len(t), dtype=np.bool_)
+        bridge(self._plain[0], LONGEST_GAP, np.ascontiguousarray(t, dtype=np.float64), known)
+        gaps = np.flatnonzero(~known & (t >= self.t[0]) & (t <= self.t[-1]))
         if len(gaps):
-            past, left = t[gaps] - self.t[before[gaps]], self.t[after[gaps]] - t[gaps]
-            nearest = np.where(past < left, before[gaps], after[gaps])
+            after = np.searchsorted(self.t, t[gaps])
+            past, left = t[gaps] - self.t[after - 1], self.t[after] - t[gaps]
+            nearest = np.where(past < left, after - 1, after)
             known[gaps] = (np.minimum(past, left) <= HOLD) & self._rests(nearest)
         return known
 
@@ -71,15 +71,11 @@ class Readings:
 
     def rate(self, t: Array) -> Array:
         """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN."""
-        early, late = (
-            np.clip(t - RATE_SPAN, *self.t[[0, -1]]),
-            np.clip(t + RATE_SPAN, *self.t[[0, -1]]),
-        )
-        span = np.maximum(late - early, RATE_SPAN)[:, None]
-        slope: Array = (self.at(late) - self.at(early)) / span
-        alone = self._inside_a_burst(t) != t if len(self.t) > 1 else np.ones(len(t), dtype=bool)
-        slope[alone] = 0.0
-        return slope
+        value: Array = np.zeros((len(t), self.q.shape[1]))
+        if len(self.t) > 1:
+            there = np.ascontiguousarray(t, dtype=np.float64)
+            rates(*self._plain, LONGEST_GAP, RATE_SPAN, there, value)
+        return value
 
     @cached_property
     def _plain(self) -> tuple[Array, Array]:
@@ -89,34 +85,12 @@ class Readings:
             np.ascontiguousarray(self.q, dtype=np.float64),
         )
 
-    def _inside_a_burst(self, t: Array) -> Array:
-        """Move instants that fall into a gap between bursts to the burst's nearest reading."""
-        clipped = np.clip(t, self.t[0], self.t[-1])
-        after = np.clip(np.searchsorted(self.t, clipped), 1, len(self.t) - 1)
-        early, late = self.t[after - 1], self.t[after]
-        nearest = np.where(clipped - early < late - clipped, early, late)
-        return np.where(late - early > LONGEST_GAP, nearest, clipped)
-
     @cached_property
     def noise(self) -> Array:
-        """Standard deviation of one reading, (joints,), rad, from the readings' own roughness.
-
-        The smallest of the estimates from second to fourth differences: motion that a low order
-        mistakes for noise, a higher one removes.
-        """
-        smallest: Array = np.array([self._roughness(j) for j in range(self.q.shape[1])])
+        """Standard deviation of one reading, (joints,), rad, from the readings' own roughness."""
+        smallest: Array = np.zeros(self.q.shape[1])
+        roughness(*self._plain, LONGEST_GAP, FEWEST_DIFFERENCES, smallest)
         return smallest
-
-    def _roughness(self, joint: int) -> float:
-        t, column = self._plain[0], np.ascontiguousarray(self.q[:, joint], dtype=np.float64)
-        estimates = []
-        for order, variance in ((2, 6.0), (3, THIRD_DIFFERENCE_VARIANCE), (4, 70.0)):
-            if len(column) <= order + FEWEST_DIFFERENCES:
-                continue
-            size, count = typical_difference(t, column, order, LONGEST_GAP)
-            if count > FEWEST_DIFFERENCES:
-                estimates.append(MAD_TO_SIGMA * size / math.sqrt(variance))
-        return min(estimates, default=0.0)
 
     def missed(self, t: Array) -> Array:
         """What the curve between readings may miss at the instants t (n,), rad, (n, joints).
@@ -136,11 +110,9 @@ class Readings:
         """
         held = np.searchsorted(self.t, t, side="right") - 1
         held = np.clip(held, 0, len(self.t) - 1)
-        directions = np.zeros((self.q.shape[1], len(self.t)), dtype=np.int8)
-        for j, noise in enumerate(self.noise.tolist()):
-            column = np.ascontiguousarray(self.q[:, j], dtype=np.float64)
-            follow(column, max(5 * noise, SMALLEST_TRAVEL), directions[j])
-        last: Array = directions[:, held].T.astype(np.float64)
+        directions = np.zeros(self.q.shape, dtype=np.int8)
+        follow(self._plain[1], np.maximum(5 * self.noise, SMALLEST_TRAVEL), directions)
+        last: Array = directions[held].astype(np.float64)
         return last
 
 

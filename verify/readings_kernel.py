@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from verify.compiled import compiled
 from verify.records import Array
 
+MAD_TO_SIGMA = 1.4826  # of a Gaussian
 END_READINGS = 4  # through which a cubic tells the speed at an end
 
 
@@ -127,6 +128,78 @@ def missed(t: Array, q: Array, longest: float, there: Array, values: Array) -> N
 
 
 @compiled
+def rates(t: Array, q: Array, longest: float, span: float, there: Array, values: Array) -> None:
+    """Fill in the joints' speeds at some instants; arguments as of `interpolate`.
+
+    Args:
+        t: (m,), s.
+        q: (m, j), rad.
+        longest: s.
+        span: s, over which a speed is taken, before and after.
+        there: (n,), s.
+        values: (n, j), rad/s, filled; 0 beside a gap, where the nearest reading is held.
+    """
+    early, late = np.empty(1), np.empty(1)
+    before, after = np.empty((1, q.shape[1])), np.empty((1, q.shape[1]))
+    for n in range(len(there)):
+        early[0] = min(max(there[n] - span, t[0]), t[-1])
+        late[0] = min(max(there[n] + span, t[0]), t[-1])
+        values[n] = 0.0
+        if in_a_burst(t, longest, there[n]):
+            interpolate(t, q, longest, early, before)
+            interpolate(t, q, longest, late, after)
+            width = max(late[0] - early[0], span)
+            for j in range(q.shape[1]):
+                values[n, j] = (after[0, j] - before[0, j]) / width
+
+
+@compiled
+def bridge(t: Array, longest: float, there: Array, known: NDArray[np.bool_]) -> None:
+    """Fill in for which instants (n,) readings stand at both sides, no gap between them."""
+    for n in range(len(there)):
+        after = np.searchsorted(t, there[n])
+        if after == 0 or after == len(t):
+            known[n] = after == 0 and there[n] == t[0]
+        else:
+            known[n] = t[after] - t[after - 1] <= longest
+
+
+@compiled
+def in_a_burst(t: Array, longest: float, instant: float) -> bool:
+    """Say whether readings stand about an instant, or one at it."""
+    if instant < t[0] or instant > t[-1]:
+        return False
+    after = min(max(int(np.searchsorted(t, instant)), 1), len(t) - 1)
+    early, late = float(t[after - 1]), float(t[after])
+    return late - early <= longest or instant in (early, late)
+
+
+@compiled
+def roughness(t: Array, q: Array, longest: float, fewest: int, values: Array) -> None:
+    """Fill in the standard deviation of one reading of each joint, by its differences.
+
+    The smallest of the estimates from second to fourth ones: motion that a low order mistakes for
+    noise, a higher one removes. Those of white noise have 6, 20 and 70 times its variance.
+
+    Args:
+        t: (m,), s.
+        q: (m, j), rad.
+        longest: s; differences across a longer gap do not count.
+        fewest: differences that say something.
+        values: (j,), rad, filled.
+    """
+    variances = (6.0, 20.0, 70.0)
+    for j in range(q.shape[1]):
+        least = np.inf
+        for order in range(2, 5):
+            if len(t) > order + fewest:
+                size, count = typical_difference(t, q[:, j].copy(), order, longest)
+                if count > fewest:
+                    least = min(least, MAD_TO_SIGMA * size / np.sqrt(variances[order - 2]))
+        values[j] = least if np.isfinite(least) else 0.0
+
+
+@compiled
 def typical_difference(t: Array, column: Array, order: int, longest: float) -> tuple[float, int]:
     """Give the median size of a joint's differences of an order, and how many there are.
 
@@ -147,22 +220,23 @@ def typical_difference(t: Array, column: Array, order: int, longest: float) -> t
 
 
 @compiled
-def follow(column: Array, threshold: float, directions: NDArray[np.int8]) -> None:
-    """Fill in a joint's direction of travel after each reading, by a band about the extreme.
+def follow(q: Array, thresholds: Array, directions: NDArray[np.int8]) -> None:
+    """Fill in the joints' direction of travel after each reading, by a band about the extreme.
 
     Args:
-        column: (m,), rad.
-        threshold: rad, further than which from its extreme it has turned back.
-        directions: (m,), filled: +1, -1, or 0 before any.
+        q: (m, j), rad.
+        thresholds: (j,), rad, further than which from its extreme a joint has turned back.
+        directions: (m, j), filled: +1, -1, or 0 before any.
     """
-    extreme, direction = column[0], 0
-    for i in range(len(column)):
-        value = column[i]
-        if direction == 0:
-            if abs(value - extreme) > threshold:
-                direction, extreme = (1 if value > extreme else -1), value
-        elif (value - extreme) * direction >= 0:
-            extreme = value
-        elif abs(value - extreme) > threshold:
-            direction, extreme = -direction, value
-        directions[i] = direction
+    for j in range(q.shape[1]):
+        extreme, direction = q[0, j], 0
+        for i in range(len(q)):
+            value = q[i, j]
+            if direction == 0:
+                if abs(value - extreme) > thresholds[j]:
+                    direction, extreme = (1 if value > extreme else -1), value
+            elif (value - extreme) * direction >= 0:
+                extreme = value
+            elif abs(value - extreme) > thresholds[j]:
+                direction, extreme = -direction, value
+            directions[i, j] = direction

@@ -11,7 +11,7 @@ from verify.records import Array
 Coefficients = Array | Sequence[float]  # k1, k2, p1, p2, k3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)  # arrays have no plain equality
 class Camera:
     """A camera on a turning base: rig_T_camera(b) = Trans(pan_center) Rot(pan_axis, b) Mount."""
 

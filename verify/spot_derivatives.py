@@ -7,9 +7,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from verify import spot_derivatives_kernel as kernel
 from verify.marker import Marker
 from verify.records import Array, Sighting
-from verify.rig import Camera, Rig, distort
+from verify.rig import Camera, Rig
+from verify.spot_derivatives_kernel import Index
 
 AXES = ("x", "y", "z")
 LENS = ("k1", "k2", "p1", "p2", "k3")
@@ -21,12 +23,11 @@ class Views:
 
     side: tuple[tuple[str, Camera, Sighting, slice, Array], ...]  # …, (m, 3) points in the camera
     points_rig: Array  # (s, 3)
-    led: Array  # (s,) index
+    led: Index  # (s,)
     names: tuple[str, ...]
     offset: Array  # (s, 3), LED from flange, rig axes
     rig_R_flange: Array  # (3, 3)
     by_point: Array  # (s, 2, 3), d px / d point in the rig
-    by_led: Array  # (s, 2, 3), d px / d LED in the flange
 
 
 def look_at(
@@ -62,7 +63,6 @@ def look_at(
         offset,
         rig_R_flange,
         by_point,
-        by_point @ rig_R_flange,
     )
 
 
@@ -75,14 +75,7 @@ def moved_spots(views: Views, names: tuple[str, ...]) -> Array:
     """
     plan = _planned(names, views.names)
     moved = np.zeros((len(names), len(views.led), 2))
-    by_axis = views.by_led.transpose(2, 0, 1)  # (3, s, 2)
-    column, led, axis = plan.leds
-    moved[column] = by_axis[axis] * (views.led == led[:, None])[:, :, None]
-    column, axis = plan.shifts
-    moved[column] = by_axis[axis]
-    for column, axis in plan.turns.T:
-        sweep = swept(views.rig_R_flange[:, axis], views.offset)
-        moved[column] = (views.by_point @ sweep[:, :, None])[:, :, 0]
+    kernel.by_body(plan.body, views.led, views.rig_R_flange, views.offset, views.by_point, moved)
     for side, camera, sighting, spots, inside in views.side:
         points, by_point = views.points_rig[spots], views.by_point[spots]
         columns, keys = plan.camera[side]
@@ -92,19 +85,15 @@ def moved_spots(views: Views, names: tuple[str, ...]) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """Parameters by kind: the column of each, and what it moves along or about."""
+    """Parameters by what they belong to."""
 
-    leds: NDArray[np.intp]  # (3, .): column, LED, axis
-    shifts: NDArray[np.intp]  # (2, .): column, axis, of the LED body along the flange's axes
-    turns: NDArray[np.intp]  # (2, .), of the LED body about them
+    body: Index  # (., 4), of LEDs and their body: column, kind, LED, axis
     camera: dict[str, tuple[NDArray[np.intp], tuple[str, ...]]]  # columns, and the parameters' keys
 
 
 @lru_cache(maxsize=16)
 def _planned(names: tuple[str, ...], leds: tuple[str, ...]) -> _Plan:
-    one: list[tuple[int, int, int]] = []
-    shifts: list[tuple[int, int]] = []
-    turns: list[tuple[int, int]] = []
+    body: list[tuple[int, int, int, int]] = []
     camera: dict[str, list[tuple[int, str]]] = {"left": [], "right": []}
     for column, name in enumerate(names):
         head, _, key = name.partition(".")
@@ -112,19 +101,15 @@ def _planned(names: tuple[str, ...], leds: tuple[str, ...]) -> _Plan:
             camera[head].append((column, key))
         elif head == "body":
             axis = AXES.index(key.split("_")[0][-1])
-            (turns if key.startswith("r") else shifts).append((column, axis))
+            body.append((column, kernel.TURN if key.startswith("r") else kernel.SHIFT, 0, axis))
         elif head in ("led", "centre"):
             led, _, axis_name = key.rpartition(".")
-            one.append((column, leds.index(led), AXES.index(axis_name[0])))
-    moved, body_shifts, body_turns = (
-        np.array(rows, dtype=np.intp).reshape(-1, width).T
-        for rows, width in ((one, 3), (shifts, 2), (turns, 2))
-    )
+            body.append((column, kernel.LED, leds.index(led), AXES.index(axis_name[0])))
     sides = {
         side: (np.array([c for c, _ in found], dtype=np.intp), tuple(key for _, key in found))
         for side, found in camera.items()
     }
-    return _Plan(moved, body_shifts, body_turns, sides)
+    return _Plan(np.array(body, dtype=np.int64).reshape(-1, 4), sides)
 
 
 def camera_pixels(
@@ -145,77 +130,40 @@ def camera_pixels(
         points: (m, 3), m, the same in the rig.
         by_point: (m, 2, 3), d px / d point in the rig.
     """
-    kinds = _sorted(keys)
-    moved = np.zeros((len(keys), *by_point.shape[:2]))
-    xy = inside[:, :2] / inside[:, 2:3]
-    rows, axis = kinds.middle
-    moved[rows, :, axis] = 1.0
-    rows, axis = kinds.focal
-    if len(rows):
-        moved[rows, :, axis] = distort(xy, camera.distortion).T[axis]
-    rows, which = kinds.lens
-    if len(rows):
-        moved[rows] = (_by_lens(xy) @ camera.matrix[:2, :2].T)[which]
-    if len(kinds.motion):
-        twist = _twists(tuple(keys[row] for row in kinds.motion), camera, pan)
-        x, y, z = points[:, None, 0], points[:, None, 1], points[:, None, 2]
-        a, b, c = by_point[..., 0], by_point[..., 1], by_point[..., 2]
-        by_twist = np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a])
-        pixels = twist @ by_twist.reshape(6, by_point.shape[0] * by_point.shape[1])
-        moved[kinds.motion] = -pixels.reshape(len(twist), *by_point.shape[:2])
+    moved = np.empty((len(keys), *by_point.shape[:2]))
+    kernel.by_camera(
+        _kinds(keys),
+        _twists(keys, camera, pan),
+        (camera.matrix, camera.distortion),
+        np.ascontiguousarray(inside),
+        np.ascontiguousarray(points),
+        np.ascontiguousarray(by_point),
+        moved,
+    )
     return moved
 
 
-@dataclass(frozen=True, slots=True)
-class _Kinds:
-    """One camera's parameters by kind: the row of each, and which one of its kind it is."""
-
-    middle: tuple[NDArray[np.intp], ...]
-    focal: tuple[NDArray[np.intp], ...]
-    lens: tuple[NDArray[np.intp], ...]
-    motion: NDArray[np.intp]
-
-
 @lru_cache(maxsize=32)
-def _sorted(keys: tuple[str, ...]) -> _Kinds:
-    middle, focal, lens = (
-        _places(keys, kind) for kind in (("cx_px", "cy_px"), ("fx_px", "fy_px"), LENS)
-    )
-    others = set(range(len(keys))).difference(*(rows.tolist() for rows, _ in (middle, focal, lens)))
-    return _Kinds(middle, focal, lens, np.array(sorted(others), dtype=np.intp))
+def _kinds(keys: tuple[str, ...]) -> Index:
+    """What each of one camera's parameters is, and which one of its kind, (k, 2)."""
+    kinds = {kernel.MIDDLE: ("cx_px", "cy_px"), kernel.FOCAL: ("fx_px", "fy_px"), kernel.LENS: LENS}
+    places = {name: (kind, i) for kind, names in kinds.items() for i, name in enumerate(names)}
+    found = [places.get(key, (kernel.MOTION, 0)) for key in keys]
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-def _places(keys: tuple[str, ...], kind: tuple[str, ...]) -> tuple[NDArray[np.intp], ...]:
-    """Rows of the keys that are of a kind, and which of it each is."""
-    rows = [row for row, key in enumerate(keys) if key in kind]
-    which = [kind.index(keys[row]) for row in rows]
-    return np.array(rows, dtype=np.intp), np.array(which, dtype=np.intp)
-
-
-def _by_lens(xy: Array) -> Array:
-    """Derivative of distorted coordinates (m, 2) by the coefficients, in which they are linear."""
-    x, y = xy.T
-    r2, twice = x * x + y * y, 2 * x * y
-    radial = r2[:, None] * xy
-    tangential = np.stack([twice, r2 + 2 * y * y], -1), np.stack([r2 + 2 * x * x, twice], -1)
-    fourth = r2[:, None] * radial
-    return np.stack([radial, fourth, *tangential, r2[:, None] * fourth])
-
-
-def swept(turn: Array, points: Array) -> Array:
-    """Cross product turn x points, (..., 3); numpy's own takes five times as long."""
-    x, y, z = turn.tolist()
-    swept: Array = points @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-    return swept
-
-
+@lru_cache(maxsize=8)
 def _twists(keys: tuple[str, ...], camera: Camera, pan: float) -> Array:
     """How the camera moves a unit parameter: (k, 6), translation at the rig's origin and turn.
 
-    The world moves against it.
+    The world moves against it. None for parameters that do not move it.
     """
     turned = np.asarray(cv2.Rodrigues(camera.pan_axis * (pan + camera.pan_zero))[0], dtype=float)
-    return np.array([_twist(key, camera, pan, turned) for key in keys])
+    twists = np.zeros((len(keys), 6))
+    for i, (kind, _) in enumerate(_kinds(keys).tolist()):
+        if kind == kernel.MOTION:
+            twists[i] = _twist(keys[i], camera, pan, turned)
+    return twists
 
 
 def _twist(key: str, camera: Camera, pan: float, turned: Array) -> list[float]:

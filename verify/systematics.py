@@ -7,8 +7,8 @@ flange's for the LED body.
 """
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from verify.marker import Marker
 from verify.records import Array, Measurement, Pose, Sighting
 from verify.rig import Rig
-from verify.spot_derivatives import AXES, look_at, moved_spots, swept
+from verify.spot_derivatives import AXES, look_at, moved_spots
 
 BODY = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 UNITS = {"mm": 1e-3, "deg": np.pi / 180, "px": 1.0}
@@ -156,9 +156,9 @@ def sensitivities(parameters: Systematics, seen: Measurement, rig: Rig, marker: 
     views = look_at(pose.rig_T_flange, left, right, pose.sensitivity, rig, marker)
     moved = moved_spots(views, names)
     columns = -gain @ moved.reshape(len(names), -1).T
-    placed = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
+    placed, base = _of_base(names)
     if placed:
-        columns[:, placed] = _base([names[i] for i in placed], rig, pose)
+        columns[:, placed] = _base(base, rig, pose)
     return columns
 
 
@@ -206,17 +206,26 @@ def root(covariance: Array) -> Array:
     return found
 
 
-def _base(names: Sequence[str], rig: Rig, pose: Pose) -> Array:
+def _base(names: tuple[str, ...], rig: Rig, pose: Pose) -> Array:
     """Change of the flange's pose in the base when the base's place in the rig changes, (6, p)."""
     base_R_rig = rig.rig_T_base[:3, :3].T
-    arm = pose.rig_T_flange[:3, 3] - rig.rig_T_base[:3, 3]
-    columns = np.zeros((6, len(names)))
-    for i, name in enumerate(names):
-        key = name.partition(".")[2]
-        axis = AXES.index(key.split("_")[0][-1])
-        if key.startswith("r"):
-            columns[:3, i] = -base_R_rig @ swept(np.eye(3)[axis], arm)
-            columns[3:, i] = -base_R_rig[:, axis]
-        else:
-            columns[:3, i] = -base_R_rig[:, axis]
+    x, y, z = (pose.rig_T_flange[:3, 3] - rig.rig_T_base[:3, 3]).tolist()
+    change = np.zeros((6, 6))  # by a shift along the rig's axes, and by a turn about them
+    change[:3, :3] = change[3:, 3:] = base_R_rig
+    change[:3, 3:] = base_R_rig @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    columns: Array = -change[:, _ways(names)]
     return columns
+
+
+@lru_cache(maxsize=8)
+def _ways(names: tuple[str, ...]) -> list[int]:
+    """Which of a body's six ways to move each parameter is."""
+    keys = [name.partition(".")[2] for name in names]
+    return [AXES.index(key.split("_")[0][-1]) + 3 * key.startswith("r") for key in keys]
+
+
+@lru_cache(maxsize=8)
+def _of_base(names: tuple[str, ...]) -> tuple[list[int], tuple[str, ...]]:
+    """Which parameters are the robot base's, and their names."""
+    places = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
+    return places, tuple(names[i] for i in places)

@@ -46,6 +46,8 @@ def subset(track: Track, chosen: NDArray[np.int64]) -> Track:
 
 def together(tracks: Sequence[Track]) -> Track:
     """Several tracks as one, in their order."""
+    if len(tracks) == 1:
+        return tracks[0]
     names = [f.name for f in fields(Track) if f.name != "determined"]
     parts = {name: np.concatenate([getattr(t, name) for t in tracks]) for name in names}
     return Track(**parts, determined=tuple(d for t in tracks for d in t.determined))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.live.joint_row import Evidence
-from verify.readings import MAD_TO_SIGMA
+from verify.readings_kernel import MAD_TO_SIGMA
 from verify.records import Array
 from verify.regression import MOST_CORRELATED, autocorrelation
 
