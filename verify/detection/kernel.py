@@ -12,6 +12,7 @@ from verify.compiled import compiled, compiled_sums
 from verify.detection.kernel_clip import CLIP_REACH, SENSOR_LIMIT, clipped
 from verify.detection.profile import LAST, LOWEST, ROW_STEP, STEP
 from verify.records import Array
+from verify.small_matrices import factor, solve
 
 X, Y, PEAK, FLOOR, SLOPE_X, SLOPE_Y, XX, XY, YY, STEEPNESS = range(10)
 PARAMETERS = 10
@@ -241,6 +242,7 @@ def descend(
     """
     size = pixels.shape[1]
     tried_information, tried_gradient = np.empty_like(information), np.empty_like(gradient)
+    root, step = np.empty_like(information), np.empty_like(gradient)
     out = weigh(p, pixels, scale, noise, table, known, rows)
     chi2 = normal_equations(p, rows, out, prior, information, gradient)
     variance = known[VARIANCE].copy()
@@ -250,7 +252,9 @@ def descend(
         damped = information.copy()
         for a in range(PARAMETERS):
             damped[a, a] = damped[a, a] * (1.0 + damping) + UNTOLD
-        step = np.linalg.solve(damped, gradient)
+        factor(damped, 0.0, root)
+        step[:] = gradient
+        solve(root, step)
         shorten(step, p)
         tried = p + step
         out = weigh(tried, pixels, scale, noise, table, known, rows)
