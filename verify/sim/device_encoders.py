@@ -86,10 +86,10 @@ class SimulatedEncoders:
     def _stamp(self, t: float) -> tuple[float, int]:
         """What the controller's clock shows, s, and how often it was reset."""
         began = self._scene.clock.began
-        resets = [e.at for e in self._scene.present(t) if e.what == "encoder_reset"]
+        resets = self._scene.resets(t)
         drift = 1 - self._table.clock_drift_ppm * 1e-6
         if resets:
-            return RESET_TO + (t - began - max(resets)) * drift, len(resets)
+            return RESET_TO + (t - max(resets)) * drift, len(resets)
         return began + (t - began) * drift - self._table.clock_offset_s, 0
 
     def _silent(self, t: float) -> bool:

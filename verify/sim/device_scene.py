@@ -36,14 +36,20 @@ class Scene:
         self.scenario: Scenario = session.scenario
         self.clock, self.painter = clock, painter
         self.world: World = painter.worlds[0]
-        self._events = events
+        self._events, self._opened = events, clock.began
+        self._open = False
         self._names = [led.name for led in self.scenario.marker.led]
         self._departure = session.true_pan[0] - session.pan[0]  # rad, of truth from reading
         self._lock = threading.Lock()
         self._ways = [(-np.inf, session.pan[0], session.pan[0])]  # when, from, to
 
+    def open(self) -> None:
+        """Note that a device is opened: from the first one on, the events' times count."""
+        if not self._open:
+            self._open, self._opened = True, self.clock.now()
+
     def happen(self, event: SimEvent) -> None:
-        """Let something happen that was not planned; its time counts from the start too."""
+        """Let something happen that was not planned; its time counts as the others'."""
         self._events = (*self._events, event)
 
     def seconds(self, t: float) -> float:
@@ -52,8 +58,13 @@ class Scene:
 
     def present(self, t: float | None = None) -> list[SimEvent]:
         """Events that are going on at an instant (now)."""
-        elapsed = (self.clock.now() if t is None else t) - self.clock.began
+        elapsed = (self.clock.now() if t is None else t) - self._opened
         return [event for event in self._events if event.present(elapsed)]
+
+    def resets(self, t: float) -> list[float]:
+        """When the controller had started anew by an instant, on the cameras' clock, s."""
+        resets = [event.at for event in self.present(t) if event.what == "encoder_reset"]
+        return [self._opened + at for at in resets]
 
     def joints(self, t: Array) -> Array:
         """True joint angles at instants of the cameras' clock: (n,) to (n, joints), rad."""

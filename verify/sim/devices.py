@@ -48,14 +48,17 @@ class SimulatedStation:
 
     def camera(self, side: int, settings: CameraSettings) -> SimulatedCameraDevice:
         """Open the left (0) or right (1) camera."""
+        self.scene.open()
         return SimulatedCameraDevice(self.scene, side, self._painter, settings)
 
     def encoders(self, rate: float | None) -> SimulatedEncoders:
         """Open the encoders; rate in Hz, None for the scenario's own."""
+        self.scene.open()
         return SimulatedEncoders(self.scene, rate)
 
     def pan(self) -> SimulatedPan:
         """Open the turning bases."""
+        self.scene.open()
         return SimulatedPan(self.scene)
 
     def happen(self, event: SimEvent) -> None:
