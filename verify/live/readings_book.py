@@ -7,8 +7,8 @@ from collections import deque
 import numpy as np
 
 from verify.devices import EncoderReading
+from verify.live.readings_store import ReadingsStore
 from verify.readings import LONGEST_GAP, Readings
-from verify.records import Array
 
 KEPT = 90.0  # s of readings: the clock's window and its margins
 ABOUT = 0.7  # s before an instant that its reading is interpolated from, with room for its speed
@@ -22,6 +22,7 @@ class ReadingsBook:
     def __init__(self) -> None:
         self.arrived = threading.Condition()
         self._readings: deque[EncoderReading] = deque()
+        self._store = ReadingsStore()  # the same, as arrays
         self._delays: deque[tuple[float, float]] = deque()  # t_host, t_host - t: rising delays
         self.segment: int | None = None
         self.added = 0
@@ -31,14 +32,17 @@ class ReadingsBook:
         with self.arrived:
             if reading.segment != self.segment:
                 self._readings.clear()
+                self._store.clear()
                 self._delays.clear()
                 self.segment = reading.segment
             if self._readings and reading.t <= self._readings[-1].t:
                 return  # a driver promises rising times; a spline could not bear less
             self._readings.append(reading)
+            self._store.add(reading.t, reading.q)
             self._note_delay(reading)
             while self._readings[0].t < reading.t - KEPT:
                 self._readings.popleft()
+            self._store.forget_before(reading.t - KEPT)
             self.added += 1
             self.arrived.notify_all()
 
@@ -97,30 +101,20 @@ class ReadingsBook:
         None from before a silence of the line: what happened in it is not known.
         """
         with self.arrived:
-            chosen: list[EncoderReading] = []
-            for reading in reversed(self._readings):
-                if reading.t < t - ABOUT and len(chosen) >= FEWEST_ABOUT:
-                    break
-                if chosen and chosen[-1].t - reading.t > LONGEST_GAP:
-                    break  # the arm went on while the line was silent
-                chosen.append(reading)
-        return _readings(chosen[::-1])
+            times = self._store.t
+            before = int(np.searchsorted(times, t - ABOUT))
+            begin = max(min(before, len(times) - FEWEST_ABOUT), 0)
+            silences = np.flatnonzero(np.diff(times[begin:]) > LONGEST_GAP)
+            if len(silences):  # the arm went on while the line was silent
+                begin += int(silences[-1]) + 1
+            return self._store.copied(begin)
 
     def since(self, t: float) -> Readings | None:
         """All readings from an instant (s, controller's clock) on."""
         with self.arrived:
-            chosen = [reading for reading in self._readings if reading.t >= t]
-        return _readings(chosen)
+            return self._store.copied(int(np.searchsorted(self._store.t, t)))
 
     def half_width(self) -> float:
         """Within what each reading is known, s, of the newest."""
         latest = self.latest()
         return latest.half_width if latest is not None else 0.0
-
-
-def _readings(chosen: list[EncoderReading]) -> Readings | None:
-    if not chosen:
-        return None
-    t: Array = np.array([reading.t for reading in chosen])
-    q: Array = np.array([reading.q for reading in chosen])
-    return Readings(t, q)
