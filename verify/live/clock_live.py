@@ -54,6 +54,9 @@ class ClockLine:
 
     def __init__(self) -> None:
         self._points: deque[_Point] = deque(maxlen=REMEMBERED)
+        self._drift = 0.0
+        # what was told last, and when for: a pair's instant is asked for several times
+        self._asked: tuple[float, tuple[float, float]] | None = None
 
     def __len__(self) -> int:
         """Count the windows that it rests on."""
@@ -76,6 +79,8 @@ class ClockLine:
             if apart > JUMPED_BY and apart > JUMPED * math.sqrt(known**2 + variance):
                 self._points.clear()
         self._points.append(_Point(t, estimate.offset, variance))
+        self._drift = float(self._fit(t)[0][1])
+        self._asked = None
 
     def at(self, t: float) -> tuple[float, float]:
         """Offset at an instant and its standard uncertainty, s.
@@ -85,13 +90,14 @@ class ClockLine:
         """
         if not self._points:
             raise ValueError("no offset is known yet")
-        value, spread = self._solved(t)
-        return value, spread
+        if self._asked is None or self._asked[0] != t:
+            self._asked = (t, self._solved(t))
+        return self._asked[1]
 
     @property
     def drift(self) -> float:
         """Slope of the line, s a second."""
-        return float(self._fit(self._points[-1].t)[0][1]) if self._points else 0.0
+        return self._drift
 
     def _fit(self, t: float) -> tuple[Array, Array]:
         """Offset at t and slope, and their covariance."""
