@@ -1,9 +1,10 @@
 """Pictures of two cameras that run freely, brought together by time."""
 
 from collections import Counter, deque
+from collections.abc import Iterable
 from dataclasses import dataclass
-
-import numpy as np
+from itertools import pairwise
+from statistics import median
 
 from verify.cameras import CameraFrame
 
@@ -58,7 +59,7 @@ class Pairing:
         """Time between two pictures of the slower camera, s."""
         if self._given is not None:
             return self._given
-        known = [float(np.median(np.diff(times))) for times in self._times if len(times) > 2]
+        known = [_median_step(times) for times in self._times if len(times) > 2]
         return max(known) if len(known) == 2 else USUAL_PERIOD
 
     @property
@@ -94,10 +95,11 @@ class Pairing:
 
     def _partner(self, others: "deque[CameraFrame]", frame: CameraFrame) -> CameraFrame | None:
         """Take the nearest waiting picture of the other side; older ones have missed theirs."""
-        while others and others[0].t < frame.t - self.tolerance:
+        tolerance = self.tolerance
+        while others and others[0].t < frame.t - tolerance:
             others.popleft()
             self.dropped[NO_PARTNER] += 1
-        near = [other for other in others if abs(other.t - frame.t) <= self.tolerance]
+        near = [other for other in others if abs(other.t - frame.t) <= tolerance]
         if not near:
             return None
         best = min(near, key=lambda other: abs(other.t - frame.t))
@@ -116,3 +118,8 @@ class Pairing:
         if queue:
             self.dropped[NO_PARTNER] += len(queue)
             queue.clear()
+
+
+def _median_step(times: Iterable[float]) -> float:
+    """Median time from one picture to the next, s; plain numbers, as both cameras wait for it."""
+    return median(later - earlier for earlier, later in pairwise(times))
