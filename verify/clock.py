@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
+from verify.clock_kernel import motion_misfits, motions
 from verify.comparison import Comparison, compare
 from verify.readings import LONGEST_GAP, Readings
 from verify.records import Array
@@ -19,6 +20,8 @@ from verify.track import Track, subset
 
 MOST_PAIRS = 400  # enough to find the offset coarsely; more only cost time
 COARSE_STEP = 0.02  # s; brisk joints turn half a degree in it
+MOST_INSTANTS = 100_000  # that are looked up at a time: a few megabytes
+WILD = 100.0  # a squared misfit, beyond which a pair has one vote
 FEW_PAIRS = 40  # where each offset costs a comparison
 POSE_STEP = 0.05  # s, likewise: the fine search converges from further off
 MOST_OFFSETS = 400
@@ -98,28 +101,29 @@ def _coarse(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, A
     early, late = _neighbours(track)
     if not len(early):
         return np.zeros(0), np.zeros(0)
-    seen = _invariants(track.base_T_flange[early], track.base_T_flange[late])
+    seen = np.empty((len(early), 2))
+    motions(track.base_T_flange[early], track.base_T_flange[late], seen)
     variance = np.square(MODEL_ERROR) + _invariant_variance(track, early, late)
     lowest, highest = _span(track, readings)
     count = max(int(np.ceil((highest - lowest) / COARSE_STEP)), 1) + 1
     # poses along the whole log once; every offset then only looks them up
     grid_t = _grid(readings)
-    grid_pose = robots.forward(arm, readings.at(grid_t))
+    grid = grid_t, robots.forward(arm, readings.at(grid_t))
+    ends = np.stack([track.t[early], track.t[late]])
     offsets, cost = [], []
-    for offset in np.linspace(lowest, highest, count):
-        one, two = track.t[early] - offset, track.t[late] - offset
-        known = readings.known(one) & readings.known(two)
-        if known.mean() < LEAST_OVERLAP:
-            continue
-        places = [
-            np.clip(np.searchsorted(grid_t, t[known] - COARSE_STEP / 2), 0, len(grid_t) - 1)
-            for t in (one, two)
-        ]
-        read = _invariants(grid_pose[places[0]], grid_pose[places[1]])
-        misfit = (read - seen[known]) ** 2 / variance[known]
-        offsets.append(offset)
-        cost.append(float(np.mean(np.minimum(misfit, 100.0))))  # a wild pair has one vote
-    return np.array(offsets), np.array(cost)
+    every = np.linspace(lowest, highest, count)
+    for some in np.array_split(every, -(-count * len(early) // MOST_INSTANTS)):
+        instants = ends - some[:, None, None]
+        told = readings.known(instants.reshape(-1)).reshape(instants.shape)
+        known = told[:, 0] & told[:, 1]
+        enough = known.mean(axis=1) >= LEAST_OVERLAP
+        found = np.empty(int(enough.sum()))
+        motion_misfits(
+            instants[enough], known[enough], grid, COARSE_STEP, (seen, variance), WILD, found
+        )
+        offsets.append(some[enough])
+        cost.append(found)
+    return np.concatenate(offsets), np.concatenate(cost)
 
 
 def _coarse_by_pose(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, Array]:
@@ -172,15 +176,6 @@ def _neighbours(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         chosen = np.linspace(0, len(early) - 1, MOST_PAIRS).astype(int)
         early, late = early[chosen], late[chosen]
     return early, late
-
-
-def _invariants(a_T_one: Array, a_T_other: Array) -> Array:
-    """Angle (rad) and distance (m) of the motion between poses, (n, 2): the same in any frame."""
-    between = a_T_one[:, :3] - a_T_other[:, :3]
-    # the Frobenius norm of two rotations' difference is sqrt(8) times the sine of half the angle
-    turn = np.sqrt(np.einsum("nij,nij->n", between[:, :, :3], between[:, :, :3]) / 8)
-    distance = np.sqrt(np.einsum("ni,ni->n", between[:, :, 3], between[:, :, 3]))
-    return np.stack([2 * np.arcsin(np.minimum(turn, 1.0)), distance], axis=1)
 
 
 def _invariant_variance(track: Track, early: NDArray[np.int64], late: NDArray[np.int64]) -> Array:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.interim_pair import Row, inverse_of, row_of
+from verify.interim_pair import Row, inverse_of, rows_of
 from verify.marker import Marker
 from verify.pose import MODEL_FLOOR_PX
 from verify.records import Array, Measurement
@@ -92,7 +92,7 @@ def consistency(
     """
     posed = [m for m in measurements if m.pose is not None]
     spread = np.linspace(0, len(posed) - 1, min(len(posed), MOST_PAIRS)).astype(int)
-    rows = [row for i in spread if (row := row_of(posed[i], marker)) is not None]
+    rows = rows_of([posed[i] for i in spread], marker)
     rows, left_out = _without_outlying(rows)
     if not rows:
         return None
@@ -175,7 +175,8 @@ def _without_outlying(rows: list[Row]) -> tuple[list[Row], tuple[int, ...]]:
     if len(rows) < 3:
         return rows, ()
     values = np.array([r.value for r in rows])
-    noise = np.array([np.sqrt(np.diag(inverse_of(r.information))) for r in rows])
+    inverse = inverse_of(np.array([r.information for r in rows]))
+    noise = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
     noise[:, 1] = np.hypot(noise[:, 1], MODEL_FLOOR_PX)
     far = np.zeros(len(rows), dtype=bool)
     for figure, sigma in zip(values.T, noise.T, strict=True):
@@ -189,12 +190,12 @@ def _without_outlying(rows: list[Row]) -> tuple[list[Row], tuple[int, ...]]:
 
 def _random(rows: list[Row], value: Array, inverse: Array) -> Array:
     """What averages out: as the pixels state it, or as the pairs scatter if that is more."""
-    white = np.full((len(rows), 3), np.nan)
-    for i, row in enumerate(rows):
-        shown = np.diag(row.information) > 0
-        left = (row.wanted - row.information @ value)[shown]
-        lower = np.linalg.cholesky(row.information[np.ix_(shown, shown)])
-        white[i, shown] = np.linalg.solve(lower, left)
+    information = np.array([row.information for row in rows])
+    shown = np.diagonal(information, axis1=1, axis2=2) > 0
+    left = np.array([row.wanted for row in rows]) - information @ value
+    lower = np.linalg.cholesky(information + ~shown[:, :, None] * np.eye(3))
+    white = np.linalg.solve(lower, np.where(shown, left, 0.0)[:, :, None])[:, :, 0]
+    white = np.where(shown, white, np.nan)
     shown_in = np.sum(~np.isnan(white), axis=0)
     scatter = np.nansum(white**2, axis=0) / np.maximum(shown_in - 1, 1)
     factor = np.sqrt(np.maximum(scatter, 1.0) * autocorrelation(white))

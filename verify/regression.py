@@ -47,10 +47,15 @@ class Whitener:
 def whiten(comparison: Comparison, covariance: Array | None = None) -> Whitener:
     """Whitening of a comparison by what varies from pair to pair, or by another (n, 6, 6)."""
     spread = comparison.covariance if covariance is None else covariance
-    factors: list[Array] = []
-    for block, known in zip(spread, comparison.determined, strict=True):
-        lower = np.linalg.cholesky(known.T @ block @ known)
-        factors.append(np.asarray(np.linalg.solve(lower, known.T), dtype=np.float64))
+    alike: dict[int, list[int]] = {}  # pairs that know equally many directions, done together
+    for i, known in enumerate(comparison.determined):
+        alike.setdefault(known.shape[1], []).append(i)
+    found: dict[int, Array] = {}
+    for some in alike.values():
+        turned = np.swapaxes(np.array([comparison.determined[i] for i in some]), 1, 2)
+        lower = np.linalg.cholesky(turned @ spread[some] @ np.swapaxes(turned, 1, 2))
+        found.update(zip(some, np.linalg.solve(lower, turned), strict=True))
+    factors = [found[i] for i in range(len(found))]
     pair = np.repeat(np.arange(len(factors)), [len(f) for f in factors])
     return Whitener(tuple(factors), pair.astype(np.int64))
 

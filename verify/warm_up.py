@@ -8,9 +8,10 @@ import numpy as np
 from verify.marker import Marker
 from verify.measurement import Detector, Setup, measure, one_after_the_other
 from verify.readings import Readings
-from verify.records import Array, Image, StereoPair
+from verify.records import Array, Image, Sighting, StereoPair
 from verify.rig import Camera, Rig
 from verify.small_matrices import rotation_vectors
+from verify.spot_derivatives import look_at, moved_spots
 
 SIZE = (320, 240)  # px
 FOCAL = 400.0  # px
@@ -29,8 +30,7 @@ def warm_up(detect: Detector = one_after_the_other) -> None:
     Args:
         detect: what will look for spots; in another process too.
     """
-    rig = Rig(SIZE, _camera(-APART / 2), _camera(APART / 2), np.eye(4))
-    marker = Marker(tuple("ABCD"), LEDS, (None,) * len(LEDS), 0.005)
+    rig, marker = _rig(), _marker()
     pictures = [_picture(camera) for camera in (rig.left, rig.right)]
     times = (number / RATE for number in range(PAIRS))
     pairs = (StereoPair(n, t, t + 1e-3, 0.0, 0.0, *pictures) for n, t in enumerate(times))
@@ -46,6 +46,21 @@ def warm_up_comparison() -> None:
     readings.direction(t)  # by the readings' noise
     readings.missed(t)
     rotation_vectors(np.eye(3)[None], np.empty((1, 3)))
+    led, none = np.arange(len(LEDS)), np.zeros((len(LEDS), 2))
+    spread, still = np.zeros((len(LEDS), 2, 2)), np.zeros(len(LEDS))
+    seen = Sighting(led, none, spread, 0.0, 0.0, still, none, still)
+    pose = np.eye(4)
+    pose[:3, 3] = CORNER
+    views = look_at(pose, seen, seen, np.zeros((2 * len(LEDS), 2, 3)), _rig(), _marker())
+    moved_spots(views, ("left.fx_px", "body.rx_deg"))
+
+
+def _rig() -> Rig:
+    return Rig(SIZE, _camera(-APART / 2), _camera(APART / 2), np.eye(4))
+
+
+def _marker() -> Marker:
+    return Marker(tuple("ABCD"), LEDS, (None,) * len(LEDS), 0.005)
 
 
 def _camera(x: float) -> Camera:

@@ -236,5 +236,5 @@ def test_figures_that_a_pair_cannot_tell_apart_are_not_shown_by_it() -> None:
     figures = np.random.default_rng(3).normal(size=(8, 3))
     alike = figures.copy()
     alike[:, 2] = 2 * alike[:, 1]
-    assert _alike(figures, figures) == []
-    assert _alike(alike, figures) == [1, 2]
+    assert _alike(figures, figures).tolist() == [False, False, False]
+    assert _alike(alike, figures).tolist() == [False, True, True]

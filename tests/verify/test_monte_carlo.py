@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.verify.spotted import Spotted, spotted
 from verify.judgement.monte_carlo import AGREES, monte_carlo
-from verify.judgement.monte_carlo_poses import camera_draws, each_spot, led_draws, refit, spots_of
+from verify.judgement.monte_carlo_poses import Views, camera_draws, led_draws, refit, spots_of
 from verify.records import Array
 
 HOMES = {
@@ -54,11 +54,11 @@ def test_a_pose_fitted_in_no_drawn_world_is_the_chains_own(
                 (rig.right, "right", seen.right),
             )
         ]
-        cameras = each_spot(sides[0], sides[1], spots.left, len(spots.led))
-        leds = led_draws(marker, spots.led, {}, 1)
+        views = Views(sides[0], sides[1], spots.left)
+        leds = led_draws(marker, {}, 1)[:, spots.led]
         off = seen.pose.rig_T_flange.copy()
         off[:3, 3] += 1e-3  # it finds its way back
-        found = refit(off, leds, spots.seen[None], cameras, spots.weight)
+        found = refit(off, leds, spots.seen[None], views, spots.weight)
         assert_allclose(found[0], seen.pose.rig_T_flange, atol=1e-8)
 
 

@@ -174,15 +174,15 @@ def table_columns(arm: robots.Arm, comparison: Comparison) -> tuple[tuple[str, .
     """
     if not isinstance(arm, robots.DhArm):
         return (), np.zeros((len(comparison), 6, 0))
-    names, columns = [], []
+    names, sides = [], []
     for key, suffix in (("a", "mm"), ("d", "mm"), ("alpha", "deg")):
         for j in range(arm.dof):
-            sides = []
             for step in (STEP, -STEP):
                 table = {k: getattr(arm, k).copy() for k in ("a", "d", "alpha")}
                 table[key][j] += step
                 changed = replace(arm, a=table["a"], d=table["d"], alpha=table["alpha"])
                 sides.append(robots.forward(changed, comparison.q))
             names.append(f"{key}{j + 1}_{suffix}")
-            columns.append(difference(sides[0], sides[1]) / (2 * STEP))
-    return tuple(names), np.stack(columns, axis=2)
+    poses = np.array(sides)
+    columns = difference(poses[::2], poses[1::2]) / (2 * STEP)
+    return tuple(names), np.moveaxis(columns, 0, 2)

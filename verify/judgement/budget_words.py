@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from verify.judgement.budget import Budget
+from verify.judgement.budget import COLUMNS, Budget
 from verify.judgement.monte_carlo import AGREES, SEED, SHIFTED, MonteCarlo
 from verify.records import Array
 
@@ -18,30 +18,32 @@ DRAWN_COLUMNS = [
 
 def budget_entry(found: Budget, uncounted: tuple[str, ...]) -> dict[str, Any]:
     """What summary.json says of the budget: a joint's lines, and what they add up to."""
-    joints = []
-    for j in range(len(found.random)):
-        lines = found.lines[found.lines["joint"] == j + 1]
-        joints.append(
-            {
-                "joint": j + 1,
-                "random_standard_uncertainty_deg": known(np.rad2deg(found.random[j])),
-                "systematic_standard_uncertainty_deg": known(np.rad2deg(found.systematic[j])),
-                "effective_degrees_of_freedom": known(found.degrees[j]),
-                "coverage_factor": known(found.coverage_factor[j]),
-                "sources": [
-                    {
-                        "source": line["source"],
-                        "kind": line["kind"],
-                        "type": line["type"],
-                        "standard_uncertainty_deg": known(line["standard_uncertainty_deg"]),
-                        "degrees_of_freedom": known(line["degrees_of_freedom"]),
-                        "share": known(line["share"]),
-                    }
-                    for line in lines.to_dict("records")
-                ],
-            }
-        )
+    columns = [found.lines[name].tolist() for name in COLUMNS]
+    lines = [dict(zip(COLUMNS, line, strict=True)) for line in zip(*columns, strict=True)]
+    joints = [
+        {
+            "joint": j + 1,
+            "random_standard_uncertainty_deg": known(np.rad2deg(found.random[j])),
+            "systematic_standard_uncertainty_deg": known(np.rad2deg(found.systematic[j])),
+            "effective_degrees_of_freedom": known(found.degrees[j]),
+            "coverage_factor": known(found.coverage_factor[j]),
+            "sources": [_source(line) for line in lines if line["joint"] == j + 1],
+        }
+        for j in range(len(found.random))
+    ]
     return {"uncounted": list(uncounted), "joints": joints}
+
+
+def _source(line: dict[str, Any]) -> dict[str, Any]:
+    """One line of a joint's budget."""
+    return {
+        "source": line["source"],
+        "kind": line["kind"],
+        "type": line["type"],
+        "standard_uncertainty_deg": known(line["standard_uncertainty_deg"]),
+        "degrees_of_freedom": known(line["degrees_of_freedom"]),
+        "share": known(line["share"]),
+    }
 
 
 def drawn_entry(found: MonteCarlo | None, frame: Array) -> dict[str, Any] | None:

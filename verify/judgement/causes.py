@@ -7,6 +7,7 @@ import numpy as np
 
 from verify.judgement.diagnosis_search import Chosen, Products
 from verify.judgement.faults import Fault, Name, told
+from verify.records import Array
 
 LEAST_ADVANTAGE = 15.0  # in chi-squared over every rival with as many coefficients
 LEAST_BIC = 10.0  # over rivals with more or fewer, by Schwarz's criterion
@@ -67,6 +68,13 @@ def asked(products: Products, i: int, k: int) -> float:
     """By how much chi-squared with rival k in i's place must exceed that with i."""
     simpler = _simpler(products, i, k)
     return LEAST_BIC - simpler if simpler else LEAST_ADVANTAGE
+
+
+def asked_of_all(products: Products) -> Array:
+    """The same of every fault i and every rival k, (c, c)."""
+    freedom = np.array([fault.freedom for fault in products.faults])
+    simpler = (freedom - freedom[:, None]) * np.log(max(products.rows, 2))
+    return np.where(simpler == 0, LEAST_ADVANTAGE, LEAST_BIC - simpler)
 
 
 def _simpler(products: Products, i: int, k: int) -> float:

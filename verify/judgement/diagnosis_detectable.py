@@ -4,6 +4,7 @@ After Baarda's internal reliability, with the thresholds that the diagnosis itse
 fault must lower chi-squared by to be listed, and by how much it must beat each rival.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi_squared
 
-from verify.judgement.causes import LEAST_ADVANTAGE, asked
+from verify.judgement.causes import LEAST_ADVANTAGE, asked_of_all
 from verify.judgement.diagnosis_search import Products
 from verify.judgement.faults import SCALES
 from verify.records import Array
@@ -89,24 +90,51 @@ def _sizes(products: Products, ways: list[_Way]) -> tuple[Array, Array, list[int
     price = products.price[fault]
     listed = (np.sqrt(price) + POWER) / left
     named = (np.sqrt(np.maximum(price, LEAST_ADVANTAGE + chance)) + POWER) / left
-    names = [f.name for f in products.faults]
+    same_name = _alike(products)[:, fault]
+    advantages = asked_of_all(products)[fault].T
     rival = np.full(len(ways), -1)
-    for k in np.flatnonzero(products.visible).tolist():
-        advantage = np.array([asked(products, i, k) for i in range(len(names))])[fault]
-        same = np.array([name == names[k] for name in names])[fault]
-        left = _left(products.rest((k,))[0], first, last) * scale
+    for k, beside in _beside(products, first, last):
+        advantage = advantages[k]
         with np.errstate(divide="ignore"):
-            needed = (np.sqrt(np.maximum(advantage, 0.0)) + POWER) / left
+            needed = (np.sqrt(np.maximum(advantage, 0.0)) + POWER) / (beside * scale)
         needed[needed > np.fmin(MOST_TIMES * listed, largest)] = np.nan
         # a rival with many more coefficients asks for nothing: it never stands in its place
-        harder = ~same & (advantage > 0) & ~np.isnan(named) & ~(needed <= named)
+        harder = ~same_name[k] & (advantage > 0) & ~np.isnan(named) & ~(needed <= named)
         named[harder], rival[harder] = needed[harder], k
     return listed, named, rival.tolist()
 
 
+def _alike(products: Products) -> NDArray[np.bool_]:
+    """Which faults (c, c) have the same name."""
+    number = {name: i for i, name in enumerate(dict.fromkeys(f.name for f in products.faults))}
+    which = np.array([number[f.name] for f in products.faults])
+    alike: NDArray[np.bool_] = which[:, None] == which
+    return alike
+
+
+def _beside(
+    products: Products, first: NDArray[np.int64], last: NDArray[np.int64]
+) -> Iterator[tuple[int, Array]]:
+    """What is left of each way's unit column beside every visible fault in turn, (ways,)."""
+    gram = products.gram
+    for k in np.flatnonzero(products.visible).tolist():
+        at = products.places[k]
+        rows = gram[at]
+        shared = np.linalg.solve(rows[:, at], rows)
+        one, other, mixed = (
+            gram[a, b] - np.sum(rows[:, a] * shared[:, b], axis=0)
+            for a, b in ((first, first), (last, last), (first, last))
+        )
+        yield k, _worst(one, other, mixed, alone=first == last)
+
+
 def _left(gram: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:
     """Length of what is left of each way's unit column; of two columns' worst mixture."""
-    one, other, mixed = gram[first, first], gram[last, last], gram[first, last]
-    worst = (one + other) / 2 - np.hypot((one - other) / 2, mixed)  # smaller eigenvalue
-    left: Array = np.sqrt(np.maximum(np.where(first == last, one, worst), 0.0))
+    return _worst(gram[first, first], gram[last, last], gram[first, last], alone=first == last)
+
+
+def _worst(one: Array, other: Array, mixed: Array, *, alone: NDArray[np.bool_]) -> Array:
+    """Length of a column, or of two columns' worst mixture, by their products."""
+    least = (one + other) / 2 - np.hypot((one - other) / 2, mixed)  # smaller eigenvalue
+    left: Array = np.sqrt(np.maximum(np.where(alone, one, least), 0.0))
     return left

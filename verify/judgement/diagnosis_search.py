@@ -5,6 +5,7 @@ of the faults' columns and of the errors; any set is then solved in a few small 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,8 +58,11 @@ class Products:
         ends = np.cumsum([f.freedom for f in faults])
         places = [np.arange(end - f.freedom, end) for f, end in zip(faults, ends, strict=True)]
         gram = products[:-1, :-1]
-        least = np.array([np.linalg.eigvalsh(gram[np.ix_(p, p)])[0] for p in places])
-        known = np.sqrt(np.maximum(least, 0.0)) * [scale[p].min() for p in places]
+        least, narrowest = np.empty(len(faults)), np.empty(len(faults))
+        for which, at in _alike(places):
+            least[which] = np.linalg.eigvalsh(gram[at[:, :, None], at[:, None, :]])[:, 0]
+            narrowest[which] = scale[at].min(axis=1)
+        known = np.sqrt(np.maximum(least, 0.0)) * narrowest
         sizes = np.array([f.largest for f in faults])
         visible = (least > RANK) & (known * sizes > NOTICED)
         rows = int(kept.sum())
@@ -110,24 +114,33 @@ class Products:
         """By how much each fault would lower the misfit beside a set, (c,); 0 where it cannot."""
         gram, moment = self.rest(chosen)
         lowered = np.zeros(len(self.faults))
-        for freedom in {f.freedom for f in self.faults}:
-            which = [
-                i for i, f in enumerate(self.faults) if f.freedom == freedom and self.visible[i]
-            ]
-            if not which:
-                continue
-            at = np.array([self.places[i] for i in which])
+        for which, at in self._visible:
             block = gram[at[:, :, None], at[:, None, :]]
             told = np.linalg.eigvalsh(block)[:, 0] > RANK
             part = moment[at][told]
             solved = np.linalg.solve(block[told], part[:, :, None])[:, :, 0]
-            lowered[np.array(which)[told]] = np.sum(solved * part, axis=1)
+            lowered[which[told]] = np.sum(solved * part, axis=1)
         lowered[list(chosen)] = 0.0
         return lowered
+
+    @cached_property
+    def _visible(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """Visible faults as `_alike` gives them."""
+        kept = ((which, at, self.visible[which]) for which, at in _alike(self.places))
+        return [(which[seen], at[seen]) for which, at, seen in kept if seen.any()]
 
     def cost(self, chosen: Chosen) -> float:
         """The criterion: misfit and the prices of what is listed."""
         return self.chi2(chosen) + float(self.price[list(chosen)].sum())
+
+
+def _alike(
+    places: list[NDArray[np.int64]],
+) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Faults (k,) with as many columns as each other, f, and the columns (k, f)."""
+    freedom = np.array([len(place) for place in places])
+    groups = [np.flatnonzero(freedom == each) for each in np.unique(freedom).tolist()]
+    return [(which, np.array([places[i] for i in which])) for which in groups]
 
 
 def _prices(faults: list[Fault], visible: NDArray[np.bool_], rows: int) -> Array:
@@ -153,24 +166,24 @@ def search(products: Products) -> Chosen:
     """
     best: Chosen = ()
     least = products.cost(best)
-    beam, size, idle = [best], 0, 0
+    beam, size, idle = [(least, best)], 0, 0
     while size < MOST_CAUSES and idle < PATIENCE:
         size += 1
-        beam = _grown(products, beam)
+        beam = [(products.cost(chosen), chosen) for chosen in _grown(products, beam)]
         if not beam:
             break
         idle += 1
-        cost, chosen = min((products.cost(c), c) for c in beam)
+        cost, chosen = min(beam)
         if cost < least:
             best, least, idle = chosen, cost, 0
     return _exchanged(products, best)
 
 
-def _grown(products: Products, beam: list[Chosen]) -> list[Chosen]:
-    """The best sets with one fault more."""
+def _grown(products: Products, beam: list[tuple[float, Chosen]]) -> list[Chosen]:
+    """The best sets with one fault more than those of known cost."""
     found: dict[Chosen, float] = {}
-    for chosen in beam:
-        cost, lowered = products.cost(chosen), products.added(chosen)
+    for cost, chosen in beam:
+        lowered = products.added(chosen)
         for i in np.argsort(products.price - lowered)[:BEAM].tolist():
             if lowered[i] > 0:
                 found[tuple(sorted((*chosen, i)))] = cost - lowered[i] + float(products.price[i])

@@ -91,21 +91,21 @@ def monte_carlo(
     chosen = _chosen(comparison, joints, pairs)
     if not len(chosen):
         return None
-    world = World(np.random.default_rng(seed), draws, systematics, clock)
+    world = World(np.random.default_rng(seed), draws, session, systematics, clock)
     scale = np.sqrt(alignment_scale(track))
-    bent = np.full((len(chosen), draws, FULL), np.nan)
-    straight = np.zeros_like(bent)
+    poses = np.empty((len(chosen), draws, 4, 4))
+    read, straight = (np.empty((len(chosen), draws, FULL)) for _ in range(2))
     noise = np.sqrt(2 * comparison.rate_variance) * RATE_SPAN
     for m, i in enumerate(chosen.tolist()):
         row = int(comparison.index[i])
-        poses, twist = world.poses(session, measurements[row], track, row, float(scale[row]))
-        poses, by_alignment = world.aligned(poses, comparison.alignment_error[i])
-        late = world.readings(session, comparison.rate[i], noise)
-        read = comparison.q[i] + late
-        q, _ = robots.nearest(session.arm, poses, read)
-        bent[m] = _wrapped(read - q - joints.error[i])
+        drawn, twist = world.poses(measurements[row], track, row, float(scale[row]))
+        poses[m], by_alignment = world.aligned(drawn, comparison.alignment_error[i])
+        late = world.readings(comparison.rate[i], noise)
+        read[m] = comparison.q[i] + late
         by_reading = late @ comparison.jacobian[i].T
         straight[m] = (by_reading - twist + by_alignment) @ joints.inverse[i].T
+    q, _ = robots.nearest(session.arm, poses, read)
+    bent = _wrapped(read - q - joints.error[chosen, None])
     linear = _linear(comparison, joints, track, clock, systematics)[chosen]
     return _compared(chosen, bent, straight, linear, _coupled(joints, chosen))
 

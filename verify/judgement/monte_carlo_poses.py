@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from robots.transforms import rotation_exp
+from verify.judgement.monte_carlo_kernel import Drawn, fit_all
 from verify.marker import Marker
 from verify.records import Array, Measurement, Pose, Sighting
-from verify.rig import Camera, Rig, distort_with_jacobian
+from verify.rig import Camera, Rig
 from verify.spot_derivatives import AXES, LENS
 
 ITERATIONS = 8  # quadratic from a start that is off by a standard uncertainty: three suffice
@@ -24,13 +25,22 @@ Values = Mapping[str, Array]  # a parameter's name, as rig.toml has it, to (d,) 
 
 @dataclass(frozen=True, slots=True)
 class Cameras:
-    """One camera in every draw, or one camera a spot (d, s, ...)."""
+    """One camera in every draw."""
 
     focal: Array  # (d, 2, 2), px
     middle: Array  # (d, 2), px
     lens: Array  # (d, 5)
     camera_R_rig: Array  # (d, 3, 3)
     origin: Array  # (d, 3), m, of the rig in the camera
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """Both cameras in every draw, and which of a pair's spots each of them sees."""
+
+    left: Cameras
+    right: Cameras
+    number: int  # of spots, the first ones, that are the left camera's
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,14 +93,15 @@ def _predicted(
     pose: Pose, left: Sighting, right: Sighting, number: int, led: Array, rig: Rig, marker: Marker
 ) -> Array:
     """Where the pose puts the used spots, (s, 2), px."""
-    sides = [
-        camera_draws(camera, name, {}, np.array([sighting.pan]))
-        for camera, name, sighting in ((rig.left, "left", left), (rig.right, "right", right))
-    ]
-    cameras = each_spot(sides[0], sides[1], number, len(led))
-    place = marker.leds[led][None] @ pose.rig_T_flange[:3, :3].T + pose.rig_T_flange[:3, 3]
-    pixels: Array = _images(place, cameras)[0][0]
-    return pixels
+    place = marker.leds[led] @ pose.rig_T_flange[:3, :3].T + pose.rig_T_flange[:3, 3]
+    pixels = []
+    for camera, sighting, points in (
+        (rig.left, left, place[:number]),
+        (rig.right, right, place[number:]),
+    ):
+        camera_T_rig = camera.camera_T_rig(sighting.pan)
+        pixels.append(camera.project(points @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]))
+    return np.concatenate(pixels)
 
 
 def camera_draws(camera: Camera, side: str, values: Values, pan: Array) -> Cameras:
@@ -117,7 +128,7 @@ def camera_draws(camera: Camera, side: str, values: Values, pan: Array) -> Camer
     shift = camera.mount[:3, 3] + three("mount_", "mm")
     rig_R_camera = turn @ mount
     centre = camera.pan_center + three("pan_center_", "mm") + (turn @ shift[..., None])[..., 0]
-    camera_R_rig = np.swapaxes(rig_R_camera, 1, 2)
+    camera_R_rig = np.ascontiguousarray(np.swapaxes(rig_R_camera, 1, 2))
     focal = np.tile(camera.matrix[:2, :2], (len(pan), 1, 1))
     focal[:, 0, 0] += of("fx_px")
     focal[:, 1, 1] += of("fy_px")
@@ -130,18 +141,8 @@ def camera_draws(camera: Camera, side: str, values: Values, pan: Array) -> Camer
     )
 
 
-def each_spot(left: Cameras, right: Cameras, number: int, count: int) -> Cameras:
-    """Every spot's own camera, (d, s, ...): `number` left ones, then the right camera's."""
-
-    def laid(name: str) -> Array:
-        one, other = getattr(left, name), getattr(right, name)
-        return np.stack([one] * number + [other] * (count - number), axis=1)
-
-    return Cameras(*(laid(n) for n in ("focal", "middle", "lens", "camera_R_rig", "origin")))
-
-
-def led_draws(marker: Marker, led: Array, values: Values, draws: int) -> Array:
-    """Where the LEDs of the spots sit on the flange in every draw, (d, s, 3), m."""
+def led_draws(marker: Marker, values: Values, draws: int) -> Array:
+    """Where the LEDs sit on the flange in every draw, (d, leds, 3), m."""
     zero = np.zeros(draws)
 
     def three(stem: str, suffix: str) -> Array:
@@ -151,51 +152,39 @@ def led_draws(marker: Marker, led: Array, values: Values, draws: int) -> Array:
     places = marker.leds @ np.swapaxes(turn, 1, 2) + shift[:, None]
     for i, name in enumerate(marker.names):
         places[:, i] += three(f"led.{name}.", "mm") + three(f"centre.{name}.", "mm")
-    chosen: Array = places[:, led]
-    return chosen
+    return places
 
 
-def refit(start: Array, points: Array, seen: Array, cameras: Cameras, weight: Array) -> Array:
+def refit(start: Array, points: Array, seen: Array, views: Views, weight: Array) -> Array:
     """The pose that spots ask for, in every draw.
 
     Args:
         start: (4, 4), rig_T_flange.
         points: (d, s, 3), m, LEDs on the flange.
         seen: (d, s, 2), px.
-        cameras: of each spot, (d, s, ...).
+        views: the cameras.
         weight: (2 s, 2 s), 1/px².
 
     Returns:
         rig_T_flange, (d, 4, 4).
     """
     poses = np.tile(start, (len(points), 1, 1))
-    for _ in range(ITERATIONS):
-        arm = points @ np.swapaxes(poses[:, :3, :3], 1, 2)
-        pixels, by_point = _images(arm + poses[:, None, :3, 3], cameras)
-        design = _by_pose(by_point, arm).reshape(len(points), -1, 6)
-        weighted = np.swapaxes(design, 1, 2) @ weight
-        wanted = weighted @ (seen - pixels).reshape(len(points), -1, 1)
-        solved = np.linalg.solve(weighted @ design, wanted)
-        step = np.asarray(solved[..., 0], dtype=np.float64)
-        poses[:, :3, :3] = rotation_exp(step[:, 3:]) @ poses[:, :3, :3]
-        poses[:, :3, 3] += step[:, :3]
-        if np.abs(step).max() < CONVERGED:
-            break
+    fit_all(
+        poses,
+        (np.ascontiguousarray(points), np.ascontiguousarray(seen)),
+        (_plain(views.left), _plain(views.right)),
+        views.number,
+        np.ascontiguousarray(weight),
+        (ITERATIONS, CONVERGED),
+    )
     return poses
+
+
+def _plain(camera: Cameras) -> Drawn:
+    """A camera as the compiled fit takes it."""
+    return camera.focal, camera.middle, camera.lens, camera.camera_R_rig, camera.origin
 
 
 def _by_pose(by_point: Array, arm: Array) -> Array:
     """Derivative by a translation and a rotation vector in rig axes, (..., s, 2, 6)."""
     return np.concatenate([by_point, np.cross(arm[..., None, :], by_point)], axis=-1)
-
-
-def _images(points_rig: Array, cameras: Cameras) -> tuple[Array, Array]:
-    """Images (d, s, 2) of points (d, s, 3), and their derivative by the point (d, s, 2, 3)."""
-    local = (cameras.camera_R_rig @ points_rig[..., None])[..., 0] + cameras.origin
-    depth = local[..., 2:]
-    xy = local[..., :2] / depth
-    seen, slope = distort_with_jacobian(xy, tuple(np.moveaxis(cameras.lens, -1, 0)))
-    pixels = (cameras.focal @ seen[..., None])[..., 0] + cameras.middle
-    by_xy = cameras.focal @ slope / depth[..., None]
-    by_local = np.concatenate([by_xy, -(by_xy @ xy[..., None])], axis=-1)
-    return pixels, by_local @ cameras.camera_R_rig
