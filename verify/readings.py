@@ -41,7 +41,7 @@ class Readings:
         reading: a visit). Where the arm moves and its line falls silent, nothing is known.
         """
         known: NDArray[np.bool_] = np.zeros(len(t), dtype=np.bool_)
-        bridge(self._plain[0], LONGEST_GAP, np.ascontiguousarray(t, dtype=np.float64), known)
+        bridge(self._plain[0], LONGEST_GAP, _copied(t), known)
         gaps = np.flatnonzero(~known & (t >= self.t[0]) & (t <= self.t[-1]))
         if len(gaps):
             after = np.searchsorted(self.t, t[gaps])
@@ -66,24 +66,21 @@ class Readings:
         if len(self.t) < 2:
             return np.repeat(self.q, len(t), axis=0)
         value: Array = np.empty((len(t), self.q.shape[1]))
-        interpolate(*self._plain, LONGEST_GAP, np.ascontiguousarray(t, dtype=np.float64), value)
+        interpolate(*self._plain, LONGEST_GAP, _copied(t), value)
         return value
 
     def rate(self, t: Array) -> Array:
         """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN."""
         value: Array = np.zeros((len(t), self.q.shape[1]))
         if len(self.t) > 1:
-            there = np.ascontiguousarray(t, dtype=np.float64)
+            there = _copied(t)
             rates(*self._plain, LONGEST_GAP, RATE_SPAN, there, value)
         return value
 
     @cached_property
     def _plain(self) -> tuple[Array, Array]:
         """Times and readings as compiled functions take them."""
-        return (
-            np.ascontiguousarray(self.t, dtype=np.float64),
-            np.ascontiguousarray(self.q, dtype=np.float64),
-        )
+        return _copied(self.t), _copied(self.q)
 
     @cached_property
     def noise(self) -> Array:
@@ -99,7 +96,7 @@ class Readings:
         """
         value: Array = np.zeros((len(t), self.q.shape[1]))
         if len(self.t) > 1:
-            missed(*self._plain, LONGEST_GAP, np.ascontiguousarray(t, dtype=np.float64), value)
+            missed(*self._plain, LONGEST_GAP, _copied(t), value)
         return value
 
     def direction(self, t: Array) -> Array:
@@ -117,3 +114,8 @@ class Readings:
 
 
 SMALLEST_TRAVEL = np.deg2rad(0.02)  # the last digit or two of a common read-out
+
+
+def _copied(values: Array) -> Array:
+    """Copy to the one kind of array that functions are compiled for; some are read-only."""
+    return np.array(values, dtype=np.float64, order="C")

@@ -5,6 +5,7 @@ python -m verify.warm_up     after an installation: the first run need not wait 
 
 import numpy as np
 
+from verify.clock_kernel import motion_misfits, motions
 from verify.marker import Marker
 from verify.measurement import Detector, Setup, measure, one_after_the_other
 from verify.readings import Readings
@@ -42,10 +43,15 @@ def warm_up_comparison() -> None:
     """Have compiled, and in memory, what sets readings against measured poses."""
     t = np.arange(READINGS) / RATE
     readings = Readings(t, np.sin(t)[:, None])
+    readings.known(t)
     readings.rate(t)
     readings.direction(t)  # by the readings' noise
     readings.missed(t)
     rotation_vectors(np.eye(3)[None], np.empty((1, 3)))
+    figures, poses = np.ones((1, 2)), np.repeat(np.eye(4)[None], READINGS, axis=0)
+    motions(poses[:1], poses[:1], figures)
+    known = np.ones((1, 1), dtype=np.bool_)
+    motion_misfits(t[None, :2, None].copy(), known, (t, poses), 1.0, (figures, figures), 1.0, t[:1])
     led, none = np.arange(len(LEDS)), np.zeros((len(LEDS), 2))
     spread, still = np.zeros((len(LEDS), 2, 2)), np.zeros(len(LEDS))
     seen = Sighting(led, none, spread, 0.0, 0.0, still, none, still)
