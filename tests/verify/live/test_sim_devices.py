@@ -89,6 +89,19 @@ def test_readings_are_the_arms_angles_on_the_controllers_clock() -> None:
     assert encoders.state().readings == 200
 
 
+def test_events_count_from_the_first_device_on_however_long_the_start_took() -> None:
+    made = station(SimEvent("encoder_reset", 2.0), SimEvent("lamp_on", 1.0, 0.5))
+    clock = made.scene.clock
+    clock.wait_until(clock.began + 7.0, 100.0)
+    made.encoders(100.0)
+    opened = clock.now()
+    clock.wait_until(opened + 0.5, 100.0)
+    made.camera(0, SIM)
+    assert [made.scene.lit(opened + t) for t in (0.9, 1.2, 1.6)] == [False, True, False]
+    assert made.scene.resets(opened + 1.9) == []
+    assert made.scene.resets(opened + 2.1) == pytest.approx([opened + 2.0])
+
+
 def test_a_jump_is_seen_from_its_instant_on_in_its_joint_alone() -> None:
     jump = np.deg2rad(0.5)
     made = station(SimEvent("encoder_jump", 1.0, joint=4, angle=jump))
