@@ -56,7 +56,7 @@ def compare(
     offset: float | Array,
     *,
     resolution: float | None = None,
-    time_uncertainty: float | None = None,
+    time_uncertainty: float | Array | None = None,
     known: NDArray[np.bool_] | None = None,
     missed: Array | None = None,
 ) -> Comparison:
@@ -68,7 +68,7 @@ def compare(
         readings: its joint readings, on the controller's clock.
         offset: s, added to the readings' time to get the cameras' clock; or one a pair (n,).
         resolution: rad, the readings' last digit.
-        time_uncertainty: s, of each reading's time stamp.
+        time_uncertainty: s, of each reading's time stamp; or of those about each pair (n,).
         known: which pairs to take; those with a reading where not given.
         missed: (pairs, j), rad, standard uncertainty of what the curve between readings misses.
 
@@ -94,7 +94,8 @@ def compare(
     spread = np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian)
     if time_uncertainty is not None:
         speed = np.einsum("nij,nj->ni", jacobian, rate)
-        spread = spread + time_uncertainty**2 * speed[:, :, None] * speed[:, None, :]
+        doubt = np.broadcast_to(time_uncertainty, track.t.shape)[index, None, None]
+        spread = spread + doubt**2 * speed[:, :, None] * speed[:, None, :]
     scale = alignment_scale(track)[:, None, None]
     own = (scale * track.covariance_alignment + track.covariance_pixels)[index]
     own = carry @ own @ np.swapaxes(carry, 1, 2)

@@ -4,12 +4,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from verify.live.clock_keeper import ClockKeeper
 from verify.live.clock_live import Clock
-from verify.live.joint_row import Comparer, JointRow, Scales
+from verify.live.joint_row import Comparer, JointRow
 from verify.live.ports import Subject
 from verify.live.readings_book import ReadingsBook
-from verify.records import Measurement
+from verify.records import Array, Measurement
 
 LEAST_PATIENCE = 0.1  # s for the bracketing reading; and of slow encoders
 PERIODS = 3.0  # of their periods
@@ -64,7 +66,9 @@ class Bracketing:
     ) -> None:
         self._subject, self._book, self._keeper = subject, book, keeper
         self._turning = turning
-        self._comparers: dict[float | None, Comparer] = {}
+        self._comparer = Comparer(
+            subject.arm, subject.rig, subject.marker, subject.resolution, turning=turning
+        )
 
     def wait(
         self, taken: Taken, queued: int, meanwhile: Callable[[int], None] = _nothing
@@ -100,22 +104,29 @@ class Bracketing:
 
     def compare(self, pairs: Sequence[Bracketed]) -> list[Outcome]:
         """Compare pairs, each by itself, in their order."""
-        comparer = self._comparer()
         timed = [(p.taken.measurement, p.clock) for p in pairs if p.clock is not None]
-        rows = iter(self._rows(comparer, timed))
+        rows = iter(self._rows(timed))
         return [
             Outcome(
-                comparer.without(p.taken.measurement) if p.clock is None else next(rows),
+                self._comparer.without(p.taken.measurement) if p.clock is None else next(rows),
                 p.since,
                 p.taken,
             )
             for p in pairs
         ]
 
-    def _rows(self, comparer: Comparer, timed: list[tuple[Measurement, Clock]]) -> list[JointRow]:
+    def _rows(self, timed: list[tuple[Measurement, Clock]]) -> list[JointRow]:
         if not timed:
             return []
-        return comparer.rows(timed, self._book.about(min(m.t - c.offset for m, c in timed)))
+        there = [m.t - c.offset for m, c in timed]
+        return self._comparer.rows(timed, self._book.about(min(there)), self._time_doubts(there))
+
+    def _time_doubts(self, there: list[float]) -> Array:
+        """How well the readings' times are known (n,), s: stated, else as the driver says."""
+        stated = self._subject.time_uncertainty
+        if stated is not None:
+            return np.full(len(there), stated)
+        return np.round([self._book.half_width_about(t) / 3**0.5 for t in there], 6)
 
     def _placed(self, taken: Taken) -> tuple[float, Clock | None]:
         """Where a pair stands on the readings' clock, s, and that clock; None before a reading."""
@@ -126,18 +137,3 @@ class Bracketing:
     def _patience(self) -> float:
         period = self._book.period()
         return LEAST_PATIENCE if period is None else max(LEAST_PATIENCE, PERIODS * period)
-
-    def _comparer(self) -> Comparer:
-        """One for how well the readings' times are known: stated, else as the driver says."""
-        stated = self._subject.time_uncertainty
-        if stated is None:
-            stated = round(self._book.half_width() / 3**0.5, 6) or None
-        if stated not in self._comparers:
-            subject = self._subject
-            scales = Scales(subject.resolution, stated)
-            self._comparers = {
-                stated: Comparer(
-                    subject.arm, subject.rig, subject.marker, scales, turning=self._turning
-                )
-            }
-        return self._comparers[stated]

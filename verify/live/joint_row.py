@@ -55,14 +55,6 @@ class Evidence:
     determined: Array  # (6, d)
 
 
-@dataclass(frozen=True, slots=True)
-class Scales:
-    """What the station states of the readings."""
-
-    resolution: float | None  # rad
-    time_uncertainty: float | None  # s
-
-
 class Comparer:
     """Sets measurements against readings.
 
@@ -70,29 +62,39 @@ class Comparer:
         arm: the robot.
         rig: the cameras.
         marker: the LEDs.
-        scales: what is stated of the readings.
+        resolution: rad, the readings' last digit, where it is stated.
         turning: pan readings vary or carry an uncertainty.
     """
 
     def __init__(
-        self, arm: robots.Arm, rig: Rig, marker: Marker, scales: Scales, *, turning: bool
+        self, arm: robots.Arm, rig: Rig, marker: Marker, resolution: float | None, *, turning: bool
     ) -> None:
-        self.arm, self._rig, self._marker, self._scales = arm, rig, marker, scales
+        self.arm, self._rig, self._marker, self._resolution = arm, rig, marker, resolution
         self.systematics: Systematics = stated(rig, marker, turning)
         self._root = _columns(self.systematics)
 
-    def row(self, measurement: Measurement, readings: Readings | None, clock: Clock) -> JointRow:
+    def row(
+        self,
+        measurement: Measurement,
+        readings: Readings | None,
+        clock: Clock,
+        time_doubt: float = 0.0,
+    ) -> JointRow:
         """Compare one pair; see `rows`."""
-        return self.rows([(measurement, clock)], readings)[0]
+        return self.rows([(measurement, clock)], readings, np.array([time_doubt]))[0]
 
     def rows(
-        self, pairs: Sequence[tuple[Measurement, Clock]], readings: Readings | None
+        self,
+        pairs: Sequence[tuple[Measurement, Clock]],
+        readings: Readings | None,
+        time_doubts: Array,
     ) -> list[JointRow]:
         """Compare pairs, each by itself; several take hardly longer than one.
 
         Args:
             pairs: what the pictures gave, each with the clock at its instant.
             readings: about their instants; None where there are none.
+            time_doubts: (n,), s, standard uncertainty of the readings' times about each pair.
 
         Returns:
             A row a pair; its status says why there is no error where there is none.
@@ -104,12 +106,17 @@ class Comparer:
             if m.status != "measured"
         }
         if measured:
-            told = self._rows_of_measured([pairs[i] for i in measured], readings)
+            told = self._rows_of_measured(
+                [pairs[i] for i in measured], readings, time_doubts[measured]
+            )
             rows |= dict(zip(measured, told, strict=True))
         return [rows[i] for i in range(len(pairs))]
 
     def _rows_of_measured(
-        self, pairs: list[tuple[Measurement, Clock]], readings: Readings | None
+        self,
+        pairs: list[tuple[Measurement, Clock]],
+        readings: Readings | None,
+        time_doubts: Array,
     ) -> list[JointRow]:
         tracks = []
         for measurement, _ in pairs:
@@ -125,8 +132,8 @@ class Comparer:
                 self.arm,
                 readings,
                 offset,
-                resolution=self._scales.resolution,
-                time_uncertainty=self._scales.time_uncertainty,
+                resolution=self._resolution,
+                time_uncertainty=time_doubts,
                 known=known,
                 missed=readings.missed(track.t - offset),
             )

@@ -114,6 +114,20 @@ class ReadingsBook:
         with self.arrived:
             return self._store.copied(int(np.searchsorted(self._store.t, t)))
 
+    def half_width_about(self, t: float) -> float:
+        """Within what the readings on either side of an instant are known, s: the worse of both.
+
+        Answers of a controller come now quickly, now late, and the newest says nothing of the
+        others.
+        """
+        after = 0.0
+        with self.arrived:
+            for reading in reversed(self._readings):
+                if reading.t < t:
+                    return max(after, reading.half_width)
+                after = reading.half_width
+        return after
+
     def half_width(self) -> float:
         """Within what each reading is known, s, of the newest."""
         latest = self.latest()

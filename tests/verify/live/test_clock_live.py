@@ -1,5 +1,7 @@
 """The clock while it runs: drift followed, jumps believed, resets begun anew."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -92,6 +94,16 @@ def test_readings_from_before_a_silence_say_nothing_of_what_came_after_it() -> N
     assert about is not None
     assert about.t.tolist() == pytest.approx([3.0, 3.1, 3.2])
     assert not about.known(np.array([0.95, 2.9])).any()
+
+
+def test_a_readings_time_is_known_as_badly_as_that_of_its_worse_neighbour() -> None:
+    book = ReadingsBook()
+    assert book.half_width_about(0.0) == 0.0
+    for number, width in enumerate((0.001, 0.008, 0.002, 0.001)):
+        told = reading(0.1 * number, 0.001)
+        book.add(replace(told, half_width=width))
+    about = [book.half_width_about(t) for t in (-0.1, 0.05, 0.15, 0.25, 0.3, 0.35)]
+    assert about == [0.001, 0.008, 0.008, 0.002, 0.002, 0.001]
 
 
 def test_no_one_waits_longer_than_agreed_for_a_reading() -> None:

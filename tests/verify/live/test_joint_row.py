@@ -5,7 +5,7 @@ from numpy.testing import assert_allclose
 
 from tests.verify.live.spot_level import OFFSET, READ_EVERY, SpotRun, facing_rig, without_pictures
 from verify.live.clock_live import Clock
-from verify.live.joint_row import Comparer, Scales
+from verify.live.joint_row import Comparer
 from verify.measurement import Setup, measure
 from verify.readings import Readings
 
@@ -19,14 +19,16 @@ def test_pairs_that_one_reading_brackets_are_compared_together_as_they_would_be_
         measured = list(measure(run.pairs(SECONDS), Setup(rig, marker)))
     several = [run.reading(number) for number in range(int((SECONDS + 3.0) / READ_EVERY))]
     readings = Readings(np.array([r.t for r in several]), np.array([r.q for r in several]))
-    comparer = Comparer(run.arm, rig, marker, Scales(1e-5, 1e-4), turning=False)
+    comparer = Comparer(run.arm, rig, marker, 1e-5, turning=False)
     # each pair has its own instant of a clock that drifts
     pairs = [(m, Clock(OFFSET + 1e-5 * m.frame, 1e-4, "estimated")) for m in measured[-4:]]
     lost = Clock(OFFSET - 1e3, 1e-4, "estimated")
-    together = comparer.rows([*pairs[:2], (measured[0], lost), *pairs[2:]], readings)
+    doubts = np.array([1e-4, 2e-4, 0.0, 3e-3, 5e-4])
+    together = comparer.rows([*pairs[:2], (measured[0], lost), *pairs[2:]], readings, doubts)
     assert [row.status for row in together] == ["measured"] * 2 + ["no_encoder"] + ["measured"] * 2
-    for (measurement, clock), row in zip(pairs, together[:2] + together[3:], strict=True):
-        alone = comparer.row(measurement, readings, clock)
+    compared = zip(pairs, together[:2] + together[3:], doubts[[0, 1, 3, 4]], strict=True)
+    for (measurement, clock), row, doubt in compared:
+        alone = comparer.row(measurement, readings, clock, doubt)
         assert row.frame == alone.frame == measurement.frame
         assert row.evidence is not None
         assert alone.evidence is not None
