@@ -9,6 +9,7 @@ and bracketing reading to the joint errors, memory flat within 50 MB after the f
 """
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -149,6 +150,7 @@ def _told(
 
 def main(words: list[str]) -> int:
     """Soak; 1 where a goal is missed."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command itself does
     numbers = [float(w) for w in words if w.replace(".", "").isdigit()]
     kinds = [w for w in words if w in {"sim", *PORTS}] or ["sim", *PORTS]
     seconds = 60.0 * (numbers[0] if numbers else MINUTES)
