@@ -47,18 +47,20 @@ class Readings:
             after = np.searchsorted(self.t, t[gaps])
             past, left = t[gaps] - self.t[after - 1], self.t[after] - t[gaps]
             nearest = np.where(past < left, after - 1, after)
-            known[gaps] = (np.minimum(past, left) <= HOLD) & self._rests(nearest)
+            known[gaps] = (np.minimum(past, left) <= HOLD) & self._at_rest[nearest]
         return known
 
-    def _rests(self, edges: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether the arm stood at readings beside a gap (e,), as their bursts show."""
+    @cached_property
+    def _at_rest(self) -> NDArray[np.bool_]:
+        """Whether the arm stood at a reading beside a gap, as its burst shows, (m,)."""
         most = np.maximum(5 * self.noise, SMALLEST_TRAVEL)
-        bursts = np.concatenate([[0], np.cumsum(np.diff(self.t) > LONGEST_GAP)])
-        rests: NDArray[np.bool_] = np.zeros(len(edges), dtype=bool)
-        for edge in np.unique(edges).tolist():
-            beside = (bursts == bursts[edge]) & (np.abs(self.t - self.t[edge]) <= HOLD)
-            stood = np.all(np.abs(self.q[beside] - self.q[edge]) <= most)
-            rests[edges == edge] = bool(stood)
+        gaps = np.flatnonzero(np.diff(self.t) > LONGEST_GAP)
+        rests: NDArray[np.bool_] = np.zeros(len(self.t), dtype=np.bool_)
+        for first, last in zip([0, *(gaps + 1)], [*gaps, len(self.t) - 1], strict=True):
+            burst = slice(first, last + 1)
+            for edge in (first, last):
+                beside = np.abs(self.t[burst] - self.t[edge]) <= HOLD
+                rests[edge] = np.all(np.abs(self.q[burst][beside] - self.q[edge]) <= most)
         return rests
 
     def at(self, t: Array) -> Array:

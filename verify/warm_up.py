@@ -51,7 +51,9 @@ def warm_up_comparison() -> None:
     figures, poses = np.ones((1, 2)), np.repeat(np.eye(4)[None], READINGS, axis=0)
     motions(poses[:1], poses[:1], figures)
     known = np.ones((1, 1), dtype=np.bool_)
-    motion_misfits(t[None, :2, None].copy(), known, (t, poses), 1.0, (figures, figures), 1.0, t[:1])
+    motion_misfits(
+        t[None, :2, None].copy(), known, (t, poses), 1.0, (figures, figures), 1.0, np.empty(1)
+    )
     led, none = np.arange(len(LEDS)), np.zeros((len(LEDS), 2))
     spread, still = np.zeros((len(LEDS), 2, 2)), np.zeros(len(LEDS))
     seen = Sighting(led, none, spread, 0.0, 0.0, still, none, still)

@@ -64,23 +64,17 @@ class Cause:
     joints: tuple[int, ...] = ()  # that would have to make it
 
 
-def asked(products: Products, i: int, k: int) -> float:
-    """By how much chi-squared with rival k in i's place must exceed that with i."""
-    simpler = _simpler(products, i, k)
-    return LEAST_BIC - simpler if simpler else LEAST_ADVANTAGE
-
-
-def asked_of_all(products: Products) -> Array:
-    """The same of every fault i and every rival k, (c, c)."""
-    freedom = np.array([fault.freedom for fault in products.faults])
-    simpler = (freedom - freedom[:, None]) * np.log(max(products.rows, 2))
+def asked(products: Products) -> Array:
+    """By how much chi-squared with rival k in i's place must exceed that with i, (c, c)."""
+    simpler = _simpler(products)
     return np.where(simpler == 0, LEAST_ADVANTAGE, LEAST_BIC - simpler)
 
 
-def _simpler(products: Products, i: int, k: int) -> float:
+def _simpler(products: Products) -> Array:
     """What Schwarz's criterion holds against rival k for its coefficients, less those of i."""
-    more = products.faults[k].freedom - products.faults[i].freedom
-    return more * float(np.log(max(products.rows, 2)))
+    freedom = np.array([fault.freedom for fault in products.faults])
+    simpler: Array = (freedom - freedom[:, None]) * np.log(max(products.rows, 2))
+    return simpler
 
 
 def cause(products: Products, best: Chosen, i: int) -> Cause:
@@ -89,7 +83,8 @@ def cause(products: Products, best: Chosen, i: int) -> Cause:
     value, uncertainty, details = told(fault, *products.estimate(best, i))
     without, least = products.chi2(rest), products.chi2(best)
     others = _rivals(products, best, i)
-    close = [(k, worse) for k, worse in others if worse < asked(products, i, k)]
+    needed = asked(products)[i]
+    close = [(k, worse) for k, worse in others if worse < needed[k]]
     # what fits not half as well is kept for the record of the margin alone, not as a suspect
     suspects = [(k, worse) for k, worse in close if worse < (without - least) / 2] or close[:1]
     candidates = [Candidate(fault, value, uncertainty, 0.0)]
@@ -121,13 +116,16 @@ def _rivals(products: Products, best: Chosen, i: int) -> list[tuple[int, float]]
         for k, fault in enumerate(products.faults)
         if k not in best and lowered[k] > 0 and fault.name != products.faults[i].name
     ]
-    return sorted(found, key=lambda entry: entry[1] + _simpler(products, i, entry[0]))
+    simpler = _simpler(products)[i].tolist()
+    return sorted(found, key=lambda entry: entry[1] + simpler[entry[0]])
 
 
 def _candidate(products: Products, best: Chosen, i: int, k: int, worse: float) -> Candidate:
     rest = tuple(other for other in best if other != i)
     value, uncertainty, _ = told(products.faults[k], *products.estimate((*rest, k), k))
-    return Candidate(products.faults[k], value, uncertainty, worse + _simpler(products, i, k))
+    return Candidate(
+        products.faults[k], value, uncertainty, worse + float(_simpler(products)[i, k])
+    )
 
 
 def one_ambiguous(causes: list[Cause]) -> list[Cause]:

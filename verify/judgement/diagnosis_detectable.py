@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi_squared
 
-from verify.judgement.causes import LEAST_ADVANTAGE, asked_of_all
+from verify.judgement.causes import LEAST_ADVANTAGE, asked
 from verify.judgement.diagnosis_search import Products
 from verify.judgement.faults import SCALES
 from verify.records import Array
@@ -91,7 +91,7 @@ def _sizes(products: Products, ways: list[_Way]) -> tuple[Array, Array, list[int
     listed = (np.sqrt(price) + POWER) / left
     named = (np.sqrt(np.maximum(price, LEAST_ADVANTAGE + chance)) + POWER) / left
     same_name = _alike(products)[:, fault]
-    advantages = asked_of_all(products)[fault].T
+    advantages = asked(products)[fault].T
     rival = np.full(len(ways), -1)
     for k, beside in _beside(products, first, last):
         advantage = advantages[k]

@@ -74,7 +74,8 @@ class MeasuringProcess:
 
     def prepare(self, pair: StereoPair) -> None:
         """Put the pictures of the pair that comes next where the process sees them."""
-        self._prepared = (pair, self._told(pair))
+        if not self._lost:
+            self._prepared = (pair, self._told(pair))
 
     def measure(self, pairs: Iterator[StereoPair], expected: Expected) -> Iterator[Measurement]:
         """Measure pairs in order, as `verify.measurement.measure` does.

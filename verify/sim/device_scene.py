@@ -36,8 +36,8 @@ class Scene:
         self.scenario: Scenario = session.scenario
         self.clock, self.painter = clock, painter
         self.world: World = painter.worlds[0]
-        self._events, self._opened = events, clock.began
-        self._open = False
+        self._events = events
+        self._opened: float | None = None  # s, cameras' clock: when the first device was
         self._names = [led.name for led in self.scenario.marker.led]
         self._departure = session.true_pan[0] - session.pan[0]  # rad, of truth from reading
         self._lock = threading.Lock()
@@ -45,8 +45,8 @@ class Scene:
 
     def open(self) -> None:
         """Note that a device is opened: from the first one on, the events' times count."""
-        if not self._open:
-            self._open, self._opened = True, self.clock.now()
+        if self._opened is None:
+            self._opened = self.clock.now()
 
     def happen(self, event: SimEvent) -> None:
         """Let something happen that was not planned; its time counts as the others'."""
@@ -58,13 +58,17 @@ class Scene:
 
     def present(self, t: float | None = None) -> list[SimEvent]:
         """Events that are going on at an instant (now)."""
-        elapsed = (self.clock.now() if t is None else t) - self._opened
+        elapsed = (self.clock.now() if t is None else t) - self._events_from
         return [event for event in self._events if event.present(elapsed)]
 
     def resets(self, t: float) -> list[float]:
         """When the controller had started anew by an instant, on the cameras' clock, s."""
         resets = [event.at for event in self.present(t) if event.what == "encoder_reset"]
-        return [self._opened + at for at in resets]
+        return [self._events_from + at for at in resets]
+
+    @property
+    def _events_from(self) -> float:
+        return self.clock.began if self._opened is None else self._opened
 
     def joints(self, t: Array) -> Array:
         """True joint angles at instants of the cameras' clock: (n,) to (n, joints), rad."""
