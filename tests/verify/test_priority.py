@@ -96,9 +96,12 @@ def test_a_thread_has_short_turns_from_linux_6_12_on_until_it_wants_them_no_more
 
 
 def test_elsewhere_nothing_is_asked_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = turn_of_this_thread() if sys.platform == "linux" else None
     monkeypatch.setattr(sys, "platform", "darwin")
     for name in ("nice", "sched_setscheduler", "sched_setaffinity", "uname"):
         monkeypatch.delattr(os, name, raising=False)
     stand_back()
     keep_apart(os.getpid())
     assert not come_soon()
+    monkeypatch.undo()
+    assert before is None or turn_of_this_thread() == before
