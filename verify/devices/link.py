@@ -4,9 +4,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from verify.devices.ports import Port, in_words
+from verify.devices.ports import ENDED, Port, in_words
 
 WAIT = 0.02  # s: the longest that a reading call waits on an open line
+TAKEN = "before it said anything; is the line taken by another program?"
 FIRST_RETRY, LAST_RETRY = 0.25, 4.0  # s: doubled from the one to the other
 
 Now = Callable[[], float]
@@ -41,6 +42,7 @@ class Link:
         self._next_try = float("-inf")
         self._last_look = now()
         self._closed = False
+        self._heard = False  # anything since the port was opened
 
     @property
     def connected(self) -> bool:
@@ -59,9 +61,10 @@ class Link:
                 earliest = self.now()
             data = self._port.take() if there else b""
         except OSError as error:
-            self.drop(in_words(error))
+            self._broken(error)
             return None
         self._last_look = self.now()
+        self._heard |= bool(data)
         return Chunk(data, self._last_look, min(earliest, self._last_look)) if data else None
 
     def send(self, data: bytes) -> bool:
@@ -71,7 +74,7 @@ class Link:
         try:
             self._port.send(data)
         except OSError as error:
-            self.drop(in_words(error))
+            self._broken(error)
             return False
         return True
 
@@ -105,5 +108,9 @@ class Link:
             self.drop(in_words(error))
             return False
         self.connections += 1
-        self._last_look = self.now()
+        self._last_look, self._heard = self.now(), False
         return True
+
+    def _broken(self, error: OSError) -> None:
+        why = in_words(error)
+        self.drop(f"{why} {TAKEN}" if why == ENDED and not self._heard else why)

@@ -14,6 +14,7 @@ from verify.errors import InputError
 
 CONNECT_LIMIT = 1.0  # s an address: nobody in a local network needs longer to answer
 SEND_LIMIT = 1.0  # s
+ENDED = "the other end has closed the connection"
 LARGEST_READ = 4096  # bytes at once
 PSEUDO_TERMINALS = ("/dev/pts/", "/dev/ttys")  # Linux, macOS
 POLL = 0.001  # s: ports that cannot be selected on are asked this often
@@ -73,7 +74,7 @@ class SocketPort:
         """
         data = self._socket.recv(LARGEST_READ)
         if not data and self._stream:
-            raise ConnectionResetError("the other end has closed the connection")
+            raise ConnectionResetError(ENDED)
         return data
 
     def send(self, data: bytes) -> None:
@@ -179,6 +180,8 @@ def in_words(error: OSError) -> str:
         return "this user may not open it (on Linux: join the group dialout)"
     if isinstance(error, ConnectionRefusedError):
         return "nobody listens there, or the line is taken by another program"
+    if isinstance(error, ConnectionError):  # how it ends depends on what was under way
+        return ENDED
     if isinstance(error, TimeoutError):
         return "no answer; check address, cable and power"
     if isinstance(error, socket.gaierror):

@@ -1,7 +1,9 @@
 import itertools
 import os
 import socket
+import struct
 import time
+from functools import partial
 
 import pytest
 
@@ -84,3 +86,28 @@ def test_a_port_is_tried_ever_more_seldom() -> None:
     assert gaps[0] < 0.6
     assert 3.9 < gaps[-1] < 4.2
     assert gaps == sorted(gaps)
+
+
+@pytest.mark.parametrize("reset", [False, True])
+@pytest.mark.parametrize("greeting", [b"", b"hello"])
+def test_a_line_that_is_ended_from_there_is_told_from_one_that_is_taken(
+    reset: bool, greeting: bytes
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp:127.0.0.1:{server.getsockname()[1]}"
+        link = Link(address, partial(open_port, address, USUAL_LINE))
+        assert link.receive(0.0) is None
+        there, _ = server.accept()
+        if greeting:
+            there.sendall(greeting)
+            chunk = link.receive(1.0)
+            assert chunk is not None
+            assert chunk.data == greeting
+        if reset:
+            there.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        there.close()
+        end = time.monotonic() + 1.0
+        while link.connected and time.monotonic() < end:
+            link.receive(0.02)
+    assert "the other end has closed the connection" in link.fault
+    assert ("is the line taken by another program?" in link.fault) == (not greeting)
