@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.compiled import compiled, compiled_sums
-from verify.detection.kernel_clip import CLIP_REACH, SENSOR_LIMIT, clipped
+from verify.detection.kernel_clip import SENSOR_LIMIT, clip
 from verify.detection.profile import LAST, LOWEST, ROW_STEP, STEP
 from verify.records import Array
 from verify.small_matrices import factor, solve
@@ -18,6 +18,7 @@ X, Y, PEAK, FLOOR, SLOPE_X, SLOPE_Y, XX, XY, YY, STEEPNESS = range(10)
 PARAMETERS = 10
 RESIDUAL = PARAMETERS  # the row behind the derivatives
 WHITENED = PARAMETERS + 1
+LATE = slice(FLOOR, STEEPNESS)  # rows of derivatives that are free until the pixels are weighed
 # what is known of each pixel, in the order of a state's rows
 MEAN, VARIANCE, SIGNAL, USED, VISIBLE, U, W, RADIUS2, SLOPE, OWN = range(10)
 KNOWN = 10
@@ -34,14 +35,17 @@ SEEN = 0.9  # share of a pixel's noise that clipping must leave for its residual
 def place(p: Array, pixels: Array, scale: float, known: Array, rows: Array) -> None:
     """Place a patch's pixels on the spot: u, w, t² and, in rows that are free still, t and lean."""
     x, y, xx, xy, yy = p[X], p[Y], p[XX], p[XY], p[YY]
-    inverse = 1.0 / scale
-    for k in range(pixels.shape[1]):
-        u, w = (pixels[2, k] - x) * inverse, (pixels[3, k] - y) * inverse
-        lean_u, lean_w = xx * u + xy * w, xy * u + yy * w
-        radius2 = lean_u * u + lean_w * w
-        radius2 = radius2 if radius2 > 0.0 else 0.0
-        known[U, k], known[W, k], known[RADIUS2, k] = u, w, radius2
-        rows[X, k], rows[Y, k], rows[RESIDUAL, k] = lean_u, lean_w, math.sqrt(radius2)
+    inverse, count = 1.0 / scale, pixels.shape[1]
+    for k in range(count):
+        known[U, k], known[W, k] = (pixels[2, k] - x) * inverse, (pixels[3, k] - y) * inverse
+    for k in range(count):
+        u, w = known[U, k], known[W, k]
+        rows[X, k], rows[Y, k] = xx * u + xy * w, xy * u + yy * w
+    for k in range(count):
+        radius2 = rows[X, k] * known[U, k] + rows[Y, k] * known[W, k]
+        known[RADIUS2, k] = radius2 if radius2 > 0.0 else 0.0
+    for k in range(count):
+        rows[RESIDUAL, k] = math.sqrt(known[RADIUS2, k])
 
 
 @compiled
@@ -69,24 +73,17 @@ def expect(p: Array, pixels: Array, noise: Array, known: Array, rows: Array) -> 
     """Expect each pixel's mean and variance, as the sensor would clip it."""
     read, gain, black = noise[0], noise[1], noise[2]
     peak, floor, slope_x, slope_y = p[PEAK], p[FLOOR], p[SLOPE_X], p[SLOPE_Y]
-    near = 0
-    for k in range(pixels.shape[1]):
-        mu = floor + slope_x * pixels[2, k] + slope_y * pixels[3, k] + peak * rows[PEAK, k]
-        signal = mu - black
+    count = pixels.shape[1]
+    for k in range(count):
+        known[MEAN, k] = (
+            floor + slope_x * pixels[2, k] + slope_y * pixels[3, k] + peak * rows[PEAK, k]
+        )
+    for k in range(count):
+        signal = known[MEAN, k] - black
         signal = signal if signal > 0.0 else 0.0
-        sigma2 = read + gain * signal
-        room = min(SENSOR_LIMIT - mu, mu)
-        clips = room < 0.0 or room * room < CLIP_REACH**2 * sigma2
-        near += clips
-        known[MEAN, k], known[VARIANCE, k], known[SIGNAL, k] = mu, sigma2, signal
-        known[VISIBLE, k], rows[RESIDUAL, k] = 1.0, sigma2
-    if near == 0:
-        return
-    for k in range(pixels.shape[1]):
-        mu, sigma2 = known[MEAN, k], known[VARIANCE, k]
-        room = min(SENSOR_LIMIT - mu, mu)
-        if room < 0.0 or room * room < CLIP_REACH**2 * sigma2:
-            known[MEAN, k], known[VARIANCE, k], known[VISIBLE, k] = clipped(mu, sigma2)
+        known[SIGNAL, k], known[VARIANCE, k] = signal, read + gain * signal
+    rows[RESIDUAL] = known[VARIANCE]
+    clip(known[MEAN], known[VARIANCE], known[VISIBLE], rows[LATE])
 
 
 @compiled
@@ -96,24 +93,53 @@ def whiten(p: Array, pixels: Array, scale: float, known: Array, rows: Array) -> 
     Returns:
         How many valid pixels are left out.
     """
-    peak, lever, left_out = p[PEAK], -2.0 * p[PEAK] / scale, 0.0
+    peak, lever, count = p[PEAK], -2.0 * p[PEAK] / scale, pixels.shape[1]
+    leave_out(pixels, known, rows)
+    for k in range(count):
+        rows[RESIDUAL, k] = known[USED, k] * math.sqrt(1.0 / known[VARIANCE, k])
+    for k in range(count):
+        rows[FLOOR, k] = rows[RESIDUAL, k] * known[VISIBLE, k]
+    for k in range(count):
+        rows[RESIDUAL, k] *= pixels[0, k] - known[MEAN, k]
+    for k in range(count):
+        rows[YY, k] = rows[FLOOR, k] * known[SLOPE, k]
+    for k in range(count):
+        rows[X, k], rows[Y, k] = lever * rows[YY, k] * rows[X, k], lever * rows[YY, k] * rows[Y, k]
+    for k in range(count):
+        rows[PEAK, k] *= rows[FLOOR, k]
+    for k in range(count):
+        rows[STEEPNESS, k] = peak * rows[FLOOR, k] * rows[STEEPNESS, k]
+    for k in range(count):
+        rows[SLOPE_X, k] = rows[FLOOR, k] * pixels[2, k]
+    for k in range(count):
+        rows[SLOPE_Y, k] = rows[FLOOR, k] * pixels[3, k]
+    for k in range(count):
+        rows[YY, k] *= peak
+    for k in range(count):
+        rows[XX, k] = rows[YY, k] * known[U, k] * known[U, k]
+    for k in range(count):
+        rows[XY, k] = 2.0 * rows[YY, k] * known[U, k] * known[W, k]
+    for k in range(count):
+        rows[YY, k] *= known[W, k] * known[W, k]
+    return left_out(pixels, known)
+
+
+@compiled
+def leave_out(pixels: Array, known: Array, rows: Array) -> None:
+    """Mark the pixels that count: valid, and not a neighbour's; `rows` hold their variances."""
     for k in range(pixels.shape[1]):
         residual = pixels[0, k] - known[MEAN, k]
-        foot, sigma2 = known[RADIUS2, k] > FOOT**2, rows[RESIDUAL, k]
-        outside = 1.0 if foot and residual * residual > OUTLIER**2 * sigma2 else 0.0
-        left_out += outside * pixels[1, k]
-        used = pixels[1, k] * (1.0 - outside)
-        root = used * math.sqrt(1.0 / known[VARIANCE, k])
-        weight = root * known[VISIBLE, k]
-        bend, u, w = weight * known[SLOPE, k], known[U, k], known[W, k]
-        known[USED, k], rows[RESIDUAL, k] = used, root * residual
-        rows[X, k], rows[Y, k] = lever * bend * rows[X, k], lever * bend * rows[Y, k]
-        rows[PEAK, k], rows[FLOOR, k] = weight * rows[PEAK, k], weight
-        rows[SLOPE_X, k], rows[SLOPE_Y, k] = weight * pixels[2, k], weight * pixels[3, k]
-        bend *= peak
-        rows[XX, k], rows[XY, k], rows[YY, k] = bend * u * u, 2.0 * bend * u * w, bend * w * w
-        rows[STEEPNESS, k] = peak * weight * rows[STEEPNESS, k]
-    return left_out
+        far, foot = residual * residual > OUTLIER**2 * rows[RESIDUAL, k], known[RADIUS2, k]
+        known[USED, k] = pixels[1, k] * (0.0 if far & (foot > FOOT**2) else 1.0)
+
+
+@compiled_sums
+def left_out(pixels: Array, known: Array) -> float:
+    """How many valid pixels do not count."""
+    total = 0.0
+    for k in range(pixels.shape[1]):
+        total += pixels[1, k] - known[USED, k]
+    return total
 
 
 @compiled
