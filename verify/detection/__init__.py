@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.detection import kernel_noise
+from verify.detection import kernel_judgement, kernel_noise
 from verify.detection.bite import RimScore, score_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
 from verify.detection.fit import first_look, fit_spots, reweighted
@@ -200,11 +200,10 @@ def single(judgement: Judgement) -> NDArray[np.bool_]:
 
 def without_twins(judgement: Judgement, keep: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Which of the kept spots are not another, better fitting one found twice."""
-    centre, misfit = judgement.centre[keep], judgement.misfit[keep]
-    apart = np.linalg.norm(centre[:, None] - centre[None], axis=-1)
-    close = apart < APART * np.minimum.outer(*[judgement.diameter[keep]] * 2)
-    rank = np.argsort(np.argsort(misfit, kind="stable"), kind="stable")
-    twin: NDArray[np.bool_] = (close & (rank[None] < rank[:, None])).any(axis=1)
+    twin = np.empty(len(keep), dtype=np.bool_)
+    kernel_judgement.twins(
+        judgement.centre[keep], judgement.diameter[keep], judgement.misfit[keep], APART, twin
+    )
     return ~twin
 
 

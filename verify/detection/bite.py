@@ -76,8 +76,9 @@ def whole_discs(score: RimScore) -> tuple[Array, Array]:
         return np.zeros((0, 2)), np.zeros((0, 2, 2))
     evidence, depth, depth2 = depths(score)
     probability = bite_probability(evidence)
-    shift = np.einsum("nk,nk,nkc->nc", probability, depth, score.pull)
-    doubt = np.einsum("nk,nk,nkc,nkd->ncd", probability, depth2, score.pull, score.pull)
+    pull, pulled = score.pull, score.pull.transpose(0, 2, 1)
+    shift = (pulled @ (probability * depth)[:, :, None])[:, :, 0]
+    doubt = (pulled * (probability * depth2)[:, None, :]) @ pull
     return shift, doubt - shift[:, :, None] * shift[:, None, :]
 
 
@@ -88,20 +89,15 @@ def depths(score: RimScore) -> tuple[Array, Array, Array]:
     """
     sigma = (score.information + DEPTH**-2) ** -0.5
     z = score.gradient * sigma
-    evidence = np.log(2 * sigma / DEPTH) + log_ndtr(z) + z * z / 2
-    hazard = np.exp(-z * z / 2 - log_ndtr(z)) / np.sqrt(2 * np.pi)
+    cut_off = log_ndtr(z) + z * z / 2
+    evidence = np.log(2 * sigma / DEPTH) + cut_off
+    hazard = np.exp(-cut_off) / np.sqrt(2 * np.pi)
     mean = sigma * (z + hazard)
     return evidence, mean, sigma**2 * (1 + z * (z + hazard))
 
 
 def bite_probability(evidence: Array) -> Array:
     """Posterior probability of each spot's bite in each direction, (n, DIRECTIONS)."""
-    struck = np.logaddexp(np.log(1 - STRUCK), np.log(STRUCK) + evidence)
-    own = np.log(SINGLE / DIRECTIONS) + evidence
-    free = np.logaddexp(np.log(1 - SINGLE), np.logaddexp.reduce(own, axis=1))
-    sides = np.log(SHARED / DIRECTIONS) + struck.sum(axis=0)
-    nothing_shared = np.log(1 - SHARED) + free.sum()
-    total = np.logaddexp(np.logaddexp.reduce(sides), nothing_shared)
-    shared: Array = np.exp(sides - total + np.log(STRUCK) + evidence - struck)
-    alone: Array = np.exp(nothing_shared - total + own - free[:, None])
-    return shared + alone
+    probability = np.empty_like(evidence)
+    kernel_bite.share(np.ascontiguousarray(evidence), (SHARED, STRUCK, SINGLE), probability)
+    return probability

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection.kernel_background import top_hat
+from verify.detection.kernel_blob import half_height
 from verify.records import Array, Image
 
 LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright thing must not hide a dim neighbour
@@ -135,29 +136,8 @@ def half_height_blob(
     """Measure the brightest blob in a box at half its height; None where it is not compact."""
     x, y, width, height = box
     x0, y0 = max(x - 2, 0), max(y - 2, 0)  # 2 px: the half height may lie below the level
+    told = np.empty(4)
     part = contrast[y0 : y + height + 2, x0 : x + width + 2]
-    _, peak, _, (peak_x, peak_y) = cv2.minMaxLoc(part)
-    _, above = cv2.threshold(part, peak / 2, 255, cv2.THRESH_BINARY)
-    if above.all():
+    if not half_height(part, LONGEST, SMALLEST_FILL, told):
         return None
-    outlines, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    if len(outlines) > 1:  # keep the one that holds the peak
-        mask = np.zeros_like(above)
-        for outline in outlines:
-            if cv2.pointPolygonTest(outline, (peak_x, peak_y), measureDist=False) >= 0:
-                cv2.drawContours(mask, [outline], -1, 255, cv2.FILLED)
-        above = cv2.bitwise_and(above, mask)
-    moments = cv2.moments(above, binaryImage=True)
-    area = moments["m00"]
-    if area == 0:
-        return None
-    # A pixel is a square, not a point: its own variance is 1/12.
-    xx, yy = moments["mu20"] / area + 1 / 12, moments["mu02"] / area + 1 / 12
-    xy = moments["mu11"] / area
-    half_sum, half_split = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
-    long, short = 2 * np.sqrt(half_sum + half_split), 2 * np.sqrt(half_sum - half_split)
-    few = area < 12  # px; the shape of so few pixels says nothing
-    if not few and (long > LONGEST * short or area < SMALLEST_FILL * np.pi * long * short):
-        return None
-    centre = (moments["m10"] / area + x0, moments["m01"] / area + y0)
-    return *centre, float(np.sqrt(area / np.pi)), float(peak)
+    return float(told[0]) + x0, float(told[1]) + y0, float(told[2]), float(told[3])

@@ -20,6 +20,8 @@ from verify.detection.kernel import (
 from verify.detection.kernel_clip import SENSOR_LIMIT
 from verify.records import Array
 
+Truths = NDArray[np.bool_]
+
 # columns of a told spot
 CENTRE_X, CENTRE_Y, COVARIANCE_XX, COVARIANCE_XY, COVARIANCE_YY = range(5)
 DIAMETER, ELONGATION, MISFIT, SATURATED, MERGED, SOUND = range(5, 11)
@@ -123,3 +125,23 @@ def tell_all(
             and math.hypot(p[X], p[Y]) < wandered * scale[n] + 1.0
         )
         row[SOUND] = 1.0 if sound else 0.0
+
+
+@compiled
+def twins(centre: Array, diameter: Array, misfit: Array, apart: float, twin: Truths) -> None:
+    """Mark spots that are another, better fitting one found twice; of equals the first is it.
+
+    Args:
+        centre: (n, 2), px.
+        diameter: (n,), px.
+        misfit: (n,).
+        apart: diameters of the smaller one: spots are no closer.
+        twin: (n,), filled.
+    """
+    for a in range(len(centre)):
+        twin[a] = False
+        for b in range(len(centre)):
+            better = misfit[b] < misfit[a] or (misfit[b] == misfit[a] and b < a)
+            distance = math.hypot(centre[a, 0] - centre[b, 0], centre[a, 1] - centre[b, 1])
+            if better and distance < apart * min(diameter[a], diameter[b]):
+                twin[a] = True
