@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection.candidates import Candidates
+from verify.detection.kernel_patches import read_grey
 from verify.detection.model import Patches
 from verify.records import Array, Image, Noise
 
@@ -73,6 +74,23 @@ def read_pixels(
     noise: Noise,
 ) -> Cut:
     """Read the image at offsets (n, p), or (1, p) for all, from the origins; colours combined."""
+    if image.ndim == 3:
+        return read_colours(image, origin, scale, column, row, noise)
+    known, lifted = np.empty((len(origin), 4, column.shape[1])), np.empty(len(origin))
+    read_grey(image, origin, scale, column, row, known, lifted)
+    whole = np.ones(len(origin))
+    return Cut(Patches(known, scale, whole, whole, noise), origin, np.column_stack([lifted] * 3))
+
+
+def read_colours(
+    image: Image,
+    origin: NDArray[np.intp],
+    scale: Array,
+    column: NDArray[np.intp],
+    row: NDArray[np.intp],
+    noise: Noise,
+) -> Cut:
+    """Read likewise an image (h, w, 3), each spot by a mean of the channels that suits it."""
     height, width = image.shape[:2]
     x, y = origin[:, :1] + column, origin[:, 1:] + row
     valid = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -82,8 +100,8 @@ def read_pixels(
     pixels = image[y, x]
     core = column**2 + row**2 <= np.square(scale)[:, None]
     share = np.ones(len(origin)), np.ones(len(origin))
-    if pixels.ndim == 2 or is_grey(pixels):
-        pixels = pixels if pixels.ndim == 2 else pixels[..., 0]
+    if is_grey(pixels):
+        pixels = pixels[..., 0]
         colour = np.repeat(contrast(pixels[..., None], core), 3, axis=1)
         value = pixels.astype(float)
     else:
