@@ -291,13 +291,13 @@ def descend(
         if refused:
             damping *= 30.0
             continue
-        variance[:] = known[VARIANCE]
-        stands = deviation(tried, pixels, known, variance, prior)
         gained = step @ gradient  # what the step takes from chi²
         p[:], chi2, damping = tried, trial, damping / 10.0
         information[:], gradient[:] = tried_information, tried_gradient
         if not gained > settled * (1.0 + trial / size):
             break
+        variance[:] = known[VARIANCE]
+        stands = deviation(p, pixels, known, variance, prior)
     if refused:
         weigh(p, pixels, scale, noise, table, known, rows)
     mark_own(p, pixels, known)
