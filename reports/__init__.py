@@ -3,28 +3,20 @@
 A leaf: it knows tables, words and pages, and nothing of cameras, robots or `verify`. What a report
 says follows the results' kind: a run's, a calibration's from boards, an interim check's, a robot's
 registration.
+
+What draws and lays out pages is loaded when it is first asked for: it takes half a second, and
+whoever only writes a results folder needs none of it.
 """
 
-from collections.abc import Callable
-from pathlib import Path
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-from reports import (
-    branding,
-    calibration,
-    fleet,
-    grab,
-    html,
-    identification,
-    outline,
-    pdf,
-    plan,
-    registration,
-)
-from reports.blocks import Document
-from reports.branding import PLAIN, Look
 from reports.errors import ReportError
-from reports.language_file import language as read_language
 from reports.results import Results, read, write
+
+if TYPE_CHECKING:
+    from reports.branding import Look
+    from reports.rendering import look, render_html, render_pdf, untranslated
 
 __all__ = [
     "Look",
@@ -38,78 +30,9 @@ __all__ = [
     "write",
 ]
 
-OUTLINES: dict[str, Callable[[Results], Document]] = {
-    "run": outline.document,
-    "calibration": calibration.document,
-    "registration": registration.document,
-    "fleet": fleet.document,
-    "grab": grab.document,
-    "identification": identification.document,
-    "plan": plan.document,
-}
 
-
-def look(
-    *,
-    language: str = "en",
-    logo: Path | None = None,
-    owner: str | None = None,
-    templates: Path | None = None,
-) -> Look:
-    """Read how a report is to look; nothing given is the usual look.
-
-    Args:
-        language: "en", "de" or a language file.
-        logo: a PNG or SVG.
-        owner: a line at the top: whose report it is.
-        templates: a folder with report.html.j2, report.css or report.typ.
-
-    Raises:
-        ReportError: one of them cannot be used.
-    """
-    return Look(
-        language=read_language(language),
-        logo=None if logo is None else branding.logo(logo),
-        owner="" if owner is None else branding.owner(owner),
-        templates=None if templates is None else branding.templates(templates),
-    )
-
-
-def render_html(results: Results, look: Look = PLAIN) -> str:
-    """Render results as one page that opens offline; the same results give the same text.
-
-    Raises:
-        ReportError: results of a kind that this version does not know; a template of the user's
-            own with an error.
-    """
-    return html.page(_document(results, look), look)
-
-
-def render_pdf(results: Results, look: Look = PLAIN) -> bytes:
-    """Render results as a PDF; the same results give the same bytes.
-
-    Raises:
-        ReportError: as of `render_html`.
-    """
-    return pdf.pages(_document(results, look), look)
-
-
-def untranslated(results: Results, look: Look) -> list[str]:
-    """List what stays English in a report, in whole or in part; the user's own words among it."""
-    return look.language.missing(_worded(results))
-
-
-def _document(results: Results, look: Look) -> Document:
-    return look.language.document(_worded(results))
-
-
-def _worded(results: Results) -> Document:
-    kind = str(results.summary.get("kind", "run"))
-    if kind not in OUTLINES:
-        raise ReportError(
-            "results.json",
-            f'its kind is "{kind}"',
-            f"this version reports {', '.join(OUTLINES)}",
-            "Use the version of verify that wrote it.",
-        )
-    return OUTLINES[kind](results)
+def __getattr__(name: str) -> object:
+    """Load what makes pages."""
+    if name not in __all__:
+        raise AttributeError(f"module 'reports' has no attribute '{name}'")
+    return getattr(import_module("reports.rendering"), name)

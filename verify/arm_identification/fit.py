@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import chi2
 
 from robots.transforms import difference
 from verify.arm_identification.model import predict, predict_with_jacobian
@@ -13,6 +12,7 @@ from verify.arm_identification.noise import Scale, scale_of
 from verify.arm_identification.parameters import Parameter, State, moved
 from verify.arm_identification.poses import Poses, some
 from verify.arm_identification.support import triangle
+from verify.distributions import chi2_isf
 from verify.records import Array
 
 FALSE_ALARM = 1e-3  # over all rows: a row beyond it does not belong
@@ -77,7 +77,7 @@ def fit(
         parameters: L of them.
     """
     used = np.ones(len(poses), dtype=bool)
-    limit = chi2.isf(FALSE_ALARM / len(poses), np.maximum(poses.dimensions, 1))
+    limit = chi2_isf(FALSE_ALARM / len(poses), np.maximum(poses.dimensions, 1))
     known = Scale(1.0, 1.0)
     found, change = state, np.zeros(len(parameters))
     for _ in range(ROUNDS):

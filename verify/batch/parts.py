@@ -15,7 +15,6 @@ from dataclasses import dataclass, fields, replace
 from itertools import islice, pairwise
 from pathlib import Path
 
-import av
 import numpy as np
 
 from verify.analysis import setup_of
@@ -213,6 +212,8 @@ def _cut(images: Images, place: Path, span: Span) -> Images | None:
             own = images.path / f"{number:06d}.png"
             (place / f"{number - span.first:06d}.png").symlink_to(own.resolve())
         return open_images(place)
+    import av  # a fifth of a second, and few sessions are so long
+
     target = place.with_suffix(".mkv")
     with av.open(str(images.path.resolve())) as source:
         stream = source.streams.video[0]

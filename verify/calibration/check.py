@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from verify.board import Board, BoardPair
 from verify.calibration.board_pose import as_marker, board_poses
 from verify.calibration.check_bar import BarPoses
 from verify.calibration.check_lengths import Lengths, lengths
+from verify.distributions import norm_isf, norm_ppf
 from verify.errors import InputError
 from verify.interim import CHANGES, FIGURES, Consistency, consistency, told, without_base
 from verify.marker import Marker
@@ -186,7 +186,7 @@ def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResu
 
 def limit_of(found: Consistency) -> float:
     """How many standard uncertainties one of the figures may be off, all of them being tested."""
-    return float(norm.isf((1 - CONFIDENCE) / 2 / int((~np.isnan(found.value)).sum())))
+    return float(norm_isf((1 - CONFIDENCE) / 2 / int((~np.isnan(found.value)).sum())))
 
 
 def _turning(measurements: Sequence[Measurement]) -> bool:
@@ -237,7 +237,7 @@ def _rms(seen: Sequence[Measurement]) -> float:
 
 def _visible(found: Consistency, limit: float) -> tuple[Visible, ...]:
     """The smallest size of each change at which one of the figures would go beyond its limit."""
-    needed = (limit + norm.ppf(POWER)) * found.uncertainty
+    needed = (limit + norm_ppf(POWER)) * found.uncertainty
     rows = []
     for change, (_, unit) in CHANGES.items():
         effect = np.abs(np.nan_to_num(found.by_change[change]))

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from verify.calibration import bundle, gauge
 from verify.calibration.gauge import Model
 from verify.calibration.parameters import Corners, State
 from verify.calibration.records import Residuals
+from verify.distributions import chi2_ppf
 from verify.records import Array
 
 CHANCE = 0.01  # that pairs which err independently seem to err together
@@ -144,7 +144,7 @@ def design_effect(system: bundle.Normal, basis: Array, noise: float) -> tuple[fl
         return 1.0, np.inf
     degrees = 2 * expected**2 / spread
     factor = seen / expected
-    if factor <= 1 or factor * degrees <= chi2.ppf(1 - CHANCE, degrees):
+    if factor <= 1 or factor * degrees <= chi2_ppf(1 - CHANCE, degrees):
         return 1.0, np.inf
     return factor, float(degrees)
 

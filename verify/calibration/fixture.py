@@ -11,13 +11,13 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.stats import chi2
 
 from robots.transforms import difference, invert
 from verify import rig_file
 from verify.board import Board, BoardPair
 from verify.calibration.board_pose import as_marker, board_poses
 from verify.calibration.covariance import extend
+from verify.distributions import chi2_isf
 from verify.errors import InputError
 from verify.marker import Marker
 from verify.pose import perturb
@@ -209,7 +209,7 @@ def _agreeing(
     while True:
         common = _combine([seen[i] for i in used], [effects[i] for i in used], parameters, noise)
         degrees = 6 * (len(used) - 1)
-        if not degrees or common.chi2 < chi2.isf(FALSE_ALARM, degrees):
+        if not degrees or common.chi2 < chi2_isf(FALSE_ALARM, degrees):
             return used, common, warnings
         worst = int(np.argmax(common.pair_chi2))
         said = _said(seen[used[worst]], common.difference[worst])

@@ -7,12 +7,12 @@ height as a quadratic over the board, beside everything else, does.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from verify.board import Board
 from verify.calibration import bundle
 from verify.calibration.estimate import Estimate, estimate, inverted
 from verify.calibration.parameters import Corners
+from verify.distributions import chi2_isf
 from verify.records import Array
 
 CHANCE = 1e-3  # that a flat board seems bowed
@@ -45,7 +45,7 @@ def straightened(
     modes = _modes(corners, board)
     fitted = _fit(found, corners, modes)
     z2 = float(fitted.height @ np.linalg.solve(fitted.covariance, fitted.height))
-    if z2 <= chi2.isf(CHANCE, 3):
+    if z2 <= chi2_isf(CHANCE, 3):
         return found, corners, None
     so_far = np.linalg.lstsq(modes, corners.point[:, 2], rcond=None)[0]
     height = np.asarray(so_far, dtype=np.float64)

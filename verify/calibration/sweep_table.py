@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.stats import chi2, norm
 
 import robots
 from robots.transforms import difference, invert
@@ -20,6 +19,7 @@ from verify.calibration.sweep_lines import (
     tilt_between,
 )
 from verify.calibration.sweep_segments import STILL
+from verify.distributions import chi2_isf, norm_isf
 from verify.records import Array
 
 FALSE_ALARM = 1e-3  # over all comparisons with the table
@@ -86,11 +86,11 @@ def _pair(arm: robots.Arm, one: SweptJoint, other: SweptJoint, limit: float) -> 
     if side_by_side:
         by_tilt = derivative(tilt_between, lines, across)
         angle_u = float(np.sqrt(np.linalg.eigvalsh(by_tilt @ covariance @ by_tilt.T)[-1]))
-        bound = np.sqrt(chi2.isf(limit, 2))  # a tilt has two components
+        bound = np.sqrt(chi2_isf(limit, 2))  # a tilt has two components
     else:
         by_angle = derivative(lambda a, b: np.array(angle_between(a, b)), lines, across)
         angle_u = float(np.sqrt(by_angle @ covariance @ by_angle))
-        bound = norm.isf(limit / 2)
+        bound = norm_isf(limit / 2)
     straight = abs(angle - angle_table) < bound * angle_u
     return AxisPair(
         joints=(one.joint, other.joint),
@@ -101,7 +101,7 @@ def _pair(arm: robots.Arm, one: SweptJoint, other: SweptJoint, limit: float) -> 
         distance=sense * seen,
         distance_table=sense * known,
         distance_uncertainty=distance_u,
-        agrees=bool(straight and abs(seen - known) < norm.isf(limit / 2) * distance_u),
+        agrees=bool(straight and abs(seen - known) < norm_isf(limit / 2) * distance_u),
     )
 
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
 
 from verify.calibration.sweep_joint import SweptJoint, fit_joint
 from verify.calibration.sweep_segments import Sweep, find_sweeps
@@ -20,6 +19,7 @@ from verify.calibration.sweep_table import (
     compare_axes,
 )
 from verify.clock import estimate_clock
+from verify.distributions import norm_isf
 from verify.errors import InputError
 from verify.readings import Readings
 from verify.records import Measurement
@@ -110,7 +110,7 @@ def _decisions(
     words = []
     for j in joints:
         off = (j.gear - 1) / j.gear_uncertainty
-        said = "" if abs(off) < norm.isf(FALSE_ALARM / 2) else ", which is not 1"
+        said = "" if abs(off) < norm_isf(FALSE_ALARM / 2) else ", which is not 1"
         rms = np.rad2deg(np.sqrt(np.mean(j.nonlinearity**2)))
         words.append(
             f"Joint {j.joint}: {len(j.frames)} pairs over {np.rad2deg(j.span):.1f}°; the flange "

@@ -9,8 +9,8 @@ fit beats the other kind's by ΔBIC ≥ 10.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 
+from verify.distributions import t_isf
 from verify.fleet.least_squares import Fit, fit, scan
 from verify.fleet.series import MONTH, Series
 from verify.records import Array
@@ -94,7 +94,7 @@ def candidates(series: Series) -> list[Term]:
 
 def _threshold(series: Series, chance: float) -> float:
     """What a single candidate must take off χ²."""
-    quantile = stats.t.isf(chance / 2, series.degrees_of_freedom)
+    quantile = t_isf(chance / 2, series.degrees_of_freedom)
     return float(quantile**2)
 
 

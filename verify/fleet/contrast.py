@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from verify.distributions import t_isf
 from verify.fleet.least_squares import fit
 from verify.fleet.series import Series
 
@@ -41,5 +41,5 @@ def contrast(series: Series, second: NDArray[np.bool_], false_alarm: float) -> C
     found = fit(series, design)
     first, difference = found.coefficients.tolist()
     u = float(np.sqrt(found.covariance[1, 1]))
-    limit = float(stats.t.isf(false_alarm / 2, series.degrees_of_freedom)) * u
+    limit = float(t_isf(false_alarm / 2, series.degrees_of_freedom)) * u
     return Contrast(counts, (first, first + difference), difference, u, limit)

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy import stats
 
+from verify.distributions import t_isf
 from verify.fleet.changes import CLEARLY, LEAST, Change, Course, follow
 from verify.fleet.outlying import outlying
 from verify.fleet.series import Series
@@ -65,7 +65,7 @@ def judge(series: Series, false_alarm: float) -> Judged:
 
 def _half(series: Series, course: Course, false_alarm: float) -> Array:
     """Half the distance between the control limits, as wide as each session's uncertainty."""
-    z = stats.t.isf(false_alarm / len(series) / 2, series.degrees_of_freedom)
+    z = t_isf(false_alarm / len(series) / 2, series.degrees_of_freedom)
     half: Array = z * np.sqrt(series.scatter**2 + course.reference_uncertainty**2)
     return half
 

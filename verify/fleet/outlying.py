@@ -2,8 +2,8 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from verify.distributions import t_isf
 from verify.fleet.series import Series
 
 NEAR = 3  # sessions on either side that one is held against
@@ -21,7 +21,7 @@ def outlying(series: Series, false_alarm: float) -> NDArray[np.bool_]:
     apart = np.zeros(n, dtype=bool)
     if n <= NEAR:
         return apart
-    limit = stats.t.isf(false_alarm / n / 2, series.degrees_of_freedom)
+    limit = t_isf(false_alarm / n / 2, series.degrees_of_freedom)
     for i in range(n):
         sides = [slice(max(i - NEAR, 0), i), slice(i + 1, i + 1 + NEAR)]
         there = [side for side in sides if len(series.t[side])]

@@ -12,17 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 import robots
 from robots import DhArm
 from robots.transforms import difference
+from verify.distributions import chi2_ppf
 from verify.grab.cell_file import Cell
 from verify.records import Array
 
 LARGEST = 0.010  # m: an arm that is farther off needs a person, not a correction
 FEWEST = 6  # pictures that agree
-AGREE = float(chi2.ppf(1 - 1e-6, 6))  # squared Mahalanobis distance of a picture from the others
+AGREE = float(chi2_ppf(1 - 1e-6, 6))  # squared Mahalanobis distance of a picture from the others
 SHARE = 0.75  # of the measured pictures that must agree
 
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2, norm
 
+from verify.distributions import chi2_ppf, norm_ppf
 from verify.grab.cell_file import Cell
 from verify.grab.plan_target import Thing
 from verify.records import Array
@@ -69,7 +69,7 @@ def grip_margin(thing: Thing, cell: Cell) -> Margin | Refusal:
         return Refusal("unknown", "the target's size is not known")
     if (outside := _outside(thing.position, cell)) is not None:
         return outside
-    one, two = norm.ppf((1 + coverage) / 2), float(np.sqrt(chi2.ppf(coverage, 2)))
+    one, two = float(norm_ppf((1 + coverage) / 2)), float(np.sqrt(chi2_ppf(coverage, 2)))
     if thing.width > hand.opening:
         said = f"it is {_mm(thing.width)} wide; the gripper opens {_mm(hand.opening)}"
         return Refusal("width", said)

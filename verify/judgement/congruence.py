@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2 as chi_squared
 
+from verify.distributions import chi2_sf
 from verify.judgement.model import Model
 from verify.records import Array
 
@@ -79,7 +79,7 @@ def congruence(model: Model) -> Congruence | None:
         uncertainty=np.sqrt(spread),
         chi2=chi2,
         degrees=len(flat),
-        p_value=float(chi_squared.sf(chi2, len(flat))),
+        p_value=float(chi2_sf(chi2, len(flat))),
         detectable=_detectable(begin, end, weight),
     )
 

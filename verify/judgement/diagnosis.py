@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_squared
 
 import robots
+from verify.distributions import chi2_isf, chi2_ppf
 from verify.judgement.causes import Cause, cause, one_ambiguous
 from verify.judgement.diagnosis_search import Chosen, Products, search
 from verify.judgement.diagnosis_thinned import thinned
@@ -87,7 +87,7 @@ def _settled(
         best = search(products)
         degrees = products.rows - model.fitted.shape[1] - len(products.columns(best))
         left = plain.chi2(best)
-        lacking = degrees > 0 and left > chi_squared.isf(LACK_OF_FIT, degrees)
+        lacking = degrees > 0 and left > chi2_isf(LACK_OF_FIT, degrees)
         before, misfit = misfit, left / degrees if lacking else 1.0
         if misfit <= before * (1 + SETTLED):
             break
@@ -108,8 +108,8 @@ def _outlying(model: Model, residual: Array) -> NDArray[np.int64]:
     pair, count = model.white.pair, len(model.comparison)
     distance = np.bincount(pair, residual**2, minlength=count)
     known = np.bincount(pair, minlength=count)
-    typical = chi_squared.ppf(0.5, np.maximum(known, 1))
+    typical = chi2_ppf(0.5, np.maximum(known, 1))
     scatter = max(float(np.median(distance / typical)), 1.0)
-    limit = scatter * chi_squared.isf(OUTLYING / count, np.maximum(known, 1))
+    limit = scatter * chi2_isf(OUTLYING / count, np.maximum(known, 1))
     found = np.flatnonzero(distance > limit)
     return found if len(found) <= MOST_OUTLYING * count else found[:0]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_squared
 
+from verify.distributions import chi2_isf
 from verify.judgement.causes import LEAST_ADVANTAGE, asked
 from verify.judgement.diagnosis_search import Products
 from verify.judgement.faults import SCALES
@@ -86,7 +86,7 @@ def _sizes(products: Products, ways: list[_Way]) -> tuple[Array, Array, list[int
     left = _left(products.gram, first, last) * scale
     left[~products.visible[fault]] = np.nan
     # beside those that resemble it, the best of all rivals fits something by mere chance
-    chance = chi_squared.isf(1 / max(int(products.visible.sum()), 2), 1)
+    chance = chi2_isf(1 / max(int(products.visible.sum()), 2), 1)
     price = products.price[fault]
     listed = (np.sqrt(price) + POWER) / left
     named = (np.sqrt(np.maximum(price, LEAST_ADVANTAGE + chance)) + POWER) / left

@@ -9,8 +9,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_squared
 
+from verify.distributions import chi2_isf
 from verify.judgement.faults import Fault
 from verify.judgement.model import Model
 from verify.records import Array
@@ -152,7 +152,7 @@ def _prices(faults: list[Fault], visible: NDArray[np.bool_], rows: int) -> Array
     """
     each = FAMILY_FALSE_ALARM / max(int(visible.sum()), 1)
     freedom = np.array([f.freedom for f in faults])
-    chance = np.asarray(chi_squared.isf(each, freedom), dtype=np.float64)
+    chance = np.asarray(chi2_isf(each, freedom), dtype=np.float64)
     schwarz = freedom * np.log(max(rows, 2))
     prices: Array = np.maximum.reduce([chance, schwarz, np.full(len(faults), LEAST_SHARE * rows)])
     return prices

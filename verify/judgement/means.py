@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
+from verify.distributions import t_ppf
 from verify.judgement.model import Model
 from verify.judgement.resolved import Resolved
 from verify.records import Array
@@ -59,7 +59,7 @@ def effective_degrees(
 
 def coverage_factor(degrees: Array) -> Array:
     """Coverage factor for 95.45 %: 2 above LARGE_SAMPLE degrees of freedom, else Student's."""
-    exact = student.ppf(TWO_SIGMA, np.maximum(np.nan_to_num(degrees, nan=np.inf), 1.0))
+    exact = t_ppf(TWO_SIGMA, np.maximum(np.nan_to_num(degrees, nan=np.inf), 1.0))
     factor: Array = np.where(degrees > LARGE_SAMPLE, 2.0, exact)
     return factor
 

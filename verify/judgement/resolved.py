@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
 
 from verify.comparison import Comparison
+from verify.distributions import chi2_isf
 from verify.judgement.model import Model
 from verify.records import Array
 from verify.regression import Fit, solve
@@ -71,7 +71,7 @@ def resolve(model: Model) -> Resolved:
     parts = [_column(model, j, columns[j]) for j in range(len(columns))]
     count = sum(p.shape[1] for p in parts)
     fit = solve(np.concatenate([*parts, model.fitted], axis=1), model.xi, model.prior)
-    limit = chi2_distribution.isf(LACK_OF_FIT, max(fit.degrees_of_freedom, 1))
+    limit = chi2_isf(LACK_OF_FIT, max(fit.degrees_of_freedom, 1))
     lacking = bool(fit.chi2 > limit and fit.degrees_of_freedom > 0)
     # a fit that lacks knows its figures no better than it describes the pairs (Birge)
     misfit = fit.chi2 / fit.degrees_of_freedom if lacking else 1.0

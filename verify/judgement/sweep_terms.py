@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2 as chi_squared
 
+from verify.distributions import chi2_sf
 from verify.judgement.resolved import LEAST_PAIRS_A_DIRECTION
 from verify.judgement.sweep_axis import AxisFit, Swept, fit_axis
 from verify.records import Array
@@ -75,7 +75,7 @@ def find_eccentricity(terms: Terms, fit: AxisFit) -> tuple[Figure, Figure, bool]
         return NOTHING, NOTHING, False
     part, spread = fit.value[both], fit.covariance[both, both]
     size = float(np.hypot(*part))
-    there = bool(chi_squared.sf(float(part @ np.linalg.solve(spread, part)), 2) < SIGNIFICANT)
+    there = bool(chi2_sf(float(part @ np.linalg.solve(spread, part)), 2) < SIGNIFICANT)
     along = part / size if size > 0 else part
     # without a direction to speak of, the worst known one bounds it
     variance = along @ spread @ along if there else np.linalg.eigvalsh(spread)[-1]

@@ -10,9 +10,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_squared
 
 from verify.comparison import alignment_scale
+from verify.distributions import chi2_isf, chi2_sf
 from verify.judgement.budget_sources import many_pan_readings
 from verify.judgement.model import Model
 from verify.judgement.resolved import CIRCULAR_SPAN, LACK_OF_FIT
@@ -154,7 +154,7 @@ def _outlying(case: _Case) -> NDArray[np.bool_]:
     _, fit = fit_terms(case.swept, case.direction, case.rate, circular=False)
     count = len(case.rows)
     off = np.linalg.solve(case.swept.covariance, fit.rest[:, :, None])[:, :, 0]
-    far = np.sum(fit.rest * off, axis=1) > chi_squared.isf(OUTLYING / count, 5)
+    far = np.sum(fit.rest * off, axis=1) > chi2_isf(OUTLYING / count, 5)
     few = np.sum(far) <= max(1, int(MOST_OUTLYING * count))
     return far if few else np.zeros(count, dtype=bool)
 
@@ -170,7 +170,7 @@ def _judged(case: _Case, outlying: NDArray[np.int64]) -> Sweep:
             terms, fit = wide
     angle_degrees = len(rows) - terms.columns.shape[1] - 1
     rest_degrees = 5 * len(rows) - 9  # of line and start pose, a shift along the angle taken out
-    nonlinear_p = float(chi_squared.sf(fit.chi2_angle, max(angle_degrees, 1)))
+    nonlinear_p = float(chi2_sf(fit.chi2_angle, max(angle_degrees, 1)))
     # a fit that lacks knows its figures no better than it describes the pairs (Birge)
     misfit = max(1.0, fit.chi2_angle / max(angle_degrees, 1)) if nonlinear_p < LACK_OF_FIT else 1.0
     by_clock = terms.columns[:, terms.clock] * fit.value[terms.clock] if terms.clock >= 0 else 0.0
@@ -204,5 +204,5 @@ def _judged(case: _Case, outlying: NDArray[np.int64]) -> Sweep:
             float(np.sqrt(np.mean(np.sum(fit.rest[:, :3] ** 2, axis=1)))),
             float(np.sqrt(np.mean(np.sum(fit.rest[:, 3:] ** 2, axis=1)))),
         ),
-        wobble_p=float(chi_squared.sf(fit.chi2_rest, max(rest_degrees, 1))),
+        wobble_p=float(chi2_sf(fit.chi2_rest, max(rest_degrees, 1))),
     )

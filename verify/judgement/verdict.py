@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm
 
+from verify.distributions import chi2_isf, norm_cdf, norm_isf
 from verify.judgement.length import length
 from verify.judgement.resolved import Resolved
 from verify.records import Array
@@ -38,7 +38,7 @@ def judge_joint(
     """Judge one joint by its resolved error at every pair."""
     error, u = resolved.error[:, joint], resolved.uncertainty[:, joint]
     terms = len(resolved.terms[joint])
-    z = float(norm.isf(FALSE_ALARM / 2 / terms))
+    z = float(norm_isf(FALSE_ALARM / 2 / terms))
     swing, doubt = float(resolved.swing[joint]), float(resolved.swing_uncertainty[joint])
     if np.isnan(error).any() and tolerance is not None and swing - z * doubt > tolerance:
         # whatever its constant may be, at one end or the other it is beyond the tolerance
@@ -52,7 +52,7 @@ def judge_norm(
     """Judge the length of an error vector at every pair, (n, 3) with (n, 3, 3)."""
     size, u = length(vectors, covariance)
     # the length of three components is larger by chance than any one of them
-    z = float(max(norm.isf(FALSE_ALARM / 2 / terms), np.sqrt(chi2.isf(FALSE_ALARM / terms, 3))))
+    z = float(max(norm_isf(FALSE_ALARM / 2 / terms), np.sqrt(chi2_isf(FALSE_ALARM / terms, 3))))
     return _judge(size, u, z, tolerance, 0.0, resolved.lack_of_fit)
 
 
@@ -89,7 +89,7 @@ def _judge(
 
 def _within(error: Array, u: Array, tolerance: float) -> Array:
     safe = np.where(u > 0, u, 1e-300)
-    inside: Array = norm.cdf((tolerance - error) / safe) - norm.cdf((-tolerance - error) / safe)
+    inside: Array = norm_cdf((tolerance - error) / safe) - norm_cdf((-tolerance - error) / safe)
     return inside
 
 

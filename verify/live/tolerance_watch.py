@@ -5,8 +5,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import norm
 
+from verify.distributions import norm_isf
 from verify.live.alarms import Alarm, in_degrees
 from verify.live.joint_row import JointRow
 from verify.records import Array
@@ -32,7 +32,7 @@ class ToleranceWatch:
     ) -> None:
         self._tolerance, self._numbers, self._rate = tolerance, numbers, rate
         looks = 3600.0 / AVERAGED * len(tolerance)
-        self.guard = float(norm.isf(min(false_alarms_per_hour / looks, 0.05)))
+        self.guard = float(norm_isf(min(false_alarms_per_hour / looks, 0.05)))
         self._standing: dict[int, Alarm] = {}
         self._joints = len(tolerance)
         self.restart()

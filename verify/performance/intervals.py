@@ -9,9 +9,8 @@ from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2
-from scipy.stats import t as student
 
+from verify.distributions import chi2_ppf, t_ppf
 from verify.performance.measures import SPREADS, repeatability
 from verify.records import Array
 
@@ -89,7 +88,7 @@ def length_interval(mean: Array, random: Array, freedom: int, systematic: Array)
     if whole <= 0.0:
         return Interval(value, value, value)
     effective = freedom * (whole / part) ** 2 if part > 0 else ENDLESS
-    limit = float(student.ppf(1 - SIDE, min(effective, ENDLESS))) ** 2
+    limit = float(t_ppf(1 - SIDE, min(effective, ENDLESS))) ** 2
     low, high = _lengths_within(mean, total, limit)
     noise = np.linalg.norm(noise_draws(random, freedom, systematic), axis=1)
     return Interval(value, low if np.mean(noise >= value) < SIDE else 0.0, high)
@@ -138,8 +137,8 @@ def noise_draws(random: Array, freedom: int, systematic: Array) -> Array:
 def mean_interval(values: Array, systematic: float) -> Interval:
     """Mean of n values (n,) with its interval; `systematic` is a standard uncertainty beside it."""
     n = len(values)
-    half = float(student.ppf(1 - SIDE, n - 1)) * float(values.std(ddof=1)) / np.sqrt(n)
-    half = float(np.hypot(half, float(student.ppf(1 - SIDE, ENDLESS)) * systematic))
+    half = float(t_ppf(1 - SIDE, n - 1)) * float(values.std(ddof=1)) / np.sqrt(n)
+    half = float(np.hypot(half, float(t_ppf(1 - SIDE, ENDLESS)) * systematic))
     mean = float(values.mean())
     return Interval(mean, mean - half, mean + half)
 
@@ -148,7 +147,7 @@ def spread_interval(values: Array) -> Interval:
     """Three standard deviations of n values (n,) with their interval, by the law of χ²."""
     freedom = len(values) - 1
     spread = SPREADS * float(values.std(ddof=1))
-    high, low = np.sqrt(freedom / chi2.ppf([SIDE, 1 - SIDE], freedom))
+    high, low = np.sqrt(freedom / chi2_ppf([SIDE, 1 - SIDE], freedom))
     return Interval(spread, spread * float(low), spread * float(high))
 
 
