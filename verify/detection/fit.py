@@ -55,5 +55,5 @@ def saturated(patches: Patches) -> NDArray[np.bool_]:
 
 
 def reweighted(patches: Patches, state: Fit) -> Fit:
-    """One more step from a solution, under the noise that the patches now carry."""
-    return solve(patches, state.parameters, state.priors, steps=1)
+    """Take a solution one step further, under the noise that the patches now carry."""
+    return solve(patches, state.parameters, state.priors, steps=1, room=state)

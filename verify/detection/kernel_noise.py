@@ -27,15 +27,13 @@ def stencils(rows: Image, level: Array, difference: Array) -> int:
     """
     count = 0
     for r in range(rows.shape[0]):
-        row = rows[r]
-        for x in range(2, rows.shape[1] - 2):
-            clipped = False
-            for k in range(-2, 3):
-                clipped = clipped or row[x + k] == 0 or row[x + k] == 255
-            if clipped:
+        row, clean = rows[r], 0  # pixels in a row that are not clipped
+        for last in range(rows.shape[1]):
+            clean = 0 if row[last] == 0 or row[last] == 255 else clean + 1
+            if clean < 5:
                 continue
-            a, b, c = float(row[x - 2]), float(row[x - 1]), float(row[x])
-            d, e = float(row[x + 1]), float(row[x + 2])
+            a, b, c = float(row[last - 4]), float(row[last - 3]), float(row[last - 2])
+            d, e = float(row[last - 1]), float(row[last])
             level[count] = (-3.0 * (a + e) + 12.0 * (b + d) + 17.0 * c) / 35.0
             difference[count] = abs(a - 4.0 * b + 6.0 * c - 4.0 * d + e)
             count += 1

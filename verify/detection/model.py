@@ -152,7 +152,12 @@ def expected(patches: Patches) -> Priors:
 
 
 def solve(
-    patches: Patches, start: Array, priors: Priors, steps: int = 0, settled: float = 0.0
+    patches: Patches,
+    start: Array,
+    priors: Priors,
+    steps: int = 0,
+    settled: float = 0.0,
+    room: Fit | None = None,
 ) -> Fit:
     """Fit every patch by Gauss-Newton.
 
@@ -162,9 +167,10 @@ def solve(
         priors: how firmly they are held.
         steps: at most; 0 looks how the pixels stand at the start.
         settled: of chi² that a step may still gain.
+        room: a fit of the same patches that is written over: what the processor has at hand.
     """
     n, _, size = patches.pixels.shape
-    fit = Fit(
+    fit = room or Fit(
         parameters=start.copy(),
         information=np.empty((n, PARAMETERS, PARAMETERS)),
         gradient=np.empty((n, PARAMETERS)),
