@@ -56,9 +56,8 @@ class Processes:
         """Have tasks done; see `Crew`."""
         died: Counter[int] = Counter()
         while tasks or self._busy:
-            while tasks and self._idle:
-                worker, task = self._idle.pop(), tasks.popleft()
-                self._busy[worker.start(task)] = worker, task
+            self._set_to_work(tasks)
+            finished = []
             for future in wait(self._busy, return_when=FIRST_COMPLETED).done:
                 worker, task = self._busy.pop(future)
                 try:
@@ -74,7 +73,14 @@ class Processes:
                     outcome = Lost(TRIES)
                 died.pop(id(task), None)
                 self._idle.append(worker)
-                yield task, outcome
+                finished.append((task, outcome))
+            self._set_to_work(tasks)  # nobody waits until what was done is put away
+            yield from finished
+
+    def _set_to_work(self, tasks: deque[Task]) -> None:
+        while tasks and self._idle:
+            worker, task = self._idle.pop(), tasks.popleft()
+            self._busy[worker.start(task)] = worker, task
 
     def close(self) -> None:
         """Send the workers home; what they were at is dropped."""
