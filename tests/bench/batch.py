@@ -33,7 +33,8 @@ ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "sample_sessions" / "multi_joint_fault_6r"  # dark, without noise: decoded at once
 RECORDED = SHARED / "sessions" / "multi_joint_fault_6r"  # noise as a camera has it
 LONG = 450  # pairs: half a minute at 15 a second
-SIZES = {"short": 40, "recorded": 24, "long": 6}  # sessions: the processes' start is no great part
+# sessions: so many that a process's start, two seconds, is a fiftieth; for the dark ones a tenth
+SIZES = {"short": 40, "recorded": 48, "long": 6}
 ROUNDS = 3
 FLEETS = 200
 RUN = "import os, sys; os.sched_setaffinity(0, {cores}); from verify.cli import main; main()"

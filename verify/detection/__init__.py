@@ -16,7 +16,8 @@ from verify.detection.bite import RimScore, score_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
 from verify.detection.fit import first_look, fit_spots, reweighted
 from verify.detection.judgement import FITTED, Judgement, joined, judge
-from verify.detection.kernel import MEAN, OWN, SEEN, SIGNAL, USED, VISIBLE
+from verify.detection.kernel import SEEN
+from verify.detection.kernel_pixels import MEAN, OWN, SIGNAL, USED, VISIBLE
 from verify.detection.model import Fit
 from verify.detection.noise import LIKELY, background_noise, refined
 from verify.detection.patches import Cut, cut_out, glance_at

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.detection.kernel import FLOOR, PEAK, STEEPNESS
 from verify.detection.kernel_clip import SENSOR_LIMIT
+from verify.detection.kernel_pixels import FLOOR, PEAK, STEEPNESS
 from verify.detection.model import Fit, Patches, expected, solve
 from verify.records import Array
 

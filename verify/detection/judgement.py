@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection import kernel_judgement as kernel
-from verify.detection.kernel import PEAK
+from verify.detection.kernel_pixels import PEAK
 from verify.detection.model import Fit
 from verify.detection.patches import Cut
 from verify.records import Array

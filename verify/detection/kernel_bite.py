@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.compiled import compiled, compiled_sums
-from verify.detection.kernel import (
+from verify.detection.kernel_pixels import (
     PARAMETERS,
     PEAK,
     RADIUS2,

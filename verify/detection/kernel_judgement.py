@@ -6,18 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.compiled import compiled
-from verify.detection.kernel import (
-    PARAMETERS,
-    PEAK,
-    UNTOLD,
-    XX,
-    XY,
-    YY,
-    X,
-    Y,
-    tally,
-)
+from verify.detection.kernel import UNTOLD, tally
 from verify.detection.kernel_clip import SENSOR_LIMIT
+from verify.detection.kernel_pixels import PARAMETERS, PEAK, XX, XY, YY, X, Y
 from verify.records import Array
 
 Truths = NDArray[np.bool_]

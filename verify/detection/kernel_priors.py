@@ -3,8 +3,8 @@
 import numpy as np
 
 from verify.compiled import compiled
-from verify.detection.kernel import FLOOR, PEAK, SLOPE_X, SLOPE_Y
 from verify.detection.kernel_clip import SENSOR_LIMIT
+from verify.detection.kernel_pixels import FLOOR, PEAK, SLOPE_X, SLOPE_Y
 from verify.records import Array
 
 FULL = 3.0  # DN below the limit: a top so near it is cut off, and higher than it seems

@@ -12,15 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.detection import kernel, kernel_priors
-from verify.detection.kernel import (
-    FLOOR,
-    PARAMETERS,
-    PEAK,
-    STEEPNESS,
-    XX,
-    YY,
-)
+from verify.detection import kernel, kernel_pixels, kernel_priors
+from verify.detection.kernel_pixels import FLOOR, PARAMETERS, PEAK, STEEPNESS, XX, YY
 from verify.detection.profile import profile_table
 from verify.records import Array, Noise
 
@@ -97,47 +90,47 @@ class Fit:
     @property
     def mean(self) -> Array:
         """Expected pixel, (n, p), DN."""
-        return self.known[:, kernel.MEAN]
+        return self.known[:, kernel_pixels.MEAN]
 
     @property
     def variance(self) -> Array:
         """Of the pixel, (n, p)."""
-        return self.known[:, kernel.VARIANCE]
+        return self.known[:, kernel_pixels.VARIANCE]
 
     @property
     def signal(self) -> Array:
         """DN above black, before clipping, (n, p)."""
-        return self.known[:, kernel.SIGNAL]
+        return self.known[:, kernel_pixels.SIGNAL]
 
     @property
     def used(self) -> NDArray[np.bool_]:
         """Whether a pixel counts, (n, p)."""
-        return self.known[:, kernel.USED] > 0
+        return self.known[:, kernel_pixels.USED] > 0
 
     @property
     def visible(self) -> Array:
         """Its d mean / d mu, (n, p): 1 in range, 0 clipped away."""
-        return self.known[:, kernel.VISIBLE]
+        return self.known[:, kernel_pixels.VISIBLE]
 
     @property
     def own(self) -> NDArray[np.bool_]:
         """Whether a pixel is the spot's own, (n, p)."""
-        return self.known[:, kernel.OWN] > 0
+        return self.known[:, kernel_pixels.OWN] > 0
 
     @property
     def offset(self) -> Array:
         """Place of each pixel from the spot's centre, (n, 2, p), start half-widths."""
-        return self.known[:, kernel.U : kernel.W + 1]
+        return self.known[:, kernel_pixels.U : kernel_pixels.W + 1]
 
     @property
     def radius2(self) -> Array:
         """Its t², (n, p)."""
-        return self.known[:, kernel.RADIUS2]
+        return self.known[:, kernel_pixels.RADIUS2]
 
     @property
     def slope(self) -> Array:
         """Its df / d(t²), (n, p)."""
-        return self.known[:, kernel.SLOPE]
+        return self.known[:, kernel_pixels.SLOPE]
 
 
 def expected(patches: Patches) -> Priors:
@@ -174,8 +167,8 @@ def solve(
         parameters=start.copy(),
         information=np.empty((n, PARAMETERS, PARAMETERS)),
         gradient=np.empty((n, PARAMETERS)),
-        known=np.empty((n, kernel.KNOWN, size)),
-        whitened=np.empty((n, kernel.WHITENED, size)),
+        known=np.empty((n, kernel_pixels.KNOWN, size)),
+        whitened=np.empty((n, kernel_pixels.WHITENED, size)),
         chi2=np.empty(n),
         priors=priors,
     )
