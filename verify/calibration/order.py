@@ -11,6 +11,7 @@ where the pictures know less of them than is known of any lens, and keep that as
 uncertainty.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -70,7 +71,7 @@ def unsupported(found: Estimate) -> Iterator[Dropped]:
         found: an adjusted state; what its model holds already is not named.
     """
     # a pair whose corners err together counts for fewer
-    price = float(np.log(max(2 * found.used.sum() / found.together, np.e)))
+    price = float(np.log(max(2 * found.used.sum() / found.together, math.e)))
     for side in SIDES:
         if f"{side}.k3" not in found.model.held:
             value, u = _known(found, side, "k3")

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +38,17 @@ class Dies:
         return f"alive after {before}"
 
 
+@dataclass(frozen=True)
+class Mark:
+    """Leaves a file behind."""
+
+    file: str
+
+    def perform(self) -> str:
+        Path(self.file).touch()
+        return self.file
+
+
 @pytest.fixture
 def crew() -> Processes:
     return Processes(2)
@@ -52,6 +65,29 @@ def test_every_task_is_done_once_and_new_ones_may_come_meanwhile(crew: Processes
     finally:
         crew.close()
     assert sorted(outcomes) == [0, 1, 4, 9, 100]
+
+
+def test_nobody_waits_while_what_was_done_is_put_away(tmp_path: Path) -> None:
+    crew = Processes(1)
+    marks = [Mark(str(tmp_path / name)) for name in "ab"]
+    outcomes = crew.run(deque(marks))
+    try:
+        assert next(outcomes) == (marks[0], marks[0].file)
+        for _ in range(500):
+            if Path(marks[1].file).exists():
+                break
+            signal.sigtimedwait([signal.SIGUSR2], 0.02)
+        assert Path(marks[1].file).exists()  # though nobody has asked for it yet
+        assert next(outcomes) == (marks[1], marks[1].file)
+    finally:
+        crew.close()
+
+
+def test_a_worker_loads_nothing_that_it_may_never_need() -> None:
+    late = ("matplotlib", "plotly", "typst", "jinja2", "av", "scipy.stats")
+    code = f"import sys, verify.batch.tasks; print([m for m in {late} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
