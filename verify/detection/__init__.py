@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from verify.detection import kernel_judgement, kernel_noise
 from verify.detection.bite import RimScore, score_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
-from verify.detection.fit import first_look, fit_spots, reweighted
+from verify.detection.fit import first_look, fit_spots
 from verify.detection.judgement import FITTED, Judgement, joined, judge
 from verify.detection.kernel import SEEN
 from verify.detection.kernel_pixels import MEAN, OWN, SIGNAL, USED, VISIBLE
-from verify.detection.model import Fit
+from verify.detection.model import Fit, go_on
 from verify.detection.noise import LIKELY, background_noise, refined
 from verify.detection.patches import Cut, cut_out, glance_at
 from verify.errors import InputError
@@ -174,10 +174,11 @@ def residuals(
 
 
 def renewed(batch: Batch, noise: Noise) -> Batch:
-    """Take a batch one step further under better known noise."""
+    """Take a batch's fit, which is written over, one step further under better known noise."""
     cut, state = batch
     cut = replace(cut, patches=replace(cut.patches, noise=noise))
-    return cut, reweighted(cut.patches, state)
+    go_on(cut.patches, state, steps=1)
+    return cut, state
 
 
 def rims(batches: list[Batch], judgements: list[Judgement]) -> RimScore:

@@ -52,8 +52,3 @@ def saturated(patches: Patches) -> NDArray[np.bool_]:
         return np.zeros(len(full), dtype=np.bool_)
     near = np.square(patches.pixels[:, 2:]).sum(axis=1) <= patches.scale[:, None] ** 2
     return np.asarray((full & near).any(axis=1), dtype=np.bool_)
-
-
-def reweighted(patches: Patches, state: Fit) -> Fit:
-    """Take a solution one step further, under the noise that the patches now carry."""
-    return solve(patches, state.parameters, state.priors, steps=1, room=state)

@@ -150,7 +150,6 @@ def solve(
     priors: Priors,
     steps: int = 0,
     settled: float = 0.0,
-    room: Fit | None = None,
 ) -> Fit:
     """Fit every patch by Gauss-Newton.
 
@@ -160,10 +159,9 @@ def solve(
         priors: how firmly they are held.
         steps: at most; 0 looks how the pixels stand at the start.
         settled: of chi² that a step may still gain.
-        room: a fit of the same patches that is written over: what the processor has at hand.
     """
     n, _, size = patches.pixels.shape
-    fit = room or Fit(
+    fit = Fit(
         parameters=start.copy(),
         information=np.empty((n, PARAMETERS, PARAMETERS)),
         gradient=np.empty((n, PARAMETERS)),
@@ -172,13 +170,19 @@ def solve(
         chi2=np.empty(n),
         priors=priors,
     )
+    go_on(patches, fit, steps, settled)
+    return fit
+
+
+def go_on(patches: Patches, fit: Fit, steps: int, settled: float = 0.0) -> None:
+    """Take a fit further where it stands, under the noise that the patches carry; see `solve`."""
     kernel.descend_all(
         fit.parameters,
         patches.pixels,
         patches.scale,
         patches.spot_noise(),
         profile_table(),
-        priors.both(),
+        fit.priors.both(),
         steps,
         settled,
         fit.known,
@@ -187,4 +191,3 @@ def solve(
         fit.gradient,
         fit.chi2,
     )
-    return fit

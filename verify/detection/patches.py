@@ -74,48 +74,38 @@ def read_pixels(
     noise: Noise,
 ) -> Cut:
     """Read the image at offsets (n, p), or (1, p) for all, from the origins; colours combined."""
-    if image.ndim == 3:
-        return read_colours(image, origin, scale, column, row, noise)
-    known, lifted = np.empty((len(origin), 4, column.shape[1])), np.empty(len(origin))
-    read_grey(image, origin, scale, column, row, known, lifted)
+    known = np.empty((len(origin), 4, column.shape[1]))
     whole = np.ones(len(origin))
-    return Cut(Patches(known, scale, whole, whole, noise), origin, np.column_stack([lifted] * 3))
-
-
-def read_colours(
-    image: Image,
-    origin: NDArray[np.intp],
-    scale: Array,
-    column: NDArray[np.intp],
-    row: NDArray[np.intp],
-    noise: Noise,
-) -> Cut:
-    """Read likewise an image (h, w, 3), each spot by a mean of the channels that suits it."""
+    if image.ndim == 2:
+        lifted = np.empty(len(origin))
+        read_grey(image, origin, scale, column, row, known, lifted)
+        colour = np.column_stack([lifted] * 3)
+        return Cut(Patches(known, scale, whole, whole, noise), origin, colour)
     height, width = image.shape[:2]
     x, y = origin[:, :1] + column, origin[:, 1:] + row
-    valid = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    if not valid.all():
-        np.clip(x, 0, width - 1, out=x)
-        np.clip(y, 0, height - 1, out=y)
-    pixels = image[y, x]
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    pixels = image[y.clip(0, height - 1), x.clip(0, width - 1)]
     core = column**2 + row**2 <= np.square(scale)[:, None]
-    share = np.ones(len(origin)), np.ones(len(origin))
+    known[:, 2], known[:, 3] = column, row
     if is_grey(pixels):
-        pixels = pixels[..., 0]
-        colour = np.repeat(contrast(pixels[..., None], core), 3, axis=1)
-        value = pixels.astype(float)
-    else:
-        colour = contrast(pixels, core)
-        weight = channel_weights(colour)
-        clipped = (pixels == CLIPPED) & (weight > 0)[:, None]
-        valid &= ~clipped.any(axis=2) | (clipped | (weight == 0)[:, None]).all(axis=2)
-        value = (pixels @ weight[..., None])[..., 0]
-        square = np.square(weight)
-        # The channels' shares of the signal are the weights themselves, up to a factor.
-        share = square.sum(axis=1), (square * weight).sum(axis=1) / square.sum(axis=1)
-    known = np.empty((len(origin), 4, value.shape[1]))
-    known[:, 0], known[:, 1], known[:, 2], known[:, 3] = value, valid, column, row
+        known[:, 0], known[:, 1] = pixels[..., 0], inside
+        colour = np.repeat(contrast(pixels[..., :1], core), 3, axis=1)
+        return Cut(Patches(known, scale, whole, whole, noise), origin, colour)
+    colour = contrast(pixels, core)
+    weight = channel_weights(colour)
+    known[:, 0] = (pixels @ weight[..., None])[..., 0]
+    known[:, 1] = inside & usable(pixels, weight)
+    square = np.square(weight)
+    # the channels' shares of the signal are the weights themselves, up to a factor
+    share = square.sum(axis=1), (square * weight).sum(axis=1) / square.sum(axis=1)
     return Cut(Patches(known, scale, *share, noise), origin, colour)
+
+
+def usable(pixels: Image, weight: Array) -> NDArray[np.bool_]:
+    """Which pixels (n, p, 3) are clipped in none of the channels that count, or in all of them."""
+    clipped = (pixels == CLIPPED) & (weight > 0)[:, None]
+    every = (clipped | (weight == 0)[:, None]).all(axis=2)
+    return np.asarray(~clipped.any(axis=2) | every, dtype=np.bool_)
 
 
 def is_grey(pixels: Image) -> bool:

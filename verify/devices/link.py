@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from verify.devices.ports import ENDED, Port, in_words
 
 WAIT = 0.02  # s: the longest that a reading call waits on an open line
-TAKEN = "before it said anything; is the line taken by another program?"
+TAKEN = "before it said anything: another program may have the line"
 FIRST_RETRY, LAST_RETRY = 0.25, 4.0  # s: doubled from the one to the other
 
 Now = Callable[[], float]

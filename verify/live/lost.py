@@ -85,7 +85,7 @@ class DeviceWatch:
         silent = t - self._start if age is None else age
         standing = self._standing.get(device)
         if silent > self._after and standing is None:
-            text = f"The {device} has given nothing for {silent:.1f} s: {sentence}"
+            text = f"Nothing has come from the {device} for {silent:.1f} s: {sentence}"
             text += "" if text.endswith(".") else "."
             alarm = Alarm(next(self._numbers), "device", now, t, text, device=device)
             self._standing[device] = alarm

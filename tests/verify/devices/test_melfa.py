@@ -207,7 +207,7 @@ def test_a_second_reader_is_told_that_the_line_is_taken() -> None:
     with running(controller()) as emulated:
         first, second = driver(emulated.address), driver(emulated.address)
         gather(first, lambda found: len(found) >= 2)
-        gather(second, lambda _: "is the line taken" in second.state().sentence)
+        gather(second, lambda _: "another program may have the line" in second.state().sentence)
         gather(first, lambda found: len(found) >= 2)
 
 

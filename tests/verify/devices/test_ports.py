@@ -110,4 +110,4 @@ def test_a_line_that_is_ended_from_there_is_told_from_one_that_is_taken(
         while link.connected and time.monotonic() < end:
             link.receive(0.02)
     assert "the other end has closed the connection" in link.fault
-    assert ("is the line taken by another program?" in link.fault) == (not greeting)
+    assert ("another program may have the line" in link.fault) == (not greeting)
