@@ -208,10 +208,10 @@ def test_what_is_not_an_8_bit_picture_is_refused() -> None:
 
 
 def test_a_patch_without_a_single_pixel_that_counts_is_no_spot_and_no_crash() -> None:
-    column, row = (axis.astype(float) for axis in disc(8))
+    column, row = (axis[0].astype(float) for axis in disc(8))
     nothing = np.zeros_like(column)
     pixels = np.stack([nothing, nothing, column, row])[None]
     one = np.ones(1)
     patches = Patches(pixels, 4.0 * one, one, one, Noise(1.5, 0.03, 0.0))
     cut = Cut(patches, np.array([[100, 100]]), np.zeros((1, 3)))
-    assert not judge(cut, fit_spots(patches), (200, 200)).sound.any()
+    assert not judge([(cut, fit_spots(patches))], (200, 200)).sound.any()

@@ -3,11 +3,29 @@
 import cv2
 import numpy as np
 import pytest
+from scipy.special import log_ndtr
 
-from verify.detection.kernel_bite import bump
+from verify.detection.kernel import sum_products
+from verify.detection.kernel_bite import bump, log_share_below
 from verify.detection.kernel_blob import half_height
-from verify.detection.kernel_judgement import twins
+from verify.detection.kernel_judgement import (
+    CENTRE_X,
+    CENTRE_Y,
+    DIAMETER,
+    MISFIT,
+    TOLD,
+    twins,
+)
+from verify.detection.kernel_levels import search, spread
 from verify.detection.kernel_patches import read_grey
+from verify.detection.kernel_priors import below_black, steepness
+from verify.detection.profile import (
+    GAUSSIAN_STEEPNESS,
+    LOWEST,
+    ROW_STEP,
+    STEP,
+    profile_table,
+)
 from verify.records import Array, Image
 
 ANY_SHAPE = (1e9, 0.0)  # axis ratio and fill that everything has
@@ -57,7 +75,7 @@ def test_a_patch_holds_the_pixels_about_its_origin(origin: tuple[int, int]) -> N
     image = cloud(3, 1.0)
     axis = np.arange(-6, 7)
     column, row = (values.reshape(1, -1) for values in np.meshgrid(axis, axis))
-    pixels, contrast = np.empty((1, 4, column.size)), np.empty(1)
+    pixels, contrast = np.empty((1, 4, column.size)), np.empty((1, 3))
     read_grey(image, np.array([origin]), np.array([2.5]), column, row, pixels, contrast)
     x, y = origin[0] + column[0], origin[1] + row[0]
     value = image[np.clip(y, 0, 39), np.clip(x, 0, 49)].astype(float)
@@ -66,7 +84,7 @@ def test_a_patch_holds_the_pixels_about_its_origin(origin: tuple[int, int]) -> N
     core = column[0] ** 2 + row[0] ** 2 <= 2.5**2
     third = value.size // 3
     expected = value[core].mean() - np.partition(value, third)[third]
-    assert contrast[0] == pytest.approx(expected, abs=1e-12)
+    assert contrast[0] == pytest.approx([expected] * 3, abs=1e-12)
 
 
 def test_a_bites_bump_is_the_exponential_to_what_it_promises() -> None:
@@ -77,7 +95,66 @@ def test_a_bites_bump_is_the_exponential_to_what_it_promises() -> None:
 
 
 def test_of_spots_on_one_place_the_better_fitting_stays_and_of_equals_the_first() -> None:
-    centre = np.array([[10.0, 10.0], [11.0, 10.0], [30.0, 10.0], [30.5, 10.0], [50.0, 10.0]])
-    misfit, twin = np.array([2.0, 1.0, 1.0, 1.0, 9.0]), np.empty(5, np.bool_)
-    twins(centre, np.full(5, 8.0), misfit, 0.5, twin)
+    told = np.zeros((5, TOLD))
+    told[:, CENTRE_X], told[:, CENTRE_Y] = [10.0, 11.0, 30.0, 30.5, 50.0], 10.0
+    told[:, DIAMETER], told[:, MISFIT] = 8.0, [2.0, 1.0, 1.0, 1.0, 9.0]
+    twin = np.empty(5, np.bool_)
+    twins(told, 0.5, twin)
     assert twin.tolist() == [True, False, False, True, False]
+
+
+@pytest.mark.parametrize("level", [60, 120, 200])
+@pytest.mark.parametrize("seed", range(10))
+def test_things_above_a_level_are_the_connected_components_of_opencv(seed: int, level: int) -> None:
+    picture = cloud(seed, 1.0)
+    label, stack = np.zeros(picture.shape, np.int32), np.empty((picture.size, 2), np.int32)
+    _, expected, stats, _ = cv2.connectedComponentsWithStats(np.asarray(picture > level, np.uint8))
+    for number, (x, y, width, height, area) in enumerate(stats[1:].tolist(), start=1):
+        row, column = np.argwhere(expected == number)[-1]
+        box = spread(picture, level, row, column, label, number, stack)
+        assert box == (x, y, x + width - 1, y + height - 1)
+        assert np.sum(label == number) == area
+    np.testing.assert_array_equal(label, expected)
+
+
+def test_a_blob_is_found_once_at_its_highest_level_and_where_it_is_in_the_picture() -> None:
+    picture = np.zeros((60, 90), np.uint8)
+    for (x, y), peak in [((20, 30), 220.0), ((60, 25), 50.0)]:
+        column, row = np.meshgrid(np.arange(90) - x, np.arange(60) - y)
+        picture += np.asarray(peak * np.exp(-(column**2 + row**2) / 18), np.uint8)
+    found, windows = np.empty((9, 4)), np.array([[10, 15, 80, 55], [5, 5, 7, 50]])
+    assert search(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), found) == 2
+    np.testing.assert_allclose(found[:2, :2], [[20, 30], [60, 25]], atol=0.1)
+    np.testing.assert_array_equal(found[:2, 3], [220, 50])
+    # only as many as there is room for, the brightest things first
+    assert search(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), found[:1]) == 1
+    assert found[0, 3] == 220
+
+
+def test_sums_of_products_are_those_of_a_matrix_product() -> None:
+    rows, products = np.random.default_rng(1).normal(size=(11, 613)), np.empty((11, 11))
+    sum_products(rows, products)
+    np.testing.assert_allclose(products, rows @ rows.T, atol=1e-10)
+
+
+def test_the_logarithm_of_a_normal_share_is_that_of_scipy() -> None:
+    z = np.linspace(-80, 10, 1801)
+    told = [log_share_below(value) for value in z]
+    np.testing.assert_allclose(told, log_ndtr(z), rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("floor", [-3.0, -1.0, 0.5])
+def test_a_floor_below_black_is_guessed_from_how_much_is_black(floor: float) -> None:
+    values = np.random.default_rng(2).normal(floor, 2.0, 20_000).round().clip(0, 255)
+    assert below_black(values, 2.0) == pytest.approx(floor, abs=0.3)
+
+
+@pytest.mark.parametrize("log_steepness", [np.log(GAUSSIAN_STEEPNESS), 1.0, 1.65])
+def test_a_steepness_is_guessed_from_two_areas(log_steepness: float) -> None:
+    column, row = (axis.ravel() for axis in np.meshgrid(np.arange(-14.0, 15), np.arange(-14.0, 15)))
+    line = round((log_steepness - LOWEST) / ROW_STEP)
+    sample = np.minimum(np.hypot(column, row) / 4.0 / STEP, 8 / STEP).astype(int)
+    value = 200 * profile_table()[0, line, sample]
+    assert steepness(value, column, row, 4.0, 0.0, 200.0, 9.9) == pytest.approx(
+        log_steepness, abs=0.3
+    )

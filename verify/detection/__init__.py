@@ -6,8 +6,6 @@ judged by what the fit leaves (judgement.py). A rim with a hidden sliver has its
 the whole LED is centred (bite.py).
 """
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +13,7 @@ from verify.detection import kernel_judgement, kernel_noise
 from verify.detection.bite import RimScore, score_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
 from verify.detection.fit import first_look, fit_spots
-from verify.detection.judgement import FITTED, Judgement, joined, judge
+from verify.detection.judgement import FITTED, Judgement, judge
 from verify.detection.kernel import SEEN
 from verify.detection.kernel_pixels import MEAN, OWN, SIGNAL, USED, VISIBLE
 from verify.detection.model import Fit, go_on
@@ -63,32 +61,43 @@ def detect(
     batches = fitted(image, candidates, background, glance=windows is None)
     if not batches:
         return nothing(background)
-    judgements = [judge(cut, state, image.shape) for cut, state in batches]
+    judgement = judge(batches, image.shape)
     if noise is None:
-        background = refined(background, spread, *residuals(batches, judgements))
-        batches = [renewed(batch, background) for batch in batches]
-        judgements = [judge(cut, state, image.shape) for cut, state in batches]
-    judgement = joined(judgements)
-    smallest, largest = diameter_px or DEFAULT_DIAMETER
-    fitting = (judgement.diameter >= smallest) & (judgement.diameter <= largest)
-    keep = np.flatnonzero(judgement.sound & fitting)
-    keep = keep[without_twins(judgement, keep)]
-    likeness = judgement.peak[keep] / (1 + judgement.misfit[keep]) / judgement.elongation[keep]
-    keep = keep[np.argsort(-likeness)[:limit]]
-    keep = keep[np.argsort(-judgement.peak[keep])]
-    shift, doubt = whole_discs(rims(batches, judgements).taken(keep))
+        background = refined(background, spread, *residuals(batches, judgement))
+        for cut, state in batches:
+            go_on(cut.patches, state, background, steps=1)
+        judgement = judge(batches, image.shape)
+    keep = led_like(judgement, diameter_px or DEFAULT_DIAMETER, limit)
+    shift, doubt = whole_discs(rims(batches, judgement).taken(keep))
+    kept = judgement.taken(keep)
     return Spots(
-        centre=judgement.centre[keep] + shift,
-        covariance=judgement.covariance[keep] + doubt,
-        peak=judgement.peak[keep],
-        diameter=judgement.diameter[keep],
-        elongation=judgement.elongation[keep],
-        misfit=judgement.misfit[keep],
-        saturated=judgement.saturated[keep],
-        merged=judgement.merged[keep],
+        centre=kept.centre + shift,
+        covariance=kept.covariance + doubt,
+        peak=kept.peak.copy(),
+        diameter=kept.diameter.copy(),
+        elongation=kept.elongation.copy(),
+        misfit=kept.misfit.copy(),
+        saturated=kept.saturated,
+        merged=kept.merged,
         colour=np.concatenate([cut.colour for cut, _ in batches])[keep],
         noise=background,
     )
+
+
+def led_like(
+    judgement: Judgement, diameter_px: tuple[float, float], limit: int
+) -> NDArray[np.intp]:
+    """Choose the most LED-like ones, no more than the limit, by falling peak."""
+    smallest, largest = diameter_px
+    fitting = (judgement.diameter >= smallest) & (judgement.diameter <= largest)
+    keep = np.flatnonzero(judgement.sound & fitting)
+    found = judgement.taken(keep)
+    twin = np.empty(len(keep), dtype=np.bool_)
+    kernel_judgement.twins(found.told, APART, twin)
+    likeness = np.where(twin, -np.inf, found.peak / (1 + found.misfit) / found.elongation)
+    best = np.argsort(-likeness)[: min(limit, len(keep) - int(twin.sum()))]
+    chosen: NDArray[np.intp] = keep[best[np.argsort(-found.peak[best])]]
+    return chosen
 
 
 def estimate_noise(image: Image) -> Noise:
@@ -137,7 +146,7 @@ def fitted(image: Image, candidates: Candidates, noise: Noise, *, glance: bool) 
         return [(cut, fit_spots(cut.patches)) for _, cut in cut_out(image, candidates, noise)]
     first = glance_at(image, candidates, noise)
     look = first_look(first.patches)
-    seen = np.flatnonzero(judge(first, look, image.shape).sound)
+    seen = np.flatnonzero(judge([(first, look)], image.shape).sound)
     start = look.parameters[seen]
     return [
         (cut, fit_spots(cut.patches, start[part]))
@@ -145,68 +154,43 @@ def fitted(image: Image, candidates: Candidates, noise: Noise, *, glance: bool) 
     ]
 
 
-def residuals(
-    batches: list[Batch], judgements: list[Judgement]
-) -> tuple[Array, Array, NDArray[np.intp]]:
+def residuals(batches: list[Batch], judgement: Judgement) -> tuple[Array, Array, NDArray[np.intp]]:
     """Squared residuals and signals on and around the brightest spots, for `refined`."""
-    speakers: list[tuple[float, Batch, np.intp]] = []
-    for batch, judgement in zip(batches, judgements, strict=True):
-        brightness = judgement.peak / judgement.elongation
-        speakers += [
-            (float(brightness[row]), batch, row) for row in np.flatnonzero(judgement.sound)
-        ]
-    squares, signals = [], []
-    for _, (cut, state), row in sorted(speakers, key=lambda speaker: -speaker[0]):
+    places = [(batch, row) for batch in batches for row in range(len(batch[0].origin))]
+    brightness = np.where(judgement.sound, judgement.peak / judgement.elongation, -np.inf)
+    order = np.argsort(-brightness, kind="stable")[: int(judgement.sound.sum())].tolist()
+    room = sum(cut.patches.pixels.shape[2] * len(cut.origin) for cut, _ in batches)
+    gathered = np.empty(room), np.empty(room), np.empty(room, dtype=np.intp)
+    at = spots = 0
+    for place in order:
+        (cut, state), row = places[place]
         patches = cut.patches
-        square, signal = np.empty(patches.value.shape[1]), np.empty(patches.value.shape[1])
-        shares = np.array([patches.read_share[row], patches.gain_share[row]])
-        pixels, own = kernel_noise.gather_residuals(
-            patches.value[row], state.known[row], shares, RESIDUAL_ROWS, (SEEN, float(FITTED)),
-            square, signal,
+        shares = float(patches.read_share[row]), float(patches.gain_share[row])
+        before, at = at, kernel_noise.gather_residuals(
+            patches.pixels[row], state.known[row], shares, RESIDUAL_ROWS, (SEEN, float(FITTED)),
+            gathered, at, spots,
         )  # fmt: skip
-        if own > 2 * FITTED:
-            squares.append(square[:pixels])
-            signals.append(signal[:pixels])
-        if len(squares) == LIKELY:
+        spots += at > before
+        if spots == LIKELY:
             break
-    spot = np.repeat(np.arange(len(squares)), [len(s) for s in squares])
-    return np.concatenate([*squares, []]), np.concatenate([*signals, []]), spot
+    squares, signals, spot = gathered
+    return squares[:at], signals[:at], spot[:at]
 
 
-def renewed(batch: Batch, noise: Noise) -> Batch:
-    """Take a batch's fit, which is written over, one step further under better known noise."""
-    cut, state = batch
-    cut = replace(cut, patches=replace(cut.patches, noise=noise))
-    go_on(cut.patches, state, steps=1)
-    return cut, state
-
-
-def rims(batches: list[Batch], judgements: list[Judgement]) -> RimScore:
-    """What every spot's rim says of a bite."""
-    scores = [
-        score_rims(state, single(judgement), judgement.misfit)
-        for (_, state), judgement in zip(batches, judgements, strict=True)
-    ]
+def rims(batches: list[Batch], judgement: Judgement) -> RimScore:
+    """What every spot's rim says of a bite, if it shows the shape of one LED."""
+    single = judgement.sound & ~judgement.saturated & ~judgement.merged
+    misfit = judgement.misfit.copy()
+    scores, begin = [], 0
+    for cut, state in batches:
+        end = begin + len(cut.origin)
+        scores.append(score_rims(state, single[begin:end], misfit[begin:end]))
+        begin = end
     return RimScore(
         gradient=np.concatenate([score.gradient for score in scores]),
         information=np.concatenate([score.information for score in scores]),
         pull=np.concatenate([score.pull for score in scores]),
     )
-
-
-def single(judgement: Judgement) -> NDArray[np.bool_]:
-    """Which spots show the shape of one LED, perhaps with a part hidden."""
-    which: NDArray[np.bool_] = judgement.sound & ~judgement.saturated & ~judgement.merged
-    return which
-
-
-def without_twins(judgement: Judgement, keep: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Which of the kept spots are not another, better fitting one found twice."""
-    twin = np.empty(len(keep), dtype=np.bool_)
-    kernel_judgement.twins(
-        judgement.centre[keep], judgement.diameter[keep], judgement.misfit[keep], APART, twin
-    )
-    return ~twin
 
 
 def nothing(noise: Noise) -> Spots:

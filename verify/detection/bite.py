@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from verify.detection import kernel_bite
 from verify.detection.model import Fit
@@ -75,11 +74,11 @@ def whole_discs(score: RimScore) -> tuple[Array, Array]:
     if not len(score.gradient):
         return np.zeros((0, 2)), np.zeros((0, 2, 2))
     evidence, depth, depth2 = depths(score)
-    probability = bite_probability(evidence)
-    pull, pulled = score.pull, score.pull.transpose(0, 2, 1)
-    shift = (pulled @ (probability * depth)[:, :, None])[:, :, 0]
-    doubt = (pulled * (probability * depth2)[:, None, :]) @ pull
-    return shift, doubt - shift[:, :, None] * shift[:, None, :]
+    shift, doubt = np.empty((len(evidence), 2)), np.empty((len(evidence), 2, 2))
+    kernel_bite.average(
+        bite_probability(evidence), depth, depth2, np.ascontiguousarray(score.pull), shift, doubt
+    )
+    return shift, doubt
 
 
 def depths(score: RimScore) -> tuple[Array, Array, Array]:
@@ -87,13 +86,13 @@ def depths(score: RimScore) -> tuple[Array, Array, Array]:
 
     A half-normal prior of scale DEPTH and a Gaussian likelihood make a normal law cut off at 0.
     """
-    sigma = (score.information + DEPTH**-2) ** -0.5
-    z = score.gradient * sigma
-    cut_off = log_ndtr(z) + z * z / 2
-    evidence = np.log(2 * sigma / DEPTH) + cut_off
-    hazard = np.exp(-cut_off) / np.sqrt(2 * np.pi)
-    mean = sigma * (z + hazard)
-    return evidence, mean, sigma**2 * (1 + z * (z + hazard))
+    shape = score.gradient.shape
+    evidence, mean, square = np.empty(shape), np.empty(shape), np.empty(shape)
+    kernel_bite.suppose(
+        np.ascontiguousarray(score.gradient), np.ascontiguousarray(score.information), DEPTH,
+        evidence, mean, square,
+    )  # fmt: skip
+    return evidence, mean, square
 
 
 def bite_probability(evidence: Array) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection.kernel_background import top_hat
-from verify.detection.kernel_blob import half_height
+from verify.detection.kernel_levels import LEAST, compact_blobs, search
 from verify.records import Array, Image
 
 LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright thing must not hide a dim neighbour
@@ -25,6 +25,7 @@ LARGER_THAN_LED = (
     1.5  # background window over the largest diameter: nothing of an LED survives in it
 )
 FEW_PIXELS = 40_000  # of a window: above, OpenCV is as quick, whatever an LED measures
+ROOM = 1024  # blobs told apart in one window, those of higher levels first
 MOST = 64  # blobs fitted at most, best contrast first: bounds the time in a cluttered room
 
 
@@ -56,53 +57,62 @@ def find_candidates(
         diameter_px: least and largest full width; None is anything an LED may be.
     """
     smallest, largest = diameter_px or DEFAULT_DIAMETER
-    found: list[tuple[float, float, float, float]] = []
     if windows is None:
-        height, width = image.shape[:2]
-        windows = np.array([[0, 0, width, height]])
-    for x0, y0, x1, y1 in windows:
-        part = image[y0:y1, x0:x1]
-        factor = 2 if (x1 - x0) * (y1 - y0) > HALVING_AREA else 1
-        for x, y, radius, contrast in blobs(part, factor, largest):
-            if 2 * radius + factor >= smallest and 2 * radius - factor <= largest:
-                found.append((x + x0, y + y0, radius, contrast))
-    rows = np.array(sorted(found, key=lambda row: -row[3])[:MOST]).reshape(-1, 4)
-    return Candidates(rows[:, :2], rows[:, 2], rows[:, 3])
+        windows = np.array([[0, 0, image.shape[1], image.shape[0]]])
+    area = (windows[:, 2] - windows[:, 0]) * (windows[:, 3] - windows[:, 1])
+    factor = np.where(area > HALVING_AREA, 2, 1)
+    if image.ndim == 2 and np.all(area <= FEW_PIXELS):
+        found = in_small(image, windows, largest)
+        halved = np.ones(len(found), dtype=np.int64)
+    else:
+        parts = [
+            in_large(image, window, times, largest)
+            for window, times in zip(windows.tolist(), factor.tolist(), strict=True)
+        ]
+        found = np.concatenate([np.empty((0, 4)), *parts])
+        halved = np.repeat(factor, [len(part) for part in parts])
+    across = 2 * found[:, 2]
+    found = found[(across + halved >= smallest) & (across - halved <= largest)]
+    best = found[np.argsort(-found[:, 3], kind="stable")[:MOST]]
+    return Candidates(best[:, :2], best[:, 2].copy(), best[:, 3])
 
 
-def blobs(part: Image, factor: int, largest: float) -> list[tuple[float, float, float, float]]:
-    """Find compact blobs by their contrast: x, y, radius (px) and contrast (DN) of each."""
+def in_small(image: Image, windows: NDArray[np.int64], largest: float) -> Array:
+    """Find blobs in small windows of a grey picture, (n, 4): x, y, radius (px), contrast (DN)."""
+    side = background_side(largest)
+    found = np.empty((ROOM, 4))
+    shape = float(2 * side), LONGEST, SMALLEST_FILL
+    return found[: search(image, windows, side // 2, LEVELS, shape, found)]
+
+
+def in_large(image: Image, window: list[int], factor: int, largest: float) -> Array:
+    """Find blobs in a window of a picture of any kind, made smaller by a factor; likewise."""
+    x0, y0, x1, y1 = window
+    part = image[y0:y1, x0:x1]
     height, width = part.shape[0] // factor, part.shape[1] // factor
-    if min(height, width) < 3:
-        return []
-    small: Image = part
+    if min(height, width) < LEAST:
+        return np.empty((0, 4))
     if factor > 1:
-        size = (width * factor, height * factor)
-        whole = part[: size[1], : size[0]]
-        small = np.asarray(
+        whole = part[: height * factor, : width * factor]
+        part = np.asarray(
             cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8
         )
-    if small.ndim == 3:
-        blue, green, red = cv2.split(small)
-        small = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
-    side = int(LARGER_THAN_LED * largest / factor) | 1
-    contrast = above_surroundings(small, side)
-    taken: list[tuple[float, float, float, float]] = []
-    for level in LEVELS:
-        _, above = cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)
-        outlines, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        for outline in outlines:
-            x, y, box_width, box_height = cv2.boundingRect(outline)
-            box = (x, y, box_width, box_height)
-            if max(box[2:]) > 2 * side or holds_any(np.asarray(outline, np.int32), box, taken):
-                continue
-            blob = half_height_blob(contrast, box)
-            if blob is not None:
-                taken.append(blob)
-    shift = (
-        factor - 1
-    ) / 2  # a pixel of the halved picture is centred between the two it came from
-    return [(x * factor + shift, y * factor + shift, r * factor, c) for x, y, r, c in taken]
+    if part.ndim == 3:
+        blue, green, red = cv2.split(part)
+        part = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
+    side = background_side(largest / factor)
+    found = np.empty((ROOM, 4))
+    shape = float(2 * side), LONGEST, SMALLEST_FILL
+    found = found[: compact_blobs(above_surroundings(part, side), LEVELS, shape, found)]
+    found[:, :3] *= factor
+    # a pixel of the halved picture is centred between the two it came from
+    found[:, :2] += (factor - 1) / 2 + np.array([x0, y0])
+    return found
+
+
+def background_side(largest: float) -> int:
+    """Side of the square that surroundings are taken from, an odd number of px."""
+    return int(LARGER_THAN_LED * largest) | 1
 
 
 def above_surroundings(image: Image, side: int) -> Image:
@@ -113,31 +123,3 @@ def above_surroundings(image: Image, side: int) -> Image:
     contrast = np.empty_like(image, order="C")
     top_hat(np.ascontiguousarray(image), side // 2, contrast)
     return contrast
-
-
-def holds_any(
-    outline: NDArray[np.int32],
-    box: tuple[int, int, int, int],
-    taken: list[tuple[float, float, float, float]],
-) -> bool:
-    """Whether a blob found at a higher level lies inside the outline: then this is its foot."""
-    x, y, width, height = box
-    return any(
-        x - 1 <= blob[0] <= x + width
-        and y - 1 <= blob[1] <= y + height
-        and cv2.pointPolygonTest(outline, blob[:2], measureDist=True) > -1.0
-        for blob in taken
-    )
-
-
-def half_height_blob(
-    contrast: Image, box: tuple[int, int, int, int]
-) -> tuple[float, float, float, float] | None:
-    """Measure the brightest blob in a box at half its height; None where it is not compact."""
-    x, y, width, height = box
-    x0, y0 = max(x - 2, 0), max(y - 2, 0)  # 2 px: the half height may lie below the level
-    told = np.empty(4)
-    part = contrast[y0 : y + height + 2, x0 : x + width + 2]
-    if not half_height(part, LONGEST, SMALLEST_FILL, told):
-        return None
-    return float(told[0]) + x0, float(told[1]) + y0, float(told[2]), float(told[3])

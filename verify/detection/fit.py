@@ -1,7 +1,6 @@
 """Every spot's centre at once: Gauss-Newton on a clipped-normal model of the pixels (model.py)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.detection.kernel_clip import SENSOR_LIMIT
 from verify.detection.kernel_pixels import FLOOR, PEAK, STEEPNESS
@@ -23,8 +22,8 @@ def fit_spots(patches: Patches, start: Array | None = None) -> Fit:
     A saturated spot is approached from two sides, as its hidden top may be steep or flat.
     """
     priors = expected(patches)
-    fit = solve(patches, priors.mean if start is None else start, priors, STEPS, SETTLED)
-    full = np.flatnonzero(saturated(patches))
+    fit = solve(patches, priors.start if start is None else start, priors, STEPS, SETTLED)
+    full = np.flatnonzero(priors.saturated)
     if not len(full):
         return fit
     part, held, parameters = patches.taken(full), priors.taken(full), fit.parameters.copy()
@@ -42,13 +41,4 @@ def fit_spots(patches: Patches, start: Array | None = None) -> Fit:
 def first_look(patches: Patches) -> Fit:
     """Fit with few steps: enough to see whether a spot is there, and where."""
     priors = expected(patches)
-    return solve(patches, priors.mean, priors, GLANCES, GLANCED)
-
-
-def saturated(patches: Patches) -> NDArray[np.bool_]:
-    """Whether some pixels on the spot are at the sensor's limit, (n,)."""
-    full = patches.value >= SENSOR_LIMIT
-    if not full.any():
-        return np.zeros(len(full), dtype=np.bool_)
-    near = np.square(patches.pixels[:, 2:]).sum(axis=1) <= patches.scale[:, None] ** 2
-    return np.asarray((full & near).any(axis=1), dtype=np.bool_)
+    return solve(patches, priors.start, priors, GLANCES, GLANCED)

@@ -1,12 +1,12 @@
 """What a fit says about its spot: place, covariance, size, and whether it is one clean LED."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection import kernel_judgement as kernel
-from verify.detection.kernel_pixels import PEAK
 from verify.detection.model import Fit
 from verify.detection.patches import Cut
 from verify.records import Array
@@ -29,51 +29,78 @@ BORDER = 1.2  # half-widths that must be inside the image
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """One row a fitted candidate."""
+    """What is told of n fitted candidates."""
 
-    centre: Array  # (n, 2), px
-    covariance: Array  # (n, 2, 2), px²
-    peak: Array  # (n,), DN
-    diameter: Array  # (n,), px
-    elongation: Array  # (n,)
-    misfit: Array  # (n,)
-    saturated: NDArray[np.bool_]  # (n,)
-    merged: NDArray[np.bool_]  # (n,)
-    sound: NDArray[np.bool_]  # (n,), a spot at all: found where it was looked for, compact, whole
+    told: Array  # (n, 13), columns as in kernel_judgement
+
+    def taken(self, which: NDArray[np.intp]) -> "Judgement":
+        """Some of the candidates."""
+        return Judgement(self.told[which])
+
+    @property
+    def centre(self) -> Array:
+        """Place, (n, 2), px."""
+        return self.told[:, kernel.CENTRE_X : kernel.CENTRE_Y + 1]
+
+    @property
+    def covariance(self) -> Array:
+        """Its covariance, (n, 2, 2), px²."""
+        flat = self.told[:, kernel.COVARIANCE_XX : kernel.COVARIANCE_YY + 1]
+        return flat.reshape(-1, 2, 2)
+
+    @property
+    def peak(self) -> Array:
+        """Height, (n,), DN."""
+        return self.told[:, kernel.HEIGHT]
+
+    @property
+    def diameter(self) -> Array:
+        """Full width at half height, (n,), px."""
+        return self.told[:, kernel.DIAMETER]
+
+    @property
+    def elongation(self) -> Array:
+        """Axis ratio, (n,)."""
+        return self.told[:, kernel.ELONGATION]
+
+    @property
+    def misfit(self) -> Array:
+        """Reduced chi², (n,)."""
+        return self.told[:, kernel.MISFIT]
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Whether pixels of it are at the sensor's limit, (n,)."""
+        return np.asarray(self.told[:, kernel.SATURATED] > 0)
+
+    @property
+    def merged(self) -> NDArray[np.bool_]:
+        """Whether its shape is none that a single LED has, (n,)."""
+        return np.asarray(self.told[:, kernel.MERGED] > 0)
+
+    @property
+    def sound(self) -> NDArray[np.bool_]:
+        """Whether it is a spot at all: found where it was looked for, compact, whole, (n,)."""
+        return np.asarray(self.told[:, kernel.SOUND] > 0)
 
 
-def judge(cut: Cut, state: Fit, shape: tuple[int, ...]) -> Judgement:
-    """Judge one batch of fits; `shape` is the image's height and width."""
-    patches, p = cut.patches, state.parameters
-    told = np.empty((len(p), kernel.TOLD))
-    kernel.tell_all(
-        p,
-        state.information,
-        patches.pixels,
-        state.known,
-        patches.scale,
-        cut.origin,
-        (shape[1], shape[0]),
-        (float(FITTED), MISFIT, ROUGH, CHANCE, TOGETHER),
-        (FAINTEST, LONGEST, WANDERED, BORDER),
-        told,
-    )
-    xx, xy, yy = told[:, kernel.COVARIANCE_XX : kernel.COVARIANCE_YY + 1].T
-    return Judgement(
-        centre=told[:, kernel.CENTRE_X : kernel.CENTRE_Y + 1],
-        covariance=np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2),
-        peak=p[:, PEAK],
-        diameter=told[:, kernel.DIAMETER],
-        elongation=told[:, kernel.ELONGATION],
-        misfit=told[:, kernel.MISFIT],
-        saturated=told[:, kernel.SATURATED] > 0,
-        merged=told[:, kernel.MERGED] > 0,
-        sound=told[:, kernel.SOUND] > 0,
-    )
-
-
-def joined(parts: list[Judgement]) -> Judgement:
-    """Several batches as one."""
-    return Judgement(
-        *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Judgement))
-    )
+def judge(batches: Sequence[tuple[Cut, Fit]], shape: tuple[int, ...]) -> Judgement:
+    """Judge fits, batch by batch; `shape` is the image's height and width."""
+    told = np.empty((sum(len(cut.origin) for cut, _ in batches), kernel.TOLD))
+    begin = 0
+    for cut, state in batches:
+        end = begin + len(cut.origin)
+        kernel.tell_all(
+            state.parameters,
+            state.information,
+            cut.patches.pixels,
+            state.known,
+            cut.patches.scale,
+            cut.origin,
+            (shape[1], shape[0]),
+            (float(FITTED), MISFIT, ROUGH, CHANCE, TOGETHER),
+            (FAINTEST, LONGEST, WANDERED, BORDER),
+            told[begin:end],
+        )
+        begin = end
+    return Judgement(told)

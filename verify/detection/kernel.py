@@ -40,13 +40,28 @@ SEEN = 0.9  # share of a pixel's noise that clipping must leave for its residual
 
 @compiled_sums
 def sum_products(rows: Array, products: Array) -> None:
-    """Products of every row (m, p) with every other, (m, m)."""
-    for a in range(rows.shape[0]):
-        for b in range(a + 1):
-            total = 0.0
+    """Products of every row (m, p) with every other, (m, m); m is odd.
+
+    Two rows by two at once: what is loaded is used twice.
+    """
+    last = rows.shape[0] - 1
+    for a in range(0, last, 2):
+        for b in range(0, a + 1, 2):
+            first, right, below, both = 0.0, 0.0, 0.0, 0.0
             for k in range(rows.shape[1]):
-                total += rows[a, k] * rows[b, k]
-            products[a, b] = products[b, a] = total
+                first += rows[a, k] * rows[b, k]
+                right += rows[a, k] * rows[b + 1, k]
+                below += rows[a + 1, k] * rows[b, k]
+                both += rows[a + 1, k] * rows[b + 1, k]
+            products[a, b] = products[b, a] = first
+            products[a, b + 1] = products[b + 1, a] = right
+            products[a + 1, b] = products[b, a + 1] = below
+            products[a + 1, b + 1] = products[b + 1, a + 1] = both
+    for b in range(last + 1):
+        total = 0.0
+        for k in range(rows.shape[1]):
+            total += rows[last, k] * rows[b, k]
+        products[last, b] = products[b, last] = total
 
 
 @compiled
@@ -143,8 +158,7 @@ def descend(
     root, step = np.empty_like(information), np.empty_like(gradient)
     out = weigh(p, pixels, scale, noise, table, known, rows)
     chi2 = normal_equations(p, rows, out, prior, information, gradient)
-    variance = known[VARIANCE].copy()
-    stands = deviation(p, pixels, known, variance, prior)
+    variance, stands = known[VARIANCE].copy(), chi2
     damping, refused = FIRST_DAMPING, False
     for _ in range(steps):
         damped = information.copy()
@@ -168,8 +182,7 @@ def descend(
         information[:], gradient[:] = tried_information, tried_gradient
         if not gained > settled * (1.0 + trial / size):
             break
-        variance[:] = known[VARIANCE]
-        stands = deviation(p, pixels, known, variance, prior)
+        variance[:], stands = known[VARIANCE], chi2
     if refused:
         weigh(p, pixels, scale, noise, table, known, rows)
     mark_own(p, pixels, known)
@@ -181,22 +194,34 @@ def descend_all(
     p: Array,
     pixels: Array,
     scale: Array,
-    noise: Array,
+    shares: tuple[Array, Array],
+    noise: tuple[float, float, float],
     table: Array,
-    prior: Array,
-    steps: int,
-    settled: float,
-    known: Array,
-    rows: Array,
-    information: Array,
-    gradient: Array,
-    chi2: Array,
+    prior: tuple[Array, Array],
+    limits: tuple[int, float],
+    state: tuple[Array, Array, Array, Array, Array],
 ) -> None:
-    """Fit n patches: as `descend`, all but table, steps and settled a row a patch."""
+    """Fit n patches, a row a patch: see `descend`.
+
+    Args:
+        p: (n, 10).
+        pixels: (n, 4, p).
+        scale: (n,).
+        shares: (n,) and (n,), by which patches' read variance and gain are those of one channel.
+        noise: read variance, gain and black of one channel.
+        table: of the profiles.
+        prior: (n, 10) and (n, 10), mean and inverse variance.
+        limits: steps and settled.
+        state: known, rows, information, gradient and chi², filled.
+    """
+    known, rows, information, gradient, chi2 = state
+    own, held = np.empty(3), np.empty((2, PARAMETERS))
     for n in range(len(p)):
+        own[0], own[1], own[2] = shares[0][n] * noise[0], shares[1][n] * noise[1], noise[2]
+        held[0], held[1] = prior[0][n], prior[1][n]
         chi2[n] = descend(
-            p[n], pixels[n], scale[n], noise[n], table, prior[n], steps, settled, known[n],
-            rows[n], information[n], gradient[n],
+            p[n], pixels[n], scale[n], own, table, held, limits[0], limits[1], known[n], rows[n],
+            information[n], gradient[n],
         )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from verify.detection.kernel_pixels import (
 )
 from verify.records import Array
 
+FAR_BELOW = -30.0  # standard deviations: below, the complementary error function ends
 FARTHEST = 1e-9  # half-widths: nearer the very centre no bite changes anything
 
 
@@ -87,16 +88,20 @@ def bump(u: Array, w: Array, depth: Array, x: float, y: float, sharp: float, sun
 def cross_products(
     whitened: Array, near: NDArray[np.int64], sunk: Array, cross: Array, whole: Array
 ) -> None:
-    """Products of every row (11, p) with every bite (d, m), and of every bite with itself."""
+    """Products of every row (11, p) with every bite (d, m), and of every bite with itself.
+
+    Two bites at once, d being even: a row that is loaded is used twice.
+    """
     row = np.empty(len(near))
     for a in range(WHITENED):
         for at in range(len(near)):
             row[at] = whitened[a, near[at]]
-        for side in range(len(sunk)):
-            total = 0.0
+        for side in range(0, len(sunk), 2):
+            one, other = 0.0, 0.0
             for at in range(len(near)):
-                total += row[at] * sunk[side, at]
-            cross[a, side] = total
+                one += row[at] * sunk[side, at]
+                other += row[at] * sunk[side + 1, at]
+            cross[a, side], cross[a, side + 1] = one, other
     for side in range(len(sunk)):
         total = 0.0
         for at in range(len(near)):
@@ -150,6 +155,71 @@ def score_all(
             if left > least * whole[side]:
                 score[0][n, side], score[1][n, side] = slope / worth, left / worth
                 score[2][n, side, 0], score[2][n, side, 1] = -follow[X, side], -follow[Y, side]
+
+
+@compiled
+def suppose(
+    gradient: Array, information: Array, scale: float, evidence: Array, mean: Array, square: Array
+) -> None:
+    """Suppose a bite of unknown depth in each direction of each spot, (n, d) throughout.
+
+    Args:
+        gradient: of the log-likelihood at depth 0.
+        information: on the depth.
+        scale: of depths expected, of a half-normal law.
+        evidence: filled: log-likelihood ratio of a bite to none.
+        mean: filled: of the depth, posterior.
+        square: filled: of the depth squared, likewise.
+    """
+    spots, directions = gradient.shape
+    for n in range(spots):
+        for side in range(directions):
+            sigma = 1.0 / math.sqrt(information[n, side] + 1.0 / (scale * scale))
+            z = gradient[n, side] * sigma
+            cut_off = log_share_below(z) + z * z / 2.0
+            evidence[n, side] = math.log(2.0 * sigma / scale) + cut_off
+            hazard = math.exp(-cut_off) / math.sqrt(2.0 * math.pi)
+            mean[n, side] = sigma * (z + hazard)
+            square[n, side] = sigma * sigma * (1.0 + z * (z + hazard))
+
+
+@compiled
+def log_share_below(z: float) -> float:
+    """Logarithm of the share of a standard normal law that is below z."""
+    if z > FAR_BELOW:
+        return math.log(0.5 * math.erfc(-z / math.sqrt(2.0)))
+    # Mills' ratio as an asymptotic series: the next term is under 1e-6 of it here
+    x = 1.0 / (z * z)
+    series = -x * (1.0 - x * (3.0 - x * 15.0))
+    return -z * z / 2.0 - math.log(-z * math.sqrt(2.0 * math.pi)) + math.log1p(series)
+
+
+@compiled
+def average(
+    probability: Array, depth: Array, depth2: Array, pull: Array, shift: Array, doubt: Array
+) -> None:
+    """Average each spot's shift over its bites, and say how far that is in doubt.
+
+    Args:
+        probability: (n, d), of a bite.
+        depth: (n, d), its mean.
+        depth2: (n, d), its mean square.
+        pull: (n, d, 2), px a depth.
+        shift: (n, 2), filled, px.
+        doubt: (n, 2, 2), filled, px².
+    """
+    spots, directions = probability.shape
+    for n in range(spots):
+        for i in range(2):
+            shift[n, i] = 0.0
+            for side in range(directions):
+                shift[n, i] += pull[n, side, i] * probability[n, side] * depth[n, side]
+        for i in range(2):
+            for j in range(2):
+                doubt[n, i, j] = -shift[n, i] * shift[n, j]
+                for side in range(directions):
+                    spread = probability[n, side] * depth2[n, side]
+                    doubt[n, i, j] += pull[n, side, i] * spread * pull[n, side, j]
 
 
 @compiled

@@ -14,9 +14,9 @@ from verify.records import Array
 Truths = NDArray[np.bool_]
 
 # columns of a told spot
-CENTRE_X, CENTRE_Y, COVARIANCE_XX, COVARIANCE_XY, COVARIANCE_YY = range(5)
-DIAMETER, ELONGATION, MISFIT, SATURATED, MERGED, SOUND = range(5, 11)
-TOLD = 11
+CENTRE_X, CENTRE_Y, COVARIANCE_XX, COVARIANCE_XY, COVARIANCE_YX, COVARIANCE_YY = range(6)
+HEIGHT, DIAMETER, ELONGATION, MISFIT, SATURATED, MERGED, SOUND = range(6, 13)
+TOLD = 13
 
 
 @compiled
@@ -30,8 +30,8 @@ def known_centre(information: Array, told: Array) -> None:
     if not known:
         return
     covariance = np.linalg.inv(information + UNTOLD * np.eye(PARAMETERS))
-    told[COVARIANCE_XX], told[COVARIANCE_XY] = covariance[X, X], covariance[X, Y]
-    told[COVARIANCE_YY] = covariance[Y, Y]
+    told[COVARIANCE_XX], told[COVARIANCE_YY] = covariance[X, X], covariance[Y, Y]
+    told[COVARIANCE_XY] = told[COVARIANCE_YX] = covariance[X, Y]
 
 
 @compiled
@@ -42,7 +42,7 @@ def tell_shape(counted: Array, peak: float, limits: tuple[float, ...], told: Arr
         counted: (4,), of `tally`.
         peak: DN.
         limits: FITTED, MISFIT, ROUGH, CHANCE, TOGETHER of judgement.py.
-        told: (11,), changed.
+        told: (13,), changed.
     """
     fitted, most, rough_most, chance, together = limits
     count, squares, square_dn, full = counted[0], counted[1], counted[2], counted[3]
@@ -87,7 +87,7 @@ def tell_all(
         size: width and height of the picture, px.
         limits: as for `tell_shape`.
         bounds: FAINTEST, LONGEST, WANDERED, BORDER of judgement.py.
-        told: (n, 11), filled.
+        told: (n, 13), filled.
     """
     faintest, longest, wandered, border = bounds
     counted = tally(pixels, known)
@@ -98,7 +98,7 @@ def tell_all(
         positive = mean > split
         long = scale[n] / math.sqrt(mean - split) if positive else scale[n]
         short = scale[n] / math.sqrt(mean + split) if positive else scale[n]
-        row[CENTRE_X], row[CENTRE_Y] = x, y
+        row[CENTRE_X], row[CENTRE_Y], row[HEIGHT] = x, y, p[PEAK]
         row[DIAMETER], row[ELONGATION] = long + short, long / short
         known_centre(information[n], row)
         tell_shape(counted[n], p[PEAK], limits, row)
@@ -119,20 +119,19 @@ def tell_all(
 
 
 @compiled
-def twins(centre: Array, diameter: Array, misfit: Array, apart: float, twin: Truths) -> None:
+def twins(told: Array, apart: float, twin: Truths) -> None:
     """Mark spots that are another, better fitting one found twice; of equals the first is it.
 
     Args:
-        centre: (n, 2), px.
-        diameter: (n,), px.
-        misfit: (n,).
+        told: (n, 13).
         apart: diameters of the smaller one: spots are no closer.
         twin: (n,), filled.
     """
-    for a in range(len(centre)):
-        twin[a] = False
-        for b in range(len(centre)):
-            better = misfit[b] < misfit[a] or (misfit[b] == misfit[a] and b < a)
-            distance = math.hypot(centre[a, 0] - centre[b, 0], centre[a, 1] - centre[b, 1])
-            if better and distance < apart * min(diameter[a], diameter[b]):
+    for a in range(len(told)):
+        one, twin[a] = told[a], False
+        for b in range(len(told)):
+            other = told[b]
+            better = other[MISFIT] < one[MISFIT] or (other[MISFIT] == one[MISFIT] and b < a)
+            off = math.hypot(one[CENTRE_X] - other[CENTRE_X], one[CENTRE_Y] - other[CENTRE_Y])
+            if better and off < apart * min(one[DIAMETER], other[DIAMETER]):
                 twin[a] = True

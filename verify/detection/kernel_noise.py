@@ -129,45 +129,49 @@ def quietest(
 
 @compiled
 def gather_residuals(
-    value: Array,
+    pixels: Array,
     known: Array,
-    shares: Array,
+    shares: tuple[float, float],
     rows: tuple[int, int, int, int, int],
     limits: tuple[float, float],
-    square: Array,
-    signal: Array,
-) -> tuple[int, float]:
+    gathered: tuple[Array, Array, NDArray[np.int64]],
+    at: int,
+    number: int,
+) -> int:
     """Squared residuals and signals of one spot's unclipped pixels, for `refined`.
 
     Args:
-        value: (p,), DN.
+        pixels: (4, p), as fitted.
         known: (10, p), of the pixels.
-        shares: (2,), read share and gain share of the patch.
+        shares: read share and gain share of the patch.
         rows: of `known`: MEAN, SIGNAL, USED, VISIBLE, OWN.
         limits: SEEN, FITTED.
-        square: (p,), filled from the begin, DN².
-        signal: (p,), likewise, DN.
+        gathered: (k,) each: squares, DN²; signals, DN; the spot's number. Filled from `at` on.
+        at: how many are gathered before.
+        number: of the spot.
 
     Returns:
-        How many pixels, and how many of them are the spot's own.
+        How many are gathered now; no more than before where too few pixels are the spot's own.
     """
     mean, above, used, visible, own = rows
     seen, fitted = limits
+    square, signal, spot = gathered
     count = 0.0
-    for k in range(len(value)):
+    for k in range(pixels.shape[1]):
         if known[used, k] > 0.0 and known[visible, k] > seen and known[own, k] > 0.0:
             count += 1.0
-    # what the fit's parameters took, they took from the spot's own pixels
-    paid = count / (count - fitted) if count > 2 * fitted else 1.0
-    pixels = 0
-    for k in range(len(value)):
+    if not count > 2 * fitted:
+        return at
+    paid = count / (count - fitted)  # what the fit's parameters took, they took from those
+    for k in range(pixels.shape[1]):
         if known[used, k] > 0.0 and known[visible, k] > seen:
-            off = value[k] - known[mean, k]
+            off = pixels[0, k] - known[mean, k]
             # combined colours have a noise of their own; brought back to that of one channel
-            square[pixels] = off * off * (paid if known[own, k] > 0.0 else 1.0) / shares[0]
-            signal[pixels] = known[above, k] * shares[1] / shares[0]
-            pixels += 1
-    return pixels, count
+            square[at] = off * off * (paid if known[own, k] > 0.0 else 1.0) / shares[0]
+            signal[at] = known[above, k] * shares[1] / shares[0]
+            spot[at] = number
+            at += 1
+    return at
 
 
 @compiled

@@ -27,7 +27,7 @@ def read_grey(
         row: likewise.
         pixels: (n, 4, p), filled: value, the nearest pixel's outside the image; 1 inside of it;
             column and row.
-        contrast: (n,), filled: mean of the spot's pixels less the value that a third are below.
+        contrast: (n, 3), filled: mean of the spot's pixels less the value that a third are below.
     """
     height, width = image.shape
     for n in range(len(origin)):
@@ -49,4 +49,4 @@ def read_grey(
         while below <= column.shape[1] // 3:
             floor += 1
             below += counts[floor]
-        contrast[n] = total / max(members, 1) - floor
+        contrast[n] = total / max(members, 1) - floor  # in all three channels

@@ -1,52 +1,120 @@
 """What a patch's pixels lead one to expect of its spot before it is fitted, compiled."""
 
+import math
+
 import numpy as np
+from numpy.typing import NDArray
 
 from verify.compiled import compiled
 from verify.detection.kernel_clip import SENSOR_LIMIT
-from verify.detection.kernel_pixels import FLOOR, PEAK, SLOPE_X, SLOPE_Y
+from verify.detection.kernel_pixels import FLOOR, PEAK, SLOPE_X, SLOPE_Y, STEEPNESS, XX, YY
 from verify.records import Array
 
 FULL = 3.0  # DN below the limit: a top so near it is cut off, and higher than it seems
 HIDDEN, SEEN = 1.3, 1.05  # peak over what the core shows: of a cut-off top, and of another
 DEEPEST = 30.0  # DN about the floor: a neighbour is no slope
+FLAT, STEEP = 0.3, 2.5  # logarithms: no guess of a steepness is beyond
+MOST_BLACK = 0.98  # share of pixels: with more, how far below black the floor is cannot be guessed
+LOGISTIC = 1.702  # scale on which a logistic law is a normal one, to 0.01 (Camilli, 1994)
 
 
 @compiled
-def expect_all(pixels: Array, scale: Array, mean: Array, weight: Array) -> None:
-    """Fill in peak, floor, and how firmly the slopes are held.
+def expect_all(
+    pixels: Array,
+    scale: Array,
+    read: float,
+    usual: float,
+    prior: tuple[Array, Array],
+    start: Array,
+    full: NDArray[np.bool_],
+) -> None:
+    """Say what is expected of peak, floor and slopes, and where the fit may start.
 
     Args:
         pixels: (n, 4, p): value, 1 where valid, column, row.
         scale: (n,), px, half-width that the fit starts from.
-        mean: (n, 10), filled in part.
-        weight: (n, 10), likewise.
+        read: DN, standard deviation of a dark pixel.
+        usual: logarithm of a spot's steepness, where its pixels show none.
+        prior: (n, 10) and (n, 10), mean and inverse variance, filled in part.
+        start: (n, 10), filled.
+        full: (n,), filled: whether pixels on the spot are at the sensor's limit.
     """
-    size = pixels.shape[2]
-    third = size * 3 // 10
+    mean, weight = prior
     for n in range(len(pixels)):
         value, valid, column, row = pixels[n, 0], pixels[n, 1], pixels[n, 2], pixels[n, 3]
-        floor = np.partition(value, third)[third]
-        core, ring = (0.5 * scale[n] + 0.5) ** 2, (2.3 * scale[n] + 1.0) ** 2
-        total, count = 0.0, 0.0
-        lean_x, lean_y, lever_x, lever_y = 0.0, 0.0, 0.0, 0.0
-        for k in range(size):
-            if valid[k] <= 0.0:
-                continue
-            x, y = column[k], row[k]
-            distance2 = x * x + y * y
-            if distance2 <= core:
-                total += value[k]
-                count += 1.0
-            elif distance2 > ring:
-                excess = min(max(value[k] - floor, -DEEPEST), DEEPEST)
-                lean_x += excess * x
-                lean_y += excess * y
-                lever_x += x * x
-                lever_y += y * y
-        top = total / max(count, 1.0)
+        floor = np.partition(value, len(value) * 3 // 10)[len(value) * 3 // 10]
+        top = surroundings(value, valid, column, row, scale[n], floor, weight[n])
         mean[n, FLOOR] = floor
         mean[n, PEAK] = (HIDDEN if top > SENSOR_LIMIT - FULL else SEEN) * max(top - floor, 1.0)
-        # A slope costs the centre information, so it is let in as far as the surroundings have one.
-        weight[n, SLOPE_X] = 1.0 / ((lean_x / max(lever_x, 1.0)) ** 2 + 1e-8)
-        weight[n, SLOPE_Y] = 1.0 / ((lean_y / max(lever_y, 1.0)) ** 2 + 1e-8)
+        full[n] = False
+        for k in range(len(value)):
+            if value[k] >= SENSOR_LIMIT:
+                near = column[k] * column[k] + row[k] * row[k] <= scale[n] * scale[n]
+                full[n] = full[n] or near
+        start[n] = 0.0
+        start[n, XX], start[n, YY], start[n, STEEPNESS] = 1.0, 1.0, usual
+        start[n, PEAK], start[n, FLOOR] = mean[n, PEAK], floor
+        if not full[n]:  # a top that is cut off says nothing of its sides
+            start[n, STEEPNESS] = steepness(value, column, row, scale[n], floor, top, usual)
+            start[n, FLOOR] = floor if floor > 0.0 else below_black(value, read)
+
+
+@compiled
+def surroundings(
+    value: Array,
+    valid: Array,
+    column: Array,
+    row: Array,
+    scale: float,
+    floor: float,
+    weight: Array,
+) -> float:
+    """Hold the slopes (10,) as firmly as the pixels about the spot have none; give its top, DN."""
+    core, ring = (0.5 * scale + 0.5) ** 2, (2.3 * scale + 1.0) ** 2
+    total, count = 0.0, 0.0
+    lean_x, lean_y, lever_x, lever_y = 0.0, 0.0, 0.0, 0.0
+    for k in range(len(value)):
+        if valid[k] <= 0.0:
+            continue
+        x, y = column[k], row[k]
+        distance2 = x * x + y * y
+        if distance2 <= core:
+            total += value[k]
+            count += 1.0
+        elif distance2 > ring:
+            excess = min(max(value[k] - floor, -DEEPEST), DEEPEST)
+            lean_x += excess * x
+            lean_y += excess * y
+            lever_x += x * x
+            lever_y += y * y
+    # A slope costs the centre information, so it is let in as far as the surroundings have one.
+    weight[SLOPE_X] = 1.0 / ((lean_x / max(lever_x, 1.0)) ** 2 + 1e-8)
+    weight[SLOPE_Y] = 1.0 / ((lean_y / max(lever_y, 1.0)) ** 2 + 1e-8)
+    return float(total / max(count, 1.0))
+
+
+@compiled
+def below_black(value: Array, read: float) -> float:
+    """Guess the floor where black cuts it off, from how many pixels are black."""
+    black = 0.0
+    for k in range(len(value)):
+        black += value[k] < 0.5
+    share = min(black / len(value), MOST_BLACK)
+    return 0.5 - read * math.log(share / (1.0 - share)) / LOGISTIC
+
+
+@compiled
+def steepness(
+    value: Array, column: Array, row: Array, scale: float, floor: float, top: float, usual: float
+) -> float:
+    """Guess the logarithm of a spot's steepness from how many pixels are over 1/4, over 3/4."""
+    height, wide, narrow = top - floor, 0.0, 0.0
+    near = (2.2 * scale) ** 2
+    for k in range(len(value)):
+        if column[k] * column[k] + row[k] * row[k] < near:
+            wide += value[k] - floor > 0.25 * height
+            narrow += value[k] - floor > 0.75 * height
+    if narrow < 4.0 or narrow >= wide:
+        return usual
+    # areas go with the square of radii
+    return min(max(math.log(2.0 * math.log(3.0) / math.log(wide / narrow)), FLAT), STEEP)

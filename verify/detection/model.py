@@ -53,26 +53,21 @@ class Patches:
             gain_share=self.gain_share[which],
         )
 
-    def spot_noise(self) -> Array:
-        """Read variance, gain and black of each patch, (n, 3)."""
-        read, gain = self.read_share * self.noise.read**2, self.gain_share * self.noise.gain
-        return np.stack([read, gain, np.full_like(gain, self.noise.black)], axis=1)
-
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """Where the fit starts and how firmly each parameter is held there."""
+    """How firmly each parameter is held, and where; and where the fit starts."""
 
     mean: Array  # (n, 10)
     weight: Array  # (n, 10), inverse variance
+    start: Array  # (n, 10), as the pixels suggest
+    saturated: NDArray[np.bool_]  # (n,), whether some pixels on the spot are at the sensor's limit
 
     def taken(self, which: NDArray[np.intp]) -> "Priors":
         """Those of some of the patches."""
-        return Priors(self.mean[which], self.weight[which])
-
-    def both(self) -> Array:
-        """Mean and weight, (n, 2, 10)."""
-        return np.stack([self.mean, self.weight], axis=1)
+        return Priors(
+            self.mean[which], self.weight[which], self.start[which], self.saturated[which]
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,13 +130,17 @@ class Fit:
 
 def expected(patches: Patches) -> Priors:
     """Say what is expected of each patch's spot before it is fitted."""
-    n = len(patches.value)
+    n = len(patches.scale)
     mean, weight = np.zeros((n, PARAMETERS)), np.zeros((n, PARAMETERS))
-    kernel_priors.expect_all(patches.pixels, patches.scale, mean, weight)
+    start, full = np.empty((n, PARAMETERS)), np.empty(n, dtype=np.bool_)
+    kernel_priors.expect_all(
+        patches.pixels, patches.scale, patches.noise.read, START_STEEPNESS, (mean, weight), start,
+        full,
+    )  # fmt: skip
     mean[:, STEEPNESS], mean[:, XX], mean[:, YY] = START_STEEPNESS, 1.0, 1.0
     weight[:, PEAK], weight[:, FLOOR] = PRIOR_PEAK**-2, PRIOR_FLOOR**-2
     weight[:, STEEPNESS], weight[:, XX : YY + 1] = PRIOR_STEEPNESS**-2, PRIOR_SHAPE**-2
-    return Priors(mean, weight)
+    return Priors(mean, weight, start, full)
 
 
 def solve(
@@ -170,24 +169,15 @@ def solve(
         chi2=np.empty(n),
         priors=priors,
     )
-    go_on(patches, fit, steps, settled)
+    go_on(patches, fit, patches.noise, steps, settled)
     return fit
 
 
-def go_on(patches: Patches, fit: Fit, steps: int, settled: float = 0.0) -> None:
-    """Take a fit further where it stands, under the noise that the patches carry; see `solve`."""
+def go_on(patches: Patches, fit: Fit, noise: Noise, steps: int, settled: float = 0.0) -> None:
+    """Take a fit further where it stands, under that noise of a channel; see `solve`."""
     kernel.descend_all(
-        fit.parameters,
-        patches.pixels,
-        patches.scale,
-        patches.spot_noise(),
-        profile_table(),
-        fit.priors.both(),
-        steps,
-        settled,
-        fit.known,
-        fit.whitened,
-        fit.information,
-        fit.gradient,
-        fit.chi2,
-    )
+        fit.parameters, patches.pixels, patches.scale, (patches.read_share, patches.gain_share),
+        (noise.read**2, noise.gain, noise.black), profile_table(),
+        (fit.priors.mean, fit.priors.weight), (steps, settled),
+        (fit.known, fit.whitened, fit.information, fit.gradient, fit.chi2),
+    )  # fmt: skip

@@ -12,7 +12,7 @@ from verify.detection.kernel_patches import read_grey
 from verify.detection.model import Patches
 from verify.records import Array, Image, Noise
 
-RADII = (8, 11, 14, 18, 26, 40, 62)  # px, of cut-outs: few sizes, so that many share a batch
+RADII = np.array([8, 11, 14, 18, 26, 40, 62])  # px, of cut-outs: few, so that many share a batch
 REACH = 2.4  # half-widths: a Gaussian has fallen to 1/50 there, a disc is long over
 MARGIN = 2.5  # px of floor around that
 GLANCE = 8  # steps from centre to edge of a first look: 197 pixels, whatever the size
@@ -44,23 +44,24 @@ def cut_out(
 ) -> Iterator[tuple[NDArray[np.intp], Cut]]:
     """Cut all pixels of the candidates out, batch by batch of one size, with their indices."""
     size = np.searchsorted(RADII, REACH * candidates.radius + MARGIN).clip(max=len(RADII) - 1)
-    for which in np.unique(size):
+    origin = np.rint(candidates.centre).astype(np.intp)
+    for which in sorted(set(size.tolist())):
         members = np.flatnonzero(size == which)
-        column, row = disc(RADII[which])
+        column, row = disc(int(RADII[which]))
         for begin in range(0, len(members), TOGETHER):
             part = members[begin : begin + TOGETHER]
-            origin = np.rint(candidates.centre[part]).astype(np.intp)
             radius = candidates.radius[part]
-            yield part, read_pixels(image, origin, radius, column[None], row[None], noise)
+            yield part, read_pixels(image, origin[part], radius, column, row, noise)
 
 
 @cache
 def disc(radius: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Columns and rows of the pixels of a disc; everybody's, not to be changed."""
+    """Columns and rows (1, p) of the pixels of a disc; everybody's, not to be changed."""
     axis = np.arange(-radius, radius + 1)
     column, row = np.meshgrid(axis, axis)
     within = column**2 + row**2 <= radius**2
     column, row = column[within], row[within]
+    column, row = column[None], row[None]
     column.flags.writeable = row.flags.writeable = False
     return column, row
 
@@ -77,9 +78,8 @@ def read_pixels(
     known = np.empty((len(origin), 4, column.shape[1]))
     whole = np.ones(len(origin))
     if image.ndim == 2:
-        lifted = np.empty(len(origin))
-        read_grey(image, origin, scale, column, row, known, lifted)
-        colour = np.column_stack([lifted] * 3)
+        colour = np.empty((len(origin), 3))
+        read_grey(image, origin, scale, column, row, known, colour)
         return Cut(Patches(known, scale, whole, whole, noise), origin, colour)
     height, width = image.shape[:2]
     x, y = origin[:, :1] + column, origin[:, 1:] + row

@@ -1,0 +1,143 @@
+"""Bright things of a picture, looked for from the highest level down, compiled."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.compiled import compiled
+from verify.detection.kernel_background import top_hat
+from verify.detection.kernel_blob import half_height
+from verify.records import Array, Image
+
+LEAST = 3  # px, side of a window: smaller ones show no blob
+AROUND = 2  # px about a thing's box: its half height may lie below the level
+Labels = NDArray[np.int32]
+
+
+@compiled
+def search(
+    image: Image,
+    windows: NDArray[np.int64],
+    reach: int,
+    levels: tuple[int, ...],
+    shape: tuple[float, float, float],
+    found: Array,
+) -> int:
+    """List compact bright blobs in windows of a grey picture.
+
+    Args:
+        image: (h, w).
+        windows: (n, 4), x0, y0, x1, y1, upper bounds exclusive.
+        reach: px: what has brightness at that distance all around is background.
+        levels: as for `compact_blobs`, and so is shape.
+        shape: see there.
+        found: (m, 4), filled from the begin with as many as it holds, px of the picture.
+
+    Returns:
+        How many.
+    """
+    count = 0
+    for window in windows:
+        x0, y0, x1, y1 = window
+        if min(x1 - x0, y1 - y0) < LEAST:
+            continue
+        part = image[y0:y1, x0:x1].copy()
+        contrast = np.empty_like(part)
+        top_hat(part, reach, contrast)
+        before = count
+        count += compact_blobs(contrast, levels, shape, found[before:])
+        for k in range(before, count):
+            found[k, 0] += x0
+            found[k, 1] += y0
+    return count
+
+
+@compiled
+def compact_blobs(
+    contrast: Image, levels: tuple[int, ...], shape: tuple[float, float, float], found: Array
+) -> int:
+    """List compact blobs by their contrast; a bright one's own foot is no further one.
+
+    Args:
+        contrast: (h, w), DN above the surroundings.
+        levels: DN, falling.
+        shape: longest side of a blob's box, px; longest axis ratio; least area over its ellipse's.
+        found: (m, 4), filled from the begin with as many as it holds: column and row of the
+            centre, px; half width, px; height, DN.
+
+    Returns:
+        How many.
+    """
+    label = np.zeros(contrast.shape, np.int32)
+    stack = np.empty((contrast.size, 2), np.int32)
+    seeds = np.empty((len(found), 2), np.int32)  # a pixel of each thing that a blob was found in
+    highest = np.empty(len(contrast), np.uint8)
+    row_peaks(contrast, highest)
+    number, count = 0, 0
+    for level in levels:
+        before = number
+        for y in range(contrast.shape[0]):
+            if highest[y] <= level:
+                continue
+            for x in range(contrast.shape[1]):
+                if contrast[y, x] <= level or label[y, x] > before:
+                    continue
+                number += 1
+                left, top, right, bottom = spread(contrast, level, y, x, label, number, stack)
+                if max(right - left, bottom - top) >= shape[0]:
+                    continue
+                if count == len(found) or holds_any(label, number, seeds[:count]):
+                    continue
+                x0, y0 = max(left - AROUND, 0), max(top - AROUND, 0)
+                part = contrast[y0 : bottom + AROUND + 1, x0 : right + AROUND + 1]
+                if half_height(part, shape[1], shape[2], found[count]):
+                    found[count, 0] += x0
+                    found[count, 1] += y0
+                    seeds[count, 0], seeds[count, 1] = y, x
+                    count += 1
+    return count
+
+
+@compiled
+def row_peaks(contrast: Image, highest: NDArray[np.uint8]) -> None:
+    """Fill in the highest of each row (h, w)."""
+    for y in range(contrast.shape[0]):
+        peak = np.uint8(0)
+        for x in range(contrast.shape[1]):
+            peak = max(peak, contrast[y, x])
+        highest[y] = peak
+
+
+@compiled
+def holds_any(label: Labels, number: int, seeds: NDArray[np.int32]) -> bool:
+    """Whether a blob was found in this thing already, at a higher level: then this is its foot."""
+    held = False
+    for k in range(len(seeds)):
+        held = held or label[seeds[k, 0], seeds[k, 1]] == number
+    return held
+
+
+@compiled
+def spread(
+    contrast: Image,
+    level: int,
+    y: int,
+    x: int,
+    label: Labels,
+    number: int,
+    stack: NDArray[np.int32],
+) -> tuple[int, int, int, int]:
+    """Label what is above a level and connected with a pixel, also by corners; give its box."""
+    height, width = contrast.shape
+    left, top, right, bottom = x, y, x, y
+    stack[0, 0], stack[0, 1], label[y, x] = y, x, number
+    waiting = 1
+    while waiting > 0:
+        waiting -= 1
+        y, x = stack[waiting, 0], stack[waiting, 1]
+        left, top, right, bottom = min(left, x), min(top, y), max(right, x), max(bottom, y)
+        for v in range(max(y - 1, 0), min(y + 2, height)):
+            for u in range(max(x - 1, 0), min(x + 2, width)):
+                if contrast[v, u] > level and label[v, u] != number:
+                    stack[waiting, 0], stack[waiting, 1], label[v, u] = v, u, number
+                    waiting += 1
+    return left, top, right, bottom
