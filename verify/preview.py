@@ -9,6 +9,12 @@ from verify.records import Image, Measurement, Sighting, StereoPair
 WIDTH, HEIGHT = 720, 450  # px of one picture in the report
 MARGIN = 0.35  # of the LEDs' extent, left around them
 SMALLEST = 160  # px of the original: less shows nothing but squares
+QUICK = (
+    cv2.IMWRITE_PNG_FILTER,
+    cv2.IMWRITE_PNG_FILTER_NONE,
+    cv2.IMWRITE_PNG_STRATEGY,
+    cv2.IMWRITE_PNG_STRATEGY_RLE,
+)  # of a dark room: smaller too
 RING = (80, 200, 80)  # BGR
 TEXT = (60, 220, 255)
 
@@ -20,17 +26,17 @@ def draw_pair(pair: StereoPair, measurement: Measurement, marker: Marker) -> byt
         for image, sighting in ((pair.left, measurement.left), (pair.right, measurement.right))
         if sighting is not None and len(sighting)
     ]
-    encoded, png = cv2.imencode(".png", np.concatenate(sides, axis=1))
+    encoded, png = cv2.imencode(".png", np.concatenate(sides, axis=1), QUICK)
     if not encoded:
         raise ValueError("OpenCV could not encode the preview as PNG")
     return png.tobytes()
 
 
 def _marked(image: Image, sighting: Sighting, marker: Marker) -> Image:
-    colour = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     left, top, scale = _view(sighting, image.shape[1], image.shape[0])
     place = np.array([[scale, 0.0, -left * scale], [0.0, scale, -top * scale]])
-    view = cv2.warpAffine(colour, place, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
+    view = cv2.warpAffine(image, place, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
+    view = view if view.ndim == 3 else cv2.cvtColor(view, cv2.COLOR_GRAY2BGR)
     for led, centre in zip(sighting.led, sighting.centre, strict=True):
         x, y = round((float(centre[0]) - left) * scale), round((float(centre[1]) - top) * scale)
         cv2.circle(view, (x, y), round(9 * scale), RING, 1, cv2.LINE_AA)

@@ -5,6 +5,7 @@ Image coordinates here are ideal: the lens undone, the principal point at zero, 
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from verify.identification import kernel_views as kernel
 from verify.marker import Marker
 from verify.records import Array, Spots
-from verify.rig import Rig
+from verify.rig import Camera, Rig
 
 MOST_SPOTS = 48  # an image; the brightest: bounds the work, twice the clutter of a bad scene
 MODEL_PX = 0.1  # px, what lens and pan leave unexplained after a fair calibration
@@ -61,9 +62,7 @@ def look(
     pixels, covariance = np.empty((2, most, 2)), np.empty((2, most, 2, 2))
     merged = np.empty((2, most), dtype=np.bool_)
     allowed = np.empty((2, len(marker), most), dtype=np.bool_)
-    cameras = (rig.left, rig.right)
-    matrix = np.array([camera.matrix for camera in cameras])
-    lens = np.array([camera.distortion for camera in cameras])
+    matrix, lens, focal = _optics(rig.left, rig.right)
     light = np.array([LIGHTS.get(colour or "", kernel.ANY) for colour in marker.colours])
     for side, seen in enumerate(spots):
         uneven = side * (UNEVEN_SKEW * skew) ** 2
@@ -83,8 +82,7 @@ def look(
             merged[side],
             allowed[side],
         )
-    placed = [camera.rig_T_camera(pan) for camera, pan in zip(cameras, pans, strict=True)]
-    focal = matrix[:, [0, 1], [0, 1]]
+    placed = rig.left.rig_T_camera(pans[0]), rig.right.rig_T_camera(pans[1])
     return Views(
         pixels=pixels,
         covariance=covariance,
@@ -98,6 +96,13 @@ def look(
         led_play=led_play(marker),
         skew=skew,
     )
+
+
+@lru_cache(maxsize=4)  # two cameras are the same ones for many pairs
+def _optics(left: Camera, right: Camera) -> tuple[Array, Array, Array]:
+    """Camera matrices (2, 3, 3), lenses (2, 5) and focal lengths (2, 2)."""
+    matrix = np.array([left.matrix, right.matrix])
+    return matrix, np.array([left.distortion, right.distortion]), matrix[:, [0, 1], [0, 1]]
 
 
 def led_play(marker: Marker) -> float:

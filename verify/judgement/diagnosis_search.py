@@ -116,9 +116,9 @@ class Products:
         lowered = np.zeros(len(self.faults))
         for which, at in self._visible:
             block = gram[at[:, :, None], at[:, None, :]]
-            told = np.linalg.eigvalsh(block)[:, 0] > RANK
+            told = _least_eigenvalue(block) > RANK
             part = moment[at][told]
-            solved = np.linalg.solve(block[told], part[:, :, None])[:, :, 0]
+            solved = _solved(block[told], part)
             lowered[which[told]] = np.sum(solved * part, axis=1)
         lowered[list(chosen)] = 0.0
         return lowered
@@ -132,6 +132,20 @@ class Products:
     def cost(self, chosen: Chosen) -> float:
         """The criterion: misfit and the prices of what is listed."""
         return self.chi2(chosen) + float(self.price[list(chosen)].sum())
+
+
+def _least_eigenvalue(block: Array) -> Array:
+    """Of symmetric matrices (k, f, f); most are single numbers."""
+    if block.shape[1] == 1:
+        return np.asarray(block[:, 0, 0])
+    return np.asarray(np.linalg.eigvalsh(block)[:, 0])
+
+
+def _solved(block: Array, part: Array) -> Array:
+    """Solve (k, f, f) for (k, f)."""
+    if block.shape[1] == 1:
+        return np.asarray(part / block[:, 0])
+    return np.asarray(np.linalg.solve(block, part[:, :, None])[:, :, 0])
 
 
 def _alike(
