@@ -5,6 +5,7 @@ python -m verify.warm_up     after an installation: the first run need not wait 
 
 import numpy as np
 
+from verify.checksums import ffv1_intact
 from verify.clock_kernel import motion_misfits, motions
 from verify.marker import Marker
 from verify.measurement import Detector, Setup, measure, one_after_the_other
@@ -37,6 +38,7 @@ def warm_up(detect: Detector = one_after_the_other) -> None:
     pairs = (StereoPair(n, t, t + 1e-3, 0.0, 0.0, *pictures) for n, t in enumerate(times))
     for _ in measure(pairs, Setup(rig, marker, detect=detect)):
         pass
+    ffv1_intact(b"")  # what a recording is opened with
 
 
 def warm_up_comparison() -> None:
