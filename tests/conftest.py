@@ -1,4 +1,5 @@
 import os
+from collections.abc import Generator
 
 import pytest
 
@@ -8,3 +9,28 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--accept", action="store_true", help="write the golden figures anew")
+
+
+# what these test happens in real time: on few, slow cores the others' arithmetic must wait for it
+IN_REAL_TIME = tuple(
+    f"tests/{place}"
+    for place in (
+        "end_to_end/test_watch.py",
+        "end_to_end/test_grab",
+        "verify/devices/",
+        "verify/grab/",
+        "verify/live/",
+        "verify/page/",
+        "verify/test_priority.py",
+    )
+)
+YIELDING = 10  # niceness: a tenth of the others' share
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    # only who may take niceness back can be nice for a while
+    if "PYTEST_XDIST_WORKER" in os.environ and hasattr(os, "geteuid") and os.geteuid() == 0:
+        niceness = 0 if item.nodeid.startswith(IN_REAL_TIME) else YIELDING
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
+    return (yield)
