@@ -11,7 +11,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--accept", action="store_true", help="write the golden figures anew")
 
 
-# what these test happens in real time: on few, slow cores the others' arithmetic must wait for it
+# these test what happens in real time: on few, slow cores what only computes has to wait for them
 IN_REAL_TIME = tuple(
     f"tests/{place}"
     for place in (

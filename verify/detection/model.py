@@ -77,55 +77,10 @@ class Fit:
     parameters: Array  # (n, 10), x and y in px from the cut-out's centre pixel
     information: Array  # (n, 10, 10), inverse covariance, priors included
     gradient: Array  # (n, 10), of the quasi-likelihood
-    known: Array  # (n, 10, p), of the pixels: see the properties
+    known: Array  # (n, 10, p), of the pixels: rows as in kernel_pixels
     whitened: Array  # (n, 11, p), derivatives of mu by the parameters and residuals, over sigma
     chi2: Array  # (n,)
     priors: Priors
-
-    @property
-    def mean(self) -> Array:
-        """Expected pixel, (n, p), DN."""
-        return self.known[:, kernel_pixels.MEAN]
-
-    @property
-    def variance(self) -> Array:
-        """Of the pixel, (n, p)."""
-        return self.known[:, kernel_pixels.VARIANCE]
-
-    @property
-    def signal(self) -> Array:
-        """DN above black, before clipping, (n, p)."""
-        return self.known[:, kernel_pixels.SIGNAL]
-
-    @property
-    def used(self) -> NDArray[np.bool_]:
-        """Whether a pixel counts, (n, p)."""
-        return self.known[:, kernel_pixels.USED] > 0
-
-    @property
-    def visible(self) -> Array:
-        """Its d mean / d mu, (n, p): 1 in range, 0 clipped away."""
-        return self.known[:, kernel_pixels.VISIBLE]
-
-    @property
-    def own(self) -> NDArray[np.bool_]:
-        """Whether a pixel is the spot's own, (n, p)."""
-        return self.known[:, kernel_pixels.OWN] > 0
-
-    @property
-    def offset(self) -> Array:
-        """Place of each pixel from the spot's centre, (n, 2, p), start half-widths."""
-        return self.known[:, kernel_pixels.U : kernel_pixels.W + 1]
-
-    @property
-    def radius2(self) -> Array:
-        """Its t², (n, p)."""
-        return self.known[:, kernel_pixels.RADIUS2]
-
-    @property
-    def slope(self) -> Array:
-        """Its df / d(t²), (n, p)."""
-        return self.known[:, kernel_pixels.SLOPE]
 
 
 def expected(patches: Patches) -> Priors:
