@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection import kernel_judgement, kernel_noise
-from verify.detection.bite import RimScore, score_rims, whole_discs
+from verify.detection.bite import RimScore, score_rims, unknown_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
 from verify.detection.fit import first_look, fit_spots
 from verify.detection.judgement import FITTED, Judgement, judge
@@ -61,15 +61,15 @@ def detect(
     batches = fitted(image, candidates, background, glance=windows is None)
     if not batches:
         return nothing(background)
-    judgement = judge(batches, image.shape)
     if noise is None:
-        background = refined(background, spread, *residuals(batches, judgement))
-        for cut, state in batches:
-            go_on(cut.patches, state, background, steps=1)
-        judgement = judge(batches, image.shape)
+        seen = judge(batches, image.shape)
+        background = refined(background, spread, *residuals(batches, seen))
+    for cut, state in batches:
+        go_on(cut.patches, state, background, steps=1)
+    judgement = judge(batches, image.shape)
     keep = led_like(judgement, diameter_px or DEFAULT_DIAMETER, limit)
-    shift, doubt = whole_discs(rims(batches, judgement).taken(keep))
     kept = judgement.taken(keep)
+    shift, doubt = whole_discs(rims(batches, kept, keep))
     return Spots(
         centre=kept.centre + shift,
         covariance=kept.covariance + doubt,
@@ -86,18 +86,12 @@ def detect(
 
 def led_like(
     judgement: Judgement, diameter_px: tuple[float, float], limit: int
-) -> NDArray[np.intp]:
+) -> NDArray[np.int64]:
     """Choose the most LED-like ones, no more than the limit, by falling peak."""
-    smallest, largest = diameter_px
-    fitting = (judgement.diameter >= smallest) & (judgement.diameter <= largest)
-    keep = np.flatnonzero(judgement.sound & fitting)
-    found = judgement.taken(keep)
-    twin = np.empty(len(keep), dtype=np.bool_)
-    kernel_judgement.twins(found.told, APART, twin)
-    likeness = np.where(twin, -np.inf, found.peak / (1 + found.misfit) / found.elongation)
-    best = np.argsort(-likeness)[: min(limit, len(keep) - int(twin.sum()))]
-    chosen: NDArray[np.intp] = keep[best[np.argsort(-found.peak[best])]]
-    return chosen
+    chosen = np.empty(len(judgement.told), dtype=np.int64)
+    least, most = map(float, diameter_px)
+    count = kernel_judgement.choose(judgement.told, (least, most), APART, limit, chosen)
+    return chosen[:count]
 
 
 def estimate_noise(image: Image) -> Noise:
@@ -133,9 +127,10 @@ def inside(windows: Array | None, image: Image) -> NDArray[np.int64] | None:
     if windows is None:
         return None
     height, width = image.shape[:2]
-    low, high = np.floor(windows[:, :2]), np.ceil(windows[:, 2:])
-    whole = np.hstack([low, high]).clip(0, [width, height, width, height])
-    return whole.astype(np.int64)
+    whole = np.empty(windows.shape, dtype=np.int64)
+    cut = np.clip(windows, 0, [width, height, width, height])
+    whole[:, :2], whole[:, 2:] = cut[:, :2], np.ceil(cut[:, 2:])  # the first two are not negative
+    return whole
 
 
 def fitted(image: Image, candidates: Candidates, noise: Noise, *, glance: bool) -> list[Batch]:
@@ -177,20 +172,13 @@ def residuals(batches: list[Batch], judgement: Judgement) -> tuple[Array, Array,
     return squares[:at], signals[:at], spot[:at]
 
 
-def rims(batches: list[Batch], judgement: Judgement) -> RimScore:
-    """What every spot's rim says of a bite, if it shows the shape of one LED."""
-    single = judgement.sound & ~judgement.saturated & ~judgement.merged
-    misfit = judgement.misfit.copy()
-    scores, begin = [], 0
+def rims(batches: list[Batch], kept: Judgement, keep: NDArray[np.int64]) -> RimScore:
+    """What the rims of the spots kept, by number, say of a bite, if they show one LED's shape."""
+    score, begin = unknown_rims(len(keep)), 0
     for cut, state in batches:
-        end = begin + len(cut.origin)
-        scores.append(score_rims(state, single[begin:end], misfit[begin:end]))
-        begin = end
-    return RimScore(
-        gradient=np.concatenate([score.gradient for score in scores]),
-        information=np.concatenate([score.information for score in scores]),
-        pull=np.concatenate([score.pull for score in scores]),
-    )
+        score_rims(state, keep - begin, kept, score)
+        begin += len(cut.origin)
+    return score
 
 
 def nothing(noise: Noise) -> Spots:

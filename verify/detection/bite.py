@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection import kernel_bite
+from verify.detection.judgement import Judgement
 from verify.detection.model import Fit
 from verify.records import Array
 
@@ -39,29 +40,27 @@ class RimScore:
     information: Array  # (n, DIRECTIONS)
     pull: Array  # (n, DIRECTIONS, 2), px a depth, by which the centre moves when it is granted
 
-    def taken(self, which: NDArray[np.intp]) -> "RimScore":
-        """Some of the spots."""
-        return RimScore(self.gradient[which], self.information[which], self.pull[which])
+
+def unknown_rims(n: int) -> RimScore:
+    """What n spots say of bites whose rims nobody asked."""
+    shape = n, DIRECTIONS
+    return RimScore(np.zeros(shape), np.zeros(shape), np.zeros((*shape, 2)))
 
 
-def score_rims(state: Fit, which: NDArray[np.bool_], misfit: Array) -> RimScore:
-    """Ask each chosen spot's residuals for bites; those not chosen know nothing.
+def score_rims(state: Fit, numbers: NDArray[np.int64], kept: Judgement, score: RimScore) -> None:
+    """Ask spots' residuals for bites; those that do not show one LED's shape know nothing.
 
     Args:
-        state: fits of n spots.
-        which: (n,), spots whose rims are worth asking.
-        misfit: (n,), reduced chi²; above 1, unmodelled errors make the pixels worth less.
+        state: fits of some spots.
+        numbers: (n,), of the spots among these fits; what is no number of theirs is elsewhere.
+        kept: what is told of the n spots. Where the reduced chi² is above 1, unmodelled errors
+            make the pixels worth less.
+        score: of the n spots, filled where a rim is asked.
     """
-    n, rows = len(which), np.flatnonzero(which)
-    score = RimScore(
-        np.zeros((n, DIRECTIONS)), np.zeros((n, DIRECTIONS)), np.zeros((n, DIRECTIONS, 2))
-    )
     kernel_bite.score_all(
-        rows, state.parameters, state.information, state.gradient, state.known, state.whitened,
-        np.ascontiguousarray(misfit), SIDES, (RIM, WIDTH, TOLD),
-        (score.gradient, score.information, score.pull),
+        numbers, kept.told, state.parameters, state.information, state.gradient, state.known,
+        state.whitened, SIDES, (RIM, WIDTH, TOLD), (score.gradient, score.information, score.pull),
     )  # fmt: skip
-    return score
 
 
 def whole_discs(score: RimScore) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ from verify.detection.kernel_pixels import FLOOR, PEAK, STEEPNESS
 from verify.detection.model import Fit, Patches, expected, solve
 from verify.records import Array
 
-SETTLED = 0.02  # of chi² that a step may still gain: a seventh of a sigma, and it is taken
+SETTLED = 0.1  # of chi² that a step may still gain: it is taken, and `detect` takes a further one
 STEPS = 8  # from a first look on; a clean spot takes three
 STEPS_SATURATED = 20  # its top is hidden, the valley long
 SETTLED_SATURATED = 0.001  # likewise: a step may gain little and the next one more

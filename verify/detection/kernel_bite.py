@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.compiled import compiled, compiled_sums
+from verify.detection.kernel_judgement import MERGED, MISFIT, SATURATED
 from verify.detection.kernel_pixels import (
     PARAMETERS,
     PEAK,
@@ -111,13 +112,13 @@ def cross_products(
 
 @compiled
 def score_all(
-    rows: NDArray[np.int64],
+    numbers: NDArray[np.int64],
+    told: Array,
     parameters: Array,
     information: Array,
     gradient: Array,
     known: Array,
     whitened: Array,
-    misfit: Array,
     sides: Array,
     limits: tuple[float, float, float],
     score: tuple[Array, Array, Array],
@@ -125,36 +126,39 @@ def score_all(
     """Ask the residuals of some of n fits for bites in d directions.
 
     Args:
-        rows: those fits' numbers.
+        numbers: (m,), of the fits asked; others belong to no fit here.
+        told: (m, 13), what is told of them: saturated and merged ones know nothing.
         parameters: (n, 10).
         information: (n, 10, 10).
         gradient: (n, 10).
         known: (n, 10, p).
         whitened: (n, 11, p).
-        misfit: (n,).
         sides: (d, 2), unit vectors.
         limits: RIM, WIDTH, TOLD of bite.py.
-        score: (n, d), (n, d), (n, d, 2): gradient, information and pull; filled where told.
+        score: (m, d), (m, d), (m, d, 2): gradient, information and pull; filled where told.
     """
     reach, width, least = limits
     directions = len(sides)
     found = np.empty(known.shape[2], np.int64)
     cross, whole = np.empty((WHITENED, directions)), np.empty(directions)
-    for n in rows:
+    for m in range(len(numbers)):
+        n = numbers[m]
+        if not 0 <= n < len(parameters) or told[m, SATURATED] + told[m, MERGED] > 0.0:
+            continue
         near = found[: near_pixels(known[n], reach, found)]
         sunk = np.empty((directions, len(near)))
         bitten(parameters[n, PEAK], known[n], near, sides, width, sunk)
         cross_products(whitened[n], near, sunk, cross, whole)
         follow = np.linalg.solve(information[n], cross[:PARAMETERS])  # how parameters give way
-        worth = max(misfit[n], 1.0)
+        worth = max(told[m, MISFIT], 1.0)
         for side in range(directions):
             left, slope = whole[side], cross[RESIDUAL, side]
             for a in range(PARAMETERS):
                 left -= cross[a, side] * follow[a, side]
                 slope -= gradient[n, a] * follow[a, side]
             if left > least * whole[side]:
-                score[0][n, side], score[1][n, side] = slope / worth, left / worth
-                score[2][n, side, 0], score[2][n, side, 1] = -follow[X, side], -follow[Y, side]
+                score[0][m, side], score[1][m, side] = slope / worth, left / worth
+                score[2][m, side, 0], score[2][m, side, 1] = -follow[X, side], -follow[Y, side]
 
 
 @compiled

@@ -135,3 +135,36 @@ def twins(told: Array, apart: float, twin: Truths) -> None:
             off = math.hypot(one[CENTRE_X] - other[CENTRE_X], one[CENTRE_Y] - other[CENTRE_Y])
             if better and off < apart * min(one[DIAMETER], other[DIAMETER]):
                 twin[a] = True
+
+
+@compiled
+def choose(
+    told: Array, diameter: tuple[float, float], apart: float, limit: int, chosen: NDArray[np.int64]
+) -> int:
+    """Choose the most LED-like of n spots, and list them by falling peak.
+
+    Args:
+        told: (n, 13).
+        diameter: px, least and largest.
+        apart: as for `twins`.
+        limit: how many at most.
+        chosen: (n,), filled from the begin with as many as are chosen.
+
+    Returns:
+        How many.
+    """
+    for n in range(len(told)):
+        fits = diameter[0] <= told[n, DIAMETER] <= diameter[1]
+        chosen[n] = n if told[n, SOUND] > 0.0 and fits else -1
+    sound = chosen[chosen >= 0]
+    twin = np.empty(len(sound), np.bool_)
+    twins(told[sound], apart, twin)
+    single = sound[~twin]
+    rank = np.empty(len(single))
+    for k in range(len(single)):
+        row = told[single[k]]
+        rank[k] = -row[HEIGHT] / (1.0 + row[MISFIT]) / row[ELONGATION]
+    best = single[np.argsort(rank, kind="mergesort")[:limit]]
+    falling = best[np.argsort(-told[best, HEIGHT], kind="mergesort")]
+    chosen[: len(falling)] = falling
+    return len(falling)
