@@ -26,7 +26,7 @@ from verify.judgement.diagnosis_detectable import detectable
 from verify.judgement.diagnosis_thinned import thinned
 from verify.judgement.faults_common import base_motion, body_motion
 from verify.judgement.faults_geometry import link_displacements
-from verify.judgement.faults_links import link_frames
+from verify.judgement.links import link_frames
 from verify.judgement.model import build
 from verify.judgement.resolved import resolve
 from verify.readings import Readings

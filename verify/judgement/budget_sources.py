@@ -1,14 +1,14 @@
 """The sources of uncertainty of a session: what varies from pair to pair, and what does not."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 import robots
-from robots.transforms import difference
 from verify.clock import ClockEstimate
 from verify.comparison import Comparison, alignment_scale
+from verify.judgement.links import link_frames, shift, turn
 from verify.judgement.model import Model, clock_effect, pan_columns
 from verify.readings import RATE_SPAN
 from verify.records import Array
@@ -23,7 +23,7 @@ AUTOCORRELATION, LACK_OF_FIT = "autocorrelation", "lack of fit"
 CLOCK, PAN, ALIGNMENT = "clock", "pan angle", "alignment of the two instants"
 TABLE = "robot table"
 EXACT = float("inf")  # degrees of freedom of what is stated without any
-STEP = 1e-6  # m and rad, of the numerical derivative by the robot's table
+TABLE_ENTRIES = (("a", "mm"), ("d", "mm"), ("alpha", "deg"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,15 +174,10 @@ def table_columns(arm: robots.Arm, comparison: Comparison) -> tuple[tuple[str, .
     """
     if not isinstance(arm, robots.DhArm):
         return (), np.zeros((len(comparison), 6, 0))
-    names, sides = [], []
-    for key, suffix in (("a", "mm"), ("d", "mm"), ("alpha", "deg")):
-        for j in range(arm.dof):
-            for step in (STEP, -STEP):
-                table = {k: getattr(arm, k).copy() for k in ("a", "d", "alpha")}
-                table[key][j] += step
-                changed = replace(arm, a=table["a"], d=table["d"], alpha=table["alpha"])
-                sides.append(robots.forward(changed, comparison.q))
-            names.append(f"{key}{j + 1}_{suffix}")
-    poses = np.array(sides)
-    columns = difference(poses[::2], poses[1::2]) / (2 * STEP)
-    return tuple(names), np.moveaxis(columns, 0, 2)
+    frames = link_frames(arm, comparison.q)
+    tip, links = frames[:, -1, :3, 3], range(arm.dof)
+    along = [shift(frames[:, i + 1, :3, 0]) for i in links]
+    down = [shift(frames[:, i, :3, 2]) for i in links]
+    twisted = [turn(frames[:, i + 1, :3, 0], tip - frames[:, i + 1, :3, 3]) for i in links]
+    names = [f"{key}{i + 1}_{unit}" for key, unit in TABLE_ENTRIES for i in links]
+    return tuple(names), np.concatenate([*along, *down, *twisted], axis=2)

@@ -20,8 +20,7 @@ LEAST_TURN, MOST_TURN = np.deg2rad([10.0, 170.0])  # outside, a screw's axis is 
 FEWEST = 5  # relative motions
 MOST = 400  # of them; their errors are told in one matrix
 SHIFTS = (2, 3, 4, 5, 7)  # a pair's partner comes this part of the session later
-STEP = 1e-6  # m and rad, of the numerical derivative
-ROUNDING = 1e-5  # of what either pose gives: the rest has cancelled but for that derivative
+ROUNDING = 1e-5  # of what either pose gives: the rest has cancelled but for rounding
 LARGEST = np.deg2rad(20.0)  # of an offset that first order may speak of
 DETECTABLE = 4.13  # standard uncertainties: false alarm 0.1 %, power 80 %
 
@@ -86,40 +85,37 @@ def congruence(model: Model) -> Congruence | None:
 
 def screw(a_T_early: Array, a_T_late: Array) -> Array:
     """Turn (rad, 0 to pi) and advance along the axis (m) between poses (m, 4, 4), (m, 2)."""
+    _, angle, axis, _, moved = _motion(a_T_early, a_T_late)
+    return np.column_stack([angle, np.sum(axis * moved, axis=1)])
+
+
+def _motion(a_T_early: Array, a_T_late: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """The turn (m, 3, 3), its angle (m,) and axis (m, 3); where it takes the early origin, (m, 3);
+    and how far the late one is from there."""
     turn = a_T_late[:, :3, :3] @ np.swapaxes(a_T_early[:, :3, :3], 1, 2)
     vector = Rotation.from_matrix(turn).as_rotvec()
     angle = np.linalg.norm(vector, axis=1)
     axis = vector / np.where(angle > 0, angle, 1.0)[:, None]
-    moved = a_T_late[:, :3, 3] - (turn @ a_T_early[:, :3, 3, None])[:, :, 0]
-    return np.column_stack([angle, np.sum(axis * moved, axis=1)])
+    turned = (turn @ a_T_early[:, :3, 3, None])[:, :, 0]
+    return turn, angle, axis, turned, a_T_late[:, :3, 3] - turned
 
 
 def derivatives(a_T_early: Array, a_T_late: Array) -> tuple[Array, Array]:
     """How turn and advance change with either pose, (m, 2, 6) each.
 
-    Poses are moved by twists in a's axes at the flange (m, rad).
+    Poses are moved by twists in a's axes at the flange (m, rad). A further turn by a small d turns
+    the axis by half of it: by cot(angle / 2) / 2 of d's part across and by d x axis / 2.
     """
-    by: list[Array] = []
-    for which in (0, 1):
-        columns = []
-        for k in range(6):
-            sides = []
-            for step in (STEP, -STEP):
-                poses = [a_T_early, a_T_late]
-                poses[which] = _moved(poses[which], k, step)
-                sides.append(screw(*poses))
-            columns.append((sides[0] - sides[1]) / (2 * STEP))
-        by.append(np.stack(columns, axis=2))
-    return by[0], by[1]
-
-
-def _moved(poses: Array, k: int, step: float) -> Array:
-    moved = poses.copy()
-    if k < 3:
-        moved[:, k, 3] += step
-        return moved
-    moved[:, :3, :3] = Rotation.from_rotvec(step * np.eye(3)[k - 3]).as_matrix() @ poses[:, :3, :3]
-    return moved
+    turn, angle, axis, turned, moved = _motion(a_T_early, a_T_late)
+    across = moved - axis * np.sum(axis * moved, axis=1, keepdims=True)
+    by_late = np.zeros((len(axis), 2, 6))
+    by_late[:, 0, 3:] = by_late[:, 1, :3] = axis
+    by_late[:, 1, 3:] = across / (2 * np.tan(angle / 2))[:, None]
+    by_late[:, 1, 3:] += np.cross(axis, moved / 2 + turned)
+    # the early pose's turn is undone first, so that it is carried along
+    by_early = -by_late
+    by_early[:, :, 3:] = by_early[:, :, 3:] @ turn
+    return by_early, by_late
 
 
 def _partners(

@@ -117,15 +117,17 @@ def _beside(
 ) -> Iterator[tuple[int, Array]]:
     """What is left of each way's unit column beside every visible fault in turn, (ways,)."""
     gram = products.gram
-    for k in np.flatnonzero(products.visible).tolist():
-        at = products.places[k]
+    left = np.empty((len(products.faults), len(first)))
+    ways = (first, first), (last, last), (first, last)
+    for which, at in products.seen:
         rows = gram[at]
-        shared = np.linalg.solve(rows[:, at], rows)
+        shared = np.linalg.solve(gram[at[:, :, None], at[:, None, :]], rows)
         one, other, mixed = (
-            gram[a, b] - np.sum(rows[:, a] * shared[:, b], axis=0)
-            for a, b in ((first, first), (last, last), (first, last))
+            gram[a, b] - np.sum(rows[:, :, a] * shared[:, :, b], axis=1) for a, b in ways
         )
-        yield k, _worst(one, other, mixed, alone=first == last)
+        left[which] = _worst(one, other, mixed, alone=first == last)
+    for k in np.flatnonzero(products.visible).tolist():
+        yield k, left[k]
 
 
 def _left(gram: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:

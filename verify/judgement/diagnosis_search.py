@@ -114,7 +114,7 @@ class Products:
         """By how much each fault would lower the misfit beside a set, (c,); 0 where it cannot."""
         gram, moment = self.rest(chosen)
         lowered = np.zeros(len(self.faults))
-        for which, at in self._visible:
+        for which, at in self.seen:
             block = gram[at[:, :, None], at[:, None, :]]
             told = _least_eigenvalue(block) > RANK
             part = moment[at][told]
@@ -124,8 +124,8 @@ class Products:
         return lowered
 
     @cached_property
-    def _visible(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """Visible faults as `_alike` gives them."""
+    def seen(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """Visible faults (k,) with as many columns as each other, f, and the columns (k, f)."""
         kept = ((which, at, self.visible[which]) for which, at in _alike(self.places))
         return [(which[seen], at[seen]) for which, at, seen in kept if seen.any()]
 
@@ -135,9 +135,12 @@ class Products:
 
 
 def _least_eigenvalue(block: Array) -> Array:
-    """Of symmetric matrices (k, f, f); most are single numbers."""
+    """Of symmetric matrices (k, f, f); most are single numbers, or two by two."""
     if block.shape[1] == 1:
         return np.asarray(block[:, 0, 0])
+    if block.shape[1] == 2:
+        one, other, mixed = block[:, 0, 0], block[:, 1, 1], block[:, 0, 1]
+        return np.asarray((one + other) / 2 - np.hypot((one - other) / 2, mixed))
     return np.asarray(np.linalg.eigvalsh(block)[:, 0])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import robots
 from verify.judgement.faults import Fault
 from verify.judgement.faults_common import base_motion, body_motion
+from verify.judgement.links import link_frames, shift, turn
 from verify.judgement.model import Model
 from verify.records import Array
 
@@ -26,12 +27,12 @@ def link_faults(model: Model, arm: robots.DhArm) -> list[Fault]:
     for i in range(arm.dof):
         before, after = frames[:, i], frames[:, i + 1]
         lever = tip - after[:, :3, 3]
-        effects.append((i, "a", "mm", _shift(after[:, :3, 0])))
-        effects.append((i, "alpha", "deg", _turn(after[:, :3, 0], lever)))
+        effects.append((i, "a", "mm", shift(after[:, :3, 0])))
+        effects.append((i, "alpha", "deg", turn(after[:, :3, 0], lever)))
         if parallel[i]:
-            effects.append((i, "beta", "deg", _turn(after[:, :3, 1], lever)))
+            effects.append((i, "beta", "deg", turn(after[:, :3, 1], lever)))
         else:
-            effects.append((i, "d", "mm", _shift(before[:, :3, 2])))
+            effects.append((i, "d", "mm", shift(before[:, :3, 2])))
     rows = [-model.white.rows(effect) for _, _, _, effect in effects]
     if model.through_encoders and not model.stands_in:
         rows = _registered_away(model, rows)
@@ -39,29 +40,6 @@ def link_faults(model: Model, arm: robots.DhArm) -> list[Fault]:
         Fault("dh", i + 1, unit, columns, parameter=f"{name}{i + 1}")
         for (i, name, unit, _), columns in zip(effects, rows, strict=True)
     ]
-
-
-def link_frames(arm: robots.DhArm, q: Array) -> Array:
-    """DH frames 0 to n of joint angles (m, n): base_T_frame, (m, n + 1, 4, 4)."""
-    frames = np.tile(np.eye(4), (len(q), arm.dof + 1, 1, 1))
-    theta = arm.theta(q)
-    for i in range(arm.dof):
-        c, s = np.cos(theta[:, i]), np.sin(theta[:, i])
-        ca, sa = np.cos(arm.alpha[i]), np.sin(arm.alpha[i])
-        step = np.tile(np.eye(4), (len(q), 1, 1))
-        step[:, 0] = np.stack([c, -s * ca, s * sa, arm.a[i] * c], axis=1)
-        step[:, 1] = np.stack([s, c * ca, -c * sa, arm.a[i] * s], axis=1)
-        step[:, 2] = [0.0, sa, ca, arm.d[i]]
-        frames[:, i + 1] = frames[:, i] @ step
-    return frames
-
-
-def _shift(axis: Array) -> Array:
-    return np.concatenate([axis, np.zeros_like(axis)], axis=1)[:, :, None]
-
-
-def _turn(axis: Array, lever: Array) -> Array:
-    return np.concatenate([np.cross(axis, lever), axis], axis=1)[:, :, None]
 
 
 def _registered_away(model: Model, rows: list[Array]) -> list[Array]:

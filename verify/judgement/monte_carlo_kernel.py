@@ -22,7 +22,7 @@ def fit_all(
     weight: Array,
     limits: tuple[int, float],
 ) -> None:
-    """Move poses to where the spots ask for, until the last draw's has settled.
+    """Move poses to where the spots ask for, until each has settled.
 
     Args:
         poses: (d, 4, 4), rig_T_flange, where to start; moved in place.
@@ -41,11 +41,10 @@ def fit_all(
     design, weighted = np.empty((FREE, 2 * count)), np.empty((FREE, 2 * count))
     normal, root = np.empty((FREE + 1, FREE)), np.empty((FREE, FREE))
     step = normal[FREE]
-    for _ in range(limits[0]):
-        largest = 0.0
-        for d in range(len(poses)):
-            lay_out(cameras[0], d, 0, lefts, (focal, middle, lens, turn, origin))
-            lay_out(cameras[1], d, lefts, count, (focal, middle, lens, turn, origin))
+    for d in range(len(poses)):
+        lay_out(cameras[0], d, 0, lefts, (focal, middle, lens, turn, origin))
+        lay_out(cameras[1], d, lefts, count, (focal, middle, lens, turn, origin))
+        for _ in range(limits[0]):
             predict_spots(
                 poses[d], points[d], turn, origin, lens, focal, middle, pixels, by_point, by_pose
             )
@@ -58,10 +57,11 @@ def fit_all(
             factor(normal[:FREE], 0.0, root)
             solve(root, step)
             move(poses[d], step)
+            largest = 0.0
             for i in range(FREE):
                 largest = max(largest, abs(step[i]))
-        if largest < limits[1]:
-            break
+            if largest < limits[1]:
+                break
 
 
 @compiled

@@ -18,7 +18,7 @@ from verify.rig import Camera, Rig
 from verify.spot_derivatives import AXES, LENS
 
 ITERATIONS = 8  # quadratic from a start that is off by a standard uncertainty: three suffice
-CONVERGED = 1e-9  # m and rad
+CONVERGED = 1e-6  # m and rad: that step is taken, and what would follow is nanometres
 
 Values = Mapping[str, Array]  # a parameter's name, as rig.toml has it, to (d,) departures, SI
 
