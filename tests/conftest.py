@@ -27,6 +27,11 @@ IN_REAL_TIME = tuple(
 YIELDING = 10  # niceness: a tenth of the others' share
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    # at the head of the queue they share one worker; at the end, all would be left with them
+    items.sort(key=lambda item: not item.nodeid.startswith(IN_REAL_TIME))
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     # only who may take niceness back can be nice for a while
