@@ -10,12 +10,14 @@ from numpy.testing import assert_allclose
 from scipy.stats import t as student
 
 import robots
+from robots.transforms import difference
 from tests.verify.motions import ARM, make_track, read, swinging
 from tests.verify.scene import make_marker, make_rig
 from verify.clock import ClockEstimate
 from verify.comparison import Comparison, compare, correlated
 from verify.joints import Joints, solve_joints
 from verify.judgement.budget import Budget, budget
+from verify.judgement.budget_sources import table_columns
 from verify.judgement.means import JointErrors, Means, mean_errors
 from verify.judgement.model import Model, build, clock_effect, with_pan_noise
 from verify.judgement.resolved import resolve
@@ -203,6 +205,24 @@ def test_a_length_of_the_table_does_what_an_arm_with_another_length_does() -> No
         assert reached.all()
         shift = np.rad2deg(-(q - this.joints.q).mean(axis=0)) / 1e-6 * 1e-3
         assert_allclose(table[name].to_numpy(), shift, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("robot", ["iust_6r", "rv_3sd", "rv_3sd_melfa"])
+def test_every_entry_of_the_table_moves_the_flange_as_another_table_does(robot: str) -> None:
+    arm, h = robots.load(robot), 1e-6
+    assert isinstance(arm, robots.DhArm)
+    q = np.random.default_rng(6).uniform(-1.0, 1.0, (30, arm.dof))
+    names, columns = table_columns(arm, cast("Comparison", SimpleNamespace(q=q)))
+    for name, column in zip(names, np.moveaxis(columns, 2, 0), strict=True):
+        key, joint = name.partition("_")[0][:-1], int(name.partition("_")[0][-1]) - 1
+        ahead, behind = (robots.forward(changed(arm, key, joint, s * h), q) for s in (1, -1))
+        assert_allclose(column, difference(ahead, behind) / (2 * h), atol=1e-8)
+
+
+def changed(arm: robots.DhArm, key: str, joint: int, step: float) -> robots.DhArm:
+    entry = getattr(arm, key).copy()
+    entry[joint] += step
+    return replace(arm, **{key: entry})
 
 
 def test_degrees_of_freedom_by_welch_and_satterthwaite_and_student_below_fifty() -> None:

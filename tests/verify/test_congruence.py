@@ -42,6 +42,30 @@ def test_turn_and_advance_of_a_known_screw() -> None:
     assert_allclose(screw(early, motion @ early), [[0.7, 0.05]], atol=1e-12)
 
 
+def test_what_a_pose_does_to_a_screw_is_what_it_does_when_it_is_moved() -> None:
+    early, late = poses(np.random.default_rng(4), 200), poses(np.random.default_rng(5), 200)
+    told = screw(early, late)[:, 0]
+    known = (told > np.deg2rad(10.0)) & (told < np.deg2rad(170.0))
+    early, late = early[known], late[known]
+    by_early, by_late = derivatives(early, late)
+    h = 1e-6
+    for k in range(6):
+        twist = h * np.eye(6)[k]
+        ahead, behind = pushed(early, twist), pushed(early, -twist)
+        slope = (screw(ahead, late) - screw(behind, late)) / (2 * h)
+        assert_allclose(by_early[:, :, k], slope, atol=1e-8)
+        ahead, behind = pushed(late, twist), pushed(late, -twist)
+        slope = (screw(early, ahead) - screw(early, behind)) / (2 * h)
+        assert_allclose(by_late[:, :, k], slope, atol=1e-8)
+
+
+def pushed(a_T_b: Array, twist: Array) -> Array:
+    there = a_T_b.copy()
+    there[:, :3, 3] += twist[:3]
+    there[:, :3, :3] = Rotation.from_rotvec(twist[3:]).as_matrix() @ a_T_b[:, :3, :3]
+    return there
+
+
 def test_how_a_base_moves_the_poses_cancels() -> None:
     """A twist of the base about its origin moves both flanges, and nothing of the relative."""
     rng = np.random.default_rng(3)
@@ -56,7 +80,7 @@ def test_how_a_base_moves_the_poses_cancels() -> None:
             np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]), 2, 0
         )
         total += by @ carry
-    assert_allclose(total, 0, atol=1e-7)
+    assert_allclose(total, 0, atol=1e-12)
 
 
 def test_offsets_of_the_first_and_the_last_joint_do_not_show_and_the_others_do() -> None:

@@ -90,8 +90,11 @@ def screw(a_T_early: Array, a_T_late: Array) -> Array:
 
 
 def _motion(a_T_early: Array, a_T_late: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """The turn (m, 3, 3), its angle (m,) and axis (m, 3); where it takes the early origin, (m, 3);
-    and how far the late one is from there."""
+    """How an early pose becomes the late one, about a's origin.
+
+    The turn (m, 3, 3), its angle (m,) and axis (m, 3); where it takes the early pose's origin,
+    (m, 3), and how far from there the late one's is, (m, 3).
+    """
     turn = a_T_late[:, :3, :3] @ np.swapaxes(a_T_early[:, :3, :3], 1, 2)
     vector = Rotation.from_matrix(turn).as_rotvec()
     angle = np.linalg.norm(vector, axis=1)
