@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial.transform import Rotation
 
 from verify.calibration import follow, gauge
 from verify.calibration.gauge import FIXED, Model
@@ -26,14 +25,16 @@ from verify.calibration.parameters import (
     ZERO,
     Corners,
     State,
+    turns,
 )
 from verify.records import Array
-from verify.rig import Camera, distort, distortion_jacobian
+from verify.rig import Camera, distort_with_jacobian
 
 ITERATIONS = 60
 CONVERGED = 1e-4  # in chi²: a step promises no more, a hundredth of an uncertainty
 Index = NDArray[np.int64]
 LOCAL = 8  # a board's own unknowns: its pose (6), the two bases' departures from their readings
+OWN = slice(WIDTH, WIDTH + LOCAL)  # their columns, behind those of a camera's parameters
 
 
 def predict(state: State, corners: Corners) -> Array:
@@ -41,9 +42,15 @@ def predict(state: State, corners: Corners) -> Array:
     pixels = np.full((len(corners), 2), np.nan)
     for side, camera in enumerate(state.cameras):
         own = np.flatnonzero(corners.camera == side)
-        inside = _inside(camera, side, state, corners, own).point
-        ahead = inside[:, 2] > 0
-        pixels[own[ahead]] = camera.project(inside[ahead])
+        pixels[own] = _seen(camera, _inside(camera, side, state, corners, own).point)
+    return pixels
+
+
+def _seen(camera: Camera, point: Array) -> Array:
+    """Pixels (n, 2) of points (3, n) in the camera's frame; NaN behind the camera."""
+    ahead = point[2] > 0
+    pixels = np.full((len(ahead), 2), np.nan)
+    pixels[ahead] = camera.project(point.T[ahead])
     return pixels
 
 
@@ -51,31 +58,53 @@ def predict(state: State, corners: Corners) -> Array:
 class _Inside:
     """The corners of one camera, and that camera at each of them."""
 
-    point: Array  # (n, 3), in the camera frame
-    rig_R_camera: Array  # (n, 3, 3)
-    turned: Array  # (n, 3, 3), rig axes from turntable axes
-    arm: Array  # (n, 3), corner from the board's origin, rig axes
-    from_camera: Array  # (n, 3), corner from the optical centre, rig axes
-    from_pan_center: Array  # (n, 3), likewise from the pan centre
+    point: Array  # (3, n), in the camera frame
+    rig_R_camera: Array  # (3, 3, n)
+    turned: Array  # (b, 3, 3), rig axes from turntable axes, of each board
+    board: Index  # (n,)
+    arm: Array  # (3, n), corner from the board's origin, rig axes
+    from_camera: Array  # (3, n), corner from the optical centre, rig axes
+    from_pan_center: Array  # (3, n), likewise from the pan centre
 
 
 def _inside(camera: Camera, side: int, state: State, corners: Corners, own: Index) -> _Inside:
     board = corners.board[own]
-    angle = corners.pan[:, side] + state.pan_error[:, side] + camera.pan_zero
-    turned = Rotation.from_rotvec(angle[:, None] * camera.pan_axis).as_matrix()
-    rotation = turned @ camera.mount[:3, :3]
+    turned = turns(camera, corners.pan[:, side] + state.pan_error[:, side])
     centre = camera.pan_center + turned @ camera.mount[:3, 3]
-    arm = np.einsum("nij,nj->ni", state.boards[board, :3, :3], corners.point[own])
-    points_rig = arm + state.boards[board, :3, 3]
-    from_camera = points_rig - centre[board]
+    rig_R_camera = _of_each(turned @ camera.mount[:3, :3], board)
+    pose = _of_each(state.boards[:, :3], board)
+    x, y, z = corners.point[own].T
+    arm = pose[:, 0] * x + pose[:, 1] * y + pose[:, 2] * z
+    points_rig = arm + pose[:, 3]
+    from_camera = points_rig - centre[board].T
     return _Inside(
-        point=np.einsum("nji,nj->ni", rotation[board], from_camera),
-        rig_R_camera=rotation[board],
-        turned=turned[board],
+        point=_times(from_camera, rig_R_camera),
+        rig_R_camera=rig_R_camera,
+        turned=turned,
+        board=board,
         arm=arm,
         from_camera=from_camera,
-        from_pan_center=points_rig - camera.pan_center,
+        from_pan_center=points_rig - camera.pan_center[:, None],
     )
+
+
+def _of_each(matrices: Array, board: Index) -> Array:
+    """Matrices (b, i, j) of the boards as those of their corners, (i, j, n)."""
+    return np.take(np.ascontiguousarray(matrices.transpose(1, 2, 0)), board, axis=2)
+
+
+def _times(rows: Array, matrices: Array) -> Array:
+    """Rows (..., 3, n) by matrices (3, 3, n)."""
+    one, two, three = (rows[..., i, None, :] * matrices[i] for i in range(3))
+    product: Array = one + two + three
+    return product
+
+
+def _cross(vectors: Array, rows: Array) -> Array:
+    """Cross products of vectors (3, n) with rows (2, 3, n)."""
+    x, y, z = vectors
+    u, v, w = rows[:, 0], rows[:, 1], rows[:, 2]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def derivatives(state: State, corners: Corners) -> tuple[Array, Array]:
@@ -90,36 +119,53 @@ def derivatives(state: State, corners: Corners) -> tuple[Array, Array]:
     by_board = np.zeros((len(corners), 2, LOCAL))
     for side, camera in enumerate(state.cameras):
         own = np.flatnonzero(corners.camera == side)
-        at = _inside(camera, side, state, corners, own)
-        columns, by_point = _camera_columns(camera, at)
-        by_rig[own, :, side * WIDTH : (side + 1) * WIDTH] = columns
-        by_board[own, :, :3] = by_point
-        by_board[own, :, 3:6] = np.cross(at.arm[:, None], by_point)
-        by_board[own, :, 6 + side] = columns[:, :, ZERO]
+        columns = _columns(camera, side, _inside(camera, side, state, corners, own))
+        by_rig[own, :, side * WIDTH : (side + 1) * WIDTH] = columns[:, :WIDTH].transpose(2, 0, 1)
+        by_board[own] = columns[:, OWN].transpose(2, 0, 1)
     return by_rig, by_board
 
 
-def _camera_columns(camera: Camera, at: _Inside) -> tuple[Array, Array]:
-    """Derivatives by the camera's parameters (n, 2, 22) and by the point in the rig (n, 2, 3)."""
-    depth = at.point[:, 2:3]
-    xy = at.point[:, :2] / depth
+def _columns(camera: Camera, side: int, at: _Inside) -> Array:
+    """Derivatives by a camera's parameters and by the boards' own, (2, 31, n); the last is free."""
+    depth, xy = at.point[2], at.point[:2] / at.point[2]
+    x, y = xy
+    distorted, by_xy = distort_with_jacobian(xy.T, camera.distortion)
     focal = camera.matrix[[0, 1], [0, 1]]
-    by_xy = focal[:, None] * distortion_jacobian(xy, camera.distortion)
-    by_inside = np.concatenate([by_xy, -by_xy @ xy[:, :, None]], axis=2) / depth[:, :, None]
-    by_point = by_inside @ at.rig_R_camera.transpose(0, 2, 1)
-    columns = np.zeros((len(xy), 2, WIDTH))
-    columns[:, :, FOCAL] = distort(xy, camera.distortion)[:, :, None] * np.eye(2)
-    columns[:, :, PRINCIPAL] = np.eye(2)
-    for i, one in enumerate(np.eye(5)):  # the model is linear in its coefficients
-        columns[:, :, LENS.start + i] = focal * (distort(xy, one) - xy)
+    by_inside = np.empty((2, 3, len(depth)))
+    by_inside[:, :2] = by_xy.transpose(1, 2, 0) * focal[:, None, None] / depth
+    by_inside[:, 2] = -(by_inside[:, 0] * x + by_inside[:, 1] * y)
+    by_point = _times(by_inside, at.rig_R_camera.transpose(1, 0, 2))
+    columns = np.zeros((2, WIDTH + LOCAL + 1, len(depth)))
+    for axis in range(2):
+        columns[axis, FOCAL.start + axis] = distorted[:, axis]
+        columns[axis, PRINCIPAL.start + axis] = 1.0
+    columns[:, LENS] = focal[:, None, None] * _by_lens(x, y)
+    turned = _of_each(at.turned, at.board)
     # the world moves against the camera: a turn u about o takes a point r off o by -(u × r)
-    about_center = -np.cross(at.from_pan_center[:, None], by_point)
-    columns[:, :, CENTER] = -by_point
-    columns[:, :, AXIS] = about_center @ (np.eye(3) - at.turned)
-    columns[:, :, ZERO] = about_center @ camera.pan_axis
-    columns[:, :, TURN] = -np.cross(at.from_camera[:, None], by_point) @ at.turned
-    columns[:, :, OFFSET] = -by_point @ at.turned
-    return columns, by_point
+    about_center = -_cross(at.from_pan_center, by_point)
+    columns[:, CENTER] = -by_point
+    columns[:, AXIS] = about_center - _times(about_center, turned)
+    columns[:, ZERO] = camera.pan_axis @ about_center
+    columns[:, TURN] = -_times(_cross(at.from_camera, by_point), turned)
+    columns[:, OFFSET] = -_times(by_point, turned)
+    own = columns[:, OWN]
+    own[:, :3], own[:, 3:6] = by_point, _cross(at.arm, by_point)
+    own[:, 6 + side] = columns[:, ZERO]
+    return columns
+
+
+def _by_lens(x: Array, y: Array) -> Array:
+    """Derivative of `distort` by its five coefficients, (2, 5, n); the model is linear in them."""
+    xx, yy, twice_xy = x * x, y * y, 2 * x * y
+    r2 = xx + yy
+    r4 = r2 * r2
+    r6 = r4 * r2
+    return np.array(
+        [
+            [x * r2, x * r4, twice_xy, r2 + 2 * xx, x * r6],
+            [y * r2, y * r4, r2 + 2 * yy, twice_xy, y * r6],
+        ]
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,36 +192,61 @@ def normal(
         weight: (n,), of each corner beside its stated covariance; 0 leaves it out.
         damping: Marquardt's factor on the diagonal of the boards' own information.
     """
-    count = len(state.boards)
-    by_rig, by_board = derivatives(state, corners)
-    root = corners.root * np.sqrt(weight)[:, None, None]
-    residual = np.einsum("nij,nj->ni", root, corners.seen - predict(state, corners)).ravel()
-    rows = (root @ by_rig).reshape(-1, 2 * WIDTH)
-    own_rows = (root @ by_board).reshape(-1, LOCAL)
-    free = _own_free(model)
-    prior = _own_prior(model)
-    ends = 2 * np.searchsorted(corners.board, np.arange(count + 1))
-    width = 2 * WIDTH
-    information, gradient = np.zeros((count, width, width)), np.zeros((count, width))
-    own, own_gradient = np.zeros((count, LOCAL, LOCAL)), np.zeros((count, LOCAL))
-    shared, diagonal = np.zeros((count, LOCAL, width)), np.zeros(width)
-    for b in range(count):
-        part = slice(ends[b], ends[b + 1])
-        g, a, r = rows[part], own_rows[part], residual[part]
-        block = a.T @ a + np.diag(prior)
-        pull = a.T @ r - prior * np.concatenate([np.zeros(6), state.pan_error[b]])
-        inner = block[np.ix_(free, free)]
-        inner = inner + damping * np.diag(np.diag(inner))
-        inverse = np.zeros((LOCAL, LOCAL))
-        inverse[np.ix_(free, free)] = np.linalg.inv(inner)
-        across = a.T @ g
-        own[b], own_gradient[b] = inverse, pull
-        shared[b] = inverse @ across
-        full = g.T @ g
-        diagonal += np.diag(full)
-        information[b] = full - across.T @ shared[b]
-        gradient[b] = g.T @ r - shared[b].T @ pull
-    return Normal(information, gradient, own, own_gradient, shared, diagonal)
+    count, width = len(state.boards), 2 * WIDTH
+    full, gradient = np.zeros((count, width, width)), np.zeros((count, width))
+    prior, across = _own_prior(model), np.zeros((count, LOCAL, width))
+    block = np.tile(np.diag(prior), (count, 1, 1))
+    pull = np.zeros((count, LOCAL))
+    pull[:, 6:] = -prior[6:] * state.pan_error
+    for side in range(2):
+        products = _products(side, state, corners, weight)
+        mine = slice(side * WIDTH, (side + 1) * WIDTH)
+        full[:, mine, mine] = products[:, :WIDTH, :WIDTH]
+        across[:, :, mine] = products[:, OWN, :WIDTH]
+        block += products[:, OWN, OWN]
+        gradient[:, mine] = products[:, :WIDTH, -1]
+        pull += products[:, OWN, -1]
+    own = _inverse(block, _own_free(model), damping)
+    shared = own @ across
+    toward: Array = shared.transpose(0, 2, 1)
+    return Normal(
+        information=full - across.transpose(0, 2, 1) @ shared,
+        gradient=gradient - (toward @ pull[:, :, None])[:, :, 0],
+        own=own,
+        own_gradient=pull,
+        shared=shared,
+        diagonal=np.einsum("bii->i", full),
+    )
+
+
+def _products(side: int, state: State, corners: Corners, weight: Array) -> Array:
+    """Products of one camera's whitened columns over each board's corners, (b, 31, 31).
+
+    Columns: the camera's parameters (22), the board's own (8), the residual.
+    """
+    camera = state.cameras[side]
+    seen_by = np.flatnonzero(corners.camera == side)
+    at = _inside(camera, side, state, corners, seen_by)
+    columns = _columns(camera, side, at)
+    columns[:, -1] = (corners.seen[seen_by] - _seen(camera, at.point)).T
+    root = (corners.root[seen_by] * np.sqrt(weight[seen_by])[:, None, None]).transpose(1, 2, 0)
+    first, second = (r[0] * columns[0] + r[1] * columns[1] for r in root)
+    ends = np.searchsorted(corners.board[seen_by], np.arange(len(state.boards) + 1))
+    products = np.empty((len(state.boards), len(first), len(first)))
+    for b in range(len(state.boards)):
+        x, y = (rows[:, ends[b] : ends[b + 1]] for rows in (first, second))
+        products[b] = x @ x.T + y @ y.T
+    return products
+
+
+def _inverse(block: Array, free: Index, damping: float) -> Array:
+    """Inverse of what is free of each board's own information (b, 8, 8), damped; 0 elsewhere."""
+    inner = block[:, free[:, None], free]
+    diagonal = np.arange(len(free))
+    inner[:, diagonal, diagonal] *= 1 + damping
+    inverse = np.zeros_like(block)
+    inverse[:, free[:, None], free] = np.linalg.inv(inner)
+    return inverse
 
 
 def _own_free(model: Model) -> Index:

@@ -10,8 +10,7 @@ from verify.board import Board, BoardView
 from verify.calibration.corner_grid import axes, oriented
 from verify.calibration.corner_map import fit_map
 from verify.calibration.corner_search import as_image, find_grid, grow, pictures, unscaled
-from verify.calibration.corner_window import Place
-from verify.calibration.saddle import Corner, fit_corner
+from verify.calibration.saddle import Corner, Place, fit_corner
 from verify.records import Array, Image
 
 FEWEST = 4  # corners that fix a homography

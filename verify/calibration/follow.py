@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from verify.calibration.parameters import (
     AXIS,
@@ -23,6 +22,7 @@ from verify.calibration.parameters import (
     State,
     moved,
     placed,
+    turns,
 )
 from verify.records import Array
 from verify.rig import Camera
@@ -79,11 +79,10 @@ def _hosts(corners: Corners, count: int) -> NDArray[np.int64]:
 
 def placements(camera: Camera, pan: Array) -> Array:
     """Place a camera for readings (b,), rad: rig_T_camera (b, 4, 4)."""
-    turns = np.tile(np.eye(4), (len(pan), 1, 1))
-    angle = pan + camera.pan_zero
-    turns[:, :3, :3] = Rotation.from_rotvec(angle[:, None] * camera.pan_axis).as_matrix()
-    turns[:, :3, 3] = camera.pan_center
-    placed_there: Array = turns @ camera.mount
+    turned = np.tile(np.eye(4), (len(pan), 1, 1))
+    turned[:, :3, :3] = turns(camera, pan)
+    turned[:, :3, 3] = camera.pan_center
+    placed_there: Array = turned @ camera.mount
     return placed_there
 
 
@@ -97,7 +96,13 @@ def _motion(camera: Camera, pan: Array, turned_on: Array, change: Array, points:
     shift = (
         change[CENTER]
         + turned @ change[OFFSET]
-        + np.cross(about_center, points - camera.pan_center)
-        + np.cross(about_camera, points - placed_there[:, :3, 3])
+        + _cross(about_center, points - camera.pan_center)
+        + _cross(about_camera, points - placed_there[:, :3, 3])
     )
     return np.concatenate([shift, about_center + about_camera], axis=1)
+
+
+def _cross(turn: Array, arm: Array) -> Array:
+    """Cross products of vectors (b, 3)."""
+    (x, y, z), (u, v, w) = turn.T, arm.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import null_space
-from scipy.spatial.transform import Rotation
 
 from verify.calibration.parameters import (
     AXIS,
@@ -28,6 +27,8 @@ from verify.calibration.parameters import (
     WIDTH,
     ZERO,
     State,
+    turn_by,
+    turn_of,
 )
 from verify.records import Array
 from verify.rig import Camera
@@ -140,7 +141,7 @@ def _carried(camera: Camera, new_T_old: Array) -> Camera:
 def _upright(camera: Camera, pan: float) -> Camera:
     """Give a base that never turned the axis +y; the orientation goes to the mount."""
     mount = np.eye(4)
-    turned_back = Rotation.from_rotvec(-Y * pan).as_matrix()
+    turned_back = turn_by(-Y * pan)
     mount[:3, :3] = turned_back @ camera.rig_T_camera(pan)[:3, :3]
     return replace(camera, pan_axis=Y, pan_zero=0.0, mount=mount)
 
@@ -149,8 +150,8 @@ def _unspun(camera: Camera) -> Camera:
     """Move the mount's turn about the pan axis to the pan zero."""
     axis, mount, zero = camera.pan_axis, camera.mount.copy(), camera.pan_zero
     for _ in range(20):  # converges as the mount's tilt squared
-        spin = float(axis @ Rotation.from_matrix(mount[:3, :3]).as_rotvec())
-        back = Rotation.from_rotvec(-axis * spin).as_matrix()
+        spin = float(axis @ turn_of(mount[:3, :3]))
+        back = turn_by(-axis * spin)
         mount[:3] = back @ mount[:3]
         zero += spin
         if abs(spin) < 1e-15:
@@ -193,7 +194,7 @@ def _tilt(own: Array, camera: Camera, base: str, pan: float) -> Array:
     """Change of the upward direction's z component; (u × w)_z = u_x w_y - u_y w_x for a turn u."""
     up = upward(camera, base, pan)
     if base == FIXED:
-        turned = Rotation.from_rotvec(camera.pan_axis * (pan + camera.pan_zero)).as_matrix()
+        turned = turn_by(camera.pan_axis * (pan + camera.pan_zero))
         by_turn = np.array([up[1], -up[0], 0.0]) @ turned
         return np.asarray(by_turn @ own[TURN])
     return np.asarray(np.array([up[1], -up[0], 0.0]) @ own[AXIS])
@@ -203,7 +204,7 @@ def _base_rows(own: Array, camera: Camera, base: str) -> list[Array]:
     if base == FIXED:
         return [*own[AXIS], own[ZERO], *own[OFFSET]]
     axis = camera.pan_axis
-    turn = Rotation.from_matrix(camera.mount[:3, :3]).as_rotvec()
+    turn = turn_of(camera.mount[:3, :3])
     # (d × axis) · w = d · (axis × w): how a step d of the axis changes its product with w
     rows = [
         axis @ own[AXIS],

@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from verify.records import Array
 from verify.rig import Camera
+from verify.small_matrices import rotation_vectors
 
 SIDES = ("left", "right")
 KEYS = (
@@ -56,6 +58,30 @@ class Corners:
         return len(self.camera)
 
 
+def turn_by(vector: Array) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector (3,), rad."""
+    return np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)
+
+
+def turn_of(matrix: Array) -> Array:
+    """Rotation vector (3,), rad, of a rotation matrix (3, 3)."""
+    vector = np.empty(3)
+    rotation_vectors(np.array([matrix]), vector[None])
+    return vector
+
+
+def turns(camera: Camera, pan: Array) -> Array:
+    """A base's rotation at readings (b,), rad: rig axes from turntable axes, (b, 3, 3).
+
+    Source: Rodrigues' formula.
+    """
+    angle = (pan + camera.pan_zero)[:, None, None]
+    x, y, z = camera.pan_axis
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turned: Array = np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * (across @ across)
+    return turned
+
+
 def moved(camera: Camera, step: Array) -> Camera:
     """Step a camera's parameters (22,), SI units and pixels; small rotations on the left."""
     matrix = camera.matrix.copy()
@@ -63,9 +89,9 @@ def moved(camera: Camera, step: Array) -> Camera:
     matrix[1, 1] += step[1]
     matrix[:2, 2] += step[PRINCIPAL]
     mount = camera.mount.copy()
-    mount[:3, :3] = Rotation.from_rotvec(step[TURN]).as_matrix() @ mount[:3, :3]
+    mount[:3, :3] = turn_by(step[TURN]) @ mount[:3, :3]
     mount[:3, 3] += step[OFFSET]
-    axis = Rotation.from_rotvec(step[AXIS]).apply(camera.pan_axis)
+    axis = turn_by(step[AXIS]) @ camera.pan_axis
     return replace(
         camera,
         matrix=matrix,
