@@ -15,7 +15,7 @@ $(STAMP): pyproject.toml .ci/constraints.txt
 
 # what is compiled, once and not at the first measurement
 $(WARM): $(STAMP)
-	$(BIN)/python -m verify.warm_up
+	$(BIN)/python -m verify.compile_ahead
 	@touch $@
 
 # status 1 says that the robot does not conform, as this one should not

@@ -1,7 +1,4 @@
-"""Have everything that numba compiles compiled, and in memory, before pictures come.
-
-python -m verify.warm_up     after an installation: the first run need not wait then
-"""
+"""Have everything that numba compiles compiled, and in memory, before pictures come."""
 
 import numpy as np
 
@@ -45,6 +42,7 @@ def warm_up_comparison() -> None:
     """Have compiled, and in memory, what sets readings against measured poses."""
     t = np.arange(READINGS) / RATE
     readings = Readings(t, np.sin(t)[:, None])
+    readings.at(t)
     readings.known(t)
     readings.rate(t)
     readings.direction(t)  # by the readings' noise
@@ -92,8 +90,3 @@ def _picture(camera: Camera) -> Image:
     for x, y in pixels.tolist():
         light += 260.0 * np.exp(-((column - x) ** 2 + (row - y) ** 2) / (2 * SPOT**2))
     return np.clip(light, 0, 255).astype(np.uint8)
-
-
-if __name__ == "__main__":
-    warm_up()
-    warm_up_comparison()

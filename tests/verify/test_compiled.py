@@ -3,13 +3,20 @@
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
+import pytest
 
 import tests.verify.test_identification as scenes
 from tests.verify.scene import facing, make_marker, make_rig, sight
 from verify import compiled
+from verify.analysis import analyse
+from verify.board import Board
+from verify.calibration.find import find_board
+from verify.compile_ahead import compile_ahead
 from verify.identification import Prediction
 from verify.measurement import Setup, measure
 from verify.pose import fit_pose
@@ -23,6 +30,10 @@ import importlib.util, os, pathlib
 may, own = os.access, str(pathlib.Path(importlib.util.find_spec("verify").origin).parent)
 os.access = lambda path, mode: str(path) != own and may(path, mode)
 from verify import compiled
+from verify.analysis import analyse
+from verify.board import Board
+from verify.calibration.find import find_board
+from verify.compile_ahead import compile_ahead
 from verify.identification.kernel import turned
 import numpy as np
 print(compiled.KEPT, turned(np.zeros(3))[0, 0])
@@ -90,22 +101,43 @@ def poses_of_every_kind() -> None:
         fit_pose(left, right, rig, make_marker(count), np.asfortranarray(truth))
 
 
-def report_what_a_measurement_compiles() -> None:
-    """Print what was not in memory after warming up: run in a process of its own."""
-    warm_up()
+def results_of_a_session() -> None:
+    analyse(open_session(ROOT / "sample_sessions" / "quarter_circle_6r"))
+
+
+def corners_of_a_board() -> None:
+    squares = np.indices((6, 9)).sum(axis=0) % 2
+    light = np.pad(np.kron(squares, np.ones((30, 30))), 40, constant_values=1.0)
+    image = np.asarray(cv2.GaussianBlur(40 + 160 * light, (0, 0), 1.0), np.uint8)
+    assert find_board(image, Board(8, 5, 0.02)) is not None
+
+
+AHEAD = {
+    warm_up: (pairs_of_a_session, spots_of_every_kind, poses_of_every_kind),
+    compile_ahead: (results_of_a_session, corners_of_a_board),
+}
+
+
+def report_what_is_compiled_after(name: str) -> None:
+    """Print what was not in memory after compiling ahead: run in a process of its own."""
+    ahead = next(each for each in AHEAD if each.__name__ == name)
+    ahead()
     before = compiled_now()
-    for use in (pairs_of_a_session, spots_of_every_kind, poses_of_every_kind):
+    for use in AHEAD[ahead]:
         use()
         late = {name: types for name, types in compiled_now().items() if before[name] != types}
         print(use.__name__, late or "nothing")
 
 
-def test_after_warming_up_nothing_is_left_to_compile() -> None:
-    own = "import tests.verify.test_compiled as t; t.report_what_a_measurement_compiles()"
+@pytest.mark.parametrize("ahead", AHEAD, ids=lambda each: str(each.__name__))
+def test_after_compiling_ahead_nothing_is_left_to_compile(ahead: Callable[[], None]) -> None:
+    name = f"t.report_what_is_compiled_after({ahead.__name__!r})"
+    own = f"import tests.verify.test_compiled as t; {name}"
     done = subprocess.run(
         [sys.executable, "-c", own], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    assert [line.split(maxsplit=1)[1] for line in done.stdout.splitlines()] == ["nothing"] * 3
+    told = [line.split(maxsplit=1)[1] for line in done.stdout.splitlines()]
+    assert told == ["nothing"] * len(AHEAD[ahead])
 
 
 def test_every_compiled_source_counts_when_machine_code_is_looked_up() -> None:
