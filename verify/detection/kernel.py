@@ -82,8 +82,12 @@ def normal_equations(
 
 
 @compiled
-def shorten(step: NDArray[np.floating], p: Array) -> None:
-    """Shorten a step that leaves the region in which the linearisation means anything."""
+def shorten(step: NDArray[np.floating], p: Array) -> bool:
+    """Shorten a step that leaves the region in which the linearisation means anything.
+
+    Returns:
+        Whether it did.
+    """
     least = min(p[XX], p[YY])
     ratio = max(abs(step[X]), abs(step[Y])) / 1.5  # px
     ratio = max(ratio, abs(step[PEAK]) / (0.7 * p[PEAK]))
@@ -93,6 +97,7 @@ def shorten(step: NDArray[np.floating], p: Array) -> None:
     ratio = max(ratio, abs(step[STEEPNESS]) / 0.5)
     if ratio > 1.0:
         step /= ratio
+    return bool(ratio > 1.0)
 
 
 @compiled
@@ -144,8 +149,8 @@ def descend(
         table: of the profiles.
         prior: as for `normal_equations`.
         steps: at most; 0 looks how the pixels stand at p.
-        settled: of chi² that a step may still gain.
-        known: filled as by `weigh`, at the end's p; and so are rows.
+        settled: of chi² that a step may still gain. It is taken, and nothing is looked at anew.
+        known: filled as by `weigh`, where the last step but that one ended; and so are rows.
         rows: whitened derivatives and residual.
         information: (10, 10), filled.
         gradient: (10,), filled.
@@ -167,7 +172,12 @@ def descend(
         factor(damped, 0.0, root)
         step[:] = gradient
         solve(root, step)
-        shorten(step, p)
+        shortened = shorten(step, p)
+        gained = step @ gradient  # what the step takes from chi²
+        if gained <= settled * (1.0 + chi2 / size) and not shortened:
+            p += step
+            chi2 -= gained
+            break
         tried = p + step
         out = weigh(tried, pixels, scale, noise, table, known, rows)
         trial = normal_equations(tried, rows, out, prior, tried_information, tried_gradient)
@@ -177,11 +187,8 @@ def descend(
         if refused:
             damping *= 30.0
             continue
-        gained = step @ gradient  # what the step takes from chi²
         p[:], chi2, damping = tried, trial, damping / 10.0
         information[:], gradient[:] = tried_information, tried_gradient
-        if not gained > settled * (1.0 + trial / size):
-            break
         variance[:], stands = known[VARIANCE], chi2
     if refused:
         weigh(p, pixels, scale, noise, table, known, rows)

@@ -77,7 +77,7 @@ class Fit:
     parameters: Array  # (n, 10), x and y in px from the cut-out's centre pixel
     information: Array  # (n, 10, 10), inverse covariance, priors included
     gradient: Array  # (n, 10), of the quasi-likelihood
-    known: Array  # (n, 10, p), of the pixels: rows as in kernel_pixels
+    known: Array  # (n, 10, p), of the pixels before the last small step: rows as in kernel_pixels
     whitened: Array  # (n, 11, p), derivatives of mu by the parameters and residuals, over sigma
     chi2: Array  # (n,)
     priors: Priors
