@@ -23,6 +23,7 @@ from verify.detection.kernel_pixels import (
     Y,
 )
 from verify.records import Array
+from verify.small_matrices import factor, solve
 
 FAR_BELOW = -30.0  # standard deviations: below, the complementary error function ends
 FARTHEST = 1e-9  # half-widths: nearer the very centre no bite changes anything
@@ -141,6 +142,7 @@ def score_all(
     directions = len(sides)
     found = np.empty(known.shape[2], np.int64)
     cross, whole = np.empty((WHITENED, directions)), np.empty(directions)
+    root, follow = np.empty((PARAMETERS, PARAMETERS)), np.empty((directions, PARAMETERS))
     for m in range(len(numbers)):
         n = numbers[m]
         if not 0 <= n < len(parameters) or told[m, SATURATED] + told[m, MERGED] > 0.0:
@@ -149,16 +151,19 @@ def score_all(
         sunk = np.empty((directions, len(near)))
         bitten(parameters[n, PEAK], known[n], near, sides, width, sunk)
         cross_products(whitened[n], near, sunk, cross, whole)
-        follow = np.linalg.solve(information[n], cross[:PARAMETERS])  # how parameters give way
+        factor(information[n], 0.0, root)
+        for side in range(directions):  # how parameters give way
+            follow[side] = cross[:PARAMETERS, side]
+            solve(root, follow[side])
         worth = max(told[m, MISFIT], 1.0)
         for side in range(directions):
             left, slope = whole[side], cross[RESIDUAL, side]
             for a in range(PARAMETERS):
-                left -= cross[a, side] * follow[a, side]
-                slope -= gradient[n, a] * follow[a, side]
+                left -= cross[a, side] * follow[side, a]
+                slope -= gradient[n, a] * follow[side, a]
             if left > least * whole[side]:
                 score[0][m, side], score[1][m, side] = slope / worth, left / worth
-                score[2][m, side, 0], score[2][m, side, 1] = -follow[X, side], -follow[Y, side]
+                score[2][m, side, 0], score[2][m, side, 1] = -follow[side, X], -follow[side, Y]
 
 
 @compiled

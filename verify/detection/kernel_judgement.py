@@ -10,6 +10,7 @@ from verify.detection.kernel import UNTOLD, tally
 from verify.detection.kernel_clip import SENSOR_LIMIT
 from verify.detection.kernel_pixels import PARAMETERS, PEAK, XX, XY, YY, X, Y
 from verify.records import Array
+from verify.small_matrices import factor, solve
 
 Truths = NDArray[np.bool_]
 
@@ -29,9 +30,15 @@ def known_centre(information: Array, told: Array) -> None:
     told[COVARIANCE_XX : COVARIANCE_YY + 1] = np.nan
     if not known:
         return
-    covariance = np.linalg.inv(information + UNTOLD * np.eye(PARAMETERS))
-    told[COVARIANCE_XX], told[COVARIANCE_YY] = covariance[X, X], covariance[Y, Y]
-    told[COVARIANCE_XY] = told[COVARIANCE_YX] = covariance[X, Y]
+    root, column = np.empty((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS)
+    factor(information, -UNTOLD, root)
+    column[X] = 1.0
+    solve(root, column)
+    told[COVARIANCE_XX], told[COVARIANCE_XY] = column[X], column[Y]
+    column[:] = 0.0
+    column[Y] = 1.0
+    solve(root, column)
+    told[COVARIANCE_YX], told[COVARIANCE_YY] = told[COVARIANCE_XY], column[Y]
 
 
 @compiled
