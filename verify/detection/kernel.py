@@ -173,7 +173,7 @@ def descend(
         step[:] = gradient
         solve(root, step)
         shortened = shorten(step, p)
-        gained = step @ gradient  # what the step takes from chi²
+        gained = float(step @ gradient)  # what the step takes from chi²
         if gained <= settled * (1.0 + chi2 / size) and not shortened:
             p += step
             chi2 -= gained
