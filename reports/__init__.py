@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from reports.errors import ReportError
-from reports.results import Results, read, write
+from reports.results import Results, packed, read, write
 
 if TYPE_CHECKING:
     from reports.branding import Look
@@ -23,6 +23,7 @@ __all__ = [
     "ReportError",
     "Results",
     "look",
+    "packed",
     "read",
     "render_html",
     "render_pdf",

@@ -16,6 +16,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -67,6 +68,28 @@ def write(results: Results, folder: Path) -> None:
     Raises:
         ReportError: a name is no file name, or the folder cannot be written.
     """
+    files = packed(results, folder)
+    try:
+        _place(files, folder)
+    except OSError as problem:
+        raise ReportError(
+            folder,
+            f"cannot be written ({problem.strerror})",
+            "a folder that may be written is needed",
+            "Choose another place.",
+        ) from problem
+
+
+def packed(results: Results, folder: Path) -> dict[str, bytes]:
+    """Pack results as the files of a folder, by name, the manifest last.
+
+    Args:
+        results: what to pack.
+        folder: that it is for, in case of a refusal.
+
+    Raises:
+        ReportError: a name is no file name.
+    """
     files: dict[str, bytes] = {}
     tables = {}
     for name, table in sorted(results.tables.items()):
@@ -81,17 +104,9 @@ def write(results: Results, folder: Path) -> None:
         "tables": tables,
         "images": images,
     }
-    text = json.dumps(manifest, indent=1, ensure_ascii=True, allow_nan=False)
-    files[MANIFEST] = text.encode() + b"\n"
-    try:
-        _place(files, folder)
-    except OSError as problem:
-        raise ReportError(
-            folder,
-            f"cannot be written ({problem.strerror})",
-            "a folder that may be written is needed",
-            "Choose another place.",
-        ) from problem
+    text = json.dumps(manifest, ensure_ascii=True, allow_nan=False)
+    files[MANIFEST] = msgspec.json.format(text.encode(), indent=1) + b"\n"
+    return files
 
 
 def again(folder: Path) -> str:

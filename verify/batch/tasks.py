@@ -1,6 +1,5 @@
 """What workers do: measure a session, see whether one has changed, write its own report."""
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -133,10 +132,8 @@ class Report:
 
 def measured(session: str, results: Results, inputs: dict[str, str] | None) -> Measured:
     """Turn results into the files of a results folder."""
-    with tempfile.TemporaryDirectory(prefix="verify-results-") as place:
-        folder = Path(place) / RESULTS
-        reports.write(results, folder)
-        files = {f"{RESULTS}/{file.name}": file.read_bytes() for file in sorted(folder.iterdir())}
+    packed = reports.packed(results, Path(RESULTS))
+    files = {f"{RESULTS}/{name}": content for name, content in packed.items()}
     digests = results.summary["inputs"] if inputs is None else inputs
     return Measured(session, files, dict(digests), int(results.summary["pairs"]["recorded"]))
 
