@@ -24,12 +24,16 @@ IN_REAL_TIME = tuple(
         "verify/test_priority.py",
     )
 )
+LONGEST = "tests/end_to_end/test_documentation.py::test_the_readme"
 YIELDING = 10  # niceness: a tenth of the others' share
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    # at the head of the queue they share one worker; at the end, all would be left with them
-    items.sort(key=lambda item: not item.nodeid.startswith(IN_REAL_TIME))
+    # at the head of the queue they share one worker; at the end, all would be left with them, and
+    # with the longest, which nobody can share
+    items.sort(
+        key=lambda i: (not i.nodeid.startswith(LONGEST), not i.nodeid.startswith(IN_REAL_TIME))
+    )
 
 
 @pytest.hookimpl(wrapper=True)
