@@ -18,7 +18,8 @@ from verify.detection.kernel_judgement import (
 )
 from verify.detection.kernel_levels import search, spread
 from verify.detection.kernel_patches import read_grey
-from verify.detection.kernel_priors import below_black, steepness
+from verify.detection.kernel_pixels import PARAMETERS, STEEPNESS, X, Y
+from verify.detection.kernel_priors import begin, below_black
 from verify.detection.profile import (
     GAUSSIAN_STEEPNESS,
     LOWEST,
@@ -150,11 +151,12 @@ def test_a_floor_below_black_is_guessed_from_how_much_is_black(floor: float) -> 
 
 
 @pytest.mark.parametrize("log_steepness", [np.log(GAUSSIAN_STEEPNESS), 1.0, 1.65])
-def test_a_steepness_is_guessed_from_two_areas(log_steepness: float) -> None:
+def test_a_spots_place_and_steepness_are_guessed_from_its_pixels(log_steepness: float) -> None:
     column, row = (axis.ravel() for axis in np.meshgrid(np.arange(-14.0, 15), np.arange(-14.0, 15)))
     line = round((log_steepness - LOWEST) / ROW_STEP)
-    sample = np.minimum(np.hypot(column, row) / 4.0 / STEP, 8 / STEP).astype(int)
+    sample = np.minimum(np.hypot(column - 0.4, row + 0.3) / 4.0 / STEP, 8 / STEP).astype(int)
     value = 200 * profile_table()[0, line, sample]
-    assert steepness(value, column, row, 4.0, 0.0, 200.0, 9.9) == pytest.approx(
-        log_steepness, abs=0.3
-    )
+    start = np.zeros(PARAMETERS)
+    begin(value, column, row, 4.0, 0.0, 200.0, start)
+    np.testing.assert_allclose(start[[X, Y]], [0.4, -0.3], atol=0.02)  # px
+    assert start[STEEPNESS] == pytest.approx(log_steepness, abs=0.3)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from verify.detection import kernel_judgement, kernel_noise
 from verify.detection.bite import RimScore, score_rims, unknown_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
-from verify.detection.fit import SETTLED, first_look, fit_spots
+from verify.detection.fit import NEARLY, first_look, fit_spots
 from verify.detection.judgement import FITTED, Judgement, judge
 from verify.detection.kernel import SEEN
 from verify.detection.kernel_pixels import MEAN, OWN, SIGNAL, USED, VISIBLE
@@ -65,7 +65,7 @@ def detect(
         seen = judge(batches, image.shape)
         background = refined(background, spread, *residuals(batches, seen))
     for cut, state in batches:
-        go_on(cut.patches, state, background, 1, SETTLED)
+        go_on(cut.patches, state, background, 2, NEARLY)
     judgement = judge(batches, image.shape)
     keep = led_like(judgement, diameter_px or DEFAULT_DIAMETER, limit)
     kept = judgement.taken(keep)

@@ -7,7 +7,8 @@ from verify.detection.kernel_pixels import FLOOR, PEAK, STEEPNESS
 from verify.detection.model import Fit, Patches, expected, solve
 from verify.records import Array
 
-SETTLED = 0.1  # of chi² that a step may still gain: it is taken, and `detect` takes a further one
+SETTLED = 0.1  # of chi² that the last step may gain: it is taken, and nothing looked at anew
+NEARLY = 10.0  # likewise the last step before the noise is known: one or two follow
 STEPS = 8  # from a first look on; a clean spot takes three
 STEPS_SATURATED = 20  # its top is hidden, the valley long
 SETTLED_SATURATED = 0.001  # likewise: a step may gain little and the next one more
@@ -19,23 +20,22 @@ STEEP_START = np.log(5.0)  # an in-focus LED: where a saturated spot's flat top 
 def fit_spots(patches: Patches, start: Array | None = None) -> Fit:
     """Fit one spot to each patch, from the parameters of a first look where there was one.
 
-    A saturated spot is approached from two sides, as its hidden top may be steep or flat.
+    What is clear comes within a step of its place: `detect` goes on once it knows the noise. A
+    saturated spot is approached from two sides, as its hidden top may be steep or flat.
     """
     priors = expected(patches)
-    fit = solve(patches, priors.start if start is None else start, priors, STEPS, SETTLED)
+    fit = solve(patches, priors.start if start is None else start, priors, STEPS, NEARLY)
     full = np.flatnonzero(priors.saturated)
     if not len(full):
         return fit
-    part, held, parameters = patches.taken(full), priors.taken(full), fit.parameters.copy()
+    part, held, flat = patches.taken(full), priors.taken(full), fit.parameters[full]
     steep = held.mean.copy()
     steep[:, STEEPNESS], steep[:, PEAK] = STEEP_START, SENSOR_LIMIT - steep[:, FLOOR]
-    one, other = (
-        solve(part, top, held, STEPS_SATURATED, SETTLED_SATURATED)
-        for top in (parameters[full], steep)
-    )
-    first = (one.chi2 <= other.chi2)[:, None]
-    parameters[full] = np.where(first, one.parameters, other.parameters)
-    return solve(patches, parameters, priors)
+    fit.replace(full, solve(part, flat, held, STEPS_SATURATED, SETTLED_SATURATED))
+    other = solve(part, steep, held, STEPS_SATURATED, SETTLED_SATURATED)
+    better = np.flatnonzero(~(fit.chi2[full] <= other.chi2))
+    fit.replace(full[better], other, better)
+    return fit
 
 
 def first_look(patches: Patches) -> Fit:

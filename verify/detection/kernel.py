@@ -1,5 +1,7 @@
 """The fit's inner loop, compiled: the way down to a patch's spot."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -101,6 +103,17 @@ def shorten(step: NDArray[np.floating], p: Array) -> bool:
 
 
 @compiled
+def carry_means(step: Array, rows: Array, known: Array) -> None:
+    """Let the means of the pixels that count follow a small step (10,), to first order."""
+    moved = np.zeros(rows.shape[1])
+    for a in range(PARAMETERS):
+        for k in range(rows.shape[1]):
+            moved[k] += step[a] * rows[a, k]
+    for k in range(rows.shape[1]):
+        known[MEAN, k] += moved[k] * math.sqrt(known[VARIANCE, k])
+
+
+@compiled
 def mark_own(p: Array, pixels: Array, known: Array) -> None:
     """Mark the pixels that are the spot's own: its core, and for the smallest a few about it."""
     for k in range(pixels.shape[1]):
@@ -150,8 +163,9 @@ def descend(
         prior: as for `normal_equations`.
         steps: at most; 0 looks how the pixels stand at p.
         settled: of chi² that a step may still gain. It is taken, and nothing is looked at anew.
-        known: filled as by `weigh`, where the last step but that one ended; and so are rows.
-        rows: whitened derivatives and residual.
+        known: filled as by `weigh`, where the last step but that one ended, the means alone where
+            that one does.
+        rows: whitened derivatives and residual, where the last step but that one ended.
         information: (10, 10), filled.
         gradient: (10,), filled.
 
@@ -177,6 +191,7 @@ def descend(
         if gained <= settled * (1.0 + chi2 / size) and not shortened:
             p += step
             chi2 -= gained
+            carry_means(step, rows, known)
             break
         tried = p + step
         out = weigh(tried, pixels, scale, noise, table, known, rows)

@@ -11,6 +11,7 @@ from verify.records import Array, Image
 # what `stencils` gives of whole numbers from 0 to 255 is whole again, and can be counted
 LEVEL_PARTS, LOWEST_LEVEL, LEVELS = 35, 6 * 255, 50 * 255 + 1  # a level in parts of one DN
 DIFFERENCES = 8 * 255 + 1
+FEW = 32.0  # pixels: of fewer, the fit's own parameters take more than a quarter
 
 
 @compiled
@@ -175,6 +176,13 @@ def gather_residuals(
 
 
 @compiled
+def least_misfit(misfit: Array, count: Array) -> float:
+    """Least misfit of n spots, those of few pixels left out unless there is no other."""
+    many = misfit[count >= FEW]
+    return float(many.min() if len(many) else misfit.min())
+
+
+@compiled
 def variance_line(
     residual2: Array,
     signal: Array,
@@ -203,7 +211,7 @@ def variance_line(
             misfit[spot[k]] += residual2[k] / (line[0] + line[1] * signal[k])
             count[spot[k]] += 1.0
         misfit /= count
-        most = clean * misfit.min()
+        most = clean * least_misfit(misfit, count)
         a, b, d = usual[0] ** 2, 0.0, usual[1] ** 2
         u, v = a * first0, d * first1
         for k in range(len(spot)):

@@ -7,13 +7,15 @@ from numpy.typing import NDArray
 
 from verify.compiled import compiled
 from verify.detection.kernel_clip import SENSOR_LIMIT
-from verify.detection.kernel_pixels import FLOOR, PEAK, SLOPE_X, SLOPE_Y, STEEPNESS, XX, YY
+from verify.detection.kernel_pixels import FLOOR, PEAK, SLOPE_X, SLOPE_Y, STEEPNESS, XX, YY, X, Y
 from verify.records import Array
 
 FULL = 3.0  # DN below the limit: a top so near it is cut off, and higher than it seems
 HIDDEN, SEEN = 1.3, 1.05  # peak over what the core shows: of a cut-off top, and of another
 DEEPEST = 30.0  # DN about the floor: a neighbour is no slope
 FLAT, STEEP = 0.3, 2.5  # logarithms: no guess of a steepness is beyond
+BLURRED = 0.1  # likewise: by which counted pixels look steeper than the spot
+FOOT = 0.7  # DN, of a spot's light among the darkest third of its patch
 MOST_BLACK = 0.98  # share of pixels: with more, how far below black the floor is cannot be guessed
 LOGISTIC = 1.702  # scale on which a logistic law is a normal one, to 0.01 (Camilli, 1994)
 
@@ -55,8 +57,9 @@ def expect_all(
         start[n, XX], start[n, YY], start[n, STEEPNESS] = 1.0, 1.0, usual
         start[n, PEAK], start[n, FLOOR] = mean[n, PEAK], floor
         if not full[n]:  # a top that is cut off says nothing of its sides
-            start[n, STEEPNESS] = steepness(value, column, row, scale[n], floor, top, usual)
-            start[n, FLOOR] = floor if floor > 0.0 else below_black(value, read)
+            start[n, FLOOR] = (floor if floor > 0.0 else below_black(value, read)) - FOOT
+            start[n, PEAK] = top - start[n, FLOOR]
+            begin(value, column, row, scale[n], floor, top, start[n])
 
 
 @compiled
@@ -104,17 +107,34 @@ def below_black(value: Array, read: float) -> float:
 
 
 @compiled
-def steepness(
-    value: Array, column: Array, row: Array, scale: float, floor: float, top: float, usual: float
-) -> float:
-    """Guess the logarithm of a spot's steepness from how many pixels are over 1/4, over 3/4."""
+def begin(
+    value: Array, column: Array, row: Array, scale: float, floor: float, top: float, start: Array
+) -> None:
+    """Guess a spot's place from its pixels over 1/4 of its height, its steepness from how many.
+
+    Args:
+        value: (p,), DN.
+        column: (p,), px.
+        row: (p,), px.
+        scale: px, half-width that the fit starts from.
+        floor: DN.
+        top: DN.
+        start: (10,), changed where the pixels tell.
+    """
     height, wide, narrow = top - floor, 0.0, 0.0
+    light, right, down = 0.0, 0.0, 0.0
     near = (2.2 * scale) ** 2
     for k in range(len(value)):
-        if column[k] * column[k] + row[k] * row[k] < near:
-            wide += value[k] - floor > 0.25 * height
-            narrow += value[k] - floor > 0.75 * height
-    if narrow < 4.0 or narrow >= wide:
-        return usual
-    # areas go with the square of radii
-    return min(max(math.log(2.0 * math.log(3.0) / math.log(wide / narrow)), FLAT), STEEP)
+        over = value[k] - floor - 0.25 * height
+        if over > 0.0 and column[k] * column[k] + row[k] * row[k] < near:
+            wide += 1.0
+            narrow += over > 0.5 * height
+            light += over
+            right += over * column[k]
+            down += over * row[k]
+    if light > 0.0:
+        start[X], start[Y] = right / light, down / light
+    if 4.0 <= narrow < wide:
+        # areas go with the square of radii
+        guess = math.log(2.0 * math.log(3.0) / math.log(wide / narrow)) - BLURRED
+        start[STEEPNESS] = min(max(guess, FLAT), STEEP)

@@ -77,10 +77,24 @@ class Fit:
     parameters: Array  # (n, 10), x and y in px from the cut-out's centre pixel
     information: Array  # (n, 10, 10), inverse covariance, priors included
     gradient: Array  # (n, 10), of the quasi-likelihood
-    known: Array  # (n, 10, p), of the pixels before the last small step: rows as in kernel_pixels
+    known: Array  # (n, 10, p), of the pixels before the last small step, but for their means
     whitened: Array  # (n, 11, p), derivatives of mu by the parameters and residuals, over sigma
     chi2: Array  # (n,)
     priors: Priors
+
+    def replace(
+        self, which: NDArray[np.intp], other: "Fit", whose: NDArray[np.intp] | None = None
+    ) -> None:
+        """Put another fit's patches, all or some, in the place of these; priors stay."""
+        for mine, theirs in zip(self.state, other.state, strict=True):
+            mine[which] = theirs if whose is None else theirs[whose]
+
+    @property
+    def state(self) -> tuple[Array, ...]:
+        """All that a fit changes."""
+        return (
+            self.parameters, self.information, self.gradient, self.known, self.whitened, self.chi2
+        )  # fmt: skip
 
 
 def expected(patches: Patches) -> Priors:
