@@ -126,11 +126,11 @@ def inside(windows: Array | None, image: Image) -> NDArray[np.int64] | None:
     """Windows in whole pixels, cut at the image's border."""
     if windows is None:
         return None
-    height, width = image.shape[:2]
-    whole = np.empty(windows.shape, dtype=np.int64)
-    cut = np.clip(windows, 0, [width, height, width, height])
-    whole[:, :2], whole[:, 2:] = cut[:, :2], np.ceil(cut[:, 2:])  # the first two are not negative
-    return whole
+    cut = np.maximum(windows, 0)
+    for axis, end in enumerate(image.shape[1::-1]):
+        np.minimum(cut[:, axis::2], end, out=cut[:, axis::2])
+    np.ceil(cut[:, 2:], out=cut[:, 2:])
+    return cut.astype(np.int64)  # the first two are not negative
 
 
 def fitted(image: Image, candidates: Candidates, noise: Noise, *, glance: bool) -> list[Batch]:

@@ -21,6 +21,12 @@ def top_hat(image: Image, reach: int, contrast: Image) -> None:
     height, width = image.shape
     low, turned = np.empty((height, width), np.uint8), np.empty((width, height), np.uint8)
     least_along(image, reach, low)
+    if even(low):  # as where there is nothing but black between the LEDs
+        level = low[0, 0]
+        for y in range(height):
+            for x in range(width):
+                contrast[y, x] = image[y, x] - level
+        return
     turn(low, turned)
     least_along(turned, reach, turned)
     complement(turned)  # the greatest of the least: the least of the complement
@@ -30,6 +36,16 @@ def top_hat(image: Image, reach: int, contrast: Image) -> None:
     for y in range(height):
         for x in range(width):
             contrast[y, x] = image[y, x] - (255 - low[y, x])
+
+
+@compiled
+def even(image: Image) -> bool:
+    """Whether all pixels are alike."""
+    level, uneven = image[0, 0], np.uint8(0)
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            uneven |= image[y, x] ^ level
+    return bool(uneven == 0)
 
 
 @compiled

@@ -5,14 +5,14 @@ motion between exposures that are not simultaneous: the marker moves as a whole,
 a sharp test even where its place does not.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from verify.identification import kernel, kernel_seeds, kernel_spots
+from verify.identification import kernel, kernel_seeds, kernel_settle, kernel_spots
 from verify.identification.kernel_points import GATE, Index
 from verify.identification.seeds import Graph, Points
 from verify.identification.views import Views
@@ -48,8 +48,24 @@ class Hypotheses:
         """Count the hypotheses."""
         return len(self.position)
 
-    def take(self, chosen: NDArray[np.bool_] | Index) -> "Hypotheses":
-        """Keep some, by index or mask."""
+    @property
+    def laid(self) -> kernel_settle.Laid:
+        """All that they are, as the kernels take it."""
+        return (
+            self.rotation, self.position, self.shift, self.spot, self.hold, self.covariance,
+            self.chi2,
+        )  # fmt: skip
+
+    def copied(self) -> "Hypotheses":
+        """The same in arrays of their own."""
+        return self.take(np.arange(len(self)))
+
+    def first(self, count: int) -> "Hypotheses":
+        """Keep the first so many."""
+        return self.take(slice(count))
+
+    def take(self, chosen: NDArray[np.bool_] | Index | slice) -> "Hypotheses":
+        """Keep some, by index, mask or slice."""
         return Hypotheses(
             self.rotation[chosen],
             self.position[chosen],
@@ -128,110 +144,72 @@ def _least_turn(source: Array, target: Array) -> Array:
 
 def polish(views: Views, hypotheses: Hypotheses) -> Hypotheses:
     """Fit, gather what each pose explains, fit again; drop what fails and what is there twice."""
-    current = refine(views, hypotheses, 2)  # from a few mm off two steps leave 0.01 px
-    return settle_spots(views, current)
-
-
-def settle_spots(views: Views, hypotheses: Hypotheses) -> Hypotheses:
-    """Gather and fit until the spots are those of the pose; keep each good assignment once."""
-    current = refine(views, unique(gather(views, hypotheses)), 1)
-    again = gather(views, current)
-    if np.any(again.spot != current.spot):
-        current = refine(views, again, 2)
-    return unique(current.take(plausible(current)))
-
-
-def predict(views: Views, hypotheses: Hypotheses) -> tuple[Array, Array, Array]:
-    """Predict LED images (h, 2, n, 2), their derivative (h, 2, n, 2, 8), and depths (h, 2, n)."""
-    shape = (len(hypotheses), 2, len(views.leds))
-    image, derivative, depth = np.empty((*shape, 2)), np.empty((*shape, 2, 8)), np.empty(shape)
-    kernel.predict_all(
-        views.cameras,
-        NEAREST,
-        views.leds,
-        hypotheses.rotation,
-        hypotheses.position,
-        hypotheses.shift,
-        image,
-        derivative,
-        depth,
-    )
-    return image, derivative, depth
-
-
-def refine(views: Views, hypotheses: Hypotheses, steps: int) -> Hypotheses:
-    """Fit pose and shift to the assigned spots by Gauss-Newton, every hypothesis by itself."""
-    count = len(hypotheses)
-    if count == 0:
-        return hypotheses
-    fitted = Hypotheses(
-        hypotheses.rotation.copy(),
-        hypotheses.position.copy(),
-        hypotheses.shift.copy(),
-        hypotheses.spot,
-        hypotheses.hold,
-        np.empty((count, kernel.FREE, kernel.FREE)),
-        np.empty(count),
-    )
-    kernel.fit_all(
-        views.cameras,
-        (views.pixels, views.covariance),
-        (NEAREST, views.led_play * views.mean_focal, 1 / max(views.skew, LEAST_SKEW) ** 2),
-        views.leds,
-        fitted.rotation,
-        fitted.position,
-        fitted.shift,
-        fitted.spot,
-        fitted.hold,
-        steps,
-        fitted.covariance,
-        fitted.chi2,
-    )
-    return fitted
-
-
-def gather(views: Views, hypotheses: Hypotheses, largest: float = LARGEST_GATE) -> Hypotheses:
-    """Give every LED the nearest spot within its gate, one spot to one LED at most.
-
-    An LED that the pose predicts worse than `largest` (px) gets none: its gate would hold anything.
-    """
     if len(hypotheses) == 0:
         return hypotheses
-    spot = np.empty_like(hypotheses.spot)
-    kernel_spots.gather_all(
+    steps = 2  # from a few mm off they leave 0.01 px
+    own = hypotheses.copied()
+    count = kernel_settle.settle_all(_asked(views), own.laid, steps, bounds(len(views.leds)))
+    return own.first(count)
+
+
+def follow(
+    views: Views, found: Hypotheses, rig_T_flange: Array, place: Array, *, settled: bool
+) -> Hypotheses:
+    """Take the spots nearest to a predicted pose, alone and from what the search found.
+
+    Args:
+        views: the two images.
+        found: what the search found there; LEDs that one camera alone sees are looked for anew.
+        rig_T_flange: (4, 4), the prediction.
+        place: (6,), m and rad, its standard uncertainties.
+        settled: nothing is left to find, if the prediction's spots are those of the first found.
+    """
+    count = len(found) + 1
+    own = Hypotheses(
+        np.empty((count, 3, 3)),
+        np.empty((count, 3)),
+        np.zeros((count, 2)),
+        np.full((count, 2, len(views.leds)), -1, dtype=np.int64),
+        np.empty((count, 6)),
+        np.zeros((count, kernel.FREE, kernel.FREE)),
+        np.full(count, np.inf),
+    )
+    own.rotation[0], own.position[0] = rig_T_flange[:3, :3], rig_T_flange[:3, 3]
+    own.covariance[0, POSE, POSE], own.covariance[0, SHIFT, SHIFT] = place**2, views.skew**2
+    for mine, theirs in zip(own.laid, found.laid, strict=True):
+        mine[1:] = theirs
+    own.hold[:] = place**-2
+    count = kernel_settle.follow_all(_asked(views), own.laid, bounds(len(views.leds)), settled)
+    return own.first(count)
+
+
+def _asked(views: Views) -> kernel_settle.Asked:
+    """What the kernels that settle hypotheses are told of the images and the marker."""
+    play = views.led_play * views.mean_focal
+    return (
+        views.cameras,
         (views.pixels, views.covariance, views.merged),
         views.allowed,
-        (NEAREST, views.led_play * views.mean_focal, GATE, largest, MERGED_COST),
-        predict(views, hypotheses),
-        hypotheses.covariance,
-        spot,
+        (
+            (NEAREST, play, 1 / max(views.skew, LEAST_SKEW) ** 2),
+            (NEAREST, play, GATE, LARGEST_GATE, MERGED_COST),
+        ),
+        views.leds,
     )
-    return replace(hypotheses, spot=spot)
 
 
 def unique(hypotheses: Hypotheses) -> Hypotheses:
     """Keep the best fit of each assignment: two poses of a flat marker may share one."""
     if len(hypotheses) < 2:
         return hypotheses
-    best: dict[bytes, int] = {}
-    for index in np.argsort(hypotheses.chi2, kind="stable").tolist():
-        best.setdefault(hypotheses.spot[index].tobytes(), index)
-    return hypotheses.take(np.array(list(best.values())))
-
-
-def plausible(hypotheses: Hypotheses) -> NDArray[np.bool_]:
-    """Say which hypotheses see an LED in both images and fit within their noise."""
-    used, seen, both = _counts(hypotheses)
-    limits = _greatest_chi2(2 * hypotheses.spot.shape[1] * hypotheses.spot.shape[2])
-    freedom = np.maximum(2 * used - DETERMINED[np.minimum(seen, 3)], 1)
-    good: NDArray[np.bool_] = (both > 0) & (hypotheses.chi2 <= limits[freedom])
-    return good
+    return hypotheses.take(kernel_settle.first_of_each(hypotheses.chi2, hypotheses.spot))
 
 
 @lru_cache(maxsize=8)
-def _greatest_chi2(most: int) -> Array:
-    """Greatest chi² that is not improbable, by degrees of freedom up to `most`."""
-    return np.asarray(chdtri(np.maximum(np.arange(most + 1), 1), IMPROBABLE), dtype=float)
+def bounds(leds: int) -> tuple[Array, Index]:
+    """What `kernel_settle.likely` is to know, of a marker with so many LEDs."""
+    freedom = np.maximum(np.arange(4 * leds + 1), 1)
+    return np.asarray(chdtri(freedom, IMPROBABLE), dtype=float), DETERMINED
 
 
 def score(views: Views, hypotheses: Hypotheses) -> Array:

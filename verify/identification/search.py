@@ -1,21 +1,14 @@
 """Every assignment of spots to LEDs that explains the images, found without knowing the past."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from verify.identification.hypotheses import (
     ALONE_COST,
-    POSE,
     REWARD,
     Hypotheses,
-    gather,
+    follow,
     polish,
-    refine,
     seed,
-    settle_spots,
-    start,
-    unique,
 )
 from verify.identification.kernel_points import Index
 from verify.identification.seeds import Graph, find_edges, find_points, find_triangles, link
@@ -63,17 +56,7 @@ def track(
         rotation: rad, likewise.
     """
     place = np.array([position] * 3 + [rotation] * 3)
-    none = np.full((1, 2, len(views.leds)), -1, dtype=np.int64)
-    turn, there = rig_T_flange[None, :3, :3].copy(), rig_T_flange[None, :3, 3].copy()
-    begun = start(views, turn, there, none)
-    begun.covariance[:, POSE, POSE] = place**2
-    begun.hold[:] = place**-2
-    begun = gather(views, begun, np.inf)
-    held = replace(found, hold=begun.hold.repeat(len(found), axis=0))
-    if _nothing_left(views, found) and np.array_equal(begun.spot, found.spot):
-        return refine(views, unique(refine(views, begun.join(held), 2)), 1)
-    held = gather(views, refine(views, held, 0), np.inf)
-    return settle_spots(views, refine(views, begun.join(held), 2))
+    return follow(views, found, rig_T_flange, place, settled=_nothing_left(views, found))
 
 
 def _nothing_left(views: Views, found: Hypotheses) -> bool:
