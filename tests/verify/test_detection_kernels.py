@@ -17,6 +17,7 @@ from verify.detection.kernel_judgement import (
     twins,
 )
 from verify.detection.kernel_levels import search, spread
+from verify.detection.kernel_noise import variance_line
 from verify.detection.kernel_patches import read_grey
 from verify.detection.kernel_pixels import PARAMETERS, STEEPNESS, X, Y
 from verify.detection.kernel_priors import begin, below_black
@@ -160,3 +161,15 @@ def test_a_spots_place_and_steepness_are_guessed_from_its_pixels(log_steepness: 
     begin(value, column, row, 4.0, 0.0, 200.0, start)
     np.testing.assert_allclose(start[[X, Y]], [0.4, -0.3], atol=0.02)  # px
     assert start[STEEPNESS] == pytest.approx(log_steepness, abs=0.3)
+
+
+def test_a_spot_of_few_pixels_that_fits_by_chance_says_nothing_of_noise() -> None:
+    rng = np.random.default_rng(3)
+    spot = np.repeat(np.arange(5), [90, 90, 90, 90, 18])
+    signal = rng.uniform(0.0, 200.0, len(spot))
+    variance = np.where(spot < 4, 6.0 + 0.04 * signal, 0.5)
+    line = np.array([2.25, 0.03])
+    usual = np.array([1 / 2.25, 1 / 0.03])
+    squares = variance * rng.standard_normal(len(spot)) ** 2
+    variance_line(squares, signal, spot, line, usual, (1.7, 1 / 12, 1e-4, 0.2))
+    assert line[0] == pytest.approx(6.0, rel=0.4)

@@ -7,8 +7,7 @@ from verify.detection.kernel_pixels import FLOOR, PEAK, STEEPNESS
 from verify.detection.model import Fit, Patches, expected, solve
 from verify.records import Array
 
-SETTLED = 0.1  # of chi² that the last step may gain: it is taken, and nothing looked at anew
-NEARLY = 10.0  # likewise the last step before the noise is known: one or two follow
+NEARLY = 10.0  # of chi² that the last step may gain: it is taken, and nothing looked at anew
 STEPS = 8  # from a first look on; a clean spot takes three
 STEPS_SATURATED = 20  # its top is hidden, the valley long
 SETTLED_SATURATED = 0.001  # likewise: a step may gain little and the next one more
