@@ -23,7 +23,7 @@ from verify.pose import MODEL_FLOOR_PX
 from verify.records import Array, Measurement
 from verify.regression import autocorrelation
 from verify.rig import Rig
-from verify.systematics import Systematics, sensitivities
+from verify.systematics import PAN_READINGS, Systematics, moved_pixels
 
 # ratio: measured length over known, less 1; px, right image below left; rad, right image turned
 # clockwise about the body's image
@@ -214,16 +214,10 @@ def _responses(
     """
     more = {n for weights, _ in CHANGES.values() for n in weights if n not in known.names}
     names = [*known.names, *sorted(more)]
-    probe = replace(known, names=tuple(names))
-    at_origin = replace(rig, rig_T_base=np.eye(4))
-    responses = []
-    for row in rows:
-        # `sensitivities` carries pixels to a pose by the pose's gain; any other linear functional
-        # of the pixels may stand in its place
-        gain = np.zeros((6, row.functional.shape[1]))
-        gain[:3] = inverse @ row.functional
-        seen = replace(row.seen, pose=replace(row.pose, gain=gain))
-        responses.append(sensitivities(probe, seen, at_origin, marker)[:3])
+    turned = (*names, *PAN_READINGS)
+    responses = [
+        -(inverse @ row.functional) @ moved_pixels(turned, row.seen, rig, marker) for row in rows
+    ]
     return np.array(responses), names
 
 

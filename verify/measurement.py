@@ -56,6 +56,11 @@ class Setup:
         """What rig and marker state of their own uncertainty, pan angles included."""
         return stated(self.rig, self.marker, turning=True)
 
+    @cached_property
+    def reach(self) -> float:
+        """How far the farthest LED is from the flange, m."""
+        return float(np.max(np.linalg.norm(self.marker.leds, axis=1)))
+
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
@@ -188,12 +193,11 @@ def _motion_px(pair: StereoPair, setup: Setup, memory: _Memory | None) -> float:
     if memory is None or pair.t_left - memory.seen.pair_t > LONGEST_GAP:
         return MOTION_FLOOR_PX + skew * UNKNOWN_SPEED_PX
     twist, pose = memory.pose.twist, memory.pose.rig_T_flange
-    radius = float(np.max(np.linalg.norm(setup.marker.leds, axis=1)))
-    speed = _length(twist[:3]) + radius * _length(twist[3:])
-    focal = setup.rig.left.matrix[0, 0]
+    speed = _length(twist[:3]) + setup.reach * _length(twist[3:])
+    focal = setup.rig.left.matrix.item(0, 0)
     depth = max(_length(pose[:3, 3]), MINIMUM_DEPTH)
     # twice the last speed: between two pairs an arm may as much as double it
-    return MOTION_FLOOR_PX + 2 * skew * float(focal) * speed / depth
+    return MOTION_FLOOR_PX + 2 * skew * focal * speed / depth
 
 
 def _raw(
@@ -220,10 +224,8 @@ def _raw(
     )
     depth = np.full(len(index), np.nan)
     if found.rig_T_flange is not None and len(index):
-        points = setup.marker.leds[sighting.led] @ found.rig_T_flange[:3, :3].T
-        points = points + found.rig_T_flange[:3, 3]
-        camera_T_rig = camera.camera_T_rig(pan)
-        depth = points @ camera_T_rig[2, :3] + camera_T_rig[2, 3]
+        ahead = camera.camera_T_rig(pan)[2] @ found.rig_T_flange  # the optical axis
+        depth = setup.marker.leds[sighting.led] @ ahead[:3] + ahead[3]
     taken = spot_instants(t, sighting.centre, camera, image.shape[0])
     return RawSighting(sighting, taken, depth)
 

@@ -19,6 +19,7 @@ from verify.rig import Rig
 from verify.spot_derivatives import AXES, look_at, moved_spots
 
 BODY = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+PAN_READINGS = "left.pan_zero_deg", "right.pan_zero_deg"  # err as the zeros of their scales do
 UNITS = {"mm": 1e-3, "deg": np.pi / 180, "px": 1.0}
 CAMERA_KEYS = re.compile(
     r"^(fx_px|fy_px|cx_px|cy_px|k1|k2|p1|p2|k3|pan_zero_deg|pan_axis_r[xyz]_deg"
@@ -152,14 +153,28 @@ def sensitivities(parameters: Systematics, seen: Measurement, rig: Rig, marker: 
         raise ValueError("only a measured pair has sensitivities")
     base_R_rig = rig.rig_T_base[:3, :3].T
     gain = np.concatenate([base_R_rig @ pose.gain[:3], base_R_rig @ pose.gain[3:]])
-    names = (*parameters.names, "left.pan_zero_deg", "right.pan_zero_deg")
-    views = look_at(pose.rig_T_flange, left, right, pose.sensitivity, rig, marker)
-    moved = moved_spots(views, names)
-    columns = -gain @ moved.reshape(len(names), -1).T
+    names = (*parameters.names, *PAN_READINGS)
+    columns = -gain @ moved_pixels(names, seen, rig, marker)
     placed, base = _of_base(names)
     if placed:
         columns[:, placed] = _base(base, rig, pose)
     return columns
+
+
+def moved_pixels(names: tuple[str, ...], seen: Measurement, rig: Rig, marker: Marker) -> Array:
+    """How the spots of a measured pair move with parameters, (2 s, p), px a SI unit.
+
+    Args:
+        names: of the parameters; the robot's base moves no spot.
+        seen: the pair.
+        rig: the cameras.
+        marker: the LEDs.
+    """
+    pose, left, right = seen.pose, seen.left, seen.right
+    if pose is None or left is None or right is None:
+        raise ValueError("only a measured pair has spots that a pose predicts")
+    views = look_at(pose.rig_T_flange, left, right, pose.sensitivity, rig, marker)
+    return moved_spots(views, names).reshape(len(names), -1).T
 
 
 def spot_columns(

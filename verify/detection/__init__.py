@@ -151,23 +151,23 @@ def fitted(image: Image, candidates: Candidates, noise: Noise, *, glance: bool) 
 
 def residuals(batches: list[Batch], judgement: Judgement) -> tuple[Array, Array, NDArray[np.intp]]:
     """Squared residuals and signals on and around the brightest spots, for `refined`."""
-    places = [(batch, row) for batch in batches for row in range(len(batch[0].origin))]
-    brightness = np.where(judgement.sound, judgement.peak / judgement.elongation, -np.inf)
-    order = np.argsort(-brightness, kind="stable")[: int(judgement.sound.sum())].tolist()
+    ends = np.cumsum([len(cut.origin) for cut, _ in batches]).tolist()
+    parts = [slice(end - len(cut.origin), end) for end, (cut, _) in zip(ends, batches, strict=True)]
+    own, number = np.empty(ends[-1], dtype=np.int64), np.full(ends[-1], -1)
+    for part, (_, state) in zip(parts, batches, strict=True):
+        kernel_noise.count_own(state.known, RESIDUAL_ROWS, SEEN, own[part])
+    speaks = np.flatnonzero(judgement.sound & (own > 2 * FITTED))
+    brightness = judgement.peak[speaks] / judgement.elongation[speaks]
+    chosen = speaks[np.argsort(-brightness, kind="stable")[:LIKELY]]
+    number[chosen] = np.arange(len(chosen))
     room = sum(cut.patches.pixels.shape[2] * len(cut.origin) for cut, _ in batches)
-    gathered = np.empty(room), np.empty(room), np.empty(room, dtype=np.intp)
-    at = spots = 0
-    for place in order:
-        (cut, state), row = places[place]
+    gathered, at = (np.empty(room), np.empty(room), np.empty(room, dtype=np.intp)), 0
+    for part, (cut, state) in zip(parts, batches, strict=True):
         patches = cut.patches
-        shares = float(patches.read_share[row]), float(patches.gain_share[row])
-        before, at = at, kernel_noise.gather_residuals(
-            patches.pixels[row], state.known[row], shares, RESIDUAL_ROWS, (SEEN, float(FITTED)),
-            gathered, at, spots,
+        at = kernel_noise.gather_residuals(
+            patches.pixels, state.known, (patches.read_share, patches.gain_share), RESIDUAL_ROWS,
+            (SEEN, float(FITTED)), own[part], number[part], gathered, at,
         )  # fmt: skip
-        spots += at > before
-        if spots == LIKELY:
-            break
     squares, signals, spot = gathered
     return squares[:at], signals[:at], spot[:at]
 

@@ -129,49 +129,70 @@ def quietest(
 
 
 @compiled
+def count_own(
+    known: Array, rows: tuple[int, int, int, int, int], seen: float, counts: NDArray[np.int64]
+) -> None:
+    """Count the pixels (n,) that are each spot's own and that clipping leaves alone.
+
+    Args:
+        known: (n, 10, p), of the pixels.
+        rows: of `known`: MEAN, SIGNAL, USED, VISIBLE, OWN.
+        seen: share of a pixel's noise that clipping must leave.
+        counts: (n,), filled.
+    """
+    _, _, used, visible, own = rows
+    for n in range(len(known)):
+        count = 0
+        for k in range(known.shape[2]):
+            count += (
+                (known[n, used, k] > 0.0) & (known[n, visible, k] > seen) & (known[n, own, k] > 0.0)
+            )
+        counts[n] = count
+
+
+@compiled
 def gather_residuals(
     pixels: Array,
     known: Array,
-    shares: tuple[float, float],
+    shares: tuple[Array, Array],
     rows: tuple[int, int, int, int, int],
     limits: tuple[float, float],
+    own: NDArray[np.int64],
+    number: NDArray[np.int64],
     gathered: tuple[Array, Array, NDArray[np.int64]],
     at: int,
-    number: int,
 ) -> int:
-    """Squared residuals and signals of one spot's unclipped pixels, for `refined`.
+    """Squared residuals and signals of spots' unclipped pixels, for `refined`.
 
     Args:
-        pixels: (4, p), as fitted.
-        known: (10, p), of the pixels.
-        shares: read share and gain share of the patch.
-        rows: of `known`: MEAN, SIGNAL, USED, VISIBLE, OWN.
+        pixels: (n, 4, p), as fitted.
+        known: (n, 10, p), of the pixels.
+        shares: (n,) and (n,), read share and gain share of the patches.
+        rows: as for `count_own`.
         limits: SEEN, FITTED.
+        own: (n,), of `count_own`, over FITTED where asked for.
+        number: (n,), of the spot among those asked for, -1 for the others.
         gathered: (k,) each: squares, DN²; signals, DN; the spot's number. Filled from `at` on.
         at: how many are gathered before.
-        number: of the spot.
 
     Returns:
-        How many are gathered now; no more than before where too few pixels are the spot's own.
+        How many are gathered now.
     """
-    mean, above, used, visible, own = rows
+    mean, above, used, visible, mine = rows
     seen, fitted = limits
     square, signal, spot = gathered
-    count = 0.0
-    for k in range(pixels.shape[1]):
-        if known[used, k] > 0.0 and known[visible, k] > seen and known[own, k] > 0.0:
-            count += 1.0
-    if not count > 2 * fitted:
-        return at
-    paid = count / (count - fitted)  # what the fit's parameters took, they took from those
-    for k in range(pixels.shape[1]):
-        if known[used, k] > 0.0 and known[visible, k] > seen:
-            off = pixels[0, k] - known[mean, k]
-            # combined colours have a noise of their own; brought back to that of one channel
-            square[at] = off * off * (paid if known[own, k] > 0.0 else 1.0) / shares[0]
-            signal[at] = known[above, k] * shares[1] / shares[0]
-            spot[at] = number
-            at += 1
+    for n in range(len(pixels)):
+        if number[n] < 0:
+            continue
+        paid = own[n] / (own[n] - fitted)  # what the fit's parameters took, they took from those
+        for k in range(pixels.shape[2]):
+            if known[n, used, k] > 0.0 and known[n, visible, k] > seen:
+                off = pixels[n, 0, k] - known[n, mean, k]
+                # combined colours have a noise of their own; brought back to that of one channel
+                square[at] = off * off * (paid if known[n, mine, k] > 0.0 else 1.0) / shares[0][n]
+                signal[at] = known[n, above, k] * shares[1][n] / shares[0][n]
+                spot[at] = number[n]
+                at += 1
     return at
 
 

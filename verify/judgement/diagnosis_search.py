@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.distributions import chi2_isf
+from verify.judgement import diagnosis_kernel as kernel
 from verify.judgement.faults import Fault
 from verify.judgement.model import Model
 from verify.records import Array
@@ -57,7 +58,7 @@ class Products:
         products = left_over(model.fitted[kept], target, model.prior[kept])
         ends = np.cumsum([f.freedom for f in faults])
         places = [np.arange(end - f.freedom, end) for f, end in zip(faults, ends, strict=True)]
-        gram = products[:-1, :-1]
+        gram = products[:-1, :-1].copy()
         least, narrowest = np.empty(len(faults)), np.empty(len(faults))
         for which, at in _alike(places):
             least[which] = np.linalg.eigvalsh(gram[at[:, :, None], at[:, None, :]])[:, 0]
@@ -67,8 +68,8 @@ class Products:
         visible = (least > RANK) & (known * sizes > NOTICED)
         rows = int(kept.sum())
         return cls(
-            faults, gram, products[:-1, -1], float(products[-1, -1]), scale, rows, places, visible,
-            _prices(faults, visible, rows),
+            faults, gram, products[:-1, -1].copy(), float(products[-1, -1]), scale, rows, places,
+            visible, _prices(faults, visible, rows),
         )  # fmt: skip
 
     def doubted(self, misfit: float) -> "Products":
@@ -102,24 +103,18 @@ class Products:
             scale, scale
         )
 
-    def rest(self, chosen: Chosen) -> tuple[Array, Array]:
-        """Products of all columns, and with the errors, beside a set that is fitted."""
-        at = self.columns(chosen)
-        if not len(at):
-            return self.gram, self.moment
-        shared = np.linalg.solve(self.gram[np.ix_(at, at)], self.gram[at])
-        return self.gram - self.gram[:, at] @ shared, self.moment - shared.T @ self.moment[at]
-
     def added(self, chosen: Chosen) -> Array:
         """By how much each fault would lower the misfit beside a set, (c,); 0 where it cannot."""
-        gram, moment = self.rest(chosen)
-        lowered = np.zeros(len(self.faults))
-        for which, at in self.seen:
-            block = gram[at[:, :, None], at[:, None, :]]
+        at, lowered = self.columns(chosen), np.zeros(len(self.faults))
+        whitened = np.empty((len(self.gram), len(at))), np.empty(len(at))
+        if not kernel.whiten(self.gram, self.moment, at, *whitened):
+            return lowered
+        for which, columns in self.seen:
+            block, part = np.empty((*columns.shape, columns.shape[1])), np.empty(columns.shape)
+            kernel.rest_beside(self.gram, self.moment, whitened, columns, block, part)
             told = _least_eigenvalue(block) > RANK
-            part = moment[at][told]
-            solved = _solved(block[told], part)
-            lowered[which[told]] = np.sum(solved * part, axis=1)
+            solved = _solved(block[told], part[told])
+            lowered[which[told]] = np.sum(solved * part[told], axis=1)
         lowered[list(chosen)] = 0.0
         return lowered
 

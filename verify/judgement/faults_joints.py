@@ -49,11 +49,13 @@ def _by_angle(model: Model, j: int) -> Iterator[Fault]:
     if span <= LEAST_SPAN:
         return
     yield Fault("gain", j + 1, "ratio", shaped(model, j, q[:, None]))
-    for waves in WAVES:
-        if _shows(q, span, waves):
-            wave = np.stack([np.cos(waves * q), np.sin(waves * q)], axis=1)
-            columns = shaped(model, j, wave)
-            yield Fault("eccentricity", j + 1, "deg", columns, per_turn=waves)
+    shown = [waves for waves in WAVES if _shows(q, span, waves)]
+    angles = q[:, None] * np.array(shown, dtype=float)
+    shapes = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
+    columns = shaped(model, j, shapes)
+    for i, waves in enumerate(shown):
+        own = columns[:, 2 * i : 2 * i + 2]
+        yield Fault("eccentricity", j + 1, "deg", own, per_turn=waves)
 
 
 def _shows(q: Array, span: float, waves: int) -> bool:
