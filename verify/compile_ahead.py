@@ -6,7 +6,6 @@ python -m verify.compile_ahead     after an installation
 import numpy as np
 
 from verify.calibration.saddle import Place, fit_corner
-from verify.judgement.diagnosis_kernel import rest_beside, whiten
 from verify.judgement.monte_carlo_poses import Views, camera_draws, refit
 from verify.rig import Camera
 from verify.warm_up import warm_up, warm_up_comparison
@@ -21,7 +20,6 @@ def compile_ahead() -> None:
     warm_up_comparison()
     _refit()
     _fit_corner()
-    _search()
 
 
 def _refit() -> None:
@@ -37,14 +35,6 @@ def _fit_corner() -> None:
     """A picture without a corner."""
     place = Place(np.full(2, 2 * SQUARE), SQUARE * np.eye(2), np.zeros((2, 2)))
     fit_corner(np.zeros((80, 80)), place)
-
-
-def _search() -> None:
-    """One fault beside another."""
-    gram, moment, first = np.eye(2), np.ones(2), np.zeros(1, dtype=np.int64)
-    whitened = np.empty((2, 1)), np.empty(1)
-    whiten(gram, moment, first, *whitened)
-    rest_beside(gram, moment, whitened, first[None] + 1, np.empty((1, 1, 1)), np.empty((1, 1)))
 
 
 if __name__ == "__main__":

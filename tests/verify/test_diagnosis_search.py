@@ -45,7 +45,7 @@ def test_what_a_fault_adds_is_what_a_fit_with_it_explains_more(chosen: tuple[int
 def test_nothing_is_added_to_a_set_that_cannot_be_told_apart() -> None:
     rng = np.random.default_rng(2)
     first, other = rng.normal(size=(2, ROWS, 1))
-    found = products([first, np.zeros_like(first) + first, other], rng.normal(size=ROWS))
+    found = products([first, first.copy(), other], rng.normal(size=ROWS))
     assert not np.isfinite(found.chi2((0, 1)))
     assert found.added((0,))[1] == 0.0
     assert found.added((0,))[2] > 0.0

@@ -8,7 +8,7 @@ from verify.detection.model import Fit, Patches, expected, solve
 from verify.records import Array
 
 NEARLY = 10.0  # of chi² that the last step may gain: it is taken, and nothing looked at anew
-STEPS = 8  # from a first look on; a clean spot takes three
+STEPS = 8  # from a first look on; a clean spot takes two
 STEPS_SATURATED = 20  # its top is hidden, the valley long
 SETTLED_SATURATED = 0.001  # likewise: a step may gain little and the next one more
 GLANCES = 6  # steps of a first look; what has not taken shape by then is no spot
@@ -30,10 +30,10 @@ def fit_spots(patches: Patches, start: Array | None = None) -> Fit:
     part, held, flat = patches.taken(full), priors.taken(full), fit.parameters[full]
     steep = held.mean.copy()
     steep[:, STEEPNESS], steep[:, PEAK] = STEEP_START, SENSOR_LIMIT - steep[:, FLOOR]
-    fit.replace(full, solve(part, flat, held, STEPS_SATURATED, SETTLED_SATURATED))
+    fit.put(full, solve(part, flat, held, STEPS_SATURATED, SETTLED_SATURATED))
     other = solve(part, steep, held, STEPS_SATURATED, SETTLED_SATURATED)
     better = np.flatnonzero(~(fit.chi2[full] <= other.chi2))
-    fit.replace(full[better], other, better)
+    fit.put(full[better], other, better)
     return fit
 
 

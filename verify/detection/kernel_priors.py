@@ -15,7 +15,7 @@ HIDDEN, SEEN = 1.3, 1.05  # peak over what the core shows: of a cut-off top, and
 DEEPEST = 30.0  # DN about the floor: a neighbour is no slope
 FLAT, STEEP = 0.3, 2.5  # logarithms: no guess of a steepness is beyond
 BLURRED = 0.1  # likewise: by which counted pixels look steeper than the spot
-FOOT = 0.7  # DN, of a spot's light among the darkest third of its patch
+HALO = 0.7  # DN, of a spot's light in the pixels that its floor is guessed from
 MOST_BLACK = 0.98  # share of pixels: with more, how far below black the floor is cannot be guessed
 LOGISTIC = 1.702  # scale on which a logistic law is a normal one, to 0.01 (Camilli, 1994)
 
@@ -57,7 +57,7 @@ def expect_all(
         start[n, XX], start[n, YY], start[n, STEEPNESS] = 1.0, 1.0, usual
         start[n, PEAK], start[n, FLOOR] = mean[n, PEAK], floor
         if not full[n]:  # a top that is cut off says nothing of its sides
-            start[n, FLOOR] = (floor if floor > 0.0 else below_black(value, read)) - FOOT
+            start[n, FLOOR] = (floor if floor > 0.0 else below_black(value, read)) - HALO
             start[n, PEAK] = top - start[n, FLOOR]
             begin(value, column, row, scale[n], floor, top, start[n])
 

@@ -82,7 +82,7 @@ class Fit:
     chi2: Array  # (n,)
     priors: Priors
 
-    def replace(
+    def put(
         self, which: NDArray[np.intp], other: "Fit", whose: NDArray[np.intp] | None = None
     ) -> None:
         """Put another fit's patches, all or some, in the place of these; priors stay."""

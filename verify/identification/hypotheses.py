@@ -165,17 +165,10 @@ def follow(
         settled: nothing is left to find, if the prediction's spots are those of the first found.
     """
     count = len(found) + 1
-    own = Hypotheses(
-        np.empty((count, 3, 3)),
-        np.empty((count, 3)),
-        np.zeros((count, 2)),
-        np.full((count, 2, len(views.leds)), -1, dtype=np.int64),
-        np.empty((count, 6)),
-        np.zeros((count, kernel.FREE, kernel.FREE)),
-        np.full(count, np.inf),
-    )
+    none = np.full((count, 2, len(views.leds)), -1, dtype=np.int64)
+    own = start(views, np.empty((count, 3, 3)), np.empty((count, 3)), none)
     own.rotation[0], own.position[0] = rig_T_flange[:3, :3], rig_T_flange[:3, 3]
-    own.covariance[0, POSE, POSE], own.covariance[0, SHIFT, SHIFT] = place**2, views.skew**2
+    own.covariance[0, POSE, POSE] = place**2
     for mine, theirs in zip(own.laid, found.laid, strict=True):
         mine[1:] = theirs
     own.hold[:] = place**-2

@@ -1,4 +1,4 @@
-"""Hypotheses settled on their spots, compiled: the steps of `settle_spots` of hypotheses.py."""
+"""Hypotheses settled on their spots, compiled: what `polish` and `follow` of hypotheses.py do."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from verify.distributions import chi2_isf
-from verify.judgement import diagnosis_kernel as kernel
 from verify.judgement.faults import Fault
 from verify.judgement.model import Model
 from verify.records import Array
@@ -106,12 +106,18 @@ class Products:
     def added(self, chosen: Chosen) -> Array:
         """By how much each fault would lower the misfit beside a set, (c,); 0 where it cannot."""
         at, lowered = self.columns(chosen), np.zeros(len(self.faults))
-        whitened = np.empty((len(self.gram), len(at))), np.empty(len(at))
-        if not kernel.whiten(self.gram, self.moment, at, *whitened):
+        beside = np.column_stack([self.gram, self.moment])[at]
+        try:
+            root = np.linalg.cholesky(self.gram[np.ix_(at, at)])
+        except np.linalg.LinAlgError:  # it cannot be told apart itself
             return lowered
+        half = solve_triangular(root, beside, lower=True, check_finite=False)
         for which, columns in self.seen:
-            block, part = np.empty((*columns.shape, columns.shape[1])), np.empty(columns.shape)
-            kernel.rest_beside(self.gram, self.moment, whitened, columns, block, part)
+            own = half[:, columns]
+            block = self.gram[columns[:, :, None], columns[:, None, :]] - np.einsum(
+                "cka,ckb->kab", own, own
+            )
+            part = self.moment[columns] - np.einsum("cka,c->ka", own, half[:, -1])
             told = _least_eigenvalue(block) > RANK
             solved = _solved(block[told], part[told])
             lowered[which[told]] = np.sum(solved * part[told], axis=1)
