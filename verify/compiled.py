@@ -3,6 +3,7 @@
 import hashlib
 import os
 from collections.abc import Callable
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -34,9 +35,14 @@ def _kept() -> bool:
 
 def _state(package: Path) -> str:
     """A name for the sources as they are, by when they were written and how long they are."""
-    files = [f for pattern in SOURCES for f in sorted(package.rglob(pattern))]
-    told = [(f.name, f.stat().st_mtime_ns, f.stat().st_size) for f in files]
-    return hashlib.sha256(repr(told).encode()).hexdigest()[:12]
+    told = []
+    for folder, inner, files in os.walk(package):
+        inner[:] = [name for name in inner if name != "__pycache__"]  # thousands of kept files
+        for name in files:
+            if any(fnmatch(name, pattern) for pattern in SOURCES):
+                state = Path(folder, name).stat()
+                told.append((name, state.st_mtime_ns, state.st_size))
+    return hashlib.sha256(repr(sorted(told)).encode()).hexdigest()[:12]
 
 
 KEPT = _kept()

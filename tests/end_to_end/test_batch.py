@@ -257,18 +257,34 @@ def started(lab: Path, tmp_path: Path) -> Iterator[Start]:
 
 
 def children(pid: int) -> list[int]:
-    words = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    command = {int(w): Path(f"/proc/{w}/cmdline").read_bytes() for w in words}
-    return [child for child, said in command.items() if b"spawn_main" in said]
+    return [int(w) for w in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def running(pid: int) -> bool:
+    try:
+        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
+
+
+def nursery(pid: int) -> int:
+    """The process whose copies the workers are."""
+    said = {child: Path(f"/proc/{child}/cmdline").read_bytes() for child in children(pid)}
+    (found,) = (child for child, words in said.items() if b"forkserver" in words)
+    return found
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_a_worker_that_is_killed_costs_nothing_but_time(out: Path, started: Start) -> None:
+@pytest.mark.parametrize("which", ["a worker", "where workers come from"])
+def test_a_process_that_is_killed_costs_nothing_but_time(
+    out: Path, started: Start, which: str
+) -> None:
     process, place = started()
-    os.kill(children(process.pid)[0], signal.SIGKILL)
+    source = nursery(process.pid)
+    os.kill(children(source)[0] if which == "a worker" else source, signal.SIGKILL)
     process.communicate(timeout=3 * PATIENCE)
-    assert process.returncode == 1
+    assert process.returncode == 1, process.communicate()
     assert_same(tables(out), tables(place))
 
 
@@ -281,12 +297,15 @@ def test_an_interrupted_batch_keeps_what_was_done_and_goes_on_from_there(
     sent: signal.Signals,
 ) -> None:
     process, place = started()
-    workers = children(process.pid)
-    process.send_signal(sent)
+    source = nursery(process.pid)
+    processes = [source, *children(source)]
+    assert len(processes) == 3
+    for one in [process.pid, *(processes if sent == signal.SIGINT else [])]:
+        os.kill(one, sent)  # Ctrl-C reaches all that the terminal has started
     _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, said
     assert said.splitlines()[-1] == "interrupted"
-    assert not any(Path(f"/proc/{worker}").exists() for worker in workers)
+    assert not any(running(one) for one in processes)
     assert {path.name for path in place.iterdir()} == {"sessions"}
     again = verify("batch", lab, "-o", place, "--workers", "2", "--tolerance", "0.2")
     kept = int(again.out.split(" kept from before")[0].rsplit(" ", 1)[1])

@@ -3,19 +3,22 @@
 import os
 import signal
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from multiprocessing import get_context, parent_process
+from multiprocessing import parent_process
 from typing import Any, Protocol
 
 import cv2
 
+from verify.batch.nursery import context
 from verify.batch.records import Lost, Task
 
 TRIES = 3  # of a task whose worker dies: the first, and twice again
+STARTS, PAUSE = 100, 0.1  # of a worker at most, and s in between
 
 
 class Crew(Protocol):
@@ -99,9 +102,7 @@ class _Worker:
 
     def start(self, task: Task) -> Future[Any]:
         if self._pool is None:
-            # a fresh interpreter: threads and open videos of this one stay out of it
-            self._pool = ProcessPoolExecutor(1, get_context("spawn"), _settle, (self._crowded,))
-            self._process = self._pool.submit(os.getpid)
+            self._pool, self._process = _begun(self._crowded)
         return self._pool.submit(task.perform)
 
     def close(self) -> None:
@@ -114,10 +115,25 @@ class _Worker:
         self._pool = None
 
 
+def _begun(crowded: bool) -> tuple[ProcessPoolExecutor, Future[int]]:
+    """Start a process; it will tell its number."""
+    tries = 0
+    while True:
+        pool = ProcessPoolExecutor(1, context(), _settle, (crowded,))
+        try:
+            return pool, pool.submit(os.getpid)
+        except (EOFError, ConnectionError):  # where workers come from is dying this moment
+            pool.shutdown(wait=False)
+            tries += 1
+            if tries == STARTS:
+                raise
+            time.sleep(PAUSE)
+
+
 def _settle(crowded: bool) -> None:
     """Leave Ctrl-C to the one who started us, and go when that one is gone."""
-    if crowded:
-        cv2.setNumThreads(1)  # the others have the other processors; decoding heeds it too
+    # crowded: the others have the other processors; decoding heeds it too
+    cv2.setNumThreads(1 if crowded else processors())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_leave_with_parent, daemon=True).start()

@@ -54,6 +54,10 @@ def batch(
 
     Example: verify batch sample_sessions -o fleet-report
     """
+    from verify.batch import nursery
+
+    if scheduler is None:
+        nursery.prepare()
     from verify.batch.finding import find
     from verify.batch.records import Options
     from verify.batch.run import measure_all

@@ -9,8 +9,7 @@ sides leave the Gaussian along the same direction, f (t⁴ - t²), so the family
 from functools import cache
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import chndtr
+from scipy.special import chndtr, chndtrinc, lambertw
 
 from verify.records import Array
 
@@ -61,14 +60,18 @@ def blurred_disc(r: Array, ratio: float) -> Array:
 
 def blurred_disc_half_width(ratio: float) -> tuple[float, float]:
     """Radius at half height, in blurs, and the steepness there."""
-    half = brentq(lambda r: float(blurred_disc(np.array(r), ratio)) - 0.5, 0.5, ratio + 3)
+    half = float(np.sqrt(chndtrinc(ratio**2, 2.0, -np.expm1(-(ratio**2) / 2) / 2)))
     h = 1e-4 * half
     below, above = blurred_disc(np.array([half - h, half + h]), ratio)
     return half, float(-(np.log(above) - np.log(below)) / (2 * h) * half)
 
 
 def moffat(t: Array, steepness: float) -> Array:
-    """Moffat's profile of half width 1 with a given steepness below the Gaussian's."""
-    beta = brentq(lambda b: -2 * b * np.expm1(-np.log(2) / b) - steepness, 0.5, 1e7)
-    value: Array = (1 + np.expm1(np.log(2) / beta) * t**2) ** -beta
+    """Moffat's profile of half width 1 with a given steepness below the Gaussian's.
+
+    Of an exponent b it is 2 b (1 - exp(-x)), x = ln 2 / b: Lambert's function tells x.
+    """
+    share = GAUSSIAN_STEEPNESS / steepness
+    x = share + float(lambertw(-share * np.exp(-share)).real)
+    value: Array = (1 + np.expm1(x) * t**2) ** (-np.log(2) / x)
     return value

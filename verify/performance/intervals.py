@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.optimize import brentq
 
 from verify.distributions import chi2_ppf, t_ppf
 from verify.performance.measures import SPREADS, repeatability
@@ -100,6 +99,8 @@ def _lengths_within(mean: Array, covariance: Array, limit: float) -> tuple[float
     By Lagrange, the nearest vector of a given length has the coordinates m / (1 + v c) along the
     principal axes; both its length and its distance are monotone in v on either side of 0.
     """
+    from scipy.optimize import brentq  # slow to load, and few sessions have visits
+
     spread, axes = np.linalg.eigh(covariance)
     spread = np.clip(spread, ROUNDING * spread[-1], None)
     along = axes.T @ mean

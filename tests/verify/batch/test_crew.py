@@ -84,7 +84,7 @@ def test_nobody_waits_while_what_was_done_is_put_away(tmp_path: Path) -> None:
 
 
 def test_a_worker_loads_nothing_that_it_may_never_need() -> None:
-    late = ("matplotlib", "plotly", "typst", "jinja2", "av", "scipy.stats")
+    late = ("matplotlib", "plotly", "typst", "jinja2", "av", "scipy.stats", "scipy.optimize")
     code = f"import sys, verify.batch.tasks; print([m for m in {late} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
