@@ -21,7 +21,7 @@ form but everything else.
 
 from robots.arm import Arm, DhArm, UrdfArm
 from robots.check import Reach, SelfCheck, reach, self_check
-from robots.coupling import Coupling, coupled
+from robots.coupling import Coupling, coupled, couplings
 from robots.errors import RobotError
 from robots.inverse import Branches, inverse
 from robots.kinematics import forward, jacobian
@@ -40,6 +40,7 @@ __all__ = [
     "SelfCheck",
     "UrdfArm",
     "coupled",
+    "couplings",
     "example_names",
     "forward",
     "inverse",

@@ -9,7 +9,6 @@ u(orientation) / 0.2, and an honest stereo pose is known to 0.25 mm and 0.10°, 
 """
 
 import itertools
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +25,7 @@ SHOULDER_GATE = 0.2 * LENGTH_SCALE  # m, the wrist's distance from axis 1
 URDF_GATE = (
     0.1  # least singular value of J, lengths over LENGTH_SCALE; a 6R's is this at WRIST_GATE
 )
+CLEAR = 1.001  # of a gate: above, rounding cannot bring a factor below it
 TAKES_PART = 0.1  # of the largest share: a joint below moves too little to be in doubt
 ON_AXIS = 1e-9  # m: Newton has put the wrist on axis 1
 LONGEST_SUM = 4  # joints: the 6R's straight wrist; among more signs one fits by chance
@@ -63,12 +63,22 @@ def coupled(arm: Arm, q: Array) -> Coupling | None:
         return _by_singular_values(arm, q)
     assert isinstance(arm, DhArm)
     theta = arm.theta(q)
-    near = [(name, value) for name, value, gate in _factors(arm, q, theta) if value < gate]
+    factors = _factors(arm, q, theta)
+    near = [(name, float(value)) for name, value, gate in factors if value < gate]
     if not near:
         return None
     names = [name for name, _ in near]
     stills = [_still_direction(arm, theta, name, names) for name in names]
     return _coupling(stills, ORTHOGONAL, "+".join(names), near[0][1])
+
+
+def couplings(arm: Arm, q: Array) -> tuple[Coupling | None, ...]:
+    """Say the same of many postures (m, n), rad; those of a DH arm are looked at together."""
+    q = np.asarray(q, dtype=float)
+    if not len(q) or not isinstance(arm, DhArm):
+        return tuple(coupled(arm, one) for one in q)
+    near = np.any([value < CLEAR * gate for _, value, gate in _factors(arm, q, arm.theta(q))], 0)
+    return tuple(coupled(arm, one) if close else None for one, close in zip(q, near, strict=True))
 
 
 def _still_direction(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array:
@@ -89,11 +99,12 @@ def _still_direction(arm: DhArm, theta: Array, name: str, near: list[str]) -> Ar
     return np.asarray(vt[np.minimum(s, s[-1] + ORTHOGONAL) == s])
 
 
-def _factors(arm: DhArm, q: Array, theta: Array) -> list[tuple[str, float, float]]:
+def _factors(arm: DhArm, q: Array, theta: Array) -> list[tuple[str, Array, float]]:
+    """What vanishes at singularities, (...,) of postures (..., 6), and the gate of each."""
     return [
-        ("wrist", abs(float(np.sin(theta[4]))), WRIST_GATE),
-        ("elbow", abs(float(np.sin(theta[2] - _stretched(arm)))), ELBOW_GATE),
-        ("shoulder", abs(_wrist_distance(arm, forward(arm, q), theta)), SHOULDER_GATE),
+        ("wrist", np.abs(np.sin(theta[..., 4])), WRIST_GATE),
+        ("elbow", np.abs(np.sin(theta[..., 2] - _stretched(arm))), ELBOW_GATE),
+        ("shoulder", np.abs(_wrist_distance(arm, forward(arm, q), theta)), SHOULDER_GATE),
     ]
 
 
@@ -102,11 +113,12 @@ def _stretched(arm: DhArm) -> float:
     return spherical_wrist.forearm(arm)[1] if arm.family == "spherical_wrist" else 0.0
 
 
-def _wrist_distance(arm: DhArm, pose: Array, theta: Array) -> float:
-    """The wrist's signed distance from axis 1, m, in the plane that θ1 turns."""
-    x, y = pose[:2, 3] - arm.d[5] * pose[:2, 2]
-    theta1 = float(theta[0])
-    return float(math.cos(theta1) * x + math.sin(theta1) * y)
+def _wrist_distance(arm: DhArm, pose: Array, theta: Array) -> Array:
+    """The wrist's signed distance from axis 1, m, in the plane that θ1 turns; (...,)."""
+    wrist = pose[..., :2, 3] - arm.d[5] * pose[..., :2, 2]
+    theta1 = theta[..., 0]
+    distance: Array = np.cos(theta1) * wrist[..., 0] + np.sin(theta1) * wrist[..., 1]
+    return distance
 
 
 def _wrist_slopes(arm: DhArm, pose: Array, q: Array, theta: Array) -> Array:

@@ -58,7 +58,8 @@ def solve_joints(comparison: Comparison, arm: robots.Arm) -> Joints:
         inverse=inverse,
         reached=reached,
         coupling=tuple(
-            robots.coupled(arm, comparison.q[i]) if reached[i] else None for i in range(n)
+            found if there else None
+            for found, there in zip(robots.couplings(arm, comparison.q), reached, strict=True)
         ),
     )
 

@@ -140,3 +140,16 @@ def test_seven_joints_are_always_coupled_by_their_self_motion() -> None:
     assert coupling is not None
     assert coupling.factor == "redundancy"
     assert len(coupling.joints) >= 3
+
+
+@pytest.mark.parametrize("name", ["iust_6r", "rv_3sd", "ur5"])
+def test_many_postures_at_once_are_coupled_as_each_alone(name: str) -> None:
+    arm = robots.load(name)
+    q = np.random.default_rng(4).uniform(-2.5, 2.5, (300, arm.dof))
+    if arm.dof == 6:
+        q[::3, 4] *= 0.1
+    together, alone = robots.couplings(arm, q), [robots.coupled(arm, one) for one in q]
+    labels = [found and (found.label, found.factor, found.value) for found in together]
+    assert labels == [found and (found.label, found.factor, found.value) for found in alone]
+    assert 0 < sum(found is not None for found in together) < len(q)
+    assert robots.couplings(arm, q[:0]) == ()

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.special import log_ndtr
 
+from verify.detection import inside
 from verify.detection.kernel import sum_products
 from verify.detection.kernel_bite import bump, log_share_below
 from verify.detection.kernel_blob import half_height
@@ -20,7 +21,7 @@ from verify.detection.kernel_levels import search, spread
 from verify.detection.kernel_noise import variance_line
 from verify.detection.kernel_patches import read_grey
 from verify.detection.kernel_pixels import PARAMETERS, STEEPNESS, X, Y
-from verify.detection.kernel_priors import begin, below_black
+from verify.detection.kernel_priors import begin, below_black, ranked
 from verify.detection.profile import (
     GAUSSIAN_STEEPNESS,
     LOWEST,
@@ -173,3 +174,21 @@ def test_a_spot_of_few_pixels_that_fits_by_chance_says_nothing_of_noise() -> Non
     squares = variance * rng.standard_normal(len(spot)) ** 2
     variance_line(squares, signal, spot, line, usual, (1.7, 1 / 12, 1e-4, 0.2))
     assert line[0] == pytest.approx(6.0, rel=0.4)
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["grey", "combined colours"])
+def test_a_patch_s_lower_values_are_ranked_as_by_sorting(whole: bool) -> None:
+    rng = np.random.default_rng(8)
+    for size in (1, 2, 197, 613):
+        value = rng.uniform(0.0, 255.0, size) * (rng.random(size) > 0.3)
+        value = np.floor(value) if whole else value
+        for rank in {0, size // 3, size - 1}:
+            assert ranked(value, rank) == np.sort(value)[rank]
+    assert ranked(np.full(9, 255.0), 8) == 255.0
+
+
+def test_windows_are_cut_at_the_border_and_hold_all_of_a_pixel() -> None:
+    windows = np.array([[-3.5, 1.9, 20.1, 7.0], [95.0, 49.5, 120.0, 99.0]])
+    cut = inside(windows, np.zeros((50, 100), np.uint8))
+    assert cut is not None
+    assert cut.tolist() == [[0, 1, 21, 7], [95, 49, 100, 50]]

@@ -9,7 +9,7 @@ the whole LED is centred (bite.py).
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.detection import kernel_judgement, kernel_noise
+from verify.detection import kernel_judgement, kernel_levels, kernel_noise
 from verify.detection.bite import RimScore, score_rims, unknown_rims, whole_discs
 from verify.detection.candidates import DEFAULT_DIAMETER, Candidates, find_candidates
 from verify.detection.fit import NEARLY, first_look, fit_spots
@@ -126,11 +126,9 @@ def inside(windows: Array | None, image: Image) -> NDArray[np.int64] | None:
     """Windows in whole pixels, cut at the image's border."""
     if windows is None:
         return None
-    cut = np.maximum(windows, 0)
-    for axis, end in enumerate(image.shape[1::-1]):
-        np.minimum(cut[:, axis::2], end, out=cut[:, axis::2])
-    np.ceil(cut[:, 2:], out=cut[:, 2:])
-    return cut.astype(np.int64)  # the first two are not negative
+    whole = np.empty(np.shape(windows), dtype=np.int64)
+    kernel_levels.cut_windows(np.asarray(windows, dtype=float), image.shape[:2], whole)
+    return whole
 
 
 def fitted(image: Image, candidates: Candidates, noise: Noise, *, glance: bool) -> list[Batch]:
@@ -151,23 +149,17 @@ def fitted(image: Image, candidates: Candidates, noise: Noise, *, glance: bool) 
 
 def residuals(batches: list[Batch], judgement: Judgement) -> tuple[Array, Array, NDArray[np.intp]]:
     """Squared residuals and signals on and around the brightest spots, for `refined`."""
-    ends = np.cumsum([len(cut.origin) for cut, _ in batches]).tolist()
-    parts = [slice(end - len(cut.origin), end) for end, (cut, _) in zip(ends, batches, strict=True)]
-    own, number = np.empty(ends[-1], dtype=np.int64), np.full(ends[-1], -1)
-    for part, (_, state) in zip(parts, batches, strict=True):
-        kernel_noise.count_own(state.known, RESIDUAL_ROWS, SEEN, own[part])
-    speaks = np.flatnonzero(judgement.sound & (own > 2 * FITTED))
-    brightness = judgement.peak[speaks] / judgement.elongation[speaks]
-    chosen = speaks[np.argsort(-brightness, kind="stable")[:LIKELY]]
-    number[chosen] = np.arange(len(chosen))
-    room = sum(cut.patches.pixels.shape[2] * len(cut.origin) for cut, _ in batches)
-    gathered, at = (np.empty(room), np.empty(room), np.empty(room, dtype=np.intp)), 0
-    for part, (cut, state) in zip(parts, batches, strict=True):
-        patches = cut.patches
+    own, number = judgement.own.copy(), np.empty(len(judgement.told), dtype=np.int64)
+    kernel_judgement.number_brightest(judgement.told, 2.0 * FITTED, LIKELY, number)
+    room = sum(cut.patches.value.size for cut, _ in batches)
+    gathered, begin, at = (np.empty(room), np.empty(room), np.empty(room, dtype=np.intp)), 0, 0
+    for cut, state in batches:
+        patches, end = cut.patches, begin + len(cut.origin)
         at = kernel_noise.gather_residuals(
             patches.pixels, state.known, (patches.read_share, patches.gain_share), RESIDUAL_ROWS,
-            (SEEN, float(FITTED)), own[part], number[part], gathered, at,
+            (SEEN, float(FITTED)), own[begin:end], number[begin:end], gathered, at,
         )  # fmt: skip
+        begin = end
     squares, signals, spot = gathered
     return squares[:at], signals[:at], spot[:at]
 

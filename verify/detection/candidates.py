@@ -59,16 +59,14 @@ def find_candidates(
     smallest, largest = diameter_px or DEFAULT_DIAMETER
     if windows is None:
         windows = np.array([[0, 0, image.shape[1], image.shape[0]]])
-    area = (windows[:, 2] - windows[:, 0]) * (windows[:, 3] - windows[:, 1])
-    factor = np.where(area > HALVING_AREA, 2, 1)
-    if image.ndim == 2 and np.all(area <= FEW_PIXELS):
+    boxes = windows.tolist()
+    area = [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes]
+    halved: int | NDArray[np.intp] = 1
+    if image.ndim == 2 and max(area, default=0) <= FEW_PIXELS:
         found = in_small(image, windows, largest)
-        halved = np.ones(len(found), dtype=np.int64)
     else:
-        parts = [
-            in_large(image, window, times, largest)
-            for window, times in zip(windows.tolist(), factor.tolist(), strict=True)
-        ]
+        factor = [2 if pixels > HALVING_AREA else 1 for pixels in area]
+        parts = [in_large(image, *one, largest) for one in zip(boxes, factor, strict=True)]
         found = np.concatenate([np.empty((0, 4)), *parts])
         halved = np.repeat(factor, [len(part) for part in parts])
     across = 2 * found[:, 2]

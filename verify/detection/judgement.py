@@ -31,7 +31,7 @@ BORDER = 1.2  # half-widths that must be inside the image
 class Judgement:
     """What is told of n fitted candidates."""
 
-    told: Array  # (n, 13), columns as in kernel_judgement
+    told: Array  # (n, 14), columns as in kernel_judgement
 
     def taken(self, which: NDArray[np.intp]) -> "Judgement":
         """Some of the candidates."""
@@ -67,6 +67,11 @@ class Judgement:
     def misfit(self) -> Array:
         """Reduced chi², (n,)."""
         return self.told[:, kernel.MISFIT]
+
+    @property
+    def own(self) -> Array:
+        """How many of its own pixels clipping leaves alone, (n,)."""
+        return self.told[:, kernel.COUNT]
 
     @property
     def saturated(self) -> NDArray[np.bool_]:

@@ -128,7 +128,7 @@ def score_all(
 
     Args:
         numbers: (m,), of the fits asked; others belong to no fit here.
-        told: (m, 13), what is told of them: saturated and merged ones know nothing.
+        told: (m, 14), what is told of them: saturated and merged ones know nothing.
         parameters: (n, 10).
         information: (n, 10, 10).
         gradient: (n, 10).

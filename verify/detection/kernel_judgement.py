@@ -16,8 +16,8 @@ Truths = NDArray[np.bool_]
 
 # columns of a told spot
 CENTRE_X, CENTRE_Y, COVARIANCE_XX, COVARIANCE_XY, COVARIANCE_YX, COVARIANCE_YY = range(6)
-HEIGHT, DIAMETER, ELONGATION, MISFIT, SATURATED, MERGED, SOUND = range(6, 13)
-TOLD = 13
+HEIGHT, DIAMETER, ELONGATION, MISFIT, SATURATED, MERGED, SOUND, COUNT = range(6, 14)
+TOLD = 14
 
 
 @compiled
@@ -49,7 +49,7 @@ def tell_shape(counted: Array, peak: float, limits: tuple[float, ...], told: Arr
         counted: (4,), of `tally`.
         peak: DN.
         limits: FITTED, MISFIT, ROUGH, CHANCE, TOGETHER of judgement.py.
-        told: (13,), changed.
+        told: (14,), changed.
     """
     fitted, most, rough_most, chance, together = limits
     count, squares, square_dn, full = counted[0], counted[1], counted[2], counted[3]
@@ -62,11 +62,8 @@ def tell_shape(counted: Array, peak: float, limits: tuple[float, ...], told: Arr
     told[COVARIANCE_XX : COVARIANCE_YY + 1] *= (
         together * misfit if merged else 1.0 + together * excess
     )
-    told[MISFIT], told[SATURATED], told[MERGED] = (
-        misfit,
-        1.0 if full > 0.0 else 0.0,
-        1.0 if merged else 0.0,
-    )
+    told[MISFIT], told[COUNT] = misfit, count
+    told[SATURATED], told[MERGED] = 1.0 if full > 0.0 else 0.0, 1.0 if merged else 0.0
 
 
 @compiled
@@ -94,7 +91,7 @@ def tell_all(
         size: width and height of the picture, px.
         limits: as for `tell_shape`.
         bounds: FAINTEST, LONGEST, WANDERED, BORDER of judgement.py.
-        told: (n, 13), filled.
+        told: (n, 14), filled.
     """
     faintest, longest, wandered, border = bounds
     counted = tally(pixels, known)
@@ -130,7 +127,7 @@ def twins(told: Array, apart: float, twin: Truths) -> None:
     """Mark spots that are another, better fitting one found twice; of equals the first is it.
 
     Args:
-        told: (n, 13).
+        told: (n, 14).
         apart: diameters of the smaller one: spots are no closer.
         twin: (n,), filled.
     """
@@ -145,13 +142,35 @@ def twins(told: Array, apart: float, twin: Truths) -> None:
 
 
 @compiled
+def number_brightest(told: Array, fewest: float, most: int, number: NDArray[np.int64]) -> None:
+    """Number the brightest of n spots, brightest first, from 0; -1 are the others.
+
+    Args:
+        told: (n, 14).
+        fewest: pixels: a spot has more of its own that clipping leaves alone.
+        most: how many are numbered.
+        number: (n,), filled.
+    """
+    brightness = np.empty(len(told))
+    for n in range(len(told)):
+        row, number[n] = told[n], -1
+        speaks = row[SOUND] > 0.0 and row[COUNT] > fewest
+        brightness[n] = row[HEIGHT] / row[ELONGATION] if speaks else -np.inf
+    rank = 0
+    for n in np.argsort(-brightness, kind="mergesort")[:most]:
+        if brightness[n] > -np.inf:
+            number[n] = rank
+            rank += 1
+
+
+@compiled
 def choose(
     told: Array, diameter: tuple[float, float], apart: float, limit: int, chosen: NDArray[np.int64]
 ) -> int:
     """Choose the most LED-like of n spots, and list them by falling peak.
 
     Args:
-        told: (n, 13).
+        told: (n, 14).
         diameter: px, least and largest.
         apart: as for `twins`.
         limit: how many at most.

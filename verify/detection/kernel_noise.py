@@ -129,35 +129,13 @@ def quietest(
 
 
 @compiled
-def count_own(
-    known: Array, rows: tuple[int, int, int, int, int], seen: float, counts: NDArray[np.int64]
-) -> None:
-    """Count the pixels (n,) that are each spot's own and that clipping leaves alone.
-
-    Args:
-        known: (n, 10, p), of the pixels.
-        rows: of `known`: MEAN, SIGNAL, USED, VISIBLE, OWN.
-        seen: share of a pixel's noise that clipping must leave.
-        counts: (n,), filled.
-    """
-    _, _, used, visible, own = rows
-    for n in range(len(known)):
-        count = 0
-        for k in range(known.shape[2]):
-            count += (
-                (known[n, used, k] > 0.0) & (known[n, visible, k] > seen) & (known[n, own, k] > 0.0)
-            )
-        counts[n] = count
-
-
-@compiled
 def gather_residuals(
     pixels: Array,
     known: Array,
     shares: tuple[Array, Array],
     rows: tuple[int, int, int, int, int],
     limits: tuple[float, float],
-    own: NDArray[np.int64],
+    own: Array,
     number: NDArray[np.int64],
     gathered: tuple[Array, Array, NDArray[np.int64]],
     at: int,
@@ -168,9 +146,10 @@ def gather_residuals(
         pixels: (n, 4, p), as fitted.
         known: (n, 10, p), of the pixels.
         shares: (n,) and (n,), read share and gain share of the patches.
-        rows: as for `count_own`.
+        rows: of `known`: MEAN, SIGNAL, USED, VISIBLE, OWN.
         limits: SEEN, FITTED.
-        own: (n,), of `count_own`, over FITTED where asked for.
+        own: (n,), how many of each spot's own pixels clipping leaves alone; over FITTED where
+            asked for.
         number: (n,), of the spot among those asked for, -1 for the others.
         gathered: (k,) each: squares, DN²; signals, DN; the spot's number. Filled from `at` on.
         at: how many are gathered before.

@@ -44,7 +44,7 @@ def expect_all(
     mean, weight = prior
     for n in range(len(pixels)):
         value, valid, column, row = pixels[n, 0], pixels[n, 1], pixels[n, 2], pixels[n, 3]
-        floor = np.partition(value, len(value) * 3 // 10)[len(value) * 3 // 10]
+        floor = ranked(value, len(value) * 3 // 10)
         top = surroundings(value, valid, column, row, scale[n], floor, weight[n])
         mean[n, FLOOR] = floor
         mean[n, PEAK] = (HIDDEN if top > SENSOR_LIMIT - FULL else SEEN) * max(top - floor, 1.0)
@@ -60,6 +60,22 @@ def expect_all(
             start[n, FLOOR] = (floor if floor > 0.0 else below_black(value, read)) - HALO
             start[n, PEAK] = top - start[n, FLOOR]
             begin(value, column, row, scale[n], floor, top, start[n])
+
+
+@compiled
+def ranked(value: Array, rank: int) -> float:
+    """The value (p,), DN, that so many others are no greater than."""
+    counts = np.zeros(int(SENSOR_LIMIT) + 1, np.int64)
+    for one in value:
+        whole = int(one)
+        if whole != one:  # of combined colours
+            return float(np.partition(value, rank)[rank])
+        counts[whole] += 1
+    level, below = 0, counts[0]
+    while below <= rank:
+        level += 1
+        below += counts[level]
+    return float(level)
 
 
 @compiled

@@ -79,7 +79,8 @@ def _uncoupled(constraints: Constraints, q: Array) -> Array:
     arm = constraints.bench.arm
     if arm.dof != 6 or not len(q):  # more joints are always coupled
         return q
-    return np.array([row for row in q if robots.coupled(arm, row) is None]).reshape(-1, arm.dof)
+    kept: Array = q[np.array([found is None for found in robots.couplings(arm, q)], dtype=bool)]
+    return kept
 
 
 def _drawn(constraints: Constraints, rng: np.random.Generator) -> tuple[Array, int, dict[str, int]]:
