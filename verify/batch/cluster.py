@@ -47,6 +47,9 @@ class Cluster:
         serves = "dashboard" in self._client.scheduler_info().get("services", {})
         return str(self._client.dashboard_link) if serves else None
 
+    def ready(self, tasks: int) -> None:
+        """Wait for nobody: a worker was there before this crew was."""
+
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
         """Have tasks done; see `Crew`. A worker that dies is the scheduler's to replace."""
         distributed = _distributed()

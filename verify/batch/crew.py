@@ -28,6 +28,9 @@ class Crew(Protocol):
     def workers(self) -> int:
         """Count them."""
 
+    def ready(self, tasks: int) -> None:
+        """Wait until somebody can begin with so many tasks, 1 at least."""
+
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
         """Have tasks done, taking from the left, until none is left or under way.
 
@@ -54,6 +57,13 @@ class Processes:
         self._crowded = workers >= processors()
         self._idle: list[_Worker] = [_Worker(self._crowded) for _ in range(workers)]
         self._busy: dict[Future[Any], tuple[_Worker, Task]] = {}
+
+    def ready(self, tasks: int) -> None:
+        """Start as many workers as there are tasks for; wait until the first one has loaded all."""
+        starting = self._idle[-tasks:]
+        for worker in starting:
+            worker.begin()
+        starting[-1].wait()
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
         """Have tasks done; see `Crew`."""
@@ -93,17 +103,29 @@ class Processes:
 
 
 class _Worker:
-    """One process, started with its first task; crowded: there are as many as processors."""
+    """One process, started when it is needed; crowded: there are as many as processors."""
 
     def __init__(self, crowded: bool) -> None:
         self._crowded = crowded
         self._pool: ProcessPoolExecutor | None = None
         self._process: Future[int] | None = None
 
-    def start(self, task: Task) -> Future[Any]:
+    def begin(self) -> ProcessPoolExecutor:
         if self._pool is None:
             self._pool, self._process = _begun(self._crowded)
-        return self._pool.submit(task.perform)
+        return self._pool
+
+    def wait(self) -> None:
+        if self._process is not None:
+            with suppress(BrokenProcessPool):  # its first task will have another one
+                self._process.result()
+
+    def start(self, task: Task) -> Future[Any]:
+        try:
+            return self.begin().submit(task.perform)
+        except BrokenProcessPool:  # it died while there was nothing to do
+            self.close()
+            return self.begin().submit(task.perform)
 
     def close(self) -> None:
         if self._pool is None:

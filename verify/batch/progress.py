@@ -18,6 +18,10 @@ class Progress:
     failures: list[Failure] = field(default_factory=list)
     begun: float = field(default_factory=time.monotonic)  # s
 
+    def begin(self) -> None:
+        """Count time from now on: what was loaded before says nothing of what is to come."""
+        self.begun = time.monotonic()
+
     @property
     def done(self) -> int:
         """Sessions of which nothing more is to come."""
@@ -25,7 +29,7 @@ class Progress:
 
     @property
     def pairs_a_second(self) -> float | None:
-        """Pairs a second since the beginning; None before the first."""
+        """Pairs a second since work began; None before the first."""
         spent = time.monotonic() - self.begun
         return self.pairs / spent if self.pairs and spent > 0 else None
 

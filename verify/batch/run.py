@@ -53,6 +53,9 @@ def measure_all(
     for one in found:
         work.begin(one)
     watch(work.progress)
+    if work.waiting:
+        crew.ready(len(work.waiting))
+    work.progress.begin()
     for task, outcome in crew.run(work.waiting):
         work.take(task, outcome)
         watch(work.progress)

@@ -105,16 +105,26 @@ def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
     assert (tmp_path / "b").read_text() == "x" * TRIES
 
 
+def test_a_process_that_is_killed_while_it_has_nothing_to_do_is_replaced() -> None:
+    crew = Processes(1)
+    try:
+        crew.ready(3)
+        ((_, pid),) = crew.run(deque([Pid(0)]))
+        os.kill(pid, signal.SIGKILL)
+        _await_end(pid)
+        signal.sigtimedwait([signal.SIGUSR2], 0.5)  # until the crew's own thread has noticed
+        ((_, other),) = crew.run(deque([Pid(1)]))
+    finally:
+        crew.close()
+    assert other != pid
+
+
 def test_closing_sends_every_process_home(crew: Processes) -> None:
     tasks: deque[Task] = deque([Pid(0), Pid(1)])
     pids = [outcome for _, outcome in crew.run(tasks)]
     crew.close()
     for pid in pids:
-        for _ in range(500):
-            if not _running(pid):
-                break
-            signal.sigtimedwait([signal.SIGUSR2], 0.02)
-        assert not _running(pid)
+        _await_end(pid)
 
 
 @dataclass(frozen=True)
@@ -123,6 +133,14 @@ class Pid:
 
     def perform(self) -> int:
         return os.getpid()
+
+
+def _await_end(pid: int) -> None:
+    for _ in range(500):
+        if not _running(pid):
+            break
+        signal.sigtimedwait([signal.SIGUSR2], 0.02)
+    assert not _running(pid)
 
 
 def _running(pid: int) -> bool:

@@ -1,9 +1,11 @@
 """Which work a batch does, with a crew that works in this process."""
 
 import shutil
+import time
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import fsspec
@@ -29,6 +31,11 @@ class Inline:
     def __init__(self, workers: int = 1, lost: str = "") -> None:
         self.workers, self.lost = workers, lost
         self.kinds: list[str] = []
+        self.loaded = False
+
+    def ready(self, tasks: int) -> None:
+        assert tasks > 0
+        self.loaded = True
 
     def run(self, waiting: deque[Task]) -> Iterator[tuple[Task, Any]]:
         while waiting:
@@ -76,6 +83,17 @@ def test_results_are_those_of_verify_run(lab: Path, tmp_path: Path) -> None:
     assert kept.summary["session"]["path"] == name
     assert kept.images == plain.images
     assert done.progress.pairs == PAIRS
+
+
+def test_a_rate_counts_from_when_a_worker_could_begin(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    crew, hour = Inline(), 3600.0
+    late = SimpleNamespace(monotonic=lambda: time.monotonic() + hour * crew.loaded)
+    monkeypatch.setattr("verify.batch.progress.time", late)
+    rate = batch(lab, tmp_path / "out", crew).progress.pairs_a_second
+    assert rate is not None
+    assert rate > PAIRS / hour
 
 
 def test_started_again_only_what_changed_is_done_and_that_is_said(
