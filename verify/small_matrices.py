@@ -82,12 +82,29 @@ def solve(root: Array, right: Array) -> None:
 
 
 @compiled
+def solve_each(root: Array, right: Array) -> None:
+    """Solve in place for the columns of (n, m) at once, by the lower Cholesky factor (n, n)."""
+    for i in range(len(right)):
+        for k in range(i):
+            for column in range(right.shape[1]):
+                right[i, column] -= root[i, k] * right[k, column]
+        for column in range(right.shape[1]):
+            right[i, column] /= root[i, i]
+    for i in range(len(right) - 1, -1, -1):
+        for k in range(i + 1, len(right)):
+            for column in range(right.shape[1]):
+                right[i, column] -= root[k, i] * right[k, column]
+        for column in range(right.shape[1]):
+            right[i, column] /= root[i, i]
+
+
+@compiled
 def invert(root: Array, inverse: Array) -> None:
     """Fill in the inverse (n, n) of the matrix that a lower Cholesky factor (n, n) belongs to."""
     for i in range(len(root)):
         for j in range(len(root)):
             inverse[i, j] = 1.0 if i == j else 0.0
-        solve(root, inverse[i])
+    solve_each(root, inverse)
 
 
 @compiled

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from scipy.signal import savgol_filter
 from scipy.special import log_ndtr
 
 from verify.detection import inside
@@ -18,7 +19,7 @@ from verify.detection.kernel_judgement import (
     twins,
 )
 from verify.detection.kernel_levels import search, spread
-from verify.detection.kernel_noise import variance_line
+from verify.detection.kernel_noise import stencils, variance_line
 from verify.detection.kernel_patches import read_grey
 from verify.detection.kernel_pixels import PARAMETERS, STEEPNESS, X, Y
 from verify.detection.kernel_priors import begin, below_black, ranked
@@ -162,6 +163,21 @@ def test_a_spots_place_and_steepness_are_guessed_from_its_pixels(log_steepness: 
     begin(value, column, row, 4.0, 0.0, 200.0, start)
     np.testing.assert_allclose(start[[X, Y]], [0.4, -0.3], atol=0.02)  # px
     assert start[STEEPNESS] == pytest.approx(log_steepness, abs=0.3)
+
+
+@pytest.mark.parametrize("width", [5, 67, 68, 69, 300])
+@pytest.mark.parametrize("mean", [0.0, 1.5, 100.0, 254.0])
+def test_levels_and_differences_are_those_of_unclipped_neighbours(width: int, mean: float) -> None:
+    rng = np.random.default_rng(width)
+    rows = rng.normal(mean, 2.0, (7, width)).clip(0, 255).astype(np.uint8)
+    whole = rows.astype(float)
+    inside = (rows > 0) & (rows < 255)
+    clean = np.lib.stride_tricks.sliding_window_view(inside, 5, axis=1).all(axis=2)
+    level, difference = np.empty(rows.size), np.empty(rows.size)
+    count = stencils(rows, level, difference)
+    cubic = savgol_filter(whole, 5, 3, axis=1)[:, 2:-2]
+    assert level[:count] == pytest.approx(cubic[clean], abs=1e-9)
+    assert np.array_equal(difference[:count], np.abs(np.diff(whole, 4, axis=1))[clean])
 
 
 def test_a_spot_of_few_pixels_that_fits_by_chance_says_nothing_of_noise() -> None:

@@ -11,7 +11,7 @@ from verify.identification.kernel_views import undistort
 from verify.pose_kernel import LEVER, covariance_of, move
 from verify.records import Array
 from verify.rig import distort
-from verify.small_matrices import factor, invert, rotation_vectors, solve
+from verify.small_matrices import factor, invert, rotation_vectors, solve, solve_each
 
 UNITS = np.repeat([LEVER, 1.0], 3)
 
@@ -32,6 +32,10 @@ def test_cholesky_solves_and_inverts(size: int) -> None:
     assert_allclose(np.tril(root), np.linalg.cholesky(matrix), rtol=1e-12, atol=1e-12)
     solve(root, x)
     assert_allclose(x, np.linalg.solve(matrix, right), rtol=1e-9)
+    several = rng.normal(size=(size, 5))
+    found = several.copy()
+    solve_each(root, found)
+    assert_allclose(found, np.linalg.solve(matrix, several), rtol=1e-9)
     invert(root, inverse)
     assert_allclose(inverse, np.linalg.inv(matrix), rtol=1e-9, atol=1e-12)
     least = np.linalg.eigvalsh(matrix)[0]

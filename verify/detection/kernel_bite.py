@@ -23,7 +23,7 @@ from verify.detection.kernel_pixels import (
     Y,
 )
 from verify.records import Array
-from verify.small_matrices import factor, solve
+from verify.small_matrices import factor, solve_each
 
 FAR_BELOW = -30.0  # standard deviations: below, the complementary error function ends
 FARTHEST = 1e-9  # half-widths: nearer the very centre no bite changes anything
@@ -57,7 +57,7 @@ def bitten(
     u, w, depth = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
     for at in range(len(near)):
         k = near[at]
-        length = max(math.hypot(known[U, k], known[W, k]), FARTHEST)
+        length = max(math.sqrt(known[U, k] ** 2 + known[W, k] ** 2), FARTHEST)
         u[at], w[at] = known[U, k] / length, known[W, k] / length
         weight = known[VISIBLE, k] * math.sqrt(known[USED, k] / known[VARIANCE, k])
         # a smaller radius is a larger t: d(t²) = 2 t² times the relative depth
@@ -66,7 +66,7 @@ def bitten(
         bump(u, w, depth, sides[side, 0], sides[side, 1], 1.0 / (width * width), sunk[side])
 
 
-@compiled
+@compiled_sums
 def bump(u: Array, w: Array, depth: Array, x: float, y: float, sharp: float, sunk: Array) -> None:
     """Let the depth of pixels in direction (u, w) fall off on both sides of a direction (x, y).
 
@@ -75,9 +75,9 @@ def bump(u: Array, w: Array, depth: Array, x: float, y: float, sharp: float, sun
     """
     for at in range(len(u)):
         z = (x * u[at] + y * w[at] - 1.0) * sharp * (1.0 / 32.0)
-        z4, low = z * z * z * z, 1.0 + z * (1.0 + z * (1 / 2 + z / 6))
-        middle = 1 / 24 + z * (1 / 120 + z * (1 / 720 + z / 5040))
-        high = 1 / 40320 + z * (1 / 362880 + z * (1 / 3628800 + z / 39916800))
+        z4, low = z * z * z * z, 1.0 + z * (1.0 + z * (1 / 2 + z * (1 / 6)))
+        middle = 1 / 24 + z * (1 / 120 + z * (1 / 720 + z * (1 / 5040)))
+        high = 1 / 40320 + z * (1 / 362880 + z * (1 / 3628800 + z * (1 / 39916800)))
         power = low + z4 * (middle + z4 * high)
         power *= power
         power *= power
@@ -142,7 +142,8 @@ def score_all(
     directions = len(sides)
     found = np.empty(known.shape[2], np.int64)
     cross, whole = np.empty((WHITENED, directions)), np.empty(directions)
-    root, follow = np.empty((PARAMETERS, PARAMETERS)), np.empty((directions, PARAMETERS))
+    root, follow = np.empty((PARAMETERS, PARAMETERS)), np.empty((PARAMETERS, directions))
+    left, slope = np.empty(directions), np.empty(directions)
     for m in range(len(numbers)):
         n = numbers[m]
         if not 0 <= n < len(parameters) or told[m, SATURATED] + told[m, MERGED] > 0.0:
@@ -152,18 +153,36 @@ def score_all(
         bitten(parameters[n, PEAK], known[n], near, sides, width, sunk)
         cross_products(whitened[n], near, sunk, cross, whole)
         factor(information[n], 0.0, root)
-        for side in range(directions):  # how parameters give way
-            follow[side] = cross[:PARAMETERS, side]
-            solve(root, follow[side])
+        follow[:] = cross[:PARAMETERS]
+        solve_each(root, follow)
+        follow_on(cross, whole, follow, gradient[n], left, slope)
         worth = max(told[m, MISFIT], 1.0)
         for side in range(directions):
-            left, slope = whole[side], cross[RESIDUAL, side]
-            for a in range(PARAMETERS):
-                left -= cross[a, side] * follow[side, a]
-                slope -= gradient[n, a] * follow[side, a]
-            if left > least * whole[side]:
-                score[0][m, side], score[1][m, side] = slope / worth, left / worth
-                score[2][m, side, 0], score[2][m, side, 1] = -follow[side, X], -follow[side, Y]
+            if left[side] > least * whole[side]:
+                score[0][m, side], score[1][m, side] = slope[side] / worth, left[side] / worth
+                score[2][m, side, 0], score[2][m, side, 1] = -follow[X, side], -follow[Y, side]
+
+
+@compiled
+def follow_on(
+    cross: Array, whole: Array, follow: Array, gradient: Array, left: Array, slope: Array
+) -> None:
+    """Fill in each bite's information and slope (d,) once a spot's parameters give way to it.
+
+    Args:
+        cross: (11, d), products of derivatives and residual with each bite.
+        whole: (d,), of each bite with itself.
+        follow: (10, d), how the parameters give way.
+        gradient: (10,), of the spot's fit.
+        left: filled.
+        slope: filled.
+    """
+    left[:], slope[:] = whole, cross[RESIDUAL]
+    for a in range(PARAMETERS):
+        for side in range(len(whole)):
+            left[side] -= cross[a, side] * follow[a, side]
+        for side in range(len(whole)):
+            slope[side] -= gradient[a] * follow[a, side]
 
 
 @compiled

@@ -16,7 +16,7 @@ from verify.records import Array
 SENSOR_LIMIT = 255.0  # DN
 CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
 LOWEST_Z = -9.0  # sigma: below, a clipped pixel shows nothing
-A_UNIT = 64.0  # entries of a table of the normal law
+A_UNIT = 256.0  # entries of a table of the normal law
 FREE = 6  # rows that are written over
 _NODES = np.arange(LOWEST_Z, CLIP_REACH + 1.5 / A_UNIT, 1.0 / A_UNIT)
 NORMAL = np.column_stack([ndtr(_NODES), np.exp(-_NODES * _NODES / 2.0) / math.sqrt(2.0 * math.pi)])
@@ -79,6 +79,6 @@ def normal_law(z: Array, below: Array, density: Array) -> None:
     for k in range(len(z)):
         node = math.floor((z[k] - LOWEST_Z) * A_UNIT + 0.5) * (1.0 / A_UNIT) + LOWEST_Z
         off, here = z[k] - node, density[k]
-        one, two, three = -node, (node * node - 1.0) / 2.0, (3.0 - node * node) * node / 6.0
-        density[k] = here * (1.0 + off * (one + off * (two + off * three)))
-        below[k] += here * off * (1.0 + off * (one / 2.0 + off * (two / 3.0 + off * (three / 4.0))))
+        curved = off * (node * node - 1.0)
+        density[k] = here * (1.0 + off * (0.5 * curved - node))
+        below[k] += here * off * (1.0 + off * (curved * (1.0 / 6.0) - 0.5 * node))

@@ -11,6 +11,7 @@ from verify.records import Array, Image
 # what `stencils` gives of whole numbers from 0 to 255 is whole again, and can be counted
 LEVEL_PARTS, LOWEST_LEVEL, LEVELS = 35, 6 * 255, 50 * 255 + 1  # a level in parts of one DN
 DIFFERENCES = 8 * 255 + 1
+BLOCK = 64  # pixels that are looked at together
 FEW = 32.0  # pixels: of fewer, the fit's own parameters take more than a quarter
 
 
@@ -26,19 +27,42 @@ def stencils(rows: Image, level: Array, difference: Array) -> int:
     Returns:
         How many places there are.
     """
-    count = 0
+    count, places = 0, rows.shape[1] - 4
+    clean = np.empty(places, np.bool_)
     for r in range(rows.shape[0]):
-        row, clean = rows[r], 0  # pixels in a row that are not clipped
-        for last in range(rows.shape[1]):
-            clean = 0 if row[last] == 0 or row[last] == 255 else clean + 1
-            if clean < 5:
+        row = rows[r]
+        unclipped(row, clean)
+        for begin in range(0, places, BLOCK):
+            end = min(begin + BLOCK, places)
+            if not any_of(clean[begin:end]):  # as nearly everywhere in a dark picture
                 continue
-            a, b, c = float(row[last - 4]), float(row[last - 3]), float(row[last - 2])
-            d, e = float(row[last - 1]), float(row[last])
-            level[count] = (-3.0 * (a + e) + 12.0 * (b + d) + 17.0 * c) / 35.0
-            difference[count] = abs(a - 4.0 * b + 6.0 * c - 4.0 * d + e)
-            count += 1
+            for k in range(begin, end):
+                if clean[k]:
+                    a, b, c = float(row[k]), float(row[k + 1]), float(row[k + 2])
+                    d, e = float(row[k + 3]), float(row[k + 4])
+                    level[count] = (-3.0 * (a + e) + 12.0 * (b + d) + 17.0 * c) / 35.0
+                    difference[count] = abs(a - 4.0 * b + 6.0 * c - 4.0 * d + e)
+                    count += 1
     return count
+
+
+@compiled
+def unclipped(row: Image, clean: NDArray[np.bool_]) -> None:
+    """Say where five pixels of a row, from that one on, are all off the limits, (w - 4,)."""
+    inside = np.empty(len(row), np.bool_)
+    for k in range(len(row)):
+        inside[k] = (row[k] != 0) & (row[k] != 255)
+    for k in range(len(clean)):
+        clean[k] = inside[k] & inside[k + 1] & inside[k + 2] & inside[k + 3] & inside[k + 4]
+
+
+@compiled
+def any_of(flags: NDArray[np.bool_]) -> bool:
+    """Whether one is set, at least."""
+    found = False
+    for flag in flags:
+        found = found | flag
+    return found
 
 
 @compiled

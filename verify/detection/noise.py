@@ -40,7 +40,7 @@ def background_noise(image: Image) -> tuple[Noise, float]:
         The noise, and the relative standard uncertainty of its dark variance.
     """
     grey = image if image.ndim == 2 else image[..., 1]
-    rows = grey[:: max(len(grey) // ROWS, 1)]
+    rows = np.ascontiguousarray(grey[:: max(len(grey) // ROWS, 1)])
     typical = Noise(TYPICAL_READ, TYPICAL_GAIN, 0.0)
     if rows.shape[1] < STENCIL_WIDTH:
         return typical, TYPICAL_SPREAD
