@@ -64,7 +64,7 @@ def lines() -> Iterator[str]:
 
 def throughput() -> Iterator[str]:
     """Measure the same sessions on one core and on two, and decode them."""
-    yield from _of(SAMPLE, SIZES["short"])
+    yield from _of(SAMPLE, SIZES["short"], "not asked of pictures without a camera's noise")
     if RECORDED.exists():
         yield from _of(RECORDED, SIZES["recorded"])
     with tempfile.TemporaryDirectory() as place:
@@ -82,7 +82,7 @@ def _long(folder: Path) -> Path:
     return folder
 
 
-def _of(session: Path, sessions: int) -> Iterator[str]:
+def _of(session: Path, sessions: int, asked: str = "wanted: 1.3") -> Iterator[str]:
     with tempfile.TemporaryDirectory() as place:
         lab = Path(place) / "lab"
         for number in range(sessions):
@@ -102,7 +102,7 @@ def _of(session: Path, sessions: int) -> Iterator[str]:
     yield f"  {first:.1f} pairs/s on one core, {second:.1f} on {cores[:2]}, {pure:.1f} decoded,"
     yield f"  {opencv:.1f} read by cv2.VideoCapture as it comes"
     yield f"  two cores do {second / first:.2f} times as much as one (wanted: 1.8)"
-    yield f"  one core takes {pure / first:.2f} times as long as pure decoding (wanted: 1.3),"
+    yield f"  one core takes {pure / first:.2f} times as long as pure decoding ({asked}),"
     yield f"  and {opencv / first:.2f} times as long as cv2.VideoCapture as it comes;"
     beside = np.median(whole) - pairs / first
     yield f"  {beside:.1f} s of the command, on one core, are no measuring"
