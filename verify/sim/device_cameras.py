@@ -42,7 +42,7 @@ class SimulatedCameraDevice:
         self._number = self._due(scene.clock.now())  # of the next picture
         self._ready: CameraFrame | None = None
         self._frames = self._lost = 0
-        self._recent: deque[float] = deque(maxlen=256)
+        self._arrivals: deque[float] = deque(maxlen=256)
         self._closed = False
 
     def read(self) -> CameraFrame | None:
@@ -63,14 +63,14 @@ class SimulatedCameraDevice:
             return None
         frame, self._ready = self._ready, None
         self._frames += 1
-        self._recent.append(frame.t)
+        self._arrivals.append(clock.now())
         return frame
 
     def state(self) -> CameraState:
         """Say how the camera is."""
         now, away = self._scene.clock.now(), self._away()
-        age = now - self._recent[-1] if self._recent else None
-        within = [t for t in list(self._recent) if t > now - 1.0]
+        age = now - self._arrivals[-1] if self._arrivals else None
+        within = [t for t in list(self._arrivals) if t > now - 1.0]
         name = f"simulated {SIDES[self._side]} camera"
         said = {"camera_gone": "not connected: it was unplugged", "camera_stalls": "silent"}
         notes = [str(refusal) for refusal in self._refused()]

@@ -10,9 +10,12 @@ from numpy.testing import assert_allclose
 from verify.cameras import READ_LIMIT, CameraFrame, CameraSettings
 from verify.detection import detect
 from verify.errors import InputError
+from verify.records import Image
+from verify.sim.device_cameras import SimulatedCameraDevice
 from verify.sim.device_clock import SimClock
 from verify.sim.device_motion import Endless
 from verify.sim.devices import SimulatedStation
+from verify.sim.painting import Sight
 from verify.station_sim import SimEvent, SimSettings
 
 SCENARIO = "multi_joint_rv_3sd"
@@ -59,6 +62,33 @@ def test_pictures_come_at_their_rate_each_once() -> None:
     assert left.state().connected
     assert left.state().lost == 0
     assert right.state().age is None
+
+
+def test_a_camera_whose_pictures_come_late_is_not_silent() -> None:
+    hand = HandClock()
+    made = SimulatedStation(SimSettings(SCENARIO), SimClock(1.0, hand.now, hand.sleep))
+    near = made.scene.painter
+
+    class Busy:
+        trouble = ""
+
+        def paint(self, sight: Sight) -> Image:
+            hand.t += 0.45  # as on a machine that does other things
+            return near.paint(sight)
+
+        def close(self) -> None: ...
+
+    camera = SimulatedCameraDevice(made.scene, 0, Busy(), SIM)
+    for _ in range(5):
+        frame = camera.read()
+        assert frame is not None
+        age = camera.state().age
+        assert age is not None
+        assert age < 1 / 30
+    assert hand.t - frame.t > 0.45
+    assert camera.state().rate == 3
+    hand.t += 1.5
+    assert camera.state().age == pytest.approx(1.5)
 
 
 def test_pictures_show_the_leds_where_the_world_has_them() -> None:
