@@ -114,13 +114,17 @@ def _second_difference(before: Sighting, now: Sighting, after: Sighting, *, unse
     acceleration = unseen.copy()
     if not np.any(now.acceleration_lever) or before.pan != now.pan or after.pan != now.pan:
         return acceleration
-    places = [{int(led): i for i, led in enumerate(s.led)} for s in (before, after)]
+    leds = np.concatenate([before.led, now.led, after.led]).max() + 1
+    there = []
+    for sighting in (before, after):
+        place = np.full(leds, -1)
+        place[sighting.led] = np.arange(len(sighting))
+        there.append(place[now.led])
+    seen = (there[0] >= 0) & (there[1] >= 0)
     early, late = now.t - before.t, after.t - now.t
-    for i, led in enumerate(now.led.tolist()):
-        if led in places[0] and led in places[1]:
-            first = (now.centre[i] - before.centre[places[0][led]]) / early
-            second = (after.centre[places[1][led]] - now.centre[i]) / late
-            acceleration[i] = 2 * (second - first) / (early + late)
+    first = (now.centre[seen] - before.centre[there[0][seen]]) / early
+    second = (after.centre[there[1][seen]] - now.centre[seen]) / late
+    acceleration[seen] = 2 * (second - first) / (early + late)
     return acceleration
 
 

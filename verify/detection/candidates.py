@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.detection.kernel_background import top_hat
-from verify.detection.kernel_levels import LEAST, compact_blobs, search
+from verify.detection.kernel_levels import LEAST, compact_blobs, highest, search
 from verify.records import Array, Image
 
 LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright thing must not hide a dim neighbour
@@ -61,17 +61,16 @@ def find_candidates(
         windows = np.array([[0, 0, image.shape[1], image.shape[0]]])
     boxes = windows.tolist()
     area = [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes]
-    halved: int | NDArray[np.intp] = 1
     if image.ndim == 2 and max(area, default=0) <= FEW_PIXELS:
         found = in_small(image, windows, largest)
+        halved = np.ones(len(found), dtype=np.intp)
     else:
         factor = [2 if pixels > HALVING_AREA else 1 for pixels in area]
         parts = [in_large(image, *one, largest) for one in zip(boxes, factor, strict=True)]
         found = np.concatenate([np.empty((0, 4)), *parts])
-        halved = np.repeat(factor, [len(part) for part in parts])
-    across = 2 * found[:, 2]
-    found = found[(across + halved >= smallest) & (across - halved <= largest)]
-    best = found[np.argsort(-found[:, 3], kind="stable")[:MOST]]
+        halved = np.repeat(np.array(factor, np.intp), [len(part) for part in parts])
+    best = np.empty((MOST, 4))
+    best = best[: highest(found, halved, (float(smallest), float(largest)), best)]
     return Candidates(best[:, :2], best[:, 2].copy(), best[:, 3])
 
 

@@ -127,11 +127,13 @@ def quietest(
     stencil_gain, shot, effective = gain
     number = math.ceil((256.0 + width - begin) / width)
     best, spread, at = np.inf, 0.0, 0.0
-    counts = np.zeros((number, DIFFERENCES), np.int64)
+    counts = np.empty((number, DIFFERENCES), np.int64)
     levels, members = np.zeros(number), np.zeros(number, np.int64)
     for k in range(len(level)):
         part = math.floor((level[k] - begin) / width)
         if 0 <= part < number:
+            if members[part] == 0:  # few classes have any
+                counts[part] = 0
             counts[part, int(difference[k])] += 1
             levels[part] += level[k]
             members[part] += 1

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from verify.compiled import compiled
 from verify.detection.kernel_clip import SENSOR_LIMIT
-from verify.detection.kernel_pixels import FLOOR, PEAK, SLOPE_X, SLOPE_Y, STEEPNESS, XX, YY, X, Y
+from verify.detection.kernel_pixels import FLOOR, PEAK, SLOPE_X, SLOPE_Y, STEEPNESS, X, Y
 from verify.records import Array
 
 FULL = 3.0  # DN below the limit: a top so near it is cut off, and higher than it seems
@@ -25,7 +25,7 @@ def expect_all(
     pixels: Array,
     scale: Array,
     read: float,
-    usual: float,
+    usual: tuple[Array, Array],
     prior: tuple[Array, Array],
     start: Array,
     full: NDArray[np.bool_],
@@ -36,14 +36,15 @@ def expect_all(
         pixels: (n, 4, p): value, 1 where valid, column, row.
         scale: (n,), px, half-width that the fit starts from.
         read: DN, standard deviation of a dark pixel.
-        usual: logarithm of a spot's steepness, where its pixels show none.
-        prior: (n, 10) and (n, 10), mean and inverse variance, filled in part.
+        usual: (10,) and (10,), mean and inverse variance of any spot's parameters.
+        prior: (n, 10) and (n, 10), of these ones', filled.
         start: (n, 10), filled.
         full: (n,), filled: whether pixels on the spot are at the sensor's limit.
     """
     mean, weight = prior
     for n in range(len(pixels)):
         value, valid, column, row = pixels[n, 0], pixels[n, 1], pixels[n, 2], pixels[n, 3]
+        mean[n], weight[n], start[n] = usual[0], usual[1], usual[0]
         floor = ranked(value, len(value) * 3 // 10)
         top = surroundings(value, valid, column, row, scale[n], floor, weight[n])
         mean[n, FLOOR] = floor
@@ -53,8 +54,6 @@ def expect_all(
             if value[k] >= SENSOR_LIMIT:
                 near = column[k] * column[k] + row[k] * row[k] <= scale[n] * scale[n]
                 full[n] = full[n] or near
-        start[n] = 0.0
-        start[n, XX], start[n, YY], start[n, STEEPNESS] = 1.0, 1.0, usual
         start[n, PEAK], start[n, FLOOR] = mean[n, PEAK], floor
         if not full[n]:  # a top that is cut off says nothing of its sides
             start[n, FLOOR] = (floor if floor > 0.0 else below_black(value, read)) - HALO

@@ -26,6 +26,18 @@ PRIOR_FLOOR = 10.0  # DN: a floor below black is not seen
 PRIOR_SHAPE = 2.0  # of (half-width / start)^-2
 
 
+def _usual() -> tuple[Array, Array]:
+    """Mean and inverse variance of what every spot is expected to have, (10,) each."""
+    mean, weight = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
+    mean[STEEPNESS], mean[XX], mean[YY] = START_STEEPNESS, 1.0, 1.0
+    weight[PEAK], weight[FLOOR] = PRIOR_PEAK**-2, PRIOR_FLOOR**-2
+    weight[STEEPNESS], weight[XX : YY + 1] = PRIOR_STEEPNESS**-2, PRIOR_SHAPE**-2
+    return mean, weight
+
+
+USUAL = _usual()
+
+
 @dataclass(frozen=True, slots=True)
 class Patches:
     """Pixels around candidates, as many for each, with what is known of their noise."""
@@ -100,15 +112,11 @@ class Fit:
 def expected(patches: Patches) -> Priors:
     """Say what is expected of each patch's spot before it is fitted."""
     n = len(patches.scale)
-    mean, weight = np.zeros((n, PARAMETERS)), np.zeros((n, PARAMETERS))
-    start, full = np.empty((n, PARAMETERS)), np.empty(n, dtype=np.bool_)
+    mean, weight, start = np.empty((3, n, PARAMETERS))
+    full = np.empty(n, dtype=np.bool_)
     kernel_priors.expect_all(
-        patches.pixels, patches.scale, patches.noise.read, START_STEEPNESS, (mean, weight), start,
-        full,
-    )  # fmt: skip
-    mean[:, STEEPNESS], mean[:, XX], mean[:, YY] = START_STEEPNESS, 1.0, 1.0
-    weight[:, PEAK], weight[:, FLOOR] = PRIOR_PEAK**-2, PRIOR_FLOOR**-2
-    weight[:, STEEPNESS], weight[:, XX : YY + 1] = PRIOR_STEEPNESS**-2, PRIOR_SHAPE**-2
+        patches.pixels, patches.scale, patches.noise.read, USUAL, (mean, weight), start, full
+    )
     return Priors(mean, weight, start, full)
 
 

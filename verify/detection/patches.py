@@ -1,5 +1,6 @@
 """The pixels around each candidate, colours combined into one value of known noise."""
 
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -12,7 +13,7 @@ from verify.detection.kernel_patches import read_grey
 from verify.detection.model import Patches
 from verify.records import Array, Image, Noise
 
-RADII = np.array([8, 11, 14, 18, 26, 40, 62])  # px, of cut-outs: few, so that many share a batch
+RADII = (8, 11, 14, 18, 26, 40, 62)  # px, of cut-outs: few, so that many share a batch
 REACH = 2.4  # half-widths: a Gaussian has fallen to 1/50 there, a disc is long over
 MARGIN = 2.5  # px of floor around that
 GLANCE = 8  # steps from centre to edge of a first look: 197 pixels, whatever the size
@@ -43,13 +44,14 @@ def cut_out(
     image: Image, candidates: Candidates, noise: Noise
 ) -> Iterator[tuple[NDArray[np.intp], Cut]]:
     """Cut all pixels of the candidates out, batch by batch of one size, with their indices."""
-    size = np.searchsorted(RADII, REACH * candidates.radius + MARGIN).clip(max=len(RADII) - 1)
+    needed = REACH * candidates.radius + MARGIN
+    size = [min(bisect_left(RADII, one), len(RADII) - 1) for one in needed.tolist()]
     origin = np.rint(candidates.centre).astype(np.intp)
-    for which in sorted(set(size.tolist())):
-        members = np.flatnonzero(size == which)
-        column, row = disc(int(RADII[which]))
+    for which in sorted(set(size)):
+        members = [number for number, its in enumerate(size) if its == which]
+        column, row = disc(RADII[which])
         for begin in range(0, len(members), TOGETHER):
-            part = members[begin : begin + TOGETHER]
+            part = np.array(members[begin : begin + TOGETHER])
             radius = candidates.radius[part]
             yield part, read_pixels(image, origin[part], radius, column, row, noise)
 

@@ -131,7 +131,8 @@ def _find(
     rig_R_flange = references[0][:3, :3] if len(references) else np.eye(3)
     found = search(views, rig_R_flange, single=prediction is not None)
     if prediction is not None:
-        there = found.take(_off(views, found, prediction) <= BELIEVED)
+        near = _off(views, found, prediction) <= BELIEVED
+        there = found if near.all() else found.take(near)
         tracked = track(views, there, prediction.rig_T_flange, *_sizes(prediction))
         found = unique(found.join(tracked))
     stray = lone(found)
