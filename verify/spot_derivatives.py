@@ -21,7 +21,8 @@ LENS = ("k1", "k2", "p1", "p2", "k3")
 class Views:
     """Everything about the spots that a derivative needs."""
 
-    side: tuple[tuple[str, Camera, Sighting, slice, Array], ...]  # …, (m, 3) points in the camera
+    side: tuple[tuple[str, Camera, float, int, int], ...]  # …, pan reading, which spots: from, to
+    inside: Array  # (s, 3), points in their cameras
     points_rig: Array  # (s, 3)
     led: Index  # (s,)
     names: tuple[str, ...]
@@ -44,26 +45,14 @@ def look_at(
         marker: the LEDs.
     """
     led = np.concatenate([left.led, right.led])
-    rig_R_flange = rig_T_flange[:3, :3]
-    offset = marker.leds[led] @ rig_R_flange.T
-    points = offset + rig_T_flange[:3, 3]
-    sides = []
-    for name, camera, sighting, spots in (
-        ("left", rig.left, left, slice(0, len(left))),
-        ("right", rig.right, right, slice(len(left), None)),
-    ):
-        camera_T_rig = camera.camera_T_rig(sighting.pan)
-        inside = points[spots] @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]
-        sides.append((name, camera, sighting, spots, inside))
-    return Views(
-        tuple(sides),
-        points,
-        led,
-        marker.names,
-        offset,
-        rig_R_flange,
-        by_point,
+    offset, points, inside = np.empty((3, len(led), 3))
+    placed = rig.left.camera_T_rig(left.pan), rig.right.camera_T_rig(right.pan)
+    kernel.look(marker.leds, led, rig_T_flange, placed, len(left), (offset, points, inside))
+    sides = (
+        ("left", rig.left, left.pan, 0, len(left)),
+        ("right", rig.right, right.pan, len(left), len(led)),
     )
+    return Views(sides, inside, points, led, marker.names, offset, rig_T_flange[:3, :3], by_point)
 
 
 def moved_spots(views: Views, names: tuple[str, ...]) -> Array:
@@ -76,10 +65,13 @@ def moved_spots(views: Views, names: tuple[str, ...]) -> Array:
     plan = _planned(names, views.names)
     moved = np.zeros((len(names), len(views.led), 2))
     kernel.by_body(plan.body, views.led, views.rig_R_flange, views.offset, views.by_point, moved)
-    for side, camera, sighting, spots, inside in views.side:
-        points, by_point = views.points_rig[spots], views.by_point[spots]
+    spots = views.inside, views.points_rig, np.ascontiguousarray(views.by_point)
+    for side, camera, pan, begin, end in views.side:
         columns, keys = plan.camera[side]
-        moved[columns, spots] = camera_pixels(keys, camera, sighting.pan, inside, points, by_point)
+        kernel.by_camera(
+            columns, _kinds(keys), _twists(keys, camera, pan), (camera.matrix, camera.distortion),
+            spots, (begin, end), moved,
+        )  # fmt: skip
     return moved
 
 
@@ -131,15 +123,12 @@ def camera_pixels(
         by_point: (m, 2, 3), d px / d point in the rig.
     """
     moved = np.empty((len(keys), *by_point.shape[:2]))
+    places = [np.ascontiguousarray(part) for part in (inside, points, by_point)]
     kernel.by_camera(
-        _kinds(keys),
-        _twists(keys, camera, pan),
-        (camera.matrix, camera.distortion),
-        np.ascontiguousarray(inside),
-        np.ascontiguousarray(points),
-        np.ascontiguousarray(by_point),
+        np.arange(len(keys)), _kinds(keys), _twists(keys, camera, pan),
+        (camera.matrix, camera.distortion), (places[0], places[1], places[2]), (0, len(points)),
         moved,
-    )
+    )  # fmt: skip
     return moved
 
 

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from verify.compiled import compiled
 from verify.records import Array
+from verify.small_matrices import dot
 
 MIDDLE, FOCAL, LENS, MOTION = range(4)
 LED, SHIFT, TURN = range(3)
@@ -12,29 +13,59 @@ Index = NDArray[np.int64]
 
 
 @compiled
+def look(
+    leds: Array,
+    led: Index,
+    rig_T_flange: Array,
+    placed: tuple[Array, Array],
+    left: int,
+    seen: tuple[Array, Array, Array],
+) -> None:
+    """Fill in where spots' LEDs are.
+
+    Args:
+        leds: (n, 3), m, flange frame.
+        led: (s,), of each spot.
+        rig_T_flange: (4, 4).
+        placed: camera_T_rig (4, 4) of the left camera and of the right one.
+        left: how many spots, the first ones, are the left camera's.
+        seen: (s, 3) each, m, filled: LED from flange in rig axes; point in the rig; in the camera.
+    """
+    offset, points, inside = seen
+    for s in range(len(led)):
+        for i in range(3):
+            offset[s, i] = dot(rig_T_flange[i, :3], leds[led[s]])
+            points[s, i] = offset[s, i] + rig_T_flange[i, 3]
+        camera = placed[0] if s < left else placed[1]
+        for i in range(3):
+            inside[s, i] = dot(camera[i, :3], points[s]) + camera[i, 3]
+
+
+@compiled
 def by_camera(
+    columns: Index,
     kinds: Index,
     twists: Array,
     camera: tuple[Array, Array],
-    inside: Array,
-    points: Array,
-    by_point: Array,
+    places: tuple[Array, Array, Array],
+    some: tuple[int, int],
     moved: Array,
 ) -> None:
     """Fill in how one camera's parameters move its spots.
 
     Args:
+        columns: (k,), where each parameter is among all p.
         kinds: (k, 2), what each parameter is, and which one of its kind.
         twists: (k, 6), how it moves the camera: translation at the rig's origin (m) and turn.
         camera: its matrix (3, 3), px, and k1, k2, p1, p2, k3.
-        inside: (m, 3), m, the points in the camera.
-        points: (m, 3), m, the same in the rig.
-        by_point: (m, 2, 3), d px / d point in the rig.
-        moved: (k, m, 2), px a SI unit, filled.
+        places: of all spots: points in their cameras (s, 3), m; the same in the rig (s, 3), m;
+            d px / d point in the rig (s, 2, 3).
+        some: from which spot to which one they are this camera's.
+        moved: (p, s, 2), px a SI unit, filled there.
     """
-    matrix, lens = camera
-    lenses, places = np.empty((5, 2)), np.empty(2)
-    for s in range(len(points)):
+    (matrix, lens), (inside, points, by_point) = camera, places
+    lenses, ideal = np.empty((5, 2)), np.empty(2)
+    for s in range(some[0], some[1]):
         x, y = inside[s, 0] / inside[s, 2], inside[s, 1] / inside[s, 2]
         r2, twice = x * x + y * y, 2.0 * x * y
         for i, unit in enumerate((x, y)):
@@ -44,23 +75,23 @@ def by_camera(
         lenses[2, 0], lenses[2, 1] = twice, r2 + 2.0 * y * y
         lenses[3, 0], lenses[3, 1] = r2 + 2.0 * x * x, twice
         for i, unit in enumerate((x, y)):
-            places[i] = unit
+            ideal[i] = unit
             for c in range(5):
-                places[i] += lens[c] * lenses[c, i]
+                ideal[i] += lens[c] * lenses[c, i]
         for k in range(len(kinds)):
-            which = kinds[k, 1]
-            moved[k, s] = 0.0
+            column, which = columns[k], kinds[k, 1]
+            moved[column, s] = 0.0
             if kinds[k, 0] == MIDDLE:
-                moved[k, s, which] = 1.0
+                moved[column, s, which] = 1.0
             elif kinds[k, 0] == FOCAL:
-                moved[k, s, which] = places[which]
+                moved[column, s, which] = ideal[which]
             elif kinds[k, 0] == LENS:
                 for axis in range(2):
                     for i in range(2):
-                        moved[k, s, axis] += matrix[axis, i] * lenses[which, i]
+                        moved[column, s, axis] += matrix[axis, i] * lenses[which, i]
             else:
                 for axis in range(2):
-                    moved[k, s, axis] = -by_twist(by_point[s, axis], points[s], twists[k])
+                    moved[column, s, axis] = -by_twist(by_point[s, axis], points[s], twists[k])
 
 
 @compiled
