@@ -225,10 +225,10 @@ def test_bases_follow_and_a_base_that_is_gone_is_said(tmp_path: Path) -> None:
 
 
 def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
-    with mounted(tmp_path / "recordings", "-o", "size=8m") as disk:
+    with mounted(tmp_path / "recordings", "-o", "size=5m") as disk:
         path = station(tmp_path, event("encoder_jump", 9.0, joint=4, degrees=0.5))
         run = listen(started(path, "--for", "12s", "-o", "out"), Run())
-        assert "no space left on device" in run.watched["recording"]
+        assert "no space left on device" in run.watched["recording"], (run.watched, run.err)
         (folder,) = disk.iterdir()
         kept = len(open_session(folder))
         assert 5 < kept < len(run.pairs)

@@ -39,7 +39,9 @@ class SimulatedCameraDevice:
         self._jitter = recording.skew_jitter_s if side else 0.0
         self._chance = generator(scene.scenario.seed, Stream.TIMES, 1 + side)
         self._exposure = scene.world.bench.cameras[side].exposure
-        self._number = self._due(scene.clock.now())  # of the next picture
+        self._next = self._due(scene.clock.now())  # number of the next picture
+        self._last = self._next - 1
+        self._took = (0.0, 0.0)  # s: the last two renderings
         self._ready: CameraFrame | None = None
         self._frames = self._lost = 0
         self._arrivals: deque[float] = deque(maxlen=256)
@@ -51,10 +53,12 @@ class SimulatedCameraDevice:
         if self._away() is not None:
             clock.wait_until(float("inf"), READ_LIMIT / 10)  # soon enough to see it come back
             self._ready = None
-            self._number = self._due(clock.now())
+            self._next = self._due(clock.now())
+            self._last = self._next - 1
             return None
         if self._ready is None:
-            begin = clock.began + self._number / self._rate - RENDERING
+            self._next = self._shared(max(self._next, self._due(clock.now()) - KEPT))
+            begin = clock.began + self._next / self._rate - RENDERING
             if not clock.wait_until(begin, READ_LIMIT):
                 return None
             self._ready = self._take()
@@ -74,7 +78,8 @@ class SimulatedCameraDevice:
         name = f"simulated {SIDES[self._side]} camera"
         said = {"camera_gone": "not connected: it was unplugged", "camera_stalls": "silent"}
         notes = [str(refusal) for refusal in self._refused()]
-        notes += [f"{self._lost} pictures that nobody read in time"] if self._lost else []
+        late = f"{self._lost} pictures that were not rendered, or not read, in time"
+        notes += [late] if self._lost else []
         notes += [self._painter.trouble] if self._painter.trouble else []
         return CameraState(
             connected=away != "camera_gone" and not self._closed,
@@ -105,14 +110,26 @@ class SimulatedCameraDevice:
 
     def _take(self) -> CameraFrame:
         """Render the next picture; those that a slow reader missed are gone."""
-        newest = self._due(self._scene.clock.now())
-        if newest - self._number > KEPT:
-            self._lost += newest - self._number - KEPT
-            self._number = newest - KEPT
-        number, self._number = self._number, self._number + 1
-        t = self._scene.clock.began + number / self._rate + self._skew
+        clock, number = self._scene.clock, self._next
+        self._lost += number - self._last - 1
+        t = clock.began + number / self._rate + self._skew
         t += self._jitter * float(self._chance.standard_normal())
-        return CameraFrame(t, 0.0, self._picture(t, number), None, number)
+        began = clock.now()
+        image = self._picture(t, number)
+        self._took = (self._took[1], clock.now() - began)
+        self._last, self._next = number, number + 1
+        return CameraFrame(t, 0.0, image, None, number)
+
+    def _shared(self, number: int) -> int:
+        """Number of a picture, this one or a later one, that the other camera renders too.
+
+        Where rendering goes on taking longer than from picture to picture, only every second is
+        rendered, or fourth, eighth: of two cameras that are late by much, each by its own time, the
+        one shows all instants that the other shows.
+        """
+        pictures = int(min(self._took) * self._rate)
+        stride = 1 << max(pictures - 1, 0).bit_length()
+        return number + -number % stride
 
     def _picture(self, t: float, number: int) -> Image:
         scene, side = self._scene, self._side

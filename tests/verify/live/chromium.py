@@ -114,9 +114,11 @@ class Browser:
 def launched(profile: Path) -> Iterator[Browser]:
     """Start the browser, and end it; `profile` is a folder that it may fill."""
     assert PROGRAM is not None
+    # what it draws, without a graphics card, must not cost the live runs beside it their pictures
+    aside = ("nice", "-n", "10") if shutil.which("nice") else ()
     arguments = ("--headless", "--no-sandbox", "--hide-scrollbars", "--remote-debugging-port=0")
     process = subprocess.Popen(
-        [PROGRAM, *arguments, f"--user-data-dir={profile}", "about:blank"],
+        [*aside, PROGRAM, *arguments, f"--user-data-dir={profile}", "about:blank"],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     try:

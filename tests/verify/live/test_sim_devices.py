@@ -11,11 +11,11 @@ from verify.cameras import READ_LIMIT, CameraFrame, CameraSettings
 from verify.detection import detect
 from verify.errors import InputError
 from verify.records import Image
-from verify.sim.device_cameras import SimulatedCameraDevice
+from verify.sim.device_cameras import KEPT, SimulatedCameraDevice
 from verify.sim.device_clock import SimClock
 from verify.sim.device_motion import Endless
 from verify.sim.devices import SimulatedStation
-from verify.sim.painting import Sight
+from verify.sim.painting import Painter, Sight
 from verify.station_sim import SimEvent, SimSettings
 
 SCENARIO = "multi_joint_rv_3sd"
@@ -64,31 +64,66 @@ def test_pictures_come_at_their_rate_each_once() -> None:
     assert right.state().age is None
 
 
-def test_a_camera_whose_pictures_come_late_is_not_silent() -> None:
+class Busy:
+    """Paints so late, as a machine does that has other things to do."""
+
+    trouble = ""
+
+    def __init__(self, hand: HandClock, near: Painter, *, late: float) -> None:
+        self._hand, self._near, self.late = hand, near, late
+
+    def paint(self, sight: Sight) -> Image:
+        self._hand.t += self.late
+        return self._near.paint(sight)
+
+    def close(self) -> None: ...
+
+
+def by_hand() -> tuple[HandClock, SimulatedStation]:
     hand = HandClock()
-    made = SimulatedStation(SimSettings(SCENARIO), SimClock(1.0, hand.now, hand.sleep))
-    near = made.scene.painter
+    return hand, SimulatedStation(SimSettings(SCENARIO), SimClock(1.0, hand.now, hand.sleep))
 
-    class Busy:
-        trouble = ""
 
-        def paint(self, sight: Sight) -> Image:
-            hand.t += 0.45  # as on a machine that does other things
-            return near.paint(sight)
-
-        def close(self) -> None: ...
-
-    camera = SimulatedCameraDevice(made.scene, 0, Busy(), SIM)
+def test_a_camera_whose_pictures_come_late_is_not_silent() -> None:
+    hand, made = by_hand()
+    painter = Busy(hand, made.scene.painter, late=0.45)
+    camera = SimulatedCameraDevice(made.scene, 0, painter, SIM)
     for _ in range(5):
         frame = camera.read()
         assert frame is not None
         age = camera.state().age
         assert age is not None
         assert age < 1 / 30
-    assert hand.t - frame.t > 0.45
-    assert camera.state().rate == 3
+    assert hand.t - frame.t > 0.4
+    assert camera.state().rate == 2  # every sixteenth of thirty a second
     hand.t += 1.5
     assert camera.state().age == pytest.approx(1.5)
+
+
+def test_two_cameras_that_are_late_differently_still_show_the_same_instants() -> None:
+    shown = []
+    for side, late in enumerate((0.41, 0.67)):  # 12 and 20 pictures
+        hand, made = by_hand()
+        painter = Busy(hand, made.scene.painter, late=late)
+        camera = SimulatedCameraDevice(made.scene, side, painter, SIM)
+        pictures = frames(camera, 60.0, made)
+        numbers = [picture.sequence for picture in pictures]
+        assert camera.state().lost == numbers[-1] + 1 - len(numbers)
+        assert len(numbers) > 0.5 * 60.0 / late
+        shown.append(set(numbers))
+    assert len(shown[0] & shown[1]) > 0.9 * len(shown[1])
+
+
+def test_one_late_picture_costs_those_alone_that_it_takes_the_time_of() -> None:
+    hand, made = by_hand()
+    painter = Busy(hand, made.scene.painter, late=0.0)
+    camera = SimulatedCameraDevice(made.scene, 0, painter, SIM)
+    for late in (0.0, 1.0, 0.0):
+        painter.late = late
+        before = [frame.sequence for frame in frames(camera, 0.01, made)]
+    after = [frame.sequence for frame in frames(camera, 1.0, made)]
+    assert 30 - KEPT <= before[0] <= 30
+    assert after == list(range(after[0], after[0] + len(after)))
 
 
 def test_pictures_show_the_leds_where_the_world_has_them() -> None:

@@ -98,7 +98,7 @@ def test_target_state_and_plan_are_shown(browser: Browser) -> None:
 def test_a_rectangle_that_is_dragged_is_the_target(browser: Browser) -> None:
     with grabbing(selects=True) as cell, looking(browser, cell) as tab:
         tab.until("document.querySelector('#select').ariaPressed === 'true'")
-        assert cell.state is State.SEARCHING
+        cell.until(lambda: cell.state is State.SEARCHING)  # once the fingers are ready
         drag(tab, "left", (300, 300, 3, 3))  # a slip
         drag(tab, "right", cell.box(side=1))
         tracks(cell, 0)
