@@ -22,6 +22,10 @@ class HelperLostError(Exception):
     """The second process is gone, or its work failed; the words say why."""
 
 
+class HelperLateError(HelperLostError):
+    """Its answer takes longer than one would wait."""
+
+
 class Helper(Generic[Question, Answer]):
     """Answers questions in a process of its own, which ends when this one does.
 
@@ -49,7 +53,7 @@ class Helper(Generic[Question, Answer]):
         self._process.start()
         theirs.close()
         self._lock = threading.Lock()
-        self._ready = False
+        self._ready = self._owes = False
 
     @property
     def pid(self) -> int:
@@ -86,7 +90,8 @@ class Helper(Generic[Question, Answer]):
             patience: s.
 
         Raises:
-            HelperLostError: no answer came, or the work failed.
+            HelperLateError: no answer came so soon, or there is none yet to the question before.
+            HelperLostError: the work failed, or nobody is there.
         """
         with self._lock:
             self.begin(question)
@@ -96,21 +101,28 @@ class Helper(Generic[Question, Answer]):
         """Hand over a question; `finish` waits for its answer.
 
         Raises:
+            HelperLateError: the question before, which nobody waits for any more, is still being
+                answered; later it can be asked again.
             HelperLostError: nobody is there.
         """
         self.wait_until_ready()
+        if self._owes:
+            self.finish(0.0)
         try:
             self._connection.send(question)
         except (OSError, ValueError) as error:
             raise HelperLostError(str(error)) from error
+        self._owes = True
 
     def finish(self, patience: float) -> Answer:
         """Wait for the answer to `begin`'s question.
 
         Raises:
-            HelperLostError: none came, or the work failed.
+            HelperLateError: none came so soon.
+            HelperLostError: the work failed, or nobody is there.
         """
         answer: Answer = received(self._connection, patience)[1]
+        self._owes = False
         return answer
 
     def close(self) -> None:
@@ -127,11 +139,12 @@ def received(connection: Connection, patience: float) -> tuple[str, Any]:
         patience: s.
 
     Raises:
-        HelperLostError: it said nothing, is gone, or says that it failed.
+        HelperLateError: it said nothing.
+        HelperLostError: it is gone, or says that it failed.
     """
     try:
         if not connection.poll(patience):
-            raise HelperLostError(f"no answer within {patience:g} s")
+            raise HelperLateError(f"no answer within {patience:g} s")
         kind, value = connection.recv()
     except (OSError, EOFError) as error:
         raise HelperLostError(str(error) or "the process has ended") from error

@@ -213,7 +213,7 @@ def test_bases_follow_and_a_base_that_is_gone_is_said(tmp_path: Path) -> None:
     assert fixed in path.read_text()
     path.write_text(path.read_text().replace(fixed, '[pan]\ndriver = "sim"\nfollow = true'))
     run = listen(started(path, "--for", "20s", "-o", "out"), Run())
-    assert [a["device"] for a in run.told("device")] == ["pan bases"]
+    assert [a["device"] for a in run.told("device")] == ["pan bases"], run.told("device")
     dropped = run.watched["dropped"]
     assert any("base" in why for why in dropped)
     (folder,) = (tmp_path / "recordings").iterdir()

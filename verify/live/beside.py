@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 
 from verify.detection import detect
-from verify.helper import Helper, HelperLostError
+from verify.helper import Helper, HelperLateError, HelperLostError
 from verify.priority import come_soon, keep_apart
 from verify.records import Array, Image, Spots
 from verify.shared_picture import SharedPicture, picture_of, place_of
@@ -16,17 +16,18 @@ Question = tuple[str, tuple[int, ...], Array | None]  # shared memory, shape, wi
 class BesideDetector:
     """Finds the spots of both pictures at once; the same spots as one after the other.
 
-    Should the second process be lost, both pictures are searched here from then on.
+    Both pictures are searched here while the second process is late, and from then on should it be
+    lost.
 
     Args:
-        warn: is told if so.
+        warn: is told if so; the first time, if it is late.
 
     Raises:
         HelperLostError: the second process does not start.
     """
 
     def __init__(self, warn: Callable[[str], None]) -> None:
-        self._warn = warn
+        self._warn, self._told = warn, False
         self._helper: Helper[Question, Spots] | None = Helper(
             _detect_there, "right picture", prepare=come_soon
         )
@@ -52,10 +53,14 @@ class BesideDetector:
             helper.begin((*(place_of(right) or self._picture.put(right)), right_windows))
             here = detect(left, left_windows)
             return here, helper.finish(PATIENCE)
+        except HelperLateError as error:
+            if not self._told:
+                self._warn(f"pictures are searched one after the other now and then: {error}")
+            self._told = True
         except HelperLostError as error:
             self._warn(f"pictures are searched one after the other from now on: {error}")
             self.close()
-            return detect(left, left_windows), detect(right, right_windows)
+        return detect(left, left_windows), detect(right, right_windows)
 
     def spread(self) -> None:
         """Have both pictures searched on processors of their own; moves the calling thread."""

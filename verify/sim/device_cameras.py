@@ -45,7 +45,7 @@ class SimulatedCameraDevice:
         self._ready: CameraFrame | None = None
         self._frames = self._lost = 0
         self._arrivals: deque[float] = deque(maxlen=256)
-        self._closed = False
+        self._coming = self._closed = False
 
     def read(self) -> CameraFrame | None:
         """Give the next picture; None after READ_LIMIT without one."""
@@ -56,6 +56,14 @@ class SimulatedCameraDevice:
             self._next = self._due(clock.now())
             self._last = self._next - 1
             return None
+        self._coming = True
+        try:
+            return self._coming_next()
+        finally:
+            self._coming = False
+
+    def _coming_next(self) -> CameraFrame | None:
+        clock = self._scene.clock
         if self._ready is None:
             self._next = self._shared(max(self._next, self._due(clock.now()) - KEPT))
             begin = clock.began + self._next / self._rate - RENDERING
@@ -74,6 +82,8 @@ class SimulatedCameraDevice:
         """Say how the camera is."""
         now, away = self._scene.clock.now(), self._away()
         age = now - self._arrivals[-1] if self._arrivals else None
+        if self._coming and away is None:  # this machine may be late: the camera it plays is not
+            age = min(age or 0.0, 1 / self._rate)
         within = [t for t in list(self._arrivals) if t > now - 1.0]
         name = f"simulated {SIDES[self._side]} camera"
         said = {"camera_gone": "not connected: it was unplugged", "camera_stalls": "silent"}

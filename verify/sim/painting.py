@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from verify.helper import Helper, HelperLostError
+from verify.helper import Helper, HelperLateError, HelperLostError
 from verify.records import Image
 from verify.shared_picture import SharedPicture, picture_of
 from verify.sim import library
@@ -25,7 +25,9 @@ from verify.sim.world import World
 
 LAMP_DN = 200.0  # as bright as an LED
 LAMP_ASIDE = (60.0, 40.0, 0.0)  # mm, rig axes, from the middle of the LEDs' way
-PATIENCE = 1.0  # s for a picture painted elsewhere; then it is painted here
+# s for a picture painted elsewhere, then it is painted here: less than a camera may be silent for
+PATIENCE = 0.3
+LATE = "painted by the main process while the other one is late"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,15 +91,16 @@ def near_painter(session: SimulatedSession) -> NearPainter:
 
 
 class DistantPainter:
-    """Paints in another process, and here until that is ready or should it be lost.
+    """Paints in another process, and here until that is ready, while it is late or once it is lost.
 
     Args:
         scenario: as the station names it.
         near: paints the same here.
+        patience: s for a picture.
     """
 
-    def __init__(self, scenario: str, near: NearPainter) -> None:
-        self._near = near
+    def __init__(self, scenario: str, near: NearPainter, patience: float = PATIENCE) -> None:
+        self._near, self._patience = near, patience
         self._helper: Helper[tuple[Sight, str, tuple[int, ...]], None] | None = Helper(
             partial(_paint_there, scenario), "simulated cameras",
             aside=True, prepare=partial(_there, scenario),
@@ -112,8 +115,11 @@ class DistantPainter:
         try:
             if helper is not None and helper.is_ready():
                 name, shape = room.room(self._near.renderers[sight.side].shape)
-                helper.ask((sight, name, shape), PATIENCE)
+                helper.ask((sight, name, shape), self._patience)
+                self.trouble = ""
                 return room.copy(shape)
+        except HelperLateError:
+            self.trouble = LATE
         except HelperLostError as error:
             self.trouble = f"painted by the main process from now on: {error}"
             self._end()

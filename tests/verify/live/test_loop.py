@@ -1,6 +1,8 @@
 """The loop with devices that a test plays: what is measured, what is lost, what is said."""
 
 import ast
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -353,10 +355,18 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
             np.testing.assert_array_equal(spots.covariance, expected.covariance)
     helper = detector._helper
     assert helper is not None
+    os.kill(helper.pid, signal.SIGSTOP)
+    for _ in range(3):  # waited for once
+        assert len(detector(pictures[0], pictures[1], None, None)[1]) == 1
+    assert len(said) == 1
+    assert "now and then: no answer within 1 s" in said[0]
+    assert detector._helper is helper
     helper._process.kill()
+    helper._process.join()
     found = detector(pictures[0], pictures[1], None, None)
     assert len(found[1]) == 1
-    assert len(said) == 1
+    assert len(said) == 2
+    assert "from now on" in said[1]
     detector.close()
 
 

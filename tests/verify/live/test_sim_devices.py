@@ -71,9 +71,11 @@ class Busy:
 
     def __init__(self, hand: HandClock, near: Painter, *, late: float) -> None:
         self._hand, self._near, self.late = hand, near, late
+        self.meanwhile = lambda: None
 
     def paint(self, sight: Sight) -> Image:
         self._hand.t += self.late
+        self.meanwhile()
         return self._near.paint(sight)
 
     def close(self) -> None: ...
@@ -88,12 +90,16 @@ def test_a_camera_whose_pictures_come_late_is_not_silent() -> None:
     hand, made = by_hand()
     painter = Busy(hand, made.scene.painter, late=0.45)
     camera = SimulatedCameraDevice(made.scene, 0, painter, SIM)
+    ages: list[float | None] = []
+    painter.meanwhile = lambda: ages.append(camera.state().age)
     for _ in range(5):
         frame = camera.read()
         assert frame is not None
         age = camera.state().age
         assert age is not None
         assert age < 1 / 30
+    assert len(ages) == 5
+    assert all(age is not None and age <= 1 / 30 for age in ages)
     assert hand.t - frame.t > 0.4
     assert camera.state().rate == 2  # every sixteenth of thirty a second
     hand.t += 1.5

@@ -1,11 +1,14 @@
 """Pictures painted in another process are those painted here, and its loss costs none."""
 
+import os
+import signal
 import time
 
 import numpy as np
 
+from verify.helper import Helper
 from verify.sim import library
-from verify.sim.painting import DistantPainter, Sight, near_painter
+from verify.sim.painting import LATE, DistantPainter, Sight, near_painter
 from verify.sim.sessions import START, simulate
 
 SCENARIO = "multi_joint_rv_3sd"
@@ -17,17 +20,22 @@ SIGHTS = [
 ]
 
 
-def test_both_paint_the_same_and_one_stands_in_for_the_other() -> None:
-    near = near_painter(simulate(library.load(SCENARIO)))
-    wanted = [near.paint(sight) for sight in SIGHTS]
-    assert not np.array_equal(wanted[0], wanted[1])
-    distant = DistantPainter(SCENARIO, near)
-    assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))  # while it starts
+def ready(distant: DistantPainter) -> Helper[object, None]:
     helper, end = distant._helper, time.monotonic() + LIMIT
     assert helper is not None
     while not helper.is_ready():
         assert time.monotonic() < end
         time.sleep(0.05)
+    return helper
+
+
+def test_both_paint_the_same_and_one_stands_in_for_the_other() -> None:
+    near = near_painter(simulate(library.load(SCENARIO)))
+    wanted = [near.paint(sight) for sight in SIGHTS]
+    assert not np.array_equal(wanted[0], wanted[1])
+    distant = DistantPainter(SCENARIO, near, LIMIT)
+    assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))  # while it starts
+    helper = ready(distant)
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
     assert distant._helper is helper  # it was asked, and answered
     assert not distant.trouble
@@ -35,6 +43,25 @@ def test_both_paint_the_same_and_one_stands_in_for_the_other() -> None:
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
     assert distant._helper is None
     assert "painted by the main process from now on" in distant.trouble
+    distant.close()
+    distant.close()
+
+
+def test_one_that_is_late_is_not_waited_for_and_asked_again_once_it_answers() -> None:
+    near = near_painter(simulate(library.load(SCENARIO)))
+    wanted = [near.paint(sight) for sight in SIGHTS]
+    distant = DistantPainter(SCENARIO, near, 0.01)
+    helper = ready(distant)
+    os.kill(helper.pid, signal.SIGSTOP)
+    assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
+    assert distant.trouble == LATE
+    os.kill(helper.pid, signal.SIGCONT)
+    distant._patience, end = LIMIT, time.monotonic() + LIMIT
+    while distant.trouble:
+        assert np.array_equal(distant.paint(SIGHTS[1]), wanted[1])
+        assert time.monotonic() < end
+    assert distant._helper is helper
+    assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
     distant.close()
     distant.close()
 
