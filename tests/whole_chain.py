@@ -42,7 +42,7 @@ from verify.rig import Rig
 from verify.session import Clock as ToldClock
 from verify.sim.board_scenario import Bases, BoardRig, Boards, BoardScenario, Fixture
 from verify.sim.boards import board_pairs, simulate
-from verify.sim.draws import random_scenario
+from tests.random_scenarios import random_scenario
 from verify.sim.scenario import CameraTable, Clock, Recording, RigTable, Uncertainty
 from verify.sim.sessions import SimulatedSession
 from verify.systematics import sensitivities, spot_columns, stated

@@ -6,13 +6,10 @@ picture before showed there), so an LED would stand where it no longer is.
 
 import zlib
 
-import numpy as np
-
-from verify.checksums_kernel import turn_bits
-
 _SLICE_FOOTER = 8  # bytes: slice size (3), error status (1), CRC-32 (4)
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHUNK_FRAME = 12  # bytes: length (4), type (4), CRC-32 (4)
+_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))  # each byte's bits reversed
 
 
 def ffv1_intact(packet: bytes) -> bool:
@@ -24,11 +21,10 @@ def ffv1_intact(packet: bytes) -> bool:
     Source: RFC 9043, sections 4.9 and 4.9.3.
     """
     end = len(packet)
-    turned = np.empty(end, dtype=np.uint8)
-    turn_bits(np.frombuffer(packet, dtype=np.uint8), turned)
+    reversed_bits = memoryview(packet.translate(_REVERSED))
     while end >= _SLICE_FOOTER:
         size = int.from_bytes(packet[end - 8 : end - 5], "big") + _SLICE_FOOTER
-        data = turned[max(end - size, 0) : end].data
+        data = reversed_bits[max(end - size, 0) : end]
         if size > end or zlib.crc32(data, 0xFFFFFFFF) != 0xFFFFFFFF:
             return False
         end -= size

@@ -11,7 +11,6 @@ from verify.rig import Camera
 
 PARALLEL = 1e-18  # squared sine of the angle between rays; 1e-9 rad puts a point 1e8 m away
 FLAT = 1e-6  # second over first singular value: below it points lie on a line but for rounding
-ALIGNED = 1e-12  # how far from a pure turn about +y a camera may be for the closed form, rounding
 
 
 def triangulate(
@@ -79,64 +78,6 @@ def meet(center_a: Array, ray_a: Array, center_b: Array, ray_b: Array) -> tuple[
     points = np.where(meets[..., None], (foot_a + foot_b) / 2, np.nan)
     gap = np.where(meets, np.linalg.norm(foot_b - foot_a, axis=-1), np.nan)
     return points, gap
-
-
-def triangulate_closed_form(
-    left: Camera,
-    right: Camera,
-    pan_left: float,
-    pan_right: float,
-    left_px: Array,
-    right_px: Array,
-) -> tuple[Array, Array]:
-    """Triangulate as the 6R paper does: its equations 7 and 8, mended.
-
-    With the paper's letters, m = F g and n = -F h; F cancels. X and Z come from the horizontal
-    coordinates alone, Y is the mean of the two cameras' heights.
-
-    Args:
-        left: the left camera, turning about the rig's y, without a mount of its own.
-        right: the right camera, likewise.
-        pan_left: rad, reading of the left base.
-        pan_right: rad, reading of the right base.
-        left_px: (..., 2), px.
-        right_px: (..., 2), px.
-
-    Returns:
-        points_rig (..., 3), m, and the vertical mismatch (...,), m: right height less left height.
-        NaN where the rays are parallel or meet behind a camera.
-
-    Raises:
-        ValueError: a camera has a mount, or an axis other than the rig's y: use `triangulate`.
-
-    Source: Korayem et al., Int. J. Advanced Design and Manufacturing Technology 11(1), 2018,
-    eqs. 7-8, with the signs of m2, X01, X02 and of the centres put right.
-    """
-    for camera in (left, right):
-        upright = np.allclose(camera.pan_axis, [0, 1, 0], rtol=0, atol=ALIGNED)
-        if not upright or not np.allclose(camera.mount, np.eye(4), rtol=0, atol=ALIGNED):
-            raise ValueError("the closed form needs identity mounts and pan axes along +y")
-    h1, e1, g1 = _turned(left, pan_left, left_px)
-    h2, e2, g2 = _turned(right, pan_right, right_px)
-    dx, dy, dz = right.pan_center - left.pan_center
-    determinant = h1 * g2 - h2 * g1
-    meets = determinant**2 > PARALLEL * (h1**2 + g1**2) * (h2**2 + g2**2)
-    scale = 1 / np.where(meets, determinant, 1.0)
-    depth1 = (dx * g2 - dz * h2) * scale
-    depth2 = (dx * g1 - dz * h1) * scale
-    meets = meets & (depth1 > 0) & (depth2 > 0)
-    mismatch = dy + depth2 * e2 - depth1 * e1
-    offset = np.stack([depth1 * h1, depth1 * e1 + mismatch / 2, depth1 * g1], axis=-1)
-    points = np.where(meets[..., None], left.pan_center + offset, np.nan)
-    return points, np.where(meets, mismatch, np.nan)
-
-
-def _turned(camera: Camera, pan: float, pixels: Array) -> tuple[Array, Array, Array]:
-    """Turn lines of sight about y by the pan: (h, e, g), the rays' x, y and z in the rig."""
-    xy = camera.normalise(np.asarray(pixels, dtype=float))
-    angle = pan + camera.pan_zero
-    c, s = np.cos(angle), np.sin(angle)
-    return xy[..., 0] * c + s, xy[..., 1], c - xy[..., 0] * s
 
 
 def fit_rigid(points_a: Array, points_b: Array) -> Array:

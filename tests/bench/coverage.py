@@ -16,7 +16,7 @@ import numpy as np
 from tests.simulated import in_memory
 from verify.analysis import analyse
 from verify.records import Array
-from verify.sim.draws import random_scenario
+from tests.random_scenarios import random_scenario
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
 SESSIONS = 100

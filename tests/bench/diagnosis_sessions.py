@@ -26,7 +26,7 @@ from verify.judgement.resolved import resolve
 from verify.pose import fit_pose
 from verify.readings import Readings
 from verify.records import Array, Measurement, Sighting
-from verify.sim.draws import random_scenario
+from tests.random_scenarios import random_scenario
 from verify.sim.faults import reading_error
 from verify.sim.scenario import Fault, MultiJoint, Recording, Uncertainty
 from verify.sim.sessions import SimulatedSession

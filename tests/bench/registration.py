@@ -18,7 +18,7 @@ from verify.calibration.motion_readings import reading_variance
 from verify.readings import Readings
 from verify.records import Array
 from verify.rig import Camera
-from verify.sim.draws import random_scenario
+from tests.random_scenarios import random_scenario
 from verify.sim.scenario import Scenario
 from verify.sim.sessions import SimulatedSession, simulate
 

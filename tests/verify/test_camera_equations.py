@@ -18,7 +18,7 @@ from numpy.testing import assert_allclose
 
 from verify.records import Array
 from verify.rig import Camera
-from verify.triangulation import triangulate_closed_form
+from verify.triangulation import triangulate
 
 PIXEL = 0.003  # mm, the camera table's pixel pitch
 PLAINLY = 1e-3  # mm, what an equation that is wrong is off by at the least; a right one 1e-9
@@ -169,7 +169,7 @@ class TestKorayem:
         one, two = (Station(4.0, 0.0, np.array([x, 0.0, 0])) for x in (-60, 60))
         assert_allclose(one.image(far)[0] - two.image(far)[0], 0, atol=1e-6)
 
-    def test_the_closed_form_of_the_code_is_eqs_7_and_8_mended(self, pair: Pair) -> None:
+    def test_triangulation_of_the_code_is_eqs_7_and_8_mended(self, pair: Pair) -> None:
         cameras, pixels = [], []
         for station in (pair.one, pair.two):
             focal = station.F / PIXEL
@@ -185,7 +185,7 @@ class TestKorayem:
                 )
             )
             pixels.append(np.stack(station.image(pair.points), axis=1) / -PIXEL + [639.5, 359.5])
-        found, _ = triangulate_closed_form(
+        found, _ = triangulate(
             cameras[0], cameras[1], pair.one.beta, pair.two.beta, pixels[0], pixels[1]
         )
         X, Z = found[:, 0] * 1000, found[:, 2] * 1000

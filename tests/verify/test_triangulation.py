@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from verify.records import Array
 from verify.rig import Camera
-from verify.triangulation import fit_rigid, triangulate, triangulate_closed_form
+from verify.triangulation import fit_rigid, triangulate
 
 BARREL = np.array([-0.09, 0.06, 6e-4, -4e-4, 0.0])
 
@@ -67,30 +67,6 @@ def test_a_point_that_opencv_projects_is_found_again(seed: int, ideal: bool) -> 
     assert_allclose(gap, 0, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_the_closed_form_agrees_with_the_general_one(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    left, right = make_camera(rng, -0.08), make_camera(rng, 0.08)
-    pans = rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6)
-    local = np.c_[rng.uniform(-0.2, 0.2, (30, 2)), rng.uniform(0.4, 2.0, 30)]
-    truth = local @ turn(np.array([0, np.mean(pans), 0])).T
-    pixels = seen(left, pans[0], truth), seen(right, pans[1], truth)
-    general, _ = triangulate(left, right, pans[0], pans[1], pixels[0], pixels[1])
-    closed, mismatch = triangulate_closed_form(left, right, pans[0], pans[1], pixels[0], pixels[1])
-    front = np.isfinite(general[:, 0])
-    assert front.any()
-    assert_allclose(closed[front], general[front], rtol=1e-9, atol=1e-12)
-    assert_allclose(closed[front], truth[front], rtol=1e-9, atol=1e-12)
-    assert_allclose(mismatch[front], 0, atol=1e-10)
-
-
-def test_the_closed_form_refuses_a_camera_with_a_mount() -> None:
-    rng = np.random.default_rng(0)
-    left, right = make_camera(rng, -0.08, vertical=False), make_camera(rng, 0.08)
-    with pytest.raises(ValueError, match="identity mounts"):
-        triangulate_closed_form(left, right, 0.0, 0.0, np.zeros(2), np.zeros(2))
-
-
 def test_a_vertical_mismatch_shows_as_gap_and_the_point_lies_midway() -> None:
     rng = np.random.default_rng(1)
     left, right = make_camera(rng, -0.1), make_camera(rng, 0.1)
@@ -98,10 +74,7 @@ def test_a_vertical_mismatch_shows_as_gap_and_the_point_lies_midway() -> None:
     truth = np.array([[0.0, 0.0, 0.7]])
     pixels = seen(left, 0.1, truth - apart / 2), seen(right, -0.1, truth + apart / 2)
     points, gap = triangulate(left, right, 0.1, -0.1, *pixels)
-    closed, mismatch = triangulate_closed_form(left, right, 0.1, -0.1, *pixels)
     assert_allclose(gap, 2e-3, rtol=2e-3)  # rays drawn 2 mm apart, a little slanted to each other
-    assert_allclose(mismatch, 2e-3, rtol=1e-9)
-    assert_allclose(closed, truth, atol=1e-12)
     assert_allclose(points, truth, atol=1e-4)  # the gap's own slant: a twentieth of it
 
 
@@ -111,10 +84,9 @@ def test_rays_that_are_parallel_or_meet_behind_a_camera_give_nan() -> None:
     middle = np.array([640.0, 355.0])
     for pan in (0.0, 0.2):  # parallel axes, then axes that part
         pans = -pan - left.pan_zero, pan - right.pan_zero
-        for method in (triangulate, triangulate_closed_form):
-            points, gap = method(left, right, *pans, middle, middle)
-            assert np.all(np.isnan(points)), method.__name__
-            assert np.isnan(gap)
+        points, gap = triangulate(left, right, *pans, middle, middle)
+        assert np.all(np.isnan(points))
+        assert np.isnan(gap)
 
 
 def test_shapes_broadcast_so_that_every_left_spot_meets_every_right_one() -> None:

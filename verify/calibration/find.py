@@ -1,6 +1,5 @@
 """A board in an image: its corners, each with its covariance."""
 
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -57,16 +56,6 @@ def ambiguous(board: Board) -> bool:
     of ChArUco boards every corner is known in every view.
     """
     return board.markers is None and (board.columns + board.rows) % 2 == 0
-
-
-def half_turn(view: BoardView, board: Board) -> BoardView:
-    """The same corners, labelled as on the board turned by 180° in its plane."""
-    return replace(
-        view,
-        corner=len(board) - 1 - view.corner[::-1],
-        centre=view.centre[::-1],
-        covariance=view.covariance[::-1],
-    )
 
 
 def seen_instead(image: Image, board: Board) -> tuple[int, int] | None:

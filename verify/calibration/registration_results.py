@@ -125,48 +125,6 @@ def fixture_results(
     )
 
 
-def sweep_results(
-    found: SweepResult,
-    rig: Rig,
-    *,
-    robot: str,
-    source: str = "",
-    description: str = "",
-    inputs: Mapping[str, str] | None = None,
-) -> Results:
-    """Lay one-joint sweeps by themselves out for the report.
-
-    Args:
-        found: the axes.
-        rig: the cameras.
-        robot: the arm's name.
-        source: folder of the session.
-        description: a user's words on it.
-        inputs: files that were read, with their hashes.
-    """
-    used = sorted({frame for joint in found.joints for frame in joint.frames.tolist()})
-    base = None
-    if found.base is not None:
-        base = _base(found.base.rig_T_base, np.sqrt(np.diag(found.base.covariance)))
-    summary = {
-        **_head("sweeps", robot, source, description, inputs),
-        "registration": rig.registration,
-        "pairs": {"used": len(used), "left_out": {}},
-        "base": base,
-        "leds": [],
-        "clock": _time(found.clock_offset, None),
-        "joints": [],
-        "fit": {},
-        "decisions": [],
-        "warnings": [],
-    }
-    return Results(
-        summary=_with_sweeps(summary, found),
-        setup={"image_size_px": list(rig.image_size)},
-        tables=_sweep_tables(found),
-    )
-
-
 def _head(
     method: str, robot: str, source: str, description: str, inputs: Mapping[str, str] | None
 ) -> dict[str, Any]:

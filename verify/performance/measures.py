@@ -59,27 +59,11 @@ def mean_turn(attained: Array) -> Array:
     return mean
 
 
-def geodesic(attained: Array) -> Array:
-    """Angle (n,), rad, of each orientation (n, 3, 3) from their mean, whatever the axis."""
-    angles: Array = np.linalg.norm(turns(attained, mean_turn(attained)), axis=1)
-    return angles
-
-
 def furthest(barycentres: Array) -> tuple[float, tuple[int, int]]:
     """Largest distance between barycentres (h, .), in their unit (vAP), and of which two."""
     apart = np.linalg.norm(barycentres[:, None] - barycentres[None], axis=2)
     one, other = np.unravel_index(int(np.argmax(apart)), apart.shape)
     return float(apart[one, other]), (int(one), int(other))
-
-
-def distance_accuracy(one: Array, other: Array, commanded: float) -> float:
-    """AD (m): mean distance of two poses' positions, (n, 3) each, less the commanded distance."""
-    return float(np.linalg.norm(one - other, axis=1).mean() - commanded)
-
-
-def distance_repeatability(one: Array, other: Array) -> float:
-    """RD (m): three standard deviations of the distance between two poses' positions (n, 3)."""
-    return float(SPREADS * np.linalg.norm(one - other, axis=1).std(ddof=1))
 
 
 def path_accuracy(attained: Array, commanded: Array) -> tuple[float, int]:

@@ -24,12 +24,7 @@ from verify.calibration.quality_coverage import stances, view_frame
 from verify.calibration.quality_picture import draw_rectified
 from verify.calibration.quality_views import rms, standing_out, views
 from verify.calibration.records import Calibration, Residuals
-from verify.calibration.registration_results import (
-    POSE,
-    fixture_results,
-    motion_results,
-    sweep_results,
-)
+from verify.calibration.registration_results import POSE, fixture_results, motion_results
 from verify.calibration.results import results
 from verify.calibration.results_stereo import stereo, turning
 from verify.calibration.sweep_axis import Axis
@@ -562,28 +557,3 @@ def test_a_registration_by_a_fixture_is_laid_out_in_the_file_s_units() -> None:
     assert_allclose(pairs["x_mm"], 1.0)
     assert_allclose(pairs["rz_deg"], np.rad2deg(0.01))
     assert "It hides nothing." in reports.render_html(found)
-
-
-def test_sweeps_by_themselves_are_laid_out_against_the_table() -> None:
-    none = np.zeros(3)
-    axis = Axis(
-        direction=none, point=none, across=np.zeros((2, 3)), covariance=np.zeros((4, 4)),
-        by_pose=np.zeros((4, 12)), angle=np.zeros(2), angle_covariance=np.zeros((2, 2)),
-        angle_by_pose=np.zeros((2, 12)), residual=np.zeros((2, 6)), noise=1.0, chi2=1.0,
-        degrees_of_freedom=1,
-    )  # fmt: skip
-    swept = SweptJoint(
-        joint=2, frames=np.array([4, 5]), q=np.array([[0.0, -0.2], [0.0, 0.3]]), axis=axis,
-        by_source=np.zeros((4, 0)), gear=1.001, gear_uncertainty=4e-4,
-        nonlinearity=np.array([0.01, -0.01]), nonlinearity_uncertainty=np.array([1e-3, 1e-3]),
-    )  # fmt: skip
-    pair = AxisPair((1, 2), False, 1.57, np.pi / 2, 1e-3, 0.04, 0.041, 1e-4, agrees=False)
-    given = SweepResult((swept,), (pair,), None, 0.137, ("said",), ())
-    found = sweep_results(given, _registered(), robot="iust_6r")
-    assert found.tables["gears"]["span_deg"].tolist() == pytest.approx([np.rad2deg(0.5)])
-    assert found.tables["axes"]["distance_table_mm"].tolist() == pytest.approx([41.0])
-    assert_allclose(found.tables["sweeps"]["reading_deg"], np.rad2deg([-0.2, 0.3]))
-    page = reports.render_html(found)
-    assert "differs" in page
-    assert "The axes of the swept joints were found from sweeps of single joints" in page
-    assert "1 and 2" in page

@@ -11,10 +11,11 @@ from tests.beside import shared
 from tests.verify.grab.caps import BLUE, GREEN
 from verify.grab.camshift import Blob, around, camshift
 from verify.grab.camshift_search import find_all, places
-from verify.grab.camshift_video import PictureSeen, follow
 from verify.grab.colour import named
-from verify.grab.selection import model_from_box
-from verify.records import Image
+from verify.grab.target import Drawn, TargetSeen
+from verify.grab.target_tracking import track
+from verify.records import Array, Image, StereoPair
+from verify.rig import Camera, Rig
 
 WOOD = (110, 150, 180)
 WHOLE = (0, 0, 320, 240)
@@ -104,47 +105,68 @@ def test_a_whole_picture_gives_every_patch_largest_first() -> None:
     assert len(places(image, named("red"))) == 0
 
 
-def cap_video() -> Iterator[tuple[float, Image]]:
+FOCAL, BASELINE, DISPARITY = 600.0, 0.1, 100  # px, m, px: 0.6 m away the cap is 29 mm wide
+
+
+def shifted_pairs() -> Iterator[StereoPair]:
+    """Make a stereo pair of each picture of the real video: the right one is the left one moved."""
     capture = cv2.VideoCapture(str(shared("data", "colour_video_visp", "cube_video.mp4")))
     number = 0
     while (taken := capture.read())[0]:
-        yield number / 30.0, np.asarray(taken[1], dtype=np.uint8)
+        left = np.asarray(taken[1], dtype=np.uint8)
+        right = np.pad(left[:, DISPARITY:], ((0, 0), (0, DISPARITY), (0, 0)), mode="edge")
+        yield StereoPair(number, number / 30.0, number / 30.0, 0.0, 0.0, left, right)
         number += 1
     capture.release()
 
 
+def parallel_rig() -> Rig:
+    """Two cameras beside each other in which the moved pictures are a scene DISPARITY px deep."""
+    left, right = (
+        Camera(
+            matrix=np.array([[FOCAL, 0.0, 319.5], [0.0, FOCAL, 239.5], [0.0, 0.0, 1.0]]),
+            distortion=np.zeros(5),
+            pan_center=np.array([x, 0.0, 0.0]),
+            pan_axis=np.array([0.0, 1.0, 0.0]),
+            pan_zero=0.0,
+            mount=np.eye(4),
+        )
+        for x in (0.0, BASELINE)
+    )
+    return Rig((640, 480), left, right, np.full((4, 4), np.nan), base_source="")
+
+
 @pytest.fixture(scope="module")
-def cap_followed() -> tuple[list[PictureSeen], list[str], list[np.ndarray]]:
+def cap_followed() -> tuple[list[TargetSeen], list[str], list[Array]]:
     """The bottle's cap in the real video; its colour's centre by thresholds of its own."""
     table = shared("data", "colour_video_visp", "cap_visibility.csv")
     with table.open() as file:
         visible = [row["cap"] for row in csv.DictReader(file)]
     box = (331, 84, 29, 32)  # SOURCE.md: x 331..359, y 84..115 in every frame
-    first = next(cap_video())[1]
     centres = []
 
-    def watched() -> Iterator[tuple[float, Image]]:
-        for t, image in cap_video():
-            hsv = cv2.cvtColor(image[84:116, 331:360], cv2.COLOR_BGR2HSV)
+    def watched() -> Iterator[StereoPair]:
+        for pair in shifted_pairs():
+            hsv = cv2.cvtColor(pair.left[84:116, 331:360], cv2.COLOR_BGR2HSV)
             lime = cv2.inRange(hsv, (24, 120, 90), (40, 255, 255))
             rows, columns = np.nonzero(lime)
             centre = [331 + columns.mean(), 84 + rows.mean()] if len(rows) else [np.nan, np.nan]
             centres.append(np.array(centre))
-            yield t, image
+            yield pair
 
-    return list(follow(watched(), model_from_box(first, box), box)), visible, centres
+    return list(track(watched(), parallel_rig(), Drawn(box))), visible, centres
 
 
 @pytest.mark.shared
 def test_a_real_cap_is_found_within_3_px_in_99_percent_of_the_frames(
-    cap_followed: tuple[list[PictureSeen], list[str], list[np.ndarray]],
+    cap_followed: tuple[list[TargetSeen], list[str], list[Array]],
 ) -> None:
     seen, visible, centres = cap_followed
     frames = [i for i, state in enumerate(visible) if state == "in_sight"]
     near = [
         seen[i].status == "tracked"
-        and (blob := seen[i].blob) is not None
-        and np.linalg.norm(blob.centre - centres[i]) < 3.0
+        and (outline := seen[i].left) is not None
+        and np.linalg.norm(outline.centre - centres[i]) < 3.0
         for i in frames
     ]
     assert len(frames) > 900
@@ -153,13 +175,13 @@ def test_a_real_cap_is_found_within_3_px_in_99_percent_of_the_frames(
 
 @pytest.mark.shared
 def test_a_hidden_real_cap_is_lost_and_found_again_each_time(
-    cap_followed: tuple[list[PictureSeen], list[str], list[np.ndarray]],
+    cap_followed: tuple[list[TargetSeen], list[str], list[Array]],
 ) -> None:
     seen, visible, _ = cap_followed
     hidden = [i for i, state in enumerate(visible) if state == "hidden"]
     assert hidden
     assert {seen[i].status for i in hidden} == {"lost"}
-    assert all(seen[i].blob is None for i in hidden)
+    assert all(seen[i].left is None and seen[i].right is None for i in hidden)
     ends = [i for i in hidden if visible[i + 1] != "hidden"]
     for end in ends:
         back = next(i for i in range(end, len(visible)) if visible[i] == "in_sight")
