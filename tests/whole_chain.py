@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 import robots
 from robots.transforms import difference, invert
 from tests.bench.calibration import deviation
+from tests.random_scenarios import random_scenario
 from tests.simulated import InMemory, in_memory
 from tests.verify.calibration.calibrated import squared_distance
 from verify.analysis import analyse
@@ -42,7 +43,6 @@ from verify.rig import Rig
 from verify.session import Clock as ToldClock
 from verify.sim.board_scenario import Bases, BoardRig, Boards, BoardScenario, Fixture
 from verify.sim.boards import board_pairs, simulate
-from tests.random_scenarios import random_scenario
 from verify.sim.scenario import CameraTable, Clock, Recording, RigTable, Uncertainty
 from verify.sim.sessions import SimulatedSession
 from verify.systematics import sensitivities, spot_columns, stated

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import invert
+from tests.random_scenarios import random_scenario
 from tests.simulated import InMemory, in_memory
 from verify.analysis import model_of
 from verify.clock import ClockEstimate
@@ -26,7 +27,6 @@ from verify.judgement.resolved import resolve
 from verify.pose import fit_pose
 from verify.readings import Readings
 from verify.records import Array, Measurement, Sighting
-from tests.random_scenarios import random_scenario
 from verify.sim.faults import reading_error
 from verify.sim.scenario import Fault, MultiJoint, Recording, Uncertainty
 from verify.sim.sessions import SimulatedSession

@@ -11,9 +11,8 @@ import time
 import numpy as np
 
 import robots
-from tests.verify.devices.bench import running
+from tests.verify.devices.bench import running, same_angles
 from verify.devices import EncoderReading
-from verify.devices.intake import same_angles
 from verify.emulators import trajectory
 from verify.emulators.gripper import GripperEngine, GripperOptions
 from verify.emulators.gripper_hand import NOTHING, contacts_of

@@ -12,13 +12,13 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.stats import chi2
 
+from tests.random_scenarios import random_scenario
 from verify.calibration.motion_adjust import Adjusted, Setup, adjust
 from verify.calibration.motion_model import Registered, Spotted
 from verify.calibration.motion_readings import reading_variance
 from verify.readings import Readings
 from verify.records import Array
 from verify.rig import Camera
-from tests.random_scenarios import random_scenario
 from verify.sim.scenario import Scenario
 from verify.sim.sessions import SimulatedSession, simulate
 

@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 
 import robots
-from tests.verify.devices.bench import running
+from tests.verify.devices.bench import running, same_angles
 from verify import marker_file, rig_file
 from verify.commands import grabbing, grabbing_station
 from verify.commands.grabbing import Wish
 from verify.commands.grabbing_station import Ports, grab_on_station
-from verify.devices.intake import same_angles
 from verify.emulators import trajectory
 from verify.emulators.gripper import GripperEngine, GripperOptions
 from verify.emulators.gripper_hand import contacts_of

@@ -24,10 +24,6 @@ STARTS, PAUSE = 100, 0.1  # of a worker at most, and s in between
 class Crew(Protocol):
     """Workers, wherever they are."""
 
-    @property
-    def workers(self) -> int:
-        """Count them."""
-
     def ready(self, tasks: int) -> None:
         """Wait until somebody can begin with so many tasks, 1 at least."""
 
@@ -53,7 +49,6 @@ class Processes:
     """
 
     def __init__(self, workers: int) -> None:
-        self.workers = workers
         self._crowded = workers >= processors()
         self._idle: list[_Worker] = [_Worker(self._crowded) for _ in range(workers)]
         self._busy: dict[Future[Any], tuple[_Worker, Task]] = {}

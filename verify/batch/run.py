@@ -8,11 +8,10 @@ from typing import Any
 
 from verify.batch import tables
 from verify.batch.crew import Crew
-from verify.batch.parts import Part
 from verify.batch.progress import Progress
 from verify.batch.records import KILLED, Failure, Found, Lost, Measured, Options, Task, named
 from verify.batch.store import Store
-from verify.batch.tasks import Compare, Join, Long, Measure, MeasurePart, Report
+from verify.batch.tasks import Compare, Measure, Report
 from verify.errors import one_line
 
 Watch = Callable[[Progress], None]
@@ -48,7 +47,7 @@ def measure_all(
     Raises:
         InputError: `out` cannot be written.
     """
-    work = _Work(Store(out), options, Progress(len(found) + len(failures)), split=crew.workers > 1)
+    work = _Work(Store(out), options, Progress(len(found) + len(failures)))
     work.progress.failures += failures
     for one in found:
         work.begin(one)
@@ -89,12 +88,10 @@ def write_tables(batch: Batch, folder: Path) -> None:
 class _Work:
     """What is to be done, and what each outcome leads to."""
 
-    def __init__(self, store: Store, options: Options, progress: Progress, *, split: bool) -> None:
+    def __init__(self, store: Store, options: Options, progress: Progress) -> None:
         self.store, self.options, self.progress = store, options, progress
         self.waiting: deque[Task] = deque()
         self.done: list[str] = []
-        self._whole = not split
-        self._parts: dict[Found, tuple[Long, dict[int, Part]]] = {}
 
     def begin(self, one: Found) -> None:
         """Take a session up: measure it, or see whether what was kept still holds."""
@@ -105,7 +102,7 @@ class _Work:
         if kept is not None:
             again = f"{one.session}: was measured with other options or another version"
             self.progress.again.append(again)
-        self.waiting.append(Measure(one, self.options, self._whole))
+        self.waiting.append(Measure(one, self.options))
 
     def take(self, task: Task, outcome: Any) -> None:
         """Act on what came of a task."""
@@ -115,12 +112,6 @@ class _Work:
             self.progress.measured += 1
             self.progress.pairs += outcome.pairs
             self.done.append(found.session)
-        elif isinstance(outcome, Long):
-            self._parts[found] = outcome, {}
-            tasks = [MeasurePart(found, outcome.session, span) for span in outcome.spans]
-            self.waiting.extendleft(reversed(tasks))
-        elif isinstance(task, MeasurePart):
-            self._take_part(task, outcome)
         elif isinstance(task, Compare) and isinstance(outcome, list):
             self._compared(task, outcome)
         else:
@@ -128,34 +119,13 @@ class _Work:
                 _killed(found, outcome) if isinstance(outcome, Lost) else outcome
             )
 
-    def _take_part(self, task: MeasurePart, outcome: Part | Failure | Lost) -> None:
-        """Join the parts of a session once all are there; one that fails has it done in one go."""
-        if task.found not in self._parts:  # another part of it has failed before
-            return
-        long, parts = self._parts[task.found]
-        if not isinstance(outcome, Part):
-            del self._parts[task.found]
-            rest = [t for t in self.waiting if not _is_part(t, task.found)]
-            self.waiting.clear()
-            self.waiting.extend([Measure(task.found, self.options, whole=True), *rest])
-            return
-        parts[task.span.first] = outcome
-        if len(parts) == len(long.spans):
-            del self._parts[task.found]
-            inorder = [parts[span.first] for span in long.spans]
-            self.waiting.appendleft(Join(task.found, self.options, long.session, inorder))
-
     def _compared(self, task: Compare, changed: list[str]) -> None:
         if not changed:
             self.progress.kept += 1
             self.done.append(task.found.session)
             return
         self.progress.again.append(f"{task.found.session}: changed since: {', '.join(changed)}")
-        self.waiting.append(Measure(task.found, self.options, self._whole))
-
-
-def _is_part(task: Task, found: Found) -> bool:
-    return isinstance(task, MeasurePart) and task.found == found
+        self.waiting.append(Measure(task.found, self.options))
 
 
 def _killed(found: Found, lost: Lost) -> Failure:

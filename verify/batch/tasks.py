@@ -1,7 +1,7 @@
 """What workers do: measure a session, see whether one has changed, write its own report."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -9,7 +9,6 @@ import reports
 from reports import Results
 from reports.results import plain
 from verify.analysis import analyse
-from verify.batch.parts import Part, Span, joined, measure_part, measured_session, spans
 from verify.batch.places import at_hand, is_url, states
 from verify.batch.records import (
     DEFECT,
@@ -24,17 +23,9 @@ from verify.batch.records import (
 from verify.errors import InputError, one_line
 from verify.files import digest, system_refusal
 from verify.results_folder import RESULTS, read_results, write_results
-from verify.session import Session, open_session
+from verify.session import open_session
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class Long:
-    """A session that is worth measuring in parts."""
-
-    session: Session = field(repr=False)
-    spans: list[Span]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,59 +34,20 @@ class Measure:
 
     found: Found
     options: Options
-    whole: bool = True  # in one go, however long
-
-    def perform(self) -> Measured | Long | Failure:
-        """Give its results as files, or why there are none; a long one is handed back opened."""
-        return _guarded(self.found, self._measured)
-
-    def _measured(self) -> Measured | Long:
-        with at_hand(self.found.folder) as folder:
-            opened = open_session(folder)
-            remote = is_url(self.found.folder)
-            pieces = spans(len(opened))
-            if len(pieces) > 1 and not self.whole and not remote:  # a copy stays on one worker
-                return Long(opened, pieces)
-            tolerance = self.options.asked.tolerance(opened.arm.dof)
-            results = called(analyse(opened, tolerance=tolerance), str(folder), self.found.session)
-            return measured(
-                self.found.session, results, states(self.found.folder) if remote else None
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class MeasurePart:
-    """Measure some pairs of a long session."""
-
-    found: Found
-    session: Session = field(repr=False)
-    span: Span
-
-    def perform(self) -> Part | Failure:
-        """Give what came of them."""
-        return _guarded(self.found, lambda: measure_part(self.session, self.span))
-
-
-@dataclass(frozen=True, slots=True)
-class Join:
-    """Analyse a session whose parts have been measured."""
-
-    found: Found
-    options: Options
-    session: Session = field(repr=False)
-    parts: list[Part] = field(repr=False)
 
     def perform(self) -> Measured | Failure:
-        """Give the results that measuring it in one go would give."""
+        """Give its results as files, or why there are none."""
         return _guarded(self.found, self._measured)
 
     def _measured(self) -> Measured:
-        session = measured_session(self.session, *joined(self.session, self.parts))
-        tolerance = self.options.asked.tolerance(session.arm.dof)
-        results = analyse(session, tolerance=tolerance, chain=session.chain)
-        return measured(
-            self.found.session, called(results, self.found.folder, self.found.session), None
-        )
+        with at_hand(self.found.folder) as folder:
+            opened = open_session(folder)
+            tolerance = self.options.asked.tolerance(opened.arm.dof)
+            results = called(analyse(opened, tolerance=tolerance), str(folder), self.found.session)
+            remote = is_url(self.found.folder)
+            return measured(
+                self.found.session, results, states(self.found.folder) if remote else None
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,5 @@
 """A board in an image: its corners, each with its covariance."""
 
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -14,7 +14,6 @@ if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
     from verify.batch.run import Batch
     from verify.fleet.assess import Questions
 
-TABLES = ("sessions.parquet", "frames.parquet", "failures.csv")
 SOME_FAILED = 4
 
 

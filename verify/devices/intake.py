@@ -45,11 +45,6 @@ class AngleMap:
         return self.sign * angle + self.offset
 
 
-def same_angles(joints: int) -> AngleMap:
-    """Take the controller's angles as they are."""
-    return AngleMap(np.ones(joints), np.zeros(joints))
-
-
 class Counts:
     """What came, what was dropped and why; worded for people."""
 

@@ -123,16 +123,3 @@ ORDERS: dict[State, Order] = {
 ARM_MOVES = frozenset({Order.FOLLOW, Order.DESCEND, Order.LIFT, Order.RETREAT})
 FINGERS_MOVE = frozenset({Order.CLOSE, Order.OPEN})
 MOVING = frozenset(s for s, order in ORDERS.items() if order in ARM_MOVES | FINGERS_MOVE)
-SAFE = frozenset(  # where a grab may end, or wait for as long as it likes
-    {
-        State.IDLE,
-        State.LIFTED,
-        State.MISSED,
-        State.HOLDING_STALE,
-        State.HOLDING_LOST,
-        State.HOLDING_UNREACHABLE,
-        State.HOLDING_OPERATOR,
-        State.FAULT,
-        State.RELEASED,
-    }
-)

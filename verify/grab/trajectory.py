@@ -80,7 +80,6 @@ class Trajectory:
 
     path: Path
     rates: Rates
-    goal: float  # of the way: where it leads, held or not
     curve: Any  # ruckig's Trajectory of s
     duration: float  # s
 
@@ -105,11 +104,7 @@ class Trajectory:
         order = _order(s, speed, acceleration, self.rates)
         order.control_interface = ruckig.ControlInterface.Velocity
         curve = _calculated(order)
-        return Trajectory(self.path, self.rates, self.goal, curve, curve.duration)
-
-    def resumed(self) -> "Trajectory":
-        """Go on from where this one ends, held before its goal, to that goal."""
-        return _along(self.path, self.rates, self._end, self.goal)
+        return Trajectory(self.path, self.rates, curve, curve.duration)
 
     def returning(self) -> "Trajectory":
         """Go back along the path from where this one ends to the path's beginning."""
@@ -178,7 +173,7 @@ def _along(path: Path, rates: Rates, start: float, goal: float) -> Trajectory:
     order = _order(start, 0.0, 0.0, rates)
     order.target_position = [goal]
     curve = _calculated(order)
-    return Trajectory(path, rates, goal, curve, curve.duration)
+    return Trajectory(path, rates, curve, curve.duration)
 
 
 def _order(s: float, speed: float, acceleration: float, rates: Rates) -> Any:

@@ -26,11 +26,6 @@ def names() -> list[str]:
     return [name for name in _built_in() if not name.startswith(BOARDS)]
 
 
-def board_names() -> list[str]:
-    """List the built-in scenarios that make board pictures."""
-    return [name for name in _built_in() if name.startswith(BOARDS)]
-
-
 def _built_in() -> list[str]:
     folder = resources.files("verify.sim") / "scenarios"
     return sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".toml"))

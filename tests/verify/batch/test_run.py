@@ -13,11 +13,11 @@ import pytest
 
 from tests.verify.batch.fleets import PAIRS, record
 from verify.analysis import analyse
-from verify.batch import parts, tasks
+from verify.batch import tasks
 from verify.batch.finding import find
 from verify.batch.progress import Progress
 from verify.batch.records import DEFECT, KILLED, Lost, Options, Task
-from verify.batch.run import Batch, measure_all, write_tables
+from verify.batch.run import Batch, measure_all
 from verify.commands.asked import Asked
 from verify.results_folder import read_results
 from verify.session import open_session
@@ -28,8 +28,8 @@ OPTIONS = Options(Asked(None, None, None), "1.0")
 class Inline:
     """Does each task at once; loses those whose kind is named."""
 
-    def __init__(self, workers: int = 1, lost: str = "") -> None:
-        self.workers, self.lost = workers, lost
+    def __init__(self, lost: str = "") -> None:
+        self.lost = lost
         self.kinds: list[str] = []
         self.loaded = False
 
@@ -127,32 +127,6 @@ def test_a_session_that_was_cut_off_while_being_kept_is_measured_again(
     ((_, again),) = batch(lab, out, crew := Inline()).kept
     assert crew.kinds == ["Measure"]
     assert (again / "entry.json").exists()
-
-
-def test_a_long_session_is_shared_out_and_its_tables_are_the_same_bytes(
-    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    one = batch(lab, tmp_path / "one", Inline())
-    monkeypatch.setattr(parts, "PART", 4)
-    monkeypatch.setattr(parts, "EARLY", 2)
-    two = batch(lab, tmp_path / "two", crew := Inline(workers=2))
-    assert crew.kinds == ["Measure", "MeasurePart", "MeasurePart", "Join"]
-    for done, name in ((one, "a"), (two, "b")):
-        (tmp_path / name).mkdir()
-        write_tables(done, tmp_path / name)
-    for table in ("sessions.parquet", "frames.parquet"):
-        same = (tmp_path / "a" / table).read_bytes() == (tmp_path / "b" / table).read_bytes()
-        assert same, table
-
-
-def test_a_part_that_is_lost_has_the_session_done_in_one_go(
-    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(parts, "PART", 4)
-    done = batch(lab, tmp_path / "out", crew := Inline(workers=2, lost="MeasurePart"))
-    assert crew.kinds == ["Measure", "MeasurePart", "Measure"]
-    assert len(done.kept) == 1
-    assert not done.failures
 
 
 def test_a_session_whose_worker_dies_each_time_is_reported(lab: Path, tmp_path: Path) -> None:

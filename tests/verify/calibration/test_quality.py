@@ -27,8 +27,6 @@ from verify.calibration.records import Calibration, Residuals
 from verify.calibration.registration_results import POSE, fixture_results, motion_results
 from verify.calibration.results import results
 from verify.calibration.results_stereo import stereo, turning
-from verify.calibration.sweep_axis import Axis
-from verify.calibration.sweeps import AxisPair, SweepResult, SweptJoint
 from verify.marker import Marker
 from verify.records import Array
 from verify.rig import Camera, Covariance, Rig

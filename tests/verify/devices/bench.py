@@ -9,6 +9,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from verify.devices import DeviceState
+from verify.devices.intake import AngleMap
 from verify.devices.ports import SerialLine
 from verify.emulators.faults import Faults
 from verify.emulators.fronts import front
@@ -27,6 +28,11 @@ class Device(Protocol[R]):
 
 D = TypeVar("D", bound=Device[object])
 opened: list[Device[object]] = []  # a fixture closes them after each test
+
+
+def same_angles(joints: int) -> AngleMap:
+    """Take the controller's angles as they are."""
+    return AngleMap(np.ones(joints), np.zeros(joints))
 
 
 def kept(device: D) -> D:

@@ -2,10 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.verify.devices.bench import for_seconds, gather, kept
+from tests.verify.devices.bench import for_seconds, gather, kept, same_angles
 from verify.devices.csv_follow import CsvEncoders, CsvSettings
 from verify.devices.field_map import FieldMap
-from verify.devices.intake import same_angles
 
 HEADER = "t_s,q1_deg,q2_deg\n"
 

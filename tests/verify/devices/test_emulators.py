@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.verify.devices.bench import gather, kept
+from tests.verify.devices.bench import gather, kept, same_angles
 from verify.devices import melfa_lines
-from verify.devices.intake import same_angles
 from verify.devices.labenc import LabencEncoders, LabencSettings
 from verify.devices.ports import SerialLine
 from verify.emulators import faults, fronts, trajectory

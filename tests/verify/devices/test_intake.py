@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from tests.verify.devices.bench import same_angles
 from verify.devices.controller_clock import Instant
-from verify.devices.intake import LEAP, AngleMap, Counts, Intake, same_angles
+from verify.devices.intake import LEAP, AngleMap, Counts, Intake
 from verify.errors import InputError
 
 

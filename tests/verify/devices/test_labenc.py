@@ -4,9 +4,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.verify.devices.bench import Emulated, Ramp, for_seconds, gather, kept, running
+from tests.verify.devices.bench import (
+    Emulated,
+    Ramp,
+    for_seconds,
+    gather,
+    kept,
+    running,
+    same_angles,
+)
 from verify.devices import EncoderReading
-from verify.devices.intake import same_angles
 from verify.devices.labenc import LabencEncoders, LabencSettings
 from verify.emulators.faults import Faults
 from verify.emulators.labenc import BoardOptions, LabencEngine

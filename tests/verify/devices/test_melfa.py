@@ -6,9 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.verify.devices.bench import Emulated, Ramp, for_seconds, gather, kept, running
+from tests.verify.devices.bench import (
+    Emulated,
+    Ramp,
+    for_seconds,
+    gather,
+    kept,
+    running,
+    same_angles,
+)
 from verify.devices import EncoderReading, melfa, melfa_lines
-from verify.devices.intake import AngleMap, same_angles
+from verify.devices.intake import AngleMap
 from verify.devices.melfa import MelfaEncoders, MelfaSettings
 from verify.devices.ports import SerialLine
 from verify.emulators.faults import Faults

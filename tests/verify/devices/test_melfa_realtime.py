@@ -5,9 +5,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.verify.devices.bench import Ramp, for_seconds, gather, kept, running
+from tests.verify.devices.bench import Ramp, for_seconds, gather, kept, running, same_angles
 from verify.devices import melfa_realtime_packets as packets
-from verify.devices.intake import same_angles
 from verify.devices.melfa_realtime import RealtimeEncoders, RealtimeSettings
 from verify.emulators.faults import Faults
 from verify.emulators.melfa_realtime import RealtimeEngine

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from tests.verify.devices.bench import gather, kept, running
-from verify.devices.intake import AngleMap, same_angles
+from tests.verify.devices.bench import gather, kept, running, same_angles
+from verify.devices.intake import AngleMap
 from verify.devices.labenc import LabencSettings
 from verify.devices.pan import PanReader, PanServo
 from verify.emulators.faults import Faults

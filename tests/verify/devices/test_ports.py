@@ -7,8 +7,7 @@ from functools import partial
 
 import pytest
 
-from tests.verify.devices.bench import gather, kept
-from verify.devices.intake import same_angles
+from tests.verify.devices.bench import gather, kept, same_angles
 from verify.devices.labenc import LabencEncoders, LabencSettings
 from verify.devices.link import Link
 from verify.devices.ports import USUAL_LINE, SerialLine, in_words, open_port

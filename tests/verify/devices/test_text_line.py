@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from tests.verify.devices.bench import Ramp, for_seconds, gather, kept, running
+from tests.verify.devices.bench import Ramp, for_seconds, gather, kept, running, same_angles
 from verify.devices.field_map import FieldMap
-from verify.devices.intake import same_angles
 from verify.devices.text_line import TextEncoders, TextSettings
 from verify.emulators.faults import Faults
 from verify.emulators.server import Message

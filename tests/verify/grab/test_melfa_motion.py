@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import robots
-from tests.verify.devices.bench import Emulated, running
+from tests.verify.devices.bench import Emulated, running, same_angles
 from tests.verify.grab import stepping
-from verify.devices.intake import AngleMap, same_angles
+from verify.devices.intake import AngleMap
 from verify.devices.melfa_lines import READING, ForbiddenCommandError
 from verify.emulators import trajectory
 from verify.emulators.faults import Faults

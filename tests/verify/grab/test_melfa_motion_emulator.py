@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import robots
-from verify.devices.intake import same_angles
+from tests.verify.devices.bench import same_angles
 from verify.devices.melfa_lines import parse_joints, parse_state
 from verify.emulators import trajectory
 from verify.emulators.melfa import ControllerOptions, MelfaEngine

@@ -12,7 +12,6 @@ from verify.grab.states import (
     FINGERS_MOVE,
     MOVING,
     ORDERS,
-    SAFE,
     Event,
     Need,
     Order,
@@ -25,6 +24,19 @@ from verify.grab.states_watch import Observation, StillWatch, Watchdog
 LIMITS = WatchLimits(stale=0.3, lost=1.0, joints=0.5, moving=10.0)
 STILL = Stillness(speed=0.01, duration=0.5)
 HOLDING = [s for s in State if s.value.startswith("holding-")]
+SAFE = frozenset(  # where a grab may end, or wait for as long as it likes
+    {
+        State.IDLE,
+        State.LIFTED,
+        State.MISSED,
+        State.HOLDING_STALE,
+        State.HOLDING_LOST,
+        State.HOLDING_UNREACHABLE,
+        State.HOLDING_OPERATOR,
+        State.FAULT,
+        State.RELEASED,
+    }
+)
 WHOLE_GRAB = [
     Event.START, Event.FOUND, Event.FOLLOW, Event.GRAB, Event.AT_OBJECT, Event.CLOSED,
     Event.HELD, Event.AT_TOP,
