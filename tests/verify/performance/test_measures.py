@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from verify.performance import measures
+from verify.performance.assess import Stands, assess_distance
 from verify.records import Array
 
 CROSS = np.array([[3.0, 0, 0], [-3, 0, 0], [0, 4, 0], [0, -4, 0]])
@@ -36,6 +37,26 @@ def test_angles_by_hand() -> None:
 def test_variation_is_the_longest_side() -> None:
     barycentres = np.array([[0.0, 0, 0], [3, 0, 0], [3, 4, 0]])
     assert measures.furthest(barycentres) == (pytest.approx(5.0), (0, 2))
+
+
+def test_distances_by_hand() -> None:
+    """Visits 9.5 and 11.5 m apart, 10 m as read."""
+    far = np.array([9.0, 11.0, 9.0, 11.0, 9.0, 11.0])
+    one, other = stands("one", 0.0, np.zeros(6), 0.0), stands("other", 0.5, far + 0.5, 10.0)
+    found = assess_distance(one, other)
+    assert found is not None
+    assert found.commanded == pytest.approx(10.0)
+    assert found.accuracy.value == pytest.approx(0.5)
+    assert found.repeatability.value == pytest.approx(3 * np.sqrt(6 / 5))
+
+
+def stands(name: str, begin: float, x: Array, read: float) -> Stands:
+    """Visits of a pose a second apart, along x."""
+    attained, there = np.tile(np.eye(4), (2, len(x), 1, 1))
+    attained[:, 0, 3], there[:, 0, 3] = x, read
+    t = begin + np.arange(len(x))
+    once = np.ones(len(x), dtype=int)
+    return Stands(name, t, attained, there, once, (-1,) * len(x), np.zeros((6, 0)))
 
 
 def test_a_path_is_as_bad_as_its_worst_station() -> None:
