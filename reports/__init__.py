@@ -16,7 +16,7 @@ from reports.results import Results, packed, read, write
 
 if TYPE_CHECKING:
     from reports.branding import Look
-    from reports.rendering import look, render_html, render_pdf, untranslated
+    from reports.rendering import look, render_html, render_pdf
 
 __all__ = [
     "Look",
@@ -27,7 +27,6 @@ __all__ = [
     "read",
     "render_html",
     "render_pdf",
-    "untranslated",
     "write",
 ]
 

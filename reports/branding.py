@@ -1,4 +1,4 @@
-"""What a report shows of those who give it: language, logo, owner, templates of their own."""
+"""What a report shows of those who give it: logo, owner, templates of their own."""
 
 import base64
 import io
@@ -11,7 +11,6 @@ from xml.etree import ElementTree
 import matplotlib.image
 
 from reports.errors import ReportError, one_line
-from reports.language import ENGLISH, Language
 
 MOST_BYTES = 2_000_000  # a page carries its logo along as text
 MOST_PX = 4_000  # a side: 45 mm at more than 2000 dpi
@@ -23,6 +22,22 @@ SVG_NAME = "{http://www.w3.org/2000/svg}svg"
 RUNS = {"script", "foreignObject", "iframe", "handler", "listener", "audio", "video"}
 NUMBER = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(px|pt|pc|mm|cm|in|em)?\s*")
 TEMPLATES = ("report.html.j2", "report.css", "report.typ")
+
+# What every template gets: the language of its text, and the words that both formats print.
+LANGUAGE = "en"
+WORDS = {
+    "to_verdict": "To the verdict",
+    "sections": "Sections",
+    "table": "Table",
+    "figure": "Figure",
+    "no_script": "This plot needs JavaScript; report.pdf holds it as well.",
+    "page": "page",
+    "of": "of",
+    "logo": "Logo",
+    "filter": "Filter",
+    "filter_hint": "words, all of them",
+    "rows": "rows",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +61,11 @@ class Look:
     """How a report looks, apart from what it says; that of one without any wish is the usual one.
 
     Args:
-        language: what it is given in.
         logo: stands at its top.
         owner: a line at its top: whose report it is.
         templates: a folder with report.html.j2, report.css or report.typ of the user's own.
     """
 
-    language: Language = ENGLISH
     logo: Logo | None = None
     owner: str = ""
     templates: Path | None = None

@@ -13,7 +13,7 @@ from jinja2.sandbox import ImmutableSandboxedEnvironment
 
 from reports import charts, plotting
 from reports.blocks import Document, as_data, figures
-from reports.branding import PLAIN, Look
+from reports.branding import LANGUAGE, PLAIN, WORDS, Look
 from reports.errors import ReportError
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -47,9 +47,8 @@ def page(document: Document, look: Look = PLAIN) -> str:
         "own_style": _own_style(look),
         "script": _text("report.js"),
         "tables": _text("fleet.js") if document.sortable else "",
-        "words": look.language.page_words(),
-        "language": look.language.code,
-        "plot_words": _for_script(look.language.plot),
+        "words": WORDS,
+        "language": LANGUAGE,
         "logo": look.logo and {
             "address": look.logo.address,
             "width_mm": look.logo.width_mm,

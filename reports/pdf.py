@@ -14,7 +14,7 @@ import typst
 
 from reports import drawing
 from reports.blocks import Document, as_data, figures
-from reports.branding import PLAIN, Logo, Look
+from reports.branding import LANGUAGE, PLAIN, WORDS, Logo, Look
 from reports.errors import ReportError
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -88,8 +88,8 @@ def sources(document: Document, look: Look = PLAIN) -> dict[str, bytes]:
     data = {
         "document": as_data(document),
         "figures": drawn,
-        "words": look.language.page_words(),
-        "language": look.language.code,
+        "words": WORDS,
+        "language": LANGUAGE,
         "logo": look.logo and _placed(look.logo),
         "owner": look.owner,
     }

@@ -18,7 +18,6 @@ from reports import (
 from reports.blocks import Document
 from reports.branding import PLAIN, Look
 from reports.errors import ReportError
-from reports.language_file import language as read_language
 from reports.results import Results
 
 OUTLINES: dict[str, Callable[[Results], Document]] = {
@@ -34,7 +33,6 @@ OUTLINES: dict[str, Callable[[Results], Document]] = {
 
 def look(
     *,
-    language: str = "en",
     logo: Path | None = None,
     owner: str | None = None,
     templates: Path | None = None,
@@ -42,7 +40,6 @@ def look(
     """Read how a report is to look; nothing given is the usual look.
 
     Args:
-        language: "en", "de" or a language file.
         logo: a PNG or SVG.
         owner: a line at the top: whose report it is.
         templates: a folder with report.html.j2, report.css or report.typ.
@@ -51,7 +48,6 @@ def look(
         ReportError: one of them cannot be used.
     """
     return Look(
-        language=read_language(language),
         logo=None if logo is None else branding.logo(logo),
         owner="" if owner is None else branding.owner(owner),
         templates=None if templates is None else branding.templates(templates),
@@ -65,7 +61,7 @@ def render_html(results: Results, look: Look = PLAIN) -> str:
         ReportError: results of a kind that this version does not know; a template of the user's
             own with an error.
     """
-    return html.page(_document(results, look), look)
+    return html.page(_document(results), look)
 
 
 def render_pdf(results: Results, look: Look = PLAIN) -> bytes:
@@ -74,19 +70,10 @@ def render_pdf(results: Results, look: Look = PLAIN) -> bytes:
     Raises:
         ReportError: as of `render_html`.
     """
-    return pdf.pages(_document(results, look), look)
+    return pdf.pages(_document(results), look)
 
 
-def untranslated(results: Results, look: Look) -> list[str]:
-    """List what stays English in a report, in whole or in part; the user's own words among it."""
-    return look.language.missing(_worded(results))
-
-
-def _document(results: Results, look: Look) -> Document:
-    return look.language.document(_worded(results))
-
-
-def _worded(results: Results) -> Document:
+def _document(results: Results) -> Document:
     kind = str(results.summary.get("kind", "run"))
     if kind not in OUTLINES:
         raise ReportError(

@@ -65,14 +65,6 @@ def failing_where_coupled() -> Results:
     return _with(_check(fails), [])
 
 
-EVERY = {
-    "holding": holding,
-    "failing": failing,
-    "failing in one joint": failing_in_one_joint,
-    "failing where coupled": failing_where_coupled,
-}
-
-
 def _with(check: dict[str, Any], sweeps: list[dict[str, Any]]) -> Results:
     plain = made.nonconforming()
     summary = dict(plain.summary)

@@ -7,7 +7,6 @@ import pandas as pd
 
 from reports.results import Results
 from verify.grab.branches import branch_name
-from verify.grab.cell_file import Stillness, WatchLimits
 from verify.grab.states import Event, State
 from verify.grab.states_table import TRANSITIONS
 
@@ -92,12 +91,6 @@ def every_passage() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["t_s", "from_state", "event", "to_state", "reason"])
 
 
-def reasons(words: list[str]) -> pd.DataFrame:
-    """A passage for each reason."""
-    rows = [[0.0, "tracking", "device error", "fault", said] for said in words]
-    return pd.DataFrame(rows, columns=["t_s", "from_state", "event", "to_state", "reason"])
-
-
 def plan(rejected: dict[str, str]) -> dict[str, Any]:
     """A plan, with why other branches are not taken."""
     return {
@@ -126,6 +119,3 @@ def hand(reason: str, *, seen: bool) -> dict[str, Any]:
     }
 
 
-def watch_limits() -> tuple[WatchLimits, Stillness]:
-    """Limits of the watchdog, and when a target is still."""
-    return WatchLimits(stale=0.3, lost=1.0, joints=0.5, moving=60.0), Stillness(0.01, 0.5)

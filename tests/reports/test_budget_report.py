@@ -1,14 +1,10 @@
-"""What a report says of budget, Monte-Carlo check and single-joint sweeps, in either language."""
-
-import pytest
+"""What a report says of budget, Monte-Carlo check and single-joint sweeps."""
 
 from reports import outline, render_html
-from reports.blocks import Bullets, Document, Figure, Paragraph, Section, Table
+from reports.blocks import Bullets, Figure, Paragraph, Section, Table
 from reports.charts import Chart, Points
-from reports.language_file import language
 from reports.results import Results
 from tests.reports import made, made_budget
-from tests.reports.test_language import ENGLISH_WORDS, USERS_OWN, _said
 
 
 def section(results: Results, name: str) -> Section:
@@ -26,19 +22,6 @@ def texts(part: Section) -> str:
             found += [block.caption, *block.notes]
             found += [cell.text for row in block.rows for cell in row]
     return "\n".join(found)
-
-
-@pytest.fixture(scope="module")
-def documents() -> dict[str, Document]:
-    return {name: outline.document(make()) for name, make in made_budget.EVERY.items()}
-
-
-def test_no_text_stays_english(documents: dict[str, Document]) -> None:
-    german = language("de")
-    for name, document in documents.items():
-        assert set(german.missing(document)) <= USERS_OWN, name
-        for text in _said(german.document(document)):
-            assert text in USERS_OWN or not ENGLISH_WORDS.findall(text), (name, text)
 
 
 def test_the_budget_adds_what_a_reader_checks_it_by() -> None:

@@ -8,12 +8,9 @@ from typing import Any
 import pytest
 
 import reports
-from reports.blocks import Document, Facts, Section
-from reports.branding import Look
+from reports.blocks import Facts
 from reports.conditions import conditions
 from reports.headline import headline
-from reports.language_file import language
-from reports.outline import document
 from reports.results import Results
 from tests.end_to_end.command import SAMPLES
 from tests.reports import made
@@ -47,13 +44,6 @@ def test_the_first_page_says_what_a_registration_by_motion_hides(
     page = reports.render_html(registered_by_motion).replace(LIBRARY, "")
     verdict, found = page.index("The robot does not conform"), page.index(BASE)
     assert verdict < found < page.index("Without any registration", verdict)
-
-
-def test_it_is_said_in_german(registered_by_motion: Results) -> None:
-    page = reports.render_html(registered_by_motion, Look(language=language("de"))).replace(
-        LIBRARY, ""
-    )
-    assert "Ein konstanter Versatz von Gelenk 1 kann sich hier nicht zeigen: Die Robo" in page
 
 
 @cache
@@ -118,8 +108,6 @@ def test_what_hides_an_offset_is_told_with_every_verdict(name: str) -> None:
     for verdict in ("conform", "nonconform", "undecided", None):
         said = headline(replace(results, summary=results.summary | {"verdict": verdict}))
         assert f"A constant offset of {named} cannot show here: {why}." in said.remarks, verdict
-        outline = Document("", "", "", (Section("v", "", (said,)),))
-        assert language("de").missing(outline) == []
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -167,17 +155,6 @@ def test_what_a_session_does_not_state_is_said_to_be_not_stated(
 ) -> None:
     facts = _facts(registered_by_motion)
     assert {facts[label] for label in NOBODY_SAYS} == {"not stated"}
-    german = language("de")
-    translated = german.document(document(registered_by_motion))
-    said = [
-        text
-        for section in translated.sections
-        for block in section.blocks
-        if isinstance(block, Facts)
-        for label, text in block.items
-        if label in {german.text(name) for name in NOBODY_SAYS}
-    ]
-    assert said == ["nicht angegeben"] * len(NOBODY_SAYS)
 
 
 def test_what_is_stated_stays_as_it_is() -> None:

@@ -1,13 +1,12 @@
-"""The report of an identified arm: its words, in English and German, and its pictures."""
+"""The report of an identified arm: its words and its pictures."""
 
 import numpy as np
 import pytest
 
 import robots
-from reports import look, render_html, render_pdf
+from reports import render_html, render_pdf
 from reports.blocks import Verdict, figures
 from reports.identification import document
-from reports.language_file import language
 from reports.results import Results
 from tests.reports.laid_out import tables
 from tests.verify.arm_identification.true_arm import measured, readings, true_arm
@@ -87,14 +86,8 @@ def test_sessions_that_judge_have_a_table_of_their_own(every: dict[str, Results]
     assert caption not in tables(document(every["offsets"]))
 
 
-def test_nothing_stays_english_in_german(every: dict[str, Results]) -> None:
-    for name, one in every.items():
-        assert set(language("de").missing(document(one))) <= {"monday", "tuesday"}, name
-
-
 def test_both_formats_come_out(every: dict[str, Results]) -> None:
-    german = look(language="de")
     for one in every.values():
-        assert "<html" in render_html(one, german)
+        assert "<html" in render_html(one)
     for name in ("geometry", "bare"):
         assert render_pdf(every[name]).startswith(b"%PDF")

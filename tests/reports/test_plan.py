@@ -1,4 +1,4 @@
-"""The report of a planned session: its words, in English and German, and its pictures."""
+"""The report of a planned session: its words and its pictures."""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from reports import look, render_html, render_pdf
+from reports import render_html, render_pdf
 from reports.blocks import Verdict, figures
-from reports.language_file import language
 from reports.plan import document
 from reports.results import Results
 from tests.reports.laid_out import tables
@@ -99,14 +98,8 @@ def test_the_trajectory_is_even_and_ends_at_rest(every: dict[str, Results]) -> N
     assert table["pose"].iloc[0] == table["pose"].iloc[-1] == 1
 
 
-def test_nothing_stays_english_in_german(every: dict[str, Results]) -> None:
-    for name, one in every.items():
-        assert set(language("de").missing(document(one))) == set(), name
-
-
 def test_both_formats_come_out(every: dict[str, Results]) -> None:
-    german = look(language="de")
     for one in every.values():
-        assert "<html" in render_html(one, german)
+        assert "<html" in render_html(one)
     for name in ("plain", "bare"):
         assert render_pdf(every[name]).startswith(b"%PDF")

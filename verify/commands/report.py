@@ -12,9 +12,6 @@ def report(
     out: Annotated[
         Path, typer.Argument(help="What `verify run`, `calibrate`, `batch` or `grab` wrote.")
     ],
-    language: Annotated[
-        str, typer.Option(help="en, de, or a language file of your own (FILE.toml).")
-    ] = "en",
     logo: Annotated[
         Path | None, typer.Option(help="A PNG or SVG for the top of the report.")
     ] = None,
@@ -28,25 +25,22 @@ def report(
 ) -> int:
     """Build report.html and report.pdf again from the results on disk.
 
-    Example: verify report multi_joint_fault_6r-report --language de --logo lab.svg
+    Example: verify report multi_joint_fault_6r-report --logo lab.svg
     """
     import reports
-    from verify.errors import InputError, one_line
+    from verify.errors import InputError
     from verify.results_folder import read_results
     from verify.writing import write_whole
 
     results = read_results(out)
     try:
-        look = reports.look(language=language, logo=logo, owner=owner, templates=template)
+        look = reports.look(logo=logo, owner=owner, templates=template)
         page = reports.render_html(results, look).encode()
         pages = reports.render_pdf(results, look)
-        english = [] if language == "en" else reports.untranslated(results, look)
     except reports.ReportError as problem:
         raise InputError(
             problem.place, problem.found, problem.expected, problem.remedy
         ) from problem
-    for text in english:
-        terminal.detail(f"stays English: {one_line(text)}")
     name = "fleet" if results.summary.get("kind") == "fleet" else "report"
     write_whole(out / f"{name}.html", page)
     write_whole(out / f"{name}.pdf", pages)
