@@ -39,7 +39,7 @@ format: $(STAMP)
 	$(BIN)/ruff format .
 
 samples: $(STAMP)
-	$(BIN)/python -m tests.samples
+	$(BIN)/python -m tests.support.samples
 
 accept: $(STAMP)
 	$(BIN)/python -m pytest tests/golden --accept

@@ -11,12 +11,11 @@ whoever only writes a results folder needs none of it.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from reports.errors import ReportError
-from reports.results import Results, packed, read, write
+from reports.results import ReportError, Results, packed, read, write
 
 if TYPE_CHECKING:
-    from reports.branding import Look
-    from reports.rendering import look, render_html, render_pdf
+    from reports.format.branding import Look
+    from reports.render import look, render_html, render_pdf
 
 __all__ = [
     "Look",
@@ -35,4 +34,4 @@ def __getattr__(name: str) -> object:
     """Load what makes pages."""
     if name not in __all__:
         raise AttributeError(f"module 'reports' has no attribute '{name}'")
-    return getattr(import_module("reports.rendering"), name)
+    return getattr(import_module("reports.render"), name)

@@ -2,6 +2,8 @@
 
 A results folder holds `results.json` (summary, setup and a list of the other files with their
 hashes), one Parquet file a table and one PNG an image. The same results give the same bytes.
+
+A results folder that cannot be used: place, found, expected, what to do.
 """
 
 import hashlib
@@ -10,6 +12,7 @@ import json
 import math
 import re
 import tempfile
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral, Real
@@ -22,11 +25,36 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from reports.errors import ReportError
 
-FORMAT = 1  # of results.json; a change that older readers cannot follow raises it
+class ReportError(Exception):
+    """The results cannot be read or written; said in one line.
+
+    Args:
+        place: the file (and the key in it) at fault.
+        found: what stands there.
+        expected: what would be right.
+        remedy: what the user can do about it.
+    """
+
+    def __init__(self, place: str | Path, found: str, expected: str, remedy: str) -> None:
+        self.place, self.found, self.expected, self.remedy = str(place), found, expected, remedy
+        super().__init__(one_line(f"{place}: {found}; {expected}. {remedy}"))
+
+
+def one_line(text: str) -> str:
+    """Show line breaks, control characters and what no font can draw by their escapes."""
+    return "".join(c if _is_printable(c) else c.encode("unicode_escape").decode() for c in text)
+
+
+def _is_printable(character: str) -> bool:
+    return (
+        character.isprintable() or unicodedata.category(character) == "Zs"
+    )  # spaces of all widths
+
+
+FORMAT_VERSION = 1  # of results.json; a change that older readers cannot follow raises it
 MANIFEST = "results.json"
-COMMANDS = {  # what wrote a results folder, by the kind and the method in its summary
+REBUILD_COMMANDS = {  # what wrote a results folder, by the kind and the method in its summary
     ("run", None): "`verify run` on the session",
     ("calibration", None): "`verify calibrate boards` on the pictures",
     ("calibration", "check"): "`verify calibrate check` with -o",
@@ -37,7 +65,7 @@ COMMANDS = {  # what wrote a results folder, by the kind and the method in its s
     ("identification", None): "`verify identify` on the sessions",
     ("plan", None): "`verify plan` on the robot and the rig",
 }
-NAME = re.compile(
+NAME_PATTERN = re.compile(
     r"[a-z0-9_]+"
 )  # of a table or image: it becomes a file name, so no dots or slashes
 PNG = b"\x89PNG\r\n\x1a\n"  # the signature every PNG file starts with
@@ -71,7 +99,7 @@ def write(results: Results, folder: Path) -> None:
     """
     files = packed(results, folder)
     try:
-        _place(files, folder)
+        _write_files(files, folder)
     except OSError as problem:
         raise ReportError(
             folder,
@@ -94,14 +122,14 @@ def packed(results: Results, folder: Path) -> dict[str, bytes]:
     files: dict[str, bytes] = {}
     tables = {}
     for name, table in sorted(results.tables.items()):
-        tables[name] = _keep(files, folder, name, ".parquet", _parquet(table))
+        tables[name] = _add_file(files, folder, name, ".parquet", _parquet(table))
     images = {}
     for name, image in sorted(results.images.items()):
-        images[name] = _keep(files, folder, name, ".png", image)
+        images[name] = _add_file(files, folder, name, ".png", image)
     manifest = {
-        "format": FORMAT,
-        "summary": plain(results.summary),
-        "setup": plain(results.setup),
+        "format": FORMAT_VERSION,
+        "summary": to_json_value(results.summary),
+        "setup": to_json_value(results.setup),
         "tables": tables,
         "images": images,
     }
@@ -110,7 +138,7 @@ def packed(results: Results, folder: Path) -> dict[str, bytes]:
     return files
 
 
-def again(folder: Path) -> str:
+def rebuild_command(folder: Path) -> str:
     """Say which command makes a results folder anew, as far as what is left of it tells.
 
     A manifest that cannot be read has the same summary beside the folder, in summary.json.
@@ -122,7 +150,7 @@ def again(folder: Path) -> str:
             kind = summary.get("kind", "run"), summary.get("method")
         except (OSError, ValueError, AttributeError, KeyError, TypeError):
             continue
-        command = COMMANDS.get(kind) or COMMANDS.get((kind[0], None))
+        command = REBUILD_COMMANDS.get(kind) or REBUILD_COMMANDS.get((kind[0], None))
         if command:
             return f"Run {command} again."
     return "Run the command again that wrote it."
@@ -140,10 +168,10 @@ def read(folder: Path) -> Results:
     return Results(manifest["summary"], manifest["setup"], tables, images)
 
 
-def plain(value: Any) -> Any:
+def to_json_value(value: Any) -> Any:
     """Turn numbers of any library into JSON's own; what is not finite becomes null."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, str) or value is None or isinstance(value, bool):
         return value
     if isinstance(value, Integral):
@@ -151,16 +179,16 @@ def plain(value: Any) -> Any:
     if isinstance(value, Real):
         return float(value) if math.isfinite(value) else None
     if hasattr(value, "tolist"):  # NumPy's arrays and its bool
-        return plain(value.tolist())
+        return to_json_value(value.tolist())
     if isinstance(value, Sequence):
-        return [plain(item) for item in value]
+        return [to_json_value(item) for item in value]
     return str(value)  # dates, paths, versions
 
 
-def _keep(
+def _add_file(
     files: dict[str, bytes], folder: Path, name: str, ending: str, content: bytes
 ) -> dict[str, str]:
-    if not NAME.fullmatch(name):
+    if not NAME_PATTERN.fullmatch(name):
         raise ReportError(
             folder,
             f"{name!r} is no name for a table or an image",
@@ -187,7 +215,7 @@ def _column(column: "pd.Series[Any]") -> pa.Array:
     return pa.array(column.to_numpy() if numpys else column, from_pandas=True)
 
 
-def _place(files: dict[str, bytes], folder: Path) -> None:
+def _write_files(files: dict[str, bytes], folder: Path) -> None:
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as staging:
         for name, content in files.items():
@@ -213,33 +241,35 @@ def _manifest(folder: Path) -> dict[str, Any]:
             place,
             f"cannot be read ({problem.strerror})",
             "a readable file is needed",
-            again(folder),
+            rebuild_command(folder),
         ) from problem
     except ValueError as problem:
         raise ReportError(
-            place, "it is not JSON", "it is damaged or cut short", again(folder)
+            place, "it is not JSON", "it is damaged or cut short", rebuild_command(folder)
         ) from problem
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT_VERSION:
         found = manifest.get("format") if isinstance(manifest, dict) else None
         raise ReportError(
             place,
             f"its format is {json.dumps(found)}",
-            f"this version reads format {FORMAT}",
-            f"Use the version of verify that wrote it. {again(folder)}",
+            f"this version reads format {FORMAT_VERSION}",
+            f"Use the version of verify that wrote it. {rebuild_command(folder)}",
         )
     for key in ("summary", "setup", "tables", "images"):
         if not isinstance(manifest.get(key), dict):
-            raise ReportError(place, f"{key} is missing", "it must be an object", again(folder))
+            raise ReportError(
+                place, f"{key} is missing", "it must be an object", rebuild_command(folder)
+            )
     return manifest
 
 
-def _content(folder: Path, name: str, ending: str, entry: object) -> bytes:
-    if not NAME.fullmatch(name) or not isinstance(entry, dict):
+def _read_entry(folder: Path, name: str, ending: str, entry: object) -> bytes:
+    if not NAME_PATTERN.fullmatch(name) or not isinstance(entry, dict):
         raise ReportError(
             folder / MANIFEST,
             f"{name!r} is no name for a table or an image",
             "lower-case letters, digits and underscores make one",
-            again(folder),
+            rebuild_command(folder),
         )
     place = folder / (name + ending)
     try:
@@ -249,33 +279,35 @@ def _content(folder: Path, name: str, ending: str, entry: object) -> bytes:
             place,
             f"cannot be read ({problem.strerror})",
             f"{MANIFEST} lists it as part of the results",
-            again(folder),
+            rebuild_command(folder),
         ) from problem
     if hashlib.sha256(content).hexdigest() != entry.get("sha256"):
         raise ReportError(
             place,
             "its content is not what was written",
             f"{MANIFEST} holds another hash",
-            again(folder),
+            rebuild_command(folder),
         )
     return content
 
 
 def _table(folder: Path, name: str, entry: object) -> pd.DataFrame:
-    content = _content(folder, name, ".parquet", entry)
+    content = _read_entry(folder, name, ".parquet", entry)
     try:
         table: pd.DataFrame = pq.read_table(io.BytesIO(content)).to_pandas()
     except pa.ArrowInvalid as problem:
         place = folder / f"{name}.parquet"
         raise ReportError(
-            place, "it is not a Parquet file", "a table is expected", again(folder)
+            place, "it is not a Parquet file", "a table is expected", rebuild_command(folder)
         ) from problem
     return table
 
 
 def _image(folder: Path, name: str, entry: object) -> bytes:
-    content = _content(folder, name, ".png", entry)
+    content = _read_entry(folder, name, ".png", entry)
     if not content.startswith(PNG):
         place = folder / f"{name}.png"
-        raise ReportError(place, "it is not a PNG file", "an image is expected", again(folder))
+        raise ReportError(
+            place, "it is not a PNG file", "an image is expected", rebuild_command(folder)
+        )
     return content

@@ -23,10 +23,9 @@ from robots.arm import Arm, DhArm, UrdfArm
 from robots.check import Reach, SelfCheck, reach, self_check
 from robots.coupling import Coupling, coupled, couplings
 from robots.errors import RobotError
-from robots.inverse import Branches, inverse
+from robots.inverse import Branches, inverse, turns, within_limits
 from robots.kinematics import forward, jacobian
 from robots.library import example_names, load, names
-from robots.limits import turns, within_limits
 from robots.nearest import nearest
 from robots.pinocchio_model import pinocchio_model
 

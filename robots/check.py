@@ -6,19 +6,19 @@ import numpy as np
 import pinocchio
 
 from robots.arm import Arm, DhArm, UrdfArm
-from robots.families import FAMILIES
-from robots.inverse import inverse
+from robots.inverse import FAMILIES, inverse, near
 from robots.kinematics import forward, jacobian
-from robots.limits import near
 from robots.nearest import nearest
 from robots.pinocchio_model import pinocchio_model
 from robots.transforms import Array, difference
 
-LOST = 1e-6  # rad: an answer this near to the joints that made the pose is taken for them
-REGULAR = 1e-3  # of the greatest |det J|: below, the joints lose digits, not the pose
-AWAY = 0.05  # rad a joint, standard deviation: where an iteration for a URDF starts
-STEP = 1e-6  # rad, of central differences: truncation and rounding are both near 1e-10
-FEW = 50  # poses for a check that iterates
+MAX_JOINT_DIFFERENCE = (
+    1e-6  # rad: an answer this near to the joints that made the pose is taken for them
+)
+MIN_DETERMINANT = 1e-3  # of the greatest |det J|: below, the joints lose digits, not the pose
+START_SIGMA = 0.05  # rad a joint, standard deviation: where an iteration for a URDF starts
+DIFFERENCE_STEP = 1e-6  # rad, of central differences: truncation and rounding are both near 1e-10
+MAX_ITERATED_POSES = 50  # poses for a check that iterates
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,14 @@ def self_check(arm: Arm, poses: int = 1000, seed: int = 0) -> SelfCheck:
         theirs, their_moves = _pinocchio(arm, q)
         against = *_worst(base_T_flange, theirs), float(np.abs(moves - their_moves).max())
     else:
-        solved = _iterated(arm, q[:FEW], base_T_flange[:FEW], random)
+        solved = _check_iteration(
+            arm, q[:MAX_ITERATED_POSES], base_T_flange[:MAX_ITERATED_POSES], random
+        )
         against = np.nan, np.nan, np.nan  # it is pinocchio
-    slopes = _differences(arm, q[:FEW])
-    return SelfCheck(poses, *solved, *against, float(np.abs(moves[:FEW] - slopes).max()))
+    slopes = _numeric_jacobian(arm, q[:MAX_ITERATED_POSES])
+    return SelfCheck(
+        poses, *solved, *against, float(np.abs(moves[:MAX_ITERATED_POSES] - slopes).max())
+    )
 
 
 def _worst(base_T_b: Array, base_T_c: Array) -> tuple[float, float]:
@@ -95,20 +99,22 @@ def _closed_form(arm: DhArm, q: Array, pose: Array, moves: Array) -> tuple[float
     asked = np.broadcast_to(pose[:, None], (*exists.shape, 4, 4))[exists]
     worst = _worst(forward(arm, branches[exists]), asked)
     away = np.abs(near(branches, q[:, None]) - q[:, None]).max(axis=-1)
-    missing = ~(away < LOST).any(axis=-1) & (np.abs(np.linalg.det(moves)) > REGULAR * _volume(arm))
+    missing = ~(away < MAX_JOINT_DIFFERENCE).any(axis=-1) & (
+        np.abs(np.linalg.det(moves)) > MIN_DETERMINANT * _determinant_scale(arm)
+    )
     return *worst, int(missing.sum())
 
 
-def _volume(arm: DhArm) -> float:
+def _determinant_scale(arm: DhArm) -> float:
     """Scale of det J, m³: the product of the two links and their sum."""
     least, most = FAMILIES[arm.family].reach(arm)
     return (most**2 - least**2) / 4 * most
 
 
-def _iterated(
+def _check_iteration(
     arm: Arm, q: Array, pose: Array, random: np.random.Generator
 ) -> tuple[float, float, int]:
-    found, reached = nearest(arm, pose, q + random.normal(0, AWAY, q.shape))
+    found, reached = nearest(arm, pose, q + random.normal(0, START_SIGMA, q.shape))
     return *_worst(forward(arm, found[reached]), pose[reached]), int((~reached).sum())
 
 
@@ -124,7 +130,7 @@ def _pinocchio(arm: DhArm, q: Array) -> tuple[Array, Array]:
     return poses, moves
 
 
-def _differences(arm: Arm, q: Array) -> Array:
-    nudges = STEP * np.eye(arm.dof)
+def _numeric_jacobian(arm: Arm, q: Array) -> Array:
+    nudges = DIFFERENCE_STEP * np.eye(arm.dof)
     ahead, behind = forward(arm, q[:, None] + nudges), forward(arm, q[:, None] - nudges)
-    return np.swapaxes(difference(ahead, behind) / (2 * STEP), -1, -2)
+    return np.swapaxes(difference(ahead, behind) / (2 * DIFFERENCE_STEP), -1, -2)

@@ -24,10 +24,12 @@ Misfit = tuple[int, str, float, str]  # joint (1 to 6), key, value found, what i
 
 WRIST, SHOULDER, ELBOW = 1, 2, 4  # bits of Branches.degenerate
 
-NO_TURN = 5e-10  # |sin θ5| taken as 0: a free joint held turns the flange by less, half of 1e-9 rad
-NO_ARM = 1e-12  # m, the wrist's distance from axis 1 taken as 0; as 1e-9 mm
-NO_BEND = 1.5e-8  # |sin of the elbow|: below √rounding the elbow's two branches are one
-BEYOND = 1e-10  # a cosine may pass 1 by rounding: less than 2e-10 m of reach, even folded
+TOL_WRIST = (
+    5e-10  # |sin θ5| taken as 0: a free joint held turns the flange by less, half of 1e-9 rad
+)
+TOL_SHOULDER = 1e-12  # m, the wrist's distance from axis 1 taken as 0; as 1e-9 mm
+TOL_ELBOW = 1.5e-8  # |sin of the elbow|: below √rounding the elbow's two branches are one
+TOL_COSINE = 1e-10  # a cosine may pass 1 by rounding: less than 2e-10 m of reach, even folded
 
 
 class Family(Protocol):
@@ -53,7 +55,7 @@ class Family(Protocol):
         """Least and greatest distance, m, that the two links span."""
 
 
-class Turned(NamedTuple):
+class ShoulderSolutions(NamedTuple):
     """Joint 1's two answers: (2, m) each; `free` (m,) where any would do."""
 
     theta: Array
@@ -62,7 +64,7 @@ class Turned(NamedTuple):
     free: Mask
 
 
-class Bent(NamedTuple):
+class ElbowSolutions(NamedTuple):
     """Two links reaching a point: both elbows are ±bend, with the first link at azimuth ∓ inner."""
 
     azimuth: Array
@@ -72,7 +74,7 @@ class Bent(NamedTuple):
     merged: Mask
 
 
-def turn_to(x: Array, y: Array, hold: Array) -> Turned:
+def turn_to(x: Array, y: Array, hold: Array) -> ShoulderSolutions:
     """Turn joint 1 so that (x, y) lies in the arm's plane: facing it, and facing away.
 
     Args:
@@ -81,7 +83,7 @@ def turn_to(x: Array, y: Array, hold: Array) -> Turned:
         hold: joint 1's DH angle where the wrist centre is on its axis: both answers then.
     """
     distance = np.sqrt(x * x + y * y)
-    free = distance < NO_ARM
+    free = distance < TOL_SHOULDER
     some_free = bool(free.any())
     distance = np.where(free, 1.0, distance) if some_free else distance
     cosine, sine = np.empty((2, *x.shape)), np.empty((2, *x.shape))
@@ -93,10 +95,10 @@ def turn_to(x: Array, y: Array, hold: Array) -> Turned:
     if some_free:
         theta[:, free] = np.broadcast_to(hold, x.shape)[free]
         cosine[:, free], sine[:, free] = np.cos(theta[:, free]), np.sin(theta[:, free])
-    return Turned(theta, cosine, sine, free)
+    return ShoulderSolutions(theta, cosine, sine, free)
 
 
-def bend_to(x: Array, y: Array, first: float, second: float) -> Bent:
+def bend_to(x: Array, y: Array, first: float, second: float) -> ElbowSolutions:
     """Reach the point (x, y) with two links: the law of cosines in a plane.
 
     Args:
@@ -106,16 +108,16 @@ def bend_to(x: Array, y: Array, first: float, second: float) -> Bent:
         second: length of the link at the point, m.
     """
     cosine = (x * x + y * y - (first**2 + second**2)) / (2 * first * second)
-    exists = np.abs(cosine) <= 1 + BEYOND
+    exists = np.abs(cosine) <= 1 + TOL_COSINE
     np.clip(cosine, -1, 1, out=cosine)
     sine = np.sqrt((1 - cosine) * (1 + cosine))
     inner = np.arctan2(second * sine, first + second * cosine)
-    return Bent(
-        np.arctan2(y, x), inner, np.arctan2(sine, cosine), exists, exists & (sine < NO_BEND)
+    return ElbowSolutions(
+        np.arctan2(y, x), inner, np.arctan2(sine, cosine), exists, exists & (sine < TOL_ELBOW)
     )
 
 
-def differs(arm: DhArm, needed: dict[str, tuple[float | None, ...]]) -> Misfit | None:
+def table_mismatch(arm: DhArm, needed: dict[str, tuple[float | None, ...]]) -> Misfit | None:
     """Compare table columns (mm and degrees) with what a family needs; None is any number."""
     columns = {"a_mm": arm.a * 1000, "d_mm": arm.d * 1000, "alpha_deg": np.degrees(arm.alpha)}
     for key, values in needed.items():

@@ -25,11 +25,13 @@ SHOULDER_GATE = 0.2 * LENGTH_SCALE  # m, the wrist's distance from axis 1
 URDF_GATE = (
     0.1  # least singular value of J, lengths over LENGTH_SCALE; a 6R's is this at WRIST_GATE
 )
-CLEAR = 1.001  # of a gate: above, rounding cannot bring a factor below it
-TAKES_PART = 0.1  # of the largest share: a joint below moves too little to be in doubt
-ON_AXIS = 1e-9  # m: Newton has put the wrist on axis 1
-LONGEST_SUM = 4  # joints: the 6R's straight wrist; among more signs one fits by chance
-ORTHOGONAL = 1e-6  # a sum that the singular direction leaves alone, at the singular posture itself
+GATE_MARGIN = 1.001  # of a gate: above, rounding cannot bring a factor below it
+MIN_SHARE = 0.1  # of the largest share: a joint below moves too little to be in doubt
+TOL_ON_AXIS = 1e-9  # m: Newton has put the wrist on axis 1
+MAX_SUM_JOINTS = 4  # joints: the 6R's straight wrist; among more signs one fits by chance
+TOL_ORTHOGONAL = (
+    1e-6  # a sum that the singular direction leaves alone, at the singular posture itself
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +70,8 @@ def coupled(arm: Arm, q: Array) -> Coupling | None:
     if not near:
         return None
     names = [name for name, _ in near]
-    stills = [_still_direction(arm, theta, name, names) for name in names]
-    return _coupling(stills, ORTHOGONAL, "+".join(names), near[0][1])
+    stills = [_self_motions(arm, theta, name, names) for name in names]
+    return _coupling(stills, TOL_ORTHOGONAL, "+".join(names), near[0][1])
 
 
 def couplings(arm: Arm, q: Array) -> tuple[Coupling | None, ...]:
@@ -77,38 +79,40 @@ def couplings(arm: Arm, q: Array) -> tuple[Coupling | None, ...]:
     q = np.asarray(q, dtype=float)
     if not len(q) or not isinstance(arm, DhArm):
         return tuple(coupled(arm, one) for one in q)
-    near = np.any([value < CLEAR * gate for _, value, gate in _factors(arm, q, arm.theta(q))], 0)
+    near = np.any(
+        [value < GATE_MARGIN * gate for _, value, gate in _factors(arm, q, arm.theta(q))], 0
+    )
     return tuple(coupled(arm, one) if close else None for one, close in zip(q, near, strict=True))
 
 
-def _still_direction(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array:
+def _self_motions(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array:
     """Joint motions (k, 6) that leave the flange still where one factor vanishes.
 
     Another factor that is small as well is opened to a quarter turn first, lest its own joints'
     share drown this one's.
     """
     theta = theta.copy()
-    stretched = _stretched(arm)
+    stretched = _stretched_elbow(arm)
     for other, joint, zero in (("wrist", 4, 0.0), ("elbow", 2, stretched)):
         if other in near:
             nearest = zero + np.pi * np.round((theta[joint] - zero) / np.pi)
             theta[joint] = nearest if other == name else nearest + np.pi / 2
     if name == "shoulder":
-        _bring_onto_axis(arm, theta)
-    _, s, vt = np.linalg.svd(_scaled(arm, arm.joint_angles(theta)))
-    return np.asarray(vt[np.minimum(s, s[-1] + ORTHOGONAL) == s])
+        _move_to_axis(arm, theta)
+    _, s, vt = np.linalg.svd(_scaled_jacobian(arm, arm.joint_angles(theta)))
+    return np.asarray(vt[np.minimum(s, s[-1] + TOL_ORTHOGONAL) == s])
 
 
 def _factors(arm: DhArm, q: Array, theta: Array) -> list[tuple[str, Array, float]]:
     """What vanishes at singularities, (...,) of postures (..., 6), and the gate of each."""
     return [
         ("wrist", np.abs(np.sin(theta[..., 4])), WRIST_GATE),
-        ("elbow", np.abs(np.sin(theta[..., 2] - _stretched(arm))), ELBOW_GATE),
+        ("elbow", np.abs(np.sin(theta[..., 2] - _stretched_elbow(arm))), ELBOW_GATE),
         ("shoulder", np.abs(_wrist_distance(arm, forward(arm, q), theta)), SHOULDER_GATE),
     ]
 
 
-def _stretched(arm: DhArm) -> float:
+def _stretched_elbow(arm: DhArm) -> float:
     """θ3 at which the elbow is stretched."""
     return spherical_wrist.forearm(arm)[1] if arm.family == "spherical_wrist" else 0.0
 
@@ -130,20 +134,20 @@ def _wrist_slopes(arm: DhArm, pose: Array, q: Array, theta: Array) -> Array:
     return slopes
 
 
-def _bring_onto_axis(arm: DhArm, theta: Array) -> None:
+def _move_to_axis(arm: DhArm, theta: Array) -> None:
     """Move the wrist onto axis 1 by the shortest way, in place: Newton on its distance."""
     for _ in range(20):  # four or five bring rounding
         q = arm.joint_angles(theta)
         pose = forward(arm, q)
         distance = _wrist_distance(arm, pose, theta)
         slopes = arm.sign * _wrist_slopes(arm, pose, q, theta)  # by θ
-        if abs(distance) < ON_AXIS or not slopes.any():
+        if abs(distance) < TOL_ON_AXIS or not slopes.any():
             return
         theta -= distance * slopes / (slopes @ slopes)
 
 
 def _by_singular_values(arm: UrdfArm, q: Array) -> Coupling | None:
-    _, s, vt = np.linalg.svd(_scaled(arm, q))
+    _, s, vt = np.linalg.svd(_scaled_jacobian(arm, q))
     values = np.zeros(arm.dof)
     values[: len(s)] = s
     near = values < URDF_GATE
@@ -152,10 +156,10 @@ def _by_singular_values(arm: UrdfArm, q: Array) -> Coupling | None:
     # a sum stays determined if this direction adds a fifth of the pose's own noise to it, or less
     least = float(values[near].max())
     name = "redundancy" if arm.dof > len(s) else "singular value"
-    return _coupling([vt[near]], max(ORTHOGONAL, least / 5), name, float(values[-1]))
+    return _coupling([vt[near]], max(TOL_ORTHOGONAL, least / 5), name, float(values[-1]))
 
 
-def _scaled(arm: Arm, q: Array) -> Array:
+def _scaled_jacobian(arm: Arm, q: Array) -> Array:
     moves = jacobian(arm, q)
     moves[:3] /= LENGTH_SCALE
     return moves
@@ -169,14 +173,14 @@ def _coupling(stills: list[Array], tolerance: float, factor: str, value: float) 
     involved = tuple(int(i) for i in np.flatnonzero(share > tolerance))
     combination = _combination(np.concatenate(stills), involved, tolerance)
     if combination is None:
-        involved = tuple(int(i) for i in np.flatnonzero(share > TAKES_PART))
+        involved = tuple(int(i) for i in np.flatnonzero(share > MIN_SHARE))
         combination = _combination(np.concatenate(stills), involved, tolerance)
     return Coupling(involved, combination, factor, value)
 
 
 def _combination(still: Array, joints: tuple[int, ...], tolerance: float) -> Array | None:
     """Find the sum of the joints, each counted + or -, that no still direction changes."""
-    if len(joints) > LONGEST_SUM:
+    if len(joints) > MAX_SUM_JOINTS:
         return None
     for signs in itertools.product((1.0, -1.0), repeat=len(joints) - 1):
         sums = np.zeros(still.shape[1])

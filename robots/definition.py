@@ -11,17 +11,17 @@ import numpy as np
 
 from robots.arm import DhArm
 from robots.errors import RobotError
-from robots.families import FAMILIES
+from robots.inverse import FAMILIES
 from robots.transforms import Array
 
 HEAD = {"format", "name", "family", "description", "source", "joint"}
-NUMBERS = {"a_mm": None, "d_mm": None, "alpha_deg": None, "offset_deg": 0.0, "sign": 1.0}
-RATES = {  # optional: what moves the arm needs them, what watches it does not
+NUMBER_KEYS = {"a_mm": None, "d_mm": None, "alpha_deg": None, "offset_deg": 0.0, "sign": 1.0}
+RATE_KEYS = {  # optional: what moves the arm needs them, what watches it does not
     "speed": "speed_deg_s",
     "acceleration": "acceleration_deg_s2",
     "jerk": "jerk_deg_s3",
 }
-JOINT = {*NUMBERS, *RATES.values(), "limits_deg"}
+JOINT = {*NUMBER_KEYS, *RATE_KEYS.values(), "limits_deg"}
 
 
 def read(path: Path) -> DhArm:
@@ -35,12 +35,12 @@ def read(path: Path) -> DhArm:
             table does not fit its family.
     """
     content, table = _parse(path)
-    _only_known(path, "", table, HEAD)
+    _check_keys(path, "", table, HEAD)
     if table.get("format") != 1:
-        raise RobotError(f"{path}, format", _shown(table, "format"), "this version reads 1")
-    words = {key: _word(path, table, key) for key in ("name", "family", "description", "source")}
+        raise RobotError(f"{path}, format", _show_value(table, "format"), "this version reads 1")
+    words = {key: _text(path, table, key) for key in ("name", "family", "description", "source")}
     joints = _joints(path, table)
-    columns = {key: np.array([joint[key] for joint in joints], dtype=float) for key in NUMBERS}
+    columns = {key: np.array([joint[key] for joint in joints], dtype=float) for key in NUMBER_KEYS}
     lower, upper = np.radians([joint["limits_deg"] for joint in joints]).T
     arm = DhArm(
         name=words["name"],
@@ -55,9 +55,9 @@ def read(path: Path) -> DhArm:
         sign=columns["sign"],
         offset=np.radians(columns["offset_deg"]),
         family=words["family"],
-        **{name: _rates(path, table["joint"], key) for name, key in RATES.items()},
+        **{name: _rates(path, table["joint"], key) for name, key in RATE_KEYS.items()},
     )
-    _belongs_to_its_family(path, arm)
+    _check_family(path, arm)
     return arm
 
 
@@ -76,7 +76,7 @@ def _parse(path: Path) -> tuple[bytes, dict[str, Any]]:
         raise RobotError(path, f"not valid TOML: {error}", "", "Mend that line.") from error
 
 
-def _only_known(path: Path, where: str, table: dict[str, Any], known: set[str]) -> None:
+def _check_keys(path: Path, where: str, table: dict[str, Any], known: set[str]) -> None:
     for key in table:
         if key not in known:
             near = difflib.get_close_matches(key, known, n=1)
@@ -85,18 +85,18 @@ def _only_known(path: Path, where: str, table: dict[str, Any], known: set[str]) 
             raise RobotError(f"{path}, {where}{key}", "unknown key", expected, remedy)
 
 
-def _word(path: Path, table: dict[str, Any], key: str) -> str:
+def _text(path: Path, table: dict[str, Any], key: str) -> str:
     value = table.get(key)
     if not isinstance(value, str) or not value.strip():
         expected, remedy = "a text in quotes is needed", f'Write {key} = "…".'
-        raise RobotError(f"{path}, {key}", _shown(table, key), expected, remedy)
+        raise RobotError(f"{path}, {key}", _show_value(table, key), expected, remedy)
     return value
 
 
 def _joints(path: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
     joints = table.get("joint")
     if not isinstance(joints, list) or not all(isinstance(joint, dict) for joint in joints):
-        found = _shown(table, "joint")
+        found = _show_value(table, "joint")
         raise RobotError(f"{path}, joint", found, "six tables", "Write [[joint]] six times.")
     if len(joints) != 6:
         expected = "a DH table has 6"
@@ -105,18 +105,21 @@ def _joints(path: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _joint(path: Path, where: str, table: dict[str, Any]) -> dict[str, Any]:
-    _only_known(path, where, table, JOINT)
+    _check_keys(path, where, table, JOINT)
     joint: dict[str, Any] = {}
-    for key, default in NUMBERS.items():
+    for key, default in NUMBER_KEYS.items():
         joint[key] = value = table.get(key, default)
         if not _is_number(value):
-            raise RobotError(f"{path}, {where}{key}", _shown(table, key), "a number is needed")
+            raise RobotError(f"{path}, {where}{key}", _show_value(table, key), "a number is needed")
     if abs(joint["sign"]) != 1:
-        raise RobotError(f"{path}, {where}sign", _shown(table, "sign"), "1 or -1 is needed")
+        raise RobotError(f"{path}, {where}sign", _show_value(table, "sign"), "1 or -1 is needed")
     joint["limits_deg"] = limits = table.get("limits_deg")
     numbers = limits if isinstance(limits, list) and all(map(_is_number, limits)) else []
     if len(numbers) != 2 or not numbers[0] < numbers[1]:
-        found, expected = _shown(table, "limits_deg"), "two numbers are needed, the lower one first"
+        found, expected = (
+            _show_value(table, "limits_deg"),
+            "two numbers are needed, the lower one first",
+        )
         remedy = "Write limits_deg = [-170.0, 170.0], for instance."
         raise RobotError(f"{path}, {where}limits_deg", found, expected, remedy)
     return joint
@@ -129,11 +132,11 @@ def _rates(path: Path, joints: list[dict[str, Any]], key: str) -> Array | None:
     for number, joint in enumerate(joints, start=1):
         if not _is_number(joint.get(key)) or joint[key] <= 0:
             expected = "a number above 0 is needed, for all joints or for none"
-            raise RobotError(f"{path}, joint {number}, {key}", _shown(joint, key), expected)
+            raise RobotError(f"{path}, joint {number}, {key}", _show_value(joint, key), expected)
     return np.radians([joint[key] for joint in joints])
 
 
-def _belongs_to_its_family(path: Path, arm: DhArm) -> None:
+def _check_family(path: Path, arm: DhArm) -> None:
     if arm.family not in FAMILIES:
         near = difflib.get_close_matches(arm.family, FAMILIES, n=1)
         expected = f"known families are {', '.join(FAMILIES)}"
@@ -153,5 +156,5 @@ def _is_number(value: object) -> bool:
     return math.isfinite(value)
 
 
-def _shown(table: dict[str, Any], key: str) -> str:
+def _show_value(table: dict[str, Any], key: str) -> str:
     return f"{table[key]!r}" if key in table else "missing"

@@ -1,17 +1,30 @@
-"""All joint angles that bring the flange to a pose: the closed form of the arm's family."""
+"""All joint angles that bring the flange to a pose: the closed form of the arm's family.
 
+The kinds of arm that have a closed form; a new one is a module and a line here.
+
+Joint limits, and joints that turn more than once.
+"""
+
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from robots.arm import DhArm
-from robots.closed_form import SHOULDER, WRIST, Flags
-from robots.families import FAMILIES
+from robots import parallel_axes, spherical_wrist
+from robots.arm import Arm, DhArm
+from robots.closed_form import SHOULDER, WRIST, Family, Flags
 from robots.transforms import Array
 
-CHUNK = 2048  # poses at a time: their rows stay in the processor's second cache
+FAMILIES: dict[str, Family] = {
+    "spherical_wrist": spherical_wrist,
+    "parallel_axes": parallel_axes,
+}
+
+
+CHUNK_POSES = 2048  # poses at a time: their rows stay in the processor's second cache
 # where a free joint looks for an angle at which the elbow closes: either way, ever wider, rad
-SHIFTS = [sign * 0.001 * 1.5**k for k in range(20) for sign in (1, -1)]  # up to 2.2
+POSE_SHIFTS = [sign * 0.001 * 1.5**k for k in range(20) for sign in (1, -1)]  # up to 2.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,18 +63,18 @@ def inverse(arm: DhArm, base_T_flange: Array, hold: Array | None = None) -> Bran
     held = np.broadcast_to(held, (*shape, 6)).reshape(-1, 6)
     q = np.empty((len(poses), 8, 6))
     degenerate = np.empty((len(poses), 8), dtype=np.uint8)
-    for start in range(0, len(poses), CHUNK):
-        part = slice(start, start + CHUNK)
-        q[part], degenerate[part] = _solved(arm, poses[part], held[part])
-    for shift in SHIFTS:
+    for start in range(0, len(poses), CHUNK_POSES):
+        part = slice(start, start + CHUNK_POSES)
+        q[part], degenerate[part] = _solve_chunk(arm, poses[part], held[part])
+    for shift in POSE_SHIFTS:
         stuck = np.isnan(q[..., 0]).all(axis=1) & (degenerate & (WRIST | SHOULDER)).any(axis=1)
         if not stuck.any():
             break
-        q[stuck], degenerate[stuck] = _solved(arm, poses[stuck], held[stuck] + shift)
+        q[stuck], degenerate[stuck] = _solve_chunk(arm, poses[stuck], held[stuck] + shift)
     return Branches(q.reshape(*shape, 8, 6), degenerate.reshape(*shape, 8))
 
 
-def _solved(arm: DhArm, poses: Array, held: Array) -> tuple[Array, Flags]:
+def _solve_chunk(arm: DhArm, poses: Array, held: Array) -> tuple[Array, Flags]:
     """Joint angles (m, 8, 6) and flags (m, 8) of poses (m, 16), free joints at DH angles (m, 6)."""
     rows = np.ascontiguousarray(poses.T)
     theta, exists, flags = FAMILIES[arm.family].solve(arm, rows, held.T)
@@ -77,3 +90,60 @@ def _solved(arm: DhArm, poses: Array, held: Array) -> tuple[Array, Flags]:
         np.copyto(theta, np.nan, where=~exists)
     flags = np.broadcast_to(flags, theta.shape[1:])
     return theta.reshape(6, 8, -1).T, flags.reshape(8, -1).T
+
+
+FULL_TURN = 2 * np.pi
+TOL_LIMIT = 1e-9  # rad: rounding must not put an arm standing at its limit outside
+
+
+def within_limits(arm: Arm, q: Array) -> NDArray[np.bool_]:
+    """Say which joint angles (..., n), taken as they are, lie within the limits; NaN does not."""
+    inside: NDArray[np.bool_] = np.all(
+        (q >= arm.lower - TOL_LIMIT) & (q <= arm.upper + TOL_LIMIT), axis=-1
+    )
+    return inside
+
+
+def turns(arm: Arm, q: Array) -> Array:
+    """List the joint angles within limits that are the same posture, whole turns apart.
+
+    A joint that spans two turns doubles the answers of `inverse`; one outside its limits may come
+    inside by a turn, or drop out.
+
+    Args:
+        arm: any arm.
+        q: (n,) or (b, n), rad, such as the branches of one pose; rows with NaN are left out.
+
+    Returns:
+        (k, n), row by row of q, smaller angles first; k may be 0.
+    """
+    found: list[tuple[float, ...]] = []
+    for row in np.asarray(q, dtype=float).reshape(-1, arm.dof):
+        if np.isfinite(row).all():
+            found.extend(itertools.product(*map(_whole_turns, row, arm.lower, arm.upper)))
+    return np.array(found, dtype=float).reshape(-1, arm.dof)
+
+
+def near(q: Array, q_near: Array) -> Array:
+    """Shift each joint of q by whole turns to within half a turn of q_near; shapes broadcast."""
+    shifted: Array = q - FULL_TURN * np.round((q - q_near) / FULL_TURN)
+    return shifted
+
+
+def near_within(arm: Arm, q: Array, q_near: Array) -> Array:
+    """Like `near`, but among the turns within limits; NaN rows where a joint has none."""
+    shifted = near(q, q_near)
+    up = np.ceil(
+        (arm.lower - TOL_LIMIT - shifted) / FULL_TURN
+    )  # least turns that lift it to the lower limit
+    down = np.floor(
+        (arm.upper + TOL_LIMIT - shifted) / FULL_TURN
+    )  # most turns up to the upper limit
+    inside = shifted + FULL_TURN * np.clip(0, up, np.maximum(up, down))
+    return np.where(within_limits(arm, inside)[..., None], inside, np.nan)
+
+
+def _whole_turns(angle: float, lower: float, upper: float) -> list[float]:
+    first = int(np.ceil((lower - TOL_LIMIT - angle) / FULL_TURN))
+    last = int(np.floor((upper + TOL_LIMIT - angle) / FULL_TURN))
+    return [float(angle + FULL_TURN * turn) for turn in range(first, last + 1)]

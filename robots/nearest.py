@@ -4,17 +4,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots.arm import Arm, DhArm, UrdfArm
-from robots.inverse import inverse
+from robots.inverse import inverse, near, near_within
 from robots.kinematics import forward, jacobian
-from robots.limits import near, near_within
 from robots.transforms import Array, difference
 
-REACHED = 1e-10  # m and rad: an iteration stops here, far below what any camera sees
-STEPS = 200  # a start within the basin needs under ten; the rest is for slow self-motion
+TOL_POSE = 1e-10  # m and rad: an iteration stops here, far below what any camera sees
+MAX_STEPS = 200  # a start within the basin needs under ten; the rest is for slow self-motion
 DAMPING = 0.5  # of the error squared: quadratic convergence, and no leap through a singularity
-STILL = 1e-9  # rad: self-motion towards the start has ended
-HOMEWARD = 1e-2  # m and rad: so near the pose, self-motion may turn towards the start
-SINGULAR = 1e-9  # m and rad a rad: a motion that shifts the flange by less is self-motion
+TOL_SELF_MOTION = 1e-9  # rad: self-motion towards the start has ended
+MAX_ERROR_HOMEWARD = 1e-2  # m and rad: so near the pose, self-motion may turn towards the start
+TOL_SINGULAR = 1e-9  # m and rad a rad: a motion that shifts the flange by less is self-motion
 
 
 def nearest(
@@ -41,7 +40,9 @@ def nearest(
         return _nearest_branch(arm, poses, seeds, limits)
     assert isinstance(arm, UrdfArm)
     flat = zip(poses.reshape(-1, 4, 4), seeds.reshape(-1, arm.dof), strict=True)
-    q = np.array([_descend(arm, pose, seed, limits) for pose, seed in flat], dtype=float)
+    q = np.array(
+        [_damped_least_squares(arm, pose, seed, limits) for pose, seed in flat], dtype=float
+    )
     q = q.reshape(seeds.shape)
     return q, np.isfinite(q).all(axis=-1)
 
@@ -59,12 +60,12 @@ def _nearest_branch(
     return chosen, np.isfinite(np.take_along_axis(distance, best, axis=-1)[..., 0])
 
 
-def _descend(arm: UrdfArm, pose: Array, seed: Array, limits: bool) -> Array:
+def _damped_least_squares(arm: UrdfArm, pose: Array, seed: Array, limits: bool) -> Array:
     """Solve for one pose by damped least squares; NaN if it is not reached."""
     q = np.clip(seed, arm.lower, arm.upper) if limits else seed.copy()
     best = np.full(arm.dof, np.nan)
     pull, before = 1.0, np.inf
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         error = difference(pose, forward(arm, q))
         size = float(np.linalg.norm(error))
         step, drift = _step(arm, q, error, seed - q, limits)
@@ -72,10 +73,10 @@ def _descend(arm: UrdfArm, pose: Array, seed: Array, limits: bool) -> Array:
         # singularity the two would circle for ever
         pull = pull / 2 if size > before else pull
         before = size
-        drift = drift * pull * (size < HOMEWARD)
-        if np.abs(error).max() < REACHED:
+        drift = drift * pull * (size < MAX_ERROR_HOMEWARD)
+        if np.abs(error).max() < TOL_POSE:
             best = q
-            if np.linalg.norm(drift) < STILL:
+            if np.linalg.norm(drift) < TOL_SELF_MOTION:
                 break
         q = q + step + drift
         if limits:
@@ -93,9 +94,9 @@ def _step(arm: UrdfArm, q: Array, error: Array, home: Array, limits: bool) -> tu
     while True:
         u, s, vt = np.linalg.svd(moves * free)
         damping = DAMPING * float(error @ error)
-        gain = np.divide(s, s * s + damping, out=np.zeros_like(s), where=s > SINGULAR)
+        gain = np.divide(s, s * s + damping, out=np.zeros_like(s), where=s > TOL_SINGULAR)
         step = free * (vt[: len(s)].T @ (gain * (u.T[: len(s)] @ error)))
-        still = vt[np.count_nonzero(s > SINGULAR) :]
+        still = vt[np.count_nonzero(s > TOL_SINGULAR) :]
         drift = free * (still.T @ (still @ (home * free)))
         after = q + step + drift
         blocked = free & (

@@ -11,14 +11,14 @@ import numpy as np
 from robots.arm import DhArm
 from robots.closed_form import (
     ELBOW,
-    NO_TURN,
     SHOULDER,
+    TOL_WRIST,
     WRIST,
     Flags,
     Mask,
     Misfit,
     bend_to,
-    differs,
+    table_mismatch,
     turn_to,
 )
 from robots.transforms import Array
@@ -35,7 +35,7 @@ def misfit(arm: DhArm) -> Misfit | None:
         "d_mm": (None, 0.0, 0.0, 0.0, 0.0, None),
         "alpha_deg": (-90.0, 0.0, 0.0, 90.0, -90.0, 0.0),
     }
-    return differs(arm, needed)
+    return table_mismatch(arm, needed)
 
 
 def reach(arm: DhArm) -> tuple[float, float]:
@@ -58,7 +58,7 @@ def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
     s5 = np.sqrt(a_along * a_along + az * az)
 
     # Axes (shoulder, wrist, pose) from here. θ234 turns axis 5 square to the flange's z.
-    straight = s5 < NO_TURN
+    straight = s5 < TOL_WRIST
     some_straight = bool(straight.any())
     divisor = np.where(straight, 1.0, s5) if some_straight else s5
     s234, c234 = _both(az / divisor), _both(-a_along / divisor)

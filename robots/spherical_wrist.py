@@ -12,19 +12,19 @@ import numpy as np
 from robots.arm import DhArm
 from robots.closed_form import (
     ELBOW,
-    NO_TURN,
     SHOULDER,
+    TOL_WRIST,
     WRIST,
     Flags,
     Mask,
     Misfit,
     bend_to,
-    differs,
+    table_mismatch,
     turn_to,
 )
 from robots.transforms import Array
 
-SIDES = {1: (-90.0, 0.0, 90.0, -90.0, 90.0, 0.0), -1: (-90.0, 0.0, -90.0, 90.0, -90.0, 0.0)}
+ALPHA_BY_SIDE = {1: (-90.0, 0.0, 90.0, -90.0, 90.0, 0.0), -1: (-90.0, 0.0, -90.0, 90.0, -90.0, 0.0)}
 
 
 def misfit(arm: DhArm) -> Misfit | None:
@@ -37,10 +37,10 @@ def misfit(arm: DhArm) -> Misfit | None:
         return 2, "a_mm", float(arm.a[1] * 1000), "an upper arm longer than 0 is needed"
     if np.hypot(arm.a[2], arm.d[3]) == 0:
         return 4, "d_mm", 0.0, "a forearm longer than 0 is needed"
-    return differs(arm, {**lengths, "alpha_deg": SIDES[side(arm)]})
+    return table_mismatch(arm, {**lengths, "alpha_deg": ALPHA_BY_SIDE[elbow_side(arm)]})
 
 
-def side(arm: DhArm) -> int:
+def elbow_side(arm: DhArm) -> int:
     """On which side of the forearm the elbow offset lies: +1 or -1, by the sign of α3."""
     return 1 if arm.alpha[2] > 0 else -1
 
@@ -48,7 +48,7 @@ def side(arm: DhArm) -> int:
 def forearm(arm: DhArm) -> tuple[float, float]:
     """Length of the line from elbow to wrist centre, m, and its angle γ in frame 3, rad."""
     length = float(np.hypot(arm.a[2], arm.d[3]))
-    return length, side(arm) * float(np.arctan2(arm.d[3], arm.a[2]))
+    return length, elbow_side(arm) * float(np.arctan2(arm.d[3], arm.a[2]))
 
 
 def reach(arm: DhArm) -> tuple[float, float]:
@@ -59,7 +59,7 @@ def reach(arm: DhArm) -> tuple[float, float]:
 
 def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
     """Solve poses given as rows; see `closed_form.Family`."""
-    g = side(arm)
+    g = elbow_side(arm)
     length, gamma = forearm(arm)
     a1, d1, d6 = float(arm.a[0]), float(arm.d[0]), float(arm.d[5])
     nx, ox, ax, px, ny, oy, ay, py, nz, oz, az, pz = pose[:12]
@@ -99,7 +99,7 @@ def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
     theta[5, ..., 1, :] = theta[5, ..., 0, :] + np.pi
 
     flags = np.where(bent.merged, ELBOW, 0)[:, None, None] | np.where(turned.free, SHOULDER, 0)
-    straight = s5 < NO_TURN
+    straight = s5 < TOL_WRIST
     if straight.any():
         entries = (q11, q12, q13, q21[:, None], q22[:, None], q23[:, None], q33)
         _hold_theta4(theta, straight, hold[3], g, *entries)

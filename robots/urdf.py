@@ -12,9 +12,11 @@ import pinocchio
 from robots.arm import UrdfArm
 from robots.errors import RobotError
 
-TURNING = {"revolute", "continuous"}
-GRIPPER = re.compile(r"grip|finger|jaw|knuckle|thumb", re.IGNORECASE)  # not a joint of the arm
-CONTINUOUS_LIMIT = (
+TURNING_TYPES = {"revolute", "continuous"}
+GRIPPER_NAMES = re.compile(
+    r"grip|finger|jaw|knuckle|thumb", re.IGNORECASE
+)  # not a joint of the arm
+MAX_CONTINUOUS_ANGLE = (
     2 * np.pi
 )  # rad: a joint without limits gets two turns, so that ranges are finite
 
@@ -50,7 +52,7 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
             raise RobotError(path, f'no link "{link}"', expected, "Name one of them.")
     tip = tip or _last_link(joints, base)
     chain = _chain(path, joints, base, tip)
-    model = _reduced(path, chain)
+    model = _lock_other_joints(path, chain)
     limits = np.array([_limits(model, joint) for joint in chain])
     return UrdfArm(
         name=name,
@@ -71,7 +73,7 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
 
 def _limits(model: pinocchio.Model, joint: Joint) -> tuple[float, float]:
     if joint.kind == "continuous":
-        return -CONTINUOUS_LIMIT, CONTINUOUS_LIMIT
+        return -MAX_CONTINUOUS_ANGLE, MAX_CONTINUOUS_ANGLE
     place = model.joints[model.getJointId(joint.name)].idx_q
     return float(model.lowerPositionLimit[place]), float(model.upperPositionLimit[place])
 
@@ -116,21 +118,23 @@ def _last_link(joints: list[Joint], base: str) -> str:
     """Follow the only turning joint from link to link, and end at the last fixed link after it."""
     link = base
     while True:
-        rigid = _rigidly_on(joints, link)
+        rigid = _rigid_links(joints, link)
         moving = [joint for joint in joints if joint.parent in rigid and joint.kind != "fixed"]
-        if len(moving) == 1 and _is_the_arms(moving[0]):
+        if len(moving) == 1 and _is_arm_joint(moving[0]):
             link = moving[0].child
             continue
         if "tool0" in rigid:  # the flange, by ROS-Industrial's convention
             return "tool0"
-        return max((n for n in rigid if n == link or not GRIPPER.search(n)), key=lambda n: rigid[n])
+        return max(
+            (n for n in rigid if n == link or not GRIPPER_NAMES.search(n)), key=lambda n: rigid[n]
+        )
 
 
-def _is_the_arms(joint: Joint) -> bool:
-    return joint.kind in TURNING and not joint.mimics and not GRIPPER.search(joint.name)
+def _is_arm_joint(joint: Joint) -> bool:
+    return joint.kind in TURNING_TYPES and not joint.mimics and not GRIPPER_NAMES.search(joint.name)
 
 
-def _rigidly_on(joints: list[Joint], link: str) -> dict[str, int]:
+def _rigid_links(joints: list[Joint], link: str) -> dict[str, int]:
     """Links fixed to a link, itself included, with the number of fixed joints between."""
     found = {link: 0}
     grown = True
@@ -155,7 +159,7 @@ def _chain(path: Path, joints: list[Joint], base: str, tip: str) -> list[Joint]:
         if joint.kind == "fixed":
             continue
         place = f'{path}, joint "{joint.name}"'
-        if joint.kind not in TURNING:
+        if joint.kind not in TURNING_TYPES:
             remedy = "Name base and tip so that the chain leaves it out."
             raise RobotError(place, f"a {joint.kind} joint", "every joint must be an angle", remedy)
         if joint.mimics:
@@ -170,7 +174,7 @@ def _chain(path: Path, joints: list[Joint], base: str, tip: str) -> list[Joint]:
     return chain
 
 
-def _reduced(path: Path, chain: list[Joint]) -> pinocchio.Model:
+def _lock_other_joints(path: Path, chain: list[Joint]) -> pinocchio.Model:
     """Load the file, and lock all but the chain's joints at 0."""
     try:
         model = pinocchio.buildModelFromUrdf(str(path))

@@ -9,35 +9,32 @@
 """
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
+from verify.core.version import __version__
+
 if TYPE_CHECKING:
-    from verify.analysis import analyse
+    from verify.analysis.session import analyse
     from verify.errors import InputError
-    from verify.measurement import Setup, measure
-    from verify.session import Session, open_session
+    from verify.io.session.session import Session, open_session
+    from verify.measurement.chain import Setup, measure
 
-__all__ = ["InputError", "Session", "Setup", "analyse", "measure", "open_session"]
+__all__ = ["InputError", "Session", "Setup", "__version__", "analyse", "measure", "open_session"]
 
-try:
-    __version__ = version("verify-robot")
-except PackageNotFoundError:  # run from a source tree that was never installed
-    __version__ = "0+unknown"
 
 # loaded when first asked for: the command line must answer --help at once
-_HOMES = {
+_MODULES = {
     "InputError": "verify.errors",
-    "Session": "verify.session",
-    "Setup": "verify.measurement",
-    "analyse": "verify.analysis",
-    "measure": "verify.measurement",
-    "open_session": "verify.session",
+    "Session": "verify.io.session.session",
+    "Setup": "verify.measurement.chain",
+    "analyse": "verify.analysis.session",
+    "measure": "verify.measurement.chain",
+    "open_session": "verify.io.session.session",
 }
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its module."""
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module 'verify' has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(import_module(_MODULES[name]), name)

@@ -1,5 +1,5 @@
 """`python -m verify`: the same as the command."""
 
-from verify.cli import main
+from verify.cli.main import main
 
 main()

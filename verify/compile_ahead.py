@@ -5,13 +5,13 @@ python -m verify.compile_ahead     after an installation
 
 import numpy as np
 
-from verify.calibration.saddle import Place, fit_corner
-from verify.judgement.monte_carlo_poses import Views, camera_draws, refit
-from verify.rig import Camera
-from verify.warm_up import warm_up, warm_up_comparison
+from verify.analysis.uncertainty.draws import ViewDraws, camera_draws, refit_pose
+from verify.analysis.warm_up import warm_up, warm_up_comparison
+from verify.calibration.corners.find import CornerPrediction, fit_corner
+from verify.core.rig import Camera
 
-SQUARE = 20.0  # px
-SPOTS = 4  # an image
+SQUARE_PX = 20.0  # px
+N_SPOTS = 4  # an image
 
 
 def compile_ahead() -> None:
@@ -19,21 +19,21 @@ def compile_ahead() -> None:
     warm_up()
     warm_up_comparison()
     _refit()
-    _fit_corner()
+    _compile_corner_fit()
 
 
 def _refit() -> None:
     """One drawn world of one pair, in which nothing moved."""
     still = Camera(np.eye(3), np.zeros(5), np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.0, np.eye(4))
     camera = camera_draws(still, "left", {}, np.zeros(1))
-    points = np.random.default_rng(0).normal(size=(1, 2 * SPOTS, 3)) + 5.0
-    views = Views(camera, camera, SPOTS)
-    refit(np.eye(4), points, np.zeros((1, 2 * SPOTS, 2)), views, np.eye(4 * SPOTS))
+    points = np.random.default_rng(0).normal(size=(1, 2 * N_SPOTS, 3)) + 5.0
+    views = ViewDraws(camera, camera, N_SPOTS)
+    refit_pose(np.eye(4), points, np.zeros((1, 2 * N_SPOTS, 2)), views, np.eye(4 * N_SPOTS))
 
 
-def _fit_corner() -> None:
+def _compile_corner_fit() -> None:
     """A picture without a corner."""
-    place = Place(np.full(2, 2 * SQUARE), SQUARE * np.eye(2), np.zeros((2, 2)))
+    place = CornerPrediction(np.full(2, 2 * SQUARE_PX), SQUARE_PX * np.eye(2), np.zeros((2, 2)))
     fit_corner(np.zeros((80, 80)), place)
 
 

@@ -12,9 +12,9 @@ import sys
 import time
 from collections.abc import Iterator
 
-from tests.verify.live.spot_level import SpotRun, facing_rig
-from tests.verify.live.test_alarm import RATE, streamed
-from verify.live.joint_alarms import AlarmLimits, JointAlarms
+from tests.support.spot_level import SpotRun, facing_rig
+from tests.verify.live.alarms.test_joints import RATE, streamed
+from verify.live.alarms.joints import AlarmLimits, JointAlarms
 
 HOURS = 10.0
 CHAIN_SECONDS = 600.0

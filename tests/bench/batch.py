@@ -26,13 +26,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from tests.beside import SHARED
-from tests.verify.batch.fleets import BEGIN, NO_FAILURES, rows
-from verify.fleet.assess import Questions, assess
-from verify.session import open_session
-from verify.sim import library
-from verify.sim.folder import write
-from verify.sim.sessions import simulate
+from tests.support.beside import SHARED
+from tests.support.fleets import BEGIN, NO_FAILURES, rows
+from verify.fleet.trends.assess import TrendRequest, assess
+from verify.io.session.session import open_session
+from verify.simulation import library
+from verify.simulation.session.folder import write_session
+from verify.simulation.session.simulate import simulate_session
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "sample_sessions" / "multi_joint_fault_6r"  # dark, without noise: decoded at once
@@ -53,7 +53,7 @@ for file in sys.argv[1:]:
         count += 1
 print(count / 2 / (time.perf_counter() - start))
 """
-RUN = "import os, sys; os.sched_setaffinity(0, {cores}); from verify.cli import main; main()"
+RUN = "import os, sys; os.sched_setaffinity(0, {cores}); from verify.cli.main import main; main()"
 
 
 def lines() -> Iterator[str]:
@@ -78,7 +78,7 @@ def _long(folder: Path) -> Path:
     image = msgspec.structs.replace(scenario.image, black_level_dn=8.0)
     scenario = msgspec.structs.replace(scenario, recording=recording, image=image)
     folder.mkdir(parents=True)
-    write(simulate(scenario), folder)
+    write_session(simulate_session(scenario), folder)
     return folder
 
 
@@ -146,7 +146,7 @@ def fleets() -> Iterator[str]:
         off: list[int] = []
         for seed in range(FLEETS):
             sessions = rows(seed, drift=0.02, step=0.3, calibrations=calibrations)
-            found = assess(sessions, NO_FAILURES, Questions(), ()).table("changes")
+            found = assess(sessions, NO_FAILURES, TrendRequest(), ()).table("changes")
             named = {(r.arm, r.joint): r for r in found.itertuples()}
             drift, step = named.get(("arm_a", 3)), named.get(("arm_b", 5))
             right += drift is not None and drift.kind == "drift" and step is not None
@@ -172,7 +172,7 @@ def fleets() -> Iterator[str]:
 
 def _accuses(seed: int, scatter: float) -> bool:
     sessions = rows(10_000 + seed, scatter=scatter, calibrations=seed % 3 + 1)
-    return len(assess(sessions, NO_FAILURES, Questions(), ()).table("changes")) > 0
+    return len(assess(sessions, NO_FAILURES, TrendRequest(), ()).table("changes")) > 0
 
 
 if __name__ == "__main__":

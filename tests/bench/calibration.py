@@ -15,13 +15,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from tests.verify.calibration.calibrated import squared_distance
-from tests.verify.calibration.made_views import BOARD, SIGMA, SIZE, levelled, make_pairs, poses
-from verify.calibration.boards import calibrate
-from verify.calibration.covariance import in_si
+from tests.support.boards.calibrated import squared_distance
+from tests.support.boards.made_views import BOARD, SIGMA, SIZE, levelled, make_pairs, poses
+from verify.calibration.stereo.calibrate import calibrate
+from verify.calibration.stereo.records import covariance_in_si
+from verify.core.records import Array
+from verify.core.rig import Camera, Rig
 from verify.errors import InputError
-from verify.records import Array
-from verify.rig import Camera, Rig
 
 REPLICATES = 2000
 SEEDS = (20261121, 20270101)  # fixed beforehand; the second set is the check of the first
@@ -105,7 +105,7 @@ def replicate(kind: str, seed: int) -> Outcome:
     covariance = found.rig.covariance
     assert covariance is not None
     errors = np.array([deviation(name, found.rig, rig) for name in covariance.parameters])
-    full = in_si(covariance)
+    full = covariance_in_si(covariance)
     d2, rank = squared_distance(errors, full)
     z = errors / np.sqrt(np.diag(full))
     return dict(zip(covariance.parameters, z.tolist(), strict=True)), d2, rank, found.noise * stated

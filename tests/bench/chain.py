@@ -13,14 +13,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from verify.measurement import Setup, measure
-from verify.records import StereoPair
-from verify.session import Session, open_session
-from verify.sim import library
-from verify.sim.folder import write
-from verify.sim.scenario import Scenario
-from verify.sim.sessions import simulate
-from verify.writing import folder_written_whole
+from verify.core.records import StereoPair
+from verify.io.files import write_folder_whole
+from verify.io.session.session import Session, open_session
+from verify.measurement.chain import Setup, measure
+from verify.simulation import library
+from verify.simulation.scenario import Scenario
+from verify.simulation.session.folder import write_session
+from verify.simulation.session.simulate import simulate_session
 
 SAMPLE = Path(__file__).parents[2] / "sample_sessions" / "multi_joint_fault_6r"
 PAIRS = 40  # of each session, after the first, which is searched whole
@@ -32,8 +32,8 @@ def lines() -> Iterator[str]:
     yield from _session("sample session", open_session(SAMPLE))
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "room"
-        with folder_written_whole(folder) as partial:
-            write(simulate(_room()), partial)
+        with write_folder_whole(folder) as partial:
+            write_session(simulate_session(_room()), partial)
         yield from _session("session with a room behind the arm", open_session(folder))
 
 

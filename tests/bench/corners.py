@@ -13,12 +13,12 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from tests.beside import SHARED
-from tests.verify.calibration.board_images import Look, camera, corners, picture, random_pose
-from verify import rig_file
-from verify.board import Board, BoardView
-from verify.calibration.find import find_board
-from verify.records import Array, Image
+from tests.support.beside import SHARED
+from tests.support.boards.board_images import Look, camera, corners, picture, random_pose
+from verify.calibration.corners.find import find_board
+from verify.core.fiducials import Board, BoardView
+from verify.core.records import Array, Image
+from verify.io import rig as io_rig
 
 BOARD = Board(9, 7, 0.040)
 VIEWS = 12
@@ -53,7 +53,7 @@ def synthetic(look: Look | None) -> Iterator[Scene]:
 
 def recorded(session: Path) -> Iterator[Scene]:
     """All images of the shared session, by its true rig and board poses."""
-    rig, _ = rig_file.read(session / "rig.toml")
+    rig, _ = io_rig.read(session / "rig.toml")
     for row in np.loadtxt(session / "board_poses.csv", delimiter=",", skiprows=1):
         rig_T_board = np.eye(4)
         rig_T_board[:3, :3], rig_T_board[:3, 3] = cv2.Rodrigues(row[1:4])[0], row[4:] / 1000

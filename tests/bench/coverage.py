@@ -13,10 +13,10 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
-from tests.random_scenarios import random_scenario
-from tests.simulated import in_memory
-from verify.analysis import analyse
-from verify.records import Array
+from tests.support.random_scenarios import random_scenario
+from tests.support.simulated import in_memory
+from verify.analysis.session import analyse
+from verify.core.records import Array
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
 SESSIONS = 100

@@ -7,8 +7,8 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from tests.verify.led_images import Sensor, Spot, picture
-from verify.detection import detect
+from tests.support.led_images import Sensor, Spot, picture
+from verify.measurement.detection.detect import detect
 
 ROUNDS = 15  # interleaved, so that a busy machine slows all alike
 WINDOW = 20  # px around a predicted place

@@ -20,9 +20,9 @@ import pandas as pd
 
 from tests.bench.diagnosis_sessions import Injected, Watched, diagnosed, watched
 from tests.bench.diagnosis_verdicts import CASES, verdicts
-from verify.judgement.diagnosis import Diagnosis
-from verify.judgement.diagnosis_detectable import detectable
-from verify.judgement.faults import SCALES
+from verify.analysis.diagnosis.detectability import detectable
+from verify.analysis.diagnosis.diagnose import Diagnosis
+from verify.analysis.diagnosis.faults import UNIT_SCALES
 
 SESSIONS = 100  # with faults; three times as many without
 SEED = 20261121
@@ -73,7 +73,7 @@ def _trial(case: Watched, row: pd.Series, level: str, rng: np.random.Generator) 
     fault = Injected(
         kind=str(row["kind"]),
         joint=joint,
-        size=sign * size[level] / SCALES[str(row["unit"])],
+        size=sign * size[level] / UNIT_SCALES[str(row["unit"])],
         parameter=None if pd.isna(row["parameter"]) else str(row["parameter"]),
         per_turn=1 if pd.isna(row["per_turn"]) else int(row["per_turn"]),
         phase=float(rng.uniform(0, 2 * np.pi)),

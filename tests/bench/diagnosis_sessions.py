@@ -1,6 +1,6 @@
 """Sessions at spot level for the diagnosis: pictures are measured once, then faults are put in.
 
-True LEDs are projected by OpenCV (in verify.sim) into a true rig drawn about the stated one, and
+True LEDs are projected by OpenCV (in verify.simulation) into a true rig drawn about the stated one, and
 given noise. A fault of a joint or of the clock changes the readings; one of the arm, the base or
 the LED body changes what the poses show; one of the cameras is measured anew.
 """
@@ -14,31 +14,39 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import invert
-from tests.random_scenarios import random_scenario
-from tests.simulated import InMemory, in_memory
-from verify.analysis import model_of
-from verify.clock import ClockEstimate
-from verify.comparison import compare
+from tests.support.random_scenarios import random_scenario
+from tests.support.simulated import InMemory, in_memory
+from verify.analysis.clock import ClockEstimate
+from verify.analysis.comparison import compare, solve_joints
+from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes
+from verify.analysis.joint_errors import resolve_errors
+from verify.analysis.model import add_pan_noise
+from verify.analysis.session import session_model
+from verify.core.readings import Readings
+from verify.core.records import Array, Measurement, Sighting
 from verify.errors import InputError
-from verify.joints import solve_joints
-from verify.judgement.diagnosis import Diagnosis, examine
-from verify.judgement.model import with_pan_noise
-from verify.judgement.resolved import resolve
-from verify.pose import fit_pose
-from verify.readings import Readings
-from verify.records import Array, Measurement, Sighting
-from verify.sim.faults import reading_error
-from verify.sim.scenario import Fault, MultiJoint, Recording, Uncertainty
-from verify.sim.sessions import SimulatedSession
-from verify.systematics import Systematics, sensitivities, spot_columns, stated
-from verify.track import Track, collect
+from verify.measurement.pose import fit_pose
+from verify.measurement.systematics import (
+    Systematics,
+    sensitivities,
+    spot_columns,
+    stated_systematics,
+)
+from verify.measurement.track import Track, collect_track
+from verify.simulation.scenario import (
+    MultiJoint,
+    ScenarioFault,
+    ScenarioRecording,
+    ScenarioUncertainty,
+)
+from verify.simulation.session.simulate import SimulatedSession, reading_error
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
 SPOT_PX = 0.03
 PAIRS = 60
 WIDE = 2.0  # times the swings of a plain session
 ATTEMPTS = 50
-STATED = Uncertainty(
+STATED = ScenarioUncertainty(
     focal_px=0.2,
     principal_point_px=0.2,
     camera_rotation_deg=0.005,
@@ -90,7 +98,7 @@ def watched(seed: int) -> Watched:
             motion=motion,
             rig=rig,
             uncertainty=STATED,
-            recording=Recording(pairs=PAIRS, rate_hz=float(rng.choice([5.0, 10.0]))),
+            recording=ScenarioRecording(pairs=PAIRS, rate_hz=float(rng.choice([5.0, 10.0]))),
         )
         try:
             session = in_memory(scenario)
@@ -112,7 +120,7 @@ def watched(seed: int) -> Watched:
     clock = ClockEstimate(
         told, None if given else 1e-4, "given" if given else "estimated", np.zeros((0, 2))
     )
-    systematics = stated(session.rig, session.marker, turning=False)
+    systematics = stated_systematics(session.rig, session.marker, turning=False)
     noise = int(rng.integers(2**31))
     return Watched(session, measured(session, systematics, noise), systematics, clock, noise)
 
@@ -137,7 +145,7 @@ def measured(
         seen = Measurement(i, left.t, "measured", len(session.marker), pose, left, right)
         measurements.append(seen)
         effects.append(sensitivities(systematics, seen, session.rig, session.marker))
-    return collect(measurements, session.rig, effects)
+    return collect_track(measurements, session.rig, effects)
 
 
 def stated_doubt(
@@ -175,10 +183,10 @@ def diagnosed(watched: Watched, fault: Injected | None) -> Diagnosis:
     track = watched.track if fault is None else _seen(watched, fault)
     readings = _read(watched, fault)
     comparison = compare(track, session.arm, readings, clock.offset)
-    comparison = with_pan_noise(comparison, track, watched.systematics)
+    comparison = add_pan_noise(comparison, track, watched.systematics)
     joints = solve_joints(comparison, session.arm)
-    model = model_of(session, track, clock, watched.systematics, comparison, joints)
-    return examine(model, resolve(model), session.arm, session.rig)
+    model = session_model(session, track, clock, watched.systematics, comparison, joints)
+    return find_causes(model, resolve_errors(model), session.arm, session.rig)
 
 
 def _read(watched: Watched, fault: Injected | None) -> Readings:
@@ -212,10 +220,10 @@ def _reading_error(
         return error
     degrees = float(np.degrees(fault.size))
     wrong = {
-        "offset": Fault(joint=fault.joint, offset_deg=degrees),
-        "gain": Fault(joint=fault.joint, gain=fault.size),
-        "backlash": Fault(joint=fault.joint, backlash_deg=degrees),
-        "eccentricity": Fault(
+        "offset": ScenarioFault(joint=fault.joint, offset_deg=degrees),
+        "gain": ScenarioFault(joint=fault.joint, gain=fault.size),
+        "backlash": ScenarioFault(joint=fault.joint, backlash_deg=degrees),
+        "eccentricity": ScenarioFault(
             joint=fault.joint,
             eccentricity_deg=abs(degrees),
             phase_deg=float(np.degrees(fault.phase)),

@@ -4,17 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.verify.motions import ARM, HOME, PERIOD, make_track, read
-from tests.verify.scene import make_marker, make_rig
-from verify.clock import ClockEstimate
-from verify.comparison import compare
-from verify.judgement.model import build
-from verify.judgement.resolved import resolve
-from verify.judgement.verdict import judge_joint
-from verify.judgement.visibility import visibility
-from verify.readings import Readings
-from verify.records import Array
-from verify.systematics import stated
+from tests.support.motions import ARM, HOME, PERIOD, make_track, read
+from tests.support.scene import make_marker, make_rig
+from verify.analysis.clock import ClockEstimate
+from verify.analysis.comparison import compare
+from verify.analysis.joint_errors import resolve_errors
+from verify.analysis.model import build_model, visibility
+from verify.analysis.verdict import judge_joint
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.measurement.systematics import stated_systematics
 
 TOLERANCE = np.deg2rad(0.2)
 CASES = (
@@ -48,8 +47,10 @@ def verdicts(seed: int) -> dict[str, str | None]:
         q = sound.q.copy()
         q[:, joint] += _error(case, motion(LOG)[:, joint])
         comparison = compare(track, ARM, Readings(sound.t, q), 0.0)
-        model = build(comparison, track, rig, marker, GIVEN, stated(rig, marker, turning=False))
-        resolved, least = resolve(model), visibility(model).detectable
+        model = build_model(
+            comparison, track, rig, marker, GIVEN, stated_systematics(rig, marker, turning=False)
+        )
+        resolved, least = resolve_errors(model), visibility(model).detectable
         each = {judge_joint(resolved, j, TOLERANCE, float(least[j])).verdict for j in range(6)}
         own = judge_joint(resolved, joint, TOLERANCE, float(least[joint])).verdict
         said[case] = own if case != "healthy" or len(each) == 1 else None

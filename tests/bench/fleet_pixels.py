@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tests.verify.batch.fleets import MONTH, NO_FAILURES, YEAR, record
-from verify.fleet.assess import Questions, assess
-from verify.sim.scenario import Fault
+from tests.support.fleets import MONTH, NO_FAILURES, YEAR, record
+from verify.fleet.trends.assess import TrendRequest, assess
+from verify.simulation.scenario import ScenarioFault
 
 SESSIONS = 100  # of each arm
 DRIFT, STEP = 0.02, 0.3  # degrees a month; degrees
@@ -30,12 +30,12 @@ ARMS = ("arm_a", "arm_b", "arm_c")
 DRIFTS, STEPPED = ("arm_a", 3), ("arm_b", 5)
 
 
-def fault(arm: str, day: float) -> Fault | None:
+def fault(arm: str, day: float) -> ScenarioFault | None:
     """What is wrong with an arm on a day."""
     if arm == DRIFTS[0]:
-        return Fault(joint=DRIFTS[1], offset_deg=DRIFT * day / MONTH)
+        return ScenarioFault(joint=DRIFTS[1], offset_deg=DRIFT * day / MONTH)
     if arm == STEPPED[0] and day >= STEPS_ON:
-        return Fault(joint=STEPPED[1], offset_deg=STEP)
+        return ScenarioFault(joint=STEPPED[1], offset_deg=STEP)
     return None
 
 
@@ -67,7 +67,7 @@ def main(sessions: int) -> int:
         print(f"{len(tasks)} sessions rendered in {rendered - began:.0f} s, measured and reported "
               f"in {measured - rendered:.0f} s, exit status {done.returncode}")  # fmt: skip
         rows = pd.read_parquet(out / "sessions.parquet")
-        found = assess(rows, NO_FAILURES, Questions(by="folder"), ())
+        found = assess(rows, NO_FAILURES, TrendRequest(by="folder"), ())
         return _told(found.table("changes"), when, len(rows))
 
 

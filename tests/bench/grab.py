@@ -14,18 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
-from reports.charts import Band, Chart, Line, Panel, Points
-from reports.drawing import svg
-from verify.grab.motion_port import ExecuteRight
-from verify.grab.run import Ends, run
-from verify.grab.states import State
-from verify.grab.workspace import RESOLUTION
-from verify.records import Array
-from verify.sim.cell_grab import cell_grab
-from verify.sim.cell_scene import Cap, Scene, drawn_scene
-from verify.sim.cell_setup import FULL, SMALL, CellSetup, cell_setup
+from reports.document.charts import Band, Chart, Line, Panel, Points
+from reports.format.matplotlib import svg
+from verify.core.records import Array
+from verify.grasping.actuators.protocols import ExecutePermission
+from verify.grasping.control.run import StopConditions, run
+from verify.grasping.control.states import GraspState
+from verify.grasping.planning.workspace import RESOLUTION
+from verify.simulation.cell.grab import cell_grab
+from verify.simulation.cell.scene import Cap, CellScene, draw_scene
+from verify.simulation.cell.setup import FULL_SIZE, SMALL_SIZE, CellSetup, cell_setup
 
-ENDS = Ends(duration=40.0, patience=5.0)
+ENDS = StopConditions(duration=40.0, patience=5.0)
 ROUNDING = 1e-6  # of a limit
 PAIRS = 15  # at each mark: half a second
 SPACING = 0.04  # m
@@ -34,7 +34,7 @@ SPACING = 0.04  # m
 @dataclass(frozen=True)
 class Grasp:
     seed: int
-    state: State
+    state: GraspState
     reason: str
     held: bool  # the target is in the hand, as the world knows it
     error: float  # m, of the grip point from where it was to be, across the approach; nan: no grip
@@ -47,7 +47,7 @@ class Grasp:
 
 
 def grasp(setup: CellSetup, seed: int) -> Grasp:
-    made = cell_grab(setup, drawn_scene(seed), right=ExecuteRight("bench"), auto=True)
+    made = cell_grab(setup, draw_scene(seed), right=ExecutePermission("bench"), auto=True)
     works: list[float] = []
     ended = run(made.loop, made.source, ENDS, lambda cycle: works.append(cycle.took))
     world, plan = made.world, made.loop.aim.plan
@@ -68,7 +68,7 @@ def distances(setup: CellSetup, rows: int = 3, columns: int = 5) -> Array:
     for row in range(rows):
         for column in range(columns):
             mark = (0.40 + SPACING * row, SPACING * (column - (columns - 1) / 2))
-            made = cell_grab(setup, Scene((Cap("blue", mark),), seed=row * columns + column))
+            made = cell_grab(setup, CellScene((Cap("blue", mark),), seed=row * columns + column))
             for _ in range(PAIRS):
                 made.loop.cycle(made.source.pair())
                 made.source.wait()
@@ -114,15 +114,15 @@ def main() -> None:
     words = sys.argv[1:]
     place = Path(words.pop(words.index("--figure") + 1)) if "--figure" in words else None
     count = next((int(word) for word in words if word.isdigit()), 100)
-    size = FULL if "--full" in words else SMALL
+    size = FULL_SIZE if "--full" in words else SMALL_SIZE
     setup = cell_setup(size)
     grasps = []
     for seed in range(count):
         done = grasp(setup, seed)
         grasps.append(done)
-        if not done.held or done.state is not State.LIFTED:
+        if not done.held or done.state is not GraspState.LIFTED:
             print(f"  seed {seed}: {done.state.value}, {done.reason}; held: {done.held}")
-    lifted = [g for g in grasps if g.state is State.LIFTED]
+    lifted = [g for g in grasps if g.state is GraspState.LIFTED]
     errors = np.array([g.error for g in grasps if np.isfinite(g.error)]) * 1e3
     heights = np.array([g.height_error for g in grasps if np.isfinite(g.error)]) * 1e3
     print(f"pictures of {size[0]} x {size[1]}, {count} cells")

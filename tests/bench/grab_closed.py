@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from verify.grab.motion_port import ExecuteRight
-from verify.grab.run import Ends, run
-from verify.sim.cell_grab import cell_grab
-from verify.sim.cell_scene import drawn_scene
-from verify.sim.cell_setup import FULL, SMALL, CellSetup, cell_setup
+from verify.grasping.actuators.protocols import ExecutePermission
+from verify.grasping.control.run import StopConditions, run
+from verify.simulation.cell.grab import cell_grab
+from verify.simulation.cell.scene import draw_scene
+from verify.simulation.cell.setup import FULL_SIZE, SMALL_SIZE, CellSetup, cell_setup
 
-ENDS = Ends(duration=40.0, patience=5.0)
+ENDS = StopConditions(duration=40.0, patience=5.0)
 FAULT = np.deg2rad(0.4)
 JOINTS = 5  # the sixth turns the hand about the approach
 ROUNDING = 1e-6  # of a limit
@@ -31,12 +31,12 @@ class Grasp:
 
 
 def grasp(setup: CellSetup, seed: int, fault: float, *, closed: bool) -> Grasp:
-    scene = drawn_scene(seed)
+    scene = draw_scene(seed)
     if fault:
         errors = np.zeros(6)
         errors[seed % JOINTS] = fault * (1 if seed % 2 else -1)
         scene = replace(scene, joint_errors=tuple(errors.tolist()))
-    made = cell_grab(setup, scene, right=ExecuteRight("bench"), auto=True, closed=closed)
+    made = cell_grab(setup, scene, right=ExecutePermission("bench"), auto=True, closed=closed)
     ended = run(made.loop, made.source, ENDS, lambda _: None)
     world, planned = made.world, made.loop.aim.planned
     plan, seen = made.loop.aim.plan, None if planned is None else planned.thing.seen
@@ -53,7 +53,7 @@ def grasp(setup: CellSetup, seed: int, fault: float, *, closed: bool) -> Grasp:
 def main() -> None:
     words = sys.argv[1:]
     count = next((int(word) for word in words if word.isdigit()), 20)
-    setup = cell_setup(SMALL if "--small" in words else FULL)
+    setup = cell_setup(SMALL_SIZE if "--small" in words else FULL_SIZE)
     for name, fault in (("as stated", 0.0), ("one joint 0.4° off", FAULT)):
         pairs = [[grasp(setup, s, fault, closed=c) for c in (False, True)] for s in range(count)]
         print(f"arm {name}, {count} cells")

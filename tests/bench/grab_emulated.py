@@ -11,33 +11,33 @@ import time
 import numpy as np
 
 import robots
-from tests.verify.devices.bench import running, same_angles
-from verify.devices import EncoderReading
-from verify.emulators import trajectory
-from verify.emulators.gripper import GripperEngine, GripperOptions
-from verify.emulators.gripper_hand import NOTHING, contacts_of
-from verify.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.emulators.melfa_arm import MelfaArm
-from verify.grab.gripper import GripperDriver
-from verify.grab.gripper_reader import GripperSettings
-from verify.grab.loop import Loop
-from verify.grab.loop_orders import Hands
-from verify.grab.loop_steps import SteppedArm
-from verify.grab.loop_target import Aim
-from verify.grab.melfa_motion import MelfaMover
-from verify.grab.melfa_motion_settings import MotionSettings, MoveLimits
-from verify.grab.motion_port import ExecuteRight, GripperState, MoverState
-from verify.grab.run import Ends, Outcome, run
-from verify.grab.states import State
-from verify.grab.target import Named, Options
-from verify.grab.target_tracking import Tracker
-from verify.records import Array, StereoPair
-from verify.sim.cell import RATE, World
-from verify.sim.cell_scene import drawn_scene
-from verify.sim.cell_setup import ROBOT, SMALL, cell_setup
+from tests.support.devices.bench import running, same_angles
+from verify.core.records import Array, StereoPair
+from verify.devices.protocols import EncoderReading
+from verify.grasping.actuators.gripper import GripperDriver
+from verify.grasping.actuators.gripper_reader import GripperSettings
+from verify.grasping.actuators.melfa.mover import MelfaMover
+from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
+from verify.grasping.actuators.protocols import ExecutePermission, GripperState, MoverState
+from verify.grasping.control.aim import Aim
+from verify.grasping.control.arm import SteppedArm
+from verify.grasping.control.loop import GraspLoop
+from verify.grasping.control.orders import Actuators
+from verify.grasping.control.run import GraspOutcome, StopConditions, run
+from verify.grasping.control.states import GraspState
+from verify.grasping.tracking.target import ColourSelection, TrackingOptions
+from verify.grasping.tracking.track import TargetTracker
+from verify.simulation.cell.cell import RATE, CellWorld
+from verify.simulation.cell.scene import draw_scene
+from verify.simulation.cell.setup import ROBOT, SMALL_SIZE, cell_setup
+from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
+from verify.simulation.emulators.gripper_hand import NO_CONTACT, contact_positions
+from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
+from verify.simulation.emulators.melfa_arm import MelfaArm
 
-RIGHT = ExecuteRight("bench")
-ENDS = Ends(duration=90.0, patience=5.0)
+RIGHT = ExecutePermission("bench")
+ENDS = StopConditions(duration=90.0, patience=5.0)
 ACTIVATION = 0.5  # s
 
 
@@ -45,7 +45,7 @@ class Mirror:
     """The simulated world beside devices that keep the computer's time."""
 
     def __init__(
-        self, world: World, mover: MelfaMover, gripper: GripperDriver, engine: GripperEngine
+        self, world: CellWorld, mover: MelfaMover, gripper: GripperDriver, engine: GripperEngine
     ) -> None:
         self._world, self._mover, self._gripper, self._engine = world, mover, gripper, engine
         self._began = time.monotonic()
@@ -64,7 +64,7 @@ class Mirror:
         world.hand.goal = world.hand.opening
         world.advance(self.now() - world.t)
         between = world.hand.between
-        self._engine.hand.contacts = contacts_of(1e3 * between) if between > 0 else NOTHING
+        self._engine.hand.contacts = contact_positions(1e3 * between) if between > 0 else NO_CONTACT
         return world.pair()
 
     def joints(self) -> EncoderReading | None:
@@ -78,8 +78,8 @@ class Mirror:
         time.sleep(max(0.0, self._world.t + 1 / RATE - self.now()))
 
 
-def grasp(seed: int) -> tuple[Outcome, World]:
-    setup = cell_setup(SMALL)
+def grasp(seed: int) -> tuple[GraspOutcome, CellWorld]:
+    setup = cell_setup(SMALL_SIZE)
     arm = robots.load(ROBOT)
     assert isinstance(arm, robots.DhArm)
     limits = np.column_stack([arm.lower, arm.upper])
@@ -93,12 +93,14 @@ def grasp(seed: int) -> tuple[Outcome, World]:
             _go_home(mover, setup.home)
         with MelfaMover(settings, same_angles(6), most, RIGHT) as mover:
             gripper = GripperDriver(GripperSettings(at_fingers.address), RIGHT)
-            world = World(setup, drawn_scene(seed))
+            world = CellWorld(setup, draw_scene(seed))
             mirror = Mirror(world, mover, gripper, fingers)
-            tracker = Tracker(setup.rig, Named("blue"), Options())
+            tracker = TargetTracker(setup.rig, ColourSelection("blue"), TrackingOptions())
             aim = Aim(setup.planner, setup.rig)
-            hands = Hands(SteppedArm(setup.planner, mover), gripper)
-            loop = Loop(setup.planner, tracker, aim, hands, mirror.joints, mirror.now, auto=True)
+            hands = Actuators(SteppedArm(setup.planner, mover), gripper)
+            loop = GraspLoop(
+                setup.planner, tracker, aim, hands, mirror.joints, mirror.now, auto=True
+            )
             ended = run(loop, mirror, ENDS, lambda _: None)
             gripper.close()
     return ended, world
@@ -126,7 +128,7 @@ def main() -> None:
         began = time.monotonic()
         ended, world = grasp(seed)
         held = world.held is not None and world.held[0] == 0
-        good += held and ended.state is State.LIFTED
+        good += held and ended.state is GraspState.LIFTED
         took = time.monotonic() - began
         print(f"  seed {seed}: {ended.state.value}, {ended.reason}; held: {held}; {took:.0f} s")
     print(f"lifted with the cap in the hand, over TCP: {good} of {count}")

@@ -11,10 +11,11 @@ import time
 import numpy as np
 
 import robots
-from tests.verify.arm_identification.laser_tracker import series
-from verify.arm_identification import chain_of, identify, register
-from verify.arm_identification.fit import residual
-from verify.arm_identification.hold_out import statistics
+from tests.support.published import series
+from verify.calibration.kinematics import identify
+from verify.calibration.kinematics.chain import chain_of
+from verify.calibration.kinematics.fit import pose_residuals, statistics
+from verify.calibration.kinematics.identify import register
 
 if __name__ == "__main__":
     arm = chain_of(robots.load("ur10"))
@@ -25,7 +26,7 @@ if __name__ == "__main__":
         models[name] = found.chain
         print(f"series {name}: {len(rows)} poses, {time.perf_counter() - begun:.0f} s")
         registered = found.level("registration").fit.state
-        left = statistics(residual(registered, rows)[:, :3]) * 1e3
+        left = statistics(pose_residuals(registered, rows)[:, :3]) * 1e3
         print(f"  base and tool alone, all poses: mean, rms, max {left.round(3)} mm")
         for level in found.levels:
             held = level.held_out
@@ -37,5 +38,5 @@ if __name__ == "__main__":
             )
     for name, other in (("A", "B"), ("B", "A")):
         rows = series(other)
-        left = statistics(residual(register(models[name], rows).state, rows)[:, :3]) * 1e3
+        left = statistics(pose_residuals(register(models[name], rows).state, rows)[:, :3]) * 1e3
         print(f"series {other} by the model of {name}: mean, rms, max {left.round(3)} mm")

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 import robots
 from robots.transforms import Array, difference
-from tests.robots.strategies import stretched, wrist_on_axis_1
+from tests.support.postures import stretched, wrist_on_axis_1
 
 POSES = 4096  # solved in closed form each round
 FEW = 64  # solved one by one in each round

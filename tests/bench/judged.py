@@ -22,15 +22,15 @@ import msgspec
 import numpy as np
 
 import robots
-from reports.words import cause
+from reports.session.causes import cause_name
 from tests.bench.diagnosis_sessions import STATED, sighting, stated_doubt
 from tests.bench.memory import long_session
-from tests.simulated import InMemory, in_memory
-from verify.analysis import analyse
-from verify.measurement import Setup
-from verify.pose import fit_pose
-from verify.records import Array, Measurement, StereoPair
-from verify.systematics import stated
+from tests.support.simulated import InMemory, in_memory
+from verify.analysis.session import analyse
+from verify.core.records import Array, Measurement, StereoPair
+from verify.measurement.chain import Setup
+from verify.measurement.pose import fit_pose
+from verify.measurement.systematics import stated_systematics
 
 PAIRS = 2_000
 FEW = 60  # of the session that has everything compiled
@@ -48,14 +48,14 @@ def judged(session: InMemory) -> tuple[float, str]:
     start = time.perf_counter()
     summary = analyse(session, chain=measured).summary
     spent = time.perf_counter() - start
-    causes = ", ".join(cause(one) for one in summary["diagnosis"])
+    causes = ", ".join(cause_name(one) for one in summary["diagnosis"])
     return spent, f"{summary['pairs']['measured']} pairs; found: {causes or 'nothing'}"
 
 
 def _measured(session: InMemory, spots: list[Array]) -> Iterator[Measurement]:
     """Poses from true spots with white noise."""
     rig, marker, played = session.rig, session.marker, session.simulated
-    systematics, rng = stated(rig, marker, turning=False), np.random.default_rng(SEED)
+    systematics, rng = stated_systematics(rig, marker, turning=False), np.random.default_rng(SEED)
     for i, q in enumerate(session.truth):
         left, right = (sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
         start = rig.rig_T_base @ robots.forward(session.arm, q)

@@ -19,12 +19,12 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.simulated import InMemory, in_memory
-from verify.analysis import analyse
-from verify.results_folder import write_results
-from verify.sim import library
-from verify.sim.scenario import Placement, Scenario
-from verify.sim.sessions import simulate
+from tests.support.simulated import InMemory, in_memory
+from verify.analysis.session import analyse
+from verify.io.results import write_results
+from verify.simulation import library
+from verify.simulation.scenario import Scenario, ScenarioPlacement
+from verify.simulation.session.simulate import simulate_session
 
 PAIRS = 10_000
 MOST_MB = 600.0
@@ -54,10 +54,10 @@ def long_session(pairs: int) -> InMemory:
     would be the largest memory of all.
     """
     sample = library.load("multi_joint_fault_6r")
-    rig_T_base = simulate(sample).rig.rig_T_base
-    pan = simulate(sample).pan[0]
+    rig_T_base = simulate_session(sample).rig.rig_T_base
+    pan = simulate_session(sample).pan[0]
     turn = np.degrees(Rotation.from_matrix(rig_T_base[:3, :3]).as_rotvec())
-    stand = Placement(
+    stand = ScenarioPlacement(
         base_rotation_deg=tuple(turn.tolist()),
         base_position_mm=tuple((rig_T_base[:3, 3] * 1000).tolist()),
         pan_deg=tuple(np.degrees(pan).tolist()),

@@ -13,10 +13,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tests.verify.spotted import spotted
-from tests.verify.test_monte_carlo import HOMES, SPREAD
-from verify.judgement.monte_carlo import AGREES
-from verify.records import Array
+from tests.support.spotted import spotted
+from tests.verify.analysis.uncertainty.test_monte_carlo import HOMES, SPREAD
+from verify.analysis.uncertainty.monte_carlo import MAX_RATIO_ERROR
+from verify.core.records import Array
 
 SESSIONS = 10
 SEED = 20261123
@@ -35,8 +35,10 @@ def lines(sessions: int = SESSIONS, seed: int = SEED) -> Iterator[str]:
             away.append(apart.ravel())
         holds, apart = np.concatenate(said), np.concatenate(away)
         chance = 3 / np.sqrt(2 * DRAWS)
-        inside = float(np.mean(apart[holds] <= AGREES + chance))
-        failing = float(np.mean(apart[~holds] > AGREES - chance)) if (~holds).any() else np.nan
+        inside = float(np.mean(apart[holds] <= MAX_RATIO_ERROR + chance))
+        failing = (
+            float(np.mean(apart[~holds] > MAX_RATIO_ERROR - chance)) if (~holds).any() else np.nan
+        )
         largest, most = np.max(apart[holds]), np.quantile(apart[holds], 0.95)
         yield (
             f"{arm}: said to hold for {holds.mean():.1%} of {len(holds)} errors; there drawn and "

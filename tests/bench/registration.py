@@ -12,15 +12,18 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.stats import chi2
 
-from tests.random_scenarios import random_scenario
-from verify.calibration.motion_adjust import Adjusted, Setup, adjust
-from verify.calibration.motion_model import Registered, Spotted
-from verify.calibration.motion_readings import reading_variance
-from verify.readings import Readings
-from verify.records import Array
-from verify.rig import Camera
-from verify.sim.scenario import Scenario
-from verify.sim.sessions import SimulatedSession, simulate
+from tests.support.random_scenarios import random_scenario
+from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
+from verify.calibration.registration.model import (
+    RegistrationParameters,
+    SpotStack,
+    reading_variance,
+)
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.core.rig import Camera
+from verify.simulation.scenario import Scenario
+from verify.simulation.session.simulate import SimulatedSession, simulate_session
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
 SESSIONS = 60  # an arm
@@ -31,10 +34,10 @@ SIGMA_PX = 0.02
 
 def played(scenario: Scenario) -> SimulatedSession:
     """Play a scenario; its pictures are never rendered."""
-    return simulate(scenario)
+    return simulate_session(scenario)
 
 
-def spot_level(session: SimulatedSession, sigma: float, rng: np.random.Generator) -> Spotted:
+def spot_level(session: SimulatedSession, sigma: float, rng: np.random.Generator) -> SpotStack:
     """True spots with white noise of `sigma` px, which is also what is stated (0: 0.02)."""
     parts: list[tuple[Array, ...]] = []
     for side, camera in enumerate((session.rig.left, session.rig.right)):
@@ -48,7 +51,7 @@ def spot_level(session: SimulatedSession, sigma: float, rng: np.random.Generator
     )
     order = np.argsort(pair, kind="stable")
     stated = np.tile(np.eye(2) * (sigma or SIGMA_PX) ** 2, (len(pair), 1, 1))
-    return Spotted(
+    return SpotStack(
         pair=pair[order],
         frame=np.arange(len(session)),
         side=side[order],
@@ -67,12 +70,14 @@ def _placed(camera: Camera, pan: Array) -> Array:
     return np.array([np.linalg.inv(camera.rig_T_camera(float(p))) for p in pan])
 
 
-def adjusted(session: SimulatedSession, spotted: Spotted, error: Array | float = 0.0) -> Adjusted:
+def adjusted(
+    session: SimulatedSession, spotted: SpotStack, error: Array | float = 0.0
+) -> AdjustedRegistration:
     """Register a played session whose readings carry a constant error (j,), rad."""
     readings = Readings(session.encoder_t, session.encoder_q + error)
     offset = session.scenario.encoders.clock_offset_s
-    start = Registered(session.rig.rig_T_base, session.marker.leds, offset, 0.0)
-    setup = Setup(
+    start = RegistrationParameters(session.rig.rig_T_base, session.marker.leds, offset, 0.0)
+    setup = AdjustmentSetup(
         rig=session.rig,
         arm=session.world.arm,
         readings=readings,

@@ -14,18 +14,18 @@ import cv2
 import numpy as np
 
 from tests.bench.grab import ENDS
-from tests.verify.grab.caps import BLUE, GREEN, RED, YELLOW, Cap, Path, Slab, pairs, small_rig
-from tests.verify.scene import make_rig, project
-from verify.grab.loop_record import Cycle
-from verify.grab.motion_port import ExecuteRight
-from verify.grab.run import run
-from verify.grab.target import Drawn, Named, Options
-from verify.grab.target_tracking import Tracker
-from verify.records import Array, Image, StereoPair
-from verify.rig import Rig
-from verify.sim.cell_grab import cell_grab
-from verify.sim.cell_scene import drawn_scene
-from verify.sim.cell_setup import FULL, cell_setup
+from tests.support.grasp.caps import BLUE, GREEN, RED, YELLOW, Cap, Path, Slab, pairs, small_rig
+from tests.support.scene import make_rig, project
+from verify.core.records import Array, Image, StereoPair
+from verify.core.rig import Rig
+from verify.grasping.actuators.protocols import ExecutePermission
+from verify.grasping.control.aim import LoopCycle
+from verify.grasping.control.run import run
+from verify.grasping.tracking.target import BoxSelection, ColourSelection, TrackingOptions
+from verify.grasping.tracking.track import TargetTracker
+from verify.simulation.cell.grab import cell_grab
+from verify.simulation.cell.scene import draw_scene
+from verify.simulation.cell.setup import FULL_SIZE, cell_setup
 
 SECONDS = 2.0  # of film for the rate
 SCENES = 5  # of each kind; docs/tracking.md gives the figures of 40
@@ -51,7 +51,7 @@ def rate() -> Iterator[str]:
         rig = make_rig()
         path: Path = lambda t: (0.1 * np.sin(2 * t), 0.02, 0.7 + 0.05 * np.cos(2 * t))  # noqa: E731
         film = list(pairs([Cap(BLUE, path), Cap(GREEN, lambda _t: (-0.1, 0, 0.8))], rig, SECONDS))
-        tracker = Tracker(rig, Named("blue"), Options())
+        tracker = TargetTracker(rig, ColourSelection("blue"), TrackingOptions())
         ours, theirs = [], []
         naive = [_Naive(film[0].left), _Naive(film[0].right)]
         for pair in film:
@@ -76,12 +76,14 @@ def whole_loop() -> Iterator[str]:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        grab = cell_grab(cell_setup(FULL), drawn_scene(0), right=ExecuteRight("bench"), auto=True)
+        grab = cell_grab(
+            cell_setup(FULL_SIZE), draw_scene(0), right=ExecutePermission("bench"), auto=True
+        )
         ours: list[float] = []
         theirs: list[float] = []
         naive: list[_Naive] = []
 
-        def look(cycle: Cycle) -> None:
+        def look(cycle: LoopCycle) -> None:
             if cycle.pair is None:
                 return
             images = (cycle.pair.left, cycle.pair.right)
@@ -149,11 +151,11 @@ def robustness(name: str, make: Callable[[np.random.Generator], Scene], scenes: 
 def _film(scene: Scene, rig: Rig, seed: int) -> tuple[bool, str, list[float]]:
     """Track one scene: whether it was wrong, the last status, and errors where tracked, m."""
     wrong, status, offs = False, "", []
-    tracker: Tracker | None = None
+    tracker: TargetTracker | None = None
     target = scene.things[0]
     for pair in pairs(scene.things, rig, scene.seconds, light=scene.light, seed=seed):
         if tracker is None:
-            tracker = Tracker(rig, drawn_around(target, rig, pair), Options())
+            tracker = TargetTracker(rig, drawn_around(target, rig, pair), TrackingOptions())
         seen = tracker.step(pair)
         status = seen.status
         if status == "tracked":
@@ -164,12 +166,12 @@ def _film(scene: Scene, rig: Rig, seed: int) -> tuple[bool, str, list[float]]:
     return wrong, status, offs
 
 
-def drawn_around(target: Cap | Slab, rig: Rig, pair: StereoPair) -> Drawn:
+def drawn_around(target: Cap | Slab, rig: Rig, pair: StereoPair) -> BoxSelection:
     """Draw a box around the target in the left picture, as a person would."""
     place = np.array(target.path(pair.t_left), dtype=float)
     x, y = project(rig.left, pair.pan_left, place[None])[0]
     half = 1.1 * 0.02 * rig.left.matrix[0, 0] / place[2]
-    return Drawn((round(x - half), round(y - half), round(2 * half), round(2 * half)))
+    return BoxSelection((round(x - half), round(y - half), round(2 * half), round(2 * half)))
 
 
 def _colour(rng: np.random.Generator) -> tuple[int, int, int]:

@@ -21,10 +21,10 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 from scipy.stats import binom, chi2
 
-from tests.whole_chain import Checked, replicate
-from verify.calibration.fixture import FALSE_ALARM
+from tests.support.whole_chain import Checked, replicate
+from verify.calibration.registration.fixture import P_FALSE_ALARM
+from verify.core.records import Array
 from verify.errors import InputError
-from verify.records import Array
 
 REPLICATES = 2000
 SEEDS = (20261121, 20270101)  # fixed beforehand; the second set is the check of the first
@@ -103,7 +103,7 @@ def main(replicates: int, seeds: tuple[int, ...], pixels: bool) -> int:
         level = "through pixels" if pixels else "at spot level"
         print(f"seed {seed}, {replicates} replicates {level}, {spent / replicates:.1f} s each")
         print("\n".join(refused) or "none refused")
-        failed += int(len(refused) > binom.isf(0.005, replicates, ARMS * FALSE_ALARM))
+        failed += int(len(refused) > binom.isf(0.005, replicates, ARMS * P_FALSE_ALARM))
         for group in outcomes[0]:
             wrong = report(group, [o[group] for o in outcomes])
             if not group.endswith(APART):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.end_to_end.command import SAMPLES, verify
+from tests.support.command import SAMPLES, verify
 
 SAMPLE = "multi_joint_fault_6r"
 

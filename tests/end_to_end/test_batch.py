@@ -14,9 +14,9 @@ import pandas as pd
 import pytest
 
 import reports
-from tests.end_to_end.command import verify
-from tests.verify.batch.fleets import record
-from verify.sim.scenario import Fault
+from tests.support.command import verify
+from tests.support.fleets import record
+from verify.simulation.scenario import ScenarioFault
 
 TABLES = ("sessions.parquet", "frames.parquet", "failures.csv")
 REPORTS = ("fleet.html", "fleet.pdf")
@@ -31,7 +31,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One arm through pixels, a session a fortnight; joint 2 reads 0.3° more from the fifth on."""
     folder = tmp_path_factory.mktemp("data") / "lab"
     for number in range(1, SESSIONS + 1):
-        fault = Fault(joint=2, offset_deg=0.3) if number >= REPAIRED else None
+        fault = ScenarioFault(joint=2, offset_deg=0.3) if number >= REPAIRED else None
         record(folder / f"{number:02d}", number, fault, day=14.0 * number)
     return folder
 

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.beside import shared
-from tests.end_to_end.command import SAMPLES, Outcome, verify
-from verify import results_folder, rig_file
+from tests.support.beside import shared
+from tests.support.command import SAMPLES, Outcome, verify
+from verify.io import results
+from verify.io import rig as io_rig
 
 WRITTEN = {"report.html", "report.pdf", "summary.json", "results"}
 SMALL = """format = 1
@@ -79,7 +80,7 @@ def test_pictures_of_a_board_become_a_rig_and_a_report(
     summary = json.loads((report / "summary.json").read_text())
     assert summary["kind"] == "calibration"
     assert summary["pairs"]["used"] == 14
-    found, warnings = rig_file.read(rig, registered=False)
+    found, warnings = io_rig.read(rig, registered=False)
     assert warnings == ()
     assert not found.registered
 
@@ -87,8 +88,8 @@ def test_pictures_of_a_board_become_a_rig_and_a_report(
 def test_the_rig_holds_the_truth_within_what_it_states(
     calibrated: tuple[Path, Path, Outcome], pictures: Path
 ) -> None:
-    found, _ = rig_file.read(calibrated[0], registered=False)
-    truth, _ = rig_file.read(pictures / "rig_true.toml", registered=False)
+    found, _ = io_rig.read(calibrated[0], registered=False)
+    truth, _ = io_rig.read(pictures / "rig_true.toml", registered=False)
     assert found.covariance is not None
     stated = dict(
         zip(found.covariance.parameters, found.covariance.standard_uncertainty, strict=True)
@@ -110,7 +111,7 @@ def test_the_same_pictures_give_the_same_figures(
         "calibrate", "boards", pictures, "-o", tmp_path / "rig.toml", "--report", tmp_path / "r"
     )
     assert again.status == 0
-    one, other = (rig_file.read(path, registered=False)[0] for path in (rig, tmp_path / "rig.toml"))
+    one, other = (io_rig.read(path, registered=False)[0] for path in (rig, tmp_path / "rig.toml"))
     for side in ("left", "right"):  # sums of thousands of corners repeat to their rounding
         np.testing.assert_allclose(
             getattr(one, side).matrix, getattr(other, side).matrix, rtol=1e-9
@@ -166,7 +167,7 @@ def test_a_board_on_the_base_registers_the_robot_and_the_check_holds(
     )  # fmt: skip
     assert said.status == 0, said.err
     assert "not stated" in said.err  # the fixture states no uncertainty: said
-    found, _ = rig_file.read(out)
+    found, _ = io_rig.read(out)
     truth = tomllib.loads((fixture / "rig_true.toml").read_text())["robot_base"]
     assert np.allclose(1e3 * found.rig_T_base[:3, 3], truth["position_mm"], atol=2.0)
     assert found.base_source == "fixture"
@@ -318,7 +319,7 @@ def test_a_disk_that_fills_up_leaves_neither_rig_nor_report(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     if what == "report":
-        monkeypatch.setattr(results_folder, "write_reports", full)
+        monkeypatch.setattr(results, "write_reports", full)
     place = tmp_path / "out"
     place.mkdir()
     out = place / "rig.toml" if what == "report" else place / "nowhere" / "rig.toml"
@@ -357,8 +358,8 @@ def test_the_recorded_boards_calibrate_as_typed(tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"
     said = verify("calibrate", "boards", folder, "-o", rig, "--report", tmp_path / "report")
     assert said.status == 0, said.err
-    found, _ = rig_file.read(rig, registered=False)
-    truth, _ = rig_file.read(folder / "rig.toml", registered=False)
+    found, _ = io_rig.read(rig, registered=False)
+    truth, _ = io_rig.read(folder / "rig.toml", registered=False)
     # far inside what OpenCV's own calibration of the same pictures misses by (its README: 0.3 px)
     for side in ("left", "right"):
         assert np.allclose(getattr(found, side).matrix, getattr(truth, side).matrix, atol=0.3)

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 import reports
-from reports.results import plain
-from tests.end_to_end.command import SAMPLES
+from reports.results import to_json_value
+from tests.support.command import SAMPLES
 from verify import analyse, open_session
 
 DOCS = Path(__file__).parents[2] / "docs" / "results.md"
@@ -40,7 +40,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def judged(session: Path, out: Path) -> Path:
     results = analyse(open_session(session))
     reports.write(results, out / "results")
-    (out / "summary.json").write_text(json.dumps(plain(results.summary), allow_nan=False))
+    (out / "summary.json").write_text(json.dumps(to_json_value(results.summary), allow_nan=False))
     return out
 
 

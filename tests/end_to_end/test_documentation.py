@@ -15,11 +15,13 @@ from pathlib import Path
 import pytest
 
 import robots
-from tests.end_to_end.command import ROOT, verify
-from verify import board_file, marker_file, rig_file, session_file
-from verify.calibration import fixture_file
-from verify.cli import app
-from verify.sim import library
+from tests.support.command import ROOT, verify
+from verify.calibration.registration import fixture_file
+from verify.cli.main import app
+from verify.io import fiducials, rig
+from verify.io import fiducials as io_fiducials
+from verify.io.session import keys as session_keys
+from verify.simulation import library
 
 README = ROOT / "README.md"
 DOCUMENTS = sorted([README, ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
@@ -177,10 +179,10 @@ def test_every_file_that_is_shown_is_read_without_a_complaint(
     document: Path, tmp_path: Path
 ) -> None:
     readers = {
-        "session": session_file.read,
-        "rig": rig_file.read,
-        "marker": marker_file.read,
-        "board": board_file.read,
+        "session": session_keys.read,
+        "rig": rig.read,
+        "marker": io_fiducials.read_marker,
+        "board": fiducials.read_board,
         "fixture": fixture_file.read,
     }
     for text in blocks(document, "toml"):

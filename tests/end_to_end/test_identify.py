@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import robots
-from tests.beside import shared
-from tests.end_to_end.command import SAMPLES, verify
-from tests.verify.arm_identification.laser_tracker import series, write_session
+from tests.support.beside import shared
+from tests.support.command import SAMPLES, verify
+from tests.support.published import series, write_session
 
 
 @pytest.mark.shared

@@ -10,15 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.end_to_end.command import SAMPLES, verify
-from tests.end_to_end.replay import remembered, replayed
-from tests.small_disk import mounted
+from tests.support.command import SAMPLES, remembered, replayed, verify
+from tests.support.small_disk import mounted
 from verify import analyse, open_session
-from verify.records import Measurement
+from verify.core.records import Measurement
 
 SESSION = SAMPLES / "quarter_circle_6r"
 PATIENCE = 60.0  # s; a busy machine is slow to import
-COMMAND = [sys.executable, "-c", "from verify.cli import main; main()", "run"]
+COMMAND = [sys.executable, "-c", "from verify.cli.main import main; main()", "run"]
 
 
 @pytest.fixture(scope="module")

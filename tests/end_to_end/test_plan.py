@@ -9,27 +9,27 @@ import numpy as np
 import pytest
 
 import robots
-from tests.verify.planning import scene
-from verify import marker_file, rig_file
+from tests.support import planning
+from tests.support.command import verify
+from verify.io import fiducials
+from verify.io import rig as io_rig
 
-from .command import verify
-
-NEAR = ("--near", ",".join(f"{angle:g}" for angle in scene.HOME_DEG), "--within-deg", "35")
+NEAR = ("--near", ",".join(f"{angle:g}" for angle in planning.HOME_DEG), "--within-deg", "35")
 QUICK = (*NEAR, "--poses", "4", "--rate-hz", "4", "--clock-uncertainty-ms", "0.5")
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _few() -> Iterator[None]:
-    with scene.few_postures():
+    with planning.few_postures():
         yield
 
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("rig")
-    bench = scene.bench()
-    rig_file.write(folder / "rig.toml", bench.rig)
-    marker_file.write(folder / "marker.toml", bench.marker)
+    bench = planning.bench()
+    io_rig.write(folder / "rig.toml", bench.rig)
+    fiducials.write_marker(folder / "marker.toml", bench.marker)
     return folder
 
 

@@ -15,10 +15,9 @@ import pandas as pd
 import pytest
 
 import reports
-from tests.end_to_end.command import SAMPLES, Outcome, verify
-from tests.end_to_end.replay import remembered, replayed
+from tests.support.command import SAMPLES, Outcome, remembered, replayed, verify
 from verify import Setup, analyse, measure, open_session
-from verify.records import Measurement
+from verify.core.records import Measurement
 
 FAULTY, HEALTHY, QUARTER = "multi_joint_fault_6r", "multi_joint_rv_3sd", "quarter_circle_6r"
 WRITTEN = {"report.html", "report.pdf", "summary.json", "frames.csv", "results"}

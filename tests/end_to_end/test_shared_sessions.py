@@ -16,12 +16,12 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from tests.beside import shared
-from tests.end_to_end.command import Outcome, verify
-from tests.end_to_end.replay import remembered, replayed
-from verify.analysis import analyse
-from verify.records import Array, Measurement
-from verify.session import Tolerance, open_session
+from tests.support.beside import shared
+from tests.support.command import Outcome, remembered, replayed, verify
+from verify.analysis.session import analyse
+from verify.core.records import Array, Measurement
+from verify.io.session.keys import Tolerance
+from verify.io.session.session import open_session
 
 pytestmark = pytest.mark.shared
 

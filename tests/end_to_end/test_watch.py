@@ -16,15 +16,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.end_to_end.command import SAMPLES, verify
-from tests.small_disk import mounted
-from tests.verify.live.followed import emulator
-from verify.commands.asked import Asked
-from verify.commands.measuring import measure_parts
-from verify.emulators.faults import Faults
+from tests.support.command import SAMPLES, verify
+from tests.support.devices.emulated_station import emulator
+from tests.support.small_disk import mounted
+from verify.cli.options import Asked
+from verify.cli.run import measure_and_report_all
 from verify.errors import InputError
-from verify.session import open_session
-from verify.station_file import template
+from verify.io.session.session import open_session
+from verify.live.station.file import template
+from verify.simulation.emulators.server import EmulatorFaults
 
 pytestmark = pytest.mark.slow
 SLOW = "rate_hz = 10.0"  # pictures a second: a machine that does other things keeps up
@@ -167,14 +167,21 @@ def test_what_was_measured_live_is_what_the_recording_gives(tmp_path: Path) -> N
 
 
 def test_a_bad_line_resets_and_jumps_of_its_clock_give_no_false_number(tmp_path: Path) -> None:
-    faults = Faults(
+    faults = EmulatorFaults(
         noise=0.02, half=0.02, digit=0.02, double=0.02, lost=0.02, split=0.02,
         silence=(6.0, 2.0), jump=(11.0, 3.0), reset=(16.0, 16.0),
     )  # fmt: skip
     began = time.monotonic()
     with emulator("labenc", "pty", began, faults) as (address, go):
         path = station(tmp_path, driver=f'"labenc"\nport = "{address}"')
-        words = [sys.executable, "-m", "tests.verify.live.followed", str(path), str(began), "90"]
+        words = [
+            sys.executable,
+            "-m",
+            "tests.support.devices.emulated_station",
+            str(path),
+            str(began),
+            "90",
+        ]
         process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         run = Run()
         listen(process, run, lambda pair: pair["frame"] == 5)
@@ -278,7 +285,7 @@ def test_options_of_a_station_are_refused_for_a_recording_and_the_other_way_roun
 
 
 WIDE = (
-    (Path(__file__).parents[2] / "verify" / "sim" / "scenarios" / "multi_joint_rv_3sd.toml")
+    (Path(__file__).parents[2] / "verify" / "simulation" / "scenarios" / "multi_joint_rv_3sd.toml")
     .read_text()
     .replace("amplitude_deg = [14.0,", "amplitude_deg = [34.0,")
     .replace("slowest_hz = 0.2", "slowest_hz = 0.05")
@@ -294,9 +301,9 @@ def test_a_part_that_cannot_be_measured_takes_no_other_with_it(tmp_path: Path) -
     shutil.copytree(good, broken)
     (broken / "encoders.csv").write_text("t_s,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n")
     asked = Asked(None, None, None)
-    verdicts = measure_parts([broken, good], tmp_path / "out", asked, force=False)
+    verdicts = measure_and_report_all([broken, good], tmp_path / "out", asked, force=False)
     assert verdicts == {tmp_path / "out-2": "conform"}
     assert (tmp_path / "out-2" / "report.pdf").exists()
     assert not (tmp_path / "out").exists()
     with pytest.raises(InputError, match=r"encoders\.csv"):
-        measure_parts([broken], tmp_path / "again", asked, force=False)
+        measure_and_report_all([broken], tmp_path / "again", asked, force=False)

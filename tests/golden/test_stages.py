@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from reports import Results
-from tests.end_to_end.command import SAMPLES
+from tests.support.command import SAMPLES
 from verify import analyse, open_session
 
 GOLDEN = Path(__file__).parent

@@ -10,13 +10,13 @@ import plotly.offline
 import pytest
 
 import reports
-from reports import pdf as pdf_format
-from reports.outline import document
-from tests.reports import made
+from reports.format import pdf as pdf_format
+from reports.session.document import document
+from tests.support.reports import made
 
 LIBRARY = plotly.offline.get_plotlyjs()  # left out of what is tested: five million letters
 html_of = cache(lambda name: reports.render_html(made.EVERY[name]()).replace(LIBRARY, ""))
-files_of = cache(lambda name: pdf_format.sources(document(made.EVERY[name]())))
+files_of = cache(lambda name: pdf_format.typst_files(document(made.EVERY[name]())))
 pdf_of = cache(lambda name: pdf_format.typeset(files_of(name)))
 
 

@@ -9,8 +9,8 @@ import pytest
 from pandas.testing import assert_frame_equal
 
 import reports
-from reports.results import MANIFEST, plain
-from tests.reports import made
+from reports.results import MANIFEST, to_json_value
+from tests.support.reports import made
 
 
 def test_a_results_folder_gives_back_what_was_written(tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_nothing_else_is_left_behind_and_nothing_of_others_is_touched(tmp_path: 
 
 
 def test_numbers_of_other_libraries_become_json_and_what_is_not_finite_becomes_null() -> None:
-    found = plain(
+    found = to_json_value(
         {"a": np.float64(1.5), "b": np.nan, "c": np.arange(2), 3: (np.True_, np.int64(4))}
     )
     assert found == {"a": 1.5, "b": None, "c": [0, 1], "3": [True, 4]}

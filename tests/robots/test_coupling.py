@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from robots.transforms import Array, difference
-from tests.robots.strategies import stretched, wrist_on_axis_1
+from tests.support.postures import stretched, wrist_on_axis_1
 
 ARMS = {name: robots.load(name) for name in robots.names()}
 EVERY_ARM = pytest.mark.parametrize("arm", ARMS.values(), ids=str)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from robots.transforms import Array, difference
-from tests.robots.strategies import with_signs
+from tests.support.postures import with_signs
 
 ARMS = {name: robots.load(name) for name in robots.names()}
 EVERY_ARM = pytest.mark.parametrize("arm", ARMS.values(), ids=str)

@@ -1,1 +1,1 @@
-"""From pictures of a board to a rig, from a motion or a board to the robot's place in it."""
+"""Cameras from boards, robot base and LEDs from a motion or fixture, kinematic calibration of the arm, interim checks."""

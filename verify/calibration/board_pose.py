@@ -11,22 +11,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.board import Board, BoardPair, BoardView
-from verify.marker import Marker
-from verify.pose import Views, perturb, predict
-from verify.records import Array, Measurement, Pose, Sighting
-from verify.rig import Camera, Rig
-from verify.triangulation import fit_rigid, triangulate
+from verify.core.fiducials import Board, BoardPair, BoardView, Marker
+from verify.core.records import Array, Measurement, Pose, Sighting
+from verify.core.rig import Camera, Rig
+from verify.measurement.pose import SightingStack, perturb, predict
+from verify.measurement.triangulation import fit_rigid, triangulate
 
-FEWEST_CORNERS = 6  # in one view: a plane's pose has six unknowns, and something must be left over
-OUTLIER = 20.0  # chi² of one corner, 2 degrees of freedom: 5e-5 false rejections
-MODEL_FLOOR_PX = 0.05  # print, lens model and corner finder: what a corner may miss beside noise
-MOST_REJECTED = 0.1  # of the corners: beyond that it is not single corners that are wrong
-ITERATIONS = 25
-CONVERGED = 1e-10  # m and rad: far below what pixels allow
+MIN_CORNERS = 6  # in one view: a plane's pose has six unknowns, and something must be left over
+MAX_CORNER_CHI2 = 20.0  # chi² of one corner, 2 degrees of freedom: 5e-5 false rejections
+MODEL_ERROR_PX = 0.05  # print, lens model and corner finder: what a corner may miss beside noise
+MAX_REJECTED_SHARE = 0.1  # of the corners: beyond that it is not single corners that are wrong
+MAX_ITERATIONS = 25
+TOL_STEP = 1e-10  # m and rad: far below what pixels allow
 
 
-def as_marker(board: Board) -> Marker:
+def board_marker(board: Board) -> Marker:
     """The board's corners as points of a body, named by their number."""
     return Marker(
         names=tuple(str(i) for i in range(len(board))),
@@ -52,9 +51,9 @@ def board_poses(
     """
     points = board.points
     return [
-        _measured(rig, pair, points, reject)
+        _measure_pair(rig, pair, points, reject)
         for pair in pairs
-        if max(_count(pair.left), _count(pair.right)) >= FEWEST_CORNERS
+        if max(_count(pair.left), _count(pair.right)) >= MIN_CORNERS
     ]
 
 
@@ -62,7 +61,7 @@ def _count(view: BoardView | None) -> int:
     return 0 if view is None else len(view)
 
 
-def _measured(rig: Rig, pair: BoardPair, points: Array, reject: bool) -> Measurement:
+def _measure_pair(rig: Rig, pair: BoardPair, points: Array, reject: bool) -> Measurement:
     left, right = _sighting(pair.left, pair.pan_left), _sighting(pair.right, pair.pan_right)
     pose = _fit(_views(rig, left, right, points), _start(rig, left, right, points), reject)
     seen = len(np.union1d(left.led, right.led))
@@ -84,12 +83,12 @@ def _sighting(view: BoardView | None, pan: float) -> Sighting:
     )
 
 
-def _views(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Views:
+def _views(rig: Rig, left: Sighting, right: Sighting, points: Array) -> SightingStack:
     m = len(left)
     placed = [
         camera.camera_T_rig(view.pan) for camera, view in ((rig.left, left), (rig.right, right))
     ]
-    return Views(
+    return SightingStack(
         points=points[np.concatenate([left.led, right.led])],
         centre=np.concatenate([left.centre, right.centre]),
         covariance=np.concatenate([left.covariance, right.covariance]),
@@ -102,11 +101,11 @@ def _views(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Views:
 def _start(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Array:
     """rig_T_board in closed form: triangulated corners, or the one camera's own view."""
     both, of_left, of_right = np.intersect1d(left.led, right.led, return_indices=True)
-    if len(both) >= FEWEST_CORNERS:
+    if len(both) >= MIN_CORNERS:
         seen = left.centre[of_left], right.centre[of_right]
         placed, _ = triangulate(rig.left, rig.right, left.pan, right.pan, *seen)
         good = np.isfinite(placed).all(axis=1)
-        if good.sum() >= FEWEST_CORNERS:
+        if good.sum() >= MIN_CORNERS:
             return fit_rigid(placed[good], points[both[good]])
     camera, view = (rig.left, left) if len(left) >= len(right) else (rig.right, right)
     return _by_one_camera(camera, view, points)
@@ -124,38 +123,38 @@ def _by_one_camera(camera: Camera, view: Sighting, points: Array) -> Array:
     return placed
 
 
-def _fit(views: Views, start: Array, reject: bool) -> Pose:
+def _fit(views: SightingStack, start: Array, reject: bool) -> Pose:
     keep = np.ones(len(views.centre), dtype=bool)
     while True:
         pose = _gauss_newton(views, keep, start)
-        size = _sizes(views, pose)
+        size = _corner_chi2(views, pose)
         worst = int(np.argmax(np.where(keep, size, 0.0)))
-        settled = size[worst] < OUTLIER or not keep[worst]
-        if not reject or settled or (~keep).sum() >= MOST_REJECTED * len(keep):
+        settled = size[worst] < MAX_CORNER_CHI2 or not keep[worst]
+        if not reject or settled or (~keep).sum() >= MAX_REJECTED_SHARE * len(keep):
             return pose
         keep[worst] = False
         start = pose.rig_T_flange
 
 
-def _sizes(views: Views, pose: Pose) -> Array:
+def _corner_chi2(views: SightingStack, pose: Pose) -> Array:
     """chi² of each corner in its noise and what a good one may miss, (s,)."""
-    total = views.covariance + MODEL_FLOOR_PX**2 * np.eye(2)
+    total = views.covariance + MODEL_ERROR_PX**2 * np.eye(2)
     solved = np.linalg.solve(total, pose.residual[:, :, None])[:, :, 0]
     size: Array = np.sum(pose.residual * solved, axis=1)
     return size
 
 
-def _gauss_newton(views: Views, keep: NDArray[np.bool_], start: Array) -> Pose:
+def _gauss_newton(views: SightingStack, keep: NDArray[np.bool_], start: Array) -> Pose:
     pose = np.array(start, dtype=float)
     weight = np.linalg.inv(views.covariance) * keep[:, None, None]
-    for _ in range(ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         pixels, by_point, by_pose = predict(views, pose)
         residual = views.centre - pixels
         weighted = weight @ by_pose  # (s, 2, 6)
         covariance = np.linalg.inv(np.einsum("sia,sib->ab", by_pose, weighted))
         step = covariance @ np.einsum("sia,si->a", weighted, residual)
         pose = perturb(pose, step)
-        if np.max(np.abs(step)) < CONVERGED:
+        if np.max(np.abs(step)) < TOL_STEP:
             break
     gain = covariance @ weighted.reshape(-1, 6).T
     return Pose(

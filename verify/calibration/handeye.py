@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots.transforms import difference
-from verify.records import Array
+from verify.core.records import Array
 
-FEWEST = 3  # poses: two relative motions about different axes
+MIN_POSES = 3  # poses: two relative motions about different axes
 # The second singular value over the first: 1 where the motions leave a turn open. A turn of all
 # poses by an angle a about every axis leaves 1 - a² / 3.
-OPEN = 1 - 1e-7
+MAX_RANK_RATIO = 1 - 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +42,14 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
     Product", J. Mechanisms and Robotics 5(3), 2013: vec(R_X) and vec(R_Y) are the first right and
     left singular vectors of the sum of R_B ⊗ R_A; the translations follow by least squares.
     """
-    if len(a) < FEWEST or a.shape != b.shape:
-        raise ValueError(f"needs {FEWEST} poses or more, twice; got {len(a)} and {len(b)}")
+    if len(a) < MIN_POSES or a.shape != b.shape:
+        raise ValueError(f"needs {MIN_POSES} poses or more, twice; got {len(a)} and {len(b)}")
     turns_a, turns_b = a[:, :3, :3], b[:, :3, :3]
     kronecker = np.einsum("nij,nkl->ikjl", turns_b, turns_a).reshape(9, 9)
     u, size, vt = np.linalg.svd(kronecker)
     x_like, y_like = (v.reshape(3, 3).T for v in (vt[0], u[:, 0]))  # vec stacks columns
     x, y = np.eye(4), np.eye(4)
-    x[:3, :3], y[:3, :3] = _rotation(x_like), _rotation(y_like)
+    x[:3, :3], y[:3, :3] = _nearest_rotation(x_like), _nearest_rotation(y_like)
     places, misfit = _translations(a, b, y[:3, :3])
     # the turns fit X and Y as well as -X and -Y, a mirror image; the places tell which it is
     mirrored = _translations(a, b, -y[:3, :3])[1] < misfit
@@ -59,7 +59,7 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
         y=y,
         residual=difference(a @ x, y @ b),
         mirrored=mirrored,
-        open=bool(size[1] > OPEN * size[0]),
+        open=bool(size[1] > MAX_RANK_RATIO * size[0]),
     )
 
 
@@ -76,13 +76,13 @@ def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[n
         size = np.stack([np.linalg.norm(part, axis=1) for part in (off[:, :3], off[:, 3:])])
         limit = worst * np.median(size[:, good], axis=1, keepdims=True)
         kept = good & (size <= limit).all(axis=0)
-        if kept.sum() in (good.sum(), *range(FEWEST)):
+        if kept.sum() in (good.sum(), *range(MIN_POSES)):
             whole = HandEye(solved.x, solved.y, off, solved.mirrored, solved.open)
             return whole, good
         good = kept
 
 
-def _rotation(like: Array) -> Array:
+def _nearest_rotation(like: Array) -> Array:
     """The rotation nearest to a multiple of it, of either sign."""
     u, _, vt = np.linalg.svd(like * np.sign(np.linalg.det(like)))
     rotation: Array = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

@@ -11,16 +11,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from verify.devices.intake import AngleMap
-from verify.devices.labenc import READING, LabencBoard, LabencSettings
-from verify.devices.labenc_lines import MOVING, UNUSABLE
-from verify.devices.link import Now
-from verify.devices.ports import Port
+from verify.devices.encoders.intake import AngleMap
+from verify.devices.encoders.labenc import READ_COMMANDS, LabencBoard, LabencSettings
+from verify.devices.encoders.labenc_protocol import MOVING, UNUSABLE
+from verify.devices.ports import ClockFunction, Port
 from verify.devices.protocols import DeviceState, PanReading
 
-TURNING = READING | {"G"}
-SIDES = 2
-FARTHEST = math.radians(180.0)  # rad: a base never needs to look behind itself
+TURN_COMMANDS = READ_COMMANDS | {"G"}
+N_SIDES = 2
+MAX_PAN_ANGLE = math.radians(180.0)  # rad: a base never needs to look behind itself
 
 
 class PanReader:
@@ -33,16 +32,16 @@ class PanReader:
         now: the host's monotonic clock, s.
     """
 
-    orders = READING
+    orders = READ_COMMANDS
 
     def __init__(
         self,
         settings: LabencSettings,
         angles: AngleMap,
         port: Callable[[], Port] | None = None,
-        now: Now = time.monotonic,
+        now: ClockFunction = time.monotonic,
     ) -> None:
-        self._board = LabencBoard(settings, SIDES, self.orders, port, now)
+        self._board = LabencBoard(settings, N_SIDES, self.orders, port, now)
         self._angles = angles
         self._half_width = settings.latch_span / 2
 
@@ -74,7 +73,7 @@ class PanReader:
 class PanServo(PanReader):
     """Reads the bases and turns them."""
 
-    orders = TURNING
+    orders = TURN_COMMANDS
 
     def turn_to(self, left: float, right: float) -> bool:
         """Order both bases to angles, rad, as read; False if the line is down.
@@ -85,7 +84,7 @@ class PanServo(PanReader):
             ValueError: an angle that is no number or beyond half a turn.
         """
         wanted = np.array([left, right])
-        if not np.all(np.abs(wanted) <= FARTHEST):
+        if not np.all(np.abs(wanted) <= MAX_PAN_ANGLE):
             raise ValueError(f"a base cannot be turned to {np.rad2deg(wanted)} degrees")
         board = np.rad2deg(self._angles.sign * (wanted - self._angles.offset))
         return all(

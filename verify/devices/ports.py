@@ -1,10 +1,16 @@
-"""Ports: TCP, UDP, and whatever pyserial opens (serial device, pty, rfc2217://, loop://, spy://)."""
+"""Ports: TCP, UDP, and whatever pyserial opens (serial device, pty, rfc2217://, loop://, spy://).
+
+A port that opens itself, says in words why it cannot, and tries again.
+
+Bytes to lines, and the checksums that lines carry.
+"""
 
 import contextlib
 import os
 import select
 import socket
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,12 +18,12 @@ import serial
 
 from verify.errors import InputError
 
-CONNECT_LIMIT = 1.0  # s an address: nobody in a local network needs longer to answer
-SEND_LIMIT = 1.0  # s
-ENDED = "the other end has closed the connection"
-LARGEST_READ = 4096  # bytes at once
+CONNECT_TIMEOUT = 1.0  # s an address: nobody in a local network needs longer to answer
+SEND_TIMEOUT = 1.0  # s
+CONNECTION_CLOSED = "the other end has closed the connection"
+MAX_READ_BYTES = 4096  # bytes at once
 PSEUDO_TERMINALS = ("/dev/pts/", "/dev/ttys")  # Linux, macOS
-POLL = 0.001  # s: ports that cannot be selected on are asked this often
+POLL_PERIOD = 0.001  # s: ports that cannot be selected on are asked this often
 
 
 class Port(Protocol):
@@ -51,7 +57,7 @@ class SerialLine:
     rts_cts: bool = False
 
 
-USUAL_LINE = SerialLine()
+DEFAULT_LINE = SerialLine()
 
 
 class SocketPort:
@@ -60,7 +66,7 @@ class SocketPort:
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
         self._stream = connected.type == socket.SOCK_STREAM
-        connected.settimeout(SEND_LIMIT)
+        connected.settimeout(SEND_TIMEOUT)
 
     def wait(self, seconds: float) -> bool:
         """Wait for bytes, or for the end of the line."""
@@ -72,13 +78,13 @@ class SocketPort:
         Raises:
             ConnectionResetError: the other end has closed the stream.
         """
-        data = self._socket.recv(LARGEST_READ)
+        data = self._socket.recv(MAX_READ_BYTES)
         if not data and self._stream:
-            raise ConnectionResetError(ENDED)
+            raise ConnectionResetError(CONNECTION_CLOSED)
         return data
 
     def send(self, data: bytes) -> None:
-        """Send all of it, within SEND_LIMIT."""
+        """Send all of it, within SEND_TIMEOUT."""
         self._socket.sendall(data)
 
     def close(self) -> None:
@@ -104,15 +110,15 @@ class SerialPort:
         while not self._port.in_waiting:
             if time.monotonic() >= deadline:
                 return False
-            time.sleep(POLL)
+            time.sleep(POLL_PERIOD)
         return True
 
     def take(self) -> bytes:
         """Take what is there."""
-        return bytes(self._port.read(LARGEST_READ))  # its time-out is 0
+        return bytes(self._port.read(MAX_READ_BYTES))  # its time-out is 0
 
     def send(self, data: bytes) -> None:
-        """Send all of it, within SEND_LIMIT."""
+        """Send all of it, within SEND_TIMEOUT."""
         self._port.write(data)
 
     def close(self) -> None:
@@ -135,7 +141,7 @@ def open_port(address: str, line: SerialLine) -> Port:
     """
     kind, _, rest = address.replace("socket://", "tcp:", 1).partition(":")
     if kind in ("tcp", "udp"):
-        return SocketPort(_connected(kind, host_and_port(rest, address)))
+        return SocketPort(_connect(kind, host_and_port(rest, address)))
     pseudo = os.path.realpath(address).startswith(PSEUDO_TERMINALS)
     try:
         opened = serial.serial_for_url(
@@ -146,7 +152,7 @@ def open_port(address: str, line: SerialLine) -> Port:
             stopbits=1 if pseudo else line.stop_bits,  # systems refuse it there
             rtscts=line.rts_cts,
             timeout=0,
-            write_timeout=SEND_LIMIT,
+            write_timeout=SEND_TIMEOUT,
             exclusive=True,  # two readers of one line would each get half of it
         )
     except ValueError as error:
@@ -172,7 +178,7 @@ def host_and_port(text: str, address: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def in_words(error: OSError) -> str:
+def describe_port_error(error: OSError) -> str:
     """Say why a port does not work, and what to look at."""
     if isinstance(error, FileNotFoundError) or error.errno == 2:
         return "there is no such port; is it plugged in?"
@@ -181,7 +187,7 @@ def in_words(error: OSError) -> str:
     if isinstance(error, ConnectionRefusedError):
         return "nobody listens there, or the line is taken by another program"
     if isinstance(error, ConnectionError):  # how it ends depends on what was under way
-        return ENDED
+        return CONNECTION_CLOSED
     if isinstance(error, TimeoutError):
         return "no answer; check address, cable and power"
     if isinstance(error, socket.gaierror):
@@ -193,12 +199,184 @@ def in_words(error: OSError) -> str:
     return (error.strerror or str(error) or type(error).__name__).lower()
 
 
-def _connected(kind: str, where: tuple[str, int]) -> socket.socket:
+def _connect(kind: str, where: tuple[str, int]) -> socket.socket:
     if kind == "tcp":
-        stream = socket.create_connection(where, timeout=CONNECT_LIMIT)
+        stream = socket.create_connection(where, timeout=CONNECT_TIMEOUT)
         stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # Nagle would add 40 ms
         return stream
     family, *_, found = socket.getaddrinfo(*where, type=socket.SOCK_DGRAM)[0]
     datagram = socket.socket(family, socket.SOCK_DGRAM)
     datagram.connect(found)  # from now on only that sender is heard
     return datagram
+
+
+READ_TIMEOUT = 0.02  # s: the longest that a reading call waits on an open line
+LINE_IN_USE = "before it said anything: another program may have the line"
+MIN_RETRY_DELAY, MAX_RETRY_DELAY = 0.25, 4.0  # s: doubled from the one to the other
+
+ClockFunction = Callable[[], float]
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Bytes that came together, and when."""
+
+    data: bytes
+    t: float  # s, host's monotonic clock, when they were in hand
+    earliest: float  # s: before this they were not there
+
+
+class PortLink:
+    """Keeps one port open for a driver.
+
+    Args:
+        name: the port as the user wrote it, for sentences.
+        open_port: opens it; raises OSError while that is not possible.
+        now: the host's monotonic clock, s.
+    """
+
+    def __init__(
+        self, name: str, open_port: Callable[[], Port], now: ClockFunction = time.monotonic
+    ) -> None:
+        self.name = name
+        self.now = now
+        self.fault = "not opened yet"
+        self.connections = 0  # drivers greet the device anew when this has risen
+        self._open_port = open_port
+        self._port: Port | None = None
+        self._retry = MIN_RETRY_DELAY
+        self._next_try = float("-inf")
+        self._last_look = now()
+        self._closed = False
+        self._heard = False  # anything since the port was opened
+
+    @property
+    def connected(self) -> bool:
+        """Whether the port is open."""
+        return self._port is not None
+
+    def receive(self, wait: float = READ_TIMEOUT) -> Chunk | None:
+        """Take what has come, waiting for at most so long; opens the port where that is due."""
+        if not self._opened(wait) or self._port is None:
+            return None
+        try:
+            there = self._port.wait(0.0)
+            earliest = self._last_look
+            if not there:
+                there = self._port.wait(wait)
+                earliest = self.now()
+            data = self._port.take() if there else b""
+        except OSError as error:
+            self._broken(error)
+            return None
+        self._last_look = self.now()
+        self._heard |= bool(data)
+        return Chunk(data, self._last_look, min(earliest, self._last_look)) if data else None
+
+    def send(self, data: bytes) -> bool:
+        """Send it; False if the line is not there or breaks."""
+        if self._port is None:
+            return False
+        try:
+            self._port.send(data)
+        except OSError as error:
+            self._broken(error)
+            return False
+        return True
+
+    def drop(self, why: str) -> None:
+        """Give the line up for now; it is tried again."""
+        if self._port is not None:
+            self._port.close()
+        self._port, self.fault = None, why
+        self._next_try = self.now() + self._retry
+
+    def steady(self) -> None:
+        """Note that good data come: the next break is mended at once again."""
+        self._retry = MIN_RETRY_DELAY
+
+    def close(self) -> None:
+        """Close the port for good."""
+        self._closed = True
+        self.drop("closed")
+
+    def _opened(self, wait: float) -> bool:
+        if self._port is not None:
+            return True
+        now = self.now()
+        if self._closed or now < self._next_try:
+            time.sleep(wait)
+            return False
+        try:
+            self._port = self._open_port()
+        except OSError as error:
+            self._retry = min(2 * self._retry, MAX_RETRY_DELAY)
+            self.drop(describe_port_error(error))
+            return False
+        self.connections += 1
+        self._last_look, self._heard = self.now(), False
+        return True
+
+    def _broken(self, error: OSError) -> None:
+        why = describe_port_error(error)
+        self.drop(f"{why} {LINE_IN_USE}" if why == CONNECTION_CLOSED and not self._heard else why)
+
+
+MAX_LINE_BYTES = 4096  # bytes: noise without a line end must not fill the memory
+
+
+class LineBuffer:
+    """Collects bytes until a line is whole; never hands out half a line."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self.overlong = 0  # lines dropped because no end came
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Add bytes; get the lines that they complete, without LF, CR LF or blanks about them."""
+        *whole, self._rest = (self._rest + data).split(b"\n")
+        if len(self._rest) > MAX_LINE_BYTES:
+            self._rest = b""
+            self.overlong += 1
+        return [line for line in map(bytes.strip, whole) if line]
+
+    def clear(self) -> None:
+        """Forget a half line, whose other half will not come."""
+        self._rest = b""
+
+
+def xor(data: bytes) -> int:
+    """Exclusive or of all bytes, as NMEA 0183 does."""
+    total = 0
+    for byte in data:
+        total ^= byte
+    return total
+
+
+def sum8(data: bytes) -> int:
+    """Sum of all bytes, its lowest eight bits."""
+    return sum(data) & 0xFF
+
+
+def crc8(data: bytes) -> int:
+    """CRC-8: polynomial 0x07, start 0, not reflected; F4 for "123456789"."""
+    return _crc(data, 8, 0x07, 0x00)
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; 29B1 for "123456789"."""
+    return _crc(data, 16, 0x1021, 0xFFFF)
+
+
+def _crc(data: bytes, bits: int, polynomial: int, start: int) -> int:
+    register, top = start, 1 << (bits - 1)
+    for byte in data:
+        register ^= byte << (bits - 8)
+        for _ in range(8):
+            register = (register << 1) ^ (polynomial if register & top else 0)
+        register &= (1 << bits) - 1
+    return register
+
+
+# width in hexadecimal digits, and the function
+CHECKSUMS = {"xor": (2, xor), "sum8": (2, sum8), "crc8": (2, crc8), "crc16": (4, crc16)}

@@ -1,10 +1,18 @@
-"""What the chain needs from a device, and no more."""
+"""What the chain needs from a device, and no more.
+
+What the chain needs from a camera, and no more.
+
+Cameras: pictures with their time, settings asked for and read back, states in words.
+
+One module a driver. Times are seconds on the host's monotonic clock, mid-exposure as well as the
+platform tells. A camera that is gone is looked for again by its own driver.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from verify.records import Array
+from verify.core.records import Array, Image, StereoPair
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +51,7 @@ class DeviceState:
     program_running: bool | None = None  # of the robot, where the device tells
 
 
-class Encoders(Protocol):
+class EncoderDevice(Protocol):
     """Joint readings as they arrive: controller's clock, host's clock, angles in radians."""
 
     def read(self) -> list[EncoderReading]:
@@ -63,11 +71,11 @@ class Encoders(Protocol):
         ...
 
 
-class Pan(Protocol):
+class PanDevice(Protocol):
     """Angles of both camera bases as they arrive."""
 
     def read(self) -> list[PanReading]:
-        """Give what has arrived since the last call; the promises of `Encoders.read` hold."""
+        """Give what has arrived since the last call; the promises of `EncoderDevice.read` hold."""
         ...
 
     def state(self) -> DeviceState:
@@ -77,3 +85,98 @@ class Pan(Protocol):
     def close(self) -> None:
         """Leave the device alone, in good order."""
         ...
+
+
+READ_TIMEOUT = 0.2  # s: `CameraDevice.read` comes back within it, with a picture or without
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFrame:
+    """One picture and when it was taken."""
+
+    t: float  # s, host's monotonic clock, mid-exposure as well as the platform tells
+    t_uncertainty: float  # s: half-width about t, within which it was taken
+    image: Image  # (h, w) grey or (h, w, 3) BGR
+    raw: bytes | None  # the picture as the camera encoded it (JPEG), where it did
+    sequence: int  # counts every picture that came; a gap is pictures that nobody read in time
+
+
+@dataclass(frozen=True, slots=True)
+class CapturedPair(StereoPair):
+    """A stereo pair as two cameras delivered it."""
+
+    left_raw: bytes | None = None  # the JPEG that `left` was decoded from, where it was one
+    right_raw: bytes | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSettings:
+    """What a camera is asked for; None leaves its own."""
+
+    source: int | str  # index, device path, URL, video file, or "sim"
+    size: tuple[int, int] | None = None  # width, height, px
+    rate: float | None = None  # Hz
+    format: str | None = None  # four letters, such as MJPG, YUYV, GREY
+    exposure: float | None = None  # s
+    gain: float | None = None  # in the camera's own unit
+    white_balance: float | None = None  # K
+    grey: bool | None = None  # one channel is kept; None: as the camera delivers
+    delay: float = 0.0  # s, from mid-exposure to the picture's arrival, where it is known
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedSetting:
+    """A setting that the camera did not take."""
+
+    setting: str
+    asked: str
+    got: str
+
+    def __str__(self) -> str:
+        return f"{self.setting} {self.asked} refused, it is {self.got}"
+
+
+@dataclass(frozen=True, slots=True)
+class CameraState:
+    """How a camera is, for the page, the log and `verify doctor`."""
+
+    connected: bool
+    age: float | None  # s since the last picture; None before the first
+    frames: int  # pictures so far
+    lost: int  # pictures that nobody read in time
+    sentence: str  # what there is to say, in words
+    size: tuple[int, int] | None = None  # width, height, px, of the last picture
+    rate: float | None = None  # Hz, of the last second
+    refused: tuple[RefusedSetting, ...] = ()
+    ended: bool = False  # a file that is over: no picture will come
+
+
+class CameraDevice(Protocol):
+    """Pictures as they come."""
+
+    def read(self) -> CameraFrame | None:
+        """Give the oldest picture that was not read yet; None after READ_TIMEOUT without one.
+
+        Whatever goes wrong is told by `state` and never raised; finding a camera again is its own
+        affair.
+        """
+        ...
+
+    def state(self) -> CameraState:
+        """Say how the camera is; asks nothing of it."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        ...
+
+
+__all__ = [
+    "READ_TIMEOUT",
+    "CameraDevice",
+    "CameraFrame",
+    "CameraSettings",
+    "CameraState",
+    "CapturedPair",
+    "RefusedSetting",
+]

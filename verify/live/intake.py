@@ -6,17 +6,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from verify.cameras import Camera
-from verify.devices import Encoders, Pan
-from verify.live.pairing import WAITING, FramePair, Pairing
-from verify.live.pan_book import PanBook
-from verify.live.ports import Recorder
-from verify.live.readings_book import ReadingsBook
-from verify.priority import come_soon
+from verify.core.processes import request_short_slice
+from verify.devices.protocols import CameraDevice, EncoderDevice, PanDevice
+from verify.live.buffers import PanBuffer, ReadingBuffer
+from verify.live.pairing import MAX_WAITING, FramePair, Pairing
+from verify.live.protocols import Recorder
 
-DEPTH = 16  # pairs that may wait to be measured: half a second, 30 MB
+MAX_QUEUED_PAIRS = 16  # pairs that may wait to be measured: half a second, 30 MB
 OVERRUN = "measuring is slower than the cameras"
-BREATH = 0.005  # s after a read that came back at once with nothing
+IDLE_DELAY = 0.005  # s after a read that came back at once with nothing
 
 
 class PairQueue:
@@ -35,7 +33,7 @@ class PairQueue:
             if pair is None:
                 return
             self._pairs.append(pair)
-            while len(self._pairs) > DEPTH:
+            while len(self._pairs) > MAX_QUEUED_PAIRS:
                 self._pairs.popleft()
                 self.pairing.dropped[OVERRUN] += 1
             self._wake.notify_all()
@@ -44,11 +42,11 @@ class PairQueue:
         """Wait, a moment at most, until a picture of this side would not be lost."""
         with self._wake:
             if not self._room(side):
-                self._wake.wait(BREATH)
+                self._wake.wait(IDLE_DELAY)
             return self._room(side) or self._closed
 
     def _room(self, side: int) -> bool:
-        return len(self._pairs) < DEPTH and self.pairing.waiting(side) < WAITING
+        return len(self._pairs) < MAX_QUEUED_PAIRS and self.pairing.waiting(side) < MAX_WAITING
 
     def take(self) -> FramePair | None:
         """Wait for the next pair; None once it is closed and empty."""
@@ -76,7 +74,7 @@ class PairQueue:
             self._wake.notify_all()
 
 
-class Pump:
+class PollingThread:
     """A thread that calls a function until it is told to stop.
 
     Args:
@@ -105,7 +103,7 @@ class Pump:
         self._thread.join(seconds)
 
     def _run(self) -> None:
-        come_soon()
+        request_short_slice()
         while not self._stop.is_set():
             begin = time.monotonic()
             try:
@@ -113,12 +111,12 @@ class Pump:
             except Exception as error:  # a driver promises to raise nothing; others go on
                 self._failed(self._name, error)
                 gave = False
-            if not gave and time.monotonic() - begin < BREATH:
-                self._stop.wait(BREATH)
+            if not gave and time.monotonic() - begin < IDLE_DELAY:
+                self._stop.wait(IDLE_DELAY)
 
 
 def camera_step(
-    camera: Camera, side: int, queue: PairQueue, *, patient: bool
+    camera: CameraDevice, side: int, queue: PairQueue, *, patient: bool
 ) -> Callable[[], bool]:
     """Read one picture into the queue; patient: only when there is room for it."""
 
@@ -134,7 +132,9 @@ def camera_step(
     return step
 
 
-def encoders_step(encoders: Encoders, recorder: Recorder, book: ReadingsBook) -> Callable[[], bool]:
+def encoders_step(
+    encoders: EncoderDevice, recorder: Recorder, book: ReadingBuffer
+) -> Callable[[], bool]:
     """Read what has come, record it, and make it known."""
 
     def step() -> bool:
@@ -146,7 +146,9 @@ def encoders_step(encoders: Encoders, recorder: Recorder, book: ReadingsBook) ->
     return step
 
 
-def pan_step(pan: Pan, book: PanBook, turn: Callable[[], None] | None = None) -> Callable[[], bool]:
+def pan_step(
+    pan: PanDevice, book: PanBuffer, turn: Callable[[], None] | None = None
+) -> Callable[[], bool]:
     """Read how the bases stand; turn them first, where an order waits."""
 
     def step() -> bool:

@@ -8,16 +8,20 @@ import numpy as np
 from scipy.linalg import block_diag
 
 import robots
-from verify.comparison import Comparison, compare
-from verify.joints import Joints, solve_joints
-from verify.judgement.model import clock_effect
-from verify.live.clock_live import Clock
-from verify.marker import Marker
-from verify.readings import Readings
-from verify.records import Array, Measurement
-from verify.rig import Rig
-from verify.systematics import Systematics, root, sensitivities, stated
-from verify.track import collect, together
+from verify.analysis.comparison import Comparison, JointComparison, compare, solve_joints
+from verify.analysis.model import clock_effect
+from verify.core.fiducials import Marker
+from verify.core.readings import Readings
+from verify.core.records import Array, Measurement
+from verify.core.rig import Rig
+from verify.live.clock import LiveClock
+from verify.measurement.systematics import (
+    Systematics,
+    covariance_root,
+    sensitivities,
+    stated_systematics,
+)
+from verify.measurement.track import collect_track, concatenate
 
 NO_ENCODER, UNREACHABLE = "no_encoder", "unreachable"
 
@@ -35,7 +39,7 @@ class JointRow:
     error: Array  # (j,), reading less measured
     uncertainty: Array  # (j,), standard, of the error from all sources
     single: Array  # (j,), error where no singularity couples the joint
-    clock: Clock | None
+    clock: LiveClock | None
     base_T_measured: Array | None = None  # (4, 4)
     base_T_encoder: Array | None = None  # (4, 4)
     evidence: "Evidence | None" = None
@@ -70,14 +74,14 @@ class Comparer:
         self, arm: robots.Arm, rig: Rig, marker: Marker, resolution: float | None, *, turning: bool
     ) -> None:
         self.arm, self._rig, self._marker, self._resolution = arm, rig, marker, resolution
-        self.systematics: Systematics = stated(rig, marker, turning)
-        self._root = _columns(self.systematics)
+        self.systematics: Systematics = stated_systematics(rig, marker, turning)
+        self._root = _unit_variance_columns(self.systematics)
 
     def row(
         self,
         measurement: Measurement,
         readings: Readings | None,
-        clock: Clock,
+        clock: LiveClock,
         time_doubt: float = 0.0,
     ) -> JointRow:
         """Compare one pair; see `rows`."""
@@ -85,7 +89,7 @@ class Comparer:
 
     def rows(
         self,
-        pairs: Sequence[tuple[Measurement, Clock]],
+        pairs: Sequence[tuple[Measurement, LiveClock]],
         readings: Readings | None,
         time_doubts: Array,
     ) -> list[JointRow]:
@@ -114,15 +118,15 @@ class Comparer:
 
     def _rows_of_measured(
         self,
-        pairs: list[tuple[Measurement, Clock]],
+        pairs: list[tuple[Measurement, LiveClock]],
         readings: Readings | None,
         time_doubts: Array,
     ) -> list[JointRow]:
         tracks = []
         for measurement, _ in pairs:
             effect = sensitivities(self.systematics, measurement, self._rig, self._marker)
-            tracks.append(collect([measurement], self._rig, [effect]))
-        track = together(tracks)
+            tracks.append(collect_track([measurement], self._rig, [effect]))
+        track = concatenate(tracks)
         offset = np.array([clock.offset for _, clock in pairs])
         known = np.zeros(len(pairs), dtype=bool)
         rows = {}
@@ -153,9 +157,9 @@ class Comparer:
 
     def _compared(
         self,
-        pair: tuple[Measurement, Clock],
+        pair: tuple[Measurement, LiveClock],
         comparison: Comparison,
-        joints: Joints,
+        joints: JointComparison,
         n: int,
         effect: Array,
         alignment: Array,
@@ -197,7 +201,7 @@ class Comparer:
         )
 
     def _measured_alone(
-        self, measurement: Measurement, clock: Clock, base_T_flange: Array
+        self, measurement: Measurement, clock: LiveClock, base_T_flange: Array
     ) -> JointRow:
         return self._empty(measurement, NO_ENCODER, clock, base_T_measured=base_T_flange)
 
@@ -205,7 +209,7 @@ class Comparer:
         self,
         measurement: Measurement,
         status: str,
-        clock: Clock | None,
+        clock: LiveClock | None,
         compared: tuple[Comparison, int] | None = None,
         **known: Any,
     ) -> JointRow:
@@ -231,7 +235,7 @@ class Comparer:
         )
 
 
-def _columns(systematics: Systematics) -> Array:
+def _unit_variance_columns(systematics: Systematics) -> Array:
     """Carry the parameters' sensitivities, pan readings last, to columns of unit variance."""
     pan = np.diag(np.nan_to_num(systematics.pan))
-    return np.asarray(block_diag(root(systematics.covariance), pan), dtype=np.float64)
+    return np.asarray(block_diag(covariance_root(systematics.covariance), pan), dtype=np.float64)

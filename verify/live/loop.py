@@ -10,39 +10,42 @@ from dataclasses import dataclass
 import numpy as np
 
 import robots
-from verify.cameras import Camera, TakenPair
-from verify.devices import Encoders, Pan
-from verify.live.alarms import Alarm
-from verify.live.clock_keeper import ClockKeeper, Estimator
-from verify.live.compared import TOGETHER, Bracketed, Bracketing, Outcome, Taken
-from verify.live.follow import Follower
-from verify.live.intake import PairQueue, Pump, camera_step, encoders_step, pan_step
-from verify.live.joint_alarms import AlarmLimits, JointAlarms
-from verify.live.lost import DeviceWatch, TargetWatch
+from verify.core.processes import request_short_slice
+from verify.core.records import Array, Measurement, StereoPair
+from verify.devices.protocols import CameraDevice, CapturedPair, EncoderDevice, PanDevice
+from verify.live.alarms.joints import AlarmLimits, JointAlarms
+from verify.live.alarms.loss import DeviceWatch, TargetWatch
+from verify.live.bracketing import (
+    MAX_PAIRS_TOGETHER,
+    BracketedPair,
+    Bracketing,
+    ComparedRow,
+    MeasuredPair,
+)
+from verify.live.buffers import PanBuffer, ReadingBuffer
+from verify.live.clock import ClockKeeper, Estimator
+from verify.live.intake import PairQueue, PollingThread, camera_step, encoders_step, pan_step
 from verify.live.pairing import FramePair, Pairing
-from verify.live.pan_book import PanBook
-from verify.live.ports import Devices, Listener, Recorder, Subject
-from verify.live.readings_book import ReadingsBook
-from verify.live.state import DeviceLine, LiveState
-from verify.measurement import Setup, measure
-from verify.priority import come_soon
-from verify.records import Array, Measurement, StereoPair
+from verify.live.pan_follow import PanFollower
+from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot, Recorder
+from verify.live.state import DeviceStatus, LiveState
+from verify.measurement.chain import Setup, measure
 
-LOOK = 0.1  # s from one look at the devices to the next
-GOODBYE = 3.0  # s that a thread is given to end
-TURNING = "a camera base was turning, or its angle is not known"
-AROUND = np.array([-0.1, -0.05, 0.0, 0.05, 0.1])  # s: an arrival's clock is known to that
-DEVICE_SILENT = 1.0  # s; more for devices that give less than two a second
-Expected = Callable[[float], Sequence[Array]]
-UNDER_WAY = 8  # pairs between the cameras and the comparison, at most
+DEVICE_CHECK_PERIOD = 0.1  # s from one look at the devices to the next
+JOIN_TIMEOUT = 3.0  # s that a thread is given to end
+BASE_TURNING = "a camera base was turning, or its angle is not known"
+ARRIVAL_OFFSETS = np.array([-0.1, -0.05, 0.0, 0.05, 0.1])  # s: an arrival's clock is known to that
+DEVICE_SILENCE_TIMEOUT = 1.0  # s; more for devices that give less than two a second
+ExpectedPoses = Callable[[float], Sequence[Array]]
+MAX_PAIRS_IN_PROGRESS = 8  # pairs between the cameras and the comparison, at most
 
 
-def _nothing(_pair: StereoPair) -> None:
+def _no_preparation(_pair: StereoPair) -> None:
     """Prepare nothing."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class LoopSettings:
     """How a run goes."""
 
     limits: AlarmLimits
@@ -50,7 +53,7 @@ class Plan:
     until_program_ends: bool = True  # of the robot, where its controller tells
 
 
-class Live:
+class LiveLoop:
     """Watches a robot.
 
     Args:
@@ -67,34 +70,35 @@ class Live:
 
     def __init__(
         self,
-        subject: Subject,
-        devices: Devices,
+        subject: MonitoredRobot,
+        devices: LiveDevices,
         recorder: Recorder,
-        plan: Plan,
+        plan: LoopSettings,
         estimator: Estimator,
         listeners: Sequence[Listener] = (),
-        measuring: Callable[[Iterator[StereoPair], Expected], Iterator[Measurement]] | None = None,
+        measuring: Callable[[Iterator[StereoPair], ExpectedPoses], Iterator[Measurement]]
+        | None = None,
         state: LiveState | None = None,
-        prepare: Callable[[StereoPair], None] = _nothing,
+        prepare: Callable[[StereoPair], None] = _no_preparation,
     ) -> None:
         self.state = LiveState() if state is None else state
         self._subject, self._devices, self._recorder = subject, devices, recorder
         self._plan, self._listeners = plan, listeners
-        self._book, self._pan = ReadingsBook(), PanBook()
+        self._book, self._pan = ReadingBuffer(), PanBuffer()
         self._keeper = ClockKeeper(subject.arm, subject.rig, self._book, subject.clock, estimator)
         self._queue = PairQueue(Pairing())
         follows = devices.turn is not None
-        self._follower = Follower(subject.rig, subject.marker) if follows else None
+        self._follower = PanFollower(subject.rig, subject.marker) if follows else None
         turning = devices.pan is not None
         self._bracketing = Bracketing(subject, self._book, self._keeper, turning=turning)
         numbers = itertools.count(1)
         self._joints = JointAlarms(subject.arm.dof, plan.limits, numbers)
         self._target = TargetWatch(plan.limits.lost_after, numbers)
-        self._lost = DeviceWatch(DEVICE_SILENT, numbers)
+        self._lost = DeviceWatch(DEVICE_SILENCE_TIMEOUT, numbers)
         self._measuring = self._here if measuring is None else measuring
         self._prepare = prepare
         self._arrivals: dict[float, tuple[float, float, StereoPair]] = {}
-        self._measured: deque[Taken] = deque()
+        self._measured: deque[MeasuredPair] = deque()
         self._wake = threading.Condition()
         self._tell = threading.Lock()
         self._measuring_ended = False
@@ -127,14 +131,14 @@ class Live:
                 self._look()
                 if look is not None:
                     look(self.state)
-                stop.wait(LOOK)
+                stop.wait(DEVICE_CHECK_PERIOD)
         finally:
             self._end(pumps, works, halt)
         self._look(final=True)
         if look is not None:
             look(self.state)
 
-    def _pumps(self) -> list[Pump]:
+    def _pumps(self) -> list[PollingThread]:
         devices = self._devices
         steps = [
             ("left camera", camera_step(devices.left, 0, self._queue, patient=devices.files)),
@@ -143,7 +147,7 @@ class Live:
         ]
         if devices.pan is not None:
             steps.append(("pan bases", pan_step(devices.pan, self._pan, self._turn)))
-        return [Pump(name, step, self._failed) for name, step in steps]
+        return [PollingThread(name, step, self._failed) for name, step in steps]
 
     def _turn(self) -> None:
         """Carry an order of the follower's out, in the thread that owns the bases' line."""
@@ -165,19 +169,21 @@ class Live:
             return True
         return all(camera.state().ended for camera in (self._devices.left, self._devices.right))
 
-    def _end(self, pumps: list[Pump], works: list[threading.Thread], halt: threading.Event) -> None:
+    def _end(
+        self, pumps: list[PollingThread], works: list[threading.Thread], halt: threading.Event
+    ) -> None:
         """Cameras first; then what they gave is measured, recorded and told; devices last."""
         for pump in pumps[:2]:
             pump.stop()
         for pump in pumps[:2]:
-            pump.join(GOODBYE)
+            pump.join(JOIN_TIMEOUT)
         self._queue.close()
         for work in works[:2]:
-            work.join(GOODBYE)
+            work.join(JOIN_TIMEOUT)
         halt.set()
         for pump in pumps[2:]:
             pump.stop()
-            pump.join(GOODBYE)
+            pump.join(JOIN_TIMEOUT)
         self._recorder.close()
         for device in (self._devices.left, self._devices.right, self._devices.encoders):
             device.close()
@@ -189,7 +195,7 @@ class Live:
     # measuring
 
     def _measure(self) -> None:
-        come_soon()
+        request_short_slice()
         try:
             pairs = self._noted(self._recorder.keep(self._taken(), self._prepare))
             for measurement in self._measuring(pairs, self._expected):
@@ -201,7 +207,7 @@ class Live:
                 self._measuring_ended = True
                 self._wake.notify_all()
 
-    def _here(self, pairs: Iterator[StereoPair], expected: Expected) -> Iterator[Measurement]:
+    def _here(self, pairs: Iterator[StereoPair], expected: ExpectedPoses) -> Iterator[Measurement]:
         return measure(pairs, Setup(self._subject.rig, self._subject.marker, expected))
 
     def _taken(self) -> Iterator[StereoPair]:
@@ -210,9 +216,9 @@ class Live:
         while (pair := self._queue.take()) is not None:
             pan = self._pans(pair)
             if pan is None:
-                self._queue.drop(TURNING)
+                self._queue.drop(BASE_TURNING)
                 continue
-            taken = TakenPair(
+            taken = CapturedPair(
                 frame=frame,
                 t_left=pair.left.t,
                 t_right=pair.right.t,
@@ -237,7 +243,7 @@ class Live:
     def _noted(self, pairs: Iterator[StereoPair]) -> Iterator[StereoPair]:
         """Pairs as they are recorded; pictures of those that are through are let go."""
         for pair in pairs:
-            while len(self._arrivals) > UNDER_WAY:
+            while len(self._arrivals) > MAX_PAIRS_IN_PROGRESS:
                 del self._arrivals[min(self._arrivals)]
             yield pair
 
@@ -250,7 +256,7 @@ class Live:
             if self._follower is not None:
                 self._follower.look(pair, measurement, self._expected)
         with self._wake:
-            self._measured.append(Taken(measurement, arrived, doubt, time.monotonic()))
+            self._measured.append(MeasuredPair(measurement, arrived, doubt, time.monotonic()))
             self._wake.notify_all()
 
     def _expected(self, t: float) -> Sequence[Array]:
@@ -259,7 +265,7 @@ class Live:
         readings = None if clock is None else self._book.about(t - clock.offset)
         if clock is None or readings is None or len(readings.t) < 2:
             return ()
-        around = np.zeros(1) if clock.source != "arrival" else AROUND
+        around = np.zeros(1) if clock.source != "arrival" else ARRIVAL_OFFSETS
         q = readings.at(t - clock.offset + around)
         poses: Array = self._subject.rig.rig_T_base @ robots.forward(self._subject.arm, q)
         return list(poses)
@@ -267,11 +273,11 @@ class Live:
     # comparing
 
     def _compare(self) -> None:
-        come_soon()
+        request_short_slice()
         while (item := self._next_measured()) is not None:
             try:
                 pairs = [self._bracketing.wait(*item, self._recorder.through)]
-                while len(pairs) < TOGETHER and (more := self._another()) is not None:
+                while len(pairs) < MAX_PAIRS_TOGETHER and (more := self._another()) is not None:
                     pairs.append(more)
                 for outcome in self._bracketing.compare(pairs):
                     alarms = self._judged(outcome)
@@ -280,7 +286,7 @@ class Live:
             except Exception as error:
                 self._failed("comparison", error)
 
-    def _next_measured(self) -> tuple[Taken, int] | None:
+    def _next_measured(self) -> tuple[MeasuredPair, int] | None:
         with self._wake:
             while not self._measured and not self._measuring_ended:
                 self._wake.wait()
@@ -288,7 +294,7 @@ class Live:
                 return None
             return self._measured.popleft(), len(self._measured)
 
-    def _another(self) -> Bracketed | None:
+    def _another(self) -> BracketedPair | None:
         """Take the next measured pair if it needs no wait."""
         with self._wake:
             found = self._bracketing.at_once(self._measured[0]) if self._measured else None
@@ -296,13 +302,13 @@ class Live:
                 self._measured.popleft()
             return found
 
-    def _judged(self, outcome: Outcome) -> list[Alarm]:
+    def _judged(self, outcome: ComparedRow) -> list[Alarm]:
         now = time.time()
         with self._tell:
             alarms = self._target.take(outcome.row, time.monotonic(), now)
         return alarms + self._joints.take(outcome.row, now)
 
-    def _tell_all(self, outcome: Outcome, alarms: list[Alarm]) -> None:
+    def _tell_all(self, outcome: ComparedRow, alarms: list[Alarm]) -> None:
         statistic = self._joints.statistic
         self.state.row(outcome.row, statistic)
         for alarm in alarms:
@@ -326,22 +332,22 @@ class Live:
         lines = [] if not final else list(self.state.snapshot().devices)
         for name, device in () if final else self._named():
             said = device.state()
-            silent = said.age is None or said.age > DEVICE_SILENT
-            lines.append(DeviceLine(name, said.connected and not silent, said.sentence))
+            silent = said.age is None or said.age > DEVICE_SILENCE_TIMEOUT
+            lines.append(DeviceStatus(name, said.connected and not silent, said.sentence))
             alarms += self._lost.take(name, said.age, said.sentence, t, now)
         if not final:
-            lines += [DeviceLine(name, False, said) for name, said in self._troubles.items()]
+            lines += [DeviceStatus(name, False, said) for name, said in self._troubles.items()]
             if self._keeper.trouble:
-                lines.append(DeviceLine("clock", False, self._keeper.trouble))
+                lines.append(DeviceStatus("clock", False, self._keeper.trouble))
             with self._tell:
                 alarms += self._target.look(t, now)
         self.state.facts(tuple(lines), self._queue.dropped(), self._recorder.state().sentence)
         for alarm in alarms:
             self._raise(alarm)
 
-    def _named(self) -> list[tuple[str, Camera | Encoders | Pan]]:
+    def _named(self) -> list[tuple[str, CameraDevice | EncoderDevice | PanDevice]]:
         devices = self._devices
-        named: list[tuple[str, Camera | Encoders | Pan]] = [
+        named: list[tuple[str, CameraDevice | EncoderDevice | PanDevice]] = [
             ("left camera", devices.left),
             ("right camera", devices.right),
             ("encoders", devices.encoders),

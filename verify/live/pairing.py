@@ -6,18 +6,18 @@ from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
 
-from verify.cameras import CameraFrame
+from verify.devices.protocols import CameraFrame
 
-USUAL_PERIOD = 1 / 30  # s, until the cameras have shown their own
-INTERVALS = 31  # of each camera, whose median is its period
+DEFAULT_PERIOD = 1 / 30  # s, until the cameras have shown their own
+N_INTERVALS = 31  # of each camera, whose median is its period
 # of a period: with half of it every picture has its partner, whatever the cameras' phase
-TOLERANCE = 0.5
-SLACK = 0.1  # of a period: time stamps jitter
-WAITING = 8  # pictures of a side that wait for their partner; the other camera may be stalled
+MAX_TIME_DIFFERENCE = 0.5
+TOL_JITTER = 0.1  # of a period: time stamps jitter
+MAX_WAITING = 8  # pictures of a side that wait for their partner; the other camera may be stalled
 
 NO_PARTNER = "no partner in time"
-BACKWARDS = "not later than the picture before"
-STALLED = "the other camera gives no pictures"
+NOT_LATER = "not later than the picture before"
+OTHER_CAMERA_STALLED = "the other camera gives no pictures"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +44,8 @@ class Pairing:
         self._given = period
         self._waiting: tuple[deque[CameraFrame], deque[CameraFrame]] = (deque(), deque())
         self._times: tuple[deque[float], deque[float]] = (
-            deque(maxlen=INTERVALS),
-            deque(maxlen=INTERVALS),
+            deque(maxlen=N_INTERVALS),
+            deque(maxlen=N_INTERVALS),
         )
         self.dropped: Counter[str] = Counter()
         self.paired = 0
@@ -60,12 +60,12 @@ class Pairing:
         if self._given is not None:
             return self._given
         known = [_median_step(times) for times in self._times if len(times) > 2]
-        return max(known) if len(known) == 2 else USUAL_PERIOD
+        return max(known) if len(known) == 2 else DEFAULT_PERIOD
 
     @property
     def tolerance(self) -> float:
         """How far apart the pictures of a pair may be taken, s."""
-        return (TOLERANCE + SLACK) * self.period
+        return (MAX_TIME_DIFFERENCE + TOL_JITTER) * self.period
 
     def add(self, side: int, frame: CameraFrame, arrived: float) -> FramePair | None:
         """Take a picture of the left (0) or right (1) camera.
@@ -80,7 +80,7 @@ class Pairing:
         """
         times = self._times[side]
         if times and frame.t <= times[-1]:
-            self.dropped[BACKWARDS] += 1
+            self.dropped[NOT_LATER] += 1
             return None
         times.append(frame.t)
         others = self._waiting[1 - side]
@@ -110,9 +110,9 @@ class Pairing:
     def _wait(self, side: int, frame: CameraFrame) -> None:
         queue = self._waiting[side]
         queue.append(frame)
-        while len(queue) > WAITING:
+        while len(queue) > MAX_WAITING:
             queue.popleft()
-            self.dropped[STALLED] += 1
+            self.dropped[OTHER_CAMERA_STALLED] += 1
 
     def _leave_behind(self, queue: "deque[CameraFrame]") -> None:
         if queue:

@@ -1,4 +1,7 @@
-"""What is known right now, for whoever looks: terminal, page, metrics. Looking costs no pair."""
+"""What is known right now, for whoever looks: terminal, page, metrics. Looking costs no pair.
+
+How long results take, as percentiles: of the last while, and of the whole run.
+"""
 
 import threading
 import time
@@ -6,18 +9,62 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from verify.live.alarms import Alarm
-from verify.live.joint_row import JointRow
-from verify.live.latency import Latency, Percentiles
-from verify.records import Array, Measurement, StereoPair
+import numpy as np
 
-ALARMS = 200  # remembered; the JSON lines have all
-ROWS = 600  # remembered for lookers-on: twenty seconds at 30 pairs a second
-RATE_OVER = 5.0  # s
+from verify.core.records import Array, Measurement, StereoPair
+from verify.live.joint_row import JointRow
+from verify.live.protocols import Alarm
+
+MAX_RESULTS = 1800  # results: a minute at 30 pairs a second
+BIN_WIDTH, N_BINS = 1e-4, 20_000  # s, and how many: what took longer than 2 s counts as that
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceLine:
+class LatencyPercentiles:
+    """Half and 99 of 100 results take so long at most, s; None before the first result."""
+
+    p50: float | None
+    p99: float | None
+
+
+class Latency:
+    """Collects how long each result took."""
+
+    def __init__(self) -> None:
+        self._values: deque[float] = deque(maxlen=MAX_RESULTS)
+        self._counts = np.zeros(N_BINS, dtype=np.int64)  # a whole run's memory must not grow
+
+    def add(self, seconds: float) -> None:
+        """Take one."""
+        self._values.append(seconds)
+        self._counts[min(max(int(seconds / BIN_WIDTH), 0), N_BINS - 1)] += 1
+
+    def percentiles(self) -> LatencyPercentiles:
+        """Say how long they took in the last while."""
+        values = list(self._values)
+        if not values:
+            return LatencyPercentiles(None, None)
+        p50, p99 = np.percentile(values, [50, 99]).tolist()
+        return LatencyPercentiles(p50, p99)
+
+    def of_all(self) -> LatencyPercentiles:
+        """Say how long they took in the whole run, to a tenth of a millisecond."""
+        until = np.cumsum(self._counts)
+        if not until[-1]:
+            return LatencyPercentiles(None, None)
+        p50, p99 = (
+            (int(np.searchsorted(until, q * until[-1])) + 1) * BIN_WIDTH for q in (0.5, 0.99)
+        )
+        return LatencyPercentiles(p50, p99)
+
+
+MAX_ALARMS = 200  # remembered; the JSON lines have all
+MAX_ROWS = 600  # remembered for lookers-on: twenty seconds at 30 pairs a second
+RATE_SPAN = 5.0  # s
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceStatus:
     """One device in a line."""
 
     name: str
@@ -26,7 +73,7 @@ class DeviceLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class LatestMeasurement:
     """The newest pair and what was measured in it."""
 
     pair: StereoPair
@@ -34,7 +81,7 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
+class LiveSnapshot:
     """Everything that there is to say, at one moment."""
 
     row: JointRow | None
@@ -43,8 +90,8 @@ class Snapshot:
     pairs: int
     measured: int
     dropped: Mapping[str, int]
-    latency: Percentiles
-    devices: tuple[DeviceLine, ...]
+    latency: LatencyPercentiles
+    devices: tuple[DeviceStatus, ...]
     alarms: tuple[Alarm, ...]  # newest first
     alarm_counts: Mapping[str, int]  # all of the run, by kind
     recording: str
@@ -57,15 +104,15 @@ class LiveState:
     latency: Latency = field(default_factory=Latency)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _told: threading.Condition = field(default_factory=threading.Condition)
-    _rows: "deque[tuple[int, JointRow]]" = field(default_factory=lambda: deque(maxlen=ROWS))
-    _times: "deque[float]" = field(default_factory=lambda: deque(maxlen=ROWS))
+    _rows: "deque[tuple[int, JointRow]]" = field(default_factory=lambda: deque(maxlen=MAX_ROWS))
+    _times: "deque[float]" = field(default_factory=lambda: deque(maxlen=MAX_ROWS))
     _alarms: dict[int, Alarm] = field(default_factory=dict)
     _counts: Counter[str] = field(default_factory=Counter)
     _status: Counter[str] = field(default_factory=Counter)
-    _seen: Seen | None = None
+    _seen: LatestMeasurement | None = None
     _statistic: Array | None = None
     _dropped: Mapping[str, int] = field(default_factory=dict)
-    _devices: tuple[DeviceLine, ...] = ()
+    _devices: tuple[DeviceStatus, ...] = ()
     _recording: str = ""
     _count: int = 0
 
@@ -93,24 +140,24 @@ class LiveState:
 
     def seen(self, pair: StereoPair, measurement: Measurement) -> None:
         """Take the newest pictures; those that nobody looked at are let go."""
-        self._seen = Seen(pair, measurement)
+        self._seen = LatestMeasurement(pair, measurement)
 
     def alarm(self, alarm: Alarm) -> None:
         """Take an alarm that is new, revised or over."""
         with self._lock:
             self._counts[alarm.kind] += not alarm.revised and alarm.ended is None
             self._alarms[alarm.number] = alarm
-            while len(self._alarms) > ALARMS:
+            while len(self._alarms) > MAX_ALARMS:
                 del self._alarms[min(self._alarms)]
 
     def facts(
-        self, devices: tuple[DeviceLine, ...], dropped: Mapping[str, int], recording: str
+        self, devices: tuple[DeviceStatus, ...], dropped: Mapping[str, int], recording: str
     ) -> None:
         """Take how everything is."""
         with self._lock:
             self._devices, self._dropped, self._recording = devices, dict(dropped), recording
 
-    def latest_pictures(self) -> Seen | None:
+    def latest_pictures(self) -> LatestMeasurement | None:
         """Give the newest pictures."""
         return self._seen
 
@@ -129,16 +176,16 @@ class LiveState:
         with self._lock:
             return dict(self._status)
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> LiveSnapshot:
         """Say everything."""
         with self._lock:
             now = time.monotonic()
-            recent = sum(1 for t in self._times if t > now - RATE_OVER)
+            recent = sum(1 for t in self._times if t > now - RATE_SPAN)
             alarms = tuple(self._alarms[n] for n in sorted(self._alarms, reverse=True))
-            return Snapshot(
+            return LiveSnapshot(
                 row=self._rows[-1][1] if self._rows else None,
                 statistic=self._statistic,
-                rate=recent / RATE_OVER,
+                rate=recent / RATE_SPAN,
                 pairs=self._count,
                 measured=self._status["measured"],
                 dropped=self._dropped,

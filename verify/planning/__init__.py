@@ -1,1 +1,1 @@
-"""The next session before anyone moves: which poses and motion, and what they would show."""
+"""The next session designed before anyone moves: poses, motion, what it would show."""

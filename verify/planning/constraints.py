@@ -1,4 +1,7 @@
-"""Which postures may be planned with, and what excludes the others, counted."""
+"""Which postures may be planned with, and what excludes the others, counted.
+
+Which LEDs either camera would see well enough to tell one from the other.
+"""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -6,22 +9,91 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.planning.skeleton import Skeleton, dexterity, skeleton
-from verify.planning.view import Flags, views
-from verify.planning.wishes import Bench, Wish
-from verify.records import Array
+from verify.core.records import Array
+from verify.core.rig import Camera
+from verify.planning.links import LinkChain, build_skeleton, dexterity
+from verify.planning.request import PlanningSetup, PlanRequest
+
+Flags = NDArray[np.bool_]
+
+MAX_CORNER_RATIO = 1.1  # of the picture's corner: farther out the lens' polynomial may fold back
+MIN_DEPTH = 0.1  # m: no camera of this kind focuses nearer
+MIN_SEPARATION = 1.5  # diameters between LED images that do not merge
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedView:
+    """What one camera would see of m poses of n LEDs."""
+
+    pixels: Array  # (m, n, 2), px; nan behind the camera or far outside
+    inside: Flags  # (m, n), clear of the picture's rim
+    facing: Flags  # (m, n), the camera stands within the LEDs' angle of view
+    apart: Flags  # (m, n), no other LED's image touches
+
+    @property
+    def seen(self) -> Flags:
+        """All three, (m, n)."""
+        return self.inside & self.facing & self.apart
+
+
+def visible_leds(
+    bench: PlanningSetup, base_T_flange: Array, margin: float, angle: float
+) -> tuple[PredictedView, PredictedView]:
+    """Look at poses of the flange with both cameras.
+
+    Args:
+        bench: rig and marker; the bases stand at the rig's own pan.
+        base_T_flange: (m, 4, 4), m.
+        margin: px between an LED's centre and the picture's rim.
+        angle: rad from the flange's z within which LEDs are seen.
+    """
+    rig_T_flange = bench.rig.rig_T_base @ base_T_flange
+    points = bench.marker.leds @ np.swapaxes(rig_T_flange[:, :3, :3], 1, 2)
+    points += rig_T_flange[:, None, :3, 3]
+    left, right = (
+        _view(bench, camera, points, rig_T_flange[:, :3, 2], margin, angle)
+        for camera in (bench.rig.left, bench.rig.right)
+    )
+    return left, right
+
+
+def _view(
+    bench: PlanningSetup, camera: Camera, points: Array, normal: Array, margin: float, angle: float
+) -> PredictedView:
+    placed = camera.camera_T_rig(camera.pan)
+    local = points @ placed[:3, :3].T + placed[:3, 3]
+    depth = local[..., 2]
+    near = np.maximum(depth, MIN_DEPTH)[..., None]
+    size = np.array(bench.rig.image_size, dtype=float) - 1
+    corners = np.array([[0.0, 0.0], [size[0], 0.0], [0.0, size[1]], size])
+    widest = MAX_CORNER_RATIO * float(np.linalg.norm(camera.normalise(corners), axis=1).max())
+    known = (depth > MIN_DEPTH) & (np.linalg.norm(local[..., :2] / near, axis=-1) < widest)
+    pixels = camera.project(np.concatenate([local[..., :2], near], axis=-1))
+    pixels[~known] = np.nan
+    inside = np.all((pixels > margin) & (pixels < size - margin), axis=-1)  # nan is outside
+    toward = camera.rig_T_camera(camera.pan)[:3, 3] - points
+    toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
+    facing = np.einsum("mni,mi->mn", toward, normal) > np.cos(angle)
+    diameter = camera.matrix[0, 0] * bench.marker.led_diameter / near[..., 0]
+    gaps = np.linalg.norm(pixels[:, :, None] - pixels[:, None], axis=-1)
+    gaps[:, range(len(bench.marker)), range(len(bench.marker))] = np.inf
+    merged = gaps < MIN_SEPARATION * diameter[:, :, None]  # of one that is not in view, nan: none
+    return PredictedView(pixels, inside, facing, ~merged.any(axis=2))
+
 
 Rows = NDArray[np.int64]
 
-FEWEST_LEDS = 3  # in both cameras: fewer leave a turn open
+MIN_LEDS = 3  # in both cameras: fewer leave a turn open
 MARGIN_PX = 40.0  # at a pose; on the way half of it
-SINGULAR = 0.1  # least singular value of J, lengths over 143 mm: robots.coupling's own gate
-SINGULAR_ON_THE_WAY = 0.03  # passed, not measured at
-CAMERA_CLEARANCE = 0.15  # m of any link or LED from the cameras
-THICKNESS = 0.08  # m between the middles of two links that do not touch
-BEND = 0.3  # m along the links: nearer points belong to one bend
-CHUNK = 4000  # postures at a time
-SLACK = 1e-9  # rad: rounding at a limit
+MIN_SINGULAR_VALUE = (
+    0.1  # least singular value of J, lengths over 143 mm: robots.coupling's own gate
+)
+MIN_SINGULAR_VALUE_PASSING = 0.03  # passed, not measured at
+MIN_CAMERA_CLEARANCE = 0.15  # m of any link or LED from the cameras
+MIN_LINK_DISTANCE = 0.08  # m between the middles of two links that do not touch
+MIN_LINK_SEPARATION = 0.3  # m along the links: nearer points belong to one bend
+CHUNK_POSTURES = 4000  # postures at a time
+TOL_LIMIT = 1e-9  # rad: rounding at a limit
 
 REASONS = (
     "fewer than 3 LEDs inside both pictures",
@@ -35,11 +107,11 @@ REASONS = (
 
 
 @dataclass(frozen=True)
-class Constraints:
+class PostureConstraints:
     """What a posture must keep."""
 
-    bench: Bench
-    wish: Wish
+    bench: PlanningSetup
+    wish: PlanRequest
     lower: Array = field(init=False)  # (j,), rad
     upper: Array = field(init=False)
 
@@ -53,15 +125,15 @@ class Constraints:
         object.__setattr__(self, "upper", upper)
 
     @cached_property
-    def skeleton(self) -> Skeleton:
+    def skeleton(self) -> LinkChain:
         """The arm's links."""
-        return skeleton(self.bench.arm)
+        return build_skeleton(self.bench.arm)
 
     @cached_property
     def _apart(self) -> Flags:
         """Which pairs of points are far from each other along the links, (p, p)."""
         way = self.skeleton.way
-        return np.abs(way[:, None] - way) > BEND
+        return np.abs(way[:, None] - way) > MIN_LINK_SEPARATION
 
     @cached_property
     def _eyes(self) -> Array:
@@ -81,25 +153,28 @@ class Constraints:
         Returns:
             (m,), the first of REASONS that does; -1 where none does.
         """
-        parts = [self._reason(q[i : i + CHUNK], on_the_way) for i in range(0, len(q), CHUNK)]
+        parts = [
+            self._reason(q[i : i + CHUNK_POSTURES], on_the_way)
+            for i in range(0, len(q), CHUNK_POSTURES)
+        ]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
     def good(self, q: Array, *, on_the_way: bool = False) -> Flags:
         """Say which postures (m, j) keep the joints' limits and everything else, (m,)."""
-        inside = np.all((q >= self.lower - SLACK) & (q <= self.upper + SLACK), axis=1)
+        inside = np.all((q >= self.lower - TOL_LIMIT) & (q <= self.upper + TOL_LIMIT), axis=1)
         inside[inside] = self.reason(q[inside], on_the_way=on_the_way) < 0
         return np.asarray(inside, dtype=bool)
 
     def _reason(self, q: Array, on_the_way: bool) -> Rows:
         margin = MARGIN_PX / 2 if on_the_way else MARGIN_PX
         frames = self.skeleton.frames(q)
-        left, right = views(self.bench, frames[:, -1], margin, self.wish.view_angle)
+        left, right = visible_leds(self.bench, frames[:, -1], margin, self.wish.view_angle)
         inside = left.inside & right.inside
         facing = inside & left.facing & right.facing
         apart = facing & left.apart & right.apart
         reason = np.full(len(q), -1, dtype=np.int64)
         for place, leds in reversed(list(enumerate((inside, facing, apart)))):
-            reason[leds.sum(axis=1) < FEWEST_LEDS] = place
+            reason[leds.sum(axis=1) < MIN_LEDS] = place
         left_over = np.flatnonzero(reason < 0)
         reason[left_over] = self._crowded(frames[left_over], on_the_way)
         return reason
@@ -111,11 +186,11 @@ class Constraints:
         away = np.linalg.norm(raised[:, :, None] - self._eyes, axis=-1).min(axis=(1, 2))
         gaps = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
         gaps[:, ~self._apart] = np.inf
-        least = SINGULAR_ON_THE_WAY if on_the_way else SINGULAR
+        least = MIN_SINGULAR_VALUE_PASSING if on_the_way else MIN_SINGULAR_VALUE
         broken = (
             (raised[:, :, 2] < self.wish.floor).any(axis=1),
-            away < CAMERA_CLEARANCE,
-            gaps.min(axis=(1, 2)) < THICKNESS,
+            away < MIN_CAMERA_CLEARANCE,
+            gaps.min(axis=(1, 2)) < MIN_LINK_DISTANCE,
             dexterity(frames) < least,
         )
         reason = np.full(len(frames), -1, dtype=np.int64)

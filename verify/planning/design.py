@@ -3,26 +3,94 @@
 D-optimal for the parameters asked for, beside what is registered and stated (D_s): greedy, then
 exchanged one by one for better ones. Source: Fedorov, Theory of Optimal Experiments, 1972; for
 calibration Borm and Menq, 1991 (their O1 is this determinant).
+
+What each kind of fault would do to every pair of a session: columns of the judgement's model.
+
+The columns are the diagnosis's own. Its faults are not taken whole, as `joint_faults` leaves out
+those that the motion at hand does not show: here a kind has a column for every joint, so that one
+which a plan does not show yet is told to be missing, and single poses can be weighed for it.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from verify.judgement.model import Model
+from verify.analysis.diagnosis.faults import shape_columns
+from verify.analysis.model import JointErrorModel
+from verify.calibration.kinematics.chain import (
+    ArmState,
+    Parameter,
+    chain_of,
+    geometry_parameters,
+    offset_parameters,
+)
+from verify.calibration.kinematics.model import predict_with_jacobian
+from verify.core.records import Array
 from verify.planning.constraints import Rows
-from verify.planning.kinds import geometry, kind
-from verify.planning.wishes import Bench
-from verify.records import Array
+from verify.planning.request import PlanningSetup
 
-STILL = ("offsets", "gains", "eccentricity", "kinematics")  # kinds that the poses decide
-WIDE = 10.0  # units (1°, 1 %, 1 mm): prior of what is asked for, so that a gauge does no harm
-LOOSE = 1e-6  # of the largest: prior of what is fitted with it
-ROUNDS = 3  # of exchanges
+PERCENT = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Information:
+class FaultKind:
+    """One kind of fault of every joint; docs/results.md says what a unit of each does."""
+
+    name: str
+    unit: str  # of what is predicted: deg, or percent of the angle
+    scale: float  # SI units in one of these
+    columns: tuple[Array, ...]  # (r, j) each, whitened, a SI unit; two where a phase is open
+
+
+def fault_kind(name: str, model: JointErrorModel) -> FaultKind:
+    """Lay out a kind's columns."""
+    q, degree = model.comparison.q, float(np.deg2rad(1.0))
+    if name == "offsets":
+        return FaultKind(name, "deg", degree, (model.offsets,))
+    if name == "gains":
+        return FaultKind(name, "percent", PERCENT, (_joint_columns(model, q),))
+    if name == "backlash":
+        return FaultKind(
+            name, "deg", degree, (_joint_columns(model, model.comparison.direction / 2),)
+        )
+    waves = _joint_columns(model, np.cos(q)), _joint_columns(model, np.sin(q))
+    return FaultKind(name, "deg", degree, waves)
+
+
+def _joint_columns(model: JointErrorModel, shapes: Array) -> Array:
+    """Columns (r, j) of joint errors that vary as (n, j) does."""
+    joints = range(shapes.shape[1])
+    return np.concatenate([shape_columns(model, j, shapes[:, [j]]) for j in joints], axis=1)
+
+
+def geometry_columns(
+    bench: PlanningSetup, model: JointErrorModel
+) -> tuple[tuple[Parameter, ...], Array]:
+    """The arm's parameters that may be identified, and their columns.
+
+    Returns:
+        L parameters, and (r, L), whitened, a unit of each parameter's tolerance (1 mm, 1°).
+    """
+    chain = chain_of(bench.arm)
+    parameters = (*offset_parameters(chain), *geometry_parameters(chain))
+    rows = np.zeros(len(model.comparison), dtype=np.int64)
+    still = np.eye(4)[None]
+    state = ArmState(chain, still, still)
+    _, columns = predict_with_jacobian(state, model.comparison.q, rows, rows, parameters)
+    scale = np.array([parameter.tolerance for parameter in parameters])
+    return parameters, model.white.rows(columns * scale)
+
+
+POSE_KINDS = ("offsets", "gains", "eccentricity", "kinematics")  # kinds that the poses decide
+PRIOR_SIGMA = (
+    10.0  # units (1°, 1 %, 1 mm): prior of what is asked for, so that a gauge does no harm
+)
+PRIOR_SHARE = 1e-6  # of the largest: prior of what is fitted with it
+MAX_ROUNDS = 3  # of exchanges
+
+
+@dataclass(frozen=True, slots=True)
+class DesignInformation:
     """Rows of n candidate poses, six each: of what is asked for, and of everything else."""
 
     asked: Array  # (n, 6, a), in units
@@ -30,7 +98,9 @@ class Information:
     prior: Array  # (a + o,), information that there is beforehand
 
 
-def information(bench: Bench, model: Model, observe: tuple[str, ...], weight: float) -> Information:
+def design_information(
+    bench: PlanningSetup, model: JointErrorModel, observe: tuple[str, ...], weight: float
+) -> DesignInformation:
     """Lay the judgement's model of single visits out pose by pose.
 
     Args:
@@ -39,13 +109,13 @@ def information(bench: Bench, model: Model, observe: tuple[str, ...], weight: fl
         observe: kinds; of those that only the motion decides the offsets stand for.
         weight: pairs that will be taken about each pose.
     """
-    names = [name for name in observe if name in STILL] or ["offsets"]
+    names = [name for name in observe if name in POSE_KINDS] or ["offsets"]
     columns = []
     for name in names:
         if name == "kinematics":
-            columns.append(geometry(bench, model)[1])
+            columns.append(geometry_columns(bench, model)[1])
         elif name != "offsets" or "kinematics" not in names:  # those hold the offsets
-            one = kind(name, model)
+            one = fault_kind(name, model)
             columns += [part * one.scale for part in one.columns]
     asked = np.concatenate(columns, axis=1)
     size = np.linalg.norm(model.fitted, axis=0)
@@ -57,20 +127,20 @@ def information(bench: Bench, model: Model, observe: tuple[str, ...], weight: fl
     laid[model.white.pair, place] = rows
     prior = np.concatenate(
         [
-            np.full(asked.shape[1], WIDE**-2),
-            np.full(fitted.shape[1], LOOSE),
+            np.full(asked.shape[1], PRIOR_SIGMA**-2),
+            np.full(fitted.shape[1], PRIOR_SHARE),
             np.ones(model.prior.shape[1]),
         ]
     )
-    return Information(laid[:, :, : asked.shape[1]], laid[:, :, asked.shape[1] :], prior)
+    return DesignInformation(laid[:, :, : asked.shape[1]], laid[:, :, asked.shape[1] :], prior)
 
 
-def some(known: Information, poses: Rows) -> Information:
+def select_poses(known: DesignInformation, poses: Rows) -> DesignInformation:
     """Some of the candidates."""
-    return Information(known.asked[poses], known.others[poses], known.prior)
+    return DesignInformation(known.asked[poses], known.others[poses], known.prior)
 
 
-def worth(known: Information, chosen: list[int], times: float = 1.0) -> float:
+def log_information(known: DesignInformation, chosen: list[int], times: float = 1.0) -> float:
     """Ln det of the information on what is asked for, everything else held open.
 
     Args:
@@ -86,12 +156,12 @@ def worth(known: Information, chosen: list[int], times: float = 1.0) -> float:
     return float(found)
 
 
-def choose(known: Information, count: int) -> list[int]:
+def choose_poses(known: DesignInformation, count: int) -> list[int]:
     """Choose so many poses; which ones, (count,)."""
     chosen: list[int] = []
     for _ in range(min(count, len(known.asked))):
         chosen.append(_best(known, chosen))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         changed = False
         for place in range(len(chosen)):
             rest = chosen[:place] + chosen[place + 1 :]
@@ -103,7 +173,7 @@ def choose(known: Information, count: int) -> list[int]:
     return chosen
 
 
-def _best(known: Information, chosen: list[int], standing: int | None = None) -> int:
+def _best(known: DesignInformation, chosen: list[int], standing: int | None = None) -> int:
     """The pose that adds most to the determinant; on a tie the one that stands there now."""
     gain = _gain(known, chosen)
     gain[chosen] = -np.inf
@@ -111,16 +181,16 @@ def _best(known: Information, chosen: list[int], standing: int | None = None) ->
     return standing if standing is not None and gain[best] <= gain[standing] + 1e-9 else best
 
 
-def _gain(known: Information, chosen: list[int]) -> Array:
+def _gain(known: DesignInformation, chosen: list[int]) -> Array:
     """What each pose adds to ln det of what is asked for, given everything else, (n,)."""
     every = np.concatenate([known.asked, known.others], axis=2)
     a = known.asked.shape[2]
-    whole = _added(every, every[chosen], known.prior)
-    alone = _added(known.others, known.others[chosen], known.prior[a:])
+    whole = _added_information(every, every[chosen], known.prior)
+    alone = _added_information(known.others, known.others[chosen], known.prior[a:])
     return whole - alone
 
 
-def _added(rows: Array, chosen: Array, prior: Array) -> Array:
+def _added_information(rows: Array, chosen: Array, prior: Array) -> Array:
     """Increase of ln det by six more rows, by the matrix determinant lemma, (n,)."""
     if not rows.shape[2]:
         return np.zeros(len(rows))

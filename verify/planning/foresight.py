@@ -3,40 +3,104 @@
 The spots that the pictures would show are handed to the very code that measures sessions and judges
 robots, without noise but with its stated size; so what is predicted is what `verify run` will
 state, not a model of it.
+
+How well a motion would tell the encoders' clock, in worlds that are off as rig and LEDs state.
+
+What joint offsets alone do not explain counts against a clock that is found from the motion: a
+world without errors would flatter it. So worlds are drawn, and the clock is sought in each.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import robots
-from verify.alignment import LONGEST_GAP, spot_instants
-from verify.clock import ClockEstimate
-from verify.comparison import Comparison, compare
-from verify.joints import solve_joints
-from verify.judgement.means import JointErrors, Means, mean_errors
-from verify.judgement.model import Model, build, clock_effect, with_pan_noise
-from verify.judgement.resolved import resolve
-from verify.judgement.visibility import Visibility, visibility
-from verify.measurement import Setup, measure
-from verify.planning.clock_foreseen import foreseen_clock
-from verify.planning.view import View, views
-from verify.planning.wishes import Bench, Conditions
-from verify.readings import Readings
-from verify.records import Array, Image, Measurement, Noise, Spots, StereoPair
-from verify.systematics import Systematics, sensitivities, stated
-from verify.track import Track, collect
+from verify.analysis.clock import ClockEstimate, estimate_clock
+from verify.analysis.comparison import Comparison, compare, solve_joints
+from verify.analysis.joint_errors import JointErrors, MeanErrors, mean_errors, resolve_errors
+from verify.analysis.model import (
+    JointErrorModel,
+    Observability,
+    add_pan_noise,
+    build_model,
+    clock_effect,
+    prior_columns,
+    visibility,
+)
+from verify.core.readings import Readings
+from verify.core.records import Array, Image, Measurement, Noise, Spots, StereoPair
+from verify.measurement.alignment import MAX_GAP, spot_instants
+from verify.measurement.chain import Setup, measure
+from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
+from verify.measurement.track import Track, collect_track
+from verify.planning.constraints import PredictedView, visible_leds
+from verify.planning.request import PlanningSetup, SessionConditions
+
+N_WORLDS = 5
+
+
+def simulate_clock(
+    track: Track,
+    arm: robots.Arm,
+    readings: Readings,
+    systematics: Systematics,
+    rng: np.random.Generator,
+) -> ClockEstimate:
+    """Find the clock in worlds drawn about what is stated.
+
+    Args:
+        track: poses without noise.
+        arm: the robot.
+        readings: on the cameras' clock.
+        systematics: what rig and marker state.
+        rng: draws the worlds.
+
+    Returns:
+        The offset of the perfect world, 0 but for the readings' noise, with the median uncertainty
+        of all; the perfect world's alone where the LEDs leave a turn open.
+    """
+    perfect = estimate_clock(track, arm, readings)
+    full = bool((track.known_dof == 6).all())
+    if perfect.source != "estimated" or not full:  # with turns left open the search takes minutes
+        return perfect
+    exact = ClockEstimate(0.0, None, "given", np.zeros((0, 2)))
+    comparison = compare(track, arm, readings, 0.0)
+    columns = prior_columns(comparison, track, exact, systematics)
+    roots = np.linalg.cholesky(track.covariance_pixels[comparison.index])
+    sizes = []
+    for _ in range(N_WORLDS):
+        off = columns @ rng.standard_normal(columns.shape[2])
+        noise = rng.standard_normal((len(comparison), 6, 1))
+        twist = np.zeros((len(track), 6))
+        twist[comparison.index] = off + (roots @ noise)[:, :, 0]
+        found = estimate_clock(_move_poses(track, twist), arm, readings)
+        # one that is not found in some world is as good as unknown there
+        sizes.append(found.standard_uncertainty or np.inf)
+    typical = float(np.median(sizes))
+    if not np.isfinite(typical):
+        return replace(perfect, offset=0.0, standard_uncertainty=None, source="not_observable")
+    return replace(perfect, standard_uncertainty=typical)
+
+
+def _move_poses(track: Track, twist: Array) -> Track:
+    """Move every pose by a twist (n, 6), base axes at the flange."""
+    poses = track.base_T_flange.copy()
+    poses[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ poses[:, :3, :3]
+    poses[:, :3, 3] += twist[:, :3]
+    return replace(track, base_T_flange=poses)
+
 
 Motion = Callable[[Array], Array]  # s (n,) to joint angles (n, j), rad
-RIM_PX = 8.0  # a spot nearer to the rim is cut off
-AROUND = 0.5  # s of readings before the first pair and after the last
-BURST = 0.2  # s of readings either side of a single visit
-PEAK = 200.0  # DN, of every LED: none is brighter than another
+MIN_BORDER_PX = 8.0  # a spot nearer to the rim is cut off
+READING_MARGIN = 0.5  # s of readings before the first pair and after the last
+BURST_TIME = 0.2  # s of readings either side of a single visit
+PEAK_DN = 200.0  # DN, of every LED: none is brighter than another
 
 
 @dataclass(frozen=True, slots=True)
-class Foreseen:
+class PredictedSession:
     """What a session of n pairs, of which m are measured, would give."""
 
     t: Array  # (n,), s
@@ -46,27 +110,27 @@ class Foreseen:
     systematics: Systematics
     clock: ClockEstimate
     comparison: Comparison
-    model: Model
+    model: JointErrorModel
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class PredictedAnalysis:
     """What the judgement would state of it."""
 
-    means: Means
-    visibility: Visibility
+    means: MeanErrors
+    visibility: Observability
     errors: JointErrors
     inverse: Array  # (m, j, 6), d joints / d pose
 
 
-def foresee(
-    bench: Bench,
+def simulate_session(
+    bench: PlanningSetup,
     motion: Motion,
     t: Array,
-    conditions: Conditions,
+    conditions: SessionConditions,
     view_angle: float,
     rng: np.random.Generator,
-) -> Foreseen | None:
+) -> PredictedSession | None:
     """Play a session in which nothing is wrong.
 
     Args:
@@ -80,30 +144,32 @@ def foresee(
     Returns:
         What would be found; None where no pair could be measured.
     """
-    play = _Play(bench, motion, conditions, view_angle)
+    play = _SyntheticPairs(bench, motion, conditions, view_angle)
     measurements = list(measure(play.pairs(t), play.setup()))
-    systematics = stated(bench.rig, bench.marker, turning=False)
+    systematics = stated_systematics(bench.rig, bench.marker, turning=False)
     effects = [
         sensitivities(systematics, m, bench.rig, bench.marker)
         for m in measurements
         if m.status == "measured"
     ]
-    track = collect(measurements, bench.rig, effects)
+    track = collect_track(measurements, bench.rig, effects)
     if not len(track):
         return None
     readings = _readings(motion, t, conditions, bench.arm.dof, rng)
     clock = (
-        foreseen_clock(track, bench.arm, readings, systematics, rng)
+        simulate_clock(track, bench.arm, readings, systematics, rng)
         if conditions.clock_uncertainty is None
         else ClockEstimate(0.0, conditions.clock_uncertainty, "given", np.zeros((0, 2)))
     )
     comparison = compare(track, bench.arm, readings, clock.offset)
-    comparison = with_pan_noise(comparison, track, systematics)
-    model = build(comparison, track, bench.rig, bench.marker, clock, systematics)
-    return Foreseen(t, motion(t), measurements, track, systematics, clock, comparison, model)
+    comparison = add_pan_noise(comparison, track, systematics)
+    model = build_model(comparison, track, bench.rig, bench.marker, clock, systematics)
+    return PredictedSession(
+        t, motion(t), measurements, track, systematics, clock, comparison, model
+    )
 
 
-def judge(foreseen: Foreseen, arm: robots.Arm) -> Judged:
+def estimate_means(foreseen: PredictedSession, arm: robots.Arm) -> PredictedAnalysis:
     """State means and their uncertainty as `verify run` does."""
     model, clock = foreseen.model, foreseen.clock
     comparison = foreseen.comparison
@@ -116,18 +182,18 @@ def judge(foreseen: Foreseen, arm: robots.Arm) -> Judged:
         clock=(inverse @ clock_effect(comparison))[:, :, 0],
     )
     estimated = clock.standard_uncertainty if clock.source == "estimated" else None
-    means = mean_errors(model, errors, resolve(model), estimated, foreseen.systematics)
-    return Judged(means, visibility(model), errors, inverse)
+    means = mean_errors(model, errors, resolve_errors(model), estimated, foreseen.systematics)
+    return PredictedAnalysis(means, visibility(model), errors, inverse)
 
 
-class _Play:
+class _SyntheticPairs:
     """Pairs without pictures, and the spots that would be in them.
 
     The chain asks for a pair's spots before it takes the next pair.
     """
 
     def __init__(
-        self, bench: Bench, motion: Motion, conditions: Conditions, view_angle: float
+        self, bench: PlanningSetup, motion: Motion, conditions: SessionConditions, view_angle: float
     ) -> None:
         self._bench, self._motion, self._conditions = bench, motion, conditions
         self._angle = view_angle
@@ -156,8 +222,8 @@ class _Play:
     def _flange(self, t: Array) -> Array:
         return robots.forward(self._bench.arm, self._motion(t))
 
-    def _looked(self, side: int, t: Array) -> View:
-        return views(self._bench, self._flange(t), RIM_PX, self._angle)[side]
+    def _looked(self, side: int, t: Array) -> PredictedView:
+        return visible_leds(self._bench, self._flange(t), MIN_BORDER_PX, self._angle)[side]
 
     def _spots(self, side: int, t: Array) -> list[Spots]:
         """One camera's spots of all pairs; each LED at its own row's instant."""
@@ -178,26 +244,26 @@ class _Play:
         return Spots(
             centre=centre,
             covariance=np.tile(sigma**2 * np.eye(2), (n, 1, 1)),
-            peak=np.full(n, PEAK),
+            peak=np.full(n, PEAK_DN),
             diameter=np.full(n, 1.0),
             elongation=np.ones(n),
             misfit=np.ones(n),
             saturated=np.zeros(n, dtype=bool),
             merged=np.zeros(n, dtype=bool),
-            colour=np.full((n, 3), PEAK),
+            colour=np.full((n, 3), PEAK_DN),
             noise=Noise(1.0, 0.0, 0.0),
         )
 
 
 def _readings(
-    motion: Motion, t: Array, conditions: Conditions, joints: int, rng: np.random.Generator
+    motion: Motion, t: Array, conditions: SessionConditions, joints: int, rng: np.random.Generator
 ) -> Readings:
     """The controller's readings on the cameras' clock, all along or about single visits."""
     step = 1 / conditions.reading_rate
-    visits = len(t) > 1 and float(np.diff(t).min()) > LONGEST_GAP
+    visits = len(t) > 1 and float(np.diff(t).min()) > MAX_GAP
     if visits:
-        log = (t[:, None] + np.arange(-BURST, BURST + step / 2, step)).ravel()
+        log = (t[:, None] + np.arange(-BURST_TIME, BURST_TIME + step / 2, step)).ravel()
     else:
-        log = np.arange(t[0] - AROUND, t[-1] + AROUND, step)
+        log = np.arange(t[0] - READING_MARGIN, t[-1] + READING_MARGIN, step)
     noise = conditions.reading_noise * rng.standard_normal((len(log), joints))
     return Readings(log, motion(log) + noise)

@@ -5,48 +5,55 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from verify.core.records import Array
 from verify.errors import InputError
-from verify.planning.constraints import Constraints
-from verify.planning.foresight import Foreseen, Judged, foresee, judge
-from verify.planning.prediction import (
-    ClockShown,
-    Geometry,
-    Shown,
-    clock_shown,
-    geometry_shown,
-    shown,
+from verify.planning.constraints import PostureConstraints
+from verify.planning.foresight import (
+    PredictedAnalysis,
+    PredictedSession,
+    estimate_means,
+    simulate_session,
 )
-from verify.planning.roadmap import Roadmap, roadmap
-from verify.planning.selection import FEWEST, selection
-from verify.planning.timing import Timed
-from verify.planning.wishes import Bench, Conditions, Wish
-from verify.records import Array
+from verify.planning.prediction import (
+    ClockPrediction,
+    FaultPrediction,
+    PredictedIdentifiability,
+    predict_clock,
+    predict_faults,
+    predict_geometry,
+)
+from verify.planning.request import PlanningSetup, PlanRequest, SessionConditions
+from verify.planning.roadmap import Roadmap, build_roadmap
+from verify.planning.selection import MIN_POSES, foresee_visits
+from verify.planning.timing import TimedMotion
 
 Progress = Callable[[int, int, str], None]
 STAGES = ("postures in view", "poses", "session foreseen")
 
 
 @dataclass(frozen=True, slots=True)
-class Prediction:
+class SessionPrediction:
     """What a motion would show."""
 
-    foreseen: Foreseen
-    judged: Judged
-    shown: list[Shown]
-    clock: ClockShown
-    geometry: Geometry | None
+    foreseen: PredictedSession
+    judged: PredictedAnalysis
+    shown: list[FaultPrediction]
+    clock: ClockPrediction
+    geometry: PredictedIdentifiability | None
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class SessionPlan:
     """The motion, and what it would show."""
 
     known: Roadmap
-    timed: Timed
-    prediction: Prediction
+    timed: TimedMotion
+    prediction: SessionPrediction
 
 
-def plan(bench: Bench, wish: Wish, conditions: Conditions, progress: Progress) -> Plan:
+def plan_motion(
+    bench: PlanningSetup, wish: PlanRequest, conditions: SessionConditions, progress: Progress
+) -> SessionPlan:
     """Choose poses, order and pace.
 
     Args:
@@ -59,32 +66,32 @@ def plan(bench: Bench, wish: Wish, conditions: Conditions, progress: Progress) -
         InputError: no posture is in view and allowed; too few, or too little time, for a plan.
     """
     rng = np.random.default_rng(wish.seed)
-    constraints = Constraints(bench, wish)
+    constraints = PostureConstraints(bench, wish)
     progress(0, len(STAGES), STAGES[0])
-    known = roadmap(constraints, rng)
-    if len(known.q) < FEWEST:
+    known = build_roadmap(constraints, rng)
+    if len(known.q) < MIN_POSES:
         raise InputError(
             "plan", f"{len(known.q)} postures in view can be reached from each other",
-            f"{FEWEST} or more are needed",
+            f"{MIN_POSES} or more are needed",
             "Turn the camera bases, move the rig, or give a wider --within-deg.",
         )  # fmt: skip
     progress(1, len(STAGES), STAGES[1])
-    timed = selection(constraints, known, conditions, rng).motion()
+    timed = foresee_visits(constraints, known, conditions, rng).motion()
     progress(2, len(STAGES), STAGES[2])
     t = np.arange(0.0, timed.duration + 1e-9, 1 / conditions.rate)
-    prediction = predict(bench, timed.q, t, wish, conditions, rng)
+    prediction = predict_session(bench, timed.q, t, wish, conditions, rng)
     progress(3, len(STAGES), "")
-    return Plan(known, timed, prediction)
+    return SessionPlan(known, timed, prediction)
 
 
-def predict(
-    bench: Bench,
+def predict_session(
+    bench: PlanningSetup,
     motion: Callable[[Array], Array],
     t: Array,
-    wish: Wish,
-    conditions: Conditions,
+    wish: PlanRequest,
+    conditions: SessionConditions,
     rng: np.random.Generator,
-) -> Prediction:
+) -> SessionPrediction:
     """Say what any motion would show, planned or not.
 
     Args:
@@ -98,7 +105,7 @@ def predict(
     Raises:
         InputError: no pair of it could be measured.
     """
-    foreseen = foresee(bench, motion, t, conditions, wish.view_angle, rng)
+    foreseen = simulate_session(bench, motion, t, conditions, wish.view_angle, rng)
     if foreseen is None:
         raise InputError(
             "plan", f"none of {len(t)} pairs could be measured",
@@ -106,10 +113,10 @@ def predict(
             "Look at marker.toml: LEDs of different distances or colours are told apart.",
         )  # fmt: skip
     asked = "kinematics" in wish.observe
-    return Prediction(
+    return SessionPrediction(
         foreseen,
-        judge(foreseen, bench.arm),
-        shown(foreseen.model, wish.observe),
-        clock_shown(foreseen),
-        geometry_shown(bench, foreseen.model) if asked else None,
+        estimate_means(foreseen, bench.arm),
+        predict_faults(foreseen.model, wish.observe),
+        predict_clock(foreseen),
+        predict_geometry(bench, foreseen.model) if asked else None,
     )

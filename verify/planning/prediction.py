@@ -1,25 +1,34 @@
-"""What a session would show: uncertainty and detectable size of every fault that is asked for."""
+"""What a session would show: uncertainty and detectable size of every fault that is asked for.
 
-from dataclasses import dataclass
+What a foretold uncertainty is made of: which source is worth mending before the session.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from verify.arm_identification.parameters import Parameter
-from verify.arm_identification.support import Support, observability, support, triangle
-from verify.judgement.model import Model, clock_effect
-from verify.judgement.visibility import DETECTION
-from verify.planning.foresight import Foreseen
-from verify.planning.kinds import Kind, geometry, kind
-from verify.planning.wishes import KINDS, Bench
-from verify.records import Array
-from verify.regression import left_over, solve
+from verify.analysis.joint_errors import is_fitted
+from verify.analysis.least_squares import residual_products, solve
+from verify.analysis.model import DETECTION_SIGMA, JointErrorModel, clock_effect, prior_columns
+from verify.calibration.kinematics.chain import Parameter
+from verify.calibration.kinematics.identifiability import (
+    Identifiability,
+    identifiability,
+    information_root,
+    observability_indices,
+)
+from verify.core.records import Array
+from verify.planning.design import FaultKind, fault_kind, geometry_columns
+from verify.planning.foresight import PredictedAnalysis, PredictedSession
+from verify.planning.request import FAULT_KINDS, PlanningSetup
 
-JOINT_KINDS = tuple(name for name in KINDS if name not in ("kinematics", "clock"))
-NOTHING = 1e-6  # of a column's squared length: rounding
+JOINT_KINDS = tuple(name for name in FAULT_KINDS if name not in ("kinematics", "clock"))
+TOL_COLUMN = 1e-6  # of a column's squared length: rounding
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class FaultPrediction:
     """One kind of fault, a joint each; nan where this session would not show it. SI units."""
 
     name: str
@@ -30,7 +39,7 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True)
-class ClockShown:
+class ClockPrediction:
     """How well the encoders' clock would be known; s, None where the motion does not show it."""
 
     standard_uncertainty: float | None
@@ -39,18 +48,18 @@ class ClockShown:
 
 
 @dataclass(frozen=True, slots=True)
-class Geometry:
+class PredictedIdentifiability:
     """Which of the arm's parameters could be identified, beside what rig and marker leave open."""
 
     parameters: tuple[Parameter, ...]  # those supported
     standard_uncertainty: Array  # m or rad
-    support: Support
+    support: Identifiability
     indexes: dict[str, float]
 
 
-def shown(model: Model, observe: tuple[str, ...]) -> list[Shown]:
+def predict_faults(model: JointErrorModel, observe: tuple[str, ...]) -> list[FaultPrediction]:
     """Predict every kind of fault of single joints that is asked for."""
-    kinds = [kind(name, model) for name in JOINT_KINDS if name in observe]
+    kinds = [fault_kind(name, model) for name in JOINT_KINDS if name in observe]
     if not kinds:
         return []
     columns = [part for one in kinds for part in one.columns]
@@ -67,50 +76,128 @@ def shown(model: Model, observe: tuple[str, ...]) -> list[Shown]:
             own = [place.start + j for place in places]
             if fit.estimable[own].all():
                 uncertainty[j] = np.sqrt(np.linalg.eigvalsh(fit.covariance[np.ix_(own, own)])[-1])
-        found.append(Shown(one.name, one.unit, one.scale, uncertainty, _detectable(model, one)))
+        found.append(
+            FaultPrediction(one.name, one.unit, one.scale, uncertainty, _detectable(model, one))
+        )
     return found
 
 
-def _detectable(model: Model, one: Kind) -> Array:
+def _detectable(model: JointErrorModel, one: FaultKind) -> Array:
     """The smallest that would be noticed of a joint's fault alone, worst phase, (j,)."""
     joints = model.joints.shape[1]
     smallest = np.full(joints, np.nan)
     for j in range(joints):
         columns = np.stack([part[:, j] for part in one.columns], axis=1)
-        left = np.linalg.eigvalsh(left_over(model.fitted, columns, model.prior))[0]
-        if left > NOTHING * np.sum(columns**2) > 0:
-            smallest[j] = DETECTION / np.sqrt(left)
+        left = np.linalg.eigvalsh(residual_products(model.fitted, columns, model.prior))[0]
+        if left > TOL_COLUMN * np.sum(columns**2) > 0:
+            smallest[j] = DETECTION_SIGMA / np.sqrt(left)
     return smallest
 
 
-def clock_shown(foreseen: Foreseen) -> ClockShown:
+def predict_clock(foreseen: PredictedSession) -> ClockPrediction:
     """Predict how well the motion tells the encoders' clock."""
     clock, model = foreseen.clock, foreseen.model
     if clock.source != "given":
-        return ClockShown(clock.standard_uncertainty, None, clock.source)
+        return ClockPrediction(clock.standard_uncertainty, None, clock.source)
     column = model.white.rows(clock_effect(foreseen.comparison))
     others = np.concatenate([model.offsets, model.fitted], axis=1)
-    left = float(left_over(others, column, model.prior)[0, 0])
-    known = left > NOTHING * float(np.sum(column**2)) > 0
-    smallest = DETECTION / float(np.sqrt(left)) if known else None
-    return ClockShown(clock.standard_uncertainty, smallest, clock.source)
+    left = float(residual_products(others, column, model.prior)[0, 0])
+    known = left > TOL_COLUMN * float(np.sum(column**2)) > 0
+    smallest = DETECTION_SIGMA / float(np.sqrt(left)) if known else None
+    return ClockPrediction(clock.standard_uncertainty, smallest, clock.source)
 
 
-def geometry_shown(bench: Bench, model: Model) -> Geometry:
+def predict_geometry(bench: PlanningSetup, model: JointErrorModel) -> PredictedIdentifiability:
     """Predict which of the arm's parameters `verify identify` could find, and how well."""
-    parameters, columns = geometry(bench, model)
-    loose = _unit(model.fitted) / NOTHING  # found with them, as good as free
-    known = triangle(columns, np.concatenate([model.prior, loose], axis=1))
-    supported = support(parameters, known)
+    parameters, columns = geometry_columns(bench, model)
+    loose = _unit(model.fitted) / TOL_COLUMN  # found with them, as good as free
+    known = information_root(columns, np.concatenate([model.prior, loose], axis=1))
+    supported = identifiability(parameters, known)
     own = [parameters.index(p) for p in supported.supported]
     tolerance = np.array([p.tolerance for p in supported.supported])
     _, size, vt = np.linalg.svd(known[:, own], full_matrices=False)
     spread = np.linalg.norm(vt.T / size, axis=1) * tolerance
-    indexes = observability(known[:, own], len(model.comparison))
-    return Geometry(supported.supported, spread, supported, indexes)
+    indexes = observability_indices(known[:, own], len(model.comparison))
+    return PredictedIdentifiability(supported.supported, spread, supported, indexes)
 
 
 def _unit(columns: Array) -> Array:
     size = np.linalg.norm(columns, axis=0)
     unit: Array = columns / np.where(size > 0, size, 1.0)
     return unit
+
+
+RANDOM_SOURCE, CLOCK_SOURCE, PAN_SOURCE = "pixels, alignment, readings", "clock", "pan angle"
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintyShare:
+    """One source's part of the mean errors' standard uncertainty."""
+
+    name: str
+    share: Array  # (j,), rad; nan where the mean is not known
+
+
+def uncertainty_sources(
+    foreseen: PredictedSession, judged: PredictedAnalysis
+) -> list[UncertaintyShare]:
+    """Take the mean errors' uncertainties apart.
+
+    Of plain means the squares add up. Where the means come from a fit, a share is what their
+    variance loses when the source is exact, and what sources share need not add up.
+
+    Args:
+        foreseen: the session.
+        judged: its means.
+    """
+    fitted = is_fitted(foreseen.model, judged.errors)
+    found = [UncertaintyShare(RANDOM_SOURCE, judged.means.random)]
+    for name, columns, others in _columns(foreseen):
+        share = (
+            _fitted_uncertainty(foreseen, others) if fitted else _plain_uncertainty(judged, columns)
+        )
+        if np.any(share > 0):
+            found.append(
+                UncertaintyShare(name, np.where(np.isnan(judged.means.mean), np.nan, share))
+            )
+    return found
+
+
+def _columns(foreseen: PredictedSession) -> Iterator[tuple[str, Array, Array]]:
+    """Each source's columns of unit variance (n, 6, p), and those of all others."""
+    comparison, clock = foreseen.comparison, foreseen.clock
+    parts: dict[str, Array] = {}
+    stated, exact = foreseen.systematics, replace(clock, standard_uncertainty=None)
+    still = replace(comparison, alignment_error=np.zeros_like(comparison.alignment_error))
+    still_pan = np.full(2, np.nan)
+    for source in dict.fromkeys(stated.sources):
+        keep = np.array([one == source for one in stated.sources])
+        own = replace(stated, covariance=stated.covariance * np.outer(keep, keep), pan=still_pan)
+        parts[source] = prior_columns(still, foreseen.track, exact, own)
+    none = replace(stated, covariance=np.zeros_like(stated.covariance))
+    parts[PAN_SOURCE] = prior_columns(still, foreseen.track, exact, none)
+    if clock.standard_uncertainty:
+        parts[CLOCK_SOURCE] = clock_effect(comparison) * clock.standard_uncertainty
+    for name, columns in parts.items():
+        rest = [other for key, other in parts.items() if key != name]
+        yield name, columns, np.concatenate([*rest, np.zeros((len(comparison), 6, 0))], axis=2)
+
+
+def _plain_uncertainty(judged: PredictedAnalysis, columns: Array) -> Array:
+    """Standard uncertainty carried through the plain mean, (j,)."""
+    known = ~np.isnan(judged.errors.error)
+    weight = known / np.maximum(known.sum(axis=0), 1)
+    share = np.einsum("ni,nij,njp->ip", weight, judged.inverse, columns)
+    size: Array = np.linalg.norm(share, axis=1)
+    return size
+
+
+def _fitted_uncertainty(foreseen: PredictedSession, others: Array) -> Array:
+    """What the fitted means' uncertainty loses when a source is exact, (j,)."""
+    model = foreseen.model
+    design = np.concatenate([model.offsets, model.fitted], axis=1)
+    joints = model.offsets.shape[1]
+    without = np.diag(solve(design, model.xi, model.white.rows(others)).covariance)[:joints]
+    whole = np.diag(solve(design, model.xi, model.prior).covariance)[:joints]
+    lost: Array = np.sqrt(np.maximum(whole - without, 0.0))
+    return lost

@@ -1,35 +1,149 @@
-"""A plan as results that `reports` words and keeps."""
+"""A plan as results that `reports` words and keeps.
+
+A plan as tables: for a controller, and for the report's pictures.
+"""
 
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from reports import Results
-from verify import __version__
-from verify.planning import tables
-from verify.planning.plan import Plan, Prediction
-from verify.planning.prediction import Geometry
-from verify.planning.timing import PERIOD, Timed
-from verify.planning.wishes import Bench, Conditions, Wish
-from verify.records import Array, Measurement
+from verify.core.records import Array, Measurement
+from verify.core.version import __version__
+from verify.planning.links import build_skeleton
+from verify.planning.plan import SessionPlan, SessionPrediction
+from verify.planning.prediction import PredictedIdentifiability, uncertainty_sources
+from verify.planning.request import PlanningSetup, PlanRequest, SessionConditions
+from verify.planning.timing import PERIOD, TimedMotion
 
-DEG, MM = float(np.deg2rad(1.0)), 1e-3
+MAX_DRAWN_ARMS = 6  # of the poses, in the picture of the path
+FLANGE_STEP = 0.25  # s between the points of the flange's way
+
+
+def trajectory_table(timed: TimedMotion) -> pd.DataFrame:
+    """The motion in even steps: t_s, q1_deg…, and the pose at which the arm rests, from 1."""
+    t = np.append(np.arange(0.0, timed.duration, PERIOD), timed.duration)
+    rest = [None if k is None else k + 1 for k in timed.resting(t)]
+    table = pd.DataFrame({"t_s": t, **_angles(timed.q(t))})
+    table["pose"] = pd.array(rest, dtype="Int64")
+    return table
+
+
+def pose_table(timed: TimedMotion) -> pd.DataFrame:
+    """The stops, for a controller that goes from pose to pose by itself."""
+    number = [None if stop.pose is None else stop.pose + 1 for stop in timed.stops]
+    return pd.DataFrame(
+        {
+            "stop": np.arange(1, len(timed.stops) + 1),
+            "pose": pd.array(number, dtype="Int64"),
+            "arrive_s": timed.arrive,
+            "leave_s": timed.leave,
+            "pace": np.concatenate([[np.nan], timed.pace]),
+            **_angles(np.array([stop.q for stop in timed.stops])),
+        }
+    )
+
+
+def pair_table(predicted: SessionPrediction) -> pd.DataFrame:
+    """What becomes of each pair."""
+    seen = predicted.foreseen
+    columns: dict[str, Any] = {
+        "frame": np.arange(len(seen.t)),
+        "t_s": seen.t,
+        "status": [m.status for m in seen.measurements],
+        **_angles(seen.q),
+    }
+    return pd.DataFrame(columns)
+
+
+def spot_table(measurements: list[Measurement], bench: PlanningSetup) -> pd.DataFrame:
+    """Every LED image of every pair that was measured."""
+    rows = [
+        (m.frame, camera, bench.marker.names[led], x, y)
+        for m in measurements
+        for camera, sighting in (("left", m.left), ("right", m.right))
+        if sighting is not None
+        for led, (x, y) in zip(sighting.led.tolist(), sighting.centre.tolist(), strict=True)
+    ]
+    return pd.DataFrame(rows, columns=["frame", "camera", "led", "x_px", "y_px"])
+
+
+def arm_table(timed: TimedMotion, bench: PlanningSetup) -> pd.DataFrame:
+    """The flange's way, and the links at some of the poses; robot's base frame."""
+    bones = build_skeleton(bench.arm)
+    t = np.append(np.arange(0.0, timed.duration, FLANGE_STEP), timed.duration)
+    flange = bones.frames(timed.q(t))[:, -1, :3, 3] * 1e3
+    rows = [("flange", 0, *place) for place in flange.tolist()]
+    stops = [stop.q for stop in timed.stops if stop.pose is not None]
+    some = np.unique(np.linspace(0, len(stops) // 2, MAX_DRAWN_ARMS).astype(int))
+    points = bones.points(bones.frames(np.array([stops[k] for k in some])))
+    for number, arm in enumerate(points * 1e3, start=1):
+        rows += [("arm", number, *place) for place in arm.tolist()]
+    return pd.DataFrame(rows, columns=["what", "number", "x_mm", "y_mm", "z_mm"])
+
+
+def camera_table(bench: PlanningSetup) -> pd.DataFrame:
+    """Where the cameras stand and look; robot's base frame."""
+    base_T_rig = np.linalg.inv(bench.rig.rig_T_base)
+    rows = []
+    for name, camera in (("left", bench.rig.left), ("right", bench.rig.right)):
+        placed = base_T_rig @ camera.rig_T_camera(camera.pan)
+        rows.append((name, *(placed[:3, 3] * 1e3).tolist(), *placed[:3, 2].tolist()))
+    return pd.DataFrame(
+        rows, columns=["camera", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z"]
+    )
+
+
+def fault_table(predicted: SessionPrediction) -> pd.DataFrame:
+    """Every kind of fault of every joint."""
+    rows = [
+        (j + 1, one.name, one.unit, u, smallest)
+        for one in predicted.shown
+        for j, (u, smallest) in enumerate(
+            zip(
+                (one.standard_uncertainty / one.scale).tolist(),
+                (one.detectable / one.scale).tolist(),
+                strict=True,
+            )
+        )
+    ]
+    return pd.DataFrame(
+        rows, columns=["joint", "kind", "unit", "standard_uncertainty", "minimum_detectable"]
+    )
+
+
+def source_table(predicted: SessionPrediction) -> pd.DataFrame:
+    """What each joint's uncertainty is made of."""
+    rows = [
+        (j + 1, one.name, u)
+        for one in uncertainty_sources(predicted.foreseen, predicted.judged)
+        for j, u in enumerate(np.rad2deg(one.share).tolist())
+    ]
+    return pd.DataFrame(rows, columns=["joint", "source", "standard_uncertainty_deg"])
+
+
+def _angles(q: Array) -> dict[str, Array]:
+    return {f"q{j + 1}_deg": np.rad2deg(q[:, j]) for j in range(q.shape[1])}
+
+
+FROM_DEG, FROM_MM = float(np.deg2rad(1.0)), 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class PlanProvenance:
     """What a plan was made for."""
 
-    bench: Bench
-    wish: Wish
-    conditions: Conditions
+    bench: PlanningSetup
+    wish: PlanRequest
+    conditions: SessionConditions
     inputs: dict[str, str]  # "sha256:…" by name
     warnings: tuple[str, ...]
 
 
-def results(made: Plan, origin: Origin) -> Results:
+def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
     """Turn a plan into results.
 
     Args:
@@ -37,7 +151,7 @@ def results(made: Plan, origin: Origin) -> Results:
         origin: what it was made for.
 
     Returns:
-        Summary as listed at the head of reports/plan.py; tables trajectory, poses, pairs, spots,
+        Summary as listed at the head of reports/plan/document.py; tables trajectory, poses, pairs, spots,
         arm, cameras, shown, sources.
     """
     predicted, timed = made.prediction, made.timed
@@ -64,19 +178,19 @@ def results(made: Plan, origin: Origin) -> Results:
         "warnings": list(origin.warnings),
     }
     kept = {
-        "trajectory": tables.trajectory(timed),
-        "poses": tables.poses(timed),
-        "pairs": tables.pairs(predicted),
-        "spots": tables.spots(seen.measurements, origin.bench),
-        "arm": tables.arm(timed, origin.bench),
-        "cameras": tables.cameras(origin.bench),
-        "shown": tables.shown(predicted),
-        "sources": tables.sources_table(predicted),
+        "trajectory": trajectory_table(timed),
+        "poses": pose_table(timed),
+        "pairs": pair_table(predicted),
+        "spots": spot_table(seen.measurements, origin.bench),
+        "arm": arm_table(timed, origin.bench),
+        "cameras": camera_table(origin.bench),
+        "shown": fault_table(predicted),
+        "sources": source_table(predicted),
     }
     return Results(summary=summary, setup={}, tables=kept)
 
 
-def _motion(timed: Timed, origin: Origin) -> dict[str, Any]:
+def _motion(timed: TimedMotion, origin: PlanProvenance) -> dict[str, Any]:
     visited = [stop.pose for stop in timed.stops if stop.pose is not None]
     return {
         "duration_s": timed.duration,
@@ -101,7 +215,7 @@ def _pairs(measurements: list[Measurement]) -> dict[str, Any]:
     }
 
 
-def _conditions(conditions: Conditions) -> dict[str, Any]:
+def _conditions(conditions: SessionConditions) -> dict[str, Any]:
     u = conditions.clock_uncertainty
     return {
         "rate_hz": conditions.rate,
@@ -113,7 +227,7 @@ def _conditions(conditions: Conditions) -> dict[str, Any]:
     }
 
 
-def _joints(predicted: Prediction, timed: Timed) -> list[dict[str, Any]]:
+def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, Any]]:
     means, seen = predicted.judged.means, predicted.foreseen
     visible = predicted.judged.visibility
     spread = np.sqrt(np.diag(means.covariance))
@@ -149,7 +263,7 @@ def _joints(predicted: Prediction, timed: Timed) -> list[dict[str, Any]]:
     ]
 
 
-def _clock(predicted: Prediction) -> dict[str, Any]:
+def _clock(predicted: SessionPrediction) -> dict[str, Any]:
     clock = predicted.clock
     return {
         "source": clock.source,
@@ -158,7 +272,7 @@ def _clock(predicted: Prediction) -> dict[str, Any]:
     }
 
 
-def _geometry(found: Geometry) -> dict[str, Any]:
+def _geometry(found: PredictedIdentifiability) -> dict[str, Any]:
     return {
         "supported": len(found.parameters),
         "candidates": found.support.candidates,
@@ -167,7 +281,7 @@ def _geometry(found: Geometry) -> dict[str, Any]:
             {
                 "name": parameter.name,
                 "unit": "deg" if parameter.angular else "mm",
-                "standard_uncertainty": float(u / (DEG if parameter.angular else MM)),
+                "standard_uncertainty": float(u / (FROM_DEG if parameter.angular else FROM_MM)),
             }
             for parameter, u in zip(found.parameters, found.standard_uncertainty, strict=True)
         ],

@@ -1,6 +1,10 @@
-"""Postures that may be planned with, and straight joint-space legs between them that may too."""
+"""Postures that may be planned with, and straight joint-space legs between them that may too.
+
+In which order the poses are visited, and over which ways: short, and clear all along.
+"""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -8,19 +12,19 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
 import robots
+from verify.core.records import Array
 from verify.errors import InputError
-from verify.planning.constraints import REASONS, Constraints, Rows
-from verify.records import Array
+from verify.planning.constraints import REASONS, PostureConstraints, Rows
 
-BATCH = 20_000  # postures drawn at a time
-MOST_DRAWN = 400_000
-ENOUGH = 150  # postures from all over; the others are found about these
-NODES = 500
-NEIGHBOURS = 12
-STEP = np.deg2rad(5.0)  # between the postures that a leg is looked at
-STRAY = np.deg2rad(20.0)  # standard deviation about a known posture, each joint
-WALKS = 40  # rounds of straying
-ROOM = "Give another --near or a wider --within-deg."
+N_BATCH = 20_000  # postures drawn at a time
+MAX_DRAWN = 400_000
+MIN_POSTURES = 150  # postures from all over; the others are found about these
+MAX_NODES = 500
+N_NEIGHBOURS = 12
+LEG_STEP = np.deg2rad(5.0)  # between the postures that a leg is looked at
+STRAY_SIGMA = np.deg2rad(20.0)  # standard deviation about a known posture, each joint
+MAX_WALKS = 40  # rounds of straying
+ROOM_REMEDY = "Give another --near or a wider --within-deg."
 REMEDIES = dict(
     zip(
         REASONS,
@@ -30,8 +34,8 @@ REMEDIES = dict(
             "Move the rig nearer, or the LEDs apart.",
             "Give a lower --floor-mm.",
             "Move the rig away from the arm.",
-            ROOM,
-            ROOM,
+            ROOM_REMEDY,
+            ROOM_REMEDY,
         ),
         strict=True,
     )
@@ -56,25 +60,25 @@ class Roadmap:
         return way[::-1]
 
 
-def roadmap(constraints: Constraints, rng: np.random.Generator) -> Roadmap:
+def build_roadmap(constraints: PostureConstraints, rng: np.random.Generator) -> Roadmap:
     """Draw postures that keep the constraints, and join them by legs that do.
 
     Raises:
         InputError: no posture keeps them; says how many each constraint excludes.
     """
-    q, tried, excluded = _drawn(constraints, rng)
+    q, tried, excluded = _draw_postures(constraints, rng)
     if not len(q):
-        raise _nothing(constraints, tried, excluded)
-    q = _uncoupled(constraints, _strayed(constraints, q, rng))
+        raise _no_posture_refusal(constraints, tried, excluded)
+    q = _reject_singular(constraints, _draw_nearby(constraints, q, rng))
     if not len(q):
         excluded[REASONS[-1]] += 1
-        raise _nothing(constraints, tried, excluded)
-    first = _largest(q, _legs(constraints, q), tried, excluded)
-    q = _uncoupled(constraints, _strayed(constraints, first.q, rng))
-    return _largest(q, _legs(constraints, q), tried, excluded)
+        raise _no_posture_refusal(constraints, tried, excluded)
+    first = _largest_component(q, _legs(constraints, q), tried, excluded)
+    q = _reject_singular(constraints, _draw_nearby(constraints, first.q, rng))
+    return _largest_component(q, _legs(constraints, q), tried, excluded)
 
 
-def _uncoupled(constraints: Constraints, q: Array) -> Array:
+def _reject_singular(constraints: PostureConstraints, q: Array) -> Array:
     """Leave out what the judgement would: it takes no pair near a singularity into its means."""
     arm = constraints.bench.arm
     if arm.dof != 6 or not len(q):  # more joints are always coupled
@@ -83,47 +87,49 @@ def _uncoupled(constraints: Constraints, q: Array) -> Array:
     return kept
 
 
-def _drawn(constraints: Constraints, rng: np.random.Generator) -> tuple[Array, int, dict[str, int]]:
+def _draw_postures(
+    constraints: PostureConstraints, rng: np.random.Generator
+) -> tuple[Array, int, dict[str, int]]:
     lower, upper = constraints.lower, constraints.upper
     found = np.zeros((0, len(lower)))
     counts = np.zeros(len(REASONS), dtype=np.int64)
     tried = 0
-    while len(found) < ENOUGH and tried < MOST_DRAWN:
-        q = rng.uniform(lower, upper, (BATCH, len(lower)))
+    while len(found) < MIN_POSTURES and tried < MAX_DRAWN:
+        q = rng.uniform(lower, upper, (N_BATCH, len(lower)))
         reason = constraints.reason(q)
         counts += np.bincount(reason[reason >= 0], minlength=len(REASONS))
         found = np.concatenate([found, q[reason < 0]])
         tried += len(q)
     excluded = {name: int(n) for name, n in zip(REASONS, counts, strict=True)}
-    return found[:ENOUGH], tried, excluded
+    return found[:MIN_POSTURES], tried, excluded
 
 
-def _strayed(constraints: Constraints, q: Array, rng: np.random.Generator) -> Array:
+def _draw_nearby(constraints: PostureConstraints, q: Array, rng: np.random.Generator) -> Array:
     """Add postures about those that are known: where few are in view, they are neighbours."""
-    for _ in range(WALKS):
-        if len(q) >= NODES:
+    for _ in range(MAX_WALKS):
+        if len(q) >= MAX_NODES:
             break
-        near = q[rng.integers(len(q), size=NODES)]
-        near = near + STRAY * rng.standard_normal(near.shape)
+        near = q[rng.integers(len(q), size=MAX_NODES)]
+        near = near + STRAY_SIGMA * rng.standard_normal(near.shape)
         q = np.concatenate([q, near[constraints.good(near)]])
-    return q[:NODES]
+    return q[:MAX_NODES]
 
 
-def _legs(constraints: Constraints, q: Array) -> Array:
+def _legs(constraints: PostureConstraints, q: Array) -> Array:
     """Legs (e, 2) between near postures, along which everything is kept."""
-    count = min(NEIGHBOURS + 1, len(q))
+    count = min(N_NEIGHBOURS + 1, len(q))
     near = KDTree(q).query(q, count, p=np.inf)[1].reshape(len(q), count)
     ends = np.stack([np.repeat(np.arange(len(q)), count), near.reshape(-1)], axis=1)
     ends = np.unique(np.sort(ends, axis=1), axis=0)
     ends = ends[ends[:, 0] != ends[:, 1]]
-    kept: Array = ends[clear(constraints, q[ends[:, 0]], q[ends[:, 1]])]
+    kept: Array = ends[clear_legs(constraints, q[ends[:, 0]], q[ends[:, 1]])]
     return kept
 
 
-def clear(constraints: Constraints, start: Array, end: Array) -> Array:
+def clear_legs(constraints: PostureConstraints, start: Array, end: Array) -> Array:
     """Say along which straight legs (e, j) to (e, j) everything is kept, (e,)."""
     spans = np.abs(end - start).max(axis=1, initial=0.0)
-    steps = np.maximum(np.ceil(spans / STEP).astype(int) - 1, 0)
+    steps = np.maximum(np.ceil(spans / LEG_STEP).astype(int) - 1, 0)
     leg = np.repeat(np.arange(len(start)), steps)
     place = np.concatenate([np.arange(1, n + 1) / (n + 1) for n in steps.tolist()] or [np.zeros(0)])
     between = start[leg] + place[:, None] * (end - start)[leg]
@@ -132,7 +138,7 @@ def clear(constraints: Constraints, start: Array, end: Array) -> Array:
     return kept
 
 
-def _largest(q: Array, legs: Array, tried: int, excluded: dict[str, int]) -> Roadmap:
+def _largest_component(q: Array, legs: Array, tried: int, excluded: dict[str, int]) -> Roadmap:
     """Keep the largest set of postures that can be reached from each other."""
     n = len(q)
     length = np.abs(q[legs[:, 0]] - q[legs[:, 1]]).max(axis=1, initial=0.0)
@@ -144,7 +150,9 @@ def _largest(q: Array, legs: Array, tried: int, excluded: dict[str, int]) -> Roa
     return Roadmap(q[kept], time, before.astype(np.int64), tried, excluded)
 
 
-def _nothing(constraints: Constraints, tried: int, excluded: dict[str, int]) -> InputError:
+def _no_posture_refusal(
+    constraints: PostureConstraints, tried: int, excluded: dict[str, int]
+) -> InputError:
     """Say what excludes every posture; the last that does is what to mend."""
     counts = {name: n for name, n in excluded.items() if n}
     said = ", ".join(f"{n:,} by {name}" for name, n in counts.items())
@@ -154,3 +162,95 @@ def _nothing(constraints: Constraints, tried: int, excluded: dict[str, int]) -> 
         "poses are planned where both cameras see 3 LEDs and the arm is clear of everything",
         REMEDIES[list(counts)[-1]],
     )
+
+
+MAX_ROUNDS = 20  # of improvements by turning parts of the tour around
+
+
+@dataclass(frozen=True, slots=True)
+class MotionStop:
+    """One posture on the way."""
+
+    q: Array  # (j,), rad
+    pose: int | None  # which of the poses, from 0; None: only passed
+
+
+def plan_tour(
+    constraints: PostureConstraints, known: Roadmap, chosen: list[int], *, back: bool
+) -> list[MotionStop]:
+    """Order the chosen postures and join them.
+
+    Args:
+        constraints: that the direct ways must keep.
+        known: postures and ways between them.
+        chosen: of its postures, the poses.
+        back: the same way back as well, so that every pose is come to from either side.
+
+    Returns:
+        The stops, the first pose first.
+    """
+    places = np.array(chosen, dtype=np.int64)
+    q = known.q[places]
+    length = known.time[np.ix_(places, places)].copy()
+    direct = np.abs(q[:, None] - q).max(axis=2)
+    one, other = np.triu_indices(len(q), 1)
+    free = clear_legs(constraints, q[one], q[other])
+    straight = np.zeros(length.shape, dtype=bool)
+    straight[one[free], other[free]] = straight[other[free], one[free]] = True
+    length[straight] = direct[straight]
+    order = _short_tour(length)
+    stops = [MotionStop(q[order[0]], 0)]
+    for number, (a, b) in enumerate(pairwise(order), start=1):
+        if not straight[a, b]:
+            way = known.way(int(places[a]), int(places[b]))[:-1]
+            stops += [
+                MotionStop(row, None) for row in _shortcut(constraints, q[a], known.q[way], q[b])
+            ]
+        stops.append(MotionStop(q[b], number))
+    return stops + stops[-2::-1] if back else stops
+
+
+def _short_tour(length: Array) -> Rows:
+    """A short open tour: the nearest next, then parts turned around while that shortens it."""
+    n = len(length)
+    tours = [_improve_tour(_nearest(length, start), length) for start in range(min(n, 5))]
+    return min(tours, key=lambda one: _tour_length(one, length))
+
+
+def _nearest(length: Array, start: int) -> Rows:
+    order, left = [start], set(range(len(length))) - {start}
+    while left:
+        order.append(min(left, key=lambda k: length[order[-1], k]))
+        left.remove(order[-1])
+    return np.array(order, dtype=np.int64)
+
+
+def _improve_tour(order: Rows, length: Array) -> Rows:
+    n = len(order)
+    for _ in range(MAX_ROUNDS):
+        before = _tour_length(order, length)
+        for i in range(n - 1):
+            for k in range(i + 1, n):
+                turned = np.concatenate([order[:i], order[i : k + 1][::-1], order[k + 1 :]])
+                if _tour_length(turned, length) < _tour_length(order, length) - 1e-9:
+                    order = turned
+        if _tour_length(order, length) > before - 1e-9:
+            break
+    return order
+
+
+def _tour_length(order: Rows, length: Array) -> float:
+    return float(length[order[:-1], order[1:]].sum())
+
+
+def _shortcut(constraints: PostureConstraints, start: Array, way: Array, end: Array) -> list[Array]:
+    """Leave out postures of a way where the leg past them is clear as well."""
+    whole = [start, *way, end]
+    kept, at = [], 0
+    while at < len(whole) - 1:
+        ahead = np.array(whole[at + 1 :])
+        free = clear_legs(constraints, np.tile(whole[at], (len(ahead), 1)), ahead)
+        free[0] = True  # a leg of the roadmap
+        at += 1 + int(np.flatnonzero(free)[-1])
+        kept.append(whole[at])
+    return kept[:-1]

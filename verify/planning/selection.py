@@ -4,33 +4,38 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from verify.core.records import Array
 from verify.errors import InputError
-from verify.planning.constraints import Constraints, Rows
-from verify.planning.design import Information, choose, information, some, worth
-from verify.planning.foresight import foresee
-from verify.planning.roadmap import Roadmap
-from verify.planning.timing import Timed, limits, schedule
-from verify.planning.tour import tour
-from verify.planning.wishes import Conditions
-from verify.records import Array
+from verify.planning.constraints import PostureConstraints, Rows
+from verify.planning.design import (
+    DesignInformation,
+    choose_poses,
+    design_information,
+    log_information,
+    select_poses,
+)
+from verify.planning.foresight import simulate_session
+from verify.planning.request import SessionConditions
+from verify.planning.roadmap import Roadmap, plan_tour
+from verify.planning.timing import TimedMotion, joint_limits, schedule
 
-APART = 5.0  # s between the visits that stand for candidates
-FEWEST = 4  # poses: fewer show no slope
-MOST = 60
-REACHES = (1.0, 0.5, 0.2)  # shares of the postures that are tried, those nearest to the others
+VISIT_INTERVAL = 5.0  # s between the visits that stand for candidates
+MIN_POSES = 4  # poses: fewer show no slope
+MAX_POSES = 60
+NEAR_SHARES = (1.0, 0.5, 0.2)  # shares of the postures that are tried, those nearest to the others
 
 
 @dataclass(frozen=True)
-class Selection:
+class PoseSelection:
     """Candidate poses and what a visit to each would tell."""
 
-    constraints: Constraints
+    constraints: PostureConstraints
     known: Roadmap
-    conditions: Conditions
-    rows: Information
+    conditions: SessionConditions
+    rows: DesignInformation
     node: Rows  # of each candidate, its posture in the roadmap
 
-    def motion(self) -> Timed:
+    def motion(self) -> TimedMotion:
         """Choose poses and time them: so many as asked for, or as fill the duration.
 
         Raises:
@@ -42,7 +47,7 @@ class Selection:
             return self._made(every, min(wish.poses, len(every)))[0]
         return self._filling(wish.duration or 0.0)
 
-    def _filling(self, duration: float) -> Timed:
+    def _filling(self, duration: float) -> TimedMotion:
         """Fill the time with poses from all over, or from near by; what tells more is taken."""
         best, most, shortest = None, -np.inf, np.inf
         for among in self._reaches():
@@ -52,7 +57,7 @@ class Selection:
                 best, most = timed, tells
         if best is None:
             raise InputError(
-                "--duration-s", f"{duration:g} s", f"{FEWEST} poses take {shortest:.0f} s",
+                "--duration-s", f"{duration:g} s", f"{MIN_POSES} poses take {shortest:.0f} s",
                 "Give more time, a higher --speed-deg-s or a shorter --hold-s.",
             )  # fmt: skip
         return best
@@ -61,13 +66,13 @@ class Selection:
         """Candidates from all over, and ever fewer about the one that is nearest to the others."""
         away = self.known.time[np.ix_(self.node, self.node)]
         near = np.argsort(away[int(np.argmin(away.mean(axis=1)))], kind="stable")
-        sizes = [max(int(share * len(near)), min(FEWEST, len(near))) for share in REACHES]
+        sizes = [max(int(share * len(near)), min(MIN_POSES, len(near))) for share in NEAR_SHARES]
         return [near[:size].astype(np.int64) for size in sizes]
 
-    def _fullest(self, among: Rows, duration: float) -> tuple[Timed, float]:
-        """As many poses as the duration allows, by halving; FEWEST where even those take longer."""
-        best = self._made(among, FEWEST)
-        low, high = FEWEST, min(MOST, len(among)) + 1
+    def _fullest(self, among: Rows, duration: float) -> tuple[TimedMotion, float]:
+        """As many poses as the duration allows, by halving; MIN_POSES where even those take longer."""
+        best = self._made(among, MIN_POSES)
+        low, high = MIN_POSES, min(MAX_POSES, len(among)) + 1
         while high - low > 1 and best[0].duration <= duration:
             middle = (low + high) // 2
             candidate = self._made(among, middle)
@@ -77,47 +82,52 @@ class Selection:
                 high = middle
         return best
 
-    def _made(self, among: Rows, count: int) -> tuple[Timed, float]:
+    def _made(self, among: Rows, count: int) -> tuple[TimedMotion, float]:
         """The motion through the best poses, and how much it tells: ln det of the information."""
         bench, wish = self.constraints.bench, self.constraints.wish
-        chosen = among[choose(some(self.rows, among), count)]
-        stops = tour(
+        chosen = among[choose_poses(select_poses(self.rows, among), count)]
+        stops = plan_tour(
             self.constraints, self.known, self.node[chosen].tolist(), back=wish.there_and_back
         )
-        timed = schedule(stops, limits(bench.arm, wish.speed), wish.hold)
+        timed = schedule(stops, joint_limits(bench.arm, wish.speed), wish.hold)
         # the pairs of the whole motion, shared out over its poses
         each = self.conditions.rate * timed.duration / len(chosen)
-        return timed, worth(self.rows, chosen.tolist(), each / _pairs(self.conditions, wish.hold))
+        return timed, log_information(
+            self.rows, chosen.tolist(), each / _pairs(self.conditions, wish.hold)
+        )
 
 
-def selection(
-    constraints: Constraints, known: Roadmap, conditions: Conditions, rng: np.random.Generator
-) -> Selection:
+def foresee_visits(
+    constraints: PostureConstraints,
+    known: Roadmap,
+    conditions: SessionConditions,
+    rng: np.random.Generator,
+) -> PoseSelection:
     """Foresee a visit to every posture of a roadmap.
 
     Raises:
         InputError: the LEDs cannot be told apart in any.
     """
     bench, wish = constraints.bench, constraints.wish
-    visits = APART * np.arange(len(known.q), dtype=np.float64)
+    visits = VISIT_INTERVAL * np.arange(len(known.q), dtype=np.float64)
     still = replace(conditions, skew=0.0, clock_uncertainty=0.0)  # at rest neither counts
 
     def posture(t: Array) -> Array:
-        q: Array = known.q[np.clip(np.round(t / APART).astype(int), 0, len(known.q) - 1)]
+        q: Array = known.q[np.clip(np.round(t / VISIT_INTERVAL).astype(int), 0, len(known.q) - 1)]
         return q
 
-    seen = foresee(bench, posture, visits, still, wish.view_angle, rng)
+    seen = simulate_session(bench, posture, visits, still, wish.view_angle, rng)
     if seen is None:
         raise InputError(
             "plan", f"the LEDs cannot be told apart in any of {len(visits)} postures",
             "an LED body without symmetry, or of several colours, can", "Change the marker.",
         )  # fmt: skip
     weight = _pairs(conditions, wish.hold)
-    rows = information(bench, seen.model, wish.observe, weight)
+    rows = design_information(bench, seen.model, wish.observe, weight)
     node = seen.track.frame[seen.comparison.index].astype(np.int64)
-    return Selection(constraints, known, conditions, rows, node)
+    return PoseSelection(constraints, known, conditions, rows, node)
 
 
-def _pairs(conditions: Conditions, hold: float) -> float:
+def _pairs(conditions: SessionConditions, hold: float) -> float:
     """Pairs taken about a pose: at rest there, and about a second nearby."""
     return max(conditions.rate * (hold + 1.0), 1.0)

@@ -6,24 +6,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from robots import Arm
-from verify.grab.limits import JointLimits
-from verify.grab.trajectory import Trajectory, between, timed
-from verify.planning.tour import Stop
-from verify.records import Array
+from robots.trajectory import JointLimits, Trajectory, joint_path, time_path
+from verify.core.records import Array
+from verify.planning.roadmap import MotionStop
 
 # Shares of the greatest speed, leg after leg: what tells a clock's error from a backlash is speed
 # that varies (corr(latency, backlash) is -0.15 to -0.73 at one speed).
 PACES = (1.0, 0.5, 0.8, 0.4)
-RAMP = 0.4  # s to full speed, where the arm's file states no acceleration
-EASE = 0.15  # s to full acceleration, likewise
+SPEED_UP_TIME = 0.4  # s to full speed, where the arm's file states no acceleration
+ACCELERATION_TIME = 0.15  # s to full acceleration, likewise
 PERIOD = 0.05  # s between the rows of plan.csv
 
 
 @dataclass(frozen=True)
-class Timed:
+class TimedMotion:
     """A motion from rest to rest; k stops."""
 
-    stops: tuple[Stop, ...]
+    stops: tuple[MotionStop, ...]
     arrive: Array  # (k,), s; the first at 0
     leave: Array  # (k,), s
     legs: tuple[Trajectory, ...]  # (k - 1)
@@ -44,7 +43,7 @@ class Timed:
 
     def _along(self, leg: int, since: Array) -> Array:
         trajectory = self.legs[leg]
-        place = np.array([_way(trajectory, s) for s in since.tolist()])
+        place = np.array([_sample_leg(trajectory, s) for s in since.tolist()])
         return trajectory.path.q(place)
 
     def resting(self, t: Array) -> list[int | None]:
@@ -57,12 +56,12 @@ class Timed:
         ]
 
 
-def limits(arm: Arm, speed: float) -> JointLimits:
+def joint_limits(arm: Arm, speed: float) -> JointLimits:
     """What the joints may do: the arm's file, and no joint faster than asked."""
     most = np.full(arm.dof, speed)
     if arm.speed is not None:
         most = np.minimum(most, arm.speed)
-    acceleration, jerk = most / RAMP, most / RAMP / EASE
+    acceleration, jerk = most / SPEED_UP_TIME, most / SPEED_UP_TIME / ACCELERATION_TIME
     if arm.acceleration is not None:
         acceleration = np.minimum(acceleration, arm.acceleration)
     if arm.jerk is not None:
@@ -70,7 +69,7 @@ def limits(arm: Arm, speed: float) -> JointLimits:
     return JointLimits(arm.lower, arm.upper, most, acceleration, jerk)
 
 
-def schedule(stops: Sequence[Stop], greatest: JointLimits, hold: float) -> Timed:
+def schedule(stops: Sequence[MotionStop], greatest: JointLimits, hold: float) -> TimedMotion:
     """Give each leg its pace and each pose its rest.
 
     Args:
@@ -82,22 +81,24 @@ def schedule(stops: Sequence[Stop], greatest: JointLimits, hold: float) -> Timed
     for k, stop in enumerate(stops):
         if k:
             pace = PACES[(k - 1) % len(PACES)]
-            leg = timed(between(stops[k - 1].q, stop.q), _slower(greatest, pace))
+            leg = time_path(joint_path(stops[k - 1].q, stop.q), _scale_limits(greatest, pace))
             now += leg.duration
             legs.append(leg)
             paces.append(pace)
         arrive.append(now)
         now += hold if stop.pose is not None else 0.0
         leave.append(now)
-    return Timed(tuple(stops), np.array(arrive), np.array(leave), tuple(legs), np.array(paces))
+    return TimedMotion(
+        tuple(stops), np.array(arrive), np.array(leave), tuple(legs), np.array(paces)
+    )
 
 
-def _slower(greatest: JointLimits, pace: float) -> JointLimits:
+def _scale_limits(greatest: JointLimits, pace: float) -> JointLimits:
     return JointLimits(
         greatest.lower, greatest.upper, pace * greatest.speed, greatest.acceleration, greatest.jerk
     )
 
 
-def _way(trajectory: Trajectory, since: float) -> float:
+def _sample_leg(trajectory: Trajectory, since: float) -> float:
     inside = min(max(since, 0.0), trajectory.duration)
     return float(trajectory.curve.at_time(inside)[0][0])

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from tests.verify.recorded import require_shared
+from tests.support.recorded import require_shared
 from verify.calibration.handeye import solve_hand_eye, solve_robustly
-from verify.calibration.motion_start import clock_candidates
-from verify.readings import Readings
-from verify.records import Array
+from verify.calibration.registration.start import clock_candidates
+from verify.core.readings import Readings
+from verify.core.records import Array
 
 
 def motions(places: Array, turns: Rotation) -> Array:

@@ -1,15 +1,14 @@
 import numpy as np
 import pytest
 
-from tests.verify.devices.bench import gather, kept, running, same_angles
-from verify.devices.intake import AngleMap
-from verify.devices.labenc import LabencSettings
+from tests.support.devices.bench import gather, kept, running, same_angles
+from verify.devices.encoders.intake import AngleMap
+from verify.devices.encoders.labenc import LabencSettings
 from verify.devices.pan import PanReader, PanServo
-from verify.emulators.faults import Faults
-from verify.emulators.labenc import BoardOptions
-from verify.emulators.pan import PanEngine
+from verify.simulation.emulators.encoders import LabencOptions, PanEngine
+from verify.simulation.emulators.server import EmulatorFaults
 
-OPTIONS = BoardOptions(arm="PANBASE", rate=50, greeting_after=0.05)
+OPTIONS = LabencOptions(arm="PANBASE", rate=50, greeting_after=0.05)
 
 
 @pytest.mark.parametrize("where", ["tcp:0", "pty"])
@@ -62,7 +61,7 @@ def test_a_limit_is_refused_by_the_board_and_said() -> None:
 
 
 def test_a_servo_that_is_gone_is_said() -> None:
-    with running(PanEngine(OPTIONS), faults=Faults(unplug=(0.5, 0.6))) as emulated:
+    with running(PanEngine(OPTIONS), faults=EmulatorFaults(unplug=(0.5, 0.6))) as emulated:
         servo = kept(PanServo(LabencSettings(emulated.address), same_angles(2)))
         gather(servo, lambda found: len(found) >= 1)
         gather(servo, lambda _: not servo.state().connected)

@@ -7,17 +7,16 @@ from functools import partial
 
 import pytest
 
-from tests.verify.devices.bench import gather, kept, same_angles
-from verify.devices.labenc import LabencEncoders, LabencSettings
-from verify.devices.link import Link
-from verify.devices.ports import USUAL_LINE, SerialLine, in_words, open_port
+from tests.support.devices.bench import gather, kept, same_angles
+from verify.devices.encoders.labenc import LabencEncoders, LabencSettings
+from verify.devices.ports import DEFAULT_LINE, PortLink, SerialLine, describe_port_error, open_port
 from verify.errors import InputError
 
 
 @pytest.mark.parametrize("address", ["tcp:host", "tcp:host:x", "udp:1.2.3.4:99999", "nonsense://a"])
 def test_an_address_that_never_can_be_opened_is_refused(address: str) -> None:
     with pytest.raises(InputError, match=r"port .*expected"):
-        open_port(address, USUAL_LINE)
+        open_port(address, DEFAULT_LINE)
 
 
 def test_settings_that_do_not_exist_are_refused() -> None:
@@ -26,7 +25,7 @@ def test_settings_that_do_not_exist_are_refused() -> None:
 
 
 def test_a_line_without_a_descriptor_is_waited_on_all_the_same() -> None:
-    port = open_port("loop://", USUAL_LINE)
+    port = open_port("loop://", DEFAULT_LINE)
     begin = time.monotonic()
     assert not port.wait(0.05)
     assert time.monotonic() - begin >= 0.05
@@ -38,7 +37,7 @@ def test_a_line_without_a_descriptor_is_waited_on_all_the_same() -> None:
 
 def test_socket_urls_are_taken_too() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        port = open_port(f"socket://127.0.0.1:{server.getsockname()[1]}", USUAL_LINE)
+        port = open_port(f"socket://127.0.0.1:{server.getsockname()[1]}", DEFAULT_LINE)
         port.close()
 
 
@@ -54,13 +53,13 @@ def test_socket_urls_are_taken_too() -> None:
     ],
 )
 def test_why_a_port_does_not_open_is_said_in_words(error: OSError, said: str) -> None:
-    assert said in in_words(error)
+    assert said in describe_port_error(error)
 
 
 def test_one_program_at_a_time_has_a_serial_port() -> None:
     ends = os.openpty()
     name = os.ttyname(ends[1])
-    first = open_port(name, USUAL_LINE)
+    first = open_port(name, DEFAULT_LINE)
     second = kept(LabencEncoders(LabencSettings(name), same_angles(6)))
     gather(second, lambda _: "another program has it open" in second.state().sentence)
     first.close()
@@ -77,7 +76,7 @@ def test_a_port_is_tried_ever_more_seldom() -> None:
         tries.append(t[0])
         raise ConnectionRefusedError
 
-    link = Link("somewhere", refuse, lambda: t[0])  # type: ignore[arg-type]
+    link = PortLink("somewhere", refuse, lambda: t[0])  # type: ignore[arg-type]
     for step in range(3000):
         t[0] = 0.01 * step
         link.receive(0.0)
@@ -94,7 +93,7 @@ def test_a_line_that_is_ended_from_there_is_told_from_one_that_is_taken(
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp:127.0.0.1:{server.getsockname()[1]}"
-        link = Link(address, partial(open_port, address, USUAL_LINE))
+        link = PortLink(address, partial(open_port, address, DEFAULT_LINE))
         assert link.receive(0.0) is None
         there, _ = server.accept()
         if greeting:

@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from tests.verify.live.spot_level import OFFSET, READ_EVERY, SpotRun, facing_rig, without_pictures
-from verify.live.clock_live import Clock
+from tests.support.spot_level import OFFSET, READ_EVERY, SpotRun, facing_rig, without_pictures
+from verify.core.readings import Readings
+from verify.live.clock import LiveClock
 from verify.live.joint_row import Comparer
-from verify.measurement import Setup, measure
-from verify.readings import Readings
+from verify.measurement.chain import Setup, measure
 
 SECONDS = 0.8
 
@@ -21,8 +21,8 @@ def test_pairs_that_one_reading_brackets_are_compared_together_as_they_would_be_
     readings = Readings(np.array([r.t for r in several]), np.array([r.q for r in several]))
     comparer = Comparer(run.arm, rig, marker, 1e-5, turning=False)
     # each pair has its own instant of a clock that drifts
-    pairs = [(m, Clock(OFFSET + 1e-5 * m.frame, 1e-4, "estimated")) for m in measured[-4:]]
-    lost = Clock(OFFSET - 1e3, 1e-4, "estimated")
+    pairs = [(m, LiveClock(OFFSET + 1e-5 * m.frame, 1e-4, "estimated")) for m in measured[-4:]]
+    lost = LiveClock(OFFSET - 1e3, 1e-4, "estimated")
     doubts = np.array([1e-4, 2e-4, 0.0, 3e-3, 5e-4])
     together = comparer.rows([*pairs[:2], (measured[0], lost), *pairs[2:]], readings, doubts)
     assert [row.status for row in together] == ["measured"] * 2 + ["no_encoder"] + ["measured"] * 2

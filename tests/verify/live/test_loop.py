@@ -13,19 +13,17 @@ import numpy as np
 import pytest
 
 import verify.live
-from tests.verify.live.spot_level import READ_EVERY, SpotRun, facing_rig, without_pictures
-from verify.cameras import CameraFrame, CameraState
-from verify.devices import DeviceState, EncoderReading
-from verify.live.alarms import Alarm
-from verify.live.clock_keeper import estimate
-from verify.live.joint_alarms import AlarmLimits
+from tests.support.spot_level import READ_EVERY, SpotRun, facing_rig, without_pictures
+from verify.core.readings import Readings
+from verify.core.records import Array, Measurement, StereoPair
+from verify.devices.protocols import CameraFrame, CameraState, DeviceState, EncoderReading
+from verify.live.alarms.joints import AlarmLimits
+from verify.live.clock import estimate_offset
 from verify.live.joint_row import JointRow
-from verify.live.loop import Live, Plan
-from verify.live.outputs import Command, Lines, Posted
-from verify.live.ports import Devices, Subject
-from verify.measurement import Setup, measure
-from verify.readings import Readings
-from verify.records import Array, Measurement, StereoPair
+from verify.live.loop import LiveLoop, LoopSettings
+from verify.live.outputs.listeners import AlarmCommand, JsonLines, ListenerThread
+from verify.live.protocols import Alarm, LiveDevices, MonitoredRobot
+from verify.measurement.chain import Setup, measure
 
 RATE = 10.0  # pairs a second: a machine that does other things keeps up
 WAIT = 0.02  # s
@@ -68,7 +66,7 @@ class PlayedCamera:
         spots = self._stage.run.spots(self._side, due)
         if self._stage.gone("leds"):
             spots = spots[:0]
-        from tests.verify.live.spot_level import picture
+        from tests.support.spot_level import picture
 
         return CameraFrame(t, 0.0, picture(spots), None, self._number)
 
@@ -162,13 +160,13 @@ class Heard:
         pass
 
 
-def watched(seconds: float, stage: Stage) -> tuple[Live, Memory, Heard]:
+def watched(seconds: float, stage: Stage) -> tuple[LiveLoop, Memory, Heard]:
     run = stage.run
-    devices = Devices(PlayedCamera(stage, 0), PlayedCamera(stage, 1), PlayedEncoders(stage))
+    devices = LiveDevices(PlayedCamera(stage, 0), PlayedCamera(stage, 1), PlayedEncoders(stage))
     recorder, heard = Memory(), Heard()
-    subject = Subject(run.arm, run.rig, run.marker, None)
-    plan = Plan(AlarmLimits(0.1, RATE, None), duration=seconds)
-    live = Live(subject, devices, recorder, plan, estimate, [heard])
+    subject = MonitoredRobot(run.arm, run.rig, run.marker, None)
+    plan = LoopSettings(AlarmLimits(0.1, RATE, None), duration=seconds)
+    live = LiveLoop(subject, devices, recorder, plan, estimate_offset, [heard])
     with without_pictures():
         live.run(threading.Event())
     assert not live._troubles, "a defect is told and outlived by a run, but not by its test"
@@ -189,16 +187,15 @@ def again(recorder: Memory, run: SpotRun) -> list[Measurement]:
 def test_live_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -> None:
     played = stage()
     _, recorder, heard = watched(4.0, played)
-    from verify.comparison import compare
-    from verify.joints import solve_joints
-    from verify.track import collect
+    from verify.analysis.comparison import compare, solve_joints
+    from verify.measurement.track import collect_track
 
     measured = again(recorder, played.run)
     assert recorder.closed
     assert len(heard.rows) == len(measured) == len(recorder.pairs) > 25
     live = [r for r in heard.rows if r.status == "measured"]
     assert len(live) >= 0.9 * len(measured)
-    track = collect(measured, played.run.rig, [np.zeros((6, 2))] * len(measured))
+    track = collect_track(measured, played.run.rig, [np.zeros((6, 2))] * len(measured))
     readings = Readings(
         np.array([r.t for r in recorder.readings]), np.array([r.q for r in recorder.readings])
     )
@@ -268,7 +265,7 @@ def test_a_listener_that_hangs_holds_up_nobody_and_gets_its_alarms() -> None:
         def alarm(self, alarm: Alarm) -> None:
             heard.alarm(alarm)
 
-    posted = Posted(Slow(), lambda _words: None)
+    posted = ListenerThread(Slow(), lambda _words: None)
     row = JointRow(0, 0.0, "measured", 4, *[np.zeros(6)] * 5, None)
     begin = time.monotonic()
     for _ in range(5000):
@@ -282,7 +279,7 @@ def test_a_listener_that_hangs_holds_up_nobody_and_gets_its_alarms() -> None:
 
 def test_json_lines_carry_units_the_clock_and_no_nan() -> None:
     written: list[dict[str, object]] = []
-    lines = Lines(written.append)
+    lines = JsonLines(written.append)
     row = JointRow(3, 1.5, "too_few_leds", 1, *[np.full(6, np.nan)] * 5, None)
     lines.row(row, np.zeros(6))
     lines.alarm(Alarm(1, "change", 2.0, 1.5, "text", (4, 3), 0.01, 0.001))
@@ -302,7 +299,7 @@ def test_the_command_gets_the_facts_and_no_shell_reads_them(tmp_path: Path) -> N
     )
     import sys
 
-    command = Command(f"{sys.executable} {script} {out} '$(touch nothing); *'")
+    command = AlarmCommand(f"{sys.executable} {script} {out} '$(touch nothing); *'")
     command.alarm(Alarm(7, "change", 0.0, 0.0, "text", (4,), 0.01, 0.001))
     joint, word, told = out.read_text().split("|")
     assert (joint, word) == ("4", "$(touch nothing); *")
@@ -318,7 +315,9 @@ def test_nothing_that_watches_can_command_a_robot() -> None:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("verify."):
                 module = node.module or ""
-                if module.startswith(("verify.devices", "verify.emulators", "verify.sim")):
+                if module.startswith(
+                    ("verify.devices", "verify.simulation.emulators", "verify.simulation")
+                ):
                     assert module in allowed, f"{file.name} imports {module}"
                     names = {alias.name for alias in node.names}
                     assert names <= {
@@ -333,8 +332,8 @@ def test_nothing_that_watches_can_command_a_robot() -> None:
 def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None:
     import cv2
 
-    from verify.detection import detect
-    from verify.live.beside import BesideDetector
+    from verify.live.measuring_process import ParallelDetector
+    from verify.measurement.detection.detect import detect
 
     chance, said = np.random.default_rng(0), []
     pictures = []
@@ -346,7 +345,7 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
             + chance.integers(0, 4, (240, 320)).astype(np.uint8)
         )
     windows = np.array([[60.0, 80.0, 200.0, 160.0]])
-    detector = BesideDetector(said.append)
+    detector = ParallelDetector(said.append)
     for where in (None, windows):
         found = detector(pictures[0], pictures[1], where, where)
         for picture, spots in zip(pictures, found, strict=True):
@@ -371,7 +370,7 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
 
 
 def test_a_file_waits_until_its_pictures_are_measured() -> None:
-    from verify.live.intake import DEPTH, PairQueue, Pump, camera_step
+    from verify.live.intake import MAX_QUEUED_PAIRS, PairQueue, PollingThread, camera_step
     from verify.live.pairing import Pairing
 
     class File:
@@ -389,7 +388,9 @@ def test_a_file_waits_until_its_pictures_are_measured() -> None:
 
     queue, failed = PairQueue(Pairing(1 / 30)), []
     pumps = [
-        Pump(str(side), camera_step(File(), side, queue, patient=True), lambda *e: failed.append(e))  # type: ignore[arg-type]  # what a camera step needs of one
+        PollingThread(
+            str(side), camera_step(File(), side, queue, patient=True), lambda *e: failed.append(e)
+        )  # type: ignore[arg-type]  # what a camera step needs of one
         for side in (0, 1)
     ]
     for pump in pumps:
@@ -406,14 +407,14 @@ def test_a_file_waits_until_its_pictures_are_measured() -> None:
     assert times == [k / 30 for k in range(1, 201)]
     assert queue.dropped() == {}
     assert failed == []
-    assert DEPTH < 200
+    assert MAX_QUEUED_PAIRS < 200
 
 
 def test_the_live_table_says_what_stands() -> None:
     from rich.console import Console
 
-    from verify.live.state import DeviceLine, LiveState
-    from verify.live.table import drawn
+    from verify.live.outputs.terminal import render_snapshot
+    from verify.live.state import DeviceStatus, LiveState
 
     state = LiveState()
     error = np.deg2rad([0.01, -0.02, 0.5, np.nan, 0.0, 0.0])
@@ -421,10 +422,10 @@ def test_the_live_table_says_what_stands() -> None:
     doubt = np.deg2rad(np.full(6, 0.02))
     state.row(JointRow(1, 1.0, "measured", 4, nothing, nothing, error, doubt, error, None), doubt)
     state.alarm(Alarm(1, "target", 0.0, 0.0, "Lost.\x1b[31m[red]"))
-    state.facts((DeviceLine("left camera", False, "gone"),), {"no partner in time": 3}, "kept")
+    state.facts((DeviceStatus("left camera", False, "gone"),), {"no partner in time": 3}, "kept")
     console = Console(width=110, record=True, force_terminal=False, no_color=True)
     with console.capture() as capture:
-        console.print(drawn(state.snapshot(), [0.2] * 6))
+        console.print(render_snapshot(state.snapshot(), [0.2] * 6))
     text = capture.get()
     for part in (
         "+0.500°",

@@ -1,8 +1,15 @@
 import numpy as np
 import pytest
 
-from verify.cameras import CameraFrame
-from verify.live.pairing import BACKWARDS, NO_PARTNER, STALLED, WAITING, FramePair, Pairing
+from verify.devices.protocols import CameraFrame
+from verify.live.pairing import (
+    MAX_WAITING,
+    NO_PARTNER,
+    NOT_LATER,
+    OTHER_CAMERA_STALLED,
+    FramePair,
+    Pairing,
+)
 
 DARK = np.zeros((2, 2), dtype=np.uint8)
 PERIOD = 1 / 30
@@ -47,17 +54,17 @@ def test_a_stalled_camera_costs_pairs_that_are_counted_and_no_memory() -> None:
     pairing = Pairing(PERIOD)
     for k in range(300):
         assert pairing.add(0, frame(k * PERIOD), 0.0) is None
-    assert pairing.dropped[STALLED] == 300 - WAITING
+    assert pairing.dropped[OTHER_CAMERA_STALLED] == 300 - MAX_WAITING
     after = play(pairing, [(10 + k * PERIOD, side) for k in range(5) for side in (0, 1)])
     assert len(after) == 5
-    assert pairing.dropped[STALLED] + pairing.dropped[NO_PARTNER] == 300
+    assert pairing.dropped[OTHER_CAMERA_STALLED] + pairing.dropped[NO_PARTNER] == 300
 
 
 def test_a_picture_that_is_not_later_than_the_last_is_refused() -> None:
     pairing = Pairing(PERIOD)
     play(pairing, [(1.0, 0), (1.0, 1)])
     assert pairing.add(0, frame(0.9), 0.0) is None
-    assert pairing.dropped == {BACKWARDS: 1}
+    assert pairing.dropped == {NOT_LATER: 1}
 
 
 def test_pictures_further_apart_than_the_tolerance_are_no_pair() -> None:

@@ -2,22 +2,22 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.verify.planning import scene
-from verify.planning.plan import Plan
-from verify.planning.wishes import Bench
+from tests.support import planning
+from verify.planning.plan import SessionPlan
+from verify.planning.request import PlanningSetup
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _few() -> Iterator[None]:
-    with scene.few_postures():
+    with planning.few_postures():
         yield
 
 
 @pytest.fixture(scope="session")
-def bench() -> Bench:
-    return scene.bench()
+def bench() -> PlanningSetup:
+    return planning.bench()
 
 
 @pytest.fixture(scope="session")
-def made(bench: Bench, _few: None) -> Plan:
-    return scene.planned(bench, scene.wish(), scene.conditions())
+def made(bench: PlanningSetup, _few: None) -> SessionPlan:
+    return planning.planned(bench, planning.wish(), planning.conditions())

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 import robots
-from tests.verify.planning.scene import HOME_DEG, wish
-from tests.verify.scene import project
+from tests.support.planning import HOME_DEG, wish
+from tests.support.scene import project
 from verify.errors import InputError
-from verify.planning.constraints import MARGIN_PX, REASONS, Constraints
-from verify.planning.roadmap import clear, roadmap
-from verify.planning.skeleton import SPACING, dexterity, skeleton
-from verify.planning.view import views
-from verify.planning.wishes import Bench, Wish
+from verify.planning.constraints import MARGIN_PX, REASONS, PostureConstraints, visible_leds
+from verify.planning.links import SPACING, build_skeleton, dexterity
+from verify.planning.request import PlanningSetup, PlanRequest
+from verify.planning.roadmap import build_roadmap, clear_legs
 
 HOME = np.deg2rad(HOME_DEG)
 
@@ -23,7 +22,7 @@ def test_the_skeleton_is_the_arm(name: str) -> None:
     """Against robots' own kinematics, pinocchio's for a URDF."""
     arm = robots.load(name)
     q = np.random.default_rng(0).uniform(arm.lower, arm.upper, (30, arm.dof))
-    bones = skeleton(arm)
+    bones = build_skeleton(arm)
     frames = bones.frames(q)
     np.testing.assert_allclose(frames[:, -1], robots.forward(arm, q), atol=1e-12)
     moves = robots.jacobian(arm, q).copy()
@@ -38,10 +37,10 @@ def test_the_skeleton_is_the_arm(name: str) -> None:
     assert len(bones.way) == len(still)
 
 
-def test_leds_are_where_opencv_sees_them(bench: Bench) -> None:
+def test_leds_are_where_opencv_sees_them(bench: PlanningSetup) -> None:
     q = HOME + np.deg2rad(8) * np.random.default_rng(1).uniform(-1, 1, (20, 6))
     poses = robots.forward(bench.arm, q)
-    seen = views(bench, poses, MARGIN_PX, np.deg2rad(60))
+    seen = visible_leds(bench, poses, MARGIN_PX, np.deg2rad(60))
     for camera, view in zip((bench.rig.left, bench.rig.right), seen, strict=True):
         for pose, pixels in zip(bench.rig.rig_T_base @ poses, view.pixels, strict=True):
             points = bench.marker.leds @ pose[:3, :3].T + pose[:3, 3]
@@ -54,29 +53,29 @@ def test_leds_are_where_opencv_sees_them(bench: Bench) -> None:
         np.testing.assert_array_equal(view.inside, rim > MARGIN_PX)
 
 
-def test_leds_behind_the_flange_are_not_seen(bench: Bench) -> None:
+def test_leds_behind_the_flange_are_not_seen(bench: PlanningSetup) -> None:
     pose = robots.forward(bench.arm, HOME[None])
-    facing = views(bench, pose, 0.0, np.deg2rad(60))
+    facing = visible_leds(bench, pose, 0.0, np.deg2rad(60))
     turned = pose.copy()
     turned[:, :3, 1:3] *= -1  # half a turn about the flange's x
-    hidden = views(bench, turned, 0.0, np.deg2rad(60))
+    hidden = visible_leds(bench, turned, 0.0, np.deg2rad(60))
     assert all(view.facing.all() for view in facing)
     assert not any(view.facing.any() for view in hidden)
-    assert all(view.facing.all() for view in views(bench, turned, 0.0, np.pi))
+    assert all(view.facing.all() for view in visible_leds(bench, turned, 0.0, np.pi))
 
 
-def test_images_that_touch_are_told(bench: Bench) -> None:
+def test_images_that_touch_are_told(bench: PlanningSetup) -> None:
     leds = bench.marker.leds.copy()
     leds[1] = leds[0] + [0.004, 0.0, 0.0]
     close = replace(bench, marker=replace(bench.marker, leds=leds))
-    seen = views(close, robots.forward(bench.arm, HOME[None]), 0.0, np.pi)
+    seen = visible_leds(close, robots.forward(bench.arm, HOME[None]), 0.0, np.pi)
     for view in seen:
         assert view.apart.tolist() == [[False, False, True]]
 
 
-def test_every_posture_and_leg_of_the_roadmap_keeps_everything(bench: Bench) -> None:
-    constraints = Constraints(bench, wish())
-    known = roadmap(constraints, np.random.default_rng(0))
+def test_every_posture_and_leg_of_the_roadmap_keeps_everything(bench: PlanningSetup) -> None:
+    constraints = PostureConstraints(bench, wish())
+    known = build_roadmap(constraints, np.random.default_rng(0))
     assert constraints.good(known.q).all()
     assert np.all(np.abs(known.q - HOME) <= np.deg2rad(35) + 1e-9)
     assert np.isfinite(known.time).all()
@@ -85,13 +84,13 @@ def test_every_posture_and_leg_of_the_roadmap_keeps_everything(bench: Bench) -> 
     way = [0, *known.way(0, len(known.q) - 1)]
     assert way[-1] == len(known.q) - 1
     legs = known.q[way]
-    assert clear(constraints, legs[:-1], legs[1:]).all()
+    assert clear_legs(constraints, legs[:-1], legs[1:]).all()
     total = np.abs(np.diff(legs, axis=0)).max(axis=1).sum()
     assert total == pytest.approx(known.time[0, -1])
 
 
-def test_counts_add_up(bench: Bench) -> None:
-    constraints = Constraints(bench, Wish())
+def test_counts_add_up(bench: PlanningSetup) -> None:
+    constraints = PostureConstraints(bench, PlanRequest())
     rng = np.random.default_rng(2)
     q = rng.uniform(constraints.lower, constraints.upper, (2000, 6))
     reason = constraints.reason(q)
@@ -107,19 +106,19 @@ def test_counts_add_up(bench: Bench) -> None:
     ],
 )
 def test_nothing_to_plan_is_said_with_its_counts(
-    changed: dict[str, float], said: str, remedy: str, bench: Bench
+    changed: dict[str, float], said: str, remedy: str, bench: PlanningSetup
 ) -> None:
-    constraints = Constraints(bench, wish(**changed))
+    constraints = PostureConstraints(bench, wish(**changed))
     with pytest.raises(InputError) as problem:
-        roadmap(constraints, np.random.default_rng(0))
+        build_roadmap(constraints, np.random.default_rng(0))
     assert f" by {said}" in problem.value.found
     assert remedy in problem.value.remedy
     assert "none of 40,000 postures of iust_6r" in problem.value.found
 
 
-def test_a_rig_that_looks_elsewhere_is_said(bench: Bench) -> None:
+def test_a_rig_that_looks_elsewhere_is_said(bench: PlanningSetup) -> None:
     away = bench.rig.rig_T_base.copy()
     away[0, 3] += 5.0
     elsewhere = replace(bench, rig=replace(bench.rig, rig_T_base=away))
     with pytest.raises(InputError, match="40,000 by fewer than 3 LEDs inside both pictures"):
-        roadmap(Constraints(elsewhere, Wish()), np.random.default_rng(0))
+        build_roadmap(PostureConstraints(elsewhere, PlanRequest()), np.random.default_rng(0))

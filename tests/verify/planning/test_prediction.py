@@ -1,33 +1,44 @@
-"""What is foretold against what the whole tool states of the recorded session, and brute force."""
+"""What is foretold against what the whole tool states of the recorded session, and brute force.
+
+The coverage factor that a plan foretells is the one that a session's budget states.
+"""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import msgspec
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from tests.verify.planning import scene
-from verify.analysis import analyse
-from verify.comparison import compare
-from verify.planning.foresight import Foreseen
-from verify.planning.kinds import kind
-from verify.planning.plan import Plan, predict
-from verify.planning.prediction import shown
-from verify.planning.sources import RANDOM, sources
-from verify.planning.wishes import KINDS, Bench
-from verify.readings import Readings
-from verify.records import Array
-from verify.regression import solve
+from tests.support import planning
+from verify.analysis.comparison import compare, solve_joints
+from verify.analysis.joint_errors import resolve_errors
+from verify.analysis.least_squares import solve
+from verify.analysis.model import build_model
+from verify.analysis.session import analyse
+from verify.analysis.uncertainty.budget import budget
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.io.session.session import Session
+from verify.planning.design import fault_kind
+from verify.planning.foresight import PredictedSession, estimate_means
+from verify.planning.plan import SessionPlan, predict_session
+from verify.planning.prediction import RANDOM_SOURCE, predict_faults, uncertainty_sources
+from verify.planning.request import FAULT_KINDS, PlanningSetup
 
 AGREES = 0.2  # of an uncertainty: noise of the pictures is taken as one number
 
 
 def test_a_recorded_session_states_what_was_foretold(
-    bench: Bench, made: Plan, monkeypatch: pytest.MonkeyPatch
+    bench: PlanningSetup, made: SessionPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Through rendered pictures, detection, identification, and cameras that are off as stated."""
-    session = scene.recorded(
-        bench, made, lambda plan: monkeypatch.setattr("verify.sim.sessions.plan", plan)
+    session = planning.recorded(
+        bench,
+        made,
+        lambda plan: monkeypatch.setattr("verify.simulation.world.motion.plan_motion", plan),
     )
     np.testing.assert_allclose(session.rig.rig_T_base, bench.rig.rig_T_base, atol=1e-9)
     summary = analyse(session).summary
@@ -43,15 +54,15 @@ def test_a_recorded_session_states_what_was_foretold(
 
 
 def test_a_recorded_session_knows_its_clock_as_was_foretold(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: PlanningSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What it states grows with what offsets do not explain, which is another in every world."""
-    made = scene.planned(bench, scene.wish(), scene.conditions(clock_uncertainty=None))
-    session = scene.recorded(
+    made = planning.planned(bench, planning.wish(), planning.conditions(clock_uncertainty=None))
+    session = planning.recorded(
         bench,
         made,
-        lambda plan: monkeypatch.setattr("verify.sim.sessions.plan", plan),
-        msgspec.structs.replace(scene.SCENARIO, clock=None),
+        lambda plan: monkeypatch.setattr("verify.simulation.world.motion.plan_motion", plan),
+        msgspec.structs.replace(planning.SCENARIO, clock=None),
     )
     stated = analyse(session).summary["clock"]["standard_uncertainty_s"]
     foretold = made.prediction.clock.standard_uncertainty
@@ -60,17 +71,19 @@ def test_a_recorded_session_knows_its_clock_as_was_foretold(
     assert 0.5 < foretold / stated < 2.0
 
 
-def test_much_less_is_noticed_than_by_turning_joint_1_alone(bench: Bench, made: Plan) -> None:
+def test_much_less_is_noticed_than_by_turning_joint_1_alone(
+    bench: PlanningSetup, made: SessionPlan
+) -> None:
     t = made.prediction.foreseen.t
-    home, sweep = np.deg2rad(scene.HOME_DEG), np.deg2rad(20.0)
+    home, sweep = np.deg2rad(planning.HOME_DEG), np.deg2rad(20.0)
 
     def quarter(at: Array) -> Array:
         q = np.tile(home, (len(at), 1))
         q[:, 0] += sweep * np.sin(np.pi * (np.asarray(at) / t[-1] - 0.5))
         return q
 
-    usual = predict(
-        bench, quarter, t, scene.wish(), scene.conditions(), np.random.default_rng(0)
+    usual = predict_session(
+        bench, quarter, t, planning.wish(), planning.conditions(), np.random.default_rng(0)
     ).judged.visibility
     ours = made.prediction.judged.visibility
     assert (ours.detectable < usual.detectable).all()
@@ -78,13 +91,13 @@ def test_much_less_is_noticed_than_by_turning_joint_1_alone(bench: Bench, made: 
     assert (ours.separable < usual.separable).all()
 
 
-def test_a_registration_through_the_encoders_hides_joints_1_and_6(bench: Bench) -> None:
+def test_a_registration_through_the_encoders_hides_joints_1_and_6(bench: PlanningSetup) -> None:
     blind = replace(
         bench,
         rig=replace(bench.rig, base_source="motion"),
         marker=replace(bench.marker, source="motion"),
     )
-    made = scene.planned(blind, scene.wish(), scene.conditions())
+    made = planning.planned(blind, planning.wish(), planning.conditions())
     visible = made.prediction.judged.visibility
     assert visible.fraction[[0, 5]].tolist() == [0.0, 0.0]
     assert np.isnan(visible.detectable[[0, 5]]).all()
@@ -95,7 +108,7 @@ def test_a_registration_through_the_encoders_hides_joints_1_and_6(bench: Bench) 
     assert np.isfinite(gains.standard_uncertainty).all()
 
 
-def test_an_error_of_a_given_clock_would_be_noticed(made: Plan) -> None:
+def test_an_error_of_a_given_clock_would_be_noticed(made: SessionPlan) -> None:
     clock = made.prediction.clock
     assert (clock.source, clock.standard_uncertainty) == ("given", 0.0)
     assert clock.detectable is not None
@@ -103,10 +116,12 @@ def test_an_error_of_a_given_clock_would_be_noticed(made: Plan) -> None:
 
 
 @pytest.mark.parametrize("name", ["offsets", "gains", "backlash", "eccentricity"])
-def test_a_kind_s_column_is_what_such_a_fault_does(bench: Bench, made: Plan, name: str) -> None:
+def test_a_kind_s_column_is_what_such_a_fault_does(
+    bench: PlanningSetup, made: SessionPlan, name: str
+) -> None:
     """Readings with the fault in, set against the same poses: the whitened twist they add."""
     seen = made.prediction.foreseen
-    columns = kind(name, seen.model).columns
+    columns = fault_kind(name, seen.model).columns
     for j in (1, 4):
         size = 1e-4
         effects = [faulty(bench, seen, name, j, part, size) for part in range(len(columns))]
@@ -116,7 +131,9 @@ def test_a_kind_s_column_is_what_such_a_fault_does(bench: Bench, made: Plan, nam
             )
 
 
-def faulty(bench: Bench, seen: Foreseen, name: str, j: int, part: int, size: float) -> Array:
+def faulty(
+    bench: PlanningSetup, seen: PredictedSession, name: str, j: int, part: int, size: float
+) -> Array:
     """Whitened change of the twists by a fault of joint j, rad or ratio."""
     clean = seen.comparison
     shape = {
@@ -138,9 +155,9 @@ def faulty(bench: Bench, seen: Foreseen, name: str, j: int, part: int, size: flo
     return seen.model.white.rows((xi[0] - xi[1])[:, :, None])[:, 0]
 
 
-def test_offsets_alone_are_the_judgement_s_own(made: Plan) -> None:
+def test_offsets_alone_are_the_judgement_s_own(made: SessionPlan) -> None:
     model = made.prediction.foreseen.model
-    alone = shown(model, ("offsets",))[0]
+    alone = predict_faults(model, ("offsets",))[0]
     np.testing.assert_allclose(
         alone.detectable, made.prediction.judged.visibility.detectable, rtol=1e-9
     )
@@ -152,7 +169,7 @@ def test_offsets_alone_are_the_judgement_s_own(made: Plan) -> None:
 
 @pytest.mark.parametrize(("skew", "line_time"), [(0.0, 0.0), (0.006, 0.0), (-0.003, 2e-5)])
 def test_pictures_taken_one_after_the_other_give_the_same_poses(
-    bench: Bench, made: Plan, skew: float, line_time: float
+    bench: PlanningSetup, made: SessionPlan, skew: float, line_time: float
 ) -> None:
     """Each LED at its own instant: what alignment leaves lies within what it states."""
     rig = bench.rig
@@ -161,9 +178,9 @@ def test_pictures_taken_one_after_the_other_give_the_same_poses(
         left=replace(rig.left, line_time=line_time),
         right=replace(rig.right, line_time=line_time),
     )
-    foretold = predict(
-        replace(bench, rig=rolling), made.timed.q, made.prediction.foreseen.t, scene.wish(),
-        replace(scene.conditions(), skew=skew), np.random.default_rng(0),
+    foretold = predict_session(
+        replace(bench, rig=rolling), made.timed.q, made.prediction.foreseen.t, planning.wish(),
+        replace(planning.conditions(), skew=skew), np.random.default_rng(0),
     )  # fmt: skip
     seen = foretold.foreseen
     assert len(seen.track) == len(seen.t)
@@ -174,24 +191,48 @@ def test_pictures_taken_one_after_the_other_give_the_same_poses(
         assert (u > before).all()
 
 
-def test_the_sources_make_up_the_uncertainty(made: Plan) -> None:
+def test_the_sources_make_up_the_uncertainty(made: SessionPlan) -> None:
     foretold = made.prediction
-    parts = sources(foretold.foreseen, foretold.judged)
-    assert {part.name for part in parts} >= {RANDOM, "rig", "robot base", "LED body"}
+    parts = uncertainty_sources(foretold.foreseen, foretold.judged)
+    assert {part.name for part in parts} >= {RANDOM_SOURCE, "rig", "robot base", "LED body"}
     whole = sum(part.share**2 for part in parts)
     np.testing.assert_allclose(whole, np.diag(foretold.judged.means.covariance), rtol=1e-9)
 
 
-def test_all_that_can_be_asked_for(bench: Bench) -> None:
-    made = scene.planned(bench, scene.wish(observe=KINDS), scene.conditions())
+def test_all_that_can_be_asked_for(bench: PlanningSetup) -> None:
+    made = planning.planned(bench, planning.wish(observe=FAULT_KINDS), planning.conditions())
     found = made.prediction.geometry
     assert found is not None
     assert found.support.candidates == 6 + 6 + 2 + 6 + 6  # offsets, α, Hayati's β, a, d
     assert {h.parameter.name for h in found.support.held if h.redundant} == {"d_2", "d_3"}
-    assert [one.name for one in made.prediction.shown] == list(KINDS[:4])
+    assert [one.name for one in made.prediction.shown] == list(FAULT_KINDS[:4])
 
 
-def test_a_duration_is_filled_and_not_exceeded(bench: Bench) -> None:
-    made = scene.planned(bench, scene.wish(poses=None, duration=40.0), scene.conditions())
+def test_a_duration_is_filled_and_not_exceeded(bench: PlanningSetup) -> None:
+    made = planning.planned(bench, planning.wish(poses=None, duration=40.0), planning.conditions())
     assert 25.0 < made.timed.duration <= 40.0
     assert max(stop.pose or 0 for stop in made.timed.stops) >= 4
+
+
+@pytest.mark.parametrize("degrees", [5.0, 20.0, np.inf])
+def test_a_plan_s_coverage_factor_is_the_budget_s(
+    bench: PlanningSetup, made: SessionPlan, degrees: float
+) -> None:
+    """A calibration from few boards rules some joints and not others."""
+    seen = made.prediction.foreseen
+    assert bench.rig.covariance is not None
+    rig = replace(bench.rig, covariance=replace(bench.rig.covariance, degrees_of_freedom=degrees))
+    systematics = replace(seen.systematics, degrees_of_freedom=degrees)
+    model = build_model(seen.comparison, seen.track, rig, bench.marker, seen.clock, systematics)
+    judged = estimate_means(replace(seen, systematics=systematics, model=model), bench.arm)
+    session = SimpleNamespace(
+        arm=bench.arm, rig=rig, encoder_resolution=None, encoder_time_standard_uncertainty=None,
+        instrument=None,
+    )  # fmt: skip
+    stated = budget(
+        model, seen.comparison, solve_joints(seen.comparison, bench.arm), judged.errors,
+        judged.means, resolve_errors(model), cast("Session", session), systematics, seen.track,
+        seen.clock,
+    ).coverage_factor  # fmt: skip
+    assert_allclose(judged.means.coverage_factor, stated, rtol=1e-9)
+    assert np.all((stated > 2.0) & (stated < 2.65)) if degrees < 10 else np.any(stated == 2.0)

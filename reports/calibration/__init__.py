@@ -1,0 +1,1 @@
+"""Reports on a calibration, its check and a registration."""

@@ -1,0 +1,290 @@
+"""What the report of an interim check says, in which order.
+
+The summary's keys, units in their names; what is not known is null:
+
+    kind, method          "calibration", "check"
+    tool, inputs, source, warnings as in a calibration's summary; decisions: sentences
+    verdict               "held" or "not_held"
+    confidence, limit     shared by the figures tested; limit of one, in standard uncertainties
+    pairs                 used: how many; left_out: frames
+    reprojection          rms_px
+    figures               figure ("scale", "vertical", "roll"), its value under scale_permille,
+                          vertical_px or roll_deg, standard_uncertainty_ in the same unit, z
+    square                null for a session; else known_mm, measured_mm, standard_uncertainty_mm
+    visible               change, smallest (null: none would be seen), unit
+    uncounted             sources that state no uncertainty
+
+Tables: lengths (ends, known_mm, measured_mm, error_mm, standard_uncertainty_mm, pairs), pairs
+(frame and the figures of single pairs), sources (source, u of each figure from it).
+
+The report of an interim check, in words: verdicts, figures, notes.
+"""
+
+from typing import Any
+
+from reports.calibration.check_figures import CHECK_FIGURES
+from reports.calibration.words import FigureText
+from reports.document.blocks import (
+    Block,
+    Bullets,
+    Cell,
+    Document,
+    Facts,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    Verdict,
+    figure_or_text,
+    number_figures,
+    provenance,
+    row,
+    software,
+)
+from reports.document.charts import column, texts
+from reports.document.formatting import (
+    count,
+    finite,
+    join_words,
+    number,
+    percent,
+    quantity,
+    significant,
+    text_or_dash,
+    with_uncertainty,
+)
+from reports.results import Results
+
+VERDICTS = {
+    "held": ("conform", "The calibration holds"),
+    "not_held": ("nonconform", "The calibration does not hold"),
+}
+SUMMARY_KEYS = {"scale": ("scale_permille", "‰"), "vertical": ("vertical_px", "px"),
+        "roll": ("roll_deg", "°")}  # fmt: skip
+FIGURE_NAMES = {
+    "scale": "Scale of known lengths",
+    "vertical": "Height between the images",
+    "roll": "Roll between the images",
+}
+UNITS = {"deg": "°"}
+
+
+class CheckNotes:
+    """Notes that stand under tables."""
+
+    UNSTATED = "No uncertainty is stated for {}: taken as exact, and the verdict rests on that."
+    FIGURES = (
+        "Scale: measured length over known, less 1. Height: by how much the right image lies below "
+        "where the left one says. Roll: by how much it is turned against it, clockwise. A camera "
+        "that was knocked shifts at least one of them; a turn of both together shifts none."
+    )
+    LENGTHS = (
+        "The uncertainty counts what the rig, the known length and the pictures state. Lengths "
+        "share most of it, so they err together."
+    )
+    VISIBLE = "A dash: however large, these figures do not show it."
+
+
+FIGURES = {
+    "lengths": FigureText(
+        "Error of each known length, with its expanded uncertainty (k = 2) as a bar about it.",
+        "Points with upright bars, one a known length: measured less known in millimetres.",
+        "No length was kept.",
+    ),
+    "figures": FigureText(
+        "The figures in units of their standard uncertainty; beyond the dotted limits the "
+        "calibration does not hold.",
+        "A point a figure, between two level lines that are the limits.",
+        "The figures are not known.",
+    ),
+    "over_pairs": FigureText(
+        "The figures of single pairs. The dashed line is what all pairs give together; pairs "
+        "scatter about it by the pixels' noise.",
+        "Three strips over the pairs: scale in thousandths, height in pixels, roll in degrees.",
+        "One pair alone: there is nothing to see pair by pair.",
+    ),
+}
+
+
+def document(results: Results) -> Document:
+    """Lay out the whole report."""
+    summary = results.summary
+    source = summary.get("source") or {}
+    return number_figures(
+        Document(
+            title="Interim check of a calibration",
+            subtitle=text_or_dash(
+                source.get("description") or source.get("path") or "a set of pictures"
+            ),
+            footer=f"{software(results.summary)} · interim check",
+            sections=tuple(section(results) for section in SECTIONS),
+        )
+    )
+
+
+def verdict(results: Results) -> Section:
+    """Open with whether the calibration holds, and what that rests on."""
+    summary = results.summary
+    said = str(summary.get("verdict"))
+    tone, label = VERDICTS.get(said, ("none", "Not known whether the calibration holds"))
+    uncounted = [text_or_dash(source) for source in summary.get("uncounted") or []]
+    remarks = [CheckNotes.UNSTATED.format(join_words(uncounted))] if uncounted else []
+    block = Verdict(tone=tone, label=label, sentence=_verdict_text(summary), remarks=tuple(remarks))
+    pairs, source = summary.get("pairs") or {}, summary.get("source") or {}
+    left_out = [count(frame) for frame in pairs.get("left_out") or []]
+    facts = Facts(
+        (
+            ("Pictures", text_or_dash(source.get("path"))),
+            ("Pairs used", count(pairs.get("used"))),
+            ("Pairs left out", join_words(left_out) or "none"),
+            ("Reprojection rms", quantity((summary.get("reprojection") or {}).get("rms_px"), "px")),
+        )
+    )
+    return Section("verdict", "Verdict", (block, facts))
+
+
+def _verdict_text(summary: dict[str, Any]) -> str:
+    limit = finite(summary.get("limit"))
+    entries = [e for e in summary.get("figures") or [] if finite(e.get("z")) is not None]
+    if limit is None or not entries:
+        return "Nothing was tested."
+    beyond = [FIGURE_NAMES[str(e.get("figure"))] for e in entries if abs(e["z"]) > limit]
+    share = percent(summary.get("confidence"))
+    if beyond:
+        verb = "is" if len(beyond) == 1 else "are"
+        return (
+            f"{join_words(beyond)} {verb} off by more than the uncertainty explains ({share}, "
+            "two-sided, for all figures together): calibrate again before measuring."
+        ).capitalize()
+    largest = max(abs(e["z"]) for e in entries)
+    return (
+        f"Every figure lies within its uncertainty ({share}, two-sided, for all together): the "
+        f"farthest is {largest:.1f} standard uncertainties from 0, {limit:.2f} are allowed."
+    )
+
+
+def figures(results: Results) -> Section:
+    """Show the three figures that were tested, all pairs together and pair by pair."""
+    blocks: list[Block] = []
+    entries = results.summary.get("figures") or []
+    if entries:
+        blocks.append(_figure_table(entries, finite(results.summary.get("limit"))))
+    blocks += [_figure_block(results, "figures"), _figure_block(results, "over_pairs")]
+    decisions = tuple(text_or_dash(said) for said in results.summary.get("decisions") or [])
+    if decisions:
+        blocks.append(Bullets(decisions))
+    return Section("figures", "What was tested", tuple(blocks))
+
+
+def _figure_table(entries: list[dict[str, Any]], limit: float | None) -> Table:
+    rows = []
+    for entry in entries:
+        name = str(entry.get("figure"))
+        key, unit = SUMMARY_KEYS.get(name, ("", ""))
+        value, u = entry.get(key), entry.get(f"standard_uncertainty_{key.rpartition('_')[2]}")
+        z = finite(entry.get("z"))
+        judged = Cell("not tested", "none")
+        if z is not None and limit is not None:
+            good = abs(z) <= limit
+            judged = Cell("within", "conform") if good else Cell("beyond", "nonconform")
+        rows.append(
+            row(
+                FIGURE_NAMES.get(name, name),
+                with_uncertainty(value, u, unit),
+                number(z, 1, signed=True),
+                judged,
+            )
+        )
+    return Table(
+        "The figures, each with its standard uncertainty (k = 1), all pairs together.",
+        "lrrl",
+        ("Figure", "Value ± u", "Value over u", "Verdict"),
+        tuple(rows),
+        (CheckNotes.FIGURES,),
+    )
+
+
+def lengths(results: Results) -> Section:
+    """Show each known length."""
+    blocks: list[Block] = []
+    table = results.table("lengths")
+    square = results.summary.get("square")
+    if square:
+        u = square.get("standard_uncertainty_mm")
+        facts = (
+            (
+                "Square as stated",
+                with_uncertainty(square.get("known_mm"), None, "mm", signed=False),
+            ),
+            (
+                "Square as measured",
+                with_uncertainty(square.get("measured_mm"), u, "mm", signed=False),
+            ),
+        )
+        blocks.append(Facts(facts))
+    if len(table):
+        rows = tuple(
+            row(
+                text_or_dash(line["ends"]),
+                number(line.get("known_mm"), 3),
+                with_uncertainty(line.get("error_mm"), line.get("standard_uncertainty_mm")),
+                count(line.get("pairs")),
+            )
+            for line in table.to_dict("records")
+        )
+        title = "Known lengths: measured less known, with standard uncertainties (k = 1)."
+        head = ("LEDs", "Known [mm]", "Error ± u [mm]", "Pairs")
+        blocks.append(Table(title, "lrrr", head, rows, (CheckNotes.LENGTHS,)))
+        blocks.append(_figure_block(results, "lengths"))
+    if not blocks:
+        blocks.append(Paragraph("No length was kept.", "note"))
+    return Section("lengths", "Known lengths", tuple(blocks))
+
+
+def power(results: Results) -> Section:
+    """Say which changes the check would have seen, and where its uncertainty comes from."""
+    blocks: list[Block] = []
+    visible = results.summary.get("visible") or []
+    if visible:
+        rows = tuple(
+            row(
+                text_or_dash(v.get("change")),
+                quantity(v.get("smallest"), _unit_sign(v.get("unit"))),
+            )
+            for v in visible
+        )
+        title = "The smallest change that this check would have seen, four times in five."
+        head = ("Change since the calibration", "Smallest")
+        blocks.append(Table(title, "lr", head, rows, (CheckNotes.VISIBLE,)))
+    table = results.table("sources")
+    if len(table):
+        parts = [column(table, key) for key, _ in SUMMARY_KEYS.values()]
+        rows = tuple(
+            row(text_or_dash(name), *(significant(part[i]) for part in parts))
+            for i, name in enumerate(texts(table, "source"))
+        )
+        title = "Standard uncertainty of each figure, by what it comes from."
+        columns = ("Source", "Scale [‰]", "Height [px]", "Roll [°]")
+        blocks.append(Table(title, "lrrr", columns, rows))
+    if not blocks:
+        blocks.append(Paragraph("What the check could have seen is not known.", "note"))
+    return Section("power", "What it would have seen", tuple(blocks))
+
+
+def _unit_sign(unit: Any) -> str:
+    return UNITS.get(str(unit), str(unit))
+
+
+def conditions(results: Results) -> Section:
+    """Say what the check was made from."""
+    facts = Facts((("Software", software(results.summary)),))
+    return Section("conditions", "Files and software", (facts, *provenance(results.summary)))
+
+
+def _figure_block(results: Results, name: str) -> Block:
+    said = FIGURES[name]
+    drawing = CHECK_FIGURES[name](results)
+    return figure_or_text(Figure(name, said.caption, said.alt), drawing, said.otherwise)
+
+
+SECTIONS = (verdict, figures, lengths, power, conditions)

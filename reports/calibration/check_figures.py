@@ -1,0 +1,146 @@
+"""Figures of an interim check: tables in, chart out, None for nothing to draw."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from reports.document.charts import Array, Chart, Line, Mark, Panel, Points, column, texts
+from reports.document.formatting import finite
+from reports.results import Results
+
+COVERAGE_FACTOR = 2.0  # coverage factor of the bars
+MAX_NAMED_LENGTHS = 28  # lengths whose names fit under an axis
+SHORT_NAMES = {"scale": "scale", "vertical": "height", "roll": "roll"}
+PAIR_PANELS = (  # of the figures a pair: column, key in the summary, label, unit
+    ("scale_permille", "scale [‰]", "‰"),
+    ("vertical_px", "height [px]", "px"),
+    ("roll_deg", "roll [°]", "°"),
+)
+
+
+def lengths(results: Results) -> Chart | None:
+    """Error of each known length with its expanded uncertainty."""
+    table = results.table("lengths")
+    error, u = column(table, "error_mm"), column(table, "standard_uncertainty_mm")
+    if not np.isfinite(error + u).any():
+        return None
+    return _error_bars(error, COVERAGE_FACTOR * u, texts(table, "ends"), "error [mm]", "mm")
+
+
+def figures(results: Results) -> Chart | None:
+    """Each figure in its standard uncertainty, against the limit."""
+    entries = results.summary.get("figures") or []
+    z = [finite(entry.get("z")) for entry in entries]
+    limit = finite(results.summary.get("limit"))
+    if limit is None or not any(value is not None for value in z):
+        return None
+    places = np.arange(len(z), dtype=float)
+    heights = np.array([np.nan if value is None else value for value in z])
+    good = np.abs(heights) <= limit
+    ends = (-0.6, len(z) - 0.4)
+    marks: list[Mark] = [
+        _horizontal_line(limit, ends, "tolerance", f"limit ± {limit:.2f}"),
+        _horizontal_line(-limit, ends, "tolerance"),
+    ]
+    for chosen, role, name in ((good, "used", "within"), (~good, "unused", "beyond")):
+        shown = chosen & np.isfinite(heights)
+        if shown.any():
+            marks.append(Points(places[shown], heights[shown], role, name, 4.0))
+    reach = 1.25 * max(limit, float(np.nanmax(np.abs(heights))))
+    panel = Panel(
+        tuple(marks),
+        "figure over its u",
+        x_ticks=tuple(
+            (float(at), SHORT_NAMES.get(str(entry.get("figure")), ""))
+            for at, entry in zip(places, entries, strict=True)
+        ),
+        x_range=ends,
+        y_range=(-reach, reach),
+    )
+    return Chart((panel,), row_height=1.9, width=0.7)
+
+
+def over_pairs(results: Results) -> Chart | None:
+    """The three figures of single pairs, with what all of them give together."""
+    table = results.table("pairs")
+    frames = column(table, "frame")
+    if len(frames) < 2:
+        return None
+    entries = results.summary.get("figures") or []
+    panels = []
+    for place, (name, label, unit) in enumerate(PAIR_PANELS):
+        values = column(table, name)
+        known = np.isfinite(frames + values)
+        if not known.any():
+            continue
+        together = finite(entries[place].get(name)) if place < len(entries) else None
+        ends = _frame_range(frames[known])
+        marks: list[Mark] = [Points(frames[known], values[known], "measured", "a pair", 3.0)]
+        if together is not None:
+            marks.append(_horizontal_line(together, ends, "encoder", "all pairs together"))
+        panels.append(
+            Panel(
+                tuple(marks),
+                label,
+                x_range=ends,
+                y_range=_range_with_zero(values[known], together),
+                unit=unit,
+            )
+        )
+    if not panels:
+        return None
+    last = panels[-1]
+    panels[-1] = Panel(
+        last.marks, last.y_label, "pair", x_range=last.x_range, y_range=last.y_range, unit=last.unit
+    )
+    return Chart(tuple(panels), row_height=1.0, shared_x=True)
+
+
+def _error_bars(error: Array, half: Array, names: list[str], label: str, unit: str) -> Chart:
+    """Points with upright bars about them, and a line at 0."""
+    places = np.arange(len(error), dtype=float)
+    reach = 1.15 * float(np.nanmax(np.abs(error) + half)) or 1.0
+    gap = np.full_like(error, np.nan)
+    upright = np.stack([places, places, gap], axis=1).ravel()
+    bars = np.stack([error - half, error + half, gap], axis=1).ravel()
+    ends = (-0.6, len(error) - 0.4)
+    marks: tuple[Mark, ...] = (
+        _horizontal_line(0.0, ends, "muted"),
+        Line(upright, bars, "error", "U (k = 2)"),
+        Points(places, error, "error", "measured less known", 4.0),
+    )
+    every = -(-len(names) // MAX_NAMED_LENGTHS)  # rounded up
+    panel = Panel(
+        marks,
+        label,
+        "LEDs at its ends",
+        x_ticks=tuple(zip(places.tolist(), names, strict=True))[::every],
+        x_range=ends,
+        y_range=(-reach, reach),
+        unit=unit,
+    )
+    return Chart((panel,), row_height=1.9)
+
+
+def _horizontal_line(value: float, ends: tuple[float, float], role: str, name: str = "") -> Line:
+    """A level line over the whole panel, whatever the points' range."""
+    return Line(np.array(ends), np.full(2, value), role, name)
+
+
+def _frame_range(frames: Array) -> tuple[float, float]:
+    room = 0.02 * float(np.ptp(frames)) + 0.5
+    return float(frames.min()) - room, float(frames.max()) + room
+
+
+def _range_with_zero(values: Array, together: float | None) -> tuple[float, float]:
+    """A range with 0 in it: how far off, not only how scattered, is to be seen."""
+    known = np.append(values, [0.0, together or 0.0])
+    room = 0.08 * float(np.ptp(known)) or 1.0
+    return float(known.min()) - room, float(known.max()) + room
+
+
+CHECK_FIGURES: dict[str, Callable[[Results], Chart | None]] = {
+    "lengths": lengths,
+    "figures": figures,
+    "over_pairs": over_pairs,
+}

@@ -1,0 +1,221 @@
+"""What the report of a calibration from boards says, in which order."""
+
+from typing import Any
+
+import pandas as pd
+
+from reports.calibration import check
+from reports.calibration.rig import (
+    accuracy,
+    figure_block,
+    format_distance,
+    improvement,
+    main_improvement,
+    parameters,
+    stereo,
+    working_distance_entry,
+)
+from reports.calibration.words import CalibrationNotes
+from reports.document.blocks import (
+    Block,
+    Bullets,
+    Cell,
+    Document,
+    Facts,
+    Paragraph,
+    Section,
+    Table,
+    Verdict,
+    number_figures,
+    provenance,
+    row,
+    software,
+)
+from reports.document.formatting import (
+    DASH,
+    count,
+    exact_number,
+    finite,
+    join_words,
+    number,
+    quantity,
+    text_or_dash,
+)
+from reports.results import Results
+
+COVERAGE_FACTOR = 2.0  # coverage factor of the figures in the headline
+
+
+def document(results: Results) -> Document:
+    """Lay out the whole report; that of an interim check where the results are one's."""
+    summary = results.summary
+    if summary.get("method") == "check":
+        return check.document(results)
+    source = summary.get("source") or {}
+    return number_figures(
+        Document(
+            title="Calibration of two cameras from boards",
+            subtitle=text_or_dash(
+                source.get("description") or source.get("path") or "a set of pictures"
+            ),
+            footer=f"{software(summary)} · calibration",
+            sections=tuple(section(results) for section in SECTIONS),
+        )
+    )
+
+
+def verdict(results: Results) -> Section:
+    """Open with what the calibration is worth and what to improve first."""
+    summary = results.summary
+    pairs, fit = summary.get("pairs") or {}, summary.get("reprojection") or {}
+    source = summary.get("source") or {}
+    doubts = [text_or_dash(sentence) for sentence in summary.get("doubts") or []]
+    block = Verdict(
+        tone="undecided" if doubts else "conform",
+        label="The rig is calibrated, with doubts" if doubts else "The rig is calibrated",
+        sentence=_headline(summary),
+        remarks=(*doubts, _headline_note(summary)),
+    )
+    facts = Facts(
+        (
+            ("Pictures", text_or_dash(source.get("path"))),
+            ("Pairs used", count(pairs.get("used"))),
+            (
+                "Corners used",
+                f"{count(pairs.get('corners'))}, {count(pairs.get('refused'))} refused",
+            ),
+            (
+                "Reprojection rms",
+                (
+                    f"{quantity(fit.get('left_rms_px'), 'px')} left, "
+                    f"{quantity(fit.get('right_rms_px'), 'px')} right"
+                ),
+            ),
+            ("Corners' noise over what was stated", quantity(fit.get("noise_factor"), "times")),
+            ("Degrees of freedom", count(fit.get("degrees_of_freedom"))),
+        )
+    )
+    return Section("verdict", "Verdict", (block, facts))
+
+
+def _headline(summary: dict[str, Any]) -> str:
+    pairs, fit = summary.get("pairs") or {}, summary.get("reprojection") or {}
+    entry = working_distance_entry(summary)
+    sentence = (
+        f"Calibrated from {count(pairs.get('used'))} pairs with an rms of "
+        f"{quantity(fit.get('rms_px'), 'px')}. "
+    )
+    depth, lateral = (finite(entry.get(f"total_{part}_mm")) for part in ("depth", "lateral"))
+    if depth is not None and lateral is not None:
+        sentence += (
+            f"A point {format_distance(entry)} away is known to ±{quantity(COVERAGE_FACTOR * depth, 'mm')} in "
+            f"depth and ±{quantity(COVERAGE_FACTOR * lateral, 'mm')} across (k = 2). "
+        )
+    return sentence + main_improvement(summary)
+
+
+def _headline_note(summary: dict[str, Any]) -> str:
+    return (
+        "Both hold for one LED whose centre is known to "
+        f"{exact_number(summary.get('spot_px'))} px in either image, in the frame of the rig, and within "
+        "the field and the distances that the boards covered."
+    )
+
+
+def fit(results: Results) -> Section:
+    """Say how well every view fits."""
+    blocks: list[Block] = []
+    if len(results.table("views")):
+        blocks.append(_pair_table(results))
+    blocks += [figure_block(results, "views"), figure_block(results, "vectors")]
+    return Section("fit", "Reprojection", tuple(blocks))
+
+
+def _pair_table(results: Results) -> Table:
+    known = {(r["camera"], r["frame"]): r for r in _records(results.table("views"))}
+    stood = {r["frame"]: r for r in _records(results.table("boards"))}
+    rows = []
+    for frame in sorted({frame for _, frame in known}):
+        left, right = (known.get((camera, frame), {}) for camera in ("left", "right"))
+        board = stood.get(frame, {})
+        poor = [c for c, view in (("left", left), ("right", right)) if view.get("poor")]
+        rows.append(
+            row(
+                str(frame),
+                number(board.get("distance_mm"), 0),
+                number(board.get("about_horizontal_deg"), 0, signed=True),
+                number(board.get("about_vertical_deg"), 0, signed=True),
+                *(text for view in (left, right) for text in _view_cells(view)),
+                Cell(f"stands out: {join_words(poor)}", "undecided") if poor else Cell("fits"),
+            )
+        )
+    return Table(
+        "Every pair: how the board stood, and how well its corners fit in either camera.",
+        "rrrrrrrrl",
+        (
+            "Pair", "Distance [mm]", "Tilt, horizontal axis [°]", "Tilt, vertical axis [°]",
+            "Left corners", "Left rms [px]", "Right corners", "Right rms [px]", "Remark",
+        ),
+        tuple(rows),
+        (CalibrationNotes.PAIRS,),
+        wide=(8,),
+    )  # fmt: skip
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(key): value for key, value in line.items()} for line in table.to_dict("records")]
+
+
+def _view_cells(view: dict[str, Any]) -> tuple[str, str]:
+    corners, refused = count(view.get("corners")), finite(view.get("refused"))
+    return (f"{corners} (−{refused:.0f})" if refused else corners), number(view.get("rms_px"), 3)
+
+
+def coverage(results: Results) -> Section:
+    """Show what the boards covered, and say what they did not."""
+    gaps = [text_or_dash(sentence) for sentence in results.summary.get("gaps") or []]
+    said: Block = Bullets(tuple(gaps), "warning") if gaps else Paragraph(CalibrationNotes.COVERED)
+    figures = (figure_block(results, name) for name in ("coverage", "stances", "scene"))
+    return Section("coverage", "Coverage, and what to add", (said, *figures))
+
+
+def rectified_pair(results: Results) -> Section:
+    """Show one pair rectified."""
+    return Section("rectified", "Rectification", (figure_block(results, "rectified"),))
+
+
+def conditions(results: Results) -> Section:
+    """Say what the calibration was made from."""
+    setup, summary = results.setup, results.summary
+    board = setup.get("board") or {}
+    size = setup.get("image_size_px")
+    kind = "chessboard"
+    if board.get("markers"):
+        kind = f"ChArUco, {board['markers']}, markers of {exact_number(board.get('marker_mm'))} mm"
+    facts = Facts(
+        (
+            ("Board", kind),
+            ("Inner corners", f"{count(board.get('columns'))} × {count(board.get('rows'))}"),
+            ("Square", f"{exact_number(board.get('square_mm'))} mm"),
+            (
+                "Image size",
+                f"{' × '.join(count(v) for v in size)} px" if isinstance(size, list) else DASH,
+            ),
+            ("Bases", "turned between pairs" if summary.get("turning") else "fixed"),
+            ("Software", software(summary)),
+        )
+    )
+    return Section("conditions", "Board, pictures and software", (facts, *provenance(summary)))
+
+
+SECTIONS = (
+    verdict,
+    parameters,
+    stereo,
+    fit,
+    coverage,
+    rectified_pair,
+    accuracy,
+    improvement,
+    conditions,
+)

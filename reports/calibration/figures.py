@@ -1,0 +1,324 @@
+"""Figures of a calibration from boards: tables in, chart out, None for nothing to draw."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+
+from reports.document.charts import (
+    Array,
+    Bars,
+    Cells,
+    Chart,
+    Line,
+    Mark,
+    Note,
+    Panel,
+    Path,
+    Points,
+    column,
+    numbers,
+    texts,
+)
+from reports.document.formatting import decimals_of, finite, number, quantity
+from reports.results import Results
+from reports.session.evidence_figures import RED_BLUE
+
+CAMERAS = (("left", "series_1"), ("right", "series_2"))
+COLOUR_SCALE = ((0.0, "paper"), (1.0, "used"))
+N_ARROW_CELLS = 12  # across the image, for which the mean residual is drawn
+MAX_ARROW_LENGTH = 0.9  # of a cell's width: how long the 95th percentile of the arrows is drawn
+HEAD_LENGTH, HEAD_HALF_WIDTH = 0.3, 0.5  # of an arrow's length, and of the head's
+PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free around the data
+MAX_TICKS = 24  # words along an axis of pairs; more would touch
+
+
+def view_errors(results: Results) -> Chart | None:
+    """Reprojection error of each view, either camera."""
+    table = results.table("views")
+    rms, frames = column(table, "rms_px"), column(table, "frame")
+    if not np.isfinite(rms).any():
+        return None
+    places = {frame: float(i) for i, frame in enumerate(np.unique(frames).tolist())}
+    cameras = np.array(texts(table, "camera"))
+    poor = table["poor"].to_numpy(dtype=bool) if "poor" in table else np.zeros(len(table), bool)
+    marks: list[Mark] = []
+    for side, (camera, role) in enumerate(CAMERAS):
+        own = (cameras == camera) & np.isfinite(rms)
+        for chosen, colour, name in (
+            (own & ~poor, role, f"{camera} camera"),
+            (own & poor, "tolerance", "stands out"),
+        ):
+            if chosen.any():
+                x = np.array([places[f] for f in frames[chosen].tolist()]) + 0.4 * side - 0.2
+                marks.append(Bars(x, rms[chosen], np.zeros(len(x)), colour, name, 0.36))
+    every = -(-len(places) // MAX_TICKS)  # rounded up
+    ticks = tuple((at, f"{frame:.0f}") for frame, at in places.items())[::every]
+    panel = Panel(
+        tuple(marks), "rms [px]", "pair", x_ticks=ticks, x_range=(-0.6, len(places) - 0.4),
+        y_range=(0.0, 1.08 * float(np.nanmax(rms))), unit="px",
+    )  # fmt: skip
+    return Chart((panel,), row_height=1.8)
+
+
+def residual_vectors(results: Results) -> Chart | None:
+    """Residuals over the image, magnified: each corner's, and their means over cells."""
+    table = results.table("residuals")
+    table = table[table["used"].to_numpy(dtype=bool)] if "used" in table else table
+    size = numbers(results.setup.get("image_size_px"))
+    names = ("x_px", "y_px", "residual_x_px", "residual_y_px")
+    x, y, dx, dy = (column(table, name) for name in names)
+    known = np.isfinite(x + y + dx + dy)
+    if len(size) != 2 or not known.any():
+        return None
+    cell = size[0] / N_ARROW_CELLS
+    usual = float(np.quantile(np.hypot(dx, dy)[known], 0.95))
+    gain = MAX_ARROW_LENGTH * cell / usual if usual > 0 else 1.0
+    cameras = np.array(texts(table, "camera"))
+    panels = []
+    for camera, _ in CAMERAS:
+        own = known & (cameras == camera)
+        every = arrows(x[own], y[own], gain * dx[own], gain * dy[own], head=False)
+        means = _cell_means(x[own], y[own], dx[own], dy[own], cell)
+        strong = arrows(means[0], means[1], gain * means[2], gain * means[3])
+        panels.append(
+            Panel(
+                (
+                    Line(*every, "vector", "single residual"),
+                    Line(*strong, "series_6", "mean over a cell"),
+                    *_scale_arrow(usual, gain, size),
+                ),
+                title=f"{camera} camera",
+                x_label="x [px]",
+                y_label="y [px]" if camera == "left" else "",
+                x_range=(-0.5, size[0] - 0.5),
+                y_range=(size[1] - 0.5, -0.13 * size[1]),  # y down; room for the scale on top
+                equal=True,
+                unit="px",
+            )
+        )
+    return Chart(tuple(panels), columns=2, row_height=2.1)
+
+
+def arrows(x: Array, y: Array, dx: Array, dy: Array, head: bool = True) -> tuple[Array, Array]:
+    """Draw arrows as one line that NaN breaks: shaft, and a head of two strokes."""
+    gap = np.full_like(x, np.nan)
+    tip_x, tip_y = x + dx, y + dy
+    rows_x, rows_y = [x, tip_x], [y, tip_y]
+    if head:
+        back_x, back_y = tip_x - HEAD_LENGTH * dx, tip_y - HEAD_LENGTH * dy
+        side_x, side_y = -HEAD_LENGTH * HEAD_HALF_WIDTH * dy, HEAD_LENGTH * HEAD_HALF_WIDTH * dx
+        rows_x += [gap, back_x + side_x, tip_x, back_x - side_x]
+        rows_y += [gap, back_y + side_y, tip_y, back_y - side_y]
+    return (
+        np.stack([*rows_x, gap], axis=1).ravel(),
+        np.stack([*rows_y, gap], axis=1).ravel(),
+    )
+
+
+def _cell_means(x: Array, y: Array, dx: Array, dy: Array, cell: float) -> tuple[Array, ...]:
+    places = pd.DataFrame({"i": np.floor(x / cell), "j": np.floor(y / cell), "dx": dx, "dy": dy})
+    means = places.groupby(["i", "j"], sort=True)[["dx", "dy"]].mean().reset_index()
+    i, j = means["i"].to_numpy(), means["j"].to_numpy()
+    return (i + 0.5) * cell, (j + 0.5) * cell, means["dx"].to_numpy(), means["dy"].to_numpy()
+
+
+def _scale_arrow(usual: float, gain: float, size: list[float]) -> tuple[Mark, ...]:
+    """Give an arrow of a round length, and its length in words, above the picture."""
+    long = float(f"{2 * usual:.0e}")
+    start, level = 0.02 * size[0], -0.065 * size[1]
+    line = arrows(np.array([start]), np.array([level]), np.array([gain * long]), np.zeros(1))
+    words = Note(start + gain * long + 0.1 * size[0], level + 0.025 * size[1], f"{long:g} px")
+    return Line(*line, "ink"), words
+
+
+def coverage(results: Results) -> Chart | None:
+    """How many corners fell into each part of either image."""
+    table = results.table("coverage")
+    counts = column(table, "corners")
+    if not np.isfinite(counts).any():
+        return None
+    top = float(np.nanmax(counts)) or 1.0
+    panels = []
+    for camera, _ in CAMERAS:
+        own = table[np.array(texts(table, "camera")) == camera]
+        grid = own.pivot_table(index="y_px", columns="x_px", values="corners")
+        if grid.empty:
+            continue
+        values = grid.to_numpy(dtype=float)
+        text = tuple(tuple(f"{v:.0f}" for v in line) for line in values)
+        x, y = grid.columns.to_numpy(dtype=float), grid.index.to_numpy(dtype=float)
+        panels.append(
+            Panel(
+                (Cells(values, x, y, COLOUR_SCALE, 0.0, top, text),),
+                title=f"{camera} camera",
+                x_label="x [px]",
+                y_label="y [px]" if camera == "left" else "",
+                x_range=_cell_range(x),
+                y_range=_cell_range(y)[::-1],  # y down, as in the image
+                equal=True,
+            )
+        )
+    return Chart(tuple(panels), columns=2, row_height=1.9) if panels else None
+
+
+def _cell_range(centres: Array) -> tuple[float, float]:
+    half = (centres[1] - centres[0]) / 2 if len(centres) > 1 else 0.5
+    return float(centres[0] - half), float(centres[-1] + half)
+
+
+def board_poses(results: Results) -> Chart | None:
+    """How the boards stood: tilt about either axis, and distance."""
+    table = results.table("boards")
+    horizontal, vertical = (
+        column(table, "about_horizontal_deg"), column(table, "about_vertical_deg"),
+    )  # fmt: skip
+    distance, tilt = column(table, "distance_mm"), column(table, "tilt_deg")
+    if not np.isfinite(distance).any():
+        return None
+    reach = max(float(np.nanmax(np.abs([horizontal, vertical]))), 20.0) * (1 + PANEL_MARGIN)
+    room = PANEL_MARGIN * (float(np.nanmax(distance)) - float(np.nanmin(distance))) + 1.0
+    tilts = Panel(
+        (Points(vertical, horizontal, "used", "a board", 3.0),),
+        title="tilt of each board",
+        x_label="tilt about the vertical axis [°]",
+        y_label="about the horizontal axis [°]",
+        x_range=(-reach, reach),
+        y_range=(-reach, reach),
+        unit="°",
+    )
+    far = Panel(
+        (Points(distance, tilt, "used", "a board", 3.0),),
+        title="distance of each board",
+        x_label="distance [mm]",
+        y_label="tilt in all [°]",
+        x_range=(float(np.nanmin(distance)) - room, float(np.nanmax(distance)) + room),
+        y_range=(0.0, 1.08 * max(float(np.nanmax(tilt)), 20.0)),
+        unit="°",
+    )
+    return Chart((tilts, far), columns=2, row_height=2.2)
+
+
+def scene(results: Results) -> Path | None:
+    """Where the boards stood before the cameras, in space."""
+    table = results.table("scene")
+    points = np.stack([column(table, f"{axis}_mm") for axis in "xyz"], axis=1)
+    if not np.isfinite(points).any():
+        return None
+    shown = points[:, [0, 2, 1]] * [1.0, 1.0, -1.0]  # depth to the back, up upwards
+    kinds, names = np.array(texts(table, "kind")), np.array(texts(table, "name"))
+    lines = []
+    for kind, wanted, role, name in (
+        ("board", "", "series_8", "boards"),
+        *(("camera", camera, role, f"{camera} camera") for camera, role in CAMERAS),
+    ):
+        chosen = (kinds == kind) & ((names == wanted) | (wanted == ""))
+        if chosen.any():
+            lines.append((_join_with_gaps(shown[chosen], names[chosen]), role, name))
+    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
+    room = 0.02 * float(np.max(high - low))
+    ranges = tuple(zip((low - room).tolist(), (high + room).tolist(), strict=True))
+    return Path(tuple(lines), ("x [mm]", "distance [mm]", "up [mm]"), ranges)
+
+
+def _join_with_gaps(points: Array, names: Array) -> Array:
+    """Part the items of a line by NaN."""
+    breaks = np.flatnonzero(names[1:] != names[:-1]) + 1
+    broken: Array = np.insert(points, breaks, np.nan, axis=0)
+    return broken
+
+
+def accuracy(results: Results) -> Chart | None:
+    """Expected standard uncertainty of a point over the field, a row a distance."""
+    table = results.table("accuracy")
+    parts = (("random_total_mm", "the spots' noise"), ("systematic_total_mm", "the rig"))
+    known = np.concatenate([column(table, name) for name, _ in parts])
+    if not np.isfinite(known).any():
+        return None
+    top = float(np.nanmax(known))
+    panels = []
+    for distance in np.unique(column(table, "distance_mm")).tolist():
+        own = table[column(table, "distance_mm") == distance]
+        for name, words in parts:
+            grid = own.pivot_table(index="y_mm", columns="x_mm", values=name, dropna=False)
+            values = grid.to_numpy(dtype=float)
+            text = tuple(
+                tuple(_two_digits(v) if np.isfinite(v) else "" for v in line) for line in values
+            )
+            x, y = grid.columns.to_numpy(dtype=float), grid.index.to_numpy(dtype=float)
+            panels.append(
+                Panel(
+                    (Cells(values, x, y, COLOUR_SCALE, 0.0, top, text),),
+                    title=f"{distance / 1e3:g} m away, from {words} [mm]",
+                    x_label="x [mm]",
+                    y_label="y [mm]" if name == parts[0][0] else "",
+                    x_range=_cell_range(x),
+                    y_range=_cell_range(y)[::-1],
+                )
+            )
+    return Chart(tuple(panels), columns=2, row_height=1.55)
+
+
+def contributions(results: Results) -> Chart | None:
+    """What would be left of a depth's uncertainty, were one group of parameters exact."""
+    table = results.table("contributions")
+    left = column(table, "without_mm")
+    if not np.isfinite(left).any():
+        return None
+    places = np.arange(len(table), dtype=float)
+    marks: list[Mark] = [Bars(places, left, np.zeros(len(left)), "used", "")]
+    total = finite((results.summary.get("improve_first") or {}).get("depth_mm"))
+    top = float(np.nanmax(left))
+    if total is not None:
+        ends = np.array([-0.6, len(table) - 0.4])
+        marks.append(
+            Line(ends, np.full(2, total), "tolerance", f"as it is: {quantity(total, 'mm')}")
+        )
+        top = max(top, total)
+    names = [
+        text.replace(" ", "\n", 1) for text in texts(table, "group")
+    ]  # they stand side by side
+    ticks = tuple(zip(places.tolist(), names, strict=True))
+    panel = Panel(
+        tuple(marks), "u of the depth [mm]", "were they exact", x_ticks=ticks,
+        x_range=(-0.6, len(table) - 0.4), y_range=(0.0, 1.08 * top), unit="mm",
+    )  # fmt: skip
+    return Chart((panel,), row_height=1.9)
+
+
+def _two_digits(value: float) -> str:
+    """Two significant digits, and no finer than a micrometre: as many as fit a cell."""
+    return number(value, 0 if value >= 10 else min(decimals_of(value), 3))
+
+
+def correlation(results: Results) -> Chart | None:
+    """How the rig's parameters hang together."""
+    entry = results.summary.get("parameter_correlation") or {}
+    names = [str(name) for name in entry.get("parameters") or []]
+    rows = [numbers(row) for row in entry.get("correlation") or []]
+    if len(names) < 2 or [len(row) for row in rows] != [len(names)] * len(names):
+        return None
+    places = np.arange(len(names), dtype=float)
+    rows_named = tuple((at, f"{name}  {at + 1:.0f}") for at, name in enumerate(names))
+    columns_numbered = tuple((at, f"{at + 1:.0f}") for at in range(len(names)))
+    panel = Panel(
+        (Cells(np.array(rows), places, places, RED_BLUE, -1.0, 1.0),),
+        x_ticks=columns_numbered,
+        y_ticks=rows_named,
+        x_range=(-0.5, len(names) - 0.5),
+        y_range=(len(names) - 0.5, -0.5),  # the first on top, as a matrix is read
+        equal=True,
+    )
+    return Chart((panel,), row_height=0.3 + 0.175 * len(names), width=0.85)
+
+
+CALIBRATION_FIGURES: dict[str, Callable[[Results], Chart | Path | None]] = {
+    "views": view_errors,
+    "vectors": residual_vectors,
+    "coverage": coverage,
+    "stances": board_poses,
+    "scene": scene,
+    "accuracy": accuracy,
+    "contributions": contributions,
+    "parameter_correlation": correlation,
+}

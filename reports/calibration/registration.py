@@ -1,0 +1,296 @@
+"""What the report of a robot's registration says, in which order.
+
+The summary's keys, units in their names; what is not known is null or missing:
+
+    kind                  "registration"
+    method                "motion", "fixture" or "sweeps"
+    tool, inputs, warnings as in a run's summary; decisions: sentences
+    source                path, description; robot: its name
+    registration          the id that rig and marker carry
+    pairs                 used, left_out (reason: how many)
+    base                  position_mm, rotation_vector_deg, standard_uncertainty_mm,
+                          standard_uncertainty_deg (three each), held
+    leds                  name, x_mm, y_mm, z_mm, u_x_mm, u_y_mm, u_z_mm, each; leds_held
+    clock, skew           offset_s, standard_uncertainty_s (null: not observable, held)
+    joints                joint, visible_fraction of a constant offset that was there already
+    fit                   rms_px, fit_rms_px and held_out_rms_px (of the hold-out), misfit (chi² a
+                          degree of freedom), noise (the corners' over what was stated)
+
+setup: image_size_px. Tables: residuals (camera, frame, x_px, y_px, residual_x_px, residual_y_px,
+used), pairs (frame, x_mm … rz_deg: a pair's board less the common one, chi2), axes (joints,
+angle_deg, angle_table_deg, angle_u_deg, distance_mm, distance_table_mm, distance_u_mm, agrees),
+gears (joint, span_deg, gear, gear_u), sweeps (joint, frame, reading_deg, nonlinearity_deg).
+"""
+
+from typing import Any
+
+from reports.calibration.registration_evidence import (
+    METHODS,
+    RegistrationNotes,
+    axes,
+    figure_block,
+    residuals,
+)
+from reports.document import formatting
+from reports.document.blocks import (
+    Block,
+    Bullets,
+    Document,
+    Facts,
+    Paragraph,
+    Section,
+    Table,
+    Verdict,
+    number_figures,
+    provenance,
+    row,
+    software,
+)
+from reports.document.formatting import (
+    count,
+    finite,
+    join_words,
+    percent,
+    quantity,
+    text_or_dash,
+    with_uncertainty,
+)
+from reports.document.formatting import joint_names as name_joints
+from reports.results import Results
+from reports.session.headline import capitalise
+
+MAX_HIDDEN_SHARE = 0.005  # shown as 0 %: nothing of the offset is left
+MAX_MOSTLY_HIDDEN_SHARE = 0.3  # the share at which the smallest visible offset triples
+MAX_HELD_OUT_RATIO = 1.5  # held-out over fitted rms: more says that the model does not carry over
+
+
+def document(results: Results) -> Document:
+    """Lay out the whole report."""
+    summary = results.summary
+    source = summary.get("source") or {}
+    return number_figures(
+        Document(
+            title=f"Registration of {text_or_dash(summary.get('robot'))}",
+            subtitle=text_or_dash(
+                source.get("description") or source.get("path") or "a recorded session"
+            ),
+            footer=(
+                f"{software(summary)} · registration {text_or_dash(summary.get('registration'))[:23]}"
+            ),
+            sections=tuple(section(results) for section in SECTIONS),
+        )
+    )
+
+
+def hidden_joints(summary: dict[str, Any], least: float, most: float) -> list[Any]:
+    """Select the joints whose visible share lies between two bounds."""
+    found = []
+    for joint in summary.get("joints") or []:
+        share = finite(joint.get("visible_fraction"))
+        if share is not None and least <= share < most:
+            found.append(joint.get("joint"))
+    return found
+
+
+def verdict(results: Results) -> Section:
+    """Open with what was found, and what it hides."""
+    summary = results.summary
+    method, fit = str(summary.get("method")), summary.get("fit") or {}
+    blind, dim = (
+        hidden_joints(summary, 0.0, MAX_HIDDEN_SHARE),
+        hidden_joints(summary, MAX_HIDDEN_SHARE, MAX_MOSTLY_HIDDEN_SHARE),
+    )
+    label = "The robot is registered"
+    if blind or dim:
+        label += ", and blind to some of its own errors"
+    block = Verdict(
+        tone="undecided" if blind or dim or _fits_worse(fit) else "conform",
+        label=label,
+        sentence=" ".join([_result_text(summary), *_hidden_sentences(summary, blind, dim)]),
+        remarks=tuple(_remarks(fit, method, bool(blind or dim))),
+    )
+    pairs, source = summary.get("pairs") or {}, summary.get("source") or {}
+    left = [f"{count(n)}: {text_or_dash(why)}" for why, n in (pairs.get("left_out") or {}).items()]
+    facts = [
+        ("Robot", text_or_dash(summary.get("robot"))),
+        ("Recorded in", text_or_dash(source.get("path"))),
+        ("Base found", formatting.lookup_label(METHODS, method)),
+        ("Pairs used", count(pairs.get("used"))),
+        ("Pairs left out", "; ".join(left) or "none"),
+        ("Registration", text_or_dash(summary.get("registration"))),
+    ]
+    return Section("verdict", "Verdict", (block, Facts(tuple(facts))))
+
+
+def _result_text(summary: dict[str, Any]) -> str:
+    base, pairs = summary.get("base") or {}, summary.get("pairs") or {}
+    leds, fit = summary.get("leds") or [], summary.get("fit") or {}
+    what = []
+    if base and not base.get("held"):
+        what.append("the robot's base")
+    if leds and not summary.get("leds_held"):
+        what.append(f"{count(len(leds))} LEDs")
+    verb = "were" if what[-1:] != ["the robot's base"] or len(what) > 1 else "was"
+    how = formatting.lookup_label(METHODS, summary.get("method"))
+    who = join_words(what) or "the axes of the swept joints"
+    sentence = f"{who} {verb} found {how}, in {count(pairs.get('used'))} pairs"
+    rms = finite(fit.get("rms_px"))
+    if rms is not None:
+        sentence += f" with an rms of {quantity(rms, 'px')}"
+    return capitalise(f"{sentence}.")
+
+
+def _hidden_sentences(summary: dict[str, Any], blind: list[Any], dim: list[Any]) -> list[str]:
+    if not summary.get("joints"):
+        return ["It hides nothing."] if summary.get("method") == "fixture" else []
+    sentences = []
+    if blind:
+        sentences.append(f"A constant offset of {name_joints(blind)} cannot show.")
+    if dim:
+        shares = {j.get("joint"): finite(j.get("visible_fraction")) for j in summary["joints"]}
+        known = [share for joint in dim if (share := shares[joint]) is not None]
+        low, high = percent(min(known)), percent(max(known))
+        amount = low if low == high else f"{low} to {high}"
+        sentences.append(f"Of an offset of {name_joints(dim)}, {amount} shows.")
+    return sentences or ["An offset of any joint can show."]
+
+
+def _fits_worse(fit: dict[str, Any]) -> bool:
+    fitted, held = finite(fit.get("fit_rms_px")), finite(fit.get("held_out_rms_px"))
+    return fitted is not None and held is not None and held > MAX_HELD_OUT_RATIO * fitted
+
+
+def _remarks(fit: dict[str, Any], method: str, partly: bool) -> list[str]:
+    remarks = []
+    if _fits_worse(fit):
+        remarks.append(RegistrationNotes.WORSE)
+    if partly:
+        remarks.append(RegistrationNotes.FREED if method == "motion" else RegistrationNotes.LEDS)
+    return remarks
+
+
+def base_and_leds(results: Results) -> Section:
+    """Say where the robot stands, and where its LEDs sit."""
+    summary = results.summary
+    entry = summary.get("base") or {}
+    blocks: list[Block] = []
+    if entry:
+        blocks.append(_base_table(entry, summary.get("method") == "motion"))
+    else:
+        blocks.append(Paragraph("The robot's base was not found."))
+    if summary.get("leds"):
+        blocks.append(_led_table(summary["leds"], bool(summary.get("leds_held"))))
+    blocks.append(Facts(tuple(_times(summary))))
+    decisions = [capitalise(text_or_dash(sentence)) for sentence in summary.get("decisions") or []]
+    if decisions:
+        blocks.append(Bullets(tuple(decisions)))
+    return Section("base", "Base and LEDs", tuple(blocks))
+
+
+def _base_table(entry: dict[str, Any], through_encoders: bool) -> Table:
+    empty = [None] * 3
+    rows = [
+        row(f"{name}, {axis} [{sign}]", with_uncertainty(value, u, signed=False))
+        for name, key, u_key, sign in (
+            ("Position", "position_mm", "standard_uncertainty_mm", "mm"),
+            ("Rotation vector", "rotation_vector_deg", "standard_uncertainty_deg", "°"),
+        )
+        for axis, value, u in zip("xyz", entry.get(key) or empty, entry.get(u_key) or empty,
+                                  strict=True)
+    ]  # fmt: skip
+    title = "Robot base in the rig, with standard uncertainties (k = 1)."
+    note = (
+        (RegistrationNotes.HELD_BASE,)
+        if entry.get("held")
+        else (RegistrationNotes.THROUGH,) * through_encoders
+    )
+    return Table(title, "lr", ("Quantity", "Value ± u"), tuple(rows), note)
+
+
+def _led_table(leds: list[dict[str, Any]], held: bool) -> Table:
+    rows = tuple(
+        row(
+            text_or_dash(led.get("name")),
+            *(
+                with_uncertainty(led.get(f"{axis}_mm"), led.get(f"u_{axis}_mm"), signed=False)
+                for axis in "xyz"
+            ),
+        )
+        for led in leds
+    )
+    return Table(
+        "LEDs in the flange frame, with standard uncertainties (k = 1).",
+        "lrrr",
+        ("LED", "x [mm]", "y [mm]", "z [mm]"),
+        rows,
+        (RegistrationNotes.HELD_LEDS,) if held else (),
+    )
+
+
+def _times(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    items = []
+    for label, key in (
+        ("Encoder clock offset", "clock"),
+        ("Right camera's stamps early by", "skew"),
+    ):
+        entry = summary.get(key)
+        if entry:
+            u = entry.get("standard_uncertainty_s")
+            text = with_uncertainty(entry.get("offset_s"), u, "s")
+            items.append(
+                (label, text if u is not None else f"{text}, held: the motion does not show it")
+            )
+    return items
+
+
+def visibility(results: Results) -> Section:
+    """Say what the registration hides of each joint's offset."""
+    summary = results.summary
+    joints = summary.get("joints") or []
+    if not joints:
+        fixture = summary.get("method") == "fixture"
+        text = RegistrationNotes.NOTHING_HIDDEN if fixture else RegistrationNotes.NOT_KNOWN
+        return Section("visibility", "What the registration hides", (Paragraph(text),))
+    rows = tuple(
+        row(text_or_dash(j.get("joint")), percent(j.get("visible_fraction")), _share_text(j))
+        for j in joints
+    )
+    table = Table(
+        "What this registration leaves visible of a constant offset that was there already.",
+        "crl",
+        ("Joint", "Visible", "In words"),
+        rows,
+        (RegistrationNotes.VISIBLE,),
+        wide=(2,),
+    )
+    return Section(
+        "visibility", "What the registration hides", (table, figure_block(results, "visible"))
+    )
+
+
+def _share_text(joint: dict[str, Any]) -> str:
+    share = finite(joint.get("visible_fraction"))
+    name = f"joint {text_or_dash(joint.get('joint'))}"
+    if share is None:
+        return "Not determined."
+    if share < MAX_HIDDEN_SHARE:
+        return f"A constant offset of {name} cannot show, however large."
+    if share < MAX_MOSTLY_HIDDEN_SHARE:
+        return f"Mostly hidden: only {percent(share)} of an offset of {name} shows."
+    if share < 0.9:
+        return f"Partly hidden: {percent(share)} of an offset of {name} shows."
+    return f"An offset of {name} shows in full."
+
+
+def conditions(results: Results) -> Section:
+    """Say what the registration was made from."""
+    facts = Facts(
+        (
+            ("Registration", text_or_dash(results.summary.get("registration"))),
+            ("Software", software(results.summary)),
+        )
+    )
+    return Section("conditions", "Files and software", (facts, *provenance(results.summary)))
+
+
+SECTIONS = (verdict, base_and_leds, visibility, residuals, axes, conditions)

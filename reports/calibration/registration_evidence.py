@@ -1,0 +1,291 @@
+"""What a registration rests on, in its report: residuals, and axes against the table.
+
+Figures of a robot's registration: tables in, chart out, None for nothing to draw.
+
+The report of a registration, in words: methods, figures, notes.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from reports.calibration.figures import CAMERAS, residual_vectors
+from reports.calibration.words import FIGURES as CALIBRATION
+from reports.calibration.words import FigureText
+from reports.document.blocks import (
+    Block,
+    Cell,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    figure_or_text,
+    row,
+)
+from reports.document.charts import Bars, Chart, Line, Mark, Note, Panel, Path, column, texts, trace
+from reports.document.formatting import (
+    count,
+    finite,
+    number,
+    percent,
+    significant,
+    text_or_dash,
+    with_uncertainty,
+)
+from reports.results import Results
+
+
+def visible_shares(results: Results) -> Chart | None:
+    """Share of a constant offset of each joint that can still be seen."""
+    joints = results.summary.get("joints") or []
+    shares = [finite(joint.get("visible_fraction")) for joint in joints]
+    if not any(share is not None for share in shares):
+        return None
+    places = np.arange(len(joints), dtype=float)
+    heights = np.array([100 * share if share is not None else 0.0 for share in shares])
+    marks: list[Mark] = [Bars(places, heights, np.zeros(len(joints)), "used", "")]
+    marks += [
+        Note(float(at), float(height) + 2.0, percent(share))
+        for at, height, share in zip(places, heights, shares, strict=True)
+    ]
+    ticks = tuple((float(at), f"q{j.get('joint')}") for at, j in zip(places, joints, strict=True))
+    panel = Panel(
+        tuple(marks), "visible [%]", x_ticks=ticks, x_range=(-0.6, len(joints) - 0.4),
+        y_range=(0.0, 112.0), unit="%",
+    )  # fmt: skip
+    return Chart((panel,), row_height=1.8, width=0.7)
+
+
+def residuals_over_time(results: Results) -> Chart | None:
+    """Residuals of each pair, either camera."""
+    table = results.table("residuals")
+    frames, dx, dy = (column(table, n) for n in ("frame", "residual_x_px", "residual_y_px"))
+    known = np.isfinite(frames + dx + dy)
+    if "used" in table:
+        known &= table["used"].to_numpy(dtype=bool)
+    if not known.any():
+        return None
+    cameras = np.array(texts(table, "camera"))
+    panels = []
+    for camera, role in CAMERAS:
+        own = known & (cameras == camera)
+        pairs = np.unique(frames[own])
+        squares = dx**2 + dy**2
+        rms = np.array([np.sqrt(np.mean(squares[own & (frames == f)])) for f in pairs])
+        panels.append(
+            Panel(
+                (Line(*trace(pairs, rms), role, f"{camera} camera"),),
+                "rms [px]",
+                "pair" if camera == "right" else "",
+                y_range=(0.0, 1.08 * float(rms.max())) if len(rms) else None,
+                unit="px",
+            )
+        )
+    return Chart(tuple(panels), row_height=1.1, shared_x=True)
+
+
+def linearity(results: Results) -> Chart | None:
+    """Encoder less turn about the axis, over each swept joint."""
+    table = results.table("sweeps")
+    joints = column(table, "joint")
+    panels = []
+    for joint in np.unique(joints[np.isfinite(joints)]).tolist():
+        own = joints == joint
+        q, error = column(table, "reading_deg")[own], column(table, "nonlinearity_deg")[own]
+        order = np.argsort(q, kind="stable")
+        panels.append(
+            Panel(
+                (Line(q[order], error[order], "measured"),),
+                f"q{joint:.0f} [°]",
+                "reading [°]",
+                unit="°",
+            )
+        )
+    return Chart(tuple(panels), columns=2, row_height=1.1) if panels else None
+
+
+REGISTRATION_FIGURES: dict[str, Callable[[Results], Chart | Path | None]] = {
+    "visible": visible_shares,
+    "over_time": residuals_over_time,
+    "vectors": residual_vectors,
+    "linearity": linearity,
+}
+
+
+METHODS = {
+    "motion": "from the robot's own motion, through its own encoders",
+    "fixture": "from a board at a known place on the base",
+    "sweeps": "from sweeps of single joints",
+}
+
+
+class RegistrationNotes:
+    """Notes that stand under tables."""
+
+    FREED = (
+        "What hides is what the base and the LEDs took in with the encoders' own errors. A base "
+        "from a fixture and LEDs from a jig hide nothing. An offset that arises later shows in "
+        "full."
+    )
+    LEDS = (
+        "What hides is what the LEDs took in with the encoders' own errors. LEDs from a jig hide "
+        "nothing. An offset that arises later shows in full."
+    )
+    WORSE = (
+        "Pairs that were held out fit clearly worse than those that were registered on: something "
+        "moves that is held fixed here, or the motion is too poor. Look at the residuals over time."
+    )
+    THROUGH = (
+        "Stated for encoders without errors of their own; what a constant offset of a joint moves "
+        "with it is in the absorption matrix of rig.toml."
+    )
+    HELD_BASE = "The base was held as the rig had it."
+    HELD_LEDS = "The LEDs were held as the marker had them."
+    NOTHING_HIDDEN = (
+        "The robot's encoders took no part in finding its base, so the base hides nothing of their "
+        "errors. What LEDs hide that were found through the encoders is said by their own "
+        "registration."
+    )
+    NOT_KNOWN = "What the registration hides is not known."
+    VISIBLE = (
+        "Base and LEDs were fitted to the same encoders, so an offset that was there already moved "
+        "them with it; visible is the share of its signal that is left. One that arises later "
+        "shows in full in every session that is measured with this registration."
+    )
+    HOLD_OUT = "Where both are alike, the registration carries over to poses that it has not seen."
+    FIXTURE = (
+        "χ² of six degrees of freedom: above 22.5 once in a thousand by chance. A pair beyond it "
+        "saw the board or a base move."
+    )
+    AXES = "Compared without the registration: cameras alone. False alarm: 0.1 % over all rows."
+    GEARS = "1 where the encoder turns as the joint does; it needs neither base nor table."
+    NO_SWEEPS = "No joint was swept alone, so the axes were not compared with the table."
+
+
+FIGURES = {
+    "visible": FigureText(
+        "Visible share of a constant offset of each joint that was there at registration.",
+        "Bars, one a joint: visible share in percent.",
+        "What the registration hides is not known.",
+    ),
+    "over_time": FigureText(
+        "RMS residual of each pair's spots. A registration that no longer holds rises from some "
+        "pair on.",
+        "Two strips over the pairs: rms residual in pixels, left and right camera.",
+        "The residuals were not kept.",
+    ),
+    "vectors": FigureText(
+        "Residuals of the spots over the image, magnified as the arrow on top says: thin lines for "
+        "spots, arrows for their means over cells.",
+        CALIBRATION["vectors"].alt,
+        "The residuals were not kept.",
+    ),
+    "linearity": FigureText(
+        "Encoder less turn about the joint's own axis over its sweep, a straight line taken out.",
+        "Strips over the reading, one a joint, in degrees.",
+        "The sweeps were not kept.",
+    ),
+}
+
+
+def figure_block(results: Results, name: str) -> Block:
+    """Show one of the report's figures, or say why it is not there."""
+    said = FIGURES[name]
+    drawing = REGISTRATION_FIGURES[name](results)
+    return figure_or_text(Figure(name, said.caption, said.alt), drawing, said.otherwise)
+
+
+def residuals(results: Results) -> Section:
+    """Say how well the registration fits, where it was fitted and where it was held out."""
+    fit = results.summary.get("fit") or {}
+    rows = [
+        row(name, number(fit.get(key), 3))
+        for name, key in (
+            ("All pairs", "rms_px"),
+            ("Fitted on one half, judged on it", "fit_rms_px"),
+            ("Fitted on one half, judged on the other", "held_out_rms_px"),
+        )
+        if finite(fit.get(key)) is not None
+    ]
+    blocks: list[Block] = []
+    if rows:
+        blocks.append(
+            Table("Reprojection of the spots.", "lr", ("Registered on", "rms [px]"), tuple(rows),
+                  (RegistrationNotes.HOLD_OUT,) if finite(fit.get("held_out_rms_px")) is not None else ())
+        )  # fmt: skip
+    if finite(fit.get("misfit")) is not None:
+        blocks.append(
+            Paragraph(
+                f"The misfit is {significant(fit['misfit'])} a degree of freedom, where noise "
+                "alone gives 1; the stated uncertainties allow for it."
+            )
+        )
+    if len(results.table("pairs")):
+        blocks.append(_fixture_table(results))
+    else:
+        blocks += [figure_block(results, "over_time"), figure_block(results, "vectors")]
+    return Section("residuals", "Residuals", tuple(blocks))
+
+
+def _fixture_table(results: Results) -> Table:
+    units = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+    rows = tuple(
+        row(
+            count(pair["frame"]),
+            *(number(pair.get(name), 3, signed=True) for name in units),
+            number(pair.get("chi2"), 1),
+        )
+        for pair in results.table("pairs").to_dict("records")
+    )
+    return Table(
+        "The board's place in each pair, less the one that all pairs share.",
+        "rrrrrrrr",
+        ("Pair", "x [mm]", "y [mm]", "z [mm]", "rx [°]", "ry [°]", "rz [°]", "χ² of 6"),
+        rows,
+        (RegistrationNotes.FIXTURE,),
+    )
+
+
+def axes(results: Results) -> Section:
+    """Compare the axes that one-joint sweeps show with the arm's table."""
+    blocks: list[Block] = []
+    pairs, gears = results.table("axes"), results.table("gears")
+    if len(pairs):
+        rows = tuple(
+            row(
+                text_or_dash(pair.get("joints")),
+                with_uncertainty(pair.get("angle_deg"), pair.get("angle_u_deg"), signed=False),
+                number(pair.get("angle_table_deg"), 2),
+                with_uncertainty(pair.get("distance_mm"), pair.get("distance_u_mm"), signed=False),
+                number(pair.get("distance_table_mm"), 2),
+                Cell("agrees", "conform") if pair.get("agrees") else Cell("differs", "nonconform"),
+            )
+            for pair in pairs.to_dict("records")
+        )
+        blocks.append(
+            Table(
+                "Angle and distance between the axes of joints, found and by the table.",
+                "crrrrl",
+                ("Joints", "Angle ± u [°]", "Table [°]", "Apart ± u [mm]", "Table [mm]", "Verdict"),
+                rows,
+                (RegistrationNotes.AXES,),
+            )
+        )  # fmt: skip
+    if len(gears):
+        rows = tuple(
+            row(
+                text_or_dash(gear.get("joint")),
+                number(gear.get("span_deg"), 1),
+                with_uncertainty(gear.get("gear"), gear.get("gear_u"), signed=False),
+            )
+            for gear in gears.to_dict("records")
+        )
+        head = ("Joint", "Swept [°]", "Turn over encoder ± u")
+        title = "Turn of each joint about its own axis over its encoder's."
+        blocks += [
+            Table(title, "crr", head, rows, (RegistrationNotes.GEARS,)),
+            figure_block(results, "linearity"),
+        ]
+    if not blocks:
+        blocks.append(Paragraph(RegistrationNotes.NO_SWEEPS, "note"))
+    return Section("axes", "Axes against the table", tuple(blocks))

@@ -1,0 +1,281 @@
+"""The rig in the report of a calibration: its parameters, the stereo relation, the scale.
+
+What a point is worth in the report of a calibration, and what would help most.
+"""
+
+from typing import Any
+
+import pandas as pd
+
+from reports.calibration.figures import CALIBRATION_FIGURES
+from reports.calibration.words import (
+    FIGURES,
+    GROUPS,
+    PARAMETERS,
+    STATES,
+    STATES_NOTE,
+    CalibrationNotes,
+)
+from reports.document.blocks import (
+    Block,
+    Bullets,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    figure_or_text,
+    row,
+)
+from reports.document.charts import column, texts
+from reports.document.formatting import (
+    DASH,
+    exact_number,
+    finite,
+    quantity,
+    significant,
+    text_or_dash,
+    with_uncertainty,
+)
+from reports.results import Results
+from reports.session.headline import capitalise
+
+
+def parameters(results: Results) -> Section:
+    """List every parameter with its uncertainty, and say what was held and why."""
+    summary = results.summary
+    blocks: list[Block] = [_parameter_table(results.table("parameters"))]
+    decisions = [capitalise(text_or_dash(sentence)) for sentence in summary.get("decisions") or []]
+    if decisions:
+        blocks.append(Bullets(tuple(decisions)))
+    blocks += [_principal_point(point) for point in summary.get("principal_points") or []]
+    return Section("parameters", "Parameters of the cameras", tuple(blocks))
+
+
+def _parameter_table(table: pd.DataFrame) -> Table:
+    values, u = column(table, "value"), column(table, "standard_uncertainty")
+    cells: dict[tuple[str, str], str] = {}
+    held = set()
+    for i, (camera, key, state) in enumerate(
+        zip(texts(table, "camera"), texts(table, "parameter"), texts(table, "state"), strict=True)
+    ):
+        text = exact_number(round(float(values[i]), 6) + 0.0)  # no minus before zero
+        if finite(u[i]) is not None:
+            text = with_uncertainty(values[i], u[i], signed=False)
+        if state != "found":
+            text += f" ({STATES.get(state, state)})"
+            held.add(state)
+        cells[camera, key] = text
+    keys = list(dict.fromkeys(texts(table, "parameter")))
+    rows = tuple(
+        row(
+            PARAMETERS.get(key, key),
+            cells.get(("left", key), DASH),
+            cells.get(("right", key), DASH),
+        )
+        for key in keys
+    )
+    notes = tuple(STATES_NOTE[state] for state in STATES if state in held)
+    return Table(
+        "Parameters and standard uncertainties (k = 1).",
+        "lrr",
+        ("Parameter", "Left camera", "Right camera"),
+        rows,
+        notes,
+    )
+
+
+def _principal_point(point: dict[str, Any]) -> Paragraph:
+    camera, distance = text_or_dash(point.get("camera")), finite(point.get("distance_px"))
+    u = finite(point.get("standard_uncertainty_px"))
+    if distance is None or u is None or u == 0:
+        return Paragraph(f"How well the {camera} camera's principal point is known is not stated.")
+    text = (
+        f"The {camera} camera's principal point lies {with_uncertainty(distance, u, 'px', signed=False)} "
+        f"from the image's centre, {significant(distance / u)} times its standard uncertainty"
+    )
+    if not point.get("odd"):
+        return Paragraph(f"{text}: within what cameras of this kind have.")
+    if point.get("believed"):
+        return Paragraph(
+            f"{text}. That is far off, yet the pictures give it: believe it. A picture cut out of "
+            "a larger sensor does that; sessions must be recorded in the same mode."
+        )
+    return Paragraph(
+        f"{text}. That is far off, and the pictures do not give it: do not believe it."
+    )
+
+
+def stereo(results: Results) -> Section:
+    """Say how the cameras stand to each other, and check the scale against the squares."""
+    entry = results.summary.get("stereo") or {}
+    rows = [
+        row("Baseline [mm]", _format_with_uncertainty(entry, "baseline", "mm")),
+        row(
+            "Convergence of the optical axes [°]",
+            _format_with_uncertainty(entry, "convergence", "deg"),
+        ),
+    ]
+    for name, key, unit, sign in (
+        ("Right camera in the left one", "position", "mm", "mm"),
+        ("Rotation vector of the right camera in the left one", "rotation_vector", "deg", "°"),
+    ):
+        values = entry.get(f"{key}_{unit}") or [None] * 3
+        spreads = entry.get(f"{key}_standard_uncertainty_{unit}") or [None] * 3
+        rows += [
+            row(f"{name}, {axis} [{sign}]", with_uncertainty(value, spread, signed=False))
+            for axis, value, spread in zip("xyz", values, spreads, strict=True)
+        ]
+    turning = results.summary.get("turning")
+    if turning:
+        rows.append(
+            row(
+                "Angle between the turning axes [°]",
+                _format_with_uncertainty(turning, "axes_angle", "deg"),
+            )
+        )
+        said = CalibrationNotes.TURNING
+    else:
+        said = CalibrationNotes.STILL
+    table = Table(
+        "Relation of the cameras, with standard uncertainties (k = 1).",
+        "lr", ("Quantity", "Value ± u"), tuple(rows),
+    )  # fmt: skip
+    blocks: tuple[Block, ...] = (table, Paragraph(said), *_scale(results.summary))
+    return Section("stereo", "Stereo relation and scale", blocks)
+
+
+def _format_with_uncertainty(entry: dict[str, Any], name: str, unit: str) -> str:
+    u = entry.get(f"{name}_standard_uncertainty_{unit}")
+    return with_uncertainty(entry.get(f"{name}_{unit}"), u, signed=False)
+
+
+def _scale(summary: dict[str, Any]) -> tuple[Block, ...]:
+    square, board = summary.get("square") or {}, "a square's edge"
+    found, u = finite(square.get("found_mm")), finite(square.get("standard_uncertainty_mm"))
+    given = finite(square.get("stated_mm"))
+    if found is None or given is None:
+        return (Paragraph("The scale was not checked against the squares."),)
+    off = significant(abs(found - given) / u) if u else DASH
+    exact = square.get("stated_standard_uncertainty_mm")
+    text = (
+        f"Triangulated, {board} comes out as {with_uncertainty(found, u, 'mm', signed=False)} on average, "
+        f"where {exact_number(given)} mm is stated: {off} times the standard uncertainty apart. Single "
+        f"edges scatter by {quantity(square.get('deviation_mm'), 'mm')}. "
+    )
+    if exact is None:
+        text += (
+            "The stated size is taken as exact: all lengths scale with it, and a ruler on the "
+            "printed board is the only check of it."
+        )
+    else:
+        text += f"The stated size itself is known to {quantity(exact, 'mm')}."
+    return (Paragraph(text),)
+
+
+def figure_block(results: Results, name: str) -> Block:
+    """Show one of the report's figures, or say why it is not there."""
+    said = FIGURES[name]
+    draw = CALIBRATION_FIGURES.get(name)
+    drawing = results.images.get(name) if draw is None else draw(results)
+    return figure_or_text(Figure(name, said.caption, said.alt), drawing, said.otherwise)
+
+
+def working_distance_entry(summary: dict[str, Any]) -> dict[str, Any]:
+    """Take the accuracy at the working distance; empty where there is none."""
+    entries: list[dict[str, Any]] = summary.get("accuracy") or []
+    wanted = summary.get("working_distance_mm")
+    return next((e for e in entries if e.get("distance_mm") == wanted), {})
+
+
+def format_distance(entry: dict[str, Any]) -> str:
+    """Say an entry's distance."""
+    far = finite(entry.get("distance_mm"))
+    return DASH if far is None else f"{far / 1e3:g} m"
+
+
+def main_improvement(summary: dict[str, Any]) -> str:
+    """Say what counts most and what helps against it."""
+    first = summary.get("improve_first") or {}
+    help_ = first.get("help")
+    if not help_:
+        return "What to improve first is not known."
+    named = GROUPS.get(str(first.get("group")), text_or_dash(first.get("group")))
+    return f"What counts most is {named}: {help_}."
+
+
+def accuracy(results: Results) -> Section:
+    """Say what a point is worth over the working volume."""
+    entries: list[dict[str, Any]] = results.summary.get("accuracy") or []
+    blocks: list[Block] = []
+    if entries:
+        blocks += [_point_table(entries), _length_table(entries, results.summary)]
+    blocks.append(figure_block(results, "accuracy"))
+    return Section("accuracy", "Expected accuracy of a point", tuple(blocks))
+
+
+def _point_table(entries: list[dict[str, Any]]) -> Table:
+    names = [
+        f"{kind}_{part}_mm" for kind in ("random", "systematic") for part in ("lateral", "depth")
+    ]
+    names += ["total_lateral_mm", "total_depth_mm", "worst_total_mm"]
+    rows = tuple(
+        row(format_distance(e), *(significant(e.get(name)) for name in names)) for e in entries
+    )
+    return Table(
+        "Standard uncertainty (k = 1) of one LED's place in the middle of the field, in mm.",
+        "lrrrrrrr",
+        (
+            "Distance", "Noise, across", "Noise, depth", "Rig, across", "Rig, depth",
+            "Both, across", "Both, depth", "Worst in the field, in all",
+        ),
+        rows,
+        (CalibrationNotes.POINT,),
+    )  # fmt: skip
+
+
+def _length_table(entries: list[dict[str, Any]], summary: dict[str, Any]) -> Table:
+    names = [
+        f"length_{way}_{kind}_um"
+        for way in ("across", "depth")
+        for kind in ("random", "systematic")
+    ]
+    rows = tuple(
+        row(format_distance(e), *(significant(e.get(name)) for name in names)) for e in entries
+    )
+    return Table(
+        f"Standard uncertainty (k = 1) of a length of {exact_number(summary.get('length_mm'))} mm "
+        "between two LEDs in the middle of the field, in µm.",
+        "lrrrr",
+        ("Distance", "Across, noise", "Across, rig", "In depth, noise", "In depth, rig"),
+        rows,
+        (CalibrationNotes.LENGTH,),
+    )
+
+
+def improvement(results: Results) -> Section:
+    """Say what would help most."""
+    blocks: list[Block] = [Paragraph(capitalise(main_improvement(results.summary)))]
+    table = results.table("contributions")
+    if len(table):
+        rows = tuple(
+            row(capitalise(GROUPS.get(g, g)), significant(alone), significant(without))
+            for g, alone, without in zip(
+                texts(table, "group"), column(table, "alone_mm"), column(table, "without_mm"),
+                strict=True,
+            )
+        )  # fmt: skip
+        blocks.append(
+            Table(
+                f"Depth of a point {format_distance(working_distance_entry(results.summary))} away, by what its "
+                "uncertainty comes from.",
+                "lrr",
+                ("Source", "u from it alone [mm]", "u left, were it exact [mm]"),
+                rows,
+                (CalibrationNotes.GROUPS,),
+            )
+        )
+    blocks += [
+        figure_block(results, "contributions"),
+        figure_block(results, "parameter_correlation"),
+    ]
+    return Section("improvement", "What would help most", tuple(blocks))

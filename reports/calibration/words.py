@@ -1,0 +1,162 @@
+"""The report of a calibration, in words: parameters, figures, notes."""
+
+from dataclasses import dataclass
+
+GROUPS = {
+    "focal lengths": "the cameras' focal lengths",
+    "principal points": "the principal points",
+    "lens distortion": "the lens distortion",
+    "cameras' turns": "how the cameras are turned to each other",
+    "cameras' places": "where the cameras stand",
+    "pan axes and zeros": "the turning bases' axes and zeros",
+    "pan readings": "the pan readings",
+    "spot noise": "the noise of the LEDs' own centres, not the rig",
+}
+
+PARAMETERS = {
+    "fx_px": "Focal length fx [px]",
+    "fy_px": "Focal length fy [px]",
+    "cx_px": "Principal point cx [px]",
+    "cy_px": "Principal point cy [px]",
+    "k1": "Radial distortion k1",
+    "k2": "Radial distortion k2",
+    "p1": "Tangential distortion p1",
+    "p2": "Tangential distortion p2",
+    "k3": "Radial distortion k3",
+    "pan_zero_deg": "Pan zero [°]",
+    **{f"pan_center_{a}_mm": f"Pan centre {a} [mm]" for a in "xyz"},
+    **{f"pan_axis_r{a}_deg": f"Pan axis, turn about {a} [°]" for a in "xyz"},
+    **{f"mount_r{a}_deg": f"Mount, rotation vector {a} [°]" for a in "xyz"},
+    **{f"mount_{a}_mm": f"Mount {a} [mm]" for a in "xyz"},
+}
+
+STATES = {"gauge": "chosen", "zero": "held", "tied": "tied"}
+STATES_NOTE = {
+    "gauge": (
+        "Chosen: no picture of a board can tell it. It sets where the rig's frame lies, or, with "
+        "a base that never turned, how the camera's place is shared between pan centre, axis and "
+        "mount. Pan axes are given by the turn that carries the rig's y axis to them."
+    ),
+    "zero": (
+        "Held at zero: the pictures do not support this coefficient. An uncertainty beside it is "
+        "what holding it leaves open."
+    ),
+    "tied": "Tied: both focal lengths are taken as equal; the pictures do not tell them apart.",
+}
+
+
+class CalibrationNotes:
+    """Notes that stand under tables."""
+
+    TURNING = (
+        "The bases were turned between pairs: their axes, centres and zeros and the mounts were "
+        "found from the boards as well. The relation holds at the median of the pan readings."
+    )
+    STILL = (
+        "The bases stood still, so the pictures hold nothing of the turning axes, pan centres and "
+        "mounts: they were chosen, and the calibration holds at these pan readings only."
+    )
+    PAIRS = (
+        "A positive tilt brings the upper edge (horizontal axis) or the right edge (vertical axis) "
+        "nearer. Behind the corners, in brackets: how many were refused. A view stands out if its "
+        "rms lies 3.5 robust standard deviations and half above the median of its camera's views."
+    )
+    COVERED = (
+        "The boards cover both images, near and far, and were tilted about both axes either way: "
+        "nothing is missing."
+    )
+    POINT = (
+        "Noise: one spot, both images, once; it averages out. Rig: the calibration's own "
+        "uncertainty, all correlations included; it does not. Across: in the direction across the "
+        "line of sight in which it is largest. A part of the rig's share shifts or turns the whole "
+        "picture alike, and a robot registered with the same rig takes that part up."
+    )
+    LENGTH = (
+        "What shifts or turns the whole picture falls out of a length: this is what the rig's own "
+        "scale and shape are worth."
+    )
+    GROUPS = (
+        "The parts do not add up, because parameters found from the same pictures hang together: "
+        "errors of one are made up for by another. What is left were a group exact says where more "
+        "or better pictures pay."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FigureText:
+    """What stands under a figure, for those who cannot see it, and in its place."""
+
+    caption: str
+    alt: str
+    otherwise: str
+
+
+FIGURES = {
+    "views": FigureText(
+        "Reprojection error of each view: root mean square distance of the corners from where the "
+        "calibration puts them.",
+        "Bars, two a pair: rms residual in pixels in the left and the right camera.",
+        "No view was kept.",
+    ),
+    "vectors": FigureText(
+        "Residuals over the image, magnified as the arrow on top says: thin lines for corners, "
+        "arrows for their means over cells. Single lines are noise; neighbouring arrows that point "
+        "one way are lens distortion that the model does not follow.",
+        "Two pictures of arrows, left and right camera.",
+        "The residuals were not kept.",
+    ),
+    "coverage": FigureText(
+        "Number of corners seen in each part of either image. Where there are none, the lens is "
+        "known by extrapolation only.",
+        "Two grids over the images with the number of corners in each cell.",
+        "The coverage of the images is not known.",
+    ),
+    "stances": FigureText(
+        "How the boards stood. Left: tilt about the vertical and about the horizontal axis; focal "
+        "lengths and principal points need boards well off the middle, on all sides. Right: "
+        "distance, and tilt in all.",
+        "Two scatter plots, a point a board: tilts in degrees, and distance in millimetres.",
+        "How the boards stood is not known.",
+    ),
+    "scene": FigureText(
+        "Boards and cameras in space, from the middle between the cameras.",
+        "Outlines of the boards in space before two pyramids that stand for the cameras.",
+        "Where the boards stood is not known.",
+    ),
+    "rectified": FigureText(
+        "One pair after rectification: the same corner lies on the same level line in both "
+        "pictures.",
+        "Left and right picture side by side with level lines across both.",
+        "No pair was given to show rectified.",
+    ),
+    "accuracy": FigureText(
+        "Expected standard uncertainty (k = 1, in mm) of an LED's place over the field that both "
+        "cameras see, a row a distance: left from the noise of one spot, right from the rig. An "
+        "empty cell is out of sight.",
+        "Grids of numbers over the field in millimetres, two at each of several distances.",
+        "The expected accuracy is not known.",
+    ),
+    "contributions": FigureText(
+        "What would be left of the depth's standard uncertainty at the working distance, were one "
+        "source exact. The lowest bar is what to improve first; the dotted line is as it is.",
+        "Bars, one a source, and a line for the uncertainty as it is, in millimetres.",
+        "The uncertainty was not broken down.",
+    ),
+    "parameter_correlation": FigureText(
+        "Correlation of the rig's parameters, from −1 (blue) over 0 (pale) to +1 (orange). Strong "
+        "colour off the diagonal: the pictures know a combination better than either.",
+        "A square matrix of coloured cells, one row and one column a parameter.",
+        "The correlation of the parameters is not known.",
+    ),
+}
+
+SHORT_GROUPS = {  # of what contributes, where the names stand side by side
+    "spot noise": "LED noise",
+    "pan readings": "pan angle",
+    "pan axes and zeros": "pan axes",
+    "lens distortion": "lens",
+    "focal lengths": "focal",
+    "principal points": "principal",
+    "cameras' places": "places",
+    "cameras' turns": "turns",
+}

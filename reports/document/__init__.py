@@ -1,0 +1,1 @@
+"""Blocks, charts and numbers as text, without a format."""

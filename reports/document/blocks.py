@@ -1,0 +1,184 @@
+"""What a report is made of, whatever its format: sections of paragraphs, tables and figures.
+
+What a result was made from, in its report.
+"""
+
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any, ClassVar
+
+from reports.document.charts import Chart, Path
+from reports.document.formatting import DASH, text_or_dash
+from reports.results import one_line
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One cell of a table; `tone` is a verdict's machine word where the cell shows one."""
+
+    text: str
+    tone: str = ""
+    link: str = ""  # a file beside the report, on the screen alone
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The verdict, what to do about it in one sentence, and what that rests on."""
+
+    kind: ClassVar[str] = "verdict"
+    tone: str  # conform, nonconform, undecided, none
+    label: str
+    sentence: str
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    """Running text; `tone` is "" or "note"."""
+
+    kind: ClassVar[str] = "paragraph"
+    text: str
+    tone: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Bullets:
+    """A list of sentences; `tone` is "" or "warning"."""
+
+    kind: ClassVar[str] = "bullets"
+    items: tuple[str, ...]
+    tone: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Labels and what they stand for, side by side."""
+
+    kind: ClassVar[str] = "facts"
+    items: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A numbered table; `align` has one letter a column: l, r or c."""
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    align: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    notes: tuple[str, ...] = ()
+    wide: tuple[int, ...] = ()  # columns that hold sentences and take the room that is left
+    number: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A numbered figure: a chart, or an image that was recorded."""
+
+    kind: ClassVar[str] = "figure"
+    name: str
+    caption: str
+    alt: str  # what it shows, for those who cannot see it
+    drawing: Chart | Path | bytes | None = None  # bytes: a PNG
+    number: int = 0
+
+
+Block = Verdict | Paragraph | Bullets | Facts | Table | Figure
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A heading and what stands under it."""
+
+    name: str  # the anchor in a page
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A whole report, in order."""
+
+    title: str
+    subtitle: str
+    footer: str  # what identifies the evidence on every page
+    sections: tuple[Section, ...] = field(default=())
+    sortable: bool = False  # tables sort and filter on the screen
+
+
+def number_figures(document: Document) -> Document:
+    """Number tables and figures through the document, so that both formats agree."""
+    counts = {"table": 0, "figure": 0}
+    sections = []
+    for section in document.sections:
+        blocks: list[Block] = []
+        for block in section.blocks:
+            if isinstance(block, Table | Figure):
+                counts[block.kind] += 1
+                blocks.append(replace(block, number=counts[block.kind]))
+            else:
+                blocks.append(block)
+        sections.append(replace(section, blocks=tuple(blocks)))
+    return replace(document, sections=tuple(sections))
+
+
+def collect_figures(document: Document) -> dict[str, Chart | Path | bytes]:
+    """Collect what is drawn in a document, by name."""
+    return {
+        block.name: block.drawing
+        for section in document.sections
+        for block in section.blocks
+        if isinstance(block, Figure) and block.drawing is not None
+    }
+
+
+def to_template_data(value: Any) -> Any:
+    """Give a document to a template: plain dicts and lists, every text on one line.
+
+    Drawings are left out; blocks say their kind.
+    """
+    if isinstance(value, str):
+        return one_line(value)
+    if isinstance(value, list | tuple):
+        return [to_template_data(item) for item in value]
+    if is_dataclass(value):
+        data = {
+            f.name: to_template_data(getattr(value, f.name))
+            for f in fields(value)
+            if f.name != "drawing"
+        }
+        return data | {"kind": kind} if (kind := getattr(value, "kind", None)) else data
+    return value
+
+
+def figure_or_text(figure: Figure, drawing: Chart | Path | bytes | None, otherwise: str) -> Block:
+    """Show a figure where there is something to draw, else say in words why there is none."""
+    return Paragraph(otherwise, "note") if drawing is None else replace(figure, drawing=drawing)
+
+
+def row(*cells: str | Cell) -> tuple[Cell, ...]:
+    """Make a table row from texts."""
+    return tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in cells)
+
+
+def software(summary: dict[str, Any]) -> str:
+    """Name the program that made a result, and its version."""
+    tool = summary.get("tool") or {}
+    return f"{tool.get('name') or 'verify'} {tool.get('version') or DASH}"
+
+
+def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
+    """List the files that were read and the warnings."""
+    blocks: list[Block] = []
+    inputs = summary.get("inputs") or {}
+    if inputs:
+        rows = tuple(
+            row(text_or_dash(name), text_or_dash(digest)) for name, digest in inputs.items()
+        )
+        blocks.append(Table("Files that were read.", "ll", ("File", "Hash"), rows, wide=(1,)))
+    warnings = summary.get("warnings") or []
+    if warnings:
+        blocks.append(Bullets(tuple(text_or_dash(warning) for warning in warnings), "warning"))
+    else:
+        blocks.append(Paragraph("There were no warnings."))
+    return tuple(blocks)

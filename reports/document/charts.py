@@ -1,0 +1,326 @@
+"""What is drawn, whatever draws it: panels of lines, bands, points, cells and bars.
+
+`figures.py` turns tables into charts; `drawing.py` draws them with matplotlib for paper,
+`plotting.py` with plotly for the screen. A role stands for a colour and a line style.
+
+Columns made ready to draw: broken where pairs are missing, thinned without hiding extremes.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+MAX_LINE_POINTS = (
+    5_000  # points a line may have; a page is some 2,000 dots wide, so more cannot be told apart
+)
+N_BINS = (
+    1_000  # stretches that a longer line is cut into; each keeps its smallest and largest value
+)
+MAX_GAP_RATIO = (
+    2.5  # times the usual step: one dropped pair (2) is bridged, two are a break in the line
+)
+
+
+def column(table: pd.DataFrame, name: str) -> Array:
+    """Take a column as numbers; NaN where it is missing or empty."""
+    if name not in table:
+        return np.full(len(table), np.nan)
+    values: Array = pd.to_numeric(table[name], errors="coerce").to_numpy(
+        dtype=float, na_value=np.nan
+    )
+    return values
+
+
+def texts(table: pd.DataFrame, name: str) -> list[str]:
+    """Take a column as text; empty where it is missing."""
+    if name not in table:
+        return [""] * len(table)
+    return ["" if pd.isna(value) else str(value) for value in table[name]]
+
+
+def origin(t: Array) -> float:
+    """Choose the zero of a time axis: the clock's own, unless that lies more than a day back."""
+    known = t[np.isfinite(t)]
+    return float(known[0]) if len(known) and abs(known[0]) > 86_400 else 0.0
+
+
+def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
+    """Give the times of the pairs from a zero that keeps them readable, and the axis' label."""
+    t = column(frames, "t_s")
+    zero = origin(t)
+    return t - zero, "time [s]" if zero == 0 else f"time since {zero:.3f} s [s]"
+
+
+def trace(t: Array, y: Array) -> tuple[Array, Array]:
+    """Make a line that is broken by NaN where pairs are missing; extremes survive thinning."""
+    kept, part = _split_at_gaps(t, y)
+    if len(kept) > MAX_LINE_POINTS:
+        chosen = _extremes(y[kept])
+        kept, part = kept[chosen], part[chosen]
+    breaks = np.flatnonzero(np.diff(part)) + 1
+    return np.insert(t[kept], breaks, np.nan), np.insert(y[kept], breaks, np.nan)
+
+
+def band(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
+    """Make a band's edges, broken as `trace` breaks them; thinned, it is the bins' envelope."""
+    kept, part = _split_at_gaps(t, low + high)
+    t, low, high = t[kept], low[kept], high[kept]
+    if len(kept) > MAX_LINE_POINTS:
+        starts = _starts(len(kept))
+        ends = np.append(starts[1:], len(kept)) - 1
+        sides = np.stack([starts, ends], axis=1).ravel()
+        low = np.repeat(np.minimum.reduceat(low, starts), 2)
+        high = np.repeat(np.maximum.reduceat(high, starts), 2)
+        t, part = t[sides], part[sides]
+    breaks = np.flatnonzero(np.diff(part)) + 1
+    return (
+        np.insert(t, breaks, np.nan),
+        np.insert(low, breaks, np.nan),
+        np.insert(high, breaks, np.nan),
+    )
+
+
+def pieces(x: Array) -> list[slice]:
+    """Find the unbroken pieces of a line that NaN breaks."""
+    known = np.isfinite(x)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def isolated_points(x: Array, y: Array) -> NDArray[np.bool_]:
+    """Find points without a neighbour: a line would not show them."""
+    known = np.isfinite(x) & np.isfinite(y)
+    padded = np.concatenate([[False], known, [False]])
+    alone: NDArray[np.bool_] = known & ~padded[:-2] & ~padded[2:]
+    return alone
+
+
+def unwrap_rotation(rotation_deg: Array, start: Array | None = None) -> Array:
+    """Choose, of the rotation vectors that mean the same turn, those nearest to the ones before.
+
+    A rotation vector jumps by a whole turn where its angle passes 180°; the turn it stands for
+    does not. (n, 3), degrees; with `start` given, the nearest to its rows instead.
+    """
+    chosen = np.array(rotation_deg, dtype=float)
+    angle = np.linalg.norm(chosen, axis=1)
+    near = np.full(3, np.nan)
+    for i in np.flatnonzero(np.isfinite(angle)):
+        goal = near if start is None or not np.isfinite(start[i]).all() else start[i]
+        if angle[i] > 0 and np.isfinite(goal).all():
+            axis = chosen[i] / angle[i]
+            chosen[i] += 360.0 * round(float((goal - chosen[i]) @ axis) / 360.0) * axis
+        near = chosen[i]
+    return chosen
+
+
+def runs(words: list[str]) -> list[tuple[str, int, int]]:
+    """Gather equal neighbours: word, first and last row."""
+    found: list[tuple[str, int, int]] = []
+    for i, word in enumerate(words):
+        if found and found[-1][0] == word:
+            found[-1] = (word, found[-1][1], i)
+        else:
+            found.append((word, i, i))
+    return found
+
+
+def median_step(t: Array) -> float:
+    """Find the usual time from one pair to the next; 1 where there is none."""
+    known = t[np.isfinite(t)]
+    return float(np.median(np.diff(known))) or 1.0 if len(known) > 1 else 1.0
+
+
+def numbers(values: Any) -> list[float]:
+    """Take a list of numbers; anything else in it becomes NaN."""
+    if not isinstance(values, list | tuple):
+        return []
+    return [float(v) if isinstance(v, int | float) else float("nan") for v in values]
+
+
+def _split_at_gaps(t: Array, y: Array) -> tuple[Indices, Indices]:
+    kept = np.flatnonzero(np.isfinite(t) & np.isfinite(y))
+    if not len(kept):
+        return kept, kept
+    stretch = (
+        len(kept) / N_BINS if len(kept) > MAX_LINE_POINTS else 1.0
+    )  # a shorter gap could not be drawn
+    broken = (np.diff(kept) > stretch) | (
+        np.diff(t[kept]) > MAX_GAP_RATIO * stretch * median_step(t)
+    )
+    return kept, np.concatenate([[0], np.cumsum(broken)])
+
+
+def _starts(n: int) -> Indices:
+    return np.linspace(0, n, N_BINS, endpoint=False).astype(np.int64)
+
+
+def _extremes(y: Array) -> Indices:
+    starts = _starts(len(y))
+    ends = np.append(starts[1:], len(y))
+    both = [
+        (a + int(np.argmin(y[a:b])), a + int(np.argmax(y[a:b])))
+        for a, b in zip(starts.tolist(), ends.tolist(), strict=True)
+    ]
+    return np.unique(np.array(both, dtype=np.int64))
+
+
+# Role: (on light, on dark). Hues after Okabe and Ito, told apart by every common colour vision.
+PALETTE = {
+    "ink": ("#1c1e21", "#e6e8ea"),
+    "muted": ("#5b6068", "#a6acb4"),
+    "grid": ("#dfe2e6", "#363c44"),
+    "paper": ("#ffffff", "#15181c"),
+    "measured": ("#0072b2", "#56b4e9"),
+    "encoder": ("#d55e00", "#ff9a4d"),
+    "error": ("#0072b2", "#56b4e9"),
+    "error_band": ("#0072b238", "#56b4e940"),
+    "resolved": ("#d55e00", "#ff9a4d"),
+    "resolved_band": ("#d55e0048", "#ff9a4d50"),
+    "tolerance": ("#7a1f5c", "#e79bc9"),
+    "used": ("#0072b2", "#56b4e9"),
+    "unused": ("#d55e00", "#ff9a4d"),
+    "vector": ("#5b606866", "#a6acb466"),
+    "low": ("#0072b2", "#56b4e9"),
+    "high": ("#d55e00", "#ff9a4d"),
+    "series_1": ("#0072b2", "#56b4e9"),
+    "series_2": ("#e69f00", "#f2b134"),
+    "series_3": ("#009e73", "#2cc79a"),
+    "series_4": ("#cc79a7", "#e29ac3"),
+    "series_5": ("#56b4e9", "#a9d9f5"),
+    "series_6": ("#d55e00", "#ff9a4d"),
+    "series_7": ("#8c6d31", "#c9a86a"),
+    "series_8": ("#999999", "#8a8f96"),
+}
+DASHES = {"encoder": "dash", "tolerance": "dot"}  # told apart without colour too
+SERIES = [name for name in PALETTE if name.startswith("series_")]
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line, broken where NaN stands; points without a neighbour are drawn as dots."""
+
+    x: Array
+    y: Array
+    role: str
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Band:
+    """The space between two lines; without a neighbour, an upright bar."""
+
+    x: Array
+    low: Array
+    high: Array
+    role: str
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A line right across at one value of y, or upright at one of x."""
+
+    value: float
+    role: str
+    name: str = ""
+    upright: bool = False
+
+
+@dataclass(frozen=True)
+class Points:
+    """Separate points; a few are drawn larger than thousands."""
+
+    x: Array
+    y: Array
+    role: str
+    name: str = ""
+    size: float = 1.0
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Stretches of time on one row of a timeline."""
+
+    starts: Array
+    ends: Array
+    row: int
+    role: str
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A matrix of coloured cells; `text` is written into them where given."""
+
+    values: Array  # (rows, columns)
+    x: Array  # (columns,), centres
+    y: Array  # (rows,), centres
+    scale: tuple[tuple[float, str], ...]  # share of the way from low to high, role
+    low: float
+    high: float
+    text: tuple[tuple[str, ...], ...] = ()
+
+
+@dataclass(frozen=True)
+class Bars:
+    """One layer of stacked upright bars: heights at x, on top of `below`."""
+
+    x: Array
+    heights: Array
+    below: Array
+    role: str
+    name: str
+    width: float = 0.62
+
+
+@dataclass(frozen=True)
+class Note:
+    """A few letters at a place."""
+
+    x: float
+    y: float
+    text: str
+
+
+Mark = Line | Band | Level | Points | Runs | Cells | Bars | Note
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes. A range that is not given follows the data."""
+
+    marks: tuple[Mark, ...]
+    y_label: str = ""
+    x_label: str = ""
+    title: str = ""
+    x_range: tuple[float, float] | None = None
+    y_range: tuple[float, float] | None = None
+    x_ticks: tuple[tuple[float, str], ...] = ()
+    y_ticks: tuple[tuple[float, str], ...] = ()
+    equal: bool = False  # one unit as long on x as on y
+    unit: str = ""  # of y, for what a pointer reads off
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A figure: panels in reading order, `columns` wide."""
+
+    panels: tuple[Panel, ...]
+    columns: int = 1
+    row_height: float = 1.2  # inches on paper; the screen scales it
+    shared_x: bool = False
+    width: float = 1.0  # share of the line width
+
+
+@dataclass(frozen=True)
+class Path:
+    """Lines in space: (n, 3) each, with role and name; `ranges` are those of x, y, z."""
+
+    lines: tuple[tuple[Array, str, str], ...]
+    labels: tuple[str, str, str]
+    ranges: tuple[tuple[float, float], ...] = field(default=())

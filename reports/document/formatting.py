@@ -1,0 +1,141 @@
+"""Numbers as a reader of a certificate expects them: rounded to what is known, a dash for none.
+
+A machine word in words, and units as signs.
+"""
+
+import math
+from numbers import Real
+from typing import Any
+
+DASH = "–"
+MINUS = "−"
+
+
+def finite(value: Any) -> float | None:
+    """Take a finite number; anything else, NaN and text included, is None."""
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+def decimals_of(uncertainty: float | None, least: int = 0) -> int:
+    """Count the decimals that show an uncertainty's two significant digits (GUM 7.2.6)."""
+    if not uncertainty:
+        return 3  # a thousandth of a degree or millimetre: below what the instrument resolves
+    rounded = float(f"{abs(uncertainty):.1e}")
+    return min(max(1 - math.floor(math.log10(rounded)), least), 7)  # 0.1 µm, 0.1 µs: no finer
+
+
+def number(value: Any, decimals: int = 3, signed: bool = False) -> str:
+    """Write a number with fixed decimals; a dash where there is none."""
+    known = finite(value)
+    if known is None:
+        return DASH
+    text = f"{known:+.{decimals}f}" if signed else f"{known:.{decimals}f}"
+    if float(text) == 0:
+        text = text.lstrip("+-")
+    return text.replace("-", MINUS)
+
+
+def significant(value: Any, digits: int = 2) -> str:
+    """Write a number to significant digits, without exponents; a dash where there is none."""
+    known = finite(value)
+    if known is None:
+        return DASH
+    if known == 0:
+        return "0"
+    rounded = float(f"{known:.{digits - 1}e}")
+    decimals = min(max(digits - 1 - math.floor(math.log10(abs(rounded))), 0), 9)
+    return f"{rounded:.{decimals}f}".replace("-", MINUS)
+
+
+def with_uncertainty(value: Any, uncertainty: Any, unit: str = "", signed: bool = True) -> str:
+    """Write `value ± uncertainty`, both to the uncertainty's two significant digits.
+
+    The unit is put behind each number: degrees close up, others with a space.
+    """
+    known, spread = finite(value), finite(uncertainty)
+    suffix = unit if unit in ("", "°") else f" {unit}"
+    if known is None:
+        return DASH
+    decimals = decimals_of(spread)
+    head = number(known, decimals, signed)
+    if spread is None:
+        return f"{head}{suffix}"
+    tail = number(spread, decimals)
+    return f"{head}{suffix} ± {tail}{suffix}" if suffix == "°" else f"{head} ± {tail}{suffix}"
+
+
+def quantity(value: Any, unit: str, digits: int = 2) -> str:
+    """Write a number to significant digits with its unit; a dash where there is none."""
+    text = significant(value, digits)
+    if text == DASH:
+        return text
+    return f"{text}{unit}" if unit in ("°", "") else f"{text} {unit}"
+
+
+def exact_number(value: Any) -> str:
+    """Write a number that somebody chose (a tolerance, a threshold), as they chose it."""
+    known = finite(value)
+    return DASH if known is None else f"{known:.6g}".replace("-", MINUS)
+
+
+def probability(value: Any) -> str:
+    """Write a probability with three decimals, never rounded up to certainty."""
+    known = finite(value)
+    if known is None:
+        return DASH
+    if known > 0.9995:
+        return "> 0.999"
+    return "< 0.001" if known < 0.0005 else f"{known:.3f}"
+
+
+def percent(value: Any) -> str:
+    """Write a share as whole percent; near none and near all keep a digit, never rounded away."""
+    known = finite(value)
+    if known is None:
+        return DASH
+    share = 100 * known
+    if 99.95 <= share < 100:
+        return "> 99.9 %"
+    text = f"{share:.1f}" if 0 < abs(share) < 9.95 or 99 < share < 100 else f"{share:.0f}"
+    return f"{text.replace('-', MINUS)} %"
+
+
+def count(value: Any) -> str:
+    """Write a whole number, thousands apart; a dash where there is none."""
+    known = finite(value)
+    return DASH if known is None else f"{known:,.0f}".replace(",", "\u202f")  # narrow space
+
+
+def text_or_dash(value: Any) -> str:
+    """Take a text as it is; a dash where there is none."""
+    return DASH if value is None or value == "" else str(value)
+
+
+def join_words(words: list[str]) -> str:
+    """Join words as a sentence does: a, b and c."""
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def joint_names(numbers: list[Any], capital: bool = False) -> str:
+    """Name joints in a sentence: joint 3, joints 1 and 6."""
+    name = "Joint" if capital else "joint"
+    plural = "s" if len(numbers) > 1 else ""
+    return f"{name}{plural} {join_words([text_or_dash(n) for n in numbers])}"
+
+
+NOT_STATED = "not stated"  # by whoever made the session: a dash would read as lost
+UNITS = {
+    "deg": "°", "ratio": "", "s": "s", "mm": "mm", "m": "m", "rad": "rad",
+    "deg/m": "°/m", "deg/h": "°/h", "ppm": "ppm",
+}  # fmt: skip
+
+
+def lookup_label(words: dict[str, str], word: Any) -> str:
+    """Look a machine word up; one that is not known is shown as it is, without underscores."""
+    if word is None:
+        return DASH
+    return words.get(str(word), str(word).replace("_", " "))

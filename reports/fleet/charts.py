@@ -1,0 +1,250 @@
+"""Control charts: each joint's mean error over time, with limits, course and changes.
+
+Words of a fleet report: states, kinds, dates, sentences.
+"""
+
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from reports.document.blocks import Block, Figure, Paragraph, Section
+from reports.document.charts import Array, Band, Chart, Level, Line, Mark, Panel, Points, column
+from reports.document.formatting import (
+    count,
+    exact_number,
+    finite,
+    joint_names,
+    text_or_dash,
+    with_uncertainty,
+)
+from reports.results import Results
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+STATES = {
+    "steady": "no change",
+    "step": "stepped",
+    "drift": "drifts",
+    "change": "changed: step or drift",
+    "several": "changed more than once",
+    "unknown": "not enough sessions",
+}
+TONES = {"steady": "conform", "unknown": "undecided", "step": "nonconform", "drift": "nonconform",
+         "change": "nonconform", "several": "nonconform"}  # fmt: skip
+KINDS = {"step": "step", "drift": "drift", "change": "step or drift"}
+VERDICTS = {"conform": "conform", "nonconform": "do not conform", "undecided": "undecided"}
+
+
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Take a table row by row."""
+    return [{str(name): value for name, value in one.items()} for one in table.to_dict("records")]
+
+
+def format_day(days: Any) -> str:
+    """Write days since 1970 as a date."""
+    known = finite(days)
+    return "–" if known is None else (EPOCH + timedelta(days=known)).strftime("%Y-%m-%d")
+
+
+def format_period(held: dict[str, Any]) -> str:
+    """Say from when to when; nothing where no session has a date."""
+    if not held.get("first"):
+        return ""
+    return f", {held['first']} to {held['last']}"
+
+
+def change_date(change: dict[str, Any]) -> str:
+    """Date a change to its session."""
+    at = format_day(change["t_days"])
+    if change["term"] == "drift":
+        return f"from {at} on"
+    before = format_day(change["before_t_days"])
+    return f"{at} (last before: {before})"
+
+
+def change_text(one: dict[str, Any]) -> str:
+    """Say a change in half a sentence."""
+    unit = "°" if one["unit"] == "deg" else "° a month"
+    size = with_uncertainty(abs(float(one["size"])), 2 * float(one["size_u"]), signed=False)
+    way = "up" if float(one["size"]) > 0 else "down"
+    verb = {"step": "stepped", "drift": "drifts", "change": "changed (step or drift)"}
+    when = "since" if one["term"] == "drift" else "on"
+    return (
+        f"joint {one['joint']} of {text_or_dash(one['arm'])} {verb[str(one['kind'])]} {way} by "
+        f"{size}{unit} {when} {format_day(one['t_days'])}"
+    )
+
+
+def false_alarm_text(summary: dict[str, Any]) -> str:
+    """State the rate of false accusations."""
+    share = finite(summary.get("false_alarm"))
+    percent = exact_number(None if share is None else 100 * share)
+    return (
+        f"In a fleet without any change, the chance that this report names one, in whichever of "
+        f"its {count(len(summary.get('arms') or []))} arms and all their joints, is at most "
+        f"{percent} %."
+    )
+
+
+MAX_ARMS = 12  # charts of that many arms; of more, those with a change, then the others
+MAX_TICKS = 7
+TICK_STEPS = (1, 2, 3, 6, 12, 24, 60)  # months between two marks of the time axis
+CAPTION = (
+    "Mean error of each joint of {arm}, a dot a session, with its own uncertainty (bar: ± 2u). "
+    "Line: the level that the sessions show. Dotted: control limits about the level before any "
+    "change; without one, a session of any chart lies beyond them in {share} % of such fleets. "
+    "Dashed: a step. Grey: a new calibration, with which level and limits move as far as the "
+    "calibrations' uncertainties allow."
+)
+
+
+def charts(results: Results) -> Section | None:
+    """One figure an arm, a strip a joint."""
+    points = results.table("points")
+    if not len(points):
+        return None
+    found = results.table("changes")
+    changed = list(dict.fromkeys(found["arm"])) if len(found) else []
+    arms = [*changed, *(a for a in dict.fromkeys(points["arm"]) if a not in changed)]
+    blocks: list[Block] = []
+    for number, arm in enumerate(arms[:MAX_ARMS], start=1):
+        own = points[points["arm"] == arm]
+        accused = sorted({int(j) for j in found[found["arm"] == arm]["joint"]})
+        told = (
+            f"{joint_names(list(accused), capital=True)} changed."
+            if accused
+            else "No joint changed."
+        )
+        share = 100 * float(results.summary.get("false_alarm") or 0)
+        blocks.append(
+            Figure(
+                f"chart_{number}",
+                CAPTION.format(arm=text_or_dash(arm), share=f"{share:g}"),
+                f"Control charts of {text_or_dash(arm)}, one strip a joint over time. {told}",
+                arm_chart(own, found[found["arm"] == arm]),
+            )
+        )
+    if len(arms) > MAX_ARMS:
+        text = (
+            f"Charts of {count(len(arms) - MAX_ARMS)} further arms are left out; "
+            "none of their joints is left out of the tables."
+        )
+        blocks.append(Paragraph(text, "note"))
+    return Section("charts", "Control charts", tuple(blocks))
+
+
+def arm_chart(points: pd.DataFrame, changes: pd.DataFrame) -> Chart:
+    """Draw one arm."""
+    t = column(points, "t_days")
+    zero = float(np.floor(t.min()))
+    ticks = month_ticks(float(t.min()), float(t.max()))
+    numbers = sorted(int(joint) for joint in set(points["joint"]))
+    panels = [
+        _panel(
+            points[points["joint"] == joint],
+            changes[changes["joint"] == joint],
+            zero,
+            ticks,
+            last=joint == numbers[-1],
+        )
+        for joint in numbers
+    ]
+    return Chart(tuple(panels), row_height=0.86, shared_x=True)
+
+
+def _panel(
+    own: pd.DataFrame,
+    changes: pd.DataFrame,
+    zero: float,
+    ticks: tuple[tuple[float, str], ...],
+    *,
+    last: bool,
+) -> Panel:
+    t, error, u = column(own, "t_days") - zero, column(own, "error_deg"), column(own, "u_deg")
+    odd = own["odd"].to_numpy(dtype=bool)
+    low, high = column(own, "low_deg"), column(own, "high_deg")
+    marks: list[Mark] = [
+        _error_bars(t, error - 2 * u, error + 2 * u),
+        Line(*_break_at_calibrations(own, t, low), "tolerance", "control limits"),
+        Line(*_break_at_calibrations(own, t, high), "tolerance"),
+        *_fitted_course(own, t, changes, zero),
+        Points(t[~odd], error[~odd], "error", "session", size=1.2),
+    ]
+    if odd.any():
+        marks.append(Points(t[odd], error[odd], "series_2", "odd session", size=2.0))
+    steps = changes[changes["term"] == "step"]
+    marks += [
+        Level((float(a) + float(b)) / 2 - zero, "encoder", "step", upright=True)
+        for a, b in zip(steps["t_days"], steps["before_t_days"], strict=True)
+    ]
+    marks += [
+        Level(place, "muted", "new calibration", upright=True)
+        for place in _calibration_changes(own, t)
+    ]
+    return Panel(
+        tuple(marks),
+        y_label=f"q{int(own['joint'].iloc[0])} [°]",
+        x_label=f"month; days are counted from {format_day(zero)}" if last else "",
+        x_range=(float(t.min()) - 3, float(t.max()) + 3),
+        x_ticks=tuple((place - zero, text) for place, text in ticks),
+        unit="°",
+    )
+
+
+def _break_at_calibrations(own: pd.DataFrame, t: Array, values: Array) -> tuple[Array, Array]:
+    """Break a line where the calibration changed."""
+    cuts = np.searchsorted(t, _calibration_changes(own, t))
+    return np.insert(t, cuts, np.nan), np.insert(values, cuts, np.nan)
+
+
+def _error_bars(t: Array, low: Array, high: Array) -> Band:
+    """Upright bars: pieces of one point, parted by NaN."""
+    gap = np.full(len(t), np.nan)
+    x, below, above = (np.stack([values, gap], axis=1).ravel() for values in (t, low, high))
+    return Band(x, below, above, "error_band", "± 2u")
+
+
+def _calibration_changes(own: pd.DataFrame, t: Array) -> list[float]:
+    """Between which sessions the calibration changed: halfway."""
+    at = np.flatnonzero(np.diff(column(own, "calibration"))) + 1
+    return [(float(t[i - 1]) + float(t[i])) / 2 for i in at]
+
+
+def _fitted_course(own: pd.DataFrame, t: Array, changes: pd.DataFrame, zero: float) -> list[Mark]:
+    """Break the level at steps: nothing is known in between."""
+    fitted = column(own, "fitted_deg")
+    known = np.isfinite(fitted)
+    t, fitted = t[known], fitted[known]
+    places = [float(d) - zero for d in changes[changes["term"] == "step"]["t_days"]]
+    places += _calibration_changes(own, column(own, "t_days") - zero)
+    cuts = np.searchsorted(t, sorted(place - 1e-9 for place in places))
+    return [Line(np.insert(t, cuts, np.nan), np.insert(fitted, cuts, np.nan), "resolved", "level")]
+
+
+def month_ticks(first: float, last: float) -> tuple[tuple[float, str], ...]:
+    """Mark the beginnings of months, no more than a few: (days since 1970, text)."""
+    start = EPOCH + timedelta(days=first)
+    marks: list[tuple[float, str]] = []
+    for step in TICK_STEPS:
+        marks = list(_month_starts(start, last, step))
+        if len(marks) <= MAX_TICKS:
+            break
+    if len(marks) < 2:  # within a month or two: the ends themselves
+        ends = (first, last) if last - first >= 1 else (first,)
+        return tuple((e, (EPOCH + timedelta(days=e)).strftime("%Y-%m-%d")) for e in ends)
+    return tuple(marks)
+
+
+def _month_starts(start: datetime, last: float, step: int) -> list[tuple[float, str]]:
+    marks: list[tuple[float, str]] = []
+    number = start.year * 12 + start.month - 1
+    number += -number % step
+    while True:
+        at = datetime(number // 12, number % 12 + 1, 1, tzinfo=UTC)
+        place = (at - EPOCH).total_seconds() / 86_400
+        if place > last:
+            return marks
+        if at >= start:
+            marks.append((place, at.strftime("%Y-%m")))
+        number += step

@@ -1,0 +1,114 @@
+"""A report as pages, set by typst. The template is fixed; what varies reaches it as data."""
+
+import base64
+import json
+import os
+import re
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import matplotlib as mpl
+import typst
+
+from reports.document.blocks import Document, collect_figures, to_template_data
+from reports.format import matplotlib
+from reports.format.branding import DEFAULT_BRANDING, LANGUAGE, WORDS, Logo, Look
+from reports.results import ReportError
+
+TEMPLATES = Path(__file__).with_name("templates")
+TEMPLATE_FILE = "report.typ"
+FONTS: dict[str, Any] = {
+    "ignore_system_fonts": True,
+    "font_paths": [str(Path(mpl.get_data_path()) / "fonts" / "ttf")],
+}
+_compile = cast("Callable[..., bytes]", typst.compile)  # its types leave out files in memory
+
+
+def pages(document: Document, look: Look = DEFAULT_BRANDING) -> bytes:
+    """Render a document as PDF; the same document gives the same bytes.
+
+    Only fonts that typst and matplotlib bring along are used, no font of the machine.
+
+    Raises:
+        ReportError: a template of the user's own has an error.
+    """
+    files = typst_files(document, look)
+    own = look.templates if look.templates and (look.templates / TEMPLATE_FILE).is_file() else None
+    return typeset(files) if own is None else _typeset_custom(own, files)
+
+
+def typeset(files: dict[str, bytes]) -> bytes:
+    """Let typst set the files that `typst_files` made."""
+    return _compile(files, format="pdf", timestamp=0, **FONTS)
+
+
+def _typeset_custom(folder: Path, files: dict[str, bytes]) -> bytes:
+    """Let typst set a template of the user's own; it reads files of its folder, and no others."""
+    own = files | {"shipped.typ": files["main.typ"], "main.typ": _read_file(folder / TEMPLATE_FILE)}
+    try:
+        return _compile(own, format="pdf", timestamp=0, root=str(folder), **FONTS)
+    except (typst.TypstError, RuntimeError) as problem:
+        place = _diagnostic_place(folder, str(getattr(problem, "diagnostic", "")))
+        remedy = "docs/reports.md says what a template is given."
+        raise ReportError(place, str(problem), "a typst template is expected", remedy) from None
+
+
+def _diagnostic_place(folder: Path, diagnostic: str) -> str:
+    """Name the file and line that typst complains of, in the user's own names."""
+    found = re.search(r"─ (.+?):(\d+):\d+\n", diagnostic)
+    if found is None:
+        return str(folder / TEMPLATE_FILE)
+    name = os.path.relpath(found[1], folder)
+    return f"{folder / (TEMPLATE_FILE if name == 'main.typ' else name)}, line {found[2]}"
+
+
+def _read_file(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as problem:
+        found = f"cannot be read ({problem.strerror})"
+        raise ReportError(path, found, "a typst template is expected", "") from None
+
+
+def typst_files(document: Document, look: Look = DEFAULT_BRANDING) -> dict[str, bytes]:
+    """Make the files that typst reads: the template, the text as JSON, the drawings."""
+    drawn = {}
+    files = {"main.typ": (TEMPLATES / TEMPLATE_FILE).read_bytes()}
+    for name, content in collect_figures(document).items():
+        if isinstance(content, bytes):
+            drawn[name] = {"file": f"{name}.svg", "width": 1.0}
+            files[f"{name}.svg"] = _png_in_svg(content)
+        else:
+            drawn[name] = {"file": f"{name}.svg", "width": matplotlib.relative_width(content)}
+            files[f"{name}.svg"] = matplotlib.svg(content)
+    if look.logo is not None:
+        files["logo.svg"] = (
+            look.logo.content if look.logo.is_svg else _png_in_svg(look.logo.content)
+        )
+    data = {
+        "document": to_template_data(document),
+        "figures": drawn,
+        "words": WORDS,
+        "language": LANGUAGE,
+        "logo": look.logo and _logo_data(look.logo),
+        "owner": look.owner,
+    }
+    files["report.json"] = json.dumps(data).encode()
+    return files
+
+
+def _logo_data(logo: Logo) -> dict[str, Any]:
+    return {"file": "logo.svg", "width_mm": logo.width_mm, "height_mm": logo.height_mm}
+
+
+def _png_in_svg(png: bytes) -> bytes:
+    """Wrap a PNG in an SVG: typst's files in memory must be text."""
+    width, height = struct.unpack(">II", png[16:24])  # IHDR, the first chunk of every PNG
+    size = f'width="{width}" height="{height}"'
+    picture = base64.b64encode(png).decode()
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size}>'
+        f'<image {size} href="data:image/png;base64,{picture}"/></svg>'
+    ).encode()

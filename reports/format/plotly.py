@@ -1,0 +1,302 @@
+"""Charts on the screen: plotly figures as plain dicts, coloured by role.
+
+A colour stands as `role:NAME`; the page puts in the light or the dark one, and changes them
+when the reader's scheme changes. Numbers travel as base64 float arrays, a third of the text.
+"""
+
+import base64
+import html
+from typing import Any
+
+import numpy as np
+
+from reports.document import charts
+from reports.document.charts import Array, Chart, Mark, Panel, Path, isolated_points, pieces
+from reports.results import one_line
+
+PIXELS_PER_INCH = 150  # of a chart's height: strips on a screen want more room than on paper
+GAP_PX = 40  # between rows of panels that have labels of their own
+STRIP_GAP_PX = 14  # between strips that share their time axis
+TITLE_GAP_PX = 18  # more, where a panel has a title
+LABEL_GAP_PX = 16  # more, where a label stands above a title
+TOP_PX, BOTTOM_PX = 34, 44  # for the legend and for the label of the time axis
+MAX_BOX_DIAGONAL = 1.2  # diagonal of a box, its longest side 1, that the nearest view holds
+LINE_WIDTHS = {"error": 1.1, "resolved": 2.0, "encoder": 1.6, "vector": 0.7}
+
+
+def specification(chart: Chart | Path) -> dict[str, Any]:
+    """Give plotly's data, its layout, and the layout for a screen too narrow for columns."""
+    if isinstance(chart, Path):
+        return _path(chart)
+    data: list[dict[str, Any]] = []
+    shown: set[str] = set()
+    for index, panel in enumerate(chart.panels):
+        for mark in panel.marks:
+            traces = _traces(mark, panel, chart)
+            for trace in traces:
+                trace |= {"xaxis": f"x{_suffix(index)}", "yaxis": f"y{_suffix(index)}"}
+                trace["showlegend"] = trace.get("name", "") not in shown | {""}
+                shown.add(trace.get("name", ""))
+            data += traces
+    wide, narrow = _layout(chart, chart.columns), _layout(chart, 1)
+    for layout in (wide, narrow):
+        layout["showlegend"] = bool(shown - {""})
+    return {"data": data, "layout": wide, "narrow": narrow, "width": chart.width}
+
+
+def colour(role: str) -> str:
+    """Name a colour for the page to put in."""
+    return f"role:{role}"
+
+
+def escape_label(words: str) -> str:
+    """Make a user's words safe for plotly, which reads some HTML in its labels."""
+    return "<br>".join(html.escape(one_line(line), quote=False) for line in words.split("\n"))
+
+
+def _suffix(index: int) -> str:
+    return "" if index == 0 else str(index + 1)
+
+
+def _floats(values: Array, kind: str = "f4") -> dict[str, str]:
+    raw = np.ascontiguousarray(values, dtype=f"<{kind}").tobytes()
+    return {"dtype": kind, "bdata": base64.b64encode(raw).decode()}
+
+
+def _traces(mark: Mark, panel: Panel, chart: Chart) -> list[dict[str, Any]]:
+    if isinstance(mark, charts.Line):
+        return _line(mark, panel)
+    if isinstance(mark, charts.Band):
+        return _band(mark)
+    if isinstance(mark, charts.Points):
+        return [
+            _scatter(mark.x, mark.y, "markers", mark.name)
+            | {"marker": {"color": colour(mark.role), "size": 4 * mark.size, "opacity": 0.6}}
+            | _hover(panel)
+        ]
+    if isinstance(mark, charts.Runs):
+        return [_runs(mark)]
+    if isinstance(mark, charts.Cells):
+        return [_cells(mark)]
+    if isinstance(mark, charts.Bars):
+        return [_bars(mark, panel)]
+    if isinstance(mark, charts.Level):
+        return _level(mark, panel, chart)
+    return [
+        _scatter(np.array([mark.x]), np.array([mark.y]), "text")
+        | {"text": [escape_label(mark.text)], "textfont": {"size": 11}, "hoverinfo": "skip"}
+    ]
+
+
+def _scatter(x: Array, y: Array, mode: str, name: str = "") -> dict[str, Any]:
+    return {
+        "type": "scatter",
+        "mode": mode,
+        "name": escape_label(name),
+        "legendgroup": escape_label(name),
+        "x": _floats(x, "f8"),
+        "y": _floats(y),
+    }
+
+
+def _hover(panel: Panel) -> dict[str, Any]:
+    space = "" if panel.unit in ("", "°") else " "
+    return {"hovertemplate": f"%{{x:.4~f}}: %{{y:.4~f}}{space}{panel.unit}"}
+
+
+def _line(line: charts.Line, panel: Panel) -> list[dict[str, Any]]:
+    style = {
+        "color": colour(line.role),
+        "width": LINE_WIDTHS.get(line.role, 1.4),
+        "dash": charts.DASHES.get(line.role, "solid"),
+    }
+    traces = [
+        _scatter(line.x, line.y, "lines", line.name)
+        | {"line": style, "connectgaps": False}
+        | _hover(panel)
+    ]
+    alone = isolated_points(line.x, line.y)
+    if alone.any():
+        dots = _scatter(line.x[alone], line.y[alone], "markers", line.name)
+        traces.append(dots | {"marker": {"color": colour(line.role), "size": 5}} | _hover(panel))
+    return traces
+
+
+def _band(band: charts.Band) -> list[dict[str, Any]]:
+    """Draw closed outlines, one a piece, parted by NaN; a piece of one point is a thin bar."""
+    outlines_x: list[Array] = []
+    outlines_y: list[Array] = []
+    gap = np.array([np.nan])
+    for piece in pieces(band.x):
+        x, low, high = band.x[piece], band.low[piece], band.high[piece]
+        outlines_x += [x, x[::-1], x[:1], gap]
+        outlines_y += [low, high[::-1], low[:1], gap]
+    if not outlines_x:
+        return []
+    trace = _scatter(np.concatenate(outlines_x), np.concatenate(outlines_y), "lines", band.name)
+    style = {"color": colour(band.role), "width": 0}
+    if all(piece.stop - piece.start == 1 for piece in pieces(band.x)):
+        style["width"] = 2
+    return [
+        trace
+        | {"fill": "toself", "fillcolor": colour(band.role), "line": style, "hoverinfo": "skip"}
+    ]
+
+
+def _level(level: charts.Level, panel: Panel, chart: Chart) -> list[dict[str, Any]]:
+    """Draw a level as a line of two points over the data's own extent."""
+    own = [m for m in panel.marks if isinstance(m, charts.Line)]
+    every = [m for p in chart.panels for m in p.marks if isinstance(m, charts.Line)]
+    along = [m.y if level.upright else m.x for m in (own if level.upright else every)]
+    known = np.concatenate([a[np.isfinite(a)] for a in along] or [np.empty(0)])
+    ends = np.array([known.min(), known.max()]) if len(known) else np.array([0.0, 1.0])
+    if ends[0] == ends[1]:
+        ends = ends + np.array([-0.5, 0.5])
+    fixed = np.full(2, level.value)
+    x, y = (fixed, ends) if level.upright else (ends, fixed)
+    style = {"color": colour(level.role), "width": 1.4}
+    style["dash"] = charts.DASHES.get(level.role, "solid")
+    return [_scatter(x, y, "lines", level.name) | {"line": style, "hoverinfo": "skip"}]
+
+
+def _runs(runs: charts.Runs) -> dict[str, Any]:
+    gap = np.full(len(runs.starts), np.nan)
+    x = np.stack([runs.starts, runs.ends, gap], axis=1).ravel()
+    y = np.where(np.isfinite(x), float(runs.row), np.nan)
+    style = {"color": colour(runs.role), "width": 12}
+    hover = {"hovertemplate": "%{x:.3~f} s<extra></extra>"}
+    return _scatter(x, y, "lines") | {"line": style} | hover
+
+
+def _cells(cells: charts.Cells) -> dict[str, Any]:
+    trace = {
+        "type": "heatmap",
+        "x": _floats(cells.x),
+        "y": _floats(cells.y),
+        "z": [[float(v) if np.isfinite(v) else None for v in line] for line in cells.values],
+        "zmin": cells.low,
+        "zmax": cells.high,
+        "colorscale": [[share, colour(role)] for share, role in cells.scale],
+        "showscale": False,
+        "hoverinfo": "skip",
+    }
+    if cells.text:
+        trace |= {"text": [list(line) for line in cells.text], "texttemplate": "%{text}"}
+    return trace
+
+
+def _bars(bars: charts.Bars, panel: Panel) -> dict[str, Any]:
+    return {
+        "type": "bar",
+        "name": escape_label(bars.name),
+        "legendgroup": escape_label(bars.name),
+        "x": _floats(bars.x),
+        "y": _floats(bars.heights),
+        "width": bars.width,
+        "marker": {"color": colour(bars.role), "line": {"width": 0}},
+        "hovertemplate": f"%{{y:.3~g}} {panel.unit}",
+    }
+
+
+def _layout(chart: Chart, columns: int) -> dict[str, Any]:
+    rows = -(-len(chart.panels) // columns)
+    titled = any(panel.title for panel in chart.panels)
+    gap = STRIP_GAP_PX if chart.shared_x and columns == chart.columns else GAP_PX
+    gap += TITLE_GAP_PX * titled + (
+        GAP_PX if any(p.equal and p.x_label for p in chart.panels) else 0
+    )
+    if titled and any(p.x_label for p in chart.panels) and not chart.shared_x:
+        gap += LABEL_GAP_PX
+    row = chart.row_height * PIXELS_PER_INCH
+    plot = rows * row + (rows - 1) * gap
+    above = TOP_PX + TITLE_GAP_PX * titled
+    layout: dict[str, Any] = {
+        "height": round(plot + above + BOTTOM_PX),
+        "margin": {"l": 62, "r": 12, "t": above, "b": BOTTOM_PX},
+        "barmode": "stack",
+        "hovermode": "closest",
+        "annotations": [],
+    }
+    between = 0.1 * (columns > 1)
+    span = (1 - between * (columns - 1)) / columns
+    for index, panel in enumerate(chart.panels):
+        line, place = divmod(index, columns)
+        top = 1 - line * (row + gap) / plot
+        domain = [max(top - row / plot, 0.0), top]
+        left = place * (span + between)
+        last = index + columns >= len(chart.panels)
+        label = panel.x_label or (chart.panels[-1].x_label if last and chart.shared_x else "")
+        _axes(layout, index, panel, [left, left + span], domain)
+        if chart.shared_x:
+            layout[f"xaxis{_suffix(index)}"]["matches"] = "x"
+            layout[f"xaxis{_suffix(index)}"]["showticklabels"] = last
+            label = label if last else ""
+        layout[f"xaxis{_suffix(index)}"]["title"] = {"text": escape_label(label), "standoff": 6}
+        if panel.title:
+            layout["annotations"].append(
+                {
+                    "text": escape_label(panel.title), "x": left, "y": top, "xref": "paper",
+                    "yref": "paper", "xanchor": "left", "yanchor": "bottom", "showarrow": False,
+                }
+            )  # fmt: skip
+    return layout
+
+
+def _axes(
+    layout: dict[str, Any], index: int, panel: Panel, across: list[float], up: list[float]
+) -> None:
+    suffix = _suffix(index)
+    x: dict[str, Any] = {"domain": across, "anchor": f"y{suffix}", "zeroline": False}
+    y: dict[str, Any] = {"domain": up, "anchor": f"x{suffix}", "zeroline": False}
+    y["title"] = {"text": escape_label(panel.y_label), "standoff": 4}
+    for axis, ends, ticks in ((x, panel.x_range, panel.x_ticks), (y, panel.y_range, panel.y_ticks)):
+        if ends:
+            axis["range"] = list(ends)
+        if ticks:
+            axis["tickvals"] = [place for place, _ in ticks]
+            axis["ticktext"] = [escape_label(word) for _, word in ticks]
+            axis["showgrid"] = False
+    if panel.y_ticks:
+        y["automargin"] = True
+    if panel.equal:
+        y |= {"scaleanchor": f"x{suffix}", "constrain": "domain"}
+        x |= {"constrain": "domain", "constraintoward": "left"}
+    layout[f"xaxis{suffix}"], layout[f"yaxis{suffix}"] = x, y
+
+
+def _path(path: Path) -> dict[str, Any]:
+    data = []
+    for points, role, name in path.lines:
+        alone = isolated_points(points[:, 0], points[:, 1])
+        trace: dict[str, Any] = {
+            "type": "scatter3d",
+            "mode": "lines+markers" if alone.any() else "lines",
+            "name": escape_label(name),
+            "line": {"color": colour(role), "width": 4, "dash": charts.DASHES.get(role, "solid")},
+            "marker": {"color": colour(role), "size": 2},
+            "hovertemplate": "%{x:.2f}, %{y:.2f}, %{z:.2f} mm",
+        }
+        trace |= {axis: _floats(points[:, i]) for i, axis in enumerate("xyz")}
+        data.append(trace)
+    longest = max(high - low for low, high in path.ranges)
+    sides = [(high - low) / longest for low, high in path.ranges]
+    away = max(
+        float(np.linalg.norm(sides)) / MAX_BOX_DIAGONAL, 1.0
+    )  # a cube needs more room than a plate
+    scene: dict[str, Any] = {
+        "aspectmode": "manual",
+        "aspectratio": dict(zip("xyz", sides, strict=True)),
+        "camera": {"eye": {"x": 0.95 * away, "y": -1.3 * away, "z": 0.7 * away}},
+        "dragmode": "orbit",
+    }
+    for axis, label, ends in zip("xyz", path.labels, path.ranges, strict=True):
+        scene[f"{axis}axis"] = {"title": {"text": label}, "range": list(ends), "nticks": 6}
+    layout = {
+        "height": 520,
+        "margin": {"l": 0, "r": 0, "t": TOP_PX, "b": 0},
+        "scene": scene,
+        "showlegend": True,
+    }
+    far = {axis: 1.35 * place for axis, place in scene["camera"]["eye"].items()}
+    narrow = layout | {"height": 400, "scene": scene | {"camera": {"eye": far}}}
+    return {"data": data, "layout": layout, "narrow": narrow, "width": 1.0}

@@ -1,0 +1,302 @@
+"""What the report of a grab says, in which order.
+
+The summary's keys, units in their names; what is not known is null:
+
+    kind                  "grab"
+    tool                  name, version
+    robot, cell, target   in words
+    execute               whether anything was allowed to move
+    state, reason         the named state that it ended in, and why
+    released              the controls were given back
+    seen_from_grip_mm     the object's middle, by both cameras' last sight of it in the lift;
+                          seen_from_grip_expanded_uncertainty_mm (k = 2), seen_raised_mm (by which
+                          the hand was up then); null where they did not see it after the descent
+    hand                  used (the end point was corrected), reason, pictures, measured, told_mm,
+                          read_mm, seen_mm (the grip point above the object, as ordered, by the
+                          encoders, by the LEDs), off_mm (at the object, seen less told) and
+                          off_expanded_uncertainty_mm (k = 2); null where it was not looked at
+    plan                  branch, score and its parts, q_above_deg, q_grip_deg, grip_mm, duration_s,
+                          margin (across_mm, across_needed_mm, along_mm, along_needed_mm,
+                          raised_mm), rejected (branch, reason); null without a plan
+    refusal               kind, reason, rejected; null where none was refused
+
+Tables: cycles (t_s, state, status, quality, target_ and grip_ x/y/z_mm, u_x/y/z_mm, left_ and
+right_ x/y/width/height_px, q1_deg …, q1_ordered_deg …, gripper, opening_mm), passages (t_s,
+from_state, event, to_state, reason), plan (t_s, part, q1_deg …, grip_x/y/z_mm), hand (t_s,
+status, grip_x/y/z_mm: a picture a row).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from reports.document.blocks import (
+    Block,
+    Bullets,
+    Document,
+    Facts,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    Verdict,
+    figure_or_text,
+    number_figures,
+    row,
+    software,
+)
+from reports.document.charts import column, texts
+from reports.document.formatting import (
+    count,
+    finite,
+    number,
+    quantity,
+    significant,
+    text_or_dash,
+    with_uncertainty,
+)
+from reports.grasp import figures
+from reports.results import Results
+
+STATE_ORDER = ("idle", "following", "approaching", "closing", "lifting", "lifted", "missed")
+OUTCOMES = {  # by the state: tone, label
+    "lifted": ("conform", "Grasped and lifted"),
+    "missed": ("nonconform", "Missed: nothing was held"),
+    "fault": ("nonconform", "Stopped by a fault"),
+    "holding-stale": ("undecided", "Held: pictures or joint angles were too old"),
+    "holding-lost": ("undecided", "Held: the target was out of sight"),
+    "holding-unreachable": ("undecided", "Held: no safe way led to the target"),
+    "holding-operator": ("undecided", "Held by the operator"),
+}
+
+
+def document(results: Results) -> Document:
+    """Lay out the whole report."""
+    summary = results.summary
+    sections = (
+        _outcome,
+        _states,
+        _track,
+        _camshift,
+        _joints,
+        _tool_offset_section,
+        _margins,
+        _plan,
+    )
+    return number_figures(
+        Document(
+            title=f"Grab with {text_or_dash(summary.get('robot'))}",
+            subtitle=f"{text_or_dash(summary.get('target'))}, {text_or_dash(summary.get('cell'))} cell",
+            footer=f"{software(summary)} · grab",
+            sections=tuple(section(results) for section in sections),
+        )
+    )
+
+
+def outcome(summary: dict[str, Any]) -> Verdict:
+    """Say how it ended, in a label and a sentence."""
+    state, reason = str(summary.get("state")), text_or_dash(summary.get("reason"))
+    plan, refusal = summary.get("plan"), summary.get("refusal") or {}
+    if not summary.get("execute") and plan:
+        duration = number(plan.get("duration_s"), 1)
+        return Verdict("none", "Planned; nothing was moved", f"{plan['branch']}, {duration} s.")
+    if refusal:
+        return Verdict("undecided", "Refused", f"{refusal['reason']}.{_tool_offset_text(summary)}")
+    if state == "searching":
+        sentence = (
+            "Nothing of the target's colours was seen by both cameras, or more than one thing."
+        )
+        return Verdict("undecided", "The target was not found", sentence)
+    if state not in OUTCOMES:
+        return Verdict("undecided", f"Ended while {state}", "Its time was over, or it was ended.")
+    tone, label = OUTCOMES[state]
+    by = _evidence_text(summary) if state == "lifted" else ""
+    return Verdict(tone, label, f"{_as_sentence(reason + by)}{_tool_offset_text(summary)}")
+
+
+def _evidence_text(summary: dict[str, Any]) -> str:
+    """Who says that the object came along: the gripper does, the cameras where they saw it."""
+    far = _grip_distance_text(summary)
+    if far is None:
+        return ", by the gripper's status; the cameras did not see it after the descent"
+    up = quantity(summary.get("seen_raised_mm"), "mm", 3)
+    return (
+        f", by the gripper's status; the cameras saw it last {far} from the grip point, "
+        f"with the hand {up} up"
+    )
+
+
+def _grip_distance_text(summary: dict[str, Any]) -> str | None:
+    """How far the object was seen from the grip point; None where it was not seen."""
+    far = finite(summary.get("seen_from_grip_mm"))
+    if far is None:
+        return None
+    u = summary.get("seen_from_grip_expanded_uncertainty_mm")
+    return f"{with_uncertainty(far, u, 'mm', signed=False)} (k = 2)"
+
+
+def _tool_offset_text(summary: dict[str, Any]) -> str:
+    """What came of looking at the hand, as a sentence to add; empty where nobody looked."""
+    hand = summary.get("hand")
+    return f" {_as_sentence(hand['reason'])}" if hand else ""
+
+
+def _as_sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}."
+
+
+def _outcome(results: Results) -> Section:
+    summary = results.summary
+    table = results.table("cycles")
+    t, took = column(table, "t_s"), column(table, "took_ms")
+    items = [
+        ("State at the end", text_or_dash(summary.get("state"))),
+        ("Controls given back", "yes" if summary.get("released") else "no"),
+        ("Allowed to move", "yes" if summary.get("execute") else "no"),
+        ("Length", f"{number(float(np.ptp(t)) if len(t) else None, 1)} s"),
+        ("Cycles", count(summary.get("cycles"))),
+        ("Work a cycle, median", f"{number(float(np.median(took)) if len(t) else None, 1)} ms"),
+    ]
+    far = _grip_distance_text(summary)
+    if far is not None or summary.get("state") == "lifted":
+        items.append(("Object from the grip point, seen", far or "not after the descent"))
+    items += [
+        ("Film", text_or_dash(summary.get("film"))),
+        ("Recorded session", text_or_dash(summary.get("session"))),
+    ]
+    blocks: list[Block] = [outcome(summary), Facts(tuple(items))]
+    if summary.get("warnings"):
+        blocks.append(Bullets(tuple(summary["warnings"]), "warning"))
+    picture = results.images.get("pictures")
+    shown = Figure(
+        "pictures", "Both cameras, left and right: what was searched (box) and seen (ellipse).",
+        "Pictures of both cameras in the main states", picture,
+    )  # fmt: skip
+    blocks.append(figure_or_text(shown, picture, "There are no pictures."))
+    return Section("outcome", "Outcome", tuple(blocks))
+
+
+def _states(results: Results) -> Section:
+    chart = figures.states(results)
+    figure = Figure("states", "The states over time.", "A bar for each state's time")
+    table = results.table("passages")
+    rows = tuple(
+        row(number(t, 2), a, b, event, because)
+        for t, a, b, event, because in zip(
+            column(table, "t_s"), texts(table, "from_state"), texts(table, "to_state"),
+            texts(table, "event"), texts(table, "reason"), strict=True,
+        )
+    )  # fmt: skip
+    head = ("t [s]", "from", "to", "event", "because")
+    blocks = (
+        figure_or_text(figure, chart, "It was too short to draw."),
+        Table("Every passage from one state to another.", "rllll", head, rows, wide=(4,)),
+    )
+    return Section("states", "States over time", blocks)
+
+
+def _track(results: Results) -> Section:
+    figure = Figure(
+        "track", "The target's track and the grip point's way, in the robot's base.",
+        "Lines in space: target and grip point",
+    )  # fmt: skip
+    drawing = figures.track(results)
+    said = "The target was not seen by both cameras."
+    return Section("track", "Track", (figure_or_text(figure, drawing, said),))
+
+
+def _camshift(results: Results) -> Section:
+    figure = Figure(
+        "camshift", "CAMSHIFT in both pictures: centre and size of the target's box, quality.",
+        "Strips over time: centre, size, quality",
+    )  # fmt: skip
+    drawing = figures.windows(results)
+    said = "CAMSHIFT saw nothing of the target's colours."
+    return Section("camshift", "CAMSHIFT over time", (figure_or_text(figure, drawing, said),))
+
+
+def _joints(results: Results) -> Section:
+    figure = Figure("joints", "Joint angles, read and ordered.", "Six strips of joint angles")
+    blocks: list[Block] = [
+        figure_or_text(figure, figures.joints(results), "No joint angles were read.")
+    ]
+    table = results.table("cycles")
+    names, t = texts(table, "state"), column(table, "t_s")
+    rows = []
+    for stage in STATE_ORDER:
+        if stage in names:
+            first = names.index(stage)
+            angles = [column(table, f"q{n}_deg")[first] for n in range(1, figures.N_JOINTS + 1)]
+            rows.append(row(stage, number(t[first], 2), *(number(q, 2) for q in angles)))
+    head = ("beginning of", "t [s]", *(f"joint {n} [°]" for n in range(1, figures.N_JOINTS + 1)))
+    caption = "Joint angles, read, at the beginning of each stage."
+    blocks.append(Table(caption, "l" + "r" * (figures.N_JOINTS + 1), head, tuple(rows)))
+    return Section("joints", "Joint angles", tuple(blocks))
+
+
+def _tool_offset_section(results: Results) -> Section:
+    """Did the arm stand where it was told to, by the LEDs on its flange?"""
+    hand = results.summary.get("hand")
+    if not hand:
+        said = "Nobody looked at the hand: there was no descent, or nothing was to move."
+        return Section("hand", "The hand, seen by its LEDs", (Paragraph(said),))
+    blocks: list[Block] = [Paragraph(_as_sentence(hand["reason"]))]
+    rows = [
+        row(what, *(number(v, 2) for v in hand[f"{key}_mm"] or (None,) * 3))
+        for what, key in (
+            ("grip point above the object, as ordered", "told"),
+            ("the same, by the encoders", "read"),
+            ("the same, by the LEDs", "seen"),
+            ("at the object: seen less ordered", "off"),
+            ("its expanded uncertainty (k = 2)", "off_expanded_uncertainty"),
+        )
+    ]
+    head = ("", "x [mm]", "y [mm]", "z [mm]")
+    caption = f"{hand['measured']} of {hand['pictures']} pairs of pictures showed the flange."
+    blocks.append(Table(caption, "lrrr", head, tuple(rows)))
+    return Section("hand", "The hand, seen by its LEDs", tuple(blocks))
+
+
+def _margins(results: Results) -> Section:
+    plan = results.summary.get("plan")
+    figure = Figure(
+        "margins", "Standard uncertainty of the target's place in the base, and what the gripper "
+        "leaves of expanded uncertainty. From the descent on, the hand hides part of the target.",
+        "Three lines over time, and what the gripper leaves",
+    )  # fmt: skip
+    drawing = figures.margins(results)
+    blocks: list[Block] = [figure_or_text(figure, drawing, "The target's place was never known.")]
+    if plan:
+        margin = plan["margin"]
+        rows = tuple(
+            row(what, number(margin[f"{key}_mm"], 1), number(margin[f"{key}_needed_mm"], 1))
+            for what, key in (("sideways", "across"), ("along the approach", "along"))
+        )
+        head = ("direction", "gripper leaves [mm]", "needed [mm]")
+        blocks.append(Table("Margins of the planned grasp.", "lrr", head, rows))
+        raised = number(margin["raised_mm"], 1)
+        blocks.append(
+            Paragraph(f"Gripped {raised} mm above its middle, so the tips stay off the table.")
+        )
+    return Section("margins", "Margins", tuple(blocks))
+
+
+def _plan(results: Results) -> Section:
+    plan, refusal = results.summary.get("plan"), results.summary.get("refusal")
+    blocks: list[Block] = []
+    figure = Figure("planned", "Joint angles as planned.", "Six strips of planned joint angles")
+    said = "There is no plan."
+    if refusal:
+        said = f"Refused ({refusal['kind']}): {refusal['reason']}."
+    blocks.append(figure_or_text(figure, figures.planned_motion(results), said))
+    chosen = plan or refusal or {}
+    rows = [row(entry["branch"], entry["reason"]) for entry in chosen.get("rejected") or []]
+    if plan:
+        parts = ", ".join(f"{key} {significant(value)}" for key, value in plan["parts"].items())
+        taken = f"taken: score {significant(plan['score'])} ({parts})"
+        rows.insert(0, row(plan["branch"], taken))
+    if rows:
+        head = ("branch", "why")
+        table = Table("The arm's postures.", "ll", head, tuple(rows), wide=(1,))
+        blocks.append(table)
+    return Section("plan", "Plan", tuple(blocks))

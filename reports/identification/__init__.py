@@ -1,0 +1,1 @@
+"""The report on identified arm parameters."""

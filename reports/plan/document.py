@@ -1,0 +1,377 @@
+"""What the report of a planned session says, in which order.
+
+The summary's keys, units in their names; what this motion would not show is null:
+
+    kind                  "plan"
+    tool, inputs, warnings, joint_error_correlation   as in a run's summary
+    robot, robot_fingerprint; observe: kinds of fault that were asked for
+    motion                duration_s, poses, visits, hold_s, there_and_back, view_angle_deg,
+                          floor_mm, seed
+    pairs                 recorded, measured, rejected, measured_share: as foreseen
+    candidates            tried, excluded: postures by what excludes them
+    conditions            rate_hz, skew_ms, spot_noise_px, reading_rate_hz, reading_noise_deg,
+                          clock_standard_uncertainty_ms (null: found from the motion)
+    joints                as a run's: standard_uncertainty_deg, expanded_uncertainty_deg,
+                          coverage_factor, visible_fraction (…_since_registration),
+                          minimum_detectable_error_deg, minimum_separable_error_deg; lowest_deg,
+                          highest_deg, greatest_speed_deg_s, upward_share; kinds, each: kind,
+                          unit (deg, percent), standard_uncertainty, minimum_detectable
+    clock                 source, standard_uncertainty_s, minimum_detectable_error_s
+    geometry              null, or supported, rank, candidates, parameters (name, unit,
+                          standard_uncertainty), held (name, reason), observability
+    through_encoders      base or LEDs were registered through the robot's own encoders
+    uncounted             sources taken as exact
+    image_size            px
+
+Tables: trajectory, poses, pairs, spots, arm, cameras, shown, sources.
+
+The report of a planned session, in words: kinds, figures, notes.
+"""
+
+from typing import Any
+
+from reports.calibration.words import FigureText
+from reports.document.blocks import (
+    Block,
+    Document,
+    Facts,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    Verdict,
+    figure_or_text,
+    number_figures,
+    provenance,
+    row,
+    software,
+)
+from reports.document.charts import column, texts
+from reports.document.formatting import (
+    count,
+    exact_number,
+    finite,
+    lookup_label,
+    number,
+    percent,
+    quantity,
+    significant,
+    text_or_dash,
+)
+from reports.document.formatting import joint_names as name_joints
+from reports.plan.figures import PLAN_FIGURES
+from reports.results import Results
+
+KINDS = {
+    "offsets": "Offset",
+    "gains": "Gain",
+    "backlash": "Backlash",
+    "eccentricity": "Eccentricity",
+}
+CLOCKS = {
+    "estimated": "found from the motion",
+    "given": "given",
+    "not_observable": "the motion does not show it",
+}
+REASONS = {"gauge": "gauge", "not_supported": "not supported"}
+
+
+class PlanNotes:
+    """Sentences, and notes that stand under tables."""
+
+    SAME_JUDGEMENT = (
+        "Predicted by the judgement itself, from the spots that this motion would show: what the "
+        "run's report will state, if the session is as assumed below and nothing is at fault."
+    )
+    OBSTACLES = (
+        "Obstacles and cables are not known to the plan: bring the arm to the first pose and try "
+        "the motion slowly first."
+    )
+    JOINTS = (
+        "U: expanded uncertainty of the joint's mean error (k as stated). Detectable: the smallest "
+        "constant offset that would be noticed (false alarm 0.1 %, power 80 %). Separable: the "
+        "smallest that would be told from an offset of any other joint. Visible: the share of an "
+        "offset that was there at registration. The mean weighs every pair alike; the fit "
+        "that notices an offset learns from the whole motion what rig and LEDs are off by, and may "
+        "notice less than U."
+    )
+    SOURCES = (
+        "Standard uncertainties; the largest is the one to mend first. What does not average out "
+        "is no smaller for a longer session."
+    )
+    HIDDEN = (
+        "Base or LEDs were registered through the robot's own encoders: what a registration from "
+        "these hides of an offset, no motion shows."
+    )
+    KINDS = (
+        "u: standard uncertainty with all kinds that were asked for found together. Detectable: "
+        "the smallest that would be noticed if it were alone. A dash: this motion does not show it."
+    )
+    SPAN = (
+        "Upward: the share of pairs whose last travel was upward. Backlash shows where both "
+        "directions occur."
+    )
+    EXCLUDED = "Each posture counts once, under the first that excludes it, in this order."
+    GEOMETRY = (
+        "Standard uncertainty of what `verify identify` would find with base and LEDs held as "
+        "their files state them. A gauge is told apart by no motion."
+    )
+
+
+FIGURES = {
+    "plan_detectable": FigureText(
+        "Predicted of each joint: expanded uncertainty of its mean error, and the smallest "
+        "constant offset that would be noticed.",
+        "Two upright bars a joint, in degrees.",
+        "No joint's offset would show.",
+    ),
+    "correlation": FigureText(
+        "Predicted correlation of the joints' mean errors.",
+        "A square matrix of correlation coefficients, one row and one column a joint.",
+        "The correlation of the joints' mean errors is not known.",
+    ),
+    "plan_joints": FigureText(
+        "The joints over time.",
+        "Strips over time, one a joint, in degrees.",
+        "The motion was not kept.",
+    ),
+    "plan_path": FigureText(
+        "The flange's way, the arm at some of the poses, and the cameras with their view; robot's "
+        "base frame.",
+        "Lines in space: the flange's way, the arm's links, the cameras' axes.",
+        "The arm's way was not kept.",
+    ),
+    "plan_view": FigureText(
+        "The LEDs in both pictures, all pairs of the session.",
+        "Two pictures with the places of every LED in them, in pixels.",
+        "The LEDs' places were not kept.",
+    ),
+}
+
+
+UNITS = {"deg": "°", "percent": "%", "mm": "mm"}
+
+
+def document(results: Results) -> Document:
+    """Lay out the whole report."""
+    summary = results.summary
+    sections = [verdict, joints, kinds, identifiable_parameters, motion, candidates, conditions]
+    if not summary.get("geometry"):
+        sections.remove(identifiable_parameters)
+    fingerprint = text_or_dash(summary.get("robot_fingerprint"))[:23]
+    return number_figures(
+        Document(
+            title=f"Planned session of {text_or_dash(summary.get('robot'))}",
+            subtitle="what the next session would show",
+            footer=f"{software(summary)} · robot {fingerprint}",
+            sections=tuple(section(results) for section in sections),
+        )
+    )
+
+
+def verdict(results: Results) -> Section:
+    """Open with the smallest offset that would be noticed, and with what cannot show."""
+    summary = results.summary
+    every = summary.get("joints") or []
+    sizes = {j.get("joint"): finite(j.get("minimum_detectable_error_deg")) for j in every}
+    known = {joint: size for joint, size in sizes.items() if size is not None}
+    blind = [joint for joint, size in sizes.items() if size is None]
+    sentences = []
+    if known:
+        worst = max(known, key=lambda joint: known[joint])
+        sentences.append(
+            f"A constant offset of {quantity(known[worst], '°')} or more would be noticed in "
+            f"{'every joint' if not blind else name_joints(list(known))}."
+        )
+    if blind:
+        sentences.append(f"An offset of {name_joints(blind)} cannot show.")
+    remarks = [PlanNotes.SAME_JUDGEMENT, PlanNotes.OBSTACLES]
+    if blind and summary.get("through_encoders"):
+        remarks.insert(0, PlanNotes.HIDDEN)
+    block = Verdict(
+        tone="undecided" if blind else "none",
+        label="What this motion would show",
+        sentence=" ".join(sentences),
+        remarks=tuple(remarks),
+    )
+    moved, pairs = summary.get("motion") or {}, summary.get("pairs") or {}
+    clock = summary.get("clock") or {}
+    facts = [
+        ("Robot", text_or_dash(summary.get("robot"))),
+        ("Duration", quantity(moved.get("duration_s"), "s", 3)),
+        ("Poses", count(moved.get("poses"))),
+        ("Pairs measured", f"{count(pairs.get('measured'))} of {count(pairs.get('recorded'))}"),
+        ("Encoders' clock", lookup_label(CLOCKS, clock.get("source"))),
+    ]
+    if finite(clock.get("standard_uncertainty_s")) is not None:
+        facts.append(("Clock, u", quantity(1e3 * clock["standard_uncertainty_s"], "ms")))
+    return Section("verdict", "Prediction", (block, Facts(tuple(facts))))
+
+
+def joints(results: Results) -> Section:
+    """Give each joint's uncertainty, and what would be noticed and told apart."""
+    rows = tuple(
+        row(
+            text_or_dash(joint.get("joint")),
+            significant(joint.get("standard_uncertainty_deg")),
+            significant(joint.get("expanded_uncertainty_deg")),
+            number(joint.get("coverage_factor"), 2),
+            significant(joint.get("minimum_detectable_error_deg")),
+            significant(joint.get("minimum_separable_error_deg")),
+            percent(joint.get("visible_fraction")),
+        )
+        for joint in results.summary.get("joints") or []
+    )
+    heads = ("Joint", "u [°]", "U [°]", "k", "Detectable [°]", "Separable [°]", "Visible")
+    table = Table(
+        "Predicted uncertainty and detectable error of each joint.", "crrrrrr", heads, rows,
+        (PlanNotes.JOINTS,),
+    )  # fmt: skip
+    blocks = [table, _figure_block(results, "plan_detectable"), *_sources(results)]
+    return Section("joints", "Joints", (*blocks, _figure_block(results, "correlation")))
+
+
+def _sources(results: Results) -> tuple[Block, ...]:
+    """Say what each joint's uncertainty is made of."""
+    parts = results.table("sources")
+    names = list(dict.fromkeys(texts(parts, "source")))
+    every = results.summary.get("joints") or []
+    if not names or not every:
+        return ()
+    sizes = column(parts, "standard_uncertainty_deg").reshape(len(names), len(every))
+    rows = tuple(
+        row(name, *(number(size, 4) for size in line))
+        for name, line in zip(names, sizes.tolist(), strict=True)
+    )
+    heads = ("Source", *(f"q{joint.get('joint')} [°]" for joint in every))
+    caption = "What the uncertainty of each joint's mean error comes from."
+    return (Table(caption, "l" + "r" * len(every), heads, rows, (PlanNotes.SOURCES,)),)
+
+
+def kinds(results: Results) -> Section:
+    """Give every kind of fault that was asked for, a joint."""
+    every = results.summary.get("joints") or []
+    names = [str(k.get("kind")) for k in (every[0].get("kinds") if every else None) or []]
+    if not names:
+        return Section(
+            "kinds", "Kinds of fault", (Paragraph("No fault of a joint was asked for."),)
+        )
+    heads = ["Joint"]
+    units = {str(k.get("kind")): UNITS.get(str(k.get("unit")), "") for k in every[0]["kinds"]}
+    for name in names:
+        heads += [f"{lookup_label(KINDS, name)}, u [{units[name]}]", f"detectable [{units[name]}]"]
+    rows = tuple(
+        row(
+            text_or_dash(joint.get("joint")),
+            *(
+                significant(one.get(key))
+                for one in joint.get("kinds") or []
+                for key in ("standard_uncertainty", "minimum_detectable")
+            ),
+        )
+        for joint in every
+    )
+    table = Table(
+        "What would show of each kind of fault.", "c" + "rr" * len(names), tuple(heads), rows,
+        (PlanNotes.KINDS,),
+    )  # fmt: skip
+    return Section("kinds", "Kinds of fault", (table,))
+
+
+def identifiable_parameters(results: Results) -> Section:
+    """List which of the arm's parameters could be identified."""
+    found: dict[str, Any] = results.summary.get("geometry") or {}
+    rows = tuple(
+        row(
+            text_or_dash(p.get("name")),
+            UNITS.get(str(p.get("unit")), ""),
+            significant(p.get("standard_uncertainty")),
+        )
+        for p in found.get("parameters") or []
+    )
+    facts = Facts(
+        (
+            (
+                "Told apart",
+                f"{count(found.get('rank'))} of {count(found.get('candidates'))} parameters",
+            ),
+        )
+    )
+    table = Table(
+        "Parameters of the arm that could be identified.", "llr", ("Parameter", "Unit", "u"), rows,
+        (PlanNotes.GEOMETRY,),
+    )  # fmt: skip
+    blocks: list[Block] = [facts, table]
+    held = tuple(
+        row(text_or_dash(h.get("name")), lookup_label(REASONS, h.get("reason")))
+        for h in found.get("held") or []
+    )
+    if held:
+        heads = ("Parameter", "Why it is held")
+        blocks.append(Table("Parameters that could not be told.", "ll", heads, held))
+    indexes = found.get("observability") or {}
+    if indexes:
+        listed = tuple(row(name, significant(value, 3)) for name, value in indexes.items())
+        blocks.append(Table("Observability.", "lr", ("Index", "Value"), listed))
+    return Section("geometry", "The arm's geometry", tuple(blocks))
+
+
+def motion(results: Results) -> Section:
+    """Show the motion, its path and the view of it."""
+    rows = tuple(
+        row(
+            text_or_dash(joint.get("joint")),
+            number(joint.get("lowest_deg"), 1),
+            number(joint.get("highest_deg"), 1),
+            number(joint.get("greatest_speed_deg_s"), 1),
+            percent(joint.get("upward_share")),
+        )
+        for joint in results.summary.get("joints") or []
+    )
+    heads = ("Joint", "Lowest [°]", "Highest [°]", "Fastest [°/s]", "Upward")
+    table = Table("How the joints move.", "crrrr", heads, rows, (PlanNotes.SPAN,))
+    figures = (_figure_block(results, name) for name in ("plan_joints", "plan_path", "plan_view"))
+    return Section("motion", "Motion", (table, *figures))
+
+
+def candidates(results: Results) -> Section:
+    """Say how many postures were drawn, and what excluded the others."""
+    found = results.summary.get("candidates") or {}
+    rows = tuple(
+        row(text_or_dash(name), count(number_of))
+        for name, number_of in (found.get("excluded") or {}).items()
+    )
+    table = Table(
+        "What excludes postures.", "lr", ("Excluded by", "Postures"), rows, (PlanNotes.EXCLUDED,)
+    )
+    drawn = Facts((("Postures drawn", count(found.get("tried"))),))
+    return Section("candidates", "Postures", (drawn, table))
+
+
+def conditions(results: Results) -> Section:
+    """Say what the session is taken to be like, and what the plan was made from."""
+    taken = results.summary.get("conditions") or {}
+    moved = results.summary.get("motion") or {}
+    clock = taken.get("clock_standard_uncertainty_ms")
+    known = lookup_label(CLOCKS, "estimated") if clock is None else quantity(clock, "ms")
+    facts = Facts(
+        (
+            ("Stereo pairs a second", exact_number(taken.get("rate_hz"))),
+            ("Right picture after the left", quantity(taken.get("skew_ms"), "ms")),
+            ("u of an LED's image", quantity(taken.get("spot_noise_px"), "px")),
+            ("Encoder readings a second", exact_number(taken.get("reading_rate_hz"))),
+            ("Scatter of a reading", quantity(taken.get("reading_noise_deg"), "°")),
+            ("u of the encoders' clock", known),
+            ("LEDs seen from the flange's z", quantity(moved.get("view_angle_deg"), "°", 3)),
+            ("Software", software(results.summary)),
+        )
+    )  # fmt: skip
+    return Section(
+        "conditions", "Assumptions, files and software", (facts, *provenance(results.summary))
+    )
+
+
+def _figure_block(results: Results, name: str) -> Block:
+    words = FIGURES[name]
+    drawing = PLAN_FIGURES[name](results)
+    return figure_or_text(Figure(name, words.caption, words.alt), drawing, words.otherwise)

@@ -1,0 +1,140 @@
+"""Figures of a planned session: tables in, chart out, None for nothing to draw."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from reports.document.charts import (
+    SERIES,
+    Array,
+    Bars,
+    Chart,
+    Line,
+    Mark,
+    Panel,
+    Path,
+    Points,
+    column,
+    numbers,
+    texts,
+    trace,
+)
+from reports.document.formatting import finite
+from reports.results import Results
+from reports.session.evidence_figures import correlation
+
+AXIS_MARGIN = 1.12
+BAR_OFFSET = 0.2  # of a joint's room: two bars stand beside each other
+MAX_SPOTS = 1500  # a camera: more only blacken
+AXIS_MM = 150.0  # of a camera's axis in the picture
+PATH_MARGIN = 0.08  # share of the path's extent left free
+
+
+def detectable(results: Results) -> Chart | None:
+    """Expanded uncertainty and detectable error, two bars a joint."""
+    joints = results.summary.get("joints") or []
+    keys = (
+        ("expanded_uncertainty_deg", "measured", "U of the mean error"),
+        ("minimum_detectable_error_deg", "encoder", "detectable offset"),
+    )
+    places = np.arange(len(joints), dtype=float)
+    marks: list[Mark] = []
+    highest = 0.0
+    for side, (key, role, name) in zip((-BAR_OFFSET, BAR_OFFSET), keys, strict=True):
+        heights = np.array([finite(j.get(key)) or 0.0 for j in joints], dtype=float)
+        highest = max(highest, float(heights.max(initial=0.0)))
+        none = np.zeros(len(joints))
+        marks.append(Bars(places + side, heights, none, role, name, width=1.8 * BAR_OFFSET))
+    if highest == 0.0:
+        return None
+    ticks = tuple((float(at), f"q{j.get('joint')}") for at, j in zip(places, joints, strict=True))
+    panel = Panel(
+        tuple(marks), "[°]", x_ticks=ticks, x_range=(-0.6, len(joints) - 0.4),
+        y_range=(0.0, AXIS_MARGIN * highest), unit="°",
+    )  # fmt: skip
+    return Chart((panel,), row_height=1.8)
+
+
+def over_time(results: Results) -> Chart | None:
+    """Each joint's angle over time, rests at poses marked."""
+    table = results.table("trajectory")
+    t, rest = column(table, "t_s"), np.isfinite(column(table, "pose"))
+    panels = []
+    for joint in results.summary.get("joints") or []:
+        q = column(table, f"q{joint.get('joint')}_deg")
+        if not np.isfinite(q).any():
+            return None
+        marks: tuple[Mark, ...] = (Line(*trace(t, q), "measured", "motion"),)
+        if rest.any():
+            marks += (Points(t[rest], q[rest], "encoder", "at a pose", size=0.8),)
+        panels.append(Panel(marks, f"q{joint.get('joint')} [°]", unit="°"))
+    if not panels:
+        return None
+    panels[-1] = replace(panels[-1], x_label="time [s]")
+    return Chart(tuple(panels), row_height=0.66, shared_x=True)
+
+
+def view(results: Results) -> Chart | None:
+    """Where the LEDs are in either picture."""
+    table, size = results.table("spots"), numbers(results.summary.get("image_size"))
+    x, y = column(table, "x_px"), column(table, "y_px")
+    if not np.isfinite(x).any() or len(size) != 2:
+        return None
+    cameras, leds = np.array(texts(table, "camera")), np.array(texts(table, "led"))
+    panels = []
+    for camera in ("left", "right"):
+        own = np.flatnonzero(cameras == camera)
+        own = own[:: max(1, -(-len(own) // MAX_SPOTS))]
+        marks: tuple[Mark, ...] = tuple(
+            Points(x[of], y[of], SERIES[i % len(SERIES)], f"LED {led}")
+            for i, led in enumerate(np.unique(leds).tolist())
+            for of in (own[leds[own] == led],)
+        )
+        panels.append(
+            Panel(
+                marks, "y [px]", "x [px]", f"{camera} camera", x_range=(0.0, size[0]),
+                y_range=(size[1], 0.0), equal=True, unit="px",
+            )
+        )  # fmt: skip
+    return Chart(tuple(panels), columns=2, row_height=2.1)
+
+
+def path(results: Results) -> Path | None:
+    """The flange's way, the arm at some poses, and the cameras."""
+    table, cameras = results.table("arm"), results.table("cameras")
+    points = np.stack([column(table, f"{a}_mm") for a in "xyz"], axis=1)
+    what, number = np.array(texts(table, "what")), column(table, "number")
+    if not np.isfinite(points).any():
+        return None
+    arms = [points[(what == "arm") & (number == k)] for k in np.unique(number[what == "arm"])]
+    eyes = np.stack([column(cameras, f"{a}_mm") for a in "xyz"], axis=1)
+    ahead = np.stack([column(cameras, f"axis_{a}") for a in "xyz"], axis=1)
+    axes = [np.stack([eye, eye + AXIS_MM * way]) for eye, way in zip(eyes, ahead, strict=True)]
+    lines = (
+        (points[what == "flange"], "measured", "flange"),
+        (_join_with_gaps(arms), "muted", "arm"),
+        (_join_with_gaps(axes), "encoder", "cameras"),
+    )
+    every = np.concatenate([line for line, _, _ in lines])
+    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    half = np.maximum((high - low) / 2, 0.2 * float((high - low).max())) * (1 + PATH_MARGIN)
+    middle = (low + high) / 2
+    ranges = tuple((float(m - h), float(m + h)) for m, h in zip(middle, half, strict=True))
+    return Path(lines, ("x [mm]", "y [mm]", "z [mm]"), ranges)
+
+
+def _join_with_gaps(pieces: list[Array]) -> Array:
+    """Lay lines one after the other, with a gap between."""
+    gap = np.full((1, 3), np.nan)
+    parts = [part for piece in pieces for part in (piece, gap)]
+    return np.concatenate(parts) if parts else gap
+
+
+PLAN_FIGURES: dict[str, Callable[[Results], Chart | Path | None]] = {
+    "plan_detectable": detectable,
+    "correlation": correlation,
+    "plan_joints": over_time,
+    "plan_path": path,
+    "plan_view": view,
+}

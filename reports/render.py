@@ -1,0 +1,79 @@
+"""Results to pages: `report.html` and `report.pdf`, in the look that the user asks for."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from reports.calibration import document, registration
+from reports.document.blocks import Document
+from reports.fleet import document as fleet_document
+from reports.format import branding, html, pdf
+from reports.format.branding import DEFAULT_BRANDING, Look
+from reports.grasp import document as grasp_document
+from reports.identification import document as identification_document
+from reports.plan import document as plan_document
+from reports.results import ReportError, Results
+from reports.session import document as session_document
+
+DOCUMENTS: dict[str, Callable[[Results], Document]] = {
+    "run": session_document.document,
+    "calibration": document.document,
+    "registration": registration.document,
+    "fleet": fleet_document.document,
+    "grab": grasp_document.document,
+    "identification": identification_document.document,
+    "plan": plan_document.document,
+}
+
+
+def look(
+    *,
+    logo: Path | None = None,
+    owner: str | None = None,
+    templates: Path | None = None,
+) -> Look:
+    """Read how a report is to look; nothing given is the usual look.
+
+    Args:
+        logo: a PNG or SVG.
+        owner: a line at the top: whose report it is.
+        templates: a folder with report.html.j2, report.css or report.typ.
+
+    Raises:
+        ReportError: one of them cannot be used.
+    """
+    return Look(
+        logo=None if logo is None else branding.read_logo(logo),
+        owner="" if owner is None else branding.check_owner(owner),
+        templates=None if templates is None else branding.check_templates(templates),
+    )
+
+
+def render_html(results: Results, look: Look = DEFAULT_BRANDING) -> str:
+    """Render results as one page that opens offline; the same results give the same text.
+
+    Raises:
+        ReportError: results of a kind that this version does not know; a template of the user's
+            own with an error.
+    """
+    return html.page(_document(results), look)
+
+
+def render_pdf(results: Results, look: Look = DEFAULT_BRANDING) -> bytes:
+    """Render results as a PDF; the same results give the same bytes.
+
+    Raises:
+        ReportError: as of `render_html`.
+    """
+    return pdf.pages(_document(results), look)
+
+
+def _document(results: Results) -> Document:
+    kind = str(results.summary.get("kind", "run"))
+    if kind not in DOCUMENTS:
+        raise ReportError(
+            "results.json",
+            f'its kind is "{kind}"',
+            f"this version reports {', '.join(DOCUMENTS)}",
+            "Use the version of verify that wrote it.",
+        )
+    return DOCUMENTS[kind](results)

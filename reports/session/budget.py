@@ -1,0 +1,300 @@
+"""The uncertainty budget: what each joint's uncertainty is made of, and whether that holds.
+
+The Monte-Carlo check of the budget: where linear propagation holds, and where it does not.
+"""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from reports.document.blocks import Block, Bullets, Cell, Paragraph, Section, Table, row
+from reports.document.blocks import Figure as Picture
+from reports.document.charts import column, texts
+from reports.document.formatting import (
+    DASH,
+    count,
+    finite,
+    join_words,
+    number,
+    percent,
+    quantity,
+    significant,
+    text_or_dash,
+)
+from reports.results import Results
+from reports.session.combinations import combination_blocks
+from reports.session.findings import chart_or_text
+
+MAX_LISTED_PAIRS = 12  # pairs that are listed; summary.json names all
+LISTED_NOTE = (
+    "Listed where they may differ by more than {within} (a hundredth is left to the draws' own "
+    "chance), or where the mean moves by a tenth of the standard deviation."
+)
+
+
+def monte_carlo_blocks(summary: dict[str, Any]) -> list[Block]:
+    """Say how the budget compares with drawing the whole chain anew."""
+    check = (summary.get("budget") or {}).get("monte_carlo")
+    if not check:
+        return []
+    entries = [e for e in check.get("joints") or [] if e.get("pairs")]
+    away = [
+        finite(e.get("largest_difference")) for e in entries if e.get("pairs") == e.get("holds")
+    ]
+    largest = max((a for a in away if a is not None), default=None)
+    chain = (
+        f"Monte Carlo: {count(check.get('pairs'))} pairs drawn anew {count(check.get('draws'))} "
+        "times through the whole chain, pose fit and the arm's inverse included."
+    )
+    fails = check.get("fails") or []
+    within = percent(check.get("agrees_within"))
+    if not fails:
+        holds = (
+            "The standard deviation of every joint's error agrees with linear propagation; the "
+            f"largest difference is {percent(largest)}, where {within} are allowed."
+        )
+        return [Paragraph(f"{chain} {holds}")]
+    bad = sorted({j for fail in fails if not fail.get("coupled") for j in fail.get("joints") or []})
+    counted = (
+        f"It does not hold for {_joint_names(bad)} at the poses below: there the budget says too "
+        "little or too much."
+        if bad
+        else "It fails only for joints that a singularity couples, which no single joint's figure "
+        "rests on."
+    )
+    return [Paragraph(f"{chain} {counted}"), _failure_table(fails, within)]
+
+
+def _joint_names(names: list[Any]) -> str:
+    return f"joint{'s' if len(names) > 1 else ''} {join_words([text_or_dash(n) for n in names])}"
+
+
+def _failure_table(fails: list[dict[str, Any]], within: str) -> Table:
+    def gap(fail: dict[str, Any]) -> float:
+        ratios = [finite(r) for r in fail.get("ratio") or []]
+        return max((abs(np.log(r)) for r in ratios if r), default=np.inf)
+
+    worst = sorted(fails, key=gap, reverse=True)[:MAX_LISTED_PAIRS]
+    rows = []
+    for fail in sorted(worst, key=lambda f: f.get("frame") or 0):
+        ratios = fail.get("ratio") or []
+        said = ", ".join(
+            f"q{text_or_dash(j)} {number(r, 2)}"
+            for j, r in zip(fail.get("joints") or [], ratios, strict=False)
+        )
+        rows.append(row(count(fail.get("frame")), said, _failure_reason(fail)))
+    return Table(
+        "Where linear propagation does not hold: drawn over linear standard deviation.",
+        "rll",
+        ("Pair", "Ratio by joint", "Why"),
+        tuple(rows),
+        (LISTED_NOTE.format(within=within),),
+        wide=(1,),
+    )
+
+
+def _failure_reason(fail: dict[str, Any]) -> str:
+    if finite(fail.get("unreachable")):
+        return "the arm cannot stand in some of the drawn poses"
+    if fail.get("coupled"):
+        return "near a singularity; these joints are left out of single figures"
+    return "the arm's inverse bends within the uncertainty"
+
+
+MAX_PARAMETERS = 8  # the largest contributions; results/ holds all
+MAX_TABLE_PARAMETERS = 4  # of the robot's own table
+MIN_CONTRIBUTION_DEG = 1e-5  # degrees
+PARTS_NOTE = (
+    "Type A: from this session's own data; type B: stated. ν: degrees of freedom. Random parts are "
+    "those of the mean, autocorrelation included; systematic parts do not average out. Effective ν "
+    "by Welch and Satterthwaite. Expanded: combined times its coverage factor k."
+)
+UNITS_NOTE = (
+    "Degrees of a joint's mean error by one unit of the parameter. All parameters stand in "
+    "results/budget_parameters.parquet. Where no u is stated, the parameter is taken as exact."
+)
+
+
+def budget(results: Results) -> Section:
+    """Break each joint's uncertainty down by source."""
+    blocks: list[Block] = []
+    table = results.table("budget")
+    if len(table) and {"joint", "source"} <= set(table.columns):
+        blocks += _largest_contribution(table, results.summary)
+        blocks.append(_source_table(table, results.summary))
+    blocks.append(
+        chart_or_text(
+            results,
+            Picture(
+                "budget",
+                "Share of each source in the sum of the variances of a joint's mean error. What is "
+                "largest is what to improve first.",
+                "Stacked bars, one a joint: share of variance in percent by source.",
+            ),
+            "The uncertainty was not broken down by source.",
+        )
+    )
+    blocks += combination_blocks(results.summary)
+    blocks += _parameter_blocks(results.table("budget_parameters"))
+    blocks += monte_carlo_blocks(results.summary)
+    uncounted = (results.summary.get("budget") or {}).get("uncounted") or []
+    if uncounted:
+        named = join_words([text_or_dash(name) for name in uncounted])
+        text = (
+            f"Not counted, because their uncertainty is not stated: {named}. "
+            "They are taken as exact, and every uncertainty here holds on that condition."
+        )
+        blocks.append(Bullets((text,), "warning"))
+    else:
+        blocks.append(Paragraph("Every source that is known of is counted."))
+    return Section("budget", "Uncertainty budget", tuple(blocks))
+
+
+def _largest_contribution(table: pd.DataFrame, summary: dict[str, Any]) -> list[Block]:
+    """Say what limits the joint that is known worst."""
+    known = [
+        joint
+        for joint in summary.get("joints") or []
+        if finite(joint.get("expanded_uncertainty_deg")) is not None
+    ]
+    if not known or "share" not in table.columns:
+        return []
+    worst = max(known, key=lambda joint: float(joint["expanded_uncertainty_deg"]))
+    mine = table[table["joint"] == worst.get("joint")].dropna(subset=["share"])
+    if mine.empty:
+        return []
+    first = mine.sort_values("share", ascending=False, kind="stable").iloc[0]
+    size = quantity(worst["expanded_uncertainty_deg"], "°")
+    text = (
+        f"Known worst is joint {text_or_dash(worst.get('joint'))}, with U = {size}; most of that comes "
+        f"from: {_source_name(first['source'])}, {percent(first['share'])} of the variance."
+    )
+    return [Paragraph(text)]
+
+
+def _source_name(source: Any) -> str:
+    return text_or_dash(source).replace("_", " ")
+
+
+def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> Table:
+    frame = table.assign(u=column(table, "standard_uncertainty_deg"), word=texts(table, "kind"))
+    joints = sorted(frame["joint"].dropna().unique().tolist())
+    rows = []
+    for (source, kind), part in frame.groupby(["source", "word"], sort=False, dropna=False):
+        by_joint = dict(zip(part["joint"].tolist(), part["u"].tolist(), strict=True))
+        types = texts(part, "type") if "type" in part else [""]
+        degrees = column(part, "degrees_of_freedom")
+        cells = [_format_contribution(by_joint.get(joint)) for joint in joints]
+        rows.append(
+            row(
+                _source_name(source),
+                text_or_dash(kind),
+                text_or_dash(types[0]),
+                _format_degrees_of_freedom(degrees),
+                *cells,
+            )
+        )
+    rows += _totals(summary, joints)
+    return Table(
+        "Standard uncertainty of each joint's mean error by source, in degrees.",
+        "llcr" + "r" * len(joints),
+        ("Source", "Kind", "Type", "ν", *(f"q{joint} [°]" for joint in joints)),
+        tuple(rows),
+        (PARTS_NOTE,),
+        wide=(0,),
+    )
+
+
+def _format_contribution(u: Any) -> str:
+    """A contribution in degrees; below what anybody resolves only that it is small."""
+    known = finite(u)
+    return (
+        "< 0.00001"
+        if known is not None and 0 < abs(known) < MIN_CONTRIBUTION_DEG
+        else significant(known)
+    )
+
+
+def _format_degrees_of_freedom(values: Any) -> str:
+    """Degrees of freedom of a line: the fewest of its joints."""
+    known = [float(v) for v in values if not np.isnan(v)]
+    if not known:
+        return DASH
+    least = min(known)
+    return "∞" if np.isinf(least) else f"{least:.0f}"
+
+
+def _totals(summary: dict[str, Any], joints: list[Any]) -> list[tuple[Cell, ...]]:
+    known = {joint.get("joint"): joint for joint in (summary.get("joints") or [])}
+    parts = (summary.get("budget") or {}).get("joints") or []
+    made = {part.get("joint"): part for part in parts}
+    lines: list[tuple[str, list[str]]] = []
+    if made:
+        for label, key in (
+            ("random, together", "random_standard_uncertainty_deg"),
+            ("systematic, together", "systematic_standard_uncertainty_deg"),
+        ):
+            lines.append((label, [significant((made.get(j) or {}).get(key)) for j in joints]))
+    for label, key in (("combined", "standard_uncertainty_deg"),):
+        lines.append((label, [significant((known.get(j) or {}).get(key)) for j in joints]))
+    if made:
+        lines.append(("effective ν", [_format_effective_dof(made.get(j) or {}) for j in joints]))
+        lines.append(
+            ("k", [number((known.get(j) or {}).get("coverage_factor"), 2) for j in joints])
+        )
+    lines.append(
+        (
+            "expanded",
+            [significant((known.get(j) or {}).get("expanded_uncertainty_deg")) for j in joints],
+        )
+    )
+    return [
+        tuple(Cell(text, "total") for text in (label, "", "", "", *cells)) for label, cells in lines
+    ]
+
+
+def _format_effective_dof(part: dict[str, Any]) -> str:
+    """Effective degrees of freedom; beyond a thousand the number says nothing any more."""
+    degrees = finite(part.get("effective_degrees_of_freedom"))
+    if finite(part.get("coverage_factor")) is None:
+        return DASH
+    return "> 1000" if degrees is None or degrees > 1000 else f"{degrees:.0f}"
+
+
+def _parameter_blocks(table: pd.DataFrame) -> list[Block]:
+    needed = {"parameter", "joint", "sensitivity_deg", "contribution_deg", "unit"}
+    if not len(table) or not needed <= set(table.columns):
+        return []
+    table = table[table["unit"].notna() & (table["parameter"] != "alignment_1")]  # no quantity
+    largest = table.groupby("parameter", sort=False)["contribution_deg"].max()
+    contributing = largest.dropna().nlargest(MAX_PARAMETERS).index
+    lengths = table[table["standard_uncertainty"].isna() & (table["unit"] == "mm")]
+    steep = lengths["sensitivity_deg"].abs().groupby(lengths["parameter"], sort=False).max()
+    exact = steep.nlargest(MAX_TABLE_PARAMETERS).index
+    joints = sorted(table["joint"].unique().tolist())
+    rows = []
+    for name in [*contributing, *exact]:
+        part = table[table["parameter"] == name]
+        first = part.iloc[0]
+        by_joint = dict(zip(part["joint"], part["sensitivity_deg"], strict=True))
+        rows.append(
+            row(
+                _source_name(first["source"]),
+                text_or_dash(name),
+                significant(first["standard_uncertainty"]),
+                *(number(by_joint.get(joint), 3, signed=True) for joint in joints),
+            )
+        )
+    if not rows:
+        return []
+    return [
+        Table(
+            "Sensitivity to single parameters: those that contribute most, and the steepest of the "
+            "robot's own table.",
+            "lll" + "r" * len(joints),
+            ("Source", "Parameter", "u", *(f"q{joint}" for joint in joints)),
+            tuple(rows),
+            (UNITS_NOTE,),
+        )
+    ]

@@ -1,0 +1,264 @@
+"""Causes in words: what was found of each, what to do about it, and what would tell them apart."""
+
+from collections.abc import Callable
+from typing import Any
+
+from reports.document.formatting import (
+    DASH,
+    UNITS,
+    count,
+    exact_number,
+    finite,
+    joint_names,
+    lookup_label,
+    number,
+    with_uncertainty,
+)
+
+COVERAGE_NOTE = "(k = 2)"  # of every cause's expanded uncertainty, by docs/results.md
+MAX_RIVALS = 4  # named of an ambiguous cause; summary.json lists all
+CAUSES = {
+    "offset": "constant offset",
+    "gain": "gain",
+    "backlash": "backlash",
+    "eccentricity": "eccentricity",
+    "compliance": "compliance",
+    "drift": "drift",
+    "dh": "link parameter",
+    "geometry": "links that differ from the robot file",
+    "clock": "encoder clock offset",
+    "clock_drift": "encoder clock drift",
+    "camera_skew": "late right pictures",
+    "camera_turned": "turned right camera",
+    "base_moved": "moved robot base or rig",
+    "led_body_slipped": "slipped LED body",
+}
+
+# what to do about a cause whose remedy needs no number
+REMEDIES = {
+    "gain": "check its gear ratio and counts a turn in the controller",
+    "backlash": "take up the play, or approach from one side only",
+    "eccentricity": "check that its encoder or gear runs true",
+    "compliance": "check its gear and bearings under load",
+    "drift": "warm up before measuring, and check how its encoder is fixed",
+    "geometry": "find them with verify identify, and judge by the corrected robot file",
+    "clock_drift": "take both times from one clock, or keep sessions short",
+    "camera_turned": "calibrate the rig again",
+    "base_moved": "register the robot base again",
+    "led_body_slipped": "fix the LED body, and measure or register it again",
+}
+
+# the motion that tells causes apart; {joints} is joint 3, or joints 3 and 4
+MOTIONS = {
+    "independent_registration": "find base and LED body by fixture and jig, then record again",
+    "other_distances": "record again at other distances from the cameras",
+    "longer_record": "record for longer",
+    "return_to_start": "record for longer, and return to the first pose now and then",
+    "varied_speeds": "record again at varied speeds, with stops in between",
+    "two_sided_stops": "record again with stops of {joints} at one angle, reached from both sides",
+    "lever_both_sides": "record again with the arm beyond {joints} stretched out, upright and back",
+    "wider_swing": "record again with wider swings of {joints}",
+    "other_postures": "record again in other postures, moving {joints} one at a time",
+}
+
+
+def cause_name(entry: dict[str, Any]) -> str:
+    """Name a cause: offset of joint 3."""
+    kind = str(entry.get("kind"))
+    name = lookup_label(CAUSES, kind)
+    if kind == "dh" and entry.get("parameter") is not None:
+        name = f"{name} {entry['parameter']}"
+    if kind == "eccentricity" and finite(entry.get("phase_deg")) is not None:
+        turns = exact_number(entry.get("per_turn", 1))
+        name = f"{name} ({turns} per turn, phase {number(entry['phase_deg'], 1)}°)"
+    joint = entry.get("joint")
+    return name if joint is None else f"{name} of joint {joint}"
+
+
+def format_value(entry: dict[str, Any]) -> str:
+    """Write a cause's value ± expanded uncertainty, without its unit."""
+    return with_uncertainty(entry.get("value"), entry.get("expanded_uncertainty"))
+
+
+def unit_sign(entry: dict[str, Any]) -> str:
+    """Write a cause's unit as a sign."""
+    return {"ratio": "ratio"}.get(str(entry.get("unit")), lookup_label(UNITS, entry.get("unit")))
+
+
+def finding(entry: dict[str, Any]) -> str:
+    """Say a cause in half a sentence, then what to do: `joint 3 reads 0.400° too high: add …`."""
+    sentence = _FINDINGS.get(str(entry.get("kind")))
+    known = finite(entry.get("value"))
+    if entry.get("kind") == "geometry":  # no single figure tells it
+        return f"the arm's links differ from the robot file: {remedy(entry)}"
+    if known is None or sentence is None:
+        return candidate(entry)
+    return f"{sentence(entry, known)}: {remedy(entry)}"
+
+
+def remedy(entry: dict[str, Any]) -> str:
+    """Say what to do about a cause."""
+    known = finite(entry.get("value"))
+    kind = entry.get("kind")
+    if kind == "ambiguous":
+        return separation(entry)
+    if kind == "geometry":
+        return REMEDIES["geometry"]
+    if known is None:
+        return DASH
+    decimals = _decimals(entry)
+    if kind == "offset":
+        return f"add {number(-known, decimals, signed=True)}° to its reading"
+    if kind == "camera_skew":
+        return f"add {number(known, decimals, signed=True)} s to t_right_s in frames.csv"
+    if kind == "clock":
+        return f"add {number(known, decimals, signed=True)} s to the clock offset that was given"
+    if kind == "dh":
+        place = f"{entry.get('parameter', 'the parameter')} in the robot file"
+        return (
+            f"correct {place} by {number(known, decimals, signed=True)} {unit_sign(entry)}".strip()
+        )
+    return REMEDIES.get(str(kind), DASH)
+
+
+def separation(entry: dict[str, Any]) -> str:
+    """Say the motion that would tell apart what an entry cannot."""
+    motion = MOTIONS.get(str(entry.get("separating_motion")))
+    numbers = entry.get("separating_joints") or []
+    if motion is None or ("{joints}" in motion and not numbers):
+        return "record a motion that tells these apart (verify plan proposes one)"
+    return motion.format(joints=joint_names(numbers))
+
+
+def runner_up(entry: dict[str, Any]) -> str:
+    """Name the rival that fits best in a cause's place, and by how much worse."""
+    rival = entry.get("runner_up")
+    if not isinstance(rival, dict):
+        return DASH
+    return f"{cause_name(rival)} (ΔBIC {number(rival.get('advantage'), 0)})"
+
+
+def candidate(entry: Any) -> str:
+    """Name one of the causes that the data do not tell apart."""
+    if not isinstance(entry, dict):
+        return str(entry)
+    amount = with_expanded_uncertainty(
+        entry, entry.get("value"), lookup_label(UNITS, entry.get("unit"))
+    )
+    return cause_name(entry) if amount == DASH else f"{cause_name(entry)}, {amount}"
+
+
+def rivals(entry: dict[str, Any], between: str) -> str:
+    """Name the causes that an entry cannot tell apart, the likeliest first, few of many."""
+    named = [candidate(c) for c in entry.get("candidates") or []]
+    more = len(named) - MAX_RIVALS
+    shown = named if more <= 0 else [*named[:MAX_RIVALS], f"{count(more)} others"]
+    return between.join(shown) or DASH
+
+
+def with_expanded_uncertainty(
+    entry: dict[str, Any], known: Any, suffix: str, signed: bool = True
+) -> str:
+    """Write a cause's figure ± expanded uncertainty; in a sentence no head of a column says k."""
+    spread = entry.get("expanded_uncertainty")
+    amount = with_uncertainty(known, spread, suffix, signed)
+    return amount if amount == DASH or finite(spread) is None else f"{amount} {COVERAGE_NOTE}"
+
+
+def _unsigned_with_uncertainty(entry: dict[str, Any], known: float, suffix: str) -> str:
+    return with_expanded_uncertainty(entry, known, suffix, signed=False)
+
+
+def _decimals(entry: dict[str, Any]) -> int:
+    text = with_uncertainty(entry.get("value"), entry.get("expanded_uncertainty")).split(" ")[0]
+    return len(text.partition(".")[2])
+
+
+def _offset(entry: dict[str, Any], known: float) -> str:
+    side = "high" if known > 0 else "low"
+    return f"joint {entry.get('joint')} reads {_unsigned_with_uncertainty(entry, abs(known), '°')} too {side}"
+
+
+def _gain(entry: dict[str, Any], known: float) -> str:
+    spread = finite(entry.get("expanded_uncertainty"))
+    in_percent = {"expanded_uncertainty": None if spread is None else spread * 100}
+    share = _unsigned_with_uncertainty(in_percent, abs(known) * 100, "%")
+    way = "more" if known > 0 else "less"
+    return f"joint {entry.get('joint')}'s reading turns {share} {way} than the joint"
+
+
+def _backlash(entry: dict[str, Any], known: float) -> str:
+    side = "motor's" if known > 0 else "joint's"
+    amount = _unsigned_with_uncertainty(entry, abs(known), "°")
+    return f"joint {entry.get('joint')} has {amount} of backlash, its encoder on the {side} side"
+
+
+def _eccentricity(entry: dict[str, Any], known: float) -> str:
+    turns = exact_number(entry.get("per_turn", 1))
+    waves = "wave" if turns == "1" else "waves"
+    amount = _unsigned_with_uncertainty(entry, known, "°")
+    return f"joint {entry.get('joint')}'s error is a wave of {amount}, {turns} {waves} a turn"
+
+
+def _clock(entry: dict[str, Any], known: float) -> str:
+    return (
+        f"the encoder clock offset is wrong by {_unsigned_with_uncertainty(entry, abs(known), 's')}"
+    )
+
+
+def _dh(entry: dict[str, Any], known: float) -> str:
+    name = entry.get("parameter", "a link parameter")
+    amount = with_expanded_uncertainty(entry, known, unit_sign(entry))
+    joint = entry.get("joint")
+    owner = "the arm" if joint is None else f"joint {joint}"
+    return f"{owner}'s {name} differs by {amount}"
+
+
+def _compliance(entry: dict[str, Any], known: float) -> str:
+    return f"joint {entry.get('joint')} gives way by {_unsigned_with_uncertainty(entry, known, '°/m')} of lever"
+
+
+def _drift(entry: dict[str, Any], known: float) -> str:
+    amount = with_expanded_uncertainty(entry, known, "°/h")
+    return f"joint {entry.get('joint')}'s reading drifts by {amount}"
+
+
+def _clock_drift(entry: dict[str, Any], known: float) -> str:
+    does = "loses" if known > 0 else "gains"
+    return f"the encoder clock {does} {_unsigned_with_uncertainty(entry, abs(known), 'ppm')}"
+
+
+def _camera_skew(entry: dict[str, Any], known: float) -> str:
+    side = "later" if known > 0 else "earlier"
+    return f"the right pictures were taken {_unsigned_with_uncertainty(entry, abs(known), 's')} {side} than stamped"
+
+
+def _camera_rotation(entry: dict[str, Any], known: float) -> str:
+    amount = _unsigned_with_uncertainty(entry, abs(known), "°")
+    return f"the right camera has turned by {amount} since the calibration"
+
+
+def _displacement(entry: dict[str, Any], known: float) -> str:
+    what = {
+        "base_moved": "the robot's base, or the whole rig, has",
+        "led_body_slipped": "the LED body has",
+    }[str(entry.get("kind"))]
+    turn = number(entry.get("turn_deg"), 3)
+    return f"{what} moved by {_unsigned_with_uncertainty(entry, known, 'mm')} and {turn}° since it was registered"
+
+
+_FINDINGS: dict[str, Callable[[dict[str, Any], float], str]] = {
+    "offset": _offset,
+    "gain": _gain,
+    "backlash": _backlash,
+    "eccentricity": _eccentricity,
+    "clock": _clock,
+    "dh": _dh,
+    "compliance": _compliance,
+    "drift": _drift,
+    "clock_drift": _clock_drift,
+    "camera_skew": _camera_skew,
+    "camera_turned": _camera_rotation,
+    "base_moved": _displacement,
+    "led_body_slipped": _displacement,
+}

@@ -1,0 +1,54 @@
+"""What a report says, in which order, with which captions; shared by both formats."""
+
+from collections.abc import Callable
+
+from reports.document.blocks import Document, Section, number_figures, software
+from reports.document.formatting import DASH, text_or_dash
+from reports.results import Results
+from reports.session import (
+    budget,
+    combinations,
+    conditions,
+    evidence,
+    findings,
+    performance,
+    sweeps,
+)
+
+SECTIONS: tuple[Callable[[Results], Section], ...] = (
+    findings.verdict,
+    sweeps.registration_free_tests,
+    findings.joints,
+    combinations.detectable,
+    findings.diagnosis,
+    findings.errors_over_time,
+    findings.pose,
+    performance.performance,
+    evidence.spots,
+    evidence.clock,
+    evidence.pairs,
+    budget.budget,
+    conditions.conditions,
+)
+
+
+def document(results: Results) -> Document:
+    """Lay out the whole report."""
+    session = results.summary.get("session") or {}
+    robot = (results.setup.get("robot") or {}).get("name") or session.get("robot") or DASH
+    description = session.get("description") or "a recorded session"
+    fingerprint = text_or_dash((results.setup.get("robot") or {}).get("fingerprint"))
+    left_out = set()
+    if "instrument" in results.setup:  # another instrument's poses have no spots
+        left_out.add(evidence.spots)
+    if "performance" not in results.summary:  # results of before it was sought
+        left_out.add(performance.performance)
+    footer = f"{software(results.summary)} · robot {fingerprint[:23]}"
+    return number_figures(
+        Document(
+            title=f"Encoder verification of {robot}",
+            subtitle=text_or_dash(description),
+            footer=footer,
+            sections=tuple(s(results) for s in SECTIONS if s not in left_out),
+        )
+    )

@@ -1,0 +1,279 @@
+"""The verdict in one sentence: what was found, and what to do about it."""
+
+from typing import Any
+
+from reports.document import formatting
+from reports.document.blocks import Verdict
+from reports.document.formatting import (
+    exact_number,
+    finite,
+    join_words,
+    joint_names,
+    number,
+    quantity,
+    text_or_dash,
+    with_uncertainty,
+)
+from reports.results import Results
+from reports.session import causes as session_causes
+from reports.session import phrases
+
+LABELS = {
+    "conform": "The robot conforms",
+    "nonconform": "The robot does not conform",
+    "undecided": "Undecided",
+    "none": "No verdict",
+}
+MAX_CAUSES = 3  # named in the headline; more would hide the first, and the diagnosis lists them all
+SCOPE = "This covers the poses, directions and speeds that the session shows, and no others."
+MAX_HIDDEN_SHARE = 0.005  # visible share of an offset, shown as 0 %: nothing of the offset is left
+SINGULAR_NAMES = ("the robot base", "the measured point")
+
+
+def headline(results: Results) -> Verdict:
+    """Say the verdict, what to do about it, and the conditions it holds on."""
+    summary = results.summary
+    tone = phrases.tone(summary.get("verdict"))
+    sentence = {
+        "conform": _conform,
+        "nonconform": _nonconform,
+        "undecided": _undecided,
+        "none": _no_verdict,
+    }[tone](results)
+    return Verdict(tone, LABELS[tone], capitalise(sentence), tuple(_remarks(results, tone)))
+
+
+def capitalise(sentence: str) -> str:
+    """Start a sentence with a capital, without touching the rest."""
+    return sentence[:1].upper() + sentence[1:]
+
+
+def with_verdict(summary: dict[str, Any], verdict: str) -> list[dict[str, Any]]:
+    """Select the joints with a verdict."""
+    return [joint for joint in (summary.get("joints") or []) if joint.get("verdict") == verdict]
+
+
+def tolerance_text(summary: dict[str, Any], chosen: list[dict[str, Any]]) -> str:
+    """Say the tolerance of some joints, where they share one."""
+    values = {finite(joint.get("tolerance_deg")) for joint in chosen} - {None}
+    if len(values) != 1:
+        return "their tolerances" if summary else ""
+    return f"±{exact_number(values.pop())}°"
+
+
+def _conform(results: Results) -> str:
+    chosen = results.summary.get("joints") or []
+    least = min((p for j in chosen if (p := finite(j.get("conformance_probability"))) is not None),
+                default=None)  # fmt: skip
+    bound = tolerance_text(results.summary, chosen)
+    sentence = f"every joint's error stays within {bound} at every pose of this session"
+    if least is not None:
+        level = min(int(least * 1000) / 10, 99.9)  # rounded down: never claim more than was found
+        sentence += f", each with a probability of at least {number(level, 1)} %"
+    return f"{sentence}; nothing needs to be done."
+
+
+def _nonconform(results: Results) -> str:
+    summary = results.summary
+    failing = with_verdict(summary, "nonconform")
+    guilty = {joint.get("joint") for joint in failing}
+    causes = [
+        entry
+        for entry in (summary.get("diagnosis") or [])
+        if entry.get("kind") != "ambiguous" and entry.get("joint") in guilty | {None}
+    ]
+    if causes:
+        return "; ".join(session_causes.finding(entry) for entry in causes[:MAX_CAUSES]) + "."
+    unclear = [e for e in (summary.get("diagnosis") or []) if e.get("kind") == "ambiguous"]
+    what = _exceeding(summary, failing)
+    if unclear:
+        rivals = session_causes.rivals(unclear[0], " or ")
+        return (
+            f"{what}; the data do not say whether by {rivals}: {session_causes.remedy(unclear[0])}."
+        )
+    return f"{what}, and no single cause accounts for it: look at the errors over time below."
+
+
+def _exceeding(summary: dict[str, Any], failing: list[dict[str, Any]]) -> str:
+    if failing:
+        worst = max(failing, key=lambda j: abs(finite(j.get("worst_error_deg")) or 0.0))
+        text = with_uncertainty(
+            worst.get("worst_error_deg"), worst.get("worst_error_standard_uncertainty_deg"), "°"
+        )
+        verb = "exceed" if len(failing) > 1 else "exceeds"
+        names = joint_names([joint.get("joint") for joint in failing])
+        return f"{names} {verb} {tolerance_text(summary, failing)} (worst: {text}, 1σ)"
+    pose = []
+    for name, unit in (("position", "mm"), ("orientation", "deg")):
+        entry = summary.get(name) or {}
+        if entry.get("verdict") == "nonconform":
+            limit = exact_number(entry.get(f"tolerance_{unit}"))
+            sign = "°" if unit == "deg" else f" {unit}"
+            pose.append(f"the flange's {name} error exceeds {limit}{sign}")
+    return join_words(pose) or "the tolerance is exceeded"
+
+
+def _undecided(results: Results) -> str:
+    summary = results.summary
+    open_joints = with_verdict(summary, "undecided")
+    if not open_joints:
+        names = [n for n in ("position", "orientation")
+                 if (summary.get(n) or {}).get("verdict") == "undecided"]  # fmt: skip
+        subject = f"the flange's {join_words(names)}" if names else "the robot"
+        return f"the instrument cannot tell whether {subject} conforms; {_first_improvement(results, [])}."
+    names_text = joint_names([joint.get("joint") for joint in open_joints])
+    verb = "stay" if len(open_joints) > 1 else "stays"
+    return (
+        f"the instrument cannot tell whether {names_text} {verb} within "
+        f"{tolerance_text(summary, open_joints)}; {_first_improvement(results, open_joints)}."
+    )
+
+
+def _first_improvement(results: Results, open_joints: list[dict[str, Any]]) -> str:
+    """Say what would have to improve first; the reason that bars most comes first."""
+    unseen = [j for j in open_joints if j.get("reason") == "not_observable"]
+    if unseen:
+        freed = _hiding_parameter(results, unseen[0])[1]
+        return f"an offset of {joint_names([j.get('joint') for j in unseen])} cannot show: {freed}"
+    by_reason = {
+        reason: [j.get("joint") for j in open_joints if j.get("reason") == reason]
+        for reason in ("lack_of_fit", "not_detectable", "uncertainty_too_large")
+    }
+    if by_reason["lack_of_fit"]:
+        return (
+            f"the errors of {joint_names(by_reason['lack_of_fit'])} follow no known curve: "
+            "first find out why in the errors over time"
+        )
+    names = by_reason["not_detectable"] or by_reason["uncertainty_too_large"]
+    source = _largest_source(results, names or [j.get("joint") for j in open_joints])
+    if source:
+        return f"what would have to improve first is {source}"
+    return "a smaller uncertainty is needed first"
+
+
+def is_hidden(joint: dict[str, Any]) -> bool:
+    """Tell whether a constant offset of a joint could not have shown, however large."""
+    share = finite(joint.get("visible_fraction"))
+    return joint.get("reason") == "not_observable" or (
+        share is not None and share < MAX_HIDDEN_SHARE
+    )
+
+
+def _encoder_based_text(results: Results) -> str:
+    """Name what was found through the robot's own encoders; empty: nothing was."""
+    rig, marker = results.setup.get("rig") or {}, results.setup.get("marker") or {}
+    body = "the measured point" if "point_mm" in marker else "the LED positions"
+    found = (("the robot base", rig.get("base_source")), (body, marker.get("source")))
+    return join_words([name for name, source in found if source == "motion"])
+
+
+def _hidden_sentences(results: Results) -> list[str]:
+    """Say of which joints an offset cannot show, and why; joints of one reason together."""
+    groups: dict[str, list[Any]] = {}
+    for joint in results.summary.get("joints") or []:
+        if is_hidden(joint):
+            groups.setdefault(_hiding_parameter(results, joint)[0], []).append(joint.get("joint"))
+    return [
+        f"A constant offset of {joint_names(names)} cannot show here: {why}."
+        for why, names in groups.items()
+    ]
+
+
+def _hiding_parameter(results: Results, joint: dict[str, Any]) -> tuple[str, str]:
+    """Say what takes in an offset of a joint, and what would free it."""
+    summary, fitted = results.summary, _encoder_based_text(results)
+    before, since = (
+        finite(joint.get(f"visible_fraction{when}")) for when in ("", "_since_registration")
+    )
+    if before is not None and before < MAX_HIDDEN_SHARE:
+        if fitted and (since is None or since >= MAX_HIDDEN_SHARE):
+            return (
+                f"{fitted} {'was' if fitted in SINGULAR_NAMES else 'were'} found through the same encoders",
+                f"first give {fitted} by a fixture, or from another registration",
+            )
+        if (summary.get("clock") or {}).get("observable") is False:
+            return (
+                "the motion does not tell it from an offset of the encoder clock",
+                "first give the clock offset, or move at varied speeds in both directions",
+            )
+    for entry in summary.get("combinations") or []:
+        if entry.get("why") == "singularity" and joint.get("joint") in (entry.get("joints") or []):
+            return (
+                f"near a singularity only the sum {text_or_dash(entry.get('label'))} is determined",
+                "first record poses away from the singularity",
+            )
+    return (
+        "the measured poses do not determine it",
+        "first record other poses, or more points of the flange",
+    )
+
+
+def _largest_source(results: Results, names: list[Any]) -> str:
+    budget = results.table("budget")
+    if not {"joint", "source", "standard_uncertainty_deg"} <= set(budget.columns):
+        return ""
+    rows = budget[budget["joint"].isin(names)].dropna(subset=["standard_uncertainty_deg"])
+    if rows.empty:
+        return ""
+    largest = rows.sort_values("standard_uncertainty_deg", ascending=False, kind="stable").iloc[0]
+    amount = quantity(float(largest["standard_uncertainty_deg"]), "°")
+    return (
+        f"{str(largest['source']).replace('_', ' ')}, which alone makes {amount} "
+        f"of joint {largest['joint']}'s standard uncertainty"
+    )
+
+
+def _no_verdict(results: Results) -> str:
+    sentence = "no tolerance was given, so there is no verdict"
+    every = results.summary.get("joints") or []
+    if any(finite(joint.get("tolerance_deg")) is not None for joint in every):
+        sentence = "a tolerance was given, but there is nothing that could be judged by it"
+    known = [joint for joint in every if finite(joint.get("mean_error_deg")) is not None]
+    if not known:
+        return f"{sentence}."
+    worst = max(known, key=lambda j: abs(float(j["mean_error_deg"])))
+    amount = with_uncertainty(worst["mean_error_deg"], worst.get("expanded_uncertainty_deg"), "°")
+    factor = finite(worst.get("coverage_factor"))
+    if factor is not None:
+        amount = f"{amount} (k = {exact_number(round(factor, 2))})"
+    return f"{sentence}; the largest mean error is that of joint {worst.get('joint')}, {amount}."
+
+
+def _remarks(results: Results, tone: str) -> list[str]:
+    summary, remarks = results.summary, []
+    if tone == "nonconform":
+        failing, open_joints = with_verdict(summary, tone), with_verdict(summary, "undecided")
+        if failing:
+            remarks.append(capitalise(_exceeding(summary, failing)) + ".")
+        if open_joints:
+            names = joint_names([joint.get("joint") for joint in open_joints])
+            remarks.append(
+                f"Whether {names} conform{'' if len(open_joints) > 1 else 's'} is undecided."
+            )
+    if tone in ("nonconform", "undecided"):
+        remarks += _reason_sentences(summary)
+    remarks += _hidden_sentences(results)
+    if tone == "none":
+        return remarks
+    uncounted = (summary.get("budget") or {}).get("uncounted") or []
+    if uncounted:
+        remarks.append(
+            "The verdict holds on the condition that "
+            f"{join_words([text_or_dash(name) for name in uncounted])} are exact: "
+            "their uncertainty is not stated."
+        )
+    remarks.append(SCOPE)
+    return remarks
+
+
+def _reason_sentences(summary: dict[str, Any]) -> list[str]:
+    """List the joints of each reason for which the verdict stays open, but what cannot show."""
+    groups: dict[str, list[Any]] = {}
+    for joint in with_verdict(summary, "undecided"):
+        if joint.get("reason") != "not_observable":
+            groups.setdefault(str(joint.get("reason") or ""), []).append(joint.get("joint"))
+    return [
+        f"{joint_names(names, capital=True)}: {formatting.lookup_label(phrases.REASONS, reason)}."
+        for reason, names in groups.items()
+        if reason
+    ]

@@ -1,0 +1,213 @@
+"""Figures of the errors and of the flange's motion: tables in, chart out, None for nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from reports.document import charts, formatting
+from reports.document.charts import (
+    Array,
+    Band,
+    Chart,
+    Level,
+    Line,
+    Mark,
+    Panel,
+    Path,
+    band,
+    column,
+    time_axis,
+    trace,
+)
+from reports.document.formatting import exact_number, finite
+from reports.results import Results
+
+PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free above and below the data
+MAX_TOLERANCE_RATIO = (
+    3.0  # a tolerance farther out than this many times the errors would flatten them
+)
+
+
+def joint_errors(results: Results) -> Chart | None:
+    """Encoder less measured angle, one strip a joint: pair errors, resolved error, tolerance."""
+    frames, resolved = results.table("frames"), _resolved_per_frame(results)
+    t, time = time_axis(frames)
+    panels = []
+    for joint in results.summary.get("joints") or []:
+        name = f"q{joint.get('joint')}"
+        error, u = column(frames, f"{name}_error_deg"), column(frames, f"{name}_error_u_deg")
+        fit, u_fit = (
+            column(resolved, f"{name}_resolved_deg"),
+            column(resolved, f"{name}_resolved_u_deg"),
+        )
+        panels.append(
+            _error_panel(
+                t, (error, u), (fit, u_fit), finite(joint.get("tolerance_deg")), f"{name} [°]", "°"
+            )
+        )
+    if not any(has_lines(panel) for panel in panels):
+        return None
+    panels[-1] = replace(panels[-1], x_label=time)
+    return Chart(tuple(panels), row_height=0.66, shared_x=True)
+
+
+def pose_errors(results: Results) -> Chart | None:
+    """Distance and angle between the measured and the encoders' pose, and the resolved ones."""
+    frames, resolved = results.table("frames"), _resolved_per_frame(results)
+    t, time = time_axis(frames)
+    panels = []
+    for name, unit in (("position", "mm"), ("orientation", "deg")):
+        sign = formatting.UNITS[unit]
+        error = column(frames, f"{name}_error_{unit}")
+        fit = column(resolved, f"{name}_resolved_{unit}")
+        u_fit = column(resolved, f"{name}_resolved_u_{unit}")
+        limit = finite((results.summary.get(name) or {}).get(f"tolerance_{unit}"))
+        panels.append(
+            _error_panel(
+                t,
+                (error, error * np.nan),
+                (fit, u_fit),
+                limit,
+                f"{name} error [{sign}]",
+                sign,
+                one_sided=True,
+            )
+        )
+    if not any(has_lines(panel) for panel in panels):
+        return None
+    panels[-1] = replace(panels[-1], x_label=time)
+    return Chart(tuple(panels), row_height=1.3, shared_x=True)
+
+
+def pose(results: Results) -> Chart | None:
+    """Position and rotation vector of the flange over time, measured and from the encoders."""
+    frames = results.table("frames")
+    t, time = time_axis(frames)
+    turned = charts.unwrap_rotation(_columns(frames, ["rx_deg", "ry_deg", "rz_deg"]))
+    turned_encoder = charts.unwrap_rotation(
+        _columns(frames, ["rx_encoder_deg", "ry_encoder_deg", "rz_encoder_deg"]), turned
+    )
+    panels = []
+    for i, axis in enumerate("xyz"):
+        last = time if i == 2 else ""
+        position = column(frames, f"{axis}_mm"), column(frames, f"{axis}_encoder_mm")
+        rotation = turned[:, i], turned_encoder[:, i]
+        panels.append(_pose_panel(t, *position, f"{axis} [mm]", "mm", last))
+        panels.append(_pose_panel(t, *rotation, f"r{axis} [°]", "°", last))
+    if not any(has_lines(panel) for panel in panels):
+        return None
+    return Chart(tuple(panels), columns=2, row_height=1.35, shared_x=True)
+
+
+def flange_path(results: Results) -> Path | None:
+    """The flange's way through the robot's base frame, measured and from the encoders."""
+    frames = results.table("frames")
+    index = np.arange(len(frames), dtype=float)
+    lines = []
+    for names, role, label in (
+        (("x_mm", "y_mm", "z_mm"), "measured", "measured"),
+        (("x_encoder_mm", "y_encoder_mm", "z_encoder_mm"), "encoder", "from encoders"),
+    ):
+        points = _columns(frames, list(names))
+        stride = max(1, -(-len(points) // charts.MAX_LINE_POINTS))
+        gaps, _ = trace(index[::stride], points[::stride].sum(axis=1))
+        rows = np.where(np.isfinite(gaps), gaps, 0).astype(int)
+        lines.append((np.where(np.isfinite(gaps)[:, None], points[rows], np.nan), role, label))
+    every = np.concatenate([line for line, _, _ in lines])
+    if not np.isfinite(every).any():
+        return None
+    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    # A flat path still needs axes that can be read: none shorter than 0.4 of the longest, or 1 mm.
+    half = np.maximum((high - low) / 2, max(0.2 * float((high - low).max()), 0.5)) * (
+        1 + PANEL_MARGIN
+    )
+    middle = (low + high) / 2
+    ranges = tuple((float(m - h), float(m + h)) for m, h in zip(middle, half, strict=True))
+    return Path(tuple(lines), ("x [mm]", "y [mm]", "z [mm]"), ranges)
+
+
+def _resolved_per_frame(results: Results) -> pd.DataFrame:
+    """Give the resolved errors a row for every frame, so that they break where the errors do."""
+    frames, resolved = results.table("frames"), results.table("resolved")
+    if "frame" not in frames or "frame" not in resolved:
+        return pd.DataFrame(index=frames.index)
+    return resolved.drop_duplicates("frame").set_index("frame").reindex(frames["frame"])
+
+
+def _columns(table: pd.DataFrame, names: list[str]) -> Array:
+    return np.stack([column(table, name) for name in names], axis=1)
+
+
+def _pose_panel(
+    t: Array, measured: Array, encoder: Array, label: str, unit: str, time: str
+) -> Panel:
+    return Panel(
+        (
+            Line(*trace(t, measured), "measured", "measured"),
+            Line(*trace(t, encoder), "encoder", "from encoders"),
+        ),
+        label,
+        time,
+        unit=unit,
+    )
+
+
+def _error_panel(
+    t: Array,
+    pairs: tuple[Array, Array],
+    resolved: tuple[Array, Array],
+    limit: float | None,
+    label: str,
+    unit: str,
+    one_sided: bool = False,
+) -> Panel:
+    (error, u), (fit, u_fit) = pairs, resolved
+    low = fit - 2 * u_fit
+    if one_sided:
+        low = np.maximum(low, 0.0)  # a length
+    drawn: list[Band | Line] = [
+        Band(*band(t, error - 2 * u, error + 2 * u), "error_band", "±2u of a pair"),
+        Line(*trace(t, error), "error", "error of a pair"),
+        Band(*band(t, low, fit + 2 * u_fit), "resolved_band", "±2u resolved"),
+        Line(*trace(t, fit), "resolved", "resolved error"),
+    ]
+    marks: list[Mark] = [mark for mark in drawn if len(mark.x)]
+    reach = _error_range(error, fit, u, u_fit)
+    title = ""
+    if limit is not None and reach is not None:
+        if limit <= MAX_TOLERANCE_RATIO * max(abs(reach[0]), abs(reach[1])):
+            marks.append(Level(limit, "tolerance", "tolerance"))
+            reach = min(reach[0], 0.0), max(reach[1], limit)
+            if not one_sided:
+                marks.append(Level(-limit, "tolerance", "tolerance"))
+                reach = min(reach[0], -limit), reach[1]
+        else:
+            bound = f"{'' if one_sided else '±'}{exact_number(limit)}{unit if unit == '°' else f' {unit}'}"
+            title = f"tolerance {bound}: beyond this scale"
+    if reach is None:
+        return Panel((), label, title="no measured pair", unit=unit)
+    room = PANEL_MARGIN * (reach[1] - reach[0]) or 1e-3  # a thousandth of a degree or millimetre
+    bottom = 0.0 if one_sided else reach[0] - room
+    return Panel(tuple(marks), label, title=title, unit=unit, y_range=(bottom, reach[1] + room))
+
+
+def _error_range(error: Array, fit: Array, u: Array, u_fit: Array) -> tuple[float, float] | None:
+    """Extent of a strip: every error, and all but the widest twentieth of the bands.
+
+    A pair near a singularity has a band many times wider than the others; it may leave the
+    frame, an error may not.
+    """
+    edges = [v[np.isfinite(v)] for v in (error, fit)]
+    for centre, spread in ((error, u), (fit, u_fit)):
+        width = 2 * spread[np.isfinite(spread)]
+        if len(width):
+            usual = np.minimum(2 * spread, np.quantile(width, 0.95))
+            edges += [v[np.isfinite(v)] for v in (centre - usual, centre + usual)]
+    every = np.concatenate(edges)
+    return (float(every.min()), float(every.max())) if len(every) else None
+
+
+def has_lines(panel: Panel) -> bool:
+    """Tell whether a panel shows any data."""
+    return any(isinstance(m, Line) and bool(np.isfinite(m.y).any()) for m in panel.marks)

@@ -1,0 +1,129 @@
+"""Sentences from machine words: verdicts, reasons, statuses; with them causes and units."""
+
+from typing import Any
+
+from reports.document.formatting import DASH, UNITS, finite, lookup_label, percent
+from reports.session.causes import (
+    MOTIONS,
+    cause_name,
+    finding,
+    format_value,
+    remedy,
+    rivals,
+    runner_up,
+    unit_sign,
+)
+
+__all__ = [
+    "CHOICES",
+    "CLOCK_SOURCES",
+    "COUPLINGS",
+    "MOTIONS",
+    "REASONS",
+    "SOURCES",
+    "STATUSES",
+    "UNITS",
+    "VERDICTS",
+    "cause_name",
+    "finding",
+    "format_value",
+    "lookup_label",
+    "remedy",
+    "rivals",
+    "runner_up",
+    "tone",
+    "unit_sign",
+    "verdict_text",
+    "visibility",
+]
+
+VERDICTS = {
+    "conform": "conforms",
+    "nonconform": "does not conform",
+    "undecided": "undecided",
+}
+
+REASONS = {
+    "": "",
+    "within_tolerance": "within tolerance at every pose",
+    "exceeds_tolerance": "exceeds the tolerance",
+    "uncertainty_too_large": "uncertainty too large for this tolerance",
+    "not_detectable": "an error of the tolerance's size could go unnoticed",
+    "lack_of_fit": "errors follow no known curve",
+    "not_observable": "could not be seen in this session",
+    "no_tolerance": "no tolerance given",
+}
+
+STATUSES = {
+    "measured": "measured",
+    "too_few_leds": "too few LEDs seen",
+    "ambiguous_leds": "LEDs could not be told apart",
+    "no_encoder": "no encoder reading at that time",
+    "unreachable": "pose out of the arm's reach",
+    "outlier": "LEDs do not fit the marker",
+    "unaligned": "left and right could not be brought to one instant",
+}
+
+CHOICES = {
+    "geometry": "by the marker's geometry alone",
+    "colour": "by the LEDs' colours",
+    "continuity": "by continuity with the pair before",
+    "encoders": "by the encoder readings (the choice only, never the value)",
+}
+
+CLOCK_SOURCES = {
+    "estimated": "estimated from the motion",
+    "given": "given with the session",
+    "session": "given with the session",
+    "stated": "given with the session",
+}
+
+SOURCES = {
+    "fixture": "by a fixture, independently of the encoders",
+    "motion": "from a motion, through the robot's own encoders",
+    "jig": "from a jig keyed to the flange",
+    "measured": "measured in the marker's own frame",
+    "board": "from a board at a known place",
+}
+
+COUPLINGS = {
+    "singularity": "the joints' axes line up: only the sum is determined",
+    "well_known": "known better than its members",
+    "self_motion": "of more than six joints a pose determines six sums; shares as at mid-session",
+}
+
+
+def verdict_text(verdict: Any, reason: Any) -> str:
+    """Say a verdict, with its reason where the verdict alone does not say it."""
+    label = lookup_label(VERDICTS, verdict)
+    if not reason or reason in ("within_tolerance", "exceeds_tolerance"):
+        return label
+    return (
+        lookup_label(REASONS, reason)
+        if label == DASH
+        else f"{label}: {lookup_label(REASONS, reason)}"
+    )
+
+
+def tone(verdict: Any) -> str:
+    """Give the tone of a verdict: its machine word, or none."""
+    return str(verdict) if verdict in VERDICTS else "none"
+
+
+def visibility(joint: dict[str, Any]) -> str:
+    """Say in words what this session could see of a constant offset of one joint."""
+    fraction = finite(joint.get("visible_fraction"))
+    since = finite(joint.get("visible_fraction_since_registration"))
+    if fraction is None:
+        return "Not determined: too few measured pairs."
+    if fraction < 0.005:  # shown as 0 %: nothing of the offset is left
+        text = "An offset that was there at registration is invisible."
+    elif fraction < 0.3:  # the share at which the smallest visible offset triples
+        text = f"Mostly hidden: {percent(fraction)} of an offset at registration shows."
+    elif fraction < 0.9:
+        text = f"Partly hidden: {percent(fraction)} of an offset shows."
+    else:
+        return "An offset shows in full."
+    if since is not None and since >= 0.9:
+        text += " One that arose later shows in full."
+    return text

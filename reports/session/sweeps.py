@@ -1,0 +1,229 @@
+"""What single-joint sweeps show of a joint's encoder, without any registration."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from reports.document.blocks import (
+    Block,
+    Bullets,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    figure_or_text,
+    row,
+)
+from reports.document.charts import Chart, Level, Line, Mark, Panel, Points, column
+from reports.document.formatting import (
+    count,
+    finite,
+    joint_names,
+    number,
+    quantity,
+    text_or_dash,
+    with_uncertainty,
+)
+from reports.results import Results
+from reports.session.evidence import relative_motions
+
+MIN_SIGNIFICANT_RATIO = (
+    3.49  # standard uncertainties: a false one in a dozen sessions of seven figures
+)
+P_SIGNIFICANT = 0.001  # p-value: below it noise is no explanation
+COVERAGE_FACTOR = 2.0
+PANEL_MARGIN = 0.05  # of the span, free on either side
+POINT_SIZE = 2.0  # of a point: a sweep has some tens
+SWEEP_NOTE = (
+    "While one joint turns alone, the flange turns about that joint's axis, wherever the robot "
+    "stands, however the LEDs are mounted and whatever the arm's table says. How far it turned, "
+    "against what the encoder says, shows that joint directly. A constant offset does not show."
+)
+NO_SWEEPS = (
+    "No single-joint sweep: turn one joint alone by 10° or more, up and down, while all others "
+    "rest, and its gear ratio, hysteresis and eccentricity show here."
+)
+SWEEP_CAPTION = (
+    "Reading less angle turned about the joint's own axis, against the reading, either way; the "
+    "lines are what was fitted. The mean of each sweep is zero, as a constant does not show."
+)
+TABLE_NOTE = (
+    "Gear error: what the reading grows by, over what the joint turns by, less one. Hysteresis: "
+    "reading on the way up less reading on the way down. Eccentricity: amplitude once a turn; it "
+    "shows where more than 60° are swept. Beside the line: rms of what gear error and hysteresis "
+    "leave. Off the axis: rms distance of the flange from a circle about one fixed axis."
+)
+
+
+def registration_free_tests(results: Results) -> Section:
+    """Lay out all tests that no registration enters: relative motions, then single joints."""
+    section = relative_motions(results)
+    return Section(section.name, section.title, (*section.blocks, *_blocks(results)))
+
+
+def _blocks(results: Results) -> tuple[Block, ...]:
+    entries = results.summary.get("sweeps") or []
+    if not entries:
+        return (Paragraph(NO_SWEEPS, "note"),)
+    found = [said for entry in entries for said in _findings(entry)]
+    blocks: list[Block] = []
+    if found:
+        blocks.append(Bullets(tuple(found)))
+    else:
+        names = joint_names(sorted({entry.get("joint") for entry in entries}))
+        blocks.append(
+            Paragraph(
+                f"Turned alone, {names}: the encoder follows the turn about its own axis; no gear "
+                "error, hysteresis or eccentricity beyond chance."
+            )
+        )
+    figure = Figure(
+        "sweeps",
+        SWEEP_CAPTION,
+        "One panel a sweep: error of the reading in degrees against the reading, up and down.",
+    )
+    return (
+        *blocks,
+        Paragraph(SWEEP_NOTE),
+        figure_or_text(figure, _chart(results), "The sweeps' pairs were not kept."),
+        _table(entries),
+        *_excluded_pairs(entries),
+    )
+
+
+def _excluded_pairs(entries: list[dict[str, Any]]) -> list[Block]:
+    """Name the pairs that a sweep does not rest on."""
+    lines = [
+        f"Left out of joint {count(entry.get('joint'))}'s sweep, as they lie off the circle beyond "
+        f"chance: pairs {', '.join(count(frame) for frame in entry['outlying_frames'])}."
+        for entry in entries
+        if entry.get("outlying_frames")
+    ]
+    return [Bullets(tuple(lines), "warning")] if lines else []
+
+
+def _findings(entry: dict[str, Any]) -> list[str]:
+    """What of a sweep is beyond chance, a sentence each."""
+    joint, found = count(entry.get("joint")), []
+    gain, gain_u = finite(entry.get("gain")), finite(entry.get("gain_standard_uncertainty"))
+    if _is_significant(gain, gain_u):
+        found.append(f"Joint {joint}: gear error {_percent(gain, gain_u)} % (k = 2).")
+    hysteresis, u = _value_and_uncertainty(entry, "hysteresis")
+    if _is_significant(hysteresis, u):
+        said = with_uncertainty(hysteresis, _expanded(u), "°")
+        found.append(f"Joint {joint}: hysteresis {said} (k = 2).")
+    eccentricity, u = _value_and_uncertainty(entry, "eccentricity")
+    if entry.get("eccentricity_beyond_chance") and eccentricity is not None:
+        said = with_uncertainty(eccentricity, _expanded(u), "°", signed=False)
+        found.append(f"Joint {joint}: eccentricity {said} (k = 2), once a turn.")
+    left = finite(entry.get("nonlinearity_p_value"))
+    if left is not None and left < P_SIGNIFICANT:
+        size = quantity(entry.get("nonlinearity_rms_deg"), "°")
+        noise = quantity(entry.get("noise_rms_deg"), "°")
+        found.append(
+            f"Joint {joint}: its errors follow no known curve; beside the line they are {size} "
+            f"rms, where noise gives {noise}."
+        )
+    wobble = finite(entry.get("wobble_p_value"))
+    if wobble is not None and wobble < P_SIGNIFICANT:
+        place = quantity(entry.get("wobble_rms_mm"), "mm")
+        turn = quantity(entry.get("wobble_rms_deg"), "°")
+        found.append(
+            f"Joint {joint}: the flange does not turn about one fixed axis; it leaves it by "
+            f"{place} and {turn} rms, more than noise explains."
+        )
+    return found
+
+
+def _is_significant(value: float | None, u: float | None) -> bool:
+    return value is not None and u is not None and abs(value) > MIN_SIGNIFICANT_RATIO * u
+
+
+def _expanded(u: float | None) -> float | None:
+    return None if u is None else COVERAGE_FACTOR * u
+
+
+def _percent(gain: float | None, u: float | None) -> str:
+    if gain is None:
+        return with_uncertainty(None, None)
+    return with_uncertainty(100 * gain, None if u is None else 100 * COVERAGE_FACTOR * u)
+
+
+def _value_and_uncertainty(entry: dict[str, Any], name: str) -> tuple[float | None, float | None]:
+    return finite(entry.get(f"{name}_deg")), finite(entry.get(f"{name}_standard_uncertainty_deg"))
+
+
+def _table(entries: list[dict[str, Any]]) -> Table:
+    rows = []
+    for entry in entries:
+        hysteresis, u = _value_and_uncertainty(entry, "hysteresis")
+        gain, gain_u = finite(entry.get("gain")), finite(entry.get("gain_standard_uncertainty"))
+        rows.append(
+            row(
+                text_or_dash(entry.get("joint")),
+                count(entry.get("pairs")),
+                number(entry.get("span_deg"), 1),
+                _percent(gain, gain_u),
+                with_uncertainty(hysteresis, _expanded(u)),
+                _eccentricity(entry),
+                number(entry.get("nonlinearity_rms_deg")),
+                number(entry.get("noise_rms_deg")),
+                number(entry.get("wobble_rms_mm"), 2),
+            )
+        )
+    return Table(
+        "Each joint's encoder against the turn about its own axis; ± U with k = 2.",
+        "crrrrrrrr",
+        (
+            "Joint",
+            "Pairs",
+            "Swept [°]",
+            "Gear error [%]",
+            "Hysteresis [°]",
+            "Eccentricity [°]",
+            "Beside the line [°]",
+            "Noise gives [°]",
+            "Off the axis [mm]",
+        ),
+        tuple(rows),
+        (TABLE_NOTE,),
+    )
+
+
+def _eccentricity(entry: dict[str, Any]) -> str:
+    """An amplitude that chance explains is no value but a bound."""
+    value, u = _value_and_uncertainty(entry, "eccentricity")
+    if value is None or u is None:
+        return with_uncertainty(None, None)
+    if entry.get("eccentricity_beyond_chance"):
+        return with_uncertainty(value, COVERAGE_FACTOR * u, signed=False)
+    return f"< {quantity(value + COVERAGE_FACTOR * u, '')}"
+
+
+def _chart(results: Results) -> Chart | None:
+    table = results.table("sweeps")
+    if not len(table) or not {"sweep", "joint"} <= set(table.columns):
+        return None
+    panels = [
+        _panel(part, f"joint {count(joint)}")
+        for (_, joint), part in table.groupby(["sweep", "joint"], sort=True)
+    ]
+    return Chart(tuple(panels), columns=2 if len(panels) > 1 else 1, row_height=1.7)
+
+
+def _panel(part: pd.DataFrame, title: str) -> Panel:
+    angle, error = column(part, "angle_deg"), column(part, "error_deg")
+    curve, direction = column(part, "curve_deg"), column(part, "direction")
+    marks: list[Mark] = [Level(0.0, "muted")]
+    for sense, role, name in ((1, "measured", "on the way up"), (-1, "encoder", "on the way down")):
+        mine = np.flatnonzero(direction == sense)
+        mine = mine[np.argsort(angle[mine], kind="stable")]
+        if len(mine):
+            marks.append(Points(angle[mine], error[mine], role, name, POINT_SIZE))
+            marks.append(Line(angle[mine], curve[mine], role))
+    least, most = float(np.nanmin(angle)), float(np.nanmax(angle))
+    room = PANEL_MARGIN * (most - least)
+    return Panel(
+        tuple(marks), "error [°]", "reading [°]", title, (least - room, most + room), unit="°"
+    )

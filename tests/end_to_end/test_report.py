@@ -1,0 +1,99 @@
+"""`verify report` as a user types it: logo, owner, templates; what it refuses."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import reports
+from tests.support.command import SAMPLES, verify
+from verify import analyse, open_session
+
+SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 4 1"><rect width="4" height="1"/></svg>'
+
+
+@pytest.fixture(scope="module")
+def analysed() -> reports.Results:
+    return analyse(open_session(SAMPLES / "multi_joint_fault_6r"))
+
+
+@pytest.fixture
+def out(analysed: reports.Results, tmp_path: Path) -> Path:
+    """A results folder with reports that stand there already."""
+    folder = tmp_path / "out"
+    reports.write(analysed, folder / "results")
+    for name in ("report.html", "report.pdf"):
+        (folder / name).write_text("as it was")
+    return folder
+
+
+def test_a_report_is_built_again_with_a_logo_and_an_owner(out: Path, tmp_path: Path) -> None:
+    (tmp_path / "logo.svg").write_text(SVG)
+    wish = ("--logo", tmp_path / "logo.svg", "--owner", "Prüflabor, Halle 3")
+    said = verify("report", out, *wish)
+    assert (said.status, said.err) == (0, "")
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "The robot does not conform" in page
+    assert "Prüflabor, Halle 3" in page
+    assert page.index("data:image/svg+xml") < page.index("<h1>")
+    assert (out / "report.pdf").read_bytes()[:5] == b"%PDF-"
+    before = hash((out / "report.pdf").read_bytes()), hash(page)
+    verify("report", out, *wish)
+    again = (out / "report.html").read_text(encoding="utf-8")
+    assert (hash((out / "report.pdf").read_bytes()), hash(again)) == before
+
+
+def test_without_options_a_report_is_what_the_library_gives(
+    out: Path, analysed: reports.Results
+) -> None:
+    assert verify("report", out).status == 0
+    plain = reports.render_html(analysed)
+    assert hash((out / "report.html").read_text(encoding="utf-8")) == hash(plain)
+
+
+def test_a_language_is_refused_as_any_unknown_option(out: Path) -> None:
+    outcome = verify("report", out, "--language", "de")
+    assert outcome.status == 2
+    assert "No such option: --language" in outcome.err
+    assert {(out / n).read_text() for n in ("report.html", "report.pdf")} == {"as it was"}
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "content", "said"),
+    [
+        ("--logo", "x.png", "no picture", "x.png: is neither"),
+        ("--logo", "none.png", None, "none.png: cannot be read"),
+        ("--owner", "", None, "--owner: is ''"),
+        ("--template", "t", None, "t: is no folder"),
+        ("--template", "t/report.html.j2", "{{ x }}", "line 1: 'x' is undefined"),
+        ("--template", "t/report.typ", "#x", "line 1: unknown variable: x"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line_and_leaves_the_reports_as_they_were(
+    out: Path, tmp_path: Path, option: str, name: str, content: str | None, said: str
+) -> None:
+    given: str | Path = name
+    if option != "--owner":
+        given = tmp_path / name
+        if content is not None:
+            given.parent.mkdir(exist_ok=True)
+            given.write_text(content)
+            given = given.parent if option == "--template" else given
+    outcome = verify("report", out, option, given)
+    assert outcome.status == 2
+    assert said in outcome.err
+    assert outcome.err.count("\n") == 1
+    assert {(out / n).read_text() for n in ("report.html", "report.pdf")} == {"as it was"}
+
+
+def test_a_template_changes_the_page_and_a_folder_moved_is_no_obstacle(
+    out: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "templates of mine"
+    own.mkdir()
+    (own / "report.html.j2").write_text("<p>{{ document.title }} | {{ words.page }}</p>")
+    moved = tmp_path / "moved here"
+    shutil.move(out, moved)
+    assert verify("report", moved, "--template", own).status == 0
+    page = (moved / "report.html").read_text(encoding="utf-8")
+    assert page == "<p>Encoder verification of iust_6r | page</p>"

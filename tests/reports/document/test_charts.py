@@ -1,0 +1,112 @@
+import numpy as np
+import pandas as pd
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from reports.document.charts import (
+    MAX_LINE_POINTS,
+    N_BINS,
+    band,
+    column,
+    isolated_points,
+    pieces,
+    runs,
+    time_axis,
+    trace,
+    unwrap_rotation,
+)
+
+
+def test_a_line_breaks_where_a_pair_was_not_measured() -> None:
+    x, y = trace(np.arange(5.0), np.array([1, 2, np.nan, 4, 5]))
+    assert_allclose(y, [1, 2, np.nan, 4, 5])
+    assert np.isnan(x[2])
+
+
+def test_a_line_breaks_where_pairs_were_dropped_without_a_row() -> None:
+    t = np.array([0.0, 0.1, 0.2, 0.9, 1.0])
+    assert_allclose(trace(t, np.arange(5.0))[1], [0, 1, 2, np.nan, 3, 4])
+
+
+def test_a_point_without_neighbours_is_not_lost() -> None:
+    x, y = trace(np.arange(5.0), np.array([1, np.nan, 3, np.nan, np.nan]))
+    assert_allclose(y[isolated_points(x, y)], [1, 3])
+
+
+@settings(deadline=None, max_examples=25)  # a shared machine has slow moments
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(MAX_LINE_POINTS + 1, 3 * MAX_LINE_POINTS),
+    st.floats(0.0, 0.3),
+)
+def test_thinning_keeps_every_extreme_and_invents_nothing(seed: int, n: int, lost: float) -> None:
+    random = np.random.default_rng(seed)
+    y = random.standard_normal(n)
+    y[random.random(n) < lost] = np.nan
+    t = np.arange(n) * 0.1
+    x_kept, y_kept = trace(t, y)
+    known = np.isfinite(y_kept)
+    assert known.sum() <= MAX_LINE_POINTS
+    assert np.nanmin(y_kept) == np.nanmin(y)
+    assert np.nanmax(y_kept) == np.nanmax(y)
+    rows = np.round(x_kept[known] / 0.1).astype(int)
+    assert_allclose(y_kept[known], y[rows])
+    assert (np.diff(rows) > 0).all()
+
+
+def test_a_thinned_band_covers_every_pair_s_band() -> None:
+    random = np.random.default_rng(1)
+    n = 3 * MAX_LINE_POINTS
+    t, middle = np.arange(n) * 1.0, random.standard_normal(n)
+    x, low, high = band(t, middle - 1, middle + 1)
+    assert len(x) <= 2 * N_BINS
+    assert (np.interp(t, x, low) <= middle - 1 + 1e-9).mean() > 0.99  # between two bins it slopes
+    assert low.min() == (middle - 1).min()
+    assert high.max() == (middle + 1).max()
+
+
+def test_pieces_are_what_lies_between_breaks() -> None:
+    x = np.array([np.nan, 1, 2, np.nan, 3])
+    assert [x[piece].tolist() for piece in pieces(x)] == [[1, 2], [3]]
+    assert pieces(np.empty(0)) == []
+
+
+def test_a_rotation_vector_is_followed_through_half_and_whole_turns() -> None:
+    axis = np.array([0.6, 0.0, 0.8])
+    angle = np.linspace(10.0, 700.0, 200)
+    turns = Rotation.from_rotvec(angle[:, None] * axis, degrees=True)
+    followed = unwrap_rotation(turns.as_rotvec(degrees=True))
+    assert_allclose(followed, angle[:, None] * axis, atol=1e-6)
+
+
+def test_a_followed_rotation_is_still_the_same_rotation_across_lost_pairs() -> None:
+    random = np.random.default_rng(2)
+    vectors = Rotation.from_rotvec(random.standard_normal((60, 3)) * 2).as_rotvec(degrees=True)
+    vectors[10:14] = np.nan
+    followed = unwrap_rotation(vectors)
+    seen = np.isfinite(vectors[:, 0])
+    same = Rotation.from_rotvec(followed[seen], degrees=True).inv() * Rotation.from_rotvec(
+        vectors[seen], degrees=True
+    )
+    assert_allclose(same.magnitude(), 0, atol=1e-9)
+    assert np.isnan(followed[~seen]).all()
+
+
+def test_a_clock_that_counts_from_long_ago_is_shown_from_the_first_pair() -> None:
+    t, label = time_axis(pd.DataFrame({"t_s": [1.7e9, 1.7e9 + 1]}))
+    assert_allclose(t, [0, 1])
+    assert "1700000000.000 s" in label
+    t, label = time_axis(pd.DataFrame({"t_s": [3.0, 4.0]}))
+    assert_allclose(t, [3, 4])
+    assert label == "time [s]"
+
+
+def test_a_missing_column_is_all_unknown() -> None:
+    assert np.isnan(column(pd.DataFrame({"a": [1, 2]}), "b")).all()
+    assert column(pd.DataFrame(), "b").size == 0
+
+
+def test_runs_gather_equal_neighbours() -> None:
+    assert runs(["a", "a", "b", "a"]) == [("a", 0, 1), ("b", 2, 2), ("a", 3, 3)]

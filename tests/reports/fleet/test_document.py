@@ -1,0 +1,156 @@
+"""The fleet report: what it says first, that it is safe, and that its bytes are the same."""
+
+import json
+import re
+from dataclasses import replace
+from datetime import date
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from reports import Results, render_html, render_pdf
+from reports.document.blocks import Document, Table, Verdict
+from reports.document.charts import Level, Points
+from reports.fleet import document as fleet_document
+from reports.fleet.charts import MAX_TICKS, arm_chart, month_ticks
+from tests.support.reports import made_fleet
+
+HOSTILE = '</script><b>x</b>&"\n, y'
+
+
+def blocks(document: Document, kind: type) -> list[Any]:
+    return [b for section in document.sections for b in section.blocks if isinstance(b, kind)]
+
+
+def section(document: Document, name: str) -> list[Any]:
+    return [b for s in document.sections if s.name == name for b in s.blocks]
+
+
+def text(table: Table) -> str:
+    return "\n".join(" | ".join(cell.text for cell in cells) for cells in table.rows)
+
+
+def test_it_opens_with_what_changed_and_since_when() -> None:
+    document = fleet_document.document(made_fleet.changed())
+    verdict = blocks(document, Verdict)[0]
+    assert verdict.tone == "nonconform"
+    assert verdict.label == "2 of 12 joints changed"
+    assert "Joint 3 of arm_a drifts up by 0.0200 ± 0.0040° a month" in verdict.sentence
+    assert "joint 5 of arm_b stepped down by 0.300 ± 0.020° on 2025-06-14" in verdict.sentence
+    assert "The other 10 joints show no change" in verdict.sentence
+    assert "at most 1 %" in verdict.remarks[0]
+
+
+def test_a_quiet_fleet_is_called_that_and_one_too_young_is_not() -> None:
+    quiet = blocks(fleet_document.document(made_fleet.quiet()), Verdict)[0]
+    assert (quiet.tone, quiet.label) == ("conform", "No change")
+    young = blocks(fleet_document.document(made_fleet.young()), Verdict)[0]
+    assert young.tone == "undecided"
+    assert "6 dated sessions" in young.sentence
+
+
+def test_changed_joints_stand_first_and_every_joint_has_a_row() -> None:
+    (table,) = (b for b in section(fleet_document.document(made_fleet.changed()), "joints"))
+    assert [(r[0].text, r[1].text) for r in table.rows[:2]] == [("arm_a", "3"), ("arm_b", "5")]
+    assert "getting worse" in table.rows[0][2].text
+    assert len(table.rows) == 12
+
+
+def test_a_change_has_its_session_its_range_and_its_size() -> None:
+    table = section(fleet_document.document(made_fleet.changed()), "changes")[0]
+    rows = text(table)
+    assert "from 2025-01-02 on" in rows
+    assert "2025-06-14 (last before: 2025-06-10)" in rows
+    assert "lab/arm_b/040" in rows
+    assert "−0.300 ± 0.020°" in rows
+
+
+def test_a_step_on_a_new_calibration_carries_a_warning() -> None:
+    results = made_fleet.changed()
+    found = results.table("changes").assign(recalibrated=[False, True])
+    results = replace(results, tables={**results.tables, "changes": found})
+    (warning,) = section(fleet_document.document(results), "changes")[1:]
+    assert warning.tone == "warning"
+
+
+def test_every_joint_has_a_strip_with_its_sessions_and_its_step() -> None:
+    results = made_fleet.changed()
+    points, found = results.table("points"), results.table("changes")
+    drawn = arm_chart(points[points["arm"] == "arm_b"], found[found["arm"] == "arm_b"])
+    assert len(drawn.panels) == 6
+    marks = drawn.panels[4].marks
+    (step,) = (m for m in marks if isinstance(m, Level) and m.name == "step")
+    zero = float(points["t_days"].min() // 1)
+    assert zero + step.value == pytest.approx(
+        (made_fleet.day(2025, 6, 14) + made_fleet.day(2025, 6, 10)) / 2
+    )
+    ordinary, odd = (m for m in marks if isinstance(m, Points))
+    assert len(odd.x) == 1
+    assert len(ordinary.x) + len(odd.x) == made_fleet.SESSIONS
+
+
+@pytest.mark.parametrize("days", [0.0, 0.5, 20.0, 45.0, 400.0, 5000.0])
+def test_the_time_axis_has_a_few_marks_inside_its_range(days: float) -> None:
+    first = made_fleet.day(2025, 1, 3)
+    marks = month_ticks(first, first + days)
+    assert 1 <= len(marks) <= MAX_TICKS
+    assert all(first <= place <= first + days for place, _ in marks)
+
+
+def test_links_lead_to_sessions_that_have_a_report() -> None:
+    results = made_fleet.changed()
+    page = render_html(results)
+    assert 'href="sessions/040/report.html"' in page
+    assert page.count("/report.html") == 1
+    quiet = section(fleet_document.document(made_fleet.quiet()), "worst")[0]
+    assert "--reports" in quiet.notes[-1]
+
+
+def test_before_and_after_stands_where_it_was_asked() -> None:
+    assert not section(fleet_document.document(made_fleet.quiet()), "contrasts")
+    results = made_fleet.changed(since=date(2025, 6, 12))
+    (table,) = section(fleet_document.document(results), "contrasts")
+    assert "before 2025-06-12, since 2025-06-12" in table.caption
+    assert table.rows[0][-1].text == "changed"
+
+
+def test_what_no_session_could_show_is_said() -> None:
+    results = made_fleet.changed()
+    joints = results.table("joints").copy()
+    joints.loc[0, "visible"] = 0.0
+    results = replace(results, tables={**results.tables, "joints": joints})
+    said = " ".join(section(fleet_document.document(results), "unseen")[0].items)
+    assert "arm_a: an offset of joint 1 that was there at registration shows in none" in said
+
+
+def test_hostile_names_are_shown_and_never_markup() -> None:
+    results = made_fleet.changed(arm=HOSTILE)
+    page = render_html(results)
+    assert "</script><b>" not in page
+    plots = re.search(r'id="plots">(.*?)</script>', page, flags=re.DOTALL)
+    assert plots is not None
+    json.loads(plots[1])
+    assert render_pdf(results).startswith(b"%PDF-")
+
+
+def test_the_page_needs_no_network_and_its_tables_sort_and_filter() -> None:
+    page = render_html(made_fleet.quiet())
+    own = page.replace(re.search(r"<script>/\*\*.*?</script>", page, re.DOTALL)[0], "")  # type: ignore[index]
+    assert not re.search(r'(src|href)="https?:', own)
+    assert "aria-sort" in page
+    assert 'type = "search"' in page
+
+
+def test_the_same_results_give_the_same_bytes() -> None:
+    one, two = made_fleet.changed(), made_fleet.changed()
+    assert bool(render_html(one) == render_html(two))
+    assert bool(render_pdf(one) == render_pdf(two))
+
+
+def test_a_fleet_without_any_date_has_no_charts_and_still_a_report() -> None:
+    results = made_fleet.young()
+    assert not section(fleet_document.document(results), "charts")
+    assert render_pdf(results).startswith(b"%PDF-")
+    assert isinstance(results, Results)
+    assert isinstance(results.table("points"), pd.DataFrame)

@@ -1,0 +1,109 @@
+"""The report of a grab says how it ended, and draws nothing where there is nothing."""
+
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from reports.document.blocks import Facts, Figure, Table, collect_figures
+from reports.grasp import figures as grasp_figures
+from reports.grasp.document import document, outcome
+from reports.results import Results
+from tests.support.reports import made_grasp
+
+BARE = {"kind": "grab", "robot": "an arm", "target": "blue object", "cell": "simulated"}
+
+
+@pytest.mark.parametrize(
+    ("summary", "tone", "label"),
+    [
+        ({"execute": True, "state": "lifted", "reason": "held"}, "conform", "Grasped and lifted"),
+        ({"execute": True, "state": "missed", "reason": "empty"}, "nonconform", "Missed"),
+        ({"execute": True, "state": "fault", "reason": "alarm"}, "nonconform", "fault"),
+        ({"execute": True, "state": "holding-lost", "reason": "gone"}, "undecided", "out of sight"),
+        ({"execute": True, "state": "following", "reason": ""}, "undecided", "while following"),
+        ({"execute": False, "state": "searching", "reason": ""}, "undecided", "not found"),
+        ({"state": "tracking", "plan": {"branch": "b", "duration_s": 4.9}}, "none", "Planned"),
+        ({"state": "tracking", "refusal": {"reason": "too wide"}}, "undecided", "Refused"),
+    ],
+)
+def test_each_end_has_its_words(summary: dict[str, object], tone: str, label: str) -> None:
+    said = outcome(summary)
+    assert said.tone == tone
+    assert label in said.label
+    assert "None" not in said.sentence
+
+
+BY_GRIPPER = "The object came along, by the gripper's status; the cameras"
+FAR = "16 ± 23 mm (k = 2)"
+SEEN = {
+    "seen_from_grip_mm": 15.83,
+    "seen_from_grip_expanded_uncertainty_mm": 23.13,
+    "seen_raised_mm": 119.99,
+}
+
+
+@pytest.mark.parametrize(
+    ("seen", "sentence", "fact"),
+    [
+        (
+            SEEN,
+            f"{BY_GRIPPER} saw it last {FAR} from the grip point, with the hand 120 mm up.",
+            FAR,
+        ),
+        (
+            dict.fromkeys(SEEN),
+            f"{BY_GRIPPER} did not see it after the descent.",
+            "not after the descent",
+        ),
+    ],
+)
+def test_the_verdict_says_who_saw_the_object_come_along(
+    seen: dict[str, Any], sentence: str, fact: str
+) -> None:
+    ended = made_grasp.SUMMARY | seen
+    assert outcome(ended).sentence == sentence
+    told = document(made_grasp.results(seen))
+    (facts,) = [block for block in told.sections[0].blocks if isinstance(block, Facts)]
+    assert dict(facts.items)["Object from the grip point, seen"] == fact
+
+
+def test_a_grab_that_lifted_nothing_says_nothing_of_an_object_in_the_hand() -> None:
+    told = document(made_grasp.results(dict.fromkeys(SEEN) | {"state": "missed"}))
+    (facts,) = [block for block in told.sections[0].blocks if isinstance(block, Facts)]
+    assert "Object from the grip point, seen" not in dict(facts.items)
+    assert "– mm" not in str(facts)
+
+
+def test_small_scores_keep_their_digits() -> None:
+    parts = {"limits": 0.45, "dexterity": 0.2319, "nearness": 0.99992, "clearance": 0.001}
+    plan = made_grasp.plan({}) | {"score": 0.000104327, "parts": parts}
+    told = document(made_grasp.results({"plan": plan}))
+    (said,) = [cell for block in told.sections[-1].blocks if isinstance(block, Table)
+               for row in block.rows for cell in row if "taken" in str(cell)]  # fmt: skip
+    assert "score 0.00010 (" in str(said)
+    assert "clearance 0.0010" in str(said)
+    assert "dexterity 0.23" in str(said)
+
+
+def test_time_is_written_once_below_panels_that_share_it() -> None:
+    results = made_grasp.whole()
+    for chart, lowest in (
+        (grasp_figures.windows(results), 1),
+        (grasp_figures.joints(results), 2),
+        (grasp_figures.planned_motion(results), 2),
+    ):
+        assert chart is not None
+        labels = [panel.x_label for panel in chart.panels]
+        assert labels == [""] * (len(labels) - lowest) + ["time [s]"] * lowest
+        assert lowest == chart.columns
+
+
+def test_what_was_not_seen_is_said_and_not_drawn() -> None:
+    told = document(Results(BARE | {"state": "searching"}, {}, {"cycles": pd.DataFrame()}))
+    assert collect_figures(told) == {}
+    blocks = [block for section in told.sections for block in section.blocks]
+    assert not any(isinstance(block, Figure) for block in blocks)
+    words = " ".join(str(getattr(block, "text", "")) for block in blocks)
+    for said in ("no pictures", "was not seen", "saw nothing", "No joint angles", "no plan"):
+        assert said in words

@@ -1,0 +1,99 @@
+"""The report of an identified arm: its words and its pictures."""
+
+import numpy as np
+import pytest
+
+import robots
+from reports import render_html, render_pdf
+from reports.document.blocks import Verdict, collect_figures
+from reports.identification.document import document
+from reports.results import Results
+from tests.support.reports.page import tables
+from tests.support.true_arm import measured, readings, true_arm
+from verify.calibration.kinematics import identify
+from verify.calibration.kinematics.chain import chain_of
+from verify.calibration.kinematics.identify import IdentificationOptions
+from verify.calibration.kinematics.poses import build_poses
+from verify.calibration.kinematics.results import (
+    IdentificationProvenance,
+    ValidationSessions,
+    identification_results,
+)
+
+
+def made(geometry: float, *, outlying: bool = False, position_only: bool = False) -> Results:
+    truth = true_arm("iust_6r", seed=1, geometry=geometry)
+    q = readings(truth.arm, 60, 2)
+    seen, covariance = measured(truth, q, 3)
+    seen[7, 0, 3] += 0.05 * outlying
+    rows = build_poses(
+        q,
+        seen[:, :3, 3] if position_only else seen,
+        covariance[:, :3, :3] if position_only else covariance,
+    )
+    found = identify(chain_of(truth.arm), rows, IdentificationOptions(splits=2))
+    origin = IdentificationProvenance(
+        arm=robots.load("iust_6r"),
+        names=["monday"],
+        source=np.zeros(60, dtype=np.int64),
+        frame=np.arange(60),
+        free_base=True,
+        free_tool=True,
+        inputs={"rig.toml": "sha256:00"},
+    )
+    judged = ValidationSessions(["tuesday"], found.before, found.after) if outlying else None
+    return identification_results(found, rows, origin, "iust_6r_identified.urdf", judged)
+
+
+@pytest.fixture(scope="module")
+def every() -> dict[str, Results]:
+    return {
+        "geometry": made(1.0, outlying=True),
+        "offsets": made(0.0),
+        "positions": made(1.0, position_only=True),
+        "bare": Results({"kind": "identification"}, {}, {}),
+    }
+
+
+def test_the_answer_stands_first(every: dict[str, Results]) -> None:
+    first = document(every["geometry"]).sections[0].blocks[0]
+    assert isinstance(first, Verdict)
+    assert first.sentence.startswith("30 parameters were identified from 59 poses.")
+    assert "On poses held out, the mean position residual goes from" in first.sentence
+    assert first.remarks == ("The offset of joints 1 and 6 was not identified.",)
+
+
+def test_an_offset_is_given_with_either_sign(every: dict[str, Results]) -> None:
+    offsets = tables(document(every["offsets"]))["Constant offset of each joint."]
+    assert [cell.text for cell in offsets.rows[0]] == ["1", "–", "–"]
+    for row in offsets.rows[1:5]:
+        error, add = (float(cell.text.split(" ± ")[0].replace("−", "-")) for cell in row[1:3])
+        assert error == -add
+
+
+def test_every_picture_is_there(every: dict[str, Results]) -> None:
+    names = {"identified_residuals", "identified_changes", "parameter_correlation"}
+    for name in ("geometry", "offsets", "positions"):
+        assert set(collect_figures(document(every[name]))) == names, name
+    assert not collect_figures(document(every["bare"]))
+
+
+def test_outlying_poses_are_listed(every: dict[str, Results]) -> None:
+    rows = tables(document(every["geometry"]))["Outlying poses."].rows
+    assert [cell.text for cell in rows[0]][:2] == ["monday", "7"]
+
+
+def test_sessions_that_judge_have_a_table_of_their_own(every: dict[str, Results]) -> None:
+    caption = "Residuals of other sessions, registered anew with either arm."
+    table = tables(document(every["geometry"]))[caption]
+    assert table.notes[0] == "tuesday, 60 poses"
+    before, after = (float(row[1].text) for row in table.rows)
+    assert after < before
+    assert caption not in tables(document(every["offsets"]))
+
+
+def test_both_formats_come_out(every: dict[str, Results]) -> None:
+    for one in every.values():
+        assert "<html" in render_html(one)
+    for name in ("geometry", "bare"):
+        assert render_pdf(every[name]).startswith(b"%PDF")

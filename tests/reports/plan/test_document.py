@@ -1,0 +1,105 @@
+"""The report of a planned session: its words and its pictures."""
+
+from copy import deepcopy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from reports import render_html, render_pdf
+from reports.document.blocks import Verdict, collect_figures
+from reports.plan.document import document
+from reports.results import Results
+from tests.support import planning
+from tests.support.reports.page import tables
+from verify.planning.request import FAULT_KINDS
+from verify.planning.results import PlanProvenance, plan_results
+
+PICTURES = {"plan_detectable", "correlation", "plan_joints", "plan_path", "plan_view"}
+DOUBT = (
+    "No uncertainty is stated for rig, robot table: taken as exact; the predicted uncertainties "
+    "hold on that condition."
+)
+
+
+def made() -> Results:
+    bench, wish, taken = planning.bench(), planning.wish(observe=FAULT_KINDS), planning.conditions()
+    origin = PlanProvenance(bench, wish, taken, {"rig.toml": "sha256:00"}, (DOUBT,))
+    with planning.few_postures():
+        return plan_results(planning.planned(bench, wish, taken), origin)
+
+
+def through_encoders(plain: Results) -> Results:
+    """The same where joints 1 and 6 cannot show, and nothing of geometry was asked for."""
+    summary = deepcopy(plain.summary)
+    for joint in (0, 5):
+        summary["joints"][joint] |= dict.fromkeys(
+            ("standard_uncertainty_deg", "minimum_detectable_error_deg"), None
+        )
+    clock = {"source": "estimated", "standard_uncertainty_s": 1e-4}
+    return replace(
+        plain, summary=summary | {"through_encoders": True, "geometry": None, "clock": clock}
+    )
+
+
+@pytest.fixture(scope="module")
+def every() -> dict[str, Results]:
+    plain = made()
+    return {
+        "plain": plain,
+        "blind": through_encoders(plain),
+        "bare": Results({"kind": "plan"}, {}, {}),
+    }
+
+
+def test_the_answer_stands_first(every: dict[str, Results]) -> None:
+    first = document(every["plain"]).sections[0].blocks[0]
+    assert isinstance(first, Verdict)
+    assert first.sentence.startswith("A constant offset of 0.")
+    assert first.sentence.endswith("° or more would be noticed in every joint.")
+
+
+def test_what_cannot_show_is_said_with_its_cause(every: dict[str, Results]) -> None:
+    first = document(every["blind"]).sections[0].blocks[0]
+    assert isinstance(first, Verdict)
+    assert "noticed in joints 2, 3, 4 and 5." in first.sentence
+    assert "An offset of joints 1 and 6 cannot show." in first.sentence
+    assert first.tone == "undecided"
+    assert first.remarks[0].startswith("Base or LEDs were registered through")
+
+
+def test_every_picture_is_there(every: dict[str, Results]) -> None:
+    assert set(collect_figures(document(every["plain"]))) == PICTURES
+    assert not collect_figures(document(every["bare"]))
+
+
+def test_each_kind_has_its_columns(every: dict[str, Results]) -> None:
+    table = tables(document(every["plain"]))["What would show of each kind of fault."]
+    assert table.head[1::2] == (
+        "Offset, u [°]", "Gain, u [%]", "Backlash, u [°]", "Eccentricity, u [°]",
+    )  # fmt: skip
+    assert len(table.rows) == 6
+    shown = every["plain"].table("shown")
+    first = shown[(shown["joint"] == 1) & (shown["kind"] == "gains")].iloc[0]
+    assert float(table.rows[0][3].text) == pytest.approx(first["standard_uncertainty"], rel=0.06)
+
+
+def test_geometry_is_told_where_it_was_asked_for(every: dict[str, Results]) -> None:
+    names = [section.name for section in document(every["plain"]).sections]
+    assert "geometry" in names
+    assert "geometry" not in [section.name for section in document(every["blind"]).sections]
+
+
+def test_the_trajectory_is_even_and_ends_at_rest(every: dict[str, Results]) -> None:
+    table = every["plain"].table("trajectory")
+    assert list(table.columns) == ["t_s", *(f"q{j}_deg" for j in range(1, 7)), "pose"]
+    steps = np.diff(table["t_s"])
+    np.testing.assert_allclose(steps[:-1], 0.05)
+    assert table["pose"].iloc[0] == table["pose"].iloc[-1] == 1
+
+
+def test_both_formats_come_out(every: dict[str, Results]) -> None:
+    for one in every.values():
+        assert "<html" in render_html(one)
+    for name in ("plain", "bare"):
+        assert render_pdf(every[name]).startswith(b"%PDF")

@@ -1,0 +1,142 @@
+"""What a report says of causes and of what could have been seen."""
+
+from dataclasses import replace
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from reports.document.blocks import Bullets, Paragraph, Section, Table
+from reports.results import Results
+from reports.session import causes as session_causes
+from reports.session import findings
+from reports.session.combinations import detectable
+from reports.session.headline import headline
+from tests.support.reports import made
+
+
+def cause(kind: str, joint: int | None, value: float, unit: str, **more: Any) -> dict[str, Any]:
+    u = abs(value) / 20
+    return {
+        "joint": joint, "kind": kind, "value": value, "unit": unit, "standard_uncertainty": u,
+        "expanded_uncertainty": 2 * u, "explains": 0.4, **more,
+    }  # fmt: skip
+
+
+FIGURES = ("value", "unit", "standard_uncertainty", "expanded_uncertainty")
+RIVAL = cause("gain", 3, 0.0074, "ratio")
+EVERY = [
+    cause("offset", 3, 0.4, "deg", runner_up=RIVAL | {"advantage": 953.2}),
+    cause("compliance", 4, 0.52, "deg/m"),
+    cause("drift", 5, -12.0, "deg/h"),
+    cause("clock_drift", None, 140.0, "ppm"),
+    cause("clock_drift", None, -140.0, "ppm"),
+    cause("camera_skew", None, 0.0031, "s"),
+    cause("camera_skew", None, -0.0031, "s"),
+    cause("camera_turned", None, 0.05, "deg"),
+    cause("base_moved", None, 1.2, "mm", turn_deg=0.081),
+    cause("led_body_slipped", None, 0.4, "mm", turn_deg=0.12),
+    cause("geometry", None, 0.0, "") | dict.fromkeys(FIGURES),
+]
+UNCLEAR = {
+    "joint": None, "kind": "ambiguous", "value": 0.1, "unit": "deg", "explains": 0.3,
+    "candidates": [
+        cause("offset", 3, 0.1, "deg"), cause("gain", 3, 0.002, "ratio"),
+        cause("dh", 4, 0.3, "mm", parameter="a4"), cause("drift", 4, 5.0, "deg/h"),
+        cause("base_moved", None, 0.5, "mm"), cause("camera_skew", None, 0.001, "s"),
+    ],
+}  # fmt: skip
+
+
+def with_causes(causes: list[dict[str, Any]], **summary: Any) -> Results:
+    results = made.nonconforming()
+    return replace(results, summary=results.summary | {"diagnosis": causes} | summary)
+
+
+def table_of(section: Section, place: int = 0) -> Table:
+    return [block for block in section.blocks if isinstance(block, Table)][place]
+
+
+def test_every_kind_is_said_with_its_remedy() -> None:
+    for entry in EVERY:
+        said = headline(with_causes([entry | {"joint": None} if not entry["joint"] else entry]))
+        assert session_causes.remedy(entry) != "–", entry["kind"]
+        assert ":" in session_causes.finding(entry)
+        assert "None" not in said.sentence, entry["kind"]
+
+
+def test_signs_are_said_as_they_act() -> None:
+    assert "loses 140" in session_causes.finding(EVERY[3])
+    assert "gains 140" in session_causes.finding(EVERY[4])
+    assert "later than stamped: add +0.00310 s to t_right_s" in session_causes.finding(EVERY[5])
+    assert "earlier than stamped: add −0.00310 s to t_right_s" in session_causes.finding(EVERY[6])
+    assert "moved by 1.20 ± 0.12 mm (k = 2) and 0.081°" in session_causes.finding(EVERY[8])
+
+
+def test_the_table_of_causes_names_the_runner_up_and_the_pairs_left_out() -> None:
+    section = findings.diagnosis(with_causes(EVERY, outlying_pairs=[4, 17]))
+    table = table_of(section)
+    assert table.rows[0][4].text == "gain of joint 3 (ΔBIC 953)"
+    assert table.rows[1][4].text == "–"
+    (note,) = [block for block in section.blocks if isinstance(block, Paragraph)]
+    assert "2 of the pairs" in note.text
+    assert "4, 17" in note.text
+
+
+def test_many_pairs_left_out_are_not_all_printed() -> None:
+    section = findings.diagnosis(with_causes([], outlying_pairs=list(range(80))))
+    text = " ".join(block.text for block in section.blocks if isinstance(block, Paragraph))
+    assert "and 50 more" in text
+
+
+@pytest.mark.parametrize("motion", [*session_causes.MOTIONS, "unheard_of"])
+@pytest.mark.parametrize("numbers", [[], [3], [3, 4]])
+def test_an_ambiguous_entry_says_the_motion_that_would_tell(
+    motion: str, numbers: list[int]
+) -> None:
+    entry = UNCLEAR | {"separating_motion": motion, "separating_joints": numbers}
+    section = findings.diagnosis(with_causes([entry]))
+    cells = [cell.text for cell in table_of(section).rows[0]]
+    assert cells[0].endswith("2 others")
+    assert cells[1] == cells[2] == "–"
+    assert "record" in cells[5]
+    assert "{" not in cells[5]
+
+
+def faults(**more: Any) -> pd.DataFrame:
+    rows = [
+        (1, "offset", None, None, "deg", None, None),
+        (1, "gain", None, None, "ratio", 0.0002, 0.0007),
+        (2, "offset", None, None, "deg", 0.0065, 0.087),
+        (2, "backlash", None, None, "deg", 0.011, 0.011),
+        (2, "eccentricity", None, 1, "deg", 0.02, None),
+        (2, "eccentricity", None, 5, "deg", 0.009, 0.018),
+        (2, "eccentricity", None, 6, "deg", 0.008, 0.012),
+        (2, "dh", "a2", None, "mm", 0.043, 0.14),
+        (None, "clock_drift", None, None, "ppm", 82.0, 87.0),
+        (None, "base_moved", "rz", None, "deg", 0.008, None),
+    ]
+    names = ["joint", "kind", "parameter", "per_turn", "unit", "detectable", "separable"]
+    return pd.DataFrame(rows, columns=names).assign(**more)
+
+
+def test_what_could_be_seen_is_a_table_of_joints_and_kinds() -> None:
+    results = made.nonconforming()
+    section = detectable(replace(results, tables=results.tables | {"detectable": faults()}))
+    (hidden,) = [block for block in section.blocks if isinstance(block, Bullets)]
+    assert hidden.items[0] == "A constant offset of joint 1 cannot show."
+    assert hidden.items[1].startswith("A gain of joint 2 cannot show")
+    assert hidden.items[2] == "Backlash of joint 1 cannot show: it moved one way only."
+    first = [[cell.text for cell in line] for line in table_of(section).rows]
+    assert first[0] == ["q1", "–", "0.020 / 0.070", "–", "–", "–", "–", "–"]
+    assert first[1] == [
+        "q2", "0.0065 / 0.087", "–", "0.011 / 0.011", "0.020 / –", "0.0090 / 0.018", "–", "–",
+    ]  # fmt: skip
+    second = [[cell.text for cell in line] for line in table_of(section, 1).rows]
+    assert ["link parameter a2 of joint 2", "0.043", "0.14", "mm"] in second
+    assert ["moved robot base or rig, rz", "0.0080", "–", "°"] in second
+
+
+def test_without_the_table_nothing_is_claimed() -> None:
+    section = detectable(made.nothing())
+    assert [block.kind for block in section.blocks] == ["paragraph"]

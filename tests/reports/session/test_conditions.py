@@ -1,0 +1,164 @@
+"""What could not show, and what nobody stated, in words: on the first page and in the setup."""
+
+import shutil
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import pytest
+
+import reports
+from reports.document.blocks import Facts
+from reports.results import Results
+from reports.session.conditions import conditions
+from reports.session.headline import headline
+from tests.reports.conftest import LIBRARY
+from tests.support.command import SAMPLES
+from tests.support.reports import made
+from verify import analyse, open_session
+
+SAMPLE = SAMPLES / "multi_joint_fault_6r"
+BASE = "A constant offset of joint 1 cannot show here: the robot base was found through the same "
+FOUND = {"visible_fraction": 0.0, "visible_fraction_since_registration": 1.0}
+UNSEEN = FOUND | {"reason": "not_observable"}
+
+
+@pytest.fixture(scope="module")
+def registered_by_motion(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """The sample session, its base said to come from a motion: joint 1 is hidden, 2 fails."""
+    folder = tmp_path_factory.mktemp("hidden") / "session"
+    shutil.copytree(SAMPLE, folder)
+    rig = folder / "rig.toml"
+    text = rig.read_text(encoding="utf-8")
+    assert 'source = "fixture"' in text
+    rig.write_text(text.replace('source = "fixture"', 'source = "motion"'), encoding="utf-8")
+    return analyse(open_session(folder))
+
+
+def test_the_first_page_says_what_a_registration_by_motion_hides(
+    registered_by_motion: Results,
+) -> None:
+    said = headline(registered_by_motion)
+    assert said.tone == "nonconform"
+    assert said.remarks[1:3] == ("Whether joint 1 conforms is undecided.", f"{BASE}encoders.")
+    page = reports.render_html(registered_by_motion).replace(LIBRARY, "")
+    verdict, found = page.index("The robot does not conform"), page.index(BASE)
+    assert verdict < found < page.index("Without any registration", verdict)
+
+
+@cache
+def _base() -> Results:
+    return made.nonconforming()
+
+
+def _results(changes: dict[int, dict[str, Any]], **more: Any) -> Results:
+    """Joints changed by number; `setup` names sources, the rest is of the summary."""
+    setup = dict(_base().setup)
+    for part, entry in more.pop("setup", {}).items():
+        setup[part] = setup[part] | entry
+    rows = [row | changes.get(row["joint"], {}) for row in _base().summary["joints"]]
+    return replace(_base(), summary=_base().summary | {"joints": rows} | more, setup=setup)
+
+
+MOTION = {"rig": {"base_source": "motion"}, "marker": {"source": "motion"}}
+BLIND = {"encoder_offset_s": None, "source": "not_observable", "observable": False}
+CASES: dict[str, tuple[Results, str, str, str]] = {
+    "base and LEDs": (
+        _results({1: UNSEEN, 6: UNSEEN}, setup=MOTION),
+        "joints 1 and 6",
+        "the robot base and the LED positions were found through the same encoders",
+        "first give the robot base and the LED positions by a fixture",
+    ),
+    "LEDs alone": (
+        _results({6: UNSEEN}, setup={"marker": {"source": "motion"}}),
+        "joint 6",
+        "the LED positions were found through the same encoders",
+        "first give the LED positions by a fixture",
+    ),
+    "a tracker's target": (
+        _results({6: UNSEEN}, setup={"marker": {"source": "motion", "point_mm": [0.0, 0.0, 1.0]}}),
+        "joint 6",
+        "the measured point was found through the same encoders",
+        "first give the measured point by a fixture",
+    ),
+    "the clock": (
+        _results({1: UNSEEN | {"visible_fraction_since_registration": 0.0}}, clock=BLIND),
+        "joint 1",
+        "the motion does not tell it from an offset of the encoder clock",
+        "first give the clock offset",
+    ),
+    "a singularity": (
+        _results({4: {"reason": "not_observable"}}),
+        "joint 4",
+        "near a singularity only the sum q4+q6 is determined",
+        "first record poses away from the singularity",
+    ),
+    "a single LED on the last axis": (
+        _results({6: {"reason": "not_observable", "visible_fraction": None}}, combinations=[]),
+        "joint 6",
+        "the measured poses do not determine it",
+        "first record other poses",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_hides_an_offset_is_told_with_every_verdict(name: str) -> None:
+    results, named, why, _ = CASES[name]
+    for verdict in ("conform", "nonconform", "undecided", None):
+        said = headline(replace(results, summary=results.summary | {"verdict": verdict}))
+        assert f"A constant offset of {named} cannot show here: {why}." in said.remarks, verdict
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_an_undecided_verdict_says_what_would_free_it(name: str) -> None:
+    results, named, _, remedy = CASES[name]
+    rows = [
+        row | ({"verdict": "undecided"} if row["reason"] == "not_observable" else {})
+        for row in results.summary["joints"]
+    ]
+    summary = results.summary | {"verdict": "undecided", "joints": rows}
+    said = headline(replace(results, summary=summary))
+    assert f"an offset of {named} cannot show: {remedy}" in said.sentence
+    assert "could not be seen" not in " ".join(said.remarks)  # said above, with its reason
+
+
+def test_a_joint_beyond_its_tolerance_may_hide_its_constant() -> None:
+    said = headline(_results({3: FOUND}, setup={"rig": {"base_source": "motion"}}))
+    assert any("offset of joint 3 cannot show here" in remark for remark in said.remarks)
+
+
+def test_nothing_is_said_where_every_offset_could_show() -> None:
+    assert not any("cannot show" in remark for remark in headline(_base()).remarks)
+
+
+def test_an_open_joint_beside_a_failing_one_says_why_it_is_open() -> None:
+    row = {"verdict": "undecided", "reason": "uncertainty_too_large"}
+    assert (
+        "Joint 4: uncertainty too large for this tolerance." in headline(_results({4: row})).remarks
+    )
+
+
+def _facts(results: Results) -> dict[str, str]:
+    blocks = conditions(results).blocks
+    return dict(item for block in blocks if isinstance(block, Facts) for item in block.items)
+
+
+NOBODY_SAYS = (
+    "Registration", "LED positions", "Datum", "u of the body", "u of each LED",
+    "u of the apparent centre",
+)  # fmt: skip
+
+
+def test_what_a_session_does_not_state_is_said_to_be_not_stated(
+    registered_by_motion: Results,
+) -> None:
+    facts = _facts(registered_by_motion)
+    assert {facts[label] for label in NOBODY_SAYS} == {"not stated"}
+
+
+def test_what_is_stated_stays_as_it_is() -> None:
+    setup = {"rig": {"registration": "of monday"}, "marker": {"led_standard_uncertainty_mm": 0.05}}
+    facts = _facts(_results({}, setup=setup))
+    assert facts["Registration"] == "of monday"
+    assert facts["u of each LED"] == "0.050 mm"

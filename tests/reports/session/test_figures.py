@@ -1,0 +1,175 @@
+import base64
+import io
+import re
+from typing import Any
+
+import matplotlib.colors
+import matplotlib.image
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+import typst
+
+from reports.document import charts
+from reports.document.charts import Band, Chart, Line, Path
+from reports.format import matplotlib as format_matplotlib
+from reports.format import pdf, plotly
+from reports.session.figures import FIGURES
+from tests.support.reports import made
+
+
+@pytest.mark.parametrize("figure", sorted(FIGURES))
+@pytest.mark.parametrize("name", ["nonconforming", "nulls", "nothing", "one_pair", "one_joint"])
+def test_every_figure_is_drawn_or_declined(name: str, figure: str) -> None:
+    chart = FIGURES[figure](made.EVERY[name]())
+    if name == "nothing":
+        assert chart is None
+    if name == "nonconforming":
+        assert chart is not None
+
+
+def _coloured(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _coloured(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_coloured(item) for item in value]
+    if isinstance(value, str) and value.startswith("role:"):
+        return charts.PALETTE[value.removeprefix("role:")][0][:7]
+    return value
+
+
+@pytest.mark.parametrize("figure", sorted(FIGURES))
+def test_plotly_itself_accepts_every_plot_of_the_page(figure: str) -> None:
+    chart = FIGURES[figure](made.nonconforming())
+    assert chart is not None
+    plot = _coloured(plotly.specification(chart))
+    go.Figure(plot["data"], plot["layout"])
+    go.Figure(plot["data"], plot["narrow"])
+
+
+@pytest.mark.parametrize("figure", sorted(set(FIGURES) - {"correlation", "path"}))
+def test_every_axis_says_its_unit_or_what_it_counts(figure: str) -> None:
+    chart = FIGURES[figure](made.nonconforming())
+    assert isinstance(chart, Chart)
+    for panel in chart.panels:
+        labels = [label for label in (panel.x_label, panel.y_label) if label]
+        for label in labels:
+            assert re.search(r"\[(s|°|mm|px|%)\]$", label) or label in ("LEDs seen", "cost")
+
+
+def test_each_joint_has_a_strip_with_bands_resolved_line_and_tolerance() -> None:
+    chart = FIGURES["joint_errors"](made.seven_joints())
+    assert isinstance(chart, Chart)
+    assert [panel.y_label for panel in chart.panels] == [f"q{n} [°]" for n in range(1, 8)]
+    for panel in chart.panels:
+        names = {getattr(mark, "name", "") for mark in panel.marks}
+        assert {"error of a pair", "±2u of a pair", "resolved error", "±2u resolved"} <= names
+        assert "tolerance" in names or "beyond this scale" in panel.title
+
+
+def test_the_band_of_a_pair_is_two_standard_uncertainties_of_all_sources() -> None:
+    results = made.nonconforming()
+    frames = results.tables["frames"].dropna(subset=["q3_error_deg"])
+    chart = FIGURES["joint_errors"](results)
+    assert isinstance(chart, Chart)
+    band = next(m for m in chart.panels[2].marks if isinstance(m, Band))
+    high = band.high[np.isfinite(band.high)]
+    np.testing.assert_allclose(high, frames["q3_error_deg"] + 2 * frames["q3_error_u_deg"])
+
+
+def test_no_error_of_a_pair_leaves_its_frame() -> None:
+    for name in ("nonconforming", "undecided", "seven_joints", "visits"):
+        chart = FIGURES["joint_errors"](made.EVERY[name]())
+        assert isinstance(chart, Chart)
+        for panel in chart.panels:
+            assert panel.y_range is not None
+            for mark in panel.marks:
+                if isinstance(mark, Line):
+                    known = mark.y[np.isfinite(mark.y)]
+                    assert panel.y_range[0] <= known.min()
+                    assert known.max() <= panel.y_range[1]
+
+
+def test_visits_far_apart_are_not_joined_by_lines() -> None:
+    chart = FIGURES["joint_errors"](made.visits())
+    assert isinstance(chart, Chart)
+    for mark in chart.panels[0].marks:
+        if isinstance(mark, Line):
+            steps = np.diff(mark.x)
+            assert np.nanmax(steps) < 1.0  # s; visits are a minute apart
+
+
+def test_a_long_session_stays_light() -> None:
+    results = made.long()
+    size = 0
+    for draw in FIGURES.values():
+        chart = draw(results)
+        assert chart is not None
+        size += len(str(plotly.specification(chart)))
+    assert size < 4_000_000  # letters; the plotting library itself has 4.8 million
+
+
+def test_thousands_of_spots_are_all_counted() -> None:
+    results = made.long(2_000)
+    chart = FIGURES["residuals"](results)
+    assert isinstance(chart, Chart)
+    cells = [m for panel in chart.panels for m in panel.marks if isinstance(m, charts.Cells)]
+    counted = sum(float((10**m.values - 1).sum()) for m in cells)
+    assert round(counted) == len(results.tables["spots"])
+
+
+def test_paths_are_drawn_with_both_trajectories() -> None:
+    chart = FIGURES["path"](made.nonconforming())
+    assert isinstance(chart, Path)
+    assert [name for _, _, name in chart.lines] == ["measured", "from encoders"]
+    for low, high in chart.ranges:
+        assert high > low
+
+
+def test_the_shares_of_variance_add_up_to_all() -> None:
+    chart = FIGURES["budget"](made.nonconforming())
+    assert isinstance(chart, Chart)
+    bars = [m for m in chart.panels[0].marks if isinstance(m, charts.Bars)]
+    np.testing.assert_allclose(sum(m.heights for m in bars), 100.0)
+
+
+@pytest.mark.parametrize("figure", ["joint_errors", "pose", "path", "clock"])
+def test_every_line_that_is_drawn_can_be_seen_on_the_page(figure: str) -> None:
+    chart = FIGURES[figure](made.nonconforming())
+    assert chart is not None
+    files = {"main.typ": b'#image("chart.svg")', "chart.svg": format_matplotlib.svg(chart)}
+    page = typst.compile(files, format="png", ppi=200.0, **pdf.FONTS)
+    pixels = matplotlib.image.imread(io.BytesIO(page), format="png")[:, :, :3]
+    if isinstance(chart, Path):
+        roles = {role for _, role, _ in chart.lines}
+    else:
+        roles = {m.role for p in chart.panels for m in p.marks if isinstance(m, Line)}
+    for role in roles:
+        distance = np.abs(pixels - matplotlib.colors.to_rgb(charts.PALETTE[role][0])).max(axis=2)
+        assert (distance < 0.1).sum() > 300, role  # dots; the legend alone has fewer
+
+
+@pytest.mark.parametrize("figure", ["timeline", "budget"])
+def test_the_same_chart_gives_the_same_svg(figure: str) -> None:
+    chart = FIGURES[figure](made.hostile())
+    assert chart is not None
+    assert format_matplotlib.svg(chart) == format_matplotlib.svg(chart)
+
+
+def test_a_user_s_word_cannot_become_a_link_in_a_plot() -> None:
+    text = plotly.escape_label('<a href="javascript:alert(1)">x</a>')
+    assert "<" not in text
+
+
+def test_letters_that_the_font_lacks_are_replaced() -> None:
+    assert format_matplotlib.printable("LED 漢") == "LED \ufffd"
+    assert format_matplotlib.printable("LED °σ") == "LED °σ"
+    assert len(format_matplotlib.printable("x" * 500)) < 50
+
+
+def test_numbers_arrive_in_the_page_as_they_are_in_the_table() -> None:
+    chart = FIGURES["clock"](made.nonconforming())
+    assert chart is not None
+    first = plotly.specification(chart)["data"][0]
+    y = np.frombuffer(base64.b64decode(first["y"]["bdata"]), dtype="<f4")
+    np.testing.assert_allclose(y, made.nonconforming().tables["clock_curve"]["cost"], rtol=1e-6)

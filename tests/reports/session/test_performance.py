@@ -1,0 +1,209 @@
+"""The section of repeated poses and paths: its words and its pictures."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from reports import render_html, render_pdf
+from reports.document.blocks import Bullets, Document, Paragraph, Section, Table, collect_figures
+from reports.document.charts import Chart
+from reports.results import Results
+from reports.session.document import document
+from reports.session.performance import (
+    DEVIATION_TEXTS,
+    FIXED_DEVIATIONS,
+    REASONS,
+    deviation,
+    performance,
+)
+from tests.support.reports import made
+
+DEVIATIONS: list[dict[str, Any]] = [
+    {"kind": "cycles", "found": 12, "standard": 30},
+    {"kind": "passages", "found": 6, "standard": 10},
+    {"kind": "poses", "found": 3, "standard": 5},
+    {"kind": "plane", "off_plane_mm": 30.4},
+    {"kind": "approach", "poses": ["P1", "P2"]},
+    {"kind": "drift", "found_s": 182.0},
+    {"kind": "uncertainty", "poses": ["P2"], "smallest_mm": 1.93},
+    {"kind": "temperature", "found_c": 25.5},
+    *({"kind": kind} for kind in FIXED_DEVIATIONS),
+]
+
+
+def pose(name: str, *, robot: float | None, oriented: bool = True) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "pose": name,
+        "visits": 12,
+        "pairs": 72,
+        "ap_mm": 0.371,
+        "ap_low_mm": 0.36,
+        "ap_high_mm": 0.382,
+        "ap_of_noise_mm": 0.008,
+        "ap_less_bias_mm": 0.3709,
+        "rp_mm": 0.44,
+        "rp_low_mm": 0.35,
+        "rp_high_mm": 0.7,
+        "rp_floor_mm": 0.064,
+        "rp_robot_mm": robot,
+        "rp_robot_at_most_mm": 0.697,
+        "variation": {
+            "ways": 2,
+            "vap_mm": 0.2,
+            "vap_low_mm": 0.15,
+            "vap_high_mm": 0.25,
+            "vap_of_noise_mm": 0.04,
+            "vap_deg": 0.012,
+        },
+        "drift": {
+            "blocks": 2,
+            "duration_s": 180.0,
+            "dap_mm": 0.08,
+            "dap_of_noise_mm": 0.15,
+            "drp_mm": 0.04,
+            "drp_of_noise_mm": 0.17,
+        },
+    }
+    for axis in ("rx", "ry", "rz") if oriented else ():
+        entry |= {f"ap_{axis}_deg": -0.002, f"ap_{axis}_low_deg": -0.006}
+        entry |= {f"ap_{axis}_high_deg": 0.002, f"rp_{axis}_deg": 0.08}
+        entry |= {f"rp_{axis}_low_deg": 0.06, f"rp_{axis}_high_deg": 0.13}
+    return entry
+
+
+def path(name: str) -> dict[str, Any]:
+    return {
+        "path": name,
+        "passages": 6,
+        "length_mm": 193.0,
+        "speed_mm_s": 176.4,
+        "at_mm": 0.398,
+        "at_low_mm": 0.354,
+        "at_high_mm": 0.443,
+        "at_largest_of_noise_mm": 0.045,
+        "rt_mm": 0.44,
+        "rt_low_mm": 0.31,
+        "rt_high_mm": 0.8,
+        "rt_floor_mm": 0.1,
+        "rt_robot_mm": 0.4,
+        "rt_robot_at_most_mm": 0.79,
+    }
+
+
+def repeated() -> Results:
+    rng = np.random.default_rng(1)
+    visits = pd.DataFrame(
+        {
+            "pose": np.repeat(["P1", "P2"], 12),
+            **{f"d{axis}_mm": rng.normal(0.2, 0.1, 24) for axis in "xyz"},
+        }
+    )
+    stations = pd.DataFrame(
+        {
+            "path": ["P1 → P2"] * 50,
+            "along_mm": np.linspace(0, 193, 50),
+            "off_mm": 0.35 + 0.05 * np.sin(np.linspace(0, 3, 50)),
+            "rt_mm": np.full(50, 0.4),
+        }
+    )
+    entry = {
+        "noise_floor": {"source": "holds"},
+        "poses": [pose("P1", robot=0.43), pose("P2", robot=None)],
+        "distances": [
+            {
+                "poses": ["P1", "P2"],
+                "commanded_mm": 199.4,
+                "visits": 12,
+                "ad_mm": -0.0039,
+                "ad_low_mm": -0.018,
+                "ad_high_mm": 0.01,
+                "rd_mm": 0.88,
+                "rd_low_mm": 0.62,
+                "rd_high_mm": 1.49,
+            }
+        ],
+        "paths": [path("P1 → P2")],
+        "deviations": DEVIATIONS,
+    }
+    base = made.nonconforming()
+    return Results(
+        base.summary | {"performance": entry, "performance_reason": None},
+        base.setup,
+        base.tables | {"performance_poses": visits, "performance_paths": stations},
+        base.images,
+    )
+
+
+def without(reason: str) -> Results:
+    base = made.nonconforming()
+    return Results(
+        base.summary | {"performance": None, "performance_reason": reason}, base.setup, {}, {}
+    )
+
+
+def section(results: Results) -> Section:
+    return performance(results)
+
+
+def table(of: Section, start: str) -> Table:
+    return next(b for b in of.blocks if isinstance(b, Table) and b.caption.startswith(start))
+
+
+def test_the_answer_comes_first() -> None:
+    first = section(repeated()).blocks[0]
+    assert isinstance(first, Paragraph)
+    assert first.text.startswith("2 poses, each visited 12 times. ")
+    assert "AP 0.3710 (0.3600 – 0.3820) mm, at P1" in first.text
+    assert "RP 0.440 (0.350 – 0.700) mm" in first.text
+
+
+def test_a_share_that_is_not_told_from_the_floor_is_a_bound() -> None:
+    rows = table(section(repeated()), "Pose accuracy AP").rows
+    assert [cells[-1].text for cells in rows] == ["0.430", "≤ 0.697"]
+
+
+def test_every_index_has_its_table_and_positions_alone_have_no_angles() -> None:
+    captions = [b.caption.split(":")[0] for b in section(repeated()).blocks if isinstance(b, Table)]
+    assert len(captions) == 6
+    bare = repeated()
+    bare.summary["performance"]["poses"] = [pose("P1", robot=0.4, oriented=False)]
+    found = [b.caption for b in section(bare).blocks if isinstance(b, Table)]
+    assert "Pose accuracy and pose repeatability of orientations." not in found
+
+
+def test_every_deviation_is_listed_in_words() -> None:
+    bullets = next(b for b in section(repeated()).blocks if isinstance(b, Bullets))
+    assert len(bullets.items) == len(DEVIATIONS)
+    assert {str(d["kind"]) for d in DEVIATIONS} == FIXED_DEVIATIONS.keys() | DEVIATION_TEXTS.keys()
+    assert deviation({"kind": "drift", "found_s": 182.0}).startswith(
+        "Drift was followed for 0.051 h"
+    )
+    assert deviation({"kind": "something_new"}) == "something new"
+
+
+@pytest.mark.parametrize("reason", REASONS)
+def test_where_nothing_is_repeated_it_says_so(reason: str) -> None:
+    (only,) = section(without(reason)).blocks
+    assert isinstance(only, Paragraph)
+    assert only.text == REASONS[reason]
+
+
+def test_results_of_before_have_no_such_section() -> None:
+    whole: Document = document(made.nonconforming())
+    assert "performance" not in [s.name for s in whole.sections]
+
+
+def test_clusters_and_band_are_drawn() -> None:
+    drawn = collect_figures(document(repeated()))
+    clusters, band = drawn["pose_clusters"], drawn["path_band"]
+    assert isinstance(clusters, Chart)
+    assert isinstance(band, Chart)
+    assert (len(clusters.panels), clusters.columns, len(band.panels)) == (4, 2, 1)
+
+
+def test_both_formats_are_written() -> None:
+    results = repeated()
+    assert "Repeated poses and paths" in render_html(results)
+    assert render_pdf(results).startswith(b"%PDF")

@@ -1,0 +1,59 @@
+"""Run a command as a user types it, in this process, and give back what the user would see.
+
+Measure a session's pixels once, and ask many things of the measurements.
+"""
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from verify.analysis import session
+from verify.cli.main import main
+from verify.core.records import Measurement
+
+ROOT = Path(__file__).parents[2]
+SAMPLES = ROOT / "sample_sessions"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    status: int
+    out: str
+    err: str
+
+
+def verify(*words: str | Path) -> Outcome:
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as stop:
+        main([str(w) for w in words])
+    code = stop.value.code
+    return Outcome(code if isinstance(code, int) else 0, out.getvalue(), err.getvalue())
+
+
+@contextmanager
+def remembered() -> Iterator[list[Measurement]]:
+    """Keep every measurement that is made meanwhile."""
+    seen: list[Measurement] = []
+    plain = session.measure
+
+    def kept(*arguments: Any) -> Iterator[Measurement]:
+        for measurement in plain(*arguments):
+            seen.append(measurement)
+            yield measurement
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "measure", kept)
+        yield seen
+
+
+@contextmanager
+def replayed(seen: list[Measurement]) -> Iterator[None]:
+    """Let the chain answer with these measurements instead of looking at pictures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "measure", lambda *_: iter(seen))
+        yield

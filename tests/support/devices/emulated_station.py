@@ -1,0 +1,111 @@
+"""A station whose encoders are an emulator on a real port that follows the simulated arm.
+
+The emulator runs in a process of its own; both processes know the instant at which the world began.
+
+python -m tests.support.devices.emulated_station STATION BEGAN SECONDS     watches, JSON lines, page
+"""
+
+import multiprocessing
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from verify.core.records import Array
+from verify.devices.ports import SerialLine
+from verify.live.station.keys import SimSettings
+from verify.simulation.devices.scene import SimClock
+from verify.simulation.devices.station import SimulatedStation
+from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
+from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
+from verify.simulation.emulators.melfa_arm import MelfaArm
+from verify.simulation.emulators.server import (
+    EmulatorEngine,
+    EmulatorFaults,
+    EmulatorServer,
+    open_front,
+)
+
+SCENARIO = "multi_joint_rv_3sd"
+PATIENCE = 60.0  # s until an emulator's process has imported what it needs
+
+
+def _clock(began: float) -> SimClock:
+    """The world's time, the same in every process: the monotonic clock is the machine's."""
+    clock = SimClock()
+    clock.began = began
+    return clock
+
+
+class Followed:
+    """The simulated arm's own motion, as an emulator plays it."""
+
+    def __init__(self, began: float) -> None:
+        self._scene = SimulatedStation(SimSettings(SCENARIO), _clock(began)).scene
+        self.start = began
+
+    def at(self, t: float) -> Array:
+        """Joint angles, (joints,), rad, at t seconds after the emulator's start."""
+        q: Array = self._scene.joints(np.array([self.start + t]))[0]
+        return q
+
+
+def emulate(kind: str, port: str, began: float, faults: EmulatorFaults, told: Connection) -> None:
+    """Be the device, in a process of its own, from the word on until killed; faults count from it.
+
+    Its address is told before.
+    """
+    followed = Followed(began)
+    engine: EmulatorEngine
+    if kind == "labenc":
+        engine = LabencEngine(followed, 6, LabencOptions(rate=100))
+    else:
+        limits = np.deg2rad(np.tile([-360.0, 360.0], (6, 1)))
+        # what the cameras see is the arm itself: no lag behind it
+        arm = MelfaArm(followed, 6, limits, follows="command")
+        engine = MelfaEngine(arm, ControllerOptions(), 0)
+    server = EmulatorServer(open_front(port, SerialLine()), engine, faults, None, 0)
+    told.send(server.front.address)
+    told.recv()
+    followed.start = time.monotonic()
+    first = iter([followed.start])
+    server.serve(lambda: False, lambda: next(first, None) or time.monotonic())
+
+
+@contextmanager
+def emulator(
+    kind: str, port: str, began: float, faults: EmulatorFaults | None = None
+) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Run one; gives its address, and what lets it answer there."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    args = (kind, port, began, faults or EmulatorFaults(), theirs)
+    process = context.Process(target=emulate, args=args, daemon=True)
+    process.start()
+    try:
+        assert ours.poll(PATIENCE), "the emulator does not start"
+        yield ours.recv(), lambda: ours.send(None)
+    finally:
+        process.terminate()
+        process.join()
+
+
+def watch(path: str, began: float, seconds: float) -> None:
+    """`verify run PATH --for … --page --json`, in a world that began at a given instant."""
+    from verify.cli.options import Asked
+    from verify.cli.terminal import terminal
+    from verify.cli.watch import PageOptions, RunOptions
+    from verify.cli.watch import watch as run
+    from verify.live.station.station import open_station
+
+    terminal.as_json = True
+    station = open_station(path, lambda s: SimulatedStation(s, _clock(began), apart=True))
+    nothing = Asked(None, None, None).tolerance(6)
+    run(station, RunOptions(seconds, nothing, None, PageOptions(0, "127.0.0.1", None)))
+
+
+if __name__ == "__main__":
+    watch(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]))

@@ -1,0 +1,72 @@
+"""The example cell of docs/grab.md, and an arm in it.
+
+The simulated cell with small pictures and a quicker line down: the same grabs in less time.
+"""
+
+import dataclasses
+import functools
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import robots
+from verify.core.records import Array
+from verify.grasping import cell as grasping_cell
+from verify.grasping.cell import Cell
+from verify.grasping.planning.object import GraspObject
+from verify.grasping.planning.plan import GraspPlanner, make_planner
+from verify.simulation.cell.setup import SMALL_SIZE, CellSetup, cell_setup
+
+DOCS = Path(__file__).parents[3] / "docs" / "grab.md"
+CAMERAS = np.array([[1.1, -0.2, 0.7], [1.1, 0.2, 0.7]])
+
+
+def example() -> str:
+    """The grab.toml that the page shows."""
+    return re.findall(r"```toml\n(# grab\.toml\n.*?)```", DOCS.read_text("utf-8"), re.DOTALL)[0]
+
+
+@functools.cache
+def melfa() -> robots.DhArm:
+    arm = robots.load("rv_3sd_melfa")
+    assert isinstance(arm, robots.DhArm)
+    return arm
+
+
+def cell(folder: Path) -> Cell:
+    path = folder / "grab.toml"
+    path.write_text(example(), encoding="utf-8")
+    read, warnings = grasping_cell.read(path)
+    assert warnings == ()
+    return read
+
+
+def setup(folder: Path) -> GraspPlanner:
+    return make_planner(melfa(), cell(folder), CAMERAS)
+
+
+def home(made: GraspPlanner) -> Array:
+    assert made.cell.moving.home is not None
+    return made.cell.moving.home
+
+
+def cap(x: float = 0.45, y: float = 0.0, z: float = 0.03, **changes: object) -> GraspObject:
+    """A bottle cap, 30 mm wide and 20 mm high, known within a millimetre."""
+    thing = GraspObject(np.array([x, y, z]), np.eye(3) * 1e-6, 0.03, 1e-3, 0.02, 1e-3)
+    return dataclasses.replace(thing, **changes)  # type: ignore[arg-type]
+
+
+SPEED, ACCELERATION, JERK = 0.12, 0.8, 8.0  # m/s, m/s², m/s³
+
+
+@cache
+def quick_cell(*, turning: bool = False) -> CellSetup:
+    """Put it together; the arm's own limits stay as they are."""
+    usual = cell_setup(SMALL_SIZE, turning=turning)
+    space = usual.planner.workspace
+    line = replace(space.cell.approach, speed=SPEED, acceleration=ACCELERATION, jerk=JERK)
+    quick = replace(space, cell=replace(space.cell, approach=line))
+    return replace(usual, planner=replace(usual.planner, workspace=quick))

@@ -1,0 +1,62 @@
+"""A real UR10 before a laser tracker: poses of Landgraf and others (2021), read as published."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from tests.support.beside import shared
+from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
+
+SERIES = {
+    "A": "Series_A/measurements_grid.csv",
+    "B": "Series_B/measurements_joint_configurations.csv",
+}
+JOINTS = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"]
+
+
+def series(name: str, every: int = 1) -> IdentificationPoses:
+    """Readings and tracker poses of a series; skips without the data.
+
+    The tracker's own scatter (0.01 mm, 0.003°) is far below what an arm's model leaves, so no
+    covariance is stated.
+    """
+    return _read(shared("data", "robot_ur10_lasertracker") / SERIES[name], every)
+
+
+def _read(path: Path, every: int) -> IdentificationPoses:
+    table = pd.read_csv(path, sep=";", decimal=",").iloc[::every]
+    q = table[[f"{joint}_joint" for joint in JOINTS]].to_numpy(dtype=float)
+    turns = table[[f"measurement_r{axis}" for axis in "xyz"]].to_numpy(dtype=float)
+    target = np.tile(np.eye(4), (len(q), 1, 1))
+    target[:, :3, :3] = Rotation.from_euler("XYZ", turns, degrees=True).as_matrix()
+    target[:, :3, 3] = table[[f"measurement_{axis}" for axis in "xyz"]].to_numpy() * 1e-3
+    return build_poses(q, target)
+
+
+def write_session(
+    folder: Path, rows: IdentificationPoses, *, positions_alone: bool = False
+) -> Path:
+    """Write a series as a session of poses: nobody says where base or tracker target are."""
+    folder.mkdir()
+    t = [f"{0.1 * i:.3f}" for i in range(len(rows))]
+    places, turns = rows.world_T_target[:, :3, 3] * 1e3, rows.world_T_target[:, :3, :3]
+    header, columns = "t_s,x_mm,y_mm,z_mm", places
+    if not positions_alone:
+        quaternions = np.roll(Rotation.from_matrix(turns).as_quat(), 1, axis=1)
+        header, columns = f"{header},qw,qx,qy,qz", np.hstack([places, quaternions])
+    _write(folder / "poses.csv", header, t, columns)
+    heads = ",".join(f"q{j + 1}_deg" for j in range(rows.q.shape[1]))
+    _write(folder / "encoders.csv", f"t_s,{heads}", t, np.degrees(rows.q))
+    (folder / "session.toml").write_text(
+        'format = 1\nrobot = "ur10"\nencoders = "encoders.csv"\n'
+        "[clock]\nencoder_offset_s = 0.0\n"
+        '[poses]\nfile = "poses.csv"\ninstrument = "a laser tracker"\nframe = "robot_base"\n'
+    )
+    return folder
+
+
+def _write(path: Path, header: str, t: list[str], columns: np.ndarray) -> None:
+    rows = [",".join([at, *(f"{v:.9f}" for v in row)]) for at, row in zip(t, columns, strict=True)]
+    path.write_text("\n".join([header, *rows, ""]))

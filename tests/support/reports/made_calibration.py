@@ -1,0 +1,208 @@
+"""A rig calibrated on paper: boards placed by a recipe, corners from OpenCV's projection.
+
+Nothing is adjusted: the rig is the true one, the residuals are the noise, and the covariance is
+linear theory's for these boards, from OpenCV's own derivatives.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from verify.calibration.stereo.records import Calibration, Residuals, state_covariance
+from verify.core.fiducials import Board
+from verify.core.records import Array, Image
+from verify.core.rig import Camera, Rig
+
+SIZE = (1280, 720)
+BOARD = Board(columns=9, rows=7, square=0.04)
+NOISE = 0.05  # px, each coordinate
+KEYS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2")
+MOUNT = ("mount_x_mm", "mount_y_mm", "mount_z_mm", "mount_rx_deg", "mount_ry_deg", "mount_rz_deg")
+GAUGE = tuple(
+    f"{side}.{key}"
+    for side in ("left", "right")
+    for key in (
+        *(f"pan_center_{axis}_mm" for axis in "xyz"),
+        *(f"pan_axis_r{axis}_deg" for axis in "xz"),
+        "pan_zero_deg",
+    )
+)
+
+
+def make_rig() -> Rig:
+    """Two webcams 170 mm apart, toed in by 7.5° each; the left camera's frame is the rig's."""
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_rotvec([0.4, -15.0, -0.3], degrees=True).as_matrix()
+    turn[:3, 3] = [0.1685, 0.0012, 0.0224]
+    left = _camera((1012.4, 1011.1, 646.3, 355.2), (-0.085, 0.06, 0.0006, -0.0004), np.eye(4))
+    right = _camera((1008.7, 1007.9, 634.8, 363.6), (-0.079, 0.052, -0.0005, 0.0007), turn)
+    return Rig(SIZE, left, right, np.full((4, 4), np.nan), base_source="")
+
+
+def _camera(
+    k: tuple[float, float, float, float], lens: tuple[float, float, float, float], mount: Array
+) -> Camera:
+    matrix = np.array([[k[0], 0.0, k[2]], [0.0, k[1], k[3]], [0.0, 0.0, 1.0]])
+    return Camera(matrix, np.array([*lens, 0.0]), np.zeros(3), np.array([0.0, 1, 0]), 0.0, mount)
+
+
+def place_boards(
+    count: int = 20, tilt_deg: float = 35.0, depth: tuple[float, float] = (0.7, 1.3)
+) -> Array:
+    """Boards spread over the field, (b, 4, 4), rig_T_board, at random, always the same."""
+    share = np.random.default_rng(11).random((count, 6))
+    placed = np.tile(np.eye(4), (count, 1, 1))
+    for pose, s in zip(placed, share, strict=True):
+        z = depth[0] + (depth[1] - depth[0]) * s[0]
+        angles = (s[1:4] * 2 - 1) * [tilt_deg, tilt_deg, 20.0]
+        turn = Rotation.from_euler("xyz", angles, degrees=True)
+        reach = np.array([0.70 * z - 0.08, 0.37 * z - 0.06, 0.0])
+        middle = [0.085, 0.0, z] + reach * [2 * s[4] - 1, 2 * s[5] - 1, 0.0]
+        pose[:3, :3] = turn.as_matrix()
+        pose[:3, 3] = middle - turn.apply(BOARD.points.mean(axis=0))
+    return placed
+
+
+@cache
+def calibration(seed: int = 3, count: int = 20, tilt_deg: float = 35.0) -> Calibration:
+    """Pairs of boards with NOISE at each corner; corners outside the image are not seen."""
+    rig, boards = make_rig(), place_boards(count, tilt_deg)
+    random = np.random.default_rng(seed)
+    parts: list[Array] = []
+    for camera, own in enumerate((rig.left, rig.right)):
+        for frame, board in enumerate(boards):
+            exact = _project(own, board)[0]
+            seen = np.all((exact > 2) & (exact < np.array(SIZE) - 3), axis=1)
+            corner = np.flatnonzero(seen)
+            noise = random.normal(0, NOISE, (len(corner), 2))
+            names = np.column_stack([np.full_like(corner, camera), np.full_like(corner, frame)])
+            parts.append(np.column_stack([names, corner, exact[corner] + noise, noise]))
+    rows = np.concatenate(parts)
+    residuals = Residuals(
+        camera=rows[:, 0].astype(np.int64),
+        frame=rows[:, 1].astype(np.int64),
+        corner=rows[:, 2].astype(np.int64),
+        seen=rows[:, 3:5],
+        residual=rows[:, 5:7],
+        uncertainty=np.full(len(rows), NOISE),
+        used=np.ones(len(rows), dtype=bool),
+    )
+    names, full, board_covariance = _linear_theory(rig, boards, residuals)
+    degrees = 2 * len(rows) - len(names) - 6 * count
+    return Calibration(
+        rig=replace(rig, covariance=state_covariance(names, full, degrees)),
+        board=BOARD,
+        frames=np.arange(count),
+        rig_T_board=boards,
+        board_covariance=board_covariance,
+        residuals=residuals,
+        noise=1.3,
+        degrees_of_freedom=degrees,
+        fixed=(*GAUGE, *(f"left.{key}" for key in MOUNT), "left.k3", "right.k3"),
+        decisions=("k3 is held at zero: with it the fit gets better by less than it costs.",),
+        square_found=(0.040004, 0.000003, 0.00004),
+        turning=False,
+    )
+
+
+def _project(camera: Camera, rig_T_board: Array) -> tuple[Array, Array]:
+    """Corners (n, 2), px, and OpenCV's derivatives (2n, 15+) at the board's pose in the camera."""
+    camera_T_board = np.linalg.inv(camera.mount) @ rig_T_board
+    turn, _ = cv2.Rodrigues(camera_T_board[:3, :3])
+    pixels, slopes = cv2.projectPoints(
+        BOARD.points, turn, camera_T_board[:3, 3], camera.matrix, camera.distortion
+    )
+    return pixels.reshape(-1, 2), np.asarray(slopes, dtype=float)
+
+
+def _linear_theory(
+    rig: Rig, boards: Array, residuals: Residuals
+) -> tuple[tuple[str, ...], Array, Array]:
+    """Names and covariance of the cameras' parameters, SI, and (b, 6, 6) of the boards'."""
+    sides = (("left", rig.left), ("right", rig.right))
+    names = (*(f"{s}.{k}" for s, _ in sides for k in KEYS), *(f"right.{k}" for k in MOUNT))
+    p = len(names)
+    normal = np.zeros((p + 6 * len(boards),) * 2)
+    for i, (_, camera) in enumerate(sides):
+        for frame, board in enumerate(boards):
+            own = (residuals.camera == i) & (residuals.frame == frame)
+            rows = np.zeros((2 * int(own.sum()), p + 6 * len(boards)))
+            pick = np.stack([2 * residuals.corner[own], 2 * residuals.corner[own] + 1], 1).ravel()
+            slopes = _project(camera, board)[1][pick]
+            rows[:, 8 * i : 8 * i + 8] = slopes[:, 6:14]  # fx fy cx cy k1 k2 p1 p2
+            moved = _by_motion(camera, board)[pick]
+            rows[:, p + 6 * frame : p + 6 * frame + 6] = moved
+            if i == 1:
+                rows[:, 16:22] = _by_mount(camera, board)[pick]
+            normal += rows.T @ rows / NOISE**2
+    full = np.linalg.inv(normal)
+    blocks = [
+        full[p + 6 * b : p + 6 * b + 6, p + 6 * b : p + 6 * b + 6] for b in range(len(boards))
+    ]
+    return names, full[:p, :p], np.array(blocks)
+
+
+def _by_motion(camera: Camera, rig_T_board: Array) -> Array:
+    """Corners by the board's motion in rig axes (shift, turn on the left), (2n, 6)."""
+    return _differences(lambda d: _project(camera, _moved(rig_T_board, d))[0])
+
+
+def _by_mount(camera: Camera, rig_T_board: Array) -> Array:
+    return _differences(
+        lambda d: _project(replace(camera, mount=_moved(camera.mount, d)), rig_T_board)[0]
+    )
+
+
+def _moved(pose: Array, change: Array) -> Array:
+    moved = pose.copy()
+    moved[:3, :3] = Rotation.from_rotvec(change[3:]).as_matrix() @ pose[:3, :3]
+    moved[:3, 3] += change[:3]
+    return moved
+
+
+def _differences(function: Callable[[Array], Array]) -> Array:
+    step = 1e-6
+    columns = [(function(d) - function(-d)).ravel() / (2 * step) for d in step * np.eye(6)]
+    return np.stack(columns, axis=1)
+
+
+def with_poor_view(found: Calibration, frame: int = 4, camera: int = 1) -> Calibration:
+    """Make one view's residuals five times as large, and have two of its corners refused."""
+    bad = (found.residuals.camera == camera) & (found.residuals.frame == frame)
+    used = found.residuals.used.copy()
+    used[np.flatnonzero(bad)[:2]] = False
+    residual = np.where(bad[:, None], 5.0, 1.0) * found.residuals.residual
+    return replace(found, residuals=replace(found.residuals, residual=residual, used=used))
+
+
+def pictures(found: Calibration, frame: int = 0) -> tuple[Image, Image]:
+    """A chessboard as both cameras would see it; squares flat, no noise."""
+    sides = (found.rig.left, found.rig.right)
+    return _picture(sides[0], found, frame), _picture(sides[1], found, frame)
+
+
+def _picture(camera: Camera, found: Calibration, frame: int) -> Image:
+    image = np.full((SIZE[1], SIZE[0]), 150, dtype=np.uint8)
+    board = found.board
+    camera_T_board = np.linalg.inv(camera.mount) @ found.rig_T_board[frame]
+    for row in range(-1, board.rows):
+        for column in range(-1, board.columns):
+            square = np.array(
+                [[column, row], [column + 1, row], [column + 1, row + 1], [column, row + 1]]
+            )
+            points = np.column_stack([square * board.square, np.zeros(4)])
+            inside = points @ camera_T_board[:3, :3].T + camera_T_board[:3, 3]
+            pixels = np.round(camera.project(inside)).astype(np.int32)
+            cv2.fillConvexPoly(image, pixels, 30 if (row + column) % 2 else 220)
+    return image
+
+
+INPUTS: Mapping[str, str] = {
+    "board.toml": "sha256:" + "3f" * 32,
+    "left/000000.png": "sha256:" + "a1" * 32,
+    "right/000000.png": "sha256:" + "b2" * 32,
+}

@@ -1,0 +1,96 @@
+"""A simulated session as `analyse` takes it, without a folder or a video between.
+
+Small scenarios that several tests start from.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+import robots
+from verify.core.records import Array, StereoPair
+from verify.io.series import EncoderSeries, FrameSeries
+from verify.io.session.keys import Clock
+from verify.io.session.session import Session
+from verify.simulation.scenario import (
+    MultiJoint,
+    Scenario,
+    ScenarioEncoders,
+    ScenarioLed,
+    ScenarioMarker,
+    ScenarioRecording,
+)
+from verify.simulation.session.simulate import SimulatedSession, simulate_session
+
+
+@dataclass(frozen=True)
+class InMemory(Session):
+    """A session whose pictures are rendered as they are asked for."""
+
+    simulated: SimulatedSession
+
+    def pairs(self) -> Generator[StereoPair]:
+        """Render the pairs."""
+        yield from self.simulated.pairs()
+
+    @property
+    def truth(self) -> Array:
+        """True joint angles at each pair, (pairs, joints), rad."""
+        return self.simulated.truth
+
+
+def in_memory(scenario: Scenario) -> InMemory:
+    """Play a scenario and hand it over as a session."""
+    played = simulate_session(scenario)
+    offset = played.clock_offset
+    nowhere = Path("simulated")
+    return InMemory(
+        folder=nowhere,
+        name="simulated",
+        arm=robots.load(scenario.robot),
+        robot=scenario.robot,
+        description=scenario.description,
+        started=None,
+        open=False,
+        rig=played.rig,
+        marker=played.marker,
+        clock=None if offset is None else Clock(offset, None),
+        encoder_resolution=None,
+        encoder_time_standard_uncertainty=None,
+        tolerance=None,
+        temperature_c=None,
+        frames=FrameSeries(played.t[:, 0], played.t[:, 1], played.pan[:, 0], played.pan[:, 1]),
+        encoders=EncoderSeries(played.encoder_t, np.asarray(played.encoder_q)),
+        inputs={},
+        warnings=(),
+        left=None,  # type: ignore[arg-type]  # never opened: pairs() renders instead
+        right=None,  # type: ignore[arg-type]
+        simulated=played,
+    )
+
+
+HOME_DEG = [30.0, -62.0, 46.0, 8.0, -84.0, 24.0]
+
+
+def scene(**changes: Any) -> Scenario:
+    """A short multi-joint session of the 6R arm; keyword arguments replace whole tables."""
+    plain = Scenario(
+        format=1,
+        robot="iust_6r",
+        seed=5,
+        motion=MultiJoint(home_deg=HOME_DEG, amplitude_deg=[10.0] * 6),
+        recording=ScenarioRecording(pairs=12, rate_hz=10.0),
+        marker=ScenarioMarker(
+            led=[
+                ScenarioLed(name="A", position_mm=(60.0, 5.0, 20.0)),
+                ScenarioLed(name="B", position_mm=(-50.0, 36.0, 12.0)),
+                ScenarioLed(name="C", position_mm=(-20.0, -55.0, 28.0)),
+            ]
+        ),
+        encoders=ScenarioEncoders(noise_deg=0.0),
+    )
+    return msgspec.structs.replace(plain, **changes)

@@ -1,0 +1,154 @@
+"""A run without pictures: true LED images with noise go through the chain as detected spots."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+import pytest
+
+import robots
+from tests.support.scene import project
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Image, Noise, Spots, StereoPair
+from verify.core.rig import Rig
+from verify.devices.protocols import EncoderReading
+from verify.live.alarms.joints import AlarmLimits, JointAlarms
+from verify.live.bracketing import Bracketing, MeasuredPair
+from verify.live.buffers import ReadingBuffer
+from verify.live.clock import ESTIMATE_PERIOD, ClockKeeper, estimate_offset
+from verify.live.joint_row import JointRow
+from verify.live.protocols import Alarm, MonitoredRobot
+from verify.measurement import chain
+from verify.measurement.chain import Setup, measure
+
+SIGMA = 0.05  # px: what a webcam's spot is known to
+HOME = np.deg2rad([35.0, -60.0, 45.0, 5.0, -80.0, 30.0])
+SWING = np.deg2rad([5.0, 4.0, 5.0, 8.0, 8.0, 12.0])
+PERIOD = np.array([7.9, 5.7, 6.1, 4.3, 5.3, 3.7])  # s
+READ_EVERY = 0.01  # s
+OFFSET = 0.137  # s, of the controller's clock
+NOISE = np.deg2rad(0.003)  # of a reading
+LEDS = np.array([[62.0, 4.0, 18.0], [-48.0, 38.0, 12.0], [-22.0, -52.0, 26.0], [30.0, 55.0, 34.0]])
+
+
+class Picture(np.ndarray):
+    """A black picture that carries the spots it would show."""
+
+    spots: Array
+
+
+def picture(spots: Array) -> Image:
+    """Make one; all share one black."""
+    made = BLACK.view(Picture)
+    made.spots = spots  # type: ignore[attr-defined]
+    return made
+
+
+BLACK = np.zeros((720, 1280), dtype=np.uint8)
+
+
+def seen_spots(image: Image, _windows: Array | None = None) -> Spots:
+    """Stand in for detection."""
+    centre: Array = image.spots  # type: ignore[attr-defined]
+    n = len(centre)
+    return Spots(
+        centre=centre,
+        covariance=np.tile(np.eye(2) * SIGMA**2, (n, 1, 1)),
+        peak=np.full(n, 200.0),
+        diameter=np.full(n, 5.0),
+        elongation=np.ones(n),
+        misfit=np.ones(n),
+        saturated=np.zeros(n, dtype=bool),
+        merged=np.zeros(n, dtype=bool),
+        colour=np.full((n, 3), 200.0),
+        noise=Noise(1.0, 0.1, 0.0),
+    )
+
+
+@contextmanager
+def without_pictures() -> Iterator[None]:
+    """Let the chain take the pictures' spots as they are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(chain, "detect", seen_spots)
+        yield
+
+
+@dataclass
+class SpotRun:
+    """A robot that swings all its joints, watched at a steady rate."""
+
+    rig: Rig
+    marker: Marker
+    rate: float = 30.0
+    skew: float = 0.0  # s
+    jump: tuple[float, int, float] | None = None  # s, joint from 1, rad
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        self.arm = robots.load("iust_6r")
+        self._chance = np.random.default_rng(self.seed)
+
+    def joints(self, t: Array) -> Array:
+        return HOME + SWING * np.sin(2 * np.pi * np.asarray(t)[..., None] / PERIOD + np.arange(6))
+
+    def spots(self, side: int, t: float) -> Array:
+        camera = (self.rig.left, self.rig.right)[side]
+        flange = self.rig.rig_T_base @ robots.forward(self.arm, self.joints(np.array(t)))
+        points = self.marker.leds @ flange[:3, :3].T + flange[:3, 3]
+        pixels = project(camera, camera.pan, points)
+        return pixels + self._chance.normal(0, SIGMA, pixels.shape)
+
+    def pairs(self, seconds: float) -> Iterator[StereoPair]:
+        for frame in range(int(seconds * self.rate)):
+            t = 1.0 + frame / self.rate
+            pan = self.rig.left.pan, self.rig.right.pan
+            left, right = picture(self.spots(0, t)), picture(self.spots(1, t + self.skew))
+            yield StereoPair(frame, t, t + self.skew, *pan, left, right)
+
+    def reading(self, number: int) -> EncoderReading:
+        t = number * READ_EVERY
+        q = self.joints(np.array(t)) + self._chance.normal(0, NOISE, 6)
+        if self.jump is not None and t >= self.jump[0]:
+            q[self.jump[1] - 1] += self.jump[2]
+        return EncoderReading(t - OFFSET, t + 0.001, 50e-6, 0, q)
+
+    def watch(
+        self, seconds: float, limits: AlarmLimits
+    ) -> tuple[list[JointRow], list[Alarm], ClockKeeper]:
+        """Measure, compare and watch, as the loop does, as fast as it goes."""
+        book = ReadingBuffer()
+        subject = MonitoredRobot(self.arm, self.rig, self.marker, None)
+        keeper = ClockKeeper(self.arm, self.rig, book, None, lambda q: estimate_offset(q))
+        bracketing = Bracketing(subject, book, keeper, turning=False)
+        watch = JointAlarms(6, limits, count(1))
+        rows: list[JointRow] = []
+        alarms: list[Alarm] = []
+        number, due = 0, ESTIMATE_PERIOD
+        with without_pictures():
+            for measured in measure(self.pairs(seconds), Setup(self.rig, self.marker)):
+                while number * READ_EVERY < measured.t + 3 * READ_EVERY:
+                    book.add(self.reading(number))
+                    number += 1
+                keeper.add(measured)
+                if measured.t > due:
+                    keeper.estimate_now()
+                    due = measured.t + ESTIMATE_PERIOD
+                waited = bracketing.wait(MeasuredPair(measured, 0.0, 0.0, 0.0), 0)
+                row = bracketing.compare([waited])[0].row
+                rows.append(row)
+                alarms += watch.take(row, measured.t)
+        return rows, alarms, keeper
+
+
+def facing_rig() -> tuple[Rig, Marker]:
+    """A rig that looks at the middle of the swing from 0.6 m, and four LEDs."""
+    from tests.support.scene import facing, make_rig
+
+    rig = make_rig()
+    arm = robots.load("iust_6r")
+    flange = robots.forward(arm, HOME)
+    rig_T_base = facing() @ np.linalg.inv(flange)
+    marker = Marker(tuple("ABCD"), LEDS * 1e-3, ("white",) * 4, 0.005)
+    return Rig(rig.image_size, rig.left, rig.right, rig_T_base), marker

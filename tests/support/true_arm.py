@@ -1,0 +1,86 @@
+"""An arm with known errors, built of pinocchio's motions and of nothing under test."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio
+
+import robots
+from verify.core.records import Array
+
+POSITION, ORIENTATION = 1e-4, np.radians(0.05)  # m, rad: noise of each measured pose
+
+
+@dataclass(frozen=True)
+class TrueArm:
+    """What the file does not say: corrections of the readings, and of every link."""
+
+    arm: robots.DhArm
+    correction: Array  # (6,), rad
+    d: Array  # (6,), m, errors, as a, alpha and beta
+    a: Array
+    alpha: Array
+    beta: Array
+    world_T_base: Array
+    flange_T_target: Array
+
+    def pose(self, q: Array) -> Array:
+        """World_T_target, (n, 4, 4)."""
+        return np.array([self._one(row) for row in q])
+
+    def _one(self, q: Array) -> Array:
+        theta = self.arm.sign * (q + self.correction) + self.arm.offset
+        place = pinocchio.SE3(self.world_T_base)
+        for j in range(6):
+            place = place * _turn("z", theta[j]) * _shift(2, self.arm.d[j] + self.d[j])
+            place = place * _shift(0, self.arm.a[j] + self.a[j])
+            place = place * _turn("x", self.arm.alpha[j] + self.alpha[j]) * _turn("y", self.beta[j])
+        return (place * pinocchio.SE3(self.flange_T_target)).homogeneous
+
+
+def true_arm(name: str, seed: int, *, geometry: float = 1.0, offsets: float = 1.0) -> TrueArm:
+    """Errors of about 0.3 mm and 0.3°, scaled; base and tool anywhere."""
+    draw = np.random.default_rng(seed)
+    arm = robots.load(name)
+    assert isinstance(arm, robots.DhArm)
+    angle = np.radians(0.3)
+    return TrueArm(
+        arm=arm,
+        correction=offsets * draw.normal(0, angle, 6),
+        d=geometry * draw.normal(0, 3e-4, 6),
+        a=geometry * draw.normal(0, 3e-4, 6),
+        alpha=geometry * draw.normal(0, angle, 6),
+        beta=geometry * draw.normal(0, angle, 6) * (np.arange(6) == 1),
+        world_T_base=_place(draw, 1.0),
+        flange_T_target=_place(draw, 0.1),
+    )
+
+
+def readings(arm: robots.Arm, count: int, seed: int) -> Array:
+    """Postures all over the joints' ranges."""
+    draw = np.random.default_rng(seed)
+    return draw.uniform(np.maximum(arm.lower, -2.5), np.minimum(arm.upper, 2.5), (count, arm.dof))
+
+
+def measured(truth: TrueArm, q: Array, seed: int) -> tuple[Array, Array]:
+    """Noisy poses (n, 4, 4) and their covariances (n, 6, 6)."""
+    draw = np.random.default_rng(seed)
+    poses = truth.pose(q)
+    for pose in poses:
+        pose[:3, 3] += draw.normal(0, POSITION, 3)
+        pose[:3, :3] = pinocchio.exp3(draw.normal(0, ORIENTATION, 3)) @ pose[:3, :3]
+    variance = np.diag([POSITION**2] * 3 + [ORIENTATION**2] * 3)
+    return poses, np.tile(variance, (len(q), 1, 1))
+
+
+def _place(draw: np.random.Generator, reach: float) -> Array:
+    turn = pinocchio.exp3(draw.normal(0, 1.0, 3))
+    return pinocchio.SE3(turn, draw.uniform(-reach, reach, 3)).homogeneous
+
+
+def _turn(axis: str, angle: float) -> pinocchio.SE3:
+    return pinocchio.SE3(pinocchio.utils.rotate(axis, float(angle)), np.zeros(3))
+
+
+def _shift(axis: int, by: float) -> pinocchio.SE3:
+    return pinocchio.SE3(np.eye(3), float(by) * np.eye(3)[axis])

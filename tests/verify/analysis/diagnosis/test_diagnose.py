@@ -1,0 +1,383 @@
+"""The diagnosis on tracks with known truth: every kind of fault, several at once, outlying pairs.
+
+Faults of joints are put into the readings by the law of docs/results.md; those of the arm, the base
+and the LED body into the poses, by forward kinematics of the changed arm and by rigid motions.
+
+What a fault would add beside a set: against fits of the larger set, by numpy.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+import robots
+from tests.support.motions import ARM, HOME, PERIOD, make_track
+from tests.support.recorded import require_shared
+from tests.support.scene import make_marker, make_rig
+from verify.analysis.clock import ClockEstimate
+from verify.analysis.comparison import compare
+from verify.analysis.diagnosis import diagnose
+from verify.analysis.diagnosis.detectability import detectable
+from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes, thin_model
+from verify.analysis.diagnosis.faults import Fault, base_motion, body_motion
+from verify.analysis.diagnosis.link_faults import link_displacements, link_frames
+from verify.analysis.diagnosis.search import FaultProducts
+from verify.analysis.joint_errors import resolve_errors
+from verify.analysis.model import build_model
+from verify.analysis.results.entries import cause_entry
+from verify.analysis.session import analyse
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.io.session.session import open_session
+from verify.measurement.systematics import stated_systematics
+from verify.measurement.track import Track, subset
+
+T = np.linspace(1.0, 13.0, 90)
+LOG = np.arange(0.0, 14.0, 0.02)
+SWING = np.deg2rad([40.0, 25.0, 30.0, 30.0, 40.0, 60.0])
+GIVEN = ClockEstimate(0.0, None, "given", np.zeros((0, 2)))
+Error = Callable[[Array, Array], Array]  # of t (n,) and q (n, 6), rad: (n, 6)
+
+
+def motion(t: Array) -> Array:
+    return HOME + SWING * np.sin(2 * np.pi * t[:, None] / PERIOD + np.arange(6))
+
+
+def at(joint: int, values: Array | float) -> Array:
+    return np.asarray(values)[..., None] * np.eye(6)[joint - 1]
+
+
+def direction(t: Array) -> Array:
+    return np.sign(np.cos(2 * np.pi * t[:, None] / PERIOD + np.arange(6)))
+
+
+def found(
+    seed: int,
+    error: Error | None = None,
+    clock: Callable[[Array], Array] = lambda t: t,
+    change: Callable[[Track], Track] = lambda track: track,
+    source: str = "fixture",
+) -> Diagnosis:
+    rng = np.random.default_rng(seed)
+    track = change(make_track(T, motion(T), rng))
+    q = motion(LOG) + rng.normal(0, np.deg2rad(0.005), (len(LOG), 6))
+    if error is not None:
+        q = q + error(LOG, motion(LOG))
+    rig = replace(make_rig(), base_source=source)
+    marker = make_marker(source="jig" if source == "fixture" else source)
+    comparison = compare(track, ARM, Readings(clock(LOG), q), 0.0)
+    model = build_model(
+        comparison, track, rig, marker, GIVEN, stated_systematics(rig, marker, turning=False)
+    )
+    return find_causes(model, resolve_errors(model), ARM, rig)
+
+
+def names(seen: Diagnosis) -> list[tuple[str, int | None]]:
+    return [(c.kind, c.joint) for c in seen.causes]
+
+
+FAULTS: dict[str, tuple[int, Error, float]] = {
+    "offset": (3, lambda t, _: at(3, np.deg2rad(0.15) + 0 * t), 0.15),
+    "gain": (2, lambda _, q: at(2, 0.004 * q[:, 1]), 0.004),
+    "backlash": (4, lambda t, _: at(4, np.deg2rad(0.1) * direction(t)[:, 3]), 0.2),
+    "eccentricity": (6, lambda _, q: at(6, np.deg2rad(0.25) * np.cos(3 * (q[:, 5] - 0.4))), 0.25),
+    "drift": (5, lambda t, _: at(5, np.deg2rad(0.02) * (t - T[0])), 72.0),
+    "compliance": (
+        5,
+        lambda _, q: at(5, np.deg2rad(4.0) * robots.jacobian(ARM, q)[:, 2, 4]),
+        4.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_each_kind_of_fault_of_a_joint_is_named_with_its_value(kind: str) -> None:
+    joint, error, value = FAULTS[kind]
+    seen = found(1, error)
+    assert names(seen) == [(kind, joint)]
+    entry = cause_entry(seen.causes[0])
+    assert abs(entry["value"] - value) < 2 * entry["expanded_uncertainty"]  # 4 u
+    assert entry["standard_uncertainty"] < 0.1 * value
+    assert entry["runner_up"]["advantage"] > 15
+
+
+def test_an_eccentricity_comes_with_its_phase_and_number_of_waves() -> None:
+    entry = cause_entry(found(2, FAULTS["eccentricity"][1]).causes[0])
+    assert entry["per_turn"] == 3
+    turn = (entry["phase_deg"] - np.rad2deg(0.4) + 60) % 120 - 60  # the same again after 120°
+    assert abs(turn) < 3
+
+
+def test_a_wrong_clock_offset_and_a_clock_that_runs_slow_are_told_apart() -> None:
+    seen = found(3, clock=lambda t: t - 0.004)
+    assert names(seen) == [("clock", None)]
+    assert_allclose(cause_entry(seen.causes[0])["value"], 0.004, atol=2e-4)
+    seen = found(3, clock=lambda t: t - 5e-4 * (t - T[0]))
+    assert names(seen) == [("clock_drift", None)]
+    assert_allclose(cause_entry(seen.causes[0])["value"], 500, rtol=0.1)
+
+
+def test_what_moved_since_registration_is_named_with_how_far() -> None:
+    step = np.eye(4)
+    step[:3, :3] = Rotation.from_rotvec(np.deg2rad([0.1, -0.15, 0.1])).as_matrix()
+    step[:3, 3] = [0.8e-3, -0.5e-3, 0.6e-3]
+
+    def moved(track: Track) -> Track:
+        return replace(track, base_T_flange=step @ track.base_T_flange)
+
+    def slipped(track: Track) -> Track:
+        return replace(track, base_T_flange=track.base_T_flange @ step)
+
+    for change, kind in ((moved, "base_moved"), (slipped, "led_body_slipped")):
+        seen = found(4, change=change)
+        assert names(seen) == [(kind, None)]
+        entry = cause_entry(seen.causes[0])
+        assert_allclose(entry["value"], 1e3 * np.linalg.norm(step[:3, 3]), rtol=0.1)
+        assert_allclose(entry["turn_deg"], np.sqrt(0.1**2 * 2 + 0.15**2), rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("key", "joint", "value", "unit"), [("a", 2, 5e-4, 1e3), ("alpha", 3, 2e-3, 180 / np.pi)]
+)
+def test_a_wrong_link_is_named_with_what_to_add_to_the_robot_file(
+    key: str, joint: int, value: float, unit: float
+) -> None:
+    assert isinstance(ARM, robots.DhArm)
+    column = getattr(ARM, key) + value * np.eye(6)[joint - 1]
+    bent = replace(ARM, **{key: column})
+
+    def built(track: Track) -> Track:
+        through = np.linalg.inv(robots.forward(ARM, motion(T))) @ robots.forward(bent, motion(T))
+        return replace(track, base_T_flange=track.base_T_flange @ through)
+
+    seen = found(5, change=built)
+    assert names(seen) == [("dh", joint)]
+    entry = cause_entry(seen.causes[0])
+    assert entry["parameter"] == f"{key}{joint}"
+    assert abs(entry["value"] - unit * value) < 2 * entry["expanded_uncertainty"]
+
+
+def test_an_arm_whose_links_are_off_all_over_is_said_to_be_and_its_joints_are_not_accused() -> None:
+    assert isinstance(ARM, robots.DhArm)
+    rng = np.random.default_rng(3)
+    bent = replace(
+        ARM,
+        a=ARM.a + 4e-4 * rng.standard_normal(6),
+        d=ARM.d + 4e-4 * rng.standard_normal(6),
+        alpha=ARM.alpha + np.deg2rad(0.05) * rng.standard_normal(6),
+    )
+
+    def built(track: Track) -> Track:
+        through = np.linalg.inv(robots.forward(ARM, motion(T))) @ robots.forward(bent, motion(T))
+        return replace(track, base_T_flange=track.base_T_flange @ through)
+
+    for source in ("fixture", "motion"):
+        seen = found(14, change=built, source=source)
+        joints = [c for c in seen.causes if c.joint is not None]
+        assert ("geometry", None) in names(seen)
+        assert [c.kind for c in joints if c.kind != "dh"] == []
+        seen = found(14, FAULTS["backlash"][1], change=built, source=source)
+        assert {("geometry", None), ("backlash", 4)} <= set(names(seen))
+
+
+@pytest.mark.parametrize("name", ["iust_6r", "rv_3sd_melfa", "ur10", "panda"])
+def test_displaced_links_span_what_a_dh_table_can_have_wrong(name: str) -> None:
+    """30 in all with base, tool and zeros for six joints, five more for a seventh."""
+    arm = robots.load(name)
+    rng = np.random.default_rng(4)
+    q = rng.uniform(np.maximum(arm.lower, -2), np.minimum(arm.upper, 2), (60, arm.dof))
+    pose = robots.forward(arm, q)
+    columns = [link_displacements(arm, q), base_motion(pose), body_motion(pose)]
+    rows = np.concatenate([*columns, robots.jacobian(arm, q)], axis=2).reshape(360, -1)
+    size = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
+    assert int(np.sum(size > 1e-9 * size[0])) == 4 * arm.dof + 6
+
+
+def test_link_frames_end_at_the_flange() -> None:
+    assert isinstance(ARM, robots.DhArm)
+    q = motion(T[:5])
+    assert_allclose(link_frames(ARM, q)[:, -1], robots.forward(ARM, q), atol=1e-12)
+
+
+def test_several_faults_at_once_are_each_named() -> None:
+    def error(t: Array, q: Array) -> Array:
+        return sum(
+            (FAULTS[kind][1](t, q) for kind in ("offset", "gain", "backlash", "eccentricity")),
+            np.zeros_like(q),
+        )
+
+    assert sorted(names(found(6, error)), key=str) == [
+        ("backlash", 4),
+        ("eccentricity", 6),
+        ("gain", 2),
+        ("offset", 3),
+    ]
+
+
+def test_what_is_noticed_but_not_told_apart_is_one_entry_with_a_motion_that_would_tell() -> None:
+    table = detectable(found(7).products)
+    own = table[(table["kind"] == "offset") & (table["joint"] == 4)].iloc[0]
+    size = np.deg2rad(np.sqrt(1.5 * own["detectable"] * own["separable"] / 2))
+    assert own["separable"] > 1.5 * own["detectable"]
+    seen = found(7, lambda t, _: at(4, size + 0 * t))
+    assert [c.kind for c in seen.causes] == ["ambiguous"]
+    entry = cause_entry(seen.causes[0])
+    assert (4, "offset") in {(c["joint"], c["kind"]) for c in entry["candidates"]}
+    assert entry["joint"] is None
+    assert entry["separating_motion"]
+    assert 4 in entry["separating_joints"]
+
+
+def test_outlying_pairs_are_listed_and_do_not_disturb() -> None:
+    wild = np.array([10, 37, 61])
+
+    def disturbed(track: Track) -> Track:
+        pose = track.base_T_flange.copy()
+        pose[wild, :3, 3] += [2e-3, -3e-3, 4e-3]
+        return replace(track, base_T_flange=pose)
+
+    clean, dirty = found(8, FAULTS["offset"][1]), found(8, FAULTS["offset"][1], change=disturbed)
+    assert dirty.outlying.tolist() == wild.tolist()
+    assert clean.outlying.tolist() == []
+    assert names(dirty) == names(clean) == [("offset", 3)]
+    assert_allclose(dirty.causes[0].value, clean.causes[0].value, atol=np.deg2rad(0.01))
+    assert names(found(8, change=disturbed)) == []
+
+
+def test_errors_that_no_fault_describes_accuse_nobody_on_the_strength_of_the_noise() -> None:
+    rng = np.random.default_rng(9)
+
+    def rough(track: Track) -> Track:
+        pose = track.base_T_flange.copy()
+        pose[:, :3, 3] += 4e-4 * rng.standard_normal((len(T), 3))  # eight times what is stated
+        return replace(track, base_T_flange=pose)
+
+    seen = found(9, change=rough)
+    assert seen.misfit > 5
+    assert names(seen) == []
+
+
+def test_sound_arms_are_hardly_ever_accused() -> None:
+    assert sum(bool(found(100 + seed).causes) for seed in range(40)) <= 2  # 0.2 are expected
+
+
+def test_what_registration_through_the_encoders_hides_is_not_claimed() -> None:
+    seen = found(10, lambda t, _: at(1, np.deg2rad(1.0) + 0 * t), source="motion")
+    assert names(seen) == []
+    table = detectable(seen.products)
+    offsets = table[table["kind"] == "offset"].set_index("joint")["detectable"]
+    assert np.isnan(offsets.get(1, np.nan))
+    assert np.isnan(offsets.get(6, np.nan))
+    moved = table[table["kind"] == "base_moved"]["detectable"]
+    assert moved.isna().all()
+
+
+def test_what_is_stated_as_detectable_is_what_least_squares_gives() -> None:
+    """By plain algebra on the whitened rows: size = (threshold + 0.84) / ‖(I − P) column‖."""
+    products = found(11).products
+    table = detectable(products)
+    i = next(k for k, f in enumerate(products.faults) if f.name == ("offset", 5, None))
+    column = products.faults[i].columns[:, 0]  # nothing was fitted beside it: all is given
+    size = (np.sqrt(products.price[i]) + 0.84) / np.linalg.norm(column)
+    own = table[(table["kind"] == "offset") & (table["joint"] == 5)].iloc[0]
+    assert_allclose(own["detectable"], np.rad2deg(size), rtol=1e-6)
+    rest = []
+    for k, rival in enumerate(products.faults):
+        if rival.freedom == 1 and k != i:
+            other = rival.columns[:, 0]
+            left = column - other * (other @ column) / (other @ other)
+            rest.append((np.sqrt(15.0) + 0.84) / np.linalg.norm(left))
+    assert own["separable"] >= np.rad2deg(max(rest)) * (1 - 1e-6)
+
+
+def test_some_pairs_of_a_session_are_the_session_of_these_pairs() -> None:
+    rng = np.random.default_rng(12)
+    track = make_track(T, motion(T), rng)
+    readings = Readings(LOG, motion(LOG) + rng.normal(0, 1e-4, (len(LOG), 6)))
+    rig, marker = make_rig(), make_marker()
+    systematics = stated_systematics(rig, marker, turning=False)
+    chosen = np.arange(0, len(T), 3)
+    models = []
+    for part in (track, subset(track, chosen)):
+        comparison = compare(part, ARM, readings, 0.0)
+        models.append(build_model(comparison, part, rig, marker, GIVEN, systematics))
+    some = thin_model(models[0], chosen)
+    for name in ("xi", "joints", "hidden", "fitted", "prior"):
+        assert_allclose(getattr(some, name), getattr(models[1], name), atol=1e-9)
+    assert_allclose(some.comparison.q, models[1].comparison.q)
+    assert some.white.pair.tolist() == models[1].white.pair.tolist()
+
+
+def test_a_long_session_is_thinned_and_pairs_keep_their_places(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(diagnose, "MAX_PAIRS", 45)
+
+    def disturbed(track: Track) -> Track:
+        pose = track.base_T_flange.copy()
+        pose[:: len(T) - 1, 0, 3] += 5e-3  # the first and the last: of any choice
+        return replace(track, base_T_flange=pose)
+
+    seen = found(13, FAULTS["offset"][1], change=disturbed)
+    assert seen.outlying.tolist() == [0, len(T) - 1]
+    assert names(seen) == [("offset", 3)]
+    assert seen.products.rows == 6 * 43
+
+
+@pytest.mark.shared
+def test_the_recorded_fault_is_joint_3s_offset_and_nothing_else() -> None:
+    summary = analyse(open_session(require_shared() / "multi_joint_fault_6r")).summary
+    (cause,) = summary["diagnosis"]
+    assert (cause["joint"], cause["kind"]) == (3, "offset")
+    assert abs(cause["value"] - 0.40) < 0.01
+    assert cause["runner_up"]["advantage"] > 15
+    assert summary["outlying_pairs"] == []
+
+
+FREEDOM = [1, 2, 3, 1, 2, 6, 3, 1]
+ROWS = 200
+
+
+def products(columns: list[np.ndarray], error: np.ndarray) -> FaultProducts:
+    """Products of faults that have these columns (r, f), with nothing fitted beside them."""
+    whole = np.concatenate(columns, axis=1)
+    scale = np.linalg.norm(whole, axis=0)
+    whole = whole / scale
+    ends = np.cumsum([c.shape[1] for c in columns])
+    places = [np.arange(end - c.shape[1], end) for end, c in zip(ends, columns, strict=True)]
+    count = len(columns)
+    faults: list[Fault] = [None] * count  # type: ignore[list-item]  # nothing of them is asked
+    return FaultProducts(
+        faults, whole.T @ whole, whole.T @ error, float(error @ error), scale, ROWS, places,
+        np.ones(count, dtype=np.bool_), np.zeros(count),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("chosen", [(), (2,), (0, 4), (1, 5, 6)])
+def test_what_a_fault_adds_is_what_a_fit_with_it_explains_more(chosen: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(1)
+    columns = [rng.normal(size=(ROWS, f)) for f in FREEDOM]
+    error = rng.normal(size=ROWS) + columns[2].sum(axis=1)
+    added = products(columns, error).added(chosen)
+
+    def misfit(faults: tuple[int, ...]) -> float:
+        if not faults:
+            return float(error @ error)
+        design = np.concatenate([columns[i] for i in faults], axis=1)
+        return float(np.sum((error - design @ np.linalg.lstsq(design, error)[0]) ** 2))
+
+    expected = [misfit(chosen) - misfit(tuple({*chosen, i})) for i in range(len(columns))]
+    np.testing.assert_allclose(added, expected, atol=1e-9)
+
+
+def test_nothing_is_added_to_a_set_that_cannot_be_told_apart() -> None:
+    rng = np.random.default_rng(2)
+    first, other = rng.normal(size=(2, ROWS, 1))
+    found = products([first, first.copy(), other], rng.normal(size=ROWS))
+    assert not np.isfinite(found.chi2((0, 1)))
+    assert found.added((0,))[1] == 0.0
+    assert found.added((0,))[2] > 0.0

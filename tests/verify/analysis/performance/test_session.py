@@ -1,0 +1,346 @@
+"""Repeated poses and paths found in a session, against what the arm truly did."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.motions import ARM, SIGMA, swinging
+from tests.support.posed import encoders_csv, poses_csv
+from tests.support.repeated_poses import (
+    OFF,
+    Repeated,
+    measured_poses,
+    model_of,
+    readings_of,
+    repeated,
+)
+from verify.analysis.performance.conditions import condition_deviations
+from verify.analysis.performance.holds import HoldNoise
+from verify.analysis.performance.indices import repeatability
+from verify.analysis.performance.poses import PoseVisits, assess_pose
+from verify.analysis.performance.session import Performance, performance
+from verify.analysis.session import analyse
+from verify.core.records import Array
+from verify.errors import InputError
+from verify.io.session.keys import TimeInterval
+from verify.io.session.session import open_session
+
+CYCLES = 12
+RUN = repeated(CYCLES)
+
+
+def of(run: Repeated, t: Array, **more) -> Performance | str:
+    readings = readings_of(run)
+    return performance(model_of(run, t, readings), ARM, readings, 0.0, **more)
+
+
+def followed(run: Repeated) -> Array:
+    return np.arange(0.05, run.end, 0.2)
+
+
+@pytest.fixture(scope="module")
+def found() -> Performance:
+    judged = of(RUN, followed(RUN))
+    assert isinstance(judged, Performance)
+    return judged
+
+
+def test_poses_are_recognised_from_the_motion(found: Performance) -> None:
+    assert [p.stands.name for p in found.poses] == ["P1", "P2", "P3", "P4", "P5"]
+    assert [len(p.stands.t) for p in found.poses] == [CYCLES + 1] + [CYCLES] * 4
+    assert not found.named
+
+
+def test_positions_are_those_of_the_stops(found: Performance) -> None:
+    for pose, number in zip(found.poses, (0, 4, 3, 2, 1), strict=True):
+        true = RUN.places(number) + OFF
+        np.testing.assert_allclose(pose.stands.attained[:, :3, 3], true, atol=5 * SIGMA[0])
+
+
+def test_accuracy_is_the_offset_that_was_put_in(found: Performance) -> None:
+    true = float(np.linalg.norm(OFF))
+    held = [p.accuracy.found.low <= true <= p.accuracy.found.high for p in found.poses]
+    assert sum(held) >= 4  # of five 95 % intervals
+    for pose in found.poses:
+        np.testing.assert_allclose(pose.accuracy.mean, OFF, atol=4 * SIGMA[0] / np.sqrt(CYCLES))
+
+
+def test_repeatability_is_that_of_the_stops(found: Performance) -> None:
+    for pose, number in zip(found.poses, (0, 4, 3, 2, 1), strict=True):
+        true = float(repeatability(RUN.places(number)))
+        visits = len(pose.stands.t)
+        # six pairs a visit; by how much their noise moves the mean and three deviations of l
+        noise = SIGMA[0] / np.sqrt(6) * np.sqrt(1 / visits + 9 / (visits - 1))
+        assert pose.repeatability.found.value == pytest.approx(true, abs=4 * noise)
+        assert pose.repeatability.robot == pytest.approx(true, abs=4 * noise)
+        assert pose.repeatability.floor < 0.2 * true
+
+
+def test_the_noise_is_that_of_the_holds(found: Performance) -> None:
+    assert found.noise.source == "holds"
+    np.testing.assert_allclose(np.sqrt(np.diag(found.noise.position)), SIGMA[0], rtol=0.12)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.noise.turn)), SIGMA[1], rtol=0.12)
+    assert found.noise.together < 1.3  # white noise was put in
+
+
+def test_an_arm_that_repeats_exactly_shows_the_floor_alone() -> None:
+    exact = repeated(CYCLES, servo=0.0)
+    judged = of(exact, followed(exact))
+    assert isinstance(judged, Performance)
+    shares = [p.repeatability for p in judged.poses]
+    assert sum(one.robot is None for one in shares) >= 4  # at 95 %, as it should be
+    assert all(one.robot_at_most < 2 * one.floor for one in shares)
+    for one in shares:
+        assert one.floor == pytest.approx(one.found.value, rel=0.45)  # 12 visits, 15 % each way
+
+
+def test_orientations_repeat_as_the_joints_do(found: Performance) -> None:
+    for pose in found.poses:
+        assert all(one.low <= 0 <= one.high or abs(one.value) < 1e-4 for one in pose.angle_accuracy)
+        spread = [np.rad2deg(one.found.value) for one in pose.angle_repeatability]
+        assert 0.02 < min(spread) < max(spread) < 0.25  # 3 x 0.02° of six joints, in three axes
+
+
+def test_distances_hold_no_offset(found: Performance) -> None:
+    assert len(found.distances) == 10
+    held = [d.accuracy.low <= 0 <= d.accuracy.high for d in found.distances]
+    assert sum(held) >= 8
+
+
+def test_no_drift_is_no_sign_of_drift(found: Performance) -> None:
+    drifts = [p.drift for p in found.poses]
+    assert all(d is not None and d.blocks == 2 for d in drifts)
+    assert sum(d.accuracy <= d.noise[0] for d in drifts if d is not None) >= 4
+
+
+def test_paths_are_recognised_and_off_by_what_lies_across_them(found: Performance) -> None:
+    names = [p.name for p in found.paths]
+    assert names == ["P1 → P2", "P2 → P3", "P3 → P4", "P4 → P5", "P5 → P1"]
+    for path in found.paths:
+        assert path.passages == CYCLES
+        tangent = path.crossings.tangent
+        across = OFF - (tangent @ OFF)[:, None] * tangent
+        true = float(np.linalg.norm(across, axis=1).max())
+        assert path.accuracy.found.value == pytest.approx(true, abs=6e-5)
+        assert path.accuracy_noise < 6e-5
+
+
+STILL = HoldNoise(np.eye(3) * 1e-12, np.eye(3) * 1e-14, 1.0, "holds", 100)
+
+
+def stands(deviations_m: Array, came_from: tuple[int, ...] | None = None) -> PoseVisits:
+    n = len(deviations_m)
+    attained = np.tile(np.eye(4), (n, 1, 1))
+    attained[:, :3, 3] += deviations_m
+    return PoseVisits(
+        name="A",
+        t=np.arange(n, dtype=float) * 60,
+        attained=attained,
+        read=np.tile(np.eye(4), (n, 1, 1)),
+        counts=np.ones(n),
+        came_from=came_from or (0,) * n,
+        systematic=np.zeros((6, 1)),
+    )
+
+
+def test_a_pose_approached_from_two_sides_varies_by_the_backlash() -> None:
+    rng = np.random.default_rng(4)
+    came = (1, 2) * 15
+    lash = np.where(np.array(came) == 1, 1e-4, -1e-4)[:, None] * [0.6, 0.0, 0.8]
+    judged = assess_pose(stands(lash + rng.normal(0, 2e-5, (30, 3)), came), STILL, oriented=True)
+    assert judged.variation is not None
+    assert judged.variation.ways == 2
+    assert judged.variation.position.low <= 2e-4 <= judged.variation.position.high
+    assert judged.variation.noise < 4e-5
+
+
+def test_scatter_alone_is_told_from_a_variation() -> None:
+    over = []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        judged = assess_pose(
+            stands(rng.normal(0, 2e-5, (20, 3)), (1, 2) * 10), STILL, oriented=False
+        )
+        assert judged.variation is not None
+        over.append(judged.variation.position.value > judged.variation.noise)
+    assert 1 <= sum(over) <= 13  # 5 in 100: the 99.9 % binomial bounds
+
+
+def test_a_step_half_way_is_drift() -> None:
+    rng = np.random.default_rng(5)
+    step = np.repeat([0.0, 3e-4], 15)[:, None] * [1.0, 0.0, 0.0]
+    judged = assess_pose(stands(step + rng.normal(0, 5e-5, (30, 3))), STILL, oriented=False)
+    assert judged.drift is not None
+    assert judged.drift.accuracy > judged.drift.noise[0]
+    assert judged.drift.accuracy == pytest.approx(3e-4, abs=8e-5)
+
+
+def test_three_visits_are_too_few_and_a_swing_has_none() -> None:
+    short = repeated(3)
+    assert of(short, followed(short)) == "no_repeats"
+    moving = Repeated((0,), np.zeros((1, 6)))
+    object.__setattr__(moving, "joints", swinging)
+    t = np.arange(0.0, 6.0, 0.2)
+    assert of(moving, t) == "no_holds"
+
+
+def test_single_visits_take_the_noise_that_the_poses_state() -> None:
+    t = np.arange(len(RUN.order)) * 2.2 + 0.6  # one pair a stop, 2.2 s apart
+    judged = of(RUN, t)
+    assert isinstance(judged, Performance)
+    assert judged.noise.source == "stated"
+    assert [len(p.stands.t) for p in judged.poses] == [CYCLES + 1] + [CYCLES] * 4
+    assert judged.paths == ()
+
+
+def test_pairs_that_saw_too_little_are_left_out() -> None:
+    readings = readings_of(RUN)
+    model = model_of(RUN, followed(RUN), readings)
+    known = list(model.comparison.determined)
+    known[::2] = [np.eye(6)[:, :5]] * len(known[::2])
+    model.comparison = replace(model.comparison, determined=tuple(known))
+    judged = performance(model, ARM, readings, 0.0)
+    assert isinstance(judged, Performance)
+    assert [len(p.stands.t) for p in judged.poses] == [CYCLES + 1] + [CYCLES] * 4
+    assert sum(p.stands.counts.sum() for p in judged.poses) < 0.6 * len(known)
+    model.comparison = replace(model.comparison, determined=(np.eye(6)[:, :5],) * len(known))
+    assert performance(model, ARM, readings, 0.0) == "poses_not_determined"
+
+
+def test_a_doubtful_base_is_in_accuracy_and_in_no_distance() -> None:
+    """0.1 mm along x and 0.05° about z of the robot's place: rigid, so distances keep theirs."""
+    readings = readings_of(RUN)
+    model = model_of(RUN, followed(RUN), readings)
+    places = model.comparison.base_T_measured[:, :3, 3]
+    doubt = np.zeros((len(places), 6, 2))
+    doubt[:, 0, 0] = 1e-4
+    doubt[:, 5, 1] = np.deg2rad(0.05)
+    doubt[:, :3, 1] = np.cross([0.0, 0.0, np.deg2rad(0.05)], places)
+    model.prior_columns = doubt
+    judged = performance(model, ARM, readings, 0.0)
+    sure = of(RUN, followed(RUN))
+    assert isinstance(judged, Performance)
+    assert isinstance(sure, Performance)
+    for pose in judged.poses:
+        about_z = np.linalg.norm(pose.commanded[:2, 3]) * np.deg2rad(0.05)
+        assert 0 < pose.accuracy.expanded_uncertainty < 2.1 * np.hypot(1e-4, about_z)
+        assert pose.accuracy.noise > 8e-5
+    for with_doubt, without in zip(judged.distances, sure.distances, strict=True):
+        assert with_doubt.accuracy.high == pytest.approx(without.accuracy.high, abs=2e-6)
+    listed = condition_deviations(judged, temperature_c=20.0, through_encoders=False)
+    doubtful = next(d for d in listed if d["kind"] == "uncertainty")
+    assert doubtful["smallest_mm"] > 0.37  # what was put in cannot be certified with such a base
+
+
+def test_named_poses_alone_count() -> None:
+    stops = [i for i, pose in enumerate(RUN.order) if pose == 2]
+    named = [TimeInterval("upper left", 2.2 * i, 2.2 * i + 1.2) for i in stops]
+    nowhere = TimeInterval("elsewhere", 5000.0, 5001.0)
+    judged = of(RUN, followed(RUN), named_poses=[*named, nowhere])
+    assert isinstance(judged, Performance)
+    assert judged.named
+    assert [(p.stands.name, len(p.stands.t)) for p in judged.poses] == [("upper left", CYCLES)]
+    assert judged.empty == (nowhere,)
+
+
+def test_named_paths_are_passages() -> None:
+    stops = [i for i, pose in enumerate(RUN.order) if pose == 2]
+    named = [TimeInterval("the long way", 2.2 * i + 1.0, 2.2 * i + 2.4) for i in stops]
+    judged = of(RUN, followed(RUN), named_paths=named)
+    assert isinstance(judged, Performance)
+    assert [(p.name, p.passages) for p in judged.paths] == [("the long way", CYCLES)]
+
+
+def test_what_differs_from_the_standard_is_listed(found: Performance) -> None:
+    kinds = {
+        d["kind"] for d in condition_deviations(found, temperature_c=25.5, through_encoders=True)
+    }
+    assert kinds == {
+        "cycles", "plane", "drift", "registration", "commanded", "temperature", "load", "speed",
+        "warm_up", "settling", "cube", "flange",
+    }  # fmt: skip
+    known = condition_deviations(found, temperature_c=20.5, through_encoders=False)
+    assert not {"temperature", "temperature_unknown", "registration"} & {d["kind"] for d in known}
+
+
+SESSION = """format = 1
+robot = "iust_6r"
+encoders = "encoders.csv"
+{more}
+[clock]
+encoder_offset_s = 0.0
+
+[poses]
+file = "poses.csv"
+instrument = "a laser tracker"
+frame = "robot_base"
+position_standard_uncertainty_mm = 0.05
+{turns}
+"""
+TURNS = "orientation_standard_uncertainty_deg = 0.02"
+
+
+def written(folder: Path, *, more: str = "", positions_alone: bool = False) -> Path:
+    run = repeated(6)
+    t = followed(run)
+    folder.mkdir()
+    poses = poses_csv(t, measured_poses(run, t), positions_alone=positions_alone)
+    (folder / "poses.csv").write_text(poses)
+    readings = readings_of(run)
+    (folder / "encoders.csv").write_text(encoders_csv(readings.t, readings.q))
+    turns = "point_mm = [40.0, 0.0, 10.0]" if positions_alone else TURNS
+    (folder / "session.toml").write_text(SESSION.format(more=more, turns=turns))
+    return folder
+
+
+def test_a_session_carries_its_repeated_poses(tmp_path: Path) -> None:
+    results = analyse(open_session(written(tmp_path / "session")))
+    entry = results.summary["performance"]
+    assert results.summary["performance_reason"] is None
+    assert entry["style"] == "ISO 9283-style"
+    assert [p["visits"] for p in entry["poses"]] == [7, 6, 6, 6, 6]
+    assert all(0.25 < p["ap_mm"] < 0.45 for p in entry["poses"])  # |OFF| is 0.374 mm
+    assert len(results.tables["performance_poses"]) == 31
+    assert set(results.tables["performance_paths"]["path"]) == {p["path"] for p in entry["paths"]}
+    assert {d["kind"] for d in entry["deviations"]} >= {"cycles", "commanded", "load"}
+
+
+def test_positions_alone_are_judged_at_their_point(tmp_path: Path) -> None:
+    folder = written(tmp_path / "session", positions_alone=True)
+    entry = analyse(open_session(folder)).summary["performance"]
+    assert entry["point_mm"] == [40.0, 0.0, 10.0]
+    assert len(entry["poses"]) == 5
+    assert all("ap_rx_deg" not in pose for pose in entry["poses"])
+    assert entry["noise_floor"]["rotation_deg"] is None
+
+
+@pytest.mark.parametrize(
+    ("more", "place", "found"),
+    [
+        ('[[pose]]\nname = ""\nt_start_s = 1.0\nt_end_s = 2.0', "pose[0].name", "is empty"),
+        ('[[pose]]\nname = "A"\nt_start_s = 1.0\nt_end_s = 1.0', "pose[0].t_end_s", "is 1.0"),
+        ('[[path]]\nname = "A"\nt_start_s = 1.0', "path[0].t_end_s", "is missing"),
+    ],
+)
+def test_a_wrong_name_is_refused(tmp_path: Path, more: str, place: str, found: str) -> None:
+    folder = written(tmp_path / "session", more=more)
+    with pytest.raises(InputError) as refused:
+        open_session(folder)
+    assert place in str(refused.value)
+    assert found in str(refused.value)
+
+
+def test_named_poses_of_a_session_count_and_a_misspelt_key_is_told(tmp_path: Path) -> None:
+    stops = [i for i, pose in enumerate(repeated(6).order) if pose == 0]
+    more = "\n".join(
+        f'[[pose]]\nname = "home"\nt_start_s = {2.2 * i:.1f}\nt_end_s = {2.2 * i + 1.2:.1f}\n'
+        f"{'note = 1' if i == 0 else ''}"
+        for i in stops
+    )
+    session = open_session(written(tmp_path / "session", more=more))
+    assert any("pose[0].note" in warning for warning in session.warnings)
+    entry = analyse(session).summary["performance"]
+    assert entry["recognised"] == "named"
+    assert [(p["pose"], p["visits"]) for p in entry["poses"]] == [("home", 7)]

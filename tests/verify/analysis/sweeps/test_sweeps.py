@@ -1,0 +1,257 @@
+"""Single-joint sweeps: faults put in come back, healthy joints stay so, no registration enters."""
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pinocchio
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, kstest
+
+import robots
+from tests.support.motions import ARM, HOME, make_track, swinging
+from tests.support.scene import make_marker, make_rig
+from tests.verify.analysis.test_joint_errors import ESTIMATED, GIVEN, model_of
+from verify.analysis.comparison import compare
+from verify.analysis.sweeps.axis import SweepData, fit_axis
+from verify.analysis.sweeps.segments import find_segments
+from verify.analysis.sweeps.sweeps import JointSweep, judge_sweeps
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.io.session.session import Session
+from verify.measurement.systematics import stated_systematics
+from verify.simulation.scenario import ScenarioFault
+from verify.simulation.session.simulate import reading_error
+from verify.simulation.world.motion import JointTurn, MotionProfile, SequentialSwings
+
+SLOT = 6.0  # s a joint
+SESSION = cast(
+    "Session",
+    SimpleNamespace(encoder_resolution=None, encoder_time_standard_uncertainty=None),
+)
+FAULTS = (
+    ScenarioFault(joint=2, backlash_deg=0.3),
+    ScenarioFault(joint=3, gain=0.005),
+    ScenarioFault(joint=5, gain=-0.004, backlash_deg=-0.2),
+)
+
+
+def one_by_one(amplitude_deg: float = 25.0) -> SequentialSwings:
+    return SequentialSwings(HOME, np.full(6, np.deg2rad(amplitude_deg)), 0.5, SLOT)
+
+
+def swept(
+    seed: int,
+    faults: tuple[ScenarioFault, ...] = (),
+    motion: MotionProfile | None = None,
+    *,
+    clock_off: float | None = None,
+    grain: float | None = None,
+    moved: Array | None = None,
+) -> list[JointSweep]:
+    """Sweeps of the arm; `moved` sees it from elsewhere, by LEDs mounted otherwise."""
+    rng = np.random.default_rng(seed)
+    path = one_by_one() if motion is None else motion
+    t, log = np.arange(0.5, 0.5 + 6 * SLOT, 0.1), np.arange(0.0, 1.0 + 6 * SLOT, 0.02)
+    track = make_track(t, path.angles(t), rng)
+    if moved is not None:
+        track = replace(track, base_T_flange=moved[0] @ track.base_T_flange @ moved[1])
+    q = path.angles(log)
+    read = q + reading_error(q, path.direction(log), faults)
+    read = read + rng.normal(0, np.deg2rad(0.005), q.shape)
+    read = read if grain is None else np.round(read / grain) * grain
+    comparison = compare(track, ARM, Readings(log, read), clock_off or 0.0, resolution=grain)
+    clock = GIVEN if clock_off is None else ESTIMATED
+    model = model_of(track, comparison, "fixture", "jig", clock)
+    session = (
+        SESSION
+        if grain is None
+        else cast(
+            "Session",
+            SimpleNamespace(encoder_resolution=grain, encoder_time_standard_uncertainty=None),
+        )
+    )
+    parameters = stated_systematics(make_rig(), make_marker(), turning=False)
+    return judge_sweeps(model, session, track, parameters, clock_given=clock_off is None)
+
+
+@cache
+def healthy() -> tuple[JointSweep, ...]:
+    return tuple(s for seed in range(12) for s in swept(100 + seed))
+
+
+def pull(value: float, uncertainty: float, truth: float = 0.0) -> float:
+    return (value - truth) / uncertainty
+
+
+def test_every_joint_that_moves_alone_is_found_once() -> None:
+    found = swept(1)
+    assert [s.joint for s in found] == [0, 1, 2, 3, 4, 5]
+    assert all(s.span > np.deg2rad(48) for s in found)
+    assert all(len(np.unique(s.direction)) == 2 for s in found)
+
+
+def test_when_all_joints_move_there_is_no_sweep() -> None:
+    t, log = np.arange(1.0, 7.0, 0.1), np.arange(0.0, 8.0, 0.02)
+    rng = np.random.default_rng(1)
+    track = make_track(t, swinging(t), rng)
+    noise = rng.normal(0, np.deg2rad(0.005), (len(log), 6))
+    comparison = compare(track, ARM, Readings(log, swinging(log) + noise), 0.0)
+    assert find_segments(comparison, None) == []
+
+
+def test_faults_come_back_with_the_uncertainty_that_is_stated() -> None:
+    gain = {2: 0.005, 4: -0.004}
+    hysteresis = {1: np.deg2rad(0.3), 4: np.deg2rad(-0.2)}
+    pulls = []
+    for seed in range(12):
+        for s in swept(200 + seed, FAULTS):
+            pulls.append(pull(s.gain.value, s.gain.uncertainty, gain.get(s.joint, 0.0)))
+            there = hysteresis.get(s.joint, 0.0)
+            pulls.append(pull(s.hysteresis.value, s.hysteresis.uncertainty, there))
+            assert s.gain.uncertainty < 6e-4
+            assert s.hysteresis.uncertainty < np.deg2rad(0.015)
+    square = float(np.sum(np.square(pulls)))
+    assert chi2.ppf(0.0005, len(pulls)) < square < chi2.ppf(0.9995, len(pulls))
+
+
+def test_healthy_joints_are_not_accused() -> None:
+    pulls = [pull(s.gain.value, s.gain.uncertainty) for s in healthy()]
+    pulls += [pull(s.hysteresis.value, s.hysteresis.uncertainty) for s in healthy()]
+    square = float(np.sum(np.square(pulls)))
+    assert chi2.ppf(0.0005, len(pulls)) < square < chi2.ppf(0.9995, len(pulls))
+    assert np.abs(pulls).max() < 4.0
+    assert not any(s.eccentric for s in healthy())
+    for chances in ([s.nonlinear_p for s in healthy()], [s.wobble_p for s in healthy()]):
+        assert kstest(chances, "uniform").pvalue > 1e-3
+
+
+def test_an_eccentric_encoder_shows_where_the_joint_turns_far_enough() -> None:
+    fault = (ScenarioFault(joint=6, eccentricity_deg=0.3, phase_deg=float(np.rad2deg(HOME[5]))),)
+    pulls = []
+    for seed in range(8):
+        last = swept(300 + seed, fault, one_by_one(70.0))[-1]
+        assert last.joint == 5
+        assert last.eccentric
+        pulls.append(pull(last.eccentricity.value, last.eccentricity.uncertainty, np.deg2rad(0.3)))
+        pulls.append(pull(last.phase.value, last.phase.uncertainty, HOME[5]))
+        assert last.nonlinear_p > 1e-4
+    assert np.sum(np.square(pulls)) < chi2.ppf(0.9995, len(pulls))
+    short = swept(1, (ScenarioFault(joint=6, eccentricity_deg=1.5),))[-1]
+    # over 50° a wave is a bow, and a bow no eccentricity
+    assert not short.eccentric
+    assert short.nonlinear_p < 1e-3
+
+
+def test_one_way_shows_no_hysteresis_and_no_figure_is_made_up_for_it() -> None:
+    sweep = np.zeros(6)
+    sweep[2] = np.deg2rad(40)
+    found = swept(1, (ScenarioFault(joint=3, gain=0.01),), JointTurn(HOME, sweep, 1.0, 20.0))
+    assert [s.joint for s in found] == [2]
+    assert np.isnan(found[0].hysteresis.value)
+    assert abs(pull(found[0].gain.value, found[0].gain.uncertainty, 0.01)) < 4
+
+
+def test_where_the_robot_stands_and_how_the_leds_sit_changes_nothing() -> None:
+    rng = np.random.default_rng(5)
+    elsewhere = np.tile(np.eye(4), (2, 1, 1))
+    elsewhere[:, :3, :3] = Rotation.random(2, random_state=rng).as_matrix()
+    elsewhere[:, :3, 3] = rng.normal(0, 0.2, (2, 3))
+    elsewhere[1, :3, 3] = 0.0  # what a lever does to the poses' noise is not the sweep's matter
+    for plain, other in zip(swept(7, FAULTS), swept(7, FAULTS, moved=elsewhere), strict=True):
+        assert_allclose(other.gain.value, plain.gain.value, atol=0.35 * plain.gain.uncertainty)
+        u = plain.hysteresis.uncertainty
+        assert_allclose(other.hysteresis.value, plain.hysteresis.value, atol=0.35 * u)
+
+
+def test_an_error_of_the_clock_is_not_taken_for_hysteresis() -> None:
+    given, fitted = swept(1), swept(1, clock_off=0.01)  # the readings' clock is right as it is
+    assert all(abs(pull(s.hysteresis.value, s.hysteresis.uncertainty)) < 4 for s in fitted)
+    for known, free in zip(given, fitted, strict=True):
+        assert free.hysteresis.uncertainty > 1.3 * known.hysteresis.uncertainty
+
+
+def test_readings_of_a_coarse_grain_flicker_and_still_rest() -> None:
+    found = swept(3, (ScenarioFault(joint=4, backlash_deg=0.4),), grain=float(np.deg2rad(0.1)))
+    assert [s.joint for s in found] == [0, 1, 2, 3, 4, 5]
+    fourth = found[3].hysteresis
+    assert abs(pull(fourth.value, fourth.uncertainty, np.deg2rad(0.4))) < 4
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_the_axis_is_where_pinocchio_has_it(joint: int) -> None:
+    """Noise-free poses of a UR5 by pinocchio, one joint turning through 60°."""
+    arm = robots.load("ur5")
+    assert isinstance(arm, robots.UrdfArm)
+    model, data = arm.model, arm.model.createData()
+    q = np.tile([0.4, -1.1, 1.3, -0.7, 0.9, 0.2], (30, 1))
+    q[:, joint] += np.linspace(0, np.deg2rad(60), 30)
+    poses = []
+    for one in q:
+        pinocchio.forwardKinematics(model, data, one)
+        poses.append(data.oMi[6].homogeneous.copy())
+    seen = SweepData(
+        poses=np.array(poses),
+        covariance=np.tile(np.diag([1e-10] * 3 + [1e-8] * 3), (30, 1, 1)),
+        held=np.zeros((30, 6, 0)),
+        q=q[:, joint],
+        reading_variance=np.full(30, 1e-12),
+    )
+    fit = fit_axis(seen, (q[:, [joint]] - q[:, joint].mean()))
+    frame = data.oMi[joint + 1]
+    # the axis that the joint's Jacobian column turns about, in the world
+    column = pinocchio.computeJointJacobians(model, data, q[-1])[:, joint]
+    axis = column[3:] / np.linalg.norm(column[3:])
+    assert_allclose(fit.direction, axis, atol=1e-8)
+    assert_allclose(np.cross(fit.point - frame.translation, axis), 0, atol=1e-8)
+    assert_allclose(fit.value, 0, atol=1e-8)
+    assert fit.chi2_rest < 1e-3
+
+
+def test_a_base_that_gives_way_is_no_fixed_axis() -> None:
+    """The flange leaves its circle by 0.3 mm, once there and back: no turn explains that."""
+    t = np.arange(0.5, 0.5 + 6 * SLOT, 0.1)
+    motion, rng = one_by_one(), np.random.default_rng(8)
+    track = make_track(t, motion.angles(t), rng)
+    soft = track.base_T_flange.copy()
+    soft[:, 2, 3] += 3e-4 * np.sin(2 * motion.angles(t)[:, 1] / np.deg2rad(25))
+    track = replace(track, base_T_flange=soft)
+    log = np.arange(0.0, 1.0 + 6 * SLOT, 0.02)
+    noise = rng.normal(0, np.deg2rad(0.005), (len(log), 6))
+    comparison = compare(track, ARM, Readings(log, motion.angles(log) + noise), 0.0)
+    parameters = stated_systematics(make_rig(), make_marker(), turning=False)
+    found = judge_sweeps(
+        model_of(track, comparison, "fixture", "jig"), SESSION, track, parameters, clock_given=True
+    )
+    assert found[1].wobble_p < 1e-6
+    assert min(s.wobble_p for s in found if s.joint != 1) > 1e-3
+
+
+def test_a_pair_off_the_circle_is_left_out_and_listed_and_a_tenth_of_them_are_not() -> None:
+    t = np.arange(0.5, 0.5 + 6 * SLOT, 0.1)
+    log = np.arange(0.0, 1.0 + 6 * SLOT, 0.02)
+    motion = one_by_one()
+    parameters = stated_systematics(make_rig(), make_marker(), turning=False)
+    for wrong in ([85], list(range(66, 116, 4))):
+        rng = np.random.default_rng(9)
+        track = make_track(t, motion.angles(t), rng)
+        bitten = track.base_T_flange.copy()
+        bitten[wrong, :3, 3] += 1.5e-3
+        track = replace(track, base_T_flange=bitten)
+        noise = rng.normal(0, np.deg2rad(0.005), (len(log), 6))
+        comparison = compare(track, ARM, Readings(log, motion.angles(log) + noise), 0.0)
+        model = model_of(track, comparison, "fixture", "jig")
+        second = judge_sweeps(model, SESSION, track, parameters, clock_given=True)[1]
+        assert second.joint == 1
+        if len(wrong) == 1:
+            assert second.outlying.tolist() == wrong
+            assert wrong[0] not in second.rows
+            assert second.wobble_p > 1e-3
+            assert abs(pull(second.gain.value, second.gain.uncertainty)) < 4
+        else:
+            assert not len(second.outlying)
+            assert second.wobble_p < 1e-6

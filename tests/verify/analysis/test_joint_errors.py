@@ -1,0 +1,305 @@
+"""Judgement on tracks with known truth: the numbers a metrologist would check by hand.
+
+The stated uncertainty of the mean errors holds the truth: metrology.md section 5 (b), small.
+
+Each replicate draws one true world about the stated rig, base, and marker, projects its LEDs with
+OpenCV, and hands the measurement what the files state. The arm is healthy, so every mean error is
+zero and d² of the six means follows chi-squared with six degrees of freedom.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+import robots
+from tests.support.motions import ARM, HOME, make_track, read, swinging
+from tests.support.scene import facing, make_marker, make_rig, sight
+from verify.analysis.clock import ClockEstimate
+from verify.analysis.comparison import Comparison, compare, solve_joints
+from verify.analysis.diagnosis.causes import Cause
+from verify.analysis.diagnosis.diagnose import find_causes
+from verify.analysis.joint_errors import JointErrors, MeanErrors, mean_errors, resolve_errors
+from verify.analysis.least_squares import solve
+from verify.analysis.model import JointErrorModel, build_model, visibility
+from verify.analysis.verdict import judge_joint
+from verify.core.fiducials import Marker
+from verify.core.readings import Readings
+from verify.core.records import Array, Measurement
+from verify.core.rig import Covariance, Rig
+from verify.measurement.pose import fit_pose
+from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
+from verify.measurement.track import Track, collect_track
+
+PAIRS = np.arange(1.0, 7.0, 1 / 15)
+LOG = np.arange(0.0, 8.0, 0.02)
+GIVEN = ClockEstimate(0.0, None, "given", np.zeros((0, 2)))
+POSTURES = {
+    "iust_6r": (35.0, -60.0, 45.0, 5.0, -80.0, 30.0),
+    "rv_3sd_melfa": (20.0, 10.0, 80.0, 30.0, 60.0, -40.0),
+}
+ESTIMATED = replace(GIVEN, source="estimated", standard_uncertainty=1e-4)
+
+
+def compared(seed: int, error: Array | float = 0.0) -> tuple[Track, Comparison]:
+    rng = np.random.default_rng(seed)
+    track = make_track(PAIRS, swinging(PAIRS), rng)
+    return track, compare(track, ARM, read(swinging, LOG, 0.0, rng, error), 0.0)
+
+
+def model_of(
+    track: Track, comparison: Comparison, base: str, body: str | None, clock: ClockEstimate = GIVEN
+) -> JointErrorModel:
+    rig = replace(make_rig(), base_source=base)
+    marker = replace(make_marker(), source=body)
+    return build_model(
+        comparison, track, rig, marker, clock, stated_systematics(rig, marker, turning=False)
+    )
+
+
+def diagnosed(model: JointErrorModel) -> list[Cause]:
+    return find_causes(model, resolve_errors(model)).causes
+
+
+def test_with_base_and_leds_from_the_encoders_joints_1_and_6_are_invisible() -> None:
+    seen = visibility(model_of(*compared(1), "motion", "motion"))
+    assert seen.fraction[0] == seen.fraction[5] == 0
+    assert np.isnan(seen.detectable[[0, 5]]).all()
+    assert np.all(seen.fraction[1:5] > 0)
+    assert np.all(seen.fraction[1:5] < 0.3)  # metrology.md section 1.3: local work hides most
+    assert_allclose(seen.fraction_since, 1)
+
+
+def test_with_everything_given_every_offset_is_visible_and_an_estimated_clock_costs_a_little() -> (
+    None
+):
+    track, comparison = compared(1)
+    assert_allclose(visibility(model_of(track, comparison, "fixture", "jig")).fraction, 1)
+    seen = visibility(model_of(track, comparison, "fixture", "jig", ESTIMATED))
+    assert np.all((seen.fraction > 0.9) & (seen.fraction < 1))
+
+
+@pytest.mark.parametrize(("base", "body"), [("motion", "motion"), ("fixture", "motion")])
+@pytest.mark.parametrize(("name", "home_deg"), POSTURES.items())
+def test_the_visible_share_is_what_is_left_of_an_offset_after_registering_by_brute_force(
+    name: str, home_deg: tuple[float, ...], base: str, body: str
+) -> None:
+    """Inject 0.01°, fit base and LED body by a general optimiser, compare what remains."""
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
+    arm = robots.load(name)
+
+    def motion(t: Array) -> Array:
+        return swinging(t) - HOME + np.deg2rad(home_deg)
+
+    rng = np.random.default_rng(2)
+    track = make_track(PAIRS, motion(PAIRS), rng, arm)
+    comparison = compare(track, arm, read(motion, LOG, 0.0, rng), 0.0)
+    model = model_of(track, comparison, base, body)
+    flange = comparison.base_T_encoder
+    whole = np.linalg.cholesky(np.linalg.inv(comparison.covariance_measured[0])).T
+
+    def residual(parameters: Array, moved: Array) -> Array:
+        shift, tool = parameters[:6] * (base == "motion"), parameters[6:]
+        turn_base = Rotation.from_rotvec(shift[3:]).as_matrix()
+        turn_tool = Rotation.from_rotvec(tool[3:]).as_matrix()
+        rotation = turn_base @ moved[:, :3, :3] @ turn_tool
+        place = (moved[:, :3, 3] + moved[:, :3, :3] @ tool[:3]) @ turn_base.T + shift[:3]
+        turn = Rotation.from_matrix(rotation @ np.swapaxes(flange[:, :3, :3], 1, 2)).as_rotvec()
+        return (np.concatenate([place - flange[:, :3, 3], turn], axis=1) @ whole.T).ravel()
+
+    for joint in (1, 3, 4):
+        offset = np.deg2rad(0.01) * np.eye(6)[joint]
+        moved = robots.forward(arm, comparison.q + offset)
+        before = np.linalg.norm(residual(np.zeros(12), moved))
+        fit = least_squares(residual, np.zeros(12), args=(moved,), xtol=1e-14, ftol=1e-14)
+        share = np.linalg.norm(fit.fun) / before
+        assert_allclose(visibility(model).fraction[joint], share, rtol=0.02)
+
+
+def test_an_offset_is_named_with_its_value_and_nothing_else_is_accused() -> None:
+    for seed in range(8):
+        error = np.deg2rad(0.1) * np.eye(6)[seed % 6]
+        causes = diagnosed(model_of(*compared(seed, error), "fixture", "jig"))
+        assert [c.joint for c in causes] == [seed % 6 + 1]
+        assert abs(causes[0].value - np.deg2rad(0.1)) < 4 * causes[0].standard_uncertainty
+
+
+def test_two_offsets_at_once_are_both_named() -> None:
+    error = np.deg2rad([0, 0.2, -0.15, 0, 0, 0])
+    causes = diagnosed(model_of(*compared(5, error), "fixture", "jig"))
+    assert [(c.kind, c.joint) for c in causes] == [("offset", 2), ("offset", 3)]
+
+
+def test_a_healthy_arm_is_seldom_accused() -> None:
+    accused = sum(bool(diagnosed(model_of(*compared(s), "fixture", "jig"))) for s in range(60))
+    assert accused <= 2  # a family-wise 0.1 % gives 0.06 of them
+
+
+def test_an_offset_that_is_noticed_but_not_told_from_its_neighbour_is_ambiguous() -> None:
+    track, comparison = compared(6)
+    seen = visibility(model_of(track, comparison, "motion", "motion"))
+    assert seen.separable[2] > 2 * seen.detectable[2]
+    size = 6 / 4.13 * seen.detectable[2]  # six standard uncertainties: noticed every time
+    error = size * np.eye(6)[2]
+    causes = diagnosed(model_of(*compared(6, error), "motion", "motion"))
+    assert [c.kind for c in causes] == ["ambiguous"]
+    assert causes[0].joint is None
+    assert 3 in {c.joint for c in causes[0].candidates}
+
+
+def test_a_healthy_joint_conforms_and_an_offset_beyond_the_tolerance_does_not() -> None:
+    tolerance = np.deg2rad(0.2)
+    track, comparison = compared(7, np.deg2rad([0, 0, 0.3, 0, 0, 0]))
+    model = model_of(track, comparison, "fixture", "jig")
+    resolved, seen = resolve_errors(model), visibility(model)
+    verdicts = [judge_joint(resolved, j, tolerance, float(seen.detectable[j])) for j in range(6)]
+    assert [v.verdict for v in verdicts] == ["conform"] * 2 + ["nonconform"] + ["conform"] * 3
+    tight = judge_joint(resolved, 0, float(seen.detectable[0]) / 2, float(seen.detectable[0]))
+    assert (tight.verdict, tight.reason) == ("undecided", "not_detectable")
+
+
+def test_an_error_that_grows_with_the_angle_is_judged_at_its_end_not_by_its_mean() -> None:
+    """A gain of 1 % about the middle has mean zero and 0.25° at the ends of a 50° swing."""
+    rng = np.random.default_rng(9)
+    track = make_track(PAIRS, swinging(PAIRS), rng)
+    readings = read(swinging, LOG, 0.0, rng)
+    middle = np.deg2rad(30.0)
+    crooked = readings.q.copy()
+    crooked[:, 5] += 0.01 * (crooked[:, 5] - middle)
+    comparison = compare(track, ARM, type(readings)(readings.t, crooked), 0.0)
+    model = model_of(track, comparison, "fixture", "jig")
+    verdict = judge_joint(resolve_errors(model), 5, np.deg2rad(0.15), 0.0)
+    assert verdict.verdict == "nonconform"
+    assert abs(abs(np.rad2deg(verdict.worst)) - 0.25) < 0.02
+
+
+def test_an_error_that_no_term_describes_is_a_lack_of_fit() -> None:
+    rng = np.random.default_rng(10)
+    track = make_track(PAIRS, swinging(PAIRS), rng)
+    readings = read(swinging, LOG, 0.0, rng)
+    crooked = readings.q.copy()
+    crooked[:, 1] += np.deg2rad(0.1) * np.sin(40 * crooked[:, 1])
+    comparison = compare(track, ARM, type(readings)(readings.t, crooked), 0.0)
+    resolved = resolve_errors(model_of(track, comparison, "fixture", "jig"))
+    assert resolved.lack_of_fit
+    assert judge_joint(resolved, 0, np.deg2rad(1.0), 0.0).reason == "lack_of_fit"
+
+
+def test_a_prior_column_is_generalised_least_squares() -> None:
+    """Fitting columns of unit variance is the same as counting their covariance in full."""
+    rng = np.random.default_rng(12)
+    rows, prior, target = rng.normal(size=(40, 3)), rng.normal(size=(40, 2)), rng.normal(size=40)
+    covariance = np.eye(40) + prior @ prior.T
+    weight = np.linalg.inv(covariance)
+    expected = np.linalg.inv(rows.T @ weight @ rows)
+    value = expected @ rows.T @ weight @ target
+    fit = solve(rows, target, prior)
+    assert_allclose(fit.value, value, atol=1e-10)
+    assert_allclose(fit.covariance, expected, atol=1e-10)
+    rest = target - rows @ value
+    assert_allclose(fit.chi2, rest @ weight @ rest, rtol=1e-10)
+
+
+REPLICATES = 40  # d²/6 is then known to 9 %
+VISITS = 6
+SPOT_SIGMA = 0.03  # px
+SPREAD = np.deg2rad([12.0, 8.0, 9.0, 12.0, 14.0, 25.0])
+
+CAMERAS = [f"{side}.{k}_px" for side in ("left", "right") for k in ("fx", "fy", "cx", "cy")]
+TURN = [f"right.mount_r{axis}_deg" for axis in "xyz"]
+BASE = [f"robot_base.{axis}_mm" for axis in "xyz"] + [f"robot_base.r{axis}_deg" for axis in "xyz"]
+SIGMA = np.array([0.3] * 8 + [0.01] * 3 + [0.1] * 3 + [0.02] * 3)  # in the units of the names
+
+
+def believed(*, doubts: bool) -> tuple[Rig, Marker]:
+    """What the files state: a rig before the arm, a marker of four LEDs."""
+    rig = make_rig()
+    home = robots.forward(ARM, HOME[None])[0]
+    rig = replace(rig, rig_T_base=facing() @ np.linalg.inv(home))
+    if not doubts:
+        return rig, make_marker()
+    names = (*CAMERAS, *TURN, *BASE)
+    mixed = np.random.default_rng(0).normal(size=(len(names), len(names) + 20))
+    spread = mixed @ mixed.T
+    size = np.sqrt(np.diag(spread))
+    stated_rig = replace(rig, covariance=Covariance(names, SIGMA, spread / np.outer(size, size)))
+    body = np.array([3e-5] * 3 + [np.deg2rad(0.02)] * 3)
+    marker = make_marker(
+        source="jig",
+        body_standard_uncertainty=body,
+        led_standard_uncertainty=2e-5,
+        centre_shift_standard_uncertainty=1e-5,
+    )
+    return stated_rig, marker
+
+
+def drawn(rig: Rig, marker: Marker, rng: np.random.Generator) -> tuple[Rig, Marker]:
+    """One true world about what is stated."""
+    doubt = rig.covariance
+    if doubt is None or marker.body_standard_uncertainty is None:
+        return rig, marker
+    root = np.linalg.cholesky(doubt.correlation)
+    draw = doubt.standard_uncertainty * (root @ rng.normal(size=len(root)))
+    cameras = []
+    for camera, (fx, fy, cx, cy) in zip((rig.left, rig.right), draw[:8].reshape(2, 4), strict=True):
+        change = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 0]])
+        cameras.append(replace(camera, matrix=camera.matrix + change))
+    mount, base = rig.right.mount.copy(), rig.rig_T_base.copy()
+    mount[:3, :3] = turned(np.deg2rad(draw[8:11])) @ mount[:3, :3]
+    base[:3, 3] += draw[11:14] * 1e-3
+    base[:3, :3] = turned(np.deg2rad(draw[14:17])) @ base[:3, :3]
+    body = marker.body_standard_uncertainty * rng.normal(size=6)
+    leds = marker.leds @ turned(body[3:]).T + body[:3]
+    for sigma in (marker.led_standard_uncertainty, marker.centre_shift_standard_uncertainty):
+        leds = leds + (sigma or 0.0) * rng.normal(size=leds.shape)
+    right = replace(cameras[1], mount=mount)
+    return replace(rig, left=cameras[0], right=right, rig_T_base=base), replace(marker, leds=leds)
+
+
+def turned(vector: Array) -> Array:
+    matrix: Array = Rotation.from_rotvec(vector).as_matrix()
+    return matrix
+
+
+def replicate(rig: Rig, marker: Marker, parameters: Systematics, seed: int) -> MeanErrors:
+    """A few visits of a healthy arm in one true world, measured with what is stated."""
+    rng = np.random.default_rng(seed)
+    true_rig, true_marker = drawn(rig, marker, rng)
+    q = HOME + SPREAD * rng.uniform(-1, 1, (VISITS, 6))
+    t = 5.0 * np.arange(VISITS)
+    poses: Array = true_rig.rig_T_base @ robots.forward(ARM, q)
+    measurements, effects = [], []
+    for i in range(VISITS):
+        true_pose: Array = poses[i]
+        left, right = sight(true_rig, true_marker, true_pose, SPOT_SIGMA, rng)
+        pose = fit_pose(left, right, rig, marker, true_pose)
+        seen = Measurement(i, float(t[i]), "measured", len(marker), pose, left, right)
+        measurements.append(seen)
+        effects.append(sensitivities(parameters, seen, rig, marker))
+    track = collect_track(measurements, rig, effects)
+    log = (t[:, None] + np.linspace(-0.2, 0.2, 5)).ravel()
+    comparison = compare(track, ARM, Readings(log, np.repeat(q, 5, axis=0)), 0.0)
+    joints = solve_joints(comparison, ARM)
+    model = build_model(comparison, track, rig, marker, GIVEN, parameters)
+    systematic = joints.inverse @ model.prior_columns
+    errors = JointErrors(joints.single, joints.covariance, systematic, np.zeros_like(joints.error))
+    return mean_errors(model, errors, resolve_errors(model), None, parameters)
+
+
+@pytest.mark.parametrize("doubts", [False, True])
+def test_d_squared_of_the_mean_errors_is_chi_squared(doubts: bool) -> None:
+    rig, marker = believed(doubts=doubts)
+    parameters = stated_systematics(rig, marker, turning=False)
+    means = [replicate(rig, marker, parameters, seed) for seed in range(REPLICATES)]
+    d2 = [float(m.mean @ np.linalg.solve(m.covariance, m.mean)) for m in means]
+    degrees = 6 * REPLICATES
+    low, high = chi2.ppf(0.005, degrees), chi2.ppf(0.995, degrees)
+    assert low < sum(d2) < high
+    z = np.array([m.mean / np.sqrt(np.diag(m.covariance)) for m in means])
+    # six intervals of a replicate hold or miss together at worst: binomial of 40, three deviations
+    assert np.mean(np.abs(z) < 1.96) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / REPLICATES)

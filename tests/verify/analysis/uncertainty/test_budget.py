@@ -1,0 +1,307 @@
+"""The budget: its lines add up, its sensitivities are what brute force finds.
+
+What parameters do to joint 3 of a recorded session: figures worked out by other hands.
+"""
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import t as student
+
+import robots
+from robots.transforms import difference
+from tests.support.beside import shared
+from tests.support.command import SAMPLES
+from tests.support.motions import ARM, make_track, read, swinging
+from tests.support.scene import make_marker, make_rig
+from verify import analyse, open_session
+from verify.analysis.clock import ClockEstimate
+from verify.analysis.comparison import (
+    Comparison,
+    JointComparison,
+    compare,
+    inflate_covariance,
+    solve_joints,
+)
+from verify.analysis.joint_errors import JointErrors, MeanErrors, mean_errors, resolve_errors
+from verify.analysis.model import JointErrorModel, add_pan_noise, build_model, clock_effect
+from verify.analysis.uncertainty.budget import Budget, budget
+from verify.analysis.uncertainty.sources import robot_table_columns
+from verify.core.records import Array
+from verify.core.rig import Covariance
+from verify.io.session.session import Session
+from verify.measurement.systematics import Systematics
+from verify.measurement.track import Track
+
+PAIRS = np.arange(1.0, 6.0, 1 / 10)
+LOG = np.arange(0.0, 8.0, 0.02)
+GIVEN = ClockEstimate(0.0, 5e-4, "given", np.zeros((0, 2)))
+ESTIMATED = replace(GIVEN, source="estimated")
+OPEN = ClockEstimate(0.0, None, "not_observable", np.zeros((0, 2)))
+NAMES = ("left.cx_px", "left.fx_px", "robot_base.x_mm", "robot_base.rz_deg", "body.z_mm")
+SOURCES = ("rig", "rig", "robot base", "robot base", "LED body")
+SIGMA = np.array([0.1, 0.2, 5e-5, 1e-4, 3e-5])  # SI
+DEGREES = 7.0
+
+
+@dataclass(frozen=True)
+class Made:
+    """A session as far as a budget asks for it."""
+
+    session: Session
+    model: JointErrorModel
+    plain: Comparison
+    joints: JointComparison
+    errors: JointErrors
+    means: MeanErrors
+    found: Budget
+    systematics: Systematics
+
+
+def made(
+    seed: int = 1,
+    base: str = "fixture",
+    body: str = "jig",
+    clock: ClockEstimate = GIVEN,
+    *,
+    repeats: bool = False,
+    tied: float = 0.0,
+    pan: float = np.nan,
+    rig_degrees: float = DEGREES,
+) -> Made:
+    """A healthy arm swinging; rig and base tied by a correlation, pairs that repeat each other."""
+    rng = np.random.default_rng(seed)
+    track = make_track(PAIRS, swinging(PAIRS), rng)
+    n = len(track)
+    columns = rng.normal(size=(1, 6, len(NAMES) + 2)) + 0.3 * rng.normal(
+        size=(n, 6, len(NAMES) + 2)
+    )
+    columns *= np.array([1e-4, 1e-5, 1.0, 0.5, 1.0, 0.6, 0.6])
+    track = replace(
+        track, systematic=columns, pan=np.round(rng.uniform(0, 0.1, (n, 2)), 2),
+        alignment_error=1e-5 * rng.normal(size=(1, 6)) * np.ones((n, 1)),
+    )  # fmt: skip
+    correlation = np.eye(len(NAMES))
+    correlation[0, 2] = correlation[2, 0] = tied
+    systematics = Systematics(
+        NAMES, SOURCES, correlation * np.outer(SIGMA, SIGMA), np.array([pan, pan]), (),
+        rig_degrees,
+    )  # fmt: skip
+    covariance = Covariance(NAMES[:4], np.ones(4), np.eye(4), rig_degrees)
+    rig = replace(make_rig(), base_source=base, covariance=covariance)
+    marker = replace(make_marker(), source=body)
+    plain = add_pan_noise(
+        compare(
+            track, ARM, read(swinging, LOG, 0.0, rng), 0.0, resolution=1e-4, time_uncertainty=1e-4
+        ),
+        track,
+        systematics,
+    )
+    joints = solve_joints(plain, ARM)
+    counted = (
+        inflate_covariance(plain, np.array([1.0, 2.0, 1.0, 3.0, 1.0, 1.5])) if repeats else plain
+    )
+    model = build_model(counted, track, rig, marker, clock, systematics)
+    session = SimpleNamespace(
+        arm=ARM, rig=rig, marker=marker, encoder_resolution=1e-4,
+        encoder_time_standard_uncertainty=1e-4, instrument=None,
+    )  # fmt: skip
+    return _judged(cast("Session", session), model, plain, joints, systematics, track, clock)
+
+
+def _judged(
+    session: Session,
+    model: JointErrorModel,
+    plain: Comparison,
+    joints: JointComparison,
+    systematics: Systematics,
+    track: Track,
+    clock: ClockEstimate,
+) -> Made:
+    inverse, counted = joints.inverse, model.comparison
+    errors = JointErrors(
+        error=joints.single,
+        covariance=inverse @ counted.covariance @ np.swapaxes(inverse, 1, 2),
+        systematic=inverse @ model.prior_columns,
+        clock=(inverse @ clock_effect(counted))[:, :, 0],
+    )
+    resolved = resolve_errors(model)
+    estimated = clock.standard_uncertainty if clock.source == "estimated" else None
+    means = mean_errors(model, errors, resolved, estimated, systematics)
+    found = budget(
+        model, plain, joints, errors, means, resolved, session, systematics, track, clock
+    )
+    return Made(session, model, plain, joints, errors, means, found, systematics)
+
+
+CASES: dict[str, dict[str, Any]] = {
+    "plain means": {},
+    "an estimated clock": {"clock": ESTIMATED},
+    "pairs that repeat each other": {"repeats": True},
+    "rig and base found together": {"tied": 0.8},
+    "few pan readings": {"pan": 1e-4},
+    "base through the encoders": {"base": "motion"},
+    "base and LEDs through the encoders": {"base": "motion", "body": "motion", "repeats": True},
+    "a clock that does not show": {"clock": OPEN},
+}
+
+
+@pytest.mark.parametrize("case", list(CASES))
+def test_the_lines_add_up_to_the_stated_uncertainty(case: str) -> None:
+    this = made(**CASES[case])
+    lines = this.found.lines
+    signed = lines["standard_uncertainty_deg"] * lines["standard_uncertainty_deg"].abs()
+    total = signed.groupby(lines["joint"]).sum(min_count=1).to_numpy()
+    stated = np.rad2deg(np.sqrt(np.diag(this.means.covariance)))
+    known = ~np.isnan(stated)
+    assert known.any()
+    assert_allclose(np.sqrt(total[known]), stated[known], rtol=1e-8)
+    assert_allclose(lines.groupby("joint")["share"].sum().to_numpy()[known], 1, rtol=1e-8)
+
+
+def test_every_source_that_is_stated_has_its_line_type_and_kind() -> None:
+    lines = made(repeats=True, pan=1e-4).found.lines
+    of = {row["source"]: (row["kind"], row["type"]) for row in lines.to_dict("records")}
+    assert of == {
+        "pixels": ("random", "A"),
+        "readings' noise": ("random", "A"),
+        "encoder resolution": ("random", "B"),
+        "encoder time stamps": ("random", "B"),
+        "autocorrelation": ("random", "A"),
+        "rig": ("systematic", "B"),
+        "robot base": ("systematic", "B"),
+        "LED body": ("systematic", "B"),
+        "clock": ("systematic", "B"),
+        "alignment of the two instants": ("systematic", "B"),
+        "pan angle": ("systematic", "B"),
+    }
+
+
+@pytest.mark.parametrize("case", ["plain means", "base through the encoders"])
+def test_a_sensitivity_is_what_the_mean_does_when_the_parameter_is_moved(case: str) -> None:
+    """Brute force: the poses are moved by a parameter, and the means are found anew."""
+    this = made(**CASES[case])
+    table = this.found.parameters.set_index(["parameter", "joint"])["sensitivity_deg"]
+    for p, name in enumerate(NAMES):
+        step = 1e-3 * SIGMA[p]
+        moved = this.plain.systematic[:, :, p] * step
+        shift = np.rad2deg(_mean_with(this, moved) - this.means.mean) / step
+        scale = {"px": 1.0, "mm": 1e-3, "deg": np.pi / 180}[name.rsplit("_", 1)[-1]]
+        known = ~np.isnan(shift)
+        assert_allclose(table[name].to_numpy()[known], (shift * scale)[known], rtol=1e-5, atol=1e-9)
+
+
+def _mean_with(this: Made, moved: Array) -> Array:
+    """The means of the same session with the twists moved by (n, 6)."""
+    comparison = replace(this.model.comparison, xi=this.model.comparison.xi + moved)
+    white = this.model.white.rows(comparison.xi[:, :, None])[:, 0]
+    model = replace(this.model, comparison=comparison, xi=white)
+    by_pair = np.einsum("njk,nk->nj", this.joints.inverse, moved)
+    errors = replace(this.errors, error=this.errors.error + by_pair)
+    return mean_errors(model, errors, resolve_errors(model), None, this.systematics).mean
+
+
+def test_a_length_of_the_table_does_what_an_arm_with_another_length_does() -> None:
+    this = made()
+    table = this.found.parameters.set_index(["parameter", "joint"])["sensitivity_deg"]
+    assert isinstance(ARM, robots.DhArm)
+    for name, place in (("a2_mm", 1), ("a3_mm", 2)):
+        a = ARM.a.copy()
+        a[place] += 1e-6
+        other = replace(ARM, a=a)
+        q, reached = robots.nearest(other, this.plain.base_T_measured, this.plain.q)
+        assert reached.all()
+        shift = np.rad2deg(-(q - this.joints.q).mean(axis=0)) / 1e-6 * 1e-3
+        assert_allclose(table[name].to_numpy(), shift, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("robot", ["iust_6r", "rv_3sd", "rv_3sd_melfa"])
+def test_every_entry_of_the_table_moves_the_flange_as_another_table_does(robot: str) -> None:
+    arm, h = robots.load(robot), 1e-6
+    assert isinstance(arm, robots.DhArm)
+    q = np.random.default_rng(6).uniform(-1.0, 1.0, (30, arm.dof))
+    names, columns = robot_table_columns(arm, cast("Comparison", SimpleNamespace(q=q)))
+    for name, column in zip(names, np.moveaxis(columns, 2, 0), strict=True):
+        key, joint = name.partition("_")[0][:-1], int(name.partition("_")[0][-1]) - 1
+        ahead, behind = (robots.forward(changed(arm, key, joint, s * h), q) for s in (1, -1))
+        assert_allclose(column, difference(ahead, behind) / (2 * h), atol=1e-8)
+
+
+def changed(arm: robots.DhArm, key: str, joint: int, step: float) -> robots.DhArm:
+    entry = getattr(arm, key).copy()
+    entry[joint] += step
+    return replace(arm, **{key: entry})
+
+
+def test_degrees_of_freedom_by_welch_and_satterthwaite_and_student_below_fifty() -> None:
+    """A rig known from few boards rules a mean; GUM G.4.1 by hand."""
+    this = made(rig_degrees=4.0)
+    lines = this.found.lines
+    for j in (1, 4):
+        mine = lines[lines["joint"] == j].set_index("source")["standard_uncertainty_deg"]
+        rig = mine["rig"] ** 2 + mine["robot base"] ** 2  # one calibration found both
+        own = mine["pixels"] ** 2 + mine["readings' noise"] ** 2
+        total = float((mine**2).sum())
+        degrees = total**2 / (rig**2 / 4 + own**2 / (6 * len(PAIRS) - 6))
+        assert_allclose(this.found.degrees[j - 1], degrees, rtol=1e-6)
+        expected = 2.0 if degrees > 50 else student.ppf(0.97725, degrees)
+        assert_allclose(this.found.coverage_factor[j - 1], expected)
+    assert this.found.coverage_factor.max() > 2.1
+    assert np.all(made(rig_degrees=np.inf).found.coverage_factor == 2.0)
+
+
+def test_what_averages_out_falls_with_the_pairs_and_the_rest_does_not() -> None:
+    this = made()
+    half = slice(0, len(PAIRS) // 2)
+    random = np.einsum(
+        "njk,nkl,njl->j",
+        this.joints.inverse[half], this.plain.covariance[half], this.joints.inverse[half],
+    ) / (len(PAIRS) // 2) ** 2  # fmt: skip
+    assert np.all(np.sqrt(random) > 1.2 * this.found.random)
+    assert_allclose(
+        this.found.random**2 + this.found.systematic**2, np.diag(this.means.covariance), rtol=1e-9
+    )
+
+
+@pytest.mark.shared
+def test_sensitivities_to_the_table_are_those_of_metrology_md() -> None:
+    """metrology.md section 4: on q3, 1 mm in a2 gives 0.76° and in d1 0.60°."""
+    results = analyse(open_session(shared("sessions", "multi_joint_fault_6r")))
+    table = results.tables["budget_parameters"]
+    third = table[table["joint"] == 3].set_index("parameter")["sensitivity_deg"].abs()
+    assert third["a2_mm"] == pytest.approx(0.76, abs=0.01)
+    assert third["d1_mm"] == pytest.approx(0.60, abs=0.01)
+    assert results.summary["budget"]["monte_carlo"]["fails"] == []
+    lines = results.tables["budget"].pivot_table(
+        index="source", columns="joint", values="standard_uncertainty_deg"
+    )
+    stated = [joint["standard_uncertainty_deg"] for joint in results.summary["joints"]]
+    np.testing.assert_allclose(np.sqrt((lines**2).sum()), stated, rtol=1e-9)
+
+
+@pytest.mark.shared
+def test_the_quarter_circle_is_a_sweep_of_joint_1_and_shows_it_sound() -> None:
+    results = analyse(open_session(shared("sessions", "quarter_circle_6r")))
+    (sweep,) = results.summary["sweeps"]
+    assert sweep["joint"] == 1
+    assert sweep["span_deg"] > 90
+    assert not sweep["both_directions"]
+    assert sweep["hysteresis_deg"] is None
+    assert abs(sweep["gain"]) < 3.5 * sweep["gain_standard_uncertainty"]
+    assert not sweep["eccentricity_beyond_chance"]
+    assert min(sweep["nonlinearity_p_value"], sweep["wobble_p_value"]) > 1e-3
+
+
+@pytest.mark.parametrize("name", ["multi_joint_rv_3sd", "multi_joint_fault_6r"])
+def test_the_budgets_lines_add_up_to_the_stated_uncertainty(name: str) -> None:
+    results = analyse(open_session(SAMPLES / name))
+    lines = results.tables["budget"].pivot_table(
+        index="source", columns="joint", values="standard_uncertainty_deg"
+    )
+    stated = [joint["standard_uncertainty_deg"] for joint in results.summary["joints"]]
+    # sources of different lines are independent of each other in these files
+    assert_allclose(np.sqrt((lines**2).sum()), stated, rtol=1e-9)

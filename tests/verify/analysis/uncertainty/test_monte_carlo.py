@@ -1,0 +1,177 @@
+"""Linear propagation against drawing the whole chain anew: where it holds, where it does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from tests.support.spotted import Spotted, spotted
+from verify.analysis.uncertainty.draws import (
+    ViewDraws,
+    camera_draws,
+    led_draws,
+    refit_pose,
+    used_spots,
+)
+from verify.analysis.uncertainty.monte_carlo import MAX_RATIO_ERROR, monte_carlo
+from verify.core.records import Array
+
+HOMES = {
+    "iust_6r": np.deg2rad([35.0, -60.0, 45.0, 5.0, -80.0, 30.0]),
+    "rv_3sd_melfa": np.deg2rad([10.0, 15.0, 95.0, 10.0, 50.0, 20.0]),
+}
+SPREAD = np.deg2rad([10.0, 7.0, 8.0, 10.0, 10.0, 20.0])
+
+
+def visits(arm: str, seed: int, count: int = 8) -> Array:
+    q: Array = HOMES[arm] + SPREAD * np.random.default_rng(seed).uniform(-1, 1, (count, 6))
+    return q
+
+
+def at(arm: str, bent_deg: float) -> Array:
+    """Visits, the last with joint 5 bent by so little: axes 4 and 6 of that arm line up."""
+    q = visits(arm, 1)
+    q[-1] = HOMES[arm]
+    q[-1, 4] = np.deg2rad(bent_deg)
+    return q
+
+
+@pytest.fixture(scope="module")
+def both() -> dict[str, Spotted]:
+    return {arm: spotted(arm, visits(arm, 1), 2) for arm in HOMES}
+
+
+@pytest.mark.parametrize("arm", list(HOMES))
+def test_a_pose_fitted_in_no_drawn_world_is_the_chains_own(
+    arm: str, both: dict[str, Spotted]
+) -> None:
+    made = both[arm]
+    rig, marker = made.session.rig, made.session.marker
+    for seen in made.measurements:
+        assert seen.pose is not None
+        assert seen.left is not None
+        assert seen.right is not None
+        spots = used_spots(seen, rig, marker)
+        sides = [
+            camera_draws(camera, name, {}, np.array([s.pan]))
+            for camera, name, s in (
+                (rig.left, "left", seen.left),
+                (rig.right, "right", seen.right),
+            )
+        ]
+        views = ViewDraws(sides[0], sides[1], spots.left)
+        leds = led_draws(marker, {}, 1)[:, spots.led]
+        off = seen.pose.rig_T_flange.copy()
+        off[:3, 3] += 1e-3  # it finds its way back
+        found = refit_pose(off, leds, spots.seen[None], views, spots.weight)
+        assert_allclose(found[0], seen.pose.rig_T_flange, atol=1e-8)
+
+
+@pytest.mark.parametrize("arm", list(HOMES))
+def test_where_it_is_said_to_hold_it_agrees_within_5_percent_as_the_draws_fall(
+    arm: str, both: dict[str, Spotted]
+) -> None:
+    """Not by the ratio that the check uses, but by the plain scatter of 4,000 other draws."""
+    said = both[arm].check()
+    many = both[arm].check(draws=4000, seed=9)
+    holds = said.holds & ~said.coupled
+    assert holds.mean() > 0.9
+    away = np.abs(many.scatter / many.linear - 1)[holds]
+    assert away.max() < MAX_RATIO_ERROR + 3 / np.sqrt(2 * 4000)
+
+
+@pytest.mark.parametrize("arm", list(HOMES))
+def test_the_scatter_is_that_of_poses_drawn_and_fitted_by_the_chain_itself(
+    arm: str, both: dict[str, Spotted]
+) -> None:
+    """Spots alone: drawn here, fitted by fit_pose one after the other."""
+    import robots
+    from verify.measurement.pose import fit_pose
+
+    made = both[arm]
+    exact = replace(
+        made,
+        systematics=replace(
+            made.systematics,
+            names=(),
+            sources=(),
+            covariance=np.zeros((0, 0)),
+            pan=np.full(2, np.nan),
+        ),
+        track=replace(made.track, systematic=np.zeros((len(made.track), 6, 2))),
+        comparison=replace(
+            made.comparison,
+            systematic=np.zeros((len(made.comparison), 6, 2)),
+            rate_variance=np.zeros(6),
+        ),
+        clock=replace(made.clock, standard_uncertainty=None),
+    )
+    found = exact.check(pairs=1, draws=3000)
+    place = int(np.flatnonzero(found.pairs == 0)[0])
+    seen, rng = made.measurements[0], np.random.default_rng(4)
+    assert seen.pose is not None
+    assert seen.left is not None
+    assert seen.right is not None
+    q = []
+    for _ in range(600):
+        sides = [
+            replace(s, centre=s.centre + rng.normal(0, 0.03, s.centre.shape))
+            for s in (seen.left, seen.right)
+        ]
+        rig = made.session.rig
+        pose = fit_pose(sides[0], sides[1], rig, made.session.marker, seen.pose.rig_T_flange)
+        flange = np.linalg.inv(rig.rig_T_base) @ pose.rig_T_flange
+        q.append(robots.nearest(made.session.arm, flange, made.comparison.q[0])[0])
+    # a standard deviation of 600 is known to 2.9 %
+    assert_allclose(found.scatter[place] / np.std(q, axis=0), 1, atol=4 * 0.032)
+
+
+def test_next_to_a_singularity_it_says_that_linear_propagation_fails_and_it_does() -> None:
+    # so near that the doubt of joint 5 reaches the singularity
+    made = spotted("iust_6r", at("iust_6r", -0.4), 3, larger=2.0)
+    found = made.check()
+    last = int(np.flatnonzero(found.pairs == 7)[0])
+    assert not found.holds[last, [3, 5]].any()
+    assert found.coupled[last, 5]
+    many = made.check(draws=4000, seed=11)
+    away = np.abs(many.scatter / many.linear - 1)[last]
+    assert away[5] > MAX_RATIO_ERROR
+    others = np.arange(len(found.pairs)) != last
+    assert found.holds[others].mean() > 0.9
+
+
+def test_an_arm_at_full_stretch_that_cannot_reach_what_is_drawn_is_named() -> None:
+    q = visits("rv_3sd_melfa", 1)
+    arm = spotted("rv_3sd_melfa", q, 2).session.arm
+    low, high = np.deg2rad([-60.0, 179.9])
+    elbow = np.linspace(low, high, 2000)
+    tried = np.tile(HOMES["rv_3sd_melfa"], (2000, 1))
+    tried[:, 2] = elbow
+    import robots
+
+    shoulder = robots.forward(arm, tried)[:, :3, 3]
+    stretched = int(np.argmax(np.linalg.norm(shoulder, axis=1)))
+    q[-1] = tried[stretched]
+    found = spotted("rv_3sd_melfa", q, 5).check()
+    last = int(np.flatnonzero(found.pairs == 7)[0]) if 7 in found.pairs else -1
+    assert last >= 0
+    assert not found.holds[last].all()
+
+
+def test_the_same_seed_gives_the_same_figures(both: dict[str, Spotted]) -> None:
+    one, two = both["iust_6r"].check(), both["iust_6r"].check()
+    assert_array_equal(one.ratio, two.ratio)
+    assert_array_equal(one.scatter, two.scatter)
+
+
+def test_without_a_wholly_known_pose_there_is_no_check(both: dict[str, Spotted]) -> None:
+    made = both["iust_6r"]
+    part = replace(
+        made.comparison, determined=tuple(np.eye(6)[:, :5] for _ in range(len(made.comparison)))
+    )
+    found = monte_carlo(
+        made.session, made.measurements, made.track, part, made.joints, made.systematics,
+        made.clock,
+    )  # fmt: skip
+    assert found is None

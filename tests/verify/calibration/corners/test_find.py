@@ -1,0 +1,227 @@
+"""Boards found in pictures, and their corners against cv2.projectPoints."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.support.boards.board_images import Look, camera, corners, picture, placed, random_pose
+from tests.support.recorded import require_shared
+from verify.calibration.corners.find import find_board, find_other_board, is_ambiguous
+from verify.core.fiducials import Board, BoardView
+from verify.core.records import Array, Image
+from verify.io import rig as io_rig
+
+PLAIN = Board(9, 7, 0.040)
+UNIQUE = Board(9, 6, 0.040)
+CHARUCO = Board(9, 6, 0.040, markers="DICT_5X5_100", marker=0.030)
+CAMERA = camera()
+
+
+def squared(view: BoardView, error: Array) -> Array:
+    """Squared errors in units of their covariance, (n,)."""
+    return np.einsum("ni,nij,nj->n", error, np.linalg.inv(view.covariance), error)
+
+
+def found(image: Image, board: Board) -> BoardView:
+    view = find_board(image, board)
+    assert view is not None
+    return view
+
+
+@pytest.mark.parametrize(
+    ("board", "look"),
+    [
+        (PLAIN, Look()),
+        (PLAIN, Look(white=60.0, black=3.0, blur=2.0)),
+        (PLAIN, Look(shading=(0.8, -0.5), gamma=1.8, white=150.0)),
+        (CHARUCO, Look()),
+    ],
+    ids=["usual", "dark and blurred", "shaded, with gamma", "charuco"],
+)
+def test_errors_scatter_as_their_covariance_says(board: Board, look: Look) -> None:
+    rng = np.random.default_rng(3)
+    errors, d2 = [], []
+    for _ in range(4):
+        camera_T_board = random_pose(board, rng)
+        view = found(picture(board, CAMERA, camera_T_board, rng, look), board)
+        assert len(view) == len(board)
+        error = view.centre - corners(board, CAMERA, camera_T_board)
+        errors.append(error)
+        d2.append(squared(view, error))
+    ratio = np.sqrt(np.mean(d2) / 2)
+    rms = np.sqrt(np.mean(np.square(errors)))
+    print(f"rms {rms:.5f} px, ratio {ratio:.3f}")
+    assert 0.9 < ratio < 1.1  # 432 errors or more: 3.4 % is one sigma
+    # 432 errors or more: their mean is within 4 sigma of nought
+    assert np.abs(np.mean(errors, axis=(0, 1))).max() < 4 * rms / np.sqrt(216)
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.35, 0.15, 0.001, 0.001, 0.0)])
+def test_without_noise_a_thousandth_of_a_pixel_is_left(distortion: tuple[float, ...]) -> None:
+    rng, view = np.random.default_rng(4), camera(distortion)
+    for _ in range(2):
+        camera_T_board = random_pose(PLAIN, rng)
+        seen = found(picture(PLAIN, view, camera_T_board, None), PLAIN)
+        error = seen.centre - corners(PLAIN, view, camera_T_board)
+        assert np.sqrt(np.mean(error**2)) < 0.001
+
+
+def test_it_beats_opencv_several_times() -> None:
+    rng = np.random.default_rng(6)
+    camera_T_board = random_pose(PLAIN, rng)
+    image, truth = (
+        picture(PLAIN, CAMERA, camera_T_board, rng),
+        corners(PLAIN, CAMERA, camera_T_board),
+    )
+    own = np.sqrt(np.mean((found(image, PLAIN).centre - truth) ** 2))
+    start, until = truth.astype(np.float32).reshape(-1, 1, 2), (3, 100, 1e-4)
+    refined = cv2.cornerSubPix(image, start.copy(), (11, 11), (-1, -1), until).reshape(-1, 2)
+    assert own < np.sqrt(np.mean((refined - truth) ** 2)) / 3
+
+
+def test_corners_of_neighbours_share_no_error() -> None:
+    rng = np.random.default_rng(7)
+    camera_T_board = placed((0.1, 0.2, 0.1), (0, 0, 1.0), PLAIN)
+    truth = corners(PLAIN, CAMERA, camera_T_board)
+    errors = np.array(
+        [found(picture(PLAIN, CAMERA, camera_T_board, rng), PLAIN).centre - truth for _ in range(4)]
+    ).reshape(-1, 7, 9, 2)
+    along = np.mean(errors[:, :, 1:] * errors[:, :, :-1]) / np.mean(errors**2)
+    assert abs(along) < 4 / np.sqrt(2 * 4 * 7 * 8)
+
+
+@pytest.mark.parametrize("turn", [0.0, 100.0, 175.0, -120.0])
+def test_colours_settle_the_order_at_any_turn(turn: float) -> None:
+    rng = np.random.default_rng(8)
+    camera_T_board = placed((0.0, 0.0, np.deg2rad(turn)), (0, 0, 1.0), UNIQUE)
+    assert not is_ambiguous(UNIQUE)
+    view = found(picture(UNIQUE, CAMERA, camera_T_board, rng), UNIQUE)
+    truth = corners(UNIQUE, CAMERA, camera_T_board)
+    assert np.abs(view.centre - truth[view.corner]).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("counts", "turn", "label"), [((9, 7), 60.0, 0), ((9, 7), 130.0, 62), ((8, 8), -30.0, 0)]
+)
+def test_a_pattern_that_looks_alike_starts_at_the_top_left(
+    counts: tuple[int, int], turn: float, label: int
+) -> None:
+    board, rng = Board(*counts, 0.035), np.random.default_rng(9)
+    assert is_ambiguous(board)
+    camera_T_board = placed((0.0, 0.0, np.deg2rad(turn)), (0, 0, 1.0), board)
+    view = found(picture(board, CAMERA, camera_T_board, rng), board)
+    truth = corners(board, CAMERA, camera_T_board)
+    assert np.linalg.norm(view.centre[0] - truth[label]) < 0.1
+
+
+def test_white_at_the_first_square_turns_an_unambiguous_board_round() -> None:
+    camera_T_board = placed((0.0, 0.0, 0.1), (0, 0, 1.0), UNIQUE)
+    look = Look(inverted=True)
+    view = found(picture(UNIQUE, CAMERA, camera_T_board, None, look), UNIQUE)
+    truth = corners(UNIQUE, CAMERA, camera_T_board)[::-1]
+    assert np.abs(view.centre - truth).max() < 0.01
+
+
+def test_a_charuco_board_may_be_partly_out_of_view() -> None:
+    rng = np.random.default_rng(10)
+    camera_T_board = placed((0.2, -0.2, 2.4), (0.5, 0.1, 0.9), CHARUCO)
+    view = found(picture(CHARUCO, CAMERA, camera_T_board, rng), CHARUCO)
+    assert 8 <= len(view) < len(CHARUCO)
+    assert np.all(np.diff(view.corner) > 0)
+    error = view.centre - corners(CHARUCO, CAMERA, camera_T_board)[view.corner]
+    assert np.sqrt(np.mean(squared(view, error)) / 2) < 1.5  # few corners
+
+
+def test_a_plain_board_partly_out_of_view_is_not_found() -> None:
+    camera_T_board = placed((0.0, 0.0, 0.0), (0.5, 0.0, 0.8), UNIQUE)
+    image = picture(UNIQUE, CAMERA, camera_T_board, None)
+    assert find_board(image, UNIQUE) is None
+
+
+def test_a_covered_corner_is_left_out_and_colour_does_not_matter() -> None:
+    rng = np.random.default_rng(11)
+    camera_T_board = placed((0.0, 0.2, 0.1), (0, 0, 1.0), PLAIN)
+    image, truth = (
+        picture(PLAIN, CAMERA, camera_T_board, rng),
+        corners(PLAIN, CAMERA, camera_T_board),
+    )
+    x, y = np.rint(truth[31]).astype(int)
+    image[y - 3 : y + 12, x - 4 : x + 12] = 120
+    view = found(np.repeat(image[..., None], 3, axis=2), PLAIN)
+    error = view.centre - truth[view.corner]
+    assert 31 not in view.corner or squared(view, error)[list(view.corner).index(31)] < 25
+    others = view.corner != 31
+    assert np.abs(error[others]).max() < 0.05
+    assert len(view) >= 62
+
+
+@pytest.mark.parametrize(
+    ("stated", "there"), [((10, 8), (9, 7)), ((8, 7), (9, 7)), ((9, 8), (9, 7))]
+)
+def test_other_counts_are_not_found_but_named(
+    stated: tuple[int, int], there: tuple[int, int]
+) -> None:
+    rng = np.random.default_rng(12)
+    image = picture(PLAIN, CAMERA, random_pose(PLAIN, rng), rng)
+    board = Board(*stated, 0.040)
+    assert find_board(image, board) is None
+    assert find_other_board(image, board) == there
+
+
+def test_where_no_board_is_none_is_found() -> None:
+    noise = np.random.default_rng(13).integers(0, 255, (240, 320), dtype=np.uint8)
+    for image in (noise, np.zeros_like(noise)):
+        assert find_board(image, PLAIN) is None
+        assert find_board(image, CHARUCO) is None
+        assert find_other_board(image, PLAIN) is None
+
+
+def shared_views(session: Path) -> list[tuple[Image, Array]]:
+    """Every other image of the recorded boards, with its true corners."""
+    rig, _ = io_rig.read(session / "rig.toml")
+    views = []
+    for row in np.loadtxt(session / "board_poses.csv", delimiter=",", skiprows=1)[::2]:
+        rig_T_board = np.eye(4)
+        rig_T_board[:3, :3], rig_T_board[:3, 3] = cv2.Rodrigues(row[1:4])[0], row[4:] / 1000
+        for side, view in (("left", rig.left), ("right", rig.right)):
+            image = cv2.imread(str(session / side / f"{int(row[0]):06d}.png"), cv2.IMREAD_GRAYSCALE)
+            assert image is not None
+            camera_T_board = np.linalg.inv(view.rig_T_camera(view.pan)) @ rig_T_board
+            views.append((np.asarray(image, dtype=np.uint8), corners(PLAIN, view, camera_T_board)))
+    return views
+
+
+@pytest.mark.shared
+@pytest.mark.slow
+def test_recorded_boards_are_measured_to_a_hundredth_of_a_pixel() -> None:
+    errors, d2 = [], []
+    for image, truth in shared_views(require_shared() / "calibration_boards"):
+        view = found(image, PLAIN)
+        assert len(view) == len(PLAIN)
+        errors.append(view.centre - truth)
+        d2.append(squared(view, errors[-1]))
+    rms, ratio = np.sqrt(np.mean(np.square(errors))), np.sqrt(np.mean(d2) / 2)
+    print(f"rms {rms:.5f} px a coordinate, ratio {ratio:.3f}")
+    assert rms < 0.0266 / 3  # a coordinate; 0.0266 px: cornerSubPix on the same images
+    assert 0.9 < ratio < 1.1
+
+
+@pytest.mark.shared
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pattern", "board", "count"),
+    [
+        ("stereo_checkerboard_opencv/*.jpg", Board(9, 6, 0.030), 26),
+        ("camera_1280x720_photonvision/lifecam_1280x720/*.png", Board(10, 10, 1.0), 14),
+        ("camera_1280x720_photonvision/gloworm_1280x720/*.jpg", Board(8, 6, 0.0254), 25),
+    ],
+)
+def test_every_real_board_is_found_whole(pattern: str, board: Board, count: int) -> None:
+    files = sorted((require_shared().parent / "data").glob(pattern))
+    assert len(files) == count
+    for file in files:
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        assert len(found(np.asarray(image, dtype=np.uint8), board)) == len(board), file.name

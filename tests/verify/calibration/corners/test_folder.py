@@ -1,0 +1,55 @@
+"""Pictures of another board than the stated one: which one they show is said in words."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.support.boards.board_images import camera, picture, placed
+from verify.calibration.corners.folder import find_boards
+from verify.core.fiducials import Board
+from verify.errors import InputError
+from verify.io.board_folder import open_board_folder
+
+PLAIN = Board(columns=7, rows=5, square=0.04)
+CHARUCO = replace(PLAIN, markers="DICT_5X5_100", marker=0.03)
+OTHER = replace(PLAIN, markers="DICT_4X4_50", marker=0.03)
+
+
+def refusal(folder: Path, shown: Board, stated: Board) -> InputError:
+    """What is said of one pair of pictures of a board when another is stated."""
+    for i, side in enumerate(("left", "right")):
+        (folder / side).mkdir()
+        rng = np.random.default_rng(i)
+        image = picture(shown, camera(), placed((0.2, 0.1, 0.0), (0.0, 0.0, 0.6), shown), rng)
+        cv2.imwrite(str(folder / side / "0.png"), image)
+    with pytest.raises(InputError) as caught:
+        find_boards(open_board_folder(folder, stated), lambda _done, _of: None)
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
+def test_a_charuco_board_is_stated_and_a_plain_one_is_shown(tmp_path: Path) -> None:
+    error = refusal(tmp_path, PLAIN, CHARUCO)
+    assert "no marker was found in the pictures" in error.found
+    assert "a plain board of 7 x 5 inner corners" in error.found
+    assert "ChArUco" in error.expected
+
+
+def test_a_plain_board_is_stated_and_one_with_markers_is_shown(tmp_path: Path) -> None:
+    error = refusal(tmp_path, CHARUCO, PLAIN)
+    assert "with markers, as in DICT_5X5_250" in error.found
+    assert "a plain one of 7 x 5 inner corners" in error.expected
+
+
+def test_markers_of_another_dictionary_are_named(tmp_path: Path) -> None:
+    error = refusal(tmp_path, OTHER, CHARUCO)
+    assert "markers as in DICT_4X4_250" in error.found
+    assert "DICT_5X5_100" in error.expected
+
+
+def test_a_plain_board_of_other_counts_is_named_from_one_pair_on(tmp_path: Path) -> None:
+    error = refusal(tmp_path, replace(PLAIN, columns=8), PLAIN)
+    assert "8 x 5 inner corners" in error.found

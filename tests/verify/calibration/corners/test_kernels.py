@@ -1,0 +1,125 @@
+"""The compiled corner: its picture against scipy's normal law, its derivatives by differences."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from verify.calibration.corners.kernels.fit import sum_products
+from verify.calibration.corners.kernels.model import (
+    COL_COLUMN,
+    COL_ROW,
+    COL_VALUE,
+    EDGE_SCALE,
+    N_EDGE_VALUES,
+    N_KNOWN_ROWS,
+    N_PARAMETERS,
+    N_ROWS,
+    ROW_RESIDUAL,
+    STEP_TABLE,
+    fill_edges,
+    keep_clear,
+    predict_pixels,
+    window_pixels,
+)
+from verify.core.records import Array
+
+JACOBIAN = np.array([[38.0, 6.0], [-9.0, 33.0]])  # px / square
+BEND = np.array([[0.8, -0.5], [0.3, 1.1]])  # px / square²
+CENTRE = np.array([61.3, 47.8])
+NO_MARKERS = (0.0, 0.0)
+MADE = np.array(
+    [0.31, -0.22, 0.02, -0.03, np.log(1.1), np.log(0.8), 0.07, 112.0, 3.0, -4.0, 71.0, 5.0, 2.0]
+)
+
+
+def setting() -> tuple[Array, Array, Array]:
+    """Pixels, edges, and parameters with the edges' directions."""
+    grey = np.random.default_rng(1).normal(120, 50, (100, 130))
+    pixels, edges = window_pixels(grey, CENTRE, JACOBIAN, NO_MARKERS), np.empty(N_EDGE_VALUES)
+    fill_edges(JACOBIAN, BEND, edges)
+    parameters = MADE.copy()
+    parameters[2:4] += edges[:2]
+    return pixels, edges, parameters
+
+
+def rows_at(pixels: Array, edges: Array, parameters: Array) -> Array:
+    rows = np.empty((N_ROWS, pixels.shape[1]))
+    predict_pixels(
+        pixels, edges, parameters, STEP_TABLE, np.empty((N_KNOWN_ROWS, pixels.shape[1])), rows
+    )
+    return rows
+
+
+def picture(pixels: Array, edges: Array, parameters: Array) -> Array:
+    """The formula at the head of corner_kernel_model.py, by scipy."""
+    x, y = pixels[COL_COLUMN], pixels[COL_ROW]
+    above, below = [], []
+    for turn, log_blur, bend in zip(parameters[2:4], parameters[4:6], edges[2:4], strict=True):
+        normal = np.array([np.cos(turn), np.sin(turn)])
+        off = np.stack([x - parameters[0], y - parameters[1]], axis=1)
+        along = off @ [-normal[1], normal[0]]
+        distance = off @ normal - bend * along**2 / 2
+        above.append(ndtr((distance - parameters[6]) / np.exp(log_blur)))
+        below.append(ndtr((-distance - parameters[6]) / np.exp(log_blur)))
+    cross = 1 - 2 * above[0] * below[1] - 2 * below[0] * above[1]
+    linear = np.stack([np.ones(len(x)), x / edges[EDGE_SCALE], y / edges[EDGE_SCALE]])
+    shown: Array = parameters[7:10] @ linear + (parameters[10:] @ linear) * cross
+    return shown
+
+
+def test_a_corner_s_picture_is_scipy_s() -> None:
+    pixels, edges, parameters = setting()
+    assert pixels.shape[1] > 800
+    expected = picture(pixels, edges, parameters)
+    residual = rows_at(pixels, edges, parameters)[ROW_RESIDUAL]
+    np.testing.assert_allclose(pixels[COL_VALUE] - residual, expected, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("parameter", range(N_PARAMETERS))
+def test_its_derivatives_are_differences_of_the_picture(parameter: int) -> None:
+    pixels, edges, parameters = setting()
+    step = 1e-5 * np.eye(N_PARAMETERS)[parameter]
+    ends = [picture(pixels, edges, parameters + sign * step) for sign in (1, -1)]
+    expected = (ends[0] - ends[1]) / 2e-5
+    found = rows_at(pixels, edges, parameters)[parameter]
+    # DN a unit: rounding of 1e-13 DN over the step, and its square times the third derivative
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * max(1, np.abs(expected).max()))
+
+
+def test_sums_of_products_are_numpy_s() -> None:
+    rows = np.random.default_rng(2).normal(size=(N_ROWS, 301))
+    products = np.empty((N_ROWS, N_ROWS))
+    sum_products(rows, products)
+    np.testing.assert_allclose(products, rows @ rows.T, rtol=0, atol=1e-12)
+
+
+def test_a_window_holds_the_pixels_within_half_a_square_and_near_an_edge() -> None:
+    grey = np.arange(100.0 * 130).reshape(100, 130)
+    pixels = window_pixels(grey, CENTRE, JACOBIAN, NO_MARKERS)
+    y, x = np.mgrid[:100, :130]
+    off = np.stack([x.ravel(), y.ravel()], axis=1) - CENTRE
+    u, v = np.linalg.solve(JACOBIAN, off.T)
+    across_u, across_v = np.linalg.norm(np.linalg.inv(JACOBIAN), axis=1)  # squares a px
+    edge = np.minimum(np.abs(u) / across_u, np.abs(v) / across_v)
+    inside = (np.abs(u) <= 0.5) & (np.abs(v) <= 0.5) & (edge <= 10)
+    np.testing.assert_array_equal(pixels[COL_VALUE], grey.ravel()[inside])
+    np.testing.assert_allclose(pixels[COL_COLUMN : COL_ROW + 1], off[inside].T, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("place", [(-500.0, 20.0), (np.nan, 20.0), (np.inf, -np.inf), (1e30, 0.0)])
+def test_a_corner_that_is_nowhere_in_the_picture_has_no_pixels(place: tuple[float, float]) -> None:
+    assert window_pixels(np.zeros((100, 130)), np.array(place), JACOBIAN, NO_MARKERS).shape == (
+        4,
+        0,
+    )
+
+
+def test_what_is_within_two_pixels_of_a_stray_one_is_not_the_corner_s() -> None:
+    pixels, _, _ = setting()
+    stray = np.zeros(pixels.shape[1], dtype=bool)
+    stray[[5, 400]] = True
+    own = np.empty_like(stray)
+    count = keep_clear(pixels, stray, own)
+    off = np.abs(pixels[:2, :, None] - pixels[:2, None, stray]).max(axis=0).min(axis=1)
+    np.testing.assert_array_equal(own, off > 2.5)
+    assert count == np.count_nonzero(own)

@@ -1,0 +1,90 @@
+"""Readings of another robot, or in another order: refused with the candidates, not as a mirror."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robots
+from robots.transforms import rotation_exp
+from verify.calibration.registration.refusals import refuse_other_robot
+from verify.calibration.registration.start import RegistrationStart, start_registration
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.errors import InputError
+
+FOLDER = Path("monday")
+T = np.linspace(0.0, 12.0, 40)
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+
+
+def motion(arm: robots.Arm) -> Array:
+    """All joints to and fro about a bent posture, each at its own rate, (40, 6)."""
+    middle = np.deg2rad([20.0, -50.0, 60.0, 10.0, -70.0, 15.0])
+    swing = np.deg2rad(18.0) * np.sin(np.outer(T, np.linspace(0.5, 1.4, 6)) + np.arange(6))
+    return np.clip(middle + swing, arm.lower, arm.upper)
+
+
+def placed(turn: tuple[float, float, float], place: tuple[float, float, float]) -> Array:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_exp(np.array(turn)), place
+    return pose
+
+
+def started(
+    moved: robots.Arm, named: robots.Arm, q: Array, read: Array, mirror: Array
+) -> RegistrationStart:
+    """Start values for `read` as readings of one arm while q of another was seen."""
+    rig_T_base, flange_T_body = placed((0.7, 1.1, -0.4), (0.1, 0.6, 1.2)), np.eye(4)
+    flange_T_body[:3, 3] = [0.03, -0.02, 0.05]
+    seen = mirror @ rig_T_base @ robots.forward(moved, q) @ flange_T_body @ mirror
+    return start_registration(T, seen, named, Readings(T, read), 0.0)
+
+
+def refusal(start: RegistrationStart, robot: str) -> InputError:
+    with pytest.raises(InputError) as caught:
+        refuse_other_robot(start, FOLDER, robot)
+    assert "\n" not in str(caught.value)
+    assert f'"{robot}" is the robot that moved' in caught.value.remedy
+    assert "order" in caught.value.remedy
+    return caught.value
+
+
+@pytest.mark.parametrize("moved", ["iust_6r", "rv_3sd_melfa"])
+def test_its_own_readings_are_taken_up_to_some_degrees_of_joint_error(moved: str) -> None:
+    arm = robots.load(moved)
+    q = motion(arm)
+    error = np.deg2rad([1.0, -1.5, 2.0, -1.0, 1.5, 2.0])
+    refuse_other_robot(started(arm, arm, q, q + error, np.eye(4)), FOLDER, moved)
+
+
+@pytest.mark.parametrize(
+    ("moved", "named"), [("rv_3sd_melfa", "iust_6r"), ("iust_6r", "rv_3sd_melfa")]
+)
+def test_another_robot_s_name_is_the_first_suspect(moved: str, named: str) -> None:
+    arm = robots.load(moved)
+    q = motion(arm)
+    error = refusal(started(arm, robots.load(named), q, q, np.eye(4)), named)
+    assert "turns otherwise than its LEDs" in error.found
+
+
+@pytest.mark.parametrize("order", [[5, 4, 3, 2, 1, 0], [1, 0, 2, 3, 4, 5], [0, 1, 2, 3, 5, 4]])
+def test_columns_in_another_order_are_suspected(order: list[int]) -> None:
+    arm = robots.load("rv_3sd_melfa")
+    q = motion(arm)
+    refusal(started(arm, arm, q, q[:, order], np.eye(4)), "rv_3sd_melfa")
+
+
+def test_radians_read_as_degrees_are_suspected() -> None:
+    arm = robots.load("iust_6r")
+    q = motion(arm)
+    error = refusal(started(arm, arm, q, np.deg2rad(q), np.eye(4)), "iust_6r")
+    assert "degrees" in error.remedy
+
+
+def test_leds_seen_in_a_mirror_are_still_said_to_be() -> None:
+    arm = robots.load("iust_6r")
+    q = motion(arm)
+    error = refusal(started(arm, arm, q, q, MIRROR), "iust_6r")
+    assert "mirror image" in error.found
+    assert "shiny surface" in error.remedy

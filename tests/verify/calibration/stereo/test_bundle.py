@@ -1,0 +1,382 @@
+"""Rigs found again from corners that OpenCV projected, and from real and rendered pictures."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from tests.bench.calibration import deviation, mean_d2, study
+from tests.support.boards.calibrated import (
+    departure,
+    departure_covariance,
+    left_T_right,
+    linear_theory,
+    moved,
+    squared_distance,
+)
+from tests.support.boards.made_views import (
+    BOARD,
+    SIGMA,
+    SIZE,
+    fixed_rig,
+    found_pairs,
+    make_pairs,
+    poses,
+    turning_rig,
+)
+from tests.support.recorded import require_shared
+from tests.support.scene import project
+from verify.calibration.stereo import bundle, projection
+from verify.calibration.stereo.calibrate import calibrate, stack_corners
+from verify.calibration.stereo.parameters import PARAMETER_NAMES, BundleState
+from verify.calibration.stereo.records import Calibration, covariance_in_si
+from verify.core.fiducials import Board, BoardPair, BoardView
+from verify.core.records import Array
+from verify.core.rig import Rig
+from verify.io import rig as io_rig
+
+STEREO, STEREO_SIZE = Board(9, 6, 0.03), (640, 480)
+TOE_IN_DEG = np.array([6.0, -6.0])
+EXACT = 1e-5  # px, stated of corners that have no noise
+
+
+def readings(rng: np.random.Generator, count: int, spread_deg: float = 12.0) -> Array:
+    return np.deg2rad(rng.uniform(-spread_deg, spread_deg, (count, 2)) + TOE_IN_DEG)
+
+
+def named(found: Calibration) -> dict[str, float]:
+    """Standard uncertainties in SI units and pixels."""
+    covariance = found.rig.covariance
+    assert covariance is not None
+    return dict(
+        zip(covariance.parameters, np.sqrt(np.diag(covariance_in_si(covariance))), strict=True)
+    )
+
+
+def pixels(rig: Rig, boards: Array, pan: Array) -> Array:
+    parts = [
+        project(camera, pan[i, side], BOARD.points @ pose[:3, :3].T + pose[:3, 3])
+        for i, pose in enumerate(boards)
+        for side, camera in enumerate((rig.left, rig.right))
+    ]
+    return np.concatenate(parts)
+
+
+def test_every_derivative_is_what_opencv_shows_with_the_parameter_moved() -> None:
+    rng = np.random.default_rng(1)
+    rig, boards, pan = turning_rig(), poses(rng, 3, (1.2, 1.4)), readings(rng, 3, 3.0)
+    boards[:, 0, 3] *= 0.3  # every corner in both pictures, so that the rows agree
+    pairs = make_pairs(rig, boards, None, pan)
+    corners = stack_corners(pairs, BOARD)
+    assert len(corners) == 6 * len(BOARD)
+    by_rig, _ = bundle.derivatives(
+        BundleState(rig.left, rig.right, boards, np.zeros((3, 2))), corners
+    )
+    for i, name in enumerate(PARAMETER_NAMES):
+        step = 1e-6
+        ends = [pixels(moved(rig, name, s * step), boards, pan) for s in (1, -1)]
+        expected = (ends[0] - ends[1]) / (2 * step)
+        # rounding of 1e-12 px over the step; an axis' turn about itself moves nothing else
+        assert np.abs(by_rig[:, :, i] - expected).max() < 1e-6 * np.abs(expected).max() + 1e-3, name
+
+
+def test_a_step_that_the_boards_follow_is_the_straight_one_to_first_order() -> None:
+    rng = np.random.default_rng(15)
+    rig, boards, pan = turning_rig(), poses(rng, 6), readings(rng, 6)
+    corners = stack_corners(make_pairs(rig, boards, None, pan), BOARD)
+    state = BundleState(rig.left, rig.right, boards, np.zeros((6, 2)))
+    by_rig, by_board = bundle.derivatives(state, corners)
+    change, own = rng.normal(0, 1e-3, 44), rng.normal(0, 1e-3, (6, 8))
+    straight = by_rig @ change + np.einsum("nij,nj->ni", by_board, own[corners.board])
+    start = bundle.predict(state, corners)
+    off = []
+    for share in (1e-2, 1e-3):
+        there = bundle.predict(
+            projection.step_state(state, corners, share * change, share * own), corners
+        )
+        off.append(np.abs(there - start - share * straight).max())
+    assert off[1] < 0.02 * off[0]  # a tenth of the step, a hundredth of what is left
+
+
+@pytest.mark.parametrize("kind", ["fixed", "turning"])
+def test_a_rig_is_found_again_exactly_where_corners_have_no_noise(kind: str) -> None:
+    rng = np.random.default_rng(2)
+    turning = kind == "turning"
+    rig = turning_rig() if turning else fixed_rig()
+    pan = readings(rng, 14) if turning else None
+    pairs = make_pairs(rig, poses(rng, 14), None, pan, stated=EXACT)
+    found = calibrate(pairs, BOARD, SIZE)
+    assert found.turning == turning
+    for name in named(found):
+        assert abs(deviation(name, found.rig, rig)) < 1e-5, name
+    assert found.square_found[0] == pytest.approx(BOARD.square, abs=1e-8)
+
+
+def test_a_base_that_never_turned_has_its_gauge_said() -> None:
+    rng = np.random.default_rng(3)
+    found = calibrate(make_pairs(fixed_rig(), poses(rng, 10), rng), BOARD, SIZE)
+    for side, camera in (("left", found.rig.left), ("right", found.rig.right)):
+        assert {f"{side}.pan_zero_deg", f"{side}.mount_z_mm", f"{side}.pan_axis_rx_deg"} <= set(
+            found.fixed
+        )
+        assert any(d.startswith(f"{side} base: not turned") for d in found.decisions)
+        np.testing.assert_allclose(camera.pan_axis, [0, 1, 0])
+        np.testing.assert_allclose(camera.mount[:3, 3], 0, atol=1e-15)
+    centres = np.array([found.rig.left.pan_center, found.rig.right.pan_center])
+    np.testing.assert_allclose(centres[0], -centres[1], atol=1e-15)
+    np.testing.assert_allclose(centres[:, 1:], 0, atol=1e-15)
+    u = named(found)
+    assert u["left.pan_center_x_mm"] == pytest.approx(u["right.pan_center_x_mm"])
+    assert "left.pan_zero_deg" not in u
+
+
+def test_one_base_that_turned_has_its_axis_found_and_the_other_is_fixed() -> None:
+    rng = np.random.default_rng(4)
+    rig = turning_rig()
+    pan = readings(rng, 16)
+    pan[:, 1] = rig.right.pan
+    found = calibrate(make_pairs(rig, poses(rng, 16), rng, pan), BOARD, SIZE)
+    u = named(found)
+    assert "left.pan_axis_rx_deg" in u
+    assert "right.pan_axis_rx_deg" in found.fixed
+    # free of the gauge: the axis as the right camera sees it, and how far it passes the left one
+    shown = [
+        r.right.rig_T_camera(rig.right.pan)[:3, :3].T @ r.left.pan_axis for r in (found.rig, rig)
+    ]
+    assert np.degrees(np.linalg.norm(np.cross(*shown))) < 0.03
+    offsets = [np.linalg.norm(r.left.mount[:3, 3]) for r in (found.rig, rig)]
+    assert offsets[0] == pytest.approx(
+        offsets[1], abs=4 * max(u["left.mount_x_mm"], u["left.mount_z_mm"])
+    )
+
+
+def test_readings_that_grow_the_other_way_turn_the_axis_round() -> None:
+    rng = np.random.default_rng(5)
+    rig = turning_rig()
+    pan = readings(rng, 14)
+    pairs = [replace(p, pan_left=-p.pan_left) for p in make_pairs(rig, poses(rng, 14), rng, pan)]
+    found = calibrate(pairs, BOARD, SIZE)
+    assert found.rig.left.pan_axis @ rig.left.pan_axis < -0.999
+    assert found.rig.right.pan_axis @ rig.right.pan_axis > 0.999
+    assert found.noise == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_turn_too_small_to_show_an_axis_is_held_and_said() -> None:
+    rng = np.random.default_rng(6)
+    pan = np.deg2rad(rng.uniform(-0.03, 0.03, (12, 2)) + TOE_IN_DEG)
+    found = calibrate(make_pairs(turning_rig(), poses(rng, 12), rng, pan), BOARD, SIZE)
+    assert "left.pan_axis_rx_deg" in found.fixed
+    assert any("turned too little to show its axis" in d for d in found.decisions)
+
+
+def test_readings_that_scatter_are_fitted_and_their_deviation_stated() -> None:
+    rng = np.random.default_rng(7)
+    rig, pan = turning_rig(), readings(rng, 30)
+    error = np.deg2rad(rng.normal(0, 0.05, (30, 2)))
+    found = calibrate(make_pairs(rig, poses(rng, 30), rng, pan, error), BOARD, SIZE)
+    stated = found.rig.left.pan_standard_uncertainty
+    assert stated is not None
+    assert np.rad2deg(stated) == pytest.approx(0.05, rel=0.4)  # sixty readings: ± 10 % at best
+    assert found.noise == pytest.approx(1.0, abs=0.05)
+    assert found.residuals.used.all()
+
+
+def test_readings_without_scatter_are_exact_and_what_could_hide_is_stated() -> None:
+    rng = np.random.default_rng(8)
+    found = calibrate(
+        make_pairs(turning_rig(), poses(rng, 20), rng, readings(rng, 20)), BOARD, SIZE
+    )
+    stated = found.rig.left.pan_standard_uncertainty
+    assert stated is not None
+    assert np.rad2deg(stated) < 0.003
+    assert any("no scatter is visible" in d for d in found.decisions)
+
+
+def test_bad_corners_are_refused_and_no_others() -> None:
+    rng = np.random.default_rng(9)
+    pairs = make_pairs(fixed_rig(), poses(rng, 12), rng)
+    spoilt = set()
+    for i in (1, 4, 8):
+        seen = pairs[i].left
+        assert seen is not None
+        centre = seen.centre.copy()
+        centre[5 * i] += [25.0, -8.0]
+        pairs[i] = replace(pairs[i], left=replace(seen, centre=centre))
+        spoilt.add((0, i, int(seen.corner[5 * i])))
+    found = calibrate(pairs, BOARD, SIZE)
+    rows = found.residuals
+    refused = np.flatnonzero(~rows.used)
+    named_rows = zip(rows.camera[refused], rows.frame[refused], rows.corner[refused], strict=True)
+    assert {tuple(int(v) for v in row) for row in named_rows} == spoilt
+    assert found.noise == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_view_that_one_camera_alone_has_counts_for_that_camera() -> None:
+    rng = np.random.default_rng(10)
+    pairs = make_pairs(fixed_rig(), poses(rng, 10), rng)
+    extra = [replace(p, frame=10 + i, right=None) for i, p in enumerate(
+        make_pairs(fixed_rig(), poses(rng, 10), rng))]  # fmt: skip
+    alone, joined = (named(calibrate(p, BOARD, SIZE)) for p in (pairs, pairs + extra))
+    assert joined["left.fx_px"] < 0.9 * alone["left.fx_px"]
+
+
+def test_noise_is_what_the_corners_show_not_what_they_state() -> None:
+    rng = np.random.default_rng(11)
+    boards = poses(rng, 10)
+    pairs = make_pairs(fixed_rig(), boards, rng, sigma=0.08, stated=0.02)
+    found = calibrate(pairs, BOARD, SIZE)
+    assert found.noise == pytest.approx(4.0, rel=0.05)
+    assert found.residuals.uncertainty == pytest.approx(0.08, rel=0.05)
+
+
+def test_k3_is_kept_where_the_pictures_show_it_and_held_where_they_do_not() -> None:
+    rng = np.random.default_rng(12)
+    rig = fixed_rig()
+    bent = replace(rig, left=replace(rig.left, distortion=np.array([-0.3, 0.1, 0, 0, -0.6])))
+    found = calibrate(make_pairs(bent, poses(rng, 14), rng), BOARD, SIZE)
+    assert "left.k3" not in found.fixed
+    assert "right.k3" in found.fixed
+    assert any("k3 held at 0" in d for d in found.decisions)
+    full = calibrate(make_pairs(bent, poses(rng, 14), rng), BOARD, SIZE, lens="full")
+    assert "right.k3" not in full.fixed
+
+
+def test_the_squares_uncertainty_enters_every_length_together() -> None:
+    rng = np.random.default_rng(13)
+    pairs = make_pairs(turning_rig(), poses(rng, 12), rng, readings(rng, 12))
+    exact = calibrate(pairs, BOARD, SIZE)
+    share = 0.002
+    loose = calibrate(pairs, replace(BOARD, square_standard_uncertainty=share * BOARD.square), SIZE)
+    u, v = named(exact), named(loose)
+    half = abs(exact.rig.left.pan_center[0])
+    added = np.sqrt(v["left.pan_center_x_mm"] ** 2 - u["left.pan_center_x_mm"] ** 2)
+    assert added == pytest.approx(share * half, rel=1e-6)
+    assert v["left.fx_px"] == pytest.approx(u["left.fx_px"], rel=1e-9)
+    grown = loose.board_covariance[0] - exact.board_covariance[0]
+    place = exact.rig_T_board[0, :3, 3]
+    # a board's place grows with the rest, its share beyond what the rig's own covariance brings
+    assert np.sqrt(grown[2, 2]) == pytest.approx(share * place[2], rel=1e-3)
+
+
+def test_a_boards_pose_lies_within_its_uncertainty() -> None:
+    rng = np.random.default_rng(14)
+    boards = poses(rng, 16)
+    rig = fixed_rig()
+    found = calibrate(make_pairs(rig, boards, rng), BOARD, SIZE)
+    distances = []
+    for pose, true, covariance in zip(
+        found.rig_T_board, boards, found.board_covariance, strict=True
+    ):
+        turn = cv2.Rodrigues(pose[:3, :3] @ true[:3, :3].T)[0].ravel()
+        error = np.concatenate([pose[:3, 3] - true[:3, 3], turn])
+        distances.append(squared_distance(error, covariance)[0])
+    # poses share the rig's error, so their mean scatters more than independent ones' would
+    assert 0.3 * 6 < np.mean(distances) < 2.5 * 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["fixed", "turning", "scattering"])
+def test_stated_uncertainties_cover_the_truth(kind: str) -> None:
+    errors, d2, rank = study(kind, 20, 20261121, jobs=1)
+    ratio, low, high = mean_d2(d2, rank)
+    assert low < ratio < high
+    pooled = np.concatenate(list(errors.values()))
+    assert 0.88 < np.mean(np.abs(pooled) < 1.96) < 0.99
+
+
+@pytest.fixture(scope="module")
+def stereo_pairs() -> list[BoardPair]:
+    folder = require_shared().parent / "data" / "stereo_checkerboard_opencv"
+    return found_pairs(sorted(folder.glob("left*.jpg")), sorted(folder.glob("right*.jpg")), STEREO)
+
+
+@pytest.mark.shared
+@pytest.mark.slow
+@pytest.mark.parametrize("lens", ["supported", "full"])
+def test_real_pairs_give_the_published_relation(
+    stereo_pairs: list[BoardPair], lens: Literal["supported", "full"]
+) -> None:
+    found = calibrate(stereo_pairs, STEREO, STEREO_SIZE, lens=lens)
+    right_T_left = np.linalg.inv(left_T_right(found.rig))
+    turn = cv2.Rodrigues(right_T_left[:3, :3])[0].ravel()
+    shift = 1e3 * right_T_left[:3, 3]
+    assert np.all(np.abs(turn - [0.00669, 0.00452, -0.00350]) < [0.0027, 0.00308, 0.00029])
+    assert np.all(np.abs(shift - [-99.80198, 1.12443, 0.05041]) < [0.142, 0.11352, 0.49773])
+    assert np.linalg.norm(shift) == pytest.approx(99.80, abs=0.15)
+    assert 1e3 * found.square_found[0] == pytest.approx(30.0, abs=0.05)
+    assert 1e3 * found.square_found[2] < 0.25
+
+
+@pytest.mark.shared
+@pytest.mark.slow
+def test_real_pairs_leave_no_larger_residuals_than_opencv_does(
+    stereo_pairs: list[BoardPair],
+) -> None:
+    alike = [
+        replace(p, left=weighted_alike(p.left), right=weighted_alike(p.right)) for p in stereo_pairs
+    ]
+    found = calibrate(alike, STEREO, STEREO_SIZE, lens="full")
+    assert found.residuals.used.all()
+    rms = np.sqrt(np.mean(np.sum(found.residuals.residual**2, axis=1)))
+    assert rms <= 1.01 * opencv_rms(stereo_pairs)
+
+
+def weighted_alike(view: BoardView | None) -> BoardView:
+    """OpenCV weighs all corners alike."""
+    assert view is not None
+    return replace(view, covariance=np.tile(SIGMA**2 * np.eye(2), (len(view), 1, 1)))
+
+
+def opencv_rms(pairs: list[BoardPair]) -> float:
+    assert all(len(v) == len(STEREO) for p in pairs for v in (p.left, p.right) if v)
+    points = [STEREO.points.astype(np.float32)] * len(pairs)
+    views = [[v.centre.astype(np.float32) for p in pairs if (v := (p.left, p.right)[side])]
+             for side in (0, 1)]  # fmt: skip
+    stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+    lenses = []
+    for seen in views:
+        found = cv2.calibrateCamera(points, seen, STEREO_SIZE, None, None, criteria=stop)
+        lenses += [found[1], found[2]]
+    rms: float = cv2.stereoCalibrate(
+        points, *views, *lenses, STEREO_SIZE, flags=cv2.CALIB_USE_INTRINSIC_GUESS, criteria=stop
+    )[0]
+    return rms
+
+
+@pytest.mark.shared
+@pytest.mark.slow
+def test_real_pairs_left_out_one_by_one_scatter_as_stated(stereo_pairs: list[BoardPair]) -> None:
+    pairs = stereo_pairs
+    whole = calibrate(pairs, STEREO, STEREO_SIZE, lens="full")
+    without = [
+        calibrate(pairs[:i] + pairs[i + 1 :], STEREO, STEREO_SIZE, lens="full")
+        for i in range(len(pairs))
+    ]
+    moves = np.array([departure(one.rig, whole.rig) for one in without])
+    count = len(pairs)
+    spread = np.sqrt((count - 1) / count * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
+    ratio = spread / np.sqrt(np.diag(departure_covariance(whole)))
+    # the jackknife of 13 pairs knows a deviation to 20 %, and 24 of them together to less
+    assert 0.75 < np.sqrt(np.mean(ratio**2)) < 1.33
+    assert ratio.max() < 2.0
+
+
+@pytest.mark.shared
+@pytest.mark.slow
+def test_rendered_pairs_hold_the_true_rig_within_stated_uncertainties() -> None:
+    folder = require_shared() / "calibration_boards"
+    truth, _ = io_rig.read(folder / "rig.toml")
+    pan = (truth.left.pan, truth.right.pan)
+    sides: list[list[Path]] = [sorted((folder / s).glob("*.png")) for s in ("left", "right")]
+    found = calibrate(found_pairs(*sides, BOARD, pan), BOARD, SIZE)
+    error, covariance = departure(found.rig, truth), departure_covariance(found)
+    d2, degrees = squared_distance(error, covariance)
+    low, high = chi2.ppf([0.005, 0.995], degrees)
+    assert low < d2 < high
+    sigma = float(np.sqrt(np.mean(found.residuals.uncertainty**2)))
+    theory = linear_theory(found.rig, found.rig_T_board, BOARD, sigma)
+    assert np.all(np.sqrt(np.diag(covariance)) < 2 * theory)

@@ -1,0 +1,214 @@
+"""Pictures that no rig can be found from are refused in one line that says what to do."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.support.boards.made_views import (
+    BOARD,
+    SIZE,
+    fixed_rig,
+    half_turned,
+    make_pairs,
+    poses,
+    turning_rig,
+)
+from verify.calibration.stereo.calibrate import calibrate
+from verify.core.fiducials import Board, BoardPair, BoardView
+from verify.core.records import Array
+from verify.errors import InputError
+
+
+def good_pairs(count: int = 10, seed: int = 21) -> list[BoardPair]:
+    rng = np.random.default_rng(seed)
+    return make_pairs(fixed_rig(), poses(rng, count), rng)
+
+
+def refusal(pairs: Sequence[BoardPair]) -> InputError:
+    with pytest.raises(InputError) as caught:
+        calibrate(pairs, BOARD, SIZE)
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
+def turned(view: BoardView | None) -> BoardView:
+    assert view is not None
+    return half_turned(view)
+
+
+def test_no_board_anywhere() -> None:
+    error = refusal([replace(p, left=None, right=None) for p in good_pairs(4)])
+    assert error.place == "pairs"
+    assert "no board in any of 4" in str(error)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_no_board_in_one_camera(side: str) -> None:
+    pairs = [
+        replace(p, left=None) if side == "left" else replace(p, right=None) for p in good_pairs(4)
+    ]
+    error = refusal(pairs)
+    assert error.place == side
+    assert "no board in any of 4 pictures" in str(error)
+
+
+def test_fewer_than_three_pairs_in_which_both_cameras_see_the_board() -> None:
+    pairs = good_pairs(6)
+    pairs[2:] = [replace(p, right=None) for p in pairs[2:]]
+    error = refusal(pairs)
+    assert error.place == "pairs"
+    assert "in both cameras 2 times" in str(error)
+
+
+def test_three_pairs_are_enough() -> None:
+    assert calibrate(good_pairs(3), BOARD, SIZE).noise == pytest.approx(1.0, abs=0.2)
+
+
+def parallel(tilt_deg: tuple[float, float], distances: Sequence[float]) -> Array:
+    """Boards of one tilt, moved about without turning."""
+    rng = np.random.default_rng(22)
+    boards = np.tile(np.eye(4), (12, 1, 1))
+    centre = np.array([(BOARD.columns - 1) / 2, (BOARD.rows - 1) / 2, 0.0]) * BOARD.square
+    for i, pose in enumerate(boards):
+        wobble = np.array(tilt_deg) + rng.normal(0, 0.2, 2)  # nobody holds a board still
+        pose[:3, :3] = Rotation.from_euler("yx", np.deg2rad(wobble)).as_matrix()
+        z = distances[i % len(distances)]
+        middle = np.array([*(rng.uniform(-0.2, 0.2, 2) * [1.0, 0.6]), 1.0]) * z
+        pose[:3, 3] = middle - pose[:3, :3] @ centre
+    return boards
+
+
+@pytest.mark.parametrize("toe_in_deg", [0.0, 7.5])
+@pytest.mark.parametrize("distances", [(1.0,), (0.8, 1.0, 1.2)])
+def test_boards_that_all_face_the_cameras_leave_the_focal_length_open(
+    toe_in_deg: float, distances: Sequence[float]
+) -> None:
+    rng = np.random.default_rng(23)
+    error = refusal(make_pairs(fixed_rig(toe_in_deg), parallel((0.0, 0.0), distances), rng))
+    assert error.place in ("left", "right")
+    assert "focal length" in error.found
+    assert "parallel" in error.found
+    assert "tilted" in error.remedy
+
+
+def test_parallel_boards_leave_a_lens_open_even_where_they_are_tilted() -> None:
+    rng = np.random.default_rng(24)
+    error = refusal(make_pairs(fixed_rig(0.0), parallel((25.0, 15.0), (0.8, 1.0, 1.2)), rng))
+    assert "all boards are parallel" in error.found
+
+
+def test_boards_at_one_distance_do_where_their_tilts_are_many() -> None:
+    rng = np.random.default_rng(25)
+    boards = poses(rng, 12, (1.0, 1.0001))
+    found = calibrate(make_pairs(fixed_rig(), boards, rng), BOARD, SIZE)
+    assert found.rig.left.matrix[0, 0] == pytest.approx(1014.4, abs=1.0)
+
+
+def test_left_and_right_swapped() -> None:
+    pairs = [
+        replace(p, left=p.right, right=p.left, pan_left=p.pan_right, pan_right=p.pan_left)
+        for p in good_pairs()
+    ]
+    error = refusal(pairs)
+    assert error.place == "left"
+    assert "cm to its left" in error.found
+    assert "Swap" in error.remedy
+
+
+@pytest.mark.parametrize("kind", ["fixed", "turning"])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_board_turned_by_180_degrees_in_one_camera_names_the_pairs(kind: str, side: str) -> None:
+    rng = np.random.default_rng(26)
+    pan = np.deg2rad(rng.uniform(-12, 12, (10, 2))) if kind == "turning" else None
+    rig = turning_rig() if kind == "turning" else fixed_rig()
+    pairs = make_pairs(rig, poses(rng, 10), rng, pan)
+    for i in (2, 7):
+        pairs[i] = (
+            replace(pairs[i], left=turned(pairs[i].left))
+            if side == "left"
+            else replace(pairs[i], right=turned(pairs[i].right))
+        )
+    error = refusal(pairs)
+    assert error.place == side
+    assert "turned by 180° in pairs 2, 7" in error.found
+
+
+def test_a_board_turned_in_one_camera_throughout_is_found_out_as_well() -> None:
+    error = refusal([replace(p, right=turned(p.right)) for p in good_pairs()])
+    assert error.place == "right"
+    assert "and 2 more" in error.found
+
+
+def test_a_board_turned_in_both_pictures_of_a_pair_is_one_board_more() -> None:
+    pairs = good_pairs()
+    pairs[1] = replace(pairs[1], left=turned(pairs[1].left), right=turned(pairs[1].right))
+    assert calibrate(pairs, BOARD, SIZE).noise == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_pair_of_two_instants_is_left_out_and_named() -> None:
+    pairs = good_pairs(12)
+    pairs[6] = replace(pairs[6], right=pairs[9].right)
+    found = calibrate(pairs, BOARD, SIZE)
+    assert 6 not in found.frames
+    assert any(d.startswith("pair 6 left out") for d in found.decisions)
+
+
+def test_pictures_out_of_step_do_not_agree_how_the_cameras_stand() -> None:
+    pairs = good_pairs(12)
+    mixed = [replace(p, right=pairs[(5 * i + 3) % 12].right) for i, p in enumerate(pairs)]
+    error = refusal(mixed)
+    assert error.place == "pairs"
+    assert "do not agree how the cameras stand" in error.found
+
+
+def test_a_view_that_shows_no_board_is_left_out_and_named() -> None:
+    pairs = good_pairs(10)
+    seen = pairs[3].left
+    assert seen is not None
+    scrambled = replace(seen, centre=np.roll(seen.centre, 1, axis=0))
+    pairs[3] = replace(pairs[3], left=scrambled)
+    found = calibrate(pairs, BOARD, SIZE)
+    assert any(d.startswith("left camera: pair 3 left out") for d in found.decisions)
+    assert found.noise == pytest.approx(1.0, abs=0.05)
+
+
+SQUARE = Board(columns=8, rows=8, square=0.03)
+
+
+def quarter_turned(view: BoardView | None) -> BoardView:
+    """Number the corners of the square board from the next one, by the pattern's symmetry."""
+    assert view is not None
+    y, x = np.divmod(view.corner, 8)
+    order = np.argsort(8 * x + 7 - y)
+    return BoardView((8 * x + 7 - y)[order], view.centre[order], view.covariance[order])
+
+
+def square_pairs(turned_ones: Sequence[int]) -> list[BoardPair]:
+    rng = np.random.default_rng(27)
+    pairs = make_pairs(fixed_rig(), poses(rng, 12), rng, board=SQUARE)
+    return [
+        replace(p, right=quarter_turned(p.right)) if p.frame in turned_ones else p for p in pairs
+    ]
+
+
+def test_a_square_board_turned_by_90_degrees_in_one_camera_is_left_out_and_named() -> None:
+    assert SQUARE.four_fold
+    found = calibrate(square_pairs([2, 7]), SQUARE, SIZE)
+    assert not {2, 7} & set(found.frames.tolist())
+    said = next(d for d in found.decisions if "quarter turn" in d)
+    assert said.startswith("pairs 2, 7 left out")
+    assert found.noise == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_square_board_that_nobody_turned_is_not_spoken_of() -> None:
+    found = calibrate(square_pairs([]), SQUARE, SIZE)
+    assert len(found.frames) == 12
+    assert not any("quarter turn" in d for d in found.decisions)
+
+
+def test_a_square_board_turned_in_one_camera_throughout_is_refused_with_the_reason() -> None:
+    with pytest.raises(InputError, match="does not tell a quarter turn"):
+        calibrate(square_pairs(range(12)), SQUARE, SIZE)

@@ -1,0 +1,59 @@
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from tests.verify.simulation.test_library import MINIMAL
+from verify.cli.simulate import simulate
+from verify.errors import InputError
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> str:
+    path = tmp_path / "mine.toml"
+    path.write_text(MINIMAL)
+    return str(path)
+
+
+def test_the_command_writes_a_session(scenario: str, tmp_path: Path) -> None:
+    app = typer.Typer()
+    app.command()(simulate)
+    result = CliRunner().invoke(app, [scenario, "-o", str(tmp_path / "out"), "--seed", "3"])
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out" / "left.mkv").exists()
+    assert "seed 3" in (tmp_path / "out" / "README.md").read_text()
+
+
+def test_a_folder_that_is_not_empty_is_refused_without_force(scenario: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "precious.txt").write_text("mine")
+    with pytest.raises(InputError, match="not empty"):
+        simulate(scenario, out)
+    assert [p.name for p in out.iterdir()] == ["precious.txt"]
+    simulate(scenario, out, force=True)
+    assert (out / "precious.txt").read_text() == "mine"
+    assert (out / "session.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "instead", "words"),
+    [
+        ('robot = "iust_6r"', 'robot = "iust6r"', "robot.*iust_6r"),
+        ("home_deg = [30.0,", "home_deg = [300.0,", "mine.toml, motion.*joint 1"),
+    ],
+)
+def test_a_scenario_that_cannot_be_played_leaves_nothing_behind(
+    tmp_path: Path, line: str, instead: str, words: str
+) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(MINIMAL.replace(line, instead))
+    with pytest.raises(InputError, match=words):
+        simulate(str(path), tmp_path / "out")
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.toml"]
+
+
+def test_an_unknown_scenario_lists_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"did you mean.*multi_joint_fault_6r"):
+        simulate("multi_joint_fault", tmp_path / "out")

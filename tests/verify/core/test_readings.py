@@ -1,0 +1,130 @@
+import numpy as np
+from numpy.testing import assert_allclose
+from scipy.interpolate import BarycentricInterpolator, CubicHermiteSpline
+
+from verify.core.readings import Readings
+
+
+def wave(t, amplitude=0.3, period=2.0):
+    return amplitude * np.sin(2 * np.pi * t / period)
+
+
+def test_a_smooth_motion_read_at_10_hz_is_interpolated_ten_times_better_than_by_a_line() -> None:
+    t = np.arange(0, 6, 0.1)
+    readings = Readings(t, wave(t)[:, None])
+    between = np.arange(0.5, 5.5, 0.013)
+    truth = wave(between)
+    line = np.max(np.abs(np.interp(between, t, wave(t)) - truth))
+    assert np.max(np.abs(readings.at(between)[:, 0] - truth)) < line / 10
+
+
+def test_the_newest_interval_of_slow_readings_is_known_nearly_as_well_as_an_older_one() -> None:
+    """Live there is no other: 20° at 0.6 Hz, read at 9 Hz, with and without a reading left out."""
+    worst, ratios = 0.0, []
+    for left_out in (False, True):
+        for phase in np.linspace(0, 2 * np.pi, 50):
+            t = np.arange(10) * 0.11
+            t = np.delete(t, 8) if left_out else t
+            q = np.deg2rad(20) * np.sin(2 * np.pi * 0.6 * t + phase)
+            between = np.linspace(t[-2], t[-1], 12)[1:-1]
+            truth = np.deg2rad(20) * np.sin(2 * np.pi * 0.6 * between + phase)
+            readings = Readings(t, q[:, None])
+            off = np.abs(readings.at(between)[:, 0] - truth)
+            worst = worst if left_out else max(worst, float(off.max()))
+            ratios.append(off / readings.missed(between)[:, 0])
+    assert worst < np.deg2rad(0.05)  # a straight line's slope there: 0.3°
+    assert 0.3 < np.sqrt(np.mean(np.square(np.clip(ratios, 0, 10)))) < 1.2
+
+
+def test_what_readings_miss_is_nothing_at_them_and_for_a_parabola() -> None:
+    t = np.array([0.0, 0.1, 0.22, 0.3, 0.43])
+    readings = Readings(t, np.stack([3 * t**2 - t, np.sin(9 * t)], axis=1))
+    assert_allclose(readings.missed(t), 0, atol=1e-15)
+    assert_allclose(readings.missed(np.array([0.05, 0.15, 0.4]))[:, 0], 0, atol=1e-15)
+    assert np.all(readings.missed(np.array([0.05, 0.15, 0.4]))[:, 1] > 1e-5)
+    assert_allclose(Readings(t[:1], np.ones((1, 2))).missed(t), 0)
+
+
+def test_two_or_three_readings_do_not_pass_for_a_curve_that_is_known() -> None:
+    t = np.array([0.0, 0.2, 0.4])
+    q = np.sin(4 * t)[:, None]
+    for count in (2, 3):
+        between = np.array([t[count - 1] - 0.1])
+        few = Readings(t[:count], q[:count])
+        off = abs(few.at(between)[0, 0] - np.sin(4 * between[0]))
+        assert few.missed(between)[0, 0] > off / 3 > 1e-3
+
+
+def test_the_speed_is_the_slope_of_the_motion() -> None:
+    t = np.arange(0, 6, 0.02)
+    readings = Readings(t, wave(t)[:, None])
+    between = np.linspace(1, 5, 50)
+    truth = 0.3 * np.pi * np.cos(np.pi * between)
+    assert_allclose(readings.rate(between)[:, 0], truth, atol=0.005)
+
+
+def test_noise_is_read_off_the_readings_and_motion_is_not_taken_for_noise() -> None:
+    rng = np.random.default_rng(5)
+    t = np.arange(0, 20, 0.02)
+    sigma = np.deg2rad([0.01, 0.03])
+    q = np.stack([wave(t), wave(t, 0.5, 3.0)], axis=1) + rng.normal(0, sigma, (len(t), 2))
+    assert_allclose(Readings(t, q).noise, sigma, rtol=0.1)
+    smooth = Readings(t, np.stack([wave(t), wave(t, 0.5, 3.0)], axis=1))
+    assert np.all(smooth.noise < np.deg2rad(0.0005))
+
+
+def test_between_two_bursts_of_readings_nothing_is_known() -> None:
+    t = np.concatenate([np.arange(0, 1, 0.1), np.arange(10, 11, 0.1)])
+    readings = Readings(t, np.where(t < 5, 0.1, 0.7)[:, None])
+    assert readings.known(np.array([0.55, 1.2, 5.0, 9.8, 10.5])).tolist() == [
+        True, True, False, True, True,
+    ]  # fmt: skip
+    assert_allclose(readings.at(np.array([1.2, 9.8]))[:, 0], [0.1, 0.7])
+    assert_allclose(readings.rate(np.array([1.2, 9.8])), 0, atol=1e-12)
+    assert not readings.known(np.array([-0.1, 11.5])).any()
+
+
+def test_where_the_arm_moves_and_its_line_falls_silent_nothing_is_held() -> None:
+    t = np.concatenate([np.arange(0, 1, 0.01), np.arange(3, 4, 0.01), [6.0, 8.0, 8.3]])
+    moving = np.stack([wave(t), np.zeros(len(t))], axis=1)
+    edges = np.array([1.05, 2.95, 4.05, 5.95, 6.05, 7.95, 8.15])
+    # a single reading is a visit; of the last two, one says that the other's arm moves
+    assert Readings(t, moving).known(edges).tolist() == [
+        False, False, False, True, True, False, True,
+    ]  # fmt: skip
+    brakes = np.minimum(t, 0.3)[:, None]  # at rest long before the line fell silent
+    assert Readings(t, brakes).known(edges).all()
+
+
+def test_the_direction_of_travel_is_kept_at_rest_and_ignores_noise() -> None:
+    rng = np.random.default_rng(2)
+    t = np.arange(0, 8, 0.02)
+    path = np.interp(t, [0, 2, 4, 6, 8], np.deg2rad([0, 10, 10, -5, -5]))
+    readings = Readings(t, (path + rng.normal(0, np.deg2rad(0.01), len(t)))[:, None])
+    seen = readings.direction(np.array([1.0, 3.0, 5.0, 7.5]))[:, 0]
+    assert seen.tolist() == [1, 1, -1, -1]
+
+
+def test_uneven_readings_are_joined_by_the_cubic_that_scipy_draws_through_their_slopes() -> None:
+    rng = np.random.default_rng(8)
+    t = np.cumsum(rng.uniform(0.005, 0.03, 400))
+    q = np.stack([wave(t), wave(t, 0.5, 3.0)], axis=1)
+    slopes = np.gradient(q, t, axis=0)
+    for i, end in ((0, slice(0, 4)), (-1, slice(-4, None))):  # there, of the cubic through four
+        slopes[i] = BarycentricInterpolator(t[end], q[end]).derivative(t[i])
+    known = CubicHermiteSpline(t, q, slopes)
+    there = np.concatenate([rng.uniform(t[0], t[-1], 500), t[[0, 7, -1]]])
+    assert_allclose(Readings(t, q).at(there), known(there), rtol=0, atol=1e-14)
+
+
+def test_noise_is_the_median_of_differences_that_cross_no_gap() -> None:
+    rng = np.random.default_rng(9)
+    t = np.concatenate([np.arange(30) * 0.01, 5 + np.arange(31) * 0.01])
+    q = np.where(t < 5, 0.1, 0.7) + rng.normal(0, 1e-4, len(t))
+    inside = [np.abs(np.diff(part, 3)) for part in (q[:30], q[30:])]
+    expected = 1.4826 * np.median(np.concatenate(inside)) / np.sqrt(20)
+    others = (
+        1.4826 * np.median(np.abs(np.concatenate([np.diff(q[:30], k), np.diff(q[30:], k)]))) / root
+        for k, root in ((2, 6**0.5), (4, 70**0.5))
+    )
+    assert_allclose(Readings(t, q[:, None]).noise, min(expected, *others), rtol=1e-12)

@@ -1,0 +1,160 @@
+"""Every session is found once, whatever lies around it; what cannot be looked into is said."""
+
+import csv
+import os
+import time
+from pathlib import Path
+
+import fsspec
+import pytest
+
+from verify.errors import InputError
+from verify.fleet.batch import finding
+from verify.fleet.batch.finding import find_sessions
+from verify.fleet.batch.records import SessionFailure, SessionLocation
+from verify.fleet.batch.tables import write_failures
+
+NOWHERE = Path("nowhere")
+HOSTILE = ('a,b"c', "line\nbreak", "<script>alert(1)</script>", "=1+1", "-o", "Prüfung № 3")
+
+
+def stub(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    (folder / "session.toml").write_text("format = 1\n")
+    return folder
+
+
+def names(found: list[SessionLocation]) -> list[str]:
+    return [one.session for one in found]
+
+
+def test_sessions_are_found_at_every_depth_and_none_inside_another(tmp_path: Path) -> None:
+    for place in ("b", "a/deep/down", "a/first", "a/first/inside"):
+        (tmp_path / place).mkdir(parents=True, exist_ok=True)
+        (tmp_path / place / "session.toml").write_text("")
+    found, failures = find_sessions([str(tmp_path)], NOWHERE)
+    assert names(found) == [f"{tmp_path}/{n}" for n in ("a/deep/down", "a/first", "b")]
+    assert not failures
+
+
+def test_a_folder_named_twice_or_by_a_symlink_counts_once(tmp_path: Path) -> None:
+    stub(tmp_path / "real" / "one")
+    (tmp_path / "link").symlink_to("real")
+    roots = [str(tmp_path), str(tmp_path / "real")]
+    found, failures = find_sessions(roots, NOWHERE)
+    assert len(found) == 1
+    assert not failures
+
+
+def test_a_symlink_that_leads_in_a_circle_is_reported_and_ends(tmp_path: Path) -> None:
+    stub(tmp_path / "one")
+    (tmp_path / "up").symlink_to("..", target_is_directory=True)
+    (tmp_path / "around").symlink_to(".")
+    (tmp_path / "itself").symlink_to("itself")
+    (tmp_path / "broken").symlink_to("nothing")
+    (tmp_path / "high").symlink_to("../..")
+    found, failures = find_sessions([str(tmp_path)], NOWHERE)
+    assert len(found) == 1
+    assert {Path(f.session).name for f in failures} == {"up", "around", "itself", "high"}
+    assert all("circle" in f.why for f in failures)
+
+
+def test_hostile_names_stay_what_they_are_and_failures_csv_can_be_read(tmp_path: Path) -> None:
+    for name in HOSTILE:
+        stub(tmp_path / name)
+    os.mkdir(os.fsencode(tmp_path) + b"/\xff\xfe")  # noqa: PTH102  # no UTF-8
+    (tmp_path / os.fsdecode(b"\xff\xfe") / "session.toml").write_text("")
+    found, _ = find_sessions([str(tmp_path)], NOWHERE)
+    given = {name.removeprefix(f"{tmp_path}/") for name in names(found)}
+    assert given == {*HOSTILE, "\\udcff\\udcfe"}
+    write_failures(tmp_path, [SessionFailure(one.session, "refused", 'why, "so"') for one in found])
+    with (tmp_path / "failures.csv").open(newline="", encoding="utf-8") as file:
+        read = list(csv.DictReader(file))
+    assert [row["session"] for row in read] == names(found)
+    assert {row["why"] for row in read} == {'why, "so"'}
+
+
+def test_a_folder_without_permission_is_reported_and_the_rest_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stub(tmp_path / "open" / "one")
+    closed = tmp_path / "closed"
+    closed.mkdir()
+    plain = os.scandir
+
+    def guarded(path: str) -> object:  # whoever runs the tests may be allowed everything
+        if str(path) == str(closed):
+            raise PermissionError(13, "Permission denied", str(path))
+        return plain(path)
+
+    monkeypatch.setattr(os, "scandir", guarded)
+    found, failures = find_sessions([str(tmp_path)], NOWHERE)
+    assert len(found) == 1
+    (failure,) = failures
+    assert failure.session == str(closed)
+    assert failure.kind == "unreadable"
+    assert "permission denied" in failure.why
+
+
+def test_the_batchs_own_folder_and_what_is_half_written_are_passed_over(tmp_path: Path) -> None:
+    stub(tmp_path / "one")
+    out = tmp_path / "out"
+    stub(out / "sessions" / "x")
+    stub(tmp_path / ".verify-partial-1234")
+    found, _ = find_sessions([str(tmp_path)], out)
+    assert names(found) == [f"{tmp_path}/one"]
+
+
+@pytest.mark.parametrize("given", ["nothing/there", "file", "empty", "nul\0"])
+def test_a_root_that_is_no_folder_with_sessions_is_refused(given: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError) as problem:
+        find_sessions([str(tmp_path / given)], NOWHERE)
+    assert "\n" not in str(problem.value)
+
+
+def test_ten_thousand_stubs_are_listed_in_under_five_seconds(tmp_path: Path) -> None:
+    for place in range(100):
+        for number in range(100):
+            folder = f"{tmp_path}/{place:02d}/{number:02d}"
+            os.makedirs(folder)  # noqa: PTH103
+            with open(f"{folder}/session.toml", "w") as file:  # noqa: PTH123
+                file.write("")
+    start = time.perf_counter()
+    found, failures = find_sessions([str(tmp_path)], NOWHERE)
+    assert time.perf_counter() - start < 5
+    assert len(found) == 10_000
+    assert not failures
+
+
+def test_sessions_behind_a_url_are_found_fetched_and_told_apart() -> None:
+    storage = fsspec.filesystem("memory")
+    for name in ("a/one", "a/one/inside", "b/two"):
+        storage.pipe(f"/lab/{name}/session.toml", b"format = 1\n")
+    storage.pipe("/lab/a/one/left/000000.png", b"picture")
+    storage.pipe("/lab/a/one/truth.csv", b"never read")
+    try:
+        found, _ = find_sessions(["memory://lab"], NOWHERE)
+        assert [n.removeprefix("memory://").lstrip("/") for n in names(found)] == [
+            "lab/a/one",
+            "lab/b/two",
+        ]
+        with finding.local_copy(found[0].folder) as folder:
+            assert (folder / "left" / "000000.png").read_bytes() == b"picture"
+            assert not (folder / "truth.csv").exists()
+        assert not folder.exists()
+        before = finding.file_versions(found[0].folder)
+        assert before == finding.file_versions(found[0].folder)
+        storage.pipe("/lab/a/one/left/000000.png", b"another")
+        after = finding.file_versions(found[0].folder)
+        assert [n for n in after if after[n] != before[n]] == ["left/000000.png"]
+    finally:
+        storage.rm("/lab", recursive=True)
+
+
+@pytest.mark.parametrize("url", ["nonsense://x/y", "file:///nothing/there/at/all"])
+def test_a_url_that_leads_nowhere_is_refused_in_one_line(url: str) -> None:
+    with pytest.raises(InputError) as problem:
+        find_sessions([url], NOWHERE)
+    assert "\n" not in str(problem.value)

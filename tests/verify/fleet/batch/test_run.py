@@ -1,0 +1,177 @@
+"""Which work a batch does, with a crew that works in this process."""
+
+import shutil
+import time
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import fsspec
+import pytest
+
+from tests.support.fleets import PAIRS, record
+from verify.analysis.session import analyse
+from verify.cli.options import Asked
+from verify.fleet.batch import tasks
+from verify.fleet.batch.finding import find_sessions
+from verify.fleet.batch.records import DEFECT, KILLED, BatchOptions, Task, WorkerDied
+from verify.fleet.batch.run import BatchProgress, BatchResult, measure_all
+from verify.io.results import read_results
+from verify.io.session.session import open_session
+
+OPTIONS = BatchOptions(Asked(None, None, None), "1.0")
+
+
+class Inline:
+    """Does each task at once; loses those whose kind is named."""
+
+    def __init__(self, lost: str = "") -> None:
+        self.lost = lost
+        self.kinds: list[str] = []
+        self.loaded = False
+
+    def ready(self, tasks: int) -> None:
+        assert tasks > 0
+        self.loaded = True
+
+    def run(self, waiting: deque[Task]) -> Iterator[tuple[Task, Any]]:
+        while waiting:
+            task = waiting.popleft()
+            kind = type(task).__name__
+            self.kinds.append(kind)
+            yield task, WorkerDied(3) if kind == self.lost else task.perform()
+
+    def close(self) -> None:
+        """Nobody to send home."""
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("lab")
+    record(folder / "one", 1)
+    return folder
+
+
+@pytest.fixture
+def lab(recorded: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(recorded, tmp_path / "lab"))
+
+
+def batch(
+    root: Path | str, out: Path, crew: Inline, options: BatchOptions = OPTIONS
+) -> BatchResult:
+    found, failures = find_sessions([str(root)], out)
+    seen: list[int] = []
+
+    def watch(progress: BatchProgress) -> None:
+        seen.append(progress.done)
+
+    done = measure_all(found, failures, out, options, crew, watch)
+    assert seen == sorted(seen)
+    assert seen[-1] == len(found) + len(failures)
+    return done
+
+
+def test_results_are_those_of_verify_run(lab: Path, tmp_path: Path) -> None:
+    done = batch(lab, tmp_path / "out", Inline())
+    ((name, place),) = done.kept
+    kept, plain = read_results(place), analyse(open_session(lab / "one"))
+    assert name == f"{lab}/one"
+    assert kept.summary["joints"] == plain.summary["joints"]
+    assert kept.summary["inputs"] == plain.summary["inputs"]
+    assert kept.summary["session"]["path"] == name
+    assert kept.images == plain.images
+    assert done.progress.pairs == PAIRS
+
+
+def test_a_rate_counts_from_when_a_worker_could_begin(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    crew, hour = Inline(), 3600.0
+    late = SimpleNamespace(monotonic=lambda: time.monotonic() + hour * crew.loaded)
+    monkeypatch.setattr("verify.fleet.batch.run.time", late)
+    rate = batch(lab, tmp_path / "out", crew).progress.pairs_a_second
+    assert rate is not None
+    assert rate > PAIRS / hour
+
+
+def test_started_again_only_what_changed_is_done_and_that_is_said(
+    lab: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(lab / "one", lab / "two")
+    out = tmp_path / "out"
+    batch(lab, out, first := Inline())
+    assert first.kinds == ["Measure", "Measure"]
+    again = batch(lab, out, second := Inline())
+    assert second.kinds == ["Compare", "Compare"]
+    assert again.progress.kept == 2
+    readings = lab / "two" / "encoders.csv"
+    readings.write_text(readings.read_text().rsplit("\n", 2)[0] + "\n")
+    (lab / "one" / "truth.csv").write_text("never read")
+    changed = batch(lab, out, third := Inline())
+    assert sorted(third.kinds) == ["Compare", "Compare", "Measure"]
+    assert changed.progress.again == [f"{lab}/two: changed since: encoders.csv"]
+    other = BatchOptions(Asked("0.5", None, None), "1.0")
+    redone = batch(lab, out, fourth := Inline(), other)
+    assert fourth.kinds == ["Measure", "Measure"]
+    assert all("other options" in line for line in redone.progress.again)
+
+
+def test_a_session_that_was_cut_off_while_being_kept_is_measured_again(
+    lab: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    ((_, place),) = batch(lab, out, Inline()).kept
+    (place / "entry.json").unlink()
+    ((_, again),) = batch(lab, out, crew := Inline()).kept
+    assert crew.kinds == ["Measure"]
+    assert (again / "entry.json").exists()
+
+
+def test_a_session_whose_worker_dies_each_time_is_reported(lab: Path, tmp_path: Path) -> None:
+    done = batch(lab, tmp_path / "out", Inline(lost="Measure"))
+    assert not done.kept
+    (failure,) = done.failures
+    assert failure.kind == KILLED
+    assert "killed 3 times" in failure.why
+
+
+def test_a_defect_of_ours_in_one_session_does_not_stop_the_others(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(lab / "one", lab / "two")
+    plain = tasks.analyse
+
+    def broken(session: Any, **options: Any) -> Any:
+        if session.name == "one":
+            raise ZeroDivisionError("nobody\nthought of it")
+        return plain(session, **options)
+
+    monkeypatch.setattr(tasks, "analyse", broken)
+    done = batch(lab, tmp_path / "out", Inline())
+    assert [name for name, _ in done.kept] == [f"{lab}/two"]
+    assert done.failures[0].kind == DEFECT
+    assert "\n" not in done.failures[0].why
+
+
+def test_a_session_behind_a_url_gives_the_same_figures_under_its_own_name(
+    lab: Path, tmp_path: Path
+) -> None:
+    storage = fsspec.filesystem("memory")
+    try:
+        storage.put(str(lab / "one"), "/lab/one", recursive=True)
+        out = tmp_path / "out"
+        ((name, place),) = batch("memory://lab", out, Inline()).kept
+        assert name.startswith("memory://")
+        kept, plain = read_results(place), analyse(open_session(lab / "one"))
+        assert kept.summary["joints"] == plain.summary["joints"]
+        assert not any(str(tmp_path) in text or "/tmp" in text for text in kept.summary["warnings"])
+        assert batch("memory://lab", out, second := Inline()).progress.kept == 1
+        assert second.kinds == ["Compare"]
+        storage.pipe("/lab/one/encoders.csv", b"t_s\n")
+        failed = batch("memory://lab", out, Inline())
+        assert failed.failures[0].why.startswith(f"{name}/encoders.csv")
+    finally:
+        storage.rm("/lab", recursive=True)

@@ -1,0 +1,157 @@
+"""The tables: typed, the same bytes for the same sessions, and what was kept is trusted or not."""
+
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+import reports
+from tests.support.command import ROOT
+from tests.support.reports import made
+from verify.errors import InputError
+from verify.fleet.batch import tables
+from verify.fleet.batch import tables as batch_tables
+from verify.fleet.batch.records import BatchOptions, SessionFailure
+from verify.fleet.batch.store import ENTRY_FILE, ResultStore, require_writable
+from verify.fleet.batch.tables import calibration_digest, parse_start_time
+from verify.fleet.batch.tasks import pack_results, rename_session
+from verify.io.session.keys import Tolerance
+
+
+@dataclass(frozen=True)
+class Nothing:
+    def tolerance(self, joints: int) -> Tolerance:  # noqa: ARG002  # the protocol's
+        return Tolerance(None, None, None)
+
+
+OPTIONS = BatchOptions(Nothing(), "1.0")
+SESSIONS = ("lab/a", 'lab/b,"c"\n<b>d</b>')
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> ResultStore:
+    require_writable(tmp_path)
+    store = ResultStore(tmp_path)
+    for name, results in zip(SESSIONS, (made.nonconforming(), made.conforming()), strict=True):
+        results.summary.setdefault("known_dof", 6)
+        results.summary.setdefault("combinations", [])
+        store.keep(pack_results(name, rename_session(results, "nowhere", name), None), OPTIONS)
+    return store
+
+
+def written(store: ResultStore, folder: Path) -> Path:
+    folder.mkdir()
+    kept = [(name, store.place(name)) for name in sorted(SESSIONS)]
+    tables.write(folder, kept, [SessionFailure('x,"y"\nz', "refused", "why")])
+    return folder
+
+
+def test_the_tables_have_the_documented_types_and_one_row_a_session(
+    store: ResultStore, tmp_path: Path
+) -> None:
+    out = written(store, tmp_path / "one")
+    sessions, frames = (pq.read_table(out / f"{n}.parquet") for n in ("sessions", "frames"))
+    assert sessions.schema == batch_tables.sessions_schema(6)
+    assert frames.schema == batch_tables.frames_schema(6)
+    assert sessions["session"].to_pylist() == sorted(SESSIONS)
+    counts = pd.Series(frames["session"].to_pylist()).value_counts()
+    assert counts.to_dict() == dict(
+        zip(sessions["session"].to_pylist(), sessions["pairs_recorded"].to_pylist(), strict=True)
+    )
+    codec = pq.ParquetFile(out / "frames.parquet").metadata.row_group(0).column(0).compression
+    assert codec == "ZSTD"
+
+
+def test_the_figures_are_those_of_the_summary(store: ResultStore, tmp_path: Path) -> None:
+    out = written(store, tmp_path / "one")
+    table = pd.read_parquet(out / "sessions.parquet").set_index("session")
+    summary = reports.read(store.place(SESSIONS[0]) / "results").summary
+    row = table.loc[SESSIONS[0]]
+    for joint in summary["joints"]:
+        for key in ("mean_error_deg", "expanded_uncertainty_deg", "conformance_probability"):
+            assert row[f"q{joint['joint']}_{key}"] == joint[key]
+    assert row["position_max_error_mm"] == summary["position"]["max_error_mm"]
+    assert row["verdict"] == summary["verdict"]
+
+
+def test_the_same_sessions_give_the_same_bytes(store: ResultStore, tmp_path: Path) -> None:
+    one, two = written(store, tmp_path / "one"), written(store, tmp_path / "two")
+    for name in ("sessions.parquet", "frames.parquet", "failures.csv"):
+        assert bool((one / name).read_bytes() == (two / name).read_bytes()), name
+
+
+def test_a_shorter_arm_leaves_the_further_columns_empty(tmp_path: Path) -> None:
+    store = ResultStore(tmp_path)
+    for name, joints in (("four", 4), ("six", 6)):
+        results = made._made(joints, 20, (), tolerance=None)
+        results.summary.setdefault("known_dof", 6)
+        store.keep(pack_results(name, rename_session(results, "nowhere", name), None), OPTIONS)
+    folder = tmp_path / "out"
+    folder.mkdir()
+    tables.write(folder, [(n, store.place(n)) for n in ("four", "six")], [])
+    table = pd.read_parquet(folder / "sessions.parquet")
+    assert table["joints"].tolist() == [4, 6]
+    assert table["q5_mean_error_deg"].isna().tolist() == [True, False]
+    frames = pd.read_parquet(folder / "frames.parquet")
+    assert frames[frames["session"] == "four"]["q6_error_deg"].isna().all()
+
+
+def test_hostile_names_survive_in_failures_csv(store: ResultStore, tmp_path: Path) -> None:
+    out = written(store, tmp_path / "one")
+    read = pd.read_csv(io.BytesIO((out / "failures.csv").read_bytes()))
+    assert read["session"].tolist() == ['x,"y"\nz']
+
+
+def test_kept_results_are_trusted_only_while_they_are_whole(store: ResultStore) -> None:
+    name = SESSIONS[0]
+    kept = store.kept(name)
+    assert kept is not None
+    assert kept.options == OPTIONS.described
+    assert store.kept("another") is None
+    table = store.place(name) / "results" / "frames.parquet"
+    table.write_bytes(table.read_bytes()[:-1])
+    assert store.kept(name) is None
+    (store.place(SESSIONS[1]) / ENTRY_FILE).write_text("{half")
+    assert store.kept(SESSIONS[1]) is None
+
+
+def test_a_name_of_a_session_cannot_leave_the_folder_of_what_is_kept(tmp_path: Path) -> None:
+    store = ResultStore(tmp_path)
+    for name in ("../../etc", "a/..", "/", "x" * 500, "n\n", "s3://b/ü"):
+        assert store.place(name).parent == tmp_path / "sessions"
+        assert len(store.place(name).name) < 60
+
+
+def test_an_out_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        require_writable(tmp_path / "file")
+
+
+def test_a_start_without_a_zone_is_taken_as_utc() -> None:
+    assert parse_start_time("2025-06-01T10:00:00") == parse_start_time("2025-06-01T12:00:00+02:00")
+    assert parse_start_time(None) is None
+
+
+def test_sessions_of_one_rig_and_marker_share_a_calibration() -> None:
+    setup = {"rig": {"left": {"fx_px": 1.0, "pan_min_deg": 0.0}, "right": {}}, "marker": {}}
+    swept = {"rig": {"left": {"fx_px": 1.0, "pan_min_deg": 9.0}, "right": {}}, "marker": {}}
+    other = {"rig": {"left": {"fx_px": 1.1, "pan_min_deg": 0.0}, "right": {}}, "marker": {}}
+    assert calibration_digest(setup) == calibration_digest(swept) != calibration_digest(other)
+
+
+def test_every_column_is_explained() -> None:
+    explained = (ROOT / "docs" / "batch.md").read_text()
+    grouped = ("rejected_", "position_", "orientation_")
+    names = [re.sub(r"^q\d+_", "qN_", field.name) for field in batch_tables.sessions_schema(2)]
+    names = [re.sub(r"_deg$", "_mm", n.removeprefix("orientation_")) if n.startswith(grouped)
+             else n for n in names]  # fmt: skip
+    names = [n.removeprefix("position_") for n in names if not n.startswith("rejected_")]
+    assert [n for n in names if f"`{n}`" not in explained] == []
+    results = (ROOT / "docs" / "results.md").read_text()
+    columns = [re.sub(r"^q\d+_", "qN_", field.name) for field in batch_tables.frames_schema(2)][1:]
+    assert [n for n in columns if f"`{n}`" not in results] == []

@@ -1,0 +1,150 @@
+"""Processes on this machine: tasks are done once each, and a killed one costs itself alone."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from verify.fleet.batch.records import Task, WorkerDied
+from verify.fleet.batch.workers import MAX_ATTEMPTS, ProcessPool
+
+
+@dataclass(frozen=True)
+class Square:
+    number: int
+
+    def perform(self) -> int:
+        return self.number**2
+
+
+@dataclass(frozen=True)
+class Dies:
+    """Kills its own process the first so many times; a file remembers how often."""
+
+    memory: str
+    times: int
+
+    def perform(self) -> str:
+        tally = Path(self.memory)
+        before = len(tally.read_text()) if tally.exists() else 0
+        tally.write_text("x" * (before + 1))
+        if before < self.times:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return f"alive after {before}"
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Leaves a file behind."""
+
+    file: str
+
+    def perform(self) -> str:
+        Path(self.file).touch()
+        return self.file
+
+
+@pytest.fixture
+def crew() -> ProcessPool:
+    return ProcessPool(2)
+
+
+def test_every_task_is_done_once_and_new_ones_may_come_meanwhile(crew: ProcessPool) -> None:
+    tasks: deque[Task] = deque(Square(n) for n in range(4))
+    outcomes = []
+    try:
+        for _task, outcome in crew.run(tasks):
+            if outcome == 4:
+                tasks.append(Square(10))
+            outcomes.append(outcome)
+    finally:
+        crew.close()
+    assert sorted(outcomes) == [0, 1, 4, 9, 100]
+
+
+def test_nobody_waits_while_what_was_done_is_put_away(tmp_path: Path) -> None:
+    crew = ProcessPool(1)
+    marks = [Mark(str(tmp_path / name)) for name in "ab"]
+    outcomes = crew.run(deque(marks))
+    try:
+        assert next(outcomes) == (marks[0], marks[0].file)
+        for _ in range(500):
+            if Path(marks[1].file).exists():
+                break
+            signal.sigtimedwait([signal.SIGUSR2], 0.02)
+        assert Path(marks[1].file).exists()  # though nobody has asked for it yet
+        assert next(outcomes) == (marks[1], marks[1].file)
+    finally:
+        crew.close()
+
+
+def test_a_worker_loads_nothing_that_it_may_never_need() -> None:
+    late = ("matplotlib", "plotly", "typst", "jinja2", "av", "scipy.stats", "scipy.optimize")
+    code = f"import sys, verify.fleet.batch.tasks; print([m for m in {late} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
+    crew: ProcessPool, tmp_path: Path
+) -> None:
+    twice, always = Dies(f"{tmp_path}/a", 2), Dies(f"{tmp_path}/b", 99)
+    tasks: deque[Task] = deque([twice, always, *(Square(n) for n in range(3))])
+    try:
+        outcomes = {task: outcome for task, outcome in crew.run(tasks)}  # noqa: C416
+    finally:
+        crew.close()
+    assert outcomes[twice] == "alive after 2"
+    assert outcomes[always] == WorkerDied(MAX_ATTEMPTS)
+    assert [outcomes[Square(n)] for n in range(3)] == [0, 1, 4]
+    assert (tmp_path / "b").read_text() == "x" * MAX_ATTEMPTS
+
+
+def test_a_process_that_is_killed_while_it_has_nothing_to_do_is_replaced() -> None:
+    crew = ProcessPool(1)
+    try:
+        crew.ready(3)
+        ((_, pid),) = crew.run(deque([Pid(0)]))
+        os.kill(pid, signal.SIGKILL)
+        _await_end(pid)
+        signal.sigtimedwait([signal.SIGUSR2], 0.5)  # until the crew's own thread has noticed
+        ((_, other),) = crew.run(deque([Pid(1)]))
+    finally:
+        crew.close()
+    assert other != pid
+
+
+def test_closing_sends_every_process_home(crew: ProcessPool) -> None:
+    tasks: deque[Task] = deque([Pid(0), Pid(1)])
+    pids = [outcome for _, outcome in crew.run(tasks)]
+    crew.close()
+    for pid in pids:
+        _await_end(pid)
+
+
+@dataclass(frozen=True)
+class Pid:
+    number: int
+
+    def perform(self) -> int:
+        return os.getpid()
+
+
+def _await_end(pid: int) -> None:
+    for _ in range(500):
+        if not _running(pid):
+            break
+        signal.sigtimedwait([signal.SIGUSR2], 0.02)
+    assert not _running(pid)
+
+
+def _running(pid: int) -> bool:
+    try:
+        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False

@@ -1,0 +1,202 @@
+"""Steps and drifts are found, dated and told apart; a fleet without change is left in peace."""
+
+from datetime import date
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from tests.support.fleets import BEGIN, NO_FAILURES, rows
+from verify.errors import InputError
+from verify.fleet.trends.assess import P_FALSE_ALARM, TrendRequest, assess, require_folders
+from verify.fleet.trends.changes import candidates, find_changes
+from verify.fleet.trends.series import (
+    JointSeries,
+    apply_inverse_covariance,
+    contrast,
+    fit,
+    scan,
+    series_of,
+)
+
+
+def changes(sessions: pd.DataFrame, questions: TrendRequest | None = None) -> pd.DataFrame:
+    return assess(sessions, NO_FAILURES, questions or TrendRequest(), ()).table("changes")
+
+
+def dense(series: JointSeries) -> np.ndarray:
+    alike = series.group[:, None] == series.group
+    shared = {g: np.mean(series.shared[series.group == g] ** 2) for g in set(series.group)}
+    blocks = np.array([[shared[g] for _ in series.group] for g in series.group])
+    return np.diag(series.scatter**2) + np.where(alike, blocks, 0.0)
+
+
+@pytest.mark.parametrize("calibrations", [1, 3])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_drifting_and_the_stepping_joint_are_named_and_no_other(
+    seed: int, calibrations: int
+) -> None:
+    sessions = rows(seed, drift=0.02, step=0.3, calibrations=calibrations)
+    found = changes(sessions)
+    assert [(r.arm, r.joint, r.kind) for r in found.itertuples()] == [
+        ("arm_a", 3, "drift"),
+        ("arm_b", 5, "step"),
+    ]
+    drift, step = found.to_dict("records")
+    assert abs(drift["size"] - 0.02) < 3 * drift["size_u"] < 0.01
+    assert drift["unit"] == "deg/month"
+    assert abs(step["size"] - 0.3) < 3 * step["size_u"] < 0.05
+    arm = sessions[sessions["robot"] == "arm_b"]
+    later = arm[arm["started"] >= pd.Timestamp(BEGIN) + pd.Timedelta(days=160)]
+    assert step["session"] == later.iloc[0]["session"]
+    first = sessions[sessions["robot"] == "arm_a"].iloc[0]["session"]
+    assert drift["session"] == first
+
+
+def test_a_fleet_without_change_is_left_in_peace() -> None:
+    fleets = [rows(1000 + seed, sessions=30, calibrations=seed % 3 + 1) for seed in range(16)]
+    accused = sum(len(changes(fleet)) > 0 for fleet in fleets)
+    assert accused <= stats.binom.isf(0.001, len(fleets), P_FALSE_ALARM)
+
+
+def test_sessions_that_scatter_more_than_they_state_accuse_nobody() -> None:
+    fleets = [rows(2000 + seed, sessions=30, scatter=2.5) for seed in range(12)]
+    results = [assess(fleet, NO_FAILURES, TrendRequest(), ()) for fleet in fleets]
+    assert sum(len(r.table("changes")) > 0 for r in results) <= 1
+    excess = np.concatenate([r.table("joints")["excess"] for r in results])
+    assert np.median(excess) == pytest.approx(2.5, rel=0.15)
+
+
+def test_a_drift_that_a_repair_ends_is_seen_as_both() -> None:
+    sessions = rows(5, sessions=120)
+    arm = sessions["robot"] == "arm_c"
+    day = (sessions["started"] - pd.Timestamp(BEGIN)).dt.total_seconds() / 86_400
+    sessions.loc[arm, "q2_mean_error_deg"] += np.where(day < 200, 0.1 * day / 30.44, 0.0)[arm]
+    found = changes(sessions)
+    assert set(found["arm"]) == {"arm_c"}
+    assert set(found["joint"]) == {2}
+    assert set(found["term"]) == {"drift", "step"}
+    step = found[found["term"] == "step"].iloc[0]
+    repaired = sessions[arm & (day >= 200)].iloc[0]["session"]
+    assert step["session"] == repaired
+
+
+def test_one_odd_session_is_marked_and_is_no_change() -> None:
+    sessions = rows(6)
+    at = sessions.index[sessions["robot"] == "arm_a"][37]
+    sessions.loc[at, "q2_mean_error_deg"] += 1.0
+    results = assess(sessions, NO_FAILURES, TrendRequest(), ())
+    assert not len(results.table("changes"))
+    points = results.table("points")
+    odd = points[points["odd"]]
+    assert [(r.arm, r.joint, r.session) for r in odd.itertuples()] == [
+        ("arm_a", 2, sessions.loc[at, "session"])
+    ]
+
+
+def test_a_new_calibration_within_what_it_states_is_no_change() -> None:
+    sessions = rows(7, calibrations=2, shared=0.1)
+    assert not len(changes(sessions))
+    stated = [c for c in sessions if c.endswith("_standard_uncertainty_deg") and "worst" not in c]
+    exact = sessions.copy()
+    for column in stated:  # the same figures, the calibrations taken as exact
+        exact[column] = exact[column.replace("standard", "session")]
+    found = changes(exact)
+    assert len(found)
+    assert found["recalibrated"].all()
+
+
+def test_least_squares_agree_with_the_whole_covariance_matrix() -> None:
+    series = series_of(rows(8, sessions=30, calibrations=3).query("robot == 'arm_a'"), "a", 1)
+    design = np.column_stack([np.ones(30), np.random.default_rng(8).normal(size=30)])
+    inverse = np.linalg.inv(dense(series))
+    np.testing.assert_allclose(
+        apply_inverse_covariance(series, design), inverse @ design, rtol=1e-9
+    )
+    found = fit(series, design)
+    covariance = np.linalg.inv(design.T @ inverse @ design)
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-9)
+
+    def chi2(columns: np.ndarray) -> float:
+        solved = np.linalg.solve(columns.T @ inverse @ columns, columns.T @ inverse @ series.error)
+        left = series.error - columns @ solved
+        return float(left @ inverse @ left)
+
+    assert found.chi2 == pytest.approx(chi2(design), rel=1e-9)
+    months = series.t - series.t[0]
+    tried = scan(series, months, design, found)
+    for k in range(1, 29):
+        later = (np.arange(30) >= k).astype(float)
+        drift = np.maximum(months - months[k], 0.0)
+        for column, gain in ((later, tried.step[k]), (drift, tried.drift[k])):
+            whole = chi2(design) - chi2(np.column_stack([design, column]))
+            assert gain == pytest.approx(whole, rel=1e-6, abs=1e-9)
+
+
+def test_a_series_too_short_for_a_change_has_none() -> None:
+    series = series_of(rows(9, sessions=3).query("robot == 'arm_a'"), "a", 1)
+    assert candidates(series) == []
+    assert find_changes(series, 0.01).changes == ()
+
+
+def test_before_and_after_a_day_compares_each_joint() -> None:
+    sessions = rows(10, step=0.3)
+    table = assess(sessions, NO_FAILURES, TrendRequest(since=date(2025, 6, 10)), ()).table(
+        "contrasts"
+    )
+    assert len(table) == 18
+    shown = table[table["shown"]]
+    assert [(r.arm, r.joint) for r in shown.itertuples()] == [("arm_b", 5)]
+    one = shown.iloc[0]
+    assert abs(one["difference_deg"] - 0.3) < 3 * one["difference_u_deg"]
+    assert one["first_sessions"] + one["second_sessions"] == 100
+
+
+def test_two_folders_are_compared_and_one_without_sessions_is_refused() -> None:
+    sessions = rows(11)
+    moved = sessions["robot"] == "arm_b"
+    sessions.loc[moved, "robot"] = "arm_a"  # the same arm, its sessions in two folders
+    sessions.loc[moved, "q1_mean_error_deg"] += 0.5
+    asked = TrendRequest(compare=("lab/arm_a", "lab/arm_b/"))
+    table = assess(sessions, NO_FAILURES, asked, ()).table("contrasts")
+    shown = table[table["shown"]]
+    assert 1 in set(shown["joint"])
+    names = sessions["session"].tolist()
+    require_folders(names, asked)
+    with pytest.raises(InputError, match="lab/arm_z"):
+        require_folders(names, TrendRequest(compare=("lab/arm_a", "lab/arm_z")))
+
+
+def test_a_difference_is_that_of_the_weighted_means() -> None:
+    series = series_of(rows(12, sessions=20, shared=0.0).query("robot == 'arm_a'"), "a", 1)
+    second = np.arange(20) >= 8
+    found = contrast(series, second, 0.05)
+    assert found is not None
+    means = [
+        np.average(series.error[side], weights=series.scatter[side] ** -2.0)
+        for side in (~second, second)
+    ]
+    assert found.difference == pytest.approx(means[1] - means[0])
+    assert contrast(series, second | True, 0.05) is None
+
+
+def test_two_arms_of_one_kind_are_told_apart_by_their_folders() -> None:
+    sessions = rows(13, sessions=20)
+    sessions["robot"] = "same"
+    assert assess(sessions, NO_FAILURES, TrendRequest(), ()).summary["arms"] == ["same"]
+    by = assess(sessions, NO_FAILURES, TrendRequest(by="folder"), ()).summary["arms"]
+    assert by == ["same in arm_a", "same in arm_b", "same in arm_c"]
+
+
+def test_sessions_without_a_date_or_a_figure_are_counted_and_accuse_nobody() -> None:
+    sessions = rows(14, sessions=10)
+    sessions.loc[3, "started"] = pd.NaT
+    sessions.loc[5, "q4_mean_error_deg"] = np.nan
+    sessions["q6_mean_error_deg"] = np.nan  # never shown
+    results = assess(sessions, NO_FAILURES, TrendRequest(), ())
+    joints = results.table("joints").set_index(["arm", "joint"])
+    assert joints.loc[("arm_a", 4), "sessions"] == 8
+    assert joints.loc[("arm_a", 6), "state"] == "unknown"
+    assert results.summary["sessions"]["undated"] == 1
+    assert not len(results.table("changes"))

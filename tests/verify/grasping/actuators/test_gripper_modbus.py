@@ -1,0 +1,154 @@
+import threading
+import time
+from collections import deque
+
+import pytest
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadHoldingRegistersResponse,
+    WriteMultipleRegistersRequest,
+)
+
+from verify.grasping.actuators.gripper_modbus import (
+    MAX_BUFFER_BYTES,
+    GripperRefusedError,
+    ModbusLine,
+    NoAnswerError,
+)
+from verify.grasping.actuators.protocols import BackgroundOpener
+
+# frames of the manual, section 4.7
+READ = bytes.fromhex("09 03 07D0 0001 85 CF")
+READY = bytes.fromhex("09 03 02 31 00 4C 15")
+WRITTEN = bytes.fromhex("09 10 03E8 0003 01 30")
+
+
+class Scripted:
+    """A port whose other end says what a test gives it."""
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+        self.to_come: deque[bytes] = deque()
+        self.closed = False
+
+    def wait(self, _seconds: float) -> bool:
+        return bool(self.to_come)
+
+    def take(self) -> bytes:
+        return self.to_come.popleft()
+
+    def send(self, data: bytes) -> None:
+        self.sent.append(data)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.t = 100.0
+
+    def __call__(self) -> float:
+        return self.t
+
+
+def line(port: Scripted, clock: Clock) -> ModbusLine:
+    made = ModbusLine("scripted", lambda: port, 9, frozenset({3}), 0.2, 3, clock)
+    while not made.free:  # the port is opened in a thread
+        made.step()
+        clock.t += 0.3
+    return made
+
+
+def asked(port: Scripted, clock: Clock) -> ModbusLine:
+    made = line(port, clock)
+    made.ask(ReadHoldingRegistersRequest(address=2000, count=1))
+    assert port.sent == [READ]
+    return made
+
+
+def test_an_answer_in_pieces_behind_noise_is_understood() -> None:
+    port, clock = Scripted(), Clock()
+    made = asked(port, clock)
+    for piece in (b"\xff", READY[:3]):
+        port.to_come.append(piece)
+        assert made.step() is None
+    port.to_come.append(READY[3:])
+    answer = made.step()
+    assert isinstance(answer, ReadHoldingRegistersResponse)
+    assert answer.registers == [0x3100]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        READY[:-1] + b"\x16",  # check
+        b"\x08" + READY[1:],  # slave, and so the check
+        WRITTEN,  # to another function
+        b"\x00" * MAX_BUFFER_BYTES * 3,
+    ],
+)
+def test_what_is_no_answer_is_passed_by_and_asked_again(wrong: bytes) -> None:
+    port, clock = Scripted(), Clock()
+    made = asked(port, clock)
+    port.to_come.append(wrong)
+    assert made.step() is None
+    clock.t += 0.21
+    assert made.step() is None
+    assert port.sent == [READ, READ]
+    port.to_come.append(READY)
+    assert made.step() is not None
+
+
+def test_after_three_silences_it_is_given_up_and_an_exception_is_told() -> None:
+    port, clock = Scripted(), Clock()
+    made = asked(port, clock)
+    for _ in range(2):
+        clock.t += 0.21
+        assert made.step() is None
+    clock.t += 0.21
+    with pytest.raises(NoAnswerError):
+        made.step()
+    assert port.sent == [READ] * 3
+    made.ask(ReadHoldingRegistersRequest(address=2000, count=1))
+    port.to_come.append(bytes.fromhex("09 83 02 41 33"))
+    with pytest.raises(GripperRefusedError, match="no such register"):
+        made.step()
+
+
+def test_a_line_for_reading_sends_no_write() -> None:
+    port, clock = Scripted(), Clock()
+    made = line(port, clock)
+    with pytest.raises(ValueError, match="may not send function 16"):
+        made.ask(WriteMultipleRegistersRequest(address=1000, registers=[0x0100]))
+    assert port.sent == []
+
+
+def test_what_was_asked_before_a_line_broke_is_not_asked_on_the_next() -> None:
+    port, clock = Scripted(), Clock()
+    made = asked(port, clock)
+    made.link.drop("pulled")
+    with pytest.raises(NoAnswerError):
+        made.step()
+    while not made.free:
+        made.step()
+        clock.t += 0.3
+    assert port.sent == [READ]
+
+
+def test_a_port_that_opens_after_nobody_wants_it_is_closed_again() -> None:
+    port, may_open = Scripted(), threading.Event()
+
+    def opening() -> Scripted:
+        may_open.wait(5.0)
+        return port
+
+    slow = BackgroundOpener(opening)
+    with pytest.raises(OSError, match="being opened"):
+        slow()
+    slow.close()
+    may_open.set()
+    end = time.monotonic() + 5.0
+    while not port.closed:
+        assert time.monotonic() < end
+        time.sleep(0.001)

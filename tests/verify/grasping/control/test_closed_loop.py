@@ -1,0 +1,183 @@
+"""Grasps in the simulated cell by an arm whose joints are off, and whose encoders do not know."""
+
+from concurrent.futures import Future
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.grasp.cells import quick_cell
+from verify.core.records import StereoPair
+from verify.grasping.actuators.protocols import ExecutePermission
+from verify.grasping.control.run import GraspOutcome, StopConditions, run
+from verify.grasping.control.states import GraspState
+from verify.grasping.planning.workspace import RESOLUTION
+from verify.grasping.tool_offset.offset import FlangeMeasurement, OffsetMeasurement
+from verify.grasping.tool_offset.watch import MAX_PICTURES, FlangeWatch
+from verify.simulation.cell.cell import CellWorld
+from verify.simulation.cell.grab import CellRun, cell_grab
+from verify.simulation.cell.scene import Cap, CellScene
+
+SETUP = quick_cell()
+ENDS = StopConditions(duration=20.0, patience=1.0)
+STANDS = CellScene((Cap("blue", (0.47, 0.03)),), seed=1)
+FIRST = np.eye(6)[0]
+
+
+def off_by(joint: int, degrees: float) -> CellScene:
+    return replace(STANDS, joint_errors=tuple((np.deg2rad(degrees) * np.eye(6)[joint]).tolist()))
+
+
+def grabbed(
+    scene: CellScene, *, closed: bool = True, stepped: bool = False
+) -> tuple[CellRun, GraspOutcome]:
+    right = ExecutePermission("test")
+    grab = cell_grab(SETUP, scene, right=right, auto=True, stepped=stepped, closed=closed)
+    return grab, run(grab.loop, grab.source, ENDS, lambda _: None)
+
+
+def error(grab: CellRun) -> float:
+    """Of the grip point from where it was to be, m, as the world knows it."""
+    world, plan = grab.world, grab.loop.aim.plan
+    assert world.closed_on is not None
+    assert world.closed_at is not None
+    assert plan is not None
+    return float(np.linalg.norm(world.closed_on - world.closed_at - [0, 0, plan.margin.raised]))
+
+
+def hand(grab: CellRun) -> OffsetMeasurement:
+    assert grab.loop.aim.planned is not None
+    found = grab.loop.aim.planned.thing.seen
+    assert found is not None
+    return found
+
+
+def kept_limits(grab: CellRun) -> bool:
+    watch = grab.world.watch
+    return max(watch.speed, watch.acceleration) < 1 + 1e-6 and watch.outside < RESOLUTION
+
+
+@pytest.mark.slow
+def test_a_joint_that_is_off_leads_beside_the_object_until_it_is_corrected() -> None:
+    without, _ = grabbed(off_by(0, 0.4), closed=False)
+    grab, ended = grabbed(off_by(0, 0.4))
+    assert ended.state is GraspState.LIFTED
+    assert hand(grab).used
+    assert error(without) > 2.3e-3
+    assert error(grab) < 1e-3
+    assert kept_limits(grab)
+    true = grab.world.closed_on
+    plan, found = grab.loop.aim.plan, hand(grab).hand
+    assert true is not None
+    assert plan is not None
+    assert found is not None
+    left = true - SETUP.planner.workspace.grip(plan.posture.q_grip)[:3, 3] - found.off
+    assert left @ np.linalg.solve(found.covariance, left) < 16.3  # chi², 3 degrees, 0.1 %
+
+
+@pytest.mark.slow
+def test_one_move_at_a_time_is_corrected_too() -> None:
+    grab, ended = grabbed(off_by(2, -0.4), stepped=True)
+    assert ended.state is GraspState.LIFTED
+    assert hand(grab).used
+    assert error(grab) < 1e-3
+    assert kept_limits(grab)
+
+
+@pytest.mark.slow
+def test_an_arm_as_it_is_stated_is_not_made_worse() -> None:
+    without, _ = grabbed(STANDS, closed=False)
+    grab, ended = grabbed(STANDS)
+    assert ended.state is GraspState.LIFTED
+    assert hand(grab).used
+    assert error(grab) < max(error(without), 0.5e-3)
+
+
+@pytest.mark.slow
+def test_leds_that_are_dark_are_said_and_it_goes_on_without(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("verify.simulation.cell.render._draw_led", lambda *_: None)
+    grab, ended = grabbed(STANDS)
+    assert ended.state is GraspState.LIFTED
+    found = hand(grab)
+    assert not found.used
+    assert found.hand is None
+    assert f"in 0 of {MAX_PICTURES} pictures; nothing was corrected" in found.reason
+    assert error(grab) < 3e-3
+
+
+@pytest.mark.slow
+def test_a_hand_too_far_off_is_not_corrected_and_the_margin_decides() -> None:
+    """1.4° at the first joint are 12 mm: the cap still fits between the fingers, or it does not."""
+    grab, ended = grabbed(off_by(0, 1.4))
+    found = hand(grab)
+    assert not found.used
+    assert found.hand is not None
+    assert "more than the 10 mm that are corrected" in found.reason
+    assert ended.state in (GraspState.LIFTED, GraspState.MISSED)
+    assert (grab.world.held is not None) == (ended.state is GraspState.LIFTED)
+    wide = replace(off_by(0, 1.4), caps=(Cap("blue", (0.47, 0.03), radius=0.029, height=0.03),))
+    grab, ended = grabbed(wide)
+    assert ended.state is GraspState.HOLDING_UNREACHABLE
+    assert "gripper leaves" in ended.reason
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("far", [(0.525, -0.06), (0.439, -0.021)])
+def test_the_hand_is_seen_where_it_once_was_not(far: tuple[float, float]) -> None:
+    """At the box's far wall, where joints by themselves do not get to; where LEDs look alike."""
+    grab, ended = grabbed(CellScene((Cap("blue", far),), seed=1))
+    assert ended.state is GraspState.LIFTED
+    assert hand(grab).used
+    assert error(grab) < 1e-3
+    assert kept_limits(grab)
+
+
+def pair_of(world: CellWorld) -> StereoPair:
+    pair = world.pair()
+    assert pair is not None
+    return pair
+
+
+def test_nothing_is_gathered_of_an_arm_that_has_just_come_to_rest_or_moves_on() -> None:
+    world = CellWorld(SETUP, STANDS)
+    waiting: list[object] = []
+
+    def later(work: object) -> Future[FlangeMeasurement]:
+        waiting.append(work)
+        return Future()
+
+    watch = FlangeWatch(SETUP.planner.arm, SETUP.rig, SETUP.marker, later)
+    q = SETUP.home
+    for now in (0.0, 0.1, 0.2):
+        world.t = now
+        watch.see(pair_of(world))
+        assert watch.gather(now, q) is None
+    assert not waiting
+    world.t = 0.4
+    watch.see(pair_of(world))
+    assert watch.gather(0.4, q) is None
+    assert len(waiting) == 1
+    assert watch.gather(0.5, q) is None  # nobody waits for what is being measured
+    assert watch.gather(0.5, q + 0.01 * FIRST) is None  # elsewhere: all begins anew
+    assert len(waiting) == 1
+
+
+def test_encoders_that_still_move_end_the_look() -> None:
+    world = CellWorld(SETUP, STANDS)
+    watch = FlangeWatch(SETUP.planner.arm, SETUP.rig, SETUP.marker)
+    gathered = None
+    for turn in range(100):
+        world.t = turn / 30
+        watch.see(pair_of(world))
+        reading = world.encoders()
+        watch.read(replace(reading, q=reading.q + 1e-4 * turn * FIRST))
+        gathered = watch.gather(world.t, SETUP.home)
+        if gathered is not None:
+            break
+    assert gathered is not None
+    sights, read = gathered
+    assert len(sights) == MAX_PICTURES  # at home the LEDs are out of sight
+    assert {sight.status for sight in sights} <= {"too_few_leds", "ambiguous_leds"}
+    assert read is None

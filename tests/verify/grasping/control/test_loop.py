@@ -1,0 +1,273 @@
+"""Grabs in the simulated cell from start to a named end; the world says what really happened."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robots.transforms import carry
+from tests.support.grasp.cells import quick_cell
+from verify.grasping.actuators.protocols import ExecutePermission
+from verify.grasping.control.aim import LoopCycle
+from verify.grasping.control.run import GraspOutcome, StopConditions, run
+from verify.grasping.control.states import GraspEvent, GraspState
+from verify.grasping.planning.workspace import RESOLUTION
+from verify.grasping.tracking.camshift import Box
+from verify.grasping.tracking.target import BoxSelection
+from verify.simulation.cell.grab import CellRun, cell_grab
+from verify.simulation.cell.scene import Cap, CellScene, SceneEvent, draw_scene
+
+ENDS = StopConditions(duration=20.0, patience=1.0)
+STANDS = CellScene((Cap("blue", (0.47, 0.03)), Cap("green", (0.47, -0.12))), seed=1)
+
+
+def made(
+    scene: CellScene, *, execute: bool = True, auto: bool = True, stepped: bool = False
+) -> CellRun:
+    right = ExecutePermission("test") if execute else None
+    return cell_grab(  # grasps with a look at the hand: test_loop_closed.py
+        quick_cell(), scene, right=right, auto=auto, stepped=stepped, closed=False
+    )
+
+
+def grabbed(
+    scene: CellScene,
+    *happenings: SceneEvent,
+    orders: dict[GraspState, GraspEvent] | None = None,
+    stepped: bool = False,
+) -> tuple[CellRun, GraspOutcome, list[LoopCycle]]:
+    """Run to the end; each order is given once, ten cycles into its state."""
+    grab = made(replace(scene, happenings=happenings), stepped=stepped)
+    seen: list[LoopCycle] = []
+    waiting = dict(orders or {})
+
+    def given() -> Sequence[GraspEvent]:
+        state = grab.loop.machine.state
+        long = len(seen) > 10 and all(cycle.state is state for cycle in seen[-10:])
+        return [waiting.pop(state)] if long and state in waiting else []
+
+    return grab, run(grab.loop, grab.source, ENDS, seen.append, given), seen
+
+
+def kept_limits(grab: CellRun) -> bool:
+    watch = grab.world.watch
+    return max(watch.speed, watch.acceleration) < 1 + 1e-6 and watch.outside < RESOLUTION
+
+
+def rests(seen: list[LoopCycle]) -> bool:
+    last = [cycle.q for cycle in seen[-5:] if cycle.q is not None]
+    return bool(np.abs(np.diff(last, axis=0)).max() < 1e-3)
+
+
+def test_a_cap_is_tracked_gripped_within_3_mm_and_lifted() -> None:
+    grab, ended, _ = grabbed(STANDS)
+    world, plan = grab.world, grab.loop.aim.plan
+    assert ended.state is GraspState.LIFTED
+    assert ended.released
+    assert world.held is not None
+    assert world.held[0] == 0
+    assert world.closed_on is not None
+    assert world.closed_at is not None
+    assert plan is not None
+    off = world.closed_on - world.closed_at - [0, 0, plan.margin.raised]
+    assert np.linalg.norm(off) < 3e-3
+    height = world.cap(0, world.t)
+    assert height is not None
+    assert height[2, 3] > 0.1
+    assert kept_limits(grab)
+    assert [p.target for p in ended.passages] == [
+        GraspState.SEARCHING, GraspState.TRACKING, GraspState.FOLLOWING, GraspState.APPROACHING, GraspState.CLOSING,
+        GraspState.CHECKING, GraspState.LIFTING, GraspState.LIFTED, GraspState.RELEASING, GraspState.RELEASED,
+    ]  # fmt: skip
+
+
+def test_one_move_at_a_time_does_it_too() -> None:
+    grab, ended, _ = grabbed(STANDS, stepped=True)
+    assert ended.state is GraspState.LIFTED
+    assert grab.world.held is not None
+    assert kept_limits(grab)
+
+
+def test_a_cap_that_slides_is_followed_and_grasped_where_it_stops() -> None:
+    slides = Cap("blue", (0.46, -0.06), (0.02, 0.06), 2.0)
+    grab, ended, _ = grabbed(CellScene((slides,), seed=2))
+    assert ended.state is GraspState.LIFTED
+    assert grab.world.held is not None
+    assert kept_limits(grab)
+
+
+def test_nothing_moves_without_the_right() -> None:
+    grab = made(STANDS, execute=False, auto=False)
+    home = grab.world.arm.q(0.0)
+    ended = run(grab.loop, grab.source, ENDS, lambda _: None)
+    assert ended.state is GraspState.TRACKING
+    assert grab.loop.aim.plan is not None
+    assert np.array_equal(grab.world.arm.q(grab.world.t), home)
+
+
+def test_without_auto_it_waits_for_the_order() -> None:
+    grab = made(STANDS, auto=False)
+    ended = run(grab.loop, grab.source, StopConditions(3.0, 1.0), lambda _: None)
+    assert ended.state is GraspState.FOLLOWING
+    assert ended.released
+
+
+def test_an_order_that_does_not_count_is_answered_with_what_lacks() -> None:
+    grab = made(STANDS, auto=False)
+    assert "no order" in grab.loop.tell(GraspEvent.GRAB)
+
+
+@pytest.mark.parametrize("stepped", [False, True], ids=["stream", "stop and go"])
+def test_a_camera_that_dies_in_mid_approach_holds_the_arm(stepped: bool) -> None:
+    grab, ended, seen = grabbed(STANDS, SceneEvent("camera_gone", near=0.09), stepped=stepped)
+    assert ended.state is GraspState.HOLDING_STALE
+    assert grab.world.held is None
+    assert rests(seen)
+    assert kept_limits(grab)
+
+
+def test_an_alarm_of_the_controller_is_a_fault() -> None:
+    grab, ended, seen = grabbed(STANDS, SceneEvent("alarm", near=0.08))
+    assert ended.state is GraspState.FAULT
+    assert "0930" in ended.reason
+    assert grab.world.held is None
+    assert rests(seen)
+
+
+def test_an_object_taken_at_the_last_moment_is_a_miss_not_a_success() -> None:
+    grab, ended, _ = grabbed(STANDS, SceneEvent("taken", near=0.03))
+    assert ended.state is GraspState.MISSED
+    assert grab.world.grip()[2, 3] > 0.1
+    assert kept_limits(grab)
+
+
+def test_an_object_taken_before_the_approach_is_lost_to_sight() -> None:
+    grab, ended, _ = grabbed(STANDS, SceneEvent("taken", near=0.16))
+    assert ended.state is GraspState.HOLDING_LOST
+    assert kept_limits(grab)
+
+
+def test_a_target_that_is_hidden_a_while_is_grasped_after_it() -> None:
+    hidden = SceneEvent("hidden", at=0.9, lasts=1.6)
+    grab, ended, _ = grabbed(STANDS, hidden)
+    assert GraspState.HOLDING_LOST in [p.target for p in ended.passages]
+    assert ended.state is GraspState.LIFTED
+    assert grab.world.held is not None
+
+
+def test_a_target_that_leaves_both_pictures_and_returns_is_grasped_after_it() -> None:
+    leaves = Cap("blue", (0.45, 0.0), (0.0, 1.2), 1.0, away=0.8)
+    grab, ended, seen = grabbed(replace(STANDS, caps=(leaves,)))
+    gone = [cycle.seen.status for cycle in seen if cycle.seen is not None and 1.0 < cycle.t < 1.8]
+    assert gone
+    assert set(gone) == {"lost"}
+    away = [cycle for cycle in seen if 1.2 < cycle.t < 1.8]
+    assert {cycle.state for cycle in away} == {GraspState.SEARCHING}
+    assert rests(away)
+    assert ended.state is GraspState.LIFTED
+    assert grab.world.held is not None
+    assert kept_limits(grab)
+
+
+def test_the_light_may_halve_within_a_second() -> None:
+    _, ended, _ = grabbed(STANDS, SceneEvent("dusk", at=1.0))
+    assert ended.state is GraspState.LIFTED
+
+
+@pytest.mark.parametrize(
+    ("cap", "word"),
+    [
+        (Cap("blue", (0.345, 0.0)), "posture"),
+        (Cap("blue", (0.47, 0.0), radius=0.042, height=0.03), "wide"),
+    ],
+    ids=["out of reach", "too wide"],
+)
+def test_what_cannot_be_grasped_is_refused_with_the_reason(cap: Cap, word: str) -> None:
+    grab, ended, _ = grabbed(CellScene((cap,), seed=3))
+    assert ended.state is GraspState.HOLDING_UNREACHABLE
+    assert word in ended.reason
+    assert grab.world.held is None
+    assert kept_limits(grab)
+
+
+@pytest.mark.parametrize("stepped", [False, True], ids=["stream", "stop and go"])
+def test_the_operators_hold_stops_a_descent_and_the_hand_goes_up_when_told(stepped: bool) -> None:
+    orders = {
+        GraspState.APPROACHING: GraspEvent.HOLD,
+        GraspState.HOLDING_OPERATOR: GraspEvent.RETREAT,
+    }
+    grab, ended, _ = grabbed(STANDS, orders=orders, stepped=stepped)
+    assert GraspState.HOLDING_OPERATOR in [p.target for p in ended.passages]
+    assert ended.state is GraspState.MISSED
+    assert grab.world.grip()[2, 3] > 0.1
+    assert kept_limits(grab)
+
+
+def test_a_hold_on_the_way_up_keeps_the_grip_and_goes_on_when_told() -> None:
+    orders = {GraspState.LIFTING: GraspEvent.HOLD, GraspState.HOLDING_OPERATOR: GraspEvent.RESUME}
+    grab, ended, _ = grabbed(STANDS, orders=orders)
+    assert GraspState.HOLDING_OPERATOR in [p.target for p in ended.passages]
+    assert ended.state is GraspState.LIFTED
+    assert grab.world.held is not None
+    assert grab.world.grip()[2, 3] > 0.1
+    assert kept_limits(grab)
+
+
+def test_a_hold_on_the_way_around_a_wall_stops_there_and_the_hand_gets_above_after() -> None:
+    """Joints by themselves end at the box's far wall: a way that was looked at leads on."""
+    grab = made(CellScene((Cap("blue", (0.525, -0.06)),), seed=1))
+    orders = [(1.75, GraspEvent.HOLD), (2.3, GraspEvent.RESUME)]
+    above: list[float] = []
+
+    def given() -> Sequence[GraspEvent]:
+        if grab.loop.machine.state is GraspState.APPROACHING and not above:
+            above.append(float(np.linalg.norm(grab.world.grip()[:2, 3] - (0.525, -0.06))))
+        return [orders.pop(0)[1]] if orders and grab.world.t >= orders[0][0] else []
+
+    ended = run(grab.loop, grab.source, ENDS, lambda _: None, given)
+    assert ended.state is GraspState.LIFTED
+    assert GraspState.HOLDING_OPERATOR in [p.target for p in ended.passages]
+    assert above[0] < 5e-3  # it began where the line down does
+    assert kept_limits(grab)
+
+
+def test_ctrl_c_in_mid_approach_comes_to_rest_and_gives_the_controls_back() -> None:
+    grab = made(STANDS)
+    near = lambda: bool(grab.loop.machine.state is GraspState.APPROACHING)  # noqa: E731
+    ended = run(grab.loop, grab.source, ENDS, lambda _: None, stop=near)
+    assert ended.stopped
+    assert ended.released
+    assert kept_limits(grab)
+
+
+def box_of(cap: Cap) -> Box:
+    """The box that a person draws around a cap in the first left picture."""
+    ring = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]) * cap.radius
+    rims = [np.column_stack([ring, np.full(4, z)]) for z in (-cap.height / 2, cap.height / 2)]
+    camera = quick_cell().rig.left
+    camera_T_base = camera.camera_T_rig(camera.pan) @ quick_cell().rig.rig_T_base
+    seen = camera.project(carry(camera_T_base, np.concatenate(rims) + cap.place(0.0)))
+    x, y = np.floor(seen.min(axis=0) - 1).astype(int).tolist()
+    right, bottom = np.ceil(seen.max(axis=0) + 1).astype(int).tolist()
+    return x, y, right - x, bottom - y
+
+
+def test_a_target_that_passes_behind_another_of_its_colour_is_the_one_that_is_lifted() -> None:
+    passes = Cap("blue", (0.43, -0.10), (0.0, 0.13), 2.4)
+    scene = CellScene((passes, Cap("blue", (0.49, 0.0))), seed=4)
+    target, right = BoxSelection(box_of(passes)), ExecutePermission("test")
+    grab = cell_grab(quick_cell(), scene, target, right, auto=True, closed=False)
+    seen: list[LoopCycle] = []
+    ended = run(grab.loop, grab.source, ENDS, seen.append)
+    before = {cycle.seen.status for cycle in seen if cycle.seen is not None and cycle.t < 1.5}
+    assert before & {"lost", "occluded"}  # it was behind the other
+    assert ended.state is GraspState.LIFTED
+    assert grab.world.held is not None
+    assert grab.world.held[0] == 0
+    assert kept_limits(grab)
+
+
+def test_the_same_seed_draws_the_same_cell() -> None:
+    assert draw_scene(7) == draw_scene(7)
+    assert draw_scene(7) != draw_scene(8)

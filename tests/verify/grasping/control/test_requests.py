@@ -1,0 +1,194 @@
+"""What a page may ask of a grab: which requests count, in which order, and what is refused."""
+
+import threading
+from typing import Any
+
+import pytest
+
+from tests.support.grasp.cells import quick_cell
+from tests.support.grasp.page import filled
+from verify.errors import InputError
+from verify.grasping.actuators.protocols import ExecutePermission
+from verify.grasping.control.requests import OperatorRequests, select_target
+from verify.grasping.control.run import StopConditions, run
+from verify.grasping.control.states import MOVING_STATES, GraspEvent, GraspState
+from verify.grasping.tracking.selection import parse_drawn
+from verify.grasping.tracking.target import BoxSelection, ColourSelection, TrackingOptions
+from verify.grasping.tracking.track import TargetTracker
+from verify.simulation.cell.grab import CellRun, cell_grab
+from verify.simulation.cell.scene import Cap, CellScene
+
+SETUP = quick_cell()
+STANDS = CellScene((Cap("blue", (0.47, 0.03)), Cap("green", (0.47, -0.12))), seed=1)
+CAP = BoxSelection(filled(STANDS.caps[0], STANDS.caps[0].place(0.0)))
+
+
+def made(*, execute: bool = True) -> CellRun:
+    right = ExecutePermission("test") if execute else None
+    return cell_grab(SETUP, STANDS, right=right, closed=False)
+
+
+def started(*, execute: bool = True) -> CellRun:
+    grab = made(execute=execute)
+    grab.loop.start()
+    return grab
+
+
+def turned(grab: CellRun, until: GraspState, limit: int = 400) -> None:
+    """Let the loop turn until it is in a state."""
+    for _ in range(limit):
+        if grab.loop.machine.state is until:
+            return
+        grab.loop.cycle(grab.source.pair())
+        grab.source.wait()
+    raise AssertionError(grab.loop.machine.log)
+
+
+def chosen(grab: CellRun, drawn: BoxSelection) -> str:
+    pair = grab.source.pair()
+    assert pair is not None
+    return select_target(grab.loop, SETUP.rig, drawn, pair)
+
+
+def test_a_stop_forgets_what_was_asked_before_it_and_nothing_that_comes_after() -> None:
+    requests = OperatorRequests()
+    requests.grab("3")
+    requests.select("left 10,10,20,20")
+    requests.hold()
+    requests.hold()
+    requests.grab("3")
+    asked = requests.taken(3, pictures=True)
+    assert asked.orders == (GraspEvent.HOLD, GraspEvent.GRAB)
+    assert asked.drawn is None
+    assert requests.stops == 1
+    assert requests.taken(3, pictures=True) == type(asked)((), None, ())
+
+
+def test_an_order_for_a_state_that_has_passed_is_refused() -> None:
+    requests = OperatorRequests()
+    requests.grab("3")
+    asked = requests.taken(4, pictures=True)
+    assert asked.orders == ()
+    assert "look again" in asked.refused[0]
+
+
+def test_a_selection_waits_for_pictures_and_the_newest_counts() -> None:
+    requests = OperatorRequests()
+    requests.select("left 10,10,20,20")
+    requests.select("right 30,10,20,20")
+    assert requests.taken(0, pictures=False).drawn is None
+    assert requests.taken(0, pictures=True).drawn == BoxSelection((30, 10, 20, 20), "right")
+    assert requests.taken(0, pictures=True).drawn is None
+
+
+def test_a_flood_of_requests_stays_small() -> None:
+    requests = OperatorRequests()
+    threads = [threading.Thread(target=flood, args=(requests,)) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    asked = requests.taken(7, pictures=True)
+    assert set(asked.orders) <= {GraspEvent.GRAB, GraspEvent.HOLD}
+    assert len(asked.orders) <= 2
+    assert len(asked.refused) <= 1
+
+
+def flood(requests: OperatorRequests) -> None:
+    for _ in range(500):
+        requests.grab("7")
+        requests.grab("NaN")
+        requests.hold()
+        requests.select("left 1,1,20,20")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "left", "left ", "up 1,1,9,9", "left 1,1,9", "left NaN,1,9,9"]
+)
+def test_what_is_no_box_in_a_picture_is_refused(text: str) -> None:
+    with pytest.raises(InputError):
+        parse_drawn(text, "selection")
+
+
+def test_without_a_target_nothing_is_looked_for_until_one_is_drawn() -> None:
+    grab = started()
+    grab.loop.look_for(None)
+    turned(grab, GraspState.SEARCHING)
+    for _ in range(10):
+        assert grab.loop.cycle(grab.source.pair()).seen is None
+        grab.source.wait()
+    assert grab.loop.machine.state is GraspState.SEARCHING
+    assert chosen(grab, CAP) == ""
+    turned(grab, GraspState.FOLLOWING)
+
+
+def test_a_box_that_teaches_nothing_leaves_the_last_target_as_it_was() -> None:
+    grab = started(execute=False)
+    turned(grab, GraspState.TRACKING)
+    known = grab.loop.aim.known
+    assert "no colour" in chosen(grab, BoxSelection((20, 20, 40, 40)))
+    assert "out of the picture" in chosen(grab, BoxSelection((600, 300, 60, 90), "right"))
+    assert grab.loop.aim.known is known
+    assert grab.loop.cycle(grab.source.pair()).state is GraspState.TRACKING
+
+
+def test_no_other_target_is_taken_while_anything_moves() -> None:
+    grab = made()
+    seen: set[GraspState] = set()
+
+    def look(_: Any) -> None:
+        state = grab.loop.machine.state
+        if state in MOVING_STATES:
+            seen.add(state)
+            assert "now" in chosen(grab, CAP)
+            with pytest.raises(ValueError, match="no other target"):
+                grab.loop.look_for(None)
+
+    def orders() -> list[GraspEvent]:
+        return [GraspEvent.GRAB] if grab.loop.machine.planned else []
+
+    ended = run(grab.loop, grab.source, StopConditions(20.0, 1.0), look, orders)
+    assert ended.state is GraspState.LIFTED
+    assert seen >= {
+        GraspState.FOLLOWING,
+        GraspState.APPROACHING,
+        GraspState.CLOSING,
+        GraspState.LIFTING,
+    }
+
+
+def test_no_plan_for_the_last_target_is_left_for_the_next() -> None:
+    grab = started()
+    turned(grab, GraspState.FOLLOWING)
+    while not grab.loop.machine.planned:
+        grab.loop.cycle(grab.source.pair())
+        grab.source.wait()
+    assert grab.loop.tell(GraspEvent.HOLD) == ""
+    for _ in range(20):
+        grab.loop.cycle(grab.source.pair())
+        grab.source.wait()
+    tracker = TargetTracker(SETUP.rig, ColourSelection("green"), TrackingOptions())
+    grab.loop.look_for(tracker)
+    grab.loop.tell(GraspEvent.RESUME)
+    assert "lacks" in grab.loop.tell(GraspEvent.GRAB)
+    turned(grab, GraspState.FOLLOWING)
+    assert "lacks" in grab.loop.tell(GraspEvent.GRAB)
+
+
+def test_a_hold_before_the_beginning_holds_from_the_beginning() -> None:
+    grab = started()
+    assert grab.loop.tell(GraspEvent.HOLD) == ""
+    turned(grab, GraspState.HOLDING_OPERATOR)
+    assert [p.target for p in grab.loop.machine.log] == [
+        GraspState.SEARCHING,
+        GraspState.HOLDING_OPERATOR,
+    ]
+    assert grab.loop.tell(GraspEvent.RESUME) == ""
+    turned(grab, GraspState.FOLLOWING)
+
+
+def test_where_nothing_was_taken_it_ends_at_once() -> None:
+    grab = made(execute=False)
+    ended = run(grab.loop, grab.source, StopConditions(2.0, 1.0), lambda _: None, stop=lambda: True)
+    assert ended.released
+    assert grab.world.t < 0.5

@@ -1,0 +1,154 @@
+"""Postures: every branch is either offered or told why not, and what is offered holds."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import robots
+from tests.support.grasp.cells import home, melfa, setup
+from verify.core.records import Array
+from verify.grasping.planning.plan import GraspPlanner
+from verify.grasping.planning.postures import (
+    MIN_SINGULAR_VALUE,
+    branch_name,
+    find_postures,
+    smallest_singular_value,
+)
+from verify.grasping.planning.workspace import RESOLUTION
+
+POINT = np.array([0.45, 0.05, 0.04])
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> GraspPlanner:
+    return setup(tmp_path)
+
+
+def test_every_branch_is_offered_or_told_why_not(made: GraspPlanner) -> None:
+    good, rejected = find_postures(made.workspace, made.limits, POINT, home(made))
+    assert {posture.branch for posture in good} | set(rejected) == set(range(8))
+    assert not {posture.branch for posture in good} & set(rejected)
+    assert all(rejected.values())
+    assert [p.score for p in good] == sorted((p.score for p in good), reverse=True)
+
+
+def test_what_is_offered_stands_above_and_at_the_object(made: GraspPlanner) -> None:
+    good, _ = find_postures(made.workspace, made.limits, POINT, home(made))
+    for posture in good:
+        above, grip = (made.workspace.grip(q) for q in (posture.q_above, posture.q_grip))
+        assert_allclose(grip[:3, 3], POINT, atol=1e-9)
+        assert_allclose(above[:3, 3], POINT + np.array([0, 0, 0.12]), atol=1e-9)
+        assert_allclose(above[:3, :3], grip[:3, :3], atol=1e-9)
+        assert_allclose(grip[:3, 2], [0, 0, -1], atol=1e-9)
+        both = np.array([posture.q_above, posture.q_grip])
+        assert robots.within_limits(melfa(), both).all()
+        assert made.workspace.margins(both).min() >= -RESOLUTION
+        assert smallest_singular_value(melfa(), both).min() >= MIN_SINGULAR_VALUE
+        assert np.abs(posture.q_grip - posture.q_above).max() < np.pi  # no joint is wound up
+        for part in (posture.limits, posture.dexterity, posture.nearness, posture.clearance):
+            assert 0 < part <= 1
+
+
+def test_no_joint_is_wound_up_from_where_the_arm_stands(made: GraspPlanner) -> None:
+    wound = home(made) + np.radians([0, 0, 0, 0, 0, 150.0])
+    good, _ = find_postures(made.workspace, made.limits, POINT, wound)
+    assert max(posture.q_above[5] for posture in good) > np.pi
+    for posture in good:
+        assert np.abs(posture.q_above - wound).max() <= np.pi + 1e-9
+        assert np.abs(posture.q_grip - posture.q_above).max() < 1.0
+
+
+def test_among_equal_postures_the_nearer_is_better(made: GraspPlanner) -> None:
+    good, _ = find_postures(made.workspace, made.limits, POINT, home(made))
+    there, _ = find_postures(made.workspace, made.limits, POINT, good[3].q_above)
+    same = next(p for p in there if np.allclose(p.q_above, good[3].q_above, atol=1e-6))
+    assert same.nearness == pytest.approx(1, abs=1e-6)
+    assert same.nearness > good[3].nearness
+
+
+def test_an_elbow_near_the_table_counts_against_its_branch(made: GraspPlanner) -> None:
+    """The finger tips come as near to the table in every posture; the elbow does not."""
+    turn = np.full(6, 2 * np.pi)
+    wide = dataclasses.replace(made.limits, lower=-turn, upper=turn)  # so that elbow − can be
+    good, _ = find_postures(made.workspace, wide, POINT, home(made))
+    table, radius = made.cell.table, made.cell.moving.link_radius
+    seen = {}
+    for posture in good:
+        lowest = min(z for q in (posture.q_above, posture.q_grip) for z in joint_heights(q)[:4])
+        seen[posture.branch] = lowest - radius - table.height - table.clearance
+        room = min(seen[posture.branch] / 0.1, 1.0)
+        assert posture.clearance == pytest.approx(room, abs=1e-9)
+    assert seen[2] < 0.05 < 0.1 < seen[0]  # m, as this cell has it
+    point = POINT + np.array([0, 0, 0.15])
+    higher, _ = find_postures(made.workspace, wide, point, home(made))
+    up = {posture.branch: posture.clearance for posture in higher}
+    down = {posture.branch: posture.clearance for posture in good}
+    assert down[0] == up[0] == 1
+    assert down[2] < up[2] < 1
+
+
+def joint_heights(q: Array) -> list[float]:
+    """Heights of the frames 1 to 6 over the base, m: the DH matrices multiplied out."""
+    arm, pose, heights = melfa(), np.eye(4), []
+    for theta, d, a, alpha in zip(arm.theta(q), arm.d, arm.a, arm.alpha, strict=True):
+        ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+        pose = pose @ np.array(
+            [
+                [ct, -st * ca, st * sa, a * ct],
+                [st, ct * ca, -ct * sa, a * st],
+                [0, sa, ca, d],
+                [0, 0, 0, 1],
+            ]
+        )
+        heights.append(float(pose[2, 3]))
+    return heights
+
+
+@pytest.mark.parametrize(
+    ("point", "words"),
+    [
+        ([0.9, 0.0, 0.1], "out of reach, however the hand is turned"),
+        ([0.30, 0.0, 0.03], "joint 4 would stand at 180.0°, allowed is -160 to 160°"),
+        ([0.45, 0.35, 0.05], "the grip point would be 50 mm outside the workspace box"),
+    ],
+)
+def test_a_branch_that_cannot_says_why(made: GraspPlanner, point: list[float], words: str) -> None:
+    _, rejected = find_postures(made.workspace, made.limits, np.array(point), home(made))
+    assert any(words in said for said in rejected.values())
+
+
+def test_low_things_are_refused_for_the_table_and_near_cameras_for_the_cameras(
+    made: GraspPlanner,
+) -> None:
+    good, rejected = find_postures(
+        made.workspace, made.limits, POINT - np.array([0, 0, 0.03]), home(made)
+    )
+    assert not good
+    assert any("finger tips would come 8 mm too near to the table" in r for r in rejected.values())
+    beside = dataclasses.replace(made.workspace, cameras=POINT[None] + np.array([0.0, 0.15, 0.1]))
+    good, rejected = find_postures(beside, made.limits, POINT, home(made))
+    assert any("near to camera 1" in said for said in rejected.values())
+
+
+def test_every_answer_of_the_arm_was_looked_at(made: GraspPlanner) -> None:
+    """Against brute force: random postures that grasp the point are all of an offered branch."""
+    good, _ = find_postures(made.workspace, made.limits, POINT, home(made))
+    offered = {posture.branch for posture in good}
+    flange = made.workspace.grip(good[0].q_grip) @ np.linalg.inv(made.cell.gripper.flange_T_grip)
+    for turn in np.linspace(0, 2 * np.pi, 90):
+        spun = flange.copy()
+        spun[:3, :3] = robots.transforms.rotation_exp(np.array([0, 0, turn])) @ flange[:3, :3]
+        for q in robots.turns(melfa(), robots.inverse(melfa(), spun).q):
+            if made.workspace.margins(q[None]).min() < 0:
+                continue
+            answers = robots.inverse(melfa(), spun, hold=q).q
+            branch = int(np.nanargmin(np.abs(np.sin((answers - q) / 2)).max(axis=1)))
+            assert branch in offered
+
+
+def test_a_branch_has_a_name() -> None:
+    assert branch_name(0) == "shoulder facing, elbow +, wrist +"
+    assert branch_name(7) == "shoulder away, elbow −, wrist −"

@@ -1,0 +1,157 @@
+"""Who is who: a target is never mixed up where another explains what is seen as well."""
+
+import numpy as np
+import pytest
+
+from verify.grasping.tracking.association import (
+    ObjectCandidate,
+    ObjectTrack,
+    TargetDecision,
+    TargetIdentity,
+    associate,
+)
+from verify.grasping.tracking.kalman import begin_track
+from verify.grasping.tracking.target import TrackingOptions
+
+RATE, AREA = 30.0, 1.2e-3  # Hz, m²
+HERE, THERE = (0.0, 0.0, 0.7), (0.12, 0.0, 0.7)
+DENSITY, SPEED = 0.1, 0.5
+
+
+def seen(
+    *place: float, area: float = AREA, index: int = 0, reach: float | None = None
+) -> ObjectCandidate:
+    noise = np.eye(3) * 0.0005**2
+    grown = area if reach is None else reach
+    return ObjectCandidate(
+        np.array(place), noise, noise, area, area, grown, np.full(2, 0.04), index
+    )
+
+
+class Film:
+    """Steps an identity at 30 Hz."""
+
+    def __init__(self, identity: TargetIdentity) -> None:
+        self.identity, self.frame = identity, 0
+
+    def show(self, *candidates: ObjectCandidate, times: int = 1) -> TargetDecision:
+        for _ in range(times):
+            self.frame += 1
+            verdict = self.identity.step(self.frame / RATE, list(candidates))
+        return verdict
+
+
+def chosen(*place: float) -> Film:
+    identity = TargetIdentity(TrackingOptions(), DENSITY, SPEED)
+    identity.choose(0.0, seen(*place))
+    return Film(identity)
+
+
+def test_one_object_of_the_colour_is_found_after_a_few_pairs() -> None:
+    film = Film(TargetIdentity(TrackingOptions(), DENSITY, SPEED))
+    assert [film.show(seen(*HERE)).status for _ in range(4)] == [
+        "searching",
+        "searching",
+        "tracked",
+        "tracked",
+    ]
+
+
+def test_of_two_objects_none_is_taken() -> None:
+    film = Film(TargetIdentity(TrackingOptions(), DENSITY, SPEED))
+    verdict = film.show(seen(*HERE), seen(*THERE, index=1), times=10)
+    assert verdict.status == "searching"
+    assert verdict.reason == "2 objects have this colour: select one"
+
+
+def test_a_target_that_stands_still_is_tracked() -> None:
+    assert chosen(*HERE).show(seen(*HERE), times=30).status == "tracked"
+
+
+def test_what_is_not_seen_is_lost_and_found_again_where_it_was() -> None:
+    film = chosen(*HERE)
+    film.show(seen(*HERE), times=30)
+    assert film.show(times=60).status == "lost"
+    assert [film.show(seen(*HERE)).status for _ in range(3)] == ["lost", "lost", "tracked"]
+
+
+def test_another_known_object_is_not_taken_for_a_lost_target() -> None:
+    film = chosen(*HERE)
+    film.show(seen(*HERE), seen(*THERE, index=1), times=30)
+    verdict = film.show(seen(*THERE), times=90)
+    assert (verdict.status, verdict.chosen) == ("lost", None)
+    assert verdict.reason == "only another of its colour is seen"
+
+
+def test_it_comes_back_elsewhere_while_the_other_stays() -> None:
+    film = chosen(*HERE)
+    film.show(seen(*HERE), seen(*THERE, index=1), times=30)
+    film.show(seen(*THERE), times=90)
+    verdict = film.show(seen(*THERE), seen(-0.2, 0.0, 0.7, index=1), times=5)
+    assert (verdict.status, verdict.chosen) == ("tracked", 1)
+
+
+def test_after_a_long_absence_it_is_found_wherever_it_is() -> None:
+    film = chosen(*HERE)
+    film.show(seen(*HERE), times=30)
+    film.show(times=900)
+    assert film.show(seen(0.4, 0.1, 0.9), times=3).status == "tracked"
+
+
+def test_two_that_come_back_where_either_might_be_are_not_told_apart() -> None:
+    film = chosen(*HERE)
+    film.show(seen(*HERE), seen(0.03, 0.0, 0.7, index=1), times=30)
+    film.show(times=150)  # five seconds in which they may have changed places
+    verdict = film.show(seen(0.015, 0.02, 0.7), seen(0.015, -0.02, 0.7, index=1), times=10)
+    assert verdict.status == "occluded"
+    assert verdict.reason == "it cannot be told from another of its colour"
+
+
+def test_a_merged_patch_moves_nothing() -> None:
+    film = chosen(*HERE)
+    film.show(seen(*HERE), times=30)
+    verdict = film.show(seen(0.01, 0.0, 0.7, reach=2 * AREA))
+    assert verdict.status == "occluded"
+    assert film.identity.target is not None
+    assert abs(film.identity.target.track.position[0]) < 1e-9
+
+
+def test_a_part_in_view_is_occluded_and_its_size_is_not_learned() -> None:
+    film = chosen(*HERE)
+    film.show(seen(*HERE), times=30)
+    verdict = film.show(seen(*HERE, area=0.6 * AREA), times=60)
+    assert (verdict.status, verdict.reason) == ("occluded", "a part of it is hidden")
+    assert film.identity.target is not None
+    assert film.identity.target.area == pytest.approx(AREA)
+
+
+def test_the_pieces_of_a_half_hidden_target_are_no_other_objects() -> None:
+    film = chosen(*HERE)
+    film.show(seen(*HERE), times=30)
+    film.show(seen(0.015, 0.0, 0.7, area=0.05 * AREA), times=30)
+    assert film.identity.others(film.frame / RATE) == []
+
+
+def test_a_jump_is_believed_after_a_few_pairs_only() -> None:
+    film = chosen(*HERE)
+    film.show(seen(*HERE), times=60)
+    assert film.show(seen(0.05, 0.0, 0.7)).status == "lost"
+    assert film.show(seen(*HERE)).status == "tracked"  # it was nothing
+    assert film.show(seen(0.05, 0.0, 0.7), times=3).status == "tracked"
+
+
+def test_the_best_assignment_is_made_for_all_at_once() -> None:
+    def known(x: float) -> ObjectTrack:
+        track = begin_track(0.0, np.array([x, 0.0, 0.7]), np.eye(3) * 0.01**2, 0.01)
+        return ObjectTrack(track, AREA, np.full(2, 0.04), 0.0, 5)
+
+    # the nearest to both is the candidate between them; only one may have it
+    who = associate(
+        [known(0.0), known(0.05)], [seen(0.03, 0, 0.7), seen(0.06, 0, 0.7)], 0.0, DENSITY
+    )
+    assert who.choice == (0, 1)
+    alone = associate([known(0.0)], [seen(0.001, 0.0, 0.7)], 0.0, DENSITY)
+    assert alone.sure(0)
+    between = associate([known(0.0), known(0.05)], [seen(0.025, 0.0, 0.7)], 0.0, DENSITY)
+    assert not between.sure(0)
+    assert not between.sure(1)

@@ -1,0 +1,109 @@
+"""The Kalman track against the process it claims to follow, and against least squares."""
+
+import numpy as np
+import pytest
+
+from verify.core.records import Array
+from verify.grasping.tracking.kalman import VELOCITY_TIME_CONSTANT, KalmanTrack, begin_track
+
+SIGMA = 0.003  # m
+
+
+def test_the_prediction_has_the_moments_of_the_simulated_process() -> None:
+    rng = np.random.default_rng(1)
+    speed, spread, count, span, steps = 0.4, 0.01, 20000, 0.8, 400
+    start = KalmanTrack(
+        0.0, np.array([0.1, 0.3]), np.diag([spread**2, 0.04]), speed=speed, fastest=speed
+    )
+    x = rng.normal(0.1, spread, count)
+    v = rng.normal(0.3, 0.2, count)
+    dt = span / steps
+    for _ in range(steps):  # dv = -v dt / VELOCITY_TIME_CONSTANT + noise, by Euler and Maruyama
+        x += v * dt
+        v += -v * dt / VELOCITY_TIME_CONSTANT + rng.normal(
+            0, speed * np.sqrt(2 * dt / VELOCITY_TIME_CONSTANT), count
+        )
+    after = start.at(span)
+    np.testing.assert_allclose(after.mean, [x.mean(), v.mean()], atol=0.01)
+    np.testing.assert_allclose(after.covariance, np.cov(x, v), rtol=0.05, atol=1e-3)
+
+
+def test_two_steps_predict_as_one_does() -> None:
+    track = begin_track(0.0, np.array([0.1, -0.2, 0.7]), np.eye(3) * SIGMA**2, 0.5)
+    once, twice = track.at(0.5), track.at(0.2).at(0.5)
+    np.testing.assert_allclose(twice.mean, once.mean, atol=1e-12)
+    np.testing.assert_allclose(twice.covariance, once.covariance, atol=1e-12)
+
+
+def test_out_of_sight_the_velocity_is_forgotten_but_stays_a_velocity() -> None:
+    track = begin_track(0.0, np.zeros(3), np.eye(3) * SIGMA**2, 0.5).at(60.0)
+    np.testing.assert_allclose(track.velocity_covariance, np.eye(3) * 0.25, rtol=1e-6)
+    assert 1.0 < np.sqrt(track.position_covariance[0, 0]) < 8.0  # a minute's wandering
+
+
+def test_steps_back_in_time_change_nothing() -> None:
+    track = begin_track(5.0, np.zeros(3), np.eye(3), 0.5)
+    assert track.at(4.0) is track
+
+
+def test_standing_still_it_becomes_the_mean_of_what_was_measured() -> None:
+    rng = np.random.default_rng(4)
+    place, measured = np.array([0.05, 0.02, 0.7]), []
+    track = begin_track(0.0, place + rng.normal(0, SIGMA, 3), np.eye(3) * SIGMA**2, 1e-9)
+    for i in range(1, 40):
+        measured.append(place + rng.normal(0, SIGMA, 3))
+        track = track.at(i / 30).updated(measured[-1], np.eye(3) * SIGMA**2)
+    assert np.sqrt(np.trace(track.position_covariance) / 3) == pytest.approx(
+        SIGMA / np.sqrt(40), rel=0.02
+    )
+
+
+def filtered(path: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Normalised squared errors of position and velocity along a path sampled at 30 Hz."""
+    covariance = np.eye(3) * SIGMA**2
+    track = begin_track(0.0, path[0] + rng.normal(0, SIGMA, 3), covariance, 0.5)
+    errors = []
+    for i, place in enumerate(path[1:], start=1):
+        track = track.at(i / 30).updated(place + rng.normal(0, SIGMA, 3), covariance)
+        off = track.position - place
+        errors.append(off @ np.linalg.solve(track.position_covariance, off))
+    return np.array(errors), track.velocity
+
+
+def test_the_claimed_covariance_covers_a_target_that_is_carried_about() -> None:
+    t = np.arange(90) / 30
+    path = np.stack([0.1 * np.sin(3 * t), 0.02 * np.cos(2 * t), 0.7 + 0.05 * np.sin(2 * t)], axis=1)
+    rng = np.random.default_rng(7)
+    errors = np.concatenate([filtered(path, rng)[0][10:] for _ in range(30)])
+    assert 1.0 < errors.mean() < 4.0  # 3 where covariance and scatter agree
+
+
+def test_the_velocity_is_found() -> None:
+    t = np.arange(45) / 30
+    path = np.outer(t, [0.2, -0.1, 0.05]) + np.array([0, 0, 0.7])
+    velocity = filtered(path, np.random.default_rng(3))[1]
+    np.testing.assert_allclose(velocity, [0.2, -0.1, 0.05], atol=0.1)
+
+
+def test_what_stands_still_is_learned_to_do_so() -> None:
+    track = begin_track(0.0, np.zeros(3), np.eye(3) * SIGMA**2, 0.5)
+    for i in range(1, 120):
+        track = track.at(i / 30).updated(np.zeros(3), np.eye(3) * SIGMA**2).learned(1 / 30)
+    assert track.speed < 0.2
+    assert (
+        track.at(4.7).position_covariance[0, 0]
+        < begin_track(0.0, np.zeros(3), np.eye(3) * SIGMA**2, 0.5).at(0.7).position_covariance[0, 0]
+    )
+
+
+def test_a_push_explains_what_neither_rest_nor_its_usual_motion_does() -> None:
+    track = begin_track(0.0, np.zeros(3), np.eye(3) * SIGMA**2, 0.5)
+    for i in range(1, 60):
+        track = track.at(i / 30).updated(np.zeros(3), np.eye(3) * SIGMA**2).learned(1 / 30)
+    far = np.array([0.03, 0, 0])
+    costs = [
+        sum(e.track.distance(far, np.eye(3) * SIGMA**2)) - 2 * np.log(e.prior)
+        for e in track.explanations(2.0)
+    ]
+    assert [e.abrupt for e in track.explanations(2.0)] == [False, False, True]
+    assert costs[2] < min(costs[:2])

@@ -1,0 +1,99 @@
+"""Which patches are one object: rays that meet, sizes that agree, and order."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.grasp.caps import BLUE, SKEW, Cap, pairs, small_rig, still
+from verify.core.records import StereoPair
+from verify.grasping.tracking.camshift import Blob, find_blobs
+from verify.grasping.tracking.colour import named_colour
+from verify.grasping.tracking.pairing import ObjectMotion, join_blobs, pair_blobs
+from verify.grasping.tracking.target import TrackingOptions
+
+RIG = small_rig()
+
+
+def blobs(*caps: Cap) -> tuple[StereoPair, list[Blob], list[Blob]]:
+    pair = next(pairs(caps, RIG, 0.1))
+    model = named_colour("blue")
+    return pair, find_blobs(pair.left, model), find_blobs(pair.right, model)
+
+
+def test_every_object_is_found_where_it_is() -> None:
+    places = np.array([[-0.12, 0.06, 0.62], [0.02, 0.02, 0.7], [0.1, -0.1, 0.9]])
+    pair, lefts, rights = blobs(*[Cap(BLUE, still(*p)) for p in places])
+    things = pair_blobs(lefts, rights, pair, RIG, TrackingOptions())
+    found = np.array(sorted((t.place.point for t in things), key=lambda p: float(p[0])))
+    np.testing.assert_allclose(found, places, atol=0.003)
+
+
+def test_objects_at_one_height_are_not_crossed_over() -> None:
+    places = np.array([[-0.05, 0.02, 0.7], [0.0, 0.02, 0.7], [0.05, 0.02, 0.7]])
+    pair, lefts, rights = blobs(*[Cap(BLUE, still(*p)) for p in places])
+    for order in (rights, rights[::-1]):
+        things = pair_blobs(lefts, order, pair, RIG, TrackingOptions())
+        found = np.array(sorted((t.place.point for t in things), key=lambda p: float(p[0])))
+        np.testing.assert_allclose(found, places, atol=0.003)
+
+
+def test_patches_whose_rays_do_not_meet_are_no_object() -> None:
+    pair, lefts, rights = blobs(Cap(BLUE, still(0.0, 0.02, 0.7)))
+    lifted = replace(rights[0], centre=rights[0].centre - [0.0, 6.0])
+    assert pair_blobs(lefts, [lifted], pair, RIG, TrackingOptions()) == []
+
+
+def test_a_small_patch_and_a_large_one_are_no_object() -> None:
+    pair, lefts, rights = blobs(Cap(BLUE, still(0.0, 0.02, 0.7)))
+    assert (
+        pair_blobs(
+            lefts, [replace(rights[0], area=0.4 * rights[0].area)], pair, RIG, TrackingOptions()
+        )
+        == []
+    )
+
+
+def test_what_is_too_large_or_too_far_is_not_looked_for() -> None:
+    pair, lefts, rights = blobs(Cap(BLUE, still(0.0, 0.02, 0.7)))
+    assert pair_blobs(lefts, rights, pair, RIG, TrackingOptions(sizes=(0.008, 0.03))) == []
+    assert pair_blobs(lefts, rights, pair, RIG, TrackingOptions(depths=(0.15, 0.6))) == []
+
+
+def test_a_moving_object_is_seen_where_it_was_when_the_left_picture_was_taken() -> None:
+    velocity = np.array([0.8, 0.0, 0.0])
+    pair, lefts, rights = blobs(Cap(BLUE, lambda t: (0.8 * t, 0.02, 0.7)))
+    moving = join_blobs(lefts[0], rights[0], pair, RIG, ObjectMotion(velocity, np.zeros((3, 3))))
+    taken_still = join_blobs(
+        lefts[0], rights[0], pair, RIG, ObjectMotion(np.zeros(3), np.zeros((3, 3)))
+    )
+    assert moving is not None
+    assert taken_still is not None
+    assert abs(moving.place.point[2] - 0.7) < 0.002
+    assert abs(taken_still.place.point[2] - 0.7) > 0.01  # 3 mm of motion in the 4 ms between
+    unknown = join_blobs(
+        lefts[0], rights[0], pair, RIG, ObjectMotion(np.zeros(3), np.eye(3) * 0.5**2)
+    )
+    assert unknown is not None
+    assert math.sqrt(unknown.place.covariance[2, 2]) > 0.5 * abs(unknown.place.point[2] - 0.7)
+
+
+def test_pictures_taken_together_need_no_velocity() -> None:
+    pair, lefts, rights = blobs(Cap(BLUE, still(0.0, 0.02, 0.7)))
+    together = replace(pair, t_right=pair.t_right - SKEW)
+    fast = join_blobs(lefts[0], rights[0], together, RIG, ObjectMotion(np.ones(3), np.eye(3)))
+    slow = join_blobs(
+        lefts[0], rights[0], together, RIG, ObjectMotion(np.zeros(3), np.zeros((3, 3)))
+    )
+    assert fast is not None
+    assert slow is not None
+    np.testing.assert_array_equal(fast.place.point, slow.place.point)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.02, 0.7), (0.2, 0.1, 0.75), (-0.1, -0.1, 1.1)])
+def test_both_pictures_agree_on_the_area_of_a_cap(place: tuple[float, float, float]) -> None:
+    pair, lefts, rights = blobs(Cap(BLUE, still(*place)))
+    thing = pair_blobs(lefts, rights, pair, RIG, TrackingOptions())[0]
+    assert thing.areas[0] == pytest.approx(thing.areas[1], rel=0.2)
+    assert thing.size[0] == pytest.approx(0.04, abs=2.5 * thing.size_uncertainty[0])

@@ -1,0 +1,371 @@
+"""Sessions of poses: what was measured through pictures comes out of a file of poses alike."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import robots
+from reports import Results, render_html
+from tests.support.posed import Watched, encoders_csv, poses_csv, write_posed
+from verify.analysis.session import analyse
+from verify.core.records import Array
+from verify.errors import InputError
+from verify.io.session.session import open_recording, open_session
+
+SAMPLE = Path(__file__).parents[4] / "sample_sessions" / "multi_joint_fault_6r"
+TOLERANCE = "\n[tolerance]\njoints_deg = 0.2\n"
+BODY = """[poses.body_standard_uncertainty]
+x_mm = -1
+y_mm = 0
+z_mm = 0
+rx_deg = 0
+ry_deg = 0
+rz_deg = 0"""
+CLOCK = "\n[clock]\nencoder_offset_s = 0.085\n"
+
+
+@pytest.fixture(scope="module")
+def watched() -> Watched:
+    """The sample (an offset of 0.35° on joint 2, a clock 0.085 s off) through its pictures."""
+    return Watched(open_session(SAMPLE))
+
+
+@pytest.fixture(scope="module")
+def seen(watched: Watched) -> Results:
+    return watched.analyse()
+
+
+def posed(
+    folder: Path,
+    watched: Watched,
+    more: str = TOLERANCE,
+    frame: str = "rig",
+    *,
+    positions_alone: bool = False,
+) -> Path:
+    t, poses = watched.poses
+    text = poses_csv(t, poses, positions_alone=positions_alone)
+    return write_posed(folder / "posed", SAMPLE, text, frame=frame, more=more)
+
+
+def joints(results: Results, key: str) -> list[float]:
+    return [joint[key] for joint in results.summary["joints"]]
+
+
+def measured(results: Results) -> Array:
+    frames = results.tables["frames"]
+    return frames[[f"q{j}_measured_deg" for j in range(1, 7)]].to_numpy()
+
+
+@pytest.mark.usefixtures("seen")
+def test_the_file_gives_the_joints_that_the_pictures_gave(
+    watched: Watched, seen: Results, tmp_path: Path
+) -> None:
+    results = analyse(open_session(posed(tmp_path, watched)))
+    # 1e-6 mm and 1e-9 of a quaternion, a metre of arm, a wrist a few degrees off its singularity
+    np.testing.assert_allclose(measured(results), measured(seen), rtol=0, atol=5e-6)
+    assert results.summary["pairs"] == seen.summary["pairs"]
+    assert results.summary["verdict"] == seen.summary["verdict"] == "nonconform"
+    assert [j["verdict"] for j in results.summary["joints"]] == [
+        j["verdict"] for j in seen.summary["joints"]
+    ]
+
+
+def test_another_arm_comes_out_alike(tmp_path: Path) -> None:
+    # its rig and LEDs lie off what their files state: what a file of poses cannot count, it lists
+    sample = SAMPLE.parent / "multi_joint_rv_3sd"
+    watched = Watched(open_session(sample))
+    seen, clock = watched.analyse(), watched.session.clock
+    assert clock is not None
+    more = f"\n[clock]\nencoder_offset_s = {clock.encoder_offset!r}\n"
+    folder = write_posed(tmp_path / "posed", sample, poses_csv(*watched.poses), more=more)
+    results = analyse(open_session(folder), tolerance=watched.session.tolerance)
+    np.testing.assert_allclose(measured(results), measured(seen), rtol=0, atol=5e-6)
+    np.testing.assert_allclose(
+        joints(results, "mean_error_deg"), joints(seen, "mean_error_deg"), rtol=0, atol=5e-6
+    )
+    assert [j["verdict"] for j in results.summary["joints"]] == [
+        j["verdict"] for j in seen.summary["joints"]
+    ]
+    assert "the instrument's own calibration" in results.summary["budget"]["uncounted"]
+
+
+def test_clock_and_errors_agree_within_what_the_clock_is_known_to(
+    watched: Watched, seen: Results, tmp_path: Path
+) -> None:
+    # weights differ: the pictures know each pair's covariance, the file states none
+    clock, other = analyse(open_session(posed(tmp_path, watched))).summary["clock"], seen.summary
+    off = clock["encoder_offset_s"] - other["clock"]["encoder_offset_s"]
+    assert abs(off) < 2 * other["clock"]["standard_uncertainty_s"]
+    assert clock["source"] == "estimated"
+
+
+def test_with_one_clock_the_mean_errors_agree_to_the_files_rounding(
+    watched: Watched, seen: Results, tmp_path: Path
+) -> None:
+    offset = seen.summary["clock"]["encoder_offset_s"]
+    more = f"\n[clock]\nencoder_offset_s = {offset!r}\n"
+    results = analyse(open_session(posed(tmp_path, watched, more)))
+    np.testing.assert_allclose(
+        joints(results, "mean_error_deg"), joints(seen, "mean_error_deg"), rtol=0, atol=5e-6
+    )
+
+
+def test_an_injected_fault_is_named_alike(watched: Watched, seen: Results, tmp_path: Path) -> None:
+    found = analyse(open_session(posed(tmp_path, watched))).summary["diagnosis"]
+    named = [(c["joint"], c["kind"]) for c in found]
+    assert named == [(c["joint"], c["kind"]) for c in seen.summary["diagnosis"]] == [(2, "offset")]
+    assert abs(found[0]["value"] - 0.35) < 2 * found[0]["expanded_uncertainty"]
+
+
+def test_poses_in_the_base_or_in_the_instruments_own_frame_are_the_same_session(
+    watched: Watched, tmp_path: Path
+) -> None:
+    t, poses = watched.poses
+    rig_T_base = watched.session.rig.rig_T_base
+    flange_T_body = np.eye(4)
+    flange_T_body[:3, :3] = Rotation.from_rotvec([0.3, -1.1, 0.5]).as_matrix()
+    flange_T_body[:3, 3] = [0.02, -0.05, 0.109]
+    body = (
+        f"point_mm = {(flange_T_body[:3, 3] * 1e3).tolist()}\n"
+        f"rotation = {flange_T_body[:3, :3].tolist()}\n"
+    )
+    base = (
+        f'\n[robot_base]\nsource = "fixture"\nrotation = {rig_T_base[:3, :3].tolist()}\n'
+        f"position_mm = {(rig_T_base[:3, 3] * 1e3).tolist()}\n"
+    )
+    given = {
+        "robot_base": (np.linalg.inv(rig_T_base) @ poses, ""),
+        "instrument": (poses @ flange_T_body, body + base),
+    }
+    results = []
+    for frame, (written, more) in given.items():
+        folder = tmp_path / frame
+        text = poses_csv(t, written)
+        write_posed(folder, SAMPLE, text, frame=frame, more=more + CLOCK)
+        results.append(analyse(open_session(folder)))
+    np.testing.assert_allclose(measured(results[0]), measured(results[1]), rtol=0, atol=1e-5)
+
+
+def test_stated_uncertainties_of_base_and_body_enter_as_through_pictures(
+    watched: Watched, tmp_path: Path
+) -> None:
+    t, poses = watched.poses
+    # joint 1 turns about the base's z: an unknown turn of the base about it is its offset's doubt,
+    # and joint 6 about the flange's
+    more = (
+        "body_standard_uncertainty = {x_mm=0, y_mm=0, z_mm=0, rx_deg=0, ry_deg=0, rz_deg=0.07}\n"
+        '\n[covariance]\nparameters = ["robot_base.rz_deg"]\nstandard_uncertainty = [0.05]\n'
+        f"correlation = [[1.0]]\n{CLOCK}"
+    )
+    base_T_flange = np.linalg.inv(watched.session.rig.rig_T_base) @ poses
+    text = poses_csv(t, base_T_flange)
+    folder = write_posed(tmp_path / "posed", SAMPLE, text, frame="robot_base", more=more)
+    results = analyse(open_session(folder))
+    u = joints(results, "standard_uncertainty_deg")
+    assert u[0] == pytest.approx(0.05, rel=0.01)
+    assert u[5] == pytest.approx(0.07, rel=0.01)
+    assert max(u[1:5]) < 0.01
+    uncounted = results.summary["budget"]["uncounted"]
+    assert "robot base" not in uncounted
+    assert "the body on the flange" not in uncounted
+    assert "the instrument's own calibration" in uncounted
+
+
+def test_scatter_that_is_not_stated_is_found_in_the_data(watched: Watched, tmp_path: Path) -> None:
+    # 200 poses a joint's own noise of 0 would drown nothing of: readings of the model itself
+    arm, rng = watched.session.arm, np.random.default_rng(8)
+    t = np.arange(200, dtype=np.float64) * 0.05
+    phase = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    q = np.deg2rad([20, -60, 40, 5, -80, 20] + 15 * np.sin(0.8 * t[:, None] + phase))
+    poses = robots.forward(arm, q)
+    poses[:, :3, 3] += rng.normal(0, 0.2e-3, (200, 3))
+    turns = Rotation.from_rotvec(rng.normal(0, np.deg2rad(0.03), (200, 3)))
+    poses[:, :3, :3] = turns.as_matrix() @ poses[:, :3, :3]
+    folder = tmp_path / "posed"
+    text = poses_csv(t, poses)
+    write_posed(folder, SAMPLE, text, frame="robot_base", more="\n[clock]\nencoder_offset_s = 0\n")
+    (folder / "encoders.csv").write_text(encoders_csv(t, q))
+    frames = analyse(open_session(folder)).tables["frames"]
+    stated = write_posed(
+        tmp_path / "stated",
+        SAMPLE,
+        text,
+        frame="robot_base",
+        more="position_standard_uncertainty_mm = 0.2\norientation_standard_uncertainty_deg = 0.03\n"
+        "\n[clock]\nencoder_offset_s = 0\n",
+    )
+    (stated / "encoders.csv").write_text((folder / "encoders.csv").read_text())
+    known = analyse(open_session(stated))
+    for j in range(1, 7):
+        ratio = frames[f"q{j}_u_deg"] / known.tables["frames"][f"q{j}_u_deg"]
+        assert ratio.between(0.8, 1.25).all()
+    assert "the instrument's noise" not in known.summary["budget"]["uncounted"]
+
+
+def test_single_visits_leave_unstated_noise_uncounted(watched: Watched, tmp_path: Path) -> None:
+    arm = watched.session.arm
+    t = np.arange(20, dtype=np.float64) * 10
+    q = np.deg2rad(
+        np.random.default_rng(4).uniform(
+            [0, -80, 20, -20, -100, 0], [40, -40, 60, 20, -60, 40], (20, 6)
+        )
+    )
+    folder = write_posed(
+        tmp_path / "posed", SAMPLE, poses_csv(t, robots.forward(arm, q)), frame="robot_base",
+        more="\n[clock]\nencoder_offset_s = 0\n",
+    )  # fmt: skip
+    (folder / "encoders.csv").write_text(encoders_csv(t, q))
+    summary = analyse(open_session(folder)).summary
+    assert "the instrument's noise" in summary["budget"]["uncounted"]
+    assert any("the instrument's noise" in warning for warning in summary["warnings"])
+
+
+def test_of_positions_alone_three_directions_are_determined(
+    watched: Watched, seen: Results, tmp_path: Path
+) -> None:
+    folder = posed(tmp_path, watched, f"point_mm = [0, 0, 0]\n{CLOCK}", positions_alone=True)
+    results = analyse(open_session(folder))
+    summary, frames = results.summary, results.tables["frames"]
+    assert summary["known_dof"] == 3
+    assert (frames["known_dof"] == 3).all()
+    # the flange's position cannot show joint 6, which turns about an axis through it: whatever it
+    # reads. Joints that the open turn moves stay empty a pair; joint 2's offset is still found.
+    assert frames[["q6_measured_deg", "rx_deg"]].isna().all().all()
+    assert summary["joints"][5]["mean_error_deg"] is None
+    second = summary["joints"][1]
+    assert abs(second["mean_error_deg"] - joints(seen, "mean_error_deg")[1]) < (
+        second["expanded_uncertainty_deg"] + 0.002
+    )
+    assert any("only 3 of 6" in warning for warning in summary["warnings"])
+
+
+def test_a_point_off_the_flange_shows_what_its_own_motion_tells(
+    watched: Watched, tmp_path: Path
+) -> None:
+    t, poses = watched.poses
+    point = np.array([0.06, 0.005, 0.02])
+    moved = poses.copy()
+    moved[:, :3, 3] += poses[:, :3, :3] @ point
+    more = f"point_mm = {(point * 1e3).tolist()}\nposition_standard_uncertainty_mm = 0.02\n"
+    text = poses_csv(t, moved, positions_alone=True)
+    folder = write_posed(tmp_path / "posed", SAMPLE, text, more=more + CLOCK)
+    session = open_session(folder)
+    summary = analyse(session).summary
+    # 60 mm off joint 6's axis: its offset moves the point, and shows
+    assert summary["joints"][5]["mean_error_deg"] is not None
+    named = [(c["joint"], c["kind"]) for c in summary["diagnosis"]]
+    assert named == [(2, "offset")]
+
+
+def test_the_report_says_which_instrument_it_was(watched: Watched, tmp_path: Path) -> None:
+    results = analyse(open_session(posed(tmp_path, watched)))
+    assert results.summary["session"]["instrument"] == "a laser tracker"
+    assert results.setup["instrument"]["name"] == "a laser tracker"
+    assert results.summary["warnings"][0].startswith(
+        "Measured by another instrument, not by cameras: a laser tracker, 60 poses."
+    )
+    assert results.images == {}
+    assert len(results.tables["spots"]) == 0
+    page = render_html(results)
+    assert "Measured by another instrument, not by cameras: a laser tracker" in page
+    assert "pixels" not in set(results.tables["budget"]["source"])
+
+
+def test_metres_in_the_millimetre_columns_are_refused(watched: Watched, tmp_path: Path) -> None:
+    t, poses = watched.poses
+    poses = poses.copy()
+    poses[:, :3, 3] *= 1e-3
+    folder = write_posed(tmp_path / "posed", SAMPLE, poses_csv(t, poses))
+    with pytest.raises(InputError, match=r"poses\.csv: the positions agree .* as metres"):
+        analyse(open_session(folder))
+
+
+def test_a_scalar_that_comes_last_is_refused(watched: Watched, tmp_path: Path) -> None:
+    t, poses = watched.poses
+    text = poses_csv(t, poses)
+    rows = [row.split(",") for row in text.splitlines()[1:]]
+    turned = [",".join([*row[:4], *row[5:8], row[4]]) for row in rows]
+    text = "\n".join([text.splitlines()[0], *turned, ""])
+    folder = write_posed(tmp_path / "posed", SAMPLE, text)
+    with pytest.raises(InputError, match="their scalar comes last"):
+        analyse(open_session(folder))
+
+
+def test_cameras_cannot_be_registered_or_watched_by_poses(watched: Watched, tmp_path: Path) -> None:
+    folder = posed(tmp_path, watched)
+    with pytest.raises(InputError, match="poses: stands in place of pictures"):
+        open_recording(folder)
+    with pytest.raises(InputError, match="holds poses and no pictures"):
+        next(open_session(folder).pairs())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('frame = "rig"', 'frame = "world"', 'poses.frame: is "world"'),
+        ('instrument = "a laser tracker"', 'instrument = " "', "poses.instrument: is empty"),
+        ('frame = "rig"', "", "poses.frame: is missing"),
+        ('frame = "rig"', 'frame = "robot_base"', 'rig: is given; poses in the frame "robot_base"'),
+        ('rig = "rig.toml"', "", "rig: is missing"),
+        ('rig = "rig.toml"', 'left = "left.mkv"\nrig = "rig.toml"', "left: stands beside [poses]"),
+        ('file = "poses.csv"', 'file = "track.csv"', "poses.file: names"),
+        ('frame = "rig"', 'frame = "rig"\nsource = "guess"', 'poses.source: is "guess"'),
+        (
+            'frame = "rig"',
+            'frame = "rig"\nposition_standard_uncertainty_mm = 0',
+            "a standard uncertainty is positive",
+        ),
+        (
+            'frame = "rig"',
+            'frame = "rig"\nrotation = [[2,0,0],[0,1,0],[0,0,1]]',
+            "poses.rotation: is no rotation",
+        ),
+        (
+            'frame = "rig"',
+            f'frame = "rig"\n{BODY}',
+            "poses.body_standard_uncertainty.x_mm: is -1",
+        ),
+        ('[poses]\nfile = "poses.csv"', 'poses = "poses.csv"\n[x]', "poses: is"),
+    ],
+)
+def test_a_wrong_session_file_is_said_in_one_line(
+    watched: Watched, tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    folder = posed(tmp_path, watched)
+    path = folder / "session.toml"
+    text = path.read_text()
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError) as refused:
+        open_session(folder)
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_the_documents_example_is_read_without_a_complaint(tmp_path: Path) -> None:
+    text = (SAMPLE.parents[1] / "docs" / "session.md").read_text()
+    text = text[text.index("## Poses of another instrument") :]
+    toml = text[text.index("```toml\n") + 8 :].partition("```")[0]
+    series = text[text.index("```\nt_s,") + 4 :].partition("```")[0]
+    folder = tmp_path / "session"
+    folder.mkdir()
+    (folder / "session.toml").write_text(toml)
+    (folder / "poses.csv").write_text(series)
+    (folder / "encoders.csv").write_text((SAMPLE / "encoders.csv").read_text())
+    session = open_session(folder)
+    assert session.instrument is not None
+    assert len(session.warnings) == 1  # whose poses they are
+    assert session.warnings[0].startswith("Measured by another instrument")
+
+
+def test_doubts_of_cameras_have_no_place_beside_poses(watched: Watched, tmp_path: Path) -> None:
+    more = (
+        '\n[covariance]\nparameters = ["left.fx_px"]\nstandard_uncertainty = [0.3]\n'
+        "correlation = [[1.0]]\n"
+    )
+    folder = posed(tmp_path, watched, more, "robot_base")
+    with pytest.raises(InputError, match=r'covariance\.parameters\[0\]: is "left\.fx_px"'):
+        open_session(folder)

@@ -1,0 +1,176 @@
+from itertools import islice
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from verify.errors import InputError
+from verify.io.series import read_encoders, read_frames
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "encoders.csv"
+
+
+ENCODERS = "t_s,q1_deg,q2_deg\n0.0,10,20\n0.5,11,21\n1.0,12,22\n"
+FRAMES = (
+    "frame,t_left_s,t_right_s,pan_left_deg,pan_right_deg\n0,0,0.1,1,2\n1,1,1.1,3,4\n2,2,2.1,5,6\n"
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ENCODERS,
+        ENCODERS.replace("\n", "\r\n"),
+        ENCODERS.replace("\n", "\r"),
+        "\ufeff" + ENCODERS,
+        ENCODERS.rstrip("\n"),
+        ENCODERS + "\n\n",
+        ENCODERS.replace(",", " , "),
+        ENCODERS.replace("10", "+1e1"),
+        ENCODERS.replace("10", '"10"'),
+        "q2_deg,t_s,q1_deg\n20,0,10\n21,0.5,11\n22,1,12\n",
+        't_s,note,q1_deg,q2_deg,note\n0,"a, b",10,20,\n0.5,é,11,21,x\n1,,12,22,y\n',
+    ],
+    ids=[
+        *("plain", "CRLF", "CR", "BOM", "no end", "blank lines"),
+        *("blanks", "plus", "quotes", "order", "more"),
+    ],
+)
+def test_one_table_reads_the_same_however_a_program_writes_it(path: Path, text: str) -> None:
+    path.write_bytes(text.encode())
+    encoders, warnings = read_encoders(path, 2)
+    assert warnings == ()
+    assert_array_equal(encoders.t, [0, 0.5, 1])
+    assert_allclose(np.rad2deg(encoders.q), [[10, 20], [11, 21], [12, 22]])
+
+
+def test_frames_have_the_rigs_pan_where_the_file_gives_none(path: Path) -> None:
+    path.write_text("frame,t_left_s,t_right_s,pan_right_deg\n0,0,0,90\n1,1,1,45\n")
+    frames, _ = read_frames(path, pan=(0.25, 0.5))
+    assert_array_equal(frames.pan_left, [0.25, 0.25])
+    assert_allclose(frames.pan_right, [np.pi / 2, np.pi / 4])
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    steps=st.lists(st.floats(1e-6, 1e6), min_size=1, max_size=20),
+    angle=st.floats(-1e6, 1e6, allow_subnormal=False),
+)
+def test_numbers_that_pandas_writes_are_read_exactly(
+    steps: list[float], angle: float, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "encoders.csv"
+    times = np.unique(np.cumsum(steps))
+    pd.DataFrame({"t_s": times, "q1_deg": angle}).to_csv(path, index=False)
+    encoders, _ = read_encoders(path, 1)
+    assert_array_equal(encoders.t, times)
+    assert_array_equal(encoders.q[:, 0], np.deg2rad(np.full(len(times), angle)))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", ": is empty"),
+        ("\n", "line 1: is empty; it names the columns"),
+        ("t_s,q1_deg,q2_deg\n", "no rows below its header"),
+        ("0,1,2\n1,2,3\n", "line 1: holds numbers; it names the columns"),
+        (ENCODERS.replace(",", ";"), "line 1: separates by semicolons; commas"),
+        (ENCODERS.replace(".", ",").replace(",", ";"), "line 1: separates by semicolons"),
+        (ENCODERS.replace(",", "\t"), "line 1: separates by tabs"),
+        (ENCODERS.replace("0.5,", "0,5,"), "line 3: has 4 cells; the first line names 3 columns"),
+        (ENCODERS.replace("0.5,11,21", "0.5,11"), "line 3: has 2 cells"),
+        (ENCODERS.replace("11,", ","), "line 3: q1_deg is empty; every row needs a number"),
+        (ENCODERS.replace("11,", "nan,"), 'line 3: q1_deg is "nan"'),
+        (ENCODERS.replace("11,", "-inf,"), 'line 3: q1_deg is "-inf"'),
+        (ENCODERS.replace("11,", "1_1,"), 'line 3: q1_deg is "1_1"'),
+        (ENCODERS.replace("11,", "ERR\x1b[31m,"), 'line 3: q1_deg is "ERR\\x1b[31m"'),
+        (ENCODERS.replace("0.5,", "nan,"), 'line 3: t_s is "nan"'),
+        ("t_s,q1_deg,q2_deg\n\n\n0,1,\n", "line 4: q2_deg is empty"),
+        (ENCODERS.replace("0.5,", "0.0,"), "line 3: t_s is 0 after 0; times rise strictly"),
+        (ENCODERS.replace("1.0,", "0.25,"), "line 4: t_s is 0.25 after 0.5"),
+        (ENCODERS.replace("\n1.0,", "\n\n0.25,"), "line 5: t_s is 0.25 after 0.5"),
+        (ENCODERS.replace("t_s", "time"), "line 1: has no column t_s; expected are t_s, q1_deg"),
+        (ENCODERS.replace("q1_deg", "q2_deg"), "line 1: has no column q1_deg"),
+        ("t_s,q1_deg\n0,1\n", "line 1: has 1 joint columns, q1_deg to q1_deg; the robot has 2"),
+        ("t_s,q1_deg,q2_deg,q3_deg\n0,1,2,3\n", "line 1: has 3 joint columns, q1_deg to q3_deg"),
+        ("t_s,q1,q2\n0,1,2\n", "line 1: has no column q1_deg"),
+        ("t_s,t_s,q1_deg,q2_deg\n0,0,1,2\n", "line 1: has two columns t_s"),
+        (ENCODERS.replace("11", "1" * 200_000 + "x"), "line 3: is not CSV"),
+    ],
+)
+def test_a_wrong_table_of_readings_is_refused_by_its_line(path: Path, text: str, said: str) -> None:
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_encoders(path, 2)
+    assert said in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("\n1,1,", "\n2,1,", "line 3: frame is 2; 1 is expected"),
+        ("\n0,0,", "\n1,0,", "line 2: frame is 1; 0 is expected"),
+        ("\n2,2,", "\n1,2,", "line 4: frame is 1; 2 is expected"),
+        ("\n1,1,", "\n1,0,", "line 3: t_left_s is 0 after 0"),
+        ("1.1", "0.05", "line 3: t_right_s is 0.05 after 0.1"),
+        ("1.1,3", "1.1,", "line 3: pan_left_deg is empty"),
+        ("t_left_s", "t_lef_s", "Did you mean `t_lef_s`?"),
+    ],
+)
+def test_a_wrong_table_of_frames_is_refused_by_its_line(
+    path: Path, old: str, new: str, said: str
+) -> None:
+    path.write_text(FRAMES.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        read_frames(path)
+    assert said in str(caught.value)
+
+
+def test_a_table_in_utf_16_is_refused(path: Path) -> None:
+    path.write_bytes(ENCODERS.encode("utf-16"))
+    with pytest.raises(InputError, match="is UTF-16; UTF-8 is expected"):
+        read_encoders(path, 2)
+
+
+def test_half_a_last_line_is_left_out_of_a_torn_table_alone(path: Path) -> None:
+    path.write_text(ENCODERS + "1.5,13,2")  # the 3 of 23 was not written any more
+    assert len(read_encoders(path, 2)[0]) == 4
+    encoders, warnings = read_encoders(path, 2, torn=True)
+    assert len(encoders) == 3
+    assert len(warnings) == 1
+
+
+@pytest.fixture(scope="module")
+def million(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("series") / "encoders.csv"
+    block = "".join(f",{i % 360 - 180}.1234,2.0,3.0,4.0,5.0,6.0\n" for i in range(1000)).split("\n")
+    rows = (f"{i * 0.002:.3f}{block[i % 1000]}\n" for i in range(1_000_000))
+    with path.open("w") as file:
+        file.write("t_s," + ",".join(f"q{joint}_deg" for joint in range(1, 7)) + "\n")
+        file.writelines(rows)
+    return path
+
+
+@pytest.mark.slow
+def test_a_million_readings_are_read_in_a_moment(million: Path) -> None:
+    start = process_time()
+    encoders, _ = read_encoders(million, 6)
+    assert encoders.q.shape == (1_000_000, 6)
+    assert process_time() - start < 5  # s of all cores; measured: 1 s
+
+
+def test_the_one_wrong_cell_of_many_rows_is_found(million: Path) -> None:
+    bad = million.with_name("bad.csv")
+    with million.open() as file:
+        bad.write_text("".join(islice(file, 50_000)) + "5000,1,2,3,,5,6\n")
+    with pytest.raises(InputError, match="line 50001: q4_deg is empty"):
+        read_encoders(bad, 6)

@@ -1,0 +1,102 @@
+"""Pairs that a recording set aside are found again when it was cut off before they were encoded."""
+
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from numpy.testing import assert_array_equal
+
+from tests.support.devices.recording_process import FACTS, pair, reading
+from verify.devices.protocols import CapturedPair
+from verify.errors import InputError
+from verify.io.session.session import Session, open_session
+from verify.io.unfinished import NAME
+from verify.live.recording.matroska import picture_format
+from verify.live.recording.session import MAX_UNENCODED_PAIRS, SessionWriter
+
+NONE = (None, None)
+
+
+def cut_off(folder: Path, encoded: int, aside: int) -> list[CapturedPair]:
+    """A session whose writer is gone: some pairs in its videos, others set aside."""
+    pairs = [pair(number, 10 + number / 30) for number in range(encoded + aside)]
+    kinds = (picture_format(pairs[0].left, None), picture_format(pairs[0].right, None))
+    part = SessionWriter(folder, FACTS, datetime(2026, 1, 1, tzinfo=UTC), kinds)
+    for number in range(20):
+        part.add_reading(reading(9.9 + number * 0.1))
+    for index, given in enumerate(pairs):
+        if index and index < encoded:
+            assert part.set_aside(given, NONE)  # as a recorder does, so that slots are used anew
+        if index < encoded:
+            part.add_pair(given, NONE)
+        else:
+            assert part.set_aside(given, NONE)
+    return pairs
+
+
+def same(session: Session, pairs: list[CapturedPair]) -> None:
+    assert len(session) == len(pairs)
+    for before, after in zip(pairs, session.pairs(), strict=True):
+        assert (before.frame, before.t_left, before.t_right) == (
+            after.frame,
+            after.t_left,
+            after.t_right,
+        )
+        assert_array_equal(after.left, before.left)
+        assert_array_equal(after.right, before.right)
+
+
+@pytest.mark.parametrize(
+    ("encoded", "aside"),
+    [(1, 3), (MAX_UNENCODED_PAIRS + 5, MAX_UNENCODED_PAIRS), (2 * MAX_UNENCODED_PAIRS, 0)],
+)
+def test_pairs_that_were_set_aside_are_found_when_the_recording_was_cut_off(
+    tmp_path: Path, encoded: int, aside: int
+) -> None:
+    pairs = cut_off(tmp_path / "session", encoded, aside)
+    session = open_session(tmp_path / "session")
+    assert session.open
+    assert (f"{aside} pairs in {NAME}" in session.warnings[-1]) == bool(aside)
+    assert NAME in session.inputs
+    same(session, pairs)
+    same(session, pairs)  # a second time: nothing was used up
+
+
+def test_a_pair_that_was_being_set_aside_is_left_out(tmp_path: Path) -> None:
+    pairs = cut_off(tmp_path / "session", 3, 2)
+    ring = tmp_path / "session" / NAME
+    size = (ring.stat().st_size - 4096) // MAX_UNENCODED_PAIRS
+    with ring.open("r+b") as file:  # the number of the last one is not there yet
+        file.seek(4096 + 4 * size)
+        file.write((-1).to_bytes(8, "little", signed=True))
+    same(open_session(tmp_path / "session"), pairs[:4])
+
+
+def test_a_ring_that_was_copied_in_part_gives_what_it_has(tmp_path: Path) -> None:
+    pairs = cut_off(tmp_path / "session", 2, 3)
+    ring = tmp_path / "session" / NAME
+    size = (ring.stat().st_size - 4096) // MAX_UNENCODED_PAIRS
+    os.truncate(ring, 4096 + 4 * size - 1)
+    same(open_session(tmp_path / "session"), pairs[:3])
+
+
+def test_another_file_of_that_name_is_refused(tmp_path: Path) -> None:
+    cut_off(tmp_path / "session", 2, 3)
+    (tmp_path / "session" / NAME).write_bytes(b"something else")
+    with pytest.raises(InputError, match=r"pending\.raw: holds no pending pairs"):
+        open_session(tmp_path / "session")
+
+
+def test_little_room_on_the_disk_sets_nothing_aside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pairs = [pair(number, 10 + number / 30) for number in range(2)]
+    kinds = (picture_format(pairs[0].left, None), picture_format(pairs[0].right, None))
+    part = SessionWriter(tmp_path / "session", FACTS, datetime(2026, 1, 1, tzinfo=UTC), kinds)
+    assert not part.set_aside(pairs[0], NONE)  # the first one goes to the video at once
+    part.add_pair(pairs[0], NONE)
+    free = type("Usage", (), {"free": 3 << 20})
+    monkeypatch.setattr("verify.live.recording.session.shutil.disk_usage", lambda _: free)
+    assert not part.set_aside(pairs[1], NONE)
+    assert not (tmp_path / "session" / NAME).exists()

@@ -1,0 +1,216 @@
+"""Alarms: the rate that is stated, the joint that is named, and silence that is no "no error"."""
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import robots
+from tests.support.spot_level import HOME, SWING, SpotRun, facing_rig
+from verify.core.records import Array
+from verify.live.alarms.change_detection import Cusum, alarm_threshold, run_length
+from verify.live.alarms.innovations import Innovation
+from verify.live.alarms.joints import AlarmLimits, JointAlarms
+from verify.live.alarms.loss import DeviceWatch, TargetWatch
+from verify.live.clock import LiveClock
+from verify.live.joint_row import Evidence, JointRow
+from verify.live.protocols import Alarm
+
+ARM = robots.load("iust_6r")
+RATE = 30.0
+SIGMA = np.array([7e-5] * 3 + [math.radians(0.04)] * 3)  # m, rad: what pixels leave of a pose
+PERIOD = np.array([2.9, 3.7, 3.1, 2.3, 4.3, 2.7])
+CLOCK = LiveClock(0.1, 1e-4, "estimated")
+PRIORS = 8
+
+
+def made_rows(seconds: float, seed: int, **how: Any) -> list[JointRow]:
+    """Rows of `streamed`, all at once."""
+    return list(streamed(seconds, seed, **how))
+
+
+def streamed(
+    seconds: float,
+    seed: int,
+    *,
+    bias: float = 1.0,
+    stated: float = 4.0,
+    repeating: float = 0.0,
+    jump: tuple[float, int, float] | None = None,
+) -> Iterator[JointRow]:
+    """Rows as the loop makes them, numbers only.
+
+    Args:
+        seconds: of them.
+        seed: for what is drawn.
+        bias: standard deviations of what rig, base and LEDs are off.
+        stated: how large such a deviation is, against a pair's noise.
+        repeating: correlation of a pair's noise with the one before.
+        jump: s, joint counted from 1, rad.
+    """
+    chance = np.random.default_rng(seed)
+    t = np.arange(int(seconds * RATE)) / RATE
+    q = HOME + SWING * np.sin(2 * np.pi * t[:, None] / PERIOD + np.arange(6))
+    jacobian = robots.jacobian(ARM, q)
+    priors = chance.normal(0, 1, (6, PRIORS)) * (stated * SIGMA)[:, None]
+    off = bias * chance.choice([-1.0, 1.0], PRIORS)
+    sway = np.linspace(0.5, 1.5, PRIORS)
+    noise = np.zeros(6)
+    for i in range(len(t)):
+        noise = repeating * noise + math.sqrt(1 - repeating**2) * chance.normal(0, 1, 6)
+        columns = priors * (1 + 0.3 * np.sin(t[i] * sway))
+        xi = SIGMA * noise + columns @ off
+        if jump is not None and t[i] >= jump[0]:
+            xi = xi + jacobian[i][:, jump[1] - 1] * jump[2]
+        evidence = Evidence(
+            xi=xi,
+            jacobian=jacobian[i],
+            noise=np.diag(SIGMA**2),
+            alignment=np.zeros((6, 6)),
+            prior=columns,
+            clock=np.zeros(6),
+            clock_uncertainty=1e-4,
+            determined=np.eye(6),
+        )
+        error = np.linalg.solve(jacobian[i], xi)
+        inverse = np.linalg.inv(jacobian[i])
+        spread = inverse @ (np.diag(SIGMA**2) + columns @ columns.T) @ inverse.T
+        yield row(float(t[i]), error, np.sqrt(np.diag(spread)), evidence)
+
+
+def row(t: float, error: Array, uncertainty: Array, evidence: Evidence | None) -> JointRow:
+    nothing = np.full(6, np.nan)
+    return JointRow(
+        0, t, "measured", 4, nothing, nothing, error, uncertainty, error, CLOCK, evidence=evidence
+    )
+
+
+def alarms(
+    rows: list[JointRow], false_alarms_per_hour: float = 0.1, tolerance: float | None = None
+) -> list[Alarm]:
+    limits = None if tolerance is None else np.full(6, math.radians(tolerance))
+    watch = JointAlarms(6, AlarmLimits(false_alarms_per_hour, RATE, limits), itertools.count(1))
+    return [alarm for r in rows for alarm in watch.take(r, r.t)]
+
+
+def test_the_threshold_gives_white_noise_no_more_than_the_stated_alarms() -> None:
+    # one sum at a low threshold, so that there are many to count: law, not a copy of the formula
+    limit, chance = 4.0, np.random.default_rng(1)
+    cusum, false, pairs = Cusum(1, limit), 0, 60_000
+    column = np.ones((1, 1))
+    for value in chance.normal(0, 1, pairs):
+        cusum.take(Innovation(np.array([value]), column))
+        if cusum.exceeded:
+            false += 1
+            cusum.restart()
+    expected = 2 * pairs / run_length(limit)  # upward and downward
+    assert 0.2 * expected < false <= expected
+    assert (
+        alarm_threshold(0.1, 30.0, 6) > alarm_threshold(1.0, 30.0, 6) > alarm_threshold(1.0, 1.0, 1)
+    )
+
+
+@pytest.mark.parametrize("repeating", [0.0, 0.9])
+def test_healthy_joints_raise_no_more_false_alarms_than_stated(repeating: float) -> None:
+    hour_share, stated = 200.0 / 3600, 120.0  # many an hour are allowed, so that some could come
+    found = [
+        a for seed in range(3) for a in alarms(made_rows(200.0, seed, repeating=repeating), stated)
+    ]
+    assert len(found) <= 3 * hour_share * stated
+
+
+def test_a_bias_within_what_rig_and_leds_state_is_no_alarm() -> None:
+    assert alarms(made_rows(60.0, 5, bias=1.5)) == []
+
+
+def test_the_same_bias_alarms_where_it_is_not_stated() -> None:
+    rows = [
+        replace(r, evidence=replace(r.evidence, prior=r.evidence.prior[:, :0]))
+        for r in made_rows(10.0, 5, bias=1.5)
+        if r.evidence is not None
+    ]
+    assert alarms(rows)
+
+
+@pytest.mark.parametrize("joint", range(1, 7))
+def test_a_jump_of_half_a_degree_names_its_joint_within_a_second(joint: int) -> None:
+    size = math.radians(0.5)
+    found = alarms(made_rows(25.0, 7, jump=(20.0, joint, size)))
+    assert found
+    first, last = found[0], found[-1]
+    assert 20.0 <= first.t <= 20.0 + 4 / RATE
+    assert first.joints[0] == joint
+    assert last.joints == (joint,)
+    assert last.t < 21.5
+    assert last.error is not None
+    assert last.standard_uncertainty is not None
+    assert abs(last.error - size) < 5 * last.standard_uncertainty < size
+    assert {a.number for a in found} == {1}  # one alarm, told again as more is known of it
+
+
+def test_a_second_jump_is_told_after_the_first() -> None:
+    rows = made_rows(40.0, 9, jump=(15.0, 4, math.radians(0.5)))
+    more = made_rows(40.0, 9, jump=(15.0, 4, math.radians(1.0)))
+    found = alarms([a if a.t < 30.0 else b for a, b in zip(rows, more, strict=True)])
+    assert {a.number: a.joints for a in found} == {1: (4,), 2: (4,)}
+    second = [a for a in found if a.number == 2]
+    assert abs(math.degrees(second[-1].error or 0.0) - 0.5) < 0.1
+
+
+def test_through_the_chain_the_jump_of_joint_4_alarms_within_a_second() -> None:
+    rig, marker = facing_rig()
+    run = SpotRun(rig, marker, rate=15.0, jump=(8.0, 4, math.radians(0.5)))
+    _, found, _ = run.watch(9.5, AlarmLimits(0.1, 15.0, None))
+    assert found
+    assert 8.0 <= found[0].t <= 9.0
+    assert found[-1].joints == (4,)
+
+
+def test_an_error_beyond_its_tolerance_is_told_and_ends_when_it_is_gone() -> None:
+    rows = made_rows(10.0, 3, stated=0.3, jump=(3.0, 1, math.radians(1.0)))
+    back = made_rows(10.0, 3, stated=0.3)
+    found = alarms([a if a.t < 6.0 else b for a, b in zip(rows, back, strict=True)], 0.1, 0.6)
+    told = [a for a in found if a.kind == "tolerance"]
+    assert [a.joints for a in told] == [(1,), (1,)]
+    assert told[0].ended is None
+    assert told[1].ended is not None
+    assert 3.0 < told[0].t < 5.0
+
+
+def test_an_error_at_its_tolerance_is_not_beyond_it() -> None:
+    rows = made_rows(20.0, 4, stated=0.3, jump=(0.0, 1, math.radians(0.5)))
+    found = alarms(rows, 0.1, 0.5)
+    assert [a for a in found if a.kind == "tolerance"] == []
+
+
+def test_a_target_that_is_not_measured_is_an_alarm_with_its_reason() -> None:
+    watch = TargetWatch(1.0, itertools.count(1))
+    watch.begin(0.0)
+    lost = replace(row(0.0, np.zeros(6), np.zeros(6), None), status="too_few_leds")
+    found = [a for k in range(40) for a in watch.take(lost, k / 30, 0.0)]
+    assert len(found) == 1
+    assert "too few LEDs" in found[0].text
+    back = watch.take(replace(lost, status="measured"), 2.0, 5.0)
+    assert [a.ended for a in back] == [5.0]
+
+
+def test_where_no_pairs_come_the_target_is_lost_too() -> None:
+    watch = TargetWatch(1.0, itertools.count(1))
+    watch.begin(100.0)
+    assert watch.look(100.9, 0.0) == []
+    assert [a.kind for a in watch.look(101.1, 0.0)] == ["target"]
+    assert watch.look(105.0, 0.0) == []
+
+
+def test_a_silent_device_is_named_with_what_it_says() -> None:
+    watch = DeviceWatch(1.0, itertools.count(1))
+    watch.begin(0.0)
+    assert watch.take("left camera", 0.2, "reading", 5.0, 0.0) == []
+    told = watch.take("left camera", 1.2, "unplugged", 6.0, 0.0)
+    assert [(a.device, "unplugged" in a.text) for a in told] == [("left camera", True)]
+    assert watch.take("left camera", 2.2, "unplugged", 7.0, 0.0) == []
+    assert [a.ended for a in watch.take("left camera", 0.0, "reading", 8.0, 9.0)] == [9.0]

@@ -1,0 +1,401 @@
+"""The page in a real browser, and who may not look."""
+
+import http.client
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+import robots
+from tests.support.devices.chromium import Browser, Tab, browser_needed, launched
+from tests.support.spot_level import HOME, facing_rig
+from verify.core.records import Measurement, Sighting, StereoPair
+from verify.errors import InputError
+from verify.live.clock import LiveClock
+from verify.live.joint_row import JointRow
+from verify.live.outputs.metrics import MetricsServer
+from verify.live.page.access import check_access
+from verify.live.page.feed import Page
+from verify.live.page.run import RunFacts, RunPageSource
+from verify.live.page.scene import joint_origins
+from verify.live.protocols import Alarm, MonitoredRobot
+from verify.live.state import DeviceStatus, LiveState
+
+HOSTILE = "<b>bold</b><script>document.title='taken'</script><img src=x onerror=document.title='x'>"
+TOKEN = "a-token-that-nobody-guesses"
+ARM = robots.load("iust_6r")
+RIG, MARKER = facing_rig()
+
+
+class Playing:
+    """A state that fills as a run would fill it."""
+
+    def __init__(self, description: str = "played") -> None:
+        self.state = LiveState()
+        subject = MonitoredRobot(ARM, RIG, MARKER, None)
+        facts = RunFacts("iust_6r", description, np.full(6, np.deg2rad(0.2)), 0.1)
+        self.source = RunPageSource(self.state, subject, facts)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._play, daemon=True)
+
+    def __enter__(self) -> "Playing":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _play(self) -> None:
+        frame = 0
+        alarm = Alarm(1, "tolerance", time.time(), 0.0, f"Joint 4 {HOSTILE}", (4,), 0.01, 0.001)
+        self.state.alarm(alarm)
+        while not self._stop.wait(1 / 30):
+            frame += 1
+            self.state.row(played_row(frame), np.full(6, 0.4))
+            self.state.seen(*played_pictures(frame))
+            lines = (DeviceStatus("left camera", True, f"reading {HOSTILE}"),)
+            self.state.facts(lines, {"no partner in time": 2}, "kept")
+
+
+def played_row(frame: int) -> JointRow:
+    error = np.deg2rad(0.1 * np.sin(frame / 20 + np.arange(6)))
+    pose = robots.forward(ARM, HOME)
+    return JointRow(
+        frame, frame / 30, "measured", 4, HOME, HOME + error, error, np.full(6, 5e-4), error,
+        LiveClock(0.1, 1e-4, "estimated"), pose, robots.forward(ARM, HOME + error),
+    )  # fmt: skip
+
+
+def played_pictures(frame: int) -> tuple[StereoPair, Measurement]:
+    image = np.full((720, 1280), 40 + frame % 100, dtype=np.uint8)
+    seen = Sighting(
+        np.arange(4), np.array([[300.0, 200], [500, 250], [420, 400], [640, 300]]),
+        np.tile(np.eye(2), (4, 1, 1)), 0.0, 0.0, np.ones(4), np.zeros((4, 2)), np.zeros(4),
+    )  # fmt: skip
+    pair = StereoPair(frame, 0.0, 0.0, 0.0, 0.0, image, image)
+    return pair, Measurement(frame, 0.0, "measured", 4, left=seen, right=seen)
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[Page]:
+    with Playing(HOSTILE) as playing:
+        page = Page(playing.source, 0)
+        yield page
+        page.close()
+
+
+def port(page: Page) -> int:
+    return int(page.url.split(":")[2].split("/")[0])
+
+
+@dataclass(frozen=True)
+class Answer:
+    status: int
+    headers: http.client.HTTPMessage
+    text: str
+
+
+def get(page: Page, path: str = "/", **headers: str) -> Answer:
+    line = http.client.HTTPConnection("127.0.0.1", port(page), timeout=20)
+    with closing(line):
+        line.putrequest("GET", path, skip_host="Host" in headers)
+        for name, value in headers.items():
+            line.putheader(name, value)
+        line.endheaders()
+        answer = line.getresponse()
+        return Answer(answer.status, answer.headers, answer.read().decode())
+
+
+def until(condition: Callable[[], bool], limit: float = 30.0) -> bool:
+    end = time.monotonic() + limit
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def test_the_page_comes_with_a_policy_that_runs_no_foreign_script(served: Page) -> None:
+    answer = get(served)
+    assert answer.status == 200
+    policy = answer.headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    for outside in ("http://", "https://", "//cdn", "<style", "onclick"):
+        assert outside not in answer.text
+
+
+def test_a_name_that_is_made_to_point_here_is_refused(served: Page) -> None:
+    answer = get(served, Host=f"evil.example:{port(served)}")
+    assert answer.status == 403
+    assert "127.0.0.1" in answer.text
+    assert get(served, "/metrics", Host="evil.example").status == 403
+
+
+def test_nothing_but_the_page_s_own_files_is_given_out(served: Page) -> None:
+    for path in ("/../access.py", "/%2e%2e/access.py", "/server.py", "/etc/passwd"):
+        assert get(served, path).status == 404
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", None, "http://127.0.0.1:1"])
+def test_another_origin_s_script_gets_no_line(served: Page, origin: Any) -> None:
+    with pytest.raises((InvalidStatus, ConnectionClosed)):  # noqa: SIM117
+        with connect(f"ws://127.0.0.1:{port(served)}/live", origin=origin) as line:
+            line.recv(timeout=5)
+
+
+def own(page: Page) -> Any:
+    """A viewer; it takes what comes, so that it need not be read for its line to close."""
+    host = f"127.0.0.1:{port(page)}"
+    return connect(f"ws://{host}/live", origin=f"http://{host}", max_queue=None)
+
+
+def test_the_page_s_own_script_is_told_everything_and_numbers_are_json(served: Page) -> None:
+    kinds, pictures = set(), 0
+    with own(served) as line:
+        for _ in range(60):
+            message = line.recv(timeout=20)
+            if isinstance(message, bytes):
+                pictures += 1
+                length = int.from_bytes(message[1:5], "big")
+                assert len(json.loads(message[5 : 5 + length])["leds"]) == 4
+                assert message[5 + length : 7 + length] == b"\xff\xd8"  # a JPEG begins
+            else:
+                kinds.add(json.loads(message)["type"])
+    assert kinds == {"hello", "state", "alarms", "rows"}
+    assert pictures
+
+
+def test_pictures_are_encoded_once_for_all_and_only_while_somebody_looks() -> None:
+    with Playing() as playing:
+        source, calls = playing.source, []
+        given = source.pictures
+        source.pictures = lambda: calls.append(time.monotonic()) or given()  # type: ignore[method-assign, func-returns-value, return-value]
+        page = Page(source, 0)
+        assert not calls
+        with ExitStack() as stack:
+            lines = [stack.enter_context(own(page)) for _ in range(20)]
+            assert until(lambda: page.viewers == 20)
+            begin = len(calls)
+            for line in lines:
+                line.recv(timeout=20)
+            time.sleep(1.0)
+            assert len(calls) - begin <= 30  # ten a second, whoever looks
+        assert until(lambda: page.viewers == 0)
+        page.close()
+
+
+def test_viewers_may_ask_for_what_is_offered_and_for_nothing_else() -> None:
+    with Playing() as playing:
+        asked: list[str] = []
+        page = Page(playing.source, 0, asked={"take": lambda: asked.append("take")})
+        with own(page) as line:
+            for word in ("stop", "take", "x" * 1000):
+                line.send(word)
+            assert until(lambda: bool(asked))
+            line.send(b"take")  # no page sends that: whoever does is let go
+            assert until(lambda: page.viewers == 0)
+        assert asked == ["take"]
+        page.close()
+
+
+def test_metrics_are_prometheus_text(served: Page) -> None:
+    assert until(lambda: "verify_joint_error_degrees" in get(served, "/metrics").text)
+    text = get(served, "/metrics").text
+    assert "# TYPE verify_joint_error_degrees gauge" in text
+    assert 'verify_joint_error_degrees{joint="6"}' in text
+    assert 'verify_dropped_total{reason="no partner in time"} 2' in text
+
+
+def test_another_address_needs_a_token_that_nobody_guesses() -> None:
+    with pytest.raises(InputError, match="token"):
+        check_access("0.0.0.0", 1, None)
+    with pytest.raises(InputError, match="at least"):
+        check_access("0.0.0.0", 1, "short")
+    assert check_access("::1", 1, None).token is None
+
+
+def test_the_token_opens_the_page_once_and_then_the_cookie_does() -> None:
+    with Playing() as playing:
+        page = Page(playing.source, 0, "0.0.0.0", TOKEN)
+        assert get(page).status == 403
+        assert get(page, "/?token=wrong").status == 403
+        answer = get(page, f"/?token={TOKEN}")
+        assert answer.status == 303
+        assert answer.headers["Location"] == "/"
+        cookie = answer.headers["Set-Cookie"]
+        assert "HttpOnly" in cookie
+        assert "samesite=strict" in cookie.lower()
+        kept = cookie.split(";")[0]
+        assert get(page, Cookie=kept).status == 200
+        assert get(page, "/metrics", Authorization=f"Bearer {TOKEN}").status == 200
+        host = f"127.0.0.1:{port(page)}"
+        with pytest.raises((InvalidStatus, ConnectionClosed)):  # noqa: SIM117
+            with connect(f"ws://{host}/live", origin=f"http://{host}") as line:
+                line.recv(timeout=5)
+        with connect(
+            f"ws://{host}/live", origin=f"http://{host}", additional_headers={"Cookie": kept}
+        ) as line:
+            assert json.loads(line.recv(timeout=20))["type"] == "hello"
+        page.close()
+
+
+def test_a_port_that_is_taken_is_said_in_one_line(served: Page) -> None:
+    with Playing() as playing, pytest.raises(InputError, match="taken"):
+        Page(playing.source, port(served))
+
+
+def test_the_drawn_arm_ends_where_the_flange_is() -> None:
+    for name in ("iust_6r", "rv_3sd", "panda"):
+        arm = robots.load(name)
+        q = np.linspace(-0.5, 0.7, arm.dof)
+        points = joint_origins(arm, q)
+        np.testing.assert_allclose(points[-1], robots.forward(arm, q)[:3, 3], atol=1e-12)
+        assert len(points) >= arm.dof
+
+
+def test_metrics_have_an_address_of_their_own_where_no_page_is_wanted() -> None:
+    with pytest.raises(InputError, match="HOST:PORT"):
+        MetricsServer("nowhere", str)
+    server = MetricsServer("127.0.0.1:0", lambda: "verify_pairs_total 1\n")
+    for path, origin, status in (
+        ("/metrics", "", 200),
+        ("/", "", 404),
+        ("/metrics", "http://x", 403),
+    ):
+        line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+        with closing(line):
+            line.request("GET", path, headers={"Origin": origin} if origin else {})
+            answer = line.getresponse()
+            assert answer.status == status
+            assert answer.read() == (b"verify_pairs_total 1\n" if status == 200 else b"")
+    server.close()
+
+
+# in the browser
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with launched(tmp_path_factory.mktemp("chromium")) as started:
+        yield started
+
+
+LIVE = "document.querySelector('#connection')?.textContent === 'live'"
+INK = """id => { const c = document.getElementById(id) ?? document.querySelector(id);
+  const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+  let n = 0; for (let i = 0; i < d.length; i += 4) n += d[i + 3] > 0 && d[i] + d[i+1] + d[i+2] > 0;
+  return n / (d.length / 4); }"""
+KINDS = """selector => { const c = document.querySelector(selector);
+  const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+  const seen = { measured: 0, band: 0, tolerance: 0 };
+  for (let i = 0; i < d.length; i += 4) {
+    const [r, g, b, a] = d.slice(i, i + 4);
+    if (a === 255 && b > r + 100) seen.measured++;
+    else if (a && a < 90 && b > r + 100) seen.band++;
+    else if (r > g + 30 && b > g + 20) seen.tolerance++;
+  }
+  return seen; }"""  # by their colours in style.css, light: blue, thin blue, purple
+
+
+@contextmanager
+def looking(browser: Browser, page: Page, *size: int, scheme: str = "light") -> Iterator[Tab]:
+    with browser.open(page.url, *size, scheme=scheme) as tab:
+        tab.until(LIVE)
+        tab.until("document.querySelectorAll('.strip canvas').length === 6")
+        yield tab
+
+
+@browser_needed
+def test_the_browser_draws_and_keeps_drawing(browser: Browser, served: Page) -> None:
+    with looking(browser, served) as tab:
+        tab.until("document.querySelector('#left').ariaLabel.includes('4 of 4')")
+        assert tab.evaluate(f"({INK})('left')") > 0.9
+        tab.until(f"({INK})('scene') > 0.01")
+        before = tab.text(".strip .value")
+        tab.until(f"document.querySelector('.strip .value').innerText !== {before!r}")
+        assert tab.complaints == []
+
+
+@browser_needed
+def test_a_strip_shows_error_band_and_tolerance(browser: Browser, served: Page) -> None:
+    with looking(browser, served) as tab:
+        tab.until(f"({KINDS})('.strip canvas').measured > 50")
+        seen = tab.evaluate(f"({KINDS})('.strip canvas')")
+        assert seen["band"] > seen["measured"]
+        assert seen["tolerance"] > 20
+        assert tab.complaints == []
+
+
+@browser_needed
+def test_what_is_html_is_shown_as_text(browser: Browser, served: Page) -> None:
+    with looking(browser, served) as tab:
+        assert tab.text("#description") == HOSTILE
+        tab.until("document.querySelector('#devices li') && document.querySelector('#alarms time')")
+        for place in ("#devices", "#alarms", "#banner"):
+            assert HOSTILE in tab.text(place)
+        assert tab.evaluate("document.title") == "iust_6r · verify"
+        made = "document.querySelectorAll('#description *, #alarms img, #devices b').length"
+        assert tab.evaluate(made) == 0
+        assert tab.complaints == []
+
+
+@browser_needed
+def test_the_browser_comes_back_after_the_server_does(browser: Browser) -> None:
+    with Playing("first") as playing:
+        page = Page(playing.source, 0)
+        where = port(page)
+        with looking(browser, page) as tab:
+            page.close()
+            tab.until("document.querySelector('#connection').className.includes('ill')")
+            with Playing("second") as later:
+                again = Page(later.source, where)
+                tab.until(
+                    f"{LIVE} && document.querySelector('#description').textContent === 'second'"
+                )
+                tab.until("document.querySelectorAll('.strip canvas').length === 6")
+                again.close()
+
+
+@browser_needed
+def test_keys_do_what_the_pointer_does(browser: Browser, served: Page) -> None:
+    with looking(browser, served) as tab:
+        tab.press("4")
+        fourth = "document.querySelectorAll('.strip')[3]"
+        assert "tall" in tab.evaluate(f"{fourth}.className")
+        tab.until(f"{fourth}.querySelector('canvas').clientHeight > 200")
+        tab.press("t")
+        assert tab.evaluate("document.documentElement.dataset.theme") == "dark"
+        tab.press(" ")
+        assert tab.text("#connection") == "paused"
+        tab.evaluate("document.querySelector('#scene').focus()")
+        tab.evaluate("window.before = document.querySelector('#scene').toDataURL(); 0")
+        tab.press("ArrowLeft")
+        tab.until("document.querySelector('#scene').toDataURL() !== window.before")
+        assert tab.complaints == []
+
+
+@browser_needed
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_phone_scrolls_down_only(browser: Browser, served: Page, scheme: str) -> None:
+    with looking(browser, served, 360, 740, scheme=scheme) as tab:
+        tab.until("document.querySelector('#devices li')")
+        assert tab.evaluate("document.documentElement.scrollWidth") <= 360
+        assert tab.evaluate("document.documentElement.dataset.theme") == scheme
+        boxes = tab.evaluate(
+            "[...document.querySelectorAll('main > section')].filter(s => !s.hidden)"
+            ".map(s => s.getBoundingClientRect()).map(b => [b.top, b.bottom])"
+        )
+        for above, below in pairwise(sorted(boxes)):
+            assert above[1] <= below[0]
+        assert tab.complaints == []

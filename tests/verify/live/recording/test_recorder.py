@@ -1,0 +1,448 @@
+"""What is recorded is whole at any moment, says what was measured, and never holds up measuring."""
+
+import os
+import random
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from tests.support.devices.recording_process import FACTS, pair, reading
+from tests.support.recorded import HEIGHT, WIDTH
+from tests.support.small_disk import mounted
+from verify.analysis.session import analyse
+from verify.devices.cameras.opencv import JpegDecoder
+from verify.devices.protocols import CapturedPair, EncoderReading
+from verify.errors import InputError
+from verify.io.session.session import open_session
+from verify.io.video import open_images
+from verify.live.recording.matroska import MatroskaFile, PictureEncoder, picture_format
+from verify.live.recording.recorder import SessionRecorder
+from verify.live.recording.session import MIN_FREE_BYTES, SessionWriter
+from verify.live.station import file as station_file
+from verify.live.station.station import open_station
+from verify.measurement.chain import Setup, measure
+from verify.simulation import library
+from verify.simulation.devices.station import SimulatedStation
+from verify.simulation.session.simulate import simulate_session
+
+ROOT = Path(__file__).parents[4]
+
+
+def record(folder: Path, pairs: list[CapturedPair], facts: Any = FACTS) -> SessionRecorder:
+    recorder = SessionRecorder(folder, "session", facts)
+    for number in range(len(pairs) * 3):
+        recorder.reading(reading(pairs[0].t_left - 0.1 + 0.02 * number))
+    list(recorder.keep(iter(pairs)))
+    recorder.close()
+    return recorder
+
+
+def pairs_at_thirty_hertz(count: int) -> list[CapturedPair]:
+    return [pair(number, 1234.5 + number / 30) for number in range(count)]
+
+
+def test_a_closed_recording_is_a_session_that_holds_what_was_kept(tmp_path: Path) -> None:
+    given = pairs_at_thirty_hertz(8)
+    recorder = record(tmp_path, given)
+    session = open_session(tmp_path / "session")
+    assert not session.open
+    assert session.warnings == ()
+    assert recorder.state().pairs == len(session) == 8
+    for before, after in zip(given, session.pairs(), strict=True):
+        assert (after.frame, after.t_left, after.t_right) == (
+            before.frame,
+            before.t_left,
+            before.t_right,
+        )
+        assert_array_equal(after.left, before.left)
+        assert_array_equal(after.right, before.right)
+
+
+def test_times_and_angles_that_are_measured_with_are_those_of_the_file_to_the_last_digit(
+    tmp_path: Path,
+) -> None:
+    recorder = SessionRecorder(tmp_path, "session", replace(FACTS, turning=True))
+    rng = np.random.default_rng(1)
+    given = [
+        replace(pair(number, float(100 + number / 30 + rng.uniform(0, 0.01))), pan_left=angle)
+        for number, angle in enumerate(rng.uniform(-1, 1, 20).tolist())
+    ]
+    readings = [
+        recorder.reading(replace(reading(99.9 + 0.01 * n + 1e-4 / 3), q=rng.uniform(-3, 3, 6)))
+        for n in range(50)
+    ]
+    kept = list(recorder.keep(iter(given)))
+    recorder.close()
+    session = open_session(tmp_path / "session")
+    assert [p.t_left for p in session.pairs()] == [p.t_left for p in given]
+    assert [p.pan_left for p in session.pairs()] == [p.pan_left for p in kept]
+    assert_array_equal(session.encoders.t, [r.t for r in readings])
+    assert_array_equal(session.encoders.q, [r.q for r in readings])
+
+
+@pytest.mark.parametrize("shape", [(48, 64), (48, 64, 3), (47, 63), (47, 63, 3)])
+def test_pictures_come_back_as_they_were(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(3)
+    pictures = [rng.integers(0, 255, shape, dtype=np.uint8) for _ in range(5)]
+    coder = PictureEncoder(picture_format(pictures[0], None))
+    file = MatroskaFile(tmp_path / "video.mkv", coder.track)
+    for number, picture in enumerate(pictures):
+        file.add(coder.encode(picture, None), number / 30)
+    file.close()
+    video = open_images(tmp_path / "video.mkv")
+    assert video.count() == 5
+    for before, after in zip(pictures, video.images(), strict=True):
+        assert_array_equal(after, before)
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_jpegs_go_to_the_file_as_they_came_and_are_read_as_they_were_measured(
+    tmp_path: Path, colour: bool
+) -> None:
+    decoder, pairs = JpegDecoder(), []
+    for number in range(6):
+        raws, images = [], []
+        for side in range(2):
+            rng = np.random.default_rng(2 * number + side)
+            shape = (HEIGHT, WIDTH, 3) if colour else (HEIGHT, WIDTH)
+            rough = rng.integers(0, 255, shape, dtype=np.uint8)
+            raw = cv2.imencode(".jpg", cv2.GaussianBlur(rough, (0, 0), 2))[1].tobytes()
+            image = decoder.decode(raw)
+            assert image is not None
+            raws.append(raw)
+            images.append(image)
+        t = 5 + number / 30
+        pairs.append(CapturedPair(number, t, t, 0.0, 0.0, images[0], images[1], raws[0], raws[1]))
+    record(tmp_path, pairs)
+    for before, after in zip(pairs, open_session(tmp_path / "session").pairs(), strict=True):
+        assert_array_equal(after.left, before.left)
+        assert_array_equal(after.right, before.right)
+    data = (tmp_path / "session" / "left.mkv").read_bytes()
+    assert all(p.left_raw is not None and p.left_raw in data for p in pairs)
+
+
+def test_a_damaged_jpeg_is_no_picture() -> None:
+    raw = cv2.imencode(".jpg", np.zeros((48, 64), np.uint8))[1].tobytes()
+    assert JpegDecoder().decode(raw[:40]) is None
+    assert JpegDecoder().decode(b"\xff\xd8 nothing of the kind") is None
+
+
+def start(folder: Path, rate: float | str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "tests.support.devices.recording_process", str(folder), str(rate)],
+        cwd=ROOT, stdout=subprocess.PIPE, text=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("round_number", range(4))
+def test_after_a_kill_every_pair_that_was_handed_on_is_there(
+    tmp_path: Path, round_number: int
+) -> None:
+    chance = random.Random(round_number)
+    folders = [tmp_path / str(number) for number in range(5)]
+    rates = (5, 30, 30, 60, 200)
+    processes = [start(folder, rate) for folder, rate in zip(folders, rates, strict=True)]
+    handed_on = []
+    for process in processes:
+        assert process.stdout is not None
+        process.stdout.readline()  # it is under way
+    for process in processes:
+        time.sleep(chance.uniform(0.02, 0.4))
+        process.kill()
+    for process in processes:
+        whole_lines = process.communicate()[0].rpartition("\n")[0].splitlines()
+        handed_on.append(np.array([line.split() for line in whole_lines], dtype=float))
+    for folder, told in zip(folders, handed_on, strict=True):
+        # a pair that the disk was too slow for is handed on before; how many those were is told
+        late = int(told[-1, 2]) if len(told) else 0
+        times = told[: len(told) - late, 1] if len(told) else []
+        session = open_session(folder / "killed")
+        assert session.open
+        assert len(session) >= len(times) + 1  # the first line was read before
+        measured = list(session.pairs())
+        assert_array_equal([p.t_left for p in measured[1 : len(times) + 1]], times)
+        for p in measured:
+            assert_array_equal(p.left, pair(p.frame, 0.0).left)
+            assert_array_equal(p.right, pair(p.frame, 0.0).right)
+        assert session.encoders.t[-1] >= measured[-1].t_left - 1.0
+
+
+def test_what_is_measured_live_is_measured_again_from_the_recording_to_the_last_digit(
+    tmp_path: Path,
+) -> None:
+    session = simulate_session(library.load("multi_joint_rv_3sd"))
+    (tmp_path / "station.toml").write_text(station_file.template())
+    station = open_station(tmp_path / "station.toml", SimulatedStation)
+    recorder = station.open_recorder()
+    for t, q in zip(session.encoder_t, session.encoder_q, strict=True):
+        recorder.reading(EncoderReading(float(t), float(t), 0.0, 0, q))
+    setup = Setup(station.rig, station.marker)
+    given = (session.pair(index) for index in range(12))
+    live = list(measure(recorder.keep(given), setup))
+    recorder.close()
+    folder = recorder.state().folder
+    assert folder is not None
+    opened = open_session(folder)
+    again = list(measure(opened.pairs(), Setup(opened.rig, opened.marker)))
+    assert len(live) == len(again) == 12
+    for before, after in zip(live, again, strict=True):
+        assert before.status == after.status == "measured"
+        assert (before.t, before.frame) == (after.t, after.frame)
+        assert before.pose is not None
+        assert after.pose is not None
+        assert_array_equal(before.pose.rig_T_flange, after.pose.rig_T_flange)
+
+
+@pytest.mark.slow
+def test_a_run_that_is_killed_is_measured_up_to_its_last_pair(tmp_path: Path) -> None:
+    process = start(tmp_path / "run", "sim")
+    time.sleep(6.0)
+    process.kill()
+    lines = process.communicate()[0].rpartition("\n")[0].splitlines()
+    told = np.array([line.split() for line in lines], dtype=float)
+    (folder,) = (tmp_path / "run" / "recordings").iterdir()
+    session = open_session(folder)
+    assert session.open
+    assert len(session) >= len(told) - told[-1, 2]
+    results = analyse(session)
+    frames = results.tables["frames"]
+    measured = frames[frames["status"] == "measured"]
+    assert measured["t_s"].iloc[-1] >= told[-1, 1] - 1.0
+    assert len(measured) > 0.9 * len(frames)
+    for joint in results.summary["joints"]:
+        u = joint["expanded_uncertainty_deg"]
+        assert abs(joint["mean_error_deg"]) < 2 * u  # the simulated encoders are in order
+
+
+def test_a_controller_whose_clock_starts_anew_starts_a_new_session(tmp_path: Path) -> None:
+    recorder = SessionRecorder(tmp_path, "session", FACTS)
+    given = pairs_at_thirty_hertz(10)
+
+    def pairs() -> Iterator[CapturedPair]:
+        for p in given[:5]:
+            recorder.reading(reading(p.t_left))
+            yield p
+        recorder.reading(replace(reading(0.5, segment=1), t_host=given[4].t_left))
+        for p in given[5:]:
+            shown = p.t_left - given[4].t_left
+            recorder.reading(replace(reading(0.5 + shown, segment=1), t_host=p.t_left))
+            yield p
+
+    assert len(list(recorder.keep(pairs()))) == 10
+    recorder.close()
+    first, second = (open_session(folder) for folder in recorder.state().folders)
+    assert (first.name, second.name) == ("session", "session-2")
+    assert (len(first), len(second)) == (5, 5)
+    assert second.encoders.t[0] == 0.5
+    assert not first.open
+    assert not second.open
+
+
+def test_pairs_whose_times_do_not_rise_are_left_out_and_counted(tmp_path: Path) -> None:
+    given = pairs_at_thirty_hertz(6)
+    given[3] = replace(given[3], t_right=given[2].t_right)
+    recorder = SessionRecorder(tmp_path, "session", FACTS)
+    recorder.reading(reading(1.0))
+    kept = list(recorder.keep(iter(given)))
+    recorder.close()
+    assert [p.t_left for p in kept] == [p.t_left for n, p in enumerate(given) if n != 3]
+    assert [p.frame for p in kept] == [0, 1, 2, 3, 4]
+    assert recorder.state().dropped == 1
+    assert len(open_session(tmp_path / "session")) == 5
+
+
+def test_readings_before_the_first_pair_and_repeated_times(tmp_path: Path) -> None:
+    recorder = SessionRecorder(tmp_path, "session", FACTS)
+    for number in range(500):
+        recorder.reading(reading(number * 0.01))
+        recorder.reading(reading(number * 0.01))  # the same instant again
+    list(recorder.keep(iter([pair(0, 5.0), pair(1, 5.1)])))
+    recorder.close()
+    t = open_session(tmp_path / "session").encoders.t
+    assert t[-1] == 4.99
+    assert 3.9 < t[0] < 4.1
+    assert np.all(np.diff(t) > 0)
+
+
+def test_how_well_the_readings_times_are_known_is_told_at_the_end(tmp_path: Path) -> None:
+    record(tmp_path, pairs_at_thirty_hertz(5))
+    told = open_session(tmp_path / "session").encoder_time_standard_uncertainty
+    assert told == pytest.approx(0.001 / np.sqrt(3), rel=1e-2)  # uniform within ± 1 ms
+
+
+def kept_in_time(recorder: SessionRecorder, pairs: list[CapturedPair]) -> float:
+    """Record them all; the longest that one was held up, s."""
+    begin = [0.0]
+
+    def timed() -> Iterator[CapturedPair]:
+        for p in pairs:
+            time.sleep(0.01)
+            begin[0] = time.monotonic()
+            yield p
+
+    held = [time.monotonic() - begin[0] for _ in recorder.keep(timed())]
+    assert len(held) == len(pairs)
+    return max(held)
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
+    with mounted(tmp_path / "disk", "-o", "size=2m") as disk:
+        recorder = SessionRecorder(disk, "session", FACTS)
+        recorder.reading(reading(1.0))
+        pairs = pairs_at_thirty_hertz(300)
+        assert kept_in_time(recorder, pairs) < 0.3
+        recorder.close()
+        state = recorder.state()
+        assert not state.recording
+        assert "no space left on device" in state.sentence
+        assert f"{state.pairs} pairs are whole" in state.sentence
+        session = open_session(disk / "session")
+        assert not session.open
+        assert 50 < len(session) == state.pairs < 300
+        for before, after in zip(pairs, session.pairs(), strict=False):
+            assert_array_equal(after.right, before.right)
+
+
+def test_a_disk_that_fills_to_the_last_byte_leaves_whole_pairs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, room = os.write, [60_000]
+
+    def write(file: int, data: Any) -> int:
+        if len(data) > room[0]:
+            taken = real(file, bytes(data)[: room[0]]) if room[0] else 0
+            room[0] = 0
+            if not taken:
+                raise OSError(28, "No space left on device")
+            return taken
+        room[0] -= len(data)
+        return real(file, data)
+
+    def full_disk(folder: Path, *rest: Any) -> SessionWriter:
+        part = SessionWriter(folder, *rest)
+        monkeypatch.setattr("verify.live.recording.matroska.os.write", write)
+        return part
+
+    recorder = SessionRecorder(tmp_path, "session", FACTS, full_disk)
+    recorder.reading(reading(1.0))
+    assert len(list(recorder.keep(iter(pairs_at_thirty_hertz(20))))) == 20
+    recorder.close()
+    monkeypatch.undo()
+    assert "no space left" in recorder.state().sentence
+    folder = tmp_path / "session"
+    pairs = recorder.state().pairs
+    assert 3 < pairs < 20
+    # cut back to what is whole: as many images on either side as rows
+    assert open_images(folder / "left.mkv").count() == pairs
+    assert open_images(folder / "right.mkv").count() == pairs
+    assert len(open_session(folder)) == pairs
+
+
+def test_a_disk_that_is_too_slow_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
+    class Slow(SessionWriter):
+        def add_pair(self, *arguments: Any) -> None:
+            time.sleep(0.25)
+            super().add_pair(*arguments)
+
+    recorder = SessionRecorder(tmp_path, "session", FACTS, Slow)
+    recorder.reading(reading(1.0))
+    assert kept_in_time(recorder, pairs_at_thirty_hertz(150)) < 0.3
+    state = recorder.state()
+    assert "too slow" in state.sentence
+    assert state.late > 0
+    recorder.close()
+    session = open_session(tmp_path / "session")
+    assert not session.open
+    assert 0 < len(session) == recorder.state().pairs < 150
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (PermissionError(13, "Permission denied"), "permission denied"),
+        (OSError(5, "Input/output error"), "input/output error"),
+        (ZeroDivisionError("oh"), "a defect of this program, ZeroDivisionError: oh"),
+    ],
+)
+def test_what_the_system_refuses_ends_the_recording_in_words(
+    tmp_path: Path, error: Exception, words: str
+) -> None:
+    class Refused(SessionWriter):
+        def add_pair(self, *arguments: Any) -> None:
+            if self.pairs == 5:
+                raise error
+            super().add_pair(*arguments)
+
+    recorder = SessionRecorder(tmp_path, "session", FACTS, Refused)
+    recorder.reading(reading(1.0))
+    assert len(list(recorder.keep(iter(pairs_at_thirty_hertz(20))))) == 20
+    recorder.close()
+    assert words in recorder.state().sentence
+    assert len(open_session(tmp_path / "session")) == 5
+
+
+def test_a_folder_that_is_deleted_meanwhile_is_noticed(tmp_path: Path) -> None:
+    recorder = SessionRecorder(tmp_path, "session", FACTS)
+    recorder.reading(reading(1.0))
+    pairs = pairs_at_thirty_hertz(10)
+    list(recorder.keep(iter(pairs[:5])))
+    for file in (tmp_path / "session").iterdir():
+        file.unlink()
+    list(recorder.keep(iter(pairs[5:])))
+    recorder.close()
+    assert "the folder was deleted" in recorder.state().sentence
+
+
+def test_a_place_that_cannot_be_written_to_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    recorder = SessionRecorder(tmp_path / "file", "session", FACTS)
+    assert len(list(recorder.keep(iter(pairs_at_thirty_hertz(3))))) == 3
+    recorder.close()
+    assert "recording has stopped" in recorder.state().sentence
+    assert "not a directory" in recorder.state().sentence
+
+
+def test_a_second_recording_never_touches_the_first(tmp_path: Path) -> None:
+    record(tmp_path, pairs_at_thirty_hertz(3))
+    recorder = record(tmp_path, pairs_at_thirty_hertz(4))
+    assert [len(open_session(tmp_path / name)) for name in ("session", "session-2")] == [3, 4]
+    assert recorder.state().folder == tmp_path / "session-2"
+
+
+def test_a_recording_without_a_pair_leaves_no_folder(tmp_path: Path) -> None:
+    recorder = SessionRecorder(tmp_path, "session", FACTS)
+    recorder.reading(reading(1.0))
+    recorder.close()
+    assert list(tmp_path.iterdir()) == []
+    assert recorder.state().folder is None
+
+
+def test_a_recording_without_readings_says_so_when_it_is_opened(tmp_path: Path) -> None:
+    recorder = SessionRecorder(tmp_path, "session", FACTS)
+    list(recorder.keep(iter(pairs_at_thirty_hertz(3))))
+    recorder.close()
+    with pytest.raises(InputError, match=r"encoders\.csv: has no rows"):
+        open_session(tmp_path / "session")
+
+
+def test_room_is_kept_to_close_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorder = SessionRecorder(tmp_path, "session", FACTS)
+    recorder.reading(reading(1.0))
+    pairs = pairs_at_thirty_hertz(10)
+    list(recorder.keep(iter(pairs[:5])))
+    free = type("Usage", (), {"free": MIN_FREE_BYTES})
+    monkeypatch.setattr("verify.live.recording.session.shutil.disk_usage", lambda _: free)
+    list(recorder.keep(iter(pairs[5:])))
+    recorder.close()
+    assert "no space left" in recorder.state().sentence
+    assert not open_session(tmp_path / "session").open

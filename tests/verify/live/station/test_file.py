@@ -1,0 +1,271 @@
+"""A station file is checked like a session's, and explains itself."""
+
+import re
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.support.recorded import MARKER, RIG
+from verify.devices.encoders.csv import CsvEncoders
+from verify.devices.encoders.labenc import LabencEncoders
+from verify.devices.encoders.text import TextEncoders
+from verify.devices.melfa.reader import MelfaEncoders
+from verify.devices.melfa.realtime import RealtimeEncoders
+from verify.devices.pan import PanReader, PanServo
+from verify.errors import InputError
+from verify.io.session.session import open_session
+from verify.live.recording.session import SessionFacts
+from verify.live.station import file
+from verify.live.station.keys import StationTable
+from verify.live.station.station import PanDrive, Station, open_station
+from verify.simulation.devices.station import SimulatedStation
+
+REAL = """format = 1
+robot = "iust_6r"
+description = "the lab's arm"
+rig = "rig.toml"
+marker = "marker.toml"
+
+[left]
+source = 0
+rate_hz = 30.0
+exposure_ms = 5.0
+
+[right]
+source = "/dev/video2"
+
+[encoders]
+driver = "labenc"
+port = "tcp:127.0.0.1:10001"
+"""
+
+
+def station(folder: Path, text: str = REAL, **replaced: str) -> Station:
+    (folder / "rig.toml").write_text(RIG)
+    (folder / "marker.toml").write_text(MARKER)
+    path = folder / "station.toml"
+    for old, new in replaced.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    path.write_text(text)
+    return open_station(path, SimulatedStation)
+
+
+def encoders(folder: Path, text: str) -> Station:
+    return station(folder, REAL[: REAL.index("[encoders]")] + "[encoders]\n" + text)
+
+
+def test_the_template_runs_as_it_is(tmp_path: Path) -> None:
+    made = station(tmp_path, file.template())
+    assert made.warnings == ()
+    assert made.robot == "rv_3sd_melfa"
+    left, right = made.open_cameras()
+    assert left.read() is not None
+    assert right.read() is not None
+    reading = made.open_encoders().read()
+    assert len(reading) > 0
+    assert made.open_pan() is None
+    recorder = made.open_recorder()
+    recorder.close()
+    assert not (tmp_path / "recordings").exists()
+
+
+def test_the_template_names_every_key_and_no_other(tmp_path: Path) -> None:
+    text = file.template()
+
+    def keys(kind: type[msgspec.Struct]) -> set[str]:
+        return set(kind.__struct_fields__)
+
+    tables = {f.name: f.type for f in msgspec.structs.fields(StationTable)}
+    named = set(re.findall(r"\b([a-z][a-z0-9_]*)\b", text))
+    for name, kind in tables.items():
+        assert name in named
+        for part in [kind, *getattr(kind, "__args__", ())]:
+            if isinstance(part, type) and issubclass(part, msgspec.Struct):
+                assert keys(part) <= named, f"[{name}]"
+    # with every explained key switched on, none is unknown
+    said = re.sub(r"(?m)^# (?=\[|[a-z_]+ = )", "", text)
+    said = re.sub(r"(?m)^(driver|port|baud|columns|pattern|checksum) = .*\n", "", said)
+    said = re.sub(r"(?m)^(rate_hz|sign|unit|latch_span_us) = .*\n", "", said)
+    said = said.replace("[encoders]", '[encoders]\ndriver = "sim"')
+    (tmp_path / "station.toml").write_text(said)
+    _, warnings = file.read(tmp_path / "station.toml")
+    assert not [w for w in warnings if "does not know" in w]
+
+
+def test_facts_come_out_in_si_units(tmp_path: Path) -> None:
+    made = station(
+        tmp_path,
+        REAL
+        + "resolution_deg = 0.01\n[tolerance]\njoints_deg = 0.5\nposition_mm = 2.0\n"
+        + "[clock]\nencoder_offset_s = 0.25\n"
+        + '[recording]\nfolder = "records"\nname = "{robot} %Y"\n',
+    )
+    assert made.tolerance is not None
+    assert made.tolerance.joints is not None
+    assert_allclose(made.tolerance.joints, np.deg2rad([0.5] * 6))
+    assert made.tolerance.position == 0.002
+    assert made.clock is not None
+    assert made.clock.encoder_offset == 0.25
+    assert made.encoder_resolution == pytest.approx(np.deg2rad(0.01))
+    assert made.recording.folder == tmp_path / "records"
+    assert made.recording.name == "iust_6r %Y"
+    assert made.name == "the lab's arm"
+    assert not made.follow
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ('driver = "melfa"\nport = "tcp:127.0.0.1:1"\nterminator = "CR LF"\n', MelfaEncoders),
+        ('driver = "melfa-realtime"\nport = "udp:127.0.0.1:1"\ncycle_ms = 3.5\n', RealtimeEncoders),
+        ('driver = "labenc"\nport = "/dev/ttyUSB9"\nunit = "counts"\n', LabencEncoders),
+        (
+            'driver = "text"\nport = "p"\ncolumns = ["q1", "q2", "q3", "q4", "q5", "q6"]\n',
+            TextEncoders,
+        ),
+        ('driver = "csv"\npath = "readings.csv"\n', CsvEncoders),
+    ],
+)
+def test_every_driver_can_be_named(tmp_path: Path, text: str, kind: type) -> None:
+    made = encoders(tmp_path, text)
+    opened = made.open_encoders()
+    assert isinstance(opened, kind)
+    assert made.warnings == ()
+    opened.close()
+
+
+def test_bases_follow_only_where_that_is_said(tmp_path: Path) -> None:
+    pan = '[pan]\ndriver = "serial"\nport = "tcp:127.0.0.1:1"\n'
+    still = station(tmp_path, REAL + pan)
+    reader = still.open_pan()
+    assert isinstance(reader, PanReader)
+    assert not isinstance(reader, PanDrive)
+    turning = station(tmp_path, REAL + pan + "follow = true\n")
+    assert turning.follow
+    assert isinstance(turning.open_pan(), PanServo)
+    assert isinstance(turning.open_pan(), PanDrive)
+    assert turning.facts.turning
+
+
+def test_simulated_bases_can_be_turned(tmp_path: Path) -> None:
+    text = file.template().replace(
+        'driver = "fixed"                  #', 'driver = "sim"\nfollow = true #'
+    )
+    assert isinstance(station(tmp_path, text).open_pan(), PanDrive)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("format = 1", "format = 2", "format is 2; format 1 is expected"),
+        ('robot = "iust_6r"', 'robot = "iust6r"', 'did you mean "iust_6r"'),
+        ('rig = "rig.toml"', 'rig = "none.toml"', "none.toml: no such file"),
+        ('rig = "rig.toml"', 'rig = "sim"', 'rig: is "sim"'),
+        ("source = 0", 'source = "sim"', 'right.source: is not "sim"'),
+        ("source = 0", 'source = "/dev/video2"', "right.source: is the left camera's"),
+        ("source = 0", "source = -1", "left.source: is -1"),
+        ("source = 0", "source = 1.5", "left.source: is 1.5; .* is expected"),
+        ("rate_hz = 30.0", "rate_hz = -3.0", "left.rate_hz: is -3.0"),
+        ("exposure_ms = 5.0", "exposure_ms = 0.0", "left.exposure_ms: is 0.0"),
+        ("rate_hz = 30.0", "size = [640, 480]", r"left.size: is 640 x 480; the rig .* 64 x 48"),
+        ("rate_hz = 30.0", 'format = "MJPEG"', 'left.format: is "MJPEG"; four letters'),
+        ('driver = "labenc"', 'driver = "labnec"', "Did you mean `labenc`"),
+        ('port = "tcp:127.0.0.1:10001"', "", "encoders.port: is missing"),
+        ("tcp:127.0.0.1:10001", "tcp:10001", 'encoders.port: has "10001"; HOST:PORT'),
+        ('driver = "labenc"', 'driver = "labenc"\nparity = "X"', "encoders.parity: is X"),
+        ('driver = "labenc"', 'driver = "labenc"\nsign = [1, 1]', "encoders.sign: is a list of 2"),
+        ('driver = "labenc"', 'driver = "labenc"\nrate_hz = 0.5', "encoders.rate_hz: is 0.5"),
+        ('driver = "labenc"', 'driver = "text"', "encoders, columns: name no q1"),
+        ('driver = "labenc"', 'driver = "csv"', "encoders.path: is missing"),
+    ],
+)
+def test_what_is_wrong_is_said_with_file_and_key(
+    tmp_path: Path, old: str, new: str, words: str
+) -> None:
+    with pytest.raises(InputError, match=words.replace("format is", "format: is")) as problem:
+        station(tmp_path, **{old: new})
+    assert str(tmp_path) in str(problem.value)
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("[tolerance]\njoints_deg = 0.0\n", "tolerance.joints_deg: is 0.0"),
+        ("[tolerance]\njoints_deg = [0.1, 0.2]\n", "for each of the 6 joints"),
+        ("[alarm]\nfalse_alarms_per_hour = 0.0\n", "no test is without false alarms"),
+        ('[alarm]\nmqtt = "localhost"\n', "mqtt://HOST:PORT/TOPIC"),
+        ('[alarm]\nprometheus = "9105"\n', "HOST:PORT is expected"),
+        ('[recording]\nname = "../%Y"\n', "a folder's name is expected"),
+        ('[recording]\nname = ""\n', "a folder's name is expected"),
+        ("[pan]\nfollow = true\n", "pan.follow: is true with fixed bases"),
+        ('[pan]\ndriver = "sim"\n', "simulated with their cameras"),
+        ('[pan]\ndriver = "serial"\n', "pan.port: is missing"),
+        ("[sim]\nspeed = 0.0\n", "sim.speed: is 0.0"),
+        ('[[sim.event]]\nwhat = "flood"\nat_s = 1.0\n', r"sim.event\[0\].what"),
+        ("[clock]\nencoder_offset_s = nan\n", "clock.encoder_offset_s: is nan"),
+    ],
+)
+def test_what_is_wrong_further_down_too(tmp_path: Path, more: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        station(tmp_path, REAL + more)
+
+
+def test_what_does_not_fit_the_simulation_is_said(tmp_path: Path) -> None:
+    text = file.template()
+    with pytest.raises(InputError, match=r'robot: is "iust_6r"; the simulated robot is "rv_3sd_'):
+        station(tmp_path, text.replace('robot = "rv_3sd_melfa"', 'robot = "iust_6r"'))
+    with pytest.raises(InputError, match=r"station.toml, sim.scenario: .*no_such"):
+        station(tmp_path, text.replace('"multi_joint_rv_3sd"', '"no_such"'))
+    event = '[[sim.event]]\nwhat = "encoder_jump"\nat_s = 1.0\njoint = 9\n'
+    with pytest.raises(InputError, match=r"sim.event\[0\].joint: is 9"):
+        station(tmp_path, text + event)
+
+
+def test_a_key_that_means_nothing_is_named(tmp_path: Path) -> None:
+    made = station(tmp_path, REAL + "pause_ms = 50.0\ntimout_s = 1.0\n[alarm]\nloud = true\n")
+    said = "\n".join(made.warnings)
+    assert 'encoders.pause_ms: the driver "labenc" has no such setting' in said
+    assert "encoders.timout_s: the format does not know this key" in said
+    assert "`timeout_s`" in said
+    assert "alarm.loud" in said
+
+
+def test_a_recording_says_what_the_station_says(tmp_path: Path) -> None:
+    from tests.support.devices.recording_process import pair, reading
+
+    made = station(
+        tmp_path,
+        REAL
+        + "time_standard_uncertainty_s = 0.002\n[tolerance]\njoints_deg = 0.5\n"
+        + "[environment]\ntemperature_c = 21.5\n[clock]\nencoder_offset_s = 0.25\n",
+    )
+    assert isinstance(made.facts, SessionFacts)
+    recorder = made.open_recorder()
+    recorder.reading(reading(1.0))
+    list(recorder.keep(iter([pair(n, 1.0 + n / 30) for n in range(3)])))
+    recorder.close()
+    folder = recorder.state().folder
+    assert folder is not None
+    assert folder.parent == tmp_path / "recordings"
+    assert re.fullmatch(r"iust_6r-\d{4}-\d\d-\d\d-\d{6}", folder.name)
+    session = open_session(folder)
+    assert session.description == "the lab's arm"
+    assert session.temperature_c == 21.5
+    assert session.encoder_time_standard_uncertainty == 0.002
+    assert session.clock == made.clock
+    assert (folder / "rig.toml").read_text() == RIG
+    assert session.started is not None
+
+
+def test_a_robots_own_file_goes_with_the_recording(tmp_path: Path) -> None:
+    import robots
+
+    library = Path(robots.__file__).parent
+    (tmp_path / "arm.toml").write_bytes((library / "iust_6r.toml").read_bytes())
+    made = station(tmp_path, **{'robot = "iust_6r"': 'robot = "arm.toml"'})
+    assert made.facts.robot == "robot.toml"
+    assert made.facts.files["robot.toml"] == (library / "iust_6r.toml").read_bytes()

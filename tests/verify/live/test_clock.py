@@ -1,0 +1,129 @@
+"""The clock while it runs: drift followed, jumps believed, resets begun anew."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.spot_level import OFFSET, SpotRun, facing_rig
+from verify.analysis.clock import ClockEstimate
+from verify.devices.protocols import EncoderReading
+from verify.live.alarms.joints import AlarmLimits
+from verify.live.buffers import ReadingBuffer
+from verify.live.clock import U_ARRIVAL, ClockLine, clock_from_arrivals
+
+
+def estimate(offset: float, u: float = 1e-4) -> ClockEstimate:
+    return ClockEstimate(offset, u, "estimated", np.zeros((0, 2)))
+
+
+def test_a_drifting_clock_is_carried_to_now_within_what_is_claimed() -> None:
+    line, chance = ClockLine(), np.random.default_rng(3)
+    drift, misses = 8e-5, []
+    for t in np.arange(5.0, 120.0, 3.0):
+        line.add(t, estimate(0.2 + drift * t + chance.normal(0, 1e-4)), 1.0)
+        value, u = line.at(t + 5.0)
+        misses.append((value - 0.2 - drift * (t + 5.0)) / u)
+    assert line.drift == pytest.approx(drift, abs=2e-5)
+    assert np.sqrt(np.mean(np.square(misses))) < 1.5
+
+
+def test_the_claimed_uncertainty_grows_with_the_time_since_the_last_estimate() -> None:
+    line = ClockLine()
+    line.add(10.0, estimate(0.1), 1.0)
+    assert line.at(10.0)[1] == pytest.approx(1e-4, rel=0.01)
+    assert line.at(70.0)[1] > 1e-3
+
+
+def test_an_offset_that_the_motion_does_not_show_changes_nothing() -> None:
+    line = ClockLine()
+    line.add(10.0, ClockEstimate(0.0, None, "not_observable", np.zeros((0, 2))), 1.0)
+    assert len(line) == 0
+    with pytest.raises(ValueError, match="no offset"):
+        line.at(10.0)
+
+
+def test_a_clock_that_jumps_begins_a_new_line() -> None:
+    line = ClockLine()
+    for t in (5.0, 8.0, 11.0):
+        line.add(t, estimate(0.1), 1.0)
+    line.add(14.0, estimate(0.3), 1.0)
+    assert line.at(14.0)[0] == pytest.approx(0.3, abs=1e-6)
+
+
+def reading(t: float, late: float, segment: int = 0) -> EncoderReading:
+    return EncoderReading(t, t + 5.0 + late, 50e-6, segment, np.zeros(6))
+
+
+def test_until_the_motion_tells_readings_are_as_old_as_the_quickest_delivery() -> None:
+    book = ReadingBuffer()
+    for k, late in enumerate((0.004, 0.001, 0.009)):
+        book.add(reading(0.01 * k, late))
+    delay = book.least_delay()
+    assert delay == pytest.approx(5.001)
+    clock = clock_from_arrivals(5.001, 50e-6, 0)
+    assert abs(clock.offset - 5.0) < 2 * U_ARRIVAL
+    assert clock.source == "arrival"
+
+
+def test_a_reset_controller_starts_the_book_anew() -> None:
+    book = ReadingBuffer()
+    for k in range(10):
+        book.add(reading(100 + 0.01 * k, 0.001))
+    book.add(reading(0.0, 0.001, segment=1))
+    assert book.segment == 1
+    kept = book.since(-1e9)
+    assert kept is not None
+    assert kept.t.tolist() == [0.0]
+
+
+def test_readings_that_do_not_rise_are_left_out() -> None:
+    book = ReadingBuffer()
+    for t in (0.0, 0.02, 0.01, 0.02, 0.03):
+        book.add(reading(t, 0.001))
+    kept = book.since(-1.0)
+    assert kept is not None
+    assert kept.t.tolist() == [0.0, 0.02, 0.03]
+
+
+def test_readings_from_before_a_silence_say_nothing_of_what_came_after_it() -> None:
+    book = ReadingBuffer()
+    for t in (*np.arange(0.0, 1.0, 0.1), *np.arange(3.0, 3.25, 0.1)):
+        book.add(reading(float(t), 0.001))
+    about = book.about(2.9)
+    assert about is not None
+    assert about.t.tolist() == pytest.approx([3.0, 3.1, 3.2])
+    assert not about.known(np.array([0.95, 2.9])).any()
+
+
+def test_a_readings_time_is_known_as_badly_as_that_of_its_worse_neighbour() -> None:
+    book = ReadingBuffer()
+    assert book.half_width_about(0.0) == 0.0
+    for number, width in enumerate((0.001, 0.008, 0.002, 0.001)):
+        told = reading(0.1 * number, 0.001)
+        book.add(replace(told, half_width=width))
+    about = [book.half_width_about(t) for t in (-0.1, 0.05, 0.15, 0.25, 0.3, 0.35)]
+    assert about == [0.001, 0.008, 0.008, 0.002, 0.002, 0.001]
+
+
+def test_no_one_waits_longer_than_agreed_for_a_reading() -> None:
+    book = ReadingBuffer()
+    book.add(reading(0.0, 0.001))
+    assert book.wait_past(1.0, deadline=0.0) is None
+    found = book.wait_past(0.0, deadline=0.0)
+    assert found is not None
+    assert found.t == 0.0
+
+
+def test_the_offset_is_found_while_the_robot_moves() -> None:
+    rig, marker = facing_rig()
+    run = SpotRun(rig, marker, rate=15.0)
+    rows, _, keeper = run.watch(8.0, AlarmLimits(0.1, 15.0, None))
+    sources = [row.clock.source for row in rows if row.clock is not None]
+    assert sources[0] == "arrival"
+    assert sources[-1] == "estimated"
+    last = rows[-1].clock
+    assert last is not None
+    assert last.standard_uncertainty is not None
+    assert abs(last.offset - OFFSET) < 4 * last.standard_uncertainty < 4e-3
+    assert keeper.trouble == ""

@@ -1,0 +1,204 @@
+"""A measurement in a process of its own gives what one here gives, and its loss costs no pair.
+
+A rehearsal is over when the next occasion comes, and never makes it wait twice.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from verify.core.processes import SharedPicture, location_of, picture_at
+from verify.core.records import Array, Measurement, StereoPair
+from verify.live.measuring_process import MeasuringProcess, _LastPair
+from verify.live.rehearsal import FEWEST, MARGIN, Rehearsal
+from verify.measurement.chain import Setup, measure
+from verify.simulation import library
+from verify.simulation.session.simulate import SimulatedSession, simulate_session
+
+PAIRS = 8
+LOST_AFTER = 4
+
+
+@pytest.fixture(scope="module")
+def session() -> SimulatedSession:
+    return simulate_session(library.load("multi_joint_rv_3sd"))
+
+
+@pytest.fixture(scope="module")
+def here(session: SimulatedSession) -> list[Measurement]:
+    return list(measure(pairs(session), Setup(session.rig, session.marker)))
+
+
+def pairs(session: SimulatedSession) -> Iterator[StereoPair]:
+    return (session.pair(index) for index in range(PAIRS))
+
+
+def nothing(_t: float) -> list[Array]:
+    return []
+
+
+def alike(found: list[Measurement], wanted: list[Measurement]) -> None:
+    assert [m.frame for m in found] == [m.frame for m in wanted]
+    for one, other in zip(found, wanted, strict=True):
+        assert (one.status, one.t, one.choice) == (other.status, other.t, other.choice)
+        assert one.pose is not None
+        assert other.pose is not None
+        np.testing.assert_array_equal(one.pose.rig_T_flange, other.pose.rig_T_flange)
+        np.testing.assert_array_equal(one.pose.covariance, other.pose.covariance)
+
+
+def test_it_gives_the_same_to_the_last_digit_and_ends(
+    session: SimulatedSession, here: list[Measurement]
+) -> None:
+    said: list[str] = []
+    process = MeasuringProcess(session.rig, session.marker, said.append)
+    try:
+        alike(list(process.measure(pairs(session), nothing)), here)
+    finally:
+        process.close()
+    assert not said
+    assert not process._process.is_alive()
+
+
+def test_a_rehearsal_between_pairs_changes_nothing(
+    session: SimulatedSession, here: list[Measurement]
+) -> None:
+    setup, done = Setup(session.rig, session.marker), []
+    stage = _LastPair(replace(setup, detect=lambda *asked: done.append(1) or setup.detect(*asked)))
+
+    def rehearsed() -> Iterator[StereoPair]:
+        for pair in pairs(session):
+            stage.enter(pair)
+            yield pair
+            stage.rehearsal.run()
+
+    alike(list(measure(rehearsed(), setup, stage.carried)), here)
+    assert len(done) >= PAIRS - 3  # all but the first, for which nothing was known before
+
+
+def test_its_loss_costs_no_pair_and_is_said(
+    session: SimulatedSession, here: list[Measurement]
+) -> None:
+    said: list[str] = []
+    process = MeasuringProcess(session.rig, session.marker, said.append)
+
+    def given() -> Iterator[StereoPair]:
+        for pair in pairs(session):
+            if pair.frame == LOST_AFTER:
+                process._process.kill()
+                process._process.join()
+            yield pair
+
+    try:
+        found = list(process.measure(given(), nothing))
+    finally:
+        process.close()
+    assert [m.frame for m in found] == [m.frame for m in here]
+    assert all(m.status == "measured" for m in found)
+    alike(found[:LOST_AFTER], here[:LOST_AFTER])
+    assert len(said) == 1
+    assert "measured by the main process from now on" in said[0]
+
+
+def test_it_asks_where_the_readings_put_the_flange(session: SimulatedSession) -> None:
+    asked: list[float] = []
+
+    def expected(t: float) -> list[Array]:
+        asked.append(t)
+        return []
+
+    process = MeasuringProcess(session.rig, session.marker, [].append)
+    try:
+        first = list(process.measure(iter([session.pair(0)]), expected))
+    finally:
+        process.close()
+    assert [m.frame for m in first] == [0]
+    assert asked == [session.pair(0).t_left]  # nothing is predicted for the first pair
+
+
+def test_a_picture_that_is_shared_already_is_not_put_anywhere_again() -> None:
+    shared, image = SharedPicture(), np.arange(12, dtype=np.uint8).reshape(3, 4)
+    try:
+        place = shared.put(image)
+        there = picture_at(*place)
+        np.testing.assert_array_equal(there, image)
+        assert location_of(there) == place
+        assert location_of(there.copy()) is None
+        assert location_of(there[:2]) == (place[0], (2, 4))
+        assert location_of(there[1:]) is None
+        assert location_of(there[:, :2]) is None
+        assert location_of(np.zeros((5000, 5000), dtype=np.uint8)) is None
+    finally:
+        shared.close()
+
+
+def test_a_prepared_pair_is_the_one_that_is_measured(
+    session: SimulatedSession, here: list[Measurement]
+) -> None:
+    process = MeasuringProcess(session.rig, session.marker, [].append)
+
+    def prepared() -> Iterator[StereoPair]:
+        for pair in pairs(session):
+            process.prepare(session.pair(0))  # of which nothing came
+            process.prepare(pair)
+            yield pair
+
+    try:
+        alike(list(process.measure(prepared(), nothing)), here)
+    finally:
+        process.close()
+
+
+INTERVAL = 1 / 30  # s
+
+
+class Hand:
+    """A clock that stands still until it is moved, and work that takes some of its time."""
+
+    def __init__(self, takes: float) -> None:
+        self.t, self.takes, self.done = 100.0, takes, 0
+
+    def now(self) -> float:
+        return self.t
+
+    def work(self) -> None:
+        self.t += self.takes
+        self.done += 1
+
+
+def noted(rehearsal: Rehearsal, hand: Hand, occasions: int) -> None:
+    for _ in range(occasions):
+        hand.t += INTERVAL
+        rehearsal.note()
+
+
+def test_it_ends_before_the_next_occasion_by_what_it_took_last() -> None:
+    hand = Hand(takes=0.006)
+    rehearsal = Rehearsal(hand.work, hand.now)
+    assert rehearsal.patience() is None
+    noted(rehearsal, hand, FEWEST - 1)
+    assert rehearsal.patience() is None  # how often it happens is not known yet
+    noted(rehearsal, hand, 1)
+    assert rehearsal.patience() == pytest.approx(INTERVAL - MARGIN)
+    rehearsal.run()
+    assert hand.done == 1
+    assert rehearsal.patience() is None  # once before each occasion
+    hand.t += INTERVAL - hand.takes
+    rehearsal.note()
+    assert rehearsal.patience() == pytest.approx(INTERVAL - MARGIN - hand.takes)
+    hand.t += INTERVAL  # the occasion is late: at once, not in the past
+    assert rehearsal.patience() == 0.0
+
+
+def test_without_room_for_it_there_is_none_until_there_is_again() -> None:
+    hand = Hand(takes=0.02)  # of 33 ms
+    rehearsal = Rehearsal(hand.work, hand.now)
+    noted(rehearsal, hand, FEWEST)
+    rehearsal.run()
+    hand.t += INTERVAL - hand.takes
+    rehearsal.note()
+    assert rehearsal.patience() is None
+    noted(rehearsal, hand, 1)
+    assert rehearsal.patience() is not None  # it is tried once more

@@ -1,0 +1,571 @@
+"""Truth: cv2.projectPoints of LEDs whose names the test knows, amid clutter it threw in."""
+
+import importlib
+import itertools
+import time
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from tests.verify.measurement.test_triangulation import BARREL, seen
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Noise, Spots
+from verify.core.rig import Camera, Rig
+from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
+from verify.measurement.correspondence.hypotheses import settle_bounds
+from verify.measurement.correspondence.kernels.spots import select_likely
+
+SIZE = (1280, 720)
+PANS = (0.11, -0.09)
+NOISE_PX = 0.05
+BLUR_PX = 8.0  # nearer to an LED than this no clutter would be seen as a spot of its own
+GREY = (200.0, 200.0, 200.0)
+LAMPS_LOW, LAMPS_HIGH = [-0.4, -0.3, 0.5], [0.4, 0.3, 1.8]
+SEES = 0.005  # m, the least difference between two triangles of LEDs that counts as asymmetric
+
+
+@dataclass
+class Scene:
+    rig: Rig
+    marker: Marker
+    rig_T_flange: Array
+    spots: tuple[Spots, Spots]
+    spot_of_led: tuple[NDArray[np.int64], NDArray[np.int64]]  # -1 for missing
+
+    def identify(
+        self,
+        prediction: PosePrediction | None = None,
+        expected: tuple[Array, ...] = (),
+        skew: float = 2.0,
+    ) -> Correspondence:
+        return assign_leds(
+            *self.spots,
+            self.rig,
+            PANS[0],
+            PANS[1],
+            self.marker,
+            prediction=prediction,
+            expected=lambda: expected,
+            motion_tolerance_px=skew,
+        )
+
+    def outcome(self, found: Correspondence) -> str:
+        """complete, partial, wrong, or the status of what was not identified."""
+        if found.status != "measured":
+            return found.status
+        left, right = self.spot_of_led
+        wrong = np.any(left[found.left_led] != found.left_spot)
+        if wrong or np.any(right[found.right_led] != found.right_spot):
+            return "wrong"
+        whole = (
+            len(found.left_led) == (left >= 0).sum() and len(found.right_led) == (right >= 0).sum()
+        )
+        return "complete" if whole else "partial"
+
+
+def make_rig(rng: np.random.Generator) -> Rig:
+    def camera(x: float) -> Camera:
+        focal = rng.uniform(850, 1300)
+        matrix = np.array([[focal, 0, rng.normal(640, 5)], [0, focal * 1.002, 358.0], [0, 0, 1]])
+        mount = np.eye(4)
+        mount[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.02, 3)).as_matrix()
+        mount[:3, 3] = rng.normal(0, 0.005, 3)
+        axis, center = np.array([0.0, 1, 0]), np.array([x, 0.0, 0.0])
+        return Camera(matrix, BARREL * rng.uniform(0, 1), center, axis, rng.normal(0, 0.01), mount)
+
+    half = rng.uniform(0.06, 0.1)
+    return Rig(SIZE, camera(-half), camera(half), np.eye(4))
+
+
+def make_marker(leds: Array, colours: tuple[str | None, ...] | None = None) -> Marker:
+    return Marker(tuple("ABCDEF"[: len(leds)]), leds, colours or (None,) * len(leds), 0.005)
+
+
+def random_leds(rng: np.random.Generator, count: int, asymmetry: float = 0.0) -> Array:
+    while True:
+        leds = rng.uniform(-0.07, 0.07, (count, 3))
+        apart = np.linalg.norm(leds[:, None] - leds, axis=-1) + np.eye(count)
+        if apart.min() > 0.025 and triangle_difference(leds) > asymmetry:
+            return leds
+
+
+def triangle_difference(leds: Array) -> float:
+    """How alike the two most alike triangles of LEDs are: largest difference of a side, m."""
+    separation = np.linalg.norm(leds[:, None] - leds, axis=-1)
+    corner = np.array(list(itertools.permutations(range(len(leds)), 3)))
+    sides = np.stack([separation[corner[:, i], corner[:, j]] for i, j in ((0, 1), (0, 2), (1, 2))])
+    difference = np.abs(sides[:, :, None] - sides[:, None]).max(axis=0)
+    return float(np.min(difference + np.eye(len(corner))))
+
+
+def random_pose(rng: np.random.Generator) -> Array:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()
+    pose[:3, 3] = rng.uniform([-0.1, -0.08, 0.5], [0.1, 0.08, 0.85])
+    return pose
+
+
+def moved(pose: Array, shift: Array, turn: Array) -> Array:
+    out = pose.copy()
+    out[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ pose[:3, :3]
+    out[:3, 3] += shift
+    return out
+
+
+def make_spots(centre: Array, colour: Array, merged: NDArray[np.bool_] | None = None) -> Spots:
+    n = len(centre)
+    return Spots(
+        centre=centre,
+        covariance=np.tile(NOISE_PX**2 * np.eye(2), (n, 1, 1)),
+        peak=np.full(n, 200.0),
+        diameter=np.full(n, 6.0),
+        elongation=np.ones(n),
+        misfit=np.ones(n),
+        saturated=np.zeros(n, dtype=bool),
+        merged=np.zeros(n, dtype=bool) if merged is None else merged,
+        colour=colour,
+        noise=Noise(1.5, 0.03, 0.0),
+    )
+
+
+def make_scene(
+    rng: np.random.Generator,
+    leds: Array,
+    *,
+    clutter: int = 0,
+    lamps: int = 0,
+    skew_px: float = 0.0,
+    missing: tuple[tuple[int, ...], tuple[int, ...]] = ((), ()),
+    colours: tuple[tuple[float, float, float], ...] | None = None,
+    names: tuple[str | None, ...] | None = None,
+) -> Scene:
+    """LEDs, `clutter` spots in each image at random, and `lamps` that both cameras see."""
+    rig, pose = make_rig(rng), random_pose(rng)
+    direction = rng.normal(size=3)
+    metres = skew_px * pose[2, 3] / 1000.0
+    shift = metres * direction / np.linalg.norm(direction)
+    later = moved(pose, shift, rng.normal(size=3) * metres * 4)  # rad/m: arms of 15 to 50 cm
+    light = np.array(colours or [GREY] * len(leds))
+    lamp = rng.uniform(LAMPS_LOW, LAMPS_HIGH, (lamps, 3))
+    both: list[Spots] = []
+    where: list[NDArray[np.int64]] = []
+    for side, (camera, flange) in enumerate(((rig.left, pose), (rig.right, later))):
+        lit = [led for led in range(len(leds)) if led not in missing[side]]
+        points = np.concatenate([(leds @ flange[:3, :3].T + flange[:3, 3])[lit], lamp])
+        pixels = seen(camera, PANS[side], points) if len(points) else np.zeros((0, 2))
+        pixels = np.concatenate([pixels, rng.uniform([0, 0], SIZE, (clutter, 2))])
+        gap = np.linalg.norm(pixels[len(lit) :, None] - pixels[: len(lit)], axis=-1)
+        apart = np.all(gap > BLUR_PX, axis=1)
+        pixels = pixels[np.concatenate([np.full(len(lit), True), apart])]
+        pixels += rng.normal(0, NOISE_PX, pixels.shape)
+        tint = np.concatenate([light[lit], np.full((len(pixels) - len(lit), 3), GREY)])
+        order = rng.permutation(len(pixels))
+        both.append(make_spots(pixels[order], tint[order]))
+        spot = np.full(len(leds), -1, dtype=np.int64)
+        spot[lit] = np.argsort(order)[: len(lit)]
+        where.append(spot)
+    return Scene(rig, make_marker(leds, names), pose, (both[0], both[1]), (where[0], where[1]))
+
+
+def near(pose: Array, rng: np.random.Generator, metres: float, radians: float) -> Array:
+    """A pose this far off in a random direction."""
+    shift, turn = rng.normal(size=3), rng.normal(size=3)
+    shift, turn = shift / np.linalg.norm(shift), turn / np.linalg.norm(turn)
+    return moved(pose, metres * shift, radians * turn)
+
+
+def hide(rng: np.random.Generator, count: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Hide LEDs from either camera so that three at least stay visible in both."""
+    lost = rng.permutation(count)[: count - 3]
+    sides = [tuple(int(led) for led in lost if rng.random() < 0.4) for _ in range(2)]
+    return sides[0], sides[1]
+
+
+def test_every_asymmetric_marker_with_three_leds_in_both_images_is_identified() -> None:
+    outcomes: Counter[str] = Counter()
+    took = []
+    for trial in range(240):
+        rng = np.random.default_rng(trial)
+        count = 3 + trial % 3
+        leds = random_leds(rng, count, SEES)
+        scene = make_scene(
+            rng,
+            leds,
+            clutter=int(rng.integers(0, 11)),
+            lamps=int(rng.integers(0, 4)),
+            skew_px=rng.uniform(0, 2),
+            missing=hide(rng, count),
+        )
+        begin = time.process_time()
+        found = scene.identify()
+        took.append(1e3 * (time.process_time() - begin))
+        outcomes[scene.outcome(found)] += 1
+        assert found.choice == "geometry"
+        assert found.rig_T_flange is not None
+        off = np.linalg.inv(scene.rig_T_flange) @ found.rig_T_flange
+        assert np.linalg.norm(off[:3, 3]) < 0.015  # coarse: 2 px of skew are 4-10 mm of depth
+        assert Rotation.from_matrix(off[:3, :3]).magnitude() < 0.1
+    print(f"identified: {dict(outcomes)}; {np.median(took):.1f} ms a pair, worst {max(took):.1f}")
+    assert outcomes["complete"] == 240
+
+
+def test_a_marker_of_any_shape_is_never_identified_wrongly() -> None:
+    outcomes: Counter[str] = Counter()
+    for trial in range(120):
+        rng = np.random.default_rng(10_000 + trial)
+        leds = random_leds(rng, 3 + trial % 4)
+        scene = make_scene(rng, leds, clutter=20, lamps=2, skew_px=rng.uniform(0, 2))
+        outcomes[scene.outcome(scene.identify())] += 1
+    print(f"any shape: {dict(outcomes)}")
+    assert outcomes["wrong"] == 0
+    assert outcomes["complete"] >= 110  # the others are nearly symmetric, and say so
+
+
+def test_an_led_that_one_camera_alone_sees_is_listed_for_that_camera() -> None:
+    rng = np.random.default_rng(5)
+    scene = make_scene(rng, random_leds(rng, 5, SEES), clutter=5, missing=((1,), (3,)))
+    found = scene.identify()
+    assert scene.outcome(found) == "complete"
+    assert_array_equal(found.left_led, [0, 2, 3, 4])
+    assert_array_equal(found.right_led, [0, 1, 2, 4])
+
+
+SQUARE = 0.05 * np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+EQUILATERAL = 0.05 * np.array([[1.0, 0, 0], [-0.5, 0.75**0.5, 0], [-0.5, -(0.75**0.5), 0]])
+ISOSCELES = np.array([[0.06, 0, 0.01], [-0.02, 0.03, 0.01], [-0.02, -0.03, 0.01]])
+ROW = np.array([[-0.06, 0, 0], [0.01, 0, 0], [0.05, 0, 0]])
+EVEN_ROW = np.array([[-0.05, 0, 0], [0, 0, 0], [0.05, 0, 0]])
+TWO = np.array([[0.04, 0.01, 0.02], [-0.04, 0.0, 0.01]])
+SYMMETRIC = {
+    "two": (TWO, 1),
+    "isosceles": (ISOSCELES, 1),
+    "even row": (EVEN_ROW, 1),
+    "equilateral": (EQUILATERAL, 5),
+    "square": (SQUARE, 7),
+}
+
+
+@pytest.mark.parametrize("shape", SYMMETRIC)
+@pytest.mark.parametrize("seed", range(8))
+def test_a_symmetric_marker_is_ambiguous_until_the_past_or_the_encoders_choose(
+    shape: str, seed: int
+) -> None:
+    leds, alternatives = SYMMETRIC[shape]
+    rng = np.random.default_rng(seed)
+    scene = make_scene(rng, leds, skew_px=1.0)
+    found = scene.identify()
+    assert (found.status, found.alternatives) == ("ambiguous_leds", alternatives)
+    assert len(found.left_led) == len(found.right_led) == 0
+    assert found.rig_T_flange is None
+
+    past = PosePrediction(near(scene.rig_T_flange, rng, 0.008, 0.08), 0.01, 0.1)
+    found = scene.identify(prediction=past)
+    assert scene.outcome(found) == "complete"
+    assert (found.choice, found.alternatives) == ("continuity", alternatives)
+
+    encoders = near(scene.rig_T_flange, rng, 0.06, 0.1)
+    found = scene.identify(expected=(encoders,))
+    assert scene.outcome(found) == "complete"
+    assert (found.choice, found.alternatives) == ("encoders", alternatives)
+
+
+def test_the_encoders_choose_and_leave_no_trace_in_the_pose() -> None:
+    rng = np.random.default_rng(3)
+    scene = make_scene(rng, EQUILATERAL)
+    poses = []
+    for _ in range(2):
+        found = scene.identify(expected=(near(scene.rig_T_flange, rng, 0.05, 0.1),))
+        assert found.rig_T_flange is not None
+        poses.append(found.rig_T_flange)
+    assert_array_equal(poses[0], poses[1])
+
+
+def test_encoders_that_fit_no_candidate_choose_none() -> None:
+    rng = np.random.default_rng(3)
+    scene = make_scene(rng, TWO)
+    far = moved(scene.rig_T_flange, np.array([0.6, 0, 0]), np.zeros(3))
+    assert scene.identify(expected=(far,)).status == "ambiguous_leds"
+    across = scene.rig_T_flange.copy()
+    across[:3, :3] = across[:3, :3] @ Rotation.from_euler("z", 90, degrees=True).as_matrix()
+    assert scene.identify(expected=(across,)).status == "ambiguous_leds"
+
+
+def test_encoders_as_near_to_one_candidate_as_to_another_choose_none() -> None:
+    rng = np.random.default_rng(2)
+    scene = make_scene(rng, np.zeros((1, 3)), lamps=1, missing=((0,), (0,)))
+    lamps = scene.rig_T_flange[:3, 3] + [[0.03, 0, 0], [-0.03, 0, 0]]
+    scene.spots = (
+        make_spots(seen(scene.rig.left, PANS[0], lamps), np.full((2, 3), GREY)),
+        make_spots(seen(scene.rig.right, PANS[1], lamps), np.full((2, 3), GREY)),
+    )
+    assert scene.identify(expected=(scene.rig_T_flange,)).status == "ambiguous_leds"
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_leds_on_one_line_are_told_apart_by_their_distances(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = make_scene(rng, ROW, clutter=8, skew_px=1.0)
+    found = scene.identify()
+    assert scene.outcome(found) == "complete"
+    assert found.choice == "geometry"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_two_of_four_leds_are_found_with_the_past_or_the_encoders(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    leds = random_leds(rng, 4, SEES)
+    lost = tuple(int(led) for led in rng.permutation(4)[:2])
+    scene = make_scene(rng, leds, clutter=5, missing=(lost, lost))
+    assert scene.outcome(scene.identify()) in ("ambiguous_leds", "too_few_leds")
+    past = PosePrediction(near(scene.rig_T_flange, rng, 0.004, 0.04), 0.005, 0.05)
+    assert scene.outcome(scene.identify(prediction=past)) == "complete"
+    found = scene.identify(expected=(near(scene.rig_T_flange, rng, 0.03, 0.1),))
+    assert scene.outcome(found) in ("complete", "ambiguous_leds")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_with_a_prediction_a_third_led_in_one_image_alone_is_found_too(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    leds = random_leds(rng, 4, SEES)
+    scene = make_scene(rng, leds, clutter=5, missing=((3,), (2,)))
+    past = PosePrediction(near(scene.rig_T_flange, rng, 0.004, 0.04), 0.005, 0.05)
+    found = scene.identify(prediction=past)
+    assert scene.outcome(found) == "complete"
+
+
+def test_a_single_led_is_the_only_pair_of_spots_that_can_be_one_point() -> None:
+    rng = np.random.default_rng(0)
+    scene = make_scene(rng, np.array([[0.03, 0, 0.02]]), clutter=1)
+    found = scene.identify()
+    assert scene.outcome(found) == "complete"
+    assert (found.choice, found.alternatives) == ("geometry", 0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_single_led_among_lamps_is_the_one_where_it_was_expected(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = make_scene(rng, np.array([[0.03, 0, 0.02]]), lamps=6)
+    assert scene.identify().status == "ambiguous_leds"
+    past = PosePrediction(near(scene.rig_T_flange, rng, 0.008, 0.1), 0.01, 0.1)
+    found = scene.identify(prediction=past)
+    assert scene.outcome(found) == "complete"
+    assert found.choice == "continuity"
+    expected = near(scene.rig_T_flange, rng, 0.02, 0.1)
+    assert scene.outcome(scene.identify(expected=(expected,))) in ("complete", "ambiguous_leds")
+
+
+RED, GREEN, BLUE = (20.0, 30.0, 220.0), (60.0, 210.0, 40.0), (230.0, 90.0, 30.0)
+WHITE = (210.0, 205.0, 190.0)
+
+
+def test_colours_settle_what_geometry_leaves_open() -> None:
+    rng = np.random.default_rng(1)
+    names = ("red", "green", "blue")
+    scene = make_scene(rng, EQUILATERAL, colours=(RED, GREEN, BLUE), names=names, clutter=3)
+    found = scene.identify()
+    assert scene.outcome(found) == "complete"
+    assert (found.choice, found.alternatives) == ("colour", 0)
+    two = make_scene(rng, TWO, colours=(WHITE, RED), names=("white", "red"))
+    assert two.outcome(two.identify()) == "complete"
+    some = make_scene(
+        rng, SQUARE, colours=(RED, WHITE, WHITE, WHITE), names=("red", *["white"] * 3)
+    )
+    found = some.identify()
+    assert (found.status, found.alternatives) == ("ambiguous_leds", 1)  # the flip about red stays
+
+
+def test_a_grey_image_says_nothing_of_colours() -> None:
+    rng = np.random.default_rng(1)
+    scene = make_scene(rng, EQUILATERAL, names=("red", "green", "blue"))
+    found = scene.identify()
+    assert (found.status, found.alternatives) == ("ambiguous_leds", 5)
+
+
+def test_infrared_leds_may_look_violet_or_white() -> None:
+    rng = np.random.default_rng(2)
+    violet = (220.0, 120.0, 200.0)
+    leds = random_leds(rng, 3, SEES)
+    scene = make_scene(rng, leds, colours=(violet, WHITE, violet), names=("infrared",) * 3)
+    assert scene.outcome(scene.identify()) == "complete"
+
+
+@pytest.mark.parametrize("real", [False, True], ids=["random spots", "lamps in space"])
+def test_nothing_is_identified_in_pure_clutter(real: bool) -> None:
+    outcomes: Counter[str] = Counter()
+    for trial in range(120):
+        rng = np.random.default_rng(trial)
+        leds = random_leds(rng, 4)
+        none = tuple(range(4))
+        lamps, clutter = (10, 0) if real else (0, 10)
+        scene = make_scene(rng, leds, lamps=lamps, clutter=clutter, missing=(none, none))
+        outcomes[scene.outcome(scene.identify())] += 1
+    rate = 1 - (outcomes["too_few_leds"] + outcomes["ambiguous_leds"]) / 120
+    print(f"pure clutter: {dict(outcomes)}; false positives {100 * rate:.1f} %")
+    assert rate <= 0.01
+
+
+@pytest.mark.parametrize("help_from", ["encoders", "prediction"])
+def test_help_from_outside_seldom_makes_leds_of_lamps(help_from: str) -> None:
+    outcomes: Counter[str] = Counter()
+    for trial in range(120):
+        rng = np.random.default_rng(trial)
+        none = tuple(range(4))
+        scene = make_scene(rng, random_leds(rng, 4), lamps=10, missing=(none, none))
+        if help_from == "encoders":
+            found = scene.identify(expected=(scene.rig_T_flange,))
+        else:
+            found = scene.identify(PosePrediction(scene.rig_T_flange, 0.005, 0.05))
+        outcomes[scene.outcome(found)] += 1
+    rate = outcomes["wrong"] / 120
+    print(f"lamps with {help_from}: {dict(outcomes)}; false positives {100 * rate:.1f} %")
+    assert rate <= 0.02
+
+
+def test_one_led_of_several_is_taken_only_where_the_past_expects_it() -> None:
+    rng = np.random.default_rng(9)
+    leds = random_leds(rng, 4, SEES)
+    scene = make_scene(rng, leds, missing=((0, 1, 3), (0, 1, 3)))
+    assert scene.identify().status == "too_few_leds"
+    assert scene.identify(expected=(scene.rig_T_flange,)).status == "too_few_leds"
+    found = scene.identify(PosePrediction(near(scene.rig_T_flange, rng, 0.004, 0.04), 0.005, 0.05))
+    assert scene.outcome(found) == "complete"
+    assert found.choice == "continuity"
+    far = PosePrediction(near(scene.rig_T_flange, rng, 0.3, 0.04), 0.005, 0.05)
+    assert scene.identify(far).status == "too_few_leds"
+
+
+def test_a_jump_that_the_prediction_missed_is_found_all_the_same() -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        scene = make_scene(rng, random_leds(rng, 4, SEES), clutter=10)
+        past = PosePrediction(near(scene.rig_T_flange, rng, 0.2, 1.0), 0.003, 0.02)
+        found = scene.identify(prediction=past)
+        assert scene.outcome(found) == "complete"
+        assert found.choice == "geometry"
+
+
+def test_a_prediction_that_picks_the_spots_found_is_followed_the_short_way_to_the_same_pose(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    following = importlib.import_module("verify.measurement.correspondence.assign")
+    asked: list[bool] = []
+    short = following._is_complete
+
+    def noted(*question: object) -> bool:
+        asked.append(short(*question))
+        return asked[-1]
+
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        scene = make_scene(rng, random_leds(rng, 4, SEES), skew_px=seed % 3)
+        past = PosePrediction(near(scene.rig_T_flange, rng, 0.002, 0.01), 0.004, 0.02)
+        monkeypatch.setattr(following, "_is_complete", noted)
+        quick = scene.identify(prediction=past)
+        monkeypatch.setattr(following, "_is_complete", lambda *_: False)
+        slow = scene.identify(prediction=past)
+        assert scene.outcome(quick) == scene.outcome(slow) == "complete"
+        assert quick.rig_T_flange is not None
+        assert slow.rig_T_flange is not None
+        assert np.abs(quick.rig_T_flange - slow.rig_T_flange).max() < 1e-12
+        assert (quick.choice, quick.alternatives) == (slow.choice, slow.alternatives)
+    assert sum(asked) >= 10  # it is the usual way
+
+
+def test_a_mirror_image_of_the_marker_is_never_taken_whole() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        leds = random_leds(rng, 4, SEES)
+        if (
+            abs(np.linalg.det(leds[1:] - leds[0])) < 2e-5
+        ):  # m³; flat ones are their own mirror image
+            continue
+        scene = make_scene(rng, leds * [1, 1, -1])
+        scene.marker = make_marker(leds)
+        found = scene.identify()
+        assert len(found.left_led) + len(found.right_led) < 8
+
+
+def test_a_flat_marker_is_seen_from_its_true_side() -> None:
+    flat = np.array([[0.06, 0.005, 0], [-0.045, 0.04, 0], [-0.02, -0.055, 0], [0.03, 0.05, 0]])
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        scene = make_scene(rng, flat, clutter=5, skew_px=0.5)
+        found = scene.identify(skew=0.5)
+        assert scene.outcome(found) == "complete"
+        assert found.rig_T_flange is not None
+        off = scene.rig_T_flange[:3, :3].T @ found.rig_T_flange[:3, :3]
+        assert Rotation.from_matrix(off).magnitude() < 0.06
+
+
+def test_a_marker_file_more_than_half_a_millimetre_off_still_serves() -> None:
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        leds = random_leds(rng, 4, SEES)
+        off = rng.normal(size=(4, 3))
+        scene = make_scene(rng, leds + 6e-4 * off / np.linalg.norm(off, axis=1, keepdims=True))
+        scene.marker = make_marker(leds)
+        assert scene.outcome(scene.identify()) == "complete"
+
+
+@pytest.mark.parametrize(("seen_leds", "freedom"), [(1, 1), (2, 3), (3, 6), (4, 10)])
+def test_a_fit_worse_than_one_in_ten_thousand_is_refused(seen_leds: int, freedom: int) -> None:
+    limit = chi2.isf(1e-4, freedom)
+    spot = np.full((2, 2, 4), -1, dtype=np.int64)
+    spot[:, :, :seen_leds] = np.arange(seen_leds)
+    assert_array_equal(select_likely(spot, np.array([0.99, 1.01]) * limit, *settle_bounds(4)), [0])
+
+
+def test_a_clean_spot_is_taken_before_a_merged_one() -> None:
+    rng = np.random.default_rng(4)
+    scene = make_scene(rng, random_leds(rng, 4, SEES))
+    left = scene.spots[0]
+    led = int(scene.spot_of_led[0][0])
+    ghost = left.centre[led] + [0.25, 0.0]
+    doubled = make_spots(
+        np.vstack([left.centre, ghost]),
+        np.vstack([left.colour, left.colour[:1]]),
+        merged=np.arange(5) == led,
+    )
+    found = replace(scene, spots=(doubled, scene.spots[1])).identify()
+    assert found.left_spot[found.left_led == 0] == 4
+
+
+def test_spots_that_meet_behind_the_cameras_are_nothing() -> None:
+    rng = np.random.default_rng(6)
+    scene = make_scene(rng, random_leds(rng, 3, SEES))
+    swapped = replace(scene, spots=(scene.spots[1], scene.spots[0]))
+    assert swapped.identify().status == "too_few_leds"
+
+
+def test_no_spots_in_an_image_are_too_few() -> None:
+    rng = np.random.default_rng(7)
+    scene = make_scene(rng, random_leds(rng, 3))
+    none = make_spots(np.zeros((0, 2)), np.zeros((0, 3)))
+    past = PosePrediction(scene.rig_T_flange, 0.01, 0.1)
+    for spots in ((none, none), (scene.spots[0], none), (none, scene.spots[1])):
+        found = replace(scene, spots=spots).identify(prediction=past)
+        assert (found.status, found.alternatives) == ("too_few_leds", 0)
+
+
+def test_a_scene_full_of_lamps_on_one_line_takes_bounded_time() -> None:
+    rng = np.random.default_rng(8)
+    scene = make_scene(rng, random_leds(rng, 6))
+    pans = [scene.rig.left.rig_T_camera(PANS[0]), scene.rig.right.rig_T_camera(PANS[1])]
+    ends = np.array([pan[:3, 3] for pan in pans])
+    middle = ends.mean(axis=0) + np.array([0, 0, 0.8])
+    along = 4 * np.linspace(-0.5, 0.5, 48)[:, None] * (ends[1] - ends[0])  # one epipolar plane
+    lamps = [
+        make_spots(seen(camera, pan, middle + along), np.full((48, 3), GREY))
+        for camera, pan in zip((scene.rig.left, scene.rig.right), PANS, strict=True)
+    ]
+    begin = time.process_time()
+    replace(scene, spots=(lamps[0], lamps[1])).identify(expected=(scene.rig_T_flange,))
+    took = time.process_time() - begin
+    print(f"worst case: {1e3 * took:.0f} ms")
+    assert took < 1.0  # s, several times what it takes on one slow core

@@ -1,0 +1,216 @@
+"""Spot centres against the Cramér-Rao bound, and what must never be reported."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.support.led_images import Sensor, Spot, centre_bound, picture, scattered
+from verify.core.records import Array, Noise, Spots
+from verify.errors import InputError
+from verify.measurement.detection.candidates import LocatedPatches, disc_offsets
+from verify.measurement.detection.detect import detect, estimate_noise
+from verify.measurement.detection.fit import Patches, fit_spots
+from verify.measurement.detection.quality import assess_spots
+
+CASES = {
+    "dim": Spot(60, 2.0),
+    "bright": Spot(200, 2.5),
+    "wide": Spot(200, 3.0),
+    "saturated": Spot(600, 2.5),
+    "far over": Spot(1500, 3.0),
+    "disc": Spot(210, 0.6, radius=4.2),
+    "dim disc": Spot(60, 0.6, radius=3.5),
+    "saturated disc": Spot(400, 0.6, radius=4.2),
+}
+
+
+def matched(spots: Spots, centres: Array) -> tuple[Array, Array]:
+    """Index of the spot nearest each centre, and the error, (n, 2)."""
+    error = spots.centre[None] - centres[:, None]
+    nearest = np.argmin(np.linalg.norm(error, axis=-1), axis=1)
+    return nearest, error[np.arange(len(centres)), nearest]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_centres_reach_the_bound_and_the_claimed_covariance_is_the_scatter(name: str) -> None:
+    spot, sensor, rng = CASES[name], Sensor(), np.random.default_rng(11)
+    errors, claimed = [], []
+    for _ in range(8):
+        centres = scattered(4, 8, rng)
+        spots = detect(picture([spot] * 32, centres, sensor, rng), limit=32)
+        nearest, error = matched(spots, centres)
+        errors.append(error)
+        claimed.append(np.diagonal(spots.covariance[nearest], axis1=1, axis2=2))
+        assert not spots.merged[nearest].any()
+        assert np.all(spots.saturated[nearest] == (spot.peak > 255))
+    rms = np.sqrt(np.mean(np.square(errors)))
+    bound = centre_bound(spot, 6.0, sensor)
+    sigma = np.sqrt(np.mean(claimed))
+    print(f"{name}: rms {rms:.5f} px, bound {bound:.5f}, claimed {sigma:.5f}")
+    assert rms < 1.1 * bound  # 512 errors: their rms is known to 3 %
+    assert sigma == pytest.approx(rms, rel=0.10)
+    assert np.abs(np.mean(errors, axis=(0, 1))).max() < 4 * rms / 16  # 4 sigma of 256 errors' mean
+
+
+def test_four_leds_a_frame_suffice_to_know_the_noise() -> None:
+    sensor, rng = Sensor(read=2.0, gain=0.05), np.random.default_rng(5)
+    spot, normal = Spot(200, 2.2), []
+    for _ in range(60):
+        centres = scattered(2, 2, rng, pitch=150.0)
+        spots = detect(picture([spot] * 4, centres, sensor, rng))
+        nearest, error = matched(spots, centres)
+        whitened = np.linalg.solve(spots.covariance[nearest], error[..., None])[..., 0]
+        normal.append(np.sum(whitened * error, axis=1) / 2)
+    assert np.mean(normal) == pytest.approx(1.0, abs=0.15)  # 480 errors: 6.5 % is one sigma
+
+
+def test_black_under_the_clamp_neither_biases_nor_inflates() -> None:
+    spot, sensor = Spot(210, 0.6, radius=4.2), Sensor(black=3.5)
+    rng, errors, claimed = np.random.default_rng(2), [], []
+    for _ in range(12):
+        centres = scattered(4, 8, rng)
+        spots = detect(picture([spot] * 32, centres, sensor, rng, floor=0.0), limit=32)
+        nearest, error = matched(spots, centres)
+        errors.append(error)
+        claimed.append(np.diagonal(spots.covariance[nearest], axis1=1, axis2=2))
+    rms = np.sqrt(np.mean(np.square(errors)))
+    assert rms < 1.1 * centre_bound(spot, 0.0, sensor)
+    assert np.sqrt(np.mean(claimed)) == pytest.approx(rms, rel=0.10)  # 768 errors: 2.6 % one sigma
+
+
+def test_the_noise_of_an_image_is_the_sensors() -> None:
+    sensor, rng = Sensor(read=1.8, gain=0.04), np.random.default_rng(8)
+    spot = Spot(200, 2.5)
+    found = [
+        estimate_noise(picture([spot] * 4, scattered(2, 2, rng, pitch=150.0), sensor, rng))
+        for _ in range(12)
+    ]
+    for level in (6.0, 150.0):
+        truth = sensor.read**2 + 1 / 12 + sensor.gain * level
+        said = np.mean([n.read**2 + n.gain * (level - n.black) for n in found])
+        assert said == pytest.approx(truth, rel=0.08)  # four spots know their noise to 8 %
+
+
+def test_windows_find_the_same_spots_as_the_whole_image() -> None:
+    rng = np.random.default_rng(3)
+    centres = scattered(2, 2, rng, pitch=150.0)
+    image = picture([Spot(200, 2.5)] * 4, centres, Sensor(), rng)
+    whole = detect(image)
+    windows = np.hstack([centres[:3] - 20, centres[:3] + 20])
+    some = detect(image, windows, noise=whole.noise)
+    assert len(some) == 3
+    nearest, _ = matched(whole, some.centre)
+    np.testing.assert_allclose(some.centre, whole.centre[nearest], atol=3e-3)  # of 9e-3
+    sigma, before = (np.diagonal(c, axis1=1, axis2=2) for c in (some.covariance, whole.covariance))
+    np.testing.assert_allclose(sigma, before[nearest], rtol=0.05)  # the slopes' prior differs
+
+
+def test_dim_leds_are_found_over_texture() -> None:
+    rng = np.random.default_rng(4)
+    centres = scattered(2, 4, rng, pitch=140.0)
+    coarse = cv2.GaussianBlur(rng.normal(size=(360, 640)), (0, 0), 12)
+    texture = 50 + 50 * coarse / np.abs(coarse).max()
+    spots = detect(picture([Spot(60, 2.5)] * 8, centres, Sensor(), rng, floor=texture))
+    _, error = matched(spots, centres)
+    assert np.abs(error).max() < 0.3
+
+
+def test_leds_are_found_in_a_bright_room() -> None:
+    rng = np.random.default_rng(6)
+    centres = scattered(2, 4, rng, pitch=140.0)
+    room = 120 + 80 * np.linspace(0, 1, 640)[None, :] + np.zeros((360, 640))
+    spots = detect(picture([Spot(200, 2.5)] * 8, centres, Sensor(), rng, floor=room))
+    nearest, error = matched(spots, centres)
+    assert np.abs(error).max() < 0.15
+    assert spots.saturated[nearest].all()
+
+
+@pytest.mark.parametrize("level", [0, 7, 128, 254, 255])
+def test_an_image_without_contrast_has_no_spots(level: int) -> None:
+    for shape in ((720, 1280), (720, 1280, 3), (4, 4), (2, 300)):
+        assert len(detect(np.full(shape, level, dtype=np.uint8))) == 0
+
+
+def test_noise_alone_has_no_spots() -> None:
+    rng = np.random.default_rng(7)
+    assert len(detect(Sensor(read=3.0).expose(np.full((360, 640), 100.0), rng))) == 0
+
+
+def test_spots_cut_by_the_border_are_not_returned() -> None:
+    rng = np.random.default_rng(9)
+    centres = np.array([[1.0, 100.0], [300.0, 358.5], [320.3, 180.2]])
+    spots = detect(picture([Spot(200, 2.5)] * 3, centres, Sensor(), rng))
+    assert len(spots) == 1
+    assert np.abs(spots.centre[0] - centres[2]).max() < 0.1
+
+
+def test_streaks_and_windows_of_light_are_not_leds() -> None:
+    light = np.full((360, 640), 6.0)
+    light[50:56, 100:300] = 200
+    light[150:330, 400:560] = 220
+    assert len(detect(Sensor().expose(light, np.random.default_rng(1)))) == 0
+
+
+def test_two_leds_run_together_are_flagged() -> None:
+    rng = np.random.default_rng(12)
+    disc = Spot(200, 0.6, radius=4.0)
+    image = picture([disc, disc], np.array([[300.0, 180.0], [305.5, 182.0]]), Sensor(), rng)
+    spots = detect(image)
+    assert all(spots.merged) or len(spots) == 0
+
+
+def test_a_hidden_part_is_flagged_or_said_by_the_covariance() -> None:
+    rng = np.random.default_rng(13)
+    light = 6 + Spot(200, 0.6, radius=4.5).light((101, 101), 50.2, 49.8)
+    light[:, :48] = 6.0  # an edge before the left third of the LED
+    spots = detect(Sensor().expose(light, rng))
+    error = spots.centre - [50.2, 49.8]
+    sigma = np.sqrt(np.diagonal(spots.covariance, axis1=1, axis2=2))
+    assert np.all(spots.merged | np.all(np.abs(error) < 4 * sigma, axis=1))
+
+
+@pytest.mark.parametrize("colour", [(0.0, 0.0, 1.0), (0.3, 1.0, 0.5), (1.0, 1.0, 1.0)])
+def test_colour_images_give_the_colour_and_use_all_channels(colour: tuple[float, ...]) -> None:
+    sensor, rng, spot = Sensor(), np.random.default_rng(14), Spot(180, 2.5)
+    errors, claimed = [], []
+    for _ in range(4):
+        centres = scattered(4, 8, rng)
+        planes = [
+            picture([Spot(share * spot.peak, spot.blur)] * 32, centres, sensor, rng)
+            for share in colour
+        ]
+        spots = detect(np.dstack(planes), limit=32)
+        nearest, error = matched(spots, centres)
+        errors.append(error)
+        claimed.append(np.diagonal(spots.covariance[nearest], axis1=1, axis2=2))
+        seen = spots.colour[nearest].mean(axis=0)
+        np.testing.assert_allclose(seen / seen.max(), colour, atol=0.04)
+    bounds = [centre_bound(Spot(c * spot.peak, spot.blur), 6.0, sensor) for c in colour if c > 0]
+    together = np.sum(np.array(bounds) ** -2.0) ** -0.5  # independent channels
+    rms = np.sqrt(np.mean(np.square(errors)))
+    assert rms < 1.15 * together  # 256 errors: 4.4 % is one sigma
+    assert np.sqrt(np.mean(claimed)) == pytest.approx(rms, rel=0.15)
+
+
+def test_a_grey_picture_in_three_channels_is_one_measurement() -> None:
+    rng = np.random.default_rng(15)
+    grey = picture([Spot(200, 2.5)], np.array([[320.2, 180.4]]), Sensor(), rng)
+    one, three = detect(grey), detect(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    np.testing.assert_allclose(three.covariance, one.covariance, rtol=1e-9)
+
+
+def test_what_is_not_an_8_bit_picture_is_refused() -> None:
+    with pytest.raises(InputError, match="8 bits"):
+        detect(np.zeros((10, 10), dtype=np.uint16))
+    with pytest.raises(InputError, match="windows"):
+        detect(np.zeros((10, 10), dtype=np.uint8), np.zeros((2, 3)))
+
+
+def test_a_patch_without_a_single_pixel_that_counts_is_no_spot_and_no_crash() -> None:
+    column, row = (axis[0].astype(float) for axis in disc_offsets(8))
+    nothing = np.zeros_like(column)
+    pixels = np.stack([nothing, nothing, column, row])[None]
+    one = np.ones(1)
+    patches = Patches(pixels, 4.0 * one, one, one, Noise(1.5, 0.03, 0.0))
+    cut = LocatedPatches(patches, np.array([[100, 100]]), np.zeros((1, 3)))
+    assert not assess_spots([(cut, fit_spots(patches))], (200, 200)).sound.any()

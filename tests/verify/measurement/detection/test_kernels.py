@@ -1,0 +1,307 @@
+"""What detection has compiled, against OpenCV, numpy and the formulas themselves.
+
+Pixels near a limit of the sensor, against numerical integration of the clipped normal law.
+"""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from scipy.integrate import quad
+from scipy.signal import savgol_filter
+from scipy.special import log_ndtr
+from scipy.stats import norm
+
+from verify.core.records import Array, Image
+from verify.measurement.detection.detect import clip_windows
+from verify.measurement.detection.kernels.candidates import find_blobs, flood_fill, top_hat
+from verify.measurement.detection.kernels.fit import (
+    floor_below_black,
+    start_values,
+    sum_products,
+    value_at_rank,
+)
+from verify.measurement.detection.kernels.noise import stencils, variance_line
+from verify.measurement.detection.kernels.occlusion import depth_profile, log_normal_cdf
+from verify.measurement.detection.kernels.patches import measure_half_height, read_grey
+from verify.measurement.detection.kernels.pixels import (
+    CLIP_REACH,
+    MIN_Z,
+    N_FREE_ROWS,
+    N_PARAMETERS,
+    PAR_STEEPNESS,
+    PAR_X,
+    PAR_Y,
+    clip,
+    normal_law,
+)
+from verify.measurement.detection.kernels.quality import (
+    COL_CENTRE_X,
+    COL_CENTRE_Y,
+    COL_DIAMETER,
+    COL_MISFIT,
+    N_COLUMNS,
+    mark_duplicates,
+)
+from verify.measurement.detection.profile import (
+    GAUSSIAN_STEEPNESS,
+    MIN_LOG_STEEPNESS,
+    RADIUS_STEP,
+    ROW_STEP,
+    profile_table,
+)
+
+ANY_SHAPE = (1e9, 0.0)  # axis ratio and fill that everything has
+
+
+def cloud(seed: int, blur: float) -> Image:
+    """Bright islands, some with holes, some at the border."""
+    noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(40, 50)), (0, 0), blur)
+    stretched = 255 * (noise - noise.min()) / np.ptp(noise)
+    return np.asarray(np.clip(1.5 * stretched - 120, 0, 255), np.uint8)
+
+
+def blob_by_opencv(part: Image) -> Array:
+    """Centre, half width and height of the island about the peak, what its rim encloses counted."""
+    _, peak, _, (x, y) = cv2.minMaxLoc(part)
+    above = np.asarray(part > peak / 2, np.uint8)
+    outlines, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    rim = next(o for o in outlines if cv2.pointPolygonTest(o, (x, y), measureDist=False) >= 0)
+    island = cv2.drawContours(np.zeros_like(above), [rim], -1, 1, cv2.FILLED) & above
+    moments = cv2.moments(island, binaryImage=True)
+    area = moments["m00"]
+    centre = moments["m10"] / area, moments["m01"] / area
+    return np.array([*centre, np.sqrt(area / np.pi), peak])
+
+
+@pytest.mark.parametrize("blur", [0.7, 1.5, 3.0])
+@pytest.mark.parametrize("seed", range(20))
+def test_a_blob_at_half_its_height_is_that_of_opencv(seed: int, blur: float) -> None:
+    part, told = cloud(seed, blur), np.empty(4)
+    assert measure_half_height(part, *ANY_SHAPE, told)
+    np.testing.assert_allclose(told, blob_by_opencv(part), rtol=1e-12)
+
+
+def test_a_streak_and_a_hook_are_no_blobs_and_a_disc_is_one() -> None:
+    told = np.empty(4)
+    for thing, compact in [
+        (cv2.circle(np.zeros((40, 40), np.uint8), (20, 20), 8, 200, cv2.FILLED), True),
+        (cv2.line(np.zeros((40, 40), np.uint8), (5, 5), (35, 30), 200, 2), False),
+        (cv2.ellipse(np.zeros((40, 40), np.uint8), (20, 20), (12, 12), 0, 0, 200, 200, 3), False),
+        (np.full((40, 40), 200, np.uint8), False),
+    ]:
+        assert measure_half_height(np.asarray(thing, np.uint8), 2.5, 0.6, told) == compact
+
+
+@pytest.mark.parametrize("origin", [(30, 20), (2, 1), (49, 39)])
+def test_a_patch_holds_the_pixels_about_its_origin(origin: tuple[int, int]) -> None:
+    image = cloud(3, 1.0)
+    axis = np.arange(-6, 7)
+    column, row = (values.reshape(1, -1) for values in np.meshgrid(axis, axis))
+    pixels, contrast = np.empty((1, 4, column.size)), np.empty((1, 3))
+    read_grey(image, np.array([origin]), np.array([2.5]), column, row, pixels, contrast)
+    x, y = origin[0] + column[0], origin[1] + row[0]
+    value = image[np.clip(y, 0, 39), np.clip(x, 0, 49)].astype(float)
+    inside = (x >= 0) & (x < 50) & (y >= 0) & (y < 40)
+    np.testing.assert_array_equal(pixels[0], np.stack([value, inside, column[0], row[0]]))
+    core = column[0] ** 2 + row[0] ** 2 <= 2.5**2
+    third = value.size // 3
+    expected = value[core].mean() - np.partition(value, third)[third]
+    assert contrast[0] == pytest.approx([expected] * 3, abs=1e-12)
+
+
+def test_a_bites_bump_is_the_exponential_to_what_it_promises() -> None:
+    angle, sharp = np.linspace(0, 2 * np.pi, 999), 1 / 0.3**2
+    sunk = np.empty_like(angle)
+    depth_profile(np.cos(angle), np.sin(angle), np.full_like(angle, 3.0), 1.0, 0.0, sharp, sunk)
+    np.testing.assert_allclose(sunk, 3.0 * np.exp((np.cos(angle) - 1) * sharp), rtol=2e-9)
+
+
+def test_of_spots_on_one_place_the_better_fitting_stays_and_of_equals_the_first() -> None:
+    told = np.zeros((5, N_COLUMNS))
+    told[:, COL_CENTRE_X], told[:, COL_CENTRE_Y] = [10.0, 11.0, 30.0, 30.5, 50.0], 10.0
+    told[:, COL_DIAMETER], told[:, COL_MISFIT] = 8.0, [2.0, 1.0, 1.0, 1.0, 9.0]
+    twin = np.empty(5, np.bool_)
+    mark_duplicates(told, 0.5, twin)
+    assert twin.tolist() == [True, False, False, True, False]
+
+
+@pytest.mark.parametrize("level", [60, 120, 200])
+@pytest.mark.parametrize("seed", range(10))
+def test_things_above_a_level_are_the_connected_components_of_opencv(seed: int, level: int) -> None:
+    picture = cloud(seed, 1.0)
+    label, stack = np.zeros(picture.shape, np.int32), np.empty((picture.size, 2), np.int32)
+    _, expected, stats, _ = cv2.connectedComponentsWithStats(np.asarray(picture > level, np.uint8))
+    for number, (x, y, width, height, area) in enumerate(stats[1:].tolist(), start=1):
+        row, column = np.argwhere(expected == number)[-1]
+        box = flood_fill(picture, level, row, column, label, number, stack)
+        assert box == (x, y, x + width - 1, y + height - 1)
+        assert np.sum(label == number) == area
+    np.testing.assert_array_equal(label, expected)
+
+
+def test_a_blob_is_found_once_at_its_highest_level_and_where_it_is_in_the_picture() -> None:
+    picture = np.zeros((60, 90), np.uint8)
+    for (x, y), peak in [((20, 30), 220.0), ((60, 25), 50.0)]:
+        column, row = np.meshgrid(np.arange(90) - x, np.arange(60) - y)
+        picture += np.asarray(peak * np.exp(-(column**2 + row**2) / 18), np.uint8)
+    found, windows = np.empty((9, 4)), np.array([[10, 15, 80, 55], [5, 5, 7, 50]])
+    assert find_blobs(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), found) == 2
+    np.testing.assert_allclose(found[:2, :2], [[20, 30], [60, 25]], atol=0.1)
+    np.testing.assert_array_equal(found[:2, 3], [220, 50])
+    # only as many as there is room for, the brightest things first
+    assert find_blobs(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), found[:1]) == 1
+    assert found[0, 3] == 220
+
+
+def test_sums_of_products_are_those_of_a_matrix_product() -> None:
+    rows, products = np.random.default_rng(1).normal(size=(11, 613)), np.empty((11, 11))
+    sum_products(rows, products)
+    np.testing.assert_allclose(products, rows @ rows.T, atol=1e-10)
+
+
+def test_the_logarithm_of_a_normal_share_is_that_of_scipy() -> None:
+    z = np.linspace(-80, 10, 1801)
+    told = [log_normal_cdf(value) for value in z]
+    np.testing.assert_allclose(told, log_ndtr(z), rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("floor", [-3.0, -1.0, 0.5])
+def test_a_floor_below_black_is_guessed_from_how_much_is_black(floor: float) -> None:
+    values = np.random.default_rng(2).normal(floor, 2.0, 20_000).round().clip(0, 255)
+    assert floor_below_black(values, 2.0) == pytest.approx(floor, abs=0.3)
+
+
+@pytest.mark.parametrize("log_steepness", [np.log(GAUSSIAN_STEEPNESS), 1.0, 1.65])
+def test_a_spots_place_and_steepness_are_guessed_from_its_pixels(log_steepness: float) -> None:
+    column, row = (axis.ravel() for axis in np.meshgrid(np.arange(-14.0, 15), np.arange(-14.0, 15)))
+    line = round((log_steepness - MIN_LOG_STEEPNESS) / ROW_STEP)
+    sample = np.minimum(
+        np.hypot(column - 0.4, row + 0.3) / 4.0 / RADIUS_STEP, 8 / RADIUS_STEP
+    ).astype(int)
+    value = 200 * profile_table()[0, line, sample]
+    start = np.zeros(N_PARAMETERS)
+    start_values(value, column, row, 4.0, 0.0, 200.0, start)
+    np.testing.assert_allclose(start[[PAR_X, PAR_Y]], [0.4, -0.3], atol=0.02)  # px
+    assert start[PAR_STEEPNESS] == pytest.approx(log_steepness, abs=0.3)
+
+
+@pytest.mark.parametrize("width", [5, 67, 68, 69, 300])
+@pytest.mark.parametrize("mean", [0.0, 1.5, 100.0, 254.0])
+def test_levels_and_differences_are_those_of_unclipped_neighbours(width: int, mean: float) -> None:
+    rng = np.random.default_rng(width)
+    rows = rng.normal(mean, 2.0, (7, width)).clip(0, 255).astype(np.uint8)
+    whole = rows.astype(float)
+    inside = (rows > 0) & (rows < 255)
+    clean = np.lib.stride_tricks.sliding_window_view(inside, 5, axis=1).all(axis=2)
+    level, difference = np.empty(rows.size), np.empty(rows.size)
+    count = stencils(rows, level, difference)
+    cubic = savgol_filter(whole, 5, 3, axis=1)[:, 2:-2]
+    assert level[:count] == pytest.approx(cubic[clean], abs=1e-9)
+    assert np.array_equal(difference[:count], np.abs(np.diff(whole, 4, axis=1))[clean])
+
+
+def test_a_spot_of_few_pixels_that_fits_by_chance_says_nothing_of_noise() -> None:
+    rng = np.random.default_rng(3)
+    spot = np.repeat(np.arange(5), [90, 90, 90, 90, 18])
+    signal = rng.uniform(0.0, 200.0, len(spot))
+    variance = np.where(spot < 4, 6.0 + 0.04 * signal, 0.5)
+    line = np.array([2.25, 0.03])
+    usual = np.array([1 / 2.25, 1 / 0.03])
+    squares = variance * rng.standard_normal(len(spot)) ** 2
+    variance_line(squares, signal, spot, line, usual, (1.7, 1 / 12, 1e-4, 0.2))
+    assert line[0] == pytest.approx(6.0, rel=0.4)
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["grey", "combined colours"])
+def test_a_patch_s_lower_values_are_ranked_as_by_sorting(whole: bool) -> None:
+    rng = np.random.default_rng(8)
+    for size in (1, 2, 197, 613):
+        value = rng.uniform(0.0, 255.0, size) * (rng.random(size) > 0.3)
+        value = np.floor(value) if whole else value
+        for rank in {0, size // 3, size - 1}:
+            assert value_at_rank(value, rank) == np.sort(value)[rank]
+    assert value_at_rank(np.full(9, 255.0), 8) == 255.0
+
+
+def test_windows_are_cut_at_the_border_and_hold_all_of_a_pixel() -> None:
+    windows = np.array([[-3.5, 1.9, 20.1, 7.0], [95.0, 49.5, 120.0, 99.0]])
+    cut = clip_windows(windows, np.zeros((50, 100), np.uint8))
+    assert cut is not None
+    assert cut.tolist() == [[0, 1, 21, 7], [95, 49, 100, 50]]
+
+
+@pytest.mark.parametrize("reach", [1, 4, 15, 30])
+def test_what_is_above_its_surroundings_is_what_opencv_says(reach: int) -> None:
+    """Pictures smaller than the window, as large, and several times as large; borders included."""
+    rng = np.random.default_rng(reach)
+    side = 2 * reach + 1
+    sizes = [(1, 1), (side, side), (side + 1, side - 1), *rng.integers(1, 4 * side, (40, 2))]
+    for height, width in sizes:
+        image = rng.integers(0, 256, (height, width)).astype(np.uint8)
+        found = np.empty_like(image)
+        top_hat(image, reach, found)
+        window = np.ones((side, side), np.uint8)
+        assert_array_equal(found, cv2.morphologyEx(image, cv2.MORPH_TOPHAT, window))
+
+
+def test_on_black_that_every_column_has_things_are_what_opencv_says_too() -> None:
+    image = np.random.default_rng(1).poisson(0.3, (70, 90)).astype(np.uint8)
+    image[20:30, 40:52] = 200
+    found = np.empty_like(image)
+    top_hat(image, 30, found)
+    window = np.ones((61, 61), np.uint8)
+    assert_array_equal(found, cv2.morphologyEx(image, cv2.MORPH_TOPHAT, window))
+
+
+LIMIT = 255.0
+
+
+def clipped_by_integration(mu: float, sigma: float) -> tuple[float, float, float]:
+    """Mean, variance and share in range of a normal variable that a sensor clips to 0 … 255."""
+    law = norm(mu, sigma)
+    below, above = law.cdf(0.0), law.sf(LIMIT)
+    reach = (max(0.0, mu - 12 * sigma), min(LIMIT, mu + 12 * sigma))
+    if reach[0] >= reach[1]:
+        return (0.0 if mu < 0 else LIMIT), 0.0, 0.0
+    first = quad(lambda x: x * law.pdf(x), *reach, epsabs=1e-13)[0] + LIMIT * above
+    mean = float(first)
+    second = quad(lambda x: (x - mean) ** 2 * law.pdf(x), *reach, epsabs=1e-13)[0]
+    variance = second + mean**2 * below + (LIMIT - mean) ** 2 * above
+    return mean, float(variance), 1.0 - below - above
+
+
+def clipped(mu: float, variance: float) -> tuple[float, float, float]:
+    """Mean, variance and d mean / d mu, one pixel among others."""
+    means, variances = np.array([128.0, mu, 3.0]), np.array([4.0, variance, 2.0])
+    visible = np.empty(3)
+    clip(means, variances, visible, np.empty((N_FREE_ROWS, 3)))
+    return float(means[1]), float(variances[1]), float(visible[1])
+
+
+@pytest.mark.parametrize("sigma", [0.4, 1.5, 4.0])
+@pytest.mark.parametrize("z", [-7.0, -4.0, -1.1, -0.3, 0.0, 0.6, 2.0, 4.3])
+@pytest.mark.parametrize("top", [False, True], ids=["black", "full"])
+def test_moments_are_those_of_the_clipped_law(z: float, sigma: float, top: bool) -> None:
+    mu = LIMIT - z * sigma if top else z * sigma
+    mean, variance, share = clipped(mu, sigma**2)
+    true_mean, true_variance, true_share = clipped_by_integration(mu, sigma)
+    assert mean == pytest.approx(true_mean, abs=1e-7)
+    assert share == pytest.approx(true_share, abs=1e-7)
+    assert variance == pytest.approx(max(true_variance, 1 / 12), abs=1e-6)  # or rounding's
+
+
+def test_the_normal_law_is_that_of_the_book_all_over_its_range() -> None:
+    z = np.append(np.linspace(MIN_Z, CLIP_REACH, 4321), 0.0)
+    below, here = np.empty_like(z), np.empty_like(z)
+    normal_law(z, below, here)
+    assert np.abs(below - norm.cdf(z)).max() < 1e-9
+    assert np.abs(here - norm.pdf(z)).max() < 1e-8
+    assert math.isclose(below[-1], 0.5, abs_tol=1e-12)
+
+
+def test_far_beyond_a_limit_nothing_is_seen_and_far_inside_nothing_is_clipped() -> None:
+    assert clipped(-400.0, 4.0) == pytest.approx((0.0, 1 / 12, 0.0), abs=1e-12)
+    assert clipped(128.0, 4.0) == (128.0, 4.0, 1.0)

@@ -1,0 +1,431 @@
+"""The chain from rendered pixels to poses, against the simulator's truth and its own optics.
+
+Where LEDs are looked for, against OpenCV's projection and a union of boxes drawn on a grid.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.support.simulated import HOME_DEG, in_memory, scene
+from verify.analysis.session import analyse
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Measurement
+from verify.core.rig import Camera
+from verify.measurement.chain import MARGIN_PX, Setup, led_windows, measure
+from verify.measurement.correspondence.assign import PosePrediction
+from verify.simulation.scenario import (
+    Distractor,
+    Mirror,
+    MultiJoint,
+    Occlusion,
+    Scenario,
+    ScenarioCamera,
+    ScenarioClock,
+    ScenarioImage,
+    ScenarioLed,
+    ScenarioMarker,
+    ScenarioRecording,
+    ScenarioRig,
+    Visits,
+)
+from verify.simulation.session.simulate import SimulatedSession, simulate_session
+from verify.simulation.world.led_render import Light, render_light, visible_lights
+
+FOUR = ScenarioMarker(
+    led=[
+        ScenarioLed(name="A", position_mm=(60.0, 5.0, 20.0)),
+        ScenarioLed(name="B", position_mm=(-50.0, 36.0, 12.0)),
+        ScenarioLed(name="C", position_mm=(-20.0, -55.0, 28.0)),
+        ScenarioLed(name="D", position_mm=(26.0, 52.0, 36.0)),
+    ]
+)
+TWO = ScenarioMarker(led=FOUR.led[:2])
+# A pedestal instead of a clamp: the bound then needs no account of pixels cut off at 0.
+OPTICS = ScenarioImage(blur_px=0.8, read_noise_dn=1.5, electrons_per_dn=32.0, black_level_dn=8.0)
+
+# The same lens on a smaller sensor: as good a test of a spot as any, and sooner done.
+SMALL_CAMERA = ScenarioCamera(principal_point_px=(319.5, 239.5))
+SMALL = ScenarioRig(image_size=(640, 480), left=SMALL_CAMERA, right=SMALL_CAMERA)
+
+
+def played(**changes: object) -> tuple[SimulatedSession, list[Measurement]]:
+    """Simulate a scene of four LEDs and measure it, without encoders."""
+    session = simulate_session(scene(**{"marker": FOUR, **changes}))
+    return session, list(measure(session.pairs(), Setup(session.rig, session.marker)))
+
+
+def difference(one: Array, other: Array) -> Array:
+    turn = Rotation.from_matrix(one[:3, :3] @ other[:3, :3].T).as_rotvec()
+    return np.concatenate([one[:3, 3] - other[:3, 3], turn])
+
+
+def wrong(session: SimulatedSession, measurements: list[Measurement]) -> Array:
+    """Measured pose less true one, (n, 6), of the measured pairs."""
+    truth = session.world.rig_T_flange(session.t[:, 0])
+    return np.array(
+        [
+            difference(m.pose.rig_T_flange, truth[m.frame])
+            for m in measurements
+            if m.pose is not None
+        ]
+    )
+
+
+def whitened(errors: Array, covariances: list[Array]) -> Array:
+    return np.array(
+        [
+            np.linalg.solve(np.linalg.cholesky(c), e)
+            for e, c in zip(errors, covariances, strict=True)
+        ]
+    )
+
+
+def claimed(measurements: list[Measurement]) -> list[Array]:
+    return [m.pose.covariance for m in measurements if m.pose is not None]
+
+
+def pose_bound(index: int) -> Array:
+    """Cramér-Rao bound of one of the many pairs' poses from the renderer's own light, (6, 6).
+
+    A pixel's light s has the variance read² + s / electrons + 1/12. A spot is symmetric about its
+    centre, so brightness, width and background take nothing from what is known of the centre.
+    """
+    information = np.zeros((6, 6))
+    for side in range(2):
+        by_pose = projection_jacobian(many()[0], side, index)
+        known = centre_informations(side, index - index % 10)  # spots change little in ten pairs
+        information += np.einsum("lpi,lpq,lqj->ij", by_pose, known, by_pose)
+    return np.linalg.inv(information)
+
+
+@cache
+def centre_informations(side: int, index: int) -> Array:
+    """What the pixels know of where each LED's spot is, (leds, 2, 2), px⁻²."""
+    session = many()[0]
+    t, pan = float(session.t[index, side]), float(session.true_pan[index, side])
+    return np.array(
+        [centre_information(light, OPTICS) for light in visible_lights(session.world, side, t, pan)]
+    )
+
+
+def centre_information(light: Light, image: ScenarioImage) -> Array:
+    step = 0.05  # px; the profile is smooth over tenths
+    (x0, y0), middle = render_light(light, image.blur_px)
+    slopes = []
+    for axis in np.eye(2):
+        sides = []
+        for sign in (1, -1):
+            (x, y), patch = render_light(replace(light, path=light.path + sign * step * axis),
+                                  image.blur_px)  # fmt: skip
+            frame = np.zeros((middle.shape[0] + 4, middle.shape[1] + 4))
+            frame[y - y0 + 2 :, x - x0 + 2 :][: patch.shape[0], : patch.shape[1]] = patch
+            sides.append(frame)
+        slopes.append((sides[0] - sides[1]).ravel() / (2 * step))
+    light_there = np.pad(middle, 2).ravel()
+    variance = image.read_noise_dn**2 + light_there / image.electrons_per_dn + 1 / 12
+    slope = np.stack(slopes)
+    return np.asarray((slope / variance) @ slope.T)
+
+
+def projection_jacobian(session: SimulatedSession, side: int, index: int) -> Array:
+    """d pixel / d pose of every LED by the simulator's own projection, (leds, 2, 6)."""
+    camera = session.world.bench.cameras[side]
+    pan = float(session.true_pan[index, side])
+    pose = session.world.rig_T_flange(session.t[index : index + 1, 0])[0]
+    step, columns = 1e-6, []
+    for unit in np.eye(6):
+        pixels = []
+        for sign in (1, -1):
+            turn = Rotation.from_rotvec(sign * step * unit[3:]).as_matrix()
+            arms = session.world.bench.leds @ (turn @ pose[:3, :3]).T
+            pixels.append(camera.project(arms + pose[:3, 3] + sign * step * unit[:3], pan))
+        columns.append((pixels[0] - pixels[1]) / (2 * step))
+    return np.stack(columns, axis=-1)
+
+
+PAIRS = 200  # 1200 whitened coordinates: a mean square is known to 4.1 %
+
+
+@cache
+def many() -> tuple[SimulatedSession, list[Measurement]]:
+    return played(
+        motion=MultiJoint(home_deg=HOME_DEG, amplitude_deg=[8.0, 6.0, 8.0, 12.0, 12.0, 20.0]),
+        recording=ScenarioRecording(pairs=PAIRS, rate_hz=15.0),
+        image=OPTICS,
+        rig=SMALL,
+    )
+
+
+def test_poses_scatter_at_most_a_tenth_above_the_cramer_rao_bound() -> None:
+    session, measurements = many()
+    assert [m.status for m in measurements] == ["measured"] * PAIRS
+    bounds = [pose_bound(i) for i in range(PAIRS)]
+    ratio = np.sqrt(np.mean(whitened(wrong(session, measurements), bounds) ** 2))
+    assert 0.95 < ratio < 1.1  # below by chance alone: 0.95 is two and a half of its own errors
+
+
+def test_the_reported_covariance_is_the_observed_scatter() -> None:
+    session, measurements = many()
+    scatter = whitened(wrong(session, measurements), claimed(measurements))
+    assert np.mean(scatter**2) == pytest.approx(1.0, abs=0.1)
+    # each direction by itself, from its weakest to its strongest: 9 % known, three times that
+    assert np.mean(scatter**2, axis=0) == pytest.approx(np.ones(6), abs=0.28)
+
+
+def test_poses_are_free_of_bias() -> None:
+    session, measurements = many()
+    scatter = whitened(wrong(session, measurements), claimed(measurements))
+    assert np.abs(scatter.mean(axis=0)).max() < 3.5 / np.sqrt(PAIRS)
+
+
+def assert_identified(session: SimulatedSession, measurements: list[Measurement]) -> None:
+    """Every sighting lies where the LED that it names truly is."""
+    truth = [session.spots(side) for side in range(2)]
+    for m in measurements:
+        for side, sighting in enumerate((m.left, m.right)):
+            if sighting is not None and m.pose is not None:
+                start = 0 if side == 0 else len(m.left)
+                good = ~m.pose.rejected[start : start + len(sighting)]
+                off = sighting.centre[good] - truth[side][m.frame, sighting.led[good]]
+                assert np.abs(off).max() < 0.3  # px; LEDs are fifty apart
+
+
+LAMPS = [
+    Distractor(position_mm=(60.0, -60.0, 800.0)),
+    Distractor(position_mm=(-150.0, 40.0, 900.0), velocity_mm_s=(40.0, -20.0, 0.0)),
+]
+MIRROR = Mirror(point_mm=(160.0, 0.0, 650.0), normal=(-1.0, 0.0, 0.0), reflectance=0.5)
+
+
+def assert_sound(session: SimulatedSession, measurements: list[Measurement]) -> None:
+    """No spot is taken for another LED, and the poses are as good as they say."""
+    assert_identified(session, measurements)
+    whole = [m for m in measurements if m.pose is not None and m.pose.known_dof == 6]
+    scatter = whitened(wrong(session, whole), claimed(whole))
+    assert np.sqrt(np.mean(scatter**2, axis=1)).max() < 2.2  # six coordinates: 1e-4 by chance
+
+
+def test_hidden_and_dropped_leds_are_recognised_not_averaged_in() -> None:
+    session, measurements = played(
+        recording=ScenarioRecording(pairs=26, rate_hz=10.0, dropped=[22]),
+        distractor=LAMPS,
+        occlusion=[
+            Occlusion(led="B", first=4, last=6, camera="left"),
+            *(Occlusion(led=name, first=9, last=10) for name in "ABCD"),
+            *(Occlusion(led=name, first=13, last=14) for name in "ACD"),
+            Occlusion(led="C", first=17, last=19, camera="right", share=0.5),
+        ],
+    )
+    at = {int(session.taken[m.frame]): m for m in measurements}
+    assert sorted(at) == [*range(22), 23, 24, 25]
+    lost = {number: m.status for number, m in at.items() if m.status != "measured"}
+    assert lost == {9: "too_few_leds", 10: "too_few_leds"}
+    assert_sound(session, measurements)
+    for number in (4, 5, 6):  # seen by one camera, and counted
+        assert at[number].leds_seen == 4
+        assert (len(at[number].left), len(at[number].right)) == (3, 4)
+    for number in (13, 14):  # one LED left: a position, no more
+        assert (at[number].leds_seen, at[number].pose.known_dof) == (1, 3)
+
+
+def test_lamps_and_reflections_are_not_taken_for_leds() -> None:
+    session, measurements = played(
+        recording=ScenarioRecording(pairs=12, rate_hz=10.0),
+        distractor=LAMPS,
+        mirror=[MIRROR],
+        occlusion=[Occlusion(led="D", first=5, last=8)],
+    )
+    assert {m.status for m in measurements} == {"measured"}
+    assert [m.leds_seen for m in measurements] == [4] * 5 + [3] * 4 + [4] * 3
+    assert_sound(session, measurements)
+
+
+def test_leds_that_come_back_are_believed_over_a_reflection_of_them() -> None:
+    session, measurements = played(
+        recording=ScenarioRecording(pairs=12, rate_hz=10.0),
+        mirror=[MIRROR],
+        occlusion=[Occlusion(led=name, first=4, last=5) for name in "ABCD"],
+    )
+    assert_sound(session, [m for m in measurements if m.frame not in (4, 5)])
+
+
+def test_an_led_that_one_camera_sees_sharpens_the_pose() -> None:
+    missing = Occlusion(led="B", first=0, last=9)
+    sides = []
+    for camera in ("left", "both"):
+        _, measurements = played(
+            recording=ScenarioRecording(pairs=4, rate_hz=10.0),
+            occlusion=[msgspec.structs.replace(missing, camera=camera)],
+        )
+        sides.append(measurements[2].pose.covariance)
+    assert np.all(np.diag(sides[0]) < np.diag(sides[1]))
+
+
+def test_two_leds_on_the_last_axis_leave_that_joint_empty_and_give_the_others() -> None:
+    upright = [
+        ScenarioLed(name=name, position_mm=(0.0, 0.0, height), normal=(1.0, 0.0, 0.0))
+        for name, height in (("A", 20.0), ("B", 110.0))
+    ]
+    recording = ScenarioRecording(pairs=14, rate_hz=10.0)
+    session = in_memory(
+        scene(marker=ScenarioMarker(led=upright), recording=recording, clock=ScenarioClock())
+    )
+    frames = analyse(session).tables["frames"]
+    assert (set(frames["status"]), set(frames["known_dof"])) == ({"measured"}, {5})
+    measured = frames[[f"q{j}_measured_deg" for j in range(1, 7)]].to_numpy()
+    u = frames[[f"q{j}_u_deg" for j in range(1, 7)]].to_numpy()
+    assert np.isnan(measured[:, 5]).all()
+    assert np.isnan(u[:, 5]).all()
+    off = (measured - np.rad2deg(session.truth))[:, :5]
+    assert np.abs(off / u[:, :5]).max() < 4.2  # 70 figures: 2e-3 by chance
+    assert frames["orientation_error_deg"].isna().all()
+
+
+def test_two_leds_in_motion_give_means_where_no_pair_gives_an_angle() -> None:
+    session = in_memory(
+        scene(
+            marker=TWO, recording=ScenarioRecording(pairs=24, rate_hz=10.0), clock=ScenarioClock()
+        )
+    )
+    results = analyse(session)
+    frames = results.tables["frames"]
+    assert set(frames["known_dof"]) == {5}
+    # the line of these two lies across all axes: a turn about it moves every joint
+    assert frames[[f"q{j}_measured_deg" for j in range(1, 7)]].isna().all(axis=None)
+    for joint in results.summary["joints"]:
+        assert abs(joint["mean_error_deg"]) < 3.5 * joint["standard_uncertainty_deg"]
+    assert results.summary["diagnosis"] == []
+
+
+def skewed(pairs: int, **changes: object) -> Scenario:
+    """The right camera 4 ms late, give or take 0.6: as recorded with two free-running cameras."""
+    motion = MultiJoint(home_deg=HOME_DEG, amplitude_deg=[8.0, 5.0, 8.0, 10.0, 12.0, 20.0])
+    recording = ScenarioRecording(pairs=pairs, rate_hz=15.0, skew_s=0.004, skew_jitter_s=0.0006)
+    return scene(**{"marker": FOUR, "motion": motion, "recording": recording, **changes})
+
+
+def test_a_late_right_camera_costs_no_more_than_is_claimed() -> None:
+    session = in_memory(skewed(50))
+    frames = analyse(session).tables["frames"]
+    columns = range(1, 7)
+    u = frames[[f"q{j}_u_deg" for j in columns]].to_numpy()
+    off = frames[[f"q{j}_measured_deg" for j in columns]].to_numpy() - np.rad2deg(session.truth)
+    assert (
+        0.9 < np.mean(np.abs(off) <= 1.96 * u) < 0.99
+    )  # neighbours err alike: few are independent
+
+
+def test_a_late_camera_that_is_taken_for_a_prompt_one_would_ruin_the_poses() -> None:
+    """The test before this one has something to find."""
+    session = simulate_session(skewed(10))
+    setup = Setup(session.rig, session.marker)
+    truth = list(measure(session.pairs(), setup))
+    ignored = list(measure((replace(p, t_right=p.t_left) for p in session.pairs()), setup))
+    errors = [np.abs(wrong(session, m)).max(axis=0) for m in (truth, ignored)]
+    assert np.linalg.norm(errors[1][:3]) > 5 * np.linalg.norm(errors[0][:3])
+
+
+def test_the_first_pair_borrows_its_successors_motion() -> None:
+    session = simulate_session(skewed(6))
+    measurements = list(measure(session.pairs(), Setup(session.rig, session.marker)))
+    assert [m.frame for m in measurements] == list(range(6))
+    first = measurements[0]
+    assert first.status == "measured"
+    assert np.linalg.norm(first.pose.twist) > 0.01
+    assert np.abs(whitened(wrong(session, [first]), claimed([first]))).max() < 4
+
+
+def test_a_pair_whose_motion_nothing_shows_is_unaligned_not_guessed() -> None:
+    gone = [Occlusion(led=name, first=3, last=3) for name in "ABCD"]
+    for scenario, expected in (
+        (skewed(6, occlusion=gone), {3: "too_few_leds", 4: "unaligned"}),
+        (skewed(1), {}),  # a single visit: taken as standing still
+        (scene(marker=FOUR, recording=ScenarioRecording(pairs=6, rate_hz=15.0), occlusion=gone),
+         {3: "too_few_leds"}),
+        (scene(marker=FOUR, recording=ScenarioRecording(pairs=1, rate_hz=15.0)), {}),
+    ):  # fmt: skip
+        session = simulate_session(scenario)
+        chain = measure(session.pairs(), Setup(session.rig, session.marker))
+        assert {m.frame: m.status for m in chain if m.status != "measured"} == expected
+
+
+def test_single_visits_are_taken_as_standing_still() -> None:
+    session, measurements = played(
+        motion=Visits(home_deg=HOME_DEG, amplitude_deg=[10.0] * 6),
+        recording=ScenarioRecording(pairs=8, rate_hz=0.02, skew_s=0.004, skew_jitter_s=0.0006),
+    )
+    assert [m.status for m in measurements] == ["measured"] * 8
+    assert all(m.whole_frame for m in measurements)  # nothing says where the arm went meanwhile
+    scatter = whitened(wrong(session, measurements), claimed(measurements))
+    assert 0.45 < np.mean(scatter**2) < 1.7  # 48 coordinates: chi² between 0.1 and 99.9 %
+
+
+def test_the_same_pictures_give_the_same_poses() -> None:
+    scenario = skewed(5)
+    runs = []
+    for _ in range(2):
+        session = simulate_session(scenario)
+        runs.append(list(measure(session.pairs(), Setup(session.rig, session.marker))))
+    for one, other in zip(*runs, strict=True):
+        assert np.array_equal(one.pose.rig_T_flange, other.pose.rig_T_flange)
+        assert np.array_equal(one.pose.covariance, other.pose.covariance)
+
+
+SIZE = (640, 480)
+MATRIX = np.array([[500.0, 1.5, 320.0], [0.0, 505.0, 240.0], [0.0, 0.0, 1.0]])
+LENS = np.array([-0.1, 0.03, 0.001, -0.002, 0.004])
+CAMERA = Camera(MATRIX, LENS, np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.0, np.eye(4))
+IMAGE = np.zeros(SIZE[::-1], dtype=np.uint8)
+LED_DIAMETER = 0.004  # m, an LED
+
+
+def looked_for(leds: Array, away: float, position: float, rotation: float) -> tuple[Array, Array]:
+    """The windows, and each LED's own box (n, 4), by OpenCV."""
+    pose = np.eye(4)
+    pose[:3, 3] = 0.01, -0.02, away
+    marker = Marker(tuple(map(str, range(len(leds)))), leds, (None,) * len(leds), LED_DIAMETER)
+    found = led_windows(marker, CAMERA, 0.0, PosePrediction(pose, position, rotation), IMAGE)
+    points = leds + pose[:3, 3]
+    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, LENS)[0][:, 0]
+    radius = np.linalg.norm(leds, axis=1).max()
+    seen = LED_DIAMETER + 2 * (position + radius * rotation)
+    half = (MARGIN_PX + MATRIX[0, 0] * seen / points[:, 2])[:, None]
+    # OpenCV knows no skew of the axes
+    pixels[:, 0] += MATRIX[0, 1] * (pixels[:, 1] - MATRIX[1, 2]) / MATRIX[1, 1]
+    return found, np.concatenate([pixels - half, pixels + half], axis=1)
+
+
+def test_leds_far_from_each_other_have_a_window_each() -> None:
+    leds = np.array([[0.0, 0, 0], [0.1, 0, 0.02], [0, 0.1, 0], [-0.1, -0.1, -0.03]])
+    found, own = looked_for(leds, 0.8, 1e-3, 0.01)
+    assert len(found) == 4
+    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(own, axis=0), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_windows_meet_nowhere_and_hold_every_leds_own(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    leds = rng.uniform(-0.1, 0.1, (6, 3))
+    found, own = looked_for(leds, 0.7, 2e-3, rng.uniform(0.0, 0.2))
+    low, high = found[:, :2], found[:, 2:]
+    apart = ((high[:, None] < low[None]) | (low[:, None] > high[None])).any(axis=2)
+    assert (apart | np.eye(len(found), dtype=bool)).all()
+    own = np.clip(own, 0, [*SIZE, *SIZE])
+    held = (found[:, None, :2] <= own[None, :, :2] + 1e-9).all(axis=2)
+    held &= (found[:, None, 2:] >= own[None, :, 2:] - 1e-9).all(axis=2)
+    assert (held.sum(axis=0) == 1).all()
+    # nothing is looked at for no reason: each side of a window is some LED's
+    for side in range(4):
+        assert np.isclose(found[:, None, side], own[None, :, side], atol=1e-9).any(axis=1).all()
+
+
+def test_what_is_behind_the_camera_or_beside_the_image_is_not_looked_for() -> None:
+    leds = np.array([[0.0, 0, 0], [0.0, 0, -2.0], [1.5, 0, 0]])
+    assert len(looked_for(leds, 0.8, 1e-3, 1e-4)[0]) == 1
+    assert looked_for(leds[:1] - [0, 0, 2.0], 0.8, 1e-3, 1e-4)[0].shape == (0, 4)

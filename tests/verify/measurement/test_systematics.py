@@ -1,0 +1,128 @@
+"""Every sensitivity against a refit with the parameter itself moved in the file's object."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.support.scene import facing, make_marker, make_rig, sight
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Measurement, Sighting
+from verify.core.rig import Camera, Covariance, Rig
+from verify.measurement.pose import fit_pose
+from verify.measurement.systematics import sensitivities, stated_systematics
+
+NAMES = [
+    *(f"{side}.{key}" for side in ("left", "right") for key in (
+        "fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3", "pan_zero_deg",
+        "mount_rx_deg", "mount_ry_deg", "mount_rz_deg", "mount_x_mm", "mount_y_mm", "mount_z_mm",
+        "pan_center_x_mm", "pan_center_y_mm", "pan_center_z_mm", "pan_axis_rx_deg",
+        "pan_axis_rz_deg")),
+    *(f"robot_base.{key}" for key in ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")),
+    *(f"led.{led}.{axis}_mm" for led in "ABCD" for axis in "xyz"),
+]  # fmt: skip
+STEP = 1e-6  # SI units: small against curvature, large against rounding
+
+
+def turned(rotation: Array, axis: str, angle: float) -> Array:
+    vector = np.eye(3)["xyz".index(axis)] * angle
+    return Rotation.from_rotvec(vector).as_matrix() @ rotation
+
+
+def move_camera(camera: Camera, key: str, step: float) -> Camera:
+    lens = ("k1", "k2", "p1", "p2", "k3")
+    if key in lens:
+        return replace(camera, distortion=camera.distortion + step * np.eye(5)[lens.index(key)])
+    places = {"fx_px": (0, 0), "fy_px": (1, 1), "cx_px": (0, 2), "cy_px": (1, 2)}
+    if key in places:
+        matrix = camera.matrix.copy()
+        matrix[places[key]] += step
+        return replace(camera, matrix=matrix)
+    if key == "pan_zero_deg":
+        return replace(camera, pan_zero=camera.pan_zero + step)
+    if key.startswith("pan_center"):
+        return replace(
+            camera, pan_center=camera.pan_center + step * np.eye(3)["xyz".index(key[11])]
+        )
+    if key.startswith("pan_axis"):
+        turn = turned(np.eye(3), key[10], step)
+        return replace(camera, pan_axis=turn @ camera.pan_axis)
+    mount = camera.mount.copy()
+    if key.startswith("mount_r"):
+        mount[:3, :3] = turned(mount[:3, :3], key[7], step)
+    else:
+        mount[:3, 3] += step * np.eye(3)["xyz".index(key[6])]
+    return replace(camera, mount=mount)
+
+
+def moved(rig: Rig, marker: Marker, name: str, step: float) -> tuple[Rig, Marker]:
+    head, _, key = name.partition(".")
+    if head == "left":
+        return replace(rig, left=move_camera(rig.left, key, step)), marker
+    if head == "right":
+        return replace(rig, right=move_camera(rig.right, key, step)), marker
+    if head == "robot_base":
+        base = rig.rig_T_base.copy()
+        if key.startswith("r"):
+            base[:3, :3] = turned(base[:3, :3], key[1], step)
+        else:
+            base[:3, 3] += step * np.eye(3)["xyz".index(key[0])]
+        return replace(rig, rig_T_base=base), marker
+    leds = marker.leds.copy()
+    if head == "led":
+        leds[marker.names.index(key[0])] += step * np.eye(3)["xyz".index(key[2])]
+    elif key.startswith("r"):
+        leds = leds @ turned(np.eye(3), key[1], step).T
+    else:
+        leds = leds + step * np.eye(3)["xyz".index(key[0])]
+    return rig, replace(marker, leds=leds)
+
+
+def base_T_flange(
+    rig: Rig, marker: Marker, views: tuple[Sighting, Sighting], start: Array
+) -> Array:
+    pose = fit_pose(*views, rig, marker, start)
+    return np.linalg.inv(rig.rig_T_base) @ pose.rig_T_flange
+
+
+def by_refit(
+    rig: Rig, marker: Marker, views: tuple[Sighting, Sighting], start: Array, name: str
+) -> Array:
+    ends = [base_T_flange(*moved(rig, marker, name, s * STEP), views, start) for s in (1, -1)]
+    turn = Rotation.from_matrix(ends[0][:3, :3] @ ends[1][:3, :3].T).as_rotvec()
+    return np.concatenate([ends[0][:3, 3] - ends[1][:3, 3], turn]) / (2 * STEP)
+
+
+@pytest.mark.parametrize("name", [*NAMES, *(f"body.{k}" for k in (
+    "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"))])  # fmt: skip
+def test_a_sensitivity_is_what_a_refit_with_the_parameter_moved_shows(name: str) -> None:
+    covariance = Covariance(tuple(NAMES), np.ones(len(NAMES)), np.eye(len(NAMES)))
+    rig = replace(make_rig(), covariance=covariance)
+    marker = make_marker(body_standard_uncertainty=np.ones(6))
+    truth = facing(0.04, -0.02, 0.6)
+    views = sight(rig, marker, truth, 0.02, np.random.default_rng(11))
+    pose = fit_pose(*views, rig, marker, truth)
+    seen = Measurement(0, 0.0, "measured", 4, pose, *views)
+    parameters = stated_systematics(rig, marker, turning=False)
+    column = sensitivities(parameters, seen, rig, marker)[:, parameters.names.index(name)]
+    expected = by_refit(rig, marker, views, pose.rig_T_flange, name)
+    # first order: residuals of the noise and curvature leave a share of a percent
+    assert np.linalg.norm(column - expected) < 0.01 * np.linalg.norm(expected)
+
+
+def test_a_name_that_nobody_understands_is_given_back() -> None:
+    covariance = Covariance(("left.fx_px", "left.zoom"), np.array([0.3, 1.0]), np.eye(2))
+    parameters = stated_systematics(
+        replace(make_rig(), covariance=covariance), make_marker(), turning=False
+    )
+    assert parameters.names == ("left.fx_px",)
+    assert parameters.unknown == ("left.zoom",)
+
+
+def test_what_is_not_stated_is_listed_as_taken_as_exact() -> None:
+    marker = make_marker(led_standard_uncertainty=5e-5)
+    parameters = stated_systematics(make_rig(), marker, turning=True)
+    assert parameters.uncounted == (
+        "rig", "robot base", "LED body", "apparent LED centre", "pan angle", "robot table",
+    )  # fmt: skip

@@ -1,0 +1,157 @@
+"""The simulated cell against plain geometry; its devices keep the protocols of motion_port."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import robots
+from verify.grasping.actuators.protocols import (
+    ExecutePermission,
+    Gripper,
+    GripperState,
+    MotionRefusedError,
+    Mover,
+    MoverState,
+)
+from verify.grasping.tracking.target import ColourSelection
+from verify.grasping.tracking.track import track
+from verify.simulation.cell.cell import RATE, CellWorld
+from verify.simulation.cell.grab import CellSource
+from verify.simulation.cell.hand import CellHand, SimGripper
+from verify.simulation.cell.render import joint_points
+from verify.simulation.cell.scene import Cap, CellScene, SceneEvent
+from verify.simulation.cell.setup import SMALL_SIZE, cell_setup
+
+SETUP = cell_setup(SMALL_SIZE)
+RIGHT = ExecutePermission("test")
+
+
+def test_the_arm_is_drawn_where_its_kinematics_say() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        q = rng.uniform(-1.0, 1.0, 6)
+        _, flange = joint_points(SETUP.planner.arm, q)
+        np.testing.assert_allclose(flange, robots.forward(SETUP.planner.arm, q), atol=1e-12)
+
+
+def test_a_cap_is_seen_where_it_stands_within_what_the_tracker_states() -> None:
+    scene = CellScene((Cap("green", (0.46, 0.05)),), seed=2)
+    world = CellWorld(SETUP, scene)
+    source = CellSource(world)
+    pairs = []
+    for _ in range(12):
+        pair = source.pair()
+        assert pair is not None
+        pairs.append(pair)
+        source.wait()
+    *_, last = track(pairs, SETUP.rig, ColourSelection("green"))
+    rig_T_base = SETUP.rig.rig_T_base
+    true = rig_T_base[:3, :3] @ [0.46, 0.05, 0.012] + rig_T_base[:3, 3]
+    off = last.centre - true
+    assert np.linalg.norm(off) < 2e-3
+    assert off @ np.linalg.solve(last.covariance, off) < 16.3  # chi², 3 degrees, 0.1 %
+
+
+def test_a_sliding_cap_slows_down_evenly_and_stands() -> None:
+    cap = Cap("blue", (0.4, 0.0), (0.1, 0.0), 2.0)
+    x = [cap.place(t)[0] for t in (0.0, 1.0, 2.0, 5.0)]
+    np.testing.assert_allclose(x, [0.4, 0.475, 0.5, 0.5])  # v t - v t² / 2T
+
+
+def test_the_arm_is_late_by_its_delay_and_starts_from_where_it_stood() -> None:
+    world = CellWorld(SETUP, CellScene((Cap("blue", (0.47, 0.0)),)))
+    source = CellSource(world)
+    mover, _ = source.devices(RIGHT)
+    mover.take_controls()
+    while mover.step().state is not MoverState.READY:
+        source.wait()
+    goal = SETUP.home + 1e-3
+    mover.stream(goal)
+    np.testing.assert_array_equal(world.arm.q(world.t), SETUP.home)
+    source.wait()
+    source.wait()
+    np.testing.assert_allclose(world.arm.q(world.t), goal)
+
+
+def test_the_devices_are_those_of_the_protocols_and_need_the_right() -> None:
+    source = CellSource(CellWorld(SETUP, CellScene((Cap("blue", (0.47, 0.0)),))))
+    mover: Mover
+    gripper: Gripper
+    mover, gripper = source.devices(RIGHT)
+    assert mover.step().state is MoverState.OFF
+    assert gripper.step().state is GripperState.IDLE
+    with pytest.raises(TypeError, match="right"):
+        source.devices(None)  # type: ignore[arg-type]
+
+
+def test_nothing_is_taken_without_controls_or_beyond_a_limit() -> None:
+    source = CellSource(CellWorld(SETUP, CellScene((Cap("blue", (0.47, 0.0)),))))
+    mover, gripper = source.devices(RIGHT)
+    with pytest.raises(MotionRefusedError):
+        mover.stream(SETUP.home)
+    with pytest.raises(MotionRefusedError):
+        gripper.close_to(0.0)
+    mover.take_controls()
+    while mover.step().state is not MoverState.READY:
+        source.wait()
+    with pytest.raises(MotionRefusedError, match="joint 1"):
+        mover.stream(SETUP.home + 4.0 * np.eye(6)[0])
+
+
+@pytest.mark.parametrize("between", [0.0, 0.03])
+def test_fingers_stop_at_what_is_between_them_and_say_so(between: float) -> None:
+    now = [0.0]
+    hand = CellHand(0.07)
+    gripper = SimGripper(hand, lambda: now[0], RIGHT)
+    gripper.activate()
+    states = []
+    hand.between = between
+    for _ in range(120):
+        now[0] += 1 / RATE
+        hand.advance(1 / RATE)
+        states.append(gripper.step().state)
+        if states[-1] is GripperState.READY:
+            gripper.close_to(0.0)
+    assert hand.opening == pytest.approx(between)
+    assert states[-1] is (GripperState.GRIPPED if between else GripperState.REACHED)
+
+
+def test_what_slips_out_of_closed_fingers_is_told_as_lost() -> None:
+    now = [0.0]
+    hand = CellHand(0.07)
+    gripper = SimGripper(hand, lambda: now[0], RIGHT)
+    hand.between = 0.03
+    gripper.activate()
+    now[0] = 1.0
+    gripper.step()
+    gripper.close_to(0.0)
+    hand.advance(1.0)
+    assert gripper.step().state is GripperState.GRIPPED
+    hand.between = 0.0
+    assert gripper.step().state is GripperState.LOST
+
+
+def test_a_cap_beside_the_fingers_does_not_come_along() -> None:
+    beside = CellScene((Cap("blue", (0.5, 0.2)),))
+    world = CellWorld(SETUP, beside)
+    world.hand.goal = 0.0
+    for _ in range(60):
+        world.advance(1 / RATE)
+    assert world.held is None
+    assert world.hand.opening == 0.0
+
+
+def test_the_light_falls_to_half_within_a_second_and_a_dead_camera_gives_nothing() -> None:
+    happenings = (SceneEvent("dusk", at=0.0), SceneEvent("camera_gone", at=1.5))
+    world = CellWorld(SETUP, replace(CellScene((Cap("blue", (0.47, 0.0)),)), happenings=happenings))
+    before = world.pair()
+    for _ in range(36):
+        world.advance(1 / RATE)
+    after = world.pair()
+    assert before is not None
+    assert after is not None
+    assert after.left.mean() == pytest.approx(before.left.mean() / 2, rel=0.02)
+    for _ in range(12):
+        world.advance(1 / RATE)
+    assert world.pair() is None

@@ -1,0 +1,335 @@
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from pymodbus import FramerType
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.client.base import ModbusBaseSyncClient
+from pymodbus.exceptions import ModbusException
+
+from tests.support.devices.bench import running
+from verify.simulation.emulators.gripper import SLAVE, GripperEngine, GripperOptions, add_crc
+from verify.simulation.emulators.gripper_hand import (
+    NO_CONTACT,
+    contact_positions,
+    speed_in_positions,
+)
+from verify.simulation.emulators.server import EmulatorFaults
+
+PORTS = ["tcp:0", "pty"]
+COMMAND = "import typer; from verify.cli.emulate import emulate; typer.run(emulate)"
+ACTIVATE = [0x0100, 0, 0]
+OPEN = [0x0900, 0x0000, 0xFFFF]
+ACTIVATION = 0.2  # s: tests cannot wait
+
+
+def frame(text: str) -> bytes:
+    return bytes.fromhex(text)
+
+
+def quick(contacts: object = None) -> GripperEngine:
+    return GripperEngine(GripperOptions(ACTIVATION, contacts))  # type: ignore[arg-type]
+
+
+def said(engine: GripperEngine, request: str, t: float) -> str:
+    """The answer at t, as hexadecimal digits, check included."""
+    messages = engine.step(t, frame(request))
+    return b"".join(message.data for message in messages).hex(" ").upper()
+
+
+def passed(engine: GripperEngine, begin: float, end: float) -> None:
+    """Let time pass as the server does, 1 ms at a time."""
+    for t in np.arange(begin, end, 1e-3).tolist():
+        engine.step(t, b"")
+
+
+def test_the_frames_of_the_manual_byte_for_byte() -> None:
+    """Sequence of the manual's section 4.7: reset, activate, close onto an object, open."""
+    engine = quick(np.array([0xBC, 0xC1, 0xBD, np.inf]))
+    reset = "09 10 03E8 0003 06 00 00 00 00 00 00 73 30"
+    assert said(engine, reset, 0.0) == "09 10 03 E8 00 03 01 30"
+    assert said(engine, "09 10 03E8 0003 06 01 00 00 00 00 00 72 E1", 0.1).endswith("01 30")
+    assert said(engine, "09 03 07D0 0001 85 CF", 0.15) == "09 03 02 11 00 55 D5"
+    passed(engine, 0.15, 0.4)
+    assert said(engine, "09 03 07D0 0001 85 CF", 0.4) == "09 03 02 31 00 4C 15"
+    assert said(engine, "09 10 03E8 0003 06 09 00 00 FF FF FF 42 29", 0.5).endswith("01 30")
+    passed(engine, 0.5, 0.515)
+    moving = frame(said(engine, "09 03 07D0 0008 45 C9", 0.515))
+    recorded = frame("09 03 10 39 C0 00 FF 08 0F 00 08 10 00 08 0F 00 89 00 00")
+    measured = {7, 8, 10, 11, 13, 14}  # positions and currents: of an instant on the way
+    assert len(moving) == len(recorded) + 2
+    assert {i for i, byte in enumerate(recorded) if moving[i] != byte} <= measured
+    passed(engine, 0.515, 3.0)
+    assert (
+        said(engine, "09 03 07D0 0008 45 C9", 3.0)
+        == "09 03 10 B9 EA 00 FF BC 00 00 C1 00 00 BD 00 00 89 00 00 4E 17"
+    )
+    said(engine, "09 10 03E8 0003 06 09 00 00 00 FF FF 72 19", 3.1)
+    passed(engine, 3.1, 6.0)
+    assert (
+        said(engine, "09 03 07D0 0008 45 C9", 6.0)
+        == "09 03 10 F9 FF 00 00 07 00 00 06 00 00 06 00 00 89 00 00 34 8D"
+    )
+    assert said(engine, "09 04 07D0 0008 F0 09", 6.1).startswith("09 04 10 F9 FF")
+
+
+def test_the_stated_frames_that_read_and_write_at_once() -> None:
+    engine = quick()
+    said(engine, "09 10 03E8 0003 06 01 00 00 00 00 00 72 E1", 0.0)
+    passed(engine, 0.0, 0.3)
+    both = "09 17 07D0 0008 03E8 0003 06 09 00 00 FF FF FF 03 E5"
+    assert said(engine, both, 0.3).startswith("09 17 10 31 00 00 00")  # still without its echo
+    passed(engine, 0.3, 0.32)
+    assert said(engine, "09 03 07D0 0008 45 C9", 0.32).startswith("09 03 10 39 C0 00 FF")
+
+
+@contextmanager
+def client(address: str, timeout: float = 0.3) -> Iterator[ModbusBaseSyncClient]:
+    """The client of pymodbus as a user would make it."""
+    kind, _, rest = address.partition(":")
+    if kind == "tcp":
+        host, port = rest.rsplit(":", 1)
+        found: ModbusBaseSyncClient = ModbusTcpClient(
+            host, port=int(port), framer=FramerType.RTU, timeout=timeout, retries=0
+        )
+    else:
+        found = ModbusSerialClient(address, baudrate=115200, timeout=timeout, retries=0)
+    assert found.connect()
+    try:
+        yield found
+    finally:
+        found.close()
+
+
+def inputs(modbus: ModbusBaseSyncClient) -> bytes:
+    answer = modbus.read_holding_registers(2000, count=8, device_id=SLAVE)
+    assert not answer.isError()
+    return b"".join(register.to_bytes(2, "big") for register in answer.registers)
+
+
+def order(modbus: ModbusBaseSyncClient, registers: list[int]) -> None:
+    answer = modbus.write_registers(1000, registers, device_id=SLAVE)
+    assert not answer.isError()
+    time.sleep(0.01)  # two of the gripper's cycles: the echo
+
+
+def until(modbus: ModbusBaseSyncClient, satisfied: Callable[[bytes], bool]) -> bytes:
+    end = time.monotonic() + 5.0
+    while not satisfied(found := inputs(modbus)):
+        assert time.monotonic() < end, found.hex(" ")
+    return found
+
+
+def stage(found: bytes) -> int:
+    return found[0] >> 4 & 3
+
+
+def overall(found: bytes) -> int:
+    return found[0] >> 6
+
+
+@pytest.mark.parametrize("where", PORTS)
+@pytest.mark.parametrize(("width_mm", "told"), [(None, 3), (115.0, 2)])
+def test_the_client_of_pymodbus_activates_grasps_and_opens(
+    where: str, width_mm: float | None, told: int
+) -> None:
+    contacts = None if width_mm is None else contact_positions(width_mm)
+    with running(quick(contacts), where) as emulated, client(emulated.address) as modbus:
+        order(modbus, ACTIVATE)
+        assert stage(inputs(modbus)) == 1
+        until(modbus, lambda found: stage(found) == 3)
+        order(modbus, [0x0900, 0x0064, 0xFFFF])  # to position 100
+        assert overall(inputs(modbus)) == 0
+        found = until(modbus, lambda found: overall(found) != 0)
+        assert overall(found) == told
+        fingers = [found[1] >> 2 * axis & 3 for axis in range(3)]
+        assert fingers == [told] * 3
+        at = 100 if width_mm is None else round(255 * (1 - width_mm / 155))
+        assert [found[4], found[7], found[10]] == [at] * 3
+        order(modbus, OPEN)
+        until(modbus, lambda found: overall(found) == 3 and found[4] == 7)
+        read = modbus.read_holding_registers(1000, count=3, device_id=SLAVE)
+        assert read.registers == OPEN
+
+
+@pytest.mark.parametrize("where", PORTS)
+def test_all_functions_and_exceptions_reach_the_client_of_pymodbus(where: str) -> None:
+    with running(quick(), where) as emulated, client(emulated.address) as modbus:
+        assert modbus.read_input_registers(2000, count=8, device_id=SLAVE).registers[0] == 0
+        assert not modbus.write_register(1000, 0x0100, device_id=SLAVE).isError()
+        both = modbus.readwrite_registers(
+            read_address=2000, read_count=2, address=1000, values=ACTIVATE, device_id=SLAVE
+        )
+        assert len(both.registers) == 2
+        for answer, code in [
+            (modbus.read_holding_registers(2001, count=8, device_id=SLAVE), 2),
+            (modbus.read_holding_registers(0, count=1, device_id=SLAVE), 2),
+            (modbus.write_registers(2000, [0], device_id=SLAVE), 2),
+            (modbus.read_coils(2000, count=1, device_id=SLAVE), 1),
+            (modbus.mask_write_register(address=1000, device_id=SLAVE), 1),
+        ]:
+            assert answer.isError()
+            assert answer.exception_code == code
+
+
+def test_a_gripper_of_2014_answers_a_wrong_request_with_silence() -> None:
+    engine = GripperEngine(GripperOptions(exceptions=False))
+    wrong = add_crc(frame("09 03 0000 0001")).hex()
+    assert said(engine, wrong, 0.1) == ""
+    assert engine.dropped["refused"] == 1
+
+
+def test_another_slave_a_wrong_check_and_half_a_request_get_no_answer() -> None:
+    engine = quick()
+    assert said(engine, add_crc(frame("08 03 07D0 0001")).hex(), 0.0) == ""
+    assert said(engine, "09 03 07D0 0001 85 CE", 0.1) == ""
+    passed(engine, 0.1, 0.12)
+    assert said(engine, "09 03 07D0", 0.2) == ""
+    passed(engine, 0.2, 0.22)
+    assert engine.dropped == {"other slave": 1, "wrong check, or cut short": 2}
+    assert engine.log == []
+    assert said(engine, "09 03 07D0 0001 85 CF", 0.3) != ""
+
+
+@pytest.mark.parametrize("kind", ["noise", "half", "lost", "double", "split"])
+def test_a_disturbed_line_gives_the_client_errors_and_no_false_register(kind: str) -> None:
+    faults = EmulatorFaults(**{kind: 0.3})  # type: ignore[arg-type]
+    good = 0
+    with (
+        running(quick(), "pty", faults) as emulated,
+        client(emulated.address, timeout=0.05) as modbus,
+    ):
+        for _ in range(25):
+            try:
+                answer = modbus.read_holding_registers(2000, count=8, device_id=SLAVE)
+            except ModbusException:
+                continue
+            good += not answer.isError()
+            assert answer.isError() or answer.registers[0] == 0
+    assert good > 5
+
+
+def test_actions_that_come_too_early_are_told_as_faults() -> None:
+    engine = quick()
+    said(engine, add_crc(frame("09 10 03E8 0001 02 0800")).hex(), 0.0)
+    passed(engine, 0.0, 0.05)
+    assert engine.hand.inputs()[2] == 7  # not activated
+    said(engine, add_crc(frame("09 10 03E8 0001 02 0900")).hex(), 0.1)
+    passed(engine, 0.1, 0.15)
+    assert engine.hand.inputs()[2] == 5  # waits for the activation
+    passed(engine, 0.15, 0.4)
+    assert engine.hand.inputs()[2] == 0
+    said(engine, add_crc(frame("09 10 03E8 0001 02 0B00")).hex(), 0.4)  # pinch mode, and go
+    passed(engine, 0.4, 0.45)
+    found = engine.hand.inputs()
+    assert (found[0] >> 1 & 3, stage(found), found[2]) == (1, 2, 6)
+    passed(engine, 0.45, 2.0)
+    found = engine.hand.inputs()
+    assert (stage(found), found[2]) == (3, 0)
+
+
+def test_automatic_release_opens_slowly_and_ends_in_a_fault_that_a_reset_clears() -> None:
+    engine = quick()
+    said(engine, add_crc(frame("09 10 03E8 0001 02 0100")).hex(), 0.0)
+    passed(engine, 0.0, 0.3)
+    said(engine, add_crc(frame("09 10 03E8 0003 06 0900 00FF FFFF")).hex(), 0.3)
+    passed(engine, 0.3, 1.3)
+    said(engine, add_crc(frame("09 10 03E8 0001 02 1100")).hex(), 1.3)
+    passed(engine, 1.3, 1.4)
+    assert engine.hand.inputs()[2] == 0x0B
+    passed(engine, 1.4, 10.0)
+    assert engine.hand.inputs()[2] == 0x0F
+    assert engine.hand.inputs()[4] == 7
+    said(engine, add_crc(frame("09 10 03E8 0001 02 0000")).hex(), 10.0)
+    passed(engine, 10.0, 10.1)
+    assert engine.hand.inputs()[2] == 0
+
+
+def test_a_fault_on_demand_stands_until_a_reset_and_a_major_one_stops_the_fingers() -> None:
+    faults = EmulatorFaults(alarm=(1.0, 14.0))
+    with running(quick(), faults=faults) as emulated, client(emulated.address) as modbus:
+        order(modbus, ACTIVATE)
+        until(modbus, lambda found: stage(found) == 3)
+        order(modbus, [0x0900, 0x00FF, 0x00FF])  # as slowly as it can
+        at = until(modbus, lambda found: found[2] == 14)[4]
+        assert 7 < at < 255
+        time.sleep(0.1)
+        assert inputs(modbus)[4] - at <= 1
+        order(modbus, [0, 0, 0])
+        assert inputs(modbus)[2] == 0
+        assert inputs(modbus)[0] == 0
+
+
+@pytest.mark.parametrize("speed", [0, 255])
+def test_fingers_move_at_the_speed_that_is_ordered(speed: int) -> None:
+    engine = quick()
+    said(engine, add_crc(frame("09 10 03E8 0001 02 0100")).hex(), 0.0)
+    passed(engine, 0.0, 0.3)
+    said(engine, add_crc(frame(f"09 10 03E8 0003 06 0900 00FF {speed:02X}00")).hex(), 0.3)
+    passed(engine, 0.3, 0.805)
+    mm_s = 110 if speed else 22  # the range of the maker's driver
+    assert engine.hand.position[0] == pytest.approx(7 + 0.5 * mm_s * 255 / 155, abs=1.0)
+    assert speed_in_positions(speed) == pytest.approx(mm_s * 255 / 155)
+
+
+def test_fingers_singly_an_object_beside_the_middle_and_one_that_falls() -> None:
+    engine = quick(np.array([np.inf, 100.0, np.inf, np.inf]))
+    said(engine, add_crc(frame("09 10 03E8 0001 02 0100")).hex(), 0.0)
+    passed(engine, 0.0, 0.3)
+    singly = "09 10 03E8 0006 0C 0904 0050 FF00 B0FF 00C0 FF00"
+    said(engine, add_crc(frame(singly)).hex(), 0.3)
+    passed(engine, 0.3, 3.0)
+    found = engine.hand.inputs()
+    assert [found[3], found[6], found[9]] == [0x50, 0xB0, 0xC0]  # each echoes its own
+    assert [found[4], found[7], found[10]] == [0x50, 100, 0xC0]
+    assert overall(found) == 1
+    assert found[1] & 0x3F == 0b11_10_11
+    engine.hand.contacts = NO_CONTACT
+    passed(engine, 3.0, 4.0)
+    assert overall(engine.hand.inputs()) == 3
+
+
+def test_in_scissor_mode_the_scissor_axis_moves_and_the_fingers_do_not() -> None:
+    engine = quick(contact_positions(40.0))
+    said(engine, add_crc(frame("09 10 03E8 0001 02 0700")).hex(), 0.0)
+    passed(engine, 0.0, 0.3)
+    said(engine, add_crc(frame("09 10 03E8 0003 06 0F00 00FF FF00")).hex(), 0.3)
+    passed(engine, 0.3, 3.0)
+    found = engine.hand.inputs()
+    assert found[0] >> 1 & 3 == 3
+    assert (found[4], found[13]) == (7, round(255 * (1 - 40 / 155)))
+    assert (overall(found), found[1]) == (2, 0b10_11_11_11)
+
+
+def test_a_gripper_without_power_forgets_and_keeps_its_fingers_where_they_are() -> None:
+    engine = quick()
+    said(engine, add_crc(frame("09 10 03E8 0001 02 0100")).hex(), 0.0)
+    passed(engine, 0.0, 0.3)
+    said(engine, add_crc(frame("09 10 03E8 0003 06 0900 00FF FF00")).hex(), 0.3)
+    passed(engine, 0.3, 0.8)
+    engine.step(0.8, b"")
+    at = engine.hand.inputs()[4]
+    engine.reset(0.8)
+    passed(engine, 0.8, 1.5)
+    assert at > 50
+    assert engine.hand.inputs()[:5] == bytes([0, 0, 0, 0, at])
+
+
+def test_the_command_serves_an_object_between_the_fingers_and_refuses_one_elsewhere() -> None:
+    words = [sys.executable, "-c", COMMAND, "gripper", "--port", "tcp:0", "--object-mm", "60"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().split(" at ")[1].split(";")[0]
+        with client(address) as modbus:
+            order(modbus, ACTIVATE)
+            assert stage(inputs(modbus)) == 1
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=10)
+    wrong = [sys.executable, "-c", COMMAND, "melfa", "--object-mm", "60"]
+    told = subprocess.run(wrong, capture_output=True, text=True, check=False)
+    assert "melfa has no fingers" in told.stderr

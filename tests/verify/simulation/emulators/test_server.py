@@ -1,0 +1,135 @@
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.devices.bench import gather, kept, same_angles
+from verify.devices.encoders.labenc import LabencEncoders, LabencSettings
+from verify.devices.melfa import protocol
+from verify.devices.ports import SerialLine
+from verify.errors import InputError
+from verify.simulation.emulators import server, trajectory
+from verify.simulation.emulators import server as emulators_server
+from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
+from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
+from verify.simulation.emulators.melfa_arm import MelfaArm
+
+LIMITS = np.tile([-3.0, 3.0], (6, 1))
+COMMAND = "import typer; from verify.cli.emulate import emulate; typer.run(emulate)"
+
+
+def said(engine: MelfaEngine, command: str, t: float = 1.0) -> str:
+    """One command's answer at t; the engine waits a while for a terminator."""
+    (message,) = engine.step(t, f"1;1;{command}\r".encode())
+    return message.data.decode().strip()
+
+
+def controller(opened: bool = True) -> MelfaEngine:
+    hold = trajectory.load("hold", 6)
+    engine = MelfaEngine(MelfaArm(hold, 6, LIMITS), ControllerOptions())
+    if opened:
+        said(engine, "OPEN=test", 0.5)
+    return engine
+
+
+@pytest.mark.parametrize(
+    ("command", "answer"),
+    [
+        ("NOSUCH", "QeR6010"), ("BREAKONFF", "QeR6010"), ("\x07", "QeR4220"),
+        ("X" * 260, "QeR6080"),
+        ("SRVON", "QeR6020"), ("OVRD=10", "QeR6020"), ("EXECMOV P1", "QeR6020"), ("OVRD", "QoK100"),
+        ("ERROR", "QoK"), ("EMISS", "QoK0;0;0;0;0;0;0;0"), ("STOP", "QoK"),
+    ],
+)  # fmt: skip
+def test_a_controller_refuses_as_the_sheet_says(command: str, answer: str) -> None:
+    assert said(controller(), command) == answer
+
+
+def test_a_controller_before_open_with_right_without_servo_in_alarm() -> None:
+    engine = controller(opened=False)
+    assert said(engine, "STATE") == "QeR6500"
+    assert said(engine, "OPEN=a").startswith("QoK3F;3F;")
+    assert said(engine, "CNTLON") == "QoK"
+    assert said(engine, "SRVOFF") == "QoK"
+    assert said(engine, "EXECMOV P1") == "QeR2000"
+    assert said(engine, "OVRD=10") == "QoK"
+    assert said(engine, "OVRD") == "QoK10"
+    assert said(engine, "SRVON", 2.0) == "QoK"
+    state = protocol.parse_state(said(engine, "STATE", 2.1).removeprefix("QoK"))
+    assert state is not None
+    assert not state.servo_on
+    state = protocol.parse_state(said(engine, "STATE", 4.0).removeprefix("QoK"))
+    assert state is not None
+    assert state.servo_on
+    engine.afflict("alarm", 4140)
+    assert said(engine, "ERROR") == "Qok4140;2"
+    assert said(engine, "RUN") == "Qer5600"
+    assert said(engine, "RSTALRM") == "QoK"
+
+
+def test_robot_and_slot_may_be_left_out() -> None:
+    for prefix in ("1;1;", ";;", "", "1;9;"):
+        (message,) = controller().step(1.0, f"{prefix}JPOSF\r".encode())
+        assert message.data == (
+            b"QoKJ1;0.00;J2;20.00;J3;70.00;J4;10.00;J5;40.00;J6;0.00;;****,****;100;0.00;00000000\r"
+        )
+
+
+def test_a_boards_ceiling_and_queries_are_those_of_the_sheet() -> None:
+    board = LabencEngine(trajectory.load("hold", 6), 6, LabencOptions(boot_noise=b""))
+    first = board.step(0.31, b"$R,100*4F\n$R,105*4A\n$T,17*7E\n$Q*00\n")
+    text = b"".join(message.data for message in first).decode().split("\n")
+    assert text[0] == "$H,LABENC,1.0,IUST6R,6,deg,1000000,100,0123ABCD*4B"
+    assert text[1] == "$A,R,100*22"
+    assert text[2] == "$E,R,2,bad rate*4C"
+    assert text[3].startswith("$T,17,310000,310000*")
+    assert text[4] == "$E,?,1,checksum*6A"
+
+
+def test_motions_are_smooth_and_a_recorded_one_is_played_to_and_fro(tmp_path: Path) -> None:
+    t = np.arange(0.0, 30.0, 0.01)
+    for name in trajectory.NAMES:
+        motion = trajectory.load(name, 6)
+        q = np.array([motion.at(s) for s in t.tolist()])
+        assert np.max(np.abs(np.diff(q, axis=0))) < 0.01
+    path = tmp_path / "motion.csv"
+    path.write_text("t_s,q1_deg\n5.0,0.0\n6.0,10.0\n7.0,20.0\n")
+    recorded = trajectory.load(str(path), 1)
+    found = [np.rad2deg(recorded.at(s))[0] for s in (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)]
+    np.testing.assert_allclose(found, [0, 10, 20, 10, 0, 10], atol=1e-9)
+    with pytest.raises(InputError, match="hold, sweep, sines"):
+        trajectory.load("jive", 6)
+
+
+def test_faults_are_read_or_refused() -> None:
+    known = frozenset({"noise", "silence", "reset"})
+    read = server.parse_faults(["noise=0.1", "silence=10:3", "reset=20"], known)
+    assert read == server.EmulatorFaults(noise=0.1, silence=(10.0, 3.0), reset=(20.0, 20.0))
+    for wrong in ("jump=1:2", "noise=2", "noise", "silence=3", "reset=a"):
+        with pytest.raises(InputError, match="--fault"):
+            server.parse_faults([wrong], known)
+
+
+def test_a_front_that_cannot_be_opened_is_refused() -> None:
+    for where in ("tcp:x", "/dev/there-is-none"):
+        with pytest.raises(InputError):
+            emulators_server.open_front(where, SerialLine())
+
+
+@pytest.mark.parametrize("where", ["tcp:0", "pty"])
+def test_the_command_says_where_it_listens_answers_and_ends_at_ctrl_c(where: str) -> None:
+    words = [sys.executable, "-c", COMMAND, "labenc", "--port", where, "--motion", "sweep"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        address = line.split(" at ")[1].split(";")[0]
+        encoders = kept(LabencEncoders(LabencSettings(address), same_angles(6)))
+        readings = gather(encoders, lambda found: len(found) >= 10)
+        assert np.ptp([reading.q for reading in readings]) > 0
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=10)
+    if where == "pty":
+        assert not Path(address).exists()

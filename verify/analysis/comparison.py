@@ -1,0 +1,320 @@
+"""The encoders' pose less the measured one, pair by pair: what every judgement rests on.
+
+All statistics start from the twist `xi` between the two poses (translation, rotation vector; base
+axes at the flange; m and rad) and the Jacobian that carries joint errors to it. No joint angle is
+inverted for them, so a pair near a singularity does no harm.
+
+Measured pose to joint angles: closed-form inverse, the branch nearest the readings.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import robots
+from verify.core.kernels.linear_algebra import rotation_vectors
+from verify.core.readings import RATE_SPAN, Readings
+from verify.core.records import Array
+from verify.measurement.alignment import MAX_GAP
+from verify.measurement.track import Track
+
+MIN_ACCELERATIONS = 5  # second differences that make a session's mean square
+MAX_GAUGE_STEPS = 12  # Newton on a turn: from half a turn away it takes six
+TOL_GAUGE = 1e-9  # rad
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """n pairs that have both a pose and a reading; arm with j joints."""
+
+    index: NDArray[np.int64]  # (n,), rows of the track
+    t: Array  # (n,), s
+    q: Array  # (n, j), rad, readings at the left camera's instant
+    rate: Array  # (n, j), rad/s
+    direction: Array  # (n, j), last direction of travel
+    jacobian: Array  # (n, 6, j), carries joint errors to xi; see `relinearise`
+    base_T_jacobian: Array  # (n, 4, 4), the flange where the Jacobian is taken
+    base_T_encoder: Array  # (n, 4, 4), the flange where the readings put it
+    base_T_measured: Array  # (n, 4, 4); directions that the LEDs leave open follow the readings
+    xi: Array  # (n, 6), readings' pose less measured
+    covariance: Array  # (n, 6, 6), of xi from pair to pair: pixels, alignment, readings
+    covariance_measured: Array  # (n, 6, 6), of the measured pose alone
+    systematic: Array  # (n, 6, p + 2), d xi / d stated parameter, pan readings last
+    alignment_error: Array  # (n, 6), what alignment left, as far as the neighbours show it
+    determined: tuple[Array, ...]  # n of (6, d)
+    rate_variance: Array  # (j,), (rad/s)², what the readings' noise does to `rate`
+
+    def __len__(self) -> int:
+        """Count the compared pairs."""
+        return len(self.index)
+
+
+def compare(
+    track: Track,
+    arm: robots.Arm,
+    readings: Readings,
+    offset: float | Array,
+    *,
+    resolution: float | None = None,
+    time_uncertainty: float | Array | None = None,
+    known: NDArray[np.bool_] | None = None,
+    missed: Array | None = None,
+) -> Comparison:
+    """Set the readings at each pair's instant against its measured pose.
+
+    Args:
+        track: measured poses.
+        arm: the robot.
+        readings: its joint readings, on the controller's clock.
+        offset: s, added to the readings' time to get the cameras' clock; or one a pair (n,).
+        resolution: rad, the readings' last digit.
+        time_uncertainty: s, of each reading's time stamp; or of those about each pair (n,).
+        known: which pairs to take; those with a reading where not given.
+        missed: (pairs, j), rad, standard uncertainty of what the curve between readings misses.
+
+    Returns:
+        One row a pair that has a reading.
+    """
+    there = track.t - offset
+    if known is None:
+        known = readings.known(there)
+    index = np.flatnonzero(known)
+    there = there[index]
+    q, rate = readings.at(there), readings.rate(there)
+    jacobian = robots.jacobian(arm, q)
+    encoder = robots.forward(arm, q)
+    measured, determined, carry = _complete_poses(
+        track.base_T_flange[index], encoder, tuple(track.determined[i] for i in index)
+    )
+    variance = np.repeat(readings.noise[None] ** 2, len(index), axis=0)
+    if missed is not None:
+        variance = variance + missed[index] ** 2
+    if resolution is not None:
+        variance = variance + resolution**2 / 12
+    spread = np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian)
+    if time_uncertainty is not None:
+        speed = np.einsum("nij,nj->ni", jacobian, rate)
+        doubt = np.broadcast_to(time_uncertainty, track.t.shape)[index, None, None]
+        spread = spread + doubt**2 * speed[:, :, None] * speed[:, None, :]
+    scale = alignment_scale(track)[:, None, None]
+    own = (scale * track.covariance_alignment + track.covariance_pixels)[index]
+    own = carry @ own @ np.swapaxes(carry, 1, 2)
+    return Comparison(
+        index=index,
+        t=track.t[index],
+        q=q,
+        rate=rate,
+        direction=readings.direction(there),
+        jacobian=jacobian,
+        base_T_jacobian=encoder,
+        base_T_encoder=encoder,
+        base_T_measured=measured,
+        xi=twist_difference(encoder, measured),
+        covariance=own + spread,
+        covariance_measured=own,
+        systematic=-carry @ track.systematic[index],
+        alignment_error=-np.einsum("nij,nj->ni", carry, track.alignment_error[index]),
+        determined=determined,
+        rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
+    )
+
+
+def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Comparison:
+    """Take the Jacobian halfway between readings and truth, for errors (j,) of about this size.
+
+    There the first order is exact to the third: a joint that is 3° off accuses no neighbour.
+    """
+    between = comparison.q - error / 2
+    return replace(
+        comparison,
+        jacobian=robots.jacobian(arm, between),
+        base_T_jacobian=robots.forward(arm, between),
+    )
+
+
+def inflate_covariance(comparison: Comparison, factors: Array) -> Comparison:
+    """Let pairs that repeat each other's errors count for fewer.
+
+    Args:
+        comparison: the compared pairs.
+        factors: (6,), by which the variance of a mean grows in each whitened direction.
+    """
+    covariance = comparison.covariance.copy()
+    for i, known in enumerate(comparison.determined):
+        if known.shape[1] == 6:
+            lower = np.linalg.cholesky(covariance[i])
+            covariance[i] = (lower * factors) @ lower.T
+        else:
+            covariance[i] *= factors.max()
+    return replace(comparison, covariance=covariance)
+
+
+def twist_difference(a_T_one: Array, a_T_other: Array) -> Array:
+    """One pose less the other as a twist in a's axes: (n, 4, 4) twice to (n, 6), m and rad."""
+    turn = a_T_one[:, :3, :3] @ np.swapaxes(a_T_other[:, :3, :3], 1, 2)
+    rotation = np.empty((len(turn), 3))
+    rotation_vectors(turn, rotation)
+    return np.concatenate([a_T_one[:, :3, 3] - a_T_other[:, :3, 3], rotation], axis=1)
+
+
+def _complete_poses(
+    measured: Array, encoder: Array, determined: tuple[Array, ...]
+) -> tuple[Array, tuple[Array, ...], Array]:
+    """Move measured poses along what their LEDs leave open to where the readings are nearest.
+
+    A gauge, not a value: the LEDs that were seen stay where they are. The flange's origin moves
+    about them, and with it the point that twists refer to.
+
+    Returns:
+        The poses, what is determined there (functionals of twists at the new origin), and the
+        matrices (n, 6, 6) that carry twists from the old origin to the new one.
+    """
+    filled, known = measured.copy(), list(determined)
+    carry = np.tile(np.eye(6), (len(measured), 1, 1))
+    for i, functionals in enumerate(determined):
+        if functionals.shape[1] == 6:
+            continue
+        for _ in range(MAX_GAUGE_STEPS):
+            hidden = np.linalg.svd(known[i], full_matrices=True)[0][:, known[i].shape[1] :]
+            xi = twist_difference(encoder[i : i + 1], filled[i : i + 1])[0]
+            step = hidden @ np.linalg.lstsq(hidden[3:], xi[3:], rcond=None)[0]
+            _apply_screw(filled[i], step)
+            carry[i] = _twist_transport(filled[i, :3, 3] - measured[i, :3, 3])
+            known[i] = np.linalg.inv(carry[i]).T @ functionals
+            if np.linalg.norm(step[3:]) < TOL_GAUGE:
+                break
+    return filled, tuple(known), carry
+
+
+def _apply_screw(pose: Array, step: Array) -> None:
+    """Turn a pose, in place, by a screw without pitch about the axis that the step defines."""
+    angle = float(np.linalg.norm(step[3:]))
+    if angle == 0.0:
+        return
+    turn = Rotation.from_rotvec(step[3:]).as_matrix()
+    # of a pure turn: velocity at the origin = axis x (origin - a point of the axis)
+    arm = np.cross(step[:3], step[3:]) / angle**2  # origin less the axis' nearest point, negated
+    pose[:3, :3] = turn @ pose[:3, :3]
+    pose[:3, 3] += (np.eye(3) - turn) @ -arm
+
+
+def _twist_transport(shift: Array) -> Array:
+    """Carry a twist to an origin that lies `shift` further on, (6, 6)."""
+    carry = np.eye(6)
+    x, y, z = shift
+    carry[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # rho + phi x shift
+    return carry
+
+
+def alignment_scale(track: Track) -> Array:
+    """How far the session's real accelerations exceed (or fall short of) what poses assumed, (n,).
+
+    The second differences of the measured poses show the motion's acceleration; their mean square
+    over the session, with the poses' own noise taken off, replaces what each pair assumed from its
+    speed: an arm accelerates most where it turns back and has none. Without three neighbouring
+    pairs the assumption stands.
+    """
+    if len(track) < MIN_ACCELERATIONS or not track.covariance_alignment.any():
+        return np.ones(len(track))
+    interval = np.diff(track.t)
+    regular = (interval[:-1] < MAX_GAP) & (interval[1:] < MAX_GAP)
+    full = track.known_dof == 6
+    usable = np.flatnonzero(regular & full[:-2] & full[1:-1] & full[2:]) + 1
+    if len(usable) < MIN_ACCELERATIONS:
+        return np.ones(len(track))
+    pose = track.base_T_flange
+    before = twist_difference(pose[usable], pose[usable - 1]) / interval[usable - 1, None]
+    after = twist_difference(pose[usable + 1], pose[usable]) / interval[usable, None]
+    span = (track.t[usable + 1] - track.t[usable - 1]) / 2
+    acceleration = (after - before) / span[:, None]
+    noise = _second_difference_variance(track, usable, interval, span)
+    square = np.maximum(np.mean(acceleration**2 - noise, axis=0), 0.0)  # of each component
+    seen = np.array([square[:3].mean(), square[3:].mean()])
+    scale: Array = np.mean(seen / track.acceleration_prior**2, axis=1)
+    return scale
+
+
+def _second_difference_variance(
+    track: Track, usable: NDArray[np.int64], interval: Array, span: Array
+) -> Array:
+    """Variance that the poses' own noise gives to a second difference, (u, 6)."""
+    variance = np.diagonal(track.covariance_pixels, axis1=1, axis2=2)
+    early, late = 1 / interval[usable - 1, None], 1 / interval[usable, None]
+    total: Array = (
+        variance[usable - 1] * early**2
+        + variance[usable] * (early + late) ** 2
+        + variance[usable + 1] * late**2
+    ) / span[:, None] ** 2
+    return total
+
+
+# A direction that moves a joint less than this share of the most moved one is rounding.
+MIN_MOTION = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class JointComparison:
+    """n pairs, j joints. Angles in rad, the robot file's own."""
+
+    q: Array  # (n, j), measured; nan where the LEDs or a self-motion leave a joint open
+    error: Array  # (n, j), readings less measured
+    covariance: Array  # (n, j, j), of the error, from pair to pair
+    covariance_measured: Array  # (n, j, j), of the measured angle
+    inverse: Array  # (n, j, 6), d q / d pose
+    reached: NDArray[np.bool_]  # (n,), the arm can stand in the measured pose
+    coupling: tuple[robots.Coupling | None, ...]  # joints that a singularity near by couples
+
+    @property
+    def single(self) -> Array:
+        """Errors that may enter a single joint's statistics: coupled ones are nan; (n, j)."""
+        error = self.error.copy()
+        for i, coupling in enumerate(self.coupling):
+            if coupling is not None:
+                error[i, list(coupling.joints)] = np.nan
+        return error
+
+
+def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:
+    """Find the joint angles of every measured pose, and how well each is known."""
+    n, dof = comparison.q.shape
+    q, reached = robots.nearest(arm, comparison.base_T_measured, comparison.q)
+    jacobian = comparison.jacobian.copy()
+    if reached.any():
+        jacobian[reached] = robots.jacobian(arm, q[reached])
+    inverse = np.asarray(np.linalg.pinv(jacobian, rcond=1e-9), dtype=np.float64)
+    # an exact singularity is flagged, not fatal
+    open_joints = np.array(
+        [_undetermined_joints(inverse[i], jacobian[i], comparison.determined[i]) for i in range(n)],
+        dtype=bool,
+    ).reshape(n, dof)
+    q = np.where(reached[:, None] & ~open_joints, q, np.nan)
+    error = comparison.q - q
+    turned = np.swapaxes(inverse, 1, 2)
+    return JointComparison(
+        q=q,
+        error=np.arctan2(np.sin(error), np.cos(error)),
+        covariance=inverse @ comparison.covariance @ turned,
+        covariance_measured=inverse @ comparison.covariance_measured @ turned,
+        inverse=inverse,
+        reached=reached,
+        coupling=tuple(
+            found if there else None
+            for found, there in zip(robots.couplings(arm, comparison.q), reached, strict=True)
+        ),
+    )
+
+
+def _undetermined_joints(inverse: Array, jacobian: Array, determined: Array) -> NDArray[np.bool_]:
+    """Joints that the undetermined directions, or the arm's self-motion, move; (j,)."""
+    dof = jacobian.shape[1]
+    moved = np.zeros(dof)
+    if determined.shape[1] < 6:
+        hidden = np.linalg.svd(determined, full_matrices=True)[0][:, determined.shape[1] :]
+        moved += np.linalg.norm(inverse @ hidden, axis=1)
+    if dof > 6:
+        _, _, right = np.linalg.svd(jacobian, full_matrices=True)
+        moved += np.linalg.norm(right[6:], axis=0)
+    largest = float(moved.max())
+    return moved > MIN_MOTION * largest if largest > 0 else np.zeros(dof, dtype=bool)

@@ -1,0 +1,1 @@
+"""Fault models, search, candidates, detectability."""

@@ -1,0 +1,162 @@
+"""Causes as they are told: a fault that the data single out, or several they cannot tell apart."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from verify.analysis.diagnosis.faults import Fault, Name, fault_figures
+from verify.analysis.diagnosis.search import FaultProducts, FaultSet
+from verify.core.records import Array
+
+MIN_ADVANTAGE = 15.0  # in chi-squared over every rival with as many coefficients
+MIN_BIC_ADVANTAGE = 10.0  # over rivals with more or fewer, by Schwarz's criterion
+# What would tell two faults apart, by the first kind that either has.
+SEPARATING_MOTIONS = (
+    ("geometry", "other_postures"),
+    ("base_moved", "independent_registration"),
+    ("led_body_slipped", "independent_registration"),
+    ("camera_turned", "other_distances"),
+    ("clock_drift", "longer_record"),
+    ("drift", "return_to_start"),
+    ("camera_skew", "varied_speeds"),
+    ("clock", "varied_speeds"),
+    ("backlash", "two_sided_stops"),
+    ("compliance", "lever_both_sides"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CauseCandidate:
+    """A fault that could be a cause: what it would be, and how much worse it fits."""
+
+    fault: Fault
+    value: float  # SI
+    standard_uncertainty: float
+    advantage: float  # Schwarz's criterion with it in the cause's place, less with the cause
+
+    @property
+    def kind(self) -> str:
+        """Kind of the fault."""
+        return self.fault.kind
+
+    @property
+    def joint(self) -> int | None:
+        """Joint of the fault, from 1; None of a common one."""
+        return self.fault.joint
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """A fault that the data single out, or several that they cannot tell apart. SI units."""
+
+    kind: str  # of a fault, or ambiguous
+    joint: int | None
+    unit: str
+    value: float
+    standard_uncertainty: float
+    explains: float
+    fault: Fault
+    details: dict[str, float]  # rad: phase of an eccentricity, turn of a displacement
+    runner_up: CauseCandidate | None
+    candidates: tuple[CauseCandidate, ...] = ()
+    motion: str | None = None  # that would tell the candidates apart
+    joints: tuple[int, ...] = ()  # that would have to make it
+
+
+def required_advantage(products: FaultProducts) -> Array:
+    """By how much chi-squared with rival k in i's place must exceed that with i, (c, c)."""
+    simpler = _bic_penalty(products)
+    return np.where(simpler == 0, MIN_ADVANTAGE, MIN_BIC_ADVANTAGE - simpler)
+
+
+def _bic_penalty(products: FaultProducts) -> Array:
+    """What Schwarz's criterion holds against rival k for its coefficients, less those of i."""
+    freedom = np.array([fault.freedom for fault in products.faults])
+    simpler: Array = (freedom - freedom[:, None]) * np.log(max(products.rows, 2))
+    return simpler
+
+
+def build_cause(products: FaultProducts, best: FaultSet, i: int) -> Cause:
+    """Tell one member of the best set, with the rivals that come close."""
+    fault, rest = products.faults[i], tuple(k for k in best if k != i)
+    value, uncertainty, details = fault_figures(fault, *products.estimate(best, i))
+    without, least = products.chi2(rest), products.chi2(best)
+    others = _rivals(products, best, i)
+    needed = required_advantage(products)[i]
+    close = [(k, worse) for k, worse in others if worse < needed[k]]
+    # what fits not half as well is kept for the record of the margin alone, not as a suspect
+    suspects = [(k, worse) for k, worse in close if worse < (without - least) / 2] or close[:1]
+    candidates = [CauseCandidate(fault, value, uncertainty, 0.0)]
+    candidates += [_candidate(products, best, i, k, worse) for k, worse in suspects]
+    motion, joints = separating_motion(candidates) if close else (None, ())
+    return Cause(
+        kind="ambiguous" if close else fault.kind,
+        joint=None if close else fault.joint,
+        unit=fault.unit,
+        value=value,
+        standard_uncertainty=uncertainty,
+        explains=1 - least / without if without > 0 else 0.0,
+        fault=fault,
+        details=details,
+        runner_up=_candidate(products, best, i, *others[0]) if others else None,
+        candidates=_first_by_name(candidates) if close else (),
+        motion=motion,
+        joints=joints,
+    )
+
+
+def _rivals(products: FaultProducts, best: FaultSet, i: int) -> list[tuple[int, float]]:
+    """Faults of another name that fit beside the others of a set, and how much worse than i."""
+    rest = tuple(k for k in best if k != i)
+    without, least = products.chi2(rest), products.chi2(best)
+    lowered = products.added(rest)
+    found = [
+        (k, without - float(lowered[k]) - least)
+        for k, fault in enumerate(products.faults)
+        if k not in best and lowered[k] > 0 and fault.name != products.faults[i].name
+    ]
+    simpler = _bic_penalty(products)[i].tolist()
+    return sorted(found, key=lambda entry: entry[1] + simpler[entry[0]])
+
+
+def _candidate(
+    products: FaultProducts, best: FaultSet, i: int, k: int, worse: float
+) -> CauseCandidate:
+    rest = tuple(other for other in best if other != i)
+    value, uncertainty, _ = fault_figures(products.faults[k], *products.estimate((*rest, k), k))
+    return CauseCandidate(
+        products.faults[k], value, uncertainty, worse + float(_bic_penalty(products)[i, k])
+    )
+
+
+def merge_ambiguous(causes: list[Cause]) -> list[Cause]:
+    """Unite what cannot be told apart in one entry with all its candidates."""
+    unclear = [c for c in causes if c.candidates]
+    if len(unclear) < 2:
+        return causes
+    candidates = _first_by_name([k for c in unclear for k in c.candidates])
+    motion, joints = separating_motion(candidates)
+    largest = max(unclear, key=lambda c: c.explains)
+    united = replace(largest, candidates=candidates, motion=motion, joints=joints)
+    return [*(c for c in causes if not c.candidates), united]
+
+
+def _first_by_name(candidates: Iterable[CauseCandidate]) -> tuple[CauseCandidate, ...]:
+    """The first of each name."""
+    found: dict[Name, CauseCandidate] = {}
+    for candidate in candidates:
+        found.setdefault(candidate.fault.name, candidate)
+    return tuple(found.values())
+
+
+def separating_motion(candidates: Sequence[CauseCandidate]) -> tuple[str, tuple[int, ...]]:
+    """The motion that would tell candidates apart, and the joints that have to make it."""
+    joints = tuple(sorted({c.joint for c in candidates if c.joint is not None}))
+    kinds = {c.kind for c in candidates}
+    for kind, motion in SEPARATING_MOTIONS:
+        if kind in kinds:
+            return motion, joints
+    if "dh" in kinds or len(joints) > 1:
+        return "other_postures", joints
+    return "wider_swing", joints

@@ -1,0 +1,163 @@
+"""Which causes explain the errors, and which the data cannot tell apart.
+
+A dictionary of faults is fitted to the whitened errors beside everything that was fitted or stated;
+the set of least cost is taken, and each of its members is named only if no rival can stand in its
+place. Pairs that follow no cause are listed and left out of the fit.
+
+A long session in fewer pairs: a diagnosis tries hundreds of columns, each as long as a session.
+
+More pairs would tell it little: what explains less than a share of the misfit is listed in no case.
+"""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robots
+from verify.analysis.comparison import Comparison
+from verify.analysis.diagnosis.causes import Cause, build_cause, merge_ambiguous
+from verify.analysis.diagnosis.faults import Fault
+from verify.analysis.diagnosis.link_faults import fault_dictionary
+from verify.analysis.diagnosis.search import FaultProducts, FaultSet, search_faults
+from verify.analysis.joint_errors import ResolvedErrors, predict_errors
+from verify.analysis.least_squares import Whitener, solve
+from verify.analysis.model import JointErrorModel, WhitenedColumns
+from verify.core.records import Array
+from verify.core.rig import Rig
+from verify.core.statistics import chi2_isf, chi2_ppf
+
+PER_JOINT_FIELDS = ("rate_variance",)  # of a comparison: one number a joint, not a pair
+
+
+def thin_model(model: JointErrorModel, chosen: NDArray[np.int64]) -> JointErrorModel:
+    """The model of some pairs alone.
+
+    Args:
+        model: n pairs.
+        chosen: their places, increasing.
+    """
+    rows = np.isin(model.white.pair, chosen)
+    factors = tuple(model.white.factors[i] for i in chosen)
+    pair = np.repeat(np.arange(len(factors)), [len(f) for f in factors])
+    return replace(
+        model,
+        comparison=_select_pairs(model.comparison, chosen),
+        white=Whitener(factors, pair.astype(np.int64)),
+        xi=model.xi[rows],
+        joints=model.joints[rows],
+        hidden=model.hidden[rows],
+        fitted=model.fitted[rows],
+        seen=WhitenedColumns(*(getattr(model.seen, f.name)[rows] for f in fields(WhitenedColumns))),
+        prior=model.prior[rows],
+        prior_columns=model.prior_columns[chosen],
+    )
+
+
+def _select_pairs(comparison: Comparison, chosen: NDArray[np.int64]) -> Comparison:
+    changes: dict[str, Any] = {}
+    for field in fields(Comparison):
+        value = getattr(comparison, field.name)
+        if isinstance(value, tuple):
+            changes[field.name] = tuple(value[i] for i in chosen)
+        elif field.name not in PER_JOINT_FIELDS:
+            changes[field.name] = value[chosen]
+    return replace(comparison, **changes)
+
+
+__all__ = ["Cause", "Diagnosis", "find_causes"]
+
+P_OUTLIER = 1e-3  # chance of listing any pair of a session without outliers
+MAX_OUTLIER_SHARE = 0.1  # of the pairs: more of them are no outliers, the fit lacks something
+P_LACK_OF_FIT = 1e-3  # chance of doubting sound figures
+MAX_ROUNDS = 6
+MAX_PAIRS = 2000  # of a session; of longer ones so many, evenly spread
+TOL_MISFIT = 0.01  # of the misfit
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What a session says of the causes of its errors."""
+
+    causes: list[Cause]
+    outlying: NDArray[np.int64]  # rows of the comparison that follow no cause
+    misfit: float  # chi-squared a degree of freedom that the causes leave, where they lack; else 1
+    products: FaultProducts
+
+
+def find_causes(
+    model: JointErrorModel,
+    resolved: ResolvedErrors,
+    arm: robots.Arm | None = None,
+    rig: Rig | None = None,
+) -> Diagnosis:
+    """Find the set of causes that the data ask for, and say where they cannot tell which.
+
+    Args:
+        model: the session's linear model; everything stated counts through its prior.
+        resolved: its smooth fit, from which pairs that lie outside are first told.
+        arm: gives the link parameters that are tried.
+        rig: says where the cameras stand, for the skew of their instants.
+
+    Returns:
+        Causes, pairs that lie outside, and the products that `detectable` takes.
+    """
+    residual = model.xi - predict_errors(model, resolved)
+    chosen = np.arange(len(model.comparison))
+    if len(chosen) > MAX_PAIRS:
+        chosen = np.linspace(0, len(chosen) - 1, MAX_PAIRS).round().astype(np.int64)
+        residual = residual[np.isin(model.white.pair, chosen)]
+        model = thin_model(model, chosen)
+    faults = fault_dictionary(model, arm, rig)
+    outlying = _outliers(model, residual)
+    for _ in range(MAX_ROUNDS):
+        kept = ~np.isin(model.white.pair, outlying)
+        products, best, misfit = _best_set(model, faults, kept)
+        again = _outliers(model, _residual(model, products, best, kept))
+        if np.array_equal(again, outlying):
+            break
+        outlying = again
+    causes = sorted((build_cause(products, best, i) for i in best), key=lambda c: -c.explains)
+    return Diagnosis(merge_ambiguous(causes), chosen[outlying], misfit, products)
+
+
+def _best_set(
+    model: JointErrorModel, faults: list[Fault], kept: NDArray[np.bool_]
+) -> tuple[FaultProducts, FaultSet, float]:
+    """The best set at the misfit that it leaves: a fit that lacks accuses nobody by its noise."""
+    plain = FaultProducts.of(model, faults, kept)
+    misfit = 1.0
+    for _ in range(MAX_ROUNDS):
+        products = plain.doubted(misfit)
+        best = search_faults(products)
+        degrees = products.rows - model.fitted.shape[1] - len(products.columns(best))
+        left = plain.chi2(best)
+        lacking = degrees > 0 and left > chi2_isf(P_LACK_OF_FIT, degrees)
+        before, misfit = misfit, left / degrees if lacking else 1.0
+        if misfit <= before * (1 + TOL_MISFIT):
+            break
+    return products, best, before
+
+
+def _residual(
+    model: JointErrorModel, products: FaultProducts, best: FaultSet, kept: NDArray[np.bool_]
+) -> Array:
+    """Whitened errors (r,) of all pairs less what the causes and all fitted and stated make."""
+    named = [products.faults[i].columns for i in best]
+    free = np.concatenate([model.fitted, *named], axis=1)
+    fit = solve(free[kept], model.xi[kept], model.prior[kept])
+    residual: Array = model.xi - free @ fit.value - model.prior @ fit.held
+    return residual
+
+
+def _outliers(model: JointErrorModel, residual: Array) -> NDArray[np.int64]:
+    """Pairs (of the comparison) whose residual is too large for the others' scatter."""
+    pair, count = model.white.pair, len(model.comparison)
+    distance = np.bincount(pair, residual**2, minlength=count)
+    known = np.bincount(pair, minlength=count)
+    typical = chi2_ppf(0.5, np.maximum(known, 1))
+    scatter = max(float(np.median(distance / typical)), 1.0)
+    limit = scatter * chi2_isf(P_OUTLIER / count, np.maximum(known, 1))
+    found = np.flatnonzero(distance > limit)
+    return found if len(found) <= MAX_OUTLIER_SHARE * count else found[:0]

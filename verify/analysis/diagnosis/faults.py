@@ -1,0 +1,229 @@
+"""One fault that might be, and how its figures are told.
+
+Faults of single joints: what a unit of each would do to every pair.
+
+Signs and zeros are those of docs/results.md: error = reading less true angle. A column is whitened
+as the session's rows are, and holds what the registration left of a fault that was already there.
+
+Faults that belong to no joint: the clock, the cameras' instants, what moved since registration.
+
+The cameras' columns are made of what a turn about its pan axis does to a pose: the widest part of
+what a camera that is late, or was knocked, does to depth.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.analysis.model import JointErrorModel, clock_effect
+from verify.core.records import Array
+from verify.core.rig import Rig
+
+Name = tuple[str, int | None, str | None]
+# beyond this, first order says nothing, and a column is what rounding leaves; m, rad, ratio
+MAX_SIZE = {"deg": np.deg2rad(20.0), "mm": 0.05, "ratio": 0.3}
+# units of faults as they are told, in a SI unit
+UNIT_SCALES = {
+    "deg": 180 / np.pi,
+    "deg/m": 180 / np.pi,
+    "deg/h": 3600 * 180 / np.pi,
+    "mm": 1e3,
+    "s": 1.0,
+    "ppm": 1e6,
+    "ratio": 1.0,
+    "": 1.0,  # of what no single figure tells
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A fault that might be: of one joint (1-based), or a common one (None)."""
+
+    kind: str
+    joint: int | None
+    unit: str  # of its value in summary.json
+    columns: Array  # (r, p), whitened, what a SI unit of each of its p coefficients does
+    parameter: str | None = None  # of a link: a2, d4, alpha1, beta3
+    per_turn: int | None = None  # of an eccentricity
+
+    @property
+    def name(self) -> Name:
+        """What a diagnosis says of it; waves of another number a turn have the same name."""
+        return self.kind, self.joint, self.parameter
+
+    @property
+    def largest(self) -> float:
+        """Largest value that may be told, SI; infinite where there is no such bound."""
+        return float(MAX_SIZE.get(self.unit, np.inf))
+
+    @property
+    def freedom(self) -> int:
+        """Number of its coefficients."""
+        return int(self.columns.shape[1])
+
+
+def fault_figures(
+    fault: Fault, values: Array, covariance: Array
+) -> tuple[float, float, dict[str, float]]:
+    """A fault's size, its standard uncertainty, and what else there is to say of it.
+
+    Args:
+        fault: with p coefficients.
+        values: (p,), SI.
+        covariance: (p, p).
+
+    Returns:
+        Value and standard uncertainty, SI: of several coefficients the length (of a displacement
+        its shift alone; nan of what no single figure tells); and, rad: the phase of an
+        eccentricity, the turn of a displacement.
+    """
+    if not fault.unit:
+        return float("nan"), float("nan"), {}
+    if fault.freedom == 1:
+        return float(values[0]), float(np.sqrt(covariance[0, 0])), {}
+    if fault.kind == "eccentricity":
+        size, u = _size_uncertainty(values, covariance)
+        waves = fault.per_turn or 1
+        return size, u, {"phase": float(np.arctan2(values[1], values[0]) / waves)}
+    shift, u = _size_uncertainty(values[:3], covariance[:3, :3])
+    return shift, u, {"turn": float(np.linalg.norm(values[3:]))}
+
+
+def _size_uncertainty(values: Array, covariance: Array) -> tuple[float, float]:
+    size = float(np.linalg.norm(values))
+    along = values / size if size > 0 else np.zeros_like(values)
+    return size, float(np.sqrt(along @ covariance @ along))
+
+
+MIN_SPAN = np.deg2rad(2.0)  # a joint that turns less shows its offset and nothing else
+MIN_PAIRS_PER_DIRECTION = 3
+MIN_LEVER = 1e-3  # m: shorter ones are rounding
+MIN_LEVER_RATIO = 0.5  # of the longest: a lever that varies less pulls like an offset
+# Below this much of a wave, sine and cosine are a parabola: an offset and a gain in disguise.
+MIN_SPAN_ONE_WAVE = np.deg2rad(60.0)  # of one wave a turn, as the resolved error has it
+MIN_SPAN_WAVES = np.deg2rad(270.0)  # of several a turn, which must show that they come back
+MIN_PAIRS_PER_WAVE = 4  # fewer take one number of waves for another
+WAVES_PER_TURN = (
+    *range(1, 9),
+    10,
+    12,
+    16,
+    20,
+    24,
+    30,
+    36,
+    48,
+    60,
+    72,
+)  # a turn: encoders, cycloids, teeth
+
+
+def joint_faults(model: JointErrorModel, j: int) -> Iterator[Fault]:
+    """Faults of one joint (from 0) that its motion can show at all."""
+    comparison, joint = model.comparison, j + 1
+    yield Fault("offset", joint, "deg", model.offsets[:, [j]])
+    yield from _by_angle(model, j)
+    direction = comparison.direction[:, j]
+    if min(np.sum(direction > 0), np.sum(direction < 0)) >= MIN_PAIRS_PER_DIRECTION:
+        yield Fault("backlash", joint, "deg", shape_columns(model, j, direction[:, None] / 2))
+    # what hangs below pulls with its horizontal lever; an elastic joint reads more than it turned
+    lever = comparison.jacobian[:, 2, j]
+    longest = float(np.abs(lever).max(initial=0.0))
+    if longest > MIN_LEVER and np.ptp(lever) > MIN_LEVER_RATIO * longest:
+        yield Fault("compliance", joint, "deg/m", shape_columns(model, j, lever[:, None]))
+    elapsed = comparison.t - comparison.t[0]
+    if np.ptp(elapsed) > 0:
+        column = model.joints[:, [j]] * elapsed[model.white.pair, None]
+        yield Fault("drift", joint, "deg/h", column)
+
+
+def _by_angle(model: JointErrorModel, j: int) -> Iterator[Fault]:
+    """What changes with the joint's angle alone: gain, and waves of every number a turn."""
+    q = model.comparison.q[:, j]
+    span = float(np.ptp(q))
+    if span <= MIN_SPAN:
+        return
+    yield Fault("gain", j + 1, "ratio", shape_columns(model, j, q[:, None]))
+    shown = [waves for waves in WAVES_PER_TURN if _resolves_waves(q, span, waves)]
+    angles = q[:, None] * np.array(shown, dtype=float)
+    shapes = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
+    columns = shape_columns(model, j, shapes)
+    for i, waves in enumerate(shown):
+        own = columns[:, 2 * i : 2 * i + 2]
+        yield Fault("eccentricity", j + 1, "deg", own, per_turn=waves)
+
+
+def _resolves_waves(q: Array, span: float, waves: int) -> bool:
+    if waves == 1:
+        return bool(span > MIN_SPAN_ONE_WAVE)
+    enough = len(q) >= MIN_PAIRS_PER_WAVE * max(1.0, waves * span / (2 * np.pi))
+    return bool(enough and waves * span > MIN_SPAN_WAVES)
+
+
+def shape_columns(model: JointErrorModel, j: int, shape: Array) -> Array:
+    """Whitened columns (r, p) of a joint's error that varies as `shape` (n, p) does.
+
+    Of its mean, the registration hides what it hides of an offset; what varies about it is seen.
+    """
+    mean = shape.mean(axis=0)
+    varying = model.joints[:, [j]] * (shape - mean)[model.white.pair]
+    columns: Array = varying + model.offsets[:, [j]] * mean
+    return columns
+
+
+def common_faults(model: JointErrorModel, rig: Rig | None) -> list[Fault]:
+    """Every common fault, those included that this session cannot show: their columns are 0."""
+    comparison = model.comparison
+    short = -clock_effect(comparison, steady=True)  # of an offset that wants a second more
+    elapsed = (comparison.t - comparison.t[0])[:, None, None]
+    columns: list[tuple[str, str, Array]] = [
+        ("clock_drift", "ppm", short * elapsed),
+        ("base_moved", "mm", -base_motion(comparison.base_T_jacobian)),
+        ("led_body_slipped", "mm", -body_motion(comparison.base_T_jacobian)),
+        ("camera_turned", "deg", -comparison.systematic[:, :, [-1]]),
+    ]
+    if not model.seen.clock.shape[1]:  # else the offset was fitted, and there is none to correct
+        columns.append(("clock", "s", short))
+    if rig is not None:
+        columns.append(("camera_skew", "s", skew_effect(model, rig)))
+    return [Fault(kind, None, unit, model.white.rows(c)) for kind, unit, c in columns]
+
+
+def base_motion(base_T_flange: Array) -> Array:
+    """Twist (n, 6, 6) of the flange for a motion of what it stands on, base axes."""
+    motion = np.tile(np.eye(6), (len(base_T_flange), 1, 1))
+    for k in range(3):
+        motion[:, :3, 3 + k] = np.cross(np.eye(3)[k], base_T_flange[:, :3, 3])
+    return motion
+
+
+def body_motion(base_T_flange: Array) -> Array:
+    """Twist (n, 6, 6) of the flange for a motion of itself in its own axes."""
+    motion = np.zeros((len(base_T_flange), 6, 6))
+    motion[:, :3, :3] = motion[:, 3:, 3:] = base_T_flange[:, :3, :3]
+    return motion
+
+
+def skew_effect(model: JointErrorModel, rig: Rig) -> Array:
+    """What a second by which the right picture is later than stamped does to xi, (n, 6, 1).
+
+    Half of it is a common delay of both pictures; the other half turns the right camera's rays on
+    and the left one's back, by the angle that the LEDs pass in it, and shows as depth. How the
+    rays cross above and below is left out: it shows in the residuals of the spots, not in the pose.
+    """
+    comparison = model.comparison
+    speed = np.einsum("nij,nj->ni", comparison.jacobian, comparison.rate)[:, :3]
+    rig_R_base = rig.rig_T_base[:3, :3]
+    place = comparison.base_T_jacobian[:, :3, 3] @ rig_R_base.T + rig.rig_T_base[:3, 3]
+    velocity = speed @ rig_R_base.T
+    apart = np.zeros((len(comparison), 6))
+    for camera, column, sign in ((rig.left, -2, -0.5), (rig.right, -1, 0.5)):
+        arm = place - camera.pan_center
+        arm = arm - np.outer(arm @ camera.pan_axis, camera.pan_axis)
+        turning = np.cross(arm, velocity) @ camera.pan_axis / np.sum(arm**2, axis=1)
+        apart += sign * turning[:, None] * comparison.systematic[:, :, column]
+    if not apart.any():  # no cameras, or nothing moves across them
+        return np.zeros((len(comparison), 6, 1))
+    effect: Array = apart[:, :, None] + clock_effect(comparison, steady=True) / 2
+    return effect

@@ -1,0 +1,165 @@
+"""What a wrong link parameter does to every pair: the arm is not quite what its table says.
+
+Standard DH, RotZ(θ) TransZ(d) TransX(a) RotX(α), with Hayati's RotY(β) behind it where the next
+axis is parallel: there the common normal is nowhere in particular, and d slides along with the d of
+the next joint. Source: Hayati, Robot arm geometric link parameter estimation, 22nd IEEE CDC, 1983.
+
+An arm whose links are off all over: one fault of many coefficients, for any arm.
+
+A real arm is seldom built as its table says, and no single length or twist then explains it. What
+many of them do together would pass for offsets, waves and drifts of the joints, so it is tried as
+a whole: every link may be displaced against the next axis in the four ways that matter.
+
+Where an arm's links are, and how the flange moves when one of them is not what it should be.
+
+Everything that a diagnosis tries.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import robots
+from verify.analysis.diagnosis.faults import (
+    Fault,
+    base_motion,
+    body_motion,
+    common_faults,
+    joint_faults,
+)
+from verify.analysis.model import JointErrorModel
+from verify.core.records import Array
+from verify.core.rig import Rig
+
+MIN_SINGULAR_VALUE = (
+    1e-3  # of the largest singular value: what registration leaves of a gauge is rounding
+)
+
+
+def geometry_fault(model: JointErrorModel, arm: robots.Arm) -> Fault:
+    """All links together; what the session's own registration takes in is left out."""
+    rows = model.white.rows(link_displacements(arm, model.comparison.q))
+    rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    taken = [model.fitted]
+    if model.through_encoders:  # registered by another motion: as if it had been this one
+        pose = model.comparison.base_T_jacobian
+        body = np.zeros((len(pose), 6, 6))
+        body[:, :3, :3] = body[:, 3:, 3:] = pose[:, :3, :3]
+        taken.append(model.white.rows(np.concatenate([base_motion(pose), body], axis=2)))
+    beside = np.concatenate(taken, axis=1)
+    basis, size, _ = np.linalg.svd(
+        beside / np.maximum(np.linalg.norm(beside, axis=0), 1e-300), full_matrices=False
+    )
+    basis = basis[:, size > 1e-9]
+    columns, size, _ = np.linalg.svd(rows - basis @ (basis.T @ rows), full_matrices=False)
+    return Fault("geometry", None, "", columns[:, size > MIN_SINGULAR_VALUE * size[0]])
+
+
+def link_displacements(arm: robots.Arm, q: Array) -> Array:
+    """Twist of the flange (m, 6, 4 (n - 1)) when links 1 to n - 1 are displaced, at angles (m, n).
+
+    Each along and about two directions square to the next axis: along it a link may slide, and
+    about it turn, as that joint's zero does. Axes by products of exponentials from q = 0.
+    """
+    rest = np.zeros(arm.dof)
+    tip = robots.forward(arm, rest)[:3, 3]
+    columns = robots.jacobian(arm, rest)
+    axes = columns[3:].T
+    points = tip - np.cross(columns[:3].T, axes)  # of each axis, nearest to the flange
+    flange = robots.forward(arm, q)[:, :3, 3]
+    turn, shift = np.tile(np.eye(3), (len(q), 1, 1)), np.zeros((len(q), 3))
+    effects = []
+    for j in range(arm.dof - 1):
+        own = Rotation.from_rotvec(q[:, [j]] * axes[j]).as_matrix()
+        shift = shift + turn @ points[j] - (turn @ own) @ points[j]
+        turn = turn @ own
+        place = turn @ points[j + 1] + shift
+        across = np.linalg.svd(axes[[j + 1]])[2][1:]  # two directions square to the next axis
+        for direction in across:
+            way = turn @ direction
+            effects.append(np.concatenate([way, np.zeros_like(way)], axis=1))
+            effects.append(np.concatenate([np.cross(way, flange - place), way], axis=1))
+    return np.stack(effects, axis=2)
+
+
+def link_frames(arm: robots.DhArm, q: Array) -> Array:
+    """DH frames 0 to n of joint angles (m, n): base_T_frame, (m, n + 1, 4, 4)."""
+    frames = np.tile(np.eye(4), (len(q), arm.dof + 1, 1, 1))
+    theta = arm.theta(q)
+    for i in range(arm.dof):
+        c, s = np.cos(theta[:, i]), np.sin(theta[:, i])
+        ca, sa = np.cos(arm.alpha[i]), np.sin(arm.alpha[i])
+        step = np.tile(np.eye(4), (len(q), 1, 1))
+        step[:, 0] = np.stack([c, -s * ca, s * sa, arm.a[i] * c], axis=1)
+        step[:, 1] = np.stack([s, c * ca, -c * sa, arm.a[i] * s], axis=1)
+        step[:, 2] = [0.0, sa, ca, arm.d[i]]
+        frames[:, i + 1] = frames[:, i] @ step
+    return frames
+
+
+def translation_twist(axis: Array) -> Array:
+    """Twist of the flange (m, 6, 1) a metre along axes (m, 3)."""
+    return np.concatenate([axis, np.zeros_like(axis)], axis=1)[:, :, None]
+
+
+def rotation_twist(axis: Array, lever: Array) -> Array:
+    """Likewise a radian about axes (m, 3) that the flange is a lever (m, 3), m, away from."""
+    return np.concatenate([np.cross(axis, lever), axis], axis=1)[:, :, None]
+
+
+MAX_PARALLEL_SINE = np.sin(np.deg2rad(10.0))  # below, two axes count as parallel
+
+
+def link_faults(model: JointErrorModel, arm: robots.DhArm) -> list[Fault]:
+    """One fault a link parameter; values are what has to be added to the robot file."""
+    comparison = model.comparison
+    frames = link_frames(arm, comparison.q)
+    tip = frames[:, -1, :3, 3]
+    parallel = np.append(np.abs(np.sin(arm.alpha[:-1])) < MAX_PARALLEL_SINE, False)
+    effects: list[tuple[int, str, str, Array]] = []
+    for i in range(arm.dof):
+        before, after = frames[:, i], frames[:, i + 1]
+        lever = tip - after[:, :3, 3]
+        effects.append((i, "a", "mm", translation_twist(after[:, :3, 0])))
+        effects.append((i, "alpha", "deg", rotation_twist(after[:, :3, 0], lever)))
+        if parallel[i]:
+            effects.append((i, "beta", "deg", rotation_twist(after[:, :3, 1], lever)))
+        else:
+            effects.append((i, "d", "mm", translation_twist(before[:, :3, 2])))
+    rows = [-model.white.rows(effect) for _, _, _, effect in effects]
+    if model.through_encoders and not model.stands_in:
+        rows = _minus_registration(model, rows)
+    return [
+        Fault("dh", i + 1, unit, columns, parameter=f"{name}{i + 1}")
+        for (i, name, unit, _), columns in zip(effects, rows, strict=True)
+    ]
+
+
+def _minus_registration(model: JointErrorModel, rows: list[Array]) -> list[Array]:
+    """Take off what base and LEDs took in of it, as if they were registered by this motion.
+
+    They were registered by another one, which is not known here; a length was as wrong then.
+    """
+    pose = model.comparison.base_T_jacobian
+    taken = model.white.rows(np.concatenate([base_motion(pose), body_motion(pose)], axis=2))
+    basis, size, _ = np.linalg.svd(taken, full_matrices=False)
+    basis = basis[:, size > 1e-9 * size[0]]
+    return [columns - basis @ (basis.T @ columns) for columns in rows]
+
+
+def fault_dictionary(
+    model: JointErrorModel, arm: robots.Arm | None = None, rig: Rig | None = None
+) -> list[Fault]:
+    """Every fault that this session's motion can show at all.
+
+    Args:
+        model: the session.
+        arm: gives the links; without one none are tried, and single ones need a DH table.
+        rig: says where the cameras stand; without it their skew is not tried.
+    """
+    faults = [f for j in range(model.joints.shape[1]) for f in joint_faults(model, j)]
+    faults += common_faults(model, rig)
+    if isinstance(arm, robots.DhArm):
+        faults += link_faults(model, arm)
+    if arm is not None and arm.dof > 1:
+        faults.append(geometry_fault(model, arm))
+    return [f for f in faults if f.freedom and np.all(np.linalg.norm(f.columns, axis=0) > 0)]

@@ -1,0 +1,228 @@
+"""Which set of faults explains the errors best: products of columns, and a search among sets.
+
+Everything needed of a session is the products of what registration, clock and stated doubts leave
+of the faults' columns and of the errors; any set is then solved in a few small matrices.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from verify.analysis.diagnosis.faults import Fault
+from verify.analysis.least_squares import residual_products
+from verify.analysis.model import JointErrorModel
+from verify.core.records import Array
+from verify.core.statistics import chi2_isf
+
+P_FALSE_ALARM = 5e-3  # chance of accusing anybody at all where nothing is wrong
+MIN_SHARE = 0.01  # of the misfit: what explains less is no cause worth a name
+TOL_RANK = 1e-8  # of a normalised Gram matrix: closer columns cannot be told apart at all
+DETECTION_SIGMA = 4.13  # standard deviations: false alarm 0.1 %, power 80 %
+BEAM_WIDTH = 16  # sets that are carried on, of each size
+MAX_CAUSES = 8
+MAX_SIZES_WITHOUT_GAIN = 2  # sizes without a better set after which none is expected
+
+FaultSet = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class FaultProducts:
+    """What is left of c faults with p columns in all, and of the errors."""
+
+    faults: list[Fault]
+    gram: Array  # (p, p), of columns scaled to length 1
+    moment: Array  # (p,)
+    power: float
+    scale: Array  # (p,), length of the columns before
+    rows: int  # what the errors were, in number
+    places: list[NDArray[np.int64]]  # columns of each fault
+    visible: NDArray[np.bool_]  # (c,), something of the fault is left
+    price: Array  # (c,), in chi-squared, of listing a fault
+
+    @classmethod
+    def of(
+        cls, model: JointErrorModel, faults: list[Fault], kept: NDArray[np.bool_]
+    ) -> "FaultProducts":
+        """Project out what was fitted and stated.
+
+        Args:
+            model: the session.
+            faults: what is tried.
+            kept: (r,), rows to take.
+        """
+        target = np.concatenate([*(f.columns for f in faults), model.xi[:, None]], axis=1)[kept]
+        whole = np.linalg.norm(target[:, :-1], axis=0)
+        scale = np.where(whole > 0, whole, 1.0)
+        target[:, :-1] /= scale
+        products = residual_products(model.fitted[kept], target, model.prior[kept])
+        ends = np.cumsum([f.freedom for f in faults])
+        places = [np.arange(end - f.freedom, end) for f, end in zip(faults, ends, strict=True)]
+        gram = products[:-1, :-1].copy()
+        least, narrowest = np.empty(len(faults)), np.empty(len(faults))
+        for which, at in _group_by_columns(places):
+            least[which] = np.linalg.eigvalsh(gram[at[:, :, None], at[:, None, :]])[:, 0]
+            narrowest[which] = scale[at].min(axis=1)
+        known = np.sqrt(np.maximum(least, 0.0)) * narrowest
+        sizes = np.array([f.largest for f in faults])
+        visible = (least > TOL_RANK) & (known * sizes > DETECTION_SIGMA)
+        rows = int(kept.sum())
+        return cls(
+            faults, gram, products[:-1, -1].copy(), float(products[-1, -1]), scale, rows, places,
+            visible, _penalties(faults, visible, rows),
+        )  # fmt: skip
+
+    def doubted(self, misfit: float) -> "FaultProducts":
+        """The same with errors that are `misfit` times as likely as stated, as variances go."""
+        root = np.sqrt(misfit)
+        return replace(
+            self, moment=self.moment / root, power=self.power / misfit, scale=self.scale / root
+        )
+
+    def columns(self, chosen: FaultSet) -> NDArray[np.int64]:
+        """Places of the columns of a set."""
+        return np.concatenate([self.places[i] for i in chosen] or [np.zeros(0, dtype=np.int64)])
+
+    def chi2(self, chosen: FaultSet) -> float:
+        """Misfit with these faults fitted; infinite where they cannot be told apart."""
+        at = self.columns(chosen)
+        normal = self.gram[np.ix_(at, at)]
+        size = np.sqrt(np.diag(normal))
+        if len(at) and np.linalg.eigvalsh(normal / np.outer(size, size))[0] < TOL_RANK:
+            return float("inf")
+        solution = np.linalg.solve(normal, self.moment[at]) if len(at) else self.moment[at]
+        return self.power - float(solution @ self.moment[at])
+
+    def estimate(self, chosen: FaultSet, i: int) -> tuple[Array, Array]:
+        """Coefficients (p,) of one of a set and their covariance, SI, all fitted together."""
+        at = self.columns(chosen)
+        inverse = np.linalg.inv(self.gram[np.ix_(at, at)])
+        own = np.isin(at, self.places[i])
+        scale = self.scale[self.places[i]]
+        return (inverse @ self.moment[at])[own] / scale, inverse[np.ix_(own, own)] / np.outer(
+            scale, scale
+        )
+
+    def added(self, chosen: FaultSet) -> Array:
+        """By how much each fault would lower the misfit beside a set, (c,); 0 where it cannot."""
+        at, lowered = self.columns(chosen), np.zeros(len(self.faults))
+        beside = np.column_stack([self.gram, self.moment])[at]
+        try:
+            root = np.linalg.cholesky(self.gram[np.ix_(at, at)])
+        except np.linalg.LinAlgError:  # it cannot be told apart itself
+            return lowered
+        half = solve_triangular(root, beside, lower=True, check_finite=False)
+        for which, columns in self.seen:
+            own = half[:, columns]
+            block = self.gram[columns[:, :, None], columns[:, None, :]] - np.einsum(
+                "cka,ckb->kab", own, own
+            )
+            part = self.moment[columns] - np.einsum("cka,c->ka", own, half[:, -1])
+            told = _least_eigenvalue(block) > TOL_RANK
+            solved = _solve_blocks(block[told], part[told])
+            lowered[which[told]] = np.sum(solved * part[told], axis=1)
+        lowered[list(chosen)] = 0.0
+        return lowered
+
+    @cached_property
+    def seen(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """Visible faults (k,) with as many columns as each other, f, and the columns (k, f)."""
+        kept = ((which, at, self.visible[which]) for which, at in _group_by_columns(self.places))
+        return [(which[seen], at[seen]) for which, at, seen in kept if seen.any()]
+
+    def cost(self, chosen: FaultSet) -> float:
+        """The criterion: misfit and the prices of what is listed."""
+        return self.chi2(chosen) + float(self.price[list(chosen)].sum())
+
+
+def _least_eigenvalue(block: Array) -> Array:
+    """Of symmetric matrices (k, f, f); most are single numbers, or two by two."""
+    if block.shape[1] == 1:
+        return np.asarray(block[:, 0, 0])
+    if block.shape[1] == 2:
+        one, other, mixed = block[:, 0, 0], block[:, 1, 1], block[:, 0, 1]
+        return np.asarray((one + other) / 2 - np.hypot((one - other) / 2, mixed))
+    return np.asarray(np.linalg.eigvalsh(block)[:, 0])
+
+
+def _solve_blocks(block: Array, part: Array) -> Array:
+    """Solve (k, f, f) for (k, f)."""
+    if block.shape[1] == 1:
+        return np.asarray(part / block[:, 0])
+    return np.asarray(np.linalg.solve(block, part[:, :, None])[:, :, 0])
+
+
+def _group_by_columns(
+    places: list[NDArray[np.int64]],
+) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Faults (k,) with as many columns as each other, f, and the columns (k, f)."""
+    freedom = np.array([len(place) for place in places])
+    groups = [np.flatnonzero(freedom == each) for each in np.unique(freedom).tolist()]
+    return [(which, np.array([places[i] for i in which])) for which in groups]
+
+
+def _penalties(faults: list[Fault], visible: NDArray[np.bool_], rows: int) -> Array:
+    """What a fault has to lower chi-squared by to be listed.
+
+    More than Schwarz's criterion asks, and more than chance gives the best of them all once in
+    1 / P_FALSE_ALARM sessions (Bonferroni); and in a long session, where the smallest effect
+    that nobody stated becomes significant, a share of the misfit.
+    """
+    each = P_FALSE_ALARM / max(int(visible.sum()), 1)
+    freedom = np.array([f.freedom for f in faults])
+    chance = np.asarray(chi2_isf(each, freedom), dtype=np.float64)
+    schwarz = freedom * np.log(max(rows, 2))
+    prices: Array = np.maximum.reduce([chance, schwarz, np.full(len(faults), MIN_SHARE * rows)])
+    return prices
+
+
+def search_faults(products: FaultProducts) -> FaultSet:
+    """The set of faults of least cost.
+
+    Sets grow a fault at a time, the best BEAM_WIDTH of every size carried on, so that two faults that
+    together pass for a third one are still found; then members are exchanged while that helps.
+    """
+    best: FaultSet = ()
+    least = products.cost(best)
+    beam, size, idle = [(least, best)], 0, 0
+    while size < MAX_CAUSES and idle < MAX_SIZES_WITHOUT_GAIN:
+        size += 1
+        beam = [(products.cost(chosen), chosen) for chosen in _extend_sets(products, beam)]
+        if not beam:
+            break
+        idle += 1
+        cost, chosen = min(beam)
+        if cost < least:
+            best, least, idle = chosen, cost, 0
+    return _exchange_members(products, best)
+
+
+def _extend_sets(products: FaultProducts, beam: list[tuple[float, FaultSet]]) -> list[FaultSet]:
+    """The best sets with one fault more than those of known cost."""
+    found: dict[FaultSet, float] = {}
+    for cost, chosen in beam:
+        lowered = products.added(chosen)
+        for i in np.argsort(products.price - lowered)[:BEAM_WIDTH].tolist():
+            if lowered[i] > 0:
+                found[tuple(sorted((*chosen, i)))] = cost - lowered[i] + float(products.price[i])
+    return sorted(found, key=lambda c: found[c])[:BEAM_WIDTH]
+
+
+def _exchange_members(products: FaultProducts, best: FaultSet) -> FaultSet:
+    """Leave out or exchange members as long as the cost falls."""
+    least, better = products.cost(best), True
+    while better:
+        better = False
+        for i in best:
+            without = tuple(k for k in best if k != i)
+            lowered = products.added(without)
+            k = int(np.argmin(products.price - lowered))
+            for chosen in (without, tuple(sorted((*without, k)))):
+                cost = products.cost(chosen)
+                if cost < least - 1e-9:
+                    best, least, better = chosen, cost, True
+            if better:
+                break
+    return best

@@ -1,0 +1,319 @@
+"""Poses that another instrument measured, as measurements: all that follows is the cameras' own.
+
+A pose from a file has no spots, so it carries its covariance ready made, and the stated doubts
+that move it are those of the robot's base and of the body on the flange.
+
+The noise of an instrument that does not state it, from the data's own scatter.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import robots
+from verify.analysis.comparison import compare
+from verify.core.readings import Readings
+from verify.core.records import Array, Measurement, Pose
+from verify.io.session.poses import Instrument
+from verify.io.session.session import Session
+from verify.measurement.alignment import MAX_GAP
+from verify.measurement.sensitivities import AXES
+from verify.measurement.systematics import BODY, Systematics, stated_systematics
+from verify.measurement.track import Track, collect_track
+
+NOISE = "the instrument's noise"
+CALIBRATION_SOURCE = "the instrument's own calibration"
+BODY_SOURCE = "the body on the flange"
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentNoise:
+    """What varies from pose to pose: standard uncertainties a coordinate, in the file's axes."""
+
+    position: Array  # (n, 3), m
+    orientation: Array  # (n, 3), rad
+    position_known: bool  # stated, or found in the data
+    orientation_known: bool  # also where no orientation was measured
+
+    @property
+    def known(self) -> bool:
+        """Nothing is left to be found, or to be taken as exact."""
+        return self.position_known and self.orientation_known
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredPoses:
+    """What an instrument's file gives, as the chain gives it from pictures."""
+
+    measurements: list[Measurement]
+    track: Track
+    systematics: Systematics
+
+
+def instrument_setup(session: Session, instrument: Instrument) -> dict[str, Any]:
+    """What a reader needs to know of the instrument, JSON-able; millimetres and degrees.
+
+    As `description.describe` words rig and marker; of these, what there is without cameras.
+    """
+    rig, body = session.rig, instrument.flange_T_body
+    base_turn, body_turn = (
+        Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True).tolist()
+        for pose in (rig.rig_T_base, body)
+    )
+    return {
+        "instrument": {
+            "name": instrument.name,
+            "poses": len(instrument.poses),
+            "positions_alone": instrument.positions_alone,
+        },
+        "rig": {
+            "instrument": instrument.name,
+            "base_source": rig.base_source,
+            "base_position_mm": (rig.rig_T_base[:3, 3] * 1e3).tolist(),
+            "base_rotation_vector_deg": base_turn,
+            "registration": rig.registration,
+        },
+        "marker": {
+            "source": session.marker.source,
+            "point_mm": (body[:3, 3] * 1e3).tolist(),
+            "body_rotation_vector_deg": None if instrument.positions_alone else body_turn,
+        },
+    }
+
+
+def stated_noise(instrument: Instrument) -> InstrumentNoise:
+    """What the file or [poses] states; where neither does, what the last decimal leaves."""
+    poses = instrument.poses
+    given = poses.position_uncertainty, poses.orientation_uncertainty
+    constant = instrument.position_uncertainty, instrument.orientation_uncertainty
+    position, orientation = (
+        own if own is not None else np.full((len(poses), 3), least if rest is None else rest)
+        for own, rest, least in zip(given, constant, poses.rounding, strict=True)
+    )
+    known = [own is not None or rest is not None for own, rest in zip(given, constant, strict=True)]
+    return InstrumentNoise(position, orientation, known[0], known[1] or instrument.positions_alone)
+
+
+def measure_poses(
+    session: Session,
+    instrument: Instrument,
+    readings: Readings,
+    noise: InstrumentNoise,
+    offset: float | None = None,
+) -> MeasuredPoses:
+    """Take an instrument's poses as measured; each carries this noise.
+
+    Args:
+        session: whose robot was measured, and where it stands.
+        instrument: the session's, or one with other poses.
+        readings: the robot's own.
+        noise: of the poses.
+        offset: s, of the readings' clock as far as it is known; None: as session.toml has it.
+            Where positions alone were measured the orientation follows the readings, a gauge that
+            no statistic sees; the nearer, the sooner it settles.
+    """
+    if offset is None:
+        offset = 0.0 if session.clock is None else session.clock.encoder_offset
+    measurements = list(_measurements(session, instrument, readings, noise, offset))
+    systematics = _stated_uncertainties(session, noise)
+    moved = [
+        _sensitivities(systematics, m.pose.rig_T_flange, session.rig.rig_T_base)
+        for m in measurements
+        if m.pose is not None
+    ]
+    return MeasuredPoses(measurements, collect_track(measurements, session.rig, moved), systematics)
+
+
+def _measurements(
+    session: Session,
+    instrument: Instrument,
+    readings: Readings,
+    noise: InstrumentNoise,
+    offset: float,
+) -> Iterator[Measurement]:
+    """One measured pair a pose."""
+    poses, flange_T_body = instrument.poses, instrument.flange_T_body
+    if poses.rotation is not None:
+        rig_R_flange = poses.rotation @ flange_T_body[:3, :3].T
+    else:
+        there = np.clip(poses.t - offset, *readings.t[[0, -1]])
+        base_T_flange = robots.forward(session.arm, readings.at(there))
+        rig_R_flange = session.rig.rig_T_base[:3, :3] @ base_T_flange[:, :3, :3]
+    lever = rig_R_flange @ flange_T_body[:3, 3]
+    for i, t in enumerate(poses.t.tolist()):
+        rig_T_flange = np.eye(4)
+        rig_T_flange[:3, :3] = rig_R_flange[i]
+        rig_T_flange[:3, 3] = poses.position[i] - lever[i]
+        gain, determined = _point_to_flange(lever[i], alone=instrument.positions_alone)
+        sigma = np.concatenate([noise.position[i], noise.orientation[i]])[: gain.shape[1]]
+        pose = _pose(rig_T_flange, (gain * sigma**2) @ gain.T, determined)
+        yield Measurement(frame=i, t=t, status="measured", leds_seen=0, pose=pose)
+
+
+def _point_to_flange(lever: Array, *, alone: bool) -> tuple[Array, Array]:
+    """How the flange moves with what was measured, and what of it is determined.
+
+    Args:
+        lever: (3,), m, from the flange to the measured point, in the instrument's axes.
+        alone: the position alone was measured, else the pose.
+
+    Returns:
+        (6, 3 or 6), the flange's twist by the point's shift (and the body's turn); and (6, d),
+        orthonormal.
+    """
+    x, y, z = lever
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # lever x .
+    if not alone:
+        gain = np.eye(6)
+        gain[:3, 3:] = across
+        return gain, np.eye(6)
+    point = np.concatenate([np.eye(3), -across], axis=1)  # of a twist: rho + phi x lever
+    determined = np.linalg.qr(point.T)[0]
+    return determined @ np.linalg.inv(point @ determined), determined
+
+
+def _pose(rig_T_flange: Array, covariance: Array, determined: Array) -> Pose:
+    """A pose without spots; how it moves, no picture says."""
+    return Pose(
+        rig_T_flange=rig_T_flange,
+        covariance_pixels=covariance,
+        covariance_alignment=np.zeros((6, 6)),  # one instrument, one instant
+        twist=np.full(6, np.nan),
+        acceleration_prior=(np.nan, np.nan),
+        determined=determined,
+        gain=np.zeros((6, 0)),
+        sensitivity=np.zeros((0, 2, 3)),
+        curvature=np.zeros((0, 2)),
+        residual=np.zeros((0, 2)),
+        spot_uncertainty=np.zeros(0),
+        rejected=np.zeros(0, dtype=np.bool_),
+        consistent=True,
+        chi2=0.0,
+        degrees_of_freedom=0,
+    )
+
+
+def _stated_uncertainties(session: Session, noise: InstrumentNoise) -> Systematics:
+    """What is stated of the robot's base and of the body; the rest is taken as exact."""
+    found = stated_systematics(session.rig, session.marker, turning=False)
+    mine = [i for i, n in enumerate(found.names) if n.startswith(("robot_base.", "body."))]
+    names = tuple(found.names[i] for i in mine)
+    heads = {name.partition(".")[0] for name in names}
+    counted = {
+        "robot base": "robot_base" in heads,
+        BODY_SOURCE: "body" in heads,
+        NOISE: noise.known,
+        CALIBRATION_SOURCE: False,
+        "robot table": False,
+    }
+    return replace(
+        found,
+        names=names,
+        sources=tuple(BODY_SOURCE if n.startswith("body.") else "robot base" for n in names),
+        covariance=found.covariance[np.ix_(mine, mine)],
+        pan=np.full(2, np.nan),
+        uncounted=tuple(source for source, counts in counted.items() if not counts),
+    )
+
+
+def _sensitivities(parameters: Systematics, rig_T_flange: Array, rig_T_base: Array) -> Array:
+    """How the measured pose in the robot's base changes with each parameter; (6, p + 2).
+
+    As `systematics.sensitivities`; its last two columns are pan readings, which there are none of.
+    """
+    columns = np.zeros((6, len(parameters.names) + 2))
+    for i, name in enumerate(parameters.names):
+        head, _, key = name.partition(".")
+        turns, axis = divmod(BODY.index(key), len(AXES))
+        if head == "body":
+            moved, arm = rig_T_flange[:3, axis], np.zeros(3)
+        else:
+            moved, arm = np.eye(3)[axis], rig_T_flange[:3, 3] - rig_T_base[:3, 3]
+        # the flange's place in what holds it moves against that
+        columns[:3, i] = -np.cross(moved, arm) if turns else -moved
+        columns[3:, i] = -moved if turns else 0.0
+    base_R_rig = rig_T_base[:3, :3].T
+    columns[:3], columns[3:] = base_R_rig @ columns[:3], base_R_rig @ columns[3:]
+    return columns
+
+
+WINDOW = 5  # poses in a row that a parabola is laid through: two are left over
+MIN_WINDOWS = 12  # for a scatter that is worth the name
+MEDIAN_CHI2 = 5.348  # of six degrees of freedom: two that are left over, of three coordinates
+MEDIAN_VARIANCE_FACTOR = (
+    1.3  # a variance from a median of squares is less certain than one from their mean
+)
+PARTS = (slice(0, 3), slice(3, 6))  # translation and rotation of a twist
+
+
+def noise_from_scatter(
+    session: Session, instrument: Instrument, track: Track, readings: Readings, offset: float
+) -> InstrumentNoise | None:
+    """Noise that is not stated, from the data's own scatter about the readings.
+
+    How far the poses lie from where the readings put them changes slowly, whatever is wrong with
+    the robot; a parabola through five in a row leaves the noise. The median over all windows keeps
+    single jumps out; the readings' own share is taken off.
+
+    Args:
+        session: whose robot was measured.
+        instrument: with noise that is not, or not all, stated.
+        track: its poses.
+        readings: the robot's own.
+        offset: s, of their clock.
+
+    Returns:
+        All of the noise; None where poses are too few, or too far apart in time, to show it.
+    """
+    comparison = compare(
+        track, session.arm, readings, offset, resolution=session.encoder_resolution
+    )
+    first = _windows(comparison.t)
+    if len(first) < MIN_WINDOWS:
+        return None
+    # at the measured point: of positions alone, nothing else is known
+    point = instrument.flange_T_body[:, 3]
+    off = comparison.xi.copy()
+    off[:, :3] = ((comparison.base_T_encoder - comparison.base_T_measured) @ point)[:, :3]
+    left = _residual_squares(comparison.t, off, first)
+    of_readings = comparison.covariance - comparison.covariance_measured
+    doubt = MEDIAN_VARIANCE_FACTOR * np.sqrt(
+        2 / (2 * 3 * len(comparison) / WINDOW)
+    )  # of a variance, relative
+    sigma = []
+    for part, least in zip(PARTS, instrument.poses.rounding, strict=True):
+        share = np.trace(of_readings[:, part, part], axis1=1, axis2=2).mean() / 3
+        total = np.median(left[:, part].sum(axis=1)) / MEDIAN_CHI2
+        # noise that drowns in the readings' own may be as large as the doubt of the difference
+        sigma.append(float(np.sqrt(max(total - share, doubt * total, least**2))))
+    noise = stated_noise(instrument)
+    return InstrumentNoise(
+        noise.position if noise.position_known else np.full_like(noise.position, sigma[0]),
+        noise.orientation if noise.orientation_known else np.full_like(noise.orientation, sigma[1]),
+        position_known=True,
+        orientation_known=True,
+    )
+
+
+def _windows(t: Array) -> NDArray[np.int64]:
+    """Where WINDOW poses follow each other without a gap: the first of each, (w,)."""
+    if len(t) < WINDOW:
+        return np.zeros(0, dtype=np.int64)
+    close = np.lib.stride_tricks.sliding_window_view(np.diff(t) <= MAX_GAP, WINDOW - 1)
+    return np.flatnonzero(close.all(axis=1))
+
+
+def _residual_squares(t: Array, values: Array, first: NDArray[np.int64]) -> Array:
+    """Sums of squares that a parabola in time leaves of (n, 6) values in each window, (w, 6)."""
+    rows = first[:, None] + np.arange(WINDOW)
+    at = t[rows] - t[rows].mean(axis=1, keepdims=True)
+    at /= np.abs(at).max(axis=1, keepdims=True)
+    basis = np.linalg.qr(np.stack([np.ones_like(at), at, at**2], axis=2))[0]
+    inside = values[rows]
+    left = inside - basis @ (np.swapaxes(basis, 1, 2) @ inside)
+    squares: Array = np.sum(left**2, axis=1)
+    return squares

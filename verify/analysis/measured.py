@@ -1,0 +1,205 @@
+"""What was measured in a session, through its pictures or by another instrument, and its clock.
+
+One pair of pictures with the LEDs marked: what the report shows of the raw evidence.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+import robots
+from verify.analysis.clock import ClockEstimate, estimate_clock
+from verify.analysis.instrument import measure_poses, noise_from_scatter, stated_noise
+from verify.analysis.results.warnings import rig_moved
+from verify.core.fiducials import Marker
+from verify.core.readings import Readings
+from verify.core.records import Array, Image, Measurement, Sighting, StereoPair
+from verify.errors import InputError
+from verify.io.session.poses import Instrument
+from verify.io.session.session import Session
+from verify.measurement.chain import Setup
+from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
+from verify.measurement.track import Track, collect_track
+
+WIDTH, HEIGHT = 720, 450  # px of one picture in the report
+MARGIN = 0.35  # of the LEDs' extent, left around them
+MIN_SIDE = 160  # px of the original: less shows nothing but squares
+PNG_FLAGS = (
+    cv2.IMWRITE_PNG_FILTER,
+    cv2.IMWRITE_PNG_FILTER_NONE,
+    cv2.IMWRITE_PNG_STRATEGY,
+    cv2.IMWRITE_PNG_STRATEGY_RLE,
+)  # of a dark room: smaller too
+RING_COLOUR = (80, 200, 80)  # BGR
+TEXT_COLOUR = (60, 220, 255)
+
+
+def draw_pair(pair: StereoPair, measurement: Measurement, marker: Marker) -> bytes:
+    """Left and right picture about the LEDs, with a ring and a name at each; PNG bytes."""
+    sides = [
+        _mark_leds(image, sighting, marker)
+        for image, sighting in ((pair.left, measurement.left), (pair.right, measurement.right))
+        if sighting is not None and len(sighting)
+    ]
+    encoded, png = cv2.imencode(".png", np.concatenate(sides, axis=1), PNG_FLAGS)
+    if not encoded:
+        raise ValueError("OpenCV could not encode the preview as PNG")
+    return png.tobytes()
+
+
+def _mark_leds(image: Image, sighting: Sighting, marker: Marker) -> Image:
+    left, top, scale = _crop(sighting, image.shape[1], image.shape[0])
+    place = np.array([[scale, 0.0, -left * scale], [0.0, scale, -top * scale]])
+    view = cv2.warpAffine(image, place, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
+    view = view if view.ndim == 3 else cv2.cvtColor(view, cv2.COLOR_GRAY2BGR)
+    for led, centre in zip(sighting.led, sighting.centre, strict=True):
+        x, y = round((float(centre[0]) - left) * scale), round((float(centre[1]) - top) * scale)
+        cv2.circle(view, (x, y), round(9 * scale), RING_COLOUR, 1, cv2.LINE_AA)
+        name = "".join(c if c.isascii() and c.isprintable() else "?" for c in marker.names[led])
+        there = (x + round(11 * scale), y - round(5 * scale))
+        cv2.putText(view, name, there, cv2.FONT_HERSHEY_SIMPLEX, 0.6, TEXT_COLOUR, 1, cv2.LINE_AA)
+    return np.asarray(view, dtype=np.uint8)
+
+
+def _crop(sighting: Sighting, width: int, height: int) -> tuple[float, float, float]:
+    """Left and top edge (px) and magnification of the part of the picture that is shown."""
+    low, high = sighting.centre.min(axis=0), sighting.centre.max(axis=0)
+    extent = np.maximum((high - low) * (1 + 2 * MARGIN), MIN_SIDE)
+    scale = float(min(WIDTH / extent[0], HEIGHT / extent[1]))
+    scale = max(scale, WIDTH / width, HEIGHT / height)
+    middle = (low + high) / 2
+    left = np.clip(middle[0] - WIDTH / scale / 2, 0, width - WIDTH / scale)
+    top = np.clip(middle[1] - HEIGHT / scale / 2, 0, height - HEIGHT / scale)
+    return float(left), float(top), scale
+
+
+SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
+SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
+MAX_CANDIDATES = 200
+
+Progress = Callable[[int, int], None]
+Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredSession:
+    """What the pictures, or the instrument, gave."""
+
+    measurements: list[Measurement]
+    track: Track
+    systematics: Systematics
+    preview: bytes | None  # of a pair; an instrument's poses have none
+
+
+def setup_of(session: Session) -> Setup:
+    """What the chain needs to know to measure a session."""
+    readings = Readings(session.encoders.t, session.encoders.q)
+    return Setup(session.rig, session.marker, _expected_poses(session, readings))
+
+
+def measure_pictures(session: Session, progress: Progress, chain: Chain) -> MeasuredSession:
+    """Stream the pictures through the chain; only numbers are kept.
+
+    Args:
+        session: with pictures.
+        progress: called with pairs done and pairs in all.
+        chain: what measures the pairs.
+    """
+    setup = setup_of(session)
+    turning = bool(np.ptp(session.frames.pan_left) or np.ptp(session.frames.pan_right))
+    systematics = stated_systematics(session.rig, session.marker, turning)
+    measurements: list[Measurement] = []
+    effects: list[Array] = []
+    recent: deque[StereoPair] = deque(maxlen=2)
+    preview: bytes | None = None
+    for m in chain(_remember_pairs(session.pairs(), recent), setup):
+        measurements.append(m)
+        if m.status == "measured":
+            effects.append(sensitivities(systematics, m, session.rig, session.marker))
+            if preview is None and m.frame >= len(session) // 2:
+                pair = next((p for p in recent if p.frame == m.frame), None)
+                preview = draw_pair(pair, m, session.marker) if pair is not None else None
+        progress(len(measurements), len(session))
+    return MeasuredSession(
+        measurements, collect_track(measurements, session.rig, effects), systematics, preview
+    )
+
+
+def measure_instrument(
+    session: Session, instrument: Instrument, readings: Readings
+) -> tuple[MeasuredSession, ClockEstimate]:
+    """Take an instrument's poses; noise that it does not state is sought in the data.
+
+    Args:
+        session: whose robot was measured.
+        instrument: the session's.
+        readings: the robot's own.
+
+    Returns:
+        The poses, and the readings' clock.
+    """
+    noise = stated_noise(instrument)
+    seen = measure_poses(session, instrument, readings, noise)
+    clock = session_clock(session, seen.track, readings)
+    found = None
+    if not noise.known:
+        found = noise_from_scatter(session, instrument, seen.track, readings, clock.offset)
+    if found is not None:
+        seen = measure_poses(session, instrument, readings, found, clock.offset)
+        if not instrument.positions_alone:  # places and turns now weigh as much as they are worth
+            clock = session_clock(session, seen.track, readings)
+    return MeasuredSession(seen.measurements, seen.track, seen.systematics, None), clock
+
+
+def _remember_pairs(pairs: Iterator[StereoPair], recent: deque[StereoPair]) -> Iterator[StereoPair]:
+    for pair in pairs:
+        recent.append(pair)
+        yield pair
+
+
+def _expected_poses(session: Session, readings: Readings) -> Callable[[float], Sequence[Array]]:
+    """Where the readings put the flange in the rig at a time; many places with an open clock."""
+    offset = 0.0 if session.clock is None else session.clock.encoder_offset
+    around = np.arange(-SEARCH_SPAN, SEARCH_SPAN + SEARCH_STEP, SEARCH_STEP)
+    every = np.linspace(readings.t[0], readings.t[-1], MAX_CANDIDATES)
+
+    def expected(t: float) -> Sequence[Array]:
+        if session.clock is not None:
+            times = np.array([t - offset])
+        else:
+            times = t + around
+            times = times[(times >= readings.t[0]) & (times <= readings.t[-1])]
+            times = times if len(times) else every
+        poses = session.rig.rig_T_base @ robots.forward(session.arm, readings.at(times))
+        return list(poses)
+
+    return expected
+
+
+def measurement_refusal(session: Session, seen: MeasuredSession) -> InputError:
+    """Say why a session gave no pose, as far as its pairs tell."""
+    measurements = seen.measurements
+    counts = Counter(m.status for m in measurements)
+    most = max((m.leds_seen for m in measurements), default=0)
+    said = ", ".join(f"{n} {status}" for status, n in sorted(counts.items())) or "no pairs"
+    return InputError(
+        session.folder,
+        f"no pair could be measured ({said}; at most {most} LEDs recognised in one pair)",
+        f"{len(session.marker)} LEDs are asked for by marker.toml",
+        rig_moved(session, measurements, seen.systematics)
+        or "Check that the LEDs are lit and in view, and that rig.toml and marker.toml belong to "
+        "this recording.",
+    )
+
+
+def session_clock(session: Session, track: Track, readings: Readings) -> ClockEstimate:
+    """Take the clock that session.toml gives, or find it from the motion."""
+    if session.clock is None:
+        return estimate_clock(track, session.arm, readings)
+    given = session.clock
+    return ClockEstimate(
+        given.encoder_offset, given.standard_uncertainty, "given", np.zeros((0, 2))
+    )

@@ -1,0 +1,136 @@
+"""How a session's conditions differ from those that ISO 9283 sets: a list, never silence.
+
+The repeated poses and paths of a session as it is judged, worded for its results.
+"""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from verify.analysis.model import JointErrorModel
+from verify.analysis.performance.entries import performance_summary, performance_tables
+from verify.analysis.performance.poses import PoseIndices
+from verify.analysis.performance.session import Performance, performance
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.io.session.keys import read_stretches
+from verify.io.session.session import Session
+
+CYCLES, PASSAGES, POSES = 30, 10, 5
+MAX_UNCERTAINTY_SHARE = 0.25  # of a characteristic, that the uncertainty of measurement may reach
+TEMPERATURE_C = (18.0, 22.0)
+MIN_DRIFT_S = 8 * 3600.0
+MAX_OFF_PLANE = 0.02  # of the poses' extent: off one plane by less is in it
+
+
+def condition_deviations(
+    found: Performance, *, temperature_c: float | None, through_encoders: bool
+) -> list[dict[str, Any]]:
+    """List what is other than the standard's conditions, or not known.
+
+    Args:
+        found: the indices.
+        temperature_c: of the session, where it is stated.
+        through_encoders: base or LEDs were registered through the robot's own encoders.
+
+    Returns:
+        One entry a deviation: its `kind`, and figures that belong to it.
+    """
+    listed: list[dict[str, Any]] = []
+    if found.poses:
+        fewest = min(len(p.stands.t) for p in found.poses)
+        if fewest < CYCLES:
+            listed.append({"kind": "cycles", "found": fewest, "standard": CYCLES})
+        listed += _mean_positions(found.poses)
+        mixed = [p.stands.name for p in found.poses if p.variation is not None]
+        if mixed:
+            listed.append({"kind": "approach", "poses": mixed})
+        if any(p.drift for p in found.poses) and found.duration < MIN_DRIFT_S:
+            listed.append({"kind": "drift", "found_s": round(found.duration, 3)})
+        listed += _uncertain_poses(found.poses)
+    if found.paths:
+        fewest = min(p.passages for p in found.paths)
+        if fewest < PASSAGES:
+            listed.append({"kind": "passages", "found": fewest, "standard": PASSAGES})
+    if through_encoders:
+        listed.append({"kind": "registration"})
+    listed.append({"kind": "commanded"})
+    if temperature_c is None:
+        listed.append({"kind": "temperature_unknown"})
+    elif not TEMPERATURE_C[0] <= temperature_c <= TEMPERATURE_C[1]:
+        listed.append({"kind": "temperature", "found_c": temperature_c})
+    listed += [{"kind": kind} for kind in ("load", "speed", "warm_up", "settling", "cube")]
+    listed.append({"kind": "point" if np.any(found.point) else "flange"})
+    return listed
+
+
+def _mean_positions(poses: tuple[PoseIndices, ...]) -> list[dict[str, Any]]:
+    if len(poses) != POSES:
+        return [{"kind": "poses", "found": len(poses), "standard": POSES}]
+    places = np.array([p.commanded[:3, 3] for p in poses])
+    off, extent = _flatness(places)
+    if off <= MAX_OFF_PLANE * extent:
+        return []
+    return [{"kind": "plane", "off_plane_mm": round(off * 1e3, 3)}]
+
+
+def _flatness(places: Array) -> tuple[float, float]:
+    """Largest distance from the best plane, and the extent in it, m."""
+    centred = places - places.mean(axis=0)
+    _, size, axes = np.linalg.svd(centred)
+    return float(np.abs(centred @ axes[2]).max()), float(size[0])
+
+
+def _uncertain_poses(poses: tuple[PoseIndices, ...]) -> list[dict[str, Any]]:
+    """Name poses whose accuracy is stated with more than a quarter of itself in doubt."""
+    doubtful = [
+        p.stands.name
+        for p in poses
+        if p.accuracy.expanded_uncertainty > MAX_UNCERTAINTY_SHARE * p.accuracy.found.value
+    ]
+    if not doubtful:
+        return []
+    smallest = max(p.accuracy.expanded_uncertainty for p in poses) / MAX_UNCERTAINTY_SHARE
+    return [{"kind": "uncertainty", "poses": doubtful, "smallest_mm": round(smallest * 1e3, 6)}]
+
+
+def session_performance(
+    session: Session, model: JointErrorModel, offset: float
+) -> tuple[dict[str, Any], dict[str, pd.DataFrame]]:
+    """Find and judge what a session repeats.
+
+    Args:
+        session: names poses and paths, or leaves them to be recognised.
+        model: what was compared in it.
+        offset: s, added to the readings' time to get the cameras' clock.
+
+    Returns:
+        `performance` (null where nothing is repeated) and `performance_reason` (why, else null) of
+        summary.json; and the tables.
+    """
+    file = session.folder / "session.toml"
+    poses, paths = (
+        read_stretches(file) if file.exists() else ((), ())
+    )  # a simulated one has no folder
+    instrument = session.instrument
+    found = performance(
+        model,
+        session.arm,
+        Readings(session.encoders.t, session.encoders.q),
+        offset,
+        named_poses=poses,
+        named_paths=paths,
+        point=(
+            instrument.flange_T_body[:3, 3]
+            if instrument is not None and instrument.positions_alone
+            else None
+        ),
+    )
+    if not isinstance(found, Performance):
+        return {"performance": None, "performance_reason": found}, performance_tables(None)
+    listed = condition_deviations(
+        found, temperature_c=session.temperature_c, through_encoders=model.through_encoders
+    )
+    entry = performance_summary(found, listed)
+    return {"performance": entry, "performance_reason": None}, performance_tables(found)

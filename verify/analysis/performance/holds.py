@@ -1,0 +1,181 @@
+"""Where the arm stood still, and which of these stands are visits of one pose.
+
+What the instrument alone scatters: measured positions while the arm stands still.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.analysis.comparison import Comparison
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.io.session.keys import TimeInterval
+from verify.measurement.alignment import MAX_GAP
+
+MAX_REST_SPEED = np.deg2rad(0.1)  # rad/s of any joint: slower is standing
+MAX_SPEED_SIGMA = 4.0  # standard deviations of a speed that readings at rest may show beside
+MAX_HOLD_TRAVEL = np.deg2rad(
+    0.2
+)  # rad of any joint: a hold that goes on from elsewhere is another one
+MIN_HOLD_TIME = 0.2  # s: shorter is turning back, not standing
+MAX_POSE_DISTANCE = np.deg2rad(0.5)  # rad of any joint: commanded poses of a test lie further apart
+
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """One stand of the arm, its pose, and the pose that it came from."""
+
+    pose: int
+    rows: Rows  # of the comparison
+    came_from: int  # -1 where that is not known
+
+
+def at_rest(comparison: Comparison) -> NDArray[np.bool_]:
+    """Which pairs were taken while every joint stood, by the readings, (n,)."""
+    limit = MAX_REST_SPEED + MAX_SPEED_SIGMA * np.sqrt(comparison.rate_variance)
+    standing: NDArray[np.bool_] = np.all(np.abs(comparison.rate) < limit, axis=1)
+    return standing
+
+
+def find_holds(comparison: Comparison, readings: Readings, offset: float) -> list[Rows]:
+    """Gather pairs that were taken in one stand.
+
+    Args:
+        comparison: the session's pairs.
+        readings: what tells whether the arm left in between.
+        offset: s, added to the readings' time to get the cameras' clock.
+
+    Returns:
+        Rows of each hold, in time's order. One pair is a hold where its neighbours are far off in
+        time (single visits); else a hold lasts 0.2 s or more.
+    """
+    found: list[list[int]] = []
+    for row in np.flatnonzero(at_rest(comparison)).tolist():
+        if found and _stays_at_rest(comparison, readings, offset, found[-1], row):
+            found[-1].append(row)
+        else:
+            found.append([row])
+    holds = [np.array(rows, dtype=np.int64) for rows in found]
+    return [rows for rows in holds if _long_enough(comparison.t, rows)]
+
+
+def _stays_at_rest(
+    comparison: Comparison, readings: Readings, offset: float, hold: list[int], row: int
+) -> bool:
+    """Whether the arm has stood where the hold began until this row."""
+    q = comparison.q[hold[0]]
+    if np.abs(comparison.q[row] - q).max() > MAX_HOLD_TRAVEL:
+        return False
+    start, end = np.searchsorted(readings.t, comparison.t[[hold[-1], row]] - offset)
+    between = readings.q[start:end]
+    return not len(between) or bool(np.abs(between - q).max() <= MAX_HOLD_TRAVEL)
+
+
+def _long_enough(t: Array, rows: Rows) -> bool:
+    if t[rows[-1]] - t[rows[0]] >= MIN_HOLD_TIME:
+        return True
+    before = t[rows[0]] - t[rows[0] - 1] if rows[0] > 0 else np.inf
+    after = t[rows[-1] + 1] - t[rows[-1]] if rows[-1] + 1 < len(t) else np.inf
+    return bool(min(before, after) > MAX_GAP)
+
+
+def number_visits(comparison: Comparison, holds: Sequence[Rows]) -> list[Visit]:
+    """Number the poses that the holds are visits of, by the readings, in order of first visit.
+
+    A hold is of the pose at whose first visit every joint read the same within 0.5°, so that no two
+    visits of a pose lie more than 1° apart.
+    """
+    firsts = np.zeros((len(holds), comparison.q.shape[1]))
+    found: list[Visit] = []
+    known = 0
+    for rows in holds:
+        q = comparison.q[rows].mean(axis=0)
+        near = np.flatnonzero(np.abs(firsts[:known] - q).max(axis=1) <= MAX_POSE_DISTANCE)
+        pose = int(near[0]) if len(near) else known
+        if pose == known:
+            firsts[known] = q
+            known += 1
+        found.append(Visit(pose, rows, found[-1].pose if found else -1))
+    return found
+
+
+def named_visits(
+    comparison: Comparison, named: Sequence[TimeInterval]
+) -> tuple[list[Visit], tuple[str, ...], list[TimeInterval]]:
+    """Take the stands that session.toml names.
+
+    Returns:
+        The visits in time's order, the names of the poses by their number, and stretches in which
+        no pair was measured while the arm stood.
+    """
+    still = at_rest(comparison)
+    names = tuple(dict.fromkeys(one.name for one in named))
+    found, empty = [], []
+    came = -1
+    for one in sorted(named, key=lambda one: one.start):
+        inside = (comparison.t >= one.start) & (comparison.t <= one.end) & still
+        if not inside.any():
+            empty.append(one)
+            continue
+        pose = names.index(one.name)
+        found.append(Visit(pose, np.flatnonzero(inside), came))
+        came = pose
+    return found, names, empty
+
+
+MIN_DOF = 20  # of the scatter within holds: fewer know it worse than what is stated
+
+
+@dataclass(frozen=True, slots=True)
+class HoldNoise:
+    """Scatter of one pair's position and turn at rest."""
+
+    position: Array  # (3, 3), m²
+    turn: Array  # (3, 3), rad²
+    together: float  # >= 1, by which neighbouring pairs' likeness raises the variance of a mean
+    source: str  # "holds": seen while the arm stood; "stated": the poses' own covariance
+    freedom: int  # degrees of freedom, 0 where stated
+
+    def of_means(self, counts: Array) -> tuple[Array, Array]:
+        """Covariance (3, 3) that it gives visits of `counts` pairs each, mean over the visits."""
+        factor = float(np.mean(np.minimum(self.together / counts, 1.0)))
+        return self.position * factor, self.turn * factor
+
+
+def static_noise(
+    holds: Sequence[Rows], positions: Array, turns: Array, stated: tuple[Array, Array]
+) -> HoldNoise:
+    """Pool the scatter within the holds.
+
+    Args:
+        holds: rows of each.
+        positions: (n, 3), m, measured less read.
+        turns: (n, 3), rad, likewise.
+        stated: (3, 3) each, what the poses state, where too few holds have several pairs.
+    """
+    freedom = sum(len(rows) - 1 for rows in holds)
+    if freedom < MIN_DOF:
+        return HoldNoise(*stated, 1.0, "stated", 0)
+    both = np.concatenate([positions, turns], axis=1)
+    inside = [both[rows] - both[rows].mean(axis=0) for rows in holds if len(rows) > 1]
+    square = sum(one.T @ one for one in inside) / freedom
+    return HoldNoise(square[:3, :3], square[3:, 3:], _correlation_factor(inside), "holds", freedom)
+
+
+def _correlation_factor(inside: Sequence[Array]) -> float:
+    """Factor (1 + r) / (1 - r) of a first-order process, r the neighbours' correlation.
+
+    Taking a hold's own mean off lowers r by about one over its pairs; that is put back.
+    """
+    scale = np.sqrt(sum(np.sum(one**2, axis=0) for one in inside))
+    scale = np.where(scale > 0, scale, 1.0)
+    ahead = float(sum(np.sum(one[1:] * one[:-1] / scale**2) for one in inside)) / 6
+    lengths = np.array([len(one) for one in inside])
+    r = ahead + float(np.sum(lengths - 1) / np.sum(lengths)) / float(lengths.mean())
+    r = min(max(r, 0.0), 0.95)
+    return (1 + r) / (1 - r)

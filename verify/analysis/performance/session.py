@@ -1,0 +1,281 @@
+"""Repeated poses and paths of a session, found and judged."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import islice, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robots
+from robots.transforms import difference
+from verify.analysis.comparison import Comparison
+from verify.analysis.model import JointErrorModel
+from verify.analysis.performance.holds import (
+    MAX_HOLD_TRAVEL,
+    MAX_POSE_DISTANCE,
+    HoldNoise,
+    Rows,
+    Visit,
+    find_holds,
+    named_visits,
+    number_visits,
+    static_noise,
+)
+from verify.analysis.performance.indices import repeatability_of
+from verify.analysis.performance.paths import PathIndices, PathRun, assess_path, crossings
+from verify.analysis.performance.poses import (
+    MIN_VISITS,
+    DistanceIndices,
+    PoseIndices,
+    PoseVisits,
+    assess_distance,
+    assess_pose,
+    mean_pose,
+)
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.io.session.keys import TimeInterval
+from verify.measurement.alignment import MAX_GAP
+
+MAX_DISTANCES = 10  # the longest are judged
+MAX_POSE_PAIRS = 200  # pairs of poses, the longest first
+PATH_STEP = 0.005  # s, of the readings' path between pairs
+MIN_PAIRS = 3  # of a passage: fewer say nothing of the path between its ends
+NO_HOLDS, NO_REPEATS, OPEN_POSES = "no_holds", "no_repeats", "poses_not_determined"
+
+
+@dataclass(frozen=True, slots=True)
+class Performance:
+    """What repeated poses and paths of a session show."""
+
+    named: bool  # poses or paths were named in session.toml
+    poses: tuple[PoseIndices, ...]
+    distances: tuple[DistanceIndices, ...]
+    paths: tuple[PathIndices, ...]
+    noise: HoldNoise
+    point: Array  # (3,), m, in the flange frame: what positions are of
+    oriented: bool
+    seldom: int  # poses visited more than once, but fewer than five times
+    empty: tuple[TimeInterval, ...]  # named, but the arm was not measured standing there
+    duration: float  # s, from the first to the last pair
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredPoints:
+    """A session's pairs at the measured point."""
+
+    comparison: Comparison
+    attained: Array  # (n, 4, 4)
+    read: Array  # (n, 4, 4)
+    systematic: Array  # (n, 6, p), d pose at the point / d unit of what does not average out
+    off: Array  # (n, 6), attained less read, m and rad
+    whole: NDArray[np.bool_]  # (n,), pairs whose pose (or point) is wholly determined
+
+
+def performance(
+    model: JointErrorModel,
+    arm: robots.Arm,
+    readings: Readings,
+    offset: float,
+    *,
+    named_poses: Sequence[TimeInterval] = (),
+    named_paths: Sequence[TimeInterval] = (),
+    point: Array | None = None,
+) -> Performance | str:
+    """Find repeated poses and paths in a session and judge them.
+
+    Args:
+        model: the session.
+        arm: the robot.
+        readings: its joint readings.
+        offset: s, added to the readings' time to get the cameras' clock.
+        named_poses: stretches of time that are visits of poses; where there are any, they alone
+            count.
+        named_paths: passages of paths, likewise.
+        point: (3,), m, in the flange frame, where positions alone were measured, of this point.
+
+    Returns:
+        The indices, or why there are none: `no_holds`, `no_repeats`, `poses_not_determined`.
+    """
+    comparison = model.comparison
+    least = 6 if point is None else 3
+    whole = np.array([known.shape[1] >= least for known in comparison.determined], dtype=bool)
+    if not whole.any():
+        return OPEN_POSES
+    measured = _at_point(model, np.zeros(3) if point is None else point, whole)
+    empty: list[TimeInterval] = []
+    if named_poses:
+        stays, names, empty = named_visits(comparison, named_poses)
+    else:
+        stays = number_visits(comparison, find_holds(comparison, readings, offset))
+        names = tuple(f"P{i + 1}" for i in range(1 + max((v.pose for v in stays), default=-1)))
+    stays = [replace(v, rows=v.rows[whole[v.rows]]) for v in stays if whole[v.rows].any()]
+    if not stays and not named_paths:
+        return NO_HOLDS
+    oriented = point is None
+    noise = _noise(measured, stays)
+    counts = [sum(v.pose == i for v in stays) for i in range(len(names))]
+    stands = [
+        _visits_of_poses(measured, [v for v in stays if v.pose == i], names[i])
+        for i, count in enumerate(counts)
+        if count >= MIN_VISITS
+    ]
+    paths = _paths(measured, arm, readings, offset, stays, names, named_paths, noise, oriented)
+    if not stands and not paths:
+        return NO_REPEATS
+    return Performance(
+        named=bool(named_poses or named_paths),
+        poses=tuple(assess_pose(one, noise, oriented=oriented) for one in stands),
+        distances=_distances(stands),
+        paths=paths,
+        noise=noise,
+        point=np.zeros(3) if point is None else point,
+        oriented=oriented,
+        seldom=sum(1 < count < MIN_VISITS for count in counts),
+        empty=tuple(empty),
+        duration=float(comparison.t[-1] - comparison.t[0]),
+    )
+
+
+def _at_point(model: JointErrorModel, point: Array, whole: NDArray[np.bool_]) -> MeasuredPoints:
+    comparison = model.comparison
+    attained, read = comparison.base_T_measured.copy(), comparison.base_T_encoder.copy()
+    lever = attained[:, :3, :3] @ point
+    for poses in (attained, read):
+        poses[:, :3, 3] += poses[:, :3, :3] @ point
+    systematic = model.prior_columns.copy()
+    systematic[:, :3] += np.cross(systematic[:, 3:], lever[:, :, None], axis=1)
+    return MeasuredPoints(comparison, attained, read, systematic, difference(attained, read), whole)
+
+
+def _noise(measured: MeasuredPoints, stays: Sequence[Visit]) -> HoldNoise:
+    stated = measured.comparison.covariance_measured[measured.whole].mean(axis=0)
+    off = measured.off
+    return static_noise(
+        [v.rows for v in stays], off[:, :3], off[:, 3:], (stated[:3, :3], stated[3:, 3:])
+    )
+
+
+def _visits_of_poses(measured: MeasuredPoints, stays: Sequence[Visit], name: str) -> PoseVisits:
+    rows = np.concatenate([v.rows for v in stays])
+    return PoseVisits(
+        name=name,
+        t=np.array([measured.comparison.t[v.rows].mean() for v in stays]),
+        attained=np.array([mean_pose(measured.attained[v.rows]) for v in stays]),
+        read=np.array([mean_pose(measured.read[v.rows]) for v in stays]),
+        counts=np.array([len(v.rows) for v in stays], dtype=float),
+        came_from=tuple(v.came_from for v in stays),
+        systematic=measured.systematic[rows].mean(axis=0),
+    )
+
+
+def _distances(stands: Sequence[PoseVisits]) -> tuple[DistanceIndices, ...]:
+    """Judge the longest distances between poses that were visited in turn."""
+    places = np.array([one.read[:, :3, 3].mean(axis=0) for one in stands]).reshape(-1, 3)
+    far = np.triu(np.linalg.norm(places[:, None] - places[None], axis=2))
+    longest = np.argsort(-far, axis=None, kind="stable")[:MAX_POSE_PAIRS]
+    pairs = [divmod(int(i), len(stands)) for i in longest if far.flat[i] > 0]
+    judged = (assess_distance(stands[a], stands[b]) for a, b in pairs)
+    return tuple(islice((one for one in judged if one is not None), MAX_DISTANCES))
+
+
+def _paths(
+    measured: MeasuredPoints,
+    arm: robots.Arm,
+    readings: Readings,
+    offset: float,
+    stays: Sequence[Visit],
+    names: Sequence[str],
+    named: Sequence[TimeInterval],
+    noise: HoldNoise,
+    oriented: bool,
+) -> tuple[PathIndices, ...]:
+    """Judge every path with five passages or more."""
+    t = measured.comparison.t
+    groups: dict[str, list[Rows]] = {}
+    for one in named:
+        rows = np.flatnonzero((t >= one.start) & (t <= one.end))
+        groups.setdefault(one.name, []).append(rows)
+    if not named:
+        for before, after in pairwise(stays):
+            if before.pose != after.pose:
+                rows = np.arange(before.rows[-1], after.rows[0] + 1)
+                name = f"{names[before.pose]} → {names[after.pose]}"
+                groups.setdefault(name, []).append(rows)
+    floor = repeatability_of(noise.position)
+    found = []
+    for name, runs in groups.items():
+        runs = [rows[measured.whole[rows]] for rows in runs]
+        runs = _same_way(measured.comparison, [rows for rows in runs if _covers_path(t, rows)])
+        if len(runs) < MIN_VISITS:
+            continue
+        met = crossings([_passage(measured, arm, readings, offset, rows) for rows in runs])
+        if met is not None:
+            doubt = _systematic_along(measured, runs, met.t)
+            found.append(assess_path(name, met, floor, doubt, oriented=oriented))
+    return tuple(found)
+
+
+def _covers_path(t: Array, rows: Rows) -> bool:
+    """Whether pairs follow the motion closely enough to know the path between them."""
+    return len(rows) >= MIN_PAIRS and bool(np.diff(t[rows]).max() <= MAX_GAP)
+
+
+def _same_way(comparison: Comparison, runs: Sequence[Rows]) -> list[Rows]:
+    """Keep passages that go the same way, within what poses may differ, as most of them."""
+    if len(runs) < MIN_VISITS:
+        return []
+    share = np.linspace(0, 1, 9)
+    ways = []
+    for rows in runs:
+        q = comparison.q[rows]
+        way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q, axis=0)).max(axis=1))])
+        even = np.linspace(0, 1, len(rows)) if way[-1] == 0 else way / way[-1]
+        ways.append(np.stack([np.interp(share, even, column) for column in q.T], axis=1))
+    # pairs fall on the path where they fall: the coarse course tells one path from another
+    off = np.abs(np.array(ways) - np.median(ways, axis=0)).max(axis=(1, 2))
+    span = float(np.ptp(np.median(ways, axis=0), axis=0).max())
+    return [
+        r for r, one in zip(runs, off, strict=True) if one <= max(2 * MAX_POSE_DISTANCE, 0.1 * span)
+    ]
+
+
+def _passage(
+    measured: MeasuredPoints, arm: robots.Arm, readings: Readings, offset: float, rows: Rows
+) -> PathRun:
+    """Follow the readings' path closely, with what the pairs are off it taken in between."""
+    t = measured.comparison.t[rows]
+    fine = np.arange(t[0], t[-1] + PATH_STEP / 2, PATH_STEP)
+    read = robots.forward(arm, readings.at(fine - offset))
+    point = measured.read[rows[0]]
+    local = np.linalg.inv(measured.comparison.base_T_encoder[rows[0]]) @ point
+    places = read @ local
+    off = np.stack([np.interp(fine, t, c) for c in measured.off[rows].T], axis=1)
+    moving = _motion_range(readings.at(fine - offset))
+    return PathRun(
+        fine[moving],
+        (places[:, :3, 3] + off[:, :3])[moving],
+        places[moving, :3, 3],
+        off[moving, 3:],
+        places[moving, :3, :3],
+    )
+
+
+def _motion_range(q: Array) -> slice:
+    """From where the arm leaves its first stand to where it reaches its last."""
+    left = np.flatnonzero(np.abs(q - q[0]).max(axis=1) > MAX_HOLD_TRAVEL)
+    short = np.flatnonzero(np.abs(q - q[-1]).max(axis=1) > MAX_HOLD_TRAVEL)
+    if not len(left) or not len(short):
+        return slice(0, len(q))
+    return slice(max(int(left[0]) - 1, 0), int(short[-1]) + 2)
+
+
+def _systematic_along(measured: MeasuredPoints, runs: Sequence[Rows], t: Array) -> Array:
+    """What does not average out at each station (m, 3, p), of the pairs nearest in time."""
+    nearest = [
+        rows[np.argmin(np.abs(measured.comparison.t[rows] - one[:, None]), axis=1)]
+        for rows, one in zip(runs, t.T, strict=True)
+    ]
+    doubt: Array = np.mean([measured.systematic[rows, :3] for rows in nearest], axis=0)
+    return doubt

@@ -1,0 +1,143 @@
+"""Readings that cannot be what the file says: degrees that are radians.
+
+Poses that cannot be what the file says: metres for millimetres, a scalar that comes last.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import robots
+from verify.analysis.clock import ClockEstimate, estimate_clock
+from verify.analysis.instrument import measure_poses, stated_noise
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.errors import InputError
+from verify.io.poses import Poses
+from verify.io.session.poses import Instrument
+from verify.io.session.session import Session
+from verify.measurement.track import Track
+
+FULL_TURN = 2 * np.pi
+# Two poses are called the same arm in the same place within this; a gross fault stays below it,
+# angles in the wrong unit do not.
+MAX_POSE_DIFFERENCE = (0.05, np.deg2rad(8.0))  # m, rad
+
+
+def refuse_radians(
+    session: Session, track: Track, readings: Readings, clock: ClockEstimate
+) -> None:
+    """Refuse readings that agree with the pictures as radians and not as degrees.
+
+    Raises:
+        InputError: encoders.csv holds radians in its _deg columns.
+    """
+    as_written = np.rad2deg(readings.q)  # the numbers in the file
+    if float(np.abs(as_written).max()) > FULL_TURN:
+        return
+    if _readings_agree(track, session.arm, readings, clock.offset):
+        return
+    radians = Readings(readings.t, as_written)
+    offset = clock.offset
+    if session.clock is None:
+        offset = estimate_clock(track, session.arm, radians).offset
+    if _readings_agree(track, session.arm, radians, offset):
+        raise InputError(
+            session.folder / "encoders.csv",
+            "the q columns agree with what was measured as radians and not as degrees",
+            "degrees are asked for (q1_deg, …)",
+            "Multiply them by 180/π, or export again in degrees.",
+        )
+
+
+def _readings_agree(track: Track, arm: robots.Arm, readings: Readings, offset: float) -> bool:
+    """Whether half the pairs lie close to where the readings put them."""
+    known = readings.known(track.t - offset)
+    if not known.any():
+        return False
+    poses = robots.forward(arm, readings.at((track.t - offset)[known]))
+    measured: Array = track.base_T_flange[known]
+    distance = np.linalg.norm(poses[:, :3, 3] - measured[:, :3, 3], axis=1)
+    turn = poses[:, :3, :3] @ np.swapaxes(measured[:, :3, :3], 1, 2)
+    angle = Rotation.from_matrix(turn).magnitude()
+    return bool(
+        np.mean((distance < MAX_POSE_DIFFERENCE[0]) & (angle < MAX_POSE_DIFFERENCE[1])) >= 0.5
+    )
+
+
+# Two poses are called the same arm in the same place within this; a gross fault stays below it,
+# a wrong unit or order does not.
+# m, rad
+MAX_POINT_DIFFERENCE = 0.1  # m: of a position alone the readings' own turn moves the point, too
+
+
+def refuse_misread(
+    session: Session,
+    instrument: Instrument,
+    track: Track,
+    readings: Readings,
+    clock: ClockEstimate,
+) -> None:
+    """Refuse poses that agree with the readings in another unit or order, and not as written.
+
+    Args:
+        session: whose robot was measured.
+        instrument: its poses as written.
+        track: the same, as taken.
+        readings: the robot's own.
+        clock: theirs, as the poses as written show it.
+
+    Raises:
+        InputError: positions in metres, or quaternions whose scalar comes last.
+    """
+    if _poses_agree(session, track, readings, clock.offset):
+        return
+    for poses, found, expected, remedy in _usual_mistakes(instrument.poses):
+        other = replace(instrument, poses=poses)
+        tried = measure_poses(session, other, readings, stated_noise(other)).track
+        offset = clock.offset
+        if session.clock is None:
+            offset = estimate_clock(tried, session.arm, readings).offset
+        if _poses_agree(session, tried, readings, offset):
+            raise InputError(session.left.path, found, expected, remedy)
+
+
+def _usual_mistakes(poses: Poses) -> list[tuple[Poses, str, str, str]]:
+    """The usual mistakes: the poses as they would be without, and what to say of it."""
+    found = [
+        (
+            replace(poses, position=poses.position * 1e3),
+            "the positions agree with the readings as metres and not as millimetres",
+            "millimetres are asked for (x_mm, y_mm, z_mm)",
+            "Multiply them by 1000.",
+        )
+    ]
+    if poses.rotation is not None:
+        as_written = np.roll(Rotation.from_matrix(poses.rotation).as_quat(), 1, axis=1)
+        found.append(
+            (
+                replace(poses, rotation=Rotation.from_quat(as_written).as_matrix()),
+                "the quaternions agree with the readings if their scalar comes last",
+                "the columns qw, qx, qy, qz name each number",
+                "Put the names in the order in which the numbers stand.",
+            )
+        )
+    return found
+
+
+def _poses_agree(session: Session, track: Track, readings: Readings, offset: float) -> bool:
+    """Whether half the poses lie close to where the readings put them."""
+    known = readings.known(track.t - offset)
+    if not known.any():
+        return False
+    poses = robots.forward(session.arm, readings.at((track.t - offset)[known]))
+    measured = track.base_T_flange[known]
+    distance = np.linalg.norm(poses[:, :3, 3] - measured[:, :3, 3], axis=1)
+    if track.known_dof.min() < 6:
+        return bool(np.mean(distance < MAX_POINT_DIFFERENCE) >= 0.5)
+    turn = poses[:, :3, :3] @ np.swapaxes(measured[:, :3, :3], 1, 2)
+    near = (distance < MAX_POSE_DIFFERENCE[0]) & (
+        Rotation.from_matrix(turn).magnitude() < MAX_POSE_DIFFERENCE[1]
+    )
+    return bool(np.mean(near) >= 0.5)

@@ -1,0 +1,129 @@
+"""What a result rests on and what it leaves out, in sentences: the warnings of a report."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from verify.analysis.clock import ClockEstimate
+from verify.analysis.model import JointErrorModel
+from verify.analysis.rig_check import consistency, moved_warning
+from verify.core.records import Measurement
+from verify.io.session.session import Session
+from verify.measurement.systematics import Systematics
+
+POSE_DOF = 6  # degrees of freedom of a pose
+MAX_RIVALS_NAMED = 4  # of a periodic motion's clock offsets; the list goes on for ever
+
+
+def unstated_sources(systematics: Systematics, clock: ClockEstimate) -> tuple[str, ...]:
+    """Sources that state no uncertainty and are taken as exact."""
+    if clock.standard_uncertainty is None:  # given without one, or not observable
+        return (*systematics.uncounted, "clock")
+    return systematics.uncounted
+
+
+def result_warnings(
+    session: Session,
+    measurements: list[Measurement],
+    systematics: Systematics,
+    clock: ClockEstimate,
+    model: JointErrorModel,
+) -> list[str]:
+    """Every warning of a session's result, in the order of the report."""
+    return [
+        *session.warnings,
+        *_input_warnings(session, measurements, systematics, clock),
+        *filter(None, [rig_moved(session, measurements, systematics)]),
+        *_registration_warnings(model),
+        *_dof_warnings(session, model),
+        *_clock_warnings(clock),
+    ]
+
+
+def _input_warnings(
+    session: Session,
+    measurements: list[Measurement],
+    systematics: Systematics,
+    clock: ClockEstimate,
+) -> Iterator[str]:
+    exact = unstated_sources(systematics, clock)
+    if exact:
+        yield (
+            f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the verdict holds "
+            "on that condition."
+        )
+    unseen = _unused_leds(session, measurements)
+    if unseen:
+        yield (
+            f"Never seen where marker.toml puts them, in any pair: LED {', '.join(unseen)}. Check "
+            "that they are lit and in view, and their position_mm."
+        )
+    if systematics.unknown:
+        yield (
+            "rig.toml [covariance]: not counted, as the names are not known here: "
+            f"{', '.join(systematics.unknown)}."
+        )
+
+
+def rig_moved(
+    session: Session, measurements: list[Measurement], systematics: Systematics
+) -> str | None:
+    """Say that the cameras no longer stand as they were calibrated, where the marker shows it."""
+    found = consistency(measurements, session.rig, session.marker, systematics)
+    return None if found is None else moved_warning(found, systematics.uncounted)
+
+
+def _unused_leds(session: Session, measurements: list[Measurement]) -> list[str]:
+    """LEDs that no measured pair used, by name."""
+    used: set[int] = set()
+    for m in measurements:
+        if m.status == "measured" and m.pose and m.left is not None and m.right is not None:
+            led = np.concatenate([m.left.led, m.right.led])
+            used.update(led[~m.pose.rejected].tolist())
+    return [name for i, name in enumerate(session.marker.names) if i not in used]
+
+
+def _registration_warnings(model: JointErrorModel) -> Iterator[str]:
+    if model.through_encoders:
+        yield (
+            "Base or LED positions were fitted through the robot's own encoders: the errors in "
+            "frames.csv are residuals, which may accuse the wrong joint; mean errors come from a "
+            "fit together with that registration."
+        )
+    if model.stands_in:
+        yield "The motion of that registration is not known: this session's stands for it."
+
+
+def _dof_warnings(session: Session, model: JointErrorModel) -> Iterator[str]:
+    joints = session.arm.dof
+    known = min(b.shape[1] for b in model.comparison.determined)
+    if joints > POSE_DOF:
+        yield (
+            f"A pose determines six combinations of the robot's {joints} joints: along its "
+            "self-motion no pair tells them apart, so single joints stay empty in frames.csv; "
+            "mean errors come from a fit over the session."
+        )
+    if known < POSE_DOF:
+        seen = (
+            "In some poses only" if session.instrument else "In some pairs the LEDs determine only"
+        )
+        told = " are determined" if session.instrument else ""
+        yield (
+            f"{seen} {known} of 6 degrees of freedom{told}: joints that the open ones move "
+            "stay empty there; mean errors of joints that no pair tells come from a fit over the "
+            "session."
+        )
+
+
+def _clock_warnings(clock: ClockEstimate) -> Iterator[str]:
+    if clock.rivals:
+        others = ", ".join(f"{o:+.3f}" for o in clock.rivals[:MAX_RIVALS_NAMED])
+        yield (
+            "The motion repeats itself: the readings' clock could as well be off by "
+            f"{others} s. State [clock] encoder_offset_s, or add a movement that does not repeat."
+        )
+    if clock.source == "not_observable":
+        yield (
+            "The motion (at rest or at constant speed) does not show the clock offset: readings "
+            f"are taken {clock.offset:g} s later than stamped."
+        )

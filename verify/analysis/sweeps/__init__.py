@@ -1,0 +1,1 @@
+"""Single-joint sweeps: segments, axis, encoder error."""

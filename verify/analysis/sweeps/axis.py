@@ -1,0 +1,296 @@
+"""One joint's fixed axis and what its encoder makes of the turn about it, fitted together.
+
+All points of the flange run on circles about one line. That line, the flange's pose at the start
+and a curve of the encoder's error over the angle are fitted to the measured poses; no base, no LED
+place and no table of the arm enters, as each only says in which frame the line lies.
+
+The encoder's error over a sweep: its terms, fitted together with the axis.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.transforms import difference, rotation_exp, rotation_log
+from verify.analysis.joint_errors import MIN_PAIRS_PER_DIRECTION
+from verify.analysis.least_squares import RegressionFit, autocorrelation, solve
+from verify.core.records import Array
+from verify.core.statistics import chi2_sf
+
+N_FREE = 10  # a line's four parameters and a start pose's six
+MAX_ITERATIONS = 12
+TOL_STEP = 1e-10  # m and rad: far below what poses are known to
+
+
+@dataclass(frozen=True, slots=True)
+class SweepData:
+    """What is known of a sweep's n pairs; arrays a pair."""
+
+    poses: Array  # (n, 4, 4), measured flange in any one frame
+    covariance: Array  # (n, 6, 6), of the poses, m and rad, perturbation on the left
+    held: Array  # (n, 6, p), columns of unit variance: what is stated and does not average out
+    q: Array  # (n,), rad, reading
+    reading_variance: Array  # (n,), rad²
+
+
+@dataclass(frozen=True, slots=True)
+class AxisFit:
+    """A sweep fitted; k terms of the encoder's error."""
+
+    direction: Array  # (3,), unit vector along which the joint's angle grows
+    point: Array  # (3,), m, on the axis
+    value: Array  # (k,), of the terms
+    covariance: Array  # (k, k)
+    estimable: NDArray[np.bool_]  # (k,)
+    turned: Array  # (n,), rad, the fitted angle about the axis, zero as the reading's
+    angle_left: Array  # (n,), rad, measured angle less fitted
+    angle_variance: Array  # (n,), rad², of that, the reading's own included
+    rest: Array  # (n, 6), m and rad, what no turn about the axis explains
+    chi2_angle: float  # of what is left of the angles
+    chi2_rest: float
+
+
+def fit_axis(swept: SweepData, terms: Array) -> AxisFit:
+    """Fit axis, start pose and the encoder's error together.
+
+    Args:
+        swept: the pairs.
+        terms: (n, k), what a unit of each term adds to the reading.
+
+    Returns:
+        The fit; its covariance holds what is stated of the poses, and pairs that repeat each
+        other's errors count for fewer.
+    """
+    state = _start(swept)
+    value = np.zeros(terms.shape[1])
+    inflation = np.ones(6)
+    for last in (False, True):
+        state, value, fit, rows = _gauss_newton(swept, terms, state, value, inflation)
+        if not last:
+            inflation = autocorrelation(rows)
+    return _split_residuals(swept, terms, state, value, fit)
+
+
+@dataclass(frozen=True, slots=True)
+class _AxisState:
+    direction: Array
+    point: Array
+    start: Array  # (4, 4), the flange where the reading is at its middle
+
+
+def _start(swept: SweepData) -> _AxisState:
+    """The mean axis of the turns from pair to pair, and the line that they leave in place."""
+    order = np.argsort(swept.q, kind="stable")
+    poses, q = swept.poses[order], swept.q[order]
+    middle = (q[0] + q[-1]) / 2
+    half = len(q) // 2  # turns over half of the sweep: far above noise, below half a turn
+    late, early = np.arange(half, len(q)), np.arange(len(q) - half)
+    turn = rotation_log(poses[late, :3, :3] @ np.swapaxes(poses[early, :3, :3], 1, 2))
+    direction = (q[late] - q[early]) @ turn
+    direction = direction / np.linalg.norm(direction)
+    first = int(np.argmin(np.abs(q - middle)))
+    back = rotation_exp((q - q[first])[:, None] * direction)
+    left = (np.eye(3) - back).reshape(-1, 3)
+    shift = poses[:, :3, 3] - poses[first, :3, 3]
+    arm = np.linalg.lstsq(left, shift.reshape(-1), rcond=1e-6)[0]
+    point = poses[first, :3, 3] + arm - direction * (direction @ arm)
+    start = poses[first].copy()
+    home = rotation_exp(direction * (middle - q[first]))
+    start[:3, :3] = home @ start[:3, :3]
+    start[:3, 3] = point + home @ (start[:3, 3] - point)
+    return _AxisState(direction, point, start)
+
+
+def _gauss_newton(
+    swept: SweepData, terms: Array, state: _AxisState, value: Array, inflation: Array
+) -> tuple[_AxisState, Array, RegressionFit, Array]:
+    """Gauss-Newton from a state on; also the whitened residuals, (n, 6)."""
+    for _ in range(MAX_ITERATIONS):
+        fitted, motion = _predict_poses(swept, terms, state, value)
+        white = _whitening(swept, motion, inflation)
+        design = np.concatenate(
+            [_design(state, fitted, swept, terms, value), -motion[:, :, None] * terms[:, None, :]],
+            axis=2,
+        )
+        residual = difference(swept.poses, fitted)
+        rows = (white @ design).reshape(-1, design.shape[2])
+        wanted = (white @ residual[:, :, None]).reshape(-1)
+        held = (white @ swept.held).reshape(len(rows), -1)
+        fit = solve(rows, wanted, held)
+        state, value = _apply_step(state, fit.value[:N_FREE]), value + fit.value[N_FREE:]
+        if np.abs(fit.value).max() < TOL_STEP:
+            break
+    left = wanted - rows @ fit.value - held @ fit.held
+    return state, value, fit, left.reshape(-1, 6)
+
+
+def _angle(swept: SweepData, terms: Array, value: Array) -> Array:
+    """Turn about the axis from where the reading is at its middle, (n,), rad."""
+    middle = (swept.q.min() + swept.q.max()) / 2
+    angle: Array = swept.q - middle - terms @ value
+    return angle
+
+
+def _predict_poses(
+    swept: SweepData, terms: Array, state: _AxisState, value: Array
+) -> tuple[Array, Array]:
+    """Poses (n, 4, 4), and how each moves with a turn about the axis, (n, 6)."""
+    turn = rotation_exp(_angle(swept, terms, value)[:, None] * state.direction)
+    fitted = np.tile(np.eye(4), (len(turn), 1, 1))
+    fitted[:, :3, :3] = turn @ state.start[:3, :3]
+    fitted[:, :3, 3] = state.point + turn @ (state.start[:3, 3] - state.point)
+    arm = fitted[:, :3, 3] - state.point
+    direction = np.tile(state.direction, (len(turn), 1))
+    return fitted, np.concatenate([np.cross(state.direction, arm), direction], axis=1)
+
+
+def _whitening(swept: SweepData, motion: Array, inflation: Array) -> Array:
+    """Whitening of the poses and of the reading that says where they should be, (n, 6, 6)."""
+    moved = motion * np.sqrt(swept.reading_variance)[:, None]
+    lower = np.linalg.cholesky(swept.covariance + moved[:, :, None] * moved[:, None, :])
+    return np.linalg.inv(lower * np.sqrt(inflation))
+
+
+def _perpendiculars(direction: Array) -> Array:
+    """Two unit vectors at right angles to a direction and to each other, (2, 3)."""
+    return np.asarray(np.linalg.svd(direction[None])[2][1:], dtype=np.float64)
+
+
+def _design(
+    state: _AxisState, fitted: Array, swept: SweepData, terms: Array, value: Array
+) -> Array:
+    """Derivative of the poses by line and start pose, (n, 6, 10)."""
+    turn = rotation_exp(_angle(swept, terms, value)[:, None] * state.direction)
+    arm = fitted[:, :3, 3] - state.point
+    design = np.zeros((len(turn), 6, N_FREE))
+    for i, v in enumerate(_perpendiculars(state.direction)):
+        tilt = np.cross(state.direction, v)  # turns the direction towards v
+        moved = tilt - turn @ tilt
+        design[:, :3, i] = np.cross(moved, arm)
+        design[:, 3:, i] = moved
+        design[:, :3, 2 + i] = v - turn @ v
+    design[:, :3, 4:7] = turn
+    design[:, 3:, 7:10] = turn
+    return design
+
+
+def _apply_step(state: _AxisState, step: Array) -> _AxisState:
+    across = _perpendiculars(state.direction)
+    direction = state.direction + step[:2] @ across
+    start = state.start.copy()
+    start[:3, 3] += step[4:7]
+    start[:3, :3] = rotation_exp(step[7:10]) @ start[:3, :3]
+    return _AxisState(
+        direction / np.linalg.norm(direction), state.point + step[2:4] @ across, start
+    )
+
+
+def _split_residuals(
+    swept: SweepData, terms: Array, state: _AxisState, value: Array, fit: RegressionFit
+) -> AxisFit:
+    """Split what is left into turns about the axis and the rest."""
+    fitted, motion = _predict_poses(swept, terms, state, value)
+    left = difference(swept.poses, fitted) - swept.held @ fit.held
+    weighted = np.linalg.solve(swept.covariance, motion[:, :, None])[:, :, 0]
+    information = np.sum(motion * weighted, axis=1)
+    angle = np.sum(weighted * left, axis=1) / information
+    variance = 1 / information + swept.reading_variance
+    rest = left - motion * angle[:, None]
+    chi2_rest = np.sum(rest * np.linalg.solve(swept.covariance, rest[:, :, None])[:, :, 0])
+    middle = (swept.q.min() + swept.q.max()) / 2
+    return AxisFit(
+        direction=state.direction,
+        point=state.point,
+        value=value,
+        covariance=fit.covariance[N_FREE:, N_FREE:],
+        estimable=fit.estimable[N_FREE:],
+        turned=_angle(swept, terms, value) + middle,
+        angle_left=angle,
+        angle_variance=variance,
+        rest=rest,
+        chi2_angle=float(np.sum(angle**2 / variance)),
+        chi2_rest=float(chi2_rest),
+    )
+
+
+P_FALSE_ECCENTRICITY = 1e-3  # chance of an eccentricity where there is none
+
+
+@dataclass(frozen=True, slots=True)
+class UncertainValue:
+    """One figure with its standard uncertainty; nan where the sweep does not determine it."""
+
+    value: float
+    uncertainty: float
+
+
+NO_FIGURE = UncertainValue(float("nan"), float("nan"))
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderTerms:
+    """Columns of the encoder's error: gain, hysteresis, sine and cosine, clock; -1: not there."""
+
+    columns: Array  # (n, k)
+    hysteresis: int
+    circular: int  # the first of two
+    clock: int
+
+
+def _terms(turned: Array, direction: Array, rate: Array | None, *, circular: bool) -> EncoderTerms:
+    middle = (turned.max() + turned.min()) / 2
+    columns, places = [turned - middle], {"hysteresis": -1, "circular": -1, "clock": -1}
+    if min(np.sum(direction > 0), np.sum(direction < 0)) >= MIN_PAIRS_PER_DIRECTION:
+        places["hysteresis"] = len(columns)
+        columns.append(direction / 2 - np.mean(direction / 2))
+    if circular:
+        places["circular"] = len(columns)
+        columns += [np.sin(turned) - np.mean(np.sin(turned))]
+        columns += [np.cos(turned) - np.mean(np.cos(turned))]
+    if rate is not None:
+        places["clock"] = len(columns)
+        columns.append(rate - np.mean(rate))
+    return EncoderTerms(np.stack(columns, axis=1), **places)
+
+
+def fit_terms(
+    swept: SweepData, direction: Array, rate: Array | None, *, circular: bool
+) -> tuple[EncoderTerms, AxisFit]:
+    """Fit with terms of the true angle, which the first fit shows."""
+    turned = swept.q
+    for _ in range(2):
+        terms = _terms(turned, direction, rate, circular=circular)
+        fit = fit_axis(swept, terms.columns)
+        turned = fit.turned
+    return terms, fit
+
+
+def term_figure(fit: AxisFit, place: int, misfit: float) -> UncertainValue:
+    """One term with its uncertainty; `misfit` is by how much chi-squared is too large."""
+    if place < 0 or not fit.estimable[place]:
+        return NO_FIGURE
+    return UncertainValue(
+        float(fit.value[place]), float(np.sqrt(fit.covariance[place, place] * misfit))
+    )
+
+
+def find_eccentricity(
+    terms: EncoderTerms, fit: AxisFit
+) -> tuple[UncertainValue, UncertainValue, bool]:
+    """Amplitude, phase, and whether it is there at all."""
+    both = slice(terms.circular, terms.circular + 2)
+    if not fit.estimable[both].all():
+        return NO_FIGURE, NO_FIGURE, False
+    part, spread = fit.value[both], fit.covariance[both, both]
+    size = float(np.hypot(*part))
+    there = bool(chi2_sf(float(part @ np.linalg.solve(spread, part)), 2) < P_FALSE_ECCENTRICITY)
+    along = part / size if size > 0 else part
+    # without a direction to speak of, the worst known one bounds it
+    variance = along @ spread @ along if there else np.linalg.eigvalsh(spread)[-1]
+    phase = NO_FIGURE
+    if there:
+        across = np.array([along[1], -along[0]])
+        doubt = float(np.sqrt(across @ spread @ across)) / size
+        phase = UncertainValue(float(np.arctan2(part[0], part[1])), doubt)
+    return UncertainValue(size, float(np.sqrt(variance))), phase, there

@@ -1,0 +1,297 @@
+"""Each joint's mean error taken apart: how much of its uncertainty comes from which source.
+
+A GUM budget: every source with its kind (does it average out?), type (A or B), sensitivity, degrees
+of freedom and contribution. All contributions go through one set of sensitivities, those by which
+the means follow from the pairs, so they add up to the stated uncertainty.
+
+How each joint's mean error follows from the pairs: sensitivities that a budget starts from.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from verify.analysis.clock import ClockEstimate
+from verify.analysis.comparison import Comparison, JointComparison
+from verify.analysis.joint_errors import (
+    JointErrors,
+    MeanErrors,
+    ResolvedErrors,
+    coverage_factor,
+    effective_degrees,
+    error_terms,
+    is_fitted,
+)
+from verify.analysis.least_squares import solve
+from verify.analysis.model import JointErrorModel
+from verify.analysis.uncertainty.sources import (
+    ALIGNMENT,
+    CLOCK,
+    LACK_OF_FIT,
+    PAN,
+    ROBOT_TABLE,
+    RandomSource,
+    SystematicSources,
+    random_sources,
+    robot_table_columns,
+    systematic_sources,
+)
+from verify.core.records import Array
+from verify.io.session.session import Session
+from verify.measurement.systematics import Systematics, unit
+from verify.measurement.track import Track
+
+
+def mean_sensitivities(
+    model: JointErrorModel, errors: JointErrors, resolved: ResolvedErrors, inverse: Array
+) -> Array:
+    """Derivative of the mean errors by each pair's twist xi, (n, j, 6); nan where not determined.
+
+    Whatever moves the twists moves the means by these, so every source's share of a mean's variance
+    is its own variance carried through them, and the shares add up.
+
+    Args:
+        model: the session's linear model.
+        errors: joint errors a pair.
+        resolved: the fit that means come from where no pair tells some joint's error.
+        inverse: (n, j, 6), d joints / d pose.
+
+    Source: GUM 5.1.3, sensitivity coefficients; means by generalised least squares.
+    """
+    if not is_fitted(model, errors):
+        known: NDArray[np.bool_] = ~np.isnan(errors.error)
+        weight = known / known.sum(axis=0)  # every joint is told by some pair
+        plain: Array = weight[:, :, None] * inverse
+        return plain
+    return _by_pair(model, _fitted_sensitivities(model, resolved))
+
+
+def _fitted_sensitivities(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
+    """Derivative of the fitted means by the whitened rows, (j, r)."""
+    joints = model.joints.shape[1]
+    if model.through_encoders:
+        design, chosen = np.concatenate([model.offsets, model.fitted], axis=1), np.eye(joints)
+    else:
+        design, chosen = _resolved_design(model)
+    free = np.zeros((joints, design.shape[1]))
+    free[:, : chosen.shape[1]] = chosen
+    fit = solve(design, model.xi, model.prior)
+    held = model.prior
+    # W = (1 + H H')⁻¹ weighs rows by noise and held columns together
+    inner = np.linalg.solve(np.eye(held.shape[1]) + held.T @ held, held.T)
+    weighted = design.T - (design.T @ held) @ inner
+    found: Array = free @ fit.covariance @ weighted
+    known = fit.estimable if model.through_encoders else fit.estimable | (free == 0).all(axis=0)
+    hidden = np.any(free[:, ~known] != 0, axis=1)
+    if not model.through_encoders:
+        hidden |= np.isnan(resolved.mean)
+    return np.where(hidden[:, None], np.nan, found)
+
+
+def _resolved_design(model: JointErrorModel) -> tuple[Array, Array]:
+    """Columns of the resolved errors' terms with what was fitted, and their means, (j, terms)."""
+    _, columns = error_terms(model.comparison)
+    count = sum(c.shape[1] for c in columns)
+    parts, chosen, start = [], np.zeros((len(columns), count)), 0
+    for j, terms in enumerate(columns):
+        varying = model.joints[:, [j]] * terms[model.white.pair]
+        varying[:, 0] = model.offsets[:, j]
+        parts.append(varying)
+        chosen[j, start : start + terms.shape[1]] = terms.mean(axis=0)
+        start += terms.shape[1]
+    return np.concatenate([*parts, model.fitted], axis=1), chosen
+
+
+def _by_pair(model: JointErrorModel, by_row: Array) -> Array:
+    """Take derivatives by whitened rows (j, r) to those by the pairs' twists, (n, j, 6)."""
+    factors = model.white.factors
+    ends = np.cumsum([len(f) for f in factors])
+    parts = np.split(by_row, ends[:-1], axis=1)
+    return np.array([part @ factor for part, factor in zip(parts, factors, strict=True)])
+
+
+__all__ = ["ALIGNMENT", "BUDGET_COLUMNS", "CLOCK", "PAN", "Budget", "budget"]
+
+BUDGET_COLUMNS = [
+    "joint", "source", "kind", "type", "standard_uncertainty_deg", "degrees_of_freedom", "share",
+]  # fmt: skip
+PARAMETER_COLUMNS = [
+    "source", "parameter", "unit", "standard_uncertainty", "type", "degrees_of_freedom", "joint",
+    "sensitivity_deg", "contribution_deg",
+]  # fmt: skip
+CORRELATION_SOURCE = "correlation of sources"
+TOL_VARIANCE = 1e-9  # of a variance: what sums leave of nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What a session's budget holds; j joints."""
+
+    lines: pd.DataFrame  # BUDGET_COLUMNS, a row a joint and source
+    parameters: pd.DataFrame  # PARAMETER_COLUMNS, a row a joint and parameter
+    random: Array  # (j,), standard uncertainty from what averages out, rad
+    systematic: Array  # (j,), from what does not
+    degrees: Array  # (j,), effective degrees of freedom; inf: without bound
+    coverage_factor: Array  # (j,)
+
+
+@dataclass(frozen=True, slots=True)
+class _BudgetLine:
+    source: str
+    kind: str
+    type: str
+    variance: Array  # (j,), rad²; negative where correlated sources cancel
+    degrees: Array  # (j,)
+
+
+def budget(
+    model: JointErrorModel,
+    plain: Comparison,
+    joints: JointComparison,
+    errors: JointErrors,
+    means: MeanErrors,
+    resolved: ResolvedErrors,
+    session: Session,
+    systematics: Systematics,
+    track: Track,
+    clock: ClockEstimate,
+) -> Budget:
+    """Take the mean errors' uncertainties apart.
+
+    Args:
+        model: the session's linear model.
+        plain: its comparison before pairs that repeat each other were counted for fewer.
+        joints: for how measured angles follow from measured poses.
+        errors: joint errors a pair.
+        means: what the sources add up to.
+        resolved: the fit that means come from where no pair tells some joint's error.
+        session: for the arm, the rig, and what is stated of the encoders.
+        systematics: stated parameters.
+        track: measured poses (pan readings).
+        clock: the offset and how it came about.
+    """
+    by_pair = mean_sensitivities(model, errors, resolved, joints.inverse)
+    fitted = is_fitted(model, errors)
+    varying = random_sources(model, plain, track, session, systematics)
+    held = systematic_sources(
+        model.comparison, track, session.rig, clock, systematics, clock_fitted=fitted
+    )
+    own = _noise_dof(resolved, means, fitted=fitted)
+    lines = [*_random_lines(varying, by_pair, own), *_systematic_lines(held, by_pair)]
+    if fitted and not model.through_encoders and resolved.misfit > 1:
+        lacking = (resolved.misfit - 1) * sum(line.variance for line in lines)
+        lines.append(_BudgetLine(LACK_OF_FIT, "random", "A", np.asarray(lacking), own))
+    known = ~np.isnan(means.mean)
+    random, systematic = (
+        np.where(known, sum((li.variance for li in lines if li.kind == k), 0.0), np.nan)
+        for k in ("random", "systematic")
+    )
+    noise = [li.variance for li in lines if li.kind == "random" and li.degrees is own]
+    degrees = effective_degrees(
+        random + systematic, np.sum(noise, axis=0), own, *_calibration_variance(held, by_pair)
+    )
+    return Budget(
+        lines=_table(lines, random + systematic),
+        parameters=_parameters(held, session, model.comparison, by_pair),
+        random=np.sqrt(np.maximum(random, 0.0)),
+        systematic=np.sqrt(np.maximum(systematic, 0.0)),
+        degrees=degrees,
+        coverage_factor=coverage_factor(degrees),
+    )
+
+
+def _noise_dof(resolved: ResolvedErrors, means: MeanErrors, *, fitted: bool) -> Array:
+    """Degrees of freedom of what the session itself shows of its noise, (j,)."""
+    if fitted:
+        return np.full(len(means.mean), max(float(resolved.fit.degrees_of_freedom), 1.0))
+    # six coordinates a pair share the noise estimate
+    degrees: Array = np.maximum(6.0 * means.pairs - 6, 1.0)
+    return degrees
+
+
+def _random_lines(sources: list[RandomSource], by_pair: Array, own: Array) -> Iterator[_BudgetLine]:
+    for source in sources:
+        variance = np.einsum("njk,nkl,njl->j", by_pair, source.covariance, by_pair)
+        degrees = own if source.type == "A" else np.full(len(own), np.inf)
+        yield _BudgetLine(source.source, "random", source.type, variance, degrees)
+
+
+def _systematic_lines(held: SystematicSources, by_pair: Array) -> Iterator[_BudgetLine]:
+    sensitivity = np.einsum("njk,nkp->jp", by_pair, held.columns)
+    for source in dict.fromkeys(held.sources):
+        mine = np.flatnonzero([s == source for s in held.sources])
+        part = sensitivity[:, mine]
+        variance = np.einsum("jp,pq,jq->j", part, held.covariance[np.ix_(mine, mine)], part)
+        degrees = np.full(len(part), held.degrees[mine].min())
+        yield _BudgetLine(source, "systematic", held.types[mine[0]], variance, degrees)
+    alike = np.array(held.sources)[:, None] == np.array(held.sources)[None]
+    between = np.where(alike, 0.0, held.covariance) if len(held.sources) else held.covariance
+    if between.any():
+        variance = np.einsum("jp,pq,jq->j", sensitivity, between, sensitivity)
+        yield _BudgetLine(
+            CORRELATION_SOURCE, "systematic", "B", variance, np.full(len(variance), np.inf)
+        )
+
+
+def _calibration_variance(held: SystematicSources, by_pair: Array) -> tuple[Array, float]:
+    """Variance from all that one calibration found, and its degrees of freedom."""
+    mine = np.flatnonzero(np.isfinite(held.degrees))
+    part = np.einsum("njk,nkp->jp", by_pair, held.columns[:, :, mine])
+    variance = np.einsum("jp,pq,jq->j", part, held.covariance[np.ix_(mine, mine)], part)
+    return variance, float(held.degrees[mine].min(initial=np.inf))
+
+
+def _table(lines: list[_BudgetLine], total: Array) -> pd.DataFrame:
+    rows = []
+    for line in lines:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = line.variance / total
+        if not np.any(np.abs(share) > TOL_VARIANCE):
+            continue
+        size = np.rad2deg(np.sqrt(np.abs(line.variance)) * np.sign(line.variance))
+        rows += [
+            (
+                j + 1,
+                line.source,
+                line.kind,
+                line.type,
+                float(size[j]),
+                float(line.degrees[j]),
+                float(share[j]),
+            )
+            for j in range(len(total))
+        ]
+    return pd.DataFrame(rows, columns=BUDGET_COLUMNS)
+
+
+def _parameters(
+    held: SystematicSources, session: Session, comparison: Comparison, by_pair: Array
+) -> pd.DataFrame:
+    """Every parameter with its sensitivity, those of the robot's table without an uncertainty."""
+    names, columns = robot_table_columns(session.arm, comparison)
+    everything = np.concatenate([held.columns, columns], axis=2)
+    u = np.concatenate([np.sqrt(np.diag(held.covariance)), np.full(len(names), np.nan)])
+    sources = [*held.sources, *[ROBOT_TABLE] * len(names)]
+    types = [*held.types, *["B"] * len(names)]
+    degrees = [*held.degrees.tolist(), *[np.nan] * len(names)]
+    sensitivity = np.rad2deg(np.einsum("njk,nkp->pj", by_pair, everything))
+    rows = []
+    every = [*held.names, *names]
+    for name in dict.fromkeys(every):
+        alike = [p for p, other in enumerate(every) if other == name]
+        p = alike[0]
+        scale, suffix = unit(name), name.rsplit("_", 1)[-1]
+        # errors of single pan readings: independent of each other, of one size
+        effect = sensitivity[p] if len(alike) == 1 else np.linalg.norm(sensitivity[alike], axis=0)
+        for j, each in enumerate(effect.tolist()):
+            rows.append(
+                (
+                    sources[p], name, suffix if suffix in ("mm", "deg", "px", "s") else "1",
+                    float(u[p] / scale), types[p], degrees[p], j + 1, each * scale,
+                    abs(each) * float(u[p]),
+                )
+            )  # fmt: skip
+    return pd.DataFrame(rows, columns=PARAMETER_COLUMNS)

@@ -1,0 +1,194 @@
+"""Does linear propagation hold? The whole chain drawn anew, closed-form inverse included.
+
+A few pairs of the session, and the worst known of them, are measured again in a few hundred drawn
+worlds: spots, cameras, bases, LEDs, clock and readings move by what is stated of them, the pose is
+fitted without linearisation, and the arm's inverse takes it to joint angles (GUM Supplement 1).
+Each draw is propagated linearly as well. The ratio of the two standard deviations over the same
+draws is free of most of the chance that either holds: that is what is compared.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robots
+from verify.analysis.clock import ClockEstimate
+from verify.analysis.comparison import Comparison, JointComparison, alignment_scale
+from verify.analysis.model import prior_columns
+from verify.analysis.uncertainty.draws import WorldDraws
+from verify.core.readings import RATE_SPAN
+from verify.core.records import Array, Measurement
+from verify.io.session.session import Session
+from verify.measurement.systematics import Systematics
+from verify.measurement.track import Track
+
+N_PAIRS = 20  # spread over the session, beside the worst known ones
+N_DRAWS = 200
+SEED = 20261122
+MAX_RATIO_ERROR = 0.05  # of the standard deviation
+P_CHANCE = 0.01  # of the ratio by so few draws: where it is said to hold, it does
+MAX_SHIFT = 0.1  # of the standard deviation: a mean that moves by less changes no interval
+N_JOINTS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class MonteCarlo:
+    """m pairs of a session, j joints; a joint's error less its linear propagation, over draws."""
+
+    pairs: NDArray[np.int64]  # (m,), rows of the comparison
+    draws: int
+    linear: Array  # (m, j), standard uncertainty by linear propagation, rad
+    drawn: Array  # (m, j), the same times the ratio below
+    scatter: Array  # (m, j), standard deviation over the draws as they fell, rad
+    ratio: Array  # (m, j), drawn over linear standard deviation of the same draws
+    shift: Array  # (m, j), of the mean, in standard uncertainties
+    coupled: NDArray[np.bool_]  # (m, j), a singularity near by couples this joint
+    unreachable: Array  # (m,), share of draws in which the arm cannot stand in the pose
+    mean_ratio: Array  # (j,), the same ratio of the mean over the pairs that tell a joint
+
+    @property
+    def holds(self) -> NDArray[np.bool_]:
+        """Where linear propagation holds, (m, j)."""
+        near = (np.abs(self.ratio - 1) <= MAX_RATIO_ERROR - P_CHANCE) & (
+            np.abs(self.shift) <= MAX_SHIFT
+        )
+        holds: NDArray[np.bool_] = near & (self.unreachable == 0)[:, None]
+        return holds
+
+
+def monte_carlo(
+    session: Session,
+    measurements: list[Measurement],
+    track: Track,
+    comparison: Comparison,
+    joints: JointComparison,
+    systematics: Systematics,
+    clock: ClockEstimate,
+    *,
+    pairs: int = N_PAIRS,
+    draws: int = N_DRAWS,
+    seed: int = SEED,
+) -> MonteCarlo | None:
+    """Draw the session's inputs and compare what comes out with linear propagation.
+
+    Args:
+        session: for rig, marker, arm and what is stated of the encoders.
+        measurements: the measured pairs, one a row of the track.
+        track: their poses.
+        comparison: readings and measured poses, random parts before any that repeat are thinned.
+        joints: measured angles and d joints / d pose.
+        systematics: what files state.
+        clock: the offset and its uncertainty.
+        pairs: how many to spread over the session.
+        draws: how many worlds.
+        seed: of the draws.
+
+    Returns:
+        The comparison; None for an arm of other than six joints, or without a wholly known pose.
+    """
+    if session.arm.dof != N_JOINTS:
+        return None
+    chosen = _select_pairs(comparison, joints, pairs)
+    if not len(chosen):
+        return None
+    world = WorldDraws(np.random.default_rng(seed), draws, session, systematics, clock)
+    scale = np.sqrt(alignment_scale(track))
+    poses = np.empty((len(chosen), draws, 4, 4))
+    read, straight = (np.empty((len(chosen), draws, N_JOINTS)) for _ in range(2))
+    noise = np.sqrt(2 * comparison.rate_variance) * RATE_SPAN
+    for m, i in enumerate(chosen.tolist()):
+        row = int(comparison.index[i])
+        drawn, twist = world.poses(measurements[row], track, row, float(scale[row]))
+        poses[m], by_alignment = world.aligned(drawn, comparison.alignment_error[i])
+        late = world.readings(comparison.rate[i], noise)
+        read[m] = comparison.q[i] + late
+        by_reading = late @ comparison.jacobian[i].T
+        straight[m] = (by_reading - twist + by_alignment) @ joints.inverse[i].T
+    q, _ = robots.nearest(session.arm, poses, read)
+    bent = _wrap(read - q - joints.error[chosen, None])
+    linear = _linear(comparison, joints, track, clock, systematics)[chosen]
+    return _compare_draws(chosen, bent, straight, linear, _coupled_joints(joints, chosen))
+
+
+def _select_pairs(comparison: Comparison, joints: JointComparison, pairs: int) -> NDArray[np.int64]:
+    """Pairs spread over the session, and of each joint the one that is known worst."""
+    whole = np.array([d.shape[1] == N_JOINTS for d in comparison.determined], dtype=bool)
+    usable = np.flatnonzero(whole & joints.reached & np.isfinite(joints.error).all(axis=1))
+    if not len(usable):
+        return usable
+    even = usable[np.linspace(0, len(usable) - 1, min(pairs, len(usable))).round().astype(int)]
+    variance = np.diagonal(joints.covariance[usable], axis1=1, axis2=2)
+    return np.unique(np.concatenate([even, usable[np.argmax(variance, axis=0)]]))
+
+
+def _coupled_joints(joints: JointComparison, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
+    flagged = np.zeros((len(chosen), N_JOINTS), dtype=bool)
+    for m, i in enumerate(chosen.tolist()):
+        coupling = joints.coupling[i]
+        if coupling is not None:
+            flagged[m, list(coupling.joints)] = True
+    return flagged
+
+
+def _wrap(angle: Array) -> Array:
+    wrapped: Array = np.arctan2(np.sin(angle), np.cos(angle))
+    return wrapped
+
+
+def _linear(
+    comparison: Comparison,
+    joints: JointComparison,
+    track: Track,
+    clock: ClockEstimate,
+    systematics: Systematics,
+) -> Array:
+    """Standard uncertainty of every pair's joint errors by linear propagation, (n, j), rad."""
+    given = replace(clock, source="given")  # a clock that was estimated moves the readings alike
+    moved = joints.inverse @ prior_columns(comparison, track, given, systematics)
+    own = joints.inverse @ comparison.covariance @ np.swapaxes(joints.inverse, 1, 2)
+    total: Array = np.sqrt(np.diagonal(own, axis1=1, axis2=2) + np.sum(moved**2, axis=2))
+    return total
+
+
+def _compare_draws(
+    chosen: NDArray[np.int64],
+    bent: Array,
+    straight: Array,
+    linear: Array,
+    coupled: NDArray[np.bool_],
+) -> MonteCarlo:
+    """Set draws (m, d, j) of the whole chain against those of linear propagation."""
+    lost = np.any(np.isnan(bent), axis=2)
+    straight = np.where(lost[:, :, None], np.nan, straight)
+    ratio, shift = np.full(linear.shape, np.nan), np.full(linear.shape, np.nan)
+    told = (~lost).sum(axis=1) > bent.shape[1] // 2  # else there is nothing to compare
+    scatter = np.full(linear.shape, np.nan)
+    scatter[told] = np.nanstd(bent[told], axis=1)
+    ratio[told] = _ratio(scatter[told], np.nanstd(straight[told], axis=1))
+    shift[told] = _ratio(np.nanmean(bent[told] - straight[told], axis=1), linear[told])
+    mean_ratio = np.full(linear.shape[1], np.nan)
+    for j in range(linear.shape[1]):
+        mine = ~coupled[:, j] & ~lost.any(axis=1)
+        if mine.any():
+            drawn, told_linearly = (x[mine, :, j].mean(axis=0).std() for x in (bent, straight))
+            mean_ratio[j] = drawn / told_linearly if told_linearly > 0 else np.nan
+    return MonteCarlo(
+        pairs=chosen,
+        draws=bent.shape[1],
+        linear=linear,
+        drawn=linear * ratio,
+        scatter=scatter,
+        ratio=ratio,
+        shift=shift,
+        coupled=coupled,
+        unreachable=lost.mean(axis=1),
+        mean_ratio=mean_ratio,
+    )
+
+
+def _ratio(part: Array, whole: Array) -> Array:
+    """A quotient; nan where nothing varies."""
+    nothing = np.full(whole.shape, np.nan)
+    quotient: Array = np.divide(part, whole, out=nothing, where=whole > 0)
+    return quotient

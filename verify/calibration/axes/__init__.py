@@ -1,0 +1,1 @@
+"""Joint axes measured by one-joint sweeps, against the DH table."""

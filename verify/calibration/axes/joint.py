@@ -1,0 +1,229 @@
+"""One sweep measured: the joint's axis, and how far it turned against its encoder.
+
+Relations between two axes: as a DH table gives them, and as they were measured.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+import robots
+from verify.analysis.rig_check import drop_registration
+from verify.analysis.sweeps.segments import MotionSegment
+from verify.calibration.axes.axis import SweepAxis, fit_axis
+from verify.core.readings import Readings
+from verify.core.records import Array, Measurement
+from verify.io.session.session import Session
+from verify.measurement.systematics import sensitivities, stated_systematics
+
+MAX_PARALLEL_ANGLE = np.deg2rad(5.0)  # axes nearer to parallel have no common normal to speak of
+STEP = 1e-6  # rad and m, of numerical derivatives: small against curvature, large against rounding
+
+
+@dataclass(frozen=True, slots=True)
+class AxisLine:
+    """A joint's axis; the joint's angle grows by the right hand about the direction."""
+
+    direction: Array  # (3,), unit vector
+    point: Array  # (3,), m
+
+
+def line_in_base(arm: robots.Arm, joint: int, q: Array) -> AxisLine:
+    """The axis of a joint (counted from 0) in the base at joint angles q (n,), by the arm's table.
+
+    The point is the axis's nearest to the flange. From the geometric Jacobian: its column holds
+    the direction z and z × (p − o) for the flange p and any point o of the axis.
+    """
+    column = robots.jacobian(arm, q)[:, joint]
+    flange = robots.forward(arm, q)[:3, 3]
+    return AxisLine(column[3:], flange + np.cross(column[3:], column[:3]))
+
+
+def are_parallel(one: AxisLine, other: AxisLine) -> bool:
+    """Whether two lines count as parallel (or run against each other)."""
+    return bool(
+        np.linalg.norm(np.cross(one.direction, other.direction)) < np.sin(MAX_PARALLEL_ANGLE)
+    )
+
+
+def angle_between(one: AxisLine, other: AxisLine) -> float:
+    """Angle between two directions, rad, 0 to pi: the twist between axes."""
+    sine = np.linalg.norm(np.cross(one.direction, other.direction))
+    return float(np.arctan2(sine, one.direction @ other.direction))
+
+
+def distance_between(one: AxisLine, other: AxisLine) -> float:
+    """Distance of two lines along their common normal, m: the link length.
+
+    Lines that are not parallel have it signed along one × other, so that noise about zero
+    averages to zero; parallel ones have it across their mean direction.
+    """
+    apart = other.point - one.point
+    if not are_parallel(one, other):
+        normal = np.cross(one.direction, other.direction)
+        return float(apart @ normal / np.linalg.norm(normal))
+    sense = np.sign(one.direction @ other.direction)
+    mean = one.direction + sense * other.direction
+    mean = mean / np.linalg.norm(mean)
+    return float(np.linalg.norm(apart - mean * (mean @ apart)))
+
+
+def tilt_between(one: AxisLine, other: AxisLine) -> Array:
+    """How far other's direction leaves one's line, (3,): a vector that parallel axes have at 0."""
+    return other.direction * np.sign(one.direction @ other.direction) - one.direction
+
+
+def frame_of_lines(one: AxisLine, other: AxisLine) -> Array:
+    """A frame of two lines, (4, 4): z along one, origin on it where the common normal meets it.
+
+    x is along one × other; the lines must not be parallel.
+    """
+    x = np.cross(one.direction, other.direction)
+    x = x / np.linalg.norm(x)
+    apart = other.point - one.point
+    # one + s z1 and other + t z2 are joined by x: solve for s
+    solved = np.linalg.solve(np.stack([one.direction, -other.direction, x], axis=1), apart)
+    frame = np.eye(4)
+    frame[:3, :3] = np.stack([x, np.cross(one.direction, x), one.direction], axis=1)
+    frame[:3, 3] = one.point + solved[0] * one.direction
+    return frame
+
+
+def step_line(line: AxisLine, across: Array, step: Array) -> AxisLine:
+    """A line moved by its four small parameters: direction, then point, along `across` (2, 3)."""
+    direction = line.direction + step[:2] @ across
+    return AxisLine(direction / np.linalg.norm(direction), line.point + step[2:] @ across)
+
+
+def line_derivative(
+    function: Callable[[AxisLine, AxisLine], Array],
+    lines: tuple[AxisLine, AxisLine],
+    across: tuple[Array, Array],
+) -> Array:
+    """Derivative of a function of two lines by their eight parameters, (…, 8), numerically."""
+
+    def at(step: Array) -> Array:
+        one, other = (
+            step_line(line, a, s)
+            for line, a, s in zip(lines, across, (step[:4], step[4:]), strict=True)
+        )
+        return np.asarray(function(one, other), dtype=np.float64)
+
+    columns = [(at(row) - at(-row)) / (2 * STEP) for row in STEP * np.eye(8)]
+    return np.stack(columns, axis=-1)
+
+
+MAX_PAIRS = 150  # of one sweep, evenly spread: more only cost time
+
+
+@dataclass(frozen=True, slots=True)
+class JointSweepResult:
+    """One sweep: the joint's axis, and its turn against the encoder."""
+
+    joint: int  # counted from 1
+    frames: NDArray[np.int64]  # (n,)
+    q: Array  # (n, joints), rad, readings
+    axis: SweepAxis
+    by_source: Array  # (4, p), the axis's parameters by one standard deviation of each source
+    gear: float  # turn about the axis over the encoder's
+    gear_uncertainty: float
+    nonlinearity: Array  # (n,), rad, encoder less turn, a straight line taken out
+    nonlinearity_uncertainty: Array  # (n,), rad
+
+    @property
+    def span(self) -> float:
+        """From the least to the largest reading, rad."""
+        return float(np.ptp(self.q[:, self.joint - 1]))
+
+    @property
+    def covariance(self) -> Array:
+        """Of the axis's four parameters, everything included, (4, 4)."""
+        total: Array = self.axis.covariance + self.by_source @ self.by_source.T
+        return total
+
+    @property
+    def line(self) -> AxisLine:
+        """The axis in the rig."""
+        return AxisLine(self.axis.direction, self.axis.point)
+
+
+def fit_joint(
+    session: Session, measured: list[Measurement], readings: Readings, sweep: MotionSegment
+) -> JointSweepResult:
+    """Fit the axis of one sweep and compare its turn with the encoder.
+
+    Args:
+        session: rig and marker with what is stated of them; the readings' grain.
+        measured: the pairs that the sweep counts in, all six degrees of freedom known.
+        readings: the encoders, for their noise.
+        sweep: which joint moved, when.
+    """
+    count = min(len(sweep.pairs), MAX_PAIRS)
+    chosen = np.linspace(0, len(sweep.pairs) - 1, count).astype(int)
+    seen = [measured[i] for i in sweep.pairs[chosen]]
+    q = sweep.q[chosen]
+    poses = [m.pose for m in seen if m.pose is not None]
+    angle = q[:, sweep.joint]
+    axis = fit_axis(
+        np.array([p.rig_T_flange for p in poses]), np.array([p.covariance for p in poses]), angle
+    )
+    effects = _effects(session, seen)
+    gear, gear_u, left, left_u = _gear_ratio(
+        axis,
+        axis.angle_by_pose @ effects,
+        angle,
+        _reading_uncertainty(session, readings, sweep.joint),
+    )
+    return JointSweepResult(
+        joint=sweep.joint + 1,
+        frames=np.array([m.frame for m in seen], dtype=np.int64),
+        q=q,
+        axis=axis,
+        by_source=axis.by_pose @ effects,
+        gear=gear,
+        gear_uncertainty=gear_u,
+        nonlinearity=left,
+        nonlinearity_uncertainty=left_u,
+    )
+
+
+def _effects(session: Session, seen: list[Measurement]) -> Array:
+    """How poses move by one standard deviation of everything stated, (6 n, p), rig axes."""
+    rig, marker = replace(session.rig, rig_T_base=np.eye(4)), session.marker
+    known = drop_registration(stated_systematics(rig, marker, turning=False))
+    columns = np.concatenate([sensitivities(known, m, rig, marker) for m in seen])
+    values, vectors = np.linalg.eigh(known.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    factor = np.asarray(block_diag(root, np.diag(np.nan_to_num(known.pan))), dtype=np.float64)
+    effects: Array = columns @ factor
+    return effects
+
+
+def _reading_uncertainty(session: Session, readings: Readings, joint: int) -> float:
+    """Standard uncertainty of one reading: its noise, or its grain where that hides it."""
+    grain = (session.encoder_resolution or 0.0) / 12**0.5
+    return max(float(readings.noise[joint]), grain)
+
+
+def _gear_ratio(
+    axis: SweepAxis, effects: Array, q: Array, sigma: float
+) -> tuple[float, float, Array, Array]:
+    """Gear ratio and what a straight line leaves, each with its standard uncertainty."""
+    n = len(q)
+    varying = axis.angle_covariance + sigma**2 * np.eye(n)
+    design = np.stack([np.ones(n), q - q.mean()], axis=1)
+    # the angles' mean was set to the encoder's and has no variance of its own; one that all angles
+    # share changes no slope and keeps the matrix regular
+    shared = float(np.trace(varying)) / n
+    solved = np.linalg.solve(varying + shared * np.ones((n, n)), design)
+    gain = np.linalg.solve(design.T @ solved, solved.T)
+    offset, gear = gain @ axis.angle
+    left = offset + design[:, 1] * gear - axis.angle
+    total = varying + effects @ effects.T
+    hat = np.eye(n) - design @ gain
+    spread = hat @ total @ hat.T
+    gear_u = float(np.sqrt((gain @ total @ gain.T)[1, 1]))
+    return float(gear), gear_u, left, np.sqrt(np.diag(spread))

@@ -1,0 +1,268 @@
+"""Swept axes against the arm's table: twists, link lengths, and the base by the first two.
+
+Axes from one-joint sweeps: what the arm is, seen without its DH table, and how well they agree.
+
+Each sweep shows one joint by itself: where its axis lies in the rig, and how far it turned against
+what its encoder says. No base, no LED place and no table enters; then the table is compared.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+import robots
+from robots.transforms import difference, invert
+from verify.analysis.clock import estimate_clock
+from verify.analysis.sweeps.segments import MAX_REST_TRAVEL, MotionSegment, find_sweeps
+from verify.calibration.axes.joint import (
+    AxisLine,
+    JointSweepResult,
+    angle_between,
+    are_parallel,
+    distance_between,
+    fit_joint,
+    frame_of_lines,
+    line_derivative,
+    line_in_base,
+    tilt_between,
+)
+from verify.core.readings import Readings
+from verify.core.records import Array, Measurement
+from verify.core.statistics import chi2_isf, norm_isf
+from verify.errors import InputError
+from verify.io.session.session import Session
+from verify.measurement.track import collect_track
+
+P_FALSE_ALARM = 1e-3  # over all comparisons with the table
+
+
+@dataclass(frozen=True, slots=True)
+class AxisPair:
+    """Two axes against the table; angle in rad, distance in m, uncertainties of the difference."""
+
+    joints: tuple[int, int]  # counted from 1
+    parallel: bool  # then the angle cannot be negative: noise alone makes it larger than 0
+    angle: float
+    angle_table: float
+    angle_uncertainty: float
+    distance: float
+    distance_table: float
+    distance_uncertainty: float
+    agrees: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BaseFromAxes:
+    """The robot's base by its own first two axes."""
+
+    rig_T_base: Array  # (4, 4)
+    covariance: Array  # (6, 6), m and rad, perturbation on the left, rig axes
+    difference: Array | None  # (6,), m and rad, less the registered base; None: none registered
+
+
+def compare_with_table(
+    arm: robots.Arm, joints: tuple[JointSweepResult, ...]
+) -> tuple[AxisPair, ...]:
+    """Every sweep of a joint with the first one of the next joint."""
+    found = []
+    for one in joints:
+        other = next((j for j in joints if j.joint == one.joint + 1), None)
+        if other is not None:
+            found.append((one, other))
+    limit = P_FALSE_ALARM / max(2 * len(found), 1)
+    return tuple(_pair(arm, one, other, limit) for one, other in found)
+
+
+def _in_base(
+    arm: robots.Arm, one: JointSweepResult, other: JointSweepResult
+) -> tuple[AxisLine, AxisLine]:
+    """Both axes by the table, at the postures in which they were swept."""
+    posture, later = one.q.mean(axis=0), other.q.mean(axis=0)
+    upstream = slice(None, one.joint - 1)
+    if np.all(np.abs(posture[upstream] - later[upstream]) < MAX_REST_TRAVEL):
+        posture[upstream] = later[upstream]  # the same posture: only the readings' noise differs
+    return line_in_base(arm, one.joint - 1, posture), line_in_base(arm, other.joint - 1, later)
+
+
+def _pair(
+    arm: robots.Arm, one: JointSweepResult, other: JointSweepResult, limit: float
+) -> AxisPair:
+    table = _in_base(arm, one, other)
+    lines, across = (one.line, other.line), (one.axis.across, other.axis.across)
+    covariance = _joint_covariance(one, other)
+    side_by_side = are_parallel(*table)
+
+    def distance(a: AxisLine, b: AxisLine) -> Array:
+        return np.array(distance_between(a, b))
+
+    by_distance = line_derivative(distance, lines, across)
+    distance_u = float(np.sqrt(by_distance @ covariance @ by_distance))
+    known, seen = distance_between(*table), distance_between(*lines)
+    sense = -1.0 if known < 0 else 1.0
+    angle, angle_table = angle_between(*lines), angle_between(*table)
+    if side_by_side:
+        by_tilt = line_derivative(tilt_between, lines, across)
+        angle_u = float(np.sqrt(np.linalg.eigvalsh(by_tilt @ covariance @ by_tilt.T)[-1]))
+        bound = np.sqrt(chi2_isf(limit, 2))  # a tilt has two components
+    else:
+        by_angle = line_derivative(lambda a, b: np.array(angle_between(a, b)), lines, across)
+        angle_u = float(np.sqrt(by_angle @ covariance @ by_angle))
+        bound = norm_isf(limit / 2)
+    straight = abs(angle - angle_table) < bound * angle_u
+    return AxisPair(
+        joints=(one.joint, other.joint),
+        parallel=side_by_side,
+        angle=angle,
+        angle_table=angle_table,
+        angle_uncertainty=angle_u,
+        distance=sense * seen,
+        distance_table=sense * known,
+        distance_uncertainty=distance_u,
+        agrees=bool(straight and abs(seen - known) < norm_isf(limit / 2) * distance_u),
+    )
+
+
+def _joint_covariance(one: JointSweepResult, other: JointSweepResult) -> Array:
+    """Of two axes' eight parameters: they share the rig's errors."""
+    random = np.asarray(block_diag(one.axis.covariance, other.axis.covariance), dtype=np.float64)
+    both = np.concatenate([one.by_source, other.by_source])
+    total: Array = random + both @ both.T
+    return total
+
+
+def base_from_axes(
+    arm: robots.Arm, joints: tuple[JointSweepResult, ...], registered: Array | None
+) -> BaseFromAxes | None:
+    """The base by joints 1 and 2: its z is axis 1, its turn about that rests on joint 1's zero.
+
+    Args:
+        arm: its table holds where the two axes lie in the base.
+        joints: what was swept; None is returned where 1 and 2 are not both among them.
+        registered: rig_T_base to compare with, (4, 4); None: none.
+    """
+    first, second = (next((j for j in joints if j.joint == n), None) for n in (1, 2))
+    if first is None or second is None:
+        return None
+    table = _in_base(arm, first, second)
+    if are_parallel(*table):
+        return None
+    frame_T_base = invert(frame_of_lines(*table))
+    lines, across = (first.line, second.line), (first.axis.across, second.axis.across)
+    base: Array = frame_of_lines(*lines) @ frame_T_base
+
+    def moved(one: AxisLine, other: AxisLine) -> Array:
+        return difference(frame_of_lines(one, other) @ frame_T_base, base)
+
+    by_lines = line_derivative(moved, lines, across)
+    return BaseFromAxes(
+        rig_T_base=base,
+        covariance=by_lines @ _joint_covariance(first, second) @ by_lines.T,
+        difference=None if registered is None else difference(base, registered),
+    )
+
+
+MIN_SPAN = np.deg2rad(5.0)  # below it the circle is too short an arc to find its centre
+MIN_GOOD_SPAN = np.deg2rad(15.0)  # below it an axis is known, but poorly
+
+
+@dataclass(frozen=True, slots=True)
+class SweepResult:
+    """What one-joint sweeps show."""
+
+    joints: tuple[JointSweepResult, ...]
+    pairs: tuple[AxisPair, ...]
+    base: BaseFromAxes | None  # where joints 1 and 2 were swept
+    clock_offset: float  # s, added to the readings' time
+    decisions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def axes_from_sweeps(session: Session, measurements: Sequence[Measurement]) -> SweepResult:
+    """Find each swept joint's axis and compare the arm with its table.
+
+    Args:
+        session: joint after joint moves, the others still.
+        measurements: what `measure` gave for its pairs.
+
+    Raises:
+        InputError: no joint was swept alone through a useful span.
+    """
+    measured = [m for m in measurements if m.status == "measured" and m.pose is not None]
+    measured = [m for m in measured if m.pose is not None and m.pose.known_dof == 6]
+    readings = Readings(session.encoders.t, session.encoders.q)
+    offset = _clock(session, measured, readings)
+    t = np.array([m.t for m in measured]) - offset
+    frame = np.array([m.frame for m in measured], dtype=np.int64)
+    sweeps, notes = find_sweeps(readings, t, frame) if measured else ([], [])
+    useful, small = _wide_sweeps(sweeps)
+    if not useful:
+        raise InputError(
+            session.folder,
+            f"no joint is swept alone ({' '.join([*notes, *small]) or 'nothing moves'})",
+            f"one joint after the other turns by {np.rad2deg(MIN_SPAN):.0f}° or more",
+            "Record such a motion: `single_joint` in a scenario shows one.",
+        )
+    joints = tuple(fit_joint(session, measured, readings, sweep) for sweep in useful)
+    pairs = compare_with_table(session.arm, joints)
+    registered = session.rig.rig_T_base if session.rig.registered else None
+    base = base_from_axes(session.arm, joints, registered)
+    return SweepResult(
+        joints=joints,
+        pairs=pairs,
+        base=base,
+        clock_offset=offset,
+        decisions=tuple(_decisions(joints, pairs, base)),
+        warnings=(*notes, *small),
+    )
+
+
+def _clock(session: Session, measured: list[Measurement], readings: Readings) -> float:
+    if session.clock is not None:
+        return session.clock.encoder_offset
+    # the invariants of the motion need no base; without one the rig's own axes stand in
+    rig = session.rig if session.rig.registered else replace(session.rig, rig_T_base=np.eye(4))
+    empty = [np.zeros((6, 0))] * len(measured)
+    return float(estimate_clock(collect_track(measured, rig, empty), session.arm, readings).offset)
+
+
+def _wide_sweeps(sweeps: list[MotionSegment]) -> tuple[list[MotionSegment], list[str]]:
+    """Sweeps wide enough, and what is said of the others."""
+    useful, notes = [], []
+    for sweep in sweeps:
+        turned = f"Joint {sweep.joint + 1} turns by {np.rad2deg(sweep.span):.1f}°"
+        if sweep.span < MIN_SPAN:
+            notes.append(f"Left out: {turned} only; {np.rad2deg(MIN_SPAN):.0f}° are needed.")
+            continue
+        if sweep.span < MIN_GOOD_SPAN:
+            notes.append(f"{turned}: its axis is known poorly from so short an arc.")
+        useful.append(sweep)
+    return useful, notes
+
+
+def _decisions(
+    joints: tuple[JointSweepResult, ...], pairs: tuple[AxisPair, ...], base: BaseFromAxes | None
+) -> list[str]:
+    words = []
+    for j in joints:
+        off = (j.gear - 1) / j.gear_uncertainty
+        said = "" if abs(off) < norm_isf(P_FALSE_ALARM / 2) else ", which is not 1"
+        rms = np.rad2deg(np.sqrt(np.mean(j.nonlinearity**2)))
+        words.append(
+            f"Joint {j.joint}: {len(j.frames)} pairs over {np.rad2deg(j.span):.1f}°; the flange "
+            f"turns {j.gear:.5f} times what the encoder says (u = {j.gear_uncertainty:.5f}){said}; "
+            f"beside a straight line {rms:.4f}° rms."
+        )
+    wrong = [f"{p.joints[0]} and {p.joints[1]}" for p in pairs if not p.agrees]
+    if wrong:
+        words.append(f"Axes that lie otherwise than the table has them: {'; '.join(wrong)}.")
+    elif pairs:
+        words.append("All axes that were swept one after the other lie as the table has them.")
+    if base is not None:
+        q = next(j for j in joints if j.joint == 2).q[:, 0].mean()
+        words.append(
+            f"The base by axes 1 and 2: its turn about axis 1 rests on joint 1's encoder, at "
+            f"{np.rad2deg(q):.2f}° while joint 2 was swept, its height on the table's d of joint 1."
+        )
+    return words

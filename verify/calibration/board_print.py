@@ -1,0 +1,302 @@
+"""How a board lies on paper: where the pattern stands, its black areas, the rulers beside it.
+
+Millimetres throughout, x to the right and y down from the sheet's top left corner: this is a
+door, to paper.
+
+A board's sheet as PDF and PNG, set by typst; every coordinate is the layout's own.
+"""
+
+import json
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import typst
+
+from verify.core import fiducials
+from verify.core.fiducials import Board
+from verify.core.records import Array
+from verify.errors import InputError
+from verify.io.toml import did_you_mean
+
+PAPERS_MM = {  # ISO 216, upright; smallest first
+    "A4": (210.0, 297.0),
+    "A3": (297.0, 420.0),
+    "A2": (420.0, 594.0),
+    "A1": (594.0, 841.0),
+    "A0": (841.0, 1189.0),
+}
+PAGE_MARGIN_MM = 5.0  # few printers reach the paper's rim
+RULER_MM = 8.0  # width of the strip that holds a ruler
+TEXT_MM = 17.0  # height of the block of text
+ARROW_MM = 16.0  # length of the strip that holds the mark for "up"
+QUIET_ZONE_MM = 5.0  # around the pattern at least; corner finders like a whole square
+
+_MM = 1e-3  # m
+
+
+@dataclass(frozen=True, slots=True)
+class PageLayout:
+    """A sheet of paper with the places of what is printed on it, mm."""
+
+    paper: str
+    page: tuple[float, float]  # width, height
+    pattern: tuple[float, float, float, float]  # x, y, width, height
+    white: float  # around the pattern, at the narrowest side
+    across: tuple[float, float, float]  # ruler to the right: where its 0 is, and its length
+    up: tuple[float, float, float]  # ruler upwards, likewise
+    arrow: tuple[float, float]  # tip of the mark for "up"
+    text: tuple[float, float, float]  # corner of the text block, and its length
+    text_upwards: bool  # the text runs up the right side instead of along the bottom
+
+
+def lay_out(board: Board, paper: str | None = None) -> PageLayout:
+    """Place a board on paper.
+
+    Args:
+        board: what to print.
+        paper: a key of `PAPERS_MM`; None: the smallest that holds it.
+
+    Returns:
+        The layout, upright or sideways, that leaves most white around the pattern.
+
+    Raises:
+        InputError: no such paper, or the board does not fit.
+    """
+    if paper is not None and paper.upper() not in PAPERS_MM:
+        expected = f"known are {', '.join(PAPERS_MM)}"
+        remedy = f"Choose one of them.{did_you_mean(paper.upper(), tuple(PAPERS_MM))}"
+        raise InputError("--paper", f'"{paper}" is not known', expected, remedy)
+    for name in PAPERS_MM if paper is None else (paper.upper(),):
+        fitting = [layout for layout in _layouts(board, name) if layout.white >= QUIET_ZONE_MM]
+        if fitting:
+            return max(fitting, key=lambda layout: layout.white)
+    raise _size_refusal(board, (paper or "A0").upper())
+
+
+def black_areas(board: Board) -> Array:
+    """Find the black areas, (n, 4): x, y, width, height, mm, from the pattern's own top left.
+
+    They share edges but do not overlap. The square at the top left is black, as OpenCV has it.
+    """
+    square = board.square / _MM
+    squares = [
+        (column * square, row * square, square, square)
+        for row in range(board.rows + 1)
+        for column in range(board.columns + 1)
+        if (row + column) % 2 == 0
+    ]
+    return np.array([*squares, *_marker_cells(board)])
+
+
+def ticks(length: float) -> list[tuple[float, float]]:
+    """List a ruler's ticks: how far along, and how long, mm; one a millimetre."""
+    sizes = {0: 4.0, 5: 3.0}
+    return [(float(at), sizes.get(at % 10, 2.0)) for at in range(int(length) + 1)]
+
+
+def print_instructions(board: Board, layout: PageLayout) -> list[str]:
+    """Say what the board is, how to print it and how to check the print."""
+    columns, rows, square = board.columns, board.rows, board.square / _MM
+    kind = "Checkerboard"
+    if board.markers is not None and board.marker is not None:
+        kind = f"ChArUco board ({board.markers}, markers of {board.marker / _MM:g} mm)"
+    _, _, width, height = layout.pattern
+    counts = f"{columns} × {rows} inner corners ({columns + 1} × {rows + 1} squares)"
+    sizes = f"the pattern is {width:g} mm wide and {height:g} mm high; both rulers begin at 0."
+    remedy = (
+        "If the print is off by the same share both ways, write the square's true size into "
+        "board.toml; if not, use another printer."
+    )
+    return [
+        f"{kind}: {counts}, squares of {square:g} mm, {layout.paper}.",
+        'Print at 100 % ("actual size"); do not fit to page.',
+        f"Check with a steel rule: {sizes} {remedy}",
+        "Glue it flat onto a stiff plate. In the pictures the arrow points up.",
+    ]
+
+
+def _layouts(board: Board, paper: str) -> Iterator[PageLayout]:
+    """Try the sheet upright and sideways, the text at the bottom and at the side."""
+    short, long = PAPERS_MM[paper]
+    for page in ((short, long), (long, short)):
+        for text_upwards in (False, True):
+            yield _layout(board, paper, page, text_upwards)
+
+
+def _layout(board: Board, paper: str, page: tuple[float, float], text_upwards: bool) -> PageLayout:
+    square = board.square / _MM
+    width, height = (board.columns + 1) * square, (board.rows + 1) * square
+    left, bottom = PAGE_MARGIN_MM + RULER_MM, PAGE_MARGIN_MM + RULER_MM
+    right = PAGE_MARGIN_MM + TEXT_MM if text_upwards else 0.0
+    bottom += 0.0 if text_upwards else TEXT_MM
+    white = (page[0] - left - right - width) / 2, (page[1] - bottom - height) / 2
+    ruler_y = page[1] - bottom
+    across = _floor_to_ten(page[0] - right - left - PAGE_MARGIN_MM)
+    up = _floor_to_ten(ruler_y - PAGE_MARGIN_MM - ARROW_MM)
+    return PageLayout(
+        paper=paper,
+        page=page,
+        pattern=(left + white[0], white[1], width, height),
+        white=min(white),
+        across=(left, ruler_y, across),
+        up=(left, ruler_y, up),
+        arrow=(PAGE_MARGIN_MM + RULER_MM / 2, PAGE_MARGIN_MM),
+        text=(page[0] - PAGE_MARGIN_MM - TEXT_MM, PAGE_MARGIN_MM, page[1] - 2 * PAGE_MARGIN_MM)
+        if text_upwards
+        else (PAGE_MARGIN_MM, page[1] - PAGE_MARGIN_MM - TEXT_MM, page[0] - 2 * PAGE_MARGIN_MM),
+        text_upwards=text_upwards,
+    )
+
+
+def _floor_to_ten(length: float) -> float:
+    return 10.0 * (length // 10)
+
+
+def _marker_cells(board: Board) -> Iterator[tuple[float, float, float, float]]:
+    """Find the black cells of the markers, neighbours in a row joined."""
+    if board.markers is None or board.marker is None:
+        return
+    drawn = fiducials.charuco_board(board)
+    size = fiducials.dictionary(board.markers).markerSize + 2  # its black border is a cell wide
+    cell = board.marker / _MM / size
+    for corners, number in zip(drawn.getObjPoints(), np.ravel(drawn.getIds()), strict=True):
+        x, y = np.asarray(corners)[0, :2] / _MM
+        image = fiducials.dictionary(board.markers).generateImageMarker(int(number), size)
+        for row, bits in enumerate(np.asarray(image) == 0):
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], bits, [False]])))
+            for first, last in edges.reshape(-1, 2):
+                yield x + first * cell, y + row * cell, (last - first) * cell, cell
+
+
+def _size_refusal(board: Board, paper: str) -> InputError:
+    """Say what would fit instead."""
+    columns, rows, square = board.columns, board.rows, board.square / _MM
+    found = f"{columns} x {rows} corners of {square:g} mm do not fit on {paper}"
+    largest = max(
+        min((page[0] - strips[0]) / (columns + 1), (page[1] - strips[1]) / (rows + 1))
+        for page in (PAPERS_MM[paper], PAPERS_MM[paper][::-1])
+        for strips in (_reserved_mm(False), _reserved_mm(True))
+    )
+    expected = f"the largest squares that would are {np.floor(largest * 10) / 10:g} mm"
+    larger = [
+        name
+        for name in PAPERS_MM
+        if any(layout.white >= QUIET_ZONE_MM for layout in _layouts(board, name))
+    ]
+    remedy = f"Choose smaller squares or --paper {larger[0]}." if larger else ""
+    return InputError("--paper", found, expected, remedy or "Choose smaller squares.")
+
+
+def _reserved_mm(text_upwards: bool) -> tuple[float, float]:
+    """Add up what the pattern cannot have of the sheet's width and height, mm."""
+    beside = PAGE_MARGIN_MM + RULER_MM + 2 * QUIET_ZONE_MM
+    if text_upwards:
+        return beside + PAGE_MARGIN_MM + TEXT_MM, beside
+    return beside, beside + TEXT_MM
+
+
+PX_PER_MM = {  # px/mm of the PNG: whole, so that pHYs states it exactly; 36 megapixels at most
+    "A4": 12,
+    "A3": 12,
+    "A2": 12,
+    "A1": 8,
+    "A0": 6,
+}
+MM_PER_INCH = 25.4
+
+_SHEET = """
+#let data = json("sheet.json")
+#let at(point) = point.map(v => v * 1mm)
+#set page(width: data.page.at(0) * 1mm, height: data.page.at(1) * 1mm, margin: 0mm)
+#set text(font: "Libertinus Serif", size: if data.text.at(2) > 300 { 10pt } else { 7.5pt },
+  fallback: false)
+#set par(leading: 0.45em, spacing: 0.45em)
+#let put(x, y, body) = place(top + left, dx: x * 1mm, dy: y * 1mm, body)
+// One path for all that is black: areas that share an edge leave no hair line between them.
+#put(0, 0, curve(fill: black, ..data.black.map(polygon => (
+  curve.move(at(polygon.first())),
+  ..polygon.slice(1).map(p => curve.line(at(p))),
+  curve.close(mode: "straight"))).flatten()))
+#put(0, 0, curve(stroke: 0.1mm + black, ..data.lines.map(line => (
+  curve.move(at(line.at(0))), curve.line(at(line.at(1))))).flatten()))
+#for l in data.labels {
+  put(l.at(0) - 5, l.at(1) - 1.5, box(width: 10mm, height: 3mm, align(center + horizon,
+    text(size: 6pt, l.at(2)))))
+}
+#let said = box(width: data.text.at(2) * 1mm, height: data.strip * 1mm, inset: (top: 1mm),
+  for line in data.words { par(line) })
+#put(data.text.at(0), data.text.at(1),
+  if data.upwards { rotate(-90deg, reflow: true, said) } else { said })
+"""
+_compile = cast("Callable[..., bytes]", typst.compile)  # its types leave out files in memory
+
+
+def pdf(board: Board, layout: PageLayout) -> bytes:
+    """Draw the sheet as PDF, all of it vectors; the same board gives the same bytes."""
+    return _typeset(board, layout, format="pdf", timestamp=0)
+
+
+def png(board: Board, layout: PageLayout) -> bytes:
+    """Draw the sheet as a grey PNG that states its resolution, so that it prints true to scale."""
+    scale = PX_PER_MM[layout.paper]
+    drawn = _typeset(board, layout, format="png", ppi=scale * MM_PER_INCH)
+    image = cv2.imdecode(np.frombuffer(drawn, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+    return _with_resolution(cv2.imencode(".png", np.asarray(image))[1].tobytes(), 1000 * scale)
+
+
+def _typeset(board: Board, layout: PageLayout, **options: Any) -> bytes:
+    files = {"main.typ": _SHEET.encode(), "sheet.json": json.dumps(_sheet(board, layout)).encode()}
+    return _compile(files, ignore_system_fonts=True, **options)
+
+
+def _sheet(board: Board, layout: PageLayout) -> dict[str, Any]:
+    """Gather what the sheet shows, in mm."""
+    areas = black_areas(board) + np.array([*layout.pattern[:2], 0.0, 0.0])
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    x, y = layout.arrow
+    arrow = [[x, y], [x + 3, y + 5], [x + 1, y + 5], [x + 1, y + 9], [x - 1, y + 9]]
+    arrow += [[x - 1, y + 5], [x - 3, y + 5]]
+    lines, labels = _rulers(layout)
+    return {
+        "page": layout.page,
+        "black": [
+            *(areas[:, None, :2] + corners * areas[:, None, 2:]).tolist(),
+            arrow,
+        ],
+        "lines": lines,
+        "labels": [*labels, (x, y + 11, "up")],
+        "text": layout.text,
+        "strip": TEXT_MM,
+        "upwards": layout.text_upwards,
+        "words": print_instructions(board, layout),
+    }
+
+
+def _rulers(layout: PageLayout) -> tuple[list[Any], list[Any]]:
+    """Draw both rulers from their common 0: one to the right, one up."""
+    x, y, length = layout.across
+    lines = [((x, y), (x + length, y))]
+    lines += [((x + at, y), (x + at, y + long)) for at, long in ticks(length)]
+    labels = [(x + at, y + RULER_MM - 2.2, f"{at:g}") for at in np.arange(10, length + 1, 10)]
+    x, foot, length = layout.up
+    top = foot - length
+    lines += [((x, top), (x, foot))]
+    lines += [((x, foot - at), (x - long, foot - at)) for at, long in ticks(length)]
+    labels += [(x - RULER_MM + 1.8, foot - at, f"{at:g}") for at in np.arange(10, length + 1, 10)]
+    return lines, [*labels, (x - 4, foot + 2.5, "0 mm")]
+
+
+def _with_resolution(encoded: bytes, per_metre: int) -> bytes:
+    """Put a pHYs chunk behind the header of a PNG.
+
+    Source: W3C, Portable Network Graphics, third edition, sections 5.3 and 11.3.4.3.
+    """
+    body = b"pHYs" + struct.pack(">IIB", per_metre, per_metre, 1)  # 1: the unit is the metre
+    chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+    header = 8 + 25  # bytes: signature, IHDR
+    return encoded[:header] + chunk + encoded[header:]

@@ -1,0 +1,1 @@
+"""Interim check of a calibration."""

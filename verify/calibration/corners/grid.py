@@ -1,0 +1,216 @@
+"""Which corner of a grid is which: handedness, colours, and the right way up.
+
+The smooth map from a board to one image of it: a homography and two radial terms.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from verify.core.records import Array, Image
+
+PRIOR_RADIAL = 0.3  # at half the image's width: a strongly distorting lens
+PRIOR_RESIDUAL = 0.5  # px: how well few corners would have to fit before they speak on the lens
+STEP = 0.05  # squares, of numerical derivatives
+
+
+@dataclass(frozen=True, slots=True)
+class CornerMap:
+    """Squares to pixels; for the surroundings of corners, not for calibration."""
+
+    parameters: Array  # (10,), homography without its last entry, r² and r⁴ terms
+    middle: Array  # (2,), px, of the image, which stands in for the lens's axis
+    scale: float  # px
+
+    def __call__(self, squares: Array) -> Array:
+        """Carry points of the board (n, 2), in squares from the first corner, to pixels (n, 2)."""
+        return _apply_map(self.parameters, squares) * self.scale + self.middle
+
+    def jacobian(self, squares: Array) -> Array:
+        """Derivative d px / d squares, (n, 2, 2), columns along the board's x and y."""
+        sides = [(self(squares + e) - self(squares - e)) / (2 * STEP) for e in np.eye(2) * STEP]
+        return np.stack(sides, axis=-1)
+
+    def bend(self, squares: Array) -> Array:
+        """Second derivatives along the board's x and along its y, px, (n, 2, 2) in columns."""
+        here = self(squares)
+        sides = [
+            (self(squares + e) - 2 * here + self(squares - e)) / STEP**2 for e in np.eye(2) * STEP
+        ]
+        return np.stack(sides, axis=-1)
+
+
+def fit_map(squares: Array, pixels: Array, shape: tuple[int, ...]) -> CornerMap | None:
+    """Fit the map to corners; None where they determine no homography.
+
+    Args:
+        squares: (n, 2), at least four, not three on a line.
+        pixels: (n, 2).
+        shape: of the image.
+    """
+    middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
+    scale = max(shape[:2]) / 2
+    seen = (pixels - middle) / scale
+    homography, _ = cv2.findHomography(squares, seen)
+    if homography is None or abs(homography[2, 2]) < 1e-9:
+        return None
+    start = np.append(homography.ravel()[:8] / homography[2, 2], [0.0, 0.0])
+
+    def misses(parameters: Array) -> Array:
+        prior = parameters[8:] / PRIOR_RADIAL * PRIOR_RESIDUAL / scale
+        return np.append((_apply_map(parameters, squares) - seen).ravel(), prior)
+
+    found = least_squares(misses, start, method="lm", x_scale="jac")
+    return CornerMap(np.asarray(found.x), middle, scale)
+
+
+def _apply_map(parameters: Array, squares: Array) -> Array:
+    h = np.append(parameters[:8], 1.0).reshape(3, 3)
+    flat = squares @ h[:, :2].T + h[:, 2]
+    xy = flat[:, :2] / flat[:, 2:]
+    r2 = np.sum(xy**2, axis=1, keepdims=True)
+    bent: Array = xy * (1 + r2 * (parameters[8] + r2 * parameters[9]))
+    return bent
+
+
+SAMPLE_OFFSET = (
+    0.25  # squares from a corner, diagonally, where its four squares' brightness is read
+)
+MIN_CROSSING_CONTRAST = (
+    1.4  # white, white, white, black, as at a board's rim, makes 1.0; a crossing far more
+)
+MIN_LINE_SHARE = 0.6  # of a row's or column's corners: some may be covered or in glare
+
+
+def grid_points(columns: int, rows: int) -> Array:
+    """Board coordinates of the inner corners in squares, (columns * rows, 2), along x first."""
+    y, x = np.mgrid[:rows, :columns]
+    return np.stack([x.ravel(), y.ravel()], axis=1).astype(float)
+
+
+def block_points(x: int, y: int, columns: int, rows: int) -> Array:
+    """Board coordinates, in squares, of a block of corners from (x, y) on, along x first."""
+    start = np.array([x, y], dtype=float)
+    corners: Array = grid_points(columns, rows) + start
+    return corners
+
+
+def crossings(grey: Image, grid_map: CornerMap, squares: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Contrast of the crossings at given places of a board, and whether there is one.
+
+    Args:
+        grey: (h, w).
+        grid_map: the board's plane in the image.
+        squares: (n, 2), board coordinates in squares.
+
+    Returns:
+        Half the difference of both diagonals (n,), DN, positive where the square with lower x and
+        y is the brighter, nan outside the image; and whether opposite squares agree so well that
+        it must be a crossing.
+    """
+    around = np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]]) * SAMPLE_OFFSET
+    places = grid_map((squares[:, None] + around).reshape(-1, 2)).reshape(-1, 4, 2)
+    height, width = grey.shape
+    inside = ((places >= 0) & (places <= [width - 1, height - 1])).all(axis=(1, 2))
+    soft = cv2.blur(grey, (3, 3))
+    x, y = (places[..., k].astype(np.float32) for k in (0, 1))
+    read = cv2.remap(soft, x, y, cv2.INTER_LINEAR).astype(float)
+    contrast = (read[:, 0] + read[:, 1] - read[:, 2] - read[:, 3]) / 4
+    unlike = np.abs(read[:, 0] - read[:, 1]) + np.abs(read[:, 2] - read[:, 3]) + 2.0  # DN, noise
+    contrast[~inside] = np.nan
+    return contrast, inside & (4 * np.abs(contrast) > MIN_CROSSING_CONTRAST * unlike)
+
+
+def alternating_crossings(grey: Image, grid_map: CornerMap, squares: Array) -> NDArray[np.bool_]:
+    """Where crossings are whose colours alternate as most do, (n,)."""
+    contrast, there = crossings(grey, grid_map, squares)
+    parity = np.where(squares.sum(axis=1) % 2 == 0, 1, -1)
+    sign = np.sign(np.nansum(parity * contrast))
+    good: NDArray[np.bool_] = there & (np.nan_to_num(contrast) * parity * sign > 0)
+    return good
+
+
+def is_whole(grey: Image, grid: Array) -> bool:
+    """Whether a grid (rows, columns, 2) is a chessboard and no part of a larger one."""
+    rows, columns = grid.shape[:2]
+    squares = grid_points(columns, rows)
+    grid_map = fit_map(squares, grid.reshape(-1, 2), grey.shape)
+    if grid_map is None:
+        return False
+    return has_crossings(grey, grid_map, (0, 0, columns, rows)) and not any(
+        has_crossings(grey, grid_map, beyond) for beyond in neighbour_lines(0, 0, columns, rows)
+    )
+
+
+def neighbour_lines(x: int, y: int, columns: int, rows: int) -> list[tuple[int, int, int, int]]:
+    """The four lines of corners next to a block (x, y, columns, rows), as blocks."""
+    return [
+        (x - 1, y, 1, rows),
+        (x + columns, y, 1, rows),
+        (x, y - 1, columns, 1),
+        (x, y + rows, columns, 1),
+    ]
+
+
+def has_crossings(grey: Image, grid_map: CornerMap, part: tuple[int, int, int, int]) -> bool:
+    """Whether crossings stand in every row and column of a block (x, y, columns, rows)."""
+    columns, rows = part[2:]
+    good = alternating_crossings(grey, grid_map, block_points(*part)).reshape(rows, columns)
+    if columns == 1 or rows == 1:
+        return bool(good.mean() >= MIN_LINE_SHARE)
+    return bool(min(good.mean(axis=0).min(), good.mean(axis=1).min()) >= MIN_LINE_SHARE)
+
+
+def orient_grid(grey: Image, grid: Array, columns: int, rows: int) -> Array | None:
+    """Put a found grid into the board's order.
+
+    Of the orders that are not mirrored, those whose first square is black come before the others;
+    where the pattern looks alike in several, the one that stands most nearly upright is taken.
+
+    Args:
+        grey: (h, w).
+        grid: (r, c, 2), px, in any order.
+        columns: inner corners along the board's x.
+        rows: along its y.
+
+    Returns:
+        (rows * columns, 2), px, along x first; None where the grid has other counts.
+    """
+    orders = [np.rot90(side, k) for side in (grid, grid[:, ::-1]) for k in range(4)]
+    orders = [o for o in orders if o.shape[:2] == (rows, columns) and is_right_handed(o)]
+    if not orders:
+        return None
+    black = [o for o in orders if first_is_black(grey, o)]
+    best = max(black or orders, key=uprightness)
+    return np.ascontiguousarray(best.reshape(-1, 2))
+
+
+def axes(grid: Array) -> Array:
+    """Mean steps along the grid's x and y, (2, 2), px, in rows."""
+    return np.stack([np.diff(grid, axis=k).mean(axis=(0, 1)) for k in (1, 0)])
+
+
+def is_right_handed(grid: Array) -> bool:
+    """Whether x, y and the line of sight are a right-handed frame: the view is not mirrored."""
+    return bool(np.linalg.det(axes(grid)) > 0)
+
+
+def uprightness(grid: Array) -> float:
+    """How much x points right and y down."""
+    steps = axes(grid)
+    return float(np.trace(steps / np.linalg.norm(steps, axis=1, keepdims=True)))
+
+
+def first_is_black(grey: Image, grid: Array) -> bool:
+    """Whether the square before the first corner is black."""
+    rows, columns = grid.shape[:2]
+    squares = grid_points(columns, rows)
+    grid_map = fit_map(squares, grid.reshape(-1, 2), grey.shape)
+    if grid_map is None:
+        return False
+    contrast, _ = crossings(grey, grid_map, squares)
+    parity = np.where(squares.sum(axis=1) % 2 == 0, 1, -1)
+    return bool(np.nansum(parity * contrast) < 0)

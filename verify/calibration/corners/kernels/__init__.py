@@ -1,0 +1,1 @@
+"""Compiled corner model and its fit."""

@@ -1,0 +1,1 @@
+"""Identification of DH parameters and offsets."""

@@ -1,0 +1,183 @@
+"""Where a chain puts the target, and how that moves with every parameter: exact, for all rows.
+
+Where to start: base and tool in closed form, from readings taken as true.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.transforms import invert
+from verify.calibration.handeye import solve_hand_eye
+from verify.calibration.kinematics.chain import AXES, ArmState, KinematicChain, Parameter
+from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
+from verify.core.records import Array
+
+X, Y, Z = 0, 1, 2
+
+
+class _JacobianBuilder:
+    """A frame that is carried along the chain; every step leaves its column behind."""
+
+    def __init__(self, pose: Array) -> None:
+        self.axes = [pose[:, :3, k].copy() for k in range(3)]
+        self.origin = pose[:, :3, 3].copy()
+        self.steps: dict[Parameter, tuple[Array, Array | None]] = {}  # direction, and point if turn
+
+    def shift(self, axis: int, by: Array | float, parameter: Parameter) -> None:
+        self.steps[parameter] = (self.axes[axis].copy(), None)
+        self.origin = self.origin + np.reshape(by, (-1, 1)) * self.axes[axis]
+
+    def turn(self, axis: int, by: Array | float, parameter: Parameter, sign: float = 1.0) -> None:
+        self.steps[parameter] = (sign * self.axes[axis], self.origin)
+        c, s = np.reshape(np.cos(by), (-1, 1)), np.reshape(np.sin(by), (-1, 1))
+        one, other = (axis + 1) % 3, (axis + 2) % 3
+        u, v = self.axes[one], self.axes[other]
+        self.axes[one], self.axes[other] = c * u + s * v, c * v - s * u
+
+    def fixed(self, step: Array) -> None:
+        """Go on by (4, 4) or (n, 4, 4)."""
+        step = np.broadcast_to(step, (len(self.origin), 4, 4))
+        frame = np.stack(self.axes, axis=2)
+        self.origin = self.origin + np.einsum("nij,nj->ni", frame, step[:, :3, 3])
+        turned = frame @ step[:, :3, :3]
+        self.axes = [turned[:, :, k] for k in range(3)]
+
+    def pose(self) -> Array:
+        found = np.zeros((len(self.origin), 4, 4))
+        found[:, :3, :3] = np.stack(self.axes, axis=2)
+        found[:, :3, 3], found[:, 3, 3] = self.origin, 1.0
+        return found
+
+
+def predict_poses(
+    state: ArmState, q: Array, base: NDArray[np.int64], tool: NDArray[np.int64]
+) -> Array:
+    """Place the target at readings.
+
+    Args:
+        state: chain, bases and tools.
+        q: (n, j), rad, as read.
+        base: (n,), which base each row belongs to.
+        tool: (n,), which tool.
+
+    Returns:
+        world_T_target, (n, 4, 4), m.
+    """
+    return _walk(state, q, base, tool).pose()
+
+
+def predict_with_jacobian(
+    state: ArmState,
+    q: Array,
+    base: NDArray[np.int64],
+    tool: NDArray[np.int64],
+    parameters: tuple[Parameter, ...],
+) -> tuple[Array, Array]:
+    """Place the target, and say how it moves with some parameters.
+
+    Returns:
+        world_T_target (n, 4, 4) and (n, 6, L): twist at the target's origin in world axes a unit of
+        each parameter, m and rad.
+    """
+    walk = _walk(state, q, base, tool)
+    columns = np.zeros((len(q), 6, len(parameters)))
+    for k, parameter in enumerate(parameters):
+        if parameter.axis:
+            own = (base if parameter.kind == "base" else tool) == parameter.place
+            direction, point = walk.steps[Parameter(parameter.kind, 0, parameter.axis)]
+        else:
+            own = np.ones(len(q), dtype=bool)
+            direction, point = walk.steps[parameter]
+        if point is None:
+            columns[own, :3, k] = direction[own]
+        else:
+            columns[own, :3, k] = np.cross(direction[own], walk.origin[own] - point[own])
+            columns[own, 3:, k] = direction[own]
+    return walk.pose(), columns
+
+
+def _walk(
+    state: ArmState, q: Array, base: NDArray[np.int64], tool: NDArray[np.int64]
+) -> _JacobianBuilder:
+    chain = state.chain
+    walk = _JacobianBuilder(np.tile(np.eye(4), (len(q), 1, 1)))
+    walk.fixed(state.base[base])
+    _placement_columns(walk, "base")
+    walk.fixed(chain.base_T_first)
+    theta = chain.sign * (q + chain.correction) + chain.offset
+    for j in range(chain.dof):
+        walk.turn(Z, theta[:, j], Parameter("correction", j), float(chain.sign[j]))
+        walk.shift(Z, float(chain.d[j]), Parameter("d", j))
+        walk.shift(X, float(chain.a[j]), Parameter("a", j))
+        walk.turn(X, float(chain.alpha[j]), Parameter("alpha", j))
+        walk.turn(Y, float(chain.beta[j]), Parameter("beta", j))
+    walk.fixed(chain.last_T_flange)
+    mounted = state.tool[tool]
+    place, turn = np.tile(np.eye(4), (2, len(q), 1, 1))
+    place[:, :3, 3], turn[:, :3, :3] = mounted[:, :3, 3], mounted[:, :3, :3]
+    walk.fixed(place)
+    _placement_columns(walk, "tool")
+    walk.fixed(turn)
+    return walk
+
+
+def _placement_columns(walk: _JacobianBuilder, kind: str) -> None:
+    """Six parameters at a place where nothing is shifted or turned yet."""
+    for axis in range(3):
+        walk.shift(axis, 0.0, Parameter(kind, 0, AXES[axis]))
+    for axis in range(3):
+        walk.turn(axis, 0.0, Parameter(kind, 0, AXES[3 + axis]))
+
+
+MAX_ITERATIONS = 100  # of the two steps below; the fit polishes what they leave
+TOL_STEP = 1e-6  # m
+
+
+def start_state(chain: KinematicChain, poses: IdentificationPoses) -> ArmState:
+    """Place each base and mount each tool.
+
+    Rows of the first base and tool determine both; what other bases or tools share with them is
+    found again for each, and the fit brings them together.
+
+    Raises:
+        ValueError: fewer than three rows of a base or tool.
+    """
+    bases, tools = int(poses.base.max()) + 1, int(poses.tool.max()) + 1
+    state = ArmState(chain, np.tile(np.eye(4), (bases, 1, 1)), np.tile(np.eye(4), (tools, 1, 1)))
+    flange = predict_poses(state, poses.q, np.zeros_like(poses.base), np.zeros_like(poses.tool))
+    for base, tool in sorted(set(zip(poses.base.tolist(), poses.tool.tolist(), strict=True))):
+        own = (poses.base == base) & (poses.tool == tool)
+        placed = _by_points if poses.position_only else _by_poses
+        state.base[base], state.tool[tool] = placed(select_rows(poses, own), flange[own])
+    return state
+
+
+def _by_poses(poses: IdentificationPoses, flange: Array) -> tuple[Array, Array]:
+    solved = solve_hand_eye(poses.world_T_target, flange)
+    return solved.y, invert(solved.x)
+
+
+def _by_points(poses: IdentificationPoses, flange: Array) -> tuple[Array, Array]:
+    """Base by fitting points to points, tool by least squares, in turn."""
+    if len(flange) < 3:
+        raise ValueError("three positions or more are needed")
+    seen = poses.world_T_target[:, :3, 3]
+    base, tool = np.eye(4), np.eye(4)
+    for _ in range(MAX_ITERATIONS):
+        points = flange[:, :3, :3] @ tool[:3, 3] + flange[:, :3, 3]
+        base[:3, :3], base[:3, 3] = _rigid(points, seen)
+        wanted = (seen - base[:3, 3]) @ base[:3, :3] - flange[:, :3, 3]
+        found = np.einsum("nij,ni->j", flange[:, :3, :3], wanted) / len(flange)
+        step = found - tool[:3, 3]
+        tool[:3, 3] = found
+        if np.linalg.norm(step) < TOL_STEP:
+            break
+    return base, tool
+
+
+def _rigid(points: Array, seen: Array) -> tuple[Array, Array]:
+    """The motion that carries points nearest to where they were seen (Kabsch, 1976)."""
+    middle, centre = points.mean(axis=0), seen.mean(axis=0)
+    u, _, vt = np.linalg.svd((seen - centre).T @ (points - middle))
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return turn, centre - turn @ middle

@@ -1,0 +1,190 @@
+"""What an identification rests on: readings and measured poses or positions, as plain arrays.
+
+The noise of measured poses: what was stated, or what a fit leaves, whichever is larger.
+"""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from verify.core.records import Array
+
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class IdentificationPoses:
+    """n rows; j joints. Twists are (translation, rotation vector) at the target, world axes."""
+
+    q: Array  # (n, j), rad, as read
+    world_T_target: Array  # (n, 4, 4), m; where only positions were measured, no turn
+    whitener: Array  # (n, 6, 6): times a twist, unit variance; zero rows where nothing is known
+    stated: bool  # the covariances were stated; else only their proportions count
+    base: Rows  # (n,), from 0: which placing of the robot in the world
+    tool: Rows  # (n,), from 0: which mounting of the target
+    block: Rows  # (n,): rows of one block are held out together, as they repeat each other
+    nuisance: Array  # (n, 6, p), of unit variance: what does not average out
+    position_only: bool
+
+    def __len__(self) -> int:
+        """Count the rows."""
+        return len(self.q)
+
+    @property
+    def dimensions(self) -> Rows:
+        """How many numbers each row determines, (n,)."""
+        known: Rows = np.any(self.whitener != 0, axis=2).sum(axis=1)
+        return known
+
+
+def build_poses(
+    q: Array,
+    measured: Array,
+    covariance: Array | None = None,
+    *,
+    base: Rows | None = None,
+    tool: Rows | None = None,
+    block: Rows | None = None,
+    nuisance: Array | None = None,
+    determined: tuple[Array, ...] | None = None,
+) -> IdentificationPoses:
+    """Gather measured poses or positions with the readings at their instants.
+
+    Args:
+        q: (n, j), rad.
+        measured: (n, 4, 4) poses, or (n, 3) positions of one point, m, in any fixed frame.
+        covariance: (n, 6, 6), or (n, 3, 3) of positions, m and rad; None: not known, and estimated
+            from what is left, one variance for positions and one for turns.
+        base: (n,), which placing of the robot each row belongs to; all the same where not given.
+        tool: (n,), which mounting of the target.
+        block: (n,), rows that repeat each other; each by itself where not given.
+        nuisance: (n, 6, p), effects of unit variance that all rows share.
+        determined: n of (6, d), functionals of a pose that were measured; all where not given.
+
+    Raises:
+        ValueError: shapes that do not fit together.
+    """
+    n = len(q)
+    position_only = measured.ndim == 2
+    size = 3 if position_only else 6
+    if len(measured) != n or (covariance is not None and covariance.shape != (n, size, size)):
+        raise ValueError(f"{n} readings, measured {measured.shape}, covariance of another shape")
+    targets = np.tile(np.eye(4), (n, 1, 1))
+    if position_only:
+        targets[:, :3, 3] = measured
+    else:
+        targets = np.asarray(measured, dtype=float)
+    none = np.zeros(n, dtype=np.int64)
+    return IdentificationPoses(
+        q=np.asarray(q, dtype=float),
+        world_T_target=targets,
+        whitener=_whitener(n, size, covariance, determined),
+        stated=covariance is not None,
+        base=none if base is None else base,
+        tool=none if tool is None else tool,
+        block=np.arange(n) if block is None else block,
+        nuisance=np.zeros((n, 6, 0)) if nuisance is None else nuisance,
+        position_only=position_only,
+    )
+
+
+def select_rows(data: IdentificationPoses, rows: NDArray[np.bool_]) -> IdentificationPoses:
+    """Some of the rows."""
+    return replace(
+        data,
+        **{
+            f.name: getattr(data, f.name)[rows]
+            for f in fields(IdentificationPoses)
+            if isinstance(getattr(data, f.name), np.ndarray)
+        },
+    )
+
+
+def _whitener(
+    n: int, size: int, covariance: Array | None, determined: tuple[Array, ...] | None
+) -> Array:
+    whitener = np.zeros((n, 6, 6))
+    if covariance is None:
+        whitener[:, range(size), range(size)] = 1.0
+    elif determined is None:
+        whitener[:, :size, :size] = np.linalg.inv(np.linalg.cholesky(covariance))
+    else:
+        for i, known in enumerate(determined):
+            own = np.linalg.cholesky(known.T @ covariance[i] @ known)
+            whitener[i, : known.shape[1]] = np.linalg.solve(own, known.T)
+    return whitener
+
+
+MIN_EXCESS_SIGMA = 3.0  # standard deviations by which what is left must exceed what was stated
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseScale:
+    """By how much what is left exceeds the stated standard uncertainties."""
+
+    position: float
+    orientation: float
+
+    def of(self, poses: IdentificationPoses) -> Array:
+        """Scale the whitener: (n, 6, 6)."""
+        factors = np.array([self.position] * 3 + [self.orientation] * 3)
+        scaled: Array = poses.whitener / factors
+        return scaled
+
+    def near(self, other: "NoiseScale") -> bool:
+        """Tell whether two differ by less than matters."""
+        return bool(
+            np.isclose(self.position, other.position, rtol=0.01)
+            and np.isclose(self.orientation, other.orientation, rtol=0.01)
+        )
+
+
+def noise_scale(
+    left: Array, poses: IdentificationPoses, used: NDArray[np.bool_], free: int
+) -> NoiseScale:
+    """Find the noise by the median of what is left, which outlying rows do not move.
+
+    A stated uncertainty is never talked down, and up only where what is left exceeds it by more
+    than its own scatter.
+
+    Args:
+        left: (n, 6), m and rad, what a fit leaves.
+        poses: n rows.
+        used: (n,), rows that belong.
+        free: parameters of the fit.
+    """
+    count = int(poses.dimensions[used].sum())
+    lost = count / max(count - free, 1)
+
+    def spread(part: slice) -> float:
+        return _relative_sigma(left[used], poses, used, part, lost)
+
+    if poses.position_only:
+        return NoiseScale(spread(slice(0, 3)), 1.0)
+    if (poses.dimensions[used] < 6).any():  # what is left open mixes places and turns
+        both = spread(slice(0, 6))
+        return NoiseScale(both, both)
+    return NoiseScale(spread(slice(0, 3)), spread(slice(3, 6)))
+
+
+def _relative_sigma(
+    left: Array, poses: IdentificationPoses, used: NDArray[np.bool_], part: slice, lost: float
+) -> float:
+    """Standard deviation in units of the stated one, of places or turns by themselves."""
+    white = poses.whitener[used]
+    if part.stop - part.start < 6:
+        size = 3 if poses.position_only else 6
+        information = (np.swapaxes(white, 1, 2) @ white)[:, :size, :size]
+        own = np.linalg.inv(information)[:, part, part]
+        white = np.linalg.inv(np.linalg.cholesky(own))
+    distance = np.sum((white @ left[:, part, None])[:, :, 0] ** 2, axis=1)
+    freedom = np.maximum(np.any(white != 0, axis=2).sum(axis=1), 1)
+    middle = chi2.median(freedom)
+    variance = float(np.median(distance / middle)) * lost
+    # of a median: half over the density there and the root of the number
+    scatter = float(np.mean(0.5 / (chi2.pdf(middle, freedom) * middle)) / np.sqrt(len(freedom)))
+    if poses.stated and variance < 1 + MIN_EXCESS_SIGMA * scatter:
+        return 1.0
+    return float(np.sqrt(variance))

@@ -1,0 +1,255 @@
+"""An identification as results: keys and tables that `reports.identification.document` documents."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+import robots
+from reports import Results
+from verify.calibration.kinematics.chain import Parameter
+from verify.calibration.kinematics.fit import CrossValidation, statistics
+from verify.calibration.kinematics.identify import IdentificationResult, LevelResult
+from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.core.records import Array
+from verify.core.version import __version__
+
+MM, DEG = 1e3, 180 / np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class ValidationSessions:
+    """Sessions that the arm was not identified from, registered anew with either arm."""
+
+    names: Sequence[str]
+    before: Array  # (m, 6), m and rad: left by the arm as its file has it
+    after: Array  # (m, 6), by the identified one
+
+
+@dataclass(frozen=True, slots=True)
+class IdentificationProvenance:
+    """What an identification was made from."""
+
+    arm: robots.Arm
+    names: Sequence[str]  # of the sources
+    source: NDArray[np.int64]  # (n,), which of them each row is from
+    frame: NDArray[np.int64]  # (n,), its number there
+    free_base: bool
+    free_tool: bool
+    description: str = ""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    warnings: Sequence[str] = ()
+
+
+def identification_results(
+    found: IdentificationResult,
+    poses: IdentificationPoses,
+    origin: IdentificationProvenance,
+    robot_file: str,
+    judged: ValidationSessions | None = None,
+) -> Results:
+    """Lay an identification out for the report.
+
+    Args:
+        found: what was found.
+        poses: what it rests on, n rows.
+        origin: where that comes from.
+        robot_file: name of the corrected arm's file.
+        judged: other sessions, where the arm was judged by some.
+    """
+    chosen = found.chosen
+    fitted = chosen.fit
+    outlying = np.flatnonzero(~fitted.used)
+    parameters = _parameters(chosen, found)
+    summary = {
+        "format": 1,
+        "kind": "identification",
+        "tool": {"name": "verify", "version": __version__},
+        "source": {"path": ", ".join(origin.names), "description": origin.description},
+        "robot": origin.arm.name,
+        "robot_fingerprint": f"sha256:{origin.arm.fingerprint}",
+        "robot_file": robot_file,
+        "poses": {
+            "used": int(fitted.used.sum()),
+            "outlying": [_outlier_entry(origin, fitted.distance, row) for row in outlying.tolist()],
+            "position_only": poses.position_only,
+        },
+        "base_free": origin.free_base,
+        "tool_free": origin.free_tool,
+        "level": chosen.name,
+        "levels": [_level(level) for level in found.levels],
+        "identified": len(fitted.parameters),
+        "rank": found.level("geometry").support.rank,
+        "candidates": found.level("geometry").support.candidates,
+        "parameters": parameters,
+        "offsets": _offsets(found, origin.arm.dof),
+        "judged": None if judged is None else _judged_entries(judged, poses.position_only),
+        "held": _held(found),
+        "observability": found.observability,
+        "parameter_correlation": {
+            "parameters": [parameter.name for parameter in fitted.parameters],
+            "correlation": correlation(fitted.covariance).tolist(),
+        },
+        "inputs": dict(sorted(origin.inputs.items())),
+        "warnings": list(origin.warnings),
+    }
+    tables = {
+        "residuals": _residuals(found, poses, origin),
+        "parameters": pd.DataFrame(parameters),
+    }
+    return Results(summary=summary, setup={}, tables=tables)
+
+
+def correlation(covariance: Array) -> Array:
+    """Correlations of a covariance, (L, L)."""
+    sigma = np.sqrt(np.diag(covariance))
+    found: Array = covariance / np.outer(sigma, sigma)
+    return found
+
+
+def _unit(parameter: Parameter) -> tuple[float, str]:
+    return (DEG, "deg") if parameter.angular else (MM, "mm")
+
+
+def _parameters(level: LevelResult, found: IdentificationResult) -> list[dict[str, Any]]:
+    """Every identified number: as the arm's file has it, corrected, and how sure."""
+    rows = []
+    sigma = np.sqrt(np.diag(level.fit.covariance))
+    chain = found.chain
+    for parameter, change, u in zip(level.fit.parameters, level.fit.change, sigma, strict=True):
+        scale, unit = _unit(parameter)
+        now = None if parameter.axis else float(getattr(chain, parameter.kind)[parameter.place])
+        rows.append(
+            {
+                "name": parameter.name,
+                "kind": "offset" if parameter.kind == "correction" else parameter.kind,
+                "joint": None if parameter.axis else parameter.place + 1,
+                "unit": unit,
+                "nominal": None if now is None else (now - change) * scale,
+                "identified": None if now is None else now * scale,
+                # a base or tool starts where a closed form put it: its change says nothing
+                "change": None if now is None else change * scale,
+                "standard_uncertainty": u * scale,
+                "expanded_uncertainty": 2 * u * scale,
+            }
+        )
+    return rows
+
+
+def _offsets(found: IdentificationResult, joints: int) -> list[dict[str, Any]]:
+    """Each joint's constant error, encoder less measured, by the chosen model and by offsets."""
+    rows = []
+    for j in range(joints):
+        row: dict[str, Any] = {"joint": j + 1}
+        for head, level in (("", found.chosen), ("alone_", found.level("offsets"))):
+            value, u = _offset(level, j)
+            row[f"{head}error_deg"] = None if value is None else -value * DEG
+            row[f"{head}add_to_reading_deg"] = None if value is None else value * DEG
+            row[f"{head}standard_uncertainty_deg"] = None if u is None else u * DEG
+        rows.append(row)
+    return rows
+
+
+def _offset(level: LevelResult, joint: int) -> tuple[float | None, float | None]:
+    wanted = Parameter("correction", joint)
+    if wanted not in level.fit.parameters:
+        return None, None
+    k = level.fit.parameters.index(wanted)
+    return float(level.fit.change[k]), float(np.sqrt(level.fit.covariance[k, k]))
+
+
+def _held(found: IdentificationResult) -> list[dict[str, Any]]:
+    """Every parameter that the chosen model leaves as it was, and why."""
+    rows = []
+    largest = found.level("geometry")
+    for entry in largest.support.held:
+        scale, unit = _unit(entry.parameter)
+        rows.append(
+            {
+                "name": entry.parameter.name,
+                "unit": unit,
+                "reason": "gauge" if entry.redundant else "not_supported",
+                "confounded_with": [{"name": p.name, "share": share} for p, share in entry.with_],
+                "standard_uncertainty_if_free": None if entry.redundant else entry.alone * scale,
+            }
+        )
+    sigma = np.sqrt(np.diag(largest.fit.covariance))
+    for parameter, u in zip(largest.fit.parameters, sigma.tolist(), strict=True):
+        if parameter not in found.chosen.fit.parameters:
+            scale, unit = _unit(parameter)
+            rows.append(
+                {
+                    "name": parameter.name,
+                    "unit": unit,
+                    "reason": "not_called_for",
+                    "confounded_with": [],
+                    "standard_uncertainty_if_free": u * scale,
+                }
+            )
+    return rows
+
+
+def _level(level: LevelResult) -> dict[str, Any]:
+    return {
+        "name": level.name,
+        "identified": len(level.fit.parameters),
+        "rank": level.support.rank,
+        "candidates": level.support.candidates,
+        "criterion": level.criterion,
+        "noise_position": level.fit.scale.position,
+        "noise_orientation": level.fit.scale.orientation,
+        "outlying": int((~level.fit.used).sum()),
+        "held_out": _hold_out_table(level.held_out),
+    }
+
+
+def _hold_out_table(found: CrossValidation | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "splits": found.splits,
+        "rows": found.rows,
+        **_lengths(found.position, found.orientation),
+    }
+
+
+def _judged_entries(judged: ValidationSessions, position_only: bool) -> dict[str, Any]:
+    row: dict[str, Any] = {"path": ", ".join(judged.names), "poses": len(judged.after)}
+    for name, left in (("before", judged.before), ("after", judged.after)):
+        turns = np.full(3, np.nan) if position_only else statistics(left[:, 3:])
+        row[name] = _lengths(statistics(left[:, :3]), turns)
+    return row
+
+
+def _lengths(position: Array, orientation: Array) -> dict[str, float]:
+    """Mean, rms and greatest length, (3,) m and (3,) rad, under the names of tables."""
+    values = (*(position * MM).tolist(), *(orientation * DEG).tolist())
+    names = [f"{name}_{unit}" for unit in ("mm", "deg") for name in ("mean", "rms", "max")]
+    return dict(zip(names, values, strict=True))
+
+
+def _outlier_entry(origin: IdentificationProvenance, distance: Array, row: int) -> dict[str, Any]:
+    return {
+        "source": origin.names[int(origin.source[row])],
+        "frame": int(origin.frame[row]),
+        "squared_distance": float(distance[row]),
+    }
+
+
+def _residuals(
+    found: IdentificationResult, poses: IdentificationPoses, origin: IdentificationProvenance
+) -> pd.DataFrame:
+    table = {
+        "source": [origin.names[i] for i in origin.source.tolist()],
+        "frame": origin.frame,
+        "used": found.chosen.fit.used,
+        "before_mm": np.linalg.norm(found.before[:, :3], axis=1) * MM,
+        "after_mm": np.linalg.norm(found.after[:, :3], axis=1) * MM,
+    }
+    if not poses.position_only:
+        table["before_deg"] = np.linalg.norm(found.before[:, 3:], axis=1) * DEG
+        table["after_deg"] = np.linalg.norm(found.after[:, 3:], axis=1) * DEG
+    return pd.DataFrame(table)

@@ -1,0 +1,248 @@
+"""Recorded sessions of one arm as poses to identify it from."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.analysis.comparison import Comparison, compare
+from verify.analysis.instrument import stated_noise
+from verify.analysis.least_squares import autocorrelation
+from verify.analysis.measured import Progress
+from verify.analysis.model import add_pan_noise, clock_effect, prior_columns
+from verify.analysis.session import measure_session
+from verify.calibration.kinematics.chain import ArmState, KinematicChain
+from verify.calibration.kinematics.identify import IdentificationResult
+from verify.calibration.kinematics.poses import IdentificationPoses, Rows, build_poses
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.errors import InputError
+from verify.io.session.session import Session
+from verify.measurement.chain import measure
+
+N_BLOCKS = 10  # of a session, one after the other: neighbouring pairs repeat each other's posture
+CLOCK_PRIOR_SIGMA = 1.0  # s, prior of an offset that is found with everything else
+
+
+@dataclass(frozen=True, slots=True)
+class SessionPoses:
+    """What one session gives."""
+
+    session: Session
+    comparison: Comparison
+    frame: NDArray[np.int64]  # (n,), number of each pair or pose
+    stated: Array  # (n, 6, p), unit variance: what rig and marker state of themselves
+    own: Array  # (n, 6, r), likewise: clock, alignment, pan readings
+    uncounted: tuple[str, ...]
+
+    @property
+    def noise_stated(self) -> bool:
+        """The poses' noise is known: of pictures always, of another instrument where it says so."""
+        instrument = self.session.instrument
+        return instrument is None or stated_noise(instrument).known
+
+    @property
+    def point(self) -> Array | None:
+        """The measured point in the flange frame, (3,), m; None where poses were measured."""
+        instrument = self.session.instrument
+        if instrument is None or not instrument.positions_alone:
+            return None
+        return instrument.flange_T_body[:3, 3]
+
+
+@dataclass(frozen=True, slots=True)
+class CombinedPoses:
+    """Several sessions as one set of rows, in their order."""
+
+    poses: IdentificationPoses
+    seen: tuple[SessionPoses, ...]
+    source: NDArray[np.int64]  # (n,), which session
+    frame: NDArray[np.int64]  # (n,), number of the pair or pose in its session
+    tools: Array  # (h, 4, 4), flange_T_target as the sessions have them
+    free_base: bool  # the base was found through these encoders: its place proves nothing
+    free_tool: bool
+
+    def state(self, chain: KinematicChain) -> ArmState:
+        """Bases and tools as the sessions have them: the poses are in the base's frame."""
+        placings = int(self.poses.base.max()) + 1
+        return ArmState(chain, np.tile(np.eye(4), (placings, 1, 1)), self.tools)
+
+
+def require_one_arm(sessions: Sequence[Session]) -> None:
+    """Refuse sessions of different arms, and one that is given twice.
+
+    Raises:
+        InputError: names the session at fault.
+    """
+    first = sessions[0]
+    for i, session in enumerate(sessions[1:], start=1):
+        if session.folder.resolve() in [other.folder.resolve() for other in sessions[:i]]:
+            raise InputError(
+                session.folder, "is given twice", "its poses would count twice", "Give it once."
+            )
+        if session.arm.fingerprint != first.arm.fingerprint:
+            raise InputError(
+                session.folder,
+                f"is of {session.robot}",
+                f"{first.folder} is of {first.robot}, and one arm is identified at a time",
+                "Give the sessions of one arm.",
+            )
+
+
+def session_to_poses(session: Session, progress: Progress) -> SessionPoses:
+    """Measure a session and set its readings beside the poses.
+
+    Raises:
+        InputError: no pair could be measured, or none has a reading.
+    """
+    readings = Readings(session.encoders.t, session.encoders.q)
+    seen, clock = measure_session(session, readings, progress, measure)
+    track, systematics = seen.track, seen.systematics
+    compared = compare(
+        track, session.arm, readings, clock.offset, resolution=session.encoder_resolution,
+        time_uncertainty=session.encoder_time_standard_uncertainty,
+    )  # fmt: skip
+    if not len(compared):
+        raise InputError(
+            session.folder / "encoders.csv",
+            f"no reading for any of the {len(track)} measured pairs",
+            "readings must cover the pictures once [clock] encoder_offset_s is added",
+            "Check that clock and recording belong together.",
+        )
+    compared = add_pan_noise(compared, track, systematics)
+    held = prior_columns(compared, track, clock, systematics)
+    count = len(systematics.names)
+    own = held[:, :, count:]
+    if clock.source != "given":
+        drift = clock_effect(compared, steady=clock.source == "not_observable")
+        own = np.concatenate([own, drift * CLOCK_PRIOR_SIGMA], axis=2)
+    frame = track.frame[compared.index].astype(np.int64)
+    return SessionPoses(session, compared, frame, held[:, :, :count], own, systematics.uncounted)
+
+
+def gather_sessions(seen: Sequence[SessionPoses]) -> CombinedPoses:
+    """Lay sessions out as rows.
+
+    A base is shared by sessions whose rig has it at the same place, LEDs by those whose marker has
+    them there; what rig and marker state of themselves is shared with them.
+
+    Raises:
+        InputError: some hold poses, others positions alone.
+    """
+    sizes = [len(one.comparison) for one in seen]
+    bases = _groups(one.session.rig.rig_T_base.tobytes() for one in seen)
+    tools = _groups(_mounting(one) for one in seen)
+    source = np.repeat(np.arange(len(seen)), sizes)
+    nuisance = _nuisances(seen, bases, tools)
+    points = [one.point for one in seen if one.point is not None]
+    # what is not stated is better told by what the fit leaves than by how neighbours scatter
+    stated = all(one.noise_stated for one in seen)
+    mounted = np.tile(np.eye(4), (int(tools.max()) + 1, 1, 1))
+    if points and len(points) < len(seen):
+        alone = next(one.session.folder for one in seen if one.point is not None)
+        raise InputError(
+            alone, "holds positions alone, another session poses",
+            "one kind is identified from at a time", "Identify from each by itself.",
+        )  # fmt: skip
+    if points:
+        mounted[tools, :3, 3] = points
+        rows = _point_rows(seen, points, nuisance, stated=stated)
+    else:
+        rows = build_poses(
+            _join_poses(one.comparison.q for one in seen),
+            _join_poses(one.comparison.base_T_measured for one in seen),
+            _join_poses(one.comparison.covariance for one in seen) if stated else None,
+            nuisance=nuisance,
+            determined=tuple(known for one in seen for known in one.comparison.determined),
+        )
+    return CombinedPoses(
+        poses=replace(rows, base=bases[source], tool=tools[source], block=_blocks(sizes)),
+        seen=tuple(seen),
+        source=source,
+        frame=np.concatenate([one.frame for one in seen]),
+        tools=mounted,
+        free_base=any(one.session.rig.base_source == "motion" for one in seen),
+        free_tool=any(one.session.marker.source == "motion" for one in seen),
+    )
+
+
+def _point_rows(
+    seen: Sequence[SessionPoses], points: Sequence[Array], nuisance: Array, *, stated: bool
+) -> IdentificationPoses:
+    """Positions of a point: where the poses that stand for them put it, whatever their turn."""
+    measured, gains = [], []
+    for one, point in zip(seen, points, strict=True):
+        pose = one.comparison.base_T_measured
+        lever = pose[:, :3, :3] @ point
+        measured.append(pose[:, :3, 3] + lever)
+        x, y, z = lever.T
+        zero = np.zeros_like(x)
+        across = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(-1, 3, 3)
+        gains.append(np.concatenate([np.tile(np.eye(3), (len(x), 1, 1)), across], axis=2))
+    gain = np.concatenate(gains)
+    covariance = _join_poses(one.comparison.covariance for one in seen)
+    moved = np.zeros_like(nuisance)
+    moved[:, :3] = gain @ nuisance
+    return build_poses(
+        _join_poses(one.comparison.q for one in seen),
+        np.concatenate(measured),
+        gain @ covariance @ np.swapaxes(gain, 1, 2) if stated else None,
+        nuisance=moved,
+    )
+
+
+def _join_poses(parts: Iterable[Array]) -> Array:
+    return np.concatenate(list(parts))
+
+
+def _blocks(sizes: Sequence[int]) -> Rows:
+    """Number the parts of each session that are held out together."""
+    parts = [np.arange(n) * min(N_BLOCKS, n) // n + N_BLOCKS * i for i, n in enumerate(sizes)]
+    return np.concatenate(parts)
+
+
+def _mounting(seen: SessionPoses) -> bytes:
+    """What tells one mounting on the flange from another."""
+    instrument = seen.session.instrument
+    body = b"" if instrument is None else instrument.flange_T_body.tobytes()
+    return seen.session.marker.leds.tobytes() + body
+
+
+def deflate_repetition(gathered: CombinedPoses, found: IdentificationResult) -> CombinedPoses:
+    """Let pairs that repeat each other's errors count for fewer, by what a first fit leaves."""
+    rows = gathered.poses
+    white = (found.chosen.fit.scale.of(rows) @ found.after[:, :, None])[:, :, 0]
+    white[np.all(rows.whitener == 0, axis=2) | ~found.chosen.fit.used[:, None]] = np.nan
+    whitener = rows.whitener.copy()
+    for i in range(len(gathered.seen)):
+        own = gathered.source == i
+        whitener[own] /= np.sqrt(autocorrelation(white[own]))[:, None]
+    return replace(gathered, poses=replace(rows, whitener=whitener))
+
+
+def _groups(keys: Iterable[bytes]) -> NDArray[np.int64]:
+    known: dict[bytes, int] = {}
+    return np.array([known.setdefault(key, len(known)) for key in keys], dtype=np.int64)
+
+
+def _nuisances(
+    seen: Sequence[SessionPoses], bases: NDArray[np.int64], tools: NDArray[np.int64]
+) -> Array:
+    """Place every session's columns: shared ones above each other, its own to the right."""
+    shared: dict[tuple[int, int, int], int] = {}
+    places, width = [], 0
+    for one, base, tool in zip(seen, bases.tolist(), tools.tolist(), strict=True):
+        key = (base, tool, one.stated.shape[2])
+        if key not in shared:
+            shared[key] = width
+            width += one.stated.shape[2]
+        places.append((shared[key], width))
+        width += one.own.shape[2]
+    blocks = []
+    for one, (first, second) in zip(seen, places, strict=True):
+        block = np.zeros((len(one.comparison), 6, width))
+        block[:, :, first : first + one.stated.shape[2]] = one.stated
+        block[:, :, second : second + one.own.shape[2]] = one.own
+        blocks.append(block)
+    return np.concatenate(blocks)

@@ -1,0 +1,1 @@
+"""Fit, coverage, accuracy, advice, results."""

@@ -1,0 +1,233 @@
+"""What a point that both cameras see is worth: random part, and systematic part from the rig.
+
+How things change with each parameter of a rig, by finite differences through the rig itself.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from verify.calibration.quality.coverage import view_frame
+from verify.calibration.stereo.parameters import PARAMETER_KEYS, step_camera
+from verify.calibration.stereo.records import covariance_in_si
+from verify.core.records import Array
+from verify.core.rig import Camera, Rig
+from verify.measurement.triangulation import rays
+
+STEP = 1e-6  # SI units and pixels: small against curvature, large against rounding
+
+
+def parameter_derivatives(
+    function: Callable[[Rig], Array], rig: Rig, names: Sequence[str], step: float = STEP
+) -> Array:
+    """Derivative of what a rig gives by its named parameters.
+
+    Args:
+        function: a rig to an array of any shape.
+        rig: where the derivative is taken.
+        names: (p) parameters as in rig.toml's [covariance], of the cameras.
+        step: SI units and pixels.
+
+    Returns:
+        (p, ...), a SI unit (or pixel, or one) of the parameter.
+    """
+    rows = [
+        (function(move_parameter(rig, name, step)) - function(move_parameter(rig, name, -step)))
+        / 2
+        / step
+        for name in names
+    ]
+    return np.array(rows).reshape(len(names), *np.shape(function(rig)))
+
+
+def move_parameter(rig: Rig, name: str, amount: float) -> Rig:
+    """Change one parameter of one camera, SI units and pixels; turns act on the left."""
+    side, _, key = name.partition(".")
+    step = amount * np.eye(len(PARAMETER_KEYS))[PARAMETER_KEYS.index(key)]
+    if side == "left":
+        return replace(rig, left=step_camera(rig.left, step))
+    return replace(rig, right=step_camera(rig.right, step))
+
+
+SPOT_SIGMA = 0.02  # px, standard uncertainty of one LED's centre in one image, each way
+MAP_COLUMNS, MAP_ROWS = 9, 5  # points of a map; odd, so that one is in the middle
+TEST_LENGTH = 0.1  # m, of the distance whose uncertainty is stated
+
+
+@dataclass(frozen=True, slots=True)
+class AccuracyField:
+    """Points on a plane across the view, and the covariance of each; NaN out of sight."""
+
+    distance: float  # m, before the middle between the cameras
+    x: Array  # (c,), m, along the baseline
+    y: Array  # (r,), m, down
+    random: Array  # (r, c, 3, 3), m², view axes: one spot of SPOT_SIGMA px in either image
+    systematic: Array  # (r, c, 3, 3), m²: the rig's own uncertainty
+
+    @property
+    def total(self) -> Array:
+        """Both parts, (r, c, 3, 3), m²."""
+        both: Array = self.random + self.systematic
+        return both
+
+
+def uncertainty_parts(field: AccuracyField, covariance: Array) -> tuple[Array, Array, Array]:
+    """Standard uncertainties across the line of sight, along it (depth), and of the whole, m.
+
+    Args:
+        field: the points.
+        covariance: (r, c, 3, 3), m², one of the field's parts.
+
+    Returns:
+        (r, c) each. Across: in the direction in which it is largest. Whole: the root of the sum
+        of the three squares.
+    """
+    x, y = np.meshgrid(field.x, field.y)
+    sights = np.stack([x, y, np.full_like(x, field.distance)], axis=-1)
+    sights /= np.linalg.norm(sights, axis=-1, keepdims=True)
+    depth = np.einsum("...i,...ij,...j->...", sights, covariance, sights)
+    across = np.eye(3) - sights[..., :, None] * sights[..., None, :]
+    seen = ~np.isnan(depth)
+    lateral = np.full(depth.shape, np.nan)
+    lateral[seen] = np.linalg.eigvalsh((across @ covariance @ across)[seen])[:, -1]
+    return (np.sqrt(lateral), np.sqrt(depth), np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)))
+
+
+@dataclass(frozen=True, slots=True)
+class PointDerivatives:
+    """How a point's place follows from its pixels, and those from the rig; n points."""
+
+    by_pixels: Array  # (n, 3, 4), m/px, view axes: left x, y, right x, y
+    by_rig: Array  # (p, n, 3), a SI unit of each parameter
+
+
+def point_sensitivities(
+    rig: Rig, pan: Array, points: Array, names: Sequence[str]
+) -> PointDerivatives:
+    """Differentiate the least-squares point by its pixels and by the rig's parameters.
+
+    Args:
+        rig: the rig.
+        pan: (2,), rad.
+        points: (n, 3), m, view frame.
+        names: (p) parameters.
+
+    At fixed pixels a parameter moves the point by -(JᵀJ)⁻¹Jᵀ times what it does to the pixels;
+    both cameras' pixels count alike.
+    """
+    rig_T_view = view_frame(rig, pan)
+    places = points @ rig_T_view[:3, :3].T + rig_T_view[:3, 3]
+    steps = STEP * rig_T_view[:3, :3].T  # one of the view's axes a row
+    columns = [
+        (_pixels(rig, pan, places + step) - _pixels(rig, pan, places - step)) / (2 * STEP)
+        for step in steps
+    ]
+    by_point = np.stack(columns, axis=-1)  # (n, 4, 3)
+    by_pixels = np.asarray(np.linalg.pinv(by_point), dtype=np.float64)
+    moved = parameter_derivatives(lambda r: _pixels(r, pan, places), rig, names)
+    return PointDerivatives(by_pixels, -np.einsum("nij,pnj->pni", by_pixels, moved))
+
+
+def _pixels(rig: Rig, pan: Array, places: Array) -> Array:
+    """Both images of points in the rig, (n, 4), px."""
+    return np.concatenate(
+        [_image(rig.left, float(pan[0]), places), _image(rig.right, float(pan[1]), places)], axis=1
+    )
+
+
+def _image(camera: Camera, pan: float, places: Array) -> Array:
+    camera_T_rig = camera.camera_T_rig(pan)
+    return camera.project(places @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3])
+
+
+def systematic_parameters(rig: Rig, turning: bool) -> tuple[tuple[str, ...], Array]:
+    """Names and covariance of all that a point's systematic part comes from, SI units and pixels.
+
+    Where the bases turn, each pan reading's own uncertainty acts as one of its zero.
+
+    Raises:
+        ValueError: the rig states no covariance.
+    """
+    if rig.covariance is None:
+        raise ValueError("what a rig's points are worth needs the rig's covariance")
+    names, full = list(rig.covariance.parameters), covariance_in_si(rig.covariance)
+    cameras = [i for i, name in enumerate(names) if name.startswith(("left.", "right."))]
+    names, full = [names[i] for i in cameras], full[np.ix_(cameras, cameras)]
+    for side, camera in (("left", rig.left), ("right", rig.right)):
+        if turning and camera.pan_standard_uncertainty:
+            names.append(f"{side}.pan_zero_deg")  # once more: of the reading, not of the zero
+            full = np.pad(full, (0, 1))
+            full[-1, -1] = camera.pan_standard_uncertainty**2
+    return tuple(names), full
+
+
+def uncertainty_field(rig: Rig, pan: Array, distance: float, turning: bool) -> AccuracyField:
+    """Map the expected uncertainty across the view at one distance.
+
+    Args:
+        rig: with its covariance.
+        pan: (2,), rad, readings of the bases.
+        distance: m, before the middle between the cameras.
+        turning: pan readings vary, and so their own uncertainty counts.
+    """
+    names, covariance = systematic_parameters(rig, turning)
+    x, y = _grid(rig, pan, distance)
+    places = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), distance)], axis=-1)
+    points = places.reshape(-1, 3)
+    seen = _in_both_images(rig, pan, points)
+    found = point_sensitivities(rig, pan, points[seen], names)
+    random, systematic = np.full((2, len(points), 3, 3), np.nan)
+    random[seen] = SPOT_SIGMA**2 * found.by_pixels @ found.by_pixels.transpose(0, 2, 1)
+    systematic[seen] = np.einsum("pni,pq,qnj->nij", found.by_rig, covariance, found.by_rig)
+    shape = (len(y), len(x), 3, 3)
+    return AccuracyField(distance, x, y, random.reshape(shape), systematic.reshape(shape))
+
+
+def _grid(rig: Rig, pan: Array, distance: float) -> tuple[Array, Array]:
+    """Cell centres over what both cameras see of the plane at one distance, m."""
+    width, height = rig.image_size
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]) * [width - 1, height - 1]
+    view_T_rig = np.linalg.inv(view_frame(rig, pan))
+    lows, highs = [], []
+    for camera, angle in ((rig.left, float(pan[0])), (rig.right, float(pan[1]))):
+        centre, sights = rays(camera, angle, corners)
+        start = view_T_rig[:3, :3] @ centre + view_T_rig[:3, 3]
+        ways = sights @ view_T_rig[:3, :3].T
+        places = start + ways * ((distance - start[2]) / ways[:, 2])[:, None]
+        lows.append(places[:, :2].min(axis=0))
+        highs.append(places[:, :2].max(axis=0))
+    low, high = np.max(lows, axis=0), np.min(highs, axis=0)
+    shares = [(np.arange(n) + 0.5) / n for n in (MAP_COLUMNS, MAP_ROWS)]
+    return low[0] + shares[0] * (high[0] - low[0]), low[1] + shares[1] * (high[1] - low[1])
+
+
+def _in_both_images(rig: Rig, pan: Array, points: Array) -> Array:
+    rig_T_view = view_frame(rig, pan)
+    pixels = _pixels(rig, pan, points @ rig_T_view[:3, :3].T + rig_T_view[:3, 3])
+    size = np.array([*rig.image_size, *rig.image_size])
+    inside: Array = np.all((pixels >= -0.5) & (pixels <= size - 0.5), axis=1)
+    return inside
+
+
+def length_uncertainty(
+    rig: Rig, pan: Array, distance: float, axis: int, turning: bool
+) -> tuple[float, float]:
+    """Standard uncertainty of a distance of TEST_LENGTH between two points, random and systematic, m.
+
+    What moves or turns all points alike falls out of it, as it does of a registered robot's pose.
+
+    Args:
+        rig: with its covariance.
+        pan: (2,), rad.
+        distance: m, of the middle of the two points, on the view's axis.
+        axis: along which the points lie: 0 across, 1 down, 2 in depth.
+        turning: as for `uncertainty_field`.
+    """
+    names, covariance = systematic_parameters(rig, turning)
+    middle, half = np.array([0.0, 0.0, distance]), TEST_LENGTH / 2 * np.eye(3)[axis]
+    ends = np.stack([middle - half, middle + half])
+    found = point_sensitivities(rig, pan, ends, names)
+    apart = found.by_rig[:, 1, axis] - found.by_rig[:, 0, axis]
+    random = SPOT_SIGMA * np.linalg.norm(found.by_pixels[:, axis])
+    return float(random), float(np.sqrt(apart @ covariance @ apart))

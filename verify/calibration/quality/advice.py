@@ -1,0 +1,210 @@
+"""What to do for a better calibration, in words."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from verify.calibration.quality.coverage import BoardOrientation, ImageCoverage
+from verify.calibration.quality.quality import (
+    NOISE_GROUP,
+    READINGS_GROUP,
+    SIDES,
+    CalibrationQuality,
+    PrincipalPoint,
+    ViewQuality,
+)
+from verify.calibration.stereo.records import Calibration
+
+MIN_REGION_SHARE = 0.15  # of the mean over the regions: fewer corners than that are hardly any
+MIN_RADIUS_SHARE = 0.8  # of half the diagonal
+MAX_EDGE_GAP = 0.12  # of the image's size: an edge farther from every corner is not covered
+EDGES = ("left", "upper", "right", "lower")
+MIN_DEPTH_RATIO = 1.4  # farthest over nearest board
+MIN_TILT = np.deg2rad(
+    20
+)  # either axis; below it focal length and distance trade against each other
+MIN_TILT_OTHER_SIDE = np.deg2rad(8)  # the other way
+MIN_PAIRS = 10
+MAX_SQUARE_SIGMA = 3.0  # standard uncertainties between the triangulated and the stated square
+ROW_NAMES, COLUMN_NAMES = ("upper", "middle", "lower"), ("left", "middle", "right")
+ADVICE = {
+    "focal lengths": "add boards tilted by 30° to 45° both ways, at several distances",
+    "principal points": "add boards tilted both ways, some of them turned by 90° in their plane",
+    "lens distortion": "add boards that reach into the corners of both images",
+    "cameras' turns": "add pairs in which both cameras see the whole board, all over the field",
+    "cameras' places": "add pairs at more distances, with a board as large as both images hold",
+    "pan axes and zeros": "add pairs at more pan angles, over the whole range that is used",
+    READINGS_GROUP: "read the pan angles more finely, or lock the bases and calibrate them locked",
+    NOISE_GROUP: "use brighter or larger LEDs, a wider baseline, or means over several pairs",
+}
+
+
+def main_advice(quality: CalibrationQuality) -> tuple[str, str]:
+    """Name what contributes most to a point's depth, and what helps against it."""
+    group = quality.contributions[0].group
+    return group, ADVICE[group]
+
+
+def calibration_doubts(
+    calibration: Calibration, quality: CalibrationQuality, names: Mapping[int, str] | None = None
+) -> tuple[str, ...]:
+    """Say what speaks against the calibration, a sentence each; none where nothing does.
+
+    Args:
+        calibration: what was found.
+        quality: what `judge` made of it.
+        names: of the pairs' pictures, by frame, as the user knows them.
+    """
+    return (
+        *_views(quality.views, names or {}),
+        *(sentence for p in quality.principal_points for sentence in _principal_point(p)),
+        *_square(calibration),
+    )
+
+
+def coverage_gaps(calibration: Calibration, quality: CalibrationQuality) -> tuple[str, ...]:
+    """Say which part of the image, which distance or tilt is missing, a sentence each."""
+    return (
+        *_pairs(len(calibration.frames)),
+        *(sentence for c in quality.coverage for sentence in _image(c)),
+        *_distance([s.distance for s in quality.stances]),
+        *_tilts(quality.stances),
+    )
+
+
+def _views(views: Sequence[ViewQuality], names: Mapping[int, str]) -> list[str]:
+    sentences = []
+    for view in views:
+        if view.poor:
+            name = f" ({names[view.frame]})" if view.frame in names else ""
+            usual = np.median([v.rms for v in views if v.camera == view.camera])
+            sentences.append(
+                f"Pair {view.frame}{name} hurts in the {SIDES[view.camera]} camera: rms "
+                f"{view.rms:.2f} px, where {usual:.2f} px is usual. Look at its picture "
+                "for blur or a covered board; leave it out or take it again."
+            )
+    return sentences
+
+
+def _pairs(count: int) -> list[str]:
+    if count >= MIN_PAIRS:
+        return []
+    return [f"Only {count} pairs were used: take {2 * MIN_PAIRS} or more."]
+
+
+def _image(covered: ImageCoverage) -> list[str]:
+    side = SIDES[covered.camera]
+    sentences = []
+    few = MIN_REGION_SHARE * covered.regions.mean()
+    for word, chosen in (
+        ("No corner", covered.regions == 0),
+        ("Hardly a corner", (covered.regions > 0) & (covered.regions < few)),
+    ):
+        if chosen.any():
+            names = [_region(row, column) for row, column in np.argwhere(chosen).tolist()]
+            sentences.append(
+                f"{word} lies in the {_join_words(names)} of the {side} image: hold the board there."
+            )
+    bare = [
+        (edge, m)
+        for edge, m in zip(EDGES, covered.margins.tolist(), strict=True)
+        if m > MAX_EDGE_GAP
+    ]
+    if bare and covered.regions.any():
+        names = [f"{edge} ({100 * margin:.0f} %)" for edge, margin in bare]
+        sentences.append(
+            f"No corner comes near the {_join_words(names)} edge of the {side} image: the lens "
+            "distortion is a guess there; let the board reach into it."
+        )
+    elif 0 < covered.reach < MIN_RADIUS_SHARE:
+        sentences.append(
+            f"In the {side} image no corner lies farther than {100 * covered.reach:.0f} % of the "
+            "way to the image's corners: the lens distortion is a guess beyond; let the board "
+            "reach into them."
+        )
+    return sentences
+
+
+def _region(row: int, column: int) -> str:
+    if row == 1 and column == 1:
+        return "middle"
+    if row == 1:
+        return f"{COLUMN_NAMES[column]} edge"
+    return f"{ROW_NAMES[row]} {COLUMN_NAMES[column]}"
+
+
+def _distance(distances: Sequence[float]) -> list[str]:
+    near, far = min(distances), max(distances)
+    if far >= MIN_DEPTH_RATIO * near:
+        return []
+    middle = (near + far) / 2
+    return [
+        (
+            f"All boards stood between {near:.2f} m and {far:.2f} m: add some at "
+            f"{0.75 * middle:.2f} m or nearer and some at {1.3 * middle:.2f} m or farther."
+        )
+    ]
+
+
+def _tilts(stances: Sequence[BoardOrientation]) -> list[str]:
+    horizontal = [s.about_horizontal for s in stances]
+    vertical = [s.about_vertical for s in stances]
+    return [
+        *_tilt("horizontal", horizontal, ("upper", "lower")),
+        *_tilt("vertical", vertical, ("right", "left")),
+    ]
+
+
+def _tilt(axis: str, angles: Sequence[float], edges: tuple[str, str]) -> list[str]:
+    """Judge the tilts about one axis; a positive one brings the first edge nearer."""
+    most = max(abs(a) for a in angles)
+    if most < MIN_TILT:
+        return [
+            (
+                f"Boards were never tilted about the {axis} axis by more than "
+                f"{np.rad2deg(most):.0f}°: tilt some by 30° to 45°, either way."
+            )
+        ]
+    for sign, edge in ((1, edges[0]), (-1, edges[1])):
+        if max(sign * a for a in angles) < MIN_TILT_OTHER_SIDE:
+            return [
+                (
+                    f"No board was tilted about the {axis} axis with its {edge} edge nearer: "
+                    "tilt some that way by 30° to 45°."
+                )
+            ]
+    return []
+
+
+def _principal_point(point: PrincipalPoint) -> list[str]:
+    if not point.odd or point.believed:
+        return []
+    where = f"The {SIDES[point.camera]} camera's principal point lies {point.distance:.0f} px off"
+    if point.uncertainty is None:
+        return [f"{where} the image's centre, and its uncertainty is not known: do not rely on it."]
+    times = point.distance / point.uncertainty
+    return [
+        (
+            f"{where} the image's centre, but only {times:.1f} times its standard uncertainty of "
+            f"{point.uncertainty:.1f} px: do not believe it. Add boards tilted both ways."
+        )
+    ]
+
+
+def _square(calibration: Calibration) -> list[str]:
+    found, u, _ = calibration.square_found
+    stated = calibration.board.square
+    both = float(np.hypot(u, calibration.board.square_standard_uncertainty or 0.0))
+    if both == 0 or abs(found - stated) <= MAX_SQUARE_SIGMA * both:
+        return []
+    return [
+        (
+            f"Squares come out as {found * 1e3:.3f} mm where {stated * 1e3:.3f} mm are stated, "
+            f"{abs(found - stated) / both:.0f} times the uncertainty: the pairs contradict each "
+            "other. Check that left and right were taken at one instant, and that no camera moved."
+        )
+    ]
+
+
+def _join_words(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

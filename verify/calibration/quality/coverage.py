@@ -1,0 +1,138 @@
+"""What the boards covered: the images, the distances, the tilts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.calibration.stereo.records import Calibration
+from verify.core.records import Array
+from verify.core.rig import Rig
+
+CELLS_ACROSS = 12  # of the coverage grid; as many down as keep them square
+REGIONS_PER_SIDE = 3  # a side: what words can name
+
+
+@dataclass(frozen=True, slots=True)
+class ImageCoverage:
+    """Corners over one camera's image."""
+
+    camera: int  # 0 left, 1 right
+    x: Array  # (columns,), px, centres of the cells
+    y: Array  # (rows,), px
+    counts: Array  # (rows, columns), corners seen
+    regions: Array  # (3, 3), corners seen, upper left first
+    margins: Array  # (4,), share of the width or height left, above, right and below all corners
+    reach: float  # farthest corner from the image's centre, as a share of half the diagonal
+
+
+@dataclass(frozen=True, slots=True)
+class BoardOrientation:
+    """How one board stood before the cameras.
+
+    A positive tilt about the horizontal axis brings the upper edge nearer, one about the vertical
+    axis the right edge.
+    """
+
+    frame: int
+    view_T_board: Array  # (4, 4)
+    distance: float  # m, depth of the board's middle before the cameras
+    about_horizontal: float  # rad
+    about_vertical: float  # rad
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the board and the plane that faces the cameras, rad."""
+        return float(np.arccos(np.clip(self.view_T_board[2, 2], -1.0, 1.0)))
+
+
+def view_frame(rig: Rig, pan: Array) -> Array:
+    """Place a frame midway between the cameras: x along the baseline, z the way they look.
+
+    Args:
+        rig: the rig.
+        pan: (2,), rad, reading of either base.
+
+    Returns:
+        rig_T_view, (4, 4). z is the mean of the optical axes, made square to the baseline.
+    """
+    left, right = rig.left.rig_T_camera(float(pan[0])), rig.right.rig_T_camera(float(pan[1]))
+    x = right[:3, 3] - left[:3, 3]
+    x = x / np.linalg.norm(x)
+    z = left[:3, 2] + right[:3, 2]
+    z = z - (z @ x) * x
+    z = z / np.linalg.norm(z)
+    rig_T_view = np.eye(4)
+    rig_T_view[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    rig_T_view[:3, 3] = (left[:3, 3] + right[:3, 3]) / 2
+    return rig_T_view
+
+
+def image_coverage(calibration: Calibration) -> tuple[ImageCoverage, ...]:
+    """Count the corners that entered the adjustment over the cells of either image."""
+    width, height = calibration.rig.image_size
+    down = max(round(CELLS_ACROSS * height / width), 1)
+    residuals = calibration.residuals
+    half = np.hypot(width, height) / 2
+    found = []
+    for camera in (0, 1):
+        seen = residuals.seen[(residuals.camera == camera) & residuals.used]
+        offset = seen - np.array([width - 1, height - 1]) / 2
+        reach = float(np.linalg.norm(offset, axis=1).max() / half) if len(seen) else 0.0
+        found.append(
+            ImageCoverage(
+                camera,
+                _centres(width, CELLS_ACROSS),
+                _centres(height, down),
+                _cell_counts(seen, width, height, CELLS_ACROSS, down),
+                _cell_counts(seen, width, height, REGIONS_PER_SIDE, REGIONS_PER_SIDE),
+                _margins(seen, width, height),
+                reach,
+            )
+        )
+    return tuple(found)
+
+
+def _margins(seen: Array, width: int, height: int) -> Array:
+    if not len(seen):
+        return np.ones(4)
+    size = np.array([width, height])
+    low, high = (seen.min(axis=0) + 0.5) / size, (seen.max(axis=0) + 0.5) / size
+    return np.concatenate([low, 1 - high])
+
+
+def _centres(extent: int, cells: int) -> Array:
+    centres: Array = (np.arange(cells) + 0.5) * extent / cells - 0.5  # pixel centres are whole
+    return centres
+
+
+def _cell_counts(seen: Array, width: int, height: int, across: int, down: int) -> Array:
+    edges = (np.linspace(-0.5, height - 0.5, down + 1), np.linspace(-0.5, width - 0.5, across + 1))
+    counts: Array = np.histogram2d(seen[:, 1], seen[:, 0], bins=edges)[0]
+    return counts
+
+
+def board_stances(calibration: Calibration, pan: Array) -> tuple[BoardOrientation, ...]:
+    """Tell how far and how tilted each board stood.
+
+    Args:
+        calibration: with b pairs.
+        pan: (b, 2), rad, readings of the bases.
+    """
+    points = calibration.board.points
+    middle = np.append((points[0] + points[-1]) / 2, 1.0)
+    found = []
+    for frame, rig_T_board, own in zip(
+        calibration.frames.tolist(), calibration.rig_T_board, pan, strict=True
+    ):
+        view_T_board = np.linalg.inv(view_frame(calibration.rig, own)) @ rig_T_board
+        normal = view_T_board[:3, 2]  # into the board: (0, 0, 1) where it faces the cameras
+        found.append(
+            BoardOrientation(
+                frame=frame,
+                view_T_board=view_T_board,
+                distance=float((view_T_board @ middle)[2]),
+                about_horizontal=float(np.arctan2(-normal[1], normal[2])),
+                about_vertical=float(np.arctan2(normal[0], normal[2])),
+            )
+        )
+    return tuple(found)

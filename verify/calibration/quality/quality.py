@@ -1,0 +1,319 @@
+"""What a calibration from boards is worth: fit, coverage, accuracy of a point, what helps most.
+
+How well each view of the board fits, and which views stand out.
+
+One pair rectified: the same corner must lie on the same line in both pictures.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.calibration.quality.accuracy import (
+    SPOT_SIGMA,
+    AccuracyField,
+    point_sensitivities,
+    systematic_parameters,
+    uncertainty_field,
+)
+from verify.calibration.quality.coverage import (
+    BoardOrientation,
+    ImageCoverage,
+    board_stances,
+    image_coverage,
+)
+from verify.calibration.stereo.records import Calibration, Residuals, covariance_in_si
+from verify.core.records import Array, Image
+from verify.core.rig import Camera, Rig
+
+MAD_TO_SIGMA = 1.4826  # standard deviation of a normal law over its median absolute deviation
+MAX_ROBUST_SIGMA = (
+    3.5  # robust standard deviations above the median: Iglewicz and Hoaglin's own limit
+)
+MIN_EXCESS_RATIO = (
+    1.5  # times the median: a smaller excess does no harm, however regular the others are
+)
+MIN_VIEWS = 5  # views of a camera that can be said to agree
+
+
+@dataclass(frozen=True, slots=True)
+class ViewQuality:
+    """One board in one camera, as the adjustment left it."""
+
+    camera: int  # 0 left, 1 right
+    frame: int
+    corners: int  # that were used
+    refused: int  # as outliers
+    rms: float  # px, root mean square distance of the used corners, as OpenCV counts
+    largest: float  # px
+    mean: Array  # (2,), px
+    poor: bool  # stands out among its camera's views
+
+
+def rms(residual: Array) -> float:
+    """Root mean square length of residuals (n, 2), px; NaN where there are none."""
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if len(residual) else float("nan")
+
+
+def view_residuals(residuals: Residuals) -> tuple[ViewQuality, ...]:
+    """Sum the residuals up by camera and frame, in that order."""
+    found = []
+    for camera in np.unique(residuals.camera).tolist():
+        own = residuals.camera == camera
+        frames = np.unique(residuals.frame[own]).tolist()
+        parts = [residuals.residual[own & (residuals.frame == f) & residuals.used] for f in frames]
+        poor = outlying_views(np.array([rms(part) for part in parts]))
+        for frame, part, bad in zip(frames, parts, poor.tolist(), strict=True):
+            every = int(np.sum(own & (residuals.frame == frame)))
+            largest = float(np.linalg.norm(part, axis=1).max()) if len(part) else float("nan")
+            mean = part.mean(axis=0) if len(part) else np.full(2, np.nan)
+            found.append(
+                ViewQuality(
+                    camera, frame, len(part), every - len(part), rms(part), largest, mean, bad
+                )
+            )
+    return tuple(found)
+
+
+def outlying_views(values: Array) -> NDArray[np.bool_]:
+    """Tell which of some rms values (n,) are out of line with the others.
+
+    Median and median absolute deviation stand for what is usual, so nearly half of the views may
+    be bad without hiding themselves.
+
+    Source: the modified z-score of Iglewicz and Hoaglin, How to Detect and Handle Outliers, 1993.
+    """
+    known = np.isfinite(values) & (values > 0)
+    out = np.zeros(len(values), dtype=bool)
+    if known.sum() < MIN_VIEWS:
+        return out
+    usual = float(np.median(values[known]))
+    spread = MAD_TO_SIGMA * float(np.median(np.abs(values[known] - usual)))
+    out[known] = values[known] > max(usual + MAX_ROBUST_SIGMA * spread, MIN_EXCESS_RATIO * usual)
+    return out
+
+
+MAX_CENTRE_OFFSET = (
+    0.1  # of the image's size: a principal point farther off its centre wants an explanation
+)
+MIN_CENTRE_SIGMA = 4.0  # standard uncertainties between the principal point and the centre
+DISTANCE_STEP = 0.05  # m, to which the distances of the maps are rounded
+SIDES = ("left", "right")
+GROUPS = {  # key of a parameter, without its unit, to what it belongs to
+    "fx": "focal lengths",
+    "fy": "focal lengths",
+    "cx": "principal points",
+    "cy": "principal points",
+    **dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), "lens distortion"),
+    **dict.fromkeys(("mount_rx", "mount_ry", "mount_rz"), "cameras' turns"),
+    **dict.fromkeys((f"mount_{axis}" for axis in "xyz"), "cameras' places"),
+    **dict.fromkeys((f"pan_center_{axis}" for axis in "xyz"), "cameras' places"),
+    **dict.fromkeys((f"pan_axis_r{axis}" for axis in "xyz"), "pan axes and zeros"),
+    "pan_zero": "pan axes and zeros",
+}
+NOISE_GROUP, READINGS_GROUP = "spot noise", "pan readings"
+
+
+@dataclass(frozen=True, slots=True)
+class PrincipalPoint:
+    """Where a camera's optical axis meets the image, and whether to believe it."""
+
+    camera: int
+    offset: Array  # (2,), px, from the image's centre
+    distance: float  # px
+    uncertainty: float | None  # px, standard, along the offset; None: held, or not stated
+    odd: bool  # farther off the centre than a camera as it is sold
+    believed: bool  # the pictures give it: many times its own uncertainty away from the centre
+
+
+@dataclass(frozen=True, slots=True)
+class DepthContribution:
+    """What one group of parameters does to the depth of a point in the middle of the view."""
+
+    group: str
+    alone: float  # m, standard uncertainty of the depth, were all else exact
+    without: float  # m, what would be left of it, were this group exact
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationQuality:
+    """What the boards say of the rig they calibrated."""
+
+    rms: tuple[float, float, float]  # px: both cameras, left, right
+    views: tuple[ViewQuality, ...]
+    coverage: tuple[ImageCoverage, ...]
+    stances: tuple[BoardOrientation, ...]
+    principal_points: tuple[PrincipalPoint, ...]
+    pan: Array  # (2,), rad, for which the fields hold
+    working_distance: float  # m, median distance of the boards
+    fields: tuple[AccuracyField, ...]  # nearest first
+    contributions: tuple[DepthContribution, ...]  # what would help most first
+
+
+def judge_calibration(calibration: Calibration, pan: Array | None = None) -> CalibrationQuality:
+    """Say what a calibration is worth.
+
+    Args:
+        calibration: with the rig's covariance.
+        pan: (b, 2), rad, readings of the bases at its pairs; None: the rig's own fixed ones.
+
+    Raises:
+        ValueError: the rig states no covariance, or `pan` does not fit the pairs.
+    """
+    rig = calibration.rig
+    if pan is None:
+        pan = np.tile([rig.left.pan, rig.right.pan], (len(calibration.frames), 1))
+    if pan.shape != (len(calibration.frames), 2):
+        raise ValueError(f"{len(calibration.frames)} pairs need as many pan readings")
+    usual = np.median(pan, axis=0)
+    stood = board_stances(calibration, pan)
+    near, working, far = _distances([s.distance for s in stood])
+    used = calibration.residuals.used
+    left = calibration.residuals.camera == 0
+    return CalibrationQuality(
+        rms=(
+            rms(calibration.residuals.residual[used]),
+            rms(calibration.residuals.residual[used & left]),
+            rms(calibration.residuals.residual[used & ~left]),
+        ),
+        views=view_residuals(calibration.residuals),
+        coverage=image_coverage(calibration),
+        stances=stood,
+        principal_points=tuple(_principal_point(calibration, side) for side in (0, 1)),
+        pan=usual,
+        working_distance=working,
+        fields=tuple(
+            uncertainty_field(rig, usual, d, calibration.turning)
+            for d in sorted({near, working, far})
+        ),
+        contributions=_contributions(calibration, usual, working),
+    )
+
+
+def _distances(boards: list[float]) -> tuple[float, float, float]:
+    """Nearest, median and farthest distance of the boards, rounded; some may coincide."""
+    wanted = np.quantile(boards, [0.0, 0.5, 1.0])
+    near, median, far = np.maximum(np.round(wanted / DISTANCE_STEP), 1).tolist()
+    return (
+        round(near * DISTANCE_STEP, 6),
+        round(median * DISTANCE_STEP, 6),
+        round(far * DISTANCE_STEP, 6),
+    )
+
+
+def _principal_point(calibration: Calibration, side: int) -> PrincipalPoint:
+    camera: Camera = (calibration.rig.left, calibration.rig.right)[side]
+    size = np.array(calibration.rig.image_size)
+    offset = camera.matrix[:2, 2] - (size - 1) / 2  # pixel centres at whole numbers
+    distance = float(np.linalg.norm(offset))
+    u = _directional_uncertainty(
+        calibration, [f"{SIDES[side]}.{key}_px" for key in ("cx", "cy")], offset
+    )
+    odd = bool(np.any(np.abs(offset) > MAX_CENTRE_OFFSET * size))
+    sure = u is not None and distance > MIN_CENTRE_SIGMA * u
+    return PrincipalPoint(side, offset, distance, u, odd, sure)
+
+
+def _directional_uncertainty(
+    calibration: Calibration, names: list[str], way: Array
+) -> float | None:
+    """Standard uncertainty of some parameters in one direction; None where not all are stated."""
+    given = calibration.rig.covariance
+    if given is None or not set(names) <= set(given.parameters) or not way.any():
+        return None
+    rows = [given.parameters.index(name) for name in names]
+    unit = way / np.linalg.norm(way)
+    return float(np.sqrt(unit @ covariance_in_si(given)[np.ix_(rows, rows)] @ unit))
+
+
+def _contributions(
+    calibration: Calibration, pan: Array, distance: float
+) -> tuple[DepthContribution, ...]:
+    """Split the variance of a depth by what would be left of it, were a group exact.
+
+    The parts do not add up: parameters found from the same pictures hang together.
+    """
+    names, covariance = systematic_parameters(calibration.rig, calibration.turning)
+    found = point_sensitivities(calibration.rig, pan, np.array([[0.0, 0.0, distance]]), names)
+    slope = found.by_rig[:, 0, 2]
+    noise = float(SPOT_SIGMA**2 * np.sum(found.by_pixels[0, 2] ** 2))
+    systematic = float(slope @ covariance @ slope)
+    split = [DepthContribution(NOISE_GROUP, float(np.sqrt(noise)), float(np.sqrt(systematic)))]
+    groups = _groups(calibration, names)
+    for group in dict.fromkeys(groups):
+        own = np.array([g == group for g in groups])
+        inner = covariance[np.ix_(own, own)]
+        common = covariance[own] @ slope
+        gone = float(common @ np.linalg.pinv(inner, hermitian=True) @ common)
+        alone = float(slope[own] @ inner @ slope[own])
+        left = max(systematic + noise - gone, 0.0)
+        split.append(DepthContribution(group, float(np.sqrt(alone)), float(np.sqrt(left))))
+    return tuple(sorted(split, key=lambda c: (c.without, c.group)))
+
+
+def _groups(calibration: Calibration, names: tuple[str, ...]) -> list[str]:
+    """Name the group of each parameter; what stands beyond the rig's own is a pan reading."""
+    given = calibration.rig.covariance
+    cameras = sum(n.startswith(("left.", "right.")) for n in given.parameters) if given else 0
+    groups = []
+    for index, name in enumerate(names):
+        key = name.partition(".")[2].removesuffix("_px").removesuffix("_mm").removesuffix("_deg")
+        groups.append(READINGS_GROUP if index >= cameras else GROUPS[key])
+    return groups
+
+
+PICTURE_WIDTH = 720  # px of either picture in the report
+N_LINES = 12  # across both pictures
+LINE_COLOUR = (80, 200, 80)  # BGR
+GAP = 4  # px between the pictures
+
+
+def draw_rectified(rig: Rig, left: Image, right: Image, pan: Array | None = None) -> bytes:
+    """Turn both pictures to face alike and draw level lines across them.
+
+    Args:
+        rig: the rig.
+        left: (h, w) grey or (h, w, 3) BGR, as taken.
+        right: likewise.
+        pan: (2,), rad, readings of the bases at that pair; None: the rig's own fixed ones.
+
+    Returns:
+        PNG bytes, both pictures side by side; the same input gives the same bytes.
+
+    Source: the rectification is OpenCV's stereoRectify (Bouguet's).
+    """
+    angles = [rig.left.pan, rig.right.pan] if pan is None else pan.tolist()
+    right_T_left = np.linalg.inv(rig.right.rig_T_camera(angles[1])) @ rig.left.rig_T_camera(
+        angles[0]
+    )
+    turns = cv2.stereoRectify(
+        rig.left.matrix, rig.left.distortion, rig.right.matrix, rig.right.distortion,
+        rig.image_size, right_T_left[:3, :3], right_T_left[:3, 3:], alpha=0,
+    )  # fmt: skip
+    new = [np.asarray(turn, dtype=float) for turn in turns[:4]]
+    pictures = [
+        _rectify(left, rig.left, new[0], new[2]),
+        _rectify(right, rig.right, new[1], new[3]),
+    ]
+    gap = np.full((len(pictures[0]), GAP, 3), 255, dtype=np.uint8)
+    both = np.concatenate([pictures[0], gap, pictures[1]], axis=1)
+    for y in np.linspace(0, len(both), N_LINES + 1)[1:-1]:
+        cv2.line(both, (0, round(float(y))), (both.shape[1] - 1, round(float(y))), LINE_COLOUR, 1)
+    encoded, png = cv2.imencode(".png", both)
+    if not encoded:
+        raise ValueError("OpenCV could not encode the preview as PNG")
+    return png.tobytes()
+
+
+def _rectify(picture: Image, camera: Camera, turn: Array, new: Array) -> Image:
+    colour = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
+    height, width = picture.shape[:2]
+    scale = PICTURE_WIDTH / width
+    smaller = np.diag([scale, scale, 1.0]) @ new[:, :3]
+    size = (PICTURE_WIDTH, round(height * scale))
+    maps = cv2.initUndistortRectifyMap(
+        camera.matrix, camera.distortion, turn, smaller, size, cv2.CV_32FC1
+    )
+    return np.asarray(cv2.remap(colour, *maps, cv2.INTER_AREA), dtype=np.uint8)

@@ -1,0 +1,222 @@
+"""Tables of a calibration: units at the door (mm, degrees, px), a row a parameter or a view."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from verify.calibration.quality.accuracy import uncertainty_parts
+from verify.calibration.quality.coverage import view_frame
+from verify.calibration.quality.quality import SIDES, CalibrationQuality
+from verify.calibration.stereo.parameters import PARAMETER_KEYS
+from verify.calibration.stereo.records import Calibration
+from verify.core.records import Array
+from verify.core.rig import Camera
+
+MM, DEG = 1e3, 180 / np.pi
+POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+UNIT = {"mm": "mm", "deg": "°", "px": "px"}
+LENS, MATRIX = ("k1", "k2", "p1", "p2", "k3"), ("fx_px", "fy_px")
+FRUSTUM = 0.15  # of the working distance: how far a camera's pyramid reaches into the picture
+
+
+def tables(calibration: Calibration, quality: CalibrationQuality) -> dict[str, pd.DataFrame]:
+    """Every table of the results."""
+    return {
+        "parameters": _parameters(calibration),
+        "views": _views(quality),
+        "residuals": _residuals(calibration),
+        "boards": _boards(calibration, quality),
+        "coverage": _coverage(quality),
+        "accuracy": _accuracy(quality),
+        "contributions": pd.DataFrame(
+            [
+                {"group": c.group, "alone_mm": c.alone * MM, "without_mm": c.without * MM}
+                for c in quality.contributions
+            ]
+        ),
+        "scene": _scene(calibration, quality),
+    }
+
+
+def _parameters(calibration: Calibration) -> pd.DataFrame:
+    """Every parameter of the rotating-base model; `state` says whether it was found, or held."""
+    given = calibration.rig.covariance
+    known: dict[str, float] = {}
+    if given is not None:
+        known = dict(zip(given.parameters, given.standard_uncertainty.tolist(), strict=True))
+    rows = []
+    for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
+        values = _values(camera)
+        for key in PARAMETER_KEYS:
+            name = f"{side}.{key}"
+            u = known.get(name, 0.0)
+            rows.append(
+                {
+                    "camera": side,
+                    "parameter": key,
+                    "unit": UNIT.get(key.rpartition("_")[2], ""),
+                    "value": values[key],
+                    "standard_uncertainty": u if u > 0 else np.nan,
+                    "state": _state(name, u, calibration),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def _state(name: str, uncertainty: float, calibration: Calibration) -> str:
+    key = name.partition(".")[2]
+    if name in calibration.fixed and key in LENS:
+        return "zero"  # perhaps with what holding it at 0 leaves uncertain
+    if name in calibration.fixed and key in MATRIX:
+        return "tied"
+    return "found" if uncertainty > 0 else "gauge"
+
+
+def _values(camera: Camera) -> dict[str, float]:
+    """A camera's parameters in the units of their names.
+
+    The pan axis is given by the turn that carries the rig's y axis to it.
+    """
+    k = camera.matrix
+    values = {"fx_px": k[0, 0], "fy_px": k[1, 1], "cx_px": k[0, 2], "cy_px": k[1, 2]}
+    values |= dict(zip(LENS, camera.distortion.tolist(), strict=True))
+    axis = np.cross([0.0, 1.0, 0.0], camera.pan_axis)
+    sine = float(np.linalg.norm(axis))
+    angle = np.arctan2(sine, camera.pan_axis[1])
+    turn = axis / sine * angle if sine > 0 else np.zeros(3)
+    vectors = {
+        "pan_center_{}_mm": camera.pan_center * MM,
+        "pan_axis_r{}_deg": turn * DEG,
+        "mount_r{}_deg": Rotation.from_matrix(camera.mount[:3, :3]).as_rotvec() * DEG,
+        "mount_{}_mm": camera.mount[:3, 3] * MM,
+    }
+    for pattern, vector in vectors.items():
+        values |= {pattern.format(a): v for a, v in zip("xyz", vector.tolist(), strict=True)}
+    values["pan_zero_deg"] = camera.pan_zero * DEG
+    return {key: float(value) for key, value in values.items()}
+
+
+def _views(quality: CalibrationQuality) -> pd.DataFrame:
+    rows = [
+        {
+            "camera": SIDES[view.camera],
+            "frame": view.frame,
+            "corners": view.corners,
+            "refused": view.refused,
+            "rms_px": view.rms,
+            "largest_px": view.largest,
+            "mean_x_px": view.mean[0],
+            "mean_y_px": view.mean[1],
+            "poor": view.poor,
+        }
+        for view in quality.views
+    ]
+    return pd.DataFrame(rows)
+
+
+def _residuals(calibration: Calibration) -> pd.DataFrame:
+    found = calibration.residuals
+    return pd.DataFrame(
+        {
+            "camera": [SIDES[c] for c in found.camera.tolist()],
+            "frame": found.frame,
+            "corner": found.corner,
+            "x_px": found.seen[:, 0],
+            "y_px": found.seen[:, 1],
+            "residual_x_px": found.residual[:, 0],
+            "residual_y_px": found.residual[:, 1],
+            "u_px": found.uncertainty,
+            "used": found.used,
+        }
+    )
+
+
+def _boards(calibration: Calibration, quality: CalibrationQuality) -> pd.DataFrame:
+    """Place of each board in the rig, standard uncertainty, and how it stood to the cameras."""
+    poses = calibration.rig_T_board
+    turn = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
+    scale = np.array([MM] * 3 + [DEG] * 3)
+    values = np.concatenate([poses[:, :3, 3], turn], axis=1) * scale
+    u = np.sqrt(np.diagonal(calibration.board_covariance, axis1=1, axis2=2)) * scale
+    table: dict[str, Any] = {"frame": calibration.frames}
+    table |= {name: values[:, i] for i, name in enumerate(POSE)}
+    table |= {f"u_{name}": u[:, i] for i, name in enumerate(POSE)}
+    table["distance_mm"] = [s.distance * MM for s in quality.stances]
+    table["tilt_deg"] = [s.tilt * DEG for s in quality.stances]
+    table["about_horizontal_deg"] = [s.about_horizontal * DEG for s in quality.stances]
+    table["about_vertical_deg"] = [s.about_vertical * DEG for s in quality.stances]
+    return pd.DataFrame(table)
+
+
+def _coverage(quality: CalibrationQuality) -> pd.DataFrame:
+    rows = [
+        {"camera": SIDES[c.camera], "x_px": x, "y_px": y, "corners": int(c.counts[i, j])}
+        for c in quality.coverage
+        for i, y in enumerate(c.y.tolist())
+        for j, x in enumerate(c.x.tolist())
+    ]
+    return pd.DataFrame(rows)
+
+
+def _accuracy(quality: CalibrationQuality) -> pd.DataFrame:
+    """Standard uncertainty of a point, a row a point of each map; empty where it is not seen."""
+    tables = []
+    for field in quality.fields:
+        x, y = np.meshgrid(field.x, field.y)
+        table = {
+            "distance_mm": np.full(x.size, field.distance * MM),
+            "x_mm": x.ravel() * MM,
+            "y_mm": y.ravel() * MM,
+        }
+        for name in ("random", "systematic", "total"):
+            values = uncertainty_parts(field, getattr(field, name))
+            for part, value in zip(("lateral", "depth", "total"), values, strict=True):
+                table[f"{name}_{part}_mm"] = value.ravel() * MM
+        tables.append(pd.DataFrame(table))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _scene(calibration: Calibration, quality: CalibrationQuality) -> pd.DataFrame:
+    """Outlines of boards and cameras as the view's frame has them, a closed line an item."""
+    board = calibration.board
+    square = board.square
+    low, high = -square, np.array([board.columns, board.rows]) * square
+    edge = np.array(
+        [[low, low, 0], [high[0], low, 0], [high[0], high[1], 0], [low, high[1], 0], [low, low, 0]]
+    )
+    items = [
+        ("board", str(stance.frame), _transform(stance.view_T_board, edge))
+        for stance in quality.stances
+    ]
+    view_T_rig = np.linalg.inv(view_frame(calibration.rig, quality.pan))
+    for side, camera, pan in zip(
+        SIDES, (calibration.rig.left, calibration.rig.right), quality.pan.tolist(), strict=True
+    ):
+        reach = FRUSTUM * quality.working_distance
+        pyramid = _pyramid(camera, calibration.rig.image_size) * reach
+        items.append(("camera", side, _transform(view_T_rig @ camera.rig_T_camera(pan), pyramid)))
+    rows = [
+        {"kind": kind, "name": name, "x_mm": x * MM, "y_mm": y * MM, "z_mm": z * MM}
+        for kind, name, line in items
+        for x, y, z in line.tolist()
+    ]
+    return pd.DataFrame(rows)
+
+
+def _pyramid(camera: Camera, size: tuple[int, int]) -> Array:
+    """One stroke along a pyramid from the optical centre to the image's corners, unit depth."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * [
+        size[0] - 1,
+        size[1] - 1,
+    ]
+    rays = np.column_stack([camera.normalise(corners), np.ones(4)])
+    a, b, c, d = rays
+    tip = np.zeros(3)
+    return np.array([tip, a, b, tip, c, d, tip, a, d, c, b])
+
+
+def _transform(view_T_own: Array, points: Array) -> Array:
+    carried: Array = points @ view_T_own[:3, :3].T + view_T_own[:3, 3]
+    return carried

@@ -1,0 +1,1 @@
+"""Robot base and LEDs from a motion or a fixture."""

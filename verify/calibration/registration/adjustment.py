@@ -1,0 +1,280 @@
+"""Bundle adjustment of base, LEDs, clock and skew on the pixels of a whole session.
+
+The readings' own noise moves all spots of a pair together, so each pair's pixels have one full
+covariance: the spots' own and, through the arm's Jacobian, the readings'.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robots
+from verify.analysis.least_squares import autocorrelation
+from verify.calibration.registration.model import (
+    PredictedSpots,
+    RegistrationParameters,
+    SpotStack,
+    predict_spots,
+    shared_noise,
+)
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.core.rig import Rig
+
+MAX_ITERATIONS = 40
+TOL_STEP = 1e-9  # of a step in units of m, rad and s: a hundredth of any uncertainty here
+MAX_SPOT_CHI2 = (
+    20.0  # chi² of one spot given the others, 2 degrees of freedom: 5e-5 false rejections
+)
+MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
+JOINT_PRIOR_SIGMA = np.deg2rad(
+    1.0
+)  # a joint fault must not pass for wrong spots: poses are left open
+MAX_ROUNDS = 8  # of rejection
+TOL_RANK = 1e-12  # of an information matrix with unit diagonal: rounding
+
+
+@dataclass(frozen=True, slots=True)
+class AdjustmentSetup:
+    """Everything that an adjustment takes as given."""
+
+    rig: Rig
+    arm: robots.Arm
+    readings: Readings
+    variance: Array  # (j,), rad², of one joint reading
+    time_variance: float  # s², of a reading's time stamp
+    clock: tuple[float, float] | None  # s: stated offset and its standard uncertainty
+
+
+@dataclass(frozen=True, slots=True)
+class WhitenedRows:
+    """A session whitened: r rows, of unit variance if the stated noise is all there is."""
+
+    pair: NDArray[np.int64]  # (r,)
+    pose: NDArray[np.bool_]  # (r,), rows that a motion of the flange explains; others: the shape
+    place: NDArray[np.int64]  # (r,), which of a pair's six pose rows; -1 for others
+    residual: Array  # (r,)
+    design: Array  # (r, size)
+    joints: Array  # (r, j)
+
+
+@dataclass(frozen=True, slots=True)
+class AdjustedRegistration:
+    """An adjusted registration."""
+
+    at: RegistrationParameters
+    free: NDArray[np.bool_]  # (size,), parameters that were adjusted
+    spotted: SpotStack
+    predicted: PredictedSpots
+    rows: WhitenedRows
+    inverse: Array  # (size, size), of the information; 0 for what was held
+    gain: Array  # (size, 2 s), d parameters / d spots; 0 for spots that were refused
+    covariance: Array  # (size, size), with what the residuals show beside the stated noise
+    chi2: float
+    degrees_of_freedom: int
+    inflation: float  # what the residuals' spread multiplies the pose rows' variance with
+
+
+def adjust(
+    spotted: SpotStack,
+    setup: AdjustmentSetup,
+    start: RegistrationParameters,
+    free: NDArray[np.bool_],
+) -> AdjustedRegistration:
+    """Adjust what is free to all spots, refusing those that the others contradict.
+
+    Args:
+        spotted: the spots of all pairs.
+        setup: rig, arm, readings and their noise.
+        start: where to begin.
+        free: (size,), which parameters to adjust.
+    """
+    at = start
+    for _ in range(MAX_ROUNDS):
+        at = _gauss_newton(spotted, setup, at, free)
+        refused = _worst_spots(
+            spotted, predict_spots(spotted, setup.rig, setup.arm, setup.readings, at)
+        )
+        if not refused.any():
+            break
+        spotted = replace(spotted, used=spotted.used & ~refused)
+    return _estimate_covariance(spotted, setup, at, free)
+
+
+def _gauss_newton(
+    spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: NDArray[np.bool_]
+) -> RegistrationParameters:
+    for _ in range(MAX_ITERATIONS):
+        seen = predict_spots(spotted, setup.rig, setup.arm, setup.readings, at)
+        rows = whiten_pairs(spotted, seen, setup)
+        design, residual = rows.design[:, free], rows.residual
+        design, residual = _append_stated_clock(design, residual, free, setup, at)
+        step = np.zeros(at.size)
+        step[free] = np.linalg.lstsq(design, residual, rcond=None)[0]
+        at = at.moved(step)
+        if np.abs(step).max(initial=0.0) < TOL_STEP:
+            break
+    return at
+
+
+def _append_stated_clock(
+    design: Array,
+    residual: Array,
+    free: NDArray[np.bool_],
+    setup: AdjustmentSetup,
+    at: RegistrationParameters,
+) -> tuple[Array, Array]:
+    """Add the stated clock offset as one more observation."""
+    if setup.clock is None or not free[-2]:
+        return design, residual
+    offset, uncertainty = setup.clock
+    row = (np.arange(at.size) == at.size - 2)[free] / uncertainty
+    return np.vstack([design, row]), np.append(residual, (offset - at.clock) / uncertainty)
+
+
+def whiten_pairs(spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetup) -> WhitenedRows:
+    """Whiten each pair's used spots, and turn the rows so that six of them hold its pose."""
+    parts: list[tuple[Array, Array, Array]] = []
+    pair, place = [], []
+    for i in range(len(spotted)):
+        mine = np.flatnonzero((spotted.pair == i) & spotted.used)
+        if not len(mine):
+            continue
+        by_joint = seen.by_joint[mine].reshape(2 * len(mine), -1)
+        lower = np.linalg.cholesky(_covariance(spotted, seen, setup, mine))
+        columns = np.concatenate(
+            [
+                seen.by_flange[mine].reshape(2 * len(mine), 6),
+                seen.residual[mine].reshape(-1, 1),
+                seen.design[mine].reshape(2 * len(mine), -1),
+                by_joint,
+            ],
+            axis=1,
+        )
+        white = np.linalg.solve(lower, columns)
+        turn, triangle = np.linalg.qr(white[:, :6], mode="complete")
+        turn[:, : len(triangle.T)] *= np.sign(np.diag(triangle))[None, : len(turn)]
+        white = turn.T @ white[:, 6:]
+        parts.append((white[:, 0], white[:, 1 : 1 + seen.design.shape[2]],
+                      white[:, 1 + seen.design.shape[2] :]))  # fmt: skip
+        count = 2 * len(mine)
+        pair += [i] * count
+        place += [k if k < 6 else -1 for k in range(count)]
+    where = np.array(place, dtype=np.int64)
+    return WhitenedRows(
+        pair=np.array(pair, dtype=np.int64),
+        pose=where >= 0,
+        place=where,
+        residual=np.concatenate([p[0] for p in parts]),
+        design=np.concatenate([p[1] for p in parts]),
+        joints=np.concatenate([p[2] for p in parts]),
+    )
+
+
+def _covariance(
+    spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetup, mine: NDArray[np.int64]
+) -> Array:
+    """Of one pair's pixels, (2 m, 2 m): the spots' noise, and the readings' that they share."""
+    by_joint = seen.by_joint[mine].reshape(2 * len(mine), -1)
+    speed = by_joint @ seen.rate[mine[0]]
+    common = (by_joint * setup.variance) @ by_joint.T + setup.time_variance * np.outer(speed, speed)
+    shared = shared_noise(seen.readings[0][mine], seen.readings[1][mine])
+    covariance: Array = common * np.kron(shared, np.ones((2, 2)))
+    return covariance + block_diagonal(spotted.covariance[mine])
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """(n, 2, 2) as one (2 n, 2 n) matrix."""
+    n = len(blocks)
+    matrix = np.zeros((n, 2, n, 2))
+    matrix[np.arange(n), :, np.arange(n)] = blocks
+    return matrix.reshape(2 * n, 2 * n)
+
+
+def _worst_spots(spotted: SpotStack, seen: PredictedSpots) -> NDArray[np.bool_]:
+    """The worst spot of each pair that the others, with the pose left open, contradict."""
+    refused = np.zeros(len(spotted.pair), dtype=bool)
+    for i in range(len(spotted)):
+        mine = np.flatnonzero((spotted.pair == i) & spotted.used)
+        if len(mine) < 2:
+            continue
+        by_joint = seen.by_joint[mine].reshape(2 * len(mine), -1) * JOINT_PRIOR_SIGMA
+        covariance = block_diagonal(spotted.covariance[mine] + MODEL_ERROR_PX**2 * np.eye(2))
+        precision = np.linalg.inv(covariance + by_joint @ by_joint.T)
+        pull = (precision @ seen.residual[mine].reshape(-1)).reshape(-1, 2)
+        k = np.arange(len(mine))
+        own = precision.reshape(len(mine), 2, len(mine), 2)[k, :, k]
+        # of a spot given all others: the inverse of its block of the precision is its variance
+        size = np.einsum("si,si->s", pull, np.linalg.solve(own, pull[:, :, None])[:, :, 0])
+        worst = int(np.argmax(size))
+        refused[mine[worst]] = size[worst] > MAX_SPOT_CHI2
+    return refused
+
+
+def _estimate_covariance(
+    spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: NDArray[np.bool_]
+) -> AdjustedRegistration:
+    """Covariance of what was adjusted: the stated noise, and what the residuals show beside it."""
+    seen = predict_spots(spotted, setup.rig, setup.arm, setup.readings, at)
+    rows = whiten_pairs(spotted, seen, setup)
+    design = np.where(free, rows.design, 0.0)
+    stated, _ = _append_stated_clock(design[:, free], rows.residual, free, setup, at)
+    inverse = np.zeros((at.size, at.size))
+    inverse[np.ix_(free, free)] = invert_information(stated.T @ stated)
+    shape = int(free[6:-2].sum())
+    rigid = int(free.sum()) - max(shape - 6, 0)
+    pose_misfit = _misfit(rows.residual[rows.pose], rigid)
+    shape_misfit = _misfit(rows.residual[~rows.pose], max(shape - 6, 0))
+    weight = np.full(len(rows.residual), shape_misfit)
+    by_pair = np.full((len(spotted), 6), np.nan)
+    by_pair[rows.pair[rows.pose], rows.place[rows.pose]] = rows.residual[rows.pose]
+    factors = autocorrelation(by_pair)
+    weight[rows.pose] = pose_misfit * factors[rows.place[rows.pose]]
+    spread = (design * weight[:, None]).T @ design
+    extra = np.linalg.norm(stated[len(design) :], axis=0) ** 2  # the stated clock needs no factor
+    spread[np.ix_(free, free)] += np.diag(extra)
+    return AdjustedRegistration(
+        at=at,
+        free=free,
+        spotted=spotted,
+        predicted=seen,
+        rows=rows,
+        inverse=inverse,
+        gain=inverse @ _weighted_design(spotted, seen, setup, free),
+        covariance=inverse @ spread @ inverse,
+        chi2=float(rows.residual @ rows.residual),
+        degrees_of_freedom=len(rows.residual) - int(free.sum()),
+        inflation=float(pose_misfit * factors.max()),
+    )
+
+
+def _weighted_design(
+    spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetup, free: NDArray[np.bool_]
+) -> Array:
+    """Design' S⁻¹, (size, 2 s), pair by pair."""
+    weighted = np.zeros((len(free), len(spotted.pair), 2))
+    for i in range(len(spotted)):
+        mine = np.flatnonzero((spotted.pair == i) & spotted.used)
+        if len(mine):
+            design = np.where(free, seen.design[mine], 0.0).reshape(2 * len(mine), -1)
+            part = np.linalg.solve(_covariance(spotted, seen, setup, mine), design)
+            weighted[:, mine] = part.T.reshape(len(free), len(mine), 2)
+    return weighted.reshape(len(free), -1)
+
+
+def _misfit(residual: Array, parameters: int) -> float:
+    """Chi² a degree of freedom, at least 1: a lucky session is no better than its noise."""
+    degrees = len(residual) - parameters
+    return max(float(residual @ residual) / degrees, 1.0) if degrees > 0 else 1.0
+
+
+def invert_information(information: Array) -> Array:
+    """Inverse of an information matrix in units of very different size; its rounding left out."""
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    known = values > TOL_RANK
+    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
+    unscaled: Array = inverse / np.outer(scale, scale)
+    return unscaled

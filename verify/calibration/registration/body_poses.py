@@ -1,0 +1,210 @@
+"""The LED body's pose in the rig, pair by pair, before anything is known of the robot."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.transforms import difference
+from verify.calibration.registration.led_tracks import PairSpots, max_motion_px
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Pose, Sighting, Spots
+from verify.core.rig import Camera, Rig
+from verify.measurement.alignment import MAX_GAP, RawSighting, align, spot_instants
+from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
+from verify.measurement.pose import fit_pose, perturb
+
+# How far a prediction over an interval (s) may be off: an arm's acceleration, and a body that is
+# known to a millimetre.
+PRIOR_ACCELERATION = (1.0, 6.0)  # m/s², rad/s²
+MIN_PREDICTION_SIGMA = (3e-3, 0.03)  # m, rad
+MAX_ROUNDS = 4  # of pose and body in turn
+TOL_BODY = 2e-5  # m: a tenth of what identification allows an LED
+START_LED_SIGMA = 1e-3  # m, one deviation of an LED's place while the body is rough
+REFINED_LED_SIGMA = 3e-4  # m, and once it is refined
+
+
+@dataclass(frozen=True, slots=True)
+class BodyPose:
+    """One pair with its LEDs told apart."""
+
+    look: PairSpots
+    raw: tuple[RawSighting, RawSighting]  # left and right, every spot at its own instant
+    aligned: tuple[Sighting, Sighting]  # at the left camera's instant
+    pose: Pose  # of the body, "flange" meaning the body's own frame
+    diameter: float  # m, of an LED, by the width of its image
+
+
+def body_marker(leds: Array, diameter: float, play: float) -> Marker:
+    """LEDs in a frame of their own, as a marker that identification and pose understand."""
+    n = len(leds)
+    return Marker(
+        names=tuple(str(i) for i in range(n)),
+        leds=leds,
+        colours=(None,) * n,
+        led_diameter=diameter,
+        led_standard_uncertainty=play,
+    )
+
+
+def body_poses(
+    looks: Sequence[PairSpots], rig: Rig, leds: Array, diameter: float
+) -> tuple[Array, list[BodyPose]]:
+    """Tell the LEDs apart in every pair, and refine where they sit in the body.
+
+    Args:
+        looks: the spots of every pair.
+        rig: the cameras.
+        leds: (n, 3), m, the body's LEDs to about a millimetre.
+        diameter: m, of an LED.
+
+    Returns:
+        The LEDs, refined, and the pairs in which three or more are told apart with a pose.
+    """
+    rough = leds
+    told = _assign_leds(looks, rig, body_marker(leds, diameter, START_LED_SIGMA))
+    for _ in range(MAX_ROUNDS):
+        seen = _fit_poses(told, rig, body_marker(leds, diameter, REFINED_LED_SIGMA))
+        better = _refine_leds(leds, seen)
+        moved, leds = float(np.abs(better - leds).max()), better
+        if moved < TOL_BODY:
+            break
+    marker = body_marker(leds, diameter, REFINED_LED_SIGMA)
+    if np.abs(leds - rough).max() > START_LED_SIGMA:  # LEDs may have been overlooked
+        told = _assign_leds(looks, rig, marker)
+    return leds, _fit_poses(told, rig, marker)
+
+
+AssignedPair = tuple[PairSpots, Correspondence, tuple[RawSighting, RawSighting]]
+
+
+def _assign_leds(looks: Sequence[PairSpots], rig: Rig, marker: Marker) -> list[AssignedPair]:
+    """Say which spot is which LED in every pair, each leaning on the one before."""
+    found: list[AssignedPair] = []
+    memory: tuple[float, Array, Array] | None = None  # t, pose, twist
+    for now in looks:
+        prediction = None if memory is None else _predict(memory, now.t[0])
+        identified = assign_leds(
+            *now.spots, rig, *now.pan, marker,
+            prediction=prediction, motion_tolerance_px=max_motion_px(now),
+        )  # fmt: skip
+        if identified.status != "measured" or identified.rig_T_flange is None:
+            memory = None
+            continue
+        raw = _raw(now, 0, identified, rig.left), _raw(now, 1, identified, rig.right)
+        pose, twist = identified.rig_T_flange, np.zeros(6)
+        if memory is not None and now.t[0] - memory[0] <= MAX_GAP:
+            twist = _twist(memory[1], pose, now.t[0] - memory[0])
+        memory = (now.t[0], pose, twist)
+        found.append((now, identified, raw))
+    return found
+
+
+def _fit_poses(told: list[AssignedPair], rig: Rig, marker: Marker) -> list[BodyPose]:
+    """Align every pair and fit its pose; pairs that leave one open stay out."""
+    fits = (_pose(i, told, rig, marker) for i in range(len(told)))
+    return [fit for fit in fits if fit is not None]
+
+
+def _predict(memory: tuple[float, Array, Array], t: float) -> PosePrediction | None:
+    interval = t - memory[0]
+    if interval > MAX_GAP:
+        return None
+    return PosePrediction(
+        rig_T_flange=perturb(memory[1], memory[2] * interval),
+        position_uncertainty=PRIOR_ACCELERATION[0] * interval**2 + MIN_PREDICTION_SIGMA[0],
+        rotation_uncertainty=PRIOR_ACCELERATION[1] * interval**2 + MIN_PREDICTION_SIGMA[1],
+    )
+
+
+def _twist(before: Array, now: Array, interval: float) -> Array:
+    twist: Array = difference(now, before) / interval
+    return twist
+
+
+def _raw(now: PairSpots, side: int, found: Correspondence, camera: Camera) -> RawSighting:
+    spots: Spots = now.spots[side]
+    led = (found.left_led, found.right_led)[side]
+    index = (found.left_spot, found.right_spot)[side]
+    centre = spots.centre[index]
+    sighting = Sighting(
+        led=np.asarray(led, dtype=np.int64),
+        centre=centre,
+        covariance=spots.covariance[index],
+        t=now.t[side],
+        pan=now.pan[side],
+        peak=spots.peak[index],
+        velocity=np.zeros((len(index), 2)),
+        acceleration_lever=np.zeros(len(index)),
+    )
+    assert found.rig_T_flange is not None
+    camera_T_rig = camera.camera_T_rig(now.pan[side])
+    ahead = camera_T_rig[2, :3] @ found.rig_T_flange[:3, 3] + camera_T_rig[2, 3]
+    depth = np.full(len(index), ahead)  # rough: for bases that turn between two pairs
+    return RawSighting(sighting, spot_instants(now.t[side], centre, camera, now.height), depth)
+
+
+def _pose(
+    i: int,
+    found: list[AssignedPair],
+    rig: Rig,
+    marker: Marker,
+) -> BodyPose | None:
+    """Bring a pair's right image to the left one's instant and fit the body's pose."""
+    now, identified, raw = found[i]
+    near = [
+        other
+        for other in (found[i - 1] if i else None, found[i + 1] if i + 1 < len(found) else None)
+        if other is not None and abs(other[0].t[0] - now.t[0]) <= MAX_GAP
+    ]
+    sides = [
+        align(r, near[0][2][side] if near else None, now.t[0], camera, alone=not near)
+        for side, (r, camera) in enumerate(zip(raw, (rig.left, rig.right), strict=True))
+    ]
+    left, right = sides
+    if left is None or right is None or identified.rig_T_flange is None:
+        return None
+    pose = fit_pose(left, right, rig, marker, identified.rig_T_flange)
+    if pose.known_dof < 6 or not pose.consistent:
+        return None
+    width = np.median(now.spots[0].diameter[identified.left_spot])
+    depth = float(np.median(raw[0].depth))
+    diameter = float(width) * depth / float(rig.left.matrix[0, 0])
+    return BodyPose(now, raw, (left, right), pose, diameter)
+
+
+def _refine_leds(leds: Array, seen: list[BodyPose]) -> Array:
+    """Move the LEDs to where the pairs have them on average, by the pixels' own residuals."""
+    n = len(leds)
+    information, wanted = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
+    for pair in seen:
+        led = np.concatenate([pair.aligned[0].led, pair.aligned[1].led])
+        keep = ~pair.pose.rejected
+        by_led = np.zeros((len(led), 2, 3 * n))
+        turned = pair.pose.sensitivity @ pair.pose.rig_T_flange[:3, :3]
+        for s, k in enumerate(led.tolist()):
+            by_led[s, :, 3 * k : 3 * k + 3] = turned[s]
+        rows, residual = by_led[keep].reshape(-1, 3 * n), pair.pose.residual[keep].reshape(-1)
+        # what a motion of the whole body explains says nothing of its shape
+        lever = pair.pose.rig_T_flange[:3, :3]
+        offset = leds[led] @ lever.T
+        turn = np.cross(np.eye(3)[None], offset[:, None]).transpose(0, 2, 1)
+        by_pose = np.concatenate([pair.pose.sensitivity, pair.pose.sensitivity @ turn], axis=2)[
+            keep
+        ].reshape(-1, 6)
+        basis = np.linalg.qr(by_pose)[0]
+        rows = rows - basis @ (basis.T @ rows)
+        information += rows.T @ rows
+        wanted += rows.T @ residual
+    values, vectors = np.linalg.eigh(information)
+    known = values > 1e-9 * values[-1]  # the body's own frame is a gauge
+    step = vectors[:, known] @ ((vectors[:, known].T @ wanted) / values[known])
+    better: Array = leds + step.reshape(n, 3)
+    return better
+
+
+def used_spots(seen: BodyPose) -> NDArray[np.bool_]:
+    """Which of a pair's spots the pose did not refuse, left then right."""
+    kept: NDArray[np.bool_] = ~seen.pose.rejected
+    return kept

@@ -1,0 +1,248 @@
+"""What both images should show of LEDs on a moving flange, and how that changes with everything.
+
+Every spot is predicted at its own instant: the right camera's at its own time stamp and, with a
+rolling shutter, each row at its own time. Nothing has to be aligned.
+
+Which readings an interpolated one is made of: what two instants share of the readings' noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robots
+from verify.calibration.registration.body_poses import BodyPose, used_spots
+from verify.core.readings import MAX_GAP, Readings
+from verify.core.records import Array, Sighting
+from verify.core.rig import Camera, Rig, distort, distortion_jacobian
+from verify.measurement.pose import perturb
+
+
+def reading_variance(readings: Readings, resolution: float | None) -> Array:
+    """Variance of one reading of each joint, (j,), rad²: its roughness, or its last digit."""
+    variance: Array = np.maximum(readings.noise**2, (resolution or 0.0) ** 2 / 12)
+    return variance
+
+
+def interpolation_weights(readings: Readings, t: Array) -> tuple[NDArray[np.int64], Array]:
+    """Write interpolated readings as sums of readings.
+
+    Args:
+        readings: on the controller's clock.
+        t: (n,), s.
+
+    Returns:
+        Indices (n, 4) and weights (n, 4) with readings.at(t) = sum of weight · q[index]. Where
+        there are no four about an instant, the nearest alone.
+    """
+    last = len(readings.t) - 1
+    after = np.clip(np.searchsorted(readings.t, t), min(1, last), last)
+    before = np.maximum(after - 1, 0)
+    early = t - readings.t[before] < readings.t[after] - t
+    index = np.repeat(np.where(early, before, after)[:, None], 4, axis=1)
+    weight = np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))
+    start = np.searchsorted(readings.t, t, side="right") - 1
+    inner = (start >= 1) & (start + 2 <= last)
+    rows = np.flatnonzero(inner)
+    around = start[rows][:, None] + np.arange(-1, 3)
+    times = readings.t[around]
+    whole = (np.diff(times, axis=1) <= MAX_GAP).all(axis=1)
+    rows, around, times = rows[whole], around[whole], times[whole]
+    index[rows] = around
+    weight[rows] = _hermite(times, t[rows])
+    return index, weight
+
+
+def _hermite(times: Array, t: Array) -> Array:
+    """Weights of four readings (n, 4) in a cubic whose slopes are second-order differences."""
+    before, span, after = np.diff(times, axis=1).T
+    u = (t - times[:, 1]) / span
+    early, late = _slope(before, span), _slope(span, after)
+    weight = np.zeros((len(t), 4))
+    weight[:, 1] = 2 * u**3 - 3 * u**2 + 1
+    weight[:, 2] = 3 * u**2 - 2 * u**3
+    weight[:, :3] += ((u**3 - 2 * u**2 + u) * span)[:, None] * early
+    weight[:, 1:] += ((u**3 - u**2) * span)[:, None] * late
+    return weight
+
+
+def _slope(before: Array, after: Array) -> Array:
+    """Weights of three readings in the slope at the middle one, (n, 3), as numpy.gradient's."""
+    scale = before * after * (before + after)
+    slope: Array = np.stack([-(after**2), after**2 - before**2, before**2], axis=1) / scale[:, None]
+    return slope
+
+
+def shared_noise(index: NDArray[np.int64], weight: Array) -> Array:
+    """What instants (m) share of white reading noise of unit variance, (m, m)."""
+    same = index[:, None, :, None] == index[None, :, None, :]
+    shared: Array = np.einsum("abkl,ak,bl->ab", same, weight, weight)
+    return shared
+
+
+BASE_COLUMNS = slice(0, 6)  # columns of the design: base, LEDs, clock, skew
+RIGHT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class RegistrationParameters:
+    """What a registration looks for."""
+
+    rig_T_base: Array  # (4, 4)
+    leds: Array  # (n, 3), m, flange frame
+    clock: float  # s, added to the readings' time gives the cameras'
+    skew: float  # s, by how much the right camera's stamps are early
+
+    @property
+    def size(self) -> int:
+        """Count the parameters: 6 of the base, 3 an LED, clock, skew."""
+        return 8 + self.leds.size
+
+    def moved(self, step: Array) -> "RegistrationParameters":
+        """Add a step (size,): the base's turns on the left, about its own origin."""
+        return RegistrationParameters(
+            rig_T_base=perturb(self.rig_T_base, step[BASE_COLUMNS]),
+            leds=self.leds + step[6:-2].reshape(-1, 3),
+            clock=self.clock + float(step[-2]),
+            skew=self.skew + float(step[-1]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SpotStack:
+    """The spots of a session in one stack, pair by pair (s spots, n pairs)."""
+
+    pair: NDArray[np.int64]  # (s,), 0 … n - 1, rising
+    frame: NDArray[np.int64]  # (n,)
+    side: NDArray[np.int64]  # (s,), 0 left, 1 right
+    led: NDArray[np.int64]  # (s,)
+    centre: Array  # (s, 2), px
+    covariance: Array  # (s, 2, 2), px²
+    t: Array  # (s,), s, as stamped
+    pan: Array  # (s,), rad
+    camera_T_rig: Array  # (s, 4, 4)
+    used: NDArray[np.bool_]  # (s,)
+    sightings: tuple[tuple[Sighting, Sighting], ...]  # n, where the spots came from
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self.frame)
+
+
+def stack_spots(seen: Sequence[BodyPose], rig: Rig) -> SpotStack:
+    """Lay the spots of all pairs out in one stack."""
+    parts: dict[str, list[Array]] = {k: [] for k in ("centre", "cov", "t", "pan", "T", "led")}
+    pair, side, used = [], [], []
+    for i, one in enumerate(seen):
+        used.append(used_spots(one))
+        for which, (raw, camera) in enumerate(zip(one.raw, (rig.left, rig.right), strict=True)):
+            m = len(raw.sighting)
+            pair += [i] * m
+            side += [which] * m
+            parts["centre"].append(raw.sighting.centre)
+            parts["cov"].append(raw.sighting.covariance)
+            parts["t"].append(raw.taken)
+            parts["pan"].append(np.full(m, raw.sighting.pan))
+            camera_T_rig = camera.camera_T_rig(raw.sighting.pan)
+            parts["T"].append(np.tile(camera_T_rig, (m, 1, 1)))
+            parts["led"].append(raw.sighting.led.astype(float))
+    return SpotStack(
+        pair=np.array(pair, dtype=np.int64),
+        frame=np.array([one.look.frame for one in seen], dtype=np.int64),
+        side=np.array(side, dtype=np.int64),
+        led=np.concatenate(parts["led"]).astype(np.int64),
+        centre=np.concatenate(parts["centre"]),
+        covariance=np.concatenate(parts["cov"]),
+        t=np.concatenate(parts["t"]),
+        pan=np.concatenate(parts["pan"]),
+        camera_T_rig=np.concatenate(parts["T"]),
+        used=np.concatenate(used),
+        sightings=tuple((one.raw[0].sighting, one.raw[1].sighting) for one in seen),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedSpots:
+    """The spots' predictions at one set of parameters, and their derivatives, px a unit."""
+
+    residual: Array  # (s, 2), px, seen less predicted
+    points_rig: Array  # (s, 3), m
+    points_camera: Array  # (s, 3), m
+    by_point: Array  # (s, 2, 3), a point's motion in the rig
+    by_flange: Array  # (s, 2, 6), a twist of the flange, rig axes, at its origin
+    by_joint: Array  # (s, 2, j), the readings
+    design: Array  # (s, 2, size), the parameters
+    rate: Array  # (s, j), rad/s
+    readings: tuple[NDArray[np.int64], Array]  # (s, 4) each: what an instant's joints come from
+
+
+def spot_instants(spotted: SpotStack, at: RegistrationParameters) -> Array:
+    """When each spot was taken, on the readings' clock, (s,) s."""
+    taken: Array = spotted.t + at.skew * (spotted.side == RIGHT) - at.clock
+    return taken
+
+
+def predict_spots(
+    spotted: SpotStack, rig: Rig, arm: robots.Arm, readings: Readings, at: RegistrationParameters
+) -> PredictedSpots:
+    """Predict every spot and differentiate it by all that a registration looks for."""
+    t = spot_instants(spotted, at)
+    q, rate = readings.at(t), readings.rate(t)
+    base_T_flange = robots.forward(arm, q)
+    rig_R_base = at.rig_T_base[:3, :3]
+    rig_T_flange = at.rig_T_base @ base_T_flange
+    rotation = rig_T_flange[:, :3, :3]
+    offset = np.einsum("sij,sj->si", rotation, at.leds[spotted.led])  # LED from flange
+    points = offset + rig_T_flange[:, :3, 3]
+    inside = np.einsum("sij,sj->si", spotted.camera_T_rig[:, :3, :3], points)
+    inside = inside + spotted.camera_T_rig[:, :3, 3]
+    pixels = np.empty((len(points), 2))
+    by_point = np.empty((len(points), 2, 3))
+    for side, camera in enumerate((rig.left, rig.right)):
+        mine = spotted.side == side
+        pixels[mine], by_camera = project_points(camera, inside[mine])
+        by_point[mine] = by_camera @ spotted.camera_T_rig[mine, :3, :3]
+    by_flange = np.concatenate([by_point, by_point @ -cross_matrices(offset)], axis=2)
+    twist = np.concatenate(
+        [rig_R_base @ part for part in np.split(robots.jacobian(arm, q), 2, axis=1)], axis=1
+    )
+    by_joint = by_flange @ twist
+    design = np.zeros((len(points), 2, at.size))
+    design[:, :, :3] = by_point
+    design[:, :, 3:6] = by_point @ -cross_matrices(points - at.rig_T_base[:3, 3])
+    place = 6 + 3 * spotted.led[:, None] + np.arange(3)
+    np.put_along_axis(design, np.repeat(place[:, None], 2, axis=1), by_point @ rotation, axis=2)
+    moving = np.einsum("sij,sj->si", by_joint, rate)
+    design[:, :, -2] = -moving
+    design[:, :, -1] = moving * (spotted.side == RIGHT)[:, None]
+    return PredictedSpots(
+        residual=spotted.centre - pixels,
+        points_rig=points,
+        points_camera=inside,
+        by_point=by_point,
+        by_flange=by_flange,
+        by_joint=by_joint,
+        design=design,
+        rate=rate,
+        readings=interpolation_weights(readings, t),
+    )
+
+
+def project_points(camera: Camera, points: Array) -> tuple[Array, Array]:
+    """Pixels of points in the camera frame (n, 3), and their derivative (n, 2, 3), px/m."""
+    xy = points[:, :2] / points[:, 2:3]
+    perspective = np.zeros((len(points), 2, 3))
+    perspective[:, 0, 0] = perspective[:, 1, 1] = 1 / points[:, 2]
+    perspective[:, :, 2] = -xy / points[:, 2:3]
+    by_xy = camera.matrix[:2, :2] @ distortion_jacobian(xy, camera.distortion)
+    return camera.to_pixels(distort(xy, camera.distortion)), by_xy @ perspective
+
+
+def cross_matrices(vectors: Array) -> Array:
+    """Matrices of v x ., (n, 3, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    matrix = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
+    return matrix.reshape(-1, 3, 3)

@@ -1,0 +1,196 @@
+"""A registration's two files and its words: covariance, id, hold-out, decisions, warnings."""
+
+import hashlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
+from verify.calibration.registration.model import predict_spots
+from verify.calibration.registration.records import MotionRegistration, SpotResiduals, build_marker
+from verify.calibration.registration.start import RegistrationStart
+from verify.calibration.registration.uncertainty import (
+    absorption,
+    inherited_absorption,
+    rig_covariance,
+    visible_fractions,
+)
+from verify.core.fiducials import Marker
+from verify.core.records import Array
+from verify.core.rig import Rig
+from verify.errors import one_line
+from verify.io import fiducials
+from verify.io import rig as io_rig
+from verify.io.session.session import Recording
+
+N_BLOCKS = 10  # of a session, every other one registered, the rest judged
+MIN_HELD_OUT_PAIRS = 5  # pairs in each half, or there is no holding out
+MIN_REPORTED_MISFIT = 2.0  # chi² a degree of freedom
+MIN_SKEW_SIGMA = 4.0  # standard uncertainties by which the stamps must differ to be blamed
+
+
+@dataclass(frozen=True, slots=True)
+class FixedParameters:
+    """What is not fitted."""
+
+    base: bool
+    leds: bool
+
+
+@dataclass(frozen=True, slots=True)
+class AdjustmentOutcome:
+    """What the adjustment of a session gave."""
+
+    adjusted: AdjustedRegistration
+    setup: AdjustmentSetup
+    start: RegistrationStart
+    diameter: float  # m, of an LED, from its image
+    left_out: dict[int, str]  # by frame
+
+
+def registration_outcome(
+    recording: Recording, named: Marker | None, held: FixedParameters, found: AdjustmentOutcome
+) -> MotionRegistration:
+    """Turn an adjustment into the two files' contents and what a report says.
+
+    Args:
+        recording: what was registered.
+        named: the marker that gives names, or positions that were held.
+        held: what was not fitted.
+        found: the adjustment.
+    """
+    adjusted, setup, diameter = found.adjusted, found.setup, found.diameter
+    spotted, at = adjusted.spotted, adjusted.at
+    marker = build_marker(at.leds, diameter, named)
+    if held.leds and named is not None:
+        marker = named
+    before = inherited_absorption(recording.rig, marker, base=held.base, leds=held.leds)
+    covariance = rig_covariance(recording.rig, marker, adjusted, held_marker=held.leds)
+    if held.leds:  # stated in the rig's covariance now, where its correlation with the base is
+        marker = replace(marker, body_standard_uncertainty=None, led_standard_uncertainty=None)
+    rig = replace(
+        recording.rig,
+        rig_T_base=at.rig_T_base,
+        base_source=recording.rig.base_source if held.base else "motion",
+        absorption=absorption(adjusted, before),
+        covariance=covariance,
+    )
+    rig, marker = _with_digest(rig, marker)
+    fit_rms, held_out = _hold_out_rms(adjusted, setup)
+    shown = [float(np.sqrt(adjusted.covariance[k, k])) if adjusted.free[k] else None
+             for k in (-2, -1)]  # fmt: skip
+    return MotionRegistration(
+        rig=rig,
+        marker=marker,
+        clock_offset=at.clock,
+        clock_standard_uncertainty=shown[0],
+        skew=at.skew,
+        skew_standard_uncertainty=shown[1],
+        visible_fractions=visible_fractions(adjusted, before),
+        rms_px=_rms(adjusted.predicted.residual[spotted.used]),
+        fit_rms_px=fit_rms,
+        held_out_rms_px=held_out,
+        misfit=adjusted.chi2 / max(adjusted.degrees_of_freedom, 1),
+        pairs_used=len(np.unique(spotted.pair[spotted.used])),
+        left_out=found.left_out,
+        residuals=SpotResiduals(
+            frame=spotted.frame[spotted.pair],
+            camera=spotted.side,
+            led=spotted.led,
+            seen=spotted.centre,
+            residual=adjusted.predicted.residual,
+            used=spotted.used,
+        ),
+        decisions=tuple(_decisions(recording, named, held, adjusted, diameter)),
+        warnings=tuple(map(one_line, _warnings(adjusted, found.start, shown))),
+    )
+
+
+def _with_digest(rig: Rig, marker: Marker) -> tuple[Rig, Marker]:
+    """Give both files the digest of what they hold, so that they cannot be mixed up."""
+    rig, marker = replace(rig, registration=None), replace(marker, registration=None)
+    digest = hashlib.sha256(io_rig.encode(rig) + fiducials.encode_marker(marker)).hexdigest()
+    name = f"sha256:{digest}"
+    return replace(rig, registration=name), replace(marker, registration=name)
+
+
+def _hold_out_rms(
+    adjusted: AdjustedRegistration, setup: AdjustmentSetup
+) -> tuple[float | None, float | None]:
+    """Register on every other block of the session: rms there and on the rest, px."""
+    spotted = adjusted.spotted
+    n = len(spotted)
+    blocks = min(N_BLOCKS, n)
+    judged = (np.arange(n) * blocks // n) % 2 == 1
+    if min(int(judged.sum()), int((~judged).sum())) < MIN_HELD_OUT_PAIRS:
+        return None, None
+    on_rest = judged[spotted.pair]
+    part = adjust(replace(spotted, used=spotted.used & ~on_rest), setup, adjusted.at, adjusted.free)
+    seen = predict_spots(spotted, setup.rig, setup.arm, setup.readings, part.at)
+    return _rms(seen.residual[spotted.used & ~on_rest]), _rms(seen.residual[spotted.used & on_rest])
+
+
+def _rms(residual: Array) -> float:
+    """Root mean square distance, px."""
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+
+
+def _decisions(
+    recording: Recording,
+    named: Marker | None,
+    held: FixedParameters,
+    adjusted: AdjustedRegistration,
+    diameter: float,
+) -> list[str]:
+    said = [f"{len(adjusted.at.leds)} LEDs move together as one rigid body."]
+    if named is None:
+        said.append(f"LED diameter {diameter * 1e3:.1f} mm, from its image.")
+    if held.base:
+        said.append("The robot base stands as rig.toml has it; the LEDs are fitted.")
+    if held.leds:
+        said.append(
+            "The LEDs stand as marker.toml has them; the base is fitted. What marker.toml states "
+            "of their uncertainty moves to rig.toml, where its correlation with the base is kept."
+        )
+    if recording.clock is not None and not adjusted.free[-2]:
+        said.append("The clock offset stands as session.toml has it.")
+    elif not adjusted.free[-2]:
+        said.append("The motion does not show the clock offset: held.")
+    if not adjusted.free[-1]:
+        said.append(
+            "The motion does not show a skew of the cameras beside their stamps: held at 0."
+        )
+    refused = int((~adjusted.spotted.used).sum())
+    if refused:
+        said.append(f"{refused} of {len(adjusted.spotted.used)} spots were refused.")
+    if adjusted.inflation > 1:
+        said.append(
+            f"Residuals are larger or last longer than noise: variances multiplied by "
+            f"{adjusted.inflation:.1f}."
+        )
+    return said
+
+
+def _warnings(
+    adjusted: AdjustedRegistration, start: RegistrationStart, shown: list[float | None]
+) -> list[str]:
+    said = []
+    if start.rivals:
+        others = ", ".join(f"{o:+.3f}" for o in start.rivals[:4])
+        said.append(
+            f"The motion repeats itself: the readings' clock could as well be off by {others} s. "
+            "State [clock] encoder_offset_s, or add a movement that does not repeat."
+        )
+    skew, u = adjusted.at.skew, shown[1]
+    if u is not None and abs(skew) > MIN_SKEW_SIGMA * u:
+        said.append(
+            f"The right camera's stamps are {skew * 1e3:+.2f} ms ± {u * 1e3:.2f} ms early against "
+            "the left one's: add that to t_right_s in frames.csv."
+        )
+    misfit = adjusted.chi2 / max(adjusted.degrees_of_freedom, 1)
+    if misfit > MIN_REPORTED_MISFIT:
+        said.append(
+            f"The residuals are {np.sqrt(misfit):.1f} times what noise explains: the robot's "
+            "joints or its table are off, or the rig is; uncertainties are enlarged by it."
+        )
+    return said

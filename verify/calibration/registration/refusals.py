@@ -1,0 +1,184 @@
+"""Motions that leave base or LEDs open: what they leave open, and which movement would show it.
+
+With the DH table held, what a motion cannot tell is a motion of the base that an opposite one of
+the LED body makes up for: a turn about, or a shift along, the only axis that turned.
+
+Readings that are not those of the robot in the pictures: refused, with what may be wrong.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import robots
+from verify.calibration.registration.adjustment import AdjustedRegistration
+from verify.calibration.registration.model import cross_matrices
+from verify.calibration.registration.start import RegistrationStart
+from verify.core.records import Array
+from verify.errors import InputError
+
+MAX_UNCERTAINTY = (5e-3, np.deg2rad(0.5))  # m, rad: known worse, base and LEDs are as good as open
+SWING_ANGLE = np.deg2rad(20.0)  # a movement that would be added, either way
+SWING_PAIRS = 5.0  # pairs seen at each end of it
+MIN_PARALLEL_COSINE = 0.999  # cosine between directions that are called one
+MIN_TURN_SHARE = (
+    0.2  # of an undetermined direction, in units of the limits: it is a turn, not a shift
+)
+
+
+def refuse_undetermined(arm: robots.Arm, q: Array, noise: tuple[float, float], place: str) -> None:
+    """Refuse a motion that leaves the base and the LEDs open against each other.
+
+    Args:
+        arm: the robot.
+        q: (n, j), rad, its readings at the pairs.
+        noise: m, rad: standard uncertainty of the body's pose in one pair, readings included.
+        place: the recording, for the complaint.
+
+    Raises:
+        InputError: names what is undetermined and the movement to add.
+    """
+    information = _information(arm, q, noise)
+    open_ones = _open_directions(information)
+    if not open_ones.shape[1]:
+        return
+    joints = _joints_to_move(arm, q, noise, information)
+    more = " and ".join(f"joint {j + 1}" for j in joints)
+    raise InputError(
+        place,
+        f"the motion leaves {_open_motions_text(arm, q, open_ones)} undetermined, as the LEDs on the flange "
+        "could make up for it",
+        "base and LEDs together need turns about two axes that are not parallel",
+        f"Add a movement of {more} by {np.rad2deg(SWING_ANGLE):.0f}° or more either way.",
+    )
+
+
+def _information(arm: robots.Arm, q: Array, noise: tuple[float, float]) -> Array:
+    """Of base (base axes) and body (flange axes) from poses at q, (12, 12)."""
+    flange = robots.forward(arm, q)
+    columns = np.zeros((len(q), 6, 12))
+    columns[:, :, :6] = np.eye(6)
+    columns[:, :3, 3:6] = -cross_matrices(flange[:, :3, 3])
+    columns[:, :3, 6:9] = columns[:, 3:, 9:] = flange[:, :3, :3]
+    rows = columns / np.repeat(noise, 3)[:, None]
+    information: Array = np.einsum("nij,nik->jk", rows, rows)
+    return information
+
+
+def _limits() -> Array:
+    return np.tile(np.repeat(MAX_UNCERTAINTY, 3), 2)
+
+
+def _open_directions(information: Array) -> Array:
+    """Directions known worse than the limits, (12, k), in units of them."""
+    scale = _limits()
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    return np.asarray(vectors[:, values < 1.0], dtype=np.float64)
+
+
+def _joints_to_move(
+    arm: robots.Arm, q: Array, noise: tuple[float, float], information: Array
+) -> list[int]:
+    """Joints whose movement about the mean posture would determine everything, fewest first."""
+    middle = q.mean(axis=0)
+    added: list[int] = []
+    while _open_directions(information).shape[1] and len(added) < arm.dof:
+        options = []
+        for j in sorted(set(range(arm.dof)) - set(added)):
+            ends = np.stack([middle, middle])
+            ends[:, j] += [-SWING_ANGLE, SWING_ANGLE]
+            ends = np.clip(ends, arm.lower, arm.upper)
+            more = information + SWING_PAIRS * _information(arm, ends, noise)
+            scale = _limits()
+            least = np.linalg.eigvalsh(more * np.outer(scale, scale))
+            options.append((int((least < 1.0).sum()), -float(least[0]), j, more))
+        _, _, best, information = min(options, key=lambda o: o[:3])
+        added.append(best)
+    return added
+
+
+def _open_motions_text(arm: robots.Arm, q: Array, open_ones: Array) -> str:
+    """Say in words which motions of the base are open."""
+    base = open_ones[:6]
+    turning, size, mixing = np.linalg.svd(base[3:], full_matrices=True)
+    turns = [turning[:, k] for k in range(len(size)) if size[k] > MIN_TURN_SHARE]
+    still = mixing[len(turns) :].T  # combinations that do not turn
+    shifting, length, _ = np.linalg.svd(base[:3] @ still, full_matrices=True)
+    shifts = [shifting[:, k] for k in range(len(length)) if length[k] > MIN_TURN_SHARE]
+    words = []
+    if len(shifts) == 3:
+        words.append("the base's position")
+    else:
+        words += [f"the base's position along {_axis(arm, q, d)}" for d in shifts]
+    if len(turns) == 3:
+        words.append("its orientation")
+    else:
+        words += [f"its turn about {_axis(arm, q, d)}" for d in turns]
+    return " and ".join(words) or "base and LEDs"
+
+
+def _axis(arm: robots.Arm, q: Array, direction: Array) -> str:
+    """Name a direction in base axes by the joint that turned about it."""
+    axes = robots.jacobian(arm, q.mean(axis=0))[3:]
+    travel = np.ptp(q, axis=0)
+    for j in np.argsort(-travel).tolist():
+        if travel[j] > 0 and abs(float(axes[:, j] @ direction)) > MIN_PARALLEL_COSINE:
+            return f"joint {j + 1}'s axis"
+    x, y, z = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    return f"({x:.2f}, {y:.2f}, {z:.2f}) in the robot's base"
+
+
+MAX_TURN_DIFFERENCE = np.deg2rad(5.0)  # median; a degree of joint error makes one
+MAX_RMS_PX = 10.0  # rms: a degree of joint error makes a few; these are another robot's readings
+
+
+def refuse_other_robot(start: RegistrationStart, folder: Path, robot: str) -> None:
+    """Refuse readings that turn the flange otherwise than the LEDs on it turn, or mirrored.
+
+    Args:
+        start: base and LEDs in closed form, neither of them held.
+        folder: the recording's.
+        robot: as session.toml names it.
+
+    Raises:
+        InputError: the turns of readings and pictures differ by more than joint errors explain,
+            or agree only with those of a mirror image.
+    """
+    turns = np.linalg.norm(start.solved.residual[start.good, 3:], axis=1)
+    off = float(np.median(turns))
+    check = (
+        f'that "{robot}" is the robot that moved, and the order, signs and unit (degrees) of the '
+        "columns in encoders.csv"
+    )
+    if off > MAX_TURN_DIFFERENCE:
+        raise InputError(
+            folder,
+            f"by its readings the flange turns otherwise than its LEDs, {np.rad2deg(off):.0f}° off "
+            "(median)",
+            f"{np.rad2deg(MAX_TURN_DIFFERENCE):.0f}° are the worst that joint errors explain",
+            f"Check {check}.",
+        )
+    if start.solved.mirrored:
+        raise InputError(
+            folder,
+            "what moves together moves like a mirror image of what the readings say",
+            "the LEDs themselves must be seen, and the readings be this robot's",
+            f"Check {check}; or cover the shiny surface that shows the LEDs.",
+        )
+
+
+def refuse_misfit(adjusted: AdjustedRegistration, place: str) -> None:
+    """Refuse readings that do not belong to what the pictures show.
+
+    Raises:
+        InputError: the LEDs are seen farther from where the readings put them than joint errors
+            explain.
+    """
+    left = adjusted.predicted.residual[adjusted.spotted.used]
+    rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1)))) if len(left) else np.inf
+    if rms > MAX_RMS_PX:
+        raise InputError(
+            place, f"the readings put the LEDs {rms:.0f} px (rms) from where they are seen",
+            f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain",
+            "Check the robot's name, the readings' unit (degrees) and order, and the rig.",
+        )  # fmt: skip

@@ -1,0 +1,253 @@
+"""Where the robot stands in the rig and where its LEDs sit, from a session with enough movement.
+
+The DH table and the rig are held; base, LEDs, clock offset and the cameras' skew are fitted
+together to the pixels. What the robot's own joint errors do to that is told beside it: some of
+them are taken in altogether (see `absorption`).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robots
+from verify.analysis.clock import MAX_UNCERTAINTY, MIN_SIGNAL_TO_NOISE
+from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
+from verify.calibration.registration.body_poses import BodyPose, body_poses
+from verify.calibration.registration.led_tracks import (
+    PairSpots,
+    Progress,
+    drop_still_spots,
+    find_leds,
+    find_spots,
+)
+from verify.calibration.registration.model import (
+    RegistrationParameters,
+    SpotStack,
+    reading_variance,
+    stack_spots,
+)
+from verify.calibration.registration.outcome import (
+    AdjustmentOutcome,
+    FixedParameters,
+    registration_outcome,
+)
+from verify.calibration.registration.records import (
+    MotionRegistration,
+    SpotResiduals,
+    order_like_marker,
+)
+from verify.calibration.registration.refusals import (
+    refuse_misfit,
+    refuse_other_robot,
+    refuse_undetermined,
+)
+from verify.calibration.registration.start import RegistrationStart, start_registration
+from verify.core.fiducials import Marker
+from verify.core.readings import RATE_SPAN, Readings
+from verify.core.records import Array
+from verify.errors import InputError
+from verify.io.session.session import Recording
+from verify.measurement.triangulation import fit_rigid
+
+__all__ = ["MotionRegistration", "SpotResiduals", "register_motion"]
+
+MIN_PAIRS = 6  # three poses determine base and LEDs, as many check them
+TYPICAL_DIAMETER = 5e-3  # m, of an LED, until its image has told
+MAX_MISFIT_RATIO = (
+    30.0  # times the session's own misfit: a pair whose readings belong to another moment
+)
+POSE_ROWS = 6
+
+
+def _no_progress(_done: int, _total: int) -> None:
+    """Report no progress."""
+
+
+def register_motion(
+    recording: Recording,
+    *,
+    leds: int | None = None,
+    marker: Marker | None = None,
+    keep_base: bool = False,
+    keep_leds: bool = False,
+    progress: Progress = _no_progress,
+) -> MotionRegistration:
+    """Register a robot from its own motion.
+
+    Args:
+        recording: a session; its rig's robot base and its marker are not needed.
+        leds: how many there are; None: as many as move together.
+        marker: gives the LEDs their names and colours; their positions count only if kept.
+        keep_base: the rig's robot base stands as it is (from a fixture): fit the LEDs alone.
+        keep_leds: the marker's positions stand as they are: fit the base alone.
+        progress: called with pairs done and pairs in all.
+
+    Returns:
+        The registration. Rig and marker carry its id and, in the rig's covariance, all that is
+        known of their uncertainty.
+
+    Raises:
+        InputError: no LEDs, no readings, or a motion that leaves something undetermined: says
+            what, and which movement to add.
+    """
+    place = str(recording.folder)
+    held = _check_held(recording, marker, keep_base, keep_leds)
+    looks = find_spots(recording, progress)
+    some = drop_still_spots(looks)
+    wanted = leds if marker is None else len(marker)
+    body = find_leds(some, recording.rig, wanted, place)
+    if marker is not None:
+        body = order_like_marker(marker, body, place)
+    body, seen = body_poses(some, recording.rig, body, TYPICAL_DIAMETER)
+    readings = Readings(recording.encoders.t, recording.encoders.q)
+    start, at, seen, left_out = _start_values(recording, looks, seen, body, marker, readings, held)
+    setup = _setup(recording, readings)
+    free = np.ones(at.size, dtype=bool)
+    free[:6], free[6:-2] = not held.base, not held.leds
+    free[-2] = setup.clock is not None or recording.clock is None
+    spotted = stack_spots(seen, recording.rig)
+    adjusted = _adjust_observable(spotted, setup, at, free)
+    adjusted, wild = _reject_pairs(adjusted, setup)
+    refuse_misfit(adjusted, place)
+    left_out |= dict.fromkeys(wild, "the readings contradict it")
+    diameter = round(float(np.median([s.diameter for s in seen])), 4)
+    found = AdjustmentOutcome(adjusted, setup, start, diameter, dict(sorted(left_out.items())))
+    return registration_outcome(recording, marker, held, found)
+
+
+def _check_held(
+    recording: Recording, marker: Marker | None, keep_base: bool, keep_leds: bool
+) -> FixedParameters:
+    if keep_base and keep_leds:
+        raise InputError("--keep-base, --keep-leds", "nothing is left to register", "one of them")
+    if keep_base and not recording.rig.registered:
+        raise InputError(
+            "--keep-base", "the rig has no [robot_base]", "",
+            "Register the base by a fixture first, or fit it as well.",
+        )  # fmt: skip
+    if keep_leds and marker is None:
+        raise InputError(
+            "--keep-leds", "no marker.toml is given", "", "Give it with --known-marker."
+        )
+    return FixedParameters(keep_base, keep_leds)
+
+
+def _setup(recording: Recording, readings: Readings) -> AdjustmentSetup:
+    clock = recording.clock
+    stated = None
+    if clock is not None and clock.standard_uncertainty:
+        stated = (clock.encoder_offset, clock.standard_uncertainty)
+    return AdjustmentSetup(
+        rig=recording.rig,
+        arm=recording.arm,
+        readings=readings,
+        variance=reading_variance(readings, recording.encoder_resolution),
+        time_variance=(recording.encoder_time_standard_uncertainty or 0.0) ** 2,
+        clock=stated,
+    )
+
+
+def _start_values(
+    recording: Recording,
+    looks: list[PairSpots],
+    seen: list[BodyPose],
+    body: Array,
+    marker: Marker | None,
+    readings: Readings,
+    held: FixedParameters,
+) -> tuple[RegistrationStart, RegistrationParameters, list[BodyPose], dict[int, str]]:
+    """Start values, the pairs that have both pose and reading, and why others have not."""
+    place = str(recording.folder)
+    frames = {one.look.frame for one in seen}
+    left_out = {o.frame: "too few LEDs told apart" for o in looks if o.frame not in frames}
+    if len(seen) < MIN_PAIRS:
+        found = f"{len(seen)} pairs show three LEDs or more in both images"
+        raise InputError(place, found, f"{MIN_PAIRS} at least", "Record more of them.")
+    t = np.array([one.look.t[0] for one in seen])
+    poses = np.array([one.pose.rig_T_flange for one in seen])
+    given = None if recording.clock is None else recording.clock.encoder_offset
+    known = {
+        "x": _marker_in_body(body, marker) if held.leds and marker is not None else None,
+        "y": recording.rig.rig_T_base if held.base else None,
+    }
+    try:
+        start = start_registration(t, poses, recording.arm, readings, given, **known)
+    except ValueError as error:
+        raise InputError(
+            recording.folder / "encoders.csv",
+            f"too few of the {len(seen)} pairs with LEDs have a reading",
+            f"{MIN_PAIRS} at least",
+            "Check that clock and recording belong together.",
+        ) from error
+    if not held.base and not held.leds:
+        refuse_other_robot(start, recording.folder, recording.robot)
+        there = readings.at(t[start.good] - start.clock)
+        refuse_undetermined(recording.arm, there, _noise(recording, seen, there, readings), place)
+    flange_T_body = np.linalg.inv(start.solved.x)
+    leds = body @ flange_T_body[:3, :3].T + flange_T_body[:3, 3]
+    if held.leds and marker is not None:
+        leds = marker.leds
+    at = RegistrationParameters(start.solved.y, leds, start.clock, 0.0)
+    kept = [one for one, good in zip(seen, start.good, strict=True) if good]
+    has = readings.known(t - start.clock)
+    for one, good, reading in zip(seen, start.good, has, strict=True):
+        if not good:
+            left_out[one.look.frame] = "its pose is wrong" if reading else "no reading"
+    return start, at, kept, left_out
+
+
+def _marker_in_body(body: Array, marker: Marker) -> Array:
+    """body_T_flange of LEDs whose places on the flange are known, (4, 4)."""
+    return fit_rigid(body, marker.leds)
+
+
+def _noise(
+    recording: Recording, seen: list[BodyPose], q: Array, readings: Readings
+) -> tuple[float, float]:
+    """Standard uncertainty of a pair's pose from pixels and readings: m, rad."""
+    pixels = np.median([np.diag(one.pose.covariance) for one in seen], axis=0)
+    variance = reading_variance(readings, recording.encoder_resolution)
+    jacobian = robots.jacobian(recording.arm, q)
+    moved = np.median(np.einsum("nij,j->ni", jacobian**2, variance), axis=0)
+    total = pixels + moved
+    return float(np.sqrt(total[:3].mean())), float(np.sqrt(total[3:].mean()))
+
+
+def _adjust_observable(
+    spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: NDArray[np.bool_]
+) -> AdjustedRegistration:
+    """Adjust with clock and skew free, then hold those that the motion does not show."""
+    adjusted = adjust(spotted, setup, at, free)
+    still = free.copy()
+    rate = setup.variance / (2 * RATE_SPAN**2)  # what the readings' noise does to speeds
+    by_noise = float(np.sum(adjusted.rows.joints**2, axis=0) @ rate)
+    for which, share in ((-2, 1.0), (-1, 0.5)):  # half of the spots are the right camera's
+        variance = adjusted.inverse[which, which]
+        stated = which == -2 and setup.clock is not None
+        shown = variance * MIN_SIGNAL_TO_NOISE * share * by_noise < 1 if variance > 0 else False
+        known = 0 < adjusted.covariance[which, which] < MAX_UNCERTAINTY**2
+        still[which] &= stated or bool(shown and known)
+    if (still == free).all():
+        return adjusted
+    back = replace(
+        adjusted.at,
+        clock=adjusted.at.clock if still[-2] else at.clock,
+        skew=adjusted.at.skew if still[-1] else 0.0,
+    )
+    return adjust(adjusted.spotted, setup, back, still)
+
+
+def _reject_pairs(
+    adjusted: AdjustedRegistration, setup: AdjustmentSetup
+) -> tuple[AdjustedRegistration, list[int]]:
+    """Leave out pairs whose pose no noise puts so far from where the readings have it."""
+    rows, spotted = adjusted.rows, adjusted.spotted
+    size = np.zeros(len(spotted))
+    np.add.at(size, rows.pair[rows.pose], rows.residual[rows.pose] ** 2)
+    wild = size > MAX_MISFIT_RATIO * max(float(np.median(size)), POSE_ROWS)
+    if not wild.any():
+        return adjusted, []
+    spotted = replace(spotted, used=spotted.used & ~wild[spotted.pair])
+    again = adjust(spotted, setup, adjusted.at, adjusted.free)
+    return again, spotted.frame[wild].tolist()

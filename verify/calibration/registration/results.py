@@ -1,0 +1,249 @@
+"""A robot's registration as results: what `verify calibrate register` leaves beside rig.toml.
+
+The keys of the summary and the tables are those that `reports.calibration.registration` documents.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from reports import Results
+from verify.calibration.axes.table import SweepResult
+from verify.calibration.registration.fixture import FixtureRegistration
+from verify.calibration.registration.records import MotionRegistration
+from verify.core.fiducials import Marker
+from verify.core.records import Array
+from verify.core.rig import Rig
+from verify.core.version import __version__
+
+MM, DEG = 1e3, 180 / np.pi
+SIDES = ("left", "right")
+POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+POSE_UNITS = np.array([MM] * 3 + [DEG] * 3)
+
+
+def motion_results(
+    found: MotionRegistration,
+    *,
+    robot: str,
+    source: str = "",
+    description: str = "",
+    inputs: Mapping[str, str] | None = None,
+    sweeps: SweepResult | None = None,
+    base_held: bool = False,
+    leds_held: bool = False,
+) -> Results:
+    """Lay a registration from motion out for the report.
+
+    Args:
+        found: the registration.
+        robot: the arm's name.
+        source: folder of the session.
+        description: a user's words on it.
+        inputs: files that were read, with their hashes.
+        sweeps: axes of single joints, where the session has sweeps.
+        base_held: the base was kept as the rig had it.
+        leds_held: the LEDs were kept as the marker had them.
+    """
+    summary = {
+        **_common_fields("motion", robot, source, description, inputs),
+        "registration": found.rig.registration,
+        "pairs": {
+            "used": found.pairs_used,
+            "left_out": dict(sorted(Counter(found.left_out.values()).items())),
+        },
+        "base": {**_base(found.rig.rig_T_base, _base_uncertainty(found.rig)), "held": base_held},
+        "leds": _led_entries(found.marker, found.rig),
+        "leds_held": leds_held,
+        "clock": _time(found.clock_offset, found.clock_standard_uncertainty),
+        "skew": _time(found.skew, found.skew_standard_uncertainty),
+        "joints": [
+            {"joint": j + 1, "visible_fraction": share}
+            for j, share in enumerate(found.visible_fractions.tolist())
+        ],
+        "fit": {
+            "rms_px": found.rms_px,
+            "fit_rms_px": found.fit_rms_px,
+            "held_out_rms_px": found.held_out_rms_px,
+            "misfit": found.misfit,
+        },
+        "decisions": list(found.decisions),
+        "warnings": list(found.warnings),
+    }
+    return Results(
+        summary=_add_sweeps(summary, sweeps),
+        setup={"image_size_px": list(found.rig.image_size)},
+        tables={"residuals": _residuals(found), **_sweep_tables(sweeps)},
+    )
+
+
+def fixture_results(
+    found: FixtureRegistration,
+    *,
+    robot: str,
+    source: str = "",
+    description: str = "",
+    inputs: Mapping[str, str] | None = None,
+) -> Results:
+    """Lay a registration by a board on the robot's base out for the report.
+
+    Args:
+        found: the registration.
+        robot: the arm's name.
+        source: folder of the pictures.
+        description: a user's words on it.
+        inputs: files that were read, with their hashes.
+    """
+    u = np.sqrt(np.diag(found.base_covariance))
+    difference = found.pair_difference * POSE_UNITS
+    pairs = pd.DataFrame(
+        {
+            "frame": found.frames,
+            **{name: difference[:, i] for i, name in enumerate(POSE)},
+            "chi2": found.pair_chi2,
+        }
+    )
+    summary = {
+        **_common_fields("fixture", robot, source, description, inputs),
+        "registration": found.registration,
+        "pairs": {"used": len(found.frames), "left_out": {}},
+        "base": {**_base(found.rig.rig_T_base, u), "held": False},
+        "leds": [],
+        "joints": [],
+        "fit": {"rms_px": found.residual_rms_px, "noise": found.noise},
+        "decisions": list(found.decisions),
+        "warnings": list(found.warnings),
+    }
+    return Results(
+        summary=summary,
+        setup={"image_size_px": list(found.rig.image_size)},
+        tables={"pairs": pairs},
+    )
+
+
+def _common_fields(
+    method: str, robot: str, source: str, description: str, inputs: Mapping[str, str] | None
+) -> dict[str, Any]:
+    return {
+        "format": 1,
+        "kind": "registration",
+        "method": method,
+        "tool": {"name": "verify", "version": __version__},
+        "source": {"path": source, "description": description},
+        "robot": robot,
+        "inputs": dict(sorted((inputs or {}).items())),
+    }
+
+
+def _base(rig_T_base: Array, uncertainty: Array) -> dict[str, Any]:
+    turn = Rotation.from_matrix(rig_T_base[:3, :3]).as_rotvec(degrees=True)
+    u = uncertainty * POSE_UNITS
+    return {
+        "position_mm": (rig_T_base[:3, 3] * MM).tolist(),
+        "rotation_vector_deg": turn.tolist(),
+        "standard_uncertainty_mm": u[:3].tolist(),
+        "standard_uncertainty_deg": u[3:].tolist(),
+    }
+
+
+def _stated_uncertainties(rig: Rig, names: list[str]) -> list[float | None]:
+    """Standard uncertainties in the units of the names; None where none is stated."""
+    if rig.covariance is None:
+        return [None] * len(names)
+    known = dict(
+        zip(rig.covariance.parameters, rig.covariance.standard_uncertainty.tolist(), strict=True)
+    )
+    return [known.get(name) for name in names]
+
+
+def _base_uncertainty(rig: Rig) -> Array:
+    stated = _stated_uncertainties(rig, [f"robot_base.{key}" for key in POSE])
+    si: Array = np.array([np.nan if u is None else u for u in stated]) / POSE_UNITS
+    return si
+
+
+def _led_entries(marker: Marker, rig: Rig) -> list[dict[str, Any]]:
+    rows = []
+    for name, place in zip(marker.names, (marker.leds * MM).tolist(), strict=True):
+        u = _stated_uncertainties(rig, [f"led.{name}.{axis}_mm" for axis in "xyz"])
+        row: dict[str, Any] = {"name": name}
+        row |= {f"{axis}_mm": value for axis, value in zip("xyz", place, strict=True)}
+        row |= {f"u_{axis}_mm": value for axis, value in zip("xyz", u, strict=True)}
+        rows.append(row)
+    return rows
+
+
+def _time(offset: float, uncertainty: float | None) -> dict[str, Any]:
+    return {"offset_s": offset, "standard_uncertainty_s": uncertainty}
+
+
+def _residuals(found: MotionRegistration) -> pd.DataFrame:
+    spots = found.residuals
+    return pd.DataFrame(
+        {
+            "frame": spots.frame,
+            "camera": [SIDES[c] for c in spots.camera.tolist()],
+            "led": [found.marker.names[i] for i in spots.led.tolist()],
+            "x_px": spots.seen[:, 0],
+            "y_px": spots.seen[:, 1],
+            "residual_x_px": spots.residual[:, 0],
+            "residual_y_px": spots.residual[:, 1],
+            "used": spots.used,
+        }
+    )
+
+
+def _add_sweeps(summary: dict[str, Any], found: SweepResult | None) -> dict[str, Any]:
+    if found is None:
+        return summary
+    return summary | {
+        "decisions": [*summary["decisions"], *found.decisions],
+        "warnings": [*summary["warnings"], *found.warnings],
+    }
+
+
+def _sweep_tables(found: SweepResult | None) -> dict[str, pd.DataFrame]:
+    if found is None:
+        return {}
+    axes = [
+        {
+            "joints": f"{pair.joints[0]} and {pair.joints[1]}",
+            "angle_deg": pair.angle * DEG,
+            "angle_table_deg": pair.angle_table * DEG,
+            "angle_u_deg": pair.angle_uncertainty * DEG,
+            "distance_mm": pair.distance * MM,
+            "distance_table_mm": pair.distance_table * MM,
+            "distance_u_mm": pair.distance_uncertainty * MM,
+            "agrees": pair.agrees,
+        }
+        for pair in found.pairs
+    ]
+    gears = [
+        {
+            "joint": swept.joint,
+            "span_deg": swept.span * DEG,
+            "gear": swept.gear,
+            "gear_u": swept.gear_uncertainty,
+        }
+        for swept in found.joints
+    ]
+    sweeps = [
+        pd.DataFrame(
+            {
+                "joint": swept.joint,
+                "frame": swept.frames,
+                "reading_deg": swept.q[:, swept.joint - 1] * DEG,
+                "nonlinearity_deg": swept.nonlinearity * DEG,
+            }
+        )
+        for swept in found.joints
+    ]
+    return {
+        "axes": pd.DataFrame(axes),
+        "gears": pd.DataFrame(gears),
+        "sweeps": pd.concat(sweeps, ignore_index=True) if sweeps else pd.DataFrame(),
+    }

@@ -1,0 +1,191 @@
+"""Start values in closed form: the clock from how far the body turns, base and LEDs from A X = Y B.
+
+The angle between two poses of one body is the same in whatever frame it is seen and wherever the
+body's own frame sits, so the clock can be found before anything is registered.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robots
+from robots.transforms import difference, invert
+from verify.calibration.handeye import MIN_POSES, HandEye, solve_robustly
+from verify.core.readings import MAX_GAP, Readings
+from verify.core.records import Array
+
+TIME_STEP = 0.02  # s; brisk joints turn half a degree in it
+MAX_PAIR_DISTANCE = 8  # pairs that angles are taken over: 1, 2, 4, …
+MAX_ANGLES = 800  # enough to find the clock coarsely; more only cost time
+MODEL_ERROR = np.deg2rad(0.1)  # of an angle between two poses, by joints and lenses not perfect
+MAX_SQUARED_MISFIT = 100.0  # a wild pair has one vote
+MIN_OVERLAP = 0.5  # of the pairs must have a reading at an offset that is tried
+MIN_SEPARATION = 10 * TIME_STEP  # nearer minima are one, roughened by noise
+MAX_OFFSETS = 8  # offsets that are compared by the whole registration
+MAX_MISFIT_RATIO = 1.3  # of the best misfit: an offset that cannot be told from it
+MAX_RESIDUAL_RATIO = 6.0  # times the median residual: a pose of spots confused
+
+Rotations = Callable[[Array], Array]  # instants (m,) to rotations (m, 3, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class RegistrationStart:
+    """Where the adjustment begins."""
+
+    clock: float  # s
+    rivals: tuple[float, ...]  # s, other offsets that fit as well
+    solved: HandEye  # x: body_T_flange, y: rig_T_base
+    good: NDArray[np.bool_]  # (n,), poses that it rests on
+
+
+def start_registration(
+    t: Array,
+    rig_T_body: Array,
+    arm: robots.Arm,
+    readings: Readings,
+    given: float | None,
+    *,
+    x: Array | None = None,
+    y: Array | None = None,
+) -> RegistrationStart:
+    """Find clock, base and body.
+
+    Args:
+        t: (n,), s, cameras' clock.
+        rig_T_body: (n, 4, 4), m, the body as the cameras see it.
+        arm: the robot.
+        readings: on the controller's clock.
+        given: s, the clock offset where session.toml tells it.
+        x: body_T_flange where it is known, (4, 4).
+        y: rig_T_base where it is known, (4, 4).
+
+    Raises:
+        ValueError: fewer than three poses have a reading.
+    """
+    if given is None:
+        tried = clock_candidates(
+            t, rig_T_body[:, :3, :3], readings, _flange_rotations(arm, readings)
+        )
+    else:
+        tried = [given]
+    starts = []
+    for offset in tried or [0.0]:
+        known = readings.known(t - offset)
+        poses = robots.forward(arm, readings.at((t - offset)[known]))
+        if x is None and y is None:
+            solved, rests = solve_robustly(rig_T_body[known], poses, MAX_RESIDUAL_RATIO)
+        else:
+            solved = _solve_loop(rig_T_body[known], poses, x, y)
+            rests = np.ones(len(poses), dtype=bool)
+        good = np.zeros(len(t), dtype=bool)
+        good[np.flatnonzero(known)[rests]] = True
+        starts.append((_misfit(solved), RegistrationStart(offset, (), solved, good)))
+    least = min(misfit for misfit, _ in starts)
+    close = [s for misfit, s in starts if misfit <= MAX_MISFIT_RATIO * least]
+    best = max(close, key=lambda s: (round(float(s.good.mean()), 2), -abs(s.clock)))
+    rivals = tuple(s.clock for s in close if s is not best)
+    return RegistrationStart(best.clock, rivals, best.solved, best.good)
+
+
+def _solve_loop(a: Array, b: Array, x: Array | None, y: Array | None) -> HandEye:
+    """Solve A X = Y B for the one that is not known, each pose having its say."""
+    if len(a) < MIN_POSES:
+        raise ValueError(f"needs {MIN_POSES} poses or more; got {len(a)}")
+    if x is not None:
+        y = mean_motion(a @ x @ invert(b))
+    elif y is not None:
+        x = mean_motion(invert(a) @ y @ b)
+    else:
+        raise ValueError("one of the two has to be known")
+    return HandEye(x, y, difference(a @ x, y @ b), mirrored=False, open=False)
+
+
+def mean_motion(motions: Array) -> Array:
+    """The mean of rigid motions (n, 4, 4): of the places, and the rotation nearest to the mean."""
+    mean: Array = motions.mean(axis=0)
+    u, _, vt = np.linalg.svd(mean[:3, :3])
+    mean[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return mean
+
+
+def _misfit(solved: HandEye) -> float:
+    """Median residual, a tenth of a radian counting like 10 mm."""
+    place, turn = (np.linalg.norm(p, axis=1) for p in np.split(solved.residual, 2, axis=1))
+    return float(np.median(place) + 0.1 * np.median(turn))
+
+
+def _flange_rotations(arm: robots.Arm, readings: Readings) -> Rotations:
+    def turns(t: Array) -> Array:
+        rotation: Array = robots.forward(arm, readings.at(t))[:, :3, :3]
+        return rotation
+
+    return turns
+
+
+def clock_candidates(t: Array, seen: Array, readings: Readings, turns: Rotations) -> list[float]:
+    """Clock offsets at which the readings turn by the angles that the pictures show.
+
+    Args:
+        t: (n,), s, cameras' clock.
+        seen: (n, 3, 3), rotations in any one frame.
+        readings: on the controller's clock; say when there is a reading.
+        turns: the same rotations by the readings, in any other frame.
+
+    Returns:
+        Offsets, best first, at most eight, to within 20 ms; none where no offset gives half of
+        the pairs a reading.
+    """
+    early, late = _angle_pairs(len(t))
+    angle = _angles(seen[early], seen[late])
+    grid = _grid(readings)
+    read = turns(grid)
+    half = 0.5 * float(t[-1] - t[0])
+    lowest, highest = float(t[-1] - readings.t[-1]) - half, float(t[0] - readings.t[0]) + half
+    offsets = np.arange(lowest, highest + TIME_STEP, TIME_STEP)
+    cost = np.full(len(offsets), np.inf)
+    for i, offset in enumerate(offsets):
+        known = readings.known(t - offset)
+        both = known[early] & known[late]
+        if known.mean() < MIN_OVERLAP or not both.any():
+            continue
+        at = np.clip(np.searchsorted(grid, t - offset - TIME_STEP / 2), 0, len(grid) - 1)
+        misfit = (_angles(read[at[early[both]]], read[at[late[both]]]) - angle[both]) ** 2
+        cost[i] = np.mean(np.minimum(misfit / MODEL_ERROR**2, MAX_SQUARED_MISFIT))
+    return _minima(offsets, cost)
+
+
+def _minima(offsets: Array, cost: Array) -> list[float]:
+    kept: list[float] = []
+    for i in np.argsort(cost, kind="stable").tolist():
+        if not np.isfinite(cost[i]) or len(kept) == MAX_OFFSETS:
+            break
+        if all(abs(offsets[i] - k) > MIN_SEPARATION for k in kept):
+            kept.append(float(offsets[i]))
+    return kept
+
+
+def _angle_pairs(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which pairs to take the angle between."""
+    lags = [lag for lag in (1, 2, 4, MAX_PAIR_DISTANCE) if lag < n]
+    early = np.concatenate([np.arange(n - lag) for lag in lags])
+    late = np.concatenate([np.arange(lag, n) for lag in lags])
+    if len(early) > MAX_ANGLES:
+        some = np.linspace(0, len(early) - 1, MAX_ANGLES).astype(int)
+        early, late = early[some], late[some]
+    return early, late
+
+
+def _angles(one: Array, other: Array) -> Array:
+    """Angles between rotations, (n,), rad: the Frobenius norm is sqrt(8) sin(angle / 2)."""
+    apart = np.sqrt(np.sum((one - other) ** 2, axis=(1, 2)) / 8)
+    angles: Array = 2 * np.arcsin(np.minimum(apart, 1.0))
+    return angles
+
+
+def _grid(readings: Readings) -> Array:
+    """Instants TIME_STEP apart wherever there are readings, (g,) s."""
+    gaps = np.flatnonzero(np.diff(readings.t) > MAX_GAP) + 1
+    bursts = np.split(readings.t, gaps)
+    return np.concatenate([np.arange(b[0], b[-1] + TIME_STEP, TIME_STEP) for b in bursts])

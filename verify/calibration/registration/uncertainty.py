@@ -1,0 +1,239 @@
+"""What a registration inherits from the rig it was made with: derivatives by the rig's parameters.
+
+What is not stated of the rig is taken as exact, here as everywhere.
+
+What a registration through the robot's own encoders hides: joint offsets that it took in.
+
+An offset that was there while base and LEDs were fitted displaced them. How, is linear algebra:
+no fault has to be known for it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from verify.calibration.registration.adjustment import AdjustedRegistration, block_diagonal
+from verify.calibration.registration.model import BASE_COLUMNS, cross_matrices
+from verify.calibration.stereo.records import extend_covariance, state_covariance
+from verify.core.fiducials import Marker
+from verify.core.records import Array
+from verify.core.rig import Covariance, Rig
+from verify.errors import InputError
+from verify.measurement.sensitivities import AXES, camera_derivatives
+from verify.measurement.systematics import BODY, CAMERA_KEYS
+
+BASE_NAMES = tuple(f"robot_base.{key}" for key in BODY)
+
+
+def led_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Name the LEDs' coordinates as rig.toml's covariance does."""
+    return tuple(f"led.{name}.{axis}_mm" for name in names for axis in AXES)
+
+
+def rig_covariance(
+    rig: Rig, marker: Marker, adjusted: AdjustedRegistration, *, held_marker: bool
+) -> Covariance:
+    """The rig's covariance with base and LEDs added, correlations with the rig kept.
+
+    Args:
+        rig: the rig that was registered in, with what it states of itself.
+        marker: the LEDs under their names; where they were held, with their own uncertainty.
+        adjusted: what was found.
+        held_marker: the LEDs were held, so their stated uncertainty is inherited too.
+    """
+    fitted = [*BASE_NAMES, *led_names(marker.names)]
+    free = adjusted.free[:-2]
+    names = [n for n, is_free in zip(fitted, free, strict=True) if is_free]
+    given = _retained_covariance(rig.covariance, names, marker)
+    if held_marker:
+        given = _add_marker(given, marker)
+    own = adjusted.covariance[:-2, :-2][np.ix_(free, free)]
+    own = own + _pan_covariance(rig, adjusted)[np.ix_(free, free)]
+    if given is None:
+        return state_covariance(names, own)
+    by_given = np.stack(
+        [_derivative_by(n, rig, marker, adjusted) for n in given.parameters], axis=1
+    )
+    return extend_covariance(given, names, by_given[free], own)
+
+
+def _retained_covariance(
+    given: Covariance | None, fitted: list[str], marker: Marker
+) -> Covariance | None:
+    """What stays of a covariance when parameters are found anew and others' LEDs are gone."""
+    if given is None:
+        return None
+    known = set(led_names(marker.names))
+    keep = [
+        i
+        for i, n in enumerate(given.parameters)
+        if n not in fitted and (not n.startswith("led.") or n in known)
+    ]
+    if not keep:
+        return None
+    return replace(
+        given,
+        parameters=tuple(given.parameters[i] for i in keep),
+        standard_uncertainty=given.standard_uncertainty[keep],
+        correlation=given.correlation[np.ix_(keep, keep)],
+    )
+
+
+def _add_marker(given: Covariance | None, marker: Marker) -> Covariance | None:
+    """Add what a marker states of its LEDs, unless the rig's covariance already has them."""
+    names = led_names(marker.names)
+    body, each = marker.body_standard_uncertainty, marker.led_standard_uncertainty
+    if (body is None and each is None) or (given and set(names) & set(given.parameters)):
+        return given
+    motion = rigid_columns(marker.leds)
+    spread = motion * (np.zeros(6) if body is None else body)
+    full = spread @ spread.T + (each or 0.0) ** 2 * np.eye(len(names))
+    if given is None:
+        return state_covariance(names, full)
+    return extend_covariance(given, names, np.zeros((len(names), len(given.parameters))), full)
+
+
+def rigid_columns(leds: Array) -> Array:
+    """What a motion of the LED body (flange axes, m and rad) does to its LEDs, (3 n, 6)."""
+    turn = np.cross(np.eye(3)[None], leds[:, None]).transpose(0, 2, 1)
+    columns = np.concatenate([np.tile(np.eye(3), (len(leds), 1, 1)), turn], axis=2)
+    return columns.reshape(-1, 6)
+
+
+def _derivative_by(name: str, rig: Rig, marker: Marker, adjusted: AdjustedRegistration) -> Array:
+    """Derivative of base and LEDs by one stated parameter, (size - 2,), SI units or px."""
+    names = [*BASE_NAMES, *led_names(marker.names)]
+    if name in names:  # held: its own column of the design, and no derivative of itself
+        return _response(adjusted, adjusted.predicted.design[:, :, names.index(name)])
+    side, _, key = name.partition(".")
+    if side not in ("left", "right") or not CAMERA_KEYS.match(key):
+        return np.zeros(len(adjusted.free) - 2)
+    return _response(adjusted, _camera_change(rig, side, key, adjusted))
+
+
+def _camera_change(rig: Rig, side: str, key: str, adjusted: AdjustedRegistration) -> Array:
+    """How the predicted spots change with a parameter of one camera, (s, 2)."""
+    spotted, seen = adjusted.spotted, adjusted.predicted
+    which = ("left", "right").index(side)
+    camera = (rig.left, rig.right)[which]
+    pixels = np.zeros_like(seen.residual)
+    for i, sightings in enumerate(spotted.sightings):
+        mine = (spotted.pair == i) & (spotted.side == which)
+        if mine.any():
+            pixels[mine] = camera_derivatives(
+                (key,), camera, sightings[which].pan, seen.points_camera[mine],
+                seen.points_rig[mine], seen.by_point[mine],
+            )[0]  # fmt: skip
+    return pixels
+
+
+def _response(adjusted: AdjustedRegistration, pixels: Array) -> Array:
+    """How base and LEDs answer to a change of the predicted spots (s, 2), (size - 2,)."""
+    change: Array = -(adjusted.gain @ pixels.reshape(-1))[:-2]
+    return change
+
+
+def _pan_covariance(rig: Rig, adjusted: AdjustedRegistration) -> Array:
+    """Covariance from the uncertainty of the pan readings; pairs of one reading share its error."""
+    size = len(adjusted.free) - 2
+    total = np.zeros((size, size))
+    for which, (side, camera) in enumerate((("left", rig.left), ("right", rig.right))):
+        if not camera.pan_standard_uncertainty:
+            continue
+        change = _camera_change(rig, side, "pan_zero_deg", adjusted)
+        mine = adjusted.spotted.side == which
+        for reading in np.unique(adjusted.spotted.pan[mine]):
+            alike = mine & (adjusted.spotted.pan == reading)
+            moved = _response(adjusted, np.where(alike[:, None], change, 0.0))
+            total += camera.pan_standard_uncertainty**2 * np.outer(moved, moved)
+    return total
+
+
+MIN_VISIBLE_SHARE = 1e-3  # a share below this is what rounding leaves of nothing
+
+
+def inherited_absorption(
+    rig: Rig, marker: Marker | None, *, base: bool, leds: bool
+) -> Array | None:
+    """What was held had taken in already, by its own registration, (6 + 3 n, j); None: nothing.
+
+    Args:
+        rig: the rig that was registered in.
+        marker: the marker whose LEDs were held, if they were.
+        base: the base was held.
+        leds: the LEDs were held.
+
+    Raises:
+        InputError: what is held was fitted through the encoders, and how is not known.
+    """
+    base = base and rig.base_source == "motion"
+    kept = marker if leds and marker is not None and marker.source == "motion" else None
+    if not base and kept is None:
+        return None
+    strange = kept is not None and kept.registration != rig.registration
+    if rig.absorption is None or strange:
+        raise InputError(
+            "--keep-base" if kept is None else "--keep-leds",
+            "what is to be kept was fitted through the robot's encoders, and the rig does not "
+            "hold that registration's absorption",
+            "",
+            "Give the rig.toml that the same registration wrote, or fit both anew.",
+        )
+    if kept is None:
+        return rig.absorption[:6]
+    return np.concatenate(
+        [np.zeros_like(rig.absorption[:6]), _body_columns(kept.leds) @ rig.absorption[6:]]
+    )
+
+
+def _body_columns(leds: Array) -> Array:
+    """What a motion of the LED body does to its LEDs, (3 n, 6)."""
+    motion = np.concatenate([np.tile(np.eye(3), (len(leds), 1, 1)), -cross_matrices(leds)], axis=2)
+    return motion.reshape(-1, 6)
+
+
+def absorbed_offsets(adjusted: AdjustedRegistration, held: Array | None = None) -> Array:
+    """By how much each parameter would make up for a radian of joint offset, (size, j).
+
+    G = (H'S⁻¹H)⁺ H'S⁻¹ J with H the derivatives of the predicted spots by the parameters, J those
+    by the readings. A joint that reads too high by d moved what was fitted by -G d.
+    """
+    design = np.where(adjusted.free, adjusted.rows.design, 0.0)
+    before = np.zeros((adjusted.at.size, adjusted.rows.joints.shape[1]))
+    if held is not None:
+        before[: len(held)] = held
+    left = adjusted.rows.joints - adjusted.rows.design @ before
+    taken: Array = before + adjusted.inverse @ (design.T @ left)
+    return taken
+
+
+def absorption(adjusted: AdjustedRegistration, held: Array | None = None) -> Array:
+    """Lay `absorbed_offsets` out as rig.toml holds it: base and LED-body motion a radian, (12, j).
+
+    Rows 0 to 5: the base in rig axes (m, then rad), its turns about its own origin. Rows 6 to 11:
+    the rigid part of the LEDs' change, in flange axes about the flange's origin. Rows of what was
+    held are 0. As `judgement.model` reads it, what an offset does to a later session is its own
+    effect less that of these motions: they are the negative of what the offset really did.
+    """
+    taken = absorbed_offsets(adjusted, held)
+    body = np.linalg.lstsq(_body_columns(adjusted.at.leds), taken[6:-2], rcond=None)[0]
+    return np.concatenate([taken[BASE_COLUMNS], body])
+
+
+def visible_fractions(adjusted: AdjustedRegistration, held: Array | None = None) -> Array:
+    """Share of a constant offset of each joint that its own registration leaves in the pictures.
+
+    ||S^-½ (J - H G)|| / ||S^-½ J||, S the spots' own noise, (j,): 0 for what is hidden altogether.
+    """
+    taken, seen, spotted = absorbed_offsets(adjusted, held), adjusted.predicted, adjusted.spotted
+    design = seen.design
+    left, whole = np.zeros(taken.shape[1]), np.zeros(taken.shape[1])
+    for i in range(len(spotted)):
+        mine = (spotted.pair == i) & spotted.used
+        lower = np.linalg.cholesky(block_diagonal(spotted.covariance[mine]))
+        joints = seen.by_joint[mine].reshape(len(lower), -1)
+        hidden = joints - design[mine].reshape(len(lower), -1) @ taken
+        left += np.sum(np.linalg.solve(lower, hidden) ** 2, axis=0)
+        whole += np.sum(np.linalg.solve(lower, joints) ** 2, axis=0)
+    share = np.sqrt(np.divide(left, whole, out=np.zeros_like(left), where=whole > 0))
+    return np.where(share < MIN_VISIBLE_SHARE, 0.0, np.minimum(share, 1.0))

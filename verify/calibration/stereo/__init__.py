@@ -1,0 +1,1 @@
+"""Bundle adjustment of both cameras and their bases."""

@@ -1,0 +1,339 @@
+"""One adjustment over all pairs: rig and board poses that make the seen corners most likely.
+
+Gauss-Newton with Levenberg's damping; analytic derivatives. Each board's pose (and how far the
+bases stood off their readings at that pair) is eliminated from its own corners alone, so that the
+system to solve has the rig's parameters only (Schur complement).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from verify.calibration.stereo import gauge, projection
+from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel
+from verify.calibration.stereo.parameters import (
+    N_CAMERA_PARAMETERS,
+    PAR_AXIS,
+    PAR_CENTER,
+    PAR_FOCAL,
+    PAR_LENS,
+    PAR_OFFSET,
+    PAR_PRINCIPAL,
+    PAR_TURN,
+    PAR_ZERO,
+    BundleState,
+    CornerStack,
+    base_rotations,
+)
+from verify.core.records import Array
+from verify.core.rig import Camera, distort_with_jacobian
+
+MAX_ITERATIONS = 60
+TOL_COST = 1e-4  # in chi²: a step promises no more, a hundredth of an uncertainty
+Index = NDArray[np.int64]
+N_LOCAL = 8  # a board's own unknowns: its pose (6), the two bases' departures from their readings
+LOCAL_COLUMNS = slice(
+    N_CAMERA_PARAMETERS, N_CAMERA_PARAMETERS + N_LOCAL
+)  # their columns, behind those of a camera's parameters
+
+
+def predict(state: BundleState, corners: CornerStack) -> Array:
+    """Where the corners should be seen, (n, 2), px; NaN behind a camera."""
+    pixels = np.full((len(corners), 2), np.nan)
+    for side, camera in enumerate(state.cameras):
+        own = np.flatnonzero(corners.camera == side)
+        pixels[own] = _project(camera, _side_corners(camera, side, state, corners, own).point)
+    return pixels
+
+
+def _project(camera: Camera, point: Array) -> Array:
+    """Pixels (n, 2) of points (3, n) in the camera's frame; NaN behind the camera."""
+    ahead = point[2] > 0
+    pixels = np.full((len(ahead), 2), np.nan)
+    pixels[ahead] = camera.project(point.T[ahead])
+    return pixels
+
+
+@dataclass(frozen=True, slots=True)
+class _CameraCorners:
+    """The corners of one camera, and that camera at each of them."""
+
+    point: Array  # (3, n), in the camera frame
+    rig_R_camera: Array  # (3, 3, n)
+    turned: Array  # (b, 3, 3), rig axes from turntable axes, of each board
+    board: Index  # (n,)
+    arm: Array  # (3, n), corner from the board's origin, rig axes
+    from_camera: Array  # (3, n), corner from the optical centre, rig axes
+    from_pan_center: Array  # (3, n), likewise from the pan centre
+
+
+def _side_corners(
+    camera: Camera, side: int, state: BundleState, corners: CornerStack, own: Index
+) -> _CameraCorners:
+    board = corners.board[own]
+    turned = base_rotations(camera, corners.pan[:, side] + state.pan_error[:, side])
+    centre = camera.pan_center + turned @ camera.mount[:3, 3]
+    rig_R_camera = _per_corner(turned @ camera.mount[:3, :3], board)
+    pose = _per_corner(state.boards[:, :3], board)
+    x, y, z = corners.point[own].T
+    arm = pose[:, 0] * x + pose[:, 1] * y + pose[:, 2] * z
+    points_rig = arm + pose[:, 3]
+    from_camera = points_rig - centre[board].T
+    return _CameraCorners(
+        point=_rows_times_matrices(from_camera, rig_R_camera),
+        rig_R_camera=rig_R_camera,
+        turned=turned,
+        board=board,
+        arm=arm,
+        from_camera=from_camera,
+        from_pan_center=points_rig - camera.pan_center[:, None],
+    )
+
+
+def _per_corner(matrices: Array, board: Index) -> Array:
+    """Matrices (b, i, j) of the boards as those of their corners, (i, j, n)."""
+    return np.take(np.ascontiguousarray(matrices.transpose(1, 2, 0)), board, axis=2)
+
+
+def _rows_times_matrices(rows: Array, matrices: Array) -> Array:
+    """Rows (..., 3, n) by matrices (3, 3, n)."""
+    one, two, three = (rows[..., i, None, :] * matrices[i] for i in range(3))
+    product: Array = one + two + three
+    return product
+
+
+def _cross(vectors: Array, rows: Array) -> Array:
+    """Cross products of vectors (3, n) with rows (2, 3, n)."""
+    x, y, z = vectors
+    u, v, w = rows[:, 0], rows[:, 1], rows[:, 2]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+
+
+def derivatives(state: BundleState, corners: CornerStack) -> tuple[Array, Array]:
+    """How the predicted pixels change with the rig's parameters and with each board's own.
+
+    Returns:
+        (n, 2, 44), a SI unit (or pixel) of each of `parameters.NAMES`; (n, 2, 8), a step of the
+        board's pose in rig axes (m, rad; a rotation about the board's origin) and of the two
+        bases' departures from their readings (rad).
+    """
+    by_rig = np.zeros((len(corners), 2, 2 * N_CAMERA_PARAMETERS))
+    by_board = np.zeros((len(corners), 2, N_LOCAL))
+    for side, camera in enumerate(state.cameras):
+        own = np.flatnonzero(corners.camera == side)
+        columns = _columns(camera, side, _side_corners(camera, side, state, corners, own))
+        by_rig[own, :, side * N_CAMERA_PARAMETERS : (side + 1) * N_CAMERA_PARAMETERS] = columns[
+            :, :N_CAMERA_PARAMETERS
+        ].transpose(2, 0, 1)
+        by_board[own] = columns[:, LOCAL_COLUMNS].transpose(2, 0, 1)
+    return by_rig, by_board
+
+
+def _columns(camera: Camera, side: int, at: _CameraCorners) -> Array:
+    """Derivatives by a camera's parameters and by the boards' own, (2, 31, n); the last is free."""
+    depth, xy = at.point[2], at.point[:2] / at.point[2]
+    x, y = xy
+    distorted, by_xy = distort_with_jacobian(xy.T, camera.distortion)
+    focal = camera.matrix[[0, 1], [0, 1]]
+    by_inside = np.empty((2, 3, len(depth)))
+    by_inside[:, :2] = by_xy.transpose(1, 2, 0) * focal[:, None, None] / depth
+    by_inside[:, 2] = -(by_inside[:, 0] * x + by_inside[:, 1] * y)
+    by_point = _rows_times_matrices(by_inside, at.rig_R_camera.transpose(1, 0, 2))
+    columns = np.zeros((2, N_CAMERA_PARAMETERS + N_LOCAL + 1, len(depth)))
+    for axis in range(2):
+        columns[axis, PAR_FOCAL.start + axis] = distorted[:, axis]
+        columns[axis, PAR_PRINCIPAL.start + axis] = 1.0
+    columns[:, PAR_LENS] = focal[:, None, None] * _lens_derivatives(x, y)
+    turned = _per_corner(at.turned, at.board)
+    # the world moves against the camera: a turn u about o takes a point r off o by -(u × r)
+    about_center = -_cross(at.from_pan_center, by_point)
+    columns[:, PAR_CENTER] = -by_point
+    columns[:, PAR_AXIS] = about_center - _rows_times_matrices(about_center, turned)
+    columns[:, PAR_ZERO] = camera.pan_axis @ about_center
+    columns[:, PAR_TURN] = -_rows_times_matrices(_cross(at.from_camera, by_point), turned)
+    columns[:, PAR_OFFSET] = -_rows_times_matrices(by_point, turned)
+    own = columns[:, LOCAL_COLUMNS]
+    own[:, :3], own[:, 3:6] = by_point, _cross(at.arm, by_point)
+    own[:, 6 + side] = columns[:, PAR_ZERO]
+    return columns
+
+
+def _lens_derivatives(x: Array, y: Array) -> Array:
+    """Derivative of `distort` by its five coefficients, (2, 5, n); the model is linear in them."""
+    xx, yy, twice_xy = x * x, y * y, 2 * x * y
+    r2 = xx + yy
+    r4 = r2 * r2
+    r6 = r4 * r2
+    return np.array(
+        [
+            [x * r2, x * r4, twice_xy, r2 + 2 * xx, x * r6],
+            [y * r2, y * r4, r2 + 2 * yy, twice_xy, y * r6],
+        ]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NormalEquations:
+    """The normal equations with the boards' own unknowns eliminated."""
+
+    information: Array  # (b, 44, 44), what each board says of the rig's parameters
+    gradient: Array  # (b, 44), towards a better fit
+    own: Array  # (b, 8, 8), inverse of each board's own information
+    own_gradient: Array  # (b, 8)
+    shared: Array  # (b, 8, 44), how a board's own optimum moves with the parameters, negated
+    diagonal: Array  # (44,), of the information before the elimination
+
+
+def normal_equations(
+    state: BundleState,
+    corners: CornerStack,
+    model: AdjustmentModel,
+    weight: Array,
+    damping: float = 0.0,
+) -> NormalEquations:
+    """Set up the normal equations at a state.
+
+    Args:
+        state: where to linearise.
+        corners: what was seen.
+        model: what is free; the boards' own unknowns are taken from it.
+        weight: (n,), of each corner beside its stated covariance; 0 leaves it out.
+        damping: Marquardt's factor on the diagonal of the boards' own information.
+    """
+    count, width = len(state.boards), 2 * N_CAMERA_PARAMETERS
+    full, gradient = np.zeros((count, width, width)), np.zeros((count, width))
+    prior, across = _local_prior(model), np.zeros((count, N_LOCAL, width))
+    block = np.tile(np.diag(prior), (count, 1, 1))
+    pull = np.zeros((count, N_LOCAL))
+    pull[:, 6:] = -prior[6:] * state.pan_error
+    for side in range(2):
+        products = _products(side, state, corners, weight)
+        mine = slice(side * N_CAMERA_PARAMETERS, (side + 1) * N_CAMERA_PARAMETERS)
+        full[:, mine, mine] = products[:, :N_CAMERA_PARAMETERS, :N_CAMERA_PARAMETERS]
+        across[:, :, mine] = products[:, LOCAL_COLUMNS, :N_CAMERA_PARAMETERS]
+        block += products[:, LOCAL_COLUMNS, LOCAL_COLUMNS]
+        gradient[:, mine] = products[:, :N_CAMERA_PARAMETERS, -1]
+        pull += products[:, LOCAL_COLUMNS, -1]
+    own = _inverse(block, _free_local(model), damping)
+    shared = own @ across
+    toward: Array = shared.transpose(0, 2, 1)
+    return NormalEquations(
+        information=full - across.transpose(0, 2, 1) @ shared,
+        gradient=gradient - (toward @ pull[:, :, None])[:, :, 0],
+        own=own,
+        own_gradient=pull,
+        shared=shared,
+        diagonal=np.einsum("bii->i", full),
+    )
+
+
+def _products(side: int, state: BundleState, corners: CornerStack, weight: Array) -> Array:
+    """Products of one camera's whitened columns over each board's corners, (b, 31, 31).
+
+    Columns: the camera's parameters (22), the board's own (8), the residual.
+    """
+    camera = state.cameras[side]
+    seen_by = np.flatnonzero(corners.camera == side)
+    at = _side_corners(camera, side, state, corners, seen_by)
+    columns = _columns(camera, side, at)
+    columns[:, -1] = (corners.seen[seen_by] - _project(camera, at.point)).T
+    root = (corners.root[seen_by] * np.sqrt(weight[seen_by])[:, None, None]).transpose(1, 2, 0)
+    first, second = (r[0] * columns[0] + r[1] * columns[1] for r in root)
+    ends = np.searchsorted(corners.board[seen_by], np.arange(len(state.boards) + 1))
+    products = np.empty((len(state.boards), len(first), len(first)))
+    for b in range(len(state.boards)):
+        x, y = (rows[:, ends[b] : ends[b + 1]] for rows in (first, second))
+        products[b] = x @ x.T + y @ y.T
+    return products
+
+
+def _inverse(block: Array, free: Index, damping: float) -> Array:
+    """Inverse of what is free of each board's own information (b, 8, 8), damped; 0 elsewhere."""
+    inner = block[:, free[:, None], free]
+    diagonal = np.arange(len(free))
+    inner[:, diagonal, diagonal] *= 1 + damping
+    inverse = np.zeros_like(block)
+    inverse[:, free[:, None], free] = np.linalg.inv(inner)
+    return inverse
+
+
+def _free_local(model: AdjustmentModel) -> Index:
+    turns = [model.pan_errors and base != BASE_FIXED for base in model.bases]
+    return np.flatnonzero(np.concatenate([np.ones(6, dtype=bool), turns]))
+
+
+def _local_prior(model: AdjustmentModel) -> Array:
+    prior = np.zeros(N_LOCAL)
+    if model.pan_errors:
+        prior[6:] = model.pan_precision
+    return prior
+
+
+def cost(state: BundleState, corners: CornerStack, model: AdjustmentModel, weight: Array) -> float:
+    """Sum of squares that the adjustment makes small; infinite behind a camera."""
+    whitened = np.einsum("nij,nj->ni", corners.root, corners.seen - predict(state, corners))
+    squares = np.sum(whitened**2, axis=1)
+    if np.isnan(squares[weight > 0]).any():
+        return float("inf")
+    total = float(weight @ np.nan_to_num(squares))
+    if model.pan_errors:
+        total += model.pan_precision * float(np.sum(state.pan_error**2))
+    return total
+
+
+def squared_distances(state: BundleState, corners: CornerStack) -> Array:
+    """Squared distance of each corner from where it should be, in its stated covariance, (n,)."""
+    whitened = np.einsum("nij,nj->ni", corners.root, corners.seen - predict(state, corners))
+    squares: Array = np.nan_to_num(np.sum(whitened**2, axis=1), nan=1e12)
+    return squares
+
+
+def adjust(
+    state: BundleState,
+    corners: CornerStack,
+    model: AdjustmentModel,
+    weight: Array,
+    iterations: int = MAX_ITERATIONS,
+) -> BundleState:
+    """Find the state of least squares by damped Gauss-Newton steps, in the gauge throughout."""
+    pan = corners.pan[0]
+    state = gauge.apply_gauge(state, model, pan)
+    here, damping = cost(state, corners, model, weight), 1e-4
+    for _ in range(iterations):
+        trial, promised = _damped_step(state, corners, model, weight, damping)
+        there = cost(trial, corners, model, weight)
+        if there <= here:
+            state, damping = trial, damping / 10
+            if here - there < TOL_COST and promised < TOL_COST:
+                break
+            here = there
+        else:
+            if promised < TOL_COST:
+                break
+            damping *= 10
+            if damping > 1e8:
+                break
+    return state
+
+
+def _damped_step(
+    state: BundleState, corners: CornerStack, model: AdjustmentModel, weight: Array, damping: float
+) -> tuple[BundleState, float]:
+    """One damped step, and by how much it should lower the cost."""
+    pan = corners.pan[0]
+    system = normal_equations(state, corners, model, weight, damping)
+    basis = gauge.free_directions(gauge.constraints(state, model, pan)[0])
+    matrix = basis.T @ (system.information.sum(axis=0) + damping * np.diag(system.diagonal)) @ basis
+    pull = basis.T @ system.gradient.sum(axis=0)
+    scale = 1 / np.sqrt(np.diag(matrix))
+    factor = cho_factor(matrix * np.outer(scale, scale) + 1e-14 * np.eye(len(matrix)))
+    step = basis @ (scale * cho_solve(factor, scale * pull))
+    own_step = np.einsum("bij,bj->bi", system.own, system.own_gradient) - system.shared @ step
+    promised = float(system.gradient.sum(axis=0) @ step) + float(
+        np.einsum("bi,bij,bj->", system.own_gradient, system.own, system.own_gradient)
+    )
+    return gauge.apply_gauge(
+        projection.step_state(state, corners, step, own_step), model, pan
+    ), promised

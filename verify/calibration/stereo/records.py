@@ -1,0 +1,105 @@
+"""What a calibration from boards found, and all that its report says.
+
+The rig's covariance, and what a registration adds to it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.fiducials import Board
+from verify.core.records import Array
+from verify.core.rig import Covariance, Rig
+from verify.measurement.systematics import unit
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """Every corner that entered the adjustment, one row each."""
+
+    camera: NDArray[np.int64]  # (r,), 0 left, 1 right
+    frame: NDArray[np.int64]  # (r,)
+    corner: NDArray[np.int64]  # (r,), index into board.points
+    seen: Array  # (r, 2), px
+    residual: Array  # (r, 2), px, seen less predicted
+    uncertainty: Array  # (r,), px a coordinate: as the corner finder stated it, times `noise`
+    used: NDArray[np.bool_]  # (r,), false: refused as an outlier
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Two cameras and the boards they were calibrated with."""
+
+    rig: Rig  # cameras and [covariance]; not registered: no robot base
+    board: Board
+    frames: NDArray[np.int64]  # (b,), pairs that were used
+    rig_T_board: Array  # (b, 4, 4)
+    board_covariance: Array  # (b, 6, 6), m and rad, perturbation on the left, rig axes
+    residuals: Residuals
+    noise: float  # what the corners' stated uncertainty had to be multiplied with
+    degrees_of_freedom: int
+    fixed: tuple[str, ...]  # parameters that the data do not determine, held: gauge, or k3 = 0
+    decisions: tuple[str, ...]  # sentences: the model order chosen and why, pairs left out and why
+    square_found: tuple[float, float, float]  # m: mean triangulated edge, its standard
+    # uncertainty, standard deviation of single edges
+    turning: bool  # the bases were turned between pairs: axes, centres and mounts are found
+
+
+def covariance_in_si(covariance: Covariance) -> Array:
+    """Full covariance matrix of the named parameters, (p, p), in SI units and pixels."""
+    sigma = covariance.standard_uncertainty * np.array([unit(n) for n in covariance.parameters])
+    full: Array = covariance.correlation * np.outer(sigma, sigma)
+    return full
+
+
+def state_covariance(
+    names: Sequence[str],
+    full: Array,
+    degrees_of_freedom: float | None = None,
+    temperature_c: float | None = None,
+) -> Covariance:
+    """Lay a covariance matrix in SI units and pixels out as rig.toml states it.
+
+    Args:
+        names: (p) parameters, named as in rig.toml; the suffix is the unit.
+        full: (p, p), SI units and pixels; may be singular.
+        degrees_of_freedom: of the estimate behind it.
+        temperature_c: of the rig while it was calibrated.
+    """
+    sigma = np.sqrt(np.diag(full))
+    safe = np.where(sigma > 0, sigma, 1.0)
+    correlation = full / np.outer(safe, safe)
+    np.fill_diagonal(correlation, 1.0)
+    return Covariance(
+        parameters=tuple(names),
+        standard_uncertainty=sigma / np.array([unit(n) for n in names]),
+        correlation=(correlation + correlation.T) / 2,
+        degrees_of_freedom=degrees_of_freedom,
+        temperature_c=temperature_c,
+    )
+
+
+def extend_covariance(
+    given: Covariance | None, names: Sequence[str], by_given: Array, own: Array
+) -> Covariance:
+    """Add parameters that were found through those already there.
+
+    A base found through a rig shares the rig's errors: what it is correlated with cancels in part
+    when the rig measures again, which only the full matrix shows.
+
+    Args:
+        given: what rig.toml states; None: nothing.
+        names: (m) new parameters, named as in rig.toml.
+        by_given: (m, p), d new / d given, SI units and pixels.
+        own: (m, m), what the new ones' own data leave open, SI units.
+    """
+    if given is None:
+        return state_covariance(names, own)
+    base = covariance_in_si(given)
+    across = by_given @ base
+    full = np.block([[base, across.T], [across, across @ by_given.T + own]])
+    return state_covariance(
+        (*given.parameters, *names), full, given.degrees_of_freedom, given.temperature_c
+    )

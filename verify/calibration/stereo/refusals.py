@@ -1,0 +1,212 @@
+"""Pictures that no rig can be found from: what is missing, and how to get it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from verify.calibration.stereo.estimate import Estimate
+from verify.calibration.stereo.parameters import (
+    N_CAMERA_PARAMETERS,
+    PAR_FOCAL,
+    PAR_PRINCIPAL,
+    SIDES,
+)
+from verify.calibration.stereo.start import CameraRelation
+from verify.core.records import Array
+from verify.errors import InputError
+
+MIN_PAIRS = 3
+MAX_FOCAL_UNCERTAINTY = 0.01  # of the focal length: 6 mm at 0.6 m, which is no calibration
+MIN_NORMAL_SPREAD = np.deg2rad(6.0)  # boards whose normals spread by less are parallel
+MAX_NAMED_PAIRS = 8  # pairs that a message lists
+MAX_PAN_SCATTER = np.deg2rad(2.0)  # scatter of readings beyond which they are no readings
+MORE_PICTURES = (
+    "Move the board through the whole picture, near and far, tilted 20 to 40° every way."
+)
+
+
+def refuse_unseen(left: int, right: int, both: int, pairs: int) -> None:
+    """Refuse where a camera never saw the board, or the two too seldom together.
+
+    Args:
+        left: pictures of the left camera that show the board.
+        right: of the right camera.
+        both: pairs in which both do.
+        pairs: how many there are.
+
+    Raises:
+        InputError: no board in one camera or in both; fewer than three pairs.
+    """
+    expected = "the board's inner corners are looked for"
+    remedy = "Check the pattern's columns and rows, and that the whole board is in view and sharp."
+    if not left and not right and pairs:
+        raise InputError("pairs", f"show no board in any of {pairs}", expected, remedy)
+    for side, count in zip(SIDES, (left, right), strict=True):
+        if not count and pairs:
+            raise InputError(side, f"shows no board in any of {pairs} pictures", expected, remedy)
+    if both < MIN_PAIRS:
+        found = f"show the board in both cameras {both} time{'' if both == 1 else 's'}"
+        raise InputError(
+            "pairs", found, "three are the fewest, ten to twenty are good", MORE_PICTURES
+        )
+
+
+def refuse_half_turned(
+    relation: CameraRelation, poses: Sequence[dict[int, Array]], frames: Sequence[int]
+) -> None:
+    """Refuse pairs whose board one camera numbered from its other end.
+
+    Raises:
+        InputError: names the pairs, and the camera where the board looks upside down in one only.
+    """
+    if not relation.half_turned:
+        return
+    upset = [sum(_upside_down(own[i]) for i in relation.half_turned) for own in poses]
+    place = "pairs" if upset[0] == upset[1] else SIDES[int(upset[1] > upset[0])]
+    which = list_pairs([frames[i] for i in relation.half_turned])
+    found = f"sees the board turned by 180° in {which}, against the other camera"
+    if place == "pairs":
+        found = f"show the board turned by 180° in one camera, in {which}"
+    remedy = (
+        "Hold the board the right way up in both pictures, or leave these pairs out; a board with "
+        "an odd and an even count of corners cannot be mistaken."
+    )
+    raise InputError(place, found, "both cameras must number its corners from the same end", remedy)
+
+
+def _upside_down(camera_T_board: Array) -> bool:
+    return bool(camera_T_board[0, 0] < 0)
+
+
+def refuse_swapped(relation: CameraRelation) -> None:
+    """Refuse pictures of the right camera in the left one's place.
+
+    Raises:
+        InputError: the right camera stands to the left of the left one.
+    """
+    x = float(relation.left_T_right[0, 3])
+    if x < 0:
+        found = f"is the camera on the right: the other stands some {-100 * x:.0f} cm to its left"
+        expected = "left is the left one as seen from behind the cameras"
+        remedy = "Swap the two folders or videos, and the pan columns with them."
+        raise InputError("left", found, expected, remedy)
+
+
+def refuse_inconsistent(
+    relation: CameraRelation, pairs: int, turned: bool, four_fold: bool
+) -> None:
+    """Refuse where most pairs do not agree on how the cameras stand to each other.
+
+    Args:
+        relation: on which most agree.
+        pairs: how many there are.
+        turned: the bases were turned between them.
+        four_fold: a quarter turn leaves the board's pattern as it is.
+
+    Raises:
+        InputError: half of the pairs or more are strangers to the others.
+    """
+    if 2 * len(relation.strangers) < pairs:
+        return
+    found = (
+        f"do not agree how the cameras stand to each other: {len(relation.strangers)} of {pairs}"
+    )
+    if turned:
+        expected = "the pan angles must be those at which the pictures were taken"
+        remedy = "Check the pan columns of frames.csv, their signs and their order."
+    else:
+        expected = "the cameras must stand still, or their pan angles be given"
+        remedy = "Check that left and right were taken together; give pan angles in frames.csv."
+    if four_fold:
+        remedy += (
+            " A square board of even counts does not tell a quarter turn: hold it upright in both "
+            "cameras, or use one of unequal counts."
+        )
+    raise InputError("pairs", found, expected, remedy)
+
+
+def refuse_wrong_readings(scatter: float) -> None:
+    """Refuse pan readings that the pictures contradict.
+
+    Raises:
+        InputError: the bases stand `scatter` (rad, rms) off them.
+    """
+    if scatter > MAX_PAN_SCATTER:
+        found = f"stand {np.rad2deg(scatter):.1f}° (rms) off the pan angles given"
+        remedy = "Check the pan columns of frames.csv: degrees, their signs and their order."
+        raise InputError(
+            "pairs", found, f"± {np.rad2deg(MAX_PAN_SCATTER):.0f}° is the worst", remedy
+        )
+
+
+def refuse_undetermined(found: Estimate) -> None:
+    """Refuse boards that leave a focal length or a principal point open.
+
+    The information matrix decides; how the boards stand only words the remedy.
+
+    Args:
+        found: an adjustment with the fewest lens coefficients.
+
+    Raises:
+        InputError: a focal length or principal point known worse than 1 % of the focal length.
+    """
+    u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    for index, (side, camera) in enumerate(zip(SIDES, found.state.cameras, strict=True)):
+        own = (
+            u[index * N_CAMERA_PARAMETERS : (index + 1) * N_CAMERA_PARAMETERS] / camera.matrix[0, 0]
+        )
+        focal, principal = float(own[PAR_FOCAL].max()), float(own[PAR_PRINCIPAL].max())
+        if max(focal, principal) < MAX_FOCAL_UNCERTAINTY:
+            continue
+        what, share = (
+            ("focal length", focal)
+            if focal > MAX_FOCAL_UNCERTAINTY
+            else ("principal point", principal)
+        )
+        amount = f"± {share:.0%} of the focal length" if share < 1 else "not at all"
+        if what == "focal length":
+            amount = f"± {share:.0%}" if share < 1 else "not at all"
+            what = "focal length, and with it every distance,"
+        found_text = f"does not show the {what} well enough ({amount}): {_posture(found)}"
+        raise InputError(
+            side, found_text, f"± {MAX_FOCAL_UNCERTAINTY:.0%} would be the worst", _remedy(found)
+        )
+
+
+def _normals(found: Estimate) -> Array:
+    return np.asarray(found.state.boards[:, :3, 2], dtype=np.float64)
+
+
+def _board_variety(found: Estimate) -> tuple[bool, bool]:
+    """The boards are all parallel; and all at one distance."""
+    normals = _normals(found)
+    mean = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
+    spread = np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2))
+    depth = found.state.boards[:, 2, 3]
+    return bool(spread < MIN_NORMAL_SPREAD), bool(np.ptp(depth) < 0.1 * abs(np.mean(depth)))
+
+
+def _posture(found: Estimate) -> str:
+    parallel, level = _board_variety(found)
+    if parallel and level:
+        return "all boards are parallel and at one distance"
+    if parallel:
+        return "all boards are parallel"
+    return "all boards are at one distance" if level else "the boards' tilts are too few"
+
+
+def _remedy(found: Estimate) -> str:
+    parallel, level = _board_variety(found)
+    if parallel:
+        return (
+            "Add pairs with the board tilted 20 to 40° about its upright and about its level axis, "
+            "both ways."
+        )
+    return "Add pairs nearer and farther, tilted every way." if level else MORE_PICTURES
+
+
+def list_pairs(frames: Sequence[int]) -> str:
+    """Name pairs, the first few of many."""
+    names = ", ".join(str(f) for f in frames[:MAX_NAMED_PAIRS])
+    more = f" and {len(frames) - MAX_NAMED_PAIRS} more" if len(frames) > MAX_NAMED_PAIRS else ""
+    return f"pair{'' if len(frames) == 1 else 's'} {names}{more}"

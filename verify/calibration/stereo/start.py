@@ -1,0 +1,280 @@
+"""Start values for the adjustment: rough lenses, boards' poses, the cameras' relation.
+
+How the right camera stands to the left one, as most pairs agree.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from verify.calibration.stereo.gauge import BASE_FIXED
+from verify.calibration.stereo.parameters import BundleState
+from verify.core.fiducials import Board, BoardView
+from verify.core.records import Array
+from verify.core.rig import Camera
+
+MAX_RELATION_ANGLE = np.deg2rad(
+    10.0
+)  # two relations that agree, bases fixed: poses of one view err by 1°
+MAX_RELATION_ANGLE_TURNED = np.deg2rad(
+    20.0
+)  # bases turned: mounts and axes are still taken as ideal
+
+
+@dataclass(frozen=True, slots=True)
+class CameraRelation:
+    """How the right camera stands to the left one, both bases turned back to zero."""
+
+    left_T_right: Array  # (4, 4)
+    axes: Array  # (2, 3), left and right: ±y, the sense in which the readings grow
+    half_turned: tuple[int, ...]  # pairs that agree once one view is numbered from the far end
+    strangers: tuple[int, ...]  # pairs that agree neither way
+    quarter_turned: tuple[int, ...]  # of these, those that agree once one view is turned by 90°
+    scatter: float  # rad, median angle between the pairs' relations and this one
+
+
+def relate_cameras(
+    left: dict[int, Array], right: dict[int, Array], board: Board, pan: Array, bases: Sequence[str]
+) -> CameraRelation:
+    """Find the relation of the cameras on which most pairs agree.
+
+    A pattern that looks the same after half a turn may have been numbered from its other end in
+    one camera. Such a pair's relation is half a turn off, about an axis that changes with the
+    board; each pair may speak for a relation either way, and the relation is taken from those
+    that do, fewest half turns first.
+
+    Args:
+        left: camera_T_board by pair, (4, 4).
+        right: likewise.
+        board: the pattern.
+        pan: (b, 2), rad, readings.
+        bases: left and right; one that never turned counts as standing at zero.
+    """
+    both = sorted(set(left) & set(right))
+    lefts = np.array([left[i] for i in both])
+    rights = np.asarray(np.linalg.inv([right[i] for i in both]), dtype=np.float64)
+    senses = [(1.0,) if base == BASE_FIXED else (1.0, -1.0) for base in bases]
+    tolerance = (
+        MAX_RELATION_ANGLE if all(b == BASE_FIXED for b in bases) else MAX_RELATION_ANGLE_TURNED
+    )
+    found = []
+    for sense in itertools.product(*senses):
+        axes = np.array([0.0, 1.0, 0.0]) * np.array(sense)[:, None]
+        back = [
+            _turns(axis * (base != BASE_FIXED), angle)
+            for axis, base, angle in zip(axes, bases, pan[both].T, strict=True)
+        ]
+        straight, halved = (
+            back[0] @ lefts @ relabelled @ rights @ back[1].transpose(0, 2, 1)
+            for relabelled in (np.eye(4), _half_turn(board))
+        )
+        relation, price = _consensus(straight, halved, both, axes, tolerance)
+        if board.four_fold:
+            quarters = [back[0] @ lefts @ turn @ rights @ back[1].transpose(0, 2, 1)
+                        for turn in _quarter_turns(board)]  # fmt: skip
+            relation = _find_quarter_turns(relation, quarters, both, tolerance)
+        found.append((relation, price))
+    return min(found, key=lambda f: f[1])[0]
+
+
+def _half_turn(board: Board) -> Array:
+    """Number the corners from the far end: index i becomes n - 1 - i."""
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    turn[:3, 3] = board.points[-1]
+    return turn
+
+
+def _quarter_turns(board: Board) -> tuple[Array, Array]:
+    """Number the corners of a square board from the next corner, either way round."""
+    edge = board.points[-1, 0]
+    one = np.eye(4)
+    one[:3] = [[0.0, -1.0, 0.0, edge], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+    return one, np.asarray(np.linalg.inv(one), dtype=np.float64)
+
+
+def _find_quarter_turns(
+    relation: CameraRelation, quarters: Sequence[Array], both: Sequence[int], tolerance: float
+) -> CameraRelation:
+    """Say which strangers agree once one view is numbered a quarter turn on."""
+    gaps = np.min([_angles(relation.left_T_right[None], turned)[0] for turned in quarters], axis=0)
+    agree = {i for i, gap in zip(both, gaps, strict=True) if gap < tolerance}
+    return replace(relation, quarter_turned=tuple(i for i in relation.strangers if i in agree))
+
+
+def _turns(axis: Array, angle: Array) -> Array:
+    """Motions (b, 4, 4) that turn about an axis through the origin by angles (b,)."""
+    turns = np.tile(np.eye(4), (len(angle), 1, 1))
+    turns[:, :3, :3] = Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
+    return turns
+
+
+def _consensus(
+    straight: Array, halved: Array, both: list[int], axes: Array, tolerance: float
+) -> tuple[CameraRelation, float]:
+    """The relation with the least sum of angles, each pair either way; and that sum."""
+    candidates = np.concatenate([straight, halved])
+    plain = _angles(candidates, straight)
+    other = _angles(candidates, halved)
+    nearest = np.minimum(np.minimum(plain, other), 2 * tolerance)  # one stranger outvotes nobody
+    flipped = other + tolerance < plain
+    # of relations that differ within the tolerance, the one that needs fewest half turns
+    price = nearest.sum(axis=1) + 0.5 * tolerance * flipped.sum(axis=1)
+    k = int(np.argmin(price))
+    turned, gap = flipped[k], np.minimum(plain[k], other[k])
+    agree = gap < tolerance
+    if not agree.any():
+        agree = gap <= gap.min()
+    chosen = np.where(turned[:, None, None], halved, straight)[agree]
+    left_T_right = np.eye(4)
+    left_T_right[:3, :3] = Rotation.from_matrix(chosen[:, :3, :3]).mean().as_matrix()
+    left_T_right[:3, 3] = np.median(chosen[:, :3, 3], axis=0)
+    half = tuple(i for i, t, a in zip(both, turned, agree, strict=True) if t and a)
+    strangers = tuple(i for i, a in zip(both, agree, strict=True) if not a)
+    return CameraRelation(left_T_right, axes, half, strangers, (), float(np.median(gap))), float(
+        price[k]
+    )
+
+
+def _angles(one: Array, other: Array) -> Array:
+    """Angle between every rotation of one (a) and of the other (b), (a, b), rad."""
+    trace = np.einsum("aij,bij->ab", one[:, :3, :3], other[:, :3, :3])
+    angles: Array = np.arccos(np.clip((trace - 1) / 2, -1, 1))
+    return angles
+
+
+MAX_VIEWS = 15  # of a camera for its start value; the adjustment takes all
+FOCAL_RANGE = (0.25, 8.0)  # of the longer image side; beyond it the closed form has failed
+FOREIGN_MISFIT_PX, FOREIGN_MISFIT_RATIO = (
+    5.0,
+    8.0,
+)  # and times the usual miss: this view shows something else
+MIN_VIEWS = 5  # of a camera: with fewer none can be accused
+
+
+@dataclass(frozen=True, slots=True)
+class InitialLens:
+    """A camera's rough lens and where it saw each board."""
+
+    matrix: Array  # (3, 3), px
+    distortion: Array  # (5,), k1 alone
+    poses: dict[int, Array]  # by place in the list of pairs: camera_T_board (4, 4)
+
+
+def start_lens(
+    views: dict[int, BoardView], board: Board, image_size: tuple[int, int]
+) -> InitialLens:
+    """Find a camera's focal length and first distortion coefficient, and its boards' poses.
+
+    The principal point stays at the image's centre: few tilted boards leave it open, and the
+    adjustment finds it.
+
+    Source: cv2.initCameraMatrix2D (Zhang's closed form) and cv2.calibrateCamera.
+    """
+    matrix = _closed_form(views, board, image_size)
+    picked = list(views)[:: max(1, -(-len(views) // MAX_VIEWS))]
+    flags = (
+        cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_FIX_PRINCIPAL_POINT
+        | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+    )  # fmt: skip
+    _, found, lens, _, _ = cv2.calibrateCamera(
+        [_points(board, views[i]) for i in picked],
+        [_image_points(views[i]) for i in picked],
+        image_size,
+        matrix.copy(),
+        np.zeros(5),
+        flags=flags,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-6),
+    )
+    distortion = np.asarray(lens, dtype=float).ravel()[:5]
+    if _is_plausible_focal(found[0, 0], image_size) and abs(distortion[0]) < 1.0:
+        matrix = np.asarray(found, dtype=float)
+    else:
+        distortion = np.zeros(5)
+    poses = {i: board_pose(view, board, matrix, distortion) for i, view in views.items()}
+    return InitialLens(matrix, distortion, poses)
+
+
+def _closed_form(views: dict[int, BoardView], board: Board, image_size: tuple[int, int]) -> Array:
+    width, height = image_size
+    points = [_points(board, v) for v in views.values()]
+    seen = [_image_points(v) for v in views.values()]
+    guess = np.asarray(cv2.initCameraMatrix2D(points, seen, image_size, 1.0), dtype=float)
+    focal = guess[0, 0] if _is_plausible_focal(guess[0, 0], image_size) else float(max(image_size))
+    return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
+
+
+def _is_plausible_focal(focal: float, image_size: tuple[int, int]) -> bool:
+    low, high = (f * max(image_size) for f in FOCAL_RANGE)
+    return bool(np.isfinite(focal) and low < focal < high)
+
+
+def _points(board: Board, view: BoardView) -> NDArray[np.float32]:
+    return board.points[view.corner].astype(np.float32)
+
+
+def _image_points(view: BoardView) -> NDArray[np.float32]:
+    return view.centre.astype(np.float32).reshape(-1, 1, 2)
+
+
+def board_pose(view: BoardView, board: Board, matrix: Array, distortion: Array) -> Array:
+    """Place a board before a camera, camera_T_board (4, 4)."""
+    _, turn, shift = cv2.solvePnP(
+        board.points[view.corner], view.centre.reshape(-1, 1, 2), matrix, distortion
+    )
+    pose = np.eye(4)
+    pose[:3, :3] = cv2.Rodrigues(turn)[0]
+    pose[:3, 3] = shift.ravel()
+    return pose
+
+
+def foreign_views(views: dict[int, BoardView], board: Board) -> tuple[int, ...]:
+    """Tell the views whose corners lie on no board, by a plane's picture that they should be.
+
+    A lens bends all views alike, so one is foreign that misses by far more than the others do.
+    Medians within a view, so that a bad corner or two accuse nobody.
+    """
+    if len(views) < MIN_VIEWS:
+        return ()
+    miss = {}
+    for i, view in views.items():
+        flat = board.points[view.corner, :2]
+        plane, _ = cv2.findHomography(flat, view.centre, 0)
+        if plane is None:
+            miss[i] = float("inf")
+            continue
+        predicted = cv2.perspectiveTransform(flat[:, None], plane)[:, 0]
+        miss[i] = float(np.median(np.linalg.norm(predicted - view.centre, axis=1)))
+    usual = float(np.median(list(miss.values())))
+    return tuple(
+        i for i, m in miss.items() if m > max(FOREIGN_MISFIT_PX, FOREIGN_MISFIT_RATIO * usual)
+    )
+
+
+def start_state(
+    lenses: Sequence[InitialLens],
+    relation: CameraRelation,
+    pan: Array,
+    pairs: Sequence[int],
+    bases: Sequence[str],
+) -> BundleState:
+    """Compose the start values: ideal bases, boards as the left camera saw them where it did."""
+    cameras = []
+    for side, (lens, axis) in enumerate(zip(lenses, relation.axes, strict=True)):
+        mount = np.eye(4)
+        place = relation.left_T_right if side else np.eye(4)
+        angle = (
+            pan[0, side] if bases[side] == BASE_FIXED else 0.0
+        )  # a fixed base stands at its reading
+        back = Rotation.from_rotvec(-axis * angle).as_matrix()
+        mount[:3, :3] = back @ place[:3, :3]
+        cameras.append(Camera(lens.matrix, lens.distortion, place[:3, 3].copy(), axis, 0.0, mount))
+    boards = []
+    for i in pairs:
+        side = 0 if i in lenses[0].poses else 1
+        boards.append(cameras[side].rig_T_camera(pan[i, side]) @ lenses[side].poses[i])
+    return BundleState(cameras[0], cameras[1], np.array(boards), np.zeros((len(boards), 2)))

@@ -1,0 +1,217 @@
+"""Measure every session under some folders: tables, and a report on the fleet."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from verify.cli.options import JointTolerance, OrientationTolerance, PositionTolerance
+from verify.cli.terminal import terminal
+
+if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
+    from verify.fleet.batch.run import BatchProgress, BatchResult
+    from verify.fleet.batch.workers import WorkerPool
+    from verify.fleet.trends.assess import TrendRequest
+
+EXIT_SOME_FAILED = 4
+
+
+def batch(
+    folders: Annotated[
+        list[str], typer.Argument(help="Folders with sessions in them, or URLs such as s3://….")
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Where to; what is done there is not done again.")
+    ] = Path("fleet-report"),
+    tolerance: JointTolerance = None,
+    position_tolerance: PositionTolerance = None,
+    orientation_tolerance: OrientationTolerance = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes here; default: one a processor.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Let a Dask cluster do it: its scheduler's address.")
+    ] = None,
+    reports: Annotated[
+        bool, typer.Option("--reports", help="Write each session's own report as well.")
+    ] = False,
+    by: Annotated[
+        str, typer.Option(help="What tells arms apart: their robot, or robot and folder.")
+    ] = "robot",
+    since: Annotated[
+        str | None, typer.Option(help="Compare before and after a day: 2026-06-15.")
+    ] = None,
+    compare: Annotated[
+        tuple[str, str] | None, typer.Option(help="Compare the sessions below two folders.")
+    ] = None,
+) -> int:
+    """Measure every session under the folders: one table, one fleet report.
+
+    Exit status 0: all ran, all conform where a verdict was asked for; 1: some do not conform; 2:
+    none could be measured; 3: some are undecided; 4: some failed, none of the others is 1 or 3.
+
+    Example: verify batch sample_sessions -o fleet-report
+    """
+    from verify.fleet.batch import workers as batch_workers
+
+    if scheduler is None:
+        batch_workers.prepare()
+    from verify.cli.options import Asked
+    from verify.fleet.batch.finding import find_sessions
+    from verify.fleet.batch.records import BatchOptions
+    from verify.fleet.batch.run import measure_all
+    from verify.fleet.batch.store import require_writable
+    from verify.fleet.trends.assess import require_folders
+
+    asked = Asked(tolerance, position_tolerance, orientation_tolerance)
+    questions = _trend_request(by, since, compare)
+    found, failures = find_sessions(folders, out)
+    require_folders([one.session for one in found], questions)
+    require_writable(out)
+    crew = _worker_pool(workers, scheduler)
+    try:
+        with _ProgressDisplay() as watch:
+            done = measure_all(found, failures, out, BatchOptions(asked, _version()), crew, watch)
+    finally:
+        crew.close()
+    if reports:
+        _session_reports(done, workers)
+    return _finish(done, out, questions)
+
+
+def _version() -> str:
+    from verify.core.version import __version__
+
+    return __version__
+
+
+def _trend_request(by: str, since: str | None, compare: tuple[str, str] | None) -> "TrendRequest":
+    from datetime import date
+
+    from verify.errors import InputError
+    from verify.fleet.trends.assess import ARM_GROUPINGS, TrendRequest
+
+    if by not in ARM_GROUPINGS:
+        raise InputError("--by", f'"{by}" was given', f"{' or '.join(ARM_GROUPINGS)} is expected")
+    try:
+        day = None if since is None else date.fromisoformat(since)
+    except ValueError:
+        raise InputError(
+            "--since", f'"{since}" is no day', "year, month and day are expected",
+            "Example: 2026-06-15",
+        ) from None  # fmt: skip
+    return TrendRequest(by, day, compare)
+
+
+def _worker_pool(workers: int | None, scheduler: str | None) -> "WorkerPool":
+    from verify.errors import InputError
+    from verify.fleet.batch.cluster import Cluster
+    from verify.fleet.batch.workers import ProcessPool, available_cpus
+
+    if scheduler is None:
+        return ProcessPool(workers or available_cpus())
+    if workers is not None:
+        raise InputError("--workers", "was given with --scheduler", "a cluster has its own workers")
+    cluster = Cluster(scheduler)
+    if cluster.page is not None:
+        terminal.say(f"Dask's own page: {cluster.page}")
+    return cluster
+
+
+class _ProgressDisplay:
+    """Shows a batch's progress, and says at once what failed or is done again."""
+
+    def __init__(self) -> None:
+        self._bar = terminal.progress("sessions")
+        self._failures = self._again = 0
+
+    def __enter__(self) -> "_ProgressDisplay":
+        self._counter = self._bar.__enter__()
+        return self
+
+    def __exit__(self, *problem: Any) -> None:
+        self._bar.__exit__(*problem)
+
+    def __call__(self, progress: "BatchProgress") -> None:
+        for failure in progress.failures[self._failures :]:
+            terminal.warn(f"failed: {failure.why}")
+        for line in progress.again[self._again :]:
+            terminal.say(f"Again: {line}")
+        self._failures, self._again = len(progress.failures), len(progress.again)
+        rate, left = progress.pairs_a_second, progress.time_left
+        self._counter(progress.done, progress.sessions, _note(progress, rate, left))
+        terminal.record(
+            {
+                "type": "progress",
+                "sessions": progress.sessions,
+                "done": progress.done,
+                "kept": progress.kept,
+                "failures": len(progress.failures),
+                "pairs_per_s": rate,
+                "time_left_s": left,
+            }
+        )
+
+
+def _note(progress: "BatchProgress", rate: float | None, left: float | None) -> str:
+    parts = [] if rate is None else [f"{rate:.1f} pairs/s"]
+    if left is not None and progress.done < progress.sessions:
+        parts.append(f"{left / 60:.0f} min left" if left >= 90 else f"{left:.0f} s left")
+    if progress.failures:
+        parts.append(f"{len(progress.failures)} failed")
+    return ", ".join(parts)
+
+
+def _session_reports(done: "BatchResult", workers: int | None) -> None:
+    from verify.fleet.batch.run import report_all
+    from verify.fleet.batch.workers import ProcessPool, available_cpus
+
+    crew = ProcessPool(workers or available_cpus())
+    try:
+        with terminal.progress("reports") as counter:
+            report_all(done, crew, counter)
+    finally:
+        crew.close()
+
+
+def _finish(done: "BatchResult", out: Path, questions: "TrendRequest") -> int:
+    """Write the tables and the fleet report; tell how it ended."""
+    import pandas as pd
+
+    import reports
+    from verify.errors import InputError
+    from verify.fleet.batch.run import write_tables
+    from verify.fleet.trends.assess import assess
+    from verify.io.files import write_folder_whole
+    from verify.io.results import RESULTS
+
+    with write_folder_whole(out, force=True) as folder:
+        write_tables(done, folder)
+        if done.kept:
+            sessions = pd.read_parquet(folder / "sessions.parquet")
+            failures = pd.read_csv(folder / "failures.csv", keep_default_na=False)
+            reported = [s for s, place in done.kept if (place / "report.html").exists()]
+            results = assess(sessions, failures, questions, reported)
+            reports.write(results, folder / RESULTS)
+            (folder / "fleet.html").write_text(reports.render_html(results), encoding="utf-8")
+            (folder / "fleet.pdf").write_bytes(reports.render_pdf(results))
+    if not done.kept:
+        found = f"none of its {len(done.failures)} sessions could be measured"
+        raise InputError(out / "failures.csv", found, "", "It says why, session by session.")
+    verdicts = set(sessions["verdict"].dropna())
+    _print_summary(done, out, results.summary)
+    if "nonconform" in verdicts:
+        return 1
+    if "undecided" in verdicts:
+        return 3
+    return EXIT_SOME_FAILED if done.failures else 0
+
+
+def _print_summary(done: "BatchResult", out: Path, summary: dict[str, Any]) -> None:
+    progress = done.progress
+    terminal.say(
+        f"{progress.measured} sessions measured, {progress.kept} kept from before, "
+        f"{len(done.failures)} failed"
+    )
+    terminal.say(f"Report: {out / 'fleet.html'} and {out / 'fleet.pdf'}")
+    terminal.record({"type": "result", "out": str(out), "summary": summary})

@@ -1,0 +1,278 @@
+"""A rig from pictures of a board, a robot in the rig, and whether both still hold."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from verify.cli.options import PageAddress, PagePort, PageToken
+from verify.cli.terminal import terminal
+from verify.live.page.access import DEFAULT_PORT, LOOPBACK
+
+if TYPE_CHECKING:  # imported when a command runs: `--help` answers at once
+    from verify.calibration.stereo.records import Calibration
+
+calibrate = typer.Typer(
+    name="calibrate",
+    help="Calibrate the rig, register the robot in it, check that both still hold.",
+    rich_markup_mode=None,
+)
+
+EXIT_CHECK_FAILED = 1
+Corners = Annotated[
+    str | None, typer.Option(help="Inner corners of the board, instead of board.toml: 9x7.")
+]
+SquareMm = Annotated[
+    float | None, typer.Option(help="Edge of a square, mm, instead of board.toml.")
+]
+RigOut = Annotated[Path, typer.Option("-o", "--out", help="The rig file to write.")]
+ReportOut = Annotated[Path | None, typer.Option("--report", help="Folder of the report.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
+
+
+@calibrate.command()
+def boards(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            help="Pictures of a board: left/ and right/, or two videos; with --live a station file."
+        ),
+    ],
+    out: RigOut = Path("rig.toml"),
+    report: ReportOut = None,
+    corners: Corners = None,
+    square_mm: SquareMm = None,
+    square_uncertainty_mm: Annotated[
+        float | None, typer.Option(help="Standard uncertainty of that edge, mm.")
+    ] = None,
+    board: Annotated[
+        Path | None, typer.Option(help="Another board.toml than the one with the pictures.")
+    ] = None,
+    force: Force = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Take the pictures now, by a station's cameras.")
+    ] = False,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Live: their folder; default: boards-DATE-TIME, here.")
+    ] = None,
+    enough: Annotated[
+        int | None, typer.Option("--pairs", min=3, help="Live: finish after so many pairs.")
+    ] = None,
+    page: Annotated[bool, typer.Option("--page", help="Live: serve a page.")] = False,
+    page_port: PagePort = DEFAULT_PORT,
+    page_address: PageAddress = LOOPBACK,
+    page_token: PageToken = None,
+) -> None:
+    """Calibrate both cameras and their turning bases from pictures of a board.
+
+    Writes the rig file and a report, by default in NAME-calibration, NAME the folder's. With --live
+    the pictures are taken first: each when the board is still and stands otherwise than before.
+
+    Example: verify calibrate boards tuesday_boards -o rig.toml
+    """
+    import numpy as np
+
+    from verify.calibration.corners.folder import find_boards, middle_pair
+    from verify.calibration.quality.results import calibration_results
+    from verify.calibration.stereo.calibrate import calibrate as adjust
+    from verify.cli.calibrate_live import (
+        BoardRunOptions,
+        board_of,
+        pictures_folder,
+        refuse_without_live,
+        take_pictures,
+    )
+    from verify.cli.calibrate_work import board_from_options, error_in_folder
+    from verify.cli.watch import PageOptions
+    from verify.io import rig as io_rig
+    from verify.io.board_folder import open_board_folder
+    from verify.io.files import written_together
+    from verify.io.results import refuse_existing, refuse_file, write_report_folder
+    from verify.live.boards.pictures import complete_pairs
+
+    station, folder = folder, pictures_folder(pictures) if live else folder
+    target = report if report is not None else Path(f"{folder.resolve().name}-calibration")
+    refuse_file(out, force=force)
+    refuse_existing(target, force=force)
+    known = board_of(board_from_options(corners, square_mm, square_uncertainty_mm), board)
+    if live:
+        wish = PageOptions(page_port, page_address, page_token) if page else None
+        take_pictures(station, folder, BoardRunOptions(known, enough, wish))
+    else:
+        live_only = {"--pictures": pictures is not None, "--pairs": enough is not None}
+        refuse_without_live(folder, live_only | {"--page": page})
+        complete_pairs(folder)
+    opened = open_board_folder(folder, known)
+    for warning in opened.warnings:
+        terminal.warn(warning)
+    with terminal.progress("pairs searched for the board") as progress:
+        pairs = find_boards(opened, progress)
+    with (
+        terminal.progress("stages of the adjustment") as progress,
+        error_in_folder(folder, opened.doubtful_pan),
+    ):
+        found = adjust(pairs, opened.board, opened.image_size, progress=progress)
+    shown = middle_pair(opened, found.frames.tolist())
+    pan = np.stack([opened.pan_left, opened.pan_right], axis=1)
+    made = calibration_results(
+        found,
+        pan=pan[found.frames],
+        picture=(shown.left, shown.right),
+        picture_pan=pan[shown.frame],
+        names={frame: opened.name(frame) for frame in found.frames.tolist()},
+        source=folder.resolve().name,
+        inputs=opened.inputs,
+        warnings=opened.warnings,
+    )
+    with written_together(out):
+        io_rig.write(out, found.rig)
+        write_report_folder(made, target, force=force)
+    _print_calibration(found, out, target)
+
+
+def _print_calibration(found: "Calibration", out: Path, target: Path) -> None:
+    import numpy as np
+
+    used = found.residuals.used
+    rms = float(np.sqrt(np.mean(np.sum(found.residuals.residual[used] ** 2, axis=1))))
+    terminal.say(f"{len(found.frames)} pairs, {int(used.sum())} corners, {rms:.3f} px rms.")
+    for sentence in found.decisions:
+        terminal.say(f"  {sentence}")
+    terminal.say(f"Rig: {out}; report: {target / 'report.html'} and {target / 'report.pdf'}")
+    terminal.record(
+        {
+            "type": "result",
+            "out": str(out),
+            "report": str(target),
+            "pairs": len(found.frames),
+            "rms_px": rms,
+            "decisions": list(found.decisions),
+        }
+    )
+
+
+@calibrate.command()
+def register(
+    session: Annotated[
+        Path,
+        typer.Argument(help="A recorded motion; with --board-in-base, pictures of that board."),
+    ],
+    out: RigOut = Path("rig.toml"),
+    marker: Annotated[
+        Path | None, typer.Option(help="The marker file to write; default: marker.toml.")
+    ] = None,
+    rig: Annotated[
+        Path | None, typer.Option(help="The calibrated rig, instead of the session's own.")
+    ] = None,
+    board_in_base: Annotated[
+        Path | None, typer.Option(help="A file that says where the board sits on the robot's base.")
+    ] = None,
+    leds: Annotated[
+        int | None, typer.Option(min=3, help="How many LEDs there are; else it is found out.")
+    ] = None,
+    known_marker: Annotated[
+        Path | None, typer.Option(help="A marker.toml whose names, or places, are to be kept.")
+    ] = None,
+    keep_base: Annotated[
+        bool, typer.Option("--keep-base", help="Keep the rig's robot base, fit the LEDs alone.")
+    ] = False,
+    keep_leds: Annotated[
+        bool, typer.Option("--keep-leds", help="Keep the known marker, fit the base alone.")
+    ] = False,
+    sweeps: Annotated[
+        bool,
+        typer.Option("--sweeps", help="Also compare each swept joint's axis with the DH table."),
+    ] = False,
+    corners: Corners = None,
+    square_mm: SquareMm = None,
+    report: ReportOut = None,
+    force: Force = False,
+) -> None:
+    """Find where the robot stands in the rig and where the LEDs sit on its flange.
+
+    From a motion it goes through the robot's own encoders, which hides part of their faults: how
+    much, joint by joint, is printed. A board at a known place on the base hides nothing.
+
+    Example: verify calibrate register my_session --rig rig.toml -o registered.toml
+    """
+    from verify.cli import calibrate_work
+    from verify.io.results import refuse_existing, refuse_file
+
+    fixture = board_in_base is not None
+    calibrate_work.refuse_contradictions(
+        fixture=fixture,
+        motion_only={
+            "--marker": marker is not None, "--leds": leds is not None,
+            "--known-marker": known_marker is not None, "--keep-base": keep_base,
+            "--keep-leds": keep_leds, "--sweeps": sweeps,
+        },
+        fixture_only={"--corners": corners is not None, "--square-mm": square_mm is not None},
+    )  # fmt: skip
+    marker_out = marker if marker is not None else Path("marker.toml")
+    target = report if report is not None else Path(f"{session.resolve().name}-registration")
+    refuse_file(out, force=force)
+    if not fixture:
+        refuse_file(marker_out, force=force)
+        calibrate_work.refuse_one_file(out, marker_out)
+    refuse_existing(target, force=force)
+    if board_in_base is not None:
+        calibrate_work.register_by_fixture(
+            session, board_in_base, rig, calibrate_work.board_from_options(corners, square_mm, None),
+            out, target, force=force,
+        )  # fmt: skip
+        return
+    calibrate_work.register_by_motion(
+        session,
+        rig,
+        calibrate_work.RegistrationOptions(leds, known_marker, keep_base, keep_leds, sweeps),
+        (out, marker_out, target),
+        force=force,
+    )
+
+
+@calibrate.command()
+def check(
+    source: Annotated[
+        Path, typer.Argument(help="A recorded session, or pictures of a board (one pair will do).")
+    ],
+    rig: Annotated[
+        Path | None, typer.Option(help="The rig to check, instead of the session's own.")
+    ] = None,
+    length_mm: Annotated[
+        float | None, typer.Option(help="Known distance of two LEDs on a bar, mm.")
+    ] = None,
+    length_uncertainty_mm: Annotated[
+        float | None, typer.Option(help="Standard uncertainty of that distance, mm.")
+    ] = None,
+    corners: Corners = None,
+    square_mm: SquareMm = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder of the report; none unless given.")
+    ] = None,
+    force: Force = False,
+) -> int:
+    """Say whether a calibration still holds, by known lengths measured anywhere in the volume.
+
+    Exit status 0: it holds; 1: it does not; 2: it could not be checked.
+
+    Example: verify calibrate check sample_sessions/quarter_circle_6r
+    """
+    from verify.cli import calibrate_work as cli_calibrate_work
+    from verify.io.results import refuse_existing
+
+    board = cli_calibrate_work.board_from_options(corners, square_mm, None)
+    if out is not None:
+        refuse_existing(out, force=force)
+    done = cli_calibrate_work.run_check(source, rig, length_mm, length_uncertainty_mm, board)
+    found = done.found
+    for warning in found.warnings:
+        terminal.warn(warning)
+    terminal.say("The calibration holds." if found.holds else "The calibration does not hold.")
+    for sentence in found.decisions:
+        terminal.say(f"  {sentence}")
+    record = {"type": "result", "verdict": found.verdict, "decisions": list(found.decisions)}
+    if out is not None:
+        cli_calibrate_work.write_check(done, out, force=force)
+        record["report"] = str(out)
+    terminal.record(record)
+    return 0 if found.holds else EXIT_CHECK_FAILED

@@ -1,0 +1,1 @@
+"""Verify grab, simulated and on a station."""

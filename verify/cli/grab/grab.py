@@ -1,0 +1,123 @@
+"""Track a coloured object with both cameras, and pick it up: `verify grab`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from verify.cli.options import PageAddress, PagePort, PageToken
+from verify.live.page.access import DEFAULT_PORT, LOOPBACK
+
+EXIT_NOT_GRASPED = 1
+DEFAULT_COLOUR = "blue"
+
+
+def grab(
+    station: Annotated[
+        Path | None,
+        typer.Argument(help="A station file: its cameras, and the MELFA controller it names."),
+    ] = None,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="The simulated cell: caps on a table, arm, cameras.")
+    ] = False,
+    target: Annotated[
+        str | None,
+        typer.Option(help="The object's colour: red, orange, yellow, green, cyan, blue, …"),
+    ] = None,
+    roi: Annotated[
+        str | None,
+        typer.Option(help="The object's box in the first left picture: x,y,w,h in pixels."),
+    ] = None,
+    execute: Annotated[
+        bool, typer.Option("--execute", help="Move. Without it the plan is shown and drawn.")
+    ] = False,
+    auto: Annotated[
+        bool, typer.Option("--auto", help="Grab once the object stands still; else on key g.")
+    ] = False,
+    stop_and_go: Annotated[
+        bool,
+        typer.Option("--stop-and-go", help="--sim: one move at a time, as MELFA takes them."),
+    ] = False,
+    turning: Annotated[
+        bool, typer.Option("--turning", help="--sim: the camera bases turn meanwhile.")
+    ] = False,
+    page: Annotated[
+        bool,
+        typer.Option("--page", help="Serve a page: pictures, state, plan; select, grab, stop."),
+    ] = False,
+    page_port: PagePort = DEFAULT_PORT,
+    page_address: PageAddress = LOOPBACK,
+    page_token: PageToken = None,
+    duration: Annotated[
+        str, typer.Option("--for", help="The longest it may take: 60s, 10m.")
+    ] = "60s",
+    cell: Annotated[
+        Path | None,
+        typer.Option(help="Station: the cell's grab.toml; default: beside the station file."),
+    ] = None,
+    gripper: Annotated[
+        str | None, typer.Option(help="Station: the gripper's port; needed with --execute.")
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, help="--sim: which cell is drawn: where caps stand, the light.")
+    ] = 0,
+    small: Annotated[
+        bool, typer.Option("--small", help="--sim: pictures of 640 x 360 instead of 1280 x 720.")
+    ] = False,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Where film, session and report go.")
+    ] = Path("grab-report"),
+    force: Annotated[
+        bool, typer.Option("--force", help="Write into a folder that exists.")
+    ] = False,
+) -> int:
+    """Track a coloured object with both cameras, follow it with the arm, and pick it up.
+
+    Nothing moves without --execute: the plan is shown and drawn, or why there is none. With it,
+    keys, each followed by Enter: g grabs, h holds, r resumes, u opens the fingers and goes up, q
+    ends. A station's robot moves only after its name and port were typed;
+    emulators need --execute alone.
+    With --page and neither --target nor --roi the object is selected on the page.
+    None of this replaces the emergency stop, the page's stop button included.
+
+    Exit status 0: lifted, or planned where nothing may move; 1: it ended in another state, which is
+    named; 2: could not run.
+
+    Example: verify grab --sim --execute --auto
+    """
+    if sim == (station is not None):
+        raise typer.BadParameter("give a station file, or --sim for the simulated cell")
+    if auto and not execute:
+        raise typer.BadParameter("--auto grabs, which --execute has to allow")
+    if stop_and_go and not execute:
+        raise typer.BadParameter("--stop-and-go moves, which --execute has to allow")
+    if target is not None and roi is not None:
+        raise typer.BadParameter("give --target or --roi, not both")
+    from verify.cli.grab.conduct import GraspOptions
+    from verify.cli.watch import PageOptions
+
+    colour = target if target is not None or roi is not None or page else DEFAULT_COLOUR
+    shown = PageOptions(page_port, page_address, page_token) if page else None
+    wish = GraspOptions(colour, roi, execute, auto, duration, shown)
+    if station is not None:
+        if seed or small or stop_and_go or turning:
+            said = "--seed, --small, --stop-and-go and --turning are for --sim"
+            raise typer.BadParameter(said)
+        from verify.cli.grab.station import ActuatorPorts, grab_on_station
+
+        good = grab_on_station(station, ActuatorPorts(cell, gripper), wish, out, force=force)
+    else:
+        if cell is not None or gripper is not None:
+            raise typer.BadParameter("--cell and --gripper are for a station")
+        from verify.cli.grab.simulated import grab_simulated
+
+        good = grab_simulated(
+            wish,
+            out,
+            seed=seed,
+            small=small,
+            stop_and_go=stop_and_go,
+            turning=turning,
+            force=force,
+        )
+    return 0 if good else EXIT_NOT_GRASPED

@@ -1,0 +1,303 @@
+"""Identify an arm's own parameters from sessions.
+
+What `verify identify` does: sessions in, the corrected arm and its report out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from reports import Results
+from verify.analysis.instrument import BODY_SOURCE
+from verify.calibration.kinematics.chain import chain_of
+from verify.calibration.kinematics.fit import pose_residuals
+from verify.calibration.kinematics.identify import (
+    IdentificationOptions,
+    IdentificationResult,
+    identify_arm,
+    register,
+)
+from verify.calibration.kinematics.results import (
+    IdentificationProvenance,
+    ValidationSessions,
+    identification_results,
+)
+from verify.calibration.kinematics.robot_file import CorrectionProvenance, encode_robot
+from verify.calibration.kinematics.sessions import (
+    CombinedPoses,
+    SessionPoses,
+    deflate_repetition,
+    gather_sessions,
+    require_one_arm,
+    session_to_poses,
+)
+from verify.cli.terminal import terminal
+from verify.core.version import __version__
+from verify.errors import InputError
+from verify.io.files import write_folder_whole
+from verify.io.results import refuse_existing, write_report_folder
+from verify.io.session.session import Session, open_session
+
+
+class ModelChoice(StrEnum):
+    """How much of the arm is freed."""
+
+    auto = "auto"
+    offsets = "offsets"
+    geometry = "geometry"
+
+
+class PlacementChoice(StrEnum):
+    """What becomes of a base or an LED body's place."""
+
+    auto = "auto"
+    free = "free"
+    held = "held"
+
+
+def identify(
+    sessions: Annotated[list[Path], typer.Argument(help="Session folders, all of one arm.")],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Where the results go; NAME-identification.")
+    ] = None,
+    model: Annotated[
+        ModelChoice,
+        typer.Option(help="What is freed; auto: offsets or geometry, as the data call for."),
+    ] = ModelChoice.auto,
+    base: Annotated[
+        PlacementChoice,
+        typer.Option(help="The robot's place; auto: free where found through its encoders."),
+    ] = PlacementChoice.auto,
+    leds: Annotated[
+        PlacementChoice, typer.Option(help="The LEDs' place on the flange; likewise.")
+    ] = (PlacementChoice.auto),
+    splits: Annotated[
+        int, typer.Option(min=1, max=100, help="Random splits of the hold-out.")
+    ] = 10,
+    share: Annotated[
+        float, typer.Option(min=0.05, max=0.9, help="Share of the poses held out in each.")
+    ] = 0.3,
+    judge: Annotated[
+        list[Path] | None,
+        typer.Option(help="A session that judges the arm, and is not identified from; repeatable."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+) -> None:
+    """Identify an arm's offsets, lengths and twists, and write the corrected arm.
+
+    Says which parameters the sessions support, how sure they are, and what each of the others is
+    confounded with; judged on poses that were held out.
+
+    Example: verify identify monday tuesday -o arm_identified
+    """
+    from verify.calibration.kinematics.identify import IdentificationOptions
+
+    def free(place: PlacementChoice) -> bool | None:
+        return None if place is PlacementChoice.auto else place is PlacementChoice.free
+
+    wish = IdentificationOptions(
+        level=None if model is ModelChoice.auto else model.value, splits=splits, share=share,
+    )  # fmt: skip
+    identify_sessions(sessions, out, wish, free(base), free(leds), judges=judge or (), force=force)
+
+
+MIN_POSES = 6  # poses of a base and a tool: fewer determine neither, and nothing could be held out
+
+
+def identify_sessions(
+    folders: Sequence[Path],
+    out: Path | None,
+    wish: IdentificationOptions,
+    free_base: bool | None,
+    free_tool: bool | None,
+    *,
+    judges: Sequence[Path] = (),
+    force: bool,
+) -> None:
+    """Identify the arm of some sessions; write its robot file, parameters.csv and the reports.
+
+    Args:
+        folders: the sessions.
+        out: where the results go; None: NAME-identification in the current folder.
+        wish: model and hold-out.
+        free_base: None: free where a rig says that it was found through the encoders.
+        free_tool: likewise, of the LEDs.
+        judges: sessions that the identified arm is judged by, and not identified from.
+        force: write into a folder that is not empty.
+
+    Raises:
+        InputError: a session cannot be used, they are of different arms, or `out` is not vacant.
+    """
+    opened = [open_session(folder) for folder in folders]
+    others = [open_session(folder) for folder in judges]
+    require_one_arm([*opened, *others])
+    target = out if out is not None else Path(f"{opened[0].name}-identification")
+    refuse_existing(target, force=force)
+    gathered, judging = _combine_poses(opened), _combine_poses(others) if others else None
+    if judging is not None and judging.poses.position_only != gathered.poses.position_only:
+        raise InputError(
+            others[0].folder, "does not hold what the arm is identified from",
+            "poses are judged by poses, positions by positions", "Give another --judge.",
+        )  # fmt: skip
+    wish = replace(
+        wish,
+        free_base=gathered.free_base if free_base is None else free_base,
+        free_tool=gathered.free_tool if free_tool is None else free_tool,
+    )
+    gathered, found = _identify_twice(gathered, wish)
+    origin = _identification_provenance(gathered, wish, found.chosen.name)
+    name, content = encode_robot(
+        origin.arm, found.chain, _correction_provenance(found, origin),
+        offsets_only=found.chosen.name != "geometry",
+    )  # fmt: skip
+    judged = None if judging is None else _validate(judging, found, wish)
+    made = identification_results(found, gathered.poses, origin, name, judged)
+    for warning in origin.warnings:
+        terminal.warn(warning)
+    table = made.tables["parameters"].to_csv(index=False, lineterminator="\n")
+    with write_folder_whole(target, force) as folder:
+        write_report_folder(made, folder, force=True)
+        (folder / name).write_bytes(content)
+        (folder / "parameters.csv").write_text(table, encoding="utf-8")
+    _print_summary(made, target)
+
+
+def _combine_poses(sessions: Sequence[Session]) -> CombinedPoses:
+    seen = []
+    for session in sessions:
+        with terminal.progress(f"pairs of {session.name}") as progress:
+            seen.append(session_to_poses(session, progress))
+    gathered = gather_sessions(seen)
+    places = gathered.poses.base * (int(gathered.poses.tool.max()) + 1) + gathered.poses.tool
+    count = np.bincount(places)[np.unique(places)]
+    if count.min() < MIN_POSES:
+        raise InputError(
+            sessions[0].folder, f"{count.min()} poses with readings",
+            f"{MIN_POSES} or more are needed of each placing of robot and LEDs",
+            "Record a longer session.",
+        )  # fmt: skip
+    return gathered
+
+
+def _validate(
+    judging: CombinedPoses, found: IdentificationResult, wish: IdentificationOptions
+) -> ValidationSessions:
+    """Register other sessions anew, with the arm as its file has it and with the identified one."""
+    rows, arm = judging.poses, chain_of(judging.seen[0].session.arm)
+    left = []
+    for chain in (arm, found.chain):
+        known = None if wish.free_base and wish.free_tool else judging.state(chain)
+        left.append(pose_residuals(register(chain, rows, wish, known).state, rows))
+    return ValidationSessions([seen.session.name for seen in judging.seen], *left)
+
+
+def _identify_twice(
+    gathered: CombinedPoses, wish: IdentificationOptions
+) -> tuple[CombinedPoses, IdentificationResult]:
+    """Identify, and again with pairs that repeat each other's errors counting for fewer."""
+    chain = chain_of(gathered.seen[0].session.arm)
+    # where both are sought anew, nobody needs to have stated them, not even roughly
+    known = None if wish.free_base and wish.free_tool else gathered.state(chain)
+    first = identify_arm(chain, gathered.poses, replace(wish, splits=0), known)
+    fewer = deflate_repetition(gathered, first)
+    return fewer, identify_arm(chain, fewer.poses, wish, known)
+
+
+def _identification_provenance(
+    gathered: CombinedPoses, wish: IdentificationOptions, level: str
+) -> IdentificationProvenance:
+    sessions = [seen.session for seen in gathered.seen]
+    several = len(sessions) > 1
+    inputs = {
+        f"{session.name}/{path}" if several else path: digest
+        for session in sessions
+        for path, digest in session.inputs.items()
+    }
+    return IdentificationProvenance(
+        arm=sessions[0].arm,
+        names=[session.name for session in sessions],
+        source=gathered.source,
+        frame=gathered.frame,
+        free_base=wish.free_base,
+        free_tool=wish.free_tool,
+        description=sessions[0].description if not several else "",
+        inputs=inputs,
+        warnings=tuple(dict.fromkeys(_warnings(gathered.seen, wish, level))),
+    )
+
+
+def _warnings(seen: Sequence[SessionPoses], wish: IdentificationOptions, level: str) -> list[str]:
+    said = [warning for one in seen for warning in one.session.warnings]
+    hidden = {
+        "robot base": wish.free_base,
+        "LED body": wish.free_tool,
+        BODY_SOURCE: wish.free_tool,
+        "robot table": level == "geometry",
+    }
+    exact = [source for one in seen for source in one.uncounted if not hidden.get(source, False)]
+    if exact:
+        said.append(
+            f"No uncertainty is stated for {', '.join(dict.fromkeys(exact))}: taken as exact; the "
+            "uncertainties hold on that condition."
+        )
+    return said
+
+
+def _correction_provenance(
+    found: IdentificationResult, origin: IdentificationProvenance
+) -> CorrectionProvenance:
+    level = found.chosen
+    used = int(level.fit.used.sum())
+    what = f"{len(level.fit.parameters)} parameters from {used} poses"
+    sentences = [
+        f"Identified by verify {__version__} from {', '.join(origin.names)}: {what}.",
+        f"Before: {origin.arm.name}, sha256:{origin.arm.fingerprint}.",
+    ]
+    if level.held_out is not None:
+        mean = level.held_out.position[0] * 1e3
+        sentences.append(f"Mean position residual on poses held out: {mean:.3f} mm.")
+    return CorrectionProvenance(sentences, dict(sorted(origin.inputs.items())))
+
+
+def _print_summary(made: Results, target: Path) -> None:
+    summary = made.summary
+    used = summary["poses"]["used"]
+    terminal.say(
+        f"{summary['identified']} parameters identified ({summary['level']}) from {used} poses; "
+        f"{summary['rank']} of {summary['candidates']} can be told apart"
+    )
+    for joint in summary["offsets"]:
+        terminal.say(_joint_line(joint))
+    for level in summary["levels"]:
+        held = level["held_out"]
+        if held is not None:
+            terminal.say(f"  held out, {level['name']}: {held['mean_mm']:.3f} mm mean")
+    if summary["judged"] is not None:
+        before, after = (summary["judged"][key]["mean_mm"] for key in ("before", "after"))
+        terminal.say(
+            f"  {summary['judged']['path']}: {before:.3f} mm mean, identified {after:.3f} mm"
+        )
+    outlying = len(summary["poses"]["outlying"])
+    if outlying:
+        said = "pose does" if outlying == 1 else "poses do"
+        terminal.warn(f"{outlying} {said} not belong to the others: left out of the fit, listed")
+    terminal.say(
+        f"Written: {target / summary['robot_file']}; report: {target / 'report.html'} and "
+        f"{target / 'report.pdf'}"
+    )
+    terminal.record({"type": "result", "out": str(target), "summary": summary})
+
+
+def _joint_line(joint: dict[str, float | None]) -> str:
+    add, u = joint["add_to_reading_deg"], joint["standard_uncertainty_deg"]
+    if add is None or u is None:
+        return f"  joint {joint['joint']}: offset not identified"
+    return (
+        f"  joint {joint['joint']}: encoder less measured {-add:+.3f}° ± {2 * u:.3f}° (k = 2); "
+        f"add {add:+.3f}° to the reading"
+    )

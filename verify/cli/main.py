@@ -1,0 +1,113 @@
+"""The command line: `verify COMMAND …`. Known errors take one line, unknown ones a traceback."""
+
+import errno
+import os
+import signal
+import sys
+import traceback
+
+import typer
+
+# matrices here are small: a second BLAS thread costs more than it brings, and takes the core
+# that decodes; numpy reads this when it is first imported, which the commands do later
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from verify.cli.batch import batch
+from verify.cli.board import board
+from verify.cli.calibrate import calibrate
+from verify.cli.doctor import doctor
+from verify.cli.emulate import emulate
+from verify.cli.grab.grab import grab
+from verify.cli.identify import identify
+from verify.cli.plan import plan
+from verify.cli.report import report
+from verify.cli.robots import robots
+from verify.cli.run import run
+from verify.cli.simulate import simulate
+from verify.cli.terminal import terminal
+from verify.errors import InputError, one_line
+
+# typer brings its own copy of click or uses the installed one, depending on its version; either
+# way what it raises on wrong usage is the base of its BadParameter
+WrongUsage: type[Exception] = next(
+    c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException"
+)
+BAD_INPUT = 2
+INTERRUPTED = 130
+DEFECT = 70  # EX_SOFTWARE of sysexits.h
+
+GLOBAL_OPTIONS_HELP = (
+    "With every command: --quiet, --verbose, --json (one object a line on standard output), "
+    "--version."
+)
+app = typer.Typer(
+    name="verify",
+    help="Is my robot where it says it is? Two cameras and a few LEDs check an arm's encoders.",
+    epilog=GLOBAL_OPTIONS_HELP,
+    add_completion=False,
+    pretty_exceptions_enable=False,  # an unknown error shows Python's own traceback
+    rich_markup_mode=None,
+)
+for command in (run, batch, identify, plan, grab, report, board, simulate, robots, emulate, doctor):
+    app.command(epilog=GLOBAL_OPTIONS_HELP)(command)
+app.add_typer(calibrate, name="calibrate", epilog=GLOBAL_OPTIONS_HELP)
+
+
+@app.callback()
+def _verify() -> None:
+    """Is my robot where it says it is? Two cameras and a few LEDs check an arm's encoders."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with docs/results.md's status."""
+    words = _global_flags(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    signal.signal(signal.SIGTERM, _interrupt)  # a polite kill leaves nothing half-written either
+    sys.exit(_status(words))
+
+
+def _interrupt(_signal: int, _frame: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _status(words: list[str]) -> int:
+    try:
+        outcome = app(words, prog_name="verify", standalone_mode=False)
+    except InputError as problem:
+        return _refuse(str(problem))
+    except WrongUsage as problem:
+        said = str(getattr(problem, "format_message", problem.__str__)())
+        return _refuse(f"{said}{'' if said[-1:] in '.?!' else '.'} See `verify --help`.")
+    except (KeyboardInterrupt, typer.Abort):  # older typer; newer ones give back the status
+        outcome = INTERRUPTED
+    except OSError as problem:
+        if problem.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
+            traceback.print_exc()
+            return DEFECT
+        return _refuse(f"{problem.filename or 'output'}: {problem.strerror}.")
+    except Exception:  # a defect of ours must not pass for "does not conform", which is 1
+        traceback.print_exc()
+        return DEFECT
+    if outcome == INTERRUPTED:
+        sys.stderr.write("interrupted\n")
+    return outcome if isinstance(outcome, int) else 0
+
+
+def _refuse(message: str) -> int:
+    sys.stderr.write(f"error: {one_line(message)}\n")
+    return BAD_INPUT
+
+
+def _global_flags(words: list[str]) -> list[str]:
+    """Take the flags that work everywhere out of the command line."""
+    end = words.index("--") if "--" in words else len(words)
+    flags, rest = words[:end], words[end:]
+    if "--version" in flags:
+        from verify.core.version import __version__
+
+        sys.stdout.write(f"verify {__version__}\n")
+        sys.exit(0)
+    terminal.quiet = "--quiet" in flags
+    terminal.verbose = "--verbose" in flags
+    terminal.as_json = "--json" in flags
+    taken = {"--quiet", "--verbose", "--json"}
+    return [w for w in flags if w not in taken] + rest

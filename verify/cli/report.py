@@ -1,0 +1,49 @@
+"""Build the reports again from results on disk, as the user wants them to look."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from verify.cli.terminal import terminal
+
+
+def report(
+    out: Annotated[
+        Path, typer.Argument(help="What `verify run`, `calibrate`, `batch` or `grab` wrote.")
+    ],
+    logo: Annotated[
+        Path | None, typer.Option(help="A PNG or SVG for the top of the report.")
+    ] = None,
+    owner: Annotated[
+        str | None, typer.Option(help="A line for the top of the report: whose it is.")
+    ] = None,
+    template: Annotated[
+        Path | None,
+        typer.Option(help="A folder with report.html.j2, report.css or report.typ of your own."),
+    ] = None,
+) -> int:
+    """Build report.html and report.pdf again from the results on disk.
+
+    Example: verify report multi_joint_fault_6r-report --logo lab.svg
+    """
+    import reports
+    from verify.errors import InputError
+    from verify.io.files import write_whole
+    from verify.io.results import read_results
+
+    results = read_results(out)
+    try:
+        look = reports.look(logo=logo, owner=owner, templates=template)
+        page = reports.render_html(results, look).encode()
+        pages = reports.render_pdf(results, look)
+    except reports.ReportError as problem:
+        raise InputError(
+            problem.place, problem.found, problem.expected, problem.remedy
+        ) from problem
+    name = "fleet" if results.summary.get("kind") == "fleet" else "report"
+    write_whole(out / f"{name}.html", page)
+    write_whole(out / f"{name}.pdf", pages)
+    terminal.say(f"Report: {out / f'{name}.html'} and {out / f'{name}.pdf'}")
+    terminal.record({"type": "result", "out": str(out)})
+    return 0

@@ -1,0 +1,96 @@
+"""The arms that verify knows: their tables, limits and reach, and a check of their kinematics."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from verify.cli.terminal import terminal
+
+if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
+    import robots as arms
+
+TOL_KINEMATICS = 1e-9  # m and rad: beyond it closed form, forward kinematics and pinocchio disagree
+
+
+def robots(
+    name: Annotated[
+        str | None, typer.Argument(help="An arm's name, or the path of a robot file or URDF.")
+    ] = None,
+    poses: Annotated[int, typer.Option(min=1, help="Random poses of the self-check.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random poses.")] = 0,
+) -> int:
+    """List the arms, or show one: DH table, limits, reach, and a check of its kinematics.
+
+    Exit status 1 where closed form, forward kinematics and pinocchio disagree by more than 1e-9.
+
+    Example: verify robots iust_6r
+    """
+    import robots as arms
+    from verify.errors import InputError
+
+    if name is None:
+        for known in arms.names():
+            arm = arms.load(known)
+            terminal.say(f"{known:14} {arm.description}")
+            terminal.record({"type": "robot", "name": known, "description": arm.description})
+        return 0
+    try:
+        arm = arms.load(name)
+        terminal.say(_table(arm))
+        check = arms.self_check(arm, poses=poses, seed=seed)
+    except arms.RobotError as problem:
+        raise InputError(
+            problem.place, problem.found, problem.expected, problem.remedy
+        ) from problem
+    return _report(arm, check)
+
+
+def _table(arm: "arms.Arm") -> str:
+    import io
+
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    import robots as arms
+
+    dh = isinstance(arm, arms.DhArm)
+    heads = ["joint", *(["a mm", "d mm", "alpha deg", "sign", "offset deg"] if dh else [])]
+    table = Table(*heads, "lower deg", "upper deg", title=arm.name)
+    for j in range(arm.dof):
+        cells = [str(j + 1)]
+        if isinstance(arm, arms.DhArm):
+            figures = (arm.a[j] * 1e3, arm.d[j] * 1e3, np.rad2deg(arm.alpha[j]))
+            cells += [f"{v:g}" for v in (*figures, arm.sign[j], np.rad2deg(arm.offset[j]))]
+        elif isinstance(arm, arms.UrdfArm):
+            cells[0] += f" {arm.joint_names[j]}"
+        cells += [f"{np.rad2deg(v):g}" for v in (arm.lower[j], arm.upper[j])]
+        table.add_row(*cells)
+    text = io.StringIO()
+    Console(file=text, width=100).print(table)
+    reach = arms.reach(arm)
+    span = f"reach {reach.minimum * 1e3:.1f} to {reach.maximum * 1e3:.1f} mm, {reach.meaning}"
+    return f"{text.getvalue()}{span}\nsource: {arm.source}"
+
+
+def _report(arm: "arms.Arm", check: "arms.SelfCheck") -> int:
+    import math
+
+    figures = {
+        "inverse against forward kinematics, position, m": check.inverse_position,
+        "inverse against forward kinematics, rotation, rad": check.inverse_rotation,
+        "forward kinematics against pinocchio, position, m": check.pinocchio_position,
+        "forward kinematics against pinocchio, rotation, rad": check.pinocchio_rotation,
+        "Jacobian against pinocchio": check.pinocchio_jacobian,
+    }
+    terminal.say(f"worst disagreement over {check.poses} random poses:")
+    for what, figure in figures.items():
+        said = "does not apply" if math.isnan(figure) else f"{figure:.1e}"
+        terminal.say(f"  {what}: {said}")
+    terminal.detail(f"  Jacobian against differences: {check.difference_jacobian:.1e} (not judged)")
+    terminal.say(f"  poses whose own joints were not among the answers: {check.lost}")
+    known = {what: figure for what, figure in figures.items() if not math.isnan(figure)}
+    good = max(known.values(), default=0.0) <= TOL_KINEMATICS and check.lost == 0
+    terminal.say("self-check: " + ("sound" if good else f"FAILED, above {TOL_KINEMATICS:g}"))
+    terminal.record({"type": "robot", "name": arm.name, "self_check": known, "sound": good})
+    return 0 if good else 1

@@ -1,0 +1,72 @@
+"""Make a session with known truth and chosen faults, or board pictures for a calibration.
+
+Example: verify simulate multi_joint_fault_6r -o my_session
+"""
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from verify.cli.terminal import terminal
+
+
+def simulate(
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario file (TOML), or the name of a built-in scenario.")
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the result.")],
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Draw other numbers than the scenario's own seed.")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace files in a folder that is not empty.")
+    ] = False,
+) -> None:
+    """Make a session with known truth and chosen faults, or board pictures for a calibration.
+
+    Example: verify simulate multi_joint_fault_6r -o my_session
+    """
+    import msgspec
+
+    import robots
+    from verify.errors import InputError
+    from verify.io.files import write_folder_whole
+    from verify.simulation import library
+    from verify.simulation.boards import files
+    from verify.simulation.boards import simulate as boards_simulate
+    from verify.simulation.scenario import BoardScenario
+    from verify.simulation.session import folder
+    from verify.simulation.session import simulate as session_simulate
+
+    chosen = library.load(scenario)
+    if seed is not None:
+        chosen = msgspec.structs.replace(chosen, seed=seed)
+    with write_folder_whole(out, force) as place:
+        try:
+            if isinstance(chosen, BoardScenario):
+                made = boards_simulate.simulate_boards(chosen)
+                pairs, write = len(made), partial(files.write, made, place)
+            else:
+                session = session_simulate.simulate_session(chosen)
+                pairs, write = len(session), partial(folder.write_session, session, place)
+        except InputError as error:
+            raise InputError(
+                f"{scenario}, {error.place}", error.found, error.expected, error.remedy
+            ) from None
+        except robots.RobotError as error:
+            raise InputError(
+                f"{scenario}, robot: {error.place}", error.found, error.expected, error.remedy
+            ) from None
+        with terminal.progress("pictures") as progress:
+            done, total = 0, 2 * pairs
+
+            def one_more() -> None:
+                nonlocal done
+                done += 1
+                progress(done, total)
+
+            write(one_more)
+    terminal.say(f"{pairs} pairs in {out}")
+    terminal.record({"type": "result", "out": str(out), "pairs": pairs})

@@ -1,0 +1,279 @@
+"""`verify run` on a station: open its devices, watch, tell what is seen, record."""
+
+import gc
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+
+from verify.analysis.warm_up import warm_up_comparison
+from verify.cli.terminal import terminal
+from verify.core.processes import Helper
+from verify.errors import InputError
+from verify.io.session.keys import Tolerance
+from verify.live.alarms.joints import AlarmLimits
+from verify.live.clock import estimate_offset
+from verify.live.loop import LiveLoop, LoopSettings
+from verify.live.measuring_process import MeasuringProcess
+from verify.live.outputs.listeners import (
+    AlarmCommand,
+    JsonLines,
+    ListenerThread,
+    PlainTextOutput,
+    connect_mqtt,
+)
+from verify.live.outputs.metrics import MetricsServer
+from verify.live.outputs.terminal import LiveTable
+from verify.live.page.feed import Page
+from verify.live.page.run import RunFacts, RunPageSource
+from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot
+from verify.live.state import LiveState
+from verify.live.station.station import PanDrive, Station
+
+SWITCH_INTERVAL = (
+    0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
+)
+ESTIMATE_TIMEOUT = 20.0  # s for the clock, on a busy machine
+
+
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """Where the page is wanted."""
+
+    port: int
+    address: str
+    token: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How the run is wanted."""
+
+    duration: float | None  # s
+    tolerance: Tolerance  # replaces the station's, entry by entry
+    on_alarm: str | None
+    page: PageOptions | None
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """What a run leaves."""
+
+    folders: tuple[Path, ...]  # sessions: more than one where the controller's clock began anew
+    alarms: tuple[Alarm, ...]  # oldest first; of very many the newest
+
+
+def watch(station: Station, wish: RunOptions) -> RunResult:
+    """Watch until Ctrl-C, the time is up, or the robot's program ends.
+
+    Args:
+        station: what is watched.
+        wish: how.
+
+    Raises:
+        InputError: a device, the page or who is to be told cannot be had; nothing is running then.
+    """
+    joints = wish.tolerance.joints
+    if joints is None and station.tolerance is not None:
+        joints = station.tolerance.joints
+    subject = MonitoredRobot(
+        station.arm,
+        station.rig,
+        station.marker,
+        station.clock,
+        station.encoder_resolution,
+        station.encoder_time_standard_uncertainty,
+    )
+    limits = AlarmLimits(station.alarm.false_alarms_per_hour, station.rate, joints)
+    state = LiveState()
+    facts = RunFacts(station.robot, station.name, joints, limits.false_alarms_per_hour)
+    with ExitStack() as stack:
+        stack.callback(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        listeners = _listeners(station, wish, stack)
+        _serve(station, wish, RunPageSource(state, subject, facts), state, stack)
+        clock = Helper(estimate_offset, "clock", aside=True)
+        stack.callback(clock.close)
+        chain = MeasuringProcess(station.rig, station.marker, terminal.warn)
+        stack.callback(chain.close)
+        warm_up_comparison()  # the first pairs come at once, and soon would be too many
+        recorder = station.open_recorder()
+        stack.callback(recorder.close)
+        live = LiveLoop(
+            subject,
+            _open_devices(station),
+            recorder,
+            LoopSettings(limits, wish.duration),
+            lambda question: clock.ask(question, ESTIMATE_TIMEOUT),
+            listeners,
+            measuring=chain.measure,
+            state=state,
+            prepare=chain.prepare,
+        )
+        stack.enter_context(_frozen_garbage_collector())
+        look = stack.enter_context(
+            _show_table(None if joints is None else np.rad2deg(joints).tolist())
+        )
+        stop = stack.enter_context(stop_on_signal())
+        live.run(stop, look)
+    _print_summary(state)
+    recorded = recorder.state()
+    terminal.say(recorded.sentence)
+    if not recorded.folders:
+        raise _nothing_recorded(station, recorded.sentence)
+    return RunResult(recorded.folders, state.snapshot().alarms[::-1])
+
+
+def alarms_csv(alarms: tuple[Alarm, ...]) -> bytes:
+    """Write alarms as alarms.csv has them, one a row."""
+    rows = [alarm.fields() for alarm in alarms]
+    for row in rows:
+        row["not_told_apart_from"] = "+".join(map(str, row["not_told_apart_from"]))
+        for key in ("began_s", "ended_s"):
+            row[key.replace("_s", "_utc")] = _utc(row.pop(key))
+        del row["revised"]
+    columns = [
+        *("alarm", "kind", "began_utc", "ended_utc", "t_s", "device", "joint"),
+        *("not_told_apart_from", "error_deg", "standard_uncertainty_deg", "text"),
+    ]
+    table = pd.DataFrame(rows, columns=columns).astype({"joint": "Int64"})
+    return table.to_csv(index=False, lineterminator="\n").encode()
+
+
+def _utc(epoch: float | None) -> str | None:
+    if epoch is None:
+        return None
+    return datetime.fromtimestamp(epoch, UTC).isoformat(timespec="milliseconds")
+
+
+def _serve(
+    station: Station, wish: RunOptions, source: RunPageSource, state: LiveState, stack: ExitStack
+) -> None:
+    """Serve the page and the metrics, as far as they are wanted."""
+    if wish.page is not None:
+        asked = wish.page
+        page = Page(source, asked.port, asked.address, asked.token, moment=state.wait_until_told)
+        stack.callback(page.close)
+        terminal.say(f"page: {page.url}")
+        terminal.record({"type": "page", "url": page.url})
+    if station.alarm.prometheus is not None:
+        stack.callback(MetricsServer(station.alarm.prometheus, source.metrics).close)
+
+
+def _open_devices(station: Station) -> LiveDevices:
+    """Open all devices; none stays open if one cannot be."""
+    with ExitStack() as opened:
+        left, right = station.open_cameras()
+        opened.callback(left.close)
+        opened.callback(right.close)
+        encoders = station.open_encoders()
+        opened.callback(encoders.close)
+        pan = station.open_pan()
+        opened.pop_all()
+    turn = pan.turn_to if station.follow and isinstance(pan, PanDrive) else None
+    return LiveDevices(left, right, encoders, pan, turn, station.files)
+
+
+def _listeners(station: Station, wish: RunOptions, stack: ExitStack) -> list[Listener]:
+    """Everybody who is told what happens; each is let go with the stack."""
+    told: list[Listener] = []
+
+    def tell(listener: Listener) -> None:
+        told.append(ListenerThread(listener, terminal.warn))
+        stack.callback(told[-1].close)
+
+    command = wish.on_alarm if wish.on_alarm is not None else station.alarm.command
+    if command is not None:
+        tell(AlarmCommand(command))
+    if station.alarm.mqtt is not None:
+        tell(connect_mqtt(station.alarm.mqtt))
+    if terminal.as_json:
+        tell(JsonLines(terminal.record))
+    elif not _is_terminal():
+        tell(PlainTextOutput(terminal.say))
+    return told
+
+
+def _is_terminal() -> bool:
+    return sys.stdout.isatty() and not terminal.as_json and not terminal.quiet
+
+
+@contextmanager
+def _frozen_garbage_collector() -> Iterator[None]:
+    """Keep what is there already out of Python's search for garbage, which holds all threads up."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+@contextmanager
+def _show_table(tolerance_deg: list[float] | None) -> Iterator[Callable[[LiveState], None] | None]:
+    """Draw the table where there is a terminal to draw it on."""
+    if not _is_terminal():
+        yield None
+        return
+    with LiveTable(tolerance_deg, Console()) as table:
+        yield table.look
+
+
+@contextmanager
+def stop_on_signal() -> Iterator[threading.Event]:
+    """Ctrl-C and a polite kill end the run, and its report is made; a second one ends that too."""
+    stop = threading.Event()
+
+    def first(number: int, _frame: FrameType | None) -> None:
+        stop.set()
+        signal.signal(number, before[signal.Signals(number)])
+
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, first)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _print_summary(state: LiveState) -> None:
+    now = state.snapshot()
+    whole = state.latency.of_all()
+    p50, p99 = whole.p50, whole.p99
+    terminal.record(
+        {
+            "type": "watched",
+            "pairs": now.pairs,
+            "statuses": state.statuses(),
+            "dropped": dict(now.dropped),
+            "alarms": dict(now.alarm_counts),
+            "latency_p50_ms": None if p50 is None else p50 * 1e3,
+            "latency_p99_ms": None if p99 is None else p99 * 1e3,
+            "recording": now.recording,
+        }
+    )
+    lost = ", ".join(f"{n} {why}" for why, n in now.dropped.items()) or "none"
+    alarms = ", ".join(f"{n} {kind}" for kind, n in now.alarm_counts.items()) or "none"
+    terminal.say(f"{now.measured} of {now.pairs} pairs measured; lost: {lost}; alarms: {alarms}")
+    for line in now.devices:
+        if not line.well:
+            terminal.warn(f"{line.name}: {line.sentence}")
+
+
+def _nothing_recorded(station: Station, sentence: str) -> InputError:
+    """Say that there is nothing to make a report of."""
+    return InputError(
+        station.path, f"no pair of pictures was recorded ({sentence})",
+        "two cameras that deliver, and room on the disk", "Try `verify doctor` on this file.",
+    )  # fmt: skip

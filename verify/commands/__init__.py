@@ -1,1 +1,0 @@
-"""One module a command; heavy imports wait until it runs, so that --help answers at once."""

@@ -1,0 +1,125 @@
+"""The LEDs on the flange.
+
+A calibration board, and how its corners were seen.
+
+The markers of a ChArUco board, as OpenCV knows them.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.records import Array
+
+COLOURS = ("white", "red", "green", "blue", "infrared")
+
+
+@dataclass(frozen=True, slots=True)
+class Marker:
+    """Where the LEDs sit in the flange frame, and how well that is known."""
+
+    names: tuple[str, ...]
+    leds: Array  # (n, 3), m, flange frame
+    colours: tuple[str | None, ...]
+    led_diameter: float  # m
+    source: str | None = None  # jig, measured, motion
+    datum: str | None = None
+    registration: str | None = None
+    body_standard_uncertainty: Array | None = None  # (6,), m and rad, flange axes
+    led_standard_uncertainty: float | None = None  # m, each LED in the body
+    centre_shift_standard_uncertainty: float | None = None  # m
+
+    def __len__(self) -> int:
+        """Count the LEDs."""
+        return len(self.names)
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A flat chessboard pattern.
+
+    Frame: origin at the first inner corner, x along the columns, y along the rows, z into the
+    board, away from the cameras. Seen the right way up, the first corner is at the top left.
+    """
+
+    columns: int  # inner corners along x
+    rows: int  # inner corners along y
+    square: float  # m, edge of a square
+    square_standard_uncertainty: float | None = None  # m; None: not stated, taken as exact
+    markers: str | None = None  # ChArUco: name of the ArUco dictionary (DICT_5X5_100); None: plain
+    marker: float | None = None  # m, edge of a ChArUco marker
+
+    def __len__(self) -> int:
+        """Count the inner corners."""
+        return self.columns * self.rows
+
+    @property
+    def four_fold(self) -> bool:
+        """Whether a quarter turn leaves the pattern as it is: plain, square, of even counts."""
+        return self.markers is None and self.columns == self.rows and self.columns % 2 == 0
+
+    @property
+    def points(self) -> Array:
+        """Inner corners in the board's frame, (columns * rows, 3), m, along x first."""
+        y, x = np.mgrid[: self.rows, : self.columns]
+        flat = np.stack([x.ravel(), y.ravel(), np.zeros(len(self))], axis=1)
+        points: Array = flat * self.square
+        return points
+
+
+@dataclass(frozen=True, slots=True)
+class BoardView:
+    """One board in one image."""
+
+    corner: NDArray[np.int64]  # (n,), index into board.points
+    centre: Array  # (n, 2), px, distorted, as seen
+    covariance: Array  # (n, 2, 2), px², from the image's own noise
+
+    def __len__(self) -> int:
+        """Count the corners seen."""
+        return len(self.corner)
+
+
+@dataclass(frozen=True, slots=True)
+class BoardPair:
+    """What both cameras saw of the board at one instant; None: not found."""
+
+    frame: int
+    pan_left: float  # rad, as read
+    pan_right: float
+    left: BoardView | None
+    right: BoardView | None
+
+
+DICTIONARIES = tuple(  # OpenCV spells some twice, once in small letters
+    name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper()
+)
+
+
+def dictionary(name: str) -> cv2.aruco.Dictionary:
+    """Look up one of `DICTIONARIES`."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def dictionary_size(name: str) -> int:
+    """Count the markers of a dictionary."""
+    return len(dictionary(name).bytesList)
+
+
+def count_white_squares(board: Board) -> int:
+    """Count the white squares, each of which holds a marker."""
+    return (board.columns + 1) * (board.rows + 1) // 2
+
+
+def charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
+    """Build OpenCV's description of a board that has markers; its corners are in `points`' order.
+
+    Raises:
+        ValueError: the board is a plain one.
+    """
+    if board.markers is None or board.marker is None:
+        raise ValueError("a plain chessboard has no markers")
+    squares = (board.columns + 1, board.rows + 1)
+    return cv2.aruco.CharucoBoard(squares, board.square, board.marker, dictionary(board.markers))

@@ -1,0 +1,72 @@
+"""Functions compiled to machine code, for loops over pixels that arrays are too slow for."""
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar, cast
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., object])
+FASTMATH_FLAGS = {"reassoc", "contract", "nsz"}
+
+
+def compiled_sources(package: Path) -> list[Path]:
+    """List the files that compiled code is made of, relative to the package, sorted.
+
+    They are those with a part that begins with `kernels` in their path, and this one.
+    """
+    found = [Path("core/jit.py")]
+    for folder, inner, files in os.walk(package):
+        inner[:] = [name for name in inner if name != "__pycache__"]  # thousands of cached files
+        place = Path(folder).relative_to(package)
+        within = any(part.startswith("kernels") for part in place.parts)
+        found += [place / f for f in files if f.endswith(".py") and (within or f == "kernels.py")]
+    return sorted(found)
+
+
+def _cache_available() -> bool:
+    """Whether machine code can be kept: beside the sources, else in the user's cache folder.
+
+    numba looks at a function's own file alone, but machine code holds that of the functions it
+    calls: so each state of all the sources has a folder of its own.
+    """
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return True
+    package = Path(__file__).parents[1]
+    users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "verify"
+    parent = package / "__pycache__" if os.access(package, os.W_OK) else users
+    folder = parent / f"kernels-{_source_fingerprint(package)}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    vars(numba.config)["CACHE_DIR"] = str(folder)
+    return os.access(folder, os.W_OK)
+
+
+def _source_fingerprint(package: Path) -> str:
+    """Hash paths, times of writing and lengths of the sources, 12 hexadecimal digits."""
+    states = [(str(p), (package / p).stat()) for p in compiled_sources(package)]
+    key = [(path, state.st_mtime_ns, state.st_size) for path, state in states]
+    return hashlib.sha256(repr(key).encode()).hexdigest()[:12]
+
+
+CACHE = _cache_available()
+
+
+def compiled(function: Function) -> Function:
+    """Compile a function when it is first called; the machine code is kept for the next time.
+
+    Other threads run meanwhile: it must touch nothing but its arguments.
+    """
+    return cast("Function", numba.njit(function, cache=CACHE, nogil=True, error_model="numpy"))
+
+
+def compiled_sums(function: Function) -> Function:
+    """Compile likewise a function whose sums may be taken several terms at once: far quicker."""
+    quick = numba.njit(
+        function, cache=CACHE, nogil=True, error_model="numpy", fastmath=FASTMATH_FLAGS
+    )
+    return cast("Function", quick)

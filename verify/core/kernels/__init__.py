@@ -1,0 +1,1 @@
+"""Compiled small linear algebra and reading interpolation."""

@@ -1,0 +1,136 @@
+"""Vectors of three numbers and small matrices, compiled.
+
+Everything is filled in place, by plain loops: numba takes seconds to compile what assigns whole
+arrays, and for so few numbers its library calls are no quicker.
+"""
+
+import math
+
+from verify.core.jit import compiled
+from verify.core.records import Array
+
+
+@compiled
+def dot(a: Array, b: Array) -> float:
+    """Scalar product of two vectors (3,)."""
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@compiled
+def distance(a: Array, b: Array) -> float:
+    """Distance of two points (3,)."""
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@compiled
+def cross(a: Array, b: Array, product: Array) -> None:
+    """Fill in the cross product of two vectors (3,)."""
+    product[0] = a[1] * b[2] - a[2] * b[1]
+    product[1] = a[2] * b[0] - a[0] * b[2]
+    product[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def scale_to_one(vector: Array) -> None:
+    """Give a vector (3,) the length one."""
+    length = math.sqrt(dot(vector, vector))
+    for i in range(3):
+        vector[i] /= length
+
+
+@compiled
+def compose(a: Array, b: Array, product: Array) -> None:
+    """Fill in the product of two matrices (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@compiled
+def factor(matrix: Array, less: float, root: Array) -> bool:
+    """Fill in the lower Cholesky factor of a matrix (n, n) with `less` taken off its diagonal.
+
+    Returns:
+        False where that is not positive definite; the factor has NaN then.
+    """
+    definite = True
+    for i in range(len(matrix)):
+        for j in range(i + 1):
+            rest = matrix[i, j] - (less if i == j else 0.0)
+            for k in range(j):
+                rest -= root[i, k] * root[j, k]
+            if i > j:
+                root[i, j] = rest / root[j, j]
+            else:
+                definite = definite and rest > 0.0
+                root[i, i] = math.sqrt(rest) if rest > 0.0 else math.nan
+    return definite
+
+
+@compiled
+def solve(root: Array, right: Array) -> None:
+    """Solve in place for a vector (n,), by the lower Cholesky factor (n, n)."""
+    for i in range(len(right)):
+        for k in range(i):
+            right[i] -= root[i, k] * right[k]
+        right[i] /= root[i, i]
+    for i in range(len(right) - 1, -1, -1):
+        for k in range(i + 1, len(right)):
+            right[i] -= root[k, i] * right[k]
+        right[i] /= root[i, i]
+
+
+@compiled
+def solve_each(root: Array, right: Array) -> None:
+    """Solve in place for the columns of (n, m) at once, by the lower Cholesky factor (n, n)."""
+    for i in range(len(right)):
+        for k in range(i):
+            for column in range(right.shape[1]):
+                right[i, column] -= root[i, k] * right[k, column]
+        for column in range(right.shape[1]):
+            right[i, column] /= root[i, i]
+    for i in range(len(right) - 1, -1, -1):
+        for k in range(i + 1, len(right)):
+            for column in range(right.shape[1]):
+                right[i, column] -= root[k, i] * right[k, column]
+        for column in range(right.shape[1]):
+            right[i, column] /= root[i, i]
+
+
+@compiled
+def invert(root: Array, inverse: Array) -> None:
+    """Fill in the inverse (n, n) of the matrix that a lower Cholesky factor (n, n) belongs to."""
+    for i in range(len(root)):
+        for j in range(len(root)):
+            inverse[i, j] = 1.0 if i == j else 0.0
+    solve_each(root, inverse)
+
+
+@compiled
+def rotation_vectors(turns: Array, vectors: Array) -> None:
+    """Fill in the rotation vectors (n, 3), rad, of n matrices (n, 3, 3).
+
+    Source: by way of the quaternion, whose largest component is found first (Shepperd, 1978).
+    """
+    q = [0.0, 0.0, 0.0, 0.0]  # x, y, z, w
+    for n in range(len(turns)):
+        m = turns[n]
+        trace = m[0, 0] + m[1, 1] + m[2, 2]
+        i = 3
+        for j in range(3):
+            if m[j, j] > (trace if i == 3 else m[i, i]):
+                i = j
+        if i == 3:
+            q[0], q[1], q[2] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+            q[3] = 1.0 + trace
+        else:
+            j, k = (i + 1) % 3, (i + 2) % 3
+            q[i] = 1.0 + m[i, i] - m[j, j] - m[k, k]
+            q[j], q[k] = m[j, i] + m[i, j], m[k, i] + m[i, k]
+            q[3] = m[k, j] - m[j, k]
+        size = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+        sign = -1.0 if q[3] < 0.0 else 1.0  # the shorter way round
+        factor = sign * (2.0 * math.atan2(size, sign * q[3]) / size if size > 0.0 else 0.0)
+        for i in range(3):
+            vectors[n, i] = factor * q[i]

@@ -1,0 +1,246 @@
+"""Joint readings between readings, compiled: a live row asks for one instant of a few dozen."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.jit import compiled
+from verify.core.records import Array
+
+MAD_TO_SIGMA = 1.4826  # of a Gaussian
+N_END_READINGS = 4  # through which a cubic tells the speed at an end
+
+
+@compiled
+def slope_at(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
+    """Give a joint's speed at reading i, from its neighbours; none beside a gap.
+
+    Source: second-order differences for uneven spacing, as in numpy.gradient.
+    """
+    before = t[i] - t[i - 1] if i > 0 else 0.0
+    after = t[i + 1] - t[i] if i < len(t) - 1 else 0.0
+    if before > longest or after > longest:
+        return 0.0  # a slope across a gap says nothing
+    if before == 0.0:
+        return one_sided_slope(t, q, i, 1, joint, longest, N_END_READINGS)
+    if after == 0.0:
+        return one_sided_slope(t, q, i, -1, joint, longest, N_END_READINGS)
+    late, early = before * before * q[i + 1, joint], after * after * q[i - 1, joint]
+    middle = (after * after - before * before) * q[i, joint]
+    return float((late + middle - early) / (before * after * (before + after)))
+
+
+@compiled
+def one_sided_slope(
+    t: Array, q: Array, i: int, way: int, joint: int, longest: float, most: int
+) -> float:
+    """Give a joint's speed at a reading from those on one side of it, by a polynomial.
+
+    The newest interval is all that a live pair has: a straight line there errs by 7 % of
+    acceleration times interval squared, 0.3° for a brisk joint read at 9 Hz.
+
+    Args:
+        t: (m,), s, increasing; two at least.
+        q: (m, j), rad.
+        i: which reading.
+        way: to its neighbours, 1 or -1.
+        joint: which.
+        longest: s; readings beyond a longer gap are left alone.
+        most: readings that the polynomial goes through, where there are as many.
+
+    Source: Newton's divided differences.
+    """
+    slope, lever = 0.0, 1.0
+    columns = np.empty(most)
+    for k in range(most):
+        at = i + way * k
+        if at < 0 or at >= len(t) or (k > 0 and abs(t[at] - t[at - way]) > longest):
+            break
+        columns[k] = q[at, joint]
+        for order in range(1, k + 1):  # the next divided difference, in place
+            first = k - order
+            columns[first] = (columns[first + 1] - columns[first]) / (t[at] - t[at - way * order])
+        if k > 0:
+            slope += lever * columns[0]
+            lever *= t[i] - t[at]
+    return slope
+
+
+@compiled
+def interpolate(t: Array, q: Array, longest: float, there: Array, values: Array) -> None:
+    """Fill in the readings at some instants: cubic between four readings (Catmull-Rom).
+
+    Args:
+        t: (m,), s, increasing; two at least.
+        q: (m, j), rad.
+        longest: s; across a longer gap the nearest reading is held.
+        there: (n,), s.
+        values: (n, j), rad, filled.
+    """
+    for n in range(len(there)):
+        instant = min(max(there[n], t[0]), t[-1])
+        after = min(max(np.searchsorted(t, instant), 1), len(t) - 1)
+        width, passed = t[after] - t[after - 1], instant - t[after - 1]
+        for j in range(q.shape[1]):
+            early, late = q[after - 1, j], q[after, j]
+            if width > longest:
+                values[n, j] = early if passed < t[after] - instant else late
+                continue
+            straight = (late - early) / width
+            begin = slope_at(t, q, after - 1, j, longest)
+            end = slope_at(t, q, after, j, longest)
+            twist = (begin + end - 2.0 * straight) / width
+            bend = (straight - begin) / width - twist
+            values[n, j] = early + passed * (begin + passed * (bend + passed * (twist / width)))
+
+
+@compiled
+def slope_difference(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
+    """Say how much a joint's speed at reading i differs from what another polynomial makes it.
+
+    At an end, one of an order less; of two readings alone, rest.
+    """
+    at_end = i == 0 or i == len(t) - 1
+    other = min(N_END_READINGS, len(t)) - (1 if at_end else 0)
+    way = -1 if i > 1 or i == len(t) - 1 else 1
+    beside = max(t[i] - t[i - 1] if i > 0 else 0.0, t[i + 1] - t[i] if i < len(t) - 1 else 0.0)
+    if beside > longest:
+        return 0.0
+    return abs(
+        slope_at(t, q, i, joint, longest) - one_sided_slope(t, q, i, way, joint, longest, other)
+    )
+
+
+@compiled
+def interpolation_error(t: Array, q: Array, longest: float, there: Array, values: Array) -> None:
+    """Fill in what `interpolate` may miss at some instants; arguments as there.
+
+    A cubic takes an error of the speed at one of its ends to h s (1 - s)², s the share of the
+    interval h from that end.
+    """
+    for n in range(len(there)):
+        instant = min(max(there[n], t[0]), t[-1])
+        after = min(max(np.searchsorted(t, instant), 1), len(t) - 1)
+        width = t[after] - t[after - 1]
+        late = (instant - t[after - 1]) / width
+        early = 1.0 - late
+        for j in range(q.shape[1]):
+            values[n, j] = 0.0
+            if width <= longest:
+                begin = slope_difference(t, q, after - 1, j, longest)
+                end = slope_difference(t, q, after, j, longest)
+                values[n, j] = width * late * early * (begin * early + end * late)
+
+
+@compiled
+def rates(t: Array, q: Array, longest: float, span: float, there: Array, values: Array) -> None:
+    """Fill in the joints' speeds at some instants; arguments as of `interpolate`.
+
+    Args:
+        t: (m,), s.
+        q: (m, j), rad.
+        longest: s.
+        span: s, over which a speed is taken, before and after.
+        there: (n,), s.
+        values: (n, j), rad/s, filled; 0 beside a gap, where the nearest reading is held.
+    """
+    early, late = np.empty(1), np.empty(1)
+    before, after = np.empty((1, q.shape[1])), np.empty((1, q.shape[1]))
+    for n in range(len(there)):
+        early[0] = min(max(there[n] - span, t[0]), t[-1])
+        late[0] = min(max(there[n] + span, t[0]), t[-1])
+        values[n] = 0.0
+        if in_burst(t, longest, there[n]):
+            interpolate(t, q, longest, early, before)
+            interpolate(t, q, longest, late, after)
+            width = max(late[0] - early[0], span)
+            for j in range(q.shape[1]):
+                values[n, j] = (after[0, j] - before[0, j]) / width
+
+
+@compiled
+def mark_bracketed(t: Array, longest: float, there: Array, known: NDArray[np.bool_]) -> None:
+    """Fill in for which instants (n,) readings stand at both sides, no gap between them."""
+    for n in range(len(there)):
+        after = np.searchsorted(t, there[n])
+        if after == 0 or after == len(t):
+            known[n] = after == 0 and there[n] == t[0]
+        else:
+            known[n] = t[after] - t[after - 1] <= longest
+
+
+@compiled
+def in_burst(t: Array, longest: float, instant: float) -> bool:
+    """Say whether readings stand about an instant, or one at it."""
+    if instant < t[0] or instant > t[-1]:
+        return False
+    after = min(max(int(np.searchsorted(t, instant)), 1), len(t) - 1)
+    early, late = float(t[after - 1]), float(t[after])
+    return late - early <= longest or instant in (early, late)
+
+
+@compiled
+def reading_noise(t: Array, q: Array, longest: float, fewest: int, values: Array) -> None:
+    """Fill in the standard deviation of one reading of each joint, by its differences.
+
+    The smallest of the estimates from second to fourth ones: motion that a low order mistakes for
+    noise, a higher one removes. Those of white noise have 6, 20 and 70 times its variance.
+
+    Args:
+        t: (m,), s.
+        q: (m, j), rad.
+        longest: s; differences across a longer gap do not count.
+        fewest: differences that say something.
+        values: (j,), rad, filled.
+    """
+    variances = (6.0, 20.0, 70.0)
+    for j in range(q.shape[1]):
+        least = np.inf
+        for order in range(2, 5):
+            if len(t) > order + fewest:
+                size, count = median_difference(t, q[:, j].copy(), order, longest)
+                if count > fewest:
+                    least = min(least, MAD_TO_SIGMA * size / np.sqrt(variances[order - 2]))
+        values[j] = least if np.isfinite(least) else 0.0
+
+
+@compiled
+def median_difference(t: Array, column: Array, order: int, longest: float) -> tuple[float, int]:
+    """Give the median size of a joint's differences of an order, and how many there are.
+
+    Differences across a gap are motion and do not count.
+    """
+    differences, sizes, count = column.copy(), np.empty(len(column)), 0
+    for _ in range(order):
+        for i in range(len(column) - 1):
+            differences[i] = differences[i + 1] - differences[i]
+    for i in range(len(column) - order):
+        whole = True
+        for k in range(i, i + order):
+            whole = whole and t[k + 1] - t[k] <= longest
+        if whole:
+            sizes[count] = abs(differences[i])
+            count += 1
+    return (float(np.median(sizes[:count])) if count else 0.0), count
+
+
+@compiled
+def travel_directions(q: Array, thresholds: Array, directions: NDArray[np.int8]) -> None:
+    """Fill in the joints' direction of travel after each reading, by a band about the extreme.
+
+    Args:
+        q: (m, j), rad.
+        thresholds: (j,), rad, further than which from its extreme a joint has turned back.
+        directions: (m, j), filled: +1, -1, or 0 before any.
+    """
+    for j in range(q.shape[1]):
+        extreme, direction = q[0, j], 0
+        for i in range(len(q)):
+            value = q[i, j]
+            if direction == 0:
+                if abs(value - extreme) > thresholds[j]:
+                    direction, extreme = (1 if value > extreme else -1), value
+            elif (value - extreme) * direction >= 0:
+                extreme = value
+            elif abs(value - extreme) > thresholds[j]:
+                direction, extreme = -direction, value
+            directions[i, j] = direction

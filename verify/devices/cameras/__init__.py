@@ -1,0 +1,1 @@
+"""Capture threads and drivers."""

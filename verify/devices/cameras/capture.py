@@ -1,0 +1,163 @@
+"""A camera in a thread of its own: opened, read, lost, found again; nobody waits for it."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from verify.core.records import Image
+from verify.devices.protocols import READ_TIMEOUT, CameraFrame, CameraState, RefusedSetting
+
+MAX_QUEUED = 4  # pictures that wait for a slow reader; the oldest goes first
+MIN_RETRY_DELAY, MAX_RETRY_DELAY = 0.25, 4.0  # s: doubled from the one to the other
+SILENCE_TIMEOUT = 2.0  # s without a picture before an open camera is called silent
+JOIN_TIMEOUT = 1.0  # s: a driver that hangs is left behind
+
+
+@dataclass(frozen=True, slots=True)
+class CapturedImage:
+    """A picture as a source gives it."""
+
+    t: float  # s, host's monotonic clock, mid-exposure
+    t_uncertainty: float  # s
+    image: Image
+    raw: bytes | None
+
+
+class CameraSource(Protocol):
+    """An open camera."""
+
+    refused: tuple[RefusedSetting, ...]
+
+    def grab(self) -> CapturedImage | None:
+        """Wait for a picture; None where one came that cannot be decoded.
+
+        Raises:
+            OSError: the camera is gone.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close it; never raises."""
+        ...
+
+
+class CameraCapture:
+    """Keeps a camera open, and its newest pictures at hand.
+
+    Args:
+        name: of the camera, for sentences.
+        open_source: opens it; raises OSError while that is not possible.
+        size: width and height, px, that pictures must have: a calibration holds for one size.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        open_source: Callable[[], CameraSource],
+        size: tuple[int, int] | None = None,
+    ) -> None:
+        self._name, self._open_source, self._wanted = name, open_source, size
+        self._frames: deque[CameraFrame] = deque()
+        self._here = threading.Condition()
+        self._closed = threading.Event()
+        self._connected = False
+        self._fault = "being opened"
+        self._refused: tuple[RefusedSetting, ...] = ()
+        self._count = self._lost = self._spoilt = 0
+        self._size: tuple[int, int] | None = None
+        self._arrivals: deque[float] = deque(maxlen=256)
+        self._thread = threading.Thread(target=self._run, name=f"camera {name}", daemon=True)
+        self._thread.start()
+
+    def read(self) -> CameraFrame | None:
+        """Give the oldest picture that was not read yet; None after READ_TIMEOUT without one."""
+        with self._here:
+            if not self._frames:
+                self._here.wait(READ_TIMEOUT)
+            return self._frames.popleft() if self._frames else None
+
+    def state(self) -> CameraState:
+        """Say how the camera is."""
+        now = time.monotonic()
+        with self._here:
+            arrivals = list(self._arrivals)
+        age = now - arrivals[-1] if arrivals else None
+        within = sum(t > now - 1.0 for t in arrivals)
+        return CameraState(
+            self._connected,
+            age,
+            self._count,
+            self._lost,
+            self._sentence(age),
+            self._size,
+            float(within) if within else None,
+            self._refused,
+        )
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        self._closed.set()
+        self._thread.join(JOIN_TIMEOUT)
+
+    def _sentence(self, age: float | None) -> str:
+        if not self._connected:
+            return f"{self._name}: not connected: {self._fault}"
+        said = "reading"
+        if age is None or age > SILENCE_TIMEOUT:
+            said = "connected, no picture yet" if age is None else f"silent for {age:.1f} s"
+        parts = [said]
+        if self._size is not None and not self._fits(self._size):
+            wanted = "{} x {}".format(*self._wanted or ())
+            parts = ["gives pictures of {} x {} px".format(*self._size) + f"; {wanted} are needed"]
+        parts += map(str, self._refused)
+        parts += [f"{self._spoilt} pictures could not be decoded"] if self._spoilt else []
+        parts += [f"{self._lost} pictures that nobody read in time"] if self._lost else []
+        return f"{self._name}: {'; '.join(parts)}"
+
+    def _fits(self, size: tuple[int, int]) -> bool:
+        return self._wanted is None or size == tuple(self._wanted)
+
+    def _run(self) -> None:
+        retry = MIN_RETRY_DELAY
+        while not self._closed.is_set():
+            before = self._count
+            try:
+                self._drain(self._open_source())
+            except OSError as error:
+                self._fault = str(error)
+            except Exception as error:  # a defect must not leave a camera without its thread
+                self._fault = f"a defect of this program, {type(error).__name__}: {error}"
+            self._connected = False
+            retry = MIN_RETRY_DELAY if self._count > before else min(2 * retry, MAX_RETRY_DELAY)
+            self._closed.wait(retry)
+
+    def _drain(self, source: CameraSource) -> None:
+        """Take pictures until the camera is gone or not wanted."""
+        self._refused, self._connected = source.refused, True
+        try:
+            while not self._closed.is_set():
+                shot = source.grab()
+                if shot is None:
+                    self._spoilt += 1
+                else:
+                    self._take(shot)
+        finally:
+            source.close()
+
+    def _take(self, shot: CapturedImage) -> None:
+        height, width = shot.image.shape[:2]
+        with self._here:
+            self._size = (width, height)
+            if not self._fits(self._size):
+                return
+            frame = CameraFrame(shot.t, shot.t_uncertainty, shot.image, shot.raw, self._count)
+            self._frames.append(frame)
+            self._count += 1
+            self._arrivals.append(time.monotonic())
+            if len(self._frames) > MAX_QUEUED:
+                self._frames.popleft()
+                self._lost += 1
+            self._here.notify()

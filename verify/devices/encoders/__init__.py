@@ -1,0 +1,1 @@
+"""LABENC, text lines, growing CSV."""

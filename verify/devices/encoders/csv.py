@@ -1,0 +1,180 @@
+"""A CSV that another program is writing: what is appended is read, as `tail -f` would show it."""
+
+import os
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from verify.devices.encoders.intake import AngleMap, IntakeCounts
+from verify.devices.encoders.text import FieldMap, TextIntake
+from verify.devices.ports import MAX_LINE_BYTES, ClockFunction, LineBuffer, PortLink
+from verify.devices.protocols import DeviceState, EncoderReading
+
+POLL_PERIOD = 0.005  # s: how often a file at rest is asked whether it has grown
+MAX_READ_BYTES = 1 << 20  # bytes at once: a program may flush much
+_NAME = re.compile(r"q([1-9][0-9]?)_(deg|rad)")
+_LETTER = re.compile(rb"[A-DF-Za-df-z_]")  # e and E stand in numbers too
+
+
+@dataclass(frozen=True, slots=True)
+class CsvSettings:
+    """Which file is followed."""
+
+    path: Path
+    fields: FieldMap | None = None  # None: the first line names t_s and q1_deg, q2_deg, …
+    latency: float = 0.1  # s, by which a row may come late; matters only where no time is told
+
+
+class CsvEncoders:
+    """Joint readings from a file that grows.
+
+    What stood there before is not read: nobody knows when it came. A file that is cut, replaced or
+    made later is read from its beginning.
+
+    Args:
+        settings: which file.
+        angles: from the file's angles to the robot file's own.
+        now: the host's monotonic clock, s.
+    """
+
+    def __init__(
+        self, settings: CsvSettings, angles: AngleMap, now: ClockFunction = time.monotonic
+    ) -> None:
+        self._settings, self._angles = settings, angles
+        self._counts = IntakeCounts()
+        self._from_start = False
+        self._header = b""
+        self._link = PortLink(str(settings.path), self._open, now)
+        self._lines = LineBuffer()
+        self._connection = 0
+        self._intake: TextIntake | None = None
+        self._complaint = ""
+
+    def read(self) -> list[EncoderReading]:
+        """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
+        chunk = self._link.receive()
+        if self._link.connections != self._connection:
+            self._connection = self._link.connections
+            self._lines.clear()
+            self._begin()
+        if chunk is None or self._intake is None:
+            return []
+        readings = []
+        for line in self._lines.feed(chunk.data):
+            readings += self._intake.take(line, chunk)
+        if readings:
+            self._link.steady()
+        return readings
+
+    def state(self) -> DeviceState:
+        """Say how the file is."""
+        return self._counts.state(self._link, self._complaint)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._link.close()
+
+    def _open(self) -> "FilePort":
+        try:
+            port = FilePort(self._settings.path, from_start=self._from_start)
+        except FileNotFoundError as error:
+            self._from_start = True  # whatever appears there later is new
+            raise OSError("the file does not exist yet") from error
+        self._from_start = True
+        self._header = port.header
+        return port
+
+    def _begin(self) -> None:
+        fields = self._settings.fields or _field_map(self._header, self._angles.joints)
+        self._intake, self._complaint = None, ""
+        if isinstance(fields, str):
+            self._complaint = fields
+            return
+        self._intake = TextIntake(
+            fields, self._angles, self._settings.latency, self._counts, in_lumps=True
+        )  # programs write in lumps, some of many seconds
+
+
+def _field_map(header: bytes, joints: int) -> FieldMap | str:
+    """Make a field map of a first line; where it does not name what is needed, say so."""
+    names = header.decode("utf-8-sig", errors="replace").strip().split(",")
+    names = [name.strip() for name in names]
+    units = {match[2] for name in names if (match := _NAME.fullmatch(name))}
+    unit = units.pop() if len(units) == 1 else "deg"
+    wanted = ["t_s", *(f"q{joint}_{unit}" for joint in range(1, joints + 1))]
+    if missing := [name for name in wanted if names.count(name) != 1]:
+        return f"its first line has no (or two) {', '.join(missing)}; name the columns in `columns`"
+    known = dict(zip(wanted, ["t", *(f"q{joint}" for joint in range(1, joints + 1))], strict=True))
+    columns = tuple(known.get(name, "_") for name in names)
+    return FieldMap(joints, columns, time_unit="s", angle_unit=unit)
+
+
+class FilePort:
+    """Follows one file, as a port.
+
+    Args:
+        path: the file.
+        from_start: read what is there already.
+
+    Raises:
+        OSError: it cannot be opened, or has no first line yet.
+    """
+
+    def __init__(self, path: Path, *, from_start: bool) -> None:
+        self._path = path
+        self._file: BinaryIO = path.open("rb", buffering=0)
+        self.header = self._file.read(MAX_LINE_BYTES) or b""
+        first, end, _ = self.header.partition(b"\n")
+        if not end:
+            self._file.close()
+            raise OSError("has no first line yet")
+        self.header = first
+        self._at = len(first) + 1 if _LETTER.search(first) else 0
+        self._half = False  # the next bytes are the rest of a line that began unseen
+        if not from_start:
+            self._at = self._file.seek(-1, os.SEEK_END) + 1
+            self._half = self._file.read(1) != b"\n"
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until the file has grown.
+
+        Raises:
+            OSError: it is another file now, or a shorter one.
+        """
+        deadline = time.monotonic() + seconds
+        while not self._grown():
+            rest = deadline - time.monotonic()
+            if rest <= 0:
+                return False
+            time.sleep(min(rest, POLL_PERIOD))
+        return True
+
+    def take(self) -> bytes:
+        """Take what was appended; the rest of a line that was half there is left out."""
+        self._file.seek(self._at)
+        data = self._file.read(MAX_READ_BYTES) or b""
+        self._at += len(data)
+        if self._half:
+            _, end, data = data.partition(b"\n")
+            self._half = not end
+        return data
+
+    def send(self, data: bytes) -> None:  # noqa: ARG002  a port has this verb
+        """Refuse: the file belongs to the other program."""
+        raise OSError("a file that is followed is not written to")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _grown(self) -> bool:
+        size = self._file.seek(0, os.SEEK_END)
+        if size > self._at:
+            return True
+        if size < self._at:
+            raise OSError("the file was cut; it is read again from its beginning")
+        if not os.path.samestat(self._path.stat(), os.fstat(self._file.fileno())):
+            raise OSError("another file has taken its place")
+        return False

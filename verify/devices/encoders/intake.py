@@ -1,0 +1,241 @@
+"""The last yards of every encoder driver: sign and zero, impossible leaps, and the counts.
+
+A controller's clock, unwrapped; a reset or a jump starts a new segment of it.
+"""
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.core.records import Array
+from verify.devices.ports import PortLink
+from verify.devices.protocols import DeviceState, EncoderReading
+from verify.errors import InputError
+
+MAX_ADVANCE = (
+    0.1  # s: no line in the field is early; by more than this the clock itself has leapt ahead
+)
+MAX_DELAY = 1.0  # s: an older reading is of no use, and may be of a clock that was set back unseen
+MAX_CLOCK_DRIFT = 2e-4  # a crystal is within 1e-4; so fast may the floor rise
+N_CONFIRM_CLOCK = 5  # readings in a row that contradict the clock before it is taken for a new one
+STALE = "not later than the one before"
+AHEAD = "time stamp ahead of the clock"
+TOO_LATE = "too late to be of use"
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerInstant:
+    """A time on a controller's clock."""
+
+    t: float  # s
+    segment: int
+
+
+class ControllerClock:
+    """Follows the time stamps of a controller.
+
+    A message is never there before it was sent, so host time less controller time has a floor. A
+    stamp that steps below the floor, lies far above it, or is not later than the last, is refused;
+    if it was no accident but the clock that leapt, the following ones say the same, and a segment
+    begins. A lump that a paused line delivers late catches up in small steps, and is over before
+    any of this is believed.
+
+    Args:
+        wraps_after: s, where a counter starts over; None if it does not.
+        in_lumps: messages come late and together as a rule: only their order is looked at.
+    """
+
+    def __init__(self, wraps_after: float | None, *, in_lumps: bool = False) -> None:
+        self._wrap, self._in_lumps = wraps_after, in_lumps
+        self._segment = -1
+        self._last_raw = self._last = self._last_host = 0.0
+        self._floor = float("inf")
+        self._anew = True
+        self._against, self._against_since = 0, 0.0
+
+    def restart(self, wraps_after: float | None) -> None:
+        """Take the next stamp as the first of a new segment: the device was reset, or lost."""
+        self._anew, self._wrap = True, wraps_after
+
+    def stamp(self, raw: float, t_host: float) -> ControllerInstant | str:
+        """Place a time stamp.
+
+        Args:
+            raw: s, as the controller sent it.
+            t_host: s, when it was in hand.
+
+        Returns:
+            Where it stands on the clock, or why it is not used.
+        """
+        if self._anew:
+            return self._begin(raw, t_host)
+        step = self._step(raw, t_host)
+        refusal = self._refusal(step, t_host)
+        if not refusal:
+            return self._accept(raw, self._last + step, t_host)
+        return self._begin(raw, t_host) if self._confirmed(refusal, t_host) else refusal
+
+    def _begin(self, raw: float, t_host: float) -> ControllerInstant:
+        self._segment += 1
+        self._anew, self._floor, self._last_host = False, float("inf"), t_host
+        return self._accept(raw, raw, t_host)
+
+    def _accept(self, raw: float, t: float, t_host: float) -> ControllerInstant:
+        risen = self._floor + MAX_CLOCK_DRIFT * (t_host - self._last_host)
+        self._floor = min(risen, t_host - t)
+        self._last_raw, self._last, self._last_host = raw, t, t_host
+        self._against = 0
+        return ControllerInstant(t, self._segment)
+
+    def _step(self, raw: float, t_host: float) -> float:
+        """Time since the last stamp; after a long silence a counter may have wrapped often."""
+        step = raw - self._last_raw
+        if self._wrap is None:
+            return step
+        step %= self._wrap
+        turns = round((t_host - self._last_host - step) / self._wrap)
+        return step + max(turns, 0) * self._wrap
+
+    def _refusal(self, step: float, t_host: float) -> str:
+        if step <= 0.0:
+            return STALE
+        if self._in_lumps:
+            return ""
+        elapsed = t_host - self._last_host
+        above = t_host - (self._last + step) - self._floor
+        if above < -MAX_ADVANCE and step > elapsed + MAX_ADVANCE:
+            back = self._wrap is not None and self._wrap - step < self._wrap / 2
+            return STALE if back else AHEAD
+        return TOO_LATE if above > MAX_DELAY + MAX_CLOCK_DRIFT * elapsed else ""
+
+    def _confirmed(self, refusal: str, t_host: float) -> bool:
+        if self._against == 0:
+            self._against_since = t_host
+        self._against += 1
+        lump_is_over = refusal != TOO_LATE or t_host - self._against_since > MAX_DELAY
+        return self._against >= N_CONFIRM_CLOCK and lump_is_over
+
+
+MAX_JOINT_SPEED = 4 * np.pi  # rad/s: 720°/s; the RV-3SD's quickest joint does 660°/s
+TOL_ANGLE = np.deg2rad(0.5)  # rad: at rest a reading flickers by its last digit
+N_CONFIRM_LEAP = 5  # readings in a row that contradict the last one before they are believed
+LEAP = "leap that no arm can make"
+SILENCE_TIMEOUT = 2.0  # s without a reading on an open line before it is called silent
+
+
+@dataclass(frozen=True, eq=False)
+class AngleMap:
+    """From a controller's angles to the robot file's own: q = sign · angle + offset.
+
+    The identity where robot file and controller agree, as `rv_3sd_melfa` and the teach pendant do.
+    """
+
+    sign: Array  # (joints,), +1 or -1
+    offset: Array  # (joints,), rad
+
+    def __post_init__(self) -> None:
+        if self.sign.shape != self.offset.shape or not np.all(np.abs(self.sign) == 1.0):
+            raise InputError("encoders, sign", "is not 1 or -1 for each joint", "", "Mend it.")
+        if not np.all(np.isfinite(self.offset)):
+            raise InputError("encoders, offset_deg", "holds what is no number", "", "Mend it.")
+
+    @property
+    def joints(self) -> int:
+        """How many joints the robot has."""
+        return len(self.sign)
+
+    def joint_angles(self, angle: Array) -> Array:
+        """Joint angles of the robot file, (joints,), rad."""
+        return self.sign * angle + self.offset
+
+
+class IntakeCounts:
+    """What came, what was dropped and why; worded for people."""
+
+    def __init__(self) -> None:
+        self.bad: Counter[str] = Counter()
+        self.readings = 0
+        self.lost = 0
+        self._last: float | None = None
+
+    def good(self, t_host: float) -> None:
+        """Note a good reading."""
+        self.readings += 1
+        self._last = t_host
+
+    def state(
+        self,
+        link: PortLink,
+        complaint: str = "",
+        note: str = "",
+        program_running: bool | None = None,
+    ) -> DeviceState:
+        """Word how the device is.
+
+        Args:
+            link: its line.
+            complaint: why no reading can come though the line is open.
+            note: what there is to say though readings come.
+            program_running: of the robot, where the device tells.
+        """
+        age = None if self._last is None else link.now() - self._last
+        if not link.connected:
+            said = f"not connected: {link.fault}"
+        elif complaint:
+            said = complaint
+        elif age is None or age > SILENCE_TIMEOUT:
+            said = "connected, no reading yet" if age is None else f"silent for {age:.1f} s"
+        else:
+            said = "reading"
+        parts = [said, note, self._dropped()]
+        sentence = f"{link.name}: " + "; ".join(part for part in parts if part)
+        return DeviceState(
+            link.connected, age, self.readings, self.lost, dict(self.bad), sentence, program_running
+        )
+
+    def _dropped(self) -> str:
+        parts = [f"{count} {reason}" for reason, count in self.bad.most_common()]
+        said = f"dropped: {', '.join(parts)}" if parts else ""
+        lost = f"{self.lost} lost on the way" if self.lost else ""
+        return "; ".join(part for part in (said, lost) if part)
+
+
+class ReadingIntake:
+    """Turns a controller's angles into readings; refuses what no arm can do."""
+
+    def __init__(self, angles: AngleMap, counts: IntakeCounts) -> None:
+        self._angles, self._counts = angles, counts
+        self._last: EncoderReading | None = None
+        self._against = 0
+
+    def take(
+        self, instant: ControllerInstant, t_host: float, half_width: float, angle: Array
+    ) -> list[EncoderReading]:
+        """Make a reading of angles (joints,), rad, or count why not.
+
+        A leap that is confirmed by those after it is believed: then the arm moved unseen.
+        """
+        q = self._angles.joint_angles(angle)
+        reading = EncoderReading(instant.t, t_host, half_width, instant.segment, q)
+        if self._leaps(reading) and self._against < N_CONFIRM_LEAP - 1:
+            self._against += 1
+            self._counts.bad[LEAP] += 1
+            return []
+        self._against, self._last = 0, reading
+        self._counts.good(t_host)
+        return [reading]
+
+    def _leaps(self, reading: EncoderReading) -> bool:
+        before = self._last
+        if before is None:
+            return False
+        same = before.segment == reading.segment
+        elapsed = reading.t - before.t if same else reading.t_host - before.t_host
+        room = (
+            MAX_JOINT_SPEED * (max(elapsed, 0.0) + reading.half_width + before.half_width)
+            + TOL_ANGLE
+        )
+        turned = np.abs((reading.q - before.q + math.pi) % math.tau - math.pi)  # 359° to 0° is 1°
+        return bool(np.any(turned > room))

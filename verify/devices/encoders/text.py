@@ -1,0 +1,356 @@
+"""Any delimited text line as joint readings: which field is what, in which unit; no port.
+
+A line is taken apart either by a separator and a list of column names, or by a regular expression
+with named groups. Names are `t`, `q1` to `qN`, `seq` and `sum`; `_` is a column to skip. A device
+that prints one line an axis has the groups `axis` and `value`; such lines are joined by equal `t`.
+
+From the lines of a field map to readings: joined where an axis has its own, timed, checked.
+
+Encoders that print a text line of any kind, on a serial port or TCP, read by a field map.
+"""
+
+import math
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from verify.core.records import Array
+from verify.devices.encoders.intake import (
+    AngleMap,
+    ControllerClock,
+    ControllerInstant,
+    IntakeCounts,
+    ReadingIntake,
+)
+from verify.devices.ports import (
+    CHECKSUMS,
+    DEFAULT_LINE,
+    Chunk,
+    ClockFunction,
+    LineBuffer,
+    Port,
+    PortLink,
+    SerialLine,
+    open_port,
+)
+from verify.devices.protocols import DeviceState, EncoderReading
+from verify.errors import InputError
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+_NUMBER = re.compile(r"[+-]?([0-9]{1,20}(\.[0-9]{0,12})?|\.[0-9]{1,12})([eE][+-]?[0-9]{1,2})?")
+_MAX_LINE_BYTES = 1024  # bytes: a longer line is noise
+
+
+@dataclass(frozen=True, slots=True)
+class FieldMap:
+    """Which field of a line is what.
+
+    Raises:
+        InputError: settings that contradict each other, or a regular expression that is none.
+    """
+
+    joints: int
+    columns: tuple[str, ...] = ()  # with `separator`: what each field is, in order
+    separator: str = ","
+    pattern: str = ""  # a regular expression with named groups, instead
+    time_unit: str = "none"  # s, ms, us, ticks, or none: time of arrival
+    tick_rate: float | None = None  # Hz, with ticks
+    wraps_after: float | None = None  # in units of `t`: where the counter starts over
+    angle_unit: str = "deg"  # deg, rad or counts
+    counts_per_degree: tuple[float, ...] = ()  # one a joint, with counts
+    checksum: str = "none"  # none, xor, sum8, crc8, crc16: over all before `sum` and its separator
+    skip: str = ""  # lines that match this (regular expression) are left out, uncounted
+    _compiled: re.Pattern[str] | None = field(init=False, default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for key in ("pattern", "skip"):
+            _compile(key, getattr(self, key))
+        pattern = _compile("pattern", self.pattern) if self.pattern else None
+        object.__setattr__(self, "_compiled", pattern)
+        names = set(pattern.groupindex) if pattern else set(self.columns)
+        wanted = {f"q{joint}" for joint in range(1, self.joints + 1)}
+        if {"axis", "value", "t"} <= names:
+            wanted = set()
+        if self.time_unit != "none":
+            wanted.add("t")
+        if self.checksum != "none":
+            wanted.add("sum")
+        if missing := sorted(wanted - names):
+            raise _invalid_key(
+                "columns", f"name no {', '.join(missing)}", "Name what each field is."
+            )
+        if self.time_unit not in (*TIME_UNITS, "ticks", "none"):
+            raise _invalid_key(
+                "time_unit", f'is "{self.time_unit}"', "Known: s, ms, us, ticks, none."
+            )
+        if self.time_unit == "ticks" and not self.tick_rate:
+            raise _invalid_key("tick_rate_hz", "is missing", "Ticks need their rate.")
+        if self.checksum not in ("none", *CHECKSUMS):
+            raise _invalid_key(
+                "checksum", f'is "{self.checksum}"', f"Known: none, {', '.join(CHECKSUMS)}."
+            )
+        if self.angle_unit not in ("deg", "rad", "counts"):
+            raise _invalid_key("angle_unit", f'is "{self.angle_unit}"', "Known: deg, rad, counts.")
+        if self.angle_unit == "counts" and len(self.counts_per_degree) != self.joints:
+            raise _invalid_key(
+                "counts_per_degree", "is not one number a joint", "Give one a joint."
+            )
+
+    @property
+    def seconds_per_unit(self) -> float | None:
+        """Length of the unit of `t`; None where the time of arrival counts."""
+        if self.time_unit == "ticks" and self.tick_rate:
+            return 1.0 / self.tick_rate
+        return TIME_UNITS.get(self.time_unit)
+
+    @property
+    def wrap(self) -> float | None:
+        """Where the controller's clock starts over, s."""
+        unit = self.seconds_per_unit
+        return None if unit is None or self.wraps_after is None else self.wraps_after * unit
+
+    @property
+    def radians_per_unit(self) -> Array:
+        """Size of one unit of angle, (joints,), rad."""
+        if self.angle_unit == "rad":
+            return np.ones(self.joints)
+        if self.angle_unit == "deg":
+            return np.full(self.joints, math.radians(1.0))
+        return math.radians(1.0) / np.array(self.counts_per_degree, dtype=float)
+
+    def parse(self, line: bytes) -> "LineFields | str":
+        """Take a line apart; where it does not fit, say why. An empty reason: to be skipped."""
+        try:
+            text = line.decode("ascii")
+        except UnicodeDecodeError:
+            return "line that is not text"
+        if len(text) > _MAX_LINE_BYTES:
+            return "line too long"
+        if self.skip and re.search(self.skip, text):
+            return ""
+        found = self._found(text)
+        if found is None:
+            return "line that does not fit the field map"
+        if self.checksum != "none" and not self._summed(text, found):
+            return "wrong checksum"
+        numbers = {name: word for name, (word, _) in found.items() if name != "sum"}
+        if not all(_NUMBER.fullmatch(word) for word in numbers.values()):
+            return "field that is no number"
+        return self._fields({name: float(word) for name, word in numbers.items()})
+
+    def _found(self, text: str) -> dict[str, tuple[str, int]] | None:
+        """Words by name, each with the place where it begins."""
+        if self._compiled is not None:
+            match = self._compiled.search(text)
+            if match is None:
+                return None
+            groups = match.groupdict()
+            return {k: (v.strip(), match.start(k)) for k, v in groups.items() if v is not None}
+        words = text.split(self.separator)
+        if len(words) != len(self.columns):
+            return None
+        starts = np.cumsum([0, *(len(word) + len(self.separator) for word in words)]).tolist()
+        named = zip(self.columns, words, starts, strict=False)
+        return {name: (word.strip(), start) for name, word, start in named if name != "_"}
+
+    def _summed(self, text: str, found: dict[str, tuple[str, int]]) -> bool:
+        digits, function = CHECKSUMS[self.checksum]
+        if "sum" not in found:
+            return False
+        word, start = found["sum"]
+        if not re.fullmatch(f"[0-9A-Fa-f]{{1,{digits}}}", word):
+            return False
+        before = text[:start].lstrip("$")
+        covered = before[: -1 if self._compiled else -len(self.separator)]
+        return int(word, 16) == function(covered.encode("ascii"))
+
+    def _fields(self, numbers: dict[str, float]) -> "LineFields | str":
+        t, sequence = numbers.get("t"), numbers.get("seq")
+        if "axis" in numbers and "value" in numbers:
+            axis = numbers["axis"]
+            if axis not in range(1, self.joints + 1):
+                return "axis that the robot has not"
+            return LineFields(t, sequence, {int(axis): numbers["value"]})
+        values = {j: numbers[f"q{j}"] for j in range(1, self.joints + 1) if f"q{j}" in numbers}
+        if len(values) < self.joints:
+            return "line without all joints"
+        return LineFields(t, sequence, values)
+
+
+@dataclass(frozen=True, slots=True)
+class LineFields:
+    """What a line says, in its own units."""
+
+    t: float | None
+    sequence: float | None
+    values: dict[int, float]  # by joint, from 1: all of them, or one
+
+
+def _compile(key: str, pattern: str) -> re.Pattern[str]:
+    try:
+        return re.compile(pattern)
+    except re.error as error:
+        raise _invalid_key(key, f"is no regular expression: {error}", "Mend it.") from error
+
+
+def _invalid_key(key: str, found: str, remedy: str) -> InputError:
+    return InputError(f"encoders, {key}", found, "", remedy)
+
+
+class TextIntake:
+    """Turns lines into readings.
+
+    Args:
+        fields: which field is what.
+        angles: from the device's angles to the robot file's own.
+        latency: s, the most by which a line comes later than its angles were read.
+        counts: where to count.
+        in_lumps: lines come late and together as a rule.
+    """
+
+    def __init__(
+        self,
+        fields: FieldMap,
+        angles: AngleMap,
+        latency: float,
+        counts: IntakeCounts,
+        *,
+        in_lumps: bool = False,
+    ) -> None:
+        if fields.joints != angles.joints:
+            found = f"name {fields.joints} joints"
+            raise InputError("encoders, columns", found, f"the robot has {angles.joints}")
+        self._fields, self._latency, self._counts = fields, latency, counts
+        self._intake = ReadingIntake(angles, counts)
+        self._clock = ControllerClock(fields.wrap, in_lumps=in_lumps)
+        self._half: dict[int, float] = {}  # axes of an instant that is not complete yet
+        self._half_t: float | None = None
+        self._sequence: float | None = None
+
+    def restart(self) -> None:
+        """Begin a new line or file: half an instant is forgotten, the clock is not trusted."""
+        self._half.clear()
+        self._sequence = None
+        self._clock.restart(self._fields.wrap)
+
+    def take(self, line: bytes, chunk: Chunk) -> list[EncoderReading]:
+        """Make a reading of a line, or count why not."""
+        fields = self._fields.parse(line)
+        if isinstance(fields, str):
+            if fields:
+                self._counts.bad[fields] += 1
+            return []
+        values = self._joined(fields)
+        if values is None:
+            return []
+        timed = self._timed(fields.t, chunk)
+        if isinstance(timed, str):
+            self._counts.bad[timed] += 1
+            return []
+        self._count_lost(fields.sequence)
+        order = [values[joint] for joint in range(1, self._fields.joints + 1)]
+        angle = np.array(order) * self._fields.radians_per_unit
+        instant, half_width = timed
+        return self._intake.take(instant, chunk.t, half_width, angle)
+
+    def _joined(self, fields: LineFields) -> dict[int, float] | None:
+        """All joints of an instant; None until the last of them has come."""
+        if len(fields.values) == self._fields.joints:
+            return fields.values
+        if fields.t != self._half_t:
+            if self._half:
+                self._counts.bad["instant without all joints"] += 1
+            self._half, self._half_t = {}, fields.t
+        self._half |= fields.values
+        if len(self._half) < self._fields.joints:
+            return None
+        whole, self._half = self._half, {}
+        return whole
+
+    def _timed(self, t: float | None, chunk: Chunk) -> tuple[ControllerInstant, float] | str:
+        """When the angles were read: the device's own time, else the middle of what is possible."""
+        unit = self._fields.seconds_per_unit
+        if unit is not None and t is not None:
+            instant = self._clock.stamp(t * unit, chunk.t)
+            # a counter is doubtful by its unit; which decimals of a second count, nobody says
+            return instant if isinstance(instant, str) else (instant, unit / 2 if unit < 1 else 0.0)
+        earliest = chunk.earliest - self._latency
+        return ControllerInstant((earliest + chunk.t) / 2, 0), (chunk.t - earliest) / 2
+
+    def _count_lost(self, sequence: float | None) -> None:
+        before, self._sequence = self._sequence, sequence
+        if before is not None and sequence is not None and sequence > before:
+            self._counts.lost += int(sequence - before) - 1
+
+
+USB_LATENCY = 0.016  # s: a USB-serial bridge collects bytes for up to so long
+
+
+@dataclass(frozen=True, slots=True)
+class TextSettings:
+    """How the device is reached, and what it is told."""
+
+    port: str
+    fields: FieldMap
+    line: SerialLine = DEFAULT_LINE
+    latency: float = USB_LATENCY  # s
+    at_start: bytes = b""  # sent when the line is open: starts the stream
+    at_end: bytes = b""  # sent before it is closed
+
+
+class TextEncoders:
+    """Joint readings from lines of text.
+
+    Args:
+        settings: how the device is reached, and its field map.
+        angles: from the device's angles to the robot file's own.
+        port: opens the port instead of the settings' address.
+        now: the host's monotonic clock, s.
+    """
+
+    def __init__(
+        self,
+        settings: TextSettings,
+        angles: AngleMap,
+        port: Callable[[], Port] | None = None,
+        now: ClockFunction = time.monotonic,
+    ) -> None:
+        opens = port or partial(open_port, settings.port, settings.line)
+        self._settings = settings
+        self._link = PortLink(settings.port, opens, now)
+        self._lines = LineBuffer()
+        self._counts = IntakeCounts()
+        self._intake = TextIntake(settings.fields, angles, settings.latency, self._counts)
+        self._connection = 0
+
+    def read(self) -> list[EncoderReading]:
+        """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
+        chunk = self._link.receive()
+        if self._link.connections != self._connection:
+            self._connection = self._link.connections
+            self._lines.clear()
+            self._intake.restart()
+            if self._settings.at_start:
+                self._link.send(self._settings.at_start)
+        if chunk is None:
+            return []
+        readings = []
+        for line in self._lines.feed(chunk.data):
+            readings += self._intake.take(line, chunk)
+        if readings:
+            self._link.steady()
+        return readings
+
+    def state(self) -> DeviceState:
+        """Say how the device is."""
+        return self._counts.state(self._link)
+
+    def close(self) -> None:
+        """Send what ends the stream, if anything, and close the port."""
+        if self._settings.at_end:
+            self._link.send(self._settings.at_end)
+        self._link.close()

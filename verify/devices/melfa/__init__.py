@@ -1,0 +1,1 @@
+"""R3 line protocol and real-time stream, read only."""

@@ -1,0 +1,1 @@
+"""Find, share out, keep, tabulate."""

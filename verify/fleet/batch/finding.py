@@ -1,0 +1,249 @@
+"""Every session under some folders, on a disk or behind URLs that fsspec knows.
+
+Sessions behind URLs: listed, told apart, and fetched to the worker that measures them.
+"""
+
+import errno
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from verify.errors import InputError, one_line
+from verify.fleet.batch.records import UNREADABLE, SessionFailure, SessionLocation, printable_path
+from verify.io.files import system_refusal
+
+EXCLUDED_FILES = ("truth.csv",)  # by a measurement: it is not fetched either
+
+
+def is_url(place: str) -> bool:
+    """Tell `s3://bucket/folder` from a path."""
+    return "://" in place
+
+
+def list_sessions(url: str) -> Iterator[SessionLocation]:
+    """List the sessions under a URL; none inside another.
+
+    Raises:
+        InputError: nobody knows the protocol, or the storage refuses.
+    """
+    system, root = _filesystem(url)
+    try:
+        files = system.find(root)
+    except Exception as error:  # each storage has errors of its own
+        raise _storage_error(url, error) from error
+    folders = sorted(
+        str(PurePosixPath(file).parent)
+        for file in files
+        if PurePosixPath(file).name == "session.toml"
+    )
+    last = None
+    for folder in folders:
+        if last is not None and PurePosixPath(folder).is_relative_to(last):
+            continue
+        last = folder
+        place = str(system.unstrip_protocol(folder))
+        yield SessionLocation(printable_path(place), place)
+
+
+@contextmanager
+def local_copy(folder: str) -> Iterator[Path]:
+    """Have a session's folder on this machine: itself, or a copy as long as it is needed.
+
+    Raises:
+        InputError: it cannot be fetched.
+    """
+    if not is_url(folder):
+        yield Path(folder)
+        return
+    with tempfile.TemporaryDirectory(prefix="verify-session-") as place:
+        copy = Path(place) / "session"
+        copy.mkdir()
+        try:
+            system, root = _filesystem(folder)
+            for file in _files(system, root):
+                target = copy / PurePosixPath(file).relative_to(root)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                system.get_file(file, str(target))
+        except InputError:
+            raise
+        except Exception as error:  # each storage has errors of its own
+            raise _storage_error(folder, error) from error
+        try:
+            yield copy
+        except InputError as problem:
+            raise _error_at_source(folder, problem, str(copy)) from problem
+
+
+def _error_at_source(folder: str, problem: InputError, copy: str) -> InputError:
+    """Say what is wrong with a copy as of what it was copied from."""
+    words = (problem.place, problem.found, problem.expected, problem.remedy)
+    return InputError(*(text.replace(copy, folder) for text in words))
+
+
+def file_versions(folder: str) -> dict[str, str]:
+    """Take from the storage itself what changes when a file does (its ETag, its time), by file.
+
+    Raises:
+        InputError: the storage refuses.
+    """
+    try:
+        system, root = _filesystem(folder)
+        return {
+            str(PurePosixPath(file).relative_to(root)): f"storage:{system.ukey(file)}"
+            for file in _files(system, root)
+        }
+    except InputError:
+        raise
+    except Exception as error:  # each storage has errors of its own
+        raise _storage_error(folder, error) from error
+
+
+def _files(system: Any, root: str) -> list[str]:
+    files = sorted(str(file) for file in system.find(root))
+    inside = [
+        f for f in files if PurePosixPath(f).is_relative_to(root) and ".." not in f.split("/")
+    ]
+    return [f for f in inside if PurePosixPath(f).name not in EXCLUDED_FILES]
+
+
+def _filesystem(url: str) -> tuple[Any, str]:
+    try:
+        import fsspec
+    except ImportError as error:
+        raise InputError(
+            url, "needs the package fsspec", "", "Install verify-robot[cluster]."
+        ) from error
+    try:
+        system, path = fsspec.core.url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise _storage_error(url, error) from error
+    return system, path.rstrip("/")
+
+
+def _storage_error(url: str, error: Exception) -> InputError:
+    found = f"cannot be reached ({type(error).__name__}: {error})"
+    return InputError(url, found, "", "Check the address, the rights, and the storage's package.")
+
+
+SESSION_FILE = "session.toml"
+PARTIAL_PREFIX = ".verify-partial-"  # begins the name of what is being built by `verify.io.files`
+
+FolderIdentity = tuple[int, int]  # device and inode: the same folder by whatever name
+
+
+def find_sessions(
+    roots: Sequence[str], out: Path
+) -> tuple[list[SessionLocation], list[SessionFailure]]:
+    """Find every session.
+
+    A folder that holds session.toml is one; nothing is looked for inside it. Symlinks are
+    followed, each folder is taken once, by the first name that leads to it.
+
+    Args:
+        roots: folders or URLs, as they were typed.
+        out: where the batch writes; it is passed over.
+
+    Returns:
+        Sessions and what could not be looked into, each by name.
+
+    Raises:
+        InputError: a root does not exist or is no folder; no session is there.
+    """
+    found: list[SessionLocation] = []
+    failures: list[SessionFailure] = []
+    seen: set[FolderIdentity] = set()
+    with suppress(OSError):  # not there yet
+        seen.add(_identity(str(out)))
+    for root in roots:
+        for one in list_sessions(root) if is_url(root) else _walk(_root(root), seen):
+            if isinstance(one, SessionLocation):
+                found.append(one)
+            else:
+                failures.append(one)
+    if not found and not failures:
+        raise InputError(
+            ", ".join(roots),
+            "holds no session",
+            f"a folder with {SESSION_FILE} is one",
+            "Name the folder above your sessions.",
+        )
+    return sorted(set(found)), sorted(set(failures))
+
+
+def _root(text: str) -> str:
+    path = Path(text)
+    try:
+        if not path.is_dir():
+            found = "is a file" if path.exists() else "does not exist"
+            raise InputError(path, found, "a folder is expected", "Name the folder above.")
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        refused = error if isinstance(error, OSError) else OSError(str(error))
+        raise system_refusal(path, refused) from error
+    return str(path)
+
+
+def _identity(folder: str) -> FolderIdentity:
+    status = os.stat(folder)  # noqa: PTH116  # ten thousand of them: no Path objects
+    return status.st_dev, status.st_ino
+
+
+def _walk(root: str, seen: set[FolderIdentity]) -> Iterator[SessionLocation | SessionFailure]:
+    """Go down from a root; `seen` are folders that were met before."""
+    # a symlink to a folder above the root leads in a circle as well
+    over = frozenset(_identity(str(folder)) for folder in Path(root).resolve().parents)
+    waiting: list[tuple[str, frozenset[FolderIdentity]]] = [(root, over)]
+    while waiting:
+        folder, above = waiting.pop()
+        try:
+            identity = _identity(folder)
+            if identity in above:
+                raise OSError(errno.ELOOP, "")
+            if identity in seen:
+                continue
+            seen.add(identity)
+            inside, is_session = _subfolders(folder)
+        except OSError as error:
+            yield _unreadable_folder(folder, error)
+            continue
+        if is_session:
+            yield SessionLocation(printable_path(folder), str(Path(folder).absolute()))
+            continue
+        chain = above | {identity}
+        for path, problem in inside:
+            if problem is None:
+                waiting.append((path, chain))
+            else:
+                yield _unreadable_folder(path, problem)
+
+
+def _subfolders(folder: str) -> tuple[list[tuple[str, OSError | None]], bool]:
+    """List the folders in a folder, last name first, and whether it is a session."""
+    inside: list[tuple[str, OSError | None]] = []
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name == SESSION_FILE:
+                return [], True
+            if entry.name.startswith(PARTIAL_PREFIX):
+                continue
+            try:
+                if entry.is_dir():
+                    inside.append((entry.path, None))
+            except OSError as error:  # a symlink to itself
+                inside.append((entry.path, error))
+    return sorted(inside, key=lambda one: one[0], reverse=True), False
+
+
+def _unreadable_folder(folder: str, error: OSError) -> SessionFailure:
+    if error.errno == errno.ELOOP:
+        why = InputError(
+            folder,
+            "is a symlink that leads in a circle",
+            "",
+            "Nothing is looked for behind it; remove it if it is a mistake.",
+        )
+    else:
+        why = system_refusal(folder, error)
+    return SessionFailure(printable_path(folder), UNREADABLE, printable_path(one_line(str(why))))

@@ -1,0 +1,185 @@
+"""A batch from end to end: what is missing is measured, then everything goes into tables.
+
+How far a batch has come: sessions, pairs a second, time left, failures so far.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from verify.errors import one_line
+from verify.fleet.batch import tables
+from verify.fleet.batch.records import (
+    KILLED,
+    BatchOptions,
+    SessionFailure,
+    SessionLocation,
+    SessionResults,
+    Task,
+    WorkerDied,
+    printable_path,
+)
+from verify.fleet.batch.store import ResultStore
+from verify.fleet.batch.tasks import CompareTask, MeasureTask, ReportTask
+from verify.fleet.batch.workers import WorkerPool
+
+
+@dataclass(slots=True)
+class BatchProgress:
+    """Counts; `watch` is told after each change."""
+
+    sessions: int  # that were found
+    kept: int = 0  # from an earlier batch
+    again: list[str] = field(default_factory=list)  # measured again: their inputs have changed
+    measured: int = 0
+    pairs: int = 0  # measured now
+    failures: list[SessionFailure] = field(default_factory=list)
+    begun: float = field(default_factory=time.monotonic)  # s
+
+    def begin(self) -> None:
+        """Count time from now on: what was loaded before says nothing of what is to come."""
+        self.begun = time.monotonic()
+
+    @property
+    def done(self) -> int:
+        """Sessions of which nothing more is to come."""
+        return self.kept + self.measured + len(self.failures)
+
+    @property
+    def pairs_a_second(self) -> float | None:
+        """Pairs a second since work began; None before the first."""
+        spent = time.monotonic() - self.begun
+        return self.pairs / spent if self.pairs and spent > 0 else None
+
+    @property
+    def time_left(self) -> float | None:
+        """Seconds until the last session, if the rest is like those measured now."""
+        worked = self.measured + len(self.failures)
+        if not worked:
+            return None
+        return (time.monotonic() - self.begun) / worked * (self.sessions - self.done)
+
+
+ProgressCallback = Callable[[BatchProgress], None]
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult:
+    """What a batch has come to."""
+
+    kept: list[tuple[str, Path]]  # measured sessions by name, and where their results are
+    failures: list[SessionFailure]  # by name
+    progress: BatchProgress
+
+
+def measure_all(
+    found: Sequence[SessionLocation],
+    failures: Sequence[SessionFailure],
+    out: Path,
+    options: BatchOptions,
+    crew: WorkerPool,
+    watch: ProgressCallback,
+) -> BatchResult:
+    """Measure every session that is not done yet; each is kept in `out` as soon as it is done.
+
+    Args:
+        found: sessions, by name.
+        failures: what could not even be looked into.
+        out: the batch's folder.
+        options: what the figures depend on beside the inputs.
+        crew: who does it.
+        watch: told after every session.
+
+    Raises:
+        InputError: `out` cannot be written.
+    """
+    work = _TaskQueue(ResultStore(out), options, BatchProgress(len(found) + len(failures)))
+    work.progress.failures += failures
+    for one in found:
+        work.begin(one)
+    watch(work.progress)
+    if work.waiting:
+        crew.ready(len(work.waiting))
+    work.progress.begin()
+    for task, outcome in crew.run(work.waiting):
+        work.take(task, outcome)
+        watch(work.progress)
+    sessions = sorted(work.done)
+    kept = [(session, work.store.place(session)) for session in sessions]
+    return BatchResult(kept, sorted(work.progress.failures), work.progress)
+
+
+def report_all(batch: BatchResult, crew: WorkerPool, watch: Callable[[int, int], None]) -> None:
+    """Write the own report of each session that has none yet.
+
+    Args:
+        batch: what was measured.
+        crew: on this machine.
+        watch: told how many of how many are written.
+    """
+    missing = [place for _, place in batch.kept if not (place / "report.pdf").exists()]
+    waiting: deque[Task] = deque(ReportTask(str(place)) for place in missing)
+    for number, _ in enumerate(crew.run(waiting), start=1):
+        watch(number, len(missing))
+
+
+def write_tables(batch: BatchResult, folder: Path) -> None:
+    """Write the tables of all measured sessions; failures.csv alone where there are none."""
+    if batch.kept:
+        tables.write(folder, batch.kept, batch.failures)
+    else:
+        tables.write_failures(folder, batch.failures)
+
+
+class _TaskQueue:
+    """What is to be done, and what each outcome leads to."""
+
+    def __init__(self, store: ResultStore, options: BatchOptions, progress: BatchProgress) -> None:
+        self.store, self.options, self.progress = store, options, progress
+        self.waiting: deque[Task] = deque()
+        self.done: list[str] = []
+
+    def begin(self, one: SessionLocation) -> None:
+        """Take a session up: measure it, or see whether what was kept still holds."""
+        kept = self.store.kept(one.session)
+        if kept is not None and kept.options == self.options.described:
+            self.waiting.append(CompareTask(one, kept.inputs))
+            return
+        if kept is not None:
+            again = f"{one.session}: was measured with other options or another version"
+            self.progress.again.append(again)
+        self.waiting.append(MeasureTask(one, self.options))
+
+    def take(self, task: Task, outcome: Any) -> None:
+        """Act on what came of a task."""
+        found: SessionLocation = task.found  # type: ignore[attr-defined]  # all tasks here are a session's
+        if isinstance(outcome, SessionResults):
+            self.store.keep(outcome, self.options)
+            self.progress.measured += 1
+            self.progress.pairs += outcome.pairs
+            self.done.append(found.session)
+        elif isinstance(task, CompareTask) and isinstance(outcome, list):
+            self._compared(task, outcome)
+        else:
+            self.progress.failures.append(
+                _worker_failure(found, outcome) if isinstance(outcome, WorkerDied) else outcome
+            )
+
+    def _compared(self, task: CompareTask, changed: list[str]) -> None:
+        if not changed:
+            self.progress.kept += 1
+            self.done.append(task.found.session)
+            return
+        self.progress.again.append(f"{task.found.session}: changed since: {', '.join(changed)}")
+        self.waiting.append(MeasureTask(task.found, self.options))
+
+
+def _worker_failure(found: SessionLocation, lost: WorkerDied) -> SessionFailure:
+    why = (
+        f"{found.session}: the process that measured it was killed {lost.times} times; it may need "
+        "more memory than there is. Measure it alone with `verify run`."
+    )
+    return SessionFailure(found.session, KILLED, printable_path(one_line(why)))

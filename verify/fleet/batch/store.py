@@ -1,0 +1,109 @@
+"""OUT/sessions: each finished session's results, there at once, whole or not at all."""
+
+import hashlib
+import json
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from verify.errors import InputError
+from verify.fleet.batch.records import BatchOptions, SessionResults
+from verify.io.files import output_refusal, system_refusal, write_folder_whole
+from verify.io.results import RESULTS
+
+SESSIONS_FOLDER = "sessions"
+ENTRY_FILE = "entry.json"
+FORMAT_VERSION = 1
+_MAX_NAME_LETTERS = 40  # of a session's own name in its folder's
+
+
+@dataclass(frozen=True, slots=True)
+class StoredResults:
+    """Results that an earlier batch left."""
+
+    folder: Path
+    inputs: dict[str, str]  # digest of all that they rest on
+    options: str
+
+
+class ResultStore:
+    """Finished sessions by name.
+
+    Args:
+        out: the batch's folder.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self.folder = out / SESSIONS_FOLDER
+
+    def place(self, session: str) -> Path:
+        """Where a session's results are kept: its name made harmless, and a hash of all of it."""
+        own = re.sub(r"[^A-Za-z0-9_-]+", "-", session.rstrip("/").rpartition("/")[2])
+        code = hashlib.sha256(session.encode()).hexdigest()[:12]
+        return self.folder / f"{own.strip('-')[:_MAX_NAME_LETTERS] or 'session'}-{code}"
+
+    def kept(self, session: str) -> StoredResults | None:
+        """Find a session's results; None where there are none, or none that can be trusted."""
+        folder = self.place(session)
+        try:
+            entry: Any = json.loads((folder / ENTRY_FILE).read_bytes())
+            if entry["format"] != FORMAT_VERSION or entry["session"] != session:
+                return None
+            whole = all(
+                hashlib.sha256((folder / name).read_bytes()).hexdigest() == was
+                for name, was in entry["files"].items()
+            )
+            return (
+                StoredResults(folder, dict(entry["inputs"]), str(entry["options"]))
+                if whole
+                else None
+            )
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def keep(self, measured: SessionResults, options: BatchOptions) -> None:
+        """Put a session's results in place, instead of older ones.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        folder = self.place(measured.session)
+        self._remove(folder)
+        entry = {
+            "format": FORMAT_VERSION,
+            "session": measured.session,
+            "options": options.described,
+            "inputs": measured.inputs,
+            "files": {n: hashlib.sha256(c).hexdigest() for n, c in measured.files.items()},
+        }
+        with write_folder_whole(folder) as partial:
+            (partial / RESULTS).mkdir()
+            for name, content in measured.files.items():
+                (partial / name).write_bytes(content)
+            text = json.dumps(entry, indent=1, sort_keys=True)
+            (partial / ENTRY_FILE).write_text(text + "\n", encoding="utf-8")
+
+    def _remove(self, folder: Path) -> None:
+        """Take older results away, first what makes them count."""
+        try:
+            (folder / ENTRY_FILE).unlink(missing_ok=True)
+            if folder.exists():
+                shutil.rmtree(folder)
+        except OSError as error:
+            raise system_refusal(folder, error) from error
+
+
+def require_writable(out: Path) -> None:
+    """Refuse a place where no batch can write, before hours of work go into it.
+
+    Raises:
+        InputError: it is a file, or cannot be made.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(out, "is a file", "a folder is expected", "Choose another -o.")
+    try:
+        (out / SESSIONS_FOLDER).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_refusal(out, error) from error

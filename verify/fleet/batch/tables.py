@@ -1,0 +1,327 @@
+"""sessions.parquet, frames.parquet and failures.csv: the same sessions give the same bytes.
+
+The columns of sessions.parquet and frames.parquet, with their types; docs/batch.md has words.
+
+Both have as many columns a joint as the fleet's longest arm has joints; of a shorter arm the rest
+is null. What is unknown is null.
+
+One session's results as a row of sessions.parquet: summary.json, flattened.
+"""
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import reports
+from reports import Results
+from verify.analysis.uncertainty.sources import ALIGNMENT, CLOCK, PAN
+from verify.fleet.batch.records import SessionFailure
+from verify.io.results import RESULTS
+
+STATUSES = (
+    "too_few_leds",
+    "ambiguous_leds",
+    "no_encoder",
+    "unreachable",
+    "outlier",
+    "unaligned",
+)
+FLANGE_UNITS = (("position", "mm"), ("orientation", "deg"))
+NUMBER, TEXT, COUNT = pa.float64(), pa.string(), pa.int64()
+
+JOINT_COLUMNS = (
+    ("mean_error_deg", NUMBER),
+    ("rms_error_deg", NUMBER),
+    ("max_abs_error_deg", NUMBER),
+    ("standard_uncertainty_deg", NUMBER),
+    ("expanded_uncertainty_deg", NUMBER),
+    ("coverage_factor", NUMBER),
+    ("session_uncertainty_deg", NUMBER),
+    ("worst_error_deg", NUMBER),
+    ("worst_error_standard_uncertainty_deg", NUMBER),
+    ("tolerance_deg", NUMBER),
+    ("conformance_probability", NUMBER),
+    ("verdict", TEXT),
+    ("reason", TEXT),
+    ("pairs", COUNT),
+    ("visible_fraction", NUMBER),
+    ("visible_fraction_since_registration", NUMBER),
+    ("minimum_detectable_error_deg", NUMBER),
+    ("minimum_separable_error_deg", NUMBER),
+)
+CAUSE_TYPE = pa.struct(
+    [
+        ("joint", COUNT),
+        ("kind", TEXT),
+        ("value", NUMBER),
+        ("unit", TEXT),
+        ("standard_uncertainty", NUMBER),
+        ("expanded_uncertainty", NUMBER),
+        ("explains", NUMBER),
+        ("candidates", pa.list_(pa.struct([("joint", COUNT), ("kind", TEXT)]))),
+        ("parameter", TEXT),
+        ("per_turn", COUNT),
+        ("phase_deg", NUMBER),
+        ("turn_deg", NUMBER),
+        ("separating_motion", TEXT),
+    ]
+)
+FRAME_COLUMNS = (
+    ("frame", COUNT),
+    ("t_s", NUMBER),
+    ("status", TEXT),
+    ("leds_seen", COUNT),
+    ("known_dof", COUNT),
+    ("reprojection_rms_px", NUMBER),
+    *((f"{axis}_mm", NUMBER) for axis in "xyz"),
+    *((f"r{axis}_deg", NUMBER) for axis in "xyz"),
+    *((f"{axis}_encoder_mm", NUMBER) for axis in "xyz"),
+    *((f"r{axis}_encoder_deg", NUMBER) for axis in "xyz"),
+)
+FRAME_JOINT_COLUMNS = ("measured_deg", "encoder_deg", "error_deg", "u_deg", "error_u_deg")
+
+
+def sessions_schema(joints: int) -> pa.Schema:
+    """Give the columns of sessions.parquet for a fleet whose longest arm has so many joints."""
+    flange = [
+        column
+        for name, unit in FLANGE_UNITS
+        for column in (
+            (f"{name}_rms_error_{unit}", NUMBER),
+            (f"{name}_max_error_{unit}", NUMBER),
+            (f"{name}_expanded_uncertainty_{unit}", NUMBER),
+            (f"{name}_worst_error_{unit}", NUMBER),
+            (f"{name}_worst_error_standard_uncertainty_{unit}", NUMBER),
+            (f"{name}_tolerance_{unit}", NUMBER),
+            (f"{name}_conformance_probability", NUMBER),
+            (f"{name}_verdict", TEXT),
+            (f"{name}_reason", TEXT),
+        )
+    ]
+    return pa.schema(
+        [
+            ("session", TEXT),
+            ("robot", TEXT),
+            ("description", TEXT),
+            ("started", pa.timestamp("us", tz="UTC")),
+            ("kept_in", TEXT),
+            ("tool_version", TEXT),
+            ("calibration", TEXT),
+            ("base_source", TEXT),
+            ("registration", TEXT),
+            ("robot_fingerprint", TEXT),
+            ("joints", COUNT),
+            ("pairs_recorded", COUNT),
+            ("pairs_measured", COUNT),
+            *((f"rejected_{status}", COUNT) for status in STATUSES),
+            ("clock_encoder_offset_s", NUMBER),
+            ("clock_standard_uncertainty_s", NUMBER),
+            ("clock_source", TEXT),
+            ("clock_observable", pa.bool_()),
+            ("verdict", TEXT),
+            ("decision_rule", TEXT),
+            *((f"q{j + 1}_{name}", kind) for j in range(joints) for name, kind in JOINT_COLUMNS),
+            ("joint_error_correlation", pa.list_(NUMBER)),
+            *flange,
+            ("diagnosis", pa.list_(CAUSE_TYPE)),
+            ("uncounted", pa.list_(TEXT)),
+            ("inputs", pa.list_(pa.struct([("file", TEXT), ("digest", TEXT)]))),
+            ("warnings", pa.list_(TEXT)),
+            ("known_dof", COUNT),
+        ]
+    )
+
+
+def frames_schema(joints: int) -> pa.Schema:
+    """Give the columns of frames.parquet likewise."""
+    return pa.schema(
+        [
+            ("session", TEXT),
+            *FRAME_COLUMNS,
+            *((f"q{j + 1}_{name}", NUMBER) for name in FRAME_JOINT_COLUMNS for j in range(joints)),
+            ("position_error_mm", NUMBER),
+            ("orientation_error_deg", NUMBER),
+            ("ambiguous_joints", TEXT),
+        ]
+    )
+
+
+_PAN_RANGE_KEYS = ("pan_min_deg", "pan_max_deg")  # of the session, not of the calibration
+
+
+def session_row(results: Results, kept_in: str) -> dict[str, Any]:
+    """Flatten a session's results.
+
+    Args:
+        results: as they were kept.
+        kept_in: where, below OUT.
+
+    Returns:
+        What `schema.sessions` names; columns that are missing are null.
+    """
+    summary, setup = results.summary, results.setup
+    session, pairs, clock = summary["session"], summary["pairs"], summary["clock"]
+    flat: dict[str, Any] = {
+        "session": session["path"],
+        "robot": session["robot"],
+        "description": session["description"],
+        "started": parse_start_time(session["started"]),
+        "kept_in": kept_in,
+        "tool_version": summary["tool"]["version"],
+        "calibration": calibration_digest(setup),
+        "base_source": setup["rig"].get("base_source"),
+        "registration": setup["rig"].get("registration"),
+        "robot_fingerprint": setup["robot"].get("fingerprint"),
+        "joints": len(summary["joints"]),
+        "pairs_recorded": pairs["recorded"],
+        "pairs_measured": pairs["measured"],
+        **{f"rejected_{name}": pairs["rejected"].get(name, 0) for name in STATUSES},
+        "clock_encoder_offset_s": clock["encoder_offset_s"],
+        "clock_standard_uncertainty_s": clock["standard_uncertainty_s"],
+        "clock_source": clock["source"],
+        "clock_observable": clock["observable"],
+        "verdict": summary["verdict"],
+        "decision_rule": summary["decision_rule"],
+        "joint_error_correlation": [c for line in summary["joint_error_correlation"] for c in line],
+        "diagnosis": summary["diagnosis"],
+        "uncounted": summary["budget"]["uncounted"],
+        "inputs": [{"file": f, "digest": d} for f, d in sorted(summary["inputs"].items())],
+        "warnings": summary["warnings"],
+        "known_dof": summary["known_dof"],
+    }
+    own = _session_uncertainty(results)
+    for entry in summary["joints"]:
+        name = f"q{entry['joint']}"
+        flat |= {f"{name}_{key}": entry.get(key) for key, _ in JOINT_COLUMNS}
+        flat[f"{name}_session_uncertainty_deg"] = own.get(entry["joint"])
+    for part, _unit in FLANGE_UNITS:
+        flat |= {f"{part}_{key}": value for key, value in summary[part].items()}
+    return flat
+
+
+def parse_start_time(text: str | None) -> datetime | None:
+    """Read when a session started; a time without a zone is taken as UTC."""
+    if text is None:
+        return None
+    read = datetime.fromisoformat(text)
+    return read.replace(tzinfo=UTC) if read.tzinfo is None else read.astimezone(UTC)
+
+
+def calibration_digest(setup: dict[str, Any]) -> str:
+    """Give sessions measured with the same rig, registration and marker the same short text."""
+    rig = dict(setup["rig"])
+    for side in ("left", "right"):
+        rig[side] = {k: v for k, v in rig.get(side, {}).items() if k not in _PAN_RANGE_KEYS}
+    text = json.dumps([rig, setup["marker"]], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _session_uncertainty(results: Results) -> dict[int, float]:
+    """The part of each joint's standard uncertainty that every session draws anew, degrees.
+
+    Pixels, readings, and how the instants were brought together; rig, base and marker are shared
+    by all sessions of one calibration.
+    """
+    budget = results.table("budget")
+    if not len(budget):
+        return {}
+    anew = (budget["kind"] == "random") | budget["source"].isin([ALIGNMENT, CLOCK, PAN])
+    chosen = budget[anew]
+    square = (chosen["standard_uncertainty_deg"] ** 2).groupby(chosen["joint"]).sum(min_count=1)
+    return {int(str(joint)): float(value**0.5) for joint, value in square.items()}
+
+
+MAX_SESSIONS_PER_GROUP = 256  # rows of sessions.parquet that are in memory at once
+MAX_PAIRS_PER_GROUP = 65_536  # likewise of frames.parquet
+FAILURE_COLUMNS = ("session", "kind", "why")
+
+
+def write(
+    folder: Path, kept: Sequence[tuple[str, Path]], failures: Sequence[SessionFailure]
+) -> None:
+    """Write the three tables into a folder.
+
+    Args:
+        folder: exists, holds none of them.
+        kept: each measured session's name and where its results are kept, by name.
+        failures: by name.
+
+    Raises:
+        ReportError: results that were kept are damaged.
+    """
+    joints = _write_sessions(folder / "sessions.parquet", kept)
+    _write_frames(folder / "frames.parquet", kept, joints)
+    write_failures(folder, failures)
+
+
+def write_failures(folder: Path, failures: Iterable[SessionFailure]) -> None:
+    """Write failures.csv alone."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(FAILURE_COLUMNS)
+    writer.writerows((one.session, one.kind, one.why) for one in failures)
+    (folder / "failures.csv").write_text(text.getvalue(), encoding="utf-8", newline="")
+
+
+def _write_sessions(path: Path, kept: Sequence[tuple[str, Path]]) -> int:
+    """Write sessions.parquet; give the number of joints of the longest arm."""
+    joints = max(len(_read_results(place).summary["joints"]) for _, place in kept)
+    columns = sessions_schema(joints)
+    with pq.ParquetWriter(path, columns, compression="zstd") as writer:
+        for start in range(0, len(kept), MAX_SESSIONS_PER_GROUP):
+            some = kept[start : start + MAX_SESSIONS_PER_GROUP]
+            flat = [
+                session_row(_read_results(place), f"{place.parent.name}/{place.name}")
+                for _, place in some
+            ]
+            writer.write_table(pa.Table.from_pylist(flat, schema=columns))
+    return joints
+
+
+def _write_frames(path: Path, kept: Sequence[tuple[str, Path]], joints: int) -> None:
+    columns = frames_schema(joints)
+    with pq.ParquetWriter(path, columns, compression="zstd") as writer:
+        for group in _merge_small_tables(
+            _session_frames(session, place, columns) for session, place in kept
+        ):
+            writer.write_table(group, row_group_size=MAX_PAIRS_PER_GROUP)
+
+
+def _merge_small_tables(tables: Iterator[pa.Table]) -> Iterator[pa.Table]:
+    """Put short tables together, so that a reader need not open thousands of groups."""
+    waiting: list[pa.Table] = []
+    count = 0
+    for table in tables:
+        waiting.append(table)
+        count += len(table)
+        if count >= MAX_PAIRS_PER_GROUP:
+            yield pa.concat_tables(waiting)
+            waiting, count = [], 0
+    if waiting:
+        yield pa.concat_tables(waiting)
+
+
+def _session_frames(session: str, place: Path, columns: pa.Schema) -> pa.Table:
+    own = pq.read_table(place / RESULTS / "frames.parquet")
+    count = len(own)
+    arrays: list[Any] = [pa.repeat(pa.scalar(session, pa.string()), count)]
+    for field in list(columns)[1:]:
+        there = field.name in own.column_names
+        arrays.append(
+            own[field.name].combine_chunks().cast(field.type)
+            if there
+            else pa.nulls(count, field.type)
+        )
+    return pa.table(arrays, schema=columns)
+
+
+def _read_results(place: Path) -> reports.Results:
+    return reports.read(place / RESULTS)

@@ -1,0 +1,119 @@
+"""What workers do: measure a session, see whether one has changed, write its own report."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import reports
+from reports import Results
+from reports.results import to_json_value
+from verify.analysis.session import analyse
+from verify.errors import InputError, one_line
+from verify.fleet.batch.finding import file_versions, is_url, local_copy
+from verify.fleet.batch.records import (
+    DEFECT,
+    REFUSED,
+    UNREADABLE,
+    BatchOptions,
+    SessionFailure,
+    SessionLocation,
+    SessionResults,
+    printable_path,
+)
+from verify.io.files import digest, system_refusal
+from verify.io.results import RESULTS, read_results, write_results
+from verify.io.session.session import open_session
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureTask:
+    """Measure one session from end to end."""
+
+    found: SessionLocation
+    options: BatchOptions
+
+    def perform(self) -> SessionResults | SessionFailure:
+        """Give its results as files, or why there are none."""
+        return _result_or_failure(self.found, self._measured)
+
+    def _measured(self) -> SessionResults:
+        with local_copy(self.found.folder) as folder:
+            opened = open_session(folder)
+            tolerance = self.options.asked.tolerance(opened.arm.dof)
+            results = rename_session(
+                analyse(opened, tolerance=tolerance), str(folder), self.found.session
+            )
+            remote = is_url(self.found.folder)
+            return pack_results(
+                self.found.session, results, file_versions(self.found.folder) if remote else None
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class CompareTask:
+    """See whether what a session's results rest on is still the same."""
+
+    found: SessionLocation
+    inputs: dict[str, str]  # digest by name, as kept
+
+    def perform(self) -> list[str]:
+        """Name what has changed or is gone; nothing where all is as it was."""
+        try:
+            if is_url(self.found.folder):
+                now = file_versions(self.found.folder)
+                names = sorted({*now, *self.inputs})
+                return [name for name in names if now.get(name) != self.inputs.get(name)]
+            folder = Path(self.found.folder)
+            return [name for name, was in self.inputs.items() if digest(folder / name) != was]
+        except InputError as problem:
+            return [problem.place]
+
+
+@dataclass(frozen=True, slots=True)
+class ReportTask:
+    """Write a kept session's own report beside its results."""
+
+    folder: str
+
+    def perform(self) -> None:
+        """Write all that `verify run` writes."""
+        folder = Path(self.folder)
+        write_results(read_results(folder), folder, force=True)
+
+
+def pack_results(session: str, results: Results, inputs: dict[str, str] | None) -> SessionResults:
+    """Turn results into the files of a results folder."""
+    packed = reports.packed(results, Path(RESULTS))
+    files = {f"{RESULTS}/{name}": content for name, content in packed.items()}
+    digests = results.summary["inputs"] if inputs is None else inputs
+    return SessionResults(session, files, dict(digests), int(results.summary["pairs"]["recorded"]))
+
+
+def rename_session(results: Results, folder: str, session: str) -> Results:
+    """Call a session by its name in the tables, wherever a worker found it."""
+    summary: dict[str, Any] = to_json_value(results.summary)
+    summary["session"]["path"] = session
+    was, now = one_line(folder), one_line(session)
+    summary["warnings"] = [printable_path(text.replace(was, now)) for text in summary["warnings"]]
+    return replace(results, summary=summary)
+
+
+def _result_or_failure(found: SessionLocation, work: Callable[[], T]) -> T | SessionFailure:
+    """Do the work on one session; whatever is wrong with it must not stop the others."""
+    try:
+        return work()
+    except InputError as problem:
+        return SessionFailure(found.session, REFUSED, _with_session_name(str(problem), found))
+    except OSError as problem:
+        refused = system_refusal(problem.filename or found.folder, problem)
+        return SessionFailure(found.session, UNREADABLE, _with_session_name(str(refused), found))
+    except Exception as problem:  # a defect of ours: it is told, and the batch goes on
+        why = f"{found.session}: {type(problem).__name__}: {problem}. Please report this defect."
+        return SessionFailure(found.session, DEFECT, printable_path(one_line(why)))
+
+
+def _with_session_name(text: str, found: SessionLocation) -> str:
+    return printable_path(text.replace(one_line(found.folder), one_line(found.session)))

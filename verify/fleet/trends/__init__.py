@@ -1,0 +1,1 @@
+"""Control charts, change points, comparison."""

@@ -1,0 +1,314 @@
+"""sessions.parquet and failures.csv to the results that a fleet report is made of."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import date
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from reports import Results
+from verify.core.version import __version__
+from verify.errors import InputError
+from verify.fleet.trends.joints import (
+    MIN_SESSIONS_TO_ASSESS,
+    JointAssessment,
+    assess_joint,
+    change_rows,
+    point_rows,
+)
+from verify.fleet.trends.series import Contrast, JointSeries, contrast, series_of
+
+P_FALSE_ALARM = 0.01  # of the whole report: a change, an odd session, a difference; one each
+MAX_WORST_SESSIONS = 20  # sessions listed as the worst
+ARM_GROUPINGS = ("robot", "folder")  # what tells arms apart
+DAY_NS = 86_400 * 10**9
+
+
+@dataclass(frozen=True, slots=True)
+class TrendRequest:
+    """What a report is asked beside the ordinary."""
+
+    by: str = "robot"  # one of BY
+    since: date | None = None  # before and after this day
+    compare: tuple[str, str] | None = None  # sessions below one folder against those below another
+
+
+def assess(
+    sessions: pd.DataFrame, failures: pd.DataFrame, questions: TrendRequest, reported: Sequence[str]
+) -> Results:
+    """Judge a fleet.
+
+    Args:
+        sessions: the rows of sessions.parquet.
+        failures: the rows of failures.csv.
+        questions: what else is asked.
+        reported: names of the sessions that have reports of their own.
+
+    Returns:
+        Results of the kind "fleet".
+    """
+    sessions = sessions.assign(arm=_arms(sessions, questions.by))
+    every = _all_series(sessions)
+    judged = _assess_joints(every)
+    contrasts = _contrasts(sessions, every, questions)
+    tables = {
+        "joints": pd.DataFrame([_joint_row(sessions, one, judged.get(_key(one))) for one in every]),
+        "changes": _table(
+            [row for one in judged.values() for row in change_rows(one)], _CHANGE_COLUMNS
+        ),
+        "points": _points(list(judged.values())),
+        "contrasts": _table(contrasts, _CONTRAST_COLUMNS),
+        "worst": _worst_sessions(sessions, set(reported)),
+        "failures": failures.astype(str),
+    }
+    return Results(_summary(sessions, failures, questions, every), {}, tables)
+
+
+_CHANGE_COLUMNS = (
+    "arm", "joint", "kind", "term", "session", "t_days", "before_t_days", "earliest_t_days",
+    "latest_t_days", "size", "size_u", "unit", "clearer_by",
+    "recalibrated",
+)  # fmt: skip
+_CONTRAST_COLUMNS = (
+    "question", "arm", "joint", "first", "second", "first_sessions", "second_sessions",
+    "first_deg", "second_deg", "difference_deg", "difference_u_deg", "shown",
+)  # fmt: skip
+_POINT_COLUMNS = (
+    "arm", "joint", "session", "t_days", "error_deg", "u_deg", "fitted_deg", "reference_deg",
+    "low_deg", "high_deg", "odd", "calibration",
+)  # fmt: skip
+
+
+def _table(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=list(columns))
+
+
+def _arms(sessions: pd.DataFrame, by: str) -> pd.Series:
+    """Name the arm of each session: its robot, or that and the folder that holds the session."""
+    if by == "robot":
+        return sessions["robot"]
+    above = sessions["session"].map(lambda name: PurePosixPath(name).parent.name or ".")
+    return sessions["robot"] + " in " + above
+
+
+def _all_series(sessions: pd.DataFrame) -> list[JointSeries]:
+    """The series of every joint of every arm, by name."""
+    return [
+        series_of(rows, str(arm), joint)
+        for arm, rows in sessions.groupby("arm", sort=True)
+        for joint in range(1, int(rows["joints"].max()) + 1)
+    ]
+
+
+def _key(series: JointSeries) -> tuple[str, int]:
+    return series.arm, series.joint
+
+
+def _assess_joints(every: list[JointSeries]) -> dict[tuple[str, int], JointAssessment]:
+    """Judge all that can be: the chance of a false alarm is shared out between them."""
+    long = [one for one in every if len(one) >= MIN_SESSIONS_TO_ASSESS]
+    return {_key(one): assess_joint(one, P_FALSE_ALARM / len(long)) for one in long}
+
+
+def _points(judged: list[JointAssessment]) -> pd.DataFrame:
+    tables = [point_rows(one) for one in judged]
+    return (
+        pd.concat(tables, ignore_index=True)
+        if tables
+        else pd.DataFrame(columns=list(_POINT_COLUMNS))
+    )
+
+
+def _joint_row(
+    sessions: pd.DataFrame, series: JointSeries, judged: JointAssessment | None
+) -> dict[str, Any]:
+    """One row of the table of joints."""
+    rows = sessions[sessions["arm"] == series.arm]
+    name = f"q{series.joint}"
+    verdicts = rows[f"{name}_verdict"].value_counts()
+    row: dict[str, Any] = {
+        "arm": series.arm,
+        "joint": series.joint,
+        "sessions": len(series),
+        "without_figure": len(rows) - len(series),
+        "undated": int(rows["started"].isna().sum()),
+        "state": judged.state if judged else "unknown",
+        "conform": int(verdicts.get("conform", 0)),
+        "nonconform": int(verdicts.get("nonconform", 0)),
+        "undecided": int(verdicts.get("undecided", 0)),
+        "detectable_deg": _median(rows, f"{name}_minimum_detectable_error_deg"),
+        "separable_deg": _median(rows, f"{name}_minimum_separable_error_deg"),
+        "visible": _median(rows, f"{name}_visible_fraction"),
+        "visible_since": _median(rows, f"{name}_visible_fraction_since_registration"),
+    }
+    if judged is None:
+        return row
+    level, u = judged.level
+    return row | {
+        "error_deg": level,
+        "error_u_deg": u,
+        "trend_deg_per_month": judged.course.slope,
+        "trend_u_deg_per_month": judged.course.slope_uncertainty,
+        "worse": judged.worse,
+        "odd_sessions": int(judged.odd.sum()),
+        "excess": judged.series.excess,
+    }
+
+
+def _median(rows: pd.DataFrame, name: str) -> float | None:
+    known = rows[name].dropna()
+    return float(known.median()) if len(known) else None
+
+
+def _contrasts(
+    sessions: pd.DataFrame, every: list[JointSeries], questions: TrendRequest
+) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    if questions.since is not None:
+        day = pd.Timestamp(questions.since, tz="UTC").value / DAY_NS
+        names = f"before {questions.since}", f"since {questions.since}"
+        sides = [(one, one.t >= day) for one in every]
+        rows += _contrast_rows("since", names, sides)
+    if questions.compare is not None:
+        first, second = (
+            _sessions_below(sessions["session"], folder) for folder in questions.compare
+        )
+        chosen = []
+        for one in every:
+            of = np.array([s in first or s in second for s in one.session], dtype=bool)
+            some = one.chosen(of)
+            chosen.append((some, np.array([s in second for s in some.session], dtype=bool)))
+        rows += _contrast_rows("compare", questions.compare, chosen)
+    return rows
+
+
+def _contrast_rows(
+    question: str, names: tuple[str, str], sides: list[tuple[JointSeries, Any]]
+) -> list[dict[str, Any]]:
+    possible = [(one, second) for one, second in sides if second.any() and not second.all()]
+    rows = []
+    for one, second in possible:
+        found = contrast(one, second, P_FALSE_ALARM / len(possible))
+        if found is not None:
+            rows.append(_contrast_row(question, names, one, found))
+    return rows
+
+
+def _contrast_row(
+    question: str, names: tuple[str, str], series: JointSeries, found: Contrast
+) -> dict[str, Any]:
+    return {
+        "question": question,
+        "arm": series.arm,
+        "joint": series.joint,
+        "first": names[0],
+        "second": names[1],
+        "first_sessions": found.sessions[0],
+        "second_sessions": found.sessions[1],
+        "first_deg": found.level[0],
+        "second_deg": found.level[1],
+        "difference_deg": found.difference,
+        "difference_u_deg": found.standard_uncertainty,
+        "shown": found.shown,
+    }
+
+
+def require_folders(names: Sequence[str], questions: TrendRequest) -> None:
+    """Refuse folders to compare that hold none of the sessions, before hours of work.
+
+    Args:
+        names: of all sessions that were found.
+        questions: what is asked.
+
+    Raises:
+        InputError: a folder to compare holds no session.
+    """
+    for folder in questions.compare or ():
+        if not _sessions_below(names, folder):
+            raise InputError(
+                f"--compare {folder}",
+                "holds none of the sessions",
+                "a folder with sessions of this batch is expected, written as in the command",
+                "Name two of the batch's folders.",
+            )
+
+
+def _sessions_below(names: Iterable[str], folder: str) -> set[str]:
+    """Name the sessions below a folder."""
+    start = folder.rstrip("/")
+    return {name for name in names if name == start or name.startswith(f"{start}/")}
+
+
+def _worst_sessions(sessions: pd.DataFrame, reported: set[str]) -> pd.DataFrame:
+    """List the sessions with the largest resolved errors, those that do not conform first."""
+    rows = []
+    for _, session in sessions.iterrows():
+        errors = [
+            (abs(session[f"q{j}_worst_error_deg"]), j)
+            for j in range(1, int(session["joints"]) + 1)
+            if pd.notna(session[f"q{j}_worst_error_deg"])
+        ]
+        if not errors:
+            continue
+        _, joint = max(errors)
+        name = f"q{joint}"
+        rows.append(
+            {
+                "session": session["session"],
+                "arm": session["arm"],
+                "started": _day(session["started"]),
+                "joint": joint,
+                "worst_error_deg": session[f"{name}_worst_error_deg"],
+                "worst_error_u_deg": session[f"{name}_worst_error_standard_uncertainty_deg"],
+                "verdict": session["verdict"],
+                "kept_in": session["kept_in"],
+                "reported": session["session"] in reported,
+            }
+        )
+    severity = {"nonconform": 0, "undecided": 1}
+    rows.sort(
+        key=lambda r: (severity.get(r["verdict"], 2), -abs(r["worst_error_deg"]), r["session"])
+    )
+    return _table(
+        rows[:MAX_WORST_SESSIONS],
+        ("session", "arm", "started", "joint", "worst_error_deg", "worst_error_u_deg", "verdict",
+         "kept_in", "reported"),
+    )  # fmt: skip
+
+
+def _day(moment: Any) -> str | None:
+    return None if pd.isna(moment) else moment.strftime("%Y-%m-%d")
+
+
+def _summary(
+    sessions: pd.DataFrame,
+    failures: pd.DataFrame,
+    questions: TrendRequest,
+    every: list[JointSeries],
+) -> dict[str, Any]:
+    dated = sessions["started"].dropna()
+    verdicts = sessions["verdict"].value_counts()
+    return {
+        "kind": "fleet",
+        "format": 1,
+        "tool": {"name": "verify", "version": __version__},
+        "sessions": {
+            "measured": len(sessions),
+            "failed": len(failures),
+            "undated": len(sessions) - len(dated),
+            "first": _day(dated.min()) if len(dated) else None,
+            "last": _day(dated.max()) if len(dated) else None,
+            "pairs_recorded": int(sessions["pairs_recorded"].sum()),
+            "pairs_measured": int(sessions["pairs_measured"].sum()),
+        },
+        "verdicts": {str(word): int(count) for word, count in sorted(verdicts.items())},
+        "arms": sorted({one.arm for one in every}),
+        "false_alarm": P_FALSE_ALARM,
+        "fewest_sessions": MIN_SESSIONS_TO_ASSESS,
+        "by": questions.by,
+        "since": None if questions.since is None else questions.since.isoformat(),
+        "compare": None if questions.compare is None else list(questions.compare),
+    }

@@ -1,0 +1,236 @@
+"""Changes of a joint over time: steps and drifts, dated to a session, told from each other.
+
+The level is a constant, plus steps at sessions, plus drifts that begin at sessions. Terms are added
+while the best candidate is beyond what chance gives the best of all candidates of all joints of the
+fleet (Bonferroni), each place is then looked for again beside the others. A kind is named where its
+fit beats the other kind's by ΔBIC ≥ 10.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from verify.core.records import Array
+from verify.core.statistics import t_isf
+from verify.fleet.trends.series import DAYS_PER_MONTH, JointSeries, SeriesFit, fit, scan
+
+MIN_SESSIONS = 3  # sessions on either side of a change: one or two odd ones are no change
+MAX_TERMS = 6
+MIN_BIC_DIFFERENCE = 10.0  # ΔBIC: odds of 150 to 1
+MAX_CHI2_DATE = 6.63  # χ²(1), 99 %: how far a date may be from the best one
+
+
+@dataclass(frozen=True, slots=True)
+class TrendTerm:
+    """A step at a session, or a drift from a session on."""
+
+    kind: str  # step, drift
+    place: int  # index of the first session after a step; of the last one before a drift
+
+
+@dataclass(frozen=True, slots=True)
+class TrendChange:
+    """A term that the data ask for."""
+
+    term: TrendTerm
+    size: float  # degrees; a drift's in degrees a month
+    standard_uncertainty: float  # in the same unit
+    earliest: int  # the first place that the data do not exclude (99 %), as `TrendTerm.place`
+    latest: int
+    clearer_by: float  # ΔBIC to the best fit with the other kind in its stead
+
+
+@dataclass(frozen=True, slots=True)
+class JointTrend:
+    """The level of one joint over time."""
+
+    changes: tuple[TrendChange, ...]  # in order of time
+    fitted: Array  # (n,), degrees
+    shift: Array  # (n,), degrees: what each session's calibration is seen to add
+    level_uncertainty: float  # standard, of the last of `fitted`, calibrations included
+    reference: float  # degrees: the level before any change
+    reference_uncertainty: float  # standard, what calibrations share left out
+    slope: float  # degrees a month, at the end
+    slope_uncertainty: float
+
+
+def find_changes(series: JointSeries, false_alarm: float) -> JointTrend:
+    """Find the changes of one joint.
+
+    Args:
+        series: three sessions or more.
+        false_alarm: the chance that anything is found where nothing changed.
+
+    Returns:
+        The level over time.
+    """
+    every = candidates(series)
+    threshold = _threshold(series, false_alarm / max(len(every), 1))
+    terms = _add_terms(series, every, threshold)
+    found = fit(series, _design(series, terms))
+    changes = [_change(series, terms, i, found, every) for i in range(len(terms))]
+    last = _design(series, terms)[-1]
+    slope, slope_uncertainty = _slope(terms, found)
+    return JointTrend(
+        changes=tuple(sorted(changes, key=lambda c: (c.term.place, c.term.kind))),
+        fitted=found.fitted,
+        shift=found.shift,
+        level_uncertainty=float(np.sqrt(last @ found.covariance @ last)),
+        reference=float(found.coefficients[0]),
+        reference_uncertainty=float(np.sqrt(_unshared_covariance(series, terms)[0, 0])),
+        slope=slope,
+        slope_uncertainty=slope_uncertainty,
+    )
+
+
+def candidates(series: JointSeries) -> list[TrendTerm]:
+    """List every change that a series could show."""
+    n = len(series)
+    steps = [TrendTerm("step", k) for k in range(MIN_SESSIONS, n - MIN_SESSIONS + 1)]
+    drifts = [
+        TrendTerm("drift", k)
+        for k in range(max(n - MIN_SESSIONS, 0))
+        if k == 0 or k >= MIN_SESSIONS
+    ]
+    return [*drifts, *steps] if n > MIN_SESSIONS else []
+
+
+def _threshold(series: JointSeries, chance: float) -> float:
+    """What a single candidate must take off χ²."""
+    quantile = t_isf(chance / 2, series.degrees_of_freedom)
+    return float(quantile**2)
+
+
+def _column(series: JointSeries, term: TrendTerm) -> Array:
+    if term.kind == "step":
+        return (np.arange(len(series)) >= term.place).astype(float)
+    months = _months(series)
+    late: Array = np.maximum(months - months[term.place], 0.0)
+    return late
+
+
+def _months(series: JointSeries) -> Array:
+    """Time since the first session."""
+    months: Array = (series.t - series.t[0]) / DAYS_PER_MONTH
+    return months
+
+
+def _design(series: JointSeries, terms: list[TrendTerm]) -> Array:
+    return np.column_stack([np.ones(len(series)), *(_column(series, t) for t in terms)])
+
+
+def _bic_penalty(series: JointSeries, term: TrendTerm) -> float:
+    """What a term's parameters cost (BIC): a size, and a place unless it is the beginning."""
+    free = 1 if term == TrendTerm("drift", 0) else 2
+    return free * float(np.log(len(series)))
+
+
+def _add_terms(series: JointSeries, every: list[TrendTerm], threshold: float) -> list[TrendTerm]:
+    """Add terms while they are beyond chance; look for each again beside the others."""
+    terms: list[TrendTerm] = []
+    while len(terms) < MAX_TERMS:
+        gain = _candidate_gains(series, terms, every)
+        if not len(gain) or gain.max() < threshold:
+            break
+        worth = gain - np.array([_bic_penalty(series, t) for t in every])
+        terms = _prune(series, [*terms, every[int(np.argmax(worth))]], every, threshold)
+    if len(terms) < 2:
+        return terms
+    # a drift that a repair ends: step by step one would climb it in many steps
+    repaired = _prune(series, _drift_until_step(series, every), every, threshold)
+    return min(terms, repaired, key=lambda some: _bic(series, some))
+
+
+def _drift_until_step(series: JointSeries, every: list[TrendTerm]) -> list[TrendTerm]:
+    """A drift from the beginning, taken back by a step with which it ends, where that fits best."""
+    places = [t.place for t in every if t.kind == "step"]
+    places = [k for k in places if TrendTerm("drift", k) in every]
+    choices = [[TrendTerm("drift", 0), TrendTerm("step", k), TrendTerm("drift", k)] for k in places]
+    return min(choices, key=lambda some: _bic(series, some), default=[])
+
+
+def _prune(
+    series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm], threshold: float
+) -> list[TrendTerm]:
+    """Settle the terms, and drop those that the others make superfluous."""
+    terms = _refine(series, terms, every)
+    while len(terms) > 1 and (weak := _superfluous_term(series, terms, threshold)) is not None:
+        terms = [t for t in terms if t != weak]
+    return terms
+
+
+def _bic(series: JointSeries, terms: list[TrendTerm]) -> float:
+    """BIC, up to a constant."""
+    return fit(series, _design(series, terms)).chi2 + sum(_bic_penalty(series, t) for t in terms)
+
+
+def _refine(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm]) -> list[TrendTerm]:
+    """Move each term to its best place and kind beside the others, until none moves."""
+    for _ in range(2 * MAX_TERMS):  # each move takes χ² down: it ends by itself, soon
+        before = list(terms)
+        for i in range(len(terms)):
+            others = [t for j, t in enumerate(terms) if j != i]
+            worth = _candidate_gains(series, others, every) - np.array(
+                [_bic_penalty(series, t) for t in every]
+            )
+            terms[i] = every[int(np.argmax(worth))]
+        if terms == before:
+            break
+    return list(dict.fromkeys(terms))
+
+
+def _superfluous_term(
+    series: JointSeries, terms: list[TrendTerm], threshold: float
+) -> TrendTerm | None:
+    """The term that the others make superfluous, if one is."""
+    lost = [
+        _candidate_gains(series, [t for t in terms if t != term], [term])[0] for term in terms
+    ]  # what each one alone takes off
+    least = int(np.argmin(lost))
+    return terms[least] if lost[least] < threshold else None
+
+
+def _candidate_gains(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm]) -> Array:
+    """What each candidate alone would take off χ² beside the terms."""
+    design = _design(series, terms)
+    tried = scan(series, _months(series), design, fit(series, design))
+    return np.array([getattr(tried, term.kind)[term.place] for term in every])
+
+
+def _change(
+    series: JointSeries,
+    terms: list[TrendTerm],
+    index: int,
+    found: SeriesFit,
+    every: list[TrendTerm],
+) -> TrendChange:
+    term = terms[index]
+    others = [t for t in terms if t != term]
+    gain = _candidate_gains(series, others, every)
+    worth = gain - np.array([_bic_penalty(series, t) for t in every])
+    kind = np.array([t.kind == term.kind for t in every])
+    place = np.array([t.place for t in every])
+    own = gain[[t == term for t in every]][0]
+    dated = place[kind & (gain >= own - MAX_CHI2_DATE)]
+    rival = worth[~kind].max(initial=-np.inf)
+    return TrendChange(
+        term=term,
+        size=float(found.coefficients[index + 1]),
+        standard_uncertainty=float(np.sqrt(found.covariance[index + 1, index + 1])),
+        earliest=int(dated.min()),
+        latest=int(dated.max()),
+        clearer_by=float(own - _bic_penalty(series, term) - rival),
+    )
+
+
+def _unshared_covariance(series: JointSeries, terms: list[TrendTerm]) -> Array:
+    """Covariance of the coefficients from what sessions do not share."""
+    alone = replace(series, shared=np.zeros(len(series)))
+    return fit(alone, _design(alone, terms)).covariance
+
+
+def _slope(terms: list[TrendTerm], found: SeriesFit) -> tuple[float, float]:
+    """What all drifts add up to at the end, degrees a month, and its standard uncertainty."""
+    drifting = np.array([0.0, *(t.kind == "drift" for t in terms)])
+    variance = float(drifting @ found.covariance @ drifting)
+    return float(drifting @ found.coefficients), float(np.sqrt(variance))

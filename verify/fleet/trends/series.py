@@ -1,0 +1,269 @@
+"""One joint over time: its mean error in each session, and how well each is known.
+
+Generalised least squares for sessions that share calibrations.
+
+V = diag(scatter²) + one block a calibration, shared² in every place: an error of the rig moves all
+its sessions alike. Each block is a diagonal plus a rank of one, so V⁻¹ is applied in one pass.
+
+Source: Sherman and Morrison, Annals of Mathematical Statistics 21(1), 1950.
+
+Two sets of sessions held against each other: before and after a repair, one cell and another.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from verify.core.records import Array
+from verify.core.statistics import t_isf
+
+SECONDS_PER_DAY = 86_400.0  # s
+DAYS_PER_MONTH = 365.25 / 12  # days
+MIN_SESSIONS_FOR_SCATTER = 5  # sessions from which the scatter between them is looked at
+NORMAL_MEDIAN = 0.6745  # of |z|
+EFFICIENCY = 0.25  # of the scatter's estimate: a median (0.37) of successive differences (2/3)
+
+
+@dataclass(frozen=True, slots=True)
+class JointSeries:
+    """One joint of one arm, n sessions in order of time; degrees, as in the tables."""
+
+    arm: str
+    joint: int
+    session: tuple[str, ...]
+    t: Array  # (n,), days since 1970
+    error: Array  # (n,), mean error
+    own: Array  # (n,), standard uncertainty that every session draws anew, as stated
+    shared: Array  # (n,), standard uncertainty that sessions of one calibration share
+    group: NDArray[np.int64]  # (n,), sessions with the same number share a calibration
+    excess: float = 1.0  # factor on `own`: how far the sessions scatter beyond it
+
+    def __len__(self) -> int:
+        """Count the sessions."""
+        return len(self.t)
+
+    @property
+    def scatter(self) -> Array:
+        """Standard deviation of each session against its neighbours, (n,)."""
+        return self.excess * self.own
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Of `scatter`: infinite where the stated uncertainties explain it."""
+        return np.inf if self.excess == 1.0 else max(EFFICIENCY * len(self), 1.0)
+
+    def chosen(self, which: NDArray[np.bool_]) -> "JointSeries":
+        """Some of the sessions."""
+        return JointSeries(
+            self.arm,
+            self.joint,
+            tuple(np.array(self.session, dtype=object)[which].tolist()),
+            self.t[which],
+            self.error[which],
+            self.own[which],
+            self.shared[which],
+            self.group[which],
+            self.excess,
+        )
+
+
+def series_of(sessions: pd.DataFrame, arm: str, joint: int) -> JointSeries:
+    """Take one joint's series from an arm's dated sessions; those without a figure are left out.
+
+    Args:
+        sessions: the arm's rows of sessions.parquet.
+        arm: its name.
+        joint: from 1.
+    """
+    name = f"q{joint}"
+    known = sessions["started"].notna() & sessions[f"{name}_mean_error_deg"].notna()
+    known &= sessions[f"{name}_standard_uncertainty_deg"].fillna(0) > 0
+    rows = sessions[known].sort_values(["started", "session"], kind="stable")
+    full = _numbers(rows, f"{name}_standard_uncertainty_deg")
+    own = np.fmin(_numbers(rows, f"{name}_session_uncertainty_deg"), full)
+    own = np.where(own > 0, own, full)  # not told apart: all of it may differ between sessions
+    found = JointSeries(
+        arm=arm,
+        joint=joint,
+        session=tuple(rows["session"]),
+        t=_days(rows),
+        error=_numbers(rows, f"{name}_mean_error_deg"),
+        own=own,
+        shared=np.sqrt(np.maximum(full**2 - own**2, 0.0)),
+        group=pd.factorize(rows["calibration"])[0].astype(np.int64),
+    )
+    return _with_excess(found)
+
+
+def _with_excess(series: JointSeries) -> JointSeries:
+    """Look whether sessions scatter beyond what they state, by how neighbours in time differ."""
+    if len(series) < MIN_SESSIONS_FOR_SCATTER:
+        return series
+    variance = series.own**2
+    other = np.diff(series.group) != 0
+    between = np.where(other, series.shared[1:] ** 2 + series.shared[:-1] ** 2, 0.0)
+    step = np.diff(series.error) / np.sqrt(variance[1:] + variance[:-1] + between)
+    factor = float(np.median(np.abs(step))) / NORMAL_MEDIAN
+    if factor <= 1.0:
+        return series
+    parts = {name: getattr(series, name) for name in JointSeries.__slots__}
+    return JointSeries(**parts | {"excess": factor})
+
+
+def _numbers(rows: pd.DataFrame, name: str) -> Array:
+    values: Array = rows[name].to_numpy(dtype=float, na_value=np.nan)
+    return values
+
+
+def _days(rows: pd.DataFrame) -> Array:
+    since = rows["started"] - pd.Timestamp(0, tz="UTC")
+    return np.asarray(since.dt.total_seconds(), dtype=np.float64) / SECONDS_PER_DAY
+
+
+MIN_COLUMN_SHARE = 1e-9  # of a column that is left beside the others: less is rounding
+
+
+def apply_inverse_covariance(series: JointSeries, columns: Array) -> Array:
+    """Apply V⁻¹ to columns (n, m)."""
+    weight = 1 / series.scatter**2
+    result: Array = columns * weight[:, None]
+    for inside, square in _calibration_blocks(series):
+        share = square / (1 + square * weight[inside].sum())
+        total = result[inside].sum(axis=0)
+        result[inside] -= share * weight[inside][:, None] * total
+    return result
+
+
+def _calibration_blocks(series: JointSeries) -> Iterator[tuple[NDArray[np.bool_], float]]:
+    """Each calibration's sessions, and the variance that they share."""
+    for group in np.unique(series.group):
+        inside = series.group == group
+        yield inside, float(np.mean(series.shared[inside] ** 2))
+
+
+@dataclass(frozen=True, slots=True)
+class SeriesFit:
+    """A linear model of one series."""
+
+    coefficients: Array  # (p,)
+    covariance: Array  # (p, p)
+    chi2: float
+    fitted: Array  # (n,)
+    residual_weighted: Array  # (n,), V⁻¹ (y - fitted)
+    shift: Array  # (n,), what each session's calibration is seen to add to the fit
+
+
+def fit(series: JointSeries, design: Array) -> SeriesFit:
+    """Fit columns (n, p) of full rank."""
+    by_weight = apply_inverse_covariance(series, design)
+    covariance = np.asarray(np.linalg.inv(design.T @ by_weight), dtype=np.float64)
+    coefficients = covariance @ (by_weight.T @ series.error)
+    fitted = design @ coefficients
+    residual = series.error - fitted
+    residual_weighted = apply_inverse_covariance(series, residual[:, None])[:, 0]
+    shift = np.zeros(len(series))
+    for inside, square in _calibration_blocks(series):
+        shift[inside] = square * residual_weighted[inside].sum()  # its best linear prediction
+    chi2 = float(residual @ residual_weighted)
+    return SeriesFit(coefficients, covariance, chi2, fitted, residual_weighted, shift)
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeScan:
+    """What a step, or a drift, at each session alone would take off χ² beside a fit; (n,) each."""
+
+    step: Array
+    drift: Array
+
+
+def scan(series: JointSeries, months: Array, design: Array, found: SeriesFit) -> ChangeScan:
+    """Try a step and a drift at every session, in one pass of sums from the end.
+
+    A step at k is 1 from session k on; a drift at k is the time since session k, from there on. All
+    products of such columns with V⁻¹ are sums over the sessions from k on.
+
+    Args:
+        series: n sessions in order of time.
+        months: (n,), their time.
+        design: (n, p), the columns of the fit.
+        found: the fit.
+    """
+    by_weight = apply_inverse_covariance(series, design)
+    step_signal, drift_signal = _tail_sums(months, found.residual_weighted)
+    step_common, drift_common = _tail_sums(months, by_weight)
+    step_own, drift_own = _squares(series, months)
+    return ChangeScan(
+        step=_gain(step_signal, step_common, step_own, found),
+        drift=_gain(drift_signal, drift_common, drift_own, found),
+    )
+
+
+def _tail_sums(months: Array, values: Array) -> tuple[Array, Array]:
+    """Σ v and Σ (t - t_k) v over the sessions from each k on."""
+    t = months if values.ndim == 1 else months[:, None]
+    plain = _suffix_sums(values)
+    return plain, _suffix_sums(t * values) - t * plain
+
+
+def _squares(series: JointSeries, months: Array) -> tuple[Array, Array]:
+    """Σ c V⁻¹ c for the step and the drift at each k."""
+    weight = 1 / series.scatter**2
+    plain, first = _suffix_sums(weight), _suffix_sums(weight * months)
+    second = _suffix_sums(weight * months**2) - months * (2 * first - months * plain)
+    for inside, square in _calibration_blocks(series):
+        part = np.where(inside, weight, 0.0)
+        share = square / (1 + square * part.sum())
+        steps, drifts = _tail_sums(months, part)
+        plain, second = plain - share * steps**2, second - share * drifts**2
+    return plain, second
+
+
+def _gain(signal: Array, common: Array, own: Array, found: SeriesFit) -> Array:
+    left = own - np.einsum("np,pq,nq->n", common, found.covariance, common)
+    there = left > MIN_COLUMN_SHARE * own
+    gain: Array = np.where(there, signal**2 / np.where(there, left, 1.0), 0.0)
+    return gain
+
+
+def _suffix_sums(values: Array) -> Array:
+    """Sums from each place to the end."""
+    sums: Array = np.cumsum(values[::-1], axis=0)[::-1]
+    return sums
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """One joint's level in two sets of sessions, degrees; uncertainties are standard ones."""
+
+    sessions: tuple[int, int]
+    level: tuple[float, float]
+    difference: float  # second less first
+    standard_uncertainty: float  # of the difference: what both share drops out
+    limit: float  # of |difference|, beyond which it is shown
+
+    @property
+    def shown(self) -> bool:
+        """The difference is beyond chance."""
+        return abs(self.difference) > self.limit
+
+
+def contrast(series: JointSeries, second: NDArray[np.bool_], false_alarm: float) -> Contrast | None:
+    """Hold the sessions that are `second` against the others; None where either set is empty.
+
+    Args:
+        series: one joint of one arm.
+        second: (n,), which belong to the second set.
+        false_alarm: the chance that a difference is shown where there is none.
+    """
+    counts = int((~second).sum()), int(second.sum())
+    if not all(counts):
+        return None
+    design = np.column_stack([np.ones(len(series)), second.astype(float)])
+    found = fit(series, design)
+    first, difference = found.coefficients.tolist()
+    u = float(np.sqrt(found.covariance[1, 1]))
+    limit = float(t_isf(false_alarm / 2, series.degrees_of_freedom)) * u
+    return Contrast(counts, (first, first + difference), difference, u, limit)

@@ -1,0 +1,1 @@
+"""MELFA mover and Robotiq gripper behind one protocol."""

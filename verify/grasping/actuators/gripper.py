@@ -1,0 +1,302 @@
+"""A Robotiq 3-finger gripper that moves: activation, modes, opening, closing, and what came of it.
+
+Whether something is gripped is what the gripper's own object detection says, never a time that has
+passed. Every wait has a limit; past it, or at a fault, the fingers are stopped and the reason said.
+A write that failed is not repeated on another connection: whoever ordered it decides anew.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+from pymodbus.pdu import ModbusPDU
+from pymodbus.pdu.register_message import (
+    WriteMultipleRegistersRequest,
+    WriteMultipleRegistersResponse,
+)
+
+from verify.devices.ports import ClockFunction, Port
+from verify.grasping.actuators.gripper_modbus import (
+    CLOSED_POSITION,
+    FIRST_OUTPUT,
+    MIN_LASTING_FAULT,
+    RESET_OUTPUTS,
+    ActivationStatus,
+    FingerStatus,
+    GripperCommand,
+    GripperInputs,
+    fault_text,
+)
+from verify.grasping.actuators.gripper_reader import READ_FUNCTIONS, GripperReader, GripperSettings
+from verify.grasping.actuators.protocols import (
+    ExecutePermission,
+    GripMode,
+    GripperState,
+    GripperStatus,
+    MotionRefusedError,
+)
+
+MOVE_FUNCTIONS: Final = READ_FUNCTIONS | {WriteMultipleRegistersRequest.function_code}
+N_CONFIRMATIONS = 3  # readings in a row that must agree before a motion is called over
+RESET_TIMEOUT, STOP_TIMEOUT, MODE_TIMEOUT = 2.0, 2.0, 15.0  # s
+CLOSE_TIMEOUT = 1.0  # s
+MAX_STATUS_AGE = 0.5  # s: what was read longer ago says nothing of now
+CLOSE_PERIOD = 0.005  # s, between the steps of `close`
+RESTING_STATES = frozenset(
+    {
+        GripperState.READY,
+        GripperState.REACHED,
+        GripperState.GRIPPED,
+        GripperState.UNSURE,
+        GripperState.LOST,
+    }
+)  # activated, and free to take an order
+MOVING_STATES = frozenset({GripperState.MOVING, GripperState.CHANGING_MODE})
+UNKNOWN_STATES = frozenset({GripperState.IDLE, GripperState.RESETTING, GripperState.FAILED})
+
+
+@dataclass(slots=True)
+class ActiveOrder:
+    """An order that is being carried out."""
+
+    until: float = float("inf")  # s
+    written: bool = False  # the gripper has acknowledged it
+    closing: bool = False
+    resets: bool = False  # over when the activation is gone: until then, what is read is older
+    agreed: int = 0  # readings in a row that call it over
+
+
+class GripperDriver(GripperReader):
+    """Reads a gripper and moves it.
+
+    Args:
+        settings: how it is reached, and how fast and hard it moves.
+        right: the operator's order that it may move.
+        port: opens the port instead of the settings' address.
+        now: the host's monotonic clock, s.
+    """
+
+    functions = MOVE_FUNCTIONS
+
+    def __init__(
+        self,
+        settings: GripperSettings,
+        right: ExecutePermission,
+        port: Callable[[], Port] | None = None,
+        now: ClockFunction = time.monotonic,
+    ) -> None:
+        if not isinstance(right, ExecutePermission):
+            raise TypeError("a gripper that moves needs the operator's right")
+        super().__init__(settings, port, now)
+        self._phase, self._reason = GripperState.IDLE, ""
+        self._action = GripperCommand(speed=settings.speed, force=settings.force)
+        self._to_write: list[int] | None = None
+        self._going = ActiveOrder()
+        self._seen_on = 0  # the connection on which it was last heard
+
+    def activate(self, reset: bool = False) -> None:
+        """Make it ready: every finger moves over its full travel. See `Gripper.activate`."""
+        if self._phase not in (GripperState.FAILED, GripperState.IDLE):
+            self._require_rest("be activated")
+        self._action = replace(self._action, go=False)
+        if reset:
+            self._begin(GripperState.RESETTING, list(RESET_OUTPUTS), RESET_TIMEOUT)
+        else:
+            self._begin_activation()
+
+    def set_mode(self, mode: GripMode) -> None:
+        """Change how the fingers stand. See `Gripper.set_mode`."""
+        self._require_rest("change its mode")
+        self._action = replace(self._action, mode=mode, go=False)
+        self._begin(GripperState.CHANGING_MODE, self._action.registers(), MODE_TIMEOUT)
+
+    def open_to(self, opening: float) -> None:
+        """Open the fingers. See `Gripper.open_to`."""
+        self._go(opening, closing=False)
+
+    def close_to(self, opening: float) -> None:
+        """Close the fingers until something stops them. See `Gripper.close_to`."""
+        self._go(opening, closing=True)
+
+    def step(self) -> GripperStatus:
+        """Go on with what has arrived; never waits for the gripper."""
+        self._mind_the_limit()
+        return super().step()
+
+    def stop(self) -> None:
+        """Stop the fingers; an activation under way can only be ended by a reset.
+
+        What is gripped stays gripped, and a gripper that failed and is well again is ready again.
+        """
+        inputs = self._inputs
+        if self._phase is GripperState.GRIPPED:
+            return
+        if self._phase in (GripperState.ACTIVATING, GripperState.RESETTING):
+            self._begin(GripperState.STOPPING, list(RESET_OUTPUTS), STOP_TIMEOUT)
+            self._going.resets = True
+        elif self._phase is not GripperState.IDLE and inputs is not None and inputs.active:
+            self._action = replace(self._action, go=False)
+            self._begin(GripperState.STOPPING, self._action.registers(), STOP_TIMEOUT)
+
+    def close(self) -> None:
+        """Stop the fingers, leave the gripper active, close the line. Never raises."""
+        end = self._now() + CLOSE_TIMEOUT
+        self.stop()
+        while self._phase is GripperState.STOPPING and self._now() < end:
+            self.step()
+            time.sleep(CLOSE_PERIOD)
+        super().close()
+
+    def _go(self, opening: float, closing: bool) -> None:
+        self._require_rest("close" if closing else "open")
+        if not 0.0 <= opening <= self._settings.stroke:
+            asked, widest = opening * 1e3, self._settings.stroke * 1e3
+            raise MotionRefusedError(f"{asked:.1f} mm is not within its 0 to {widest:.0f} mm")
+        position = round(CLOSED_POSITION * (1.0 - opening / self._settings.stroke))
+        self._action = replace(self._action, go=True, position=position)
+        self._begin(GripperState.MOVING, self._action.registers(), self._settings.move_limit)
+        self._going.closing = closing
+
+    def _require_rest(self, what: str) -> None:
+        if self._phase not in RESTING_STATES:
+            said = f": {self._reason}" if self._reason else ""
+            raise MotionRefusedError(
+                f"the gripper cannot {what} now, it is {self._phase.value}{said}"
+            )
+
+    def _begin(self, state: GripperState, registers: list[int], limit: float) -> None:
+        self._phase, self._reason = state, ""
+        self._to_write = registers
+        self._going = ActiveOrder(self._now() + limit)
+
+    def _begin_activation(self) -> None:
+        limit = self._settings.activation_limit
+        self._begin(GripperState.ACTIVATING, self._action.registers(), limit)
+
+    def _next_request(self) -> ModbusPDU:
+        if self._to_write is None or not self._may_write(self._to_write):
+            return super()._next_request()
+        registers, self._to_write = self._to_write, None
+        return WriteMultipleRegistersRequest(address=FIRST_OUTPUT, registers=registers)
+
+    def _may_write(self, registers: list[int]) -> bool:
+        """Whether this write can activate nothing that has lost its activation unseen.
+
+        Every write but a reset carries the activation bit. A gripper that was without power would
+        take it as an order to activate itself, and move.
+        """
+        if self._phase is GripperState.ACTIVATING or registers == list(RESET_OUTPUTS):
+            return True
+        inputs, here = self._inputs, self._seen_on == self._line.link.connections
+        fresh = self._t is not None and self._now() - self._t < MAX_STATUS_AGE
+        return inputs is not None and inputs.active and here and fresh
+
+    def _take(self, answer: ModbusPDU) -> None:
+        if isinstance(answer, WriteMultipleRegistersResponse):
+            self._going.written = True
+        self._seen_on = self._line.link.connections
+        super()._take(answer)
+
+    def _state(self) -> tuple[GripperState, str]:
+        return self._phase, self._reason
+
+    def _mind_the_limit(self) -> None:
+        if self._now() <= self._going.until:
+            return
+        if not self._line.link.connected:
+            why = self._line_words()
+        else:
+            why = "" if self._inputs is None else fault_text(self._inputs.fault)
+        activating = self._phase is GripperState.ACTIVATING
+        self._fail(f"{self._phase.value} takes too long" + (f"; {why}" if why else ""))
+        if activating:
+            self._to_write = list(RESET_OUTPUTS)  # nothing else ends it
+
+    def _note_trouble(self, words: str) -> None:
+        super()._note_trouble(words)
+        if self._phase is not GripperState.IDLE:
+            self._fail(words)
+
+    def _judge(self, inputs: GripperInputs) -> None:
+        """Let the state follow what the gripper tells."""
+        if self._phase is GripperState.IDLE:
+            self._look_around(inputs)
+        told_after = self._phase is GripperState.IDLE or self._going.written
+        if self._broken(inputs) or not told_after:
+            return  # what it tells is older than the order
+        match self._phase:
+            case GripperState.RESETTING if not inputs.active:
+                self._begin_activation()
+            case GripperState.ACTIVATING if inputs.activation is ActivationStatus.READY:
+                self._rest(GripperState.READY)
+            case GripperState.CHANGING_MODE:
+                changed = inputs.mode is self._action.mode
+                if self._agree(changed and inputs.activation is ActivationStatus.READY):
+                    self._rest(GripperState.READY)
+            case GripperState.STOPPING if not inputs.active:
+                self._rest(GripperState.IDLE)
+            case GripperState.STOPPING if not (inputs.go or self._going.resets):
+                self._rest(GripperState.READY)
+            case GripperState.MOVING:
+                self._follow(inputs)
+            case GripperState.GRIPPED if not self._holds(inputs):
+                self._phase, self._reason = GripperState.LOST, "what was gripped is gone"
+
+    def _look_around(self, inputs: GripperInputs) -> None:
+        """Take over a gripper that was activated before."""
+        ready = inputs.active and inputs.activation is ActivationStatus.READY
+        if ready and inputs.fault < MIN_LASTING_FAULT:
+            self._action = replace(self._action, mode=inputs.mode)
+            self._rest(GripperState.READY)
+
+    def _broken(self, inputs: GripperInputs) -> bool:
+        """Whether a fault, or a lost activation, ends what is being done."""
+        if self._phase in UNKNOWN_STATES or self._phase is GripperState.STOPPING:
+            return False
+        if inputs.fault >= MIN_LASTING_FAULT:
+            self._fail(fault_text(inputs.fault))
+        elif not inputs.active and self._phase is not GripperState.ACTIVATING:
+            self._fail("it has lost its activation; was it without power?")
+        return self._phase is GripperState.FAILED
+
+    def _follow(self, inputs: GripperInputs) -> None:
+        """See whether the motion that was ordered is over, and how it ended."""
+        ours = inputs.go and inputs.echo == self._action.position
+        if not self._agree(ours and not inputs.moving and FingerStatus.MOVING not in inputs.axes):
+            return
+        stopped = sum(axis is not FingerStatus.THERE for axis in inputs.axes)
+        words = f"something stopped {stopped} of {len(inputs.axes)} fingers"
+        if not stopped:
+            self._rest(GripperState.REACHED)
+        elif not self._going.closing:
+            self._fail(f"{words} while opening")
+        elif self._holds(inputs):
+            self._rest(GripperState.GRIPPED)
+        else:
+            self._rest(GripperState.UNSURE)
+            self._reason = words
+
+    def _holds(self, inputs: GripperInputs) -> bool:
+        """Whether something stopped as many fingers as a grip needs; the scissor axis is one."""
+        return inputs.contacts >= min(self._settings.fingers_needed, len(inputs.axes))
+
+    def _agree(self, over: bool) -> bool:
+        """Count readings in a row that call an order carried out; say whether they are enough."""
+        self._going.agreed = self._going.agreed + 1 if over else 0
+        return self._going.agreed >= N_CONFIRMATIONS
+
+    def _rest(self, state: GripperState) -> None:
+        self._phase, self._reason = state, ""
+        self._going = ActiveOrder(written=True)
+
+    def _fail(self, reason: str) -> None:
+        """Say what went wrong; stop the fingers if they were on their way."""
+        if self._phase is GripperState.FAILED:
+            return
+        under_way = self._phase in MOVING_STATES
+        self._phase, self._reason, self._going = GripperState.FAILED, reason, ActiveOrder()
+        self._to_write = None
+        if under_way:  # with the line gone it must wait: the fingers go to where they were told
+            self._action = replace(self._action, go=False)
+            self._to_write = self._action.registers()

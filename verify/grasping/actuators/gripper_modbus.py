@@ -1,0 +1,270 @@
+"""One Modbus RTU request at a time over a port that opens itself; nobody waits.
+
+Frames, checks and messages are pymodbus's; its clients wait for their answers, and a control loop
+cannot.
+
+The Robotiq 3-finger gripper's registers: what is ordered, what it tells; no port.
+
+Layout and meanings: Robotiq 3-Finger Adaptive Robot Gripper Instruction Manual, sections 4.4, 4.5.
+Two bytes a register, the first in the high half.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Final
+
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerRTU
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+
+from verify.devices.ports import ClockFunction, Port, PortLink
+from verify.grasping.actuators.protocols import BackgroundOpener, GripMode
+
+REQUEST_PERIOD = 0.005  # s: the gripper's cycle; asked sooner it has nothing new to say
+MAX_BUFFER_BYTES = 512  # bytes: two of the longest frames; noise must not fill the memory
+# exception code -> meaning, by the Modbus specification
+EXCEPTION_MEANINGS: Final = {1: "unknown function", 2: "no such register", 3: "value not allowed"}
+
+
+class GripperRefusedError(Exception):
+    """The gripper answered with an exception."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"refused: {EXCEPTION_MEANINGS.get(code, f'exception {code}')}")
+
+
+class NoAnswerError(Exception):
+    """The gripper did not answer, as often as it was asked."""
+
+
+class ModbusLine:
+    """Asks and takes the answer once it is there.
+
+    Args:
+        name: the port as the user wrote it, for sentences.
+        open_port: opens it.
+        slave: whom to ask.
+        allowed: function codes that may be sent; others cannot be.
+        timeout: s for an answer.
+        tries: how often a request is sent before it is given up.
+        now: the host's monotonic clock, s.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        open_port: Callable[[], Port],
+        slave: int,
+        allowed: frozenset[int],
+        timeout: float,
+        tries: int,
+        now: ClockFunction,
+    ) -> None:
+        self.bad: Counter[str] = Counter()  # what was dropped: reason -> how often
+        self._opening = BackgroundOpener(open_port)
+        self.link = PortLink(name, self._opening, now)
+        self._slave, self._allowed = slave, allowed
+        self._timeout, self._tries = timeout, tries
+        self._framer = FramerRTU(DecodePDU(is_server=False))
+        self._pending: ModbusPDU | None = None
+        self._buffer = b""
+        self._sent_at = float("-inf")
+        self._left = 0  # tries
+        self._connection = 0
+
+    @property
+    def free(self) -> bool:
+        """Whether a request can be sent now."""
+        rested = self.link.now() - self._sent_at >= REQUEST_PERIOD
+        return self._pending is None and self.link.connected and rested
+
+    def ask(self, request: ModbusPDU) -> None:
+        """Send a request; its answer comes from `step`.
+
+        Raises:
+            ValueError: a function that this line may not send.
+        """
+        if request.function_code not in self._allowed:
+            raise ValueError(f"this line may not send function {request.function_code}")
+        request.dev_id = self._slave
+        self._pending, self._left = request, self._tries
+        self._send()
+
+    def step(self) -> ModbusPDU | None:
+        """Take what has come: the answer to the request, once it is whole.
+
+        Raises:
+            NoAnswerError: none came, as often as it was asked.
+            GripperRefusedError: the gripper's answer was an exception.
+        """
+        chunk = self.link.receive(0.0)
+        same = self.link.connected and self.link.connections == self._connection
+        self._connection = self.link.connections
+        if self._pending is None:
+            self.bad["answer that nobody asked for"] += chunk is not None
+            return None
+        if not same:
+            self.forget()
+            raise NoAnswerError
+        if chunk is not None:
+            self._buffer = (self._buffer + chunk.data)[-MAX_BUFFER_BYTES:]
+        answer = self._answer()
+        if answer is None:
+            if self.link.now() - self._sent_at > self._timeout:
+                self._again()
+            return None
+        self._pending, self._buffer = None, b""
+        self.link.steady()
+        if isinstance(answer, ExceptionResponse):
+            raise GripperRefusedError(answer.exception_code)
+        return answer
+
+    def forget(self) -> None:
+        """Give up what was asked."""
+        self._pending, self._buffer = None, b""
+
+    def close(self) -> None:
+        """Close the port."""
+        self.link.close()
+        self._opening.close()
+
+    def _send(self) -> None:
+        assert self._pending is not None
+        self._buffer = b""
+        self._left -= 1
+        self._sent_at = self.link.now()
+        self.link.send(self._framer.buildFrame(self._pending))
+
+    def _answer(self) -> ModbusPDU | None:
+        """Decode what is there; None if that is no answer to what was asked."""
+        assert self._pending is not None
+        if not self._buffer:
+            return None
+        try:
+            used, answer = self._framer.handleFrame(self._buffer, self._slave, 0)
+        except (ModbusException, IndexError):
+            self.bad["answer that is not understood"] += 1
+            used, answer = len(self._buffer), None
+        self._buffer = self._buffer[used:]
+        if answer is None:
+            return None
+        if answer.function_code & 0x7F != self._pending.function_code:
+            self.bad["answer that nobody asked for"] += 1
+            return None
+        return answer
+
+    def _again(self) -> None:
+        self.bad["request without an answer"] += 1
+        if not self._left:
+            self.forget()
+            raise NoAnswerError
+        self._send()
+
+
+FIRST_OUTPUT, FIRST_INPUT = 1000, 2000  # first registers, as they stand on the wire
+N_INPUTS = 8
+CLOSED_POSITION = 255  # position byte; 0 is open
+MODES: Final = tuple(GripMode)  # in the order of rMOD
+RESET_OUTPUTS: Final = (0, 0, 0)  # clears faults and the activation
+# gFLT -> meaning
+FAULT_MEANINGS: Final = MappingProxyType(
+    {
+        0x05: "it waits for its activation to end",
+        0x06: "it waits for its mode to change",
+        0x07: "it is not activated",
+        0x09: "its communication chip is not ready",
+        0x0A: "the fingers stand in the scissor axis's way",
+        0x0B: "automatic release is under way",
+        0x0D: "the activation has failed: is something between the fingers?",
+        0x0E: "the fingers have been in the scissor axis's way for too long",
+        0x0F: "automatic release has ended: it must be reset and activated",
+    }
+)
+MIN_LASTING_FAULT = 0x09  # lesser ones are gone when what they wait for has happened
+
+
+class ActivationStatus(IntEnum):
+    """What gIMC tells."""
+
+    RESET = 0
+    ACTIVATING = 1
+    CHANGING_MODE = 2
+    READY = 3
+
+
+class FingerStatus(IntEnum):
+    """What gDTA to gDTS tell of a finger, or of the scissor axis."""
+
+    MOVING = 0
+    CONTACT_OPENING = 1
+    CONTACT_CLOSING = 2
+    THERE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class GripperCommand:
+    """What is ordered of all fingers together; the activation bit is always set.
+
+    Any write without that bit would reset the gripper and let go of what it has.
+    """
+
+    mode: GripMode = GripMode.BASIC
+    go: bool = False
+    position: int = 0  # 0 open to 255 closed
+    speed: int = 0  # 0 to 255
+    force: int = 0  # 0 to 255
+
+    def registers(self) -> list[int]:
+        """Word it for registers 1000 to 1002."""
+        action = 1 | MODES.index(self.mode) << 1 | int(self.go) << 3
+        return [action << 8, self.position, self.speed << 8 | self.force]
+
+
+@dataclass(frozen=True, slots=True)
+class GripperInputs:
+    """What the gripper tells."""
+
+    active: bool
+    mode: GripMode
+    go: bool
+    activation: ActivationStatus
+    fault: int  # gFLT, 0 none
+    moving: bool  # gSTA 0: at least one of them is on its way
+    axes: tuple[FingerStatus, ...]  # those that the mode moves: three fingers, or the scissor axis
+    echo: int  # of the position that is being gone to
+    position: int  # of the axis that is open widest
+
+    @property
+    def contacts(self) -> int:
+        """How many of the axes something stopped while closing."""
+        return self.axes.count(FingerStatus.CONTACT_CLOSING)
+
+
+def parse_inputs(registers: Sequence[int]) -> GripperInputs | None:
+    """Read registers 2000 to 2007; None if that is not how many there are."""
+    if len(registers) != N_INPUTS:
+        return None
+    data = b"".join(register.to_bytes(2, "big") for register in registers)
+    status, each, mode = data[0], data[1], MODES[data[0] >> 1 & 3]
+    moved = (3,) if mode is GripMode.SCISSOR else (0, 1, 2)
+    return GripperInputs(
+        bool(status & 1),
+        mode,
+        bool(status & 8),
+        ActivationStatus(status >> 4 & 3),
+        data[2],
+        status >> 6 == 0,
+        tuple(FingerStatus(each >> 2 * axis & 3) for axis in moved),
+        data[3],
+        min(data[4 + 3 * axis] for axis in moved),
+    )
+
+
+def fault_text(fault: int) -> str:
+    """Say what a fault means; empty where there is none."""
+    if not fault:
+        return ""
+    return f"fault {fault:#04x}: {FAULT_MEANINGS.get(fault, 'not in the manual')}"

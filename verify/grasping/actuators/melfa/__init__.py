@@ -1,0 +1,1 @@
+"""Moves of a MELFA controller: orders, dialogue, states."""

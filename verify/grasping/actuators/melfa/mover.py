@@ -1,0 +1,165 @@
+"""A Mitsubishi MELFA controller that moves its arm: stop-and-go by EXEC over the R3 line protocol.
+
+Sequence: BFP-A4288 section 4 (OPEN, CNTLON, SRVON, OVRD, EXEC moves, SRVOFF, CNTLOFF). Every answer
+is checked. At any refusal, alarm, silence or lost line the arm is stopped and the controller given
+back; no alarm is ever cleared here. The real-time control (MXT) is not used: it passes planner and
+override by.
+"""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from types import TracebackType
+
+import numpy as np
+
+from verify.core.records import Array
+from verify.devices.encoders.intake import AngleMap
+from verify.devices.ports import ClockFunction, Port, open_port
+from verify.grasping.actuators.melfa.answers import AnswerParser
+from verify.grasping.actuators.melfa.dialogue import Dialogue
+from verify.grasping.actuators.melfa.orders import (
+    MotionCommand,
+    MotionSettings,
+    MoveLimits,
+    joint_move,
+    line_move,
+    refusal_reason,
+)
+from verify.grasping.actuators.melfa.states import MOVING_STATES, Arrival, Controls
+from verify.grasping.actuators.protocols import (
+    ACCEPTING_STATES,
+    FINAL_STATES,
+    ExecutePermission,
+    MotionRefusedError,
+    MoverState,
+    MoverStatus,
+)
+
+CONNECT_TIMEOUT, STOP_TIMEOUT = 10.0, 5.0  # s
+CLOSE_PERIOD = 0.005  # s, between the steps of `close`
+
+
+class MelfaMover:
+    """Moves an arm.
+
+    Args:
+        settings: how the controller is reached.
+        angles: from the controller's angles to the robot file's own.
+        limits: what no move may pass.
+        right: the operator's order that it may move.
+        port: opens the port instead of the settings' address.
+        now: the host's monotonic clock, s.
+    """
+
+    def __init__(
+        self,
+        settings: MotionSettings,
+        angles: AngleMap,
+        limits: MoveLimits,
+        right: ExecutePermission,
+        port: Callable[[], Port] | None = None,
+        now: ClockFunction = time.monotonic,
+    ) -> None:
+        if not isinstance(right, ExecutePermission):
+            raise TypeError("an arm that moves needs the operator's right")
+        self._settings, self._angles, self._limits, self._now = settings, angles, limits, now
+        self._opens = port or partial(open_port, settings.port, settings.line)
+        self._begin_anew()
+
+    def __enter__(self) -> "MelfaMover":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def take_controls(self) -> None:
+        """Connect, check, take the right and power the servo. See `Mover.take_controls`."""
+        if self._course.state not in FINAL_STATES:
+            raise MotionRefusedError(f"the arm is {self._course.state.value} already")
+        self._course.talk.close()
+        self._begin_anew()
+        self._course.enter(MoverState.CONNECTING, CONNECT_TIMEOUT)
+
+    def move_joints(self, q: Array) -> None:
+        """Go to joint angles by joint interpolation. See `Mover.move_joints`."""
+        self._move(joint_move, q)
+
+    def move_line(self, q: Array) -> None:
+        """Go to joint angles with the hand on a straight line. See `Mover.move_line`."""
+        self._move(line_move, q)
+
+    def hold(self) -> None:
+        """Stop where it is and keep the controls. See `Mover.hold`."""
+        course = self._course
+        if course.state in ACCEPTING_STATES | MOVING_STATES:
+            course.progress.still = False
+            course.enter(MoverState.STOPPING, STOP_TIMEOUT, MotionCommand("STOP"))
+            course.talk.urge()
+
+    def release(self) -> None:
+        """Stop, take the servo's power, give the controls back. See `Mover.release`."""
+        self._course.release()
+
+    def step(self) -> MoverStatus:
+        """Go on with what has arrived; never waits for the controller."""
+        course = self._course
+        if course.state not in FINAL_STATES:
+            told = course.talk.step()
+            if told is not None:
+                self._answers.take(told)
+            course.watch()
+            if course.talk.free and course.state not in FINAL_STATES:
+                course.talk.send(course.next())
+        return self._status()
+
+    def close(self) -> None:
+        """Release, waiting for at most GIVE_BACK_LIMIT, and close the line. Never raises."""
+        self.release()
+        while self._course.state not in FINAL_STATES:
+            self.step()
+            time.sleep(CLOSE_PERIOD)
+        self._course.talk.close()
+
+    def _begin_anew(self) -> None:
+        settings = self._settings
+        talk = Dialogue(
+            settings.port,
+            self._opens,
+            settings.terminator,
+            settings.pause,
+            settings.timeout,
+            self._now,
+        )
+        self._course = Controls(talk, settings.client, self._now)
+        self._answers = AnswerParser(settings, self._angles, self._limits, self._course)
+
+    def _move(self, worded: Callable[[Array, int], list[MotionCommand]], q: Array) -> None:
+        course, q_now = self._course, self._answers.q
+        if course.state not in ACCEPTING_STATES:
+            said = f": {course.reason}" if course.reason else ""
+            raise MotionRefusedError(f"the arm takes no move now, it is {course.state.value}{said}")
+        own = course.progress.limits_deg
+        assert q_now is not None
+        assert own is not None  # both were asked for before the controls were taken
+        target_deg = np.rad2deg(self._angles.sign * (q - self._angles.offset))
+        refusal = refusal_reason(self._limits, own, q_now, q, target_deg)
+        if refusal:
+            raise MotionRefusedError(refusal)
+        orders = worded(target_deg, self._settings.slot)
+        course.progress.arrival = Arrival(target_deg)
+        course.enter(MoverState.ORDERING, self._settings.move_limit, *orders)
+
+    def _status(self) -> MoverStatus:
+        course, read = self._course, self._answers
+        age = None if read.t is None else self._now() - read.t
+        reason = course.reason
+        if course.state is MoverState.CONNECTING and not course.talk.link.connected:
+            reason = course.talk.link.fault
+        said = f"{self._settings.port}: {reason}" if reason else ""
+        return MoverStatus(course.state, said, read.q, read.t, age, read.speed)

@@ -1,0 +1,166 @@
+"""MELFA's R3 line protocol, the commands that move a robot (BFP-A4288, section 3.3); no port.
+
+What verification may send is `verify.devices.melfa.protocol.ReadCommand`; an `MotionCommand` is another type, from
+a list of its own. What neither list holds cannot be worded: the brakes, jogging, programs, hands,
+other people's variables, clearing an alarm, the real-time control.
+
+How a MELFA controller is reached for moving, and what no move may pass.
+
+What a MELFA controller's refusals and alarms mean to whoever wants to move the arm.
+"""
+
+import re
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from verify.core.records import Array
+from verify.devices.melfa.protocol import ERROR_MEANINGS, ForbiddenCommandError, RunState
+from verify.devices.melfa.reader import DEFAULT_MELFA_LINE
+from verify.devices.ports import SerialLine
+
+JOINT_VARIABLE, POSE_VARIABLE = (
+    "JVFY",
+    "PVFY",
+)  # this program's own variables on the controller; 8 letters at most
+_NUMBER = r"-?[0-9]{1,3}\.[0-9]{3}"
+# each with the grammar of its argument
+MOVE_COMMANDS: Final = MappingProxyType(
+    {
+        "CNTLON": "",
+        "CNTLOFF": "",
+        "SRVON": "",
+        "SRVOFF": "",
+        "STOP": "",
+        "OVRD": r"=(100|[1-9][0-9]?)",
+        "EXEC": rf"{JOINT_VARIABLE}=\({_NUMBER}(,{_NUMBER}){{0,7}}\)|{POSE_VARIABLE}=JTOP\({JOINT_VARIABLE}\)"
+        rf"|MOV {JOINT_VARIABLE}|MVS {POSE_VARIABLE}",
+    }
+)
+_PARAMETER = re.compile(r"[A-Za-z0-9]+;([-+0-9.,;]+)")
+
+
+@dataclass(frozen=True, slots=True)
+class MotionCommand:
+    """A command that moves the robot, or gives the right and the power to.
+
+    Raises:
+        ForbiddenCommandError: not on the list, or an argument that the list does not allow.
+    """
+
+    name: str
+    argument: str = ""
+    slot: int = 1
+
+    def __post_init__(self) -> None:
+        grammar = MOVE_COMMANDS.get(self.name)
+        if grammar is None or not re.fullmatch(grammar, self.argument):
+            raise ForbiddenCommandError(f"{self.name}{self.argument} is no order of this program")
+
+    def encoded(self, terminator: bytes) -> bytes:
+        """Word it for robot 1."""
+        return f"1;{self.slot};{self.name}{self.argument}".encode("ascii") + terminator
+
+
+def joint_move(angle_deg: Array, slot: int) -> list[MotionCommand]:
+    """Word a joint-interpolated move to the controller's own angles, (joints,)."""
+    return [_set_joints(angle_deg, slot), MotionCommand("EXEC", f"MOV {JOINT_VARIABLE}", slot)]
+
+
+def line_move(angle_deg: Array, slot: int) -> list[MotionCommand]:
+    """Word a straight move to where the controller's own angles, (joints,), put the hand.
+
+    The controller turns the angles into its pose itself (JTOP), with its own tool and base: no
+    convention of Euler angles, and no other posture that reaches the same pose, can come between.
+    """
+    pose = MotionCommand("EXEC", f"{POSE_VARIABLE}=JTOP({JOINT_VARIABLE})", slot)
+    return [_set_joints(angle_deg, slot), pose, MotionCommand("EXEC", f"MVS {POSE_VARIABLE}", slot)]
+
+
+def parse_limits(data: str, joints: int) -> Array | None:
+    """Read PARMEJAR's data; joint limits (joints, 2), deg, or None if it is not that."""
+    match = _PARAMETER.fullmatch(data)
+    if match is None:
+        return None
+    try:
+        values = [float(word) for word in re.split("[,;]", match[1].strip(";")) if word]
+    except ValueError:
+        return None
+    if len(values) < 2 * joints:
+        return None
+    limits = np.array(values[: 2 * joints]).reshape(joints, 2)
+    return limits if np.all(limits[:, 0] < limits[:, 1]) else None
+
+
+def _set_joints(angle_deg: Array, slot: int) -> MotionCommand:
+    words = ",".join(f"{angle:.3f}" for angle in angle_deg.tolist())
+    return MotionCommand("EXEC", f"{JOINT_VARIABLE}=({words})", slot)
+
+
+@dataclass(frozen=True, eq=False)
+class MoveLimits:
+    """What no move may pass, besides the controller's own limits."""
+
+    joints: Array  # (joints, 2), rad, least and greatest angles of the robot file
+    largest_step: float = np.pi  # rad that a joint may turn in one move
+    hand_speed: float = 0.25  # m/s; faster, and the arm is stopped (the usual reduced speed)
+    override: int = 5  # %: the whole arm stretched out then keeps about to the speed above
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSettings:
+    """How a MELFA controller is reached for moving."""
+
+    port: str  # tcp:HOST:10001, or a serial device
+    robot_type: str  # e.g. RV-3SD: another one is not moved
+    line: SerialLine = DEFAULT_MELFA_LINE
+    terminator: bytes = b"\r"
+    pause: float = 0.1  # s, from an answer to the next request: the maker's wish while it moves
+    timeout: float = 1.0  # s
+    client: str = "verify"
+    slot: int = 1  # whose EXEC is used; the maker's examples use 9
+    move_limit: float = 60.0  # s
+
+
+def refusal_reason(
+    limits: MoveLimits, own_deg: Array, q_now: Array, q: Array, angle_deg: Array
+) -> str:
+    """Say why a target is refused; empty where it is not.
+
+    Args:
+        limits: the station's.
+        own_deg: (joints, 2), the controller's own.
+        q_now: (joints,), rad, where the arm stands.
+        q: (joints,), rad, the target.
+        angle_deg: (joints,), the target in the controller's own angles.
+    """
+    lower, upper = limits.joints.T
+    if q.shape != lower.shape or not np.all((q >= lower) & (q <= upper)):
+        return f"{np.rad2deg(q).round(2)} degrees are outside the joint limits"
+    if not np.all((angle_deg >= own_deg[:, 0]) & (angle_deg <= own_deg[:, 1])):
+        return f"{angle_deg.round(2)} degrees are outside the controller's limits"
+    if np.max(np.abs(q - q_now)) > limits.largest_step:
+        return f"a joint would turn by more than {np.rad2deg(limits.largest_step):.0f} degrees"
+    return ""
+
+
+# the slot of EXEC is taken, or holds what cannot be left: clients report these at the first EXEC
+SLOT_ERRORS = frozenset({4160, 5100, 5640})
+
+
+def refusal_text(name: str, error: int) -> str:
+    """Word a refusal."""
+    said = f"{name} was refused, error {error}: {ERROR_MEANINGS.get(error, 'not known')}"
+    if name == "EXEC" and error in SLOT_ERRORS:
+        return f"{said}; reset the program at the pendant, or choose another slot"
+    return said
+
+
+def alarm_text(state: RunState) -> str:
+    """Word what STATE tells of an alarm; empty where there is none."""
+    if state.error:
+        meaning = ERROR_MEANINGS.get(state.error, "not known")
+        return f"alarm {state.error} is standing: {meaning}; clear it at the controller"
+    return "the emergency stop is pressed" if state.emergency_stop else ""

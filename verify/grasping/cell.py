@@ -1,0 +1,314 @@
+"""grab.toml: the cell in which objects are grasped; millimetres in the file, a Cell in metres.
+
+The keys of grab.toml, as the file has them: millimetres, degrees; meanings in docs/grab.md.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from robots.transforms import rotation_exp
+from verify.core.records import Array
+from verify.io.toml import decode, key_error, not_negative
+
+Triple = tuple[float, float, float]
+
+
+class SurfaceTable(msgspec.Struct, kw_only=True):
+    """The keys of [table]."""
+
+    height_mm: float
+    clearance_mm: float = 30.0
+    finger_clearance_mm: float = 3.0
+
+
+class WorkspaceTable(msgspec.Struct, kw_only=True):
+    """The keys of [workspace]."""
+
+    lower_mm: Triple
+    upper_mm: Triple
+
+
+class GripperTable(msgspec.Struct, kw_only=True):
+    """The keys of [gripper]."""
+
+    opening_mm: float
+    position_mm: Triple
+    rotation_deg: Triple = (0.0, 0.0, 0.0)
+    tips_mm: float
+    finger_length_mm: float
+    radius_mm: float
+
+
+class ApproachTable(msgspec.Struct, kw_only=True):
+    """The keys of [approach]."""
+
+    direction: Triple = (0.0, 0.0, -1.0)
+    height_mm: float = 120.0
+    speed_mm_s: float = 50.0
+    acceleration_mm_s2: float = 200.0
+    jerk_mm_s3: float = 1000.0
+    hidden_mm: float = 60.0
+
+
+class MotionTable(msgspec.Struct, kw_only=True):
+    """The keys of [motion]."""
+
+    share: float = 0.1
+    link_radius_mm: float = 70.0
+    camera_clearance_mm: float = 100.0
+    home_deg: list[float] | None = None
+
+
+class AccuracyTable(msgspec.Struct, kw_only=True):
+    """The keys of [accuracy]."""
+
+    robot_standard_uncertainty_mm: float
+    coverage: float = 0.95
+
+
+class StillTable(msgspec.Struct, kw_only=True):
+    """The keys of [still]."""
+
+    speed_mm_s: float = 10.0
+    for_s: float = 0.5
+
+
+class WatchdogTable(msgspec.Struct, kw_only=True):
+    """The keys of [watchdog]."""
+
+    stale_s: float = 0.3
+    lost_s: float = 1.0
+    joints_s: float = 0.5
+    moving_s: float = 60.0
+
+
+class CellTable(msgspec.Struct, kw_only=True):
+    """The keys of grab.toml."""
+
+    format: int
+    table: SurfaceTable
+    workspace: WorkspaceTable
+    gripper: GripperTable
+    approach: ApproachTable = msgspec.field(default_factory=ApproachTable)
+    motion: MotionTable = msgspec.field(default_factory=MotionTable)
+    accuracy: AccuracyTable
+    still: StillTable = msgspec.field(default_factory=StillTable)
+    watchdog: WatchdogTable = msgspec.field(default_factory=WatchdogTable)
+
+
+_MM = 1e-3  # m
+MIN_DIRECTION_NORM = 1e-6  # of a direction: less is none
+
+
+@dataclass(frozen=True, slots=True)
+class TableSurface:
+    """What objects stand on; clearances of everything that moves above it."""
+
+    height: float  # m, of its top in the robot's base frame, level
+    clearance: float  # m, of arm and palm
+    finger_clearance: float  # m, of the finger tips
+
+
+@dataclass(frozen=True, slots=True)
+class GripperGeometry:
+    """What is on the flange: a cylinder about its own z that holds palm and opened fingers."""
+
+    flange_T_grip: Array  # (4, 4); z points out of the palm, the origin is where objects are held
+    opening: float  # m, the widest object that goes in
+    tips: float  # m, from the grip point to the finger tips
+    finger_length: float  # m, free, from the palm to the tips
+    radius: float  # m, of the cylinder
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """The straight line to the object."""
+
+    direction: Array  # (3,), unit vector, base frame
+    height: float  # m, its length
+    speed: float  # m/s
+    acceleration: float  # m/s²
+    jerk: float  # m/s³
+    hidden: float  # m before the object from where on the hand may hide it from the cameras
+
+
+@dataclass(frozen=True, slots=True)
+class CellMotion:
+    """How the arm moves, and what it keeps away from."""
+
+    share: float  # of the robot's greatest speed, acceleration and jerk
+    link_radius: float  # m, of the arm's links about the lines between their joints
+    camera_clearance: float  # m, from a camera's optical centre to arm or hand
+    home: Array | None  # (n,), rad: where ways lead through that are not clear directly
+
+
+@dataclass(frozen=True, slots=True)
+class ArmAccuracy:
+    """How well the arm goes where it is told."""
+
+    robot: float  # m, standard uncertainty of the grip point's place, a coordinate
+    coverage: float  # probability with which the object must be between the fingers
+
+
+@dataclass(frozen=True, slots=True)
+class StillnessCriterion:
+    """When a target counts as still."""
+
+    speed: float  # m/s
+    duration: float  # s
+
+
+@dataclass(frozen=True, slots=True)
+class WatchdogLimits:
+    """After how long nothing is trusted any more, s."""
+
+    stale: float  # since the newest pair of pictures was taken
+    lost: float  # since the target was last tracked
+    joints: float  # since the newest reading of the joints
+    moving: float  # in one state that moves arm or fingers, following left aside
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """All of grab.toml."""
+
+    table: TableSurface
+    lower: Array  # (3,), m, base frame: the box in which the grip point may be
+    upper: Array  # (3,)
+    gripper: GripperGeometry
+    approach: Approach
+    moving: CellMotion
+    accuracy: ArmAccuracy
+    still: StillnessCriterion
+    watch: WatchdogLimits
+
+
+def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
+    """Read and check a grab.toml.
+
+    Args:
+        path: the file.
+        joints: how many the robot has.
+
+    Returns:
+        The cell, and a warning for each key that the format does not know.
+
+    Raises:
+        InputError: names the file, the key, what stands there, what should, and what to do.
+    """
+    path = Path(path)
+    table, warnings = decode(path, CellTable)
+    _check_signs(path, table)
+    lower, upper = (np.array(v) * _MM for v in (table.workspace.lower_mm, table.workspace.upper_mm))
+    if np.any(lower >= upper):
+        axis = "xyz"[int(np.argmax(lower >= upper))]
+        found = f"lies above upper_mm in {axis}"
+        raise key_error(path, "workspace.lower_mm", found, "each number is below its partner")
+    if upper[2] <= table.table.height_mm * _MM:
+        expected = "the box reaches above the table"
+        raise key_error(path, "workspace.upper_mm", f"has z = {upper[2] / _MM:g} mm", expected)
+    cell = Cell(
+        table=TableSurface(
+            table.table.height_mm * _MM,
+            table.table.clearance_mm * _MM,
+            table.table.finger_clearance_mm * _MM,
+        ),
+        lower=lower,
+        upper=upper,
+        gripper=_gripper(path, table.gripper),
+        approach=_approach(path, table.approach),
+        moving=_moving(path, table.motion, joints),
+        accuracy=_accuracy(path, table.accuracy),
+        still=_still(table.still),
+        watch=_watch(table.watchdog),
+    )
+    return cell, warnings
+
+
+def _check_signs(path: Path, table: CellTable) -> None:
+    """Refuse numbers that only make sense from 0, or above 0."""
+    for name in ("table", "gripper", "approach", "motion", "accuracy", "still", "watchdog"):
+        part = getattr(table, name)
+        for key in part.__struct_fields__:
+            value = getattr(part, key)
+            if not isinstance(value, float) or (key == "height_mm" and name == "table"):
+                continue
+            not_negative(path, f"{name}.{key}", value)
+            if value == 0 and f"{name}.{key}" in _POSITIVE_KEYS:
+                raise key_error(path, f"{name}.{key}", "is 0", "a number above 0 is expected")
+
+
+_POSITIVE_KEYS = {
+    *(f"gripper.{key}_mm" for key in ("opening", "tips", "finger_length", "radius")),
+    *("approach.height_mm", "approach.speed_mm_s", "approach.acceleration_mm_s2"),
+    *("approach.jerk_mm_s3", "motion.share", "accuracy.coverage", "still.speed_mm_s"),
+    *(f"watchdog.{key}_s" for key in ("stale", "lost", "joints", "moving")),
+}
+
+
+def _gripper(path: Path, table: GripperTable) -> GripperGeometry:
+    if table.tips_mm >= table.finger_length_mm:
+        found = f"is {table.tips_mm:g}"
+        expected = "the grip point lies between the palm and the tips (finger_length_mm)"
+        raise key_error(path, "gripper.tips_mm", found, expected)
+    placed = np.eye(4)
+    placed[:3, :3] = rotation_exp(np.radians(table.rotation_deg))
+    placed[:3, 3] = np.array(table.position_mm) * _MM
+    return GripperGeometry(
+        flange_T_grip=placed,
+        opening=table.opening_mm * _MM,
+        tips=table.tips_mm * _MM,
+        finger_length=table.finger_length_mm * _MM,
+        radius=table.radius_mm * _MM,
+    )
+
+
+def _approach(path: Path, table: ApproachTable) -> Approach:
+    direction = np.array(table.direction)
+    length = float(np.linalg.norm(direction))
+    if length < MIN_DIRECTION_NORM:
+        raise key_error(path, "approach.direction", "has no length", "a direction is expected")
+    return Approach(
+        direction=direction / length,
+        height=table.height_mm * _MM,
+        speed=table.speed_mm_s * _MM,
+        acceleration=table.acceleration_mm_s2 * _MM,
+        jerk=table.jerk_mm_s3 * _MM,
+        hidden=table.hidden_mm * _MM,
+    )
+
+
+def _moving(path: Path, table: MotionTable, joints: int) -> CellMotion:
+    if table.share > 1:
+        expected = "at most 1, all that the robot may do"
+        raise key_error(path, "motion.share", f"is {table.share:g}", expected)
+    home = None
+    if table.home_deg is not None:
+        if len(table.home_deg) != joints:
+            found = f"has {len(table.home_deg)} angles"
+            raise key_error(path, "motion.home_deg", found, f"the robot has {joints} joints")
+        home = np.radians(table.home_deg)
+    return CellMotion(
+        share=table.share,
+        link_radius=table.link_radius_mm * _MM,
+        camera_clearance=table.camera_clearance_mm * _MM,
+        home=home,
+    )
+
+
+def _accuracy(path: Path, table: AccuracyTable) -> ArmAccuracy:
+    if table.coverage >= 1:
+        expected = "a probability below 1 is expected, such as 0.95"
+        raise key_error(path, "accuracy.coverage", f"is {table.coverage:g}", expected)
+    return ArmAccuracy(table.robot_standard_uncertainty_mm * _MM, table.coverage)
+
+
+def _still(table: StillTable) -> StillnessCriterion:
+    return StillnessCriterion(table.speed_mm_s * _MM, table.for_s)
+
+
+def _watch(table: WatchdogTable) -> WatchdogLimits:
+    return WatchdogLimits(table.stale_s, table.lost_s, table.joints_s, table.moving_s)

@@ -1,0 +1,236 @@
+"""The control loop: two pictures in, one set point out, as far as the state machine allows."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from verify.core.records import Array, StereoPair
+from verify.devices.protocols import EncoderReading
+from verify.grasping.actuators.protocols import (
+    GripperState,
+    GripperStatus,
+    MotionRefusedError,
+    MoverState,
+    MoverStatus,
+)
+from verify.grasping.control.aim import Aim, LoopCycle
+from verify.grasping.control.orders import AIMING_STATES, Actuators, OrderDispatcher
+from verify.grasping.control.states import GraspEvent, GraspState, StateMachine
+from verify.grasping.control.watchdog import Observation, Watchdog
+from verify.grasping.planning.plan import GraspPlanner
+from verify.grasping.tracking.target import TargetObservation
+from verify.grasping.tracking.track import TargetTracker
+
+SELECTABLE_STATES = {  # where another target may be chosen
+    GraspState.IDLE, GraspState.SEARCHING, GraspState.TRACKING, GraspState.HOLDING_STALE, GraspState.HOLDING_LOST,
+    GraspState.HOLDING_UNREACHABLE, GraspState.HOLDING_OPERATOR,
+}  # fmt: skip
+
+
+class GraspLoop:
+    """Tracks, follows, grabs; one `cycle` a pair of pictures.
+
+    Args:
+        setup: arm and cell.
+        tracker: sees the target; None: there is none until `look_for` is called.
+        aim: what is made of that.
+        hands: arm and gripper; None: nothing may move, the plan is all there is.
+        joints: reads the joint angles; None where there is no reading.
+        clock: s, monotonic; the pictures' times and the devices' are on it too.
+        auto: grab as soon as the target stands still.
+    """
+
+    def __init__(
+        self,
+        setup: GraspPlanner,
+        tracker: TargetTracker | None,
+        aim: Aim,
+        hands: Actuators | None,
+        joints: Callable[[], EncoderReading | None],
+        clock: Callable[[], float],
+        *,
+        auto: bool = False,
+    ) -> None:
+        self._setup, self._tracker, self._hands = setup, tracker, hands
+        self._joints, self._clock = joints, clock
+        self.aim = aim
+        self.machine = StateMachine(hands is not None, clock)
+        self._watchdog = Watchdog(
+            self.machine, setup.cell.watch, setup.cell.still, auto=auto and hands is not None
+        )
+        self._orders = None if hands is None else OrderDispatcher(setup, aim, hands, self.machine)
+        self._acted: GraspState | None = None  # in which state `_act` was last
+        self.pictures_t: float | None = None  # s, when the newest pair was taken
+        self._tracked_t: float | None = None
+        self.joints_t: float | None = None  # s, when the joints were last read
+        self.arm: MoverStatus | None = None  # None: there is none, or it was not asked yet
+        self._hold_first = False  # the operator's stop came before anything had begun
+        self._q: Array | None = None
+        self._refused = ""  # what a device refused
+        self._fingers: GripperStatus | None = None
+
+    @property
+    def may_move(self) -> bool:
+        """There are arm and gripper, and the right to move them."""
+        return self._hands is not None
+
+    @property
+    def may_choose(self) -> bool:
+        """Another target may be chosen: nothing moves, and the hand is up and empty."""
+        machine = self.machine
+        if machine.state not in SELECTABLE_STATES or machine.low or machine.carrying:
+            return False
+        return self._hands is None or self._hands.arm.resting
+
+    def look_for(self, tracker: TargetTracker | None) -> None:
+        """Go after another target from now on; what was known of the last one is forgotten.
+
+        Args:
+            tracker: sees it; None: there is none until the next call.
+
+        Raises:
+            ValueError: not now; see `may_choose`.
+        """
+        if not self.may_choose:
+            raise ValueError(f"no other target while the state is {self.machine.state.value}")
+        self._tracker, self._tracked_t = tracker, None
+        self.aim.forget()
+        self.aim.known, self.aim.unreachable = None, ""
+        self.machine.still = self.machine.planned = False
+
+    def start(self) -> None:
+        """Take the arm's controls and make the gripper ready, where they may be used."""
+        if self._hands is not None:
+            self._try(self._hands.arm.take_controls)
+            self._try(self._hands.gripper.activate)
+
+    def tell(self, event: GraspEvent) -> str:
+        """Take the operator's order in; says what speaks against it, where something does."""
+        if self.machine.tell(event):
+            return ""
+        if event is GraspEvent.HOLD and self.machine.state is GraspState.IDLE:
+            self._hold_first = True  # once it begins, it holds
+            return ""
+        lacks = ", ".join(sorted(need.value for need in self.machine.lacks(event)))
+        lacks = lacks or f"it is no order while the state is {self.machine.state.value}"
+        return f"{event.value}: what lacks: {lacks}"
+
+    def cycle(self, pair: StereoPair | None) -> LoopCycle:
+        """Look, decide, order.
+
+        Args:
+            pair: the newest pictures; None: there are no new ones.
+
+        Raises:
+            InputError: the pictures are grey, or the selected box teaches no colour.
+        """
+        began = time.perf_counter()
+        now = self._clock()
+        seen = self._see(pair)
+        self._read()
+        arm = self._devices(now)
+        self._watchdog.observe(now, self._observed(arm))
+        self._act(now)
+        return LoopCycle(
+            now,
+            self.machine.state,
+            self.machine.reason,
+            pair,
+            seen,
+            self.aim.known,
+            self._q,
+            None if self._hands is None else self._hands.arm.q,
+            self._fingers,
+            time.perf_counter() - began,
+        )
+
+    def _see(self, pair: StereoPair | None) -> TargetObservation | None:
+        if pair is None:
+            return None
+        self.pictures_t = pair.t_left
+        if self._tracker is None:
+            return None
+        seen = self._tracker.step(pair)
+        if seen.status == "tracked":
+            self._tracked_t = pair.t_left
+        self.aim.see(seen)
+        return seen
+
+    def _read(self) -> None:
+        reading = self._joints()
+        if reading is not None:
+            self._q, self.joints_t = reading.q, reading.t_host
+
+    def _devices(self, now: float) -> MoverStatus | None:
+        """Let the devices go on; start once they are ready."""
+        if self._hands is None:
+            if self._sees(now):
+                self._begin()
+            return None
+        self.arm, self._fingers = self._hands.arm.step(), self._hands.gripper.step()
+        ready = self._hands.arm.takes_orders and self._fingers.state is GripperState.READY
+        if ready and self._sees(now):
+            self._begin()
+        return self.arm
+
+    def _begin(self) -> None:
+        if self.machine.tell(GraspEvent.START) and self._hold_first:
+            self.machine.tell(GraspEvent.HOLD)
+
+    def _sees(self, now: float) -> bool:
+        """Pictures and joint angles have come, and are fresh."""
+        if self.pictures_t is None or self.joints_t is None:
+            return False
+        watch = self._setup.cell.watch
+        return now - self.pictures_t <= watch.stale and now - self.joints_t <= watch.joints
+
+    def _observed(self, arm: MoverStatus | None) -> Observation:
+        error = self._refused
+        if arm is not None and arm.state is MoverState.FAILED:
+            error = f"the arm: {arm.reason}"
+        if self._fingers is not None and self._fingers.state is GripperState.FAILED:
+            error = f"the gripper: {self._fingers.reason}"
+        known, state = self.aim.known, self.machine.state
+        hidden = self._near_object()
+        unreachable = self.aim.unreachable
+        if state is GraspState.APPROACHING:
+            unreachable = "" if hidden else self.aim.moved_off()
+        return Observation(
+            self.pictures_t,
+            self.joints_t,
+            self._tracked_t,
+            known.thing.position if known is not None and known.tracked else None,
+            unreachable,
+            error,
+            hidden,
+        )
+
+    def _near_object(self) -> bool:
+        """The hand is so near that it may hide the object."""
+        if self.aim.plan is None or self._q is None:
+            return False
+        grip = self._setup.workspace.grip(self._q)[:3, 3]
+        away = float(np.linalg.norm(grip - self.aim.plan.margin.grip))
+        return away <= self._setup.cell.approach.hidden
+
+    def _act(self, now: float) -> None:
+        """Order what the state asks for; plan where it is time to."""
+        entered = self.machine.state is not self._acted
+        self._acted = self.machine.state
+        if self._orders is None:
+            if self.machine.state is GraspState.RELEASING:
+                self.machine.tell(GraspEvent.STOPPED)  # nothing was taken
+            if self.machine.state in AIMING_STATES and self.machine.still and self._q is not None:
+                self.aim.plan_now(now, self._q)
+            self.machine.planned = self.aim.plan is not None
+            return
+        orders, fingers = self._orders, self._fingers
+        self._try(lambda: orders.give(now, self._q, fingers, entered=entered))
+
+    def _try(self, ordered: Callable[[], None]) -> None:
+        """Give an order; a refusal is a device's error, and the next cycle stops for it."""
+        try:
+            ordered()
+        except (MotionRefusedError, ValueError) as refusal:
+            self._refused = str(refusal)

@@ -1,0 +1,118 @@
+"""What the operator asks for from somewhere else: kept until the loop takes it between two turns.
+
+A request is words: nothing in here moves anything, and what becomes of an order is the state
+machine's to say, as with a key.
+"""
+
+import threading
+from dataclasses import dataclass
+
+from verify.core.records import StereoPair
+from verify.core.rig import Rig
+from verify.errors import InputError
+from verify.grasping.control.loop import GraspLoop
+from verify.grasping.control.states import GraspEvent
+from verify.grasping.tracking.selection import parse_drawn
+from verify.grasping.tracking.target import BoxSelection, TrackingOptions
+from verify.grasping.tracking.track import TargetTracker
+
+SELECTION_PLACE = "selection"
+MAX_REPEATED_LETTERS = 80  # characters of a request that an answer repeats
+
+
+@dataclass(frozen=True, slots=True)
+class PendingRequests:
+    """What is to be taken in now, oldest first."""
+
+    orders: tuple[GraspEvent, ...]
+    drawn: BoxSelection | None  # another target
+    refused: tuple[str, ...]  # in words: what was no request at all
+
+
+class OperatorRequests:
+    """Takes requests from any thread; the newest selection counts, and a stop before all else."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._orders: list[tuple[GraspEvent, int | None]] = []
+        self._drawn: BoxSelection | None = None
+        self._refused = ""
+        self.stops = 0  # taken by the loop
+
+    def hold(self) -> None:
+        """Ask for a hold; what was asked for before and was not taken yet is forgotten."""
+        with self._lock:
+            self._orders, self._drawn = [(GraspEvent.HOLD, None)], None
+
+    def grab(self, seen: str) -> None:
+        """Ask for the grab.
+
+        Args:
+            seen: how many passages of the state machine the one who asks had seen, in digits: an
+                order that was long on its way does not meet another state.
+        """
+        if not (seen.isascii() and seen.isdecimal() and len(seen) < MAX_REPEATED_LETTERS):
+            self._refuse(f'grab: "{seen[:MAX_REPEATED_LETTERS]}" is no number of passages')
+            return
+        order = (GraspEvent.GRAB, int(seen))
+        with self._lock:
+            if order not in self._orders:
+                self._orders.append(order)
+
+    def select(self, text: str) -> None:
+        """Ask for another target.
+
+        Args:
+            text: see `parse_drawn`.
+        """
+        try:
+            drawn = parse_drawn(text[: 2 * MAX_REPEATED_LETTERS], SELECTION_PLACE)
+        except InputError as error:
+            self._refuse(str(error))
+            return
+        with self._lock:
+            self._drawn = drawn
+
+    def taken(self, passages: int, *, pictures: bool) -> PendingRequests:
+        """Give what was asked for since the last time.
+
+        Args:
+            passages: of the state machine until now.
+            pictures: there are new ones, in which a selection can be looked at.
+        """
+        with self._lock:
+            orders, self._orders = self._orders, []
+            refused, self._refused = self._refused, ""
+            drawn = self._drawn if pictures else None
+            self._drawn = None if pictures else self._drawn
+        counts = tuple(event for event, seen in orders if seen in (None, passages))
+        late = [event for event, seen in orders if seen not in (None, passages)]
+        words = [f"{event.value}: the state has changed since; look again" for event in late]
+        self.stops += counts.count(GraspEvent.HOLD)
+        return PendingRequests(counts, drawn, (*words, *([refused] if refused else ())))
+
+    def _refuse(self, words: str) -> None:
+        with self._lock:
+            self._refused = words
+
+
+def select_target(loop: GraspLoop, rig: Rig, drawn: BoxSelection, pair: StereoPair) -> str:
+    """Go after what was drawn; says why not, where that cannot be.
+
+    Args:
+        loop: goes on after its last target where this one is refused.
+        rig: the cameras.
+        drawn: a box in one of the pictures.
+        pair: the pictures, newest.
+    """
+    if not loop.may_choose:
+        said = f"no other target now: the state is {loop.machine.state.value}"
+        return f"{said}; the arm must have come to rest, its hand up and empty"
+    tracker = TargetTracker(rig, drawn, TrackingOptions())
+    try:
+        tracker.step(pair)
+    except InputError as error:
+        said = "; ".join(part for part in (f"the box {error.found}", error.expected) if part)
+        return f"{said}. {error.remedy}".strip()
+    loop.look_for(tracker)
+    return ""

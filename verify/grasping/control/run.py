@@ -1,0 +1,133 @@
+"""A grab from its start to a named end: the loop, turn by turn, and who looks on."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from verify.core.records import StereoPair
+from verify.grasping.control.aim import LoopCycle
+from verify.grasping.control.loop import GraspLoop
+from verify.grasping.control.states import GraspEvent, GraspState, StateChange
+
+END_STATES = frozenset(
+    {GraspState.LIFTED, GraspState.MISSED, GraspState.FAULT, GraspState.RELEASED}
+)
+HOLDING_STATES = frozenset(s for s in GraspState if s.value.startswith("holding-"))
+END_DELAY = 0.7  # s that are still watched after the end
+RELEASE_TIMEOUT = 10.0  # s for coming to rest and giving the controls back
+
+
+class PairSource(Protocol):
+    """Where pictures come from, and when the next turn is due."""
+
+    def pair(self) -> StereoPair | None:
+        """Give the newest pictures; None where there are no new ones."""
+        ...
+
+    def wait(self) -> None:
+        """Let time pass until the next turn."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class StopConditions:
+    """When a grab that has not ended by itself is over."""
+
+    duration: float  # s
+    patience: float  # s in one of the holding states
+    planned: bool = True  # a plan ends it, where nothing may move
+
+
+@dataclass(frozen=True, slots=True)
+class GraspOutcome:
+    """How a grab ended."""
+
+    state: GraspState  # before the controls were given back
+    reason: str
+    released: bool  # and were they?
+    passages: tuple[StateChange, ...]
+    cycles: int
+    stopped: bool  # the operator ended it
+
+
+EventSource = Callable[[], Sequence[GraspEvent]]
+CycleCallback = Callable[[LoopCycle], None]
+
+
+def run(
+    loop: GraspLoop,
+    source: PairSource,
+    ends: StopConditions,
+    look: CycleCallback,
+    orders: EventSource = tuple,
+    say: Callable[[str], None] = lambda _: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> GraspOutcome:
+    """Run until it ends by itself, the time is over, or the operator stops it.
+
+    Args:
+        loop: not started yet.
+        source: of pictures.
+        ends: when it is over.
+        look: sees every cycle.
+        orders: what the operator has ordered since it was last asked.
+        say: told why an order does not count.
+        stop: whether the operator wants it to end.
+    """
+    loop.start()
+    began: float | None = None
+    count, over_since, stopped = 0, None, False
+    while True:
+        cycle = loop.cycle(source.pair())
+        count += 1
+        began = cycle.t if began is None else began
+        look(cycle)
+        for event in orders():
+            if said := loop.tell(event):
+                say(said)
+        stopped = stop()
+        over = _is_finished(loop, ends)
+        if over and over_since is None:
+            over_since = cycle.t
+        elif not over:
+            over_since = None
+        lingered = over_since is not None and cycle.t - over_since >= END_DELAY
+        if (
+            lingered
+            or stopped
+            or cycle.t - began >= ends.duration
+            or _is_waiting(loop, cycle.t, ends)
+        ):
+            break
+        source.wait()
+    state, reason = loop.machine.state, loop.machine.reason
+    count += _release(loop, source, look)
+    passages = tuple(loop.machine.log)
+    released = loop.machine.state is GraspState.RELEASED
+    return GraspOutcome(state, reason, released, passages, count, stopped)
+
+
+def _is_finished(loop: GraspLoop, ends: StopConditions) -> bool:
+    """It has ended, or nothing may move and the plan, or why there is none, is known."""
+    planned = ends.planned and not loop.may_move and loop.aim.planned is not None
+    return loop.machine.state in END_STATES or planned
+
+
+def _is_waiting(loop: GraspLoop, now: float, ends: StopConditions) -> bool:
+    machine = loop.machine
+    return machine.state in HOLDING_STATES and now - machine.since > ends.patience
+
+
+def _release(loop: GraspLoop, source: PairSource, look: CycleCallback) -> int:
+    """Come to rest and give the controls back; says in how many cycles."""
+    loop.machine.tell(GraspEvent.INTERRUPT)
+    began, count, now = None, 0, 0.0
+    while loop.machine.state is GraspState.RELEASING and (
+        began is None or now - began < RELEASE_TIMEOUT
+    ):
+        source.wait()
+        cycle = loop.cycle(source.pair())
+        look(cycle)
+        now, count = cycle.t, count + 1
+        began = now if began is None else began
+    return count

@@ -1,0 +1,336 @@
+"""The states of a grab and every way from one to another, as data.
+
+Nothing here moves anything: a state says what may be ordered while it lasts. Every transition
+stands in TRANSITIONS; what does not is no transition, and is ignored.
+
+The table of transitions: which event leads from where to where, what it needs, and why.
+
+The machine that walks the table: one state at a time, each passage kept with its reason.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class GraspState(StrEnum):
+    """Where a grab stands."""
+
+    IDLE = "idle"
+    SEARCHING = "searching"
+    TRACKING = "tracking"
+    FOLLOWING = "following"
+    APPROACHING = "approaching"
+    CLOSING = "closing"
+    CHECKING = "checking"
+    LIFTING = "lifting"
+    LIFTED = "lifted"
+    OPENING = "opening"
+    RETREATING = "retreating"
+    MISSED = "missed"
+    HOLDING_STALE = "holding-stale"
+    HOLDING_LOST = "holding-lost"
+    HOLDING_UNREACHABLE = "holding-unreachable"
+    HOLDING_OPERATOR = "holding-operator"
+    FAULT = "fault"
+    RELEASING = "releasing"
+    RELEASED = "released"
+
+
+class GraspEvent(StrEnum):
+    """What happens; the first group is seen, the second done, the third asked for."""
+
+    FOUND = "target found"
+    LOST = "target lost"
+    STALE = "pictures or joints too old"
+    FRESH = "pictures and joints fresh again"
+    UNREACHABLE = "target cannot be reached"
+    REACHABLE = "target can be reached"
+    DEVICE_ERROR = "device error"
+    TIME_OUT = "took too long"
+
+    AT_OBJECT = "hand at the object"
+    CLOSED = "fingers at rest"
+    HELD = "gripper holds an object"
+    NOTHING_HELD = "gripper holds nothing"
+    AT_TOP = "hand back above"
+    OPENED = "fingers open"
+    STOPPED = "arm at rest"
+
+    START = "started"
+    FOLLOW = "follow ordered"
+    GRAB = "grab ordered"
+    HOLD = "hold ordered"
+    RESUME = "resume ordered"
+    RETREAT = "retreat ordered"
+    INTERRUPT = "interrupted"
+
+
+class DeviceOrder(StrEnum):
+    """What a state asks of the devices."""
+
+    NONE = "nothing"
+    HOLD = "stand still, keep the grip as it is"
+    FOLLOW = "stream the arm above the target"
+    DESCEND = "follow the planned line down"
+    CLOSE = "close the fingers"
+    CHECK = "read the gripper's status"
+    LIFT = "follow the planned line up, holding"
+    OPEN = "open the fingers"
+    RETREAT = "follow the planned line up, empty"
+    RELEASE = "hold, then give the controls back"
+
+
+class TransitionCondition(StrEnum):
+    """What a transition needs beside its event."""
+
+    EXECUTE = "the right to move"
+    STILL = "a target that stands still"
+    LOW = "a hand that is down at the object"
+    HIGH = "a hand that is up"
+    CARRYING = "an object in the hand"
+    EMPTY = "no object in the hand"
+    PLANNED = "a grasp that is planned"
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """One way from a state to another."""
+
+    source: GraspState
+    event: GraspEvent
+    target: GraspState
+    needs: frozenset[TransitionCondition]
+    because: str
+
+
+ORDERS: dict[GraspState, DeviceOrder] = {
+    GraspState.IDLE: DeviceOrder.NONE,
+    GraspState.SEARCHING: DeviceOrder.HOLD,
+    GraspState.TRACKING: DeviceOrder.HOLD,
+    GraspState.FOLLOWING: DeviceOrder.FOLLOW,
+    GraspState.APPROACHING: DeviceOrder.DESCEND,
+    GraspState.CLOSING: DeviceOrder.CLOSE,
+    GraspState.CHECKING: DeviceOrder.CHECK,
+    GraspState.LIFTING: DeviceOrder.LIFT,
+    GraspState.LIFTED: DeviceOrder.HOLD,
+    GraspState.OPENING: DeviceOrder.OPEN,
+    GraspState.RETREATING: DeviceOrder.RETREAT,
+    GraspState.MISSED: DeviceOrder.HOLD,
+    GraspState.HOLDING_STALE: DeviceOrder.HOLD,
+    GraspState.HOLDING_LOST: DeviceOrder.HOLD,
+    GraspState.HOLDING_UNREACHABLE: DeviceOrder.HOLD,
+    GraspState.HOLDING_OPERATOR: DeviceOrder.HOLD,
+    GraspState.FAULT: DeviceOrder.HOLD,
+    GraspState.RELEASING: DeviceOrder.RELEASE,
+    GraspState.RELEASED: DeviceOrder.NONE,
+}
+ARM_ORDERS = frozenset(
+    {DeviceOrder.FOLLOW, DeviceOrder.DESCEND, DeviceOrder.LIFT, DeviceOrder.RETREAT}
+)
+FINGER_ORDERS = frozenset({DeviceOrder.CLOSE, DeviceOrder.OPEN})
+MOVING_STATES = frozenset(s for s, order in ORDERS.items() if order in ARM_ORDERS | FINGER_ORDERS)
+
+
+S, E = GraspState, GraspEvent
+NO_CONDITION: frozenset[TransitionCondition] = frozenset()
+HAND_HIGH = frozenset({TransitionCondition.HIGH})
+HAND_LOW = frozenset({TransitionCondition.LOW})
+
+# what needs pictures: a camera that dies holds all of them
+PICTURE_STATES = (
+    S.SEARCHING, S.TRACKING, S.FOLLOWING, S.APPROACHING, S.CLOSING, S.CHECKING, S.LIFTING,
+    S.OPENING, S.RETREATING, S.HOLDING_LOST, S.HOLDING_UNREACHABLE,
+)  # fmt: skip
+# what needs the target; a hand around it hides it, so nothing from closing on does
+TARGET_STATES = (S.FOLLOWING, S.APPROACHING, S.HOLDING_UNREACHABLE)
+# what takes a time that is known beforehand
+TIMED_STATES = (
+    S.APPROACHING,
+    S.CLOSING,
+    S.CHECKING,
+    S.LIFTING,
+    S.OPENING,
+    S.RETREATING,
+    S.RELEASING,
+)
+HOLDABLE_STATES = (*PICTURE_STATES, S.HOLDING_STALE)
+RUNNING_STATES = tuple(s for s in S if s not in (S.IDLE, S.FAULT, S.RELEASING, S.RELEASED))
+
+
+def _transition(
+    source: GraspState,
+    event: GraspEvent,
+    target: GraspState,
+    because: str,
+    needs: frozenset[TransitionCondition] = NO_CONDITION,
+) -> Transition:
+    return Transition(source, event, target, needs, because)
+
+
+_GRASP_TRANSITIONS = (
+    _transition(S.IDLE, E.START, S.SEARCHING, "cameras and target are there"),
+    _transition(S.SEARCHING, E.FOUND, S.TRACKING, "both cameras see the target"),
+    _transition(S.TRACKING, E.LOST, S.SEARCHING, "nothing moves yet: it is looked for again"),
+    _transition(
+        S.TRACKING, E.FOLLOW, S.FOLLOWING, "the arm may move, and goes above the target",
+        frozenset({TransitionCondition.EXECUTE, TransitionCondition.HIGH}),
+    ),
+    _transition(
+        S.FOLLOWING, E.GRAB, S.APPROACHING, "the target stands still and the grasp is planned",
+        frozenset({TransitionCondition.EXECUTE, TransitionCondition.STILL, TransitionCondition.PLANNED}),
+    ),
+    _transition(S.APPROACHING, E.AT_OBJECT, S.CLOSING, "the line down is done"),
+    _transition(S.CLOSING, E.CLOSED, S.CHECKING, "the fingers came to rest"),
+    _transition(S.CHECKING, E.HELD, S.LIFTING, "the gripper's status says so, not a timer"),
+    _transition(S.LIFTING, E.AT_TOP, S.LIFTED, "the object came along"),
+    _transition(S.CHECKING, E.NOTHING_HELD, S.OPENING, "the fingers met nothing"),
+    _transition(S.LIFTING, E.NOTHING_HELD, S.RETREATING, "the object slipped on the way up"),
+    _transition(S.OPENING, E.OPENED, S.RETREATING, "up the way it came"),
+    _transition(S.RETREATING, E.AT_TOP, S.MISSED, "empty, and out of the way"),
+    _transition(S.MISSED, E.RESUME, S.SEARCHING, "the operator wants another try", HAND_HIGH),
+)  # fmt: skip
+
+_RESUME_TRANSITIONS = (
+    _transition(S.HOLDING_STALE, E.FRESH, S.SEARCHING, "pictures and joints are fresh again", HAND_HIGH),
+    _transition(S.HOLDING_STALE, E.FRESH, S.HOLDING_OPERATOR, "the hand is low: a person decides", HAND_LOW),
+    _transition(S.HOLDING_LOST, E.FOUND, S.TRACKING, "the target was found again", HAND_HIGH),
+    _transition(S.HOLDING_LOST, E.FOUND, S.HOLDING_OPERATOR, "the hand is low: a person decides", HAND_LOW),
+    _transition(S.HOLDING_UNREACHABLE, E.REACHABLE, S.TRACKING, "the target can be reached again", HAND_HIGH),
+    _transition(
+        S.HOLDING_UNREACHABLE, E.REACHABLE, S.HOLDING_OPERATOR,
+        "the hand is low: a person decides", HAND_LOW,
+    ),
+    _transition(S.HOLDING_OPERATOR, E.RESUME, S.SEARCHING, "the operator lets it go on", HAND_HIGH),
+    _transition(
+        S.HOLDING_OPERATOR, E.RESUME, S.LIFTING, "the operator lets it lift what it holds",
+        frozenset({TransitionCondition.EXECUTE, TransitionCondition.LOW, TransitionCondition.CARRYING}),
+    ),
+    _transition(
+        S.HOLDING_OPERATOR, E.RETREAT, S.OPENING, "the operator sends the empty hand up",
+        frozenset({TransitionCondition.EXECUTE, TransitionCondition.LOW, TransitionCondition.EMPTY}),
+    ),
+)  # fmt: skip
+
+_FAULT_TRANSITIONS = (
+    *(
+        _transition(s, E.STALE, S.HOLDING_STALE, "nothing moves on old pictures")
+        for s in PICTURE_STATES
+    ),
+    *(_transition(s, E.LOST, S.HOLDING_LOST, "the target is out of sight") for s in TARGET_STATES),
+    *(
+        _transition(s, E.UNREACHABLE, S.HOLDING_UNREACHABLE, "no safe way leads to the target")
+        for s in (S.TRACKING, S.FOLLOWING, S.APPROACHING)
+    ),
+    *(_transition(s, E.TIME_OUT, S.FAULT, "it took longer than it may") for s in TIMED_STATES),
+    *(_transition(s, E.HOLD, S.HOLDING_OPERATOR, "the operator's order") for s in HOLDABLE_STATES),
+    *(
+        _transition(s, E.DEVICE_ERROR, S.FAULT, "a device said so, or fell silent")
+        for s in RUNNING_STATES
+    ),
+)
+
+_END_TRANSITIONS = (
+    *(
+        _transition(s, E.INTERRUPT, S.RELEASING, "hold, then give the controls back")
+        for s in RUNNING_STATES
+    ),
+    _transition(S.RELEASING, E.STOPPED, S.RELEASED, "the arm is at rest"),
+    _transition(S.RELEASING, E.DEVICE_ERROR, S.FAULT, "a device said so, or fell silent"),
+    _transition(S.IDLE, E.DEVICE_ERROR, S.FAULT, "a device said so, or fell silent"),
+    _transition(S.IDLE, E.INTERRUPT, S.RELEASED, "nothing was taken"),
+    _transition(S.FAULT, E.INTERRUPT, S.RELEASED, "the operator ends it"),
+)
+
+TRANSITIONS: tuple[Transition, ...] = (
+    *_GRASP_TRANSITIONS,
+    *_RESUME_TRANSITIONS,
+    *_FAULT_TRANSITIONS,
+    *_END_TRANSITIONS,
+)
+
+
+TRANSITIONS_BY_EVENT = {
+    (source, event): [t for t in TRANSITIONS if (t.source, t.event) == (source, event)]
+    for source, event in {(t.source, t.event) for t in TRANSITIONS}
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StateChange:
+    """One step from a state to another."""
+
+    t: float  # s, the machine's clock
+    source: GraspState
+    event: GraspEvent
+    target: GraspState
+    reason: str  # what the one who told the event said, else the table's own words
+
+
+class StateMachine:
+    """Where a grab stands; orders follow from the state and from nothing else.
+
+    Args:
+        execute: the right to move: without it no state that moves arm or fingers is ever reached.
+        clock: s, monotonic.
+    """
+
+    def __init__(self, execute: bool, clock: Callable[[], float]) -> None:
+        self._execute, self._clock = execute, clock
+        self.state = GraspState.IDLE
+        self.since = clock()
+        self.reason = ""
+        self.low = False  # the hand is down at the object, or may be
+        self.carrying = False  # the gripper said that it holds an object
+        self.still = False  # the target stands still; whoever watches it says so
+        self.planned = False  # there is a checked grasp of it; whoever plans says so
+        self.log: list[StateChange] = []
+
+    @property
+    def order(self) -> DeviceOrder:
+        """What is asked of the devices now."""
+        return ORDERS[self.state]
+
+    def tell(self, event: GraspEvent, reason: str = "") -> bool:
+        """Take an event in; False where it is no transition of this state, or lacks what it needs.
+
+        Args:
+            event: what happened.
+            reason: in words, where there is more to say than the table does.
+        """
+        for way in TRANSITIONS_BY_EVENT.get((self.state, event), []):
+            if all(self._has(need) for need in way.needs):
+                now = self._clock()
+                said = reason or way.because
+                self.log.append(StateChange(now, self.state, event, way.target, said))
+                self._take_note(event, way.target)
+                self.state, self.since, self.reason = way.target, now, said
+                return True
+        return False
+
+    def lacks(self, event: GraspEvent) -> frozenset[TransitionCondition]:
+        """What an event would need in this state and has not; empty also where it is no event."""
+        for way in TRANSITIONS_BY_EVENT.get((self.state, event), []):
+            return frozenset(need for need in way.needs if not self._has(need))
+        return frozenset()
+
+    def _has(self, need: TransitionCondition) -> bool:
+        return {
+            TransitionCondition.EXECUTE: self._execute,
+            TransitionCondition.STILL: self.still,
+            TransitionCondition.PLANNED: self.planned,
+            TransitionCondition.LOW: self.low,
+            TransitionCondition.HIGH: not self.low,
+            TransitionCondition.CARRYING: self.carrying,
+            TransitionCondition.EMPTY: not self.carrying,
+        }[need]
+
+    def _take_note(self, event: GraspEvent, target: GraspState) -> None:
+        if target is GraspState.APPROACHING:
+            self.low = True
+        if event is GraspEvent.AT_TOP:
+            self.low = False
+        if event is GraspEvent.HELD:
+            self.carrying = True
+        if event in (GraspEvent.NOTHING_HELD, GraspEvent.OPENED):
+            self.carrying = False

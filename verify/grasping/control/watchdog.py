@@ -1,0 +1,134 @@
+"""The watchdog: what the machine is told of pictures, joints, target and devices, every cycle."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.core.records import Array
+from verify.grasping.cell import StillnessCriterion, WatchdogLimits
+from verify.grasping.control.states import TIMED_STATES, GraspEvent, GraspState, StateMachine
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What is known at one cycle; times are on the machine's clock, s, None: never yet."""
+
+    pictures_t: float | None  # when the newest pair was taken
+    joints_t: float | None  # when the newest joint angles were read
+    tracked_t: float | None  # when the target was last tracked
+    position: Array | None = None  # (3,), m, of the target in that pair; None: not tracked in it
+    unreachable: str = ""  # why the target cannot be reached; empty: it can, or nobody knows
+    device_error: str = ""  # what a device complains of; empty: nothing
+    hidden: bool = False  # the hand is so near the object that it may hide it
+
+
+class StillWatch:
+    """Has the target stood still? All its places of the last while lie close together."""
+
+    def __init__(self, wanted: StillnessCriterion) -> None:
+        self._wanted = wanted
+        self._places: deque[tuple[float, Array]] = deque()
+
+    def see(self, t: float, position: Array | None) -> bool:
+        """Take in a place (3,), m, at t, s; None: not tracked, and the wait begins anew."""
+        if position is None:
+            self._places.clear()
+            return False
+        if not self._places or t > self._places[-1][0]:
+            self._places.append((t, position))
+        oldest = self._places[-1][0] - self._wanted.duration
+        while len(self._places) > 1 and self._places[1][0] <= oldest:
+            self._places.popleft()
+        if self._places[0][0] > oldest:
+            return False
+        places = np.array([place for _, place in self._places])
+        far = np.linalg.norm(places - places.mean(axis=0), axis=1).max()
+        return bool(far <= self._wanted.speed * self._wanted.duration / 2)
+
+
+class Watchdog:
+    """Tells the machine what it must know; times out what takes too long.
+
+    Args:
+        machine: told.
+        limits: after how long nothing is trusted any more.
+        still: when a target counts as still.
+        auto: grab as soon as it does; else that is the operator's.
+    """
+
+    def __init__(
+        self,
+        machine: StateMachine,
+        limits: WatchdogLimits,
+        still: StillnessCriterion,
+        *,
+        auto: bool = False,
+    ) -> None:
+        self._machine, self._limits, self._auto = machine, limits, auto
+        self._still = StillWatch(still)
+
+    def observe(self, now: float, seen: Observation) -> GraspState:
+        """Take in one cycle's observation: what is bad first, what is good only if nothing is.
+
+        Args:
+            now: s, the machine's clock.
+            seen: what is known.
+        """
+        machine = self._machine
+        taken = now if seen.pictures_t is None else seen.pictures_t
+        machine.still = self._still.see(taken, seen.position)
+        broken, old, lost = (
+            self._broken(now, seen),
+            self._outdated(now, seen),
+            self._lost(now, seen),
+        )
+        for event, reason in (
+            *broken,
+            *((GraspEvent.STALE, said) for said in old),
+            *((GraspEvent.LOST, said) for said in lost),
+            *((GraspEvent.UNREACHABLE, said) for said in (seen.unreachable,) if said),
+        ):
+            machine.tell(event, reason)
+        if broken or old:
+            return machine.state
+        machine.tell(GraspEvent.FRESH)
+        if lost or seen.position is None:
+            return machine.state
+        machine.tell(GraspEvent.FOUND)
+        if not seen.unreachable:
+            machine.tell(GraspEvent.REACHABLE)
+            machine.tell(GraspEvent.FOLLOW)
+            if self._auto:
+                machine.tell(GraspEvent.GRAB)
+        return machine.state
+
+    def _broken(self, now: float, seen: Observation) -> list[tuple[GraspEvent, str]]:
+        machine, longest = self._machine, self._limits.moving
+        broken = []
+        if seen.device_error:
+            broken.append((GraspEvent.DEVICE_ERROR, seen.device_error))
+        if machine.state in TIMED_STATES and now - machine.since > longest:
+            broken.append((GraspEvent.TIME_OUT, f"{machine.state} took over {longest:g} s"))
+        return broken
+
+    def _outdated(self, now: float, seen: Observation) -> list[str]:
+        limits = self._limits
+        return [
+            *_stale_reason("pictures", now, seen.pictures_t, limits.stale),
+            *_stale_reason("joint angles", now, seen.joints_t, limits.joints),
+        ]
+
+    def _lost(self, now: float, seen: Observation) -> list[str]:
+        if seen.hidden and self._machine.state is GraspState.APPROACHING:
+            return []
+        return _stale_reason("sight of the target", now, seen.tracked_t, self._limits.lost)
+
+
+def _stale_reason(what: str, now: float, t: float | None, limit: float) -> list[str]:
+    """Say that something is too old to be trusted; nothing where it is not."""
+    if t is None:
+        return [f"no {what} yet"]
+    if now - t <= limit:  # NaN is too old
+        return []
+    return [f"{what}: {now - t:.1f} s old, allowed are {limit:g} s"]

@@ -1,0 +1,369 @@
+"""What a grab has to show, units at the door: millimetres, degrees, pixels, seconds.
+
+The loop shows each turn with `see`; the feed's thread reads what was shown last. Nothing here can
+order anything: no driver that moves is imported, and the loop is only looked at.
+
+What a grab's page is told, as JSON has it: millimetres, degrees, pixels, seconds.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from robots.transforms import carry, invert
+from verify.core.records import Array
+from verify.core.rig import Rig
+from verify.grasping.cell import WatchdogLimits
+from verify.grasping.control.states import (
+    MOVING_STATES,
+    TRANSITIONS_BY_EVENT,
+    GraspEvent,
+    StateChange,
+    StateMachine,
+)
+from verify.grasping.planning.facts import plan_facts
+from verify.grasping.planning.object import GraspRefusal
+from verify.grasping.planning.plan import GraspPlan, GraspPlanner
+from verify.grasping.tracking.target import Outline, TargetObservation
+from verify.live.page.run import camera_poses
+from verify.live.page.scene import joint_origins, millimetres, small_jpeg
+
+if TYPE_CHECKING:  # types alone: what they come from can move an arm
+    from verify.grasping.control.aim import LoopCycle
+    from verify.grasping.control.loop import GraspLoop
+
+_MM = 1e3  # of a metre
+
+
+def missing_conditions(machine: StateMachine) -> str | None:
+    """What the grab waits for; empty: it may be ordered; None: it is no order in this state."""
+    if (machine.state, GraspEvent.GRAB) not in TRANSITIONS_BY_EVENT:
+        return None
+    return ", ".join(sorted(need.value for need in machine.lacks(GraspEvent.GRAB)))
+
+
+def device_status(
+    cycle: "LoopCycle", loop: "GraspLoop", watch: WatchdogLimits
+) -> tuple[tuple[str, bool, str], ...]:
+    """Say of each device its name, whether it is well, and how it is; the cameras come first."""
+    arm, fingers = loop.arm, cycle.gripper
+    lines = [
+        _age_status("cameras", cycle.t, loop.pictures_t, watch.stale),
+        _age_status("joints", cycle.t, loop.joints_t, watch.joints),
+    ]
+    if not loop.may_move:
+        return (*lines, ("arm", True, "is read, and not moved: there is no --execute"))
+    if arm is not None:
+        speed = "" if arm.speed is None else f"{_MM * arm.speed:.0f} mm/s"
+        lines.append(("arm", arm.state != "failed", _joined(arm.state.value, speed, arm.reason)))
+    if fingers is not None:
+        opening = "" if fingers.opening is None else f"{_MM * fingers.opening:.0f} mm open"
+        words = _joined(fingers.state.value, opening, fingers.reason)
+        lines.append(("gripper", fingers.state not in ("failed", "lost"), words))
+    return tuple(lines)
+
+
+def _age_status(name: str, now: float, t: float | None, limit: float) -> tuple[str, bool, str]:
+    if t is None:
+        return name, False, "nothing has come yet"
+    old = max(now - t, 0.0)
+    return name, old <= limit, f"{old:.2f} s old; {limit:g} s are allowed"
+
+
+def _joined(*parts: str) -> str:
+    return ", ".join(part for part in parts if part)
+
+
+def target_fields(seen: TargetObservation | None, *, fresh: bool) -> dict[str, Any]:
+    """What the newest pictures say of the target, and how well it is seen."""
+    if seen is None:
+        return {"status": None, "unseen_because": "", "quality": None}
+    if not fresh:
+        return {"status": "not seen", "unseen_because": "the pictures are old", "quality": None}
+    return {
+        "status": seen.status,
+        "unseen_because": seen.reason,
+        "quality": round(float(seen.quality), 3) if np.isfinite(seen.quality) else None,
+    }
+
+
+def object_fields(cycle: "LoopCycle") -> dict[str, Any]:
+    """Where the target is in the base, how well that is known, and how big it is."""
+    known = cycle.known
+    told: dict[str, Any] = {"position_mm": None}
+    if known is not None and np.isfinite(known.thing.covariance).all():
+        thing = known.thing
+        told["position_mm"] = _rounded(thing.position)
+        told["standard_uncertainty_mm"] = _rounded(np.sqrt(np.diag(thing.covariance)))
+        told["size_mm"] = [_finite(thing.width), _finite(thing.length)]
+        told["speed_mm_s"] = round(float(np.linalg.norm(known.velocity)) * _MM, 1)
+    return told
+
+
+def picture_fields(cycle: "LoopCycle", side: int, rig: Rig) -> dict[str, Any]:
+    """What is drawn into one picture; px, centres at whole numbers."""
+    assert cycle.pair is not None
+    pair, seen = cycle.pair, cycle.seen
+    height, width = (pair.left, pair.right)[side].shape[:2]
+    found: dict[str, Any] = {"width": width, "height": height, "target": None}
+    if seen is None:
+        return found
+    camera, pan = ((rig.left, pair.pan_left), (rig.right, pair.pan_right))[side]
+    found["target"] = {
+        "status": seen.status,
+        "window": seen.windows[side],
+        "outline": _ellipse((seen.left, seen.right)[side]),
+        "place": None,
+    }
+    if np.isfinite(seen.centre).all():
+        before = carry(invert(camera.rig_T_camera(pan)), seen.centre)
+        if before[2] > 0:
+            found["target"]["place"] = np.round(camera.project(before), 1).tolist()
+    return found
+
+
+def _ellipse(outline: Outline | None) -> dict[str, Any] | None:
+    if outline is None:
+        return None
+    return {
+        "centre": np.round(outline.centre, 1).tolist(),
+        "axes": [round(float(axis), 1) for axis in outline.axes],
+        "angle_deg": round(float(np.degrees(outline.angle)), 1),
+    }
+
+
+def _rounded(metres: Array) -> list[float]:
+    return [round(float(v) * _MM, 2) for v in metres]
+
+
+def _finite(length: float) -> float | None:
+    return round(length * _MM, 1) if np.isfinite(length) else None
+
+
+def degrees(q: Array | None) -> list[float] | None:
+    """Write joint angles (n,), rad."""
+    return None if q is None else [round(float(v), 2) for v in np.degrees(q)]
+
+
+if TYPE_CHECKING:  # types alone: what they come from can move an arm
+    from verify.grasping.control.aim import LoopCycle
+    from verify.grasping.control.loop import GraspLoop
+
+MAX_TEXT_LENGTH = 2000  # characters of a description
+MAX_STATE_CHANGES = 12  # shown, the newest
+N_PATH_POINTS = 24  # points of a planned way
+SILENCE_TIMEOUT = 1.0  # s without a turn of the loop, and the page says so
+
+
+@dataclass(frozen=True, slots=True)
+class GraspFacts:
+    """What never changes."""
+
+    robot: str
+    description: str
+    setup: GraspPlanner
+    rig: Rig
+    execute: bool
+    duration: float  # s, the longest it may take
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSnapshot:
+    """One turn of the loop, as it was when it ended."""
+
+    at: float  # s, this computer's monotonic clock
+    cycle: "LoopCycle"
+    passages: tuple[StateChange, ...]
+    planned: GraspPlan | GraspRefusal | None
+    lacks: str | None  # for the grab; empty: it may be ordered; None: it is no order in this state
+    may_choose: bool
+    fresh: bool  # the pictures
+    lines: tuple[tuple[str, bool, str], ...]  # devices: name, well, in words
+
+
+class GraspPageSource:
+    """Keeps the newest turn; nothing waits for it.
+
+    Args:
+        told: what never changes.
+    """
+
+    def __init__(self, told: GraspFacts) -> None:
+        self._told = told
+        self._shown: LoopSnapshot | None = None
+        self._pictured: LoopCycle | None = None  # the newest with pictures
+        self._began: float | None = None
+        self._answers = 0
+        self._answer = ""
+        self._stops = 0
+        self._finished = ""
+        self._row: dict[str, Any] = {}
+        self._frame: int | None = None
+        self._drawn: tuple[GraspPlan, dict[str, Any]] | None = None
+
+    # by the loop
+
+    def see(self, cycle: "LoopCycle", loop: "GraspLoop", stops: int) -> None:
+        """Take in a turn of the loop; called between two of them.
+
+        Args:
+            cycle: what it saw and ordered.
+            loop: looked at, no more.
+            stops: how many stops of the page's the loop has taken.
+        """
+        machine, planned = loop.machine, loop.aim.planned
+        self._began = cycle.t if self._began is None else self._began
+        self._stops = stops
+        if cycle.pair is not None:
+            self._pictured = cycle
+        said = device_status(cycle, loop, self._told.setup.cell.watch)
+        self._shown = LoopSnapshot(
+            time.monotonic(),
+            cycle,
+            tuple(machine.log),
+            None if planned is None else planned.answer,
+            missing_conditions(machine),
+            loop.may_choose,
+            said[0][1],
+            said,
+        )
+
+    def answer(self, words: str) -> None:
+        """Say what became of a request."""
+        self._answer, self._answers = words, self._answers + 1
+
+    def end(self, words: str) -> None:
+        """Say how it ended."""
+        self._finished = words
+
+    # by the page
+
+    def hello(self) -> dict[str, Any]:
+        """What never changes."""
+        told = self._told
+        return {
+            "mode": "grab",
+            "title": told.robot,
+            "description": told.description[:MAX_TEXT_LENGTH],
+            "execute": told.execute,
+            "duration_s": told.duration,
+            "cameras": camera_poses(told.rig, None),
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """How it stands now, if that is news."""
+        shown = self._shown
+        if shown is None:
+            return []
+        row = {
+            **self._of_state(shown),
+            **target_fields(
+                None if self._pictured is None else self._pictured.seen, fresh=shown.fresh
+            ),
+            **object_fields(shown.cycle),
+            "q_deg": degrees(shown.cycle.q),
+            "scene": self._scene(shown.cycle),
+            "stops": self._stops,
+            "answers": self._answers,
+            "answer": self._answer,
+            "finished": self._finished,
+        }
+        news = [] if row == self._row else [row]
+        self._row = row
+        return news
+
+    def state(self) -> dict[str, Any]:
+        """The plan, the last passages, the devices; and whether the loop still turns."""
+        shown = self._shown
+        if shown is None:
+            return {"plan": None, "way": None, "passages": [], "devices": [], "silent_s": 0.0}
+        silent = 0.0 if self._finished else time.monotonic() - shown.at
+        return {
+            "plan": None if shown.planned is None else plan_facts(shown.planned),
+            "way": self._way(shown.planned),
+            "passages": [self._passage(p) for p in shown.passages[: -MAX_STATE_CHANGES - 1 : -1]],
+            "devices": [{"name": n, "well": well, "sentence": s} for n, well, s in shown.lines],
+            "silent_s": round(silent, 1) if silent > SILENCE_TIMEOUT else 0.0,
+        }
+
+    def alarms(self) -> Sequence[dict[str, Any]]:
+        """There are none: what is wrong is a state."""
+        return ()
+
+    def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
+        """The newest pair, if it was not given yet."""
+        cycle = self._pictured
+        if cycle is None or cycle.pair is None or cycle.pair.frame == self._frame:
+            return ()
+        pair = cycle.pair
+        self._frame = pair.frame
+        return [
+            (side, picture_fields(cycle, side, self._told.rig), small_jpeg(image))
+            for side, image in enumerate((pair.left, pair.right))
+        ]
+
+    def metrics(self) -> str:
+        """State and target, for Prometheus."""
+        shown = self._shown
+        if shown is None:
+            return ""
+        seen = None if self._pictured is None else self._pictured.seen
+        quality = 0.0 if seen is None else seen.quality
+        return (
+            "# TYPE verify_grab_state gauge\n"
+            f'verify_grab_state{{state="{shown.cycle.state.value}"}} 1\n'
+            "# TYPE verify_grab_target_quality_ratio gauge\n"
+            f"verify_grab_target_quality_ratio {quality:.4f}\n"
+        )
+
+    def _of_state(self, shown: LoopSnapshot) -> dict[str, Any]:
+        cycle = shown.cycle
+        return {
+            "elapsed_s": round(cycle.t - (self._began or 0.0), 1),
+            "state": cycle.state.value,
+            "reason": cycle.reason,
+            "moving": cycle.state in MOVING_STATES,
+            "passages": len(shown.passages),
+            "grab_lacks": shown.lacks,
+            "may_choose": shown.may_choose,
+        }
+
+    def _passage(self, passage: StateChange) -> dict[str, Any]:
+        return {
+            "elapsed_s": round(passage.t - (self._began or 0.0), 2),
+            "state": passage.target.value,
+            "event": passage.event.value,
+            "reason": passage.reason,
+        }
+
+    def _scene(self, cycle: "LoopCycle") -> dict[str, Any]:
+        """Arm as read, the target, and the cameras as they stood for the pictures shown."""
+        pair = None if self._pictured is None else self._pictured.pair
+        scene: dict[str, Any] = {"cameras": camera_poses(self._told.rig, pair)}
+        if cycle.q is not None:
+            scene["arm_mm"] = millimetres(joint_origins(self._told.setup.arm, cycle.q))
+        if cycle.known is not None:
+            scene["target_mm"] = millimetres(cycle.known.thing.position[None])[0]
+        return scene
+
+    def _way(self, planned: GraspPlan | GraspRefusal | None) -> dict[str, Any] | None:
+        """The arm at the object, and the grip point's way there; drawn once a plan."""
+        if not isinstance(planned, GraspPlan):
+            return None
+        if self._drawn is None or self._drawn[0] is not planned:
+            setup = self._told.setup
+            turns = np.concatenate(
+                [
+                    way.sampled(way.duration / N_PATH_POINTS)[1].q
+                    for way in (*planned.over, planned.down)
+                ]
+            )
+            drawn = {
+                "arm_mm": millimetres(joint_origins(setup.arm, planned.posture.q_grip)),
+                "grip_mm": millimetres(setup.workspace.grip(turns)[:, :3, 3]),
+            }
+            self._drawn = planned, drawn
+        return self._drawn[1]

@@ -1,0 +1,1 @@
+"""Workspace, approach, postures, grasp plan."""

@@ -1,0 +1,310 @@
+"""From a target's place to a grasp: which posture, which ways, and when; or why not.
+
+An arm's planner among a rig's cameras, on fixed or on turning bases.
+
+Above a moving target: the joint angles that keep the hand there, target by target.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+import robots
+from robots import Arm, DhArm
+from robots.inverse import near_within
+from robots.trajectory import (
+    JointLimits,
+    PathLimits,
+    Trajectory,
+    joint_limits,
+    joint_path,
+    limit_violation,
+    required_slowdown,
+    rest_motion,
+    time_path,
+)
+from robots.transforms import carry, invert
+from verify.core.records import Array
+from verify.core.rig import Camera, Rig
+from verify.errors import InputError
+from verify.grasping.cell import Cell
+from verify.grasping.planning.approach import ApproachLine, flange_pose, hand_poses, line_path
+from verify.grasping.planning.object import (
+    GraspObject,
+    GraspRefusal,
+    GripMargin,
+    grip_margin,
+    grip_point,
+)
+from verify.grasping.planning.postures import (
+    MIN_SINGULAR_VALUE,
+    Posture,
+    branch_name,
+    find_postures,
+    smallest_singular_value,
+)
+from verify.grasping.planning.workspace import Workspace, camera_centres
+
+MAX_SLOWDOWN = 4.0  # times slower than asked for: a line that needs more runs past a singularity
+TOL_SAME_POSTURE = 0.15  # rad: no other branch and no other turn of the hand is so near
+MAX_POSTURES = 40  # postures whose ways are looked at, best first: all branches, some turns of each
+
+
+@dataclass(frozen=True)
+class GraspPlanner:
+    """An arm in its cell; says how to grasp, and moves nothing."""
+
+    workspace: Workspace
+    limits: JointLimits
+
+    @property
+    def arm(self) -> DhArm:
+        """The arm."""
+        return self.workspace.arm
+
+    @property
+    def cell(self) -> Cell:
+        """The cell."""
+        return self.workspace.cell
+
+
+@dataclass(frozen=True)
+class GraspPlan:
+    """A grasp: over to the object, down to it, and back up."""
+
+    posture: Posture
+    margin: GripMargin
+    over: tuple[Trajectory, ...]  # to above the object; several where the way leads through home
+    down: Trajectory
+    up: Trajectory
+    slowed: float  # by so much the line is slower than the cell asks, for the joints' sake
+    rejected: dict[str, str]  # each branch that is not taken, and why
+
+
+def make_planner(arm: Arm, cell: Cell, cameras: Array) -> GraspPlanner:
+    """Put an arm into its cell.
+
+    Args:
+        arm: its file states speed, acceleration and jerk.
+        cell: from grab.toml.
+        cameras: (k, 3), m, their optical centres in the robot's base.
+
+    Raises:
+        InputError: the arm has no closed form, or its file states no rates.
+    """
+    if not isinstance(arm, DhArm):
+        expected = "an arm with a closed form is needed to grasp"
+        raise InputError(f'robot "{arm.name}"', "is a URDF", expected, "Write its DH table.")
+    return GraspPlanner(Workspace(arm, cell, cameras), joint_limits(arm, cell.moving.share))
+
+
+def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPlan | GraspRefusal:
+    """Plan a grasp.
+
+    Args:
+        setup: arm and cell.
+        thing: what to grasp.
+        q_now: (n,), rad, where the arm stands, at rest.
+    """
+    margin = grip_margin(thing, setup.cell)
+    if isinstance(margin, GraspRefusal):
+        return margin
+    if said := limit_violation(setup.limits, rest_motion(q_now)) or setup.workspace.clear(
+        q_now[None]
+    ):
+        return GraspRefusal("way", f"the arm cannot begin where it stands: {said}")
+    good, reasons = find_postures(setup.workspace, setup.limits, margin.grip, q_now)
+    if thing.seen is not None and thing.seen.used:  # a correction holds where it was measured
+        good = [p for p in good if np.abs(p.q_above - q_now).max() < TOL_SAME_POSTURE]
+    ways: dict[int, str] = {}  # why not, of branches that could stand there
+    for posture in good[:MAX_POSTURES]:
+        found = _grasp_motion(setup, posture, q_now)
+        if not isinstance(found, str):
+            over, down, slowed = found
+            rejected = _rejection_reasons(good, {**ways, **reasons}, posture)
+            return GraspPlan(posture, margin, over, down, down.returning(), slowed, rejected)
+        ways.setdefault(posture.branch, found)
+    told = tuple((branch_name(branch), said) for branch, said in {**ways, **reasons}.items())
+    if not told:
+        return GraspRefusal("reach", "the posture in which the hand was seen does not reach it")
+    said = "no posture of the arm can grasp it; what comes nearest ({}): {}".format(*told[0])
+    return GraspRefusal("way" if ways else "reach", said, told)
+
+
+def _grasp_motion(
+    setup: GraspPlanner, posture: Posture, q_now: Array
+) -> tuple[tuple[Trajectory, ...], Trajectory, float] | str:
+    """Both ways of a grasp in one posture; or what is wrong with them."""
+    approach = setup.cell.approach
+    shift = approach.height * approach.direction
+    found = straight_motion(setup, posture.branch, posture.q_above, shift, "on the line down")
+    if isinstance(found, str):
+        return found
+    there = transfer_motion(setup, q_now, posture.q_above)
+    return there if isinstance(there, str) else (there, *found)
+
+
+def straight_motion(
+    setup: GraspPlanner, branch: int, q_start: Array, shift: Array, where: str = "on the line"
+) -> tuple[Trajectory, float] | str:
+    """Move the hand straight, its orientation kept; looked at along its whole length.
+
+    Args:
+        setup: arm and cell.
+        branch: of the inverse, in which the arm stands and stays.
+        q_start: (n,), rad, where the line begins, at rest.
+        shift: (3,), m, base frame, to its end.
+        where: how a reason begins.
+
+    Returns:
+        The motion, and by how much it is slower than the cell asks; or why there is none.
+    """
+    path = line_path(
+        setup.arm, ApproachLine(robots.forward(setup.arm, q_start), shift), branch, q_start
+    )
+    if isinstance(path, str):
+        return path
+    for q in path.range():
+        if said := limit_violation(setup.limits, rest_motion(q)):
+            return f"{where} {said}"
+    asked = setup.cell.approach
+    rates = PathLimits(asked.speed, asked.acceleration, asked.jerk)
+    slowed = required_slowdown(path, setup.limits, rates)
+    if slowed > MAX_SLOWDOWN:
+        joint = int(np.argmax(path.bounds()[0] / setup.limits.speed)) + 1
+        fast = f"at {1e3 * asked.speed:g} mm/s joint {joint} races"
+        return f"{where} {fast}, {slowed:.0f} times beyond its limits"
+    if said := setup.workspace.along(path):
+        return f"{where} {said}"
+    return time_path(path, setup.limits, rates), max(slowed, 1.0)
+
+
+def transfer_motion(
+    setup: GraspPlanner, q_now: Array, q_above: Array
+) -> tuple[Trajectory, ...] | str:
+    """Go straight in joint angles to above the object, or through home; checked all along.
+
+    Args:
+        setup: arm and cell.
+        q_now: (n,), rad, where the arm stands, at rest.
+        q_above: (n,), rad, where it goes.
+
+    Returns:
+        The ways one after the other; or what stands in them.
+    """
+    ways = [[q_now, q_above]]
+    if setup.cell.moving.home is not None:
+        ways.append([q_now, setup.cell.moving.home, q_above])
+    said = ""
+    for way in ways:
+        paths = [joint_path(a, b) for a, b in pairwise(way)]
+        trouble = next((t for path in paths if (t := setup.workspace.along(path))), "")
+        if not trouble:
+            return tuple(time_path(path, setup.limits) for path in paths)
+        said = said or f"on the way over {trouble}"
+    return said
+
+
+def _rejection_reasons(
+    good: list[Posture], reasons: dict[int, str], taken: Posture
+) -> dict[str, str]:
+    """Why each other branch is not taken, in words."""
+    told = dict(reasons)
+    for posture in good:
+        if posture.branch != taken.branch:
+            worse = f"it would do, but scores {posture.score:.2g} against {taken.score:.2g}"
+            told.setdefault(posture.branch, worse)
+    told.pop(taken.branch, None)
+    return {branch_name(branch): told[branch] for branch in sorted(told)}
+
+
+def planner_with_cameras(arm: Arm, cell: Cell, rig: Rig, *, turning: bool) -> GraspPlanner:
+    """Put an arm into its cell, with the rig's cameras to keep away from.
+
+    The optical centre of a turning camera goes round its base's axis: the arm keeps away from the
+    whole circle, as it does from a point, by a clearance that is the circle's radius greater.
+
+    Args:
+        arm: see `make_planner`.
+        cell: from grab.toml.
+        rig: the cameras, and the robot's place.
+        turning: the bases turn; else they stand as the rig says.
+
+    Raises:
+        InputError: see `make_planner`.
+    """
+    cameras = (rig.left, rig.right)
+    if not turning:
+        placed = [camera.rig_T_camera(camera.pan) for camera in cameras]
+        return make_planner(arm, cell, camera_centres(invert(rig.rig_T_base), placed))
+    circles = [_camera_circle(camera) for camera in cameras]
+    wider = cell.moving.camera_clearance + max(radius for _, radius in circles)
+    kept = replace(cell, moving=replace(cell.moving, camera_clearance=wider))
+    middles = np.array([middle for middle, _ in circles])
+    return make_planner(arm, kept, carry(invert(rig.rig_T_base), middles))
+
+
+def _camera_circle(camera: Camera) -> tuple[Array, float]:
+    """Where a turning camera's optical centre goes: the circle's middle, rig, m, and its radius."""
+    from_axis, axis = camera.mount[:3, 3], camera.pan_axis
+    along = float(axis @ from_axis)
+    return camera.pan_center + along * axis, float(np.linalg.norm(from_axis - along * axis))
+
+
+@dataclass(frozen=True, slots=True)
+class JointGoal:
+    """Where the joints should be now, and how the goal moves."""
+
+    q: Array  # (n,), rad
+    velocity: Array  # (n,), rad/s
+
+
+class HoverPlanner:
+    """Keeps one branch and one turn of the hand as long as they serve, then looks for others.
+
+    Args:
+        setup: arm and cell.
+    """
+
+    def __init__(self, setup: GraspPlanner) -> None:
+        self._setup = setup
+        self._posture: Posture | None = None
+
+    def goal(self, point: Array, velocity: Array, q_now: Array) -> JointGoal | GraspRefusal:
+        """Say where the joints should be for the hand to stand above a point.
+
+        Args:
+            point: (3,), m, base frame, the target's middle.
+            velocity: (3,), m/s, of the target.
+            q_now: (n,), rad, ordered last.
+        """
+        if not (np.isfinite(point).all() and np.isfinite(velocity).all()):
+            return GraspRefusal("unknown", "the target's place is not known")
+        grip, _ = grip_point(point, self._setup.cell)  # above where the line down will begin
+        q = None if self._posture is None else self._same(self._posture, grip, q_now)
+        if q is None:
+            good, reasons = find_postures(self._setup.workspace, self._setup.limits, grip, q_now)
+            if not good:
+                self._posture = None
+                said = next(iter(reasons.values()))
+                return GraspRefusal("reach", f"no posture stands above the target: {said}")
+            self._posture, q = good[0], good[0].q_above
+        twist = np.concatenate([velocity, np.zeros(3)])
+        return JointGoal(q, np.linalg.solve(robots.jacobian(self._setup.arm, q), twist))
+
+    def _same(self, posture: Posture, grip: Array, q_now: Array) -> Array | None:
+        """The same branch and turn above another grip point; None where they do not serve."""
+        setup, approach = self._setup, self._setup.cell.approach
+        above = grip - approach.height * approach.direction
+        pose = hand_poses(approach.direction, above, np.array([posture.turn]))
+        flange = flange_pose(pose, setup.cell.gripper.flange_T_grip)[0]
+        answers = robots.inverse(setup.arm, flange, hold=q_now).q
+        q = near_within(setup.arm, answers[posture.branch], q_now)
+        if not np.isfinite(q).all() or limit_violation(setup.limits, rest_motion(q)):
+            return None
+        if smallest_singular_value(setup.arm, q) < MIN_SINGULAR_VALUE or setup.workspace.clear(
+            q[None]
+        ):
+            return None
+        return q

@@ -1,0 +1,165 @@
+"""Where arm and hand may be: above the table, away from the cameras, the grip point in its box.
+
+The arm is a chain of capsules between its joints, palm and fingers are a cylinder. A margin is how
+much nearer something could come than it may; below zero it is too near. Between two postures no
+point of the arm moves farther than each joint's turn times its reach: so a way is checked along its
+whole length, halving it until nothing can have slipped between two samples.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+import robots
+from robots import DhArm
+from robots.trajectory import JointPath
+from robots.transforms import carry
+from verify.core.records import Array
+from verify.grasping.cell import Cell
+
+RESOLUTION = 5e-4  # m: a way is certified to keep every clearance but for that much
+N_FIRST_POSTURES = 9  # postures that a way is first looked at
+MAX_HALVINGS = 14  # of a part of the way; then 2**-14 of it is not certified, and refused
+LINKS = ("upper arm", "elbow", "forearm", "wrist")
+BOX_NAME = "grip point in the workspace box"
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """An arm, its hand, and what they must keep away from; robot's base frame."""
+
+    arm: DhArm
+    cell: Cell
+    cameras: Array  # (k, 3), m, optical centres
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """What each margin is of, in words."""
+        above = (*LINKS, "palm", "finger tips")
+        beside = [
+            f"{part} to camera {camera + 1}"
+            for camera in range(len(self.cameras))
+            for part in (*LINKS, "hand")
+        ]
+        return (*(f"{part} over the table" for part in above), *beside, BOX_NAME)
+
+    def grip(self, q: Array) -> Array:
+        """Where the grip point is, base_T_grip (..., 4, 4)."""
+        found: Array = robots.forward(self.arm, q) @ self.cell.gripper.flange_T_grip
+        return found
+
+    def margins(self, q: Array) -> Array:
+        """How much nearer each part could come to what it keeps away from, m.
+
+        Args:
+            q: (m, n), rad.
+
+        Returns:
+            (m, names): below 0 it is too near, or outside.
+        """
+        table, hand = self.cell.table, self.cell.gripper
+        radius, away = self.cell.moving.link_radius, self.cell.moving.camera_clearance
+        joints, flange, grip = self._skeleton(q)
+        axis = grip[:, :3, 2]
+        tips = grip[:, :3, 3] + hand.tips * axis
+        palm = grip[:, :3, 3] - (hand.finger_length - hand.tips) * axis
+        links = [*pairwise(joints), (joints[-1], flange)]
+        floor = table.height + table.clearance
+        rim = hand.radius * np.hypot(axis[:, 0], axis[:, 1])  # a tilted disc's lower edge
+        columns = [np.minimum(a[:, 2], b[:, 2]) - radius - floor for a, b in links]
+        columns.append(np.minimum(flange[:, 2], palm[:, 2]) - rim - floor)
+        columns.append(tips[:, 2] - rim - table.height - table.finger_clearance)
+        for camera in self.cameras:
+            columns += [_distance(camera, a, b) - radius - away for a, b in links]
+            columns.append(_distance(camera, flange, tips) - hand.radius - away)
+        point = grip[:, :3, 3]
+        inside = np.minimum(point - self.cell.lower, self.cell.upper - point)
+        columns.append(inside.min(axis=1))
+        return np.stack(columns, axis=1)
+
+    def trouble(self, margins: Array) -> str:
+        """Say what is worst of margins (names,), in words; empty where none is below 0."""
+        worst = int(np.argmin(margins))
+        if margins[worst] >= -RESOLUTION:
+            return ""
+        what, by = self.names[worst], -1e3 * margins[worst]
+        if what == BOX_NAME:
+            return f"the grip point would be {by:.0f} mm outside the workspace box"
+        part, _, from_what = what.replace(" over ", " to ").partition(" to ")
+        return f"the {part} would come {by:.0f} mm too near to {from_what}"
+
+    def clear(self, q: Array) -> str:
+        """Say what stands in the way through postures (m, n) one after the other; "" if nothing.
+
+        In between the joints go straight from one to the next.
+        """
+        margins = self.margins(q)
+        if len(q) > 1:
+            travel = np.abs(np.diff(q, axis=0)) @ self.reach
+            between = (margins[:-1] + margins[1:] - travel[:, None]) / 2
+            margins = np.concatenate([margins, between])
+        return self.trouble(margins[np.argmin(margins.min(axis=1))])
+
+    def along(self, path: JointPath) -> str:
+        """Say what stands in the way anywhere along a path, and where; empty if nothing."""
+        fastest = float(path.bounds()[0] @ self.reach)  # m of any point, a unit of the way
+        s = np.linspace(0.0, path.length, N_FIRST_POSTURES)
+        margins = self.margins(path.q(s))
+        for _ in range(MAX_HALVINGS + 1):
+            low = margins.min(axis=1)
+            if low.min() < -RESOLUTION:
+                at = int(np.argmin(low))
+                share = s[at] / path.length
+                return f"{self.trouble(margins[at])}, after {share:.0%} of the way"
+            between = (low[:-1] + low[1:] - fastest * np.diff(s)) / 2
+            doubtful = between < -RESOLUTION
+            if not doubtful.any():
+                return ""
+            middle = (s[:-1] + s[1:])[doubtful] / 2
+            s = np.concatenate([s, middle])
+            margins = np.concatenate([margins, self.margins(path.q(middle))])
+            order = np.argsort(s)
+            s, margins = s[order], margins[order]
+        return "the way passes too near to be certified clear"
+
+    @cached_property
+    def reach(self) -> Array:
+        """The farthest that any point of arm and hand can be from each joint's axis, (n,), m."""
+        hand = self.cell.gripper
+        grip = float(np.linalg.norm(hand.flange_T_grip[:3, 3]))
+        tool = grip + hand.finger_length + hand.radius
+        lengths = np.hypot(self.arm.a, self.arm.d)
+        beyond = np.cumsum(lengths[::-1])[::-1] - lengths
+        # a joint's own d lies on its axis
+        farthest: Array = np.abs(self.arm.a) + beyond + max(tool, self.cell.moving.link_radius)
+        return farthest
+
+    def _skeleton(self, q: Array) -> tuple[list[Array], Array, Array]:
+        """Joints from the shoulder to the wrist (m, 3) each, the flange, and base_T_grip."""
+        joints = [robots.forward(cut, q)[:, :3, 3] for cut in self._cut]
+        flange = robots.forward(self.arm, q)
+        return joints, flange[:, :3, 3], flange @ self.cell.gripper.flange_T_grip
+
+    @cached_property
+    def _cut(self) -> list[DhArm]:
+        """The arm without what follows frames 1 to 4: their origins are where it then ends."""
+        cut = []
+        for frame in range(1, 5):
+            kept = np.arange(6) < frame
+            cut.append(replace(self.arm, a=self.arm.a * kept, d=self.arm.d * kept))
+        return cut
+
+
+def camera_centres(base_T_rig: Array, rig_T_cameras: list[Array]) -> Array:
+    """Optical centres (k, 3), m, in the robot's base, of cameras placed in the rig."""
+    return carry(base_T_rig, np.array([rig_T_camera[:3, 3] for rig_T_camera in rig_T_cameras]))
+
+
+def _distance(point: Array, a: Array, b: Array) -> Array:
+    """Distance (m,) of a point (3,) from segments a to b, (m, 3) each."""
+    along = b - a
+    squared = np.maximum((along * along).sum(axis=1), 1e-18)  # a segment may be a point
+    share = np.clip(((point - a) * along).sum(axis=1) / squared, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(point - a - share[:, None] * along, axis=1))

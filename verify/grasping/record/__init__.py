@@ -1,0 +1,1 @@
+"""Film, tables and session of a grab."""

@@ -1,0 +1,144 @@
+"""A grab as tables: a row a cycle, the states' passages, the plan; units in the columns' names."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from verify.core.records import Array
+from verify.grasping.control.aim import LoopCycle
+from verify.grasping.control.states import StateChange
+from verify.grasping.planning.object import GripMargin
+from verify.grasping.planning.plan import GraspPlan
+from verify.grasping.planning.workspace import Workspace
+from verify.grasping.tool_offset.offset import OffsetMeasurement
+from verify.grasping.tracking.target import Outline
+
+_MM = 1e3  # mm/m
+PLAN_PERIOD = 0.02  # s between two rows of a plan
+PLAN_PARTS = ("over", "down", "up")
+
+
+def cycle_row(cycle: LoopCycle, workspace: Workspace) -> dict[str, Any]:
+    """Write a cycle as one row."""
+    told: dict[str, Any] = {"t_s": cycle.t, "state": cycle.state.value}
+    seen, known = cycle.seen, cycle.known
+    told["status"] = None if seen is None else seen.status
+    told["lost_because"] = None if seen is None else seen.reason
+    told["quality"] = None if seen is None else seen.quality
+    if known is not None:
+        told |= _point("target", known.thing.position)
+        spread = np.sqrt(np.diag(known.thing.covariance))
+        told |= {f"u_{axis}_mm": _MM * u for axis, u in zip("xyz", spread, strict=True)}
+        told["width_mm"] = _MM * known.thing.width
+    for side in ("left", "right"):
+        told |= _outline(side, None if seen is None else getattr(seen, side))
+    if cycle.q is not None:
+        told |= _joints("q{}_deg", cycle.q)
+        told |= _point("grip", workspace.grip(cycle.q)[:3, 3])
+    if cycle.q_ordered is not None:
+        told |= _joints("q{}_ordered_deg", cycle.q_ordered)
+    if cycle.gripper is not None:
+        opening = cycle.gripper.opening
+        told["gripper"] = cycle.gripper.state.value
+        told["opening_mm"] = None if opening is None else _MM * opening
+    told["took_ms"] = 1e3 * cycle.took
+    return told
+
+
+def state_changes_table(passages: Sequence[StateChange]) -> pd.DataFrame:
+    """Write the states' passages, one a row."""
+    rows = [
+        {
+            "t_s": p.t,
+            "from_state": p.source.value,
+            "event": p.event.value,
+            "to_state": p.target.value,
+            "reason": p.reason,
+        }
+        for p in passages
+    ]
+    return pd.DataFrame(rows, columns=["t_s", "from_state", "event", "to_state", "reason"])
+
+
+def plan_table(plan: GraspPlan | None, workspace: Workspace) -> pd.DataFrame:
+    """Write a plan's joint angles and grip point over time; empty where there is no plan."""
+    if plan is None:
+        return pd.DataFrame()
+    rows: list[dict[str, Any]] = []
+    began = 0.0
+    for part, ways in zip(PLAN_PARTS, (plan.over, (plan.down,), (plan.up,)), strict=True):
+        for way in ways:
+            times, motion = way.sampled(PLAN_PERIOD)
+            grips = workspace.grip(motion.q)[:, :3, 3]
+            for t, q, grip in zip(times, motion.q, grips, strict=True):
+                told: dict[str, Any] = {"t_s": began + float(t), "part": part}
+                rows.append(told | _joints("q{}_deg", q) | _point("grip", grip))
+            began += way.duration
+    return pd.DataFrame(rows)
+
+
+def tool_offset_table(seen: OffsetMeasurement | None, workspace: Workspace) -> pd.DataFrame:
+    """Write the pictures in which the hand was looked at, one a row; its grip point by its LEDs."""
+    rows: list[dict[str, Any]] = []
+    for sight in seen.sights if seen is not None else ():
+        told: dict[str, Any] = {"t_s": sight.t, "status": sight.status}
+        if sight.base_T_flange is not None:
+            told |= _point("grip", _grip_position(sight.base_T_flange, workspace))
+        rows.append(told)
+    columns = ["t_s", "status", "grip_x_mm", "grip_y_mm", "grip_z_mm"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def tool_offset_fields(seen: OffsetMeasurement, workspace: Workspace) -> dict[str, Any]:
+    """Write where the hand was told to be, read and seen, and what came of it; mm, k = 2."""
+    hand, places = seen.hand, {"told": seen.told, "read": seen.read, "seen": seen.measured}
+    return {
+        "used": seen.used,
+        "reason": seen.reason,
+        "pictures": len(seen.sights),
+        "measured": sum(sight.base_T_flange is not None for sight in seen.sights),
+        **{
+            f"{what}_mm": None if pose is None else (_MM * _grip_position(pose, workspace)).tolist()
+            for what, pose in places.items()
+        },
+        "off_mm": None if hand is None else (_MM * hand.off).tolist(),
+        "off_expanded_uncertainty_mm": None
+        if hand is None
+        else (2 * _MM * np.sqrt(np.diag(hand.covariance))).tolist(),
+    }
+
+
+def margin_fields(margin: GripMargin) -> dict[str, float]:
+    """Write what the gripper leaves and what is needed of it, mm."""
+    return {
+        "across_mm": _MM * margin.across,
+        "across_needed_mm": _MM * margin.across_needed,
+        "along_mm": _MM * margin.along,
+        "along_needed_mm": _MM * margin.along_needed,
+        "raised_mm": _MM * margin.raised,
+    }
+
+
+def _grip_position(base_T_flange: Array, workspace: Workspace) -> Array:
+    """Where the grip point is, (3,), m."""
+    found: Array = (base_T_flange @ workspace.cell.gripper.flange_T_grip)[:3, 3]
+    return found
+
+
+def _outline(side: str, outline: Outline | None) -> dict[str, float | None]:
+    if outline is None:
+        return {f"{side}_{what}_px": None for what in ("x", "y", "width", "height")}
+    _, _, width, height = outline.box
+    x, y = (float(v) for v in outline.centre)
+    values = zip(("x", "y", "width", "height"), (x, y, width, height), strict=True)
+    return {f"{side}_{what}_px": value for what, value in values}
+
+
+def _point(name: str, point: Array) -> dict[str, float]:
+    return {f"{name}_{axis}_mm": float(_MM * v) for axis, v in zip("xyz", point, strict=True)}
+
+
+def _joints(pattern: str, q: Array) -> dict[str, float]:
+    return {pattern.format(n): float(v) for n, v in enumerate(np.degrees(q), start=1)}

@@ -1,0 +1,92 @@
+"""The film of a grab: both pictures side by side, what was searched and seen, and the state."""
+
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+from verify.core.records import Image
+from verify.grasping.control.aim import LoopCycle
+from verify.grasping.tracking.target import Outline
+
+WIDTH, HEIGHT, STRIP_HEIGHT = 640, 360, 40  # px: of each picture, and of the line of text below
+WHITE, OUTLINE_COLOUR, WINDOW_COLOUR = (255, 255, 255), (60, 230, 255), (200, 200, 200)  # BGR
+STATE_COLOURS = {"lifted": (90, 200, 90), "fault": (60, 60, 230), "missed": (60, 140, 240)}
+CODECS = ("libx264", "mpeg4")  # the first that this build of FFmpeg has
+ENCODER_OPTIONS = {"libx264": {"crf": "20", "preset": "veryfast"}, "mpeg4": {"qscale": "3"}}
+
+
+class Mp4Writer:
+    """An MP4 file that grows picture by picture.
+
+    Args:
+        path: a new file.
+        rate: Hz.
+    """
+
+    def __init__(self, path: Path, rate: float) -> None:
+        self.codec = next(name for name in CODECS if name in av.codecs_available)
+        self._container = av.open(str(path), "w")
+        stream = self._container.add_stream(self.codec, round(rate), ENCODER_OPTIONS[self.codec])
+        assert isinstance(stream, av.VideoStream)
+        self._stream = stream
+        stream.width, stream.height = 2 * WIDTH, HEIGHT + STRIP_HEIGHT
+        stream.pix_fmt = "yuv420p"
+        self._last = np.zeros((HEIGHT, 2 * WIDTH, 3), np.uint8)
+
+    def add(self, cycle: LoopCycle) -> Image:
+        """Append a cycle; the last pictures stay where there are no new ones.
+
+        Returns:
+            The picture as it is in the film, BGR.
+        """
+        if cycle.pair is not None:
+            self._last = np.hstack([_annotated_picture(cycle, 0), _annotated_picture(cycle, 1)])
+        picture = np.vstack([self._last, _text_strip(cycle)])
+        frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
+        for packet in self._stream.encode(frame):
+            self._container.mux(packet)
+        return picture
+
+    def close(self) -> None:
+        """Write what is under way, and the index by which players find their way."""
+        for packet in self._stream.encode():
+            self._container.mux(packet)
+        self._container.close()
+
+
+def _annotated_picture(cycle: LoopCycle, side: int) -> Image:
+    """One camera's picture with CAMSHIFT's window and ellipse."""
+    assert cycle.pair is not None
+    image = (cycle.pair.left, cycle.pair.right)[side]
+    scale = WIDTH / image.shape[1]
+    small = cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    picture = np.asarray(small, dtype=np.uint8)
+    if cycle.seen is not None:
+        window = cycle.seen.windows[side]
+        if window is not None:
+            x, y, w, h = (round(scale * v) for v in window)
+            cv2.rectangle(picture, (x, y), (x + w, y + h), WINDOW_COLOUR, 1, cv2.LINE_AA)
+        outline = (cycle.seen.left, cycle.seen.right)[side]
+        if outline is not None:
+            _draw_ellipse(picture, outline, scale)
+    return picture
+
+
+def _draw_ellipse(picture: Image, outline: Outline, scale: float) -> None:
+    centre = (float(scale * outline.centre[0]), float(scale * outline.centre[1]))
+    axes = (scale * outline.axes[0], scale * outline.axes[1])
+    box = (centre, axes, float(np.degrees(outline.angle)))
+    cv2.ellipse(picture, box, OUTLINE_COLOUR, 1, cv2.LINE_AA)
+
+
+def _text_strip(cycle: LoopCycle) -> Image:
+    """Time, state, what the tracker says, in one line."""
+    strip = np.full((STRIP_HEIGHT, 2 * WIDTH, 3), 30, np.uint8)
+    tone = STATE_COLOURS.get(cycle.state.value, WHITE)
+    seen = "" if cycle.seen is None else cycle.seen.status
+    pictures = seen if cycle.pair is not None else "no pictures"
+    words = f"{cycle.t:6.2f} s   {cycle.state.value.upper()}   target: {pictures}"
+    cv2.putText(strip, words, (12, 27), cv2.FONT_HERSHEY_SIMPLEX, 0.6, tone, 1, cv2.LINE_AA)
+    return strip

@@ -1,0 +1,1 @@
+"""Hand offset measured by the flange LEDs."""

@@ -1,0 +1,1 @@
+"""CAMSHIFT, stereo localisation, Kalman tracks, identity."""

@@ -1,0 +1,156 @@
+"""A Kalman track: where the target is, how fast it goes, and where it will be.
+
+Between pictures it keeps its velocity, which wanders and forgets: an integrated Ornstein-Uhlenbeck
+process. Over a frame that is a constant velocity; over seconds out of sight it is one that nobody
+knows any more, while its size stays bounded. How much it wanders is learned from how the target
+moves. Works in m in the rig, or in px in one picture.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from verify.core.records import Array
+
+VELOCITY_TIME_CONSTANT = (
+    1.0  # s over which a velocity is forgotten, and over which its usual size is learned
+)
+MIN_SPEED_RATIO = 0.2  # of the speed that targets may have: what stands still may be moved any time
+STEADY_SPEED_RATIO = (
+    0.05  # of that speed: what goes on as it did, or stays where it stands, wanders by that
+)
+# what a target does next, as seldom as that, and by how much it may depart from the track
+P_STEADY, P_FREE, P_ABRUPT = 0.5, 0.49, 0.01
+ABRUPT_SPEED_RATIO = 2.0  # of that speed: pushed or snatched
+
+
+@dataclass(frozen=True, slots=True)
+class KalmanTrack:
+    """Position and velocity at one instant, in d dimensions."""
+
+    t: float  # s
+    mean: Array  # (2 d,), position then velocity
+    covariance: Array  # (2 d, 2 d)
+    speed: float  # standard deviation of the velocity, a coordinate, as this one moves
+    fastest: float  # likewise, of what may be expected of any target
+
+    @property
+    def position(self) -> Array:
+        """(d,)."""
+        return self.mean[: len(self.mean) // 2]
+
+    @property
+    def velocity(self) -> Array:
+        """(d,), a second."""
+        return self.mean[len(self.mean) // 2 :]
+
+    @property
+    def position_covariance(self) -> Array:
+        """(d, d)."""
+        d = len(self.mean) // 2
+        return self.covariance[:d, :d]
+
+    @property
+    def velocity_covariance(self) -> Array:
+        """(d, d)."""
+        d = len(self.mean) // 2
+        return self.covariance[d:, d:]
+
+    def at(self, t: float) -> "KalmanTrack":
+        """Predict to an instant, s; one before the track's own changes nothing.
+
+        Source: Gillespie, Phys. Rev. E 54, 1996, eqs. 2.12-2.14 (the process and its integral).
+        """
+        dt = t - self.t
+        if dt <= 0:
+            return self
+        decay = math.exp(-dt / VELOCITY_TIME_CONSTANT)
+        power = 2 * self.speed**2 / VELOCITY_TIME_CONSTANT  # of the driving noise
+        xx = (
+            power
+            * VELOCITY_TIME_CONSTANT**2
+            * (
+                dt
+                - 2 * (1 - decay) * VELOCITY_TIME_CONSTANT
+                + (1 - decay**2) * VELOCITY_TIME_CONSTANT / 2
+            )
+        )
+        xv = power * VELOCITY_TIME_CONSTANT**2 / 2 * (1 - decay) ** 2
+        vv = power * VELOCITY_TIME_CONSTANT / 2 * (1 - decay**2)
+        return self._stepped(
+            t, [[1.0, VELOCITY_TIME_CONSTANT * (1 - decay)], [0.0, decay]], [[xx, xv], [xv, vv]]
+        )
+
+    def explanations(self, t: float) -> list["MotionHypothesis"]:
+        """Say where it may be, in three ways, and how probable each is beforehand.
+
+        It goes on steadily, or as freely as it does, or was pushed since it was seen.
+        """
+        dt = max(t - self.t, 0.0)
+        power = 2 * (STEADY_SPEED_RATIO * self.fastest) ** 2 / VELOCITY_TIME_CONSTANT
+        noise = [[power * dt**3 / 3, power * dt**2 / 2], [power * dt**2 / 2, power * dt]]
+        steady = self._stepped(t, [[1.0, dt], [0.0, 1.0]], noise)
+        free = self.at(t)
+        push = (ABRUPT_SPEED_RATIO * self.fastest) ** 2
+        d = len(self.mean) // 2
+        pushed = np.kron([[push * dt**2, push * dt], [push * dt, push]], np.eye(d))
+        abrupt = replace(free, covariance=free.covariance + pushed)
+        return [
+            MotionHypothesis(steady, P_STEADY),
+            MotionHypothesis(free, P_FREE),
+            MotionHypothesis(abrupt, P_ABRUPT, abrupt=True),
+        ]
+
+    def updated(self, position: Array, covariance: Array) -> "KalmanTrack":
+        """Take in a measured position (d,) and its covariance (d, d), of the track's instant."""
+        d = len(position)
+        gain = np.linalg.solve(self.position_covariance + covariance, self.covariance[:d]).T
+        mean = self.mean + gain @ (position - self.position)
+        keep = np.eye(2 * d)
+        keep[:, :d] -= gain
+        joseph = keep @ self.covariance @ keep.T + gain @ covariance @ gain.T
+        return KalmanTrack(self.t, mean, joseph, self.speed, self.fastest)
+
+    def learned(self, since: float) -> "KalmanTrack":
+        """Learn from the velocity how much it wanders; `since` is s from one update to the next."""
+        share = 1 - math.exp(-since / VELOCITY_TIME_CONSTANT)
+        square = self.speed**2 + share * (float(np.mean(self.velocity**2)) - self.speed**2)
+        return replace(self, speed=max(math.sqrt(square), MIN_SPEED_RATIO * self.fastest))
+
+    def distance(self, position: Array, covariance: Array) -> tuple[float, float]:
+        """How far a measured position is from the predicted one.
+
+        Returns:
+            The squared Mahalanobis distance, and ln det(2 pi S) of the innovation's covariance.
+        """
+        spread = self.position_covariance + covariance
+        off = position - self.position
+        squared = float(off @ np.linalg.solve(spread, off))
+        return squared, float(np.linalg.slogdet(2 * np.pi * spread)[1])
+
+    def _stepped(
+        self, t: float, step: list[list[float]], noise: list[list[float]]
+    ) -> "KalmanTrack":
+        each = np.eye(len(self.mean) // 2)
+        carry = np.kron(step, each)
+        covariance = carry @ self.covariance @ carry.T + np.kron(noise, each)
+        return replace(self, t=max(t, self.t), mean=carry @ self.mean, covariance=covariance)
+
+
+@dataclass(frozen=True, slots=True)
+class MotionHypothesis:
+    """One way in which a track may go on."""
+
+    track: KalmanTrack
+    prior: float  # probability beforehand
+    abrupt: bool = False
+
+
+def begin_track(t: float, position: Array, covariance: Array, speed: float) -> KalmanTrack:
+    """Begin a track at a measured position (d,); nothing is known of its velocity but its size."""
+    d = len(position)
+    whole = np.zeros((2 * d, 2 * d))
+    whole[:d, :d] = covariance
+    whole[d:, d:] = np.eye(d) * speed**2
+    return KalmanTrack(t, np.concatenate([position, np.zeros(d)]), whole, speed, speed)

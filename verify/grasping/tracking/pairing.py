@@ -1,0 +1,208 @@
+"""Patches of colour in two pictures to objects in the rig: which belongs to which.
+
+Two patches are one object where their rays meet, at a distance and of a size that a target may
+have, and where they are equally large in metres.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from verify.core.records import Array, StereoPair
+from verify.core.rig import Rig
+from verify.grasping.tracking.camshift import Blob
+from verify.grasping.tracking.stereo import (
+    LineOfSight,
+    StereoPoint,
+    line_of_sight,
+    locate,
+    object_size,
+    place_cameras,
+    ray_midpoint,
+)
+from verify.grasping.tracking.target import TrackingOptions
+from verify.measurement.alignment import spot_instants
+from verify.measurement.triangulation import triangulate
+
+MAX_RAY_DISTANCE = 4.0  # standard deviations between two rays that meet
+MAX_RAY_DISTANCE_PX = 8.0  # a first, generous look at the same
+MAX_LOG_AREA_RATIO = math.log(
+    1.8
+)  # of the two areas in m²: a side view, a part hidden in one picture
+FORBIDDEN_COST = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectMotion:
+    """How something moves, as far as is known; for pictures not taken at one instant."""
+
+    velocity: Array  # (3,), m/s
+    covariance: Array  # (3, 3), (m/s)²
+
+
+@dataclass(frozen=True, slots=True)
+class StereoObject:
+    """A coloured object seen by both cameras."""
+
+    left: Blob
+    right: Blob
+    place: StereoPoint
+    areas: Array  # (2,), m², as the left and the right picture have it
+    reaches: Array  # (2,), m², with what hangs together with it
+    size: Array  # (2,), m, width and height
+    size_uncertainty: Array  # (2,), m
+
+
+def pair_blobs(
+    lefts: list[Blob], rights: list[Blob], pair: StereoPair, rig: Rig, options: TrackingOptions
+) -> list[StereoObject]:
+    """Find the objects that two pictures' patches belong to, one patch for one object.
+
+    How fast they go is not known here; `join_blobs` them again where it is. Where two patches fit two
+    others either way, opaque objects beside each other stand in the same order in both pictures.
+    """
+    motion = ObjectMotion(np.zeros(3), np.eye(3) * options.speed**2)
+    cost = np.full((len(lefts), len(rights)), FORBIDDEN_COST)
+    things: dict[tuple[int, int], StereoObject] = {}
+    for i, j in _meeting_pairs(lefts, rights, pair, rig):
+        thing = join_blobs(lefts[i], rights[j], pair, rig, motion)
+        if thing is not None and is_plausible(thing, options):
+            things[i, j] = thing
+            unlike = math.log(thing.areas[0] / thing.areas[1]) / MAX_LOG_AREA_RATIO
+            cost[i, j] = thing.place.mismatch**2 + (3 * unlike) ** 2
+    rows, columns = linear_sum_assignment(cost)
+    best = [(int(i), int(j)) for i, j in zip(rows, columns, strict=True)]
+    chosen = {i: j for i, j in best if (i, j) in things}
+    _put_in_order(chosen, things, lefts, rights)
+    return [things[i, j] for i, j in chosen.items()]
+
+
+def join_blobs(
+    left: Blob,
+    right: Blob,
+    pair: StereoPair,
+    rig: Rig,
+    motion: ObjectMotion,
+    doubt: tuple[float, float] = (0.0, 0.0),
+) -> StereoObject | None:
+    """Make an object of two patches.
+
+    Args:
+        left: the patch in the left picture.
+        right: the patch in the right one.
+        pair: the pictures' instants and pans.
+        rig: the cameras.
+        motion: how the object moves, to bring both to the left picture's instant.
+        doubt: px, standard, left and right, by which a patch's centre may miss the object's.
+
+    Returns:
+        None where the rays do not meet before both cameras.
+    """
+    cameras = place_cameras(rig, pair)
+    blobs, times = (left, right), (pair.t_left, pair.t_right)
+    sights = []
+    for camera, blob, extra in zip(cameras, blobs, doubt, strict=True):
+        covariance = blob.covariance + np.eye(2) * extra**2
+        sights.append(line_of_sight(camera, blob.centre, covariance, blob.extent))
+    start = ray_midpoint(sights[0], sights[1])
+    for i, (t, blob) in enumerate(zip(times, blobs, strict=True)):
+        taken = spot_instants(t, blob.centre[None], cameras[i].camera, rig.image_size[1])
+        sights[i] = _shift_in_time(sights[i], start, motion, float(taken[0]) - pair.t_left)
+    place = locate(sights[0], sights[1], rig, start)
+    if place is None:
+        return None
+    worth = np.array([pixel_area(s, z) for s, z in zip(sights, place.depth, strict=True)])
+    metres, uncertainty = object_size(sights[0], sights[1], place)
+    return StereoObject(
+        left,
+        right,
+        place,
+        np.array([left.area, right.area]) * worth,
+        np.array([left.reach, right.reach]) * worth,
+        metres,
+        uncertainty,
+    )
+
+
+def pixel_area(where: LineOfSight, depth: float) -> float:
+    """What a pixel is worth at a place, m², across its own line of sight.
+
+    Towards a picture's corner a ball looks larger: its pixels see it at a slant.
+    """
+    slant = float(np.sqrt(1.0 + where.xy @ where.xy))
+    return float(depth**2 / (np.linalg.det(where.lens) * slant))
+
+
+def is_plausible(
+    thing: StereoObject, options: TrackingOptions, areas: float = MAX_LOG_AREA_RATIO
+) -> bool:
+    """Whether two patches can be one object, and one that is looked for.
+
+    Args:
+        thing: made of the two.
+        options: how large and how far it may be.
+        areas: the greatest difference of ln(area) between the two pictures.
+    """
+    low, high = options.depths
+    return bool(
+        thing.place.mismatch < MAX_RAY_DISTANCE
+        and (thing.place.depth > low).all()
+        and (thing.place.depth < high).all()
+        and abs(math.log(thing.areas[0] / thing.areas[1])) < areas
+        and options.sizes[0] < thing.size.max() < options.sizes[1]
+    )
+
+
+def _meeting_pairs(
+    lefts: list[Blob], rights: list[Blob], pair: StereoPair, rig: Rig
+) -> list[tuple[int, int]]:
+    """Pairs of patches whose rays pass each other closely."""
+    if not lefts or not rights:
+        return []
+    points, gap = triangulate(
+        rig.left,
+        rig.right,
+        pair.pan_left,
+        pair.pan_right,
+        np.array([blob.centre for blob in lefts])[:, None],
+        np.array([blob.centre for blob in rights])[None],
+    )
+    reach = np.array([[max(a.extent.max(), b.extent.max()) for b in rights] for a in lefts])
+    allowed = (
+        (MAX_RAY_DISTANCE_PX + 0.2 * reach)
+        * np.linalg.norm(points, axis=-1)
+        / rig.left.matrix[0, 0]
+    )
+    with np.errstate(invalid="ignore"):  # nan where the rays do not meet at all
+        near = gap < allowed
+    return [(int(i), int(j)) for i, j in np.argwhere(near)]
+
+
+def _shift_in_time(
+    seen: LineOfSight, point: Array, motion: ObjectMotion, late: float
+) -> LineOfSight:
+    """Bring a patch seen `late` s after the instant back to it."""
+    if late == 0 or not np.isfinite(point).all():
+        return seen
+    slope = seen.placed.slope(seen.placed.inside(point))
+    spread = slope @ motion.covariance @ slope.T * late**2
+    xy = seen.xy - slope @ motion.velocity * late
+    return replace(seen, xy=xy, covariance=seen.covariance + spread)
+
+
+def _put_in_order(
+    chosen: dict[int, int],
+    things: dict[tuple[int, int], StereoObject],
+    lefts: list[Blob],
+    rights: list[Blob],
+) -> None:
+    for i in list(chosen):
+        for k in list(chosen):
+            swapped = (i, chosen[k]) in things and (k, chosen[i]) in things
+            if k <= i or not swapped:
+                continue
+            before = lefts[i].centre[0] < lefts[k].centre[0]
+            if before != (rights[chosen[i]].centre[0] < rights[chosen[k]].centre[0]):
+                chosen[i], chosen[k] = chosen[k], chosen[i]

@@ -1,0 +1,203 @@
+"""Looking for a target in a pair of pictures: where it should be, or everywhere."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.core.records import Array, Image, StereoPair
+from verify.core.rig import Camera, Rig
+from verify.grasping.tracking.association import (
+    COMPLETE_AREA_RANGE,
+    ObjectCandidate,
+    TargetIdentity,
+    centre_uncertainty_ratio,
+)
+from verify.grasping.tracking.camshift import (
+    MAX_EXTENT_RATIO,
+    Blob,
+    Box,
+    box_around,
+    camshift,
+    find_blobs,
+)
+from verify.grasping.tracking.colour import ColourModel
+from verify.grasping.tracking.kalman import KalmanTrack
+from verify.grasping.tracking.pairing import (
+    MAX_LOG_AREA_RATIO,
+    ObjectMotion,
+    StereoObject,
+    is_plausible,
+    join_blobs,
+    pair_blobs,
+    pixel_area,
+)
+from verify.grasping.tracking.stereo import RIM_WIDTH, PannedCamera, place_cameras, project
+from verify.grasping.tracking.target import TrackingOptions
+
+MIN_SIMILARITY = 0.6  # least similarity of the mixture of colours
+SEARCH_PERIOD = 3  # pairs from one search for others to the next
+MIN_VISIBLE_SHARE = 0.3  # of the target that must be seen to say where it is
+WINDOW_SIGMA, WINDOW_MARGIN_PX = 4.0, 6.0  # of the searched window beyond the target itself
+Windows = tuple[Box | None, Box | None]  # left, right; None: the whole picture
+NO_WINDOWS: Windows = (None, None)
+
+
+@dataclass(frozen=True, slots=True)
+class TargetSearch:
+    """One pair, and what is known before it is looked at."""
+
+    pair: StereoPair
+    rig: Rig
+    options: TrackingOptions
+    models: tuple[ColourModel, ColourModel]  # left, right
+    identity: TargetIdentity
+
+
+def search_pair(now: TargetSearch, around_too: bool) -> tuple[list[StereoObject], Windows]:
+    """See what is where: in the predicted windows alone, if that is enough.
+
+    Args:
+        now: the pair.
+        around_too: look for others of the colour as well.
+
+    Returns:
+        The objects, and the windows that were searched for the target.
+    """
+    identity = now.identity
+    ahead = identity.predicted(now.pair.t_left)
+    if ahead is None or not identity.tracked:
+        return _search_pictures(now, None), NO_WINDOWS
+    thing, windows = _search_predicted(now, ahead)
+    if thing is None:
+        return _search_pictures(now, None), NO_WINDOWS
+    if identity.settled and not around_too:
+        return [thing], windows
+    return _search_pictures(now, thing), windows
+
+
+def left_picture(now: TargetSearch, ahead: KalmanTrack) -> str:
+    """Name the picture that the target has left, by its prediction; "" for none."""
+    known = now.identity.target
+    assert known is not None
+    sides = _camera_sides(place_cameras(now.rig, now.pair), now.pair)
+    for name, (camera, _, image) in zip(("left", "right"), sides, strict=True):
+        pixel = project(camera, ahead.position)[0]
+        depth = float(camera.inside(ahead.position)[2])
+        half = _extent_in_pixels(known.extent, camera.camera, depth) / 2
+        last = np.array(image.shape[1::-1]) - 1
+        if depth <= 0 or (pixel - half < 0).any() or (pixel + half > last).any():
+            return name
+    return ""
+
+
+def make_candidate(thing: StereoObject, index: int) -> ObjectCandidate:
+    """What an object is to the question who is who."""
+    return ObjectCandidate(
+        position=thing.place.point,
+        covariance=thing.place.covariance,
+        systematic=thing.place.systematic,
+        area=float(thing.areas.min()),
+        largest=float(thing.areas.max()),
+        reach=float(thing.reaches.max()),
+        extent=thing.size,
+        index=index,
+    )
+
+
+def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObject | None, Windows]:
+    """Look for the target where it should be."""
+    known = now.identity.target
+    assert known is not None
+    motion = ObjectMotion(ahead.velocity, ahead.velocity_covariance)
+    blobs: list[Blob] = []
+    windows: list[Box] = []
+    doubts: list[float] = []
+    sides = _camera_sides(place_cameras(now.rig, now.pair), now.pair)
+    for model, (camera, t, image) in zip(now.models, sides, strict=True):
+        there = ahead.at(t)
+        pixel, slope, exact = project(camera, there.position)
+        depth = float(camera.inside(there.position)[2])
+        sigma = np.sqrt(np.diag(slope @ there.position_covariance @ slope.T))
+        extent = _extent_in_pixels(known.extent, camera.camera, depth)
+        region = box_around(pixel, 0.75 * extent + WINDOW_SIGMA * sigma + WINDOW_MARGIN_PX)
+        start = box_around(pixel, 0.5 * extent + sigma)
+        blob = camshift(image, start, region, model, extent)
+        if blob is None or blob.similarity < MIN_SIMILARITY or blob.cut:
+            return None, NO_WINDOWS
+        share = blob.area * pixel_area(exact, depth) / known.area
+        if share < MIN_VISIBLE_SHARE:
+            return None, NO_WINDOWS
+        blobs.append(blob)
+        windows.append(region)
+        doubts.append(centre_uncertainty_ratio(share) * float(extent.max()))
+    thing = join_blobs(blobs[0], blobs[1], now.pair, now.rig, motion, (doubts[0], doubts[1]))
+    if thing is None:
+        return None, NO_WINDOWS
+    # a finger may hide most of it from one camera alone; what is too large is not half hidden
+    hidden = thing.areas.max() < COMPLETE_AREA_RANGE[1] * known.area
+    if not is_plausible(
+        thing, now.options, -math.log(MIN_VISIBLE_SHARE) if hidden else MAX_LOG_AREA_RATIO
+    ):
+        return None, NO_WINDOWS
+    return thing, (windows[0], windows[1])
+
+
+def _search_pictures(now: TargetSearch, target: StereoObject | None) -> list[StereoObject]:
+    """Look for everything of the colour; the target itself may have been seen already."""
+    pair = now.pair
+    own = (None, None) if target is None else (target.left.box, target.right.box)
+    found = []
+    for image, model, but in zip((pair.left, pair.right), now.models, own, strict=True):
+        blobs = find_blobs(image, model, but)
+        found.append([b for b in blobs if b.similarity >= MIN_SIMILARITY and not b.cut])
+    things = pair_blobs(found[0], found[1], pair, now.rig, now.options)
+    things = [_remeasure(now, thing) for thing in things]
+    return things if target is None else [target, *things]
+
+
+def _remeasure(now: TargetSearch, thing: StereoObject) -> StereoObject:
+    """Measure an object again by what is known of its velocity, and of the target's size."""
+    pair, known = now.pair, now.identity.target
+    moving = now.identity.nearest(pair.t_left, make_candidate(thing, 0))
+    if moving is None:
+        motion = ObjectMotion(np.zeros(3), np.eye(3) * now.options.speed**2)
+    else:
+        motion = ObjectMotion(moving.velocity, moving.velocity_covariance)
+    if known is None:
+        return join_blobs(thing.left, thing.right, pair, now.rig, motion) or thing
+    blobs = [
+        _trim_to_target(blob, image, model, _extent_in_pixels(known.extent, camera, float(depth)))
+        for blob, image, model, camera, depth in zip(
+            (thing.left, thing.right),
+            (pair.left, pair.right),
+            now.models,
+            (now.rig.left, now.rig.right),
+            thing.place.depth,
+            strict=True,
+        )
+    ]
+    doubts = [
+        centre_uncertainty_ratio(float(area) / known.area) * float(blob.extent.max())
+        for area, blob in zip(thing.areas, blobs, strict=True)
+    ]
+    return join_blobs(blobs[0], blobs[1], pair, now.rig, motion, (doubts[0], doubts[1])) or thing
+
+
+def _trim_to_target(blob: Blob, image: Image, model: ColourModel, expected: Array) -> Blob:
+    """Cut a patch that is larger than the target to the target's size."""
+    if not (blob.extent > MAX_EXTENT_RATIO * expected).any():
+        return blob
+    return camshift(image, blob.box, blob.box, model, expected) or blob
+
+
+def _camera_sides(
+    cameras: tuple[PannedCamera, PannedCamera], pair: StereoPair
+) -> tuple[tuple[PannedCamera, float, Image], tuple[PannedCamera, float, Image]]:
+    return (cameras[0], pair.t_left, pair.left), (cameras[1], pair.t_right, pair.right)
+
+
+def _extent_in_pixels(extent: Array, camera: Camera, depth: float) -> Array:
+    """How large an extent (2,), m, looks at a depth, m: (2,) px, with the rim of mixed pixels."""
+    looks: Array = extent * np.diag(camera.matrix)[:2] / depth + 2 * RIM_WIDTH
+    return looks

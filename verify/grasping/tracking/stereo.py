@@ -1,0 +1,236 @@
+"""Two patches of colour, one object: its place in the rig with uncertainty, and its size.
+
+A camera where it stands now, and one point as it sees it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.core.records import Array, StereoPair
+from verify.core.rig import Camera, Rig, distortion_jacobian
+from verify.measurement.sensitivities import camera_derivatives
+from verify.measurement.systematics import CAMERA_KEYS, unit
+from verify.measurement.triangulation import ray_midpoints
+
+
+@dataclass(frozen=True, slots=True)
+class PannedCamera:
+    """A camera turned to one pan reading."""
+
+    camera: Camera
+    pan: float  # rad, as read
+    rig_T_camera: Array  # (4, 4)
+
+    def inside(self, points_rig: Array) -> Array:
+        """Carry points of the rig into the camera, (..., 3) m."""
+        points: Array = (points_rig - self.rig_T_camera[:3, 3]) @ self.rig_T_camera[:3, :3]
+        return points
+
+    def slope(self, inside: Array) -> Array:
+        """Derivative of x/z, y/z by a point of the rig, (2, 3), at a point (3,) in the camera."""
+        x, y, z = inside
+        flat = np.array([[1.0, 0.0, -x / z], [0.0, 1.0, -y / z]]) / z
+        found: Array = flat @ self.rig_T_camera[:3, :3].T
+        return found
+
+    def lens(self, xy: Array) -> Array:
+        """Derivative of the pixel by x/z and y/z, (2, 2) px."""
+        found: Array = self.camera.matrix[:2, :2] @ distortion_jacobian(xy, self.camera.distortion)
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class LineOfSight:
+    """A line of sight: the normalised coordinates of a patch's centre, and how well known."""
+
+    placed: PannedCamera
+    xy: Array  # (2,), x/z and y/z
+    covariance: Array  # (2, 2), of xy
+    lens: Array  # (2, 2), px: d pixel / d xy
+    extent: Array  # (2,), px
+
+    @property
+    def ray(self) -> Array:
+        """Direction in the rig, of unit depth in the camera, (3,)."""
+        direction: Array = self.placed.rig_T_camera[:3, :3] @ np.append(self.xy, 1.0)
+        return direction
+
+    @property
+    def slant(self) -> Array:
+        """By how much a ball looks wider than on the optical axis, along rows and columns, (2,)."""
+        wider: Array = np.hypot(1.0, self.xy)
+        return wider
+
+
+def place_camera(camera: Camera, pan: float) -> PannedCamera:
+    """Turn a camera to a pan reading, rad."""
+    return PannedCamera(camera, pan, camera.rig_T_camera(pan))
+
+
+def place_cameras(rig: Rig, pair: StereoPair) -> tuple[PannedCamera, PannedCamera]:
+    """Turn both cameras to a pair's pan readings."""
+    return place_camera(rig.left, pair.pan_left), place_camera(rig.right, pair.pan_right)
+
+
+def line_of_sight(
+    camera: PannedCamera, pixel: Array, covariance: Array, extent: Array
+) -> LineOfSight:
+    """Make a line of sight of a pixel (2,), its covariance (2, 2) px² and the patch's extent."""
+    xy = camera.camera.normalise(pixel)
+    lens = camera.lens(xy)
+    back = np.linalg.inv(lens)
+    return LineOfSight(camera, xy, back @ covariance @ back.T, lens, extent)
+
+
+def project(camera: PannedCamera, point: Array) -> tuple[Array, Array, LineOfSight]:
+    """Picture a point of the rig.
+
+    Returns:
+        The pixel (2,), its derivative by the point (2, 3), px/m, and the line of sight, exact and
+        of no extent.
+    """
+    inside = camera.inside(point)
+    xy = inside[:2] / inside[2]
+    lens = camera.lens(xy)
+    exact = LineOfSight(camera, xy, np.zeros((2, 2)), lens, np.zeros(2))
+    return camera.camera.project(inside), lens @ camera.slope(inside), exact
+
+
+# of a patch's extent, standard: by as much its centroid misses the object's middle, differently in
+# either picture: reflections, shading, the side a camera sees. It does not average out.
+U_COLOUR_CENTRE = 0.005
+RIM_WIDTH = (
+    1.0  # px by which a patch reaches beyond its object: pixels that show a quarter of it count
+)
+U_EXTENT = 1.0  # px, standard, of an extent: whole pixels, and a rim that depends on what is behind
+N_ITERATIONS = 2  # of Gauss-Newton: from the midpoint of the rays the first leaves a millionth
+
+
+@dataclass(frozen=True, slots=True)
+class StereoPoint:
+    """A point seen by both cameras."""
+
+    point: Array  # (3,), m, rig
+    covariance: Array  # (3, 3), m², from the pixels' covariance
+    systematic: Array  # (3, 3), m², from what the rig states of itself and from U_COLOUR_CENTRE
+    mismatch: float  # of the rays, in standard deviations of all that is known
+    depth: Array  # (2,), m, along the optical axes, left and right
+
+
+def ray_midpoint(left: LineOfSight, right: LineOfSight) -> Array:
+    """The point midway between two lines of sight, (3,) m; nan where they do not meet."""
+    centres = [sight.placed.rig_T_camera[:3, 3] for sight in (left, right)]
+    return ray_midpoints(centres[0], left.ray, centres[1], right.ray)[0]
+
+
+def locate(left: LineOfSight, right: LineOfSight, rig: Rig, start: Array) -> StereoPoint | None:
+    """Find the point of least reprojection error, and what is known of it.
+
+    Args:
+        left: what the left camera saw.
+        right: what the right camera saw, brought to the same instant.
+        rig: whose covariance is carried along where it states one.
+        start: (3,), m, from `ray_midpoint`.
+
+    Returns:
+        None where the rays do not meet before both cameras.
+    """
+    if not np.isfinite(start).all():
+        return None
+    sights = (left, right)
+    noise, lies = np.zeros((4, 4)), np.zeros((4, 4))
+    for i, sight in enumerate(sights):
+        rows = np.s_[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+        noise[rows] = sight.covariance
+        wander = np.linalg.inv(sight.lens) * (U_COLOUR_CENTRE * sight.extent)
+        lies[rows] = wander @ wander.T
+    weight = np.linalg.inv(noise + lies)
+    seen = np.concatenate([left.xy, right.xy])
+    point = start
+    for _ in range(N_ITERATIONS):
+        inside = [sight.placed.inside(point) for sight in sights]
+        slope = np.concatenate([s.placed.slope(p) for s, p in zip(sights, inside, strict=True)])
+        left_over = seen - np.concatenate([p[:2] / p[2] for p in inside])
+        gain = np.linalg.solve(slope.T @ weight @ slope, slope.T @ weight)
+        step = gain @ left_over
+        point = point + step
+    left_over = left_over - slope @ step
+    stated = _systematic_covariance(sights, point, slope, rig)
+    across = np.linalg.svd(slope)[0][:, 3]  # the one direction that no point explains
+    spread = float(across @ (noise + lies + stated) @ across)
+    return StereoPoint(
+        point,
+        gain @ noise @ gain.T,
+        gain @ (lies + stated) @ gain.T,
+        abs(float(across @ left_over)) / float(np.sqrt(spread)),
+        np.array([p[2] for p in inside]),
+    )
+
+
+def object_size(left: LineOfSight, right: LineOfSight, place: StereoPoint) -> tuple[Array, Array]:
+    """Measure an object across the line of sight.
+
+    Returns:
+        Width and height (2,), m, along the pictures' rows and columns, the mean of both cameras
+        weighted by what each pixel is worth, and their standard uncertainties (2,), m.
+    """
+    worth = np.array(
+        [
+            depth / np.diag(sight.lens) / sight.slant
+            for sight, depth in zip((left, right), place.depth, strict=True)
+        ]
+    )
+    metres = (np.array([left.extent, right.extent]) - 2 * RIM_WIDTH) * worth
+    weight = 1.0 / (worth * U_EXTENT) ** 2
+    mean = (metres * weight).sum(axis=0) / weight.sum(axis=0)
+    edges = 1.0 / weight.sum(axis=0)
+    apart = ((metres[0] - metres[1]) / 2) ** 2  # the two cameras see different sides of it
+    far = np.sqrt(np.trace(place.covariance + place.systematic)) / place.depth.mean()
+    deep = mean.max() / 2 / place.depth.mean() / np.sqrt(3)  # its outline: nearer than its middle?
+    uncertainty: Array = np.sqrt(edges + apart + mean**2 * (far**2 + deep**2))
+    return mean, uncertainty
+
+
+def _systematic_covariance(
+    sights: tuple[LineOfSight, LineOfSight], point: Array, slope: Array, rig: Rig
+) -> Array:
+    """Covariance of both lines of sight from the rig's own and the pan readings', (4, 4)."""
+    total = np.zeros((4, 4))
+    given = rig.covariance
+    if given is not None:
+        names = [n for n in given.parameters if _is_camera_parameter(n)]
+        chosen = [given.parameters.index(n) for n in names]
+        units = np.array([unit(name) for name in names])
+        sigma = given.standard_uncertainty[chosen] * units
+        moved = np.zeros((4, len(names)))
+        for column, name in enumerate(names):
+            head, _, key = name.partition(".")
+            moved[:, column] = _parameter_derivative(sights, point, slope, head, key)
+        correlation = given.correlation[np.ix_(chosen, chosen)]
+        total += moved @ (correlation * np.outer(sigma, sigma)) @ moved.T
+    for head, camera in (("left", rig.left), ("right", rig.right)):
+        if camera.pan_standard_uncertainty:
+            turned = _parameter_derivative(sights, point, slope, head, "pan_zero_deg")
+            total += np.outer(turned, turned) * camera.pan_standard_uncertainty**2
+    return total
+
+
+def _is_camera_parameter(name: str) -> bool:
+    head, _, key = name.partition(".")
+    return head in ("left", "right") and CAMERA_KEYS.match(key) is not None
+
+
+def _parameter_derivative(
+    sights: tuple[LineOfSight, LineOfSight], point: Array, slope: Array, head: str, key: str
+) -> Array:
+    """Derivative of both lines of sight by one parameter of one camera, (4,), SI units."""
+    i = 0 if head == "left" else 1
+    sight, rows = sights[i], slice(2 * i, 2 * i + 2)
+    by_point = (sight.lens @ slope[rows])[None]
+    inside = sight.placed.inside(point)[None]
+    placed = sight.placed
+    pixels = camera_derivatives((key,), placed.camera, placed.pan, inside, point[None], by_point)[0]
+    moved = np.zeros(4)
+    moved[rows] = np.linalg.solve(sight.lens, pixels[0])
+    return moved

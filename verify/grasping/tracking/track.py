@@ -1,0 +1,195 @@
+"""From pictures to a 3D track of a coloured object: `track(pairs, rig, target)`.
+
+CAMSHIFT looks in each picture where the Kalman track predicts the target; what both see must be one
+object, of the target's size, where the target can be. Otherwise, and once in a while for whatever
+else has its colour, the whole pictures are searched.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from verify.core.records import Image, StereoPair
+from verify.core.rig import Rig
+from verify.grasping.tracking.association import TargetDecision, TargetIdentity
+from verify.grasping.tracking.camshift import Blob
+from verify.grasping.tracking.colour import ColourModel, blend, named_colour
+from verify.grasping.tracking.pairing import StereoObject
+from verify.grasping.tracking.search import (
+    NO_WINDOWS,
+    SEARCH_PERIOD,
+    TargetSearch,
+    Windows,
+    left_picture,
+    make_candidate,
+    search_pair,
+)
+from verify.grasping.tracking.selection import counterpart, model_from_box
+from verify.grasping.tracking.target import (
+    BoxSelection,
+    ColourSelection,
+    Outline,
+    Target,
+    TargetObservation,
+    TrackingOptions,
+)
+
+CLUTTER_DENSITY = 0.1  # objects of the colour that come up, a m³
+RELEARN_PERIOD = 0.3  # s between two looks at the target's colours, where they adapt
+
+
+def track(
+    pairs: Iterable[StereoPair], rig: Rig, target: Target, options: TrackingOptions | None = None
+) -> Iterator[TargetObservation]:
+    """Track a coloured object through stereo pairs.
+
+    Args:
+        pairs: colour pictures, in order of time.
+        rig: the calibrated cameras; its covariance is carried along where it states one.
+        target: a colour's name, or a box drawn in one picture of the first pair.
+        options: what may be set.
+
+    Yields:
+        One record a pair; a pair that says nothing is a record whose status and reason say why.
+
+    Raises:
+        InputError: grey pictures, an unknown colour, a box that lies outside the picture or holds
+            no colour of its own.
+    """
+    tracker = TargetTracker(rig, target, options or TrackingOptions())
+    for pair in pairs:
+        yield tracker.step(pair)
+
+
+class TargetTracker:
+    """`track`, a pair at a time.
+
+    Args:
+        rig: the calibrated cameras.
+        target: what to look for.
+        options: what may be set.
+
+    Raises:
+        InputError: the colour is not known.
+    """
+
+    def __init__(self, rig: Rig, target: Target, options: TrackingOptions) -> None:
+        self._rig, self._options = rig, options
+        self._target = target
+        self._identity = TargetIdentity(options, CLUTTER_DENSITY, options.speed)
+        self._models: tuple[ColourModel, ColourModel] | None = None  # left, right
+        if isinstance(target, ColourSelection):
+            self._models = (named_colour(target.colour), named_colour(target.colour))
+        self._systematic = np.zeros((3, 3))
+        self._count, self._learned = 0, -np.inf
+        self._size_uncertainty = np.full(2, np.nan)
+
+    def step(self, pair: StereoPair) -> TargetObservation:
+        """Take in one pair.
+
+        Raises:
+            InputError: see `track`.
+        """
+        self._count += 1
+        if self._models is None and isinstance(self._target, BoxSelection):
+            self._models, selected = counterpart(pair, self._rig, self._target, self._options)
+            if selected is not None:
+                self._identity.choose(pair.t_left, make_candidate(selected, 0))
+                self._learn(pair, selected)
+                return self._told(pair, TargetDecision("tracked", "", 0), selected, NO_WINDOWS)
+        things, windows = search_pair(self._now(pair), self._count % SEARCH_PERIOD == 0)
+        candidates = [make_candidate(thing, i) for i, thing in enumerate(things)]
+        verdict = self._identity.step(pair.t_left, candidates)
+        thing = None if verdict.chosen is None else things[verdict.chosen]
+        if thing is not None and verdict.status == "tracked":
+            self._learn(pair, thing)
+        return self._told(pair, verdict, thing, windows)
+
+    def _now(self, pair: StereoPair) -> TargetSearch:
+        assert self._models is not None  # known by name, or learned from the first pair
+        return TargetSearch(pair, self._rig, self._options, self._models, self._identity)
+
+    def _learn(self, pair: StereoPair, thing: StereoObject) -> None:
+        """Follow the light; learn the colours at first sight, and again where that is wanted."""
+        self._systematic, self._size_uncertainty = thing.place.systematic, thing.size_uncertainty
+        adapts = self._options.adaptation > 0 and pair.t_left - self._learned > RELEARN_PERIOD
+        if adapts:
+            self._learned = pair.t_left
+        share = min(1.0, self._options.adaptation * RELEARN_PERIOD) if adapts else 0.0
+        left, right = self._now(pair).models
+        self._models = (
+            _update_model(left, pair.left, thing.left, share),
+            _update_model(right, pair.right, thing.right, share),
+        )
+
+    def _told(
+        self,
+        pair: StereoPair,
+        verdict: TargetDecision,
+        thing: StereoObject | None,
+        windows: Windows,
+    ) -> TargetObservation:
+        known = self._identity.target
+        nothing, square = np.full(3, np.nan), np.full((3, 3), np.nan)
+        centre, covariance, velocity, spread = nothing, square, nothing, square
+        if known is not None and pair.t_left - known.seen <= self._options.coast:
+            now = known.track.at(pair.t_left)
+            centre, covariance = now.position, now.position_covariance + self._systematic
+            velocity, spread = now.velocity, now.velocity_covariance
+            if verdict.status == "lost" and (side := left_picture(self._now(pair), now)):
+                verdict = replace(verdict, reason=f"it has left the {side} picture")
+        outlines: list[Outline | None] = [None, None]
+        if thing is not None and known is not None:
+            whole = thing.areas / known.area
+            outlines = [
+                _outline(thing.left, float(whole[0])),
+                _outline(thing.right, float(whole[1])),
+            ]
+        return TargetObservation(
+            frame=pair.frame,
+            t=pair.t_left,
+            status=verdict.status,
+            reason=verdict.reason,
+            left=outlines[0],
+            right=outlines[1],
+            windows=windows,
+            centre=centre,
+            covariance=covariance,
+            velocity=velocity,
+            velocity_covariance=spread,
+            measured=nothing if thing is None else thing.place.point,
+            measured_covariance=square if thing is None else thing.place.covariance,
+            size=np.full(2, np.nan) if known is None else known.extent,
+            size_standard_uncertainty=self._size_uncertainty,
+            epipolar=float("nan") if thing is None else thing.place.mismatch,
+            quality=min((_quality(o) for o in outlines if o is not None), default=0.0),
+        )
+
+
+def _update_model(model: ColourModel, image: Image, blob: Blob, share: float) -> ColourModel:
+    """Learn a colour that is known by name alone; else move it by a share, and with the light."""
+    if model.mixture is None:
+        return model_from_box(image, blob.box, model)
+    if share > 0:
+        model = blend(model, model_from_box(image, blob.box, model), share)
+    return model.in_light(blob.value)
+
+
+def _outline(blob: Blob, wholeness: float) -> Outline:
+    long, short, angle = blob.ellipse
+    return Outline(
+        blob.centre,
+        blob.covariance,
+        (long, short),
+        angle,
+        blob.box,
+        blob.share,
+        blob.similarity,
+        wholeness,
+    )
+
+
+def _quality(outline: Outline) -> float:
+    whole = min(outline.wholeness, 1 / outline.wholeness)
+    return outline.share * outline.similarity * whole

@@ -1,0 +1,310 @@
+"""A folder of board pictures: opened, checked, and streamed pair by pair."""
+
+from collections.abc import Generator, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.fiducials import Board
+from verify.core.records import Array, Image
+from verify.errors import InputError, one_line
+from verify.io import fiducials, series
+from verify.io.board_pictures import PICTURE_SUFFIXES, PictureFiles, list_pictures, match_pictures
+from verify.io.files import digest, system_refusal
+from verify.io.toml import did_you_mean
+from verify.io.video import Images, Video, decode_in_step
+
+VIDEO_SUFFIXES = {".mkv", ".avi", ".mp4", ".mov", ".webm", ".m4v"}
+EXPECTED_LAYOUT = "expected are left/ and right/ with pictures, or two videos left.* and right.*"
+
+PAN_COLUMNS = ("pan_left_deg", "pan_right_deg")
+MIN_PAN_SPAN = np.deg2rad(1.5)  # of a base that is turned on purpose; ± 45° read as radians
+
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class BoardImages:
+    """Two pictures of one board, taken at once, and how the bases were turned."""
+
+    frame: int
+    pan_left: float  # rad, as read
+    pan_right: float
+    left: Image  # (h, w) grey or (h, w, 3) BGR
+    right: Image
+
+
+@dataclass(frozen=True, slots=True)
+class BoardFolder:
+    """Pictures for a calibration: the board known, partners found, pixels on disk."""
+
+    folder: Path
+    board: Board
+    image_size: Size  # width, height, px, of both cameras
+    pan_left: Array  # (n,), rad, as read; 0 where frames.csv gives none
+    pan_right: Array  # (n,)
+    inputs: dict[str, str]  # what was read, by its path in the folder: "sha256:…"
+    warnings: tuple[str, ...]
+    left: Images
+    right: Images
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self.pan_left)
+
+    @property
+    def turned(self) -> bool:
+        """A base was turned between pairs."""
+        return bool(np.ptp(self.pan_left) > 0 or np.ptp(self.pan_right) > 0)
+
+    @property
+    def doubtful_pan(self) -> str:
+        """Say that the pan angles look like radians; "" where they do not."""
+        said = [
+            f"{name} spans {span:.2g}°"
+            for name, span in _small_angles((self.pan_left, self.pan_right))
+        ]
+        return f"{' and '.join(said)}, as if in radians" if said else ""
+
+    @property
+    def frames(self) -> NDArray[np.int64]:
+        """Number of each pair, (n,), from 0."""
+        return np.arange(len(self))
+
+    def name(self, frame: int) -> str:
+        """Say which pictures a pair consists of, as the user knows them."""
+        if isinstance(self.left, PictureFiles) and isinstance(self.right, PictureFiles):
+            left, right = self.left.files[frame].name, self.right.files[frame].name
+            return left if left == right else f"{left} and {right}"
+        return f"image {frame}"
+
+    def pairs(self) -> Generator[BoardImages]:
+        """Stream the pairs, both sides in step, a few in memory at a time.
+
+        Raises:
+            InputError: a picture cannot be decoded or is of another size than the first.
+        """
+        with closing(decode_in_step(self.left, self.right, len(self))) as images:
+            for frame, (left, right) in enumerate(images):
+                _require_size(self.left, frame, left, self.image_size)
+                _require_size(self.right, frame, right, self.image_size)
+                yield BoardImages(
+                    frame=frame,
+                    pan_left=float(self.pan_left[frame]),
+                    pan_right=float(self.pan_right[frame]),
+                    left=left,
+                    right=right,
+                )
+
+
+def open_board_folder(folder: str | Path, board: Board | None = None) -> BoardFolder:
+    """Open a folder of board pictures and check all of it but what most pictures show.
+
+    A rig.toml that lies there is never read.
+
+    Args:
+        folder: holds left/ and right/ with pictures (or left01.jpg, right01.jpg, … side by side,
+            or two videos left.* and right.*); optionally frames.csv, whose pan columns are read,
+            and board.toml.
+        board: goes before board.toml.
+
+    Returns:
+        The folder. Its warnings name unknown keys of board.toml, a contradiction between it and
+        `board`, and pan columns that are missing.
+
+    Raises:
+        InputError: one line that names the file, what stands there, what should, and what to do.
+    """
+    folder = Path(folder)
+    _require_folder(folder)
+    known, board_warnings = _board(folder, board)
+    left, right = _sides(folder)
+    count = _count(left, right)
+    pan, pan_warnings = _pan(folder / "frames.csv", count)
+    return BoardFolder(
+        folder=folder,
+        board=known,
+        image_size=_image_size(left, right),
+        pan_left=pan[0],
+        pan_right=pan[1],
+        inputs=_inputs(folder, left, right),
+        warnings=(*board_warnings, *pan_warnings),
+        left=left,
+        right=right,
+    )
+
+
+def _require_folder(folder: Path) -> None:
+    try:
+        if folder.is_dir():
+            return
+        found = "is a file" if folder.exists() else "does not exist"
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        refused = error if isinstance(error, OSError) else OSError(str(error))
+        raise system_refusal(folder, refused) from error
+    raise InputError(folder, found, EXPECTED_LAYOUT, "Give the folder of the board pictures.")
+
+
+def _board(folder: Path, given: Board | None) -> tuple[Board, tuple[str, ...]]:
+    """Take the board that was given, else board.toml's; warn where both are and differ."""
+    path = folder / "board.toml"
+    if not path.exists():
+        if given is not None:
+            return given, ()
+        expected = "which board was used is needed: its inner corners and the size of its squares"
+        remedy = "Copy the board.toml that `verify board` wrote, or give the board by option."
+        raise InputError(folder, "has no board.toml", expected, remedy)
+    if given is None:
+        return fiducials.read_board(path)
+    try:
+        written, warnings = fiducials.read_board(path)
+    except InputError as error:
+        return given, (one_line(f"{error} The board given by option is used."),)
+    if written == given:
+        return given, warnings
+    said = f"{path}: says {_describe_board(written)}; {_describe_board(given)}, given by option, is used."
+    return given, (*warnings, one_line(said))
+
+
+def _describe_board(board: Board) -> str:
+    parts = [f"{board.columns} x {board.rows} inner corners of {board.square * 1e3:g} mm"]
+    if board.square_standard_uncertainty is not None:
+        parts.append(f"± {board.square_standard_uncertainty * 1e3:g} mm")
+    if board.markers is not None and board.marker is not None:
+        parts.append(f"with {board.markers} markers of {board.marker * 1e3:g} mm")
+    return " ".join(parts)
+
+
+def _sides(folder: Path) -> tuple[Images, Images]:
+    """Find both sides' pictures or videos, pictures in step."""
+    found = [_find_images(folder, side) for side in ("left", "right")]
+    for side, images in zip(("left", "right"), found, strict=True):
+        if images is None:
+            raise InputError(folder, f"has no {side}/", EXPECTED_LAYOUT, "Name the folders so.")
+    left, right = (images for images in found if images is not None)
+    if left.path != folder and left.path.resolve() == right.path.resolve():
+        raise InputError(right.path, "leads to the left pictures", "each camera has its own")
+    if isinstance(left, PictureFiles) and isinstance(right, PictureFiles):
+        left.files, right.files = match_pictures(left.files, right.files)
+    elif isinstance(left, PictureFiles) or isinstance(right, PictureFiles):
+        kinds = (
+            ("pictures", "a video") if isinstance(left, PictureFiles) else ("a video", "pictures")
+        )
+        found_both = f"has {kinds[0]} on the left and {kinds[1]} on the right"
+        raise InputError(folder, found_both, EXPECTED_LAYOUT, "Bring both into one form.")
+    return left, right
+
+
+def _find_images(folder: Path, side: str) -> Images | None:
+    inner = folder / side
+    videos = [
+        file for file in sorted(folder.glob(f"{side}.*")) if file.suffix.lower() in VIDEO_SUFFIXES
+    ]
+    if len(videos) + inner.is_dir() > 1:
+        also = videos[0].name if inner.is_dir() else videos[1].name
+        first = f"{side}/" if inner.is_dir() else videos[0].name
+        raise InputError(folder, f"has {first} and {also}", "one of them is expected", "Move one.")
+    if videos:
+        return Video(videos[0])
+    if not inner.is_dir():
+        beside = list_pictures(folder, side)
+        return PictureFiles(folder, beside) if beside else None
+    files = list_pictures(inner)
+    if not files:
+        kinds = ", ".join(sorted(kind[1:] for kind in PICTURE_SUFFIXES))
+        raise InputError(inner, "holds no pictures", f"known are {kinds}", "Put them there.")
+    return PictureFiles(inner, files)
+
+
+def _count(left: Images, right: Images) -> int:
+    counts = left.count(), right.count()
+    if counts[0] != counts[1]:
+        found = f"has {counts[0]} images, {right.path} has {counts[1]}"
+        expected = "videos that run in step have as many"
+        raise InputError(left.path, found, expected, "Record both together again.")
+    if not counts[0]:
+        raise InputError(left.path, "has no images", "", "Record it again.")
+    return counts[0]
+
+
+def _pan(path: Path, count: int) -> tuple[tuple[Array, Array], tuple[str, ...]]:
+    """Read the pan columns, rad; what frames.csv does not give is 0."""
+    still = np.zeros(count)
+    if not path.exists():
+        return (still, still), ()
+    table, _ = series.open_table(path, torn=False)
+    there = [name for name in PAN_COLUMNS if name in table.header]
+    columns = table.columns(("frame", *there))
+    wrong = np.flatnonzero(columns["frame"] != np.arange(len(columns["frame"])))
+    if len(wrong):
+        row = int(wrong[0])
+        expected = f"{row} is expected, counted from 0 in step with the pictures"
+        raise table.fault(row, f"frame is {columns['frame'][row]:g}", expected)
+    if len(columns["frame"]) != count:
+        found = f"has {len(columns['frame'])} rows"
+        raise InputError(path, found, f"there are {count} pairs", "Write one row a pair.")
+    left, right = (np.deg2rad(columns[name]) if name in columns else still for name in PAN_COLUMNS)
+    notes = (*_warn_misnamed(path, table.header, there), *_warn_small_angles(path, (left, right)))
+    return (left, right), notes
+
+
+def _warn_small_angles(path: Path, pan: tuple[Array, Array]) -> Iterator[str]:
+    """Warn of angles that are varied but tiny."""
+    for name, span in _small_angles(pan):
+        yield one_line(f"{path}: {name} spans {span:.2g}°; are these radians?")
+
+
+def _small_angles(pan: tuple[Array, Array]) -> Iterator[tuple[str, float]]:
+    """Columns that are varied by too little to be degrees, and their spans, deg."""
+    for name, angles in zip(PAN_COLUMNS, pan, strict=True):
+        if 0 < np.ptp(angles) < MIN_PAN_SPAN:
+            yield name, float(np.rad2deg(np.ptp(angles)))
+
+
+def _warn_misnamed(path: Path, header: list[str], there: list[str]) -> Iterator[str]:
+    """Warn of a pan column that is missing or whose name is not quite right."""
+    for name in header:
+        if "pan" in name.lower() and name not in PAN_COLUMNS:
+            yield one_line(f"{path}: column {name} is left alone.{did_you_mean(name, PAN_COLUMNS)}")
+    if len(there) == 1:
+        missing = PAN_COLUMNS[1 - PAN_COLUMNS.index(there[0])]
+        yield one_line(
+            f"{path}: has {there[0]} but no {missing}; that base is taken to stand at 0."
+        )
+
+
+def _image_size(left: Images, right: Images) -> Size:
+    """Decode the first picture of either side: (width, height), the same of both.
+
+    Raises:
+        InputError: they differ, or cannot be decoded.
+    """
+    with closing(left.images()) as images:
+        height, width = next(images).shape[:2]
+    with closing(right.images()) as images:
+        _require_size(right, 0, next(images), (width, height))
+    return width, height
+
+
+def _require_size(side: Images, frame: int, image: Image, size: Size) -> None:
+    height, width = image.shape[:2]
+    if (width, height) == size:
+        return
+    place = side.files[frame] if isinstance(side, PictureFiles) else f"{side.path}, image {frame}"
+    found = f"is {width} x {height} px"
+    expected = f"the first left one is {size[0]} x {size[1]}"
+    remedy = "Take all pictures with both cameras at one resolution."
+    raise InputError(place, found, expected, remedy)
+
+
+def _inputs(folder: Path, left: Images, right: Images) -> dict[str, str]:
+    """Take the digest of everything that was read."""
+    beside = [folder / name for name in ("board.toml", "frames.csv")]
+    read = [path for path in beside if path.exists()]
+    for side in (left, right):
+        flat = isinstance(side, PictureFiles) and side.path == folder
+        read += side.files if isinstance(side, PictureFiles) and flat else [side.path]
+    return {str(path.relative_to(folder)): digest(path) for path in read}

@@ -1,0 +1,241 @@
+"""Files that a user gives us, read whole; what the system refuses is said in one line.
+
+Files and folders that appear whole or not at all, whatever stops the program midway.
+
+Files that are written together: where one of them fails, none of them stays.
+"""
+
+import errno
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from verify.errors import InputError
+
+_REMEDIES = {
+    errno.ENOENT: "Put the file there or name another.",
+    errno.EACCES: "Grant access to it and run again.",
+    errno.EPERM: "Grant access to it and run again.",
+    errno.EROFS: "Choose a place that can be written to.",
+    errno.ENOSPC: "Free some space or write somewhere else.",
+    errno.EDQUOT: "Free some space or write somewhere else.",
+    errno.ENAMETOOLONG: "Choose a shorter name.",
+}
+
+
+def system_refusal(path: str | Path, error: OSError) -> InputError:
+    """Word what the operating system refused: which path, why, what to do."""
+    reason = os.strerror(error.errno) if error.errno else str(error)
+    remedy = _REMEDIES.get(error.errno or 0, "Check the disk and the path.")
+    return InputError(path, reason[:1].lower() + reason[1:], "", remedy)
+
+
+def output_refusal(path: str | Path, error: OSError) -> InputError:
+    """Word what the system refused of something that we make: nobody can put it there for us."""
+    refused = system_refusal(path, error)
+    if error.errno in (errno.ENOENT, errno.ENOTDIR):
+        what = f"cannot be made: {refused.found}"
+        return InputError(path, what, "", "Choose another place, in a folder that takes files.")
+    if error.errno in (errno.EACCES, errno.EPERM):
+        remedy = "Grant access to the folder that it goes into, or choose another place."
+        return InputError(path, refused.found, "", remedy)
+    return refused
+
+
+def require_file(path: Path) -> None:
+    """Refuse what is not a plain file with something in it (a pipe would block for ever).
+
+    Raises:
+        InputError: the path leads nowhere, to a folder or a device, or to an empty file.
+    """
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise system_refusal(path, error) from error
+    if not path.is_file():
+        kind = "a folder" if path.is_dir() else "not a plain file"
+        raise InputError(path, f"is {kind}", "a file is expected", "Name the file itself.")
+    if size == 0:
+        raise InputError(path, "is empty", "", "Record or export it again.")
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a whole file.
+
+    Raises:
+        InputError: there is none, it is empty, or the system refuses it.
+    """
+    require_file(path)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise system_refusal(path, error) from error
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, as `sha256:…`.
+
+    A folder's is that of the lines that `sha256sum *` prints inside it, names in byte order, so
+    that `cd left; sha256sum * | sha256sum` (LC_ALL=C) makes it again.
+
+    Raises:
+        InputError: the system refuses a file.
+    """
+    try:
+        if not path.is_dir():
+            with path.open("rb") as file:
+                return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
+        files = sorted(
+            (entry for entry in path.iterdir() if entry.is_file() and entry.name[0] != "."),
+            key=lambda entry: entry.name.encode(errors="surrogateescape"),
+        )
+        lines = "".join(f"{digest(file).partition(':')[2]}  {file.name}\n" for file in files)
+    except OSError as error:
+        raise system_refusal(error.filename or path, error) from error
+    return f"sha256:{hashlib.sha256(lines.encode(errors='surrogateescape')).hexdigest()}"
+
+
+_PARTIAL = ".verify-partial-"  # begins the name of what is being built
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that its name never shows half of it, not even after a power cut.
+
+    Built under another name in the same folder, flushed to the disk, then renamed. A file that
+    was there is replaced.
+
+    Raises:
+        InputError: no space, no permission, no such folder; what was there is untouched.
+    """
+    partial = path.with_name(f"{_PARTIAL}{secrets.token_hex(8)}")
+    try:
+        handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
+        try:
+            rest = memoryview(data)
+            while rest:
+                rest = rest[os.write(handle, rest) :]
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+        partial.replace(path)
+        _fsync(path.parent)
+    except OSError as error:
+        raise output_refusal(path, error) from error
+    finally:
+        with suppress(OSError):  # gone since the rename, or the folder itself refuses
+            partial.unlink()
+
+
+@contextmanager
+def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
+    """Build a folder aside and put it in place at the end; a run that fails leaves nothing.
+
+    Args:
+        out: where the result goes; its parents are made when it does.
+        force: with a folder that is not empty, replace the files that are made, leave the others.
+
+    Yields:
+        An empty folder to build in. A new `out` appears by one rename; in a folder that exists,
+        each file appears whole.
+
+    Raises:
+        InputError: `out` is a file or a folder that is not empty (without `force`); no space, or
+            no permission.
+    """
+    out = Path(out)
+    target = out.resolve()
+    exists = _check_vacant(out, target, force)
+    # on the disk of what it becomes, so that a rename suffices: `out` may be a mount of its own
+    beside = target if exists else next(p for p in target.parents if p.exists())
+    partial = beside / f"{_PARTIAL}{secrets.token_hex(8)}"
+    try:
+        partial.mkdir()
+    except OSError as error:
+        raise output_refusal(out, error) from error
+    try:
+        yield partial
+        _put_in_place(out, partial, target, exists)
+    except OSError as error:
+        if error.errno in _FULL:  # whatever wrote in there; other refusals are the writer's to word
+            raise output_refusal(out, error) from error
+        raise
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _check_vacant(out: Path, target: Path, force: bool) -> bool:
+    """Tell whether the folder exists; refuse it if it holds something and force is not given."""
+    try:
+        holds = [entry for entry in target.iterdir() if not entry.name.startswith(_PARTIAL)]
+    except FileNotFoundError:
+        return False
+    except NotADirectoryError as error:
+        found = "is a file" if target.exists() else "lies below a file"
+        raise InputError(out, found, "a folder is expected", "Choose another -o.") from error
+    except OSError as error:
+        raise output_refusal(out, error) from error
+    if holds and not force:
+        remedy = "Choose another -o or give --force."
+        raise InputError(out, "is not empty", "nothing is overwritten unasked", remedy)
+    return True
+
+
+def _put_in_place(out: Path, partial: Path, target: Path, exists: bool) -> None:
+    try:
+        files = [file for file in sorted(partial.rglob("*")) if not file.is_dir()]
+        for file in files:
+            _fsync(file)
+        if not exists:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            partial.rename(target)
+        else:
+            for file in files:
+                place = target / file.relative_to(partial)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(place)
+        _fsync(target)
+    except OSError as error:
+        raise output_refusal(error.filename2 or out, error) from error
+
+
+def _fsync(path: Path) -> None:
+    """Have the disk hold a file's bytes, or a folder's names, before going on."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def written_together(*paths: Path) -> Iterator[None]:
+    """Put files back as they were if what is done inside fails.
+
+    For small files that stand beside a report folder: write them first, the folder last.
+
+    Args:
+        paths: files that are written inside; each may exist before.
+
+    Raises:
+        BaseException: whatever was raised inside, once the files are back.
+    """
+    before = {path: path.read_bytes() if path.is_file() else None for path in paths}
+    try:
+        yield
+    except BaseException:  # an interrupt leaves as little behind as a full disk
+        for path, content in before.items():
+            with suppress(OSError, InputError):
+                _restore(path, content)
+        raise
+
+
+def _restore(path: Path, content: bytes | None) -> None:
+    if content is None:
+        path.unlink(missing_ok=True)
+    elif path.read_bytes() != content:
+        write_whole(path, content)

@@ -1,0 +1,92 @@
+"""OUT of `verify run`: reports, summary, table a pair, and all that is needed to report again."""
+
+import json
+from pathlib import Path
+
+import reports
+from reports import ReportError, Results
+from reports.results import to_json_value
+from verify.errors import InputError
+from verify.io.files import write_folder_whole
+
+RESULTS = "results"
+
+
+def refuse_existing(out: Path, *, force: bool) -> None:
+    """Refuse a folder that is not empty before hours of work go into it.
+
+    Raises:
+        InputError: `out` exists, is not an empty folder, and `force` was not given.
+    """
+    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not force):
+        found = "is a file" if out.is_file() else "exists and is not empty"
+        raise InputError(out, found, "results need a folder of their own",
+                         "Choose another with -o, or give --force.")  # fmt: skip
+
+
+def refuse_file(path: Path, *, force: bool) -> None:
+    """Refuse to write where something is, before hours of work go into it.
+
+    Raises:
+        InputError: `path` is a folder, or a file and `force` was not given.
+    """
+    if path.is_dir():
+        raise InputError(path, "is a folder", "the name of a file is expected", "")
+    if path.exists() and not force:
+        remedy = "Choose another name, or give --force."
+        raise InputError(path, "exists", "nothing is overwritten unasked", remedy)
+
+
+def write_results(results: Results, out: Path, *, force: bool) -> None:
+    """Write everything that `verify run` promises; whole or not at all.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with write_folder_whole(out, force) as folder:
+        _write_report_folder(results, folder)
+        results.tables["frames"].to_csv(
+            folder / "frames.csv", index=False, float_format="%.6f", lineterminator="\n"
+        )
+
+
+def write_report_folder(results: Results, out: Path, *, force: bool) -> None:
+    """Write reports, summary.json and what they are made of; whole or not at all.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with write_folder_whole(out, force) as folder:
+        _write_report_folder(results, folder)
+
+
+def _write_report_folder(results: Results, folder: Path) -> None:
+    try:
+        reports.write(results, folder / RESULTS)
+    except ReportError as problem:
+        if isinstance(problem.__cause__, OSError):  # a full disk, say: worded where files are
+            raise problem.__cause__ from None
+        raise
+    text = json.dumps(to_json_value(results.summary), indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    write_reports(results, folder)
+
+
+def write_reports(results: Results, folder: Path) -> None:
+    """Write report.html and report.pdf."""
+    (folder / "report.html").write_text(reports.render_html(results), encoding="utf-8")
+    (folder / "report.pdf").write_bytes(reports.render_pdf(results))
+
+
+def read_results(out: Path) -> Results:
+    """Read what an earlier run left.
+
+    Raises:
+        InputError: `out` holds no results, or damaged ones.
+    """
+    try:
+        return reports.read(out / RESULTS)
+    except ReportError as problem:
+        raise InputError(
+            problem.place, problem.found, problem.expected, problem.remedy
+        ) from problem

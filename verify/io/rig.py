@@ -1,0 +1,352 @@
+"""rig.toml: millimetres and degrees in the file, the Rig in metres and radians inside.
+
+The [covariance] of rig.toml: what calibration knows of its own parameters' uncertainty.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from scipy.linalg import polar
+
+from verify.core.records import Array
+from verify.core.rig import Camera, Covariance, Rig
+from verify.errors import InputError, one_line
+from verify.io.files import write_whole
+from verify.io.toml import FORMAT, decode, encode_numbers, key_error, not_negative, one_of
+from verify.io.toml import encode as encode_toml
+
+# of symmetry, unit diagonal and smallest eigenvalue: six decimals in the file; more is an error
+TOL_CORRELATION = 1e-6
+
+_PARAMETER = re.compile(
+    r"(left|right)\.[a-z][a-z0-9_]*"
+    r"|robot_base\.([xyz]_mm|r[xyz]_deg)"
+    r"|led\..+\.[xyz]_mm",
+    re.DOTALL,
+)
+
+
+class CovarianceTable(msgspec.Struct, kw_only=True):
+    """The keys of [covariance]."""
+
+    parameters: list[str]
+    standard_uncertainty: list[float]
+    correlation: list[list[float]]
+    degrees_of_freedom: float | None = None
+    temperature_c: float | None = None
+
+
+def check_covariance(path: Path, table: CovarianceTable) -> Covariance:
+    """Check a decoded [covariance].
+
+    Raises:
+        InputError: a name of no known form or twice, another size, a negative uncertainty, or a
+            correlation that is none: not symmetric, a diagonal other than 1, not positive
+            semidefinite.
+    """
+    names = table.parameters
+    for index, name in enumerate(names):
+        if not _PARAMETER.fullmatch(name):
+            expected = "a name is like left.fx_px, robot_base.rz_deg or led.A.x_mm"
+            raise key_error(path, f"covariance.parameters[{index}]", f'is "{name}"', expected)
+        if name in names[:index]:
+            raise key_error(
+                path, f"covariance.parameters[{index}]", f'repeats "{name}"', "each stands once"
+            )
+    for index, u in enumerate(table.standard_uncertainty):
+        not_negative(path, f"covariance.standard_uncertainty[{index}]", u)
+    count = len(names)
+    if len(table.standard_uncertainty) != count:
+        found = f"has {len(table.standard_uncertainty)} numbers"
+        raise key_error(
+            path, "covariance.standard_uncertainty", found, f"there are {count} parameters"
+        )
+    rows = table.correlation
+    if len(rows) != count or any(len(row) != count for row in rows):
+        expected = f"{count} rows of {count} are expected, one a parameter"
+        raise key_error(path, "covariance.correlation", "has another size", expected)
+    correlation = _correlation(path, np.array(rows).reshape(count, count))
+    if table.degrees_of_freedom is not None and table.degrees_of_freedom <= 0:
+        found = f"is {table.degrees_of_freedom}"
+        raise key_error(
+            path, "covariance.degrees_of_freedom", found, "a positive number is expected"
+        )
+    return Covariance(
+        parameters=tuple(names),
+        standard_uncertainty=np.array(table.standard_uncertainty, dtype=float),
+        correlation=correlation,
+        degrees_of_freedom=table.degrees_of_freedom,
+        temperature_c=table.temperature_c,
+    )
+
+
+def _correlation(path: Path, matrix: Array) -> Array:
+    def refused(found: str, expected: str) -> InputError:
+        return key_error(
+            path, "covariance.correlation", found, expected, "Write it with more decimals."
+        )
+
+    if not len(matrix):
+        return matrix
+    if np.abs(matrix - matrix.T).max() > TOL_CORRELATION:
+        row, column = np.unravel_index(np.abs(matrix - matrix.T).argmax(), matrix.shape)
+        pair = f"{matrix[row, column]} and {matrix[column, row]}"
+        found = f"has {pair} at [{row}][{column}] and [{column}][{row}]"
+        raise refused(found, "a correlation is symmetric")
+    if np.abs(np.diag(matrix) - 1).max() > TOL_CORRELATION:
+        raise refused(
+            "has a diagonal that is not 1", "each parameter's correlation with itself is 1"
+        )
+    least = float(np.linalg.eigvalsh(matrix)[0])
+    if least < -TOL_CORRELATION:
+        raise refused(f"has the eigenvalue {least:.2g}", "no variance is negative")
+    symmetric: Array = (matrix + matrix.T) / 2
+    return symmetric
+
+
+def covariance_table(covariance: Covariance) -> dict[str, Any]:
+    """Lay a covariance out as the keys of [covariance]."""
+    return {
+        "parameters": list(covariance.parameters),
+        "standard_uncertainty": encode_numbers(covariance.standard_uncertainty),
+        "correlation": encode_numbers(covariance.correlation),
+        "degrees_of_freedom": covariance.degrees_of_freedom,
+        "temperature_c": covariance.temperature_c,
+    }
+
+
+SOURCES = ("fixture", "motion")
+TOL_ROTATION = 1e-6  # of R'R - I: seven decimals in the file; more is a wrong matrix, not rounding
+MAX_CENTRE_OFFSET = (
+    0.2  # of the image's size: a principal point farther off its centre is worth a warning
+)
+
+_MM = 1e-3  # m
+Triple = tuple[float, float, float]
+Matrix = tuple[Triple, Triple, Triple]
+
+
+class CameraTable(msgspec.Struct, kw_only=True):
+    """The keys of [left] and [right]."""
+
+    camera_matrix: Matrix
+    distortion: tuple[float, float, float, float, float]
+    pan_center_mm: Triple
+    pan_axis: Triple = (0.0, 1.0, 0.0)
+    pan_deg: float
+    pan_zero_deg: float = 0.0
+    pan_standard_uncertainty_deg: float | None = None
+    mount_rotation: Matrix
+    mount_offset_mm: Triple
+    line_time_s: float = 0.0
+    exposure_s: float | None = None
+
+
+class BaseTable(msgspec.Struct, kw_only=True):
+    """The keys of [robot_base]."""
+
+    rotation: Matrix
+    position_mm: Triple
+    source: str
+    registration: str | None = None
+    absorption: list[list[float]] | None = None
+
+
+class RigTable(msgspec.Struct, kw_only=True):
+    """The keys of rig.toml."""
+
+    format: int
+    image_size: tuple[int, int]
+    left: CameraTable
+    right: CameraTable
+    robot_base: BaseTable | None = None
+    covariance: CovarianceTable | None = None
+
+
+def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, ...]]:
+    """Read and check a rig.toml.
+
+    Args:
+        path: the file.
+        registered: the robot's place is needed; without it one that has none will do.
+
+    Returns:
+        The rig, and what is worth a warning: unknown keys, a principal point far off the centre.
+
+    Raises:
+        InputError: names the file, the key, what stands there, what should, and what to do.
+    """
+    path = Path(path)
+    table, warnings = decode(path, RigTable)
+    width, height = table.image_size
+    if min(width, height) < 1:
+        raise key_error(path, "image_size", f"is {width} x {height}", "both are at least one pixel")
+    if registered and table.robot_base is None:
+        expected = "where the robot stands in the rig is needed here"
+        remedy = "Register the robot first: `verify calibrate register`."
+        raise key_error(path, "robot_base", "is missing", expected, remedy)
+    rig = Rig(
+        image_size=table.image_size,
+        left=_camera(path, "left", table.left),
+        right=_camera(path, "right", table.right),
+        covariance=None if table.covariance is None else check_covariance(path, table.covariance),
+        **read_base(path, table.robot_base),
+    )
+    sides = (("left", rig.left), ("right", rig.right))
+    off = [
+        note
+        for side, camera in sides
+        for note in _principal_point(path, side, camera, rig.image_size)
+    ]
+    return rig, (*warnings, *off)
+
+
+def encode(rig: Rig) -> bytes:
+    """Write a rig as the text of a rig.toml; what is None stays out."""
+    covariance = rig.covariance
+    return encode_toml(
+        {
+            "format": FORMAT,
+            "image_size": list(rig.image_size),
+            "left": _camera_table(rig.left),
+            "right": _camera_table(rig.right),
+            "robot_base": _base_table(rig) if rig.registered else None,
+            "covariance": None if covariance is None else covariance_table(covariance),
+        }
+    )
+
+
+def _base_table(rig: Rig) -> dict[str, Any]:
+    absorption = None if rig.absorption is None else rig.absorption / _absorption_units()
+    return {
+        "rotation": encode_numbers(rig.rig_T_base[:3, :3]),
+        "position_mm": encode_numbers(rig.rig_T_base[:3, 3] / _MM),
+        "source": rig.base_source,
+        "registration": rig.registration,
+        "absorption": None if absorption is None else encode_numbers(absorption),
+    }
+
+
+def write(path: str | Path, rig: Rig) -> None:
+    """Write a rig.toml, whole or not at all.
+
+    Raises:
+        InputError: the disk or the system refuses it.
+    """
+    write_whole(Path(path), encode(rig))
+
+
+def read_base(path: Path, base: BaseTable | None) -> dict[str, Any]:
+    """Read where the robot stands, as a `Rig` has it; nan where it says nothing."""
+    if base is None:
+        return {"rig_T_base": np.full((4, 4), np.nan), "base_source": ""}
+    return {
+        "rig_T_base": nearest_pose(path, "robot_base.rotation", base.rotation, base.position_mm),
+        "base_source": one_of(path, "robot_base.source", base.source, SOURCES),
+        "registration": base.registration,
+        "absorption": _absorption(path, base.absorption),
+    }
+
+
+def _camera(path: Path, side: str, table: CameraTable) -> Camera:
+    k = np.array(table.camera_matrix)
+    for axis, key in ((0, "fx"), (1, "fy")):
+        if k[axis, axis] <= 0:
+            found = f"has {key} = {k[axis, axis]} px"
+            raise key_error(path, f"{side}.camera_matrix", found, "a focal length is positive")
+    if k[1, 0] != 0 or k[2].tolist() != [0.0, 0.0, 1.0]:
+        expected = "expected is [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
+        raise key_error(path, f"{side}.camera_matrix", "is no camera matrix", expected)
+    axis_length = float(np.linalg.norm(table.pan_axis))
+    if axis_length < TOL_ROTATION:
+        raise key_error(path, f"{side}.pan_axis", "has no length", "a direction is expected")
+    for key in ("pan_standard_uncertainty_deg", "line_time_s", "exposure_s"):
+        not_negative(path, f"{side}.{key}", getattr(table, key))
+    u = table.pan_standard_uncertainty_deg
+    return Camera(
+        matrix=k,
+        distortion=np.array(table.distortion),
+        pan_center=np.array(table.pan_center_mm) * _MM,
+        pan_axis=np.array(table.pan_axis) / axis_length,
+        pan_zero=float(np.deg2rad(table.pan_zero_deg)),
+        mount=nearest_pose(
+            path, f"{side}.mount_rotation", table.mount_rotation, table.mount_offset_mm
+        ),
+        pan=float(np.deg2rad(table.pan_deg)),
+        pan_standard_uncertainty=None if u is None else float(np.deg2rad(u)),
+        line_time=table.line_time_s,
+        exposure=table.exposure_s,
+    )
+
+
+def _camera_table(camera: Camera) -> dict[str, Any]:
+    u = camera.pan_standard_uncertainty
+    return {
+        "camera_matrix": encode_numbers(camera.matrix),
+        "distortion": encode_numbers(camera.distortion),
+        "pan_center_mm": encode_numbers(camera.pan_center / _MM),
+        "pan_axis": encode_numbers(camera.pan_axis),
+        "pan_deg": encode_numbers(np.rad2deg(camera.pan)),
+        "pan_zero_deg": encode_numbers(np.rad2deg(camera.pan_zero)),
+        "pan_standard_uncertainty_deg": None if u is None else encode_numbers(np.rad2deg(u)),
+        "mount_rotation": encode_numbers(camera.mount[:3, :3]),
+        "mount_offset_mm": encode_numbers(camera.mount[:3, 3] / _MM),
+        "line_time_s": camera.line_time,
+        "exposure_s": camera.exposure,
+    }
+
+
+def nearest_pose(path: Path, key: str, rotation: Matrix, position_mm: Triple) -> Array:
+    """Build the (4, 4) motion from the orthonormal matrix that comes nearest to the rotation."""
+    matrix = np.array(rotation)
+    off = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
+    if off > TOL_ROTATION:
+        expected = "rows of unit length at right angles are expected"
+        remedy = "Write it with at least seven decimals."
+        raise key_error(path, key, f"is no rotation: off by {off:.1e}", expected, remedy)
+    if np.linalg.det(matrix) < 0:
+        expected = "a right-handed rotation is expected"
+        raise key_error(path, key, "is a reflection", expected, "Turn the sign of one axis.")
+    placed = np.eye(4)
+    placed[:3, :3] = polar(matrix)[0]
+    placed[:3, 3] = np.array(position_mm) * _MM
+    return placed
+
+
+def _principal_point(path: Path, side: str, camera: Camera, size: tuple[int, int]) -> list[str]:
+    """Refuse a principal point outside the image; warn of one far off its centre."""
+    warnings = []
+    key = f"{side}.camera_matrix"
+    for axis, name, extent in ((0, "cx", size[0]), (1, "cy", size[1])):
+        at = camera.matrix[axis, 2]
+        if not -0.5 <= at <= extent - 0.5:  # pixel centres at whole numbers
+            found = f"has {name} = {at} px, outside an image of {size[0]} x {size[1]}"
+            expected = "the optical axis meets the sensor"
+            raise key_error(path, key, found, expected, "Compare it with image_size.")
+        centre = (extent - 1) / 2
+        if abs(at - centre) > MAX_CENTRE_OFFSET * extent:
+            said = (
+                f"{name} = {at} px is more than {MAX_CENTRE_OFFSET:.0%} of the image off its centre"
+            )
+            warnings.append(one_line(f"{path}, {key}: {said}, {centre} px. Is image_size right?"))
+    return warnings
+
+
+def _absorption_units() -> Array:
+    """Turn what the file holds (mm or deg a degree) into m or rad a radian; (12, 1)."""
+    metres = _MM * 180 / np.pi
+    return np.tile([metres] * 3 + [1.0] * 3, 2)[:, None]
+
+
+def _absorption(path: Path, rows: list[list[float]] | None) -> Array | None:
+    if rows is None:
+        return None
+    widths = {len(row) for row in rows}
+    if len(rows) != 12 or len(widths) != 1 or 0 in widths:
+        expected = "12 rows are expected, six of the base and six of the LEDs, one column a joint"
+        raise key_error(path, "robot_base.absorption", f"has {len(rows)} rows", expected)
+    scaled: Array = np.array(rows) * _absorption_units()
+    return scaled

@@ -1,0 +1,265 @@
+"""frames.csv and encoders.csv: degrees in the file, checked arrays in s and rad inside."""
+
+import codecs
+import csv
+import io
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv as arrow_csv
+
+from verify.core.records import Array
+from verify.errors import InputError, one_line
+from verify.io.files import read_bytes
+from verify.io.toml import did_you_mean
+
+_JOINT = re.compile(r"q[1-9]\d*_deg")
+_REMEDY = "Delete the row or export again."
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSeries:
+    """When each stereo pair was taken, and how the bases were turned."""
+
+    t_left: Array  # (n,), s, cameras' clock, mid-exposure, strictly increasing
+    t_right: Array  # (n,), s
+    pan_left: Array  # (n,), rad, as read; the rig's own where the file gives none
+    pan_right: Array  # (n,), rad
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self.t_left)
+
+    def first(self, count: int) -> "FrameSeries":
+        """Keep the first pairs alone."""
+        return FrameSeries(
+            self.t_left[:count],
+            self.t_right[:count],
+            self.pan_left[:count],
+            self.pan_right[:count],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderSeries:
+    """The robot's own joint readings."""
+
+    t: Array  # (m,), s, controller's clock, strictly increasing
+    q: Array  # (m, dof), rad
+
+    def __len__(self) -> int:
+        """Count the readings."""
+        return len(self.t)
+
+
+def read_frames(
+    path: str | Path, pan: tuple[float, float] = (0.0, 0.0), torn: bool = False
+) -> tuple[FrameSeries, tuple[str, ...]]:
+    """Read frames.csv: one row a stereo pair.
+
+    Args:
+        path: the file.
+        pan: rad, left and right, where the file gives none.
+        torn: the recording was cut off, so the last line may be half a line; it is left out.
+
+    Returns:
+        The pairs, and a warning where a half line was left out.
+
+    Raises:
+        InputError: names the file, the line and the column.
+    """
+    table, warnings = open_table(Path(path), torn)
+    required = ("frame", "t_left_s", "t_right_s")
+    optional = tuple(name for name in ("pan_left_deg", "pan_right_deg") if name in table.header)
+    columns = table.columns(required + optional)
+    count = len(columns["frame"])
+    wrong = np.flatnonzero(columns["frame"] != np.arange(count))
+    if len(wrong):
+        row = int(wrong[0])
+        found = f"frame is {columns['frame'][row]:g}"
+        raise table.fault(row, found, f"{row} is expected, counted from 0 in step with the images")
+    for name in ("t_left_s", "t_right_s"):
+        table.require_rising(name, columns[name])
+    turned = [
+        np.deg2rad(columns[name]) if name in columns else np.full(count, rest)
+        for name, rest in zip(("pan_left_deg", "pan_right_deg"), pan, strict=True)
+    ]
+    return FrameSeries(columns["t_left_s"], columns["t_right_s"], *turned), warnings
+
+
+def read_encoders(
+    path: str | Path, joints: int, torn: bool = False
+) -> tuple[EncoderSeries, tuple[str, ...]]:
+    """Read encoders.csv: one row a reading of all joints.
+
+    Args:
+        path: the file.
+        joints: how many the robot has.
+        torn: the recording was cut off, so the last line may be half a line; it is left out.
+
+    Returns:
+        The readings, and a warning where a half line was left out.
+
+    Raises:
+        InputError: names the file, the line and the column.
+    """
+    table, warnings = open_table(Path(path), torn)
+    wanted = tuple(f"q{joint}_deg" for joint in range(1, joints + 1))
+    there = [name for name in table.header if _JOINT.fullmatch(name)]
+    if there and (len(there) < joints or set(there) - set(wanted)):
+        found = f"has {len(there)} joint columns, {there[0]} to {there[-1]}"
+        remedy = "Export every joint, or name the right robot in session.toml."
+        raise InputError(f"{path}, line 1", found, f"the robot has {joints} joints", remedy)
+    columns = table.columns(("t_s", *wanted))
+    table.require_rising("t_s", columns["t_s"])
+    return EncoderSeries(
+        columns["t_s"], np.deg2rad(np.stack([columns[n] for n in wanted], -1))
+    ), warnings
+
+
+@dataclass(frozen=True, slots=True)
+class _CsvTable:
+    """A CSV file's bytes and header, and where to point when something in it is wrong."""
+
+    path: Path
+    data: bytes
+    header: list[str]
+
+    def columns(self, names: tuple[str, ...]) -> dict[str, Array]:
+        """Parse these columns; every cell is a finite number.
+
+        Raises:
+            InputError: a missing column, a row of another length, or a cell that is no number.
+        """
+        for name in names:
+            if self.header.count(name) != 1:
+                found = f"has {'two columns' if name in self.header else 'no column'} {name}"
+                raise InputError(
+                    f"{self.path}, line 1",
+                    found,
+                    f"expected are {', '.join(names)}",
+                    f"Name the column in the first line.{did_you_mean(name, tuple(self.header))}",
+                )
+        places = {name: self.header.index(name) for name in names}
+        parsed = self._parsed_fast(places)
+        if parsed is None:
+            parsed = self._parsed_with_care(places)
+        if not len(parsed[names[0]]):
+            raise InputError(
+                self.path, "has no rows below its header", "", "Record or export it again."
+            )
+        return parsed
+
+    def require_rising(self, name: str, times: Array) -> None:
+        """Refuse times that do not rise strictly.
+
+        Raises:
+            InputError: names the first line whose time is not after the one before.
+        """
+        stuck = np.flatnonzero(np.diff(times) <= 0)
+        if len(stuck):
+            row = int(stuck[0]) + 1
+            found = f"{name} is {times[row]:.10g} after {times[row - 1]:.10g}"
+            raise self.fault(row, found, "times rise strictly", "Sort the rows and delete repeats.")
+
+    def fault(self, row: int, found: str, expected: str, remedy: str = _REMEDY) -> InputError:
+        """Word a complaint about a row, counted from 0, by the line that an editor shows."""
+        line = next(line for index, (line, _) in enumerate(self._rows()) if index == row)
+        return InputError(f"{self.path}, line {line}", found, expected, remedy)
+
+    def _parsed_fast(self, places: dict[str, int]) -> dict[str, Array] | None:
+        """Let Arrow parse a clean file; None if anything in it wants a closer look."""
+        numbered = [str(place) for place in range(len(self.header))]  # its own names may repeat
+        wanted = [str(place) for place in places.values()]
+        try:
+            table = arrow_csv.read_csv(
+                pa.py_buffer(self.data),
+                read_options=arrow_csv.ReadOptions(column_names=numbered, skip_rows=1),
+                convert_options=arrow_csv.ConvertOptions(
+                    include_columns=wanted,
+                    column_types=dict.fromkeys(wanted, pa.float64()),
+                    null_values=[""],
+                ),
+            )
+        except pa.ArrowInvalid:
+            return None
+        parsed = {name: table[str(place)].to_numpy() for name, place in places.items()}
+        return parsed if all(np.isfinite(column).all() for column in parsed.values()) else None
+
+    def _parsed_with_care(self, places: dict[str, int]) -> dict[str, Array]:
+        """Parse row by row, to point at the first cell that is no number."""
+        rows = []
+        for line, cells in self._rows():
+            if len(cells) != len(self.header):
+                found = f"has {len(cells)} cells"
+                expected = f"the first line names {len(self.header)} columns"
+                remedy = "Write decimal points, and a comma between cells alone."
+                raise InputError(f"{self.path}, line {line}", found, expected, remedy)
+            row = [_number(cells[place]) for place in places.values()]
+            if not all(map(math.isfinite, row)):
+                raise self._bad_cell(line, cells, places)
+            rows.append(row)
+        columns = np.array(rows).reshape(-1, len(places)).T
+        return dict(zip(places, columns, strict=True))
+
+    def _bad_cell(self, line: int, cells: list[str], places: dict[str, int]) -> InputError:
+        name = next(name for name in places if not math.isfinite(_number(cells[places[name]])))
+        cell = cells[places[name]].strip()
+        found = f'{name} is "{cell[:40]}"' if cell else f"{name} is empty"
+        expected = f"every row needs a number for {', '.join(places)}"
+        return InputError(f"{self.path}, line {line}", found, expected, _REMEDY)
+
+    def _rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Yield the rows below the header, blank lines left out, each with its line number."""
+        reader = csv.reader(io.StringIO(self.data.decode(errors="replace"), newline=""))
+        try:
+            next(reader, None)
+            for cells in reader:
+                if len(cells) > 1 or any(cell.strip() for cell in cells):
+                    yield reader.line_num, cells
+        except csv.Error as error:
+            place = f"{self.path}, line {reader.line_num}"
+            raise InputError(place, f"is not CSV: {error}", "", "Export it again.") from error
+
+
+def open_table(path: Path, torn: bool) -> tuple[_CsvTable, tuple[str, ...]]:
+    """Read a CSV file's header and rows; the warnings name a last row that was cut off."""
+    data = read_bytes(path)
+    warnings: tuple[str, ...] = ()
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(path, "is UTF-16", "UTF-8 is expected", "Save it again as UTF-8.")
+    data = data.removeprefix(codecs.BOM_UTF8)
+    if torn:
+        whole = data[: max(data.rfind(b"\n"), data.rfind(b"\r")) + 1]
+        if whole != data:
+            warnings = (one_line(f"{path}: the last line was cut off and is left out."),)
+        data = whole
+    return _CsvTable(path, data, _header(path, data)), warnings
+
+
+def _header(path: Path, data: bytes) -> list[str]:
+    """Name the columns that the first line names."""
+    first = re.split(rb"[\r\n]", data, maxsplit=1)[0].decode(errors="replace")
+    place = f"{path}, line 1"
+    for separator, said in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in first and "," not in first:
+            expected = "commas between cells and decimal points are expected"
+            raise InputError(place, f"separates by {said}", expected, "Export it again that way.")
+    names = [name.strip() for name in next(csv.reader([first]), [])]
+    if all(math.isfinite(_number(name)) for name in names):
+        found = "holds numbers" if names else "is empty"
+        raise InputError(place, found, "it names the columns", "Put the header there.")
+    return names
+
+
+def _number(cell: str) -> float:
+    """Parse a cell; NaN for what is no number (Python alone takes `1_000` for one)."""
+    try:
+        return float(cell) if "_" not in cell else math.nan
+    except ValueError:
+        return math.nan

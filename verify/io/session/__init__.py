@@ -1,0 +1,1 @@
+"""A recorded session: keys, folder, pictures or poses."""

@@ -1,0 +1,314 @@
+"""The keys of session.toml, as the file has them: degrees, millimetres, paths."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+import numpy as np
+
+from verify.core.records import Array
+from verify.io.fiducials import SOURCES as BODY_SOURCES
+from verify.io.fiducials import BodyUncertaintyTable
+from verify.io.rig import BaseTable, CovarianceTable, Matrix, Triple
+from verify.io.toml import decode, key_error, not_negative, one_of
+
+RECORDING_STATES = ("open", "closed")
+POSE_FRAMES = ("robot_base", "instrument", "rig")  # that an instrument's poses may be in
+PICTURE_KEYS = ("left", "right", "frames", "marker")  # keys that poses stand in for
+
+
+class ClockTable(msgspec.Struct, kw_only=True):
+    """The keys of [clock]."""
+
+    encoder_offset_s: float
+    encoder_offset_standard_uncertainty_s: float | None = None
+
+
+class ReadingsTable(msgspec.Struct, kw_only=True):
+    """The keys of [encoder_readings]."""
+
+    resolution_deg: float | None = None
+    time_standard_uncertainty_s: float | None = None
+
+
+class ToleranceTable(msgspec.Struct, kw_only=True):
+    """The keys of [tolerance]."""
+
+    joints_deg: float | list[float] | None = None
+    position_mm: float | None = None
+    orientation_deg: float | None = None
+
+
+class EnvironmentTable(msgspec.Struct, kw_only=True):
+    """The keys of [environment]."""
+
+    temperature_c: float | None = None
+
+
+class RobotFramesTable(msgspec.Struct, kw_only=True):
+    """The keys of [robot_frames]."""
+
+    base: str | None = None
+    tip: str | None = None
+
+
+class IntervalTable(msgspec.Struct, kw_only=True):
+    """The keys of [[pose]] and of [[path]]."""
+
+    name: str
+    t_start_s: float
+    t_end_s: float
+
+
+class PosesTable(msgspec.Struct, kw_only=True):
+    """The keys of [poses]."""
+
+    file: str
+    instrument: str
+    frame: str
+    position_standard_uncertainty_mm: float | None = None
+    orientation_standard_uncertainty_deg: float | None = None
+    point_mm: Triple = (0.0, 0.0, 0.0)
+    rotation: Matrix | None = None
+    source: str | None = None
+    body_standard_uncertainty: BodyUncertaintyTable | None = None
+
+
+class RunTable(msgspec.Struct, kw_only=True):
+    """The keys of session.toml that every session may have."""
+
+    format: int
+    robot: str
+    description: str = ""
+    started: datetime | None = None
+    recording: str = "closed"
+    encoders: str
+    clock: ClockTable | None = None
+    encoder_readings: ReadingsTable = msgspec.field(default_factory=ReadingsTable)
+    tolerance: ToleranceTable | None = None
+    environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
+    robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
+    pose: list[IntervalTable] = []
+    path: list[IntervalTable] = []
+
+
+class RecordingTable(RunTable, kw_only=True):
+    """The keys of session.toml, where the robot and its LEDs need not be registered yet."""
+
+    rig: str | None = None
+    marker: str | None = None
+    left: str
+    right: str
+    frames: str
+
+
+class SessionTable(RecordingTable, kw_only=True):
+    """The keys of session.toml, as measuring needs them."""
+
+    rig: str
+    marker: str
+
+
+class PosesSessionTable(RunTable, kw_only=True):
+    """The keys of session.toml where an instrument's poses stand in for the pictures."""
+
+    poses: PosesTable
+    rig: str | None = None
+    robot_base: BaseTable | None = None
+    covariance: CovarianceTable | None = None
+    left: str | None = None
+    right: str | None = None
+    frames: str | None = None
+    marker: str | None = None
+
+
+class _HoldsTable(msgspec.Struct, kw_only=True):
+    poses: PosesTable | None = None
+
+
+class _IntervalsTable(msgspec.Struct, kw_only=True):
+    pose: list[IntervalTable] = []
+    path: list[IntervalTable] = []
+
+
+T = TypeVar("T", bound=RunTable)
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """How the controller's clock stands to the cameras', where that was given."""
+
+    encoder_offset: float  # s, added to an encoder's time gives the cameras' clock
+    standard_uncertainty: float | None  # s
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """What the robot is allowed; None where nothing is asked."""
+
+    joints: Array | None  # (n,), rad, bounds the error at every pose
+    position: float | None  # m
+    orientation: float | None  # rad
+
+
+@dataclass(frozen=True, slots=True)
+class TimeInterval:
+    """A stretch of time that session.toml names: a visit of a pose, a passage of a path."""
+
+    name: str
+    start: float  # s, cameras' clock
+    end: float
+
+
+def read(path: Path) -> tuple[SessionTable, tuple[str, ...]]:
+    """Read session.toml and check what needs no other file.
+
+    Returns:
+        Its keys, and a warning for each that the format does not know.
+
+    Raises:
+        InputError: names the key, what stands there, what should, and what to do.
+    """
+    return _decode_checked(path, SessionTable)
+
+
+def read_recording(path: Path) -> tuple[RecordingTable, tuple[str, ...]]:
+    """Read session.toml likewise, where rig and marker need not be named."""
+    return _decode_checked(path, RecordingTable)
+
+
+def has_poses(path: Path) -> bool:
+    """Say whether session.toml speaks of an instrument's poses in place of pictures.
+
+    Raises:
+        InputError: it is no session.toml, or its [poses] is none.
+    """
+    return decode(path, _HoldsTable)[0].poses is not None
+
+
+def read_stretches(path: Path) -> tuple[tuple[TimeInterval, ...], tuple[TimeInterval, ...]]:
+    """Read [[pose]] and [[path]] of a session.toml that is known to be one.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    table = decode(path, _IntervalsTable)[0]
+    poses, paths = (
+        tuple(TimeInterval(one.name, one.t_start_s, one.t_end_s) for one in named)
+        for named in (table.pose, table.path)
+    )
+    return poses, paths
+
+
+def read_poses(path: Path) -> tuple[PosesSessionTable, tuple[str, ...]]:
+    """Read session.toml likewise, where an instrument's poses stand in for the pictures."""
+    table, warnings = _decode_checked(path, PosesSessionTable)
+    for key in PICTURE_KEYS:
+        if getattr(table, key) is not None:
+            remedy = "Leave it out, or leave out [poses]."
+            raise key_error(
+                path, key, "stands beside [poses]", "a session has one or the other", remedy
+            )
+    poses = table.poses
+    if not poses.instrument.strip():
+        raise key_error(path, "poses.instrument", "is empty", "the instrument's name is expected")
+    one_of(path, "poses.frame", poses.frame, POSE_FRAMES)
+    if poses.source is not None:
+        one_of(path, "poses.source", poses.source, BODY_SOURCES)
+    for key in ("position_standard_uncertainty_mm", "orientation_standard_uncertainty_deg"):
+        _positive(path, f"poses.{key}", getattr(poses, key), "a standard uncertainty")
+    _check_frame(path, table)
+    return table, warnings
+
+
+def _check_frame(path: Path, table: PosesSessionTable) -> None:
+    """Ask for what carries the poses to the robot's base, and for nothing beside it."""
+    frame = table.poses.frame
+    wanted = {"rig": "rig", "instrument": "robot_base"}.get(frame)
+    for key in ("rig", "robot_base"):
+        there = getattr(table, key) is not None
+        if key == wanted and not there:
+            expected = "it says where the robot stands in the poses' frame"
+            raise key_error(path, key, "is missing", expected, f'poses.frame is "{frame}".')
+        if there and key != wanted:
+            expected = f'poses in the frame "{frame}" do not ask for it'
+            raise key_error(path, key, "is given", expected, "Leave it out, or mend poses.frame.")
+    if table.covariance is not None and frame == "rig":
+        expected = "that of rig.toml counts"
+        raise key_error(path, "covariance", "is given", expected, "Leave it out.")
+
+
+def _decode_checked(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
+    table, warnings = decode(path, kind)
+    one_of(path, "recording", table.recording, RECORDING_STATES)
+    if table.clock is not None:
+        key = "encoder_offset_standard_uncertainty_s"
+        not_negative(path, f"clock.{key}", table.clock.encoder_offset_standard_uncertainty_s)
+    for key in ("resolution_deg", "time_standard_uncertainty_s"):
+        not_negative(path, f"encoder_readings.{key}", getattr(table.encoder_readings, key))
+    for key in ("pose", "path"):
+        _check_stretches(path, key, getattr(table, key))
+    return table, warnings
+
+
+def _check_stretches(path: Path, key: str, named: list[IntervalTable]) -> None:
+    for index, one in enumerate(named):
+        if not one.name.strip():
+            raise key_error(path, f"{key}[{index}].name", "is empty", "a name is expected")
+        if one.t_end_s <= one.t_start_s:
+            expected = f"a time after t_start_s, {one.t_start_s}, is expected"
+            raise key_error(path, f"{key}[{index}].t_end_s", f"is {one.t_end_s}", expected)
+
+
+def clock(table: ClockTable | None) -> Clock | None:
+    """Turn [clock] into what the chain reads; None means: estimate it from the motion."""
+    if table is None:
+        return None
+    return Clock(table.encoder_offset_s, table.encoder_offset_standard_uncertainty_s)
+
+
+def tolerance(path: Path, table: ToleranceTable | None, joints: int) -> Tolerance | None:
+    """Turn [tolerance] into radians and metres; one number holds for every joint.
+
+    Raises:
+        InputError: a tolerance that is not positive, or a list of another length.
+    """
+    if table is None or table == ToleranceTable():
+        return None
+    given = table.joints_deg
+    several = isinstance(given, list)
+    if isinstance(given, list) and len(given) != joints:
+        expected = f"one number, or one for each of the {joints} joints, is expected"
+        raise key_error(path, "tolerance.joints_deg", f"is a list of {len(given)}", expected)
+    angles = given if isinstance(given, list) else [given] * joints
+    for index, value in enumerate([] if given is None else angles):
+        _positive(
+            path, f"tolerance.joints_deg[{index}]" if several else "tolerance.joints_deg", value
+        )
+    _positive(path, "tolerance.position_mm", table.position_mm)
+    _positive(path, "tolerance.orientation_deg", table.orientation_deg)
+    return Tolerance(
+        joints=None if given is None else np.deg2rad(np.array(angles, dtype=float)),
+        position=None if table.position_mm is None else table.position_mm * 1e-3,
+        orientation=to_radians(table.orientation_deg),
+    )
+
+
+def format_start(moment: datetime | None) -> str | None:
+    """Write the moment as session.toml has it."""
+    if moment is None:
+        return None
+    text = moment.isoformat()
+    return f"{text.removesuffix('+00:00')}Z" if moment.tzinfo == UTC else text
+
+
+def to_radians(degrees: float | None) -> float | None:
+    """Convert what may be missing."""
+    return None if degrees is None else float(np.deg2rad(degrees))
+
+
+def _positive(path: Path, key: str, value: float | None, what: str = "a tolerance") -> None:
+    if value is not None and value <= 0:
+        raise key_error(path, key, f"is {value}", f"{what} is positive")

@@ -1,0 +1,260 @@
+"""A recorded session: its folder opened, checked, and streamed as stereo pairs."""
+
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import robots
+from verify.core.fiducials import Marker
+from verify.core.records import Image, StereoPair
+from verify.core.rig import Rig
+from verify.errors import InputError, one_line
+from verify.io import fiducials
+from verify.io import rig as io_rig
+from verify.io.files import digest
+from verify.io.series import EncoderSeries, FrameSeries, read_encoders, read_frames
+from verify.io.session import keys as session_keys
+from verify.io.session.folder import (
+    append_unfinished,
+    check_absorption,
+    file_digests,
+    find_session_file,
+    load_arm,
+    recording_fields,
+    resolve_inside,
+)
+from verify.io.session.keys import Clock, RecordingTable, Tolerance
+from verify.io.session.poses import Instrument, read_pose_streams
+from verify.io.toml import key_error
+from verify.io.unfinished import NAME as PENDING
+from verify.io.video import Images, decode_in_step, open_images
+
+__all__ = [
+    "Clock",
+    "EncoderSeries",
+    "FrameSeries",
+    "Instrument",
+    "Recording",
+    "Session",
+    "Tolerance",
+    "open_recording",
+    "open_session",
+]
+
+_STREAMS = ("left", "right", "frames", "encoders")
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What one run recorded: every fact checked, every series in memory, the images on disk."""
+
+    folder: Path
+    name: str  # the folder's own
+    arm: robots.Arm
+    robot: str  # as session.toml names it
+    description: str
+    started: str | None  # ISO 8601
+    open: bool  # cut off while being written: the series end with the shortest stream
+    rig: Rig
+    clock: Clock | None  # None: the offset is estimated from the motion
+    encoder_resolution: float | None  # rad
+    encoder_time_standard_uncertainty: float | None  # s
+    temperature_c: float | None
+    frames: FrameSeries
+    encoders: EncoderSeries
+    inputs: dict[str, str]  # what was read, by its path in the folder: "sha256:…"
+    warnings: tuple[str, ...]
+    left: Images
+    right: Images
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self.frames)
+
+    def pairs(self) -> Generator[StereoPair]:
+        """Stream the stereo pairs, both sides in step, a few in memory at a time.
+
+        Raises:
+            InputError: an image cannot be decoded or is not of the rig's size.
+        """
+        frames = self.frames
+        with closing(decode_in_step(self.left, self.right, len(self))) as images:
+            for frame, (left, right) in enumerate(images):
+                self._require_size(self.left, frame, left)
+                self._require_size(self.right, frame, right)
+                yield StereoPair(
+                    frame=frame,
+                    t_left=float(frames.t_left[frame]),
+                    t_right=float(frames.t_right[frame]),
+                    pan_left=float(frames.pan_left[frame]),
+                    pan_right=float(frames.pan_right[frame]),
+                    left=left,
+                    right=right,
+                )
+
+    def _require_size(self, side: Images, frame: int, image: Image) -> None:
+        height, width = image.shape[:2]
+        if (width, height) != self.rig.image_size:
+            found = f"image {frame} is {width} x {height} px"
+            expected = "the rig is calibrated for {} x {}".format(*self.rig.image_size)
+            raise InputError(side.path, found, expected, "Use the rig.toml of these cameras.")
+
+
+@dataclass(frozen=True, slots=True)
+class Session(Recording):
+    """A recording of a robot whose place and LEDs are known: all that measuring needs."""
+
+    marker: Marker
+    tolerance: Tolerance | None  # None: no verdict is asked for
+    # None: the poses come from the pictures; else there are none, and no LEDs to look for
+    instrument: Instrument | None = field(default=None, kw_only=True)
+
+
+def open_session(folder: str | Path) -> Session:
+    """Open a session's folder and check all of it but the images' content.
+
+    Args:
+        folder: holds session.toml and what that names: pictures, or an instrument's poses.
+
+    Returns:
+        The session. Its warnings name unknown keys, a recording that was cut off, and facts that
+        do not fit together.
+
+    Raises:
+        InputError: one line that names the file, the place in it, what stands there, what should,
+            and what to do.
+    """
+    folder = Path(folder)
+    path = find_session_file(folder)
+    if session_keys.has_poses(path):
+        return Session(**read_pose_streams(folder, path))
+    table, warnings = session_keys.read(path)
+    named = _resolve_paths(folder, path, table, ("rig", "marker", *_STREAMS))
+    arm = load_arm(folder, path, table)
+    rig, rig_warnings = io_rig.read(named["rig"])
+    marker, marker_warnings = fiducials.read_marker(named["marker"])
+    check_absorption(named["rig"], rig, arm.dof)
+    tolerance = session_keys.tolerance(path, table.tolerance, arm.dof)
+    said = (*warnings, *rig_warnings, *marker_warnings, *_warn_mismatch(folder, rig, marker))
+    parts = _read_streams(folder, path, table, named, (arm, rig), said)
+    return Session(**parts, marker=marker, tolerance=tolerance)
+
+
+def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Recording:
+    """Open a session's folder to register the robot: neither its place nor its LEDs are needed.
+
+    Args:
+        folder: holds session.toml and what that names; a marker file is not read.
+        rig: a rig.toml to use in place of the one that session.toml names; it may lie anywhere.
+
+    Returns:
+        The recording. Its rig may lack a robot base; one that is there is read and checked.
+
+    Raises:
+        InputError: as `open_session`; a session of poses has nothing to register by.
+    """
+    folder = Path(folder)
+    path = find_session_file(folder)
+    if session_keys.has_poses(path):
+        expected = "robot and LEDs are registered by pictures of the LEDs"
+        remedy = "Register the instrument by its own means; docs/session.md says where that goes."
+        raise key_error(path, "poses", "stands in place of pictures", expected, remedy)
+    table, warnings = session_keys.read_recording(path)
+    if rig is None and table.rig is None:
+        expected = "the calibrated cameras are needed"
+        raise key_error(path, "rig", "is missing", expected, "Name them there or with --rig.")
+    named = _resolve_paths(folder, path, table, _STREAMS if rig is not None else ("rig", *_STREAMS))
+    cameras = named["rig"] if rig is None else Path(rig)
+    arm = load_arm(folder, path, table)
+    seen, rig_warnings = io_rig.read(cameras, registered=False)
+    parts = _read_streams(folder, path, table, named, (arm, seen), (*warnings, *rig_warnings))
+    if rig is not None:
+        parts["inputs"][str(rig)] = digest(cameras)
+    return Recording(**parts)
+
+
+def _resolve_paths(
+    folder: Path, path: Path, table: RecordingTable, keys: tuple[str, ...]
+) -> dict[str, Path]:
+    """Find what session.toml names under each key."""
+    named = {key: resolve_inside(folder, path, key, getattr(table, key)) for key in keys}
+    if named["left"].resolve() == named["right"].resolve():
+        expected = "each camera has its own images"
+        raise key_error(path, "right", f'names what left names, "{table.right}"', expected)
+    return named
+
+
+def _read_streams(
+    folder: Path,
+    path: Path,
+    table: RecordingTable,
+    named: dict[str, Path],
+    known: tuple[robots.Arm, Rig],
+    warnings: tuple[str, ...],
+) -> dict[str, Any]:
+    """Read and check the streams: every field of a Recording."""
+    arm, rig = known
+    torn = table.recording == "open"
+    pan = (rig.left.pan, rig.right.pan)
+    frames, frames_warnings = read_frames(named["frames"], pan, torn)
+    encoders, encoders_warnings = read_encoders(named["encoders"], arm.dof, torn)
+    left, right = open_images(named["left"]), open_images(named["right"])
+    frames, sides, length_warnings = _common_length(named["frames"], frames, (left, right), torn)
+    files = {getattr(table, key): file for key, file in named.items()}
+    if torn and (folder / PENDING).exists():
+        files[PENDING] = folder / PENDING
+    return {
+        **recording_fields(folder, table, arm),
+        "rig": rig,
+        "frames": frames,
+        "encoders": encoders,
+        "inputs": file_digests(folder, path, table.robot, files),
+        "warnings": (*warnings, *frames_warnings, *encoders_warnings, *length_warnings),
+        "left": sides[0],
+        "right": sides[1],
+    }
+
+
+def _warn_mismatch(folder: Path, rig: Rig, marker: Marker) -> list[str]:
+    """Warn of a rig and a marker that do not belong together."""
+    misfits = []
+    if rig.registration != marker.registration:
+        misfits.append(
+            f"{folder}: rig.toml and marker.toml carry different registrations, "
+            f"{rig.registration or 'none'} and {marker.registration or 'none'}. "
+            "Use the two files that one registration wrote."
+        )
+    stated = rig.covariance.parameters if rig.covariance else ()
+    leds = {name.split(".", 1)[1].rsplit(".", 1)[0] for name in stated if name.startswith("led.")}
+    misfits += [
+        f'{folder}: marker.toml has no LED "{name}", of which the covariance in rig.toml speaks.'
+        for name in sorted(leds.difference(marker.names))
+    ]
+    return [one_line(misfit) for misfit in misfits]
+
+
+def _common_length(
+    path: Path, frames: FrameSeries, sides: tuple[Images, Images], torn: bool
+) -> tuple[FrameSeries, tuple[Images, Images], list[str]]:
+    """Compare the streams: of one length in a closed session, cut to the shortest if torn."""
+    counts = [side.count(torn) for side in sides]
+    if not torn:
+        for side, count in zip(sides, counts, strict=True):
+            if count != len(frames):
+                expected = f"{path.name} has {len(frames)} rows"
+                remedy = 'Copy the session again, or write `recording = "open"` if it was cut off.'
+                raise InputError(side.path, f"has {count} images", expected, remedy)
+        return frames, sides, []
+    lengths = f"{len(frames)} rows, {counts[0]} left and {counts[1]} right images"
+    shortest = min(len(frames), *counts)
+    frames, sides, pending = append_unfinished(path.parent, frames.first(shortest), sides)
+    if not len(frames):
+        remedy = "Record it again."
+        raise InputError(path.parent, "was cut off before the first whole pair", "", remedy)
+    lengths += f", {pending} pairs in {PENDING}" if pending else ""
+    warning = (
+        f"{path.parent}: the recording was cut off ({lengths}); {len(frames)} pairs are measured."
+    )
+    return frames, sides, [one_line(warning)]

@@ -1,0 +1,247 @@
+"""TOML in and out: decoded into structs that mirror the file, with the key in each complaint."""
+
+import difflib
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+import msgspec
+import numpy as np
+import tomli_w
+
+from verify.core.records import Array
+from verify.errors import InputError, one_line
+from verify.io.files import read_bytes
+
+FORMAT = 1  # the edition of session.toml, rig.toml and marker.toml that this code reads
+
+S = TypeVar("S", bound=msgspec.Struct)
+
+_COMPLAINT = re.compile(r"^(?P<what>.*?)(, got .*?)?( - at `\$\.?(?P<key>.*)`)?$", re.DOTALL)
+_MISSING = re.compile(r"Object missing required field `(?P<field>.*)`")
+_WORDS = {  # msgspec speaks of JSON; the user wrote TOML
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text in quotes",
+    "bool": "true or false",
+    "datetime": "a date and time",
+    "array": "a list",
+    "object": "a table",
+}
+
+
+def key_error(path: Path, key: str, found: str, expected: str, remedy: str = "") -> InputError:
+    """Word what is wrong at one key of a TOML file."""
+    place = f"{path}, {key}" if key else str(path)
+    return InputError(place, found, expected, remedy or "Mend it there.")
+
+
+def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
+    """Decode a TOML file into a struct that mirrors it.
+
+    Args:
+        path: the file.
+        kind: a struct whose fields are the keys that the format knows.
+
+    Returns:
+        The struct, and a warning for each key that it does not know.
+
+    Raises:
+        InputError: no such file, not TOML, another format, a missing key, or a value of another
+            type; names the line or the key.
+    """
+    tree = _parse(path)
+    if tree.get("format") != FORMAT or isinstance(tree["format"], bool):
+        found = f"is {shorten(tree['format'])}" if "format" in tree else "is missing"
+        remedy = f"Write `format = {FORMAT}`, or use the program that this file was made for."
+        raise key_error(path, "format", found, f"format {FORMAT} is expected", remedy)
+    for key, value in _leaves(tree):
+        if isinstance(value, float) and not math.isfinite(value):
+            raise key_error(path, key, f"is {value}", "a finite number is expected")
+    try:
+        decoded = msgspec.convert(tree, kind)
+    except msgspec.ValidationError as error:
+        raise _reword(path, tree, str(error)) from error
+    return decoded, tuple(_unknown_keys(path, tree, kind))
+
+
+def shorten(value: object) -> str:
+    """Show a value from a file, shortened to what fits in a sentence."""
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, list):
+        return f"a list of {len(value)}"
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = f'"{value}"' if isinstance(value, str) else str(value)
+    return text if len(text) <= 60 else f"{text[:60]}…"  # a longer one hides the rest of the line
+
+
+def one_of(path: Path, key: str, value: str, options: tuple[str, ...]) -> str:
+    """Return the value if it is among the options.
+
+    Raises:
+        InputError: it is none of them; says which there are.
+    """
+    if value in options:
+        return value
+    expected = "expected is " + " or ".join(f'"{option}"' for option in options)
+    raise key_error(
+        path, key, f'is "{value}"', expected, f"Write one of them.{did_you_mean(value, options)}"
+    )
+
+
+def did_you_mean(word: str, known: tuple[str, ...]) -> str:
+    """Suggest the known word that comes nearest, as a sentence; empty where none comes near."""
+    near = difflib.get_close_matches(word, known, n=1)
+    return f" Did you mean `{near[0]}`?" if near else ""
+
+
+def encode(tree: Mapping[str, Any]) -> bytes:
+    """Write tables as TOML, each matrix one row after the other on one line.
+
+    tomli_w alone puts every number of a nested list on a line of its own, which nobody can read;
+    scalars and keys are its work here too. Values that are None are left out.
+    """
+    return "".join(_table_lines(tree, "")).encode()
+
+
+def encode_numbers(values: Array | float) -> Any:
+    """Turn a number or an array into (nested lists of) floats for `encode`.
+
+    Rounded to 15 significant digits, which drops the noise that a change of units leaves in the
+    last bit: 7.5, not 7.500000000000001.
+    """
+    array = np.asarray(values, dtype=float)
+    if array.ndim:
+        return [encode_numbers(item) for item in array]
+    return float(f"{array.item():.15g}")
+
+
+def not_negative(path: Path, key: str, value: float | None) -> None:
+    """Refuse a negative number; None passes.
+
+    Raises:
+        InputError: it is below 0.
+    """
+    if value is not None and value < 0:
+        raise key_error(path, key, f"is {value}", "a number of 0 or more is expected")
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    data = read_bytes(path)
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))  # editors on Windows put a mark in front
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        remedy = "Save the file again as UTF-8."
+        raise InputError(f"{path}, line {line}", "is not UTF-8", "TOML is UTF-8", remedy) from error
+    except tomllib.TOMLDecodeError as error:
+        what, _, where = str(error).partition(" (at ")
+        place = f"{path}, {where.rstrip(')')}" if where else str(path)
+        raise InputError(place, f"is not TOML: {what}", "", "Mend that line.") from error
+    except RecursionError as error:
+        remedy = "Write it again from the format's example."
+        raise InputError(path, "is nested too deeply", "", remedy) from error
+
+
+def _leaves(value: object, key: str = "") -> Iterator[tuple[str, object]]:
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _leaves(inner, f"{key}.{name}" if key else name)
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from _leaves(inner, f"{key}[{index}]")
+    else:
+        yield key, value
+
+
+def _reword(path: Path, tree: dict[str, Any], complaint: str) -> InputError:
+    """Say msgspec's complaint in the words of the file: key, what stands there, what should."""
+    parts = _COMPLAINT.match(complaint)
+    what, key = (parts["what"], parts["key"] or "") if parts else (complaint, "")
+    missing = _MISSING.match(what)
+    if missing:
+        inner = f"{key}.{missing['field']}" if key else missing["field"]
+        return key_error(path, inner, "is missing", "the format needs it", "Add it there.")
+    wanted = re.search(r"`(.*?)`", what)
+    kinds = [_WORDS.get(word, word) for word in wanted[1].split(" | ")] if wanted else []
+    expected = (
+        " or ".join(kind for kind in kinds if kind != "null") + what[wanted.end() :]
+        if wanted
+        else what
+    )
+    return key_error(path, key, f"is {shorten(_value_at(tree, key))}", f"{expected} is expected")
+
+
+def _value_at(tree: Any, key: str) -> object:
+    value = tree
+    for name, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", key):
+        if index and isinstance(value, list):
+            value = value[int(index)]
+        elif name and isinstance(value, dict) and name in value:
+            value = value[name]
+    return value
+
+
+def _unknown_keys(
+    path: Path, tree: dict[str, Any], kind: type[msgspec.Struct], key: str = ""
+) -> Iterator[str]:
+    fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
+    for name, value in tree.items():
+        inner = f"{key}.{name}" if key else name
+        if name not in fields:
+            hint = did_you_mean(name, tuple(fields))
+            yield one_line(
+                f"{path}, {inner}: the format does not know this key; it is left alone.{hint}"
+            )
+            continue
+        table = _struct_in(fields[name])
+        if table is None:
+            continue
+        for index, item in enumerate(value if isinstance(value, list) else [value]):
+            if isinstance(item, dict):
+                place = f"{inner}[{index}]" if isinstance(value, list) else inner
+                yield from _unknown_keys(path, item, table, place)
+
+
+def _struct_in(kind: Any) -> type[msgspec.Struct] | None:
+    """Find the struct in `Table`, `Table | None` or `list[Table]`."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return kind
+    return next((found for part in get_args(kind) if (found := _struct_in(part))), None)
+
+
+def _table_lines(tree: Mapping[str, Any], name: str) -> Iterator[str]:
+    """Yield a table's own values, then its tables: TOML wants them in that order."""
+    present = {key: value for key, value in tree.items() if value is not None}
+    tables = {key: value for key, value in present.items() if _has_tables(value)}
+    for key in present:
+        if key not in tables:
+            yield f"{key} = {_inline(present[key])}\n"
+    for key, value in tables.items():
+        inner = f"{name}.{key}" if name else key
+        several = isinstance(value, list)
+        for table in value if several else [value]:
+            yield f"\n[[{inner}]]\n" if several else f"\n[{inner}]\n"
+            yield from _table_lines(table, inner)
+
+
+def _has_tables(value: object) -> bool:
+    return isinstance(value, dict) or (
+        isinstance(value, list) and bool(value) and isinstance(value[0], dict)
+    )
+
+
+def _inline(value: object) -> str:
+    if not isinstance(value, list):
+        return tomli_w.dumps({"v": value}).removeprefix("v = ").rstrip("\n")
+    inner = [_inline(item) for item in value]
+    if len(value) > 3 and isinstance(
+        value[0], list
+    ):  # a rotation fits on a line, a covariance does not
+        return "[\n" + "".join(f"  {row},\n" for row in inner) + "]"
+    return f"[{', '.join(inner)}]"

@@ -1,1 +1,0 @@
-"""What a comparison means: mean errors, visibility, resolved errors, verdict and diagnosis."""

@@ -1,0 +1,1 @@
+"""Innovations, CUSUM, tolerance, loss of signal."""

@@ -1,0 +1,132 @@
+"""A change of one joint in white noise: two-sided CUSUM sums, one pair a joint.
+
+Source: Page, Biometrika 41, 1954; average run length of Siegmund, Sequential Analysis, 1985,
+ch. 10, here without its allowance for overshoot: pairs that repeat each other have none.
+
+Which joint changed, by how much, and which others cannot be ruled out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from verify.core.records import Array
+from verify.live.alarms.innovations import MAX_REPEATED, Innovation, InnovationFilter
+
+DIRECTIONS = np.array([[1.0], [-1.0]])
+REFERENCE = 0.5  # standard deviations of a pair: a change of twice that is found soonest
+
+
+def alarm_threshold(false_alarms_per_hour: float, rate: float, joints: int) -> float:
+    """Where the sums must stand for an alarm.
+
+    Args:
+        false_alarms_per_hour: of the robot as a whole: all joints, both directions.
+        rate: pairs a second.
+        joints: how many are watched.
+
+    Returns:
+        h, in standard deviations of a pair.
+    """
+    pairs = 3600.0 * rate * 2 * joints / false_alarms_per_hour
+    return float(brentq(lambda h: run_length(h) - pairs, 0.0, 200.0))
+
+
+def run_length(h: float) -> float:
+    """Pairs from one false alarm of one sum to the next, on average."""
+    return float((np.expm1(2 * REFERENCE * h) - 2 * REFERENCE * h) / (2 * REFERENCE**2))
+
+
+class Cusum:
+    """The sums of all joints.
+
+    Args:
+        joints: how many.
+        limit: `alarm_threshold`.
+    """
+
+    def __init__(self, joints: int, limit: float) -> None:
+        self.limit = limit
+        self.sums = np.zeros((2, joints))  # upward, downward
+        self._since = np.zeros((2, joints), dtype=int)
+        self.count = 0  # pairs since it began anew
+
+    def take(self, innovation: Innovation) -> None:
+        """Add a pair."""
+        length = np.sqrt(np.sum(innovation.joints**2, axis=0))
+        score: Array = np.divide(
+            innovation.residual @ innovation.joints,
+            length,
+            out=np.zeros_like(length),
+            where=length > 0,
+        )
+        self.sums = np.maximum(self.sums + DIRECTIONS * score - REFERENCE, 0.0)
+        self._since = np.where(self.sums > 0, self._since + 1, 0)
+        self.count += 1
+
+    @property
+    def exceeded(self) -> bool:
+        """Some sum stands beyond the limit."""
+        return bool(self.sums.max() > self.limit)
+
+    @property
+    def begun(self) -> int:
+        """Pairs since the largest sum left zero: when the change began, as far as it tells."""
+        return int(self._since.flat[int(np.argmax(self.sums))])
+
+    def restart(self) -> None:
+        """Begin anew: the change has been told, or something else has changed."""
+        self.sums[:] = 0.0
+        self._since[:] = 0
+        self.count = 0
+
+
+# pairs by which a change may have come later than its sum left zero: noise keeps sums off zero
+ONSET_DELAYS = (0, 1, 2, 3, 5, 8, 13, 21, 34)
+MIN_CHI2_DIFFERENCE = 15.0  # of chi²: by so much the best joint must beat a rival (docs/results.md)
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeAttribution:
+    """What a change looks like."""
+
+    joint: int  # the one that explains most, counted from 0
+    size: float  # rad, by how much its reading has moved
+    standard_uncertainty: float  # rad
+    rivals: tuple[int, ...]  # joints that explain nearly as much, the likeliest first
+    pairs: int  # since it was there in full
+
+
+def attribute_change(innovations: InnovationFilter, joints: int, pairs: int) -> ChangeAttribution:
+    """Suppose each joint in turn to have changed some pairs ago, and compare.
+
+    Args:
+        innovations: what the pairs brought.
+        joints: how many the arm has.
+        pairs: since the change began.
+
+    Returns:
+        The change that explains those pairs best.
+    """
+    pairs = min(max(pairs, 1), MAX_REPEATED)
+    best, late = 0, 0
+    for _ in range(2):  # a second time from where the likeliest joint says that it began
+        supposed = [innovations.suppose(j, pairs, late) for j in range(joints)]
+        cost = np.array([outcome[0] for outcome in supposed])
+        order = np.argsort(cost).tolist()
+        best = order[0]
+        if late or pairs == 1:
+            break
+        onsets = [n for n in ONSET_DELAYS if n < pairs]
+        costs = [innovations.suppose(best, pairs, n)[0] for n in onsets]
+        late = onsets[int(np.argmin(costs))]
+        if late == 0:
+            break
+    return ChangeAttribution(
+        joint=best,
+        size=supposed[best][1],
+        standard_uncertainty=supposed[best][2],
+        rivals=tuple(j for j in order[1:] if cost[j] - cost[best] < MIN_CHI2_DIFFERENCE),
+        pairs=pairs - late,
+    )

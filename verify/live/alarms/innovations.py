@@ -1,0 +1,269 @@
+"""What is new in each pair: joint evidence less what the instrument's own doubts already explain.
+
+Everything stated of rig, base and LEDs is a constant error of the measured pose whose size is known
+within its uncertainty. A Kalman filter learns those errors from the pairs as they come, together
+with the clock's. What it predicts and what then comes differ by white noise of known size: a bias
+within its stated uncertainty is learned and never accused, while a change of a joint is new.
+
+Source: Kailath's innovations; for faults, Basseville and Nikiforov, Detection of Abrupt Changes,
+1993, ch. 7.2.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.analysis.least_squares import MAX_CORRELATION, autocorrelation
+from verify.core.kernels.readings import MAD_TO_SIGMA
+from verify.core.records import Array
+from verify.live.joint_row import Evidence
+
+SYSTEMATIC_TIME = 600.0  # s in which what is stated may wander: temperature, a base that creeps
+CLOCK_TIME = 10.0  # s, likewise the clock's error: it is estimated anew every few seconds
+U_FAULTY_JOINT = math.radians(
+    5.0
+)  # rad, standard: a joint that is known to be at fault may read so far off
+FAULT_RANDOM_WALK = math.radians(
+    0.02
+)  # rad a root second: what ails a named joint need not be constant
+ALIGNMENT_TIME = 0.5  # s for which an arm keeps accelerating one way, give or take
+# m, rad, standard: what lens model, DH table and spot shape leave beside all that is stated, as the
+# arm moves; a change far below it, 0.003°, say, is found in any model by whoever looks long enough
+U_MODEL = (5e-5, 1e-4)
+N_SPREAD = 1800  # innovations, a minute at 30 a second, that tell their real size and correlation
+RENEWAL_PERIOD = 30  # pairs from one look at that to the next
+MIN_INNOVATIONS = (
+    60  # pairs before it is believed; until then they repeat each other as much as any could
+)
+MAX_REPEATED = 90  # pairs that can be gone through again once a fault is known to have begun there
+MAX_SIGMA = 3.0  # standard deviations: a fault must not hide itself by widening its own measure
+
+
+POSE_DIRECTIONS = np.eye(6)
+MODEL_COVARIANCE = np.diag(np.repeat(np.square(U_MODEL), 3))
+
+
+@dataclass(frozen=True, slots=True)
+class _FilterStep:
+    """A pair, and what was believed before it."""
+
+    t: float
+    evidence: Evidence
+    clock: object
+    x: Array
+    p: Array
+    before: tuple[float | None, object]  # time and clock of the pair before
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """What one pair brought, whitened: d directions of unit variance and no memory."""
+
+    residual: Array  # (d,)
+    joints: Array  # (d, j), of an offset of each joint, a rad
+
+
+class InnovationFilter:
+    """Filters evidence pair by pair.
+
+    The state is the prior's coefficients (unit variance each), the clock's error, the errors of
+    joints that an alarm has named (those are no news any more), and what alignment and the model
+    leave.
+
+    Args:
+        joints: how many the arm has.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self._joints = joints
+        self._t: float | None = None
+        self._x = np.zeros(0)
+        self._p = np.zeros((0, 0))
+        self._clock: object = None
+        self._prior_width = 0
+        self._open: set[int] = set()
+        self._recent: deque[Array] = deque(maxlen=N_SPREAD)
+        self._past: deque[_FilterStep] = deque(maxlen=MAX_REPEATED)
+        self._count = 0
+        self._factors = _initial_inflation()
+
+    def take(self, t: float, evidence: Evidence, clock: object) -> Innovation | None:
+        """Take a pair's evidence.
+
+        Args:
+            t: s, cameras' clock.
+            evidence: what it says.
+            clock: which clock it rests on; another one than before has an error of its own.
+
+        Returns:
+            What was not foreseen of it; None for the first pair, and where the LEDs leave much
+            open.
+        """
+        if evidence.determined.shape[1] < 6 or not np.all(np.isfinite(evidence.xi)):
+            return None  # directions that the readings fill say nothing about the readings
+        if self._prior_width != evidence.prior.shape[1] or self._t is None:
+            self._begin(evidence)
+        before = (self._t, self._clock)
+        self._past.append(_FilterStep(t, evidence, clock, self._x, self._p.copy(), before))
+        residual, joints, by_noise, _ = self._update(t, evidence, clock)
+        self._learn_spread(by_noise)
+        return Innovation(residual, joints)
+
+    def suppose(self, joint: int, pairs: int, late: int = 0) -> tuple[float, float, float]:
+        """Suppose that a joint's reading changed some pairs ago, and see how well that explains.
+
+        Args:
+            joint: counted from 0.
+            pairs: to go through again.
+            late: of them, how many came before the change.
+
+        Returns:
+            -2 log likelihood of those pairs (but for a constant), the change's size and its
+            standard uncertainty, rad.
+        """
+        kept = (self._x, self._p, self._t, self._clock)
+        cost = self._again((joint,), self._last(pairs), late)
+        place = self._prior_width + 1 + joint
+        size, spread = float(self._x[place]), float(self._p[place, place])
+        before = self._last(pairs)[0].x[place]  # of a joint that was known to be off already
+        self._x, self._p, self._t, self._clock = kept
+        return cost, size - float(before), float(np.sqrt(spread))
+
+    def accept(self, joints: tuple[int, ...], pairs: int) -> None:
+        """Take joints for known to be at fault from now on: their errors are learned.
+
+        Args:
+            joints: counted from 0.
+            pairs: since the fault began; they are gone through again, lest rig and base take its
+                blame.
+        """
+        self._open.update(joints)
+        self._again(joints, self._last(pairs))
+        self._past.clear()
+        for _ in range(min(pairs, len(self._recent))):
+            self._recent.pop()  # a fault's pairs say nothing of the noise
+        self._renew_spread()
+
+    def _last(self, pairs: int) -> list[_FilterStep]:
+        return list(self._past)[-pairs:] if pairs else []
+
+    def _again(self, joints: tuple[int, ...], moments: list[_FilterStep], late: int = 0) -> float:
+        """Go through pairs again with some joints' errors open from one of them on."""
+        if moments:
+            self._x, self._p = moments[0].x, moments[0].p.copy()
+            self._t, self._clock = moments[0].before
+        opened = [self._prior_width + 1 + joint for joint in joints]
+        if not moments:
+            self._p[opened, opened] += U_FAULTY_JOINT**2
+        cost = 0.0
+        for number, moment in enumerate(moments):
+            if number == late:
+                self._p[opened, opened] += U_FAULTY_JOINT**2
+            residual, _, _, size = self._update(moment.t, moment.evidence, moment.clock)
+            cost += float(residual @ residual) + size
+        return cost
+
+    def _update(
+        self, t: float, evidence: Evidence, clock: object
+    ) -> tuple[Array, Array, Array, float]:
+        """Predict, compare, learn.
+
+        Returns:
+            The whitened news, the joints' columns likewise, the news by the noise alone, and the
+            logarithm of its covariance's determinant.
+        """
+        self._advance(t, evidence, clock)
+        design = np.concatenate(
+            [evidence.prior, evidence.clock[:, None], evidence.jacobian, POSE_DIRECTIONS], axis=1
+        )
+        lower = np.linalg.cholesky(evidence.noise)
+        noise = (lower * self._factors) @ lower.T
+        seen = design @ self._p
+        new = evidence.xi - design @ self._x
+        white = np.linalg.cholesky(seen @ design.T + noise)
+        whiten = np.linalg.inv(white)
+        residual: Array = whiten @ new
+        joints: Array = whiten @ evidence.jacobian
+        learned = whiten @ seen
+        self._x = self._x + residual @ learned
+        self._p = self._p - learned.T @ learned
+        by_noise = np.asarray(np.linalg.solve(lower, new), dtype=np.float64)
+        return residual, joints, by_noise, 2 * float(np.sum(np.log(np.diagonal(white))))
+
+    def reset(self) -> None:
+        """Forget what was learned: the robot's clock or place is another one now."""
+        self._t = None
+        self._recent.clear()
+        self._past.clear()
+        self._factors = _initial_inflation()
+
+    @property
+    def learned(self) -> Array:
+        """Errors of joints that an alarm has named, as they are now, (j,), rad; nan for others."""
+        errors = np.full(self._joints, np.nan)
+        if len(self._x):
+            named = sorted(self._open)
+            errors[named] = self._x[self._prior_width + 1 :][named]
+        return errors
+
+    @property
+    def inflation(self) -> float:
+        """By how much pairs that repeat each other widen a mean's variance, at most."""
+        return float(np.max(self._factors))
+
+    def _begin(self, evidence: Evidence) -> None:
+        self._prior_width = evidence.prior.shape[1]
+        size = self._prior_width + 1 + self._joints + 6
+        self._x = np.zeros(size)
+        self._p = np.zeros((size, size))
+        self._p[range(self._prior_width), range(self._prior_width)] = 1.0
+        self._open.clear()
+        self._past.clear()
+        self._clock, self._t = None, None
+
+    def _advance(self, t: float, evidence: Evidence, clock: object) -> None:
+        """Let time pass: what is stated wanders within its uncertainty, likewise the clock."""
+        place, width = self._prior_width, self._prior_width
+        elapsed = 0.0 if self._t is None else max(t - self._t, 0.0)
+        self._t = t
+        keep = math.exp(-elapsed / SYSTEMATIC_TIME)
+        factor = np.ones(len(self._x))
+        factor[:width] = keep
+        fading = math.exp(-elapsed / ALIGNMENT_TIME)
+        factor[-6:] = fading
+        if clock != self._clock:
+            factor[place] = 0.0
+            self._x[place] = 0.0
+        else:
+            factor[place] = math.exp(-elapsed / CLOCK_TIME)
+        self._clock = clock
+        self._x = factor * self._x
+        self._p = np.multiply.outer(factor, factor) * self._p
+        diagonal = np.einsum("ii->i", self._p)
+        diagonal[:width] += 1.0 - keep**2
+        self._p[-6:, -6:] += (1.0 - fading**2) * (evidence.alignment + MODEL_COVARIANCE)
+        diagonal[place] += (1.0 - factor[place] ** 2) * evidence.clock_uncertainty**2
+        for joint in self._open:
+            diagonal[place + 1 + joint] += FAULT_RANDOM_WALK**2 * elapsed
+
+    def _learn_spread(self, by_noise: Array) -> None:
+        """Measure how far the innovations exceed and repeat each other; every so many pairs."""
+        self._recent.append(by_noise)
+        self._count += 1
+        if self._count % RENEWAL_PERIOD == 0:
+            self._renew_spread()
+
+    def _renew_spread(self) -> None:
+        if len(self._recent) < MIN_INNOVATIONS:
+            return
+        rows = np.array(self._recent)
+        most = MAX_SIGMA * MAD_TO_SIGMA * np.median(np.abs(rows), axis=0)
+        rows = np.clip(rows, -most, most)
+        measured = autocorrelation(rows) * np.maximum(np.mean(rows**2, axis=0), 1.0)
+        self._factors = np.maximum(measured, 1.0)
+
+
+def _initial_inflation() -> Array:
+    return np.full(6, (1 + MAX_CORRELATION) / (1 - MAX_CORRELATION))

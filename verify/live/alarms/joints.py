@@ -1,0 +1,250 @@
+"""Joint errors that deserve a person's attention: a change, and a tolerance that is exceeded.
+
+CUSUM sums find a change of any size that stands out of the noise, with a stated rate of false
+alarms. Beside them stands the plain tolerance with a guard band, for errors that were there from
+the beginning or grew slowly.
+
+The plain tolerance, with a guard band for what the instrument itself leaves in doubt.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from verify.core.records import Array
+from verify.core.statistics import norm_isf
+from verify.live.alarms.change_detection import (
+    ChangeAttribution,
+    Cusum,
+    alarm_threshold,
+    attribute_change,
+)
+from verify.live.alarms.innovations import InnovationFilter
+from verify.live.joint_row import JointRow
+from verify.live.protocols import Alarm, format_error_deg
+
+AVERAGING_TIME = 0.5  # s of errors that the tolerance is held against: one pair alone is noise
+SETTLING_RATIO = 2  # of these times before the average is believed
+RESET_RATIO = 0.9  # of the tolerance: below it the alarm ends, so that it does not flutter
+
+
+class ToleranceWatch:
+    """Holds each joint's error, averaged over half a second, against its tolerance.
+
+    The guard band is z standard uncertainties, everything stated included; z is what leaves an
+    error that stands exactly at its tolerance no more false alarms than stated.
+    """
+
+    def __init__(
+        self,
+        tolerance: Array,
+        false_alarms_per_hour: float,
+        numbers: "itertools.count[int]",
+        rate: float,
+    ) -> None:
+        self._tolerance, self._numbers, self._rate = tolerance, numbers, rate
+        looks = 3600.0 / AVERAGING_TIME * len(tolerance)
+        self.guard = float(norm_isf(min(false_alarms_per_hour / looks, 0.05)))
+        self._standing: dict[int, Alarm] = {}
+        self._joints = len(tolerance)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the averages; alarms that stand stay until the error is seen to be back."""
+        self._mean = np.zeros(self._joints)
+        self._weight = np.zeros(self._joints)  # of a mean that began from nothing
+        self._random = np.zeros(self._joints)  # variance of the mean from what varies
+        self._systematic = np.zeros(self._joints)
+        self._t: float | None = None
+        self._seen = 0.0
+
+    def take(self, row: JointRow, inflation: float, now: float) -> list[Alarm]:
+        """Watch one row; alarms that are new or have ended."""
+        elapsed = 1 / self._rate if self._t is None else row.t - self._t
+        self._t = row.t
+        self._seen += elapsed
+        self._average(row, 1.0 - math.exp(-elapsed / AVERAGING_TIME), inflation)
+        if self._seen < SETTLING_RATIO * AVERAGING_TIME:
+            return []
+        mean = np.divide(
+            self._mean, self._weight, out=np.zeros(self._joints), where=self._weight > 0
+        )
+        known = self._weight > 0.5  # most of the average is of this joint
+        doubt = np.sqrt(self._random / np.maximum(self._weight, 1e-9) ** 2 + self._systematic)
+        alarms = []
+        for j in np.flatnonzero(known).tolist():
+            over = abs(mean[j]) - self.guard * doubt[j] > self._tolerance[j]
+            back = abs(mean[j]) < RESET_RATIO * self._tolerance[j]
+            if over and j not in self._standing:
+                self._standing[j] = self._raised(j, float(mean[j]), float(doubt[j]), row, now)
+                alarms.append(self._standing[j])
+            elif back and j in self._standing:
+                alarms.append(replace(self._standing.pop(j), ended=now))
+        return alarms
+
+    def _average(self, row: JointRow, share: float, inflation: float) -> None:
+        told = ~np.isnan(row.single) & ~np.isnan(row.uncertainty)
+        evidence = row.evidence
+        if evidence is None:
+            return
+        inverse = np.linalg.pinv(evidence.jacobian, rcond=1e-9)
+        spread = evidence.noise + evidence.alignment
+        random = np.einsum("ij,jk,ik->i", inverse, spread, inverse) * inflation
+        whole = np.where(told, np.nan_to_num(row.uncertainty) ** 2, 0.0)
+        systematic = np.maximum(whole - random / inflation, 0.0)
+        keep = 1.0 - share
+        self._mean = keep * self._mean + share * np.where(told, np.nan_to_num(row.single), 0.0)
+        self._weight = keep * self._weight + share * told
+        self._random = keep**2 * self._random + share**2 * np.where(told, random, 0.0)
+        self._systematic = np.where(told, systematic, self._systematic)
+
+    def _raised(self, j: int, mean: float, doubt: float, row: JointRow, now: float) -> Alarm:
+        text = (
+            f"Joint {j + 1} reads {format_error_deg(mean, doubt)} off, "
+            f"beyond its tolerance of {math.degrees(self._tolerance[j]):g}°."
+        )
+        return Alarm(next(self._numbers), "tolerance", now, row.t, text, (j + 1,), mean, doubt)
+
+
+LOSS_TIMEOUT = 1.0  # s without a measured pair
+MAX_ONSET_PAIRS = (
+    30  # pairs: the sum of a fault that was there from the beginning has left zero by then
+)
+REVIEW_PAIRS = (2, 5, 12, 30)  # pairs after an alarm, which may tell its rivals apart
+MAX_PAUSE = 2.0  # s without pairs after which sums and averages begin anew
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmLimits:
+    """When an alarm is raised."""
+
+    false_alarms_per_hour: float
+    rate: float  # pairs a second
+    tolerance: Array | None  # (j,), rad
+    lost_after: float = LOSS_TIMEOUT  # s
+
+
+class JointAlarms:
+    """Watches the joints' errors, pair by pair.
+
+    Args:
+        joints: how many.
+        limits: when to raise an alarm.
+        numbers: where alarms get their numbers from.
+    """
+
+    def __init__(self, joints: int, limits: AlarmLimits, numbers: "itertools.count[int]") -> None:
+        self._limits, self._numbers = limits, numbers
+        self._innovations = InnovationFilter(joints)
+        # half of the false alarms are the sums' to spend, half the tolerance's
+        share = limits.false_alarms_per_hour / (1 if limits.tolerance is None else 2)
+        self._cusum = Cusum(joints, alarm_threshold(share, limits.rate, joints))
+        self._joints = joints
+        self._told: ChangeAttribution | None = None
+        self._alarm: Alarm | None = None
+        self._from_start = False
+        self._followed = self._begun = 0
+        self._tolerance = (
+            None
+            if limits.tolerance is None
+            else ToleranceWatch(limits.tolerance, share, numbers, limits.rate)
+        )
+        self._last: float | None = None
+        self._segment: int | None = None
+
+    @property
+    def statistic(self) -> Array:
+        """Each joint's sum as a share of what raises an alarm, (j,)."""
+        share: Array = self._cusum.sums.max(axis=0) / self._cusum.limit
+        return share
+
+    def take(self, row: JointRow, now: float) -> list[Alarm]:
+        """Watch one row.
+
+        Args:
+            row: the pair's outcome.
+            now: s since the epoch.
+
+        Returns:
+            Alarms that are new, revised, or ended with it.
+        """
+        if row.evidence is None or row.clock is None:
+            return []
+        self._begin_anew_after_a_break(row)
+        alarms: list[Alarm] = []
+        clock = (row.clock.segment, row.clock.source, row.clock.version)
+        innovation = self._innovations.take(row.t, row.evidence, clock)
+        if innovation is not None:
+            self._cusum.take(innovation)
+            alarms += self._changes(row, now)
+        if self._tolerance is not None:
+            alarms += self._tolerance.take(row, self._innovations.inflation, now)
+        return alarms
+
+    def _changes(self, row: JointRow, now: float) -> list[Alarm]:
+        """A change that is new; once more when the pairs that follow tell more; then done."""
+        if self._told is None:
+            if not self._cusum.exceeded:
+                return []
+            self._from_start = self._cusum.count - self._cusum.begun < MAX_ONSET_PAIRS
+            self._begun = self._cusum.begun
+            return [self._tell(row, now)]
+        self._followed += 1
+        self._begun += 1
+        if self._followed not in REVIEW_PAIRS:
+            return []
+        before = self._told
+        alarm = self._tell(row, now)
+        last = self._followed == REVIEW_PAIRS[-1]
+        if last:
+            change = self._told
+            self._innovations.accept((change.joint, *change.rivals), change.pairs)
+            self._restart()
+        named_anew = alarm.joints != tuple(j + 1 for j in (before.joint, *before.rivals))
+        return [alarm] if last or named_anew else []
+
+    def _restart(self) -> None:
+        self._cusum.restart()
+        self._told, self._alarm = None, None
+        self._followed = self._begun = 0
+
+    def _tell(self, row: JointRow, now: float) -> Alarm:
+        self._told = attribute_change(self._innovations, self._joints, self._begun)
+        self._alarm = self._worded(self._told, row, now)
+        return self._alarm
+
+    def _begin_anew_after_a_break(self, row: JointRow) -> None:
+        segment = row.clock.segment if row.clock is not None else None
+        paused = self._last is not None and row.t - self._last > MAX_PAUSE
+        if paused or segment != self._segment:
+            self._restart()
+            if self._tolerance is not None:
+                self._tolerance.restart()
+        if segment != self._segment and self._segment is not None:
+            self._innovations.reset()
+        self._segment, self._last = segment, row.t
+
+    def _worded(self, change: ChangeAttribution, row: JointRow, now: float) -> Alarm:
+        joints = tuple(j + 1 for j in (change.joint, *change.rivals))
+        size = format_error_deg(change.size, change.standard_uncertainty)
+        if self._from_start:
+            text = f"Joint {joints[0]} reads {size} off what is seen, from the beginning"
+        else:
+            text = f"The reading of joint {joints[0]} has changed by {size} against what is seen"
+        if change.rivals:
+            others = " or ".join(str(j) for j in joints[1:])
+            text += f"; not told apart from joint {others}"
+        first = self._alarm
+        return Alarm(
+            number=next(self._numbers) if first is None else first.number,
+            kind="change",
+            began=now if first is None else first.began,
+            t=row.t,
+            text=text + ".",
+            joints=joints,
+            error=change.size,
+            standard_uncertainty=change.standard_uncertainty,
+            revised=first is not None,
+        )

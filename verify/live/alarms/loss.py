@@ -1,0 +1,95 @@
+"""Silence is an alarm too: what is not seen is never "no error"."""
+
+import itertools
+import math
+from collections import Counter
+from dataclasses import replace
+
+from verify.live.joint_row import JointRow
+from verify.live.protocols import Alarm
+
+
+class TargetWatch:
+    """Raises an alarm when no pair was measured for a while, and says why.
+
+    Args:
+        lost_after: s.
+        numbers: where alarms get their numbers from.
+    """
+
+    def __init__(self, lost_after: float, numbers: "itertools.count[int]") -> None:
+        self._after, self._numbers, self._seen = lost_after, numbers, math.inf
+        self._why: Counter[str] = Counter()
+        self._standing: Alarm | None = None
+
+    def begin(self, t: float) -> None:
+        """Begin to watch at t, s, host's monotonic clock."""
+        self._seen = t
+
+    def take(self, row: JointRow, t: float, now: float) -> list[Alarm]:
+        """Watch one row; t is the host's monotonic clock, now s since the epoch."""
+        if row.status != "measured":
+            self._why[row.status] += 1
+            return self.look(t, now)
+        self._seen = t
+        self._why.clear()
+        if self._standing is None:
+            return []
+        ended, self._standing = replace(self._standing, ended=now), None
+        return [ended]
+
+    def look(self, t: float, now: float) -> list[Alarm]:
+        """Look without a row: where no pairs come there is no target either."""
+        if self._standing is not None or t - self._seen <= self._after:
+            return []
+        why = STATUS_TEXTS.get(self._why.most_common(1)[0][0], "") if self._why else "no pairs come"
+        spent = f"{t - self._seen:.1f} s"
+        text = f"The robot has not been compared with its encoders for {spent}: {why}."
+        self._standing = Alarm(next(self._numbers), "target", now, t, text)
+        return [self._standing]
+
+
+STATUS_TEXTS = {
+    "too_few_leds": "too few LEDs are seen",
+    "ambiguous_leds": "it is not clear which LED is which",
+    "outlier": "no pose explains the spots that are seen",
+    "unaligned": "the two pictures cannot be brought to one instant",
+    "no_encoder": "no encoder reading comes",
+    "unreachable": "the arm can stand in none of the measured poses",
+}
+
+
+class DeviceWatch:
+    """Raises an alarm for each device that gives nothing for a while."""
+
+    def __init__(self, lost_after: float, numbers: "itertools.count[int]") -> None:
+        self._after, self._numbers, self._start = lost_after, numbers, math.inf
+        self._standing: dict[str, Alarm] = {}
+
+    def begin(self, t: float) -> None:
+        """Begin to watch at t, s, host's monotonic clock."""
+        self._start = t
+
+    def take(
+        self, device: str, age: float | None, sentence: str, t: float, now: float
+    ) -> list[Alarm]:
+        """Watch one device.
+
+        Args:
+            device: what the page and the log call it.
+            age: s since it last gave something; None before the first time.
+            sentence: what it says of itself.
+            t: s, host's monotonic clock.
+            now: s since the epoch.
+        """
+        silent = t - self._start if age is None else age
+        standing = self._standing.get(device)
+        if silent > self._after and standing is None:
+            text = f"Nothing has come from the {device} for {silent:.1f} s: {sentence}"
+            text += "" if text.endswith(".") else "."
+            alarm = Alarm(next(self._numbers), "device", now, t, text, device=device)
+            self._standing[device] = alarm
+            return [alarm]
+        if silent <= self._after and standing is not None:
+            return [replace(self._standing.pop(device), ended=now)]
+        return []

@@ -1,0 +1,261 @@
+"""How far the pictures of a calibration have come, and what is missing, in words.
+
+The pairs that were taken: how the board stood in them, and whether another one tells more.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.calibration.quality.advice import (
+    COLUMN_NAMES,
+    EDGES,
+    MAX_EDGE_GAP,
+    MIN_DEPTH_RATIO,
+    MIN_PAIRS,
+    MIN_TILT,
+    MIN_TILT_OTHER_SIDE,
+    ROW_NAMES,
+)
+from verify.calibration.quality.coverage import CELLS_ACROSS, REGIONS_PER_SIDE, BoardOrientation
+from verify.calibration.stereo.start import InitialLens, board_pose, start_lens
+from verify.core.fiducials import Board, BoardPair, BoardView
+from verify.core.records import Array
+
+MIN_PAIRS_FOR_LENS = 6  # pairs, from which a focal length is found; before, one is guessed
+DEFAULT_FOCAL_RATIO = 0.8  # of the longer image side: a field of 64°, as webcams have
+
+# One of these and the pair tells something new.
+MIN_TILT_CHANGE = np.deg2rad(10.0)  # between the boards' normals
+MIN_ROLL_CHANGE = np.deg2rad(20.0)  # in the board's own plane
+MIN_DISTANCE_RATIO = 1.15  # ratio of distances
+MIN_SHIFT_RATIO = 0.12  # of the image's width, of the board's middle
+MIN_PAN_CHANGE = np.deg2rad(1.5)
+
+
+@dataclass(frozen=True, slots=True)
+class BoardPlacement:
+    """How a board stood before one camera."""
+
+    stance: BoardOrientation  # in the camera's own frame
+    middle: Array  # (2,), share of the image's width and height
+
+    @property
+    def roll(self) -> float:
+        """Angle of the board's x in the image, rad."""
+        x = self.stance.view_T_board[:3, 0]
+        return float(np.arctan2(x[1], x[0]))
+
+
+class CapturedPairs:
+    """What was taken so far.
+
+    Args:
+        board: the pattern.
+        image_size: width and height, px.
+    """
+
+    def __init__(self, board: Board, image_size: tuple[int, int]) -> None:
+        self.board, self.image_size = board, image_size
+        self.pairs: list[BoardPair] = []
+        guess = InitialLens(_default_camera_matrix(image_size), np.zeros(5), {})
+        self._lenses = (guess, guess)
+        self._standings: list[tuple[BoardPlacement, BoardPlacement]] = []
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self.pairs)
+
+    def add(self, pair: BoardPair) -> None:
+        """Take a pair in which both cameras see the board."""
+        self.pairs.append(pair)
+        if len(self.pairs) >= MIN_PAIRS_FOR_LENS:
+            self._lenses = (self._lens(0), self._lens(1))
+            self._standings = [self.standings(p) for p in self.pairs]
+        else:
+            self._standings.append(self.standings(pair))
+
+    def standings(self, pair: BoardPair) -> tuple[BoardPlacement, BoardPlacement]:
+        """Place a board that both cameras see, as well as they are known by now."""
+        left, right = _views(pair)
+        return self._standing(pair.frame, left, 0), self._standing(pair.frame, right, 1)
+
+    def of_camera(self, side: int) -> list[BoardPlacement]:
+        """How the boards stood before the left (0) or right (1) camera."""
+        return [standing[side] for standing in self._standings]
+
+    def alike(self, pair: BoardPair) -> int | None:
+        """Name the taken pair that this one would only repeat; None: it tells something new."""
+        now = self.standings(pair)
+        for other, before in zip(self.pairs, self._standings, strict=True):
+            turned = max(abs(pair.pan_left - other.pan_left), abs(pair.pan_right - other.pan_right))
+            if turned < MIN_PAN_CHANGE and not any(map(_placements_differ, now, before)):
+                return other.frame
+        return None
+
+    def _standing(self, frame: int, view: BoardView, side: int) -> BoardPlacement:
+        lens = self._lenses[side]
+        pose = board_pose(view, self.board, lens.matrix, lens.distortion)
+        points = self.board.points
+        middle = pose @ np.append((points[0] + points[-1]) / 2, 1.0)
+        normal = pose[:3, 2]  # as Stance has it: (0, 0, 1) where the board faces the camera
+        stance = BoardOrientation(
+            frame=frame,
+            view_T_board=pose,
+            distance=float(middle[2]),
+            about_horizontal=float(np.arctan2(-normal[1], normal[2])),
+            about_vertical=float(np.arctan2(normal[0], normal[2])),
+        )
+        seen = lens.matrix @ (middle[:3] / middle[2])
+        return BoardPlacement(stance, seen[:2] / np.asarray(self.image_size))
+
+    def _lens(self, side: int) -> InitialLens:
+        views = {i: _views(pair)[side] for i, pair in enumerate(self.pairs)}
+        return start_lens(views, self.board, self.image_size)
+
+
+def _default_camera_matrix(image_size: tuple[int, int]) -> Array:
+    focal, (width, height) = DEFAULT_FOCAL_RATIO * max(image_size), image_size
+    return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
+
+
+def _views(pair: BoardPair) -> tuple[BoardView, BoardView]:
+    assert pair.left is not None
+    assert pair.right is not None
+    return pair.left, pair.right
+
+
+def _placements_differ(one: BoardPlacement, other: BoardPlacement) -> bool:
+    """Whether a camera sees the board elsewhere, nearer, or turned otherwise."""
+    cosine = float(one.stance.view_T_board[:3, 2] @ other.stance.view_T_board[:3, 2])
+    rolled = abs(np.angle(np.exp(1j * (one.roll - other.roll))))
+    ratio = one.stance.distance / other.stance.distance
+    return bool(
+        np.arccos(np.clip(cosine, -1.0, 1.0)) > MIN_TILT_CHANGE
+        or rolled > MIN_ROLL_CHANGE
+        or max(ratio, 1 / ratio) > MIN_DISTANCE_RATIO
+        or abs(one.middle - other.middle).max() > MIN_SHIFT_RATIO
+    )
+
+
+SIDES = ("left", "right")
+MIN_CORNERS_IN_REGION = 10  # corners
+MIN_PAN_ANGLES = 3  # of each base that turns
+
+
+@dataclass(frozen=True, slots=True)
+class BoardGoal:
+    """Something that the pictures must have."""
+
+    name: str
+    reached: bool
+    words: str  # how far it is, or what to do
+
+
+@dataclass(frozen=True, slots=True)
+class CameraCoverage:
+    """What one camera's pictures have covered."""
+
+    cells: Array  # (rows, columns), corners seen, over a grid of square cells
+    regions: Array  # (3, 3), likewise, upper left first
+    margins: Array  # (4,), share left, above, right and below all corners
+    standings: tuple[BoardPlacement, ...]
+
+
+def coverage(taken: CapturedPairs, side: int) -> CameraCoverage:
+    """Count what the left (0) or right (1) camera has seen."""
+    width, height = taken.image_size
+    views = [(pair.left, pair.right)[side] for pair in taken.pairs]
+    seen = np.concatenate([v.centre for v in views if v is not None] or [np.empty((0, 2))])
+    down = max(round(CELLS_ACROSS * height / width), 1)
+    margins = np.ones(4)
+    if len(seen):
+        low, high = (f(axis=0) + 0.5 for f in (seen.min, seen.max))
+        margins = np.concatenate([low / [width, height], 1 - high / [width, height]])
+    return CameraCoverage(
+        _count_corners(seen, (width, height), (CELLS_ACROSS, down)),
+        _count_corners(seen, (width, height), (REGIONS_PER_SIDE, REGIONS_PER_SIDE)),
+        margins,
+        tuple(taken.of_camera(side)),
+    )
+
+
+def goals(
+    taken: CapturedPairs, covered: Sequence[CameraCoverage], *, turning: bool
+) -> tuple[BoardGoal, ...]:
+    """Say what the pictures must have and how far they are, most needed first.
+
+    The limits are those by which the report judges (`quality_advice`).
+
+    Args:
+        taken: the pairs.
+        covered: of both cameras.
+        turning: the bases are turned: their angles must be varied too.
+    """
+    wanted = 2 * MIN_PAIRS
+    count = BoardGoal("pairs", len(taken) >= wanted, f"{len(taken)} of {wanted}")
+    images = [_image_goal(side, c) for side, c in zip(SIDES, covered, strict=True)]
+    stances = [s.stance for s in covered[0].standings]
+    return (
+        *images,
+        _tilt_goal("horizontal", [s.about_horizontal for s in stances], ("upper", "lower")),
+        _tilt_goal("vertical", [s.about_vertical for s in stances], ("right", "left")),
+        _distance_goal([s.distance for s in stances]),
+        *(_pan_goals(taken) if turning else ()),
+        count,
+    )
+
+
+def _count_corners(seen: Array, size: tuple[int, int], cells: tuple[int, int]) -> Array:
+    edges = [np.linspace(-0.5, extent - 0.5, n + 1) for extent, n in zip(size, cells, strict=True)]
+    counts: Array = np.histogram2d(seen[:, 1], seen[:, 0], bins=(edges[1], edges[0]))[0]
+    return counts
+
+
+def _image_goal(side: str, covered: CameraCoverage) -> BoardGoal:
+    name = f"{side} image"
+    bare = np.argwhere(covered.regions < MIN_CORNERS_IN_REGION).tolist()
+    if bare:
+        row, column = bare[0]
+        where = f"{ROW_NAMES[row]} {COLUMN_NAMES[column]}".replace("middle middle", "middle")
+        done = REGIONS_PER_SIDE * REGIONS_PER_SIDE - len(bare)
+        words = (
+            f"{done} of {REGIONS_PER_SIDE * REGIONS_PER_SIDE} parts; hold the board in the {where}"
+        )
+        return BoardGoal(name, False, words)
+    far = int(np.argmax(covered.margins))
+    if covered.margins[far] > MAX_EDGE_GAP:
+        return BoardGoal(name, False, f"bring the board nearer to the {EDGES[far]} edge")
+    return BoardGoal(name, True, "covered up to its edges")
+
+
+def _tilt_goal(axis: str, angles: Sequence[float], edges: tuple[str, str]) -> BoardGoal:
+    """Judge the tilts about one axis; a positive one brings the first edge nearer."""
+    name = f"tilt, {edges[0]} and {edges[1]}"
+    most = [max((sign * a for a in angles), default=0.0) for sign in (1, -1)]
+    reached = max(most) >= MIN_TILT and min(most) >= MIN_TILT_OTHER_SIDE
+    if reached:
+        return BoardGoal(name, True, f"up to {np.rad2deg(max(most)):.0f}° about the {axis} axis")
+    edge = edges[int(most[1] < most[0])]
+    return BoardGoal(name, False, f"tilt the board by 30° to 45°, its {edge} edge nearer")
+
+
+def _distance_goal(distances: Sequence[float]) -> BoardGoal:
+    if not distances:
+        return BoardGoal("distance", False, "hold the board near, then far")
+    near, far = min(distances), max(distances)
+    if far >= MIN_DEPTH_RATIO * near:
+        return BoardGoal("distance", True, f"{near:.2f} m to {far:.2f} m")
+    words = f"at {far / MIN_DEPTH_RATIO:.2f} m or nearer, or at {near * MIN_DEPTH_RATIO:.2f} m or farther"
+    return BoardGoal("distance", False, f"hold the board {words}")
+
+
+def _pan_goals(taken: CapturedPairs) -> Iterator[BoardGoal]:
+    for side, name in enumerate(SIDES):
+        angles = [(pair.pan_left, pair.pan_right)[side] for pair in taken.pairs]
+        places = len(np.unique(np.round(np.rad2deg(angles)))) if angles else 0
+        words = f"{places} of {MIN_PAN_ANGLES} angles; turn it"
+        if places >= MIN_PAN_ANGLES:
+            words = f"{places} angles"
+        yield BoardGoal(f"{name} base", places >= MIN_PAN_ANGLES, words)

@@ -1,0 +1,246 @@
+"""What is known right now while board pictures are taken, for whoever looks.
+
+Taking board pictures in a terminal: what is missing, and what becomes of the board in view.
+
+What the taking of board pictures has to show, units at the door: degrees, metres, pixels.
+"""
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.live import Live as Display
+from rich.table import Table
+from rich.text import Text
+
+from verify.core.fiducials import Board, BoardView
+from verify.core.records import Image
+from verify.errors import one_line
+from verify.live.boards.goals import BoardGoal, BoardPlacement, CameraCoverage
+from verify.live.boards.view import MAX_MOTION_PX
+from verify.live.page.scene import small_jpeg
+from verify.live.state import DeviceStatus
+
+SEARCHING = "searching"  # nothing to take
+REPEATED = "alike"  # it would repeat a pair; by hand it can be taken
+MOVING = "moving"  # likewise
+READY = "ready"  # taken by itself
+
+
+@dataclass(frozen=True, slots=True)
+class BoardDetection:
+    """The newest pair and what was found in it."""
+
+    number: int
+    images: tuple[Image, Image]
+    views: tuple[BoardView | None, BoardView | None]
+
+
+@dataclass(frozen=True, slots=True)
+class BoardSnapshot:
+    """Everything that there is to say, at one moment."""
+
+    pairs: int = 0
+    status: str = SEARCHING
+    words: str = "waiting for the cameras"
+    motion: float | None = None  # px
+    last: str = ""  # what became of the last pair that was taken or asked for
+    goals: tuple[BoardGoal, ...] = ()
+    coverage: tuple[CameraCoverage, ...] = ()  # left, right
+    standings: tuple[
+        BoardPlacement, ...
+    ] = ()  # of the board now: left, right; empty where not seen
+    devices: tuple[DeviceStatus, ...] = ()
+    finished: bool = False
+    look: BoardDetection | None = None
+
+
+@dataclass
+class BoardState:
+    """Shared between the loop, which writes, and lookers-on, who read."""
+
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _now: BoardSnapshot = BoardSnapshot()
+
+    def change(self, **news: object) -> None:
+        """Take what is new: fields of `BoardSnapshot`."""
+        with self._lock:
+            self._now = replace(self._now, **news)  # type: ignore[arg-type]  # its own fields
+
+    def snapshot(self) -> BoardSnapshot:
+        """Say everything."""
+        with self._lock:
+            return self._now
+
+
+REFRESH_PERIOD = 0.25  # s: quicker cannot be read
+SHADES = " ░▒▓█"  # of a cell with no corner, with some, with many
+MANY_CORNERS = 12  # corners in a cell
+STYLES = {READY: "bold green", MOVING: "yellow"}
+
+
+class BoardDisplay:
+    """Shows a state; used as a context.
+
+    Args:
+        console: to draw on.
+        help_: what the keys do.
+    """
+
+    def __init__(self, console: Console, help_: str) -> None:
+        self._display = Display(console=console, auto_refresh=False, transient=False)
+        self._help, self._due = help_, 0.0
+
+    def __enter__(self) -> "BoardDisplay":
+        self._display.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._display.stop()
+
+    def look(self, state: BoardState) -> None:
+        """Draw again, if it is time."""
+        now = time.monotonic()
+        snapshot = state.snapshot()
+        if now >= self._due or snapshot.finished:
+            self._due = now + REFRESH_PERIOD
+            self._display.update(render_snapshot(snapshot, self._help), refresh=True)
+
+
+def render_snapshot(now: BoardSnapshot, help_: str) -> RenderableType:
+    """Lay a snapshot out."""
+    goals = Table(box=None, show_header=False, pad_edge=False)
+    for goal in now.goals:
+        mark = Text("●", style="green") if goal.reached else Text("○", style="yellow")
+        goals.add_row(mark, goal.name, Text(goal.words, style="dim" if goal.reached else ""))
+    devices = Table(box=None, show_header=False, pad_edge=False)
+    for line in now.devices:
+        mark = Text("●", style="green") if line.well else Text("▲", style="bold red")
+        devices.add_row(mark, line.name, Text(one_line(line.sentence), style="dim"))
+    told = Text(now.words, style=STYLES.get(now.status, "cyan"))
+    last = Text(now.last, style="dim")
+    return Group(_coverage_maps(now.coverage), goals, devices, last, told, Text(help_, style="dim"))
+
+
+def _coverage_maps(covered: tuple[CameraCoverage, ...]) -> RenderableType:
+    """Both images, a sign for each cell."""
+    table = Table(box=None, pad_edge=False)
+    for name in ("left", "right"):
+        table.add_column(name)
+    table.add_row(*(_coverage_map(c) for c in covered))
+    return table
+
+
+def _coverage_map(covered: CameraCoverage) -> Text:
+    last = len(SHADES) - 1
+    lines = [
+        "".join(2 * SHADES[min(-(-int(n) * last // MANY_CORNERS), last)] for n in row)
+        for row in covered.cells
+    ]
+    return Text("\n".join(lines), style="green on grey23")
+
+
+MAX_TEXT_LENGTH = 2000  # characters of a description
+
+
+class BoardPageSource:
+    """Reads a state; nothing waits for it.
+
+    Args:
+        state: of the taking.
+        board: the pattern.
+        description: what else the page says on top.
+    """
+
+    def __init__(self, state: BoardState, board: Board, description: str) -> None:
+        self._state, self._board, self._description = state, board, description
+        self._shown = 0
+        self._told: dict[str, Any] = {}
+
+    def hello(self) -> dict[str, Any]:
+        """What never changes."""
+        board = self._board
+        pattern = f"{board.columns} x {board.rows} inner corners of {board.square * 1e3:g} mm"
+        return {
+            "mode": "calibrate",
+            "title": "Calibration",
+            "description": f"{self._description[:MAX_TEXT_LENGTH]}: {pattern}",
+            "still_px": MAX_MOTION_PX,
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """How the board stands now, if that is news."""
+        now = self._state.snapshot()
+        row = {
+            "status": now.status,
+            "words": now.words,
+            "motion_px": None if now.motion is None else round(float(now.motion), 2),
+            "pairs": now.pairs,
+            "last": now.last,
+            "now": [_standing(s) for s in now.standings],
+            "finished": now.finished,
+        }
+        news = [] if row == self._told else [row]
+        self._told = row
+        return news
+
+    def state(self) -> dict[str, Any]:
+        """What was covered, and what is missing."""
+        now = self._state.snapshot()
+        return {
+            "goals": [
+                {"name": goal.name, "reached": goal.reached, "words": goal.words}
+                for goal in now.goals
+            ],
+            "coverage": [_coverage(c) for c in now.coverage],
+            "devices": [
+                {"name": line.name, "well": line.well, "sentence": line.sentence}
+                for line in now.devices
+            ],
+        }
+
+    def alarms(self) -> Sequence[dict[str, Any]]:
+        """There are none."""
+        return ()
+
+    def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
+        """The newest pair, if it was not given yet."""
+        look = self._state.snapshot().look
+        if look is None or look.number == self._shown:
+            return ()
+        self._shown = look.number
+        return [
+            (side, _view_fields(image, view), small_jpeg(image))
+            for side, (image, view) in enumerate(zip(look.images, look.views, strict=True))
+        ]
+
+    def metrics(self) -> str:
+        """How many pairs there are, for Prometheus."""
+        pairs = self._state.snapshot().pairs
+        return f"# TYPE verify_board_pairs gauge\nverify_board_pairs {pairs}\n"
+
+
+def _view_fields(image: Image, view: BoardView | None) -> dict[str, Any]:
+    height, width = image.shape[:2]
+    corners = [] if view is None else np.round(view.centre, 1).tolist()
+    return {"width": width, "height": height, "corners": corners}
+
+
+def _coverage(covered: CameraCoverage) -> dict[str, Any]:
+    return {
+        "cells": covered.cells.astype(int).tolist(),
+        "standings": [_standing(s) for s in covered.standings],
+    }
+
+
+def _standing(standing: BoardPlacement) -> dict[str, float]:
+    stance = standing.stance
+    return {
+        "about_horizontal_deg": round(float(np.rad2deg(stance.about_horizontal)), 1),
+        "about_vertical_deg": round(float(np.rad2deg(stance.about_vertical)), 1),
+        "distance_m": round(stance.distance, 3),
+    }

@@ -1,0 +1,122 @@
+"""A board found quickly: good to half a pixel, several times a second.
+
+Is the board held still? By how far its corners move in both pictures over a while.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from functools import reduce
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.calibration.corners.find import draw_charuco_board, is_degenerate, to_grey
+from verify.calibration.corners.grid import orient_grid
+from verify.calibration.corners.search import to_8_bits, undo_scale
+from verify.core.fiducials import Board, BoardView
+from verify.core.records import Array, Image
+
+MAX_SIDE_PX = 640  # px of the longer side: larger pictures are looked at in a smaller scale
+U_CORNER_PX = 0.5  # px, standard uncertainty of a corner in each direction, in pictures of 1280 px
+MIN_CORNERS = 6  # corners
+
+
+def find_board_coarsely(image: Image, board: Board) -> BoardView | None:
+    """Find a board, quickly; `find_board` measures it.
+
+    Args:
+        image: (h, w) grey or (h, w, 3) BGR.
+        board: the pattern.
+
+    Returns:
+        Its corners, rough; None where it is not found at once, which is no proof that it is not
+        there.
+    """
+    grey = to_grey(image)
+    scale = min(MAX_SIDE_PX / max(grey.shape), 1.0)
+    small = to_8_bits(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    corner, found = (
+        _charuco_corners(small, board)
+        if board.markers is not None
+        else _checkerboard_corners(small, board)
+    )
+    if len(corner) < MIN_CORNERS or is_degenerate(board.points[corner, :2]):
+        return None
+    covariance = np.tile(U_CORNER_PX**2 * np.eye(2), (len(corner), 1, 1))
+    return BoardView(corner, undo_scale(found, scale), covariance)
+
+
+def _checkerboard_corners(small: Image, board: Board) -> tuple[NDArray[np.int64], Array]:
+    counts = (board.columns, board.rows)
+    found, corners = cv2.findChessboardCornersSB(small, counts)
+    if found:
+        grid = np.asarray(corners, dtype=float).reshape(board.rows, board.columns, 2)
+        placed = orient_grid(small, grid, board.columns, board.rows)
+        if placed is not None:
+            return np.arange(len(board)), placed
+    return np.empty(0, dtype=np.int64), np.empty((0, 2))
+
+
+def _charuco_corners(small: Image, board: Board) -> tuple[NDArray[np.int64], Array]:
+    corners, identity, _, _ = cv2.aruco.CharucoDetector(draw_charuco_board(board)).detectBoard(
+        small
+    )
+    if identity is None:
+        return np.empty(0, dtype=np.int64), np.empty((0, 2))
+    order = np.argsort(identity.ravel())
+    places = np.asarray(corners, dtype=float).reshape(-1, 2)[order]
+    return identity.ravel()[order].astype(np.int64), places
+
+
+MAX_MOTION_PX = (
+    0.3  # rms over the corners, about their means; a glimpse's own noise is half at most
+)
+STILL_TIME = 0.6  # s
+MIN_PICTURES = 4  # at least, within it
+
+
+class StillnessDetector:
+    """Watches a board in both pictures.
+
+    Two cameras that run freely take their pictures up to half a period apart. A steady drift that
+    passes is 1 px/s at most: 0.02 px in the 17 ms of two cameras at 30 Hz.
+    """
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, BoardView, BoardView]] = deque()
+
+    def add(self, t: float, left: BoardView | None, right: BoardView | None) -> None:
+        """Take what was seen at t, s; a picture without a board begins anew."""
+        if left is None or right is None:
+            self._seen.clear()
+            return
+        self._seen.append((t, left, right))
+        while len(self._seen) > MIN_PICTURES and self._seen[1][0] <= t - STILL_TIME:
+            self._seen.popleft()
+
+    @property
+    def motion(self) -> float | None:
+        """How far the corners move, px: the most of both cameras; None where nothing tells yet."""
+        if len(self._seen) < 2:
+            return None
+        _, left, right = zip(*self._seen, strict=True)
+        return max(_corner_motion(left), _corner_motion(right))
+
+    @property
+    def still(self) -> bool:
+        """Whether they have hardly moved for long enough."""
+        if len(self._seen) < MIN_PICTURES or self._seen[-1][0] - self._seen[0][0] < STILL_TIME:
+            return False
+        motion = self.motion
+        return motion is not None and motion < MAX_MOTION_PX
+
+
+def _corner_motion(views: Sequence[BoardView]) -> float:
+    """The farthest that corners, rms over all, stray from their mean places, px."""
+    common = reduce(np.intersect1d, [view.corner for view in views])
+    if not len(common):
+        return float("inf")
+    places = np.stack([view.centre[np.isin(view.corner, common)] for view in views])
+    astray = np.sum((places - places.mean(axis=0)) ** 2, axis=2)
+    return float(np.sqrt(astray.mean(axis=1).max()))

@@ -1,0 +1,142 @@
+"""From measured pair to joint error: wait for the reading that brackets it, and compare."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from verify.core.records import Array, Measurement
+from verify.live.buffers import ReadingBuffer
+from verify.live.clock import ClockKeeper, LiveClock
+from verify.live.joint_row import Comparer, JointRow
+from verify.live.protocols import MonitoredRobot
+
+MIN_READING_TIMEOUT = 0.1  # s for the bracketing reading; and of slow encoders
+TIMEOUT_PERIODS = 3.0  # of their periods
+MAX_PAIRS_TOGETHER = 4  # pairs that are compared at once, where one reading brackets several
+MAX_QUEUED = 4  # pairs that wait already: then no one waits for readings any more
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredPair:
+    """A measured pair on its way to be compared."""
+
+    measurement: Measurement
+    arrived: float  # s, host's monotonic clock, when its later picture was in hand
+    doubt: float  # s, half-width within which it was taken
+    measured: float  # s, host's monotonic clock
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedRow:
+    """A row, and when what it rests on was there."""
+
+    row: JointRow
+    since: float  # s, host's monotonic clock: the later of picture and bracketing reading
+    taken: MeasuredPair
+
+
+@dataclass(frozen=True, slots=True)
+class BracketedPair:
+    """A measured pair whose reading is there, or has not come in time."""
+
+    taken: MeasuredPair
+    clock: LiveClock | None  # None: no reading has ever come
+    since: float  # s, host's monotonic clock: the later of picture and bracketing reading
+
+
+def _no_work(_frame: int) -> None:
+    """Do nothing meanwhile."""
+
+
+class Bracketing:
+    """Compares measured pairs in order.
+
+    Args:
+        subject: the robot.
+        book: its readings.
+        keeper: its clock.
+        turning: the bases turn.
+    """
+
+    def __init__(
+        self, subject: MonitoredRobot, book: ReadingBuffer, keeper: ClockKeeper, *, turning: bool
+    ) -> None:
+        self._subject, self._book, self._keeper = subject, book, keeper
+        self._turning = turning
+        self._comparer = Comparer(
+            subject.arm, subject.rig, subject.marker, subject.resolution, turning=turning
+        )
+
+    def wait(
+        self, taken: MeasuredPair, queued: int, meanwhile: Callable[[int], None] = _no_work
+    ) -> BracketedPair:
+        """Wait for the reading that brackets a pair.
+
+        Args:
+            taken: the pair.
+            queued: how many wait behind it.
+            meanwhile: called before a wait, with the pair's number: nothing is urgent.
+        """
+        now = self.at_once(taken)
+        if now is not None:
+            return now
+        meanwhile(taken.measurement.frame)
+        there, clock = self._placed(taken)
+        if clock is None:
+            return BracketedPair(taken, None, taken.arrived)
+        patience = 0.0 if queued >= MAX_QUEUED else self._patience()
+        reading = self._book.wait_past(there, time.monotonic() + patience)
+        since = taken.arrived if reading is None else max(taken.arrived, reading.t_host)
+        return BracketedPair(taken, clock, since)
+
+    def at_once(self, taken: MeasuredPair) -> BracketedPair | None:
+        """Give a pair that needs no wait; None for another."""
+        there, clock = self._placed(taken)
+        if clock is None or taken.measurement.status != "measured":
+            return BracketedPair(taken, clock, taken.arrived)
+        reading = self._book.wait_past(there, 0.0)
+        if reading is None:
+            return None
+        return BracketedPair(taken, clock, max(taken.arrived, reading.t_host))
+
+    def compare(self, pairs: Sequence[BracketedPair]) -> list[ComparedRow]:
+        """Compare pairs, each by itself, in their order."""
+        timed = [(p.taken.measurement, p.clock) for p in pairs if p.clock is not None]
+        rows = iter(self._rows(timed))
+        return [
+            ComparedRow(
+                self._comparer.without(p.taken.measurement) if p.clock is None else next(rows),
+                p.since,
+                p.taken,
+            )
+            for p in pairs
+        ]
+
+    def _rows(self, timed: list[tuple[Measurement, LiveClock]]) -> list[JointRow]:
+        if not timed:
+            return []
+        there = [m.t - c.offset for m, c in timed]
+        return self._comparer.rows(timed, self._book.about(min(there)), self._time_doubts(there))
+
+    def _time_doubts(self, there: list[float]) -> Array:
+        """How well the readings' times are known (n,), s: stated, else as the driver says."""
+        stated = self._subject.time_uncertainty
+        if stated is not None:
+            return np.full(len(there), stated)
+        return np.round([self._book.half_width_about(t) / 3**0.5 for t in there], 6)
+
+    def _placed(self, taken: MeasuredPair) -> tuple[float, LiveClock | None]:
+        """Where a pair stands on the readings' clock, s, and that clock; None before a reading."""
+        measurement = taken.measurement
+        clock = self._keeper.at(measurement.t, taken.doubt)
+        return (0.0, None) if clock is None else (measurement.t - clock.offset, clock)
+
+    def _patience(self) -> float:
+        period = self._book.period()
+        return (
+            MIN_READING_TIMEOUT
+            if period is None
+            else max(MIN_READING_TIMEOUT, TIMEOUT_PERIODS * period)
+        )

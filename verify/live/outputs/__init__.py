@@ -1,0 +1,1 @@
+"""JSON lines, commands, MQTT, terminal, Prometheus."""

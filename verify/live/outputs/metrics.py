@@ -1,0 +1,128 @@
+"""The state of a run as text for Prometheus.
+
+Source: Prometheus, "Exposition formats", text version 0.0.4.
+
+Metrics at an address of their own, for Prometheus where no page is wanted.
+"""
+
+import math
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from verify.errors import InputError
+from verify.live.state import LiveState
+
+Labels = Mapping[str, str]
+
+
+def exposition(state: LiveState) -> str:
+    """Word the state, a family of samples at a time."""
+    now = state.snapshot()
+    text = [
+        _family("verify_pairs_total", "counter", "Pairs by what became of them.",
+                [({"status": s}, n) for s, n in sorted(state.statuses().items())]),
+        _family("verify_dropped_total", "counter", "Pictures and pairs that were not measured.",
+                [({"reason": r}, n) for r, n in sorted(now.dropped.items())]),
+        _family("verify_pair_rate_hertz", "gauge", "Pairs a second.", [({}, now.rate)]),
+        _family("verify_latency_seconds", "gauge", "From evidence to joint error.",
+                [({"quantile": q}, value) for q, value in
+                 (("0.5", now.latency.p50), ("0.99", now.latency.p99)) if value is not None]),
+        _family("verify_device_up", "gauge", "1 where a device gives something.",
+                [({"device": line.name}, int(line.well)) for line in now.devices]),
+        _family("verify_alarms_total", "counter", "Alarms so far, by kind.",
+                [({"kind": k}, n) for k, n in sorted(now.alarm_counts.items())]),
+        _family("verify_alarms_standing", "gauge", "Alarms that stand.",
+                [({}, sum(a.ended is None and a.kind != "change" for a in now.alarms))]),
+    ]  # fmt: skip
+    row = now.row
+    if row is not None:
+        joints = [{"joint": str(j + 1)} for j in range(len(row.error))]
+        for name, said, values in (
+            ("verify_joint_error_degrees", "Reading less measured angle.", row.error),
+            ("verify_joint_error_standard_uncertainty_degrees", "1σ.", row.uncertainty),
+        ):
+            degrees = [math.degrees(v) for v in values.tolist()]
+            told = [(j, v) for j, v in zip(joints, degrees, strict=True) if math.isfinite(v)]
+            text.append(_family(name, "gauge", said, told))
+        if row.clock is not None:
+            text.append(
+                _family("verify_clock_offset_seconds", "gauge", "Added to the readings' time.",
+                        [({"source": row.clock.source}, row.clock.offset)])
+            )  # fmt: skip
+    return "".join(text)
+
+
+def _family(name: str, kind: str, said: str, samples: Iterable[tuple[Labels, float]]) -> str:
+    lines = [f"# HELP {name} {said}", f"# TYPE {name} {kind}"]
+    for labels, value in samples:
+        pairs = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
+        lines.append(f"{name}{'{' + pairs + '}' if pairs else ''} {value:.9g}")
+    return "\n".join(lines) + "\n"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+
+
+REQUEST_TIMEOUT = 5.0  # s for a request; who says nothing is let go
+
+
+class MetricsServer:
+    """Answers GET /metrics, and nothing else.
+
+    Args:
+        address: HOST:PORT, of this computer.
+        text: makes the answer.
+
+    Raises:
+        InputError: no such address, or it is taken.
+    """
+
+    def __init__(self, address: str, text: Callable[[], str]) -> None:
+        host, _, port = address.rpartition(":")
+        if not host or not port.isdecimal():
+            expected = "HOST:PORT is expected"
+            raise InputError("alarm.prometheus", f'is "{address}"', expected, "Mend it.")
+        try:
+            self._server = ThreadingHTTPServer((host.strip("[]"), int(port)), _handler(text))
+        except (OSError, OverflowError) as error:
+            remedy = "Choose another port."
+            found = f"cannot be served: {error}"
+            raise InputError(f"alarm.prometheus, {address}", found, "", remedy) from error
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, name="metrics", daemon=True
+        )
+        self._thread.start()
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self._server.server_address[1])
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def _handler(text: Callable[[], str]) -> type[BaseHTTPRequestHandler]:
+    class Handler(BaseHTTPRequestHandler):
+        timeout = REQUEST_TIMEOUT
+
+        def do_GET(self) -> None:
+            """Give the metrics; no script of a web page may read them."""
+            foreign = self.headers.get("Origin") is not None
+            status = 403 if foreign else 200 if self.path == "/metrics" else 404
+            body = text().encode() if status == 200 else b""
+            self.send_response(status)
+            self.send_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+            """Say nothing: the terminal is the run's."""
+
+    return Handler

@@ -1,0 +1,103 @@
+"""Who may look: this computer alone, or whoever holds the token. No other site's scripts.
+
+A page of another origin that the same browser shows can send requests here, also under a name that
+it makes point here (DNS rebinding). It cannot choose the headers Host and Origin: both are checked.
+"""
+
+import hmac
+import ipaddress
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from verify.errors import InputError
+
+COOKIE = "verify_token"
+DEFAULT_PORT = 8646
+LOOPBACK = "127.0.0.1"
+MIN_TOKEN_LENGTH = 16  # characters: what nobody guesses over a network
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PageAccess:
+    """Where the page is served, and what a request must show."""
+
+    address: str
+    port: int
+    token: str | None  # None: this computer alone
+
+    def refusal(
+        self, headers: Mapping[str, str], cookie: str | None, *, script: bool
+    ) -> str | None:
+        """Say why a request is refused; None where it is not.
+
+        Args:
+            headers: of the request, names in lower case.
+            cookie: the token that the browser keeps, or that the request gave otherwise.
+            script: it comes from a script (a web socket), which must be this page's own.
+        """
+        host = headers.get("host", "")
+        if self.token is None and host not in self._own_hosts():
+            return f"the page is not served under that name; open http://127.0.0.1:{self.port}/"
+        origin = headers.get("origin")
+        if (script or origin is not None) and origin != f"http://{host}":
+            return "another site's page may not look at this one"
+        if self.token is not None and not _equal_in_constant_time(cookie, self.token):
+            return "the token is missing or wrong; open the address that `verify` printed"
+        return None
+
+    def matches(self, token: str | None) -> bool:
+        """Whether this is the token."""
+        return self.token is not None and _equal_in_constant_time(token, self.token)
+
+    def _own_hosts(self) -> set[str]:
+        return {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
+
+
+def check_access(address: str, port: int, token: str | None) -> PageAccess:
+    """Say who may look.
+
+    Args:
+        address: to serve at, of this computer.
+        port: likewise.
+        token: what a viewer must show; needed for every address but this computer's own.
+
+    Raises:
+        InputError: another address than loopback without a token, or one that is easily guessed.
+    """
+    if not is_loopback(address) and token is None:
+        raise InputError(
+            "--page", f"{address} can be reached by others", "they need a token",
+            "Give one with --page-token, or leave the address at 127.0.0.1.",
+        )  # fmt: skip
+    if token is not None and len(token) < MIN_TOKEN_LENGTH:
+        found = f"the token has {len(token)} characters"
+        raise InputError(
+            "--page-token", found, f"at least {MIN_TOKEN_LENGTH}", "Take a longer one."
+        )
+    return PageAccess(address, port, token)
+
+
+def is_loopback(address: str) -> bool:
+    """Whether only this computer can reach an address."""
+    if address == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return False
+
+
+def _equal_in_constant_time(one: str | None, other: str) -> bool:
+    return one is not None and hmac.compare_digest(one.encode(), other.encode())

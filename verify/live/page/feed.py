@@ -1,0 +1,216 @@
+"""In the run's process: tells the page's server what there is to see, ten times a second.
+
+What viewers say comes back on a line and a thread of its own: no picture that is under way, and no
+viewer who is slow, can make it wait.
+"""
+
+import json
+import multiprocessing
+import queue
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, Protocol
+
+from verify.errors import InputError
+from verify.live.page.access import DEFAULT_PORT, LOOPBACK, check_access
+from verify.live.page.server import ViewerMessages, serve
+
+FEED_PERIOD = 0.1  # s: faster than eyes follow; pictures too
+MAX_DELAY = 0.05  # s more, for a moment in which nobody is kept from something more urgent
+STATE_PERIOD = 0.5  # s
+START_TIMEOUT = 20.0  # s: a process that imports its modules on a busy machine
+JOIN_TIMEOUT = 2.0  # s
+
+
+class PageSource(Protocol):
+    """What a mode of the program has to show. Called from the feed's thread."""
+
+    def hello(self) -> dict[str, Any]:
+        """What never changes: mode, names, how the scene is built."""
+        ...
+
+    def rows(self) -> list[dict[str, Any]]:
+        """What has come since the last call."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """How everything is."""
+        ...
+
+    def alarms(self) -> Sequence[dict[str, Any]]:
+        """All alarms that are remembered, newest first."""
+        ...
+
+    def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
+        """Newest pictures: side, what was found, JPEG. Asked for only while somebody looks."""
+        ...
+
+    def metrics(self) -> str:
+        """The same figures as text for Prometheus."""
+        ...
+
+
+class Page:
+    """A page that is being served.
+
+    Args:
+        source: what there is to see.
+        port: to serve at; 0 takes a free one.
+        address: of this computer; another one than loopback needs a token.
+        token: what viewers must show.
+        asked: what viewers may ask for, by its word, and what is then done.
+        given: what they may say more about, by its first word; called with what follows that word.
+            Both are called in a thread of their own, and have to be quick.
+        moment: waits, for so many s at most, until what there is to tell holds nobody up.
+
+    Raises:
+        InputError: the port is taken, or the address is open to others without a token.
+    """
+
+    def __init__(
+        self,
+        source: PageSource,
+        port: int = DEFAULT_PORT,
+        address: str = LOOPBACK,
+        token: str | None = None,
+        asked: Mapping[str, Callable[[], None]] | None = None,
+        given: Mapping[str, Callable[[str], None]] | None = None,
+        moment: Callable[[float], object] | None = None,
+    ) -> None:
+        self._source, self._moment = source, moment
+        self._asked, self._given = dict(asked or {}), dict(given or {})
+        self._access = check_access(address, port or _free_port(address), token)
+        context = multiprocessing.get_context("spawn")
+        their_news, self._news = context.Pipe(duplex=False)
+        self._back, their_back = context.Pipe(duplex=False)
+        words = ViewerMessages(frozenset(self._asked), frozenset(self._given))
+        self._process = context.Process(
+            target=serve,
+            args=(their_news, their_back, self._access, words),
+            name="page",
+            daemon=True,
+        )
+        self._process.start()
+        their_news.close()
+        their_back.close()
+        self._viewers = 0
+        self.trouble = ""
+        self._began: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        self._ear = threading.Thread(target=self._listen, name="page-ear", daemon=True)
+        self._ear.start()
+        self._wait_until_ready()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._feed, name="page", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """What to open in a browser."""
+        access = self._access
+        host = f"[{access.address}]" if ":" in access.address else access.address
+        token = "" if access.token is None else f"?token={access.token}"
+        return f"http://{host}:{access.port}/{token}"
+
+    @property
+    def viewers(self) -> int:
+        """How many look on."""
+        return self._viewers
+
+    def close(self) -> None:
+        """Send what is left, and end the server."""
+        self._stop.set()
+        self._thread.join(JOIN_TIMEOUT)
+        self._end()
+
+    def _end(self) -> None:
+        """Let go of the server: it ends once nothing can come any more, and then the ear does."""
+        self._news.close()
+        self._process.join(JOIN_TIMEOUT)
+        if self._process.is_alive():
+            self._process.terminate()
+        self._ear.join(JOIN_TIMEOUT)
+        self._back.close()
+
+    def _wait_until_ready(self) -> None:
+        try:
+            kind, value = self._began.get(timeout=START_TIMEOUT)
+        except queue.Empty:
+            kind, value = "failed", "it does not start"
+        if kind != "ready":
+            self._process.terminate()
+            self._end()
+            place = f"--page, {self._access.address}:{self._access.port}"
+            remedy = "Choose another port, such as --page-port 8700."
+            raise InputError(place, f"the page cannot be served: {value}", "", remedy)
+
+    def _feed(self) -> None:
+        """Send until told to stop; a page that is gone costs the run nothing but a word."""
+        try:
+            self._send("hello", _text("hello", self._source.hello()))
+            due = 0.0
+            while not self._stop.is_set():
+                begin = time.monotonic()
+                self._send_news(full=begin >= due)
+                due = begin + STATE_PERIOD if begin >= due else due
+                self._stop.wait(max(FEED_PERIOD - (time.monotonic() - begin), FEED_PERIOD / 10))
+                if self._moment is not None and not self._stop.is_set():
+                    self._moment(MAX_DELAY)
+            self._send_news(full=True)
+        except OSError as error:
+            self.trouble = f"the page is gone: {error}"
+
+    def _send_news(self, *, full: bool) -> None:
+        rows = self._source.rows()
+        if rows:
+            self._send("rows", [json.dumps(row, allow_nan=False) for row in rows])
+        if full:
+            self._send("state", _text("state", self._source.state()))
+            self._send("alarms", _text("alarms", {"alarms": list(self._source.alarms())}))
+            self._send("metrics", self._source.metrics())
+        if self._viewers:
+            for side, found, jpeg in self._source.pictures():
+                self._send("picture", side, _picture_message(side, found, jpeg))
+
+    def _send(self, *message: Any) -> None:
+        self._news.send(message)
+
+    def _listen(self) -> None:
+        """Take what the server says, at once and to its end."""
+        with suppress(EOFError, OSError):
+            while True:
+                kind, *content = self._back.recv()
+                try:
+                    self._take(kind, *content)
+                except Exception as error:  # the next word may be a stop
+                    self.trouble = f"the page asked for what could not be done: {error}"
+        self._began.put(("failed", "its process ended"))
+
+    def _take(self, kind: str, value: Any, more: str = "") -> None:
+        if kind == "viewers":
+            self._viewers = value
+        elif kind == "asked":
+            self._asked[value]()
+        elif kind == "given":
+            self._given[value](more)
+        else:
+            self._began.put((kind, value))
+
+
+def _text(kind: str, fields: dict[str, Any]) -> str:
+    return json.dumps({"type": kind, **fields}, ensure_ascii=False, allow_nan=False)
+
+
+def _picture_message(side: int, found: dict[str, Any], jpeg: bytes) -> bytes:
+    """One side's picture: its number, the length of what was found, that as JSON, the JPEG."""
+    text = json.dumps(found, allow_nan=False).encode()
+    return bytes([side]) + len(text).to_bytes(4, "big") + text + jpeg
+
+
+def _free_port(address: str) -> int:
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.bind((address, 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,335 @@
+"""The page's server: runs in a process of its own, and ends with the run that feeds it.
+
+What goes from the run to every viewer: the newest of everything, never a queue that grows.
+"""
+
+import asyncio
+import signal
+import threading
+from collections import deque
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware.base import BaseHTTPMiddleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from verify.core.processes import lower_priority
+from verify.live.page.access import COOKIE, HEADERS, PageAccess
+
+MAX_HISTORY_ROWS = 1800  # rows for a viewer who comes later: a minute at 30 a second
+MAX_WAITING_MESSAGES = 200  # messages a viewer may lag behind; a browser that sleeps is let go
+
+
+class Viewer:
+    """One browser: text in order, of pictures only the newest a side."""
+
+    def __init__(self) -> None:
+        self._texts: deque[str] = deque()
+        self._pictures: dict[int, bytes] = {}
+        self._wake = asyncio.Event()
+        self.lagging = False
+
+    def text(self, message: str) -> None:
+        """Put a message in line."""
+        if len(self._texts) >= MAX_WAITING_MESSAGES:
+            self.lagging = True
+        else:
+            self._texts.append(message)
+        self._wake.set()
+
+    def picture(self, side: int, data: bytes) -> None:
+        """Replace the picture that was not sent yet."""
+        self._pictures[side] = data
+        self._wake.set()
+
+    async def next(self) -> list[str | bytes]:
+        """Wait for something to send."""
+        await self._wake.wait()
+        self._wake.clear()
+        messages: list[str | bytes] = [*self._texts, *self._pictures.values()]
+        self._texts.clear()
+        self._pictures.clear()
+        return messages
+
+
+class ViewerHub:
+    """All viewers, and what one who comes later has to know.
+
+    Args:
+        counted: told how many viewers there are whenever that changes.
+    """
+
+    def __init__(self, counted: Callable[[int], None]) -> None:
+        self._viewers: set[Viewer] = set()
+        self._counted = counted
+        self._latest: dict[str, str] = {}  # by kind, of messages of which the newest is enough
+        self._rows: deque[str] = deque(maxlen=MAX_HISTORY_ROWS)
+        self._pictures: dict[int, bytes] = {}
+        self.metrics = ""
+
+    def enter(self) -> Viewer:
+        """Let a viewer in and tell it what there was."""
+        viewer = Viewer()
+        for kind in ("hello", "state", "alarms"):
+            if kind in self._latest:
+                viewer.text(self._latest[kind])
+        if self._rows:
+            viewer.text('{"type":"rows","past":true,"rows":[' + ",".join(self._rows) + "]}")
+        for side, data in self._pictures.items():
+            viewer.picture(side, data)
+        self._viewers.add(viewer)
+        self._counted(len(self._viewers))
+        return viewer
+
+    def leave(self, viewer: Viewer) -> None:
+        """Forget a viewer."""
+        self._viewers.discard(viewer)
+        self._counted(len(self._viewers))
+
+    def message(self, kind: str, text: str) -> None:
+        """Pass on a message."""
+        if kind == "metrics":
+            self.metrics = text
+            return
+        if kind != "rows":
+            self._latest[kind] = text
+        if kind == "hello":
+            self._rows.clear()
+        for viewer in self._viewers:
+            viewer.text(text)
+
+    def rows(self, rows: list[str]) -> None:
+        """Pass on rows, each an object in JSON."""
+        self._rows.extend(rows)
+        self.message("rows", '{"type":"rows","rows":[' + ",".join(rows) + "]}")
+
+    def picture(self, side: int, data: bytes) -> None:
+        """Pass on a picture with its LEDs."""
+        self._pictures[side] = data
+        for viewer in self._viewers:
+            viewer.picture(side, data)
+
+
+STATIC = Path(__file__).with_name("static")
+CONTENT_TYPES = {
+    "index.html": "text/html",
+    "style.css": "text/css",
+    "page.js": "text/javascript",
+    "canvas.js": "text/javascript",
+    "strips.js": "text/javascript",
+    "scene.js": "text/javascript",
+    "boards.js": "text/javascript",
+    "grab.js": "text/javascript",
+    "grab_select.js": "text/javascript",
+    "pictures.js": "text/javascript",
+    "vendor/uplot/uPlot.iife.min.js": "text/javascript",
+    "vendor/uplot/uPlot.min.css": "text/css",
+    "icon.svg": "image/svg+xml",
+}
+POLICY_VIOLATION = 1008  # of web sockets: policy violation
+TRY_AGAIN = 1013
+MAX_MESSAGE_BYTES = 1 << 12  # bytes from a viewer, who has a word to say, or a line
+
+NextHandler = Callable[[Request], Awaitable[Response]]
+MessageCallback = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ViewerMessages:
+    """What viewers may say; anything else is not listened to."""
+
+    whole: frozenset[str] = frozenset()
+    leading: frozenset[str] = frozenset()  # what more there is follows after a space
+
+
+def application(hub: ViewerHub, access: PageAccess, asked: MessageCallback) -> Starlette:
+    """Make the application: the page, its files, its web socket, and metrics.
+
+    Args:
+        hub: what there is to see.
+        access: who may look.
+        asked: takes what viewers say, whatever it is.
+    """
+
+    async def guarded(request: Request, go_on: NextHandler) -> Response:
+        response = _move_token_to_cookie(request, access) or _access_refusal(request, access)
+        if response is None:
+            response = await go_on(request)
+        response.headers.update(HEADERS)
+        return response
+
+    async def file(request: Request) -> Response:
+        name = request.path_params.get("name", "index.html")
+        if name not in CONTENT_TYPES:
+            return PlainTextResponse("There is no such page.", status_code=404)
+        return FileResponse(STATIC / name, media_type=CONTENT_TYPES[name])
+
+    async def metrics(_request: Request) -> Response:
+        return PlainTextResponse(hub.metrics, media_type="text/plain; version=0.0.4")
+
+    async def live(socket: WebSocket) -> None:
+        cookie = socket.cookies.get(COOKIE)
+        if access.refusal(socket.headers, cookie, script=True) is not None:
+            await socket.close(POLICY_VIOLATION)
+            return
+        await socket.accept()
+        await _send_to_viewer(socket, hub, asked)
+
+    app = Starlette(
+        routes=[
+            Route("/", file),
+            Route("/metrics", metrics),
+            WebSocketRoute("/live", live),
+            Route("/{name:path}", file),
+        ]
+    )
+    app.add_middleware(BaseHTTPMiddleware, dispatch=guarded)
+    return app
+
+
+def _move_token_to_cookie(request: Request, access: PageAccess) -> Response | None:
+    """Move a right token from the address into a cookie, so that it is seen and sent no more."""
+    given = request.query_params.get("token")
+    if request.url.path != "/" or not access.matches(given) or given is None:
+        return None
+    response = RedirectResponse("/", status_code=303)
+    response.set_cookie(COOKIE, given, httponly=True, samesite="strict")
+    return response
+
+
+def _access_refusal(request: Request, access: PageAccess) -> Response | None:
+    shown = request.cookies.get(COOKIE)
+    word, _, bearer = request.headers.get("authorization", "").partition(" ")
+    token = bearer if word.lower() == "bearer" else shown
+    refusal = access.refusal(request.headers, token, script=False)
+    return None if refusal is None else PlainTextResponse(f"Refused: {refusal}.\n", 403)
+
+
+async def _send_to_viewer(socket: WebSocket, hub: ViewerHub, asked: MessageCallback) -> None:
+    """Send until the viewer leaves, or cannot keep up."""
+    viewer = hub.enter()
+    gone = asyncio.create_task(_receive_from_viewer(socket, asked))
+    try:
+        while not gone.done():
+            news = asyncio.create_task(viewer.next())
+            await asyncio.wait({news, gone}, return_when=asyncio.FIRST_COMPLETED)
+            if not news.done():
+                news.cancel()
+                break
+            for message in news.result():
+                if isinstance(message, str):
+                    await socket.send_text(message)
+                else:
+                    await socket.send_bytes(message)
+            if viewer.lagging:
+                await socket.close(TRY_AGAIN)
+                break
+    except (WebSocketDisconnect, RuntimeError, OSError):
+        pass  # it left while something was on its way
+    finally:
+        gone.cancel()
+        hub.leave(viewer)
+
+
+async def _receive_from_viewer(socket: WebSocket, asked: MessageCallback) -> None:
+    """Wait for the viewer to leave, or to send bytes, which no page does; pass on what it says."""
+    with suppress(WebSocketDisconnect, RuntimeError, KeyError):  # KeyError: bytes
+        while True:
+            asked(await socket.receive_text())
+
+
+class _Server(uvicorn.Server):
+    """Leaves signals alone: the run ends this process."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Take no signal."""
+        yield
+
+
+def serve(news: Connection, back: Connection, access: PageAccess, words: ViewerMessages) -> None:
+    """Serve until the run ends; the body of the server's process.
+
+    Args:
+        news: from the run, what there is to see.
+        back: to the run, which reads it at once: the number of viewers, and what they say.
+        access: where, and for whom.
+        words: what viewers may say.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the run, and the run ends this
+    if words == ViewerMessages():  # nobody can say "stop": nothing is urgent
+        lower_priority()
+    asyncio.run(_serve(news, back, access, words))
+
+
+async def _serve(
+    news: Connection, back: Connection, access: PageAccess, words: ViewerMessages
+) -> None:
+    loop = asyncio.get_running_loop()
+
+    def tell(*message: Any) -> None:
+        with suppress(OSError):
+            back.send(message)
+
+    def asked(text: str) -> None:
+        word, _, more = text.partition(" ")
+        if text in words.whole:
+            tell("asked", text)
+        elif word in words.leading:
+            tell("given", word, more)
+
+    hub = ViewerHub(lambda viewers: tell("viewers", viewers))
+    config = uvicorn.Config(
+        application(hub, access, asked),
+        host=access.address,
+        port=access.port,
+        log_level="critical",
+        access_log=False,
+        lifespan="off",
+        ws="websockets-sansio",
+        ws_max_size=MAX_MESSAGE_BYTES,
+        ws_per_message_deflate=False,  # JPEGs do not get smaller
+        timeout_graceful_shutdown=1,
+        server_header=False,
+    )
+    server = _Server(config)
+
+    def listen() -> None:
+        """Pass on what the run sends; end with it."""
+        with suppress(EOFError, OSError):
+            while True:
+                kind, *content = news.recv()
+                loop.call_soon_threadsafe(_deliver, hub, kind, content)
+        server.should_exit = True
+
+    threading.Thread(target=listen, name="feed", daemon=True).start()
+    asyncio.get_running_loop().create_task(_ready(server, tell))
+    try:
+        await server.serve()
+    except SystemExit:  # uvicorn's way to say that it could not begin
+        tell("failed", f"port {access.port} is taken or not allowed")
+
+
+async def _ready(server: _Server, tell: Callable[..., None]) -> None:
+    while not server.started and not server.should_exit:
+        await asyncio.sleep(0.02)
+    if server.started:
+        tell("ready", server.servers[0].sockets[0].getsockname()[1])
+
+
+def _deliver(hub: ViewerHub, kind: str, content: list[Any]) -> None:
+    if kind == "rows":
+        hub.rows(content[0])
+    elif kind == "picture":
+        hub.picture(content[0], content[1])
+    else:
+        hub.message(kind, content[0])

@@ -1,0 +1,146 @@
+"""What the loop needs of others, and no more.
+
+One alarm: what it is, whom it names, how it is told.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import robots
+from verify.core.fiducials import Marker
+from verify.core.records import Array, StereoPair
+from verify.core.rig import Rig
+from verify.devices.protocols import CameraDevice, EncoderDevice, EncoderReading, PanDevice
+from verify.io.session.keys import Clock
+from verify.live.joint_row import JointRow
+
+
+def format_error_deg(error: float, standard_uncertainty: float) -> str:
+    """Word an error and its uncertainty (rad) with as many digits as it has."""
+    digits = 2 if standard_uncertainty >= math.radians(0.01) else 3
+    value, doubt = math.degrees(error), math.degrees(standard_uncertainty)
+    sign = "−" if value < 0 else "+"
+    return f"{sign}{abs(value):.{digits}f}° ± {doubt:.{digits}f}° (1σ)"
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One alarm, as it is told and kept."""
+
+    number: int  # counts from 1
+    kind: str  # change, tolerance, target, device
+    began: float  # s since the epoch
+    t: float  # s, cameras' clock, of the pair that raised it
+    text: str  # one sentence
+    joints: tuple[int, ...] = ()  # counted from 1: the likeliest, then those not told apart from it
+    error: float | None = None  # rad
+    standard_uncertainty: float | None = None  # rad
+    device: str | None = None
+    ended: float | None = None  # s since the epoch; None while it stands; a change is an event
+    revised: bool = False  # tells more of an alarm that was told before
+
+    def fields(self) -> dict[str, Any]:
+        """Units at the door: what a JSON line says of it."""
+        return {
+            "alarm": self.number,
+            "kind": self.kind,
+            "began_s": self.began,
+            "t_s": self.t,
+            "text": self.text,
+            "joint": self.joints[0] if self.joints else None,
+            "not_told_apart_from": list(self.joints[1:]),
+            "error_deg": None if self.error is None else math.degrees(self.error),
+            "standard_uncertainty_deg": None
+            if self.standard_uncertainty is None
+            else math.degrees(self.standard_uncertainty),
+            "device": self.device,
+            "ended_s": self.ended,
+            "revised": self.revised,
+        }
+
+
+AlarmNumbers = itertools.count  # alarms are numbered through, whoever raises them
+
+
+class RecorderState(Protocol):
+    """How a recording is."""
+
+    @property
+    def recording(self) -> bool:
+        """It goes on."""
+        ...
+
+    @property
+    def sentence(self) -> str:
+        """What there is to say."""
+        ...
+
+
+class Recorder(Protocol):
+    """Puts evidence on the disk before anything is computed from it."""
+
+    def keep(
+        self, pairs: Iterator[StereoPair], meanwhile: Callable[[StereoPair], None]
+    ) -> Iterator[StereoPair]:
+        """Record pairs as they pass; the other is called while each is being written."""
+        ...
+
+    def through(self, frame: int) -> None:
+        """Note that the pair of that number is measured and compared."""
+        ...
+
+    def reading(self, reading: EncoderReading) -> EncoderReading:
+        """Record a reading; gives it as the recording has it."""
+        ...
+
+    def state(self) -> RecorderState:
+        """Say how the recording is."""
+        ...
+
+    def close(self) -> None:
+        """Write what is under way and close the session."""
+        ...
+
+
+class Listener(Protocol):
+    """Is told what happens, in a thread of its own: it may take its time."""
+
+    def row(self, row: JointRow, statistic: Array) -> None:
+        """Take a pair's outcome; some may be left out when there are too many."""
+        ...
+
+    def alarm(self, alarm: Alarm) -> None:
+        """Take an alarm that is new, revised, or over."""
+        ...
+
+    def close(self) -> None:
+        """Nothing more will come."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class LiveDevices:
+    """What is looked at and listened to."""
+
+    left: CameraDevice
+    right: CameraDevice
+    encoders: EncoderDevice
+    pan: PanDevice | None = None  # None: the bases stand as the rig says
+    # orders both bases to angles as read, rad; None: they are not turned from here
+    turn: Callable[[float, float], bool] | None = None
+    files: bool = False  # the cameras are files, which wait until their pictures are measured
+
+
+@dataclass(frozen=True, slots=True)
+class MonitoredRobot:
+    """The robot that is watched, and what is known of it and of the cameras."""
+
+    arm: robots.Arm
+    rig: Rig
+    marker: Marker
+    clock: Clock | None  # None: the offset is estimated from the motion
+    resolution: float | None = None  # rad, of the readings
+    time_uncertainty: float | None = None  # s, of the readings; None: as the driver says

@@ -1,0 +1,1 @@
+"""Sessions written while they happen."""

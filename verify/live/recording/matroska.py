@@ -1,0 +1,258 @@
+"""A video file that is whole after every picture: Matroska, one cluster and one write a picture.
+
+A muxer that collects clusters in memory loses what it holds when the program is killed, and leaves
+half a picture when the disk is full. Here a picture is in the file or not at all: what a failed
+write has left is cut off again.
+
+Source: RFC 8794 (EBML), RFC 9559 (Matroska).
+
+Pictures to packets: JPEG as the camera delivered it, everything else without loss.
+
+MagicYUV, because it takes 2 ms for any picture of 1280 x 720: a pair is in the file before it is
+measured. FFV1 makes dark pictures smaller but takes up to 15 ms, which no alarm should wait for.
+"""
+
+import os
+import struct
+import zlib
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+from verify.core.records import Image
+from verify.core.version import __version__
+
+UNKNOWN_SIZE = b"\x01" + b"\xff" * 7  # of the segment: a reader takes it as "to the end"
+TIMESTAMP_SCALE = (
+    1_000_000  # ns: times in the file are in ms, for players; the session's are in frames.csv
+)
+TRACK_NUMBER = 1
+KEYFRAME_FLAG = 0x80  # every picture can be decoded by itself
+VIDEO = 1
+
+# identifiers of elements
+EBML, SEGMENT, INFO, TRACKS, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
+CRC_32, TIMESTAMP, SIMPLE_BLOCK = 0xBF, 0xE7, 0xA3
+
+
+@dataclass(frozen=True, slots=True)
+class MatroskaTrack:
+    """What the pictures of a file are."""
+
+    codec: str  # Matroska's name of it
+    width: int  # px
+    height: int  # px
+    private: bytes = b""  # what a decoder needs beforehand
+
+
+class MatroskaFile:
+    """Writes pictures that are encoded already.
+
+    Args:
+        path: a new file.
+        track: what the pictures are.
+
+    Raises:
+        OSError: the system refuses it.
+    """
+
+    def __init__(self, path: Path, track: MatroskaTrack) -> None:
+        self.path = path
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
+        self._length = 0  # bytes that are whole
+        self._before = 0  # bytes, without the last picture
+        self._last = 0  # ms
+        try:
+            self._append(_head(track))
+        except OSError:
+            os.close(self._file)
+            raise
+
+    def add(self, picture: bytes, t: float) -> None:
+        """Append a picture.
+
+        Args:
+            picture: as encoded.
+            t: s since the first one, for players.
+
+        Raises:
+            OSError: the system refuses it; the file is as before.
+        """
+        ms = max(round(t * 1e3), self._last)
+        self._last = ms
+        block = bytes([0x80 | TRACK_NUMBER, 0, 0, KEYFRAME_FLAG]) + picture
+        inside = _number_element(TIMESTAMP, ms) + _element(SIMPLE_BLOCK, block)
+        checksum = _element(CRC_32, struct.pack("<I", zlib.crc32(inside)))
+        self._append(_element(CLUSTER, checksum + inside))
+
+    def drop_last(self) -> None:
+        """Take the last picture out again: its other half could not be written."""
+        self._length = self._before
+        truncate_file(self._file, self._length)
+
+    def linked(self) -> bool:
+        """Whether the file still has a name, or was deleted under our hands."""
+        return os.fstat(self._file).st_nlink > 0
+
+    def close(self) -> None:
+        """Have the disk hold it, and close it.
+
+        Raises:
+            OSError: the system refuses it; it is closed all the same.
+        """
+        sync_and_close(self._file)
+
+    def _append(self, data: bytes) -> None:
+        write_all(self._file, data, self._length)
+        self._before = self._length
+        self._length += len(data)
+
+
+def write_all(file: int, data: bytes, at: int) -> None:
+    """Append to a file of length `at`: all of it, or nothing.
+
+    Raises:
+        OSError: the system refuses it; the file is as long as before.
+    """
+    rest = memoryview(data)
+    try:
+        while rest:
+            rest = rest[os.write(file, rest) :]
+    except OSError:
+        truncate_file(file, at)
+        raise
+
+
+def sync_and_close(file: int) -> None:
+    """Have the disk hold a file, and close it.
+
+    Raises:
+        OSError: the system refuses it; it is closed all the same.
+    """
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
+
+
+def truncate_file(file: int, length: int) -> None:
+    """Cut a file off and go on writing there."""
+    os.ftruncate(file, length)
+    os.lseek(file, length, os.SEEK_SET)
+
+
+def _head(track: MatroskaTrack) -> bytes:
+    """What stands before the first picture."""
+    writer = f"verify {__version__}"
+    ebml = _element(
+        EBML,
+        _number_element(0x4286, 1) + _number_element(0x42F7, 1) + _number_element(0x42F2, 4) + _number_element(0x42F3, 8)
+        + _text_element(0x4282, "matroska") + _number_element(0x4287, 4) + _number_element(0x4285, 2),
+    )  # fmt: skip
+    info = _element(
+        INFO,
+        _number_element(0x2AD7B1, TIMESTAMP_SCALE)
+        + _text_element(0x4D80, writer)
+        + _text_element(0x5741, writer),
+    )
+    video = _element(0xE0, _number_element(0xB0, track.width) + _number_element(0xBA, track.height))
+    private = _element(0x63A2, track.private) if track.private else b""
+    entry = _element(
+        0xAE,
+        _number_element(0xD7, TRACK_NUMBER) + _number_element(0x73C5, TRACK_NUMBER) + _number_element(0x83, VIDEO)
+        + _number_element(0x9C, 0) + _text_element(0x86, track.codec) + private + video,
+    )  # fmt: skip
+    return ebml + _identifier(SEGMENT) + UNKNOWN_SIZE + info + _element(TRACKS, entry)
+
+
+def _element(identifier: int, content: bytes) -> bytes:
+    size = (1 << 56 | len(content)).to_bytes(8)  # eight bytes always: simple, and room for all
+    return _identifier(identifier) + size + content
+
+
+def _number_element(identifier: int, value: int) -> bytes:
+    return _element(identifier, value.to_bytes(max(1, (value.bit_length() + 7) // 8)))
+
+
+def _text_element(identifier: int, value: str) -> bytes:
+    return _element(identifier, value.encode())
+
+
+def _identifier(identifier: int) -> bytes:
+    return identifier.to_bytes((identifier.bit_length() + 7) // 8)
+
+
+GREY, COLOUR, JPEG = "grey", "colour", "jpeg"
+PIXEL_FORMATS = {GREY: ("gray", b"M8G0", 8), COLOUR: ("gbrp", b"M8RG", 24)}  # ffmpeg, fourcc, bits
+MILLISECOND = Fraction(1, 1000)
+
+
+@dataclass(frozen=True, slots=True)
+class PictureFormat:
+    """What all pictures of one file have in common."""
+
+    coding: str  # grey, colour, jpeg
+    width: int  # px
+    height: int  # px
+
+
+def picture_format(image: Image, raw: bytes | None) -> PictureFormat:
+    """Say what kind of file a picture belongs to."""
+    height, width = image.shape[:2]
+    if raw is not None:
+        return PictureFormat(JPEG, width, height)
+    return PictureFormat(GREY if image.ndim == 2 else COLOUR, width, height)
+
+
+class PictureEncoder:
+    """Encodes the pictures of one file.
+
+    Args:
+        kind: what they have in common.
+    """
+
+    def __init__(self, kind: PictureFormat) -> None:
+        self.kind = kind
+        self._codec: av.VideoCodecContext | None = None
+        if kind.coding == JPEG:
+            self.track = MatroskaTrack("V_MJPEG", kind.width, kind.height)
+            return
+        pixels, fourcc, bits = PIXEL_FORMATS[kind.coding]
+        self._codec = av.CodecContext.create("magicyuv", "w")
+        self._codec.width, self._codec.height = kind.width, kind.height
+        self._codec.pix_fmt, self._codec.time_base = pixels, MILLISECOND
+        self._codec.thread_count = 1  # a second core has the other camera's pictures
+        self._codec.open()
+        extra = self._codec.extradata or b""
+        private = _bitmap_header(kind, fourcc, bits, extra)
+        self.track = MatroskaTrack("V_MS/VFW/FOURCC", kind.width, kind.height, private)
+
+    def encode(self, image: Image, raw: bytes | None) -> bytes:
+        """Encode a picture of this kind; a JPEG goes through as it is."""
+        if self._codec is None:
+            return raw or b""
+        packets = self._codec.encode(_frame(image))
+        return b"".join(bytes(packet) for packet in packets)
+
+
+def _frame(image: Image) -> av.VideoFrame:
+    if image.ndim == 2:
+        return av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(image), format="gray")
+    frame = av.VideoFrame(image.shape[1], image.shape[0], "gbrp")
+    for plane, channel in zip(frame.planes, (1, 0, 2), strict=True):  # green, blue, red of BGR
+        rows = np.frombuffer(plane, dtype=np.uint8)  # type: ignore[call-overload]  # has a buffer
+        room = rows.reshape(-1, plane.line_size)[: image.shape[0], : image.shape[1]]
+        np.copyto(room, cv2.extractChannel(image, channel))
+    return frame
+
+
+def _bitmap_header(kind: PictureFormat, fourcc: bytes, bits: int, extra: bytes) -> bytes:
+    """Make the BITMAPINFOHEADER by which Matroska carries codecs that it has no name for."""
+    size = 40 + len(extra)
+    pixels = kind.width * kind.height * bits // 8
+    fields = (size, kind.width, kind.height, 1, bits, fourcc, pixels, 0, 0, 0, 0)
+    return struct.pack("<IiiHH4sIiiII", *fields) + extra

@@ -1,0 +1,322 @@
+"""The recorder: every pair is on the disk before it is measured, unless the disk is too slow.
+
+One thread writes, in the order in which things came: pairs as they are at first, and encoded
+when their measurement is through. Whoever measures waits for it a few milliseconds at most: a disk
+that refuses or lags ends the recording, never the measurement.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from verify.core.processes import request_short_slice
+from verify.core.records import StereoPair
+from verify.devices.protocols import CapturedPair, EncoderReading
+from verify.errors import InputError
+from verify.live.recording.matroska import picture_format
+from verify.live.recording.session import (
+    SessionFacts,
+    SessionWriter,
+    new_folder,
+    pair_as_written,
+    reading_as_written,
+    remove_folder,
+    write_error_text,
+)
+
+WRITE_TIMEOUT = 0.02  # s: a pair is measured after it, on the disk or not
+# a pair's encoding would take the time of its measurement: until that is through, or so long
+MAX_ENCODING_DELAY = 0.1  # s from its coming
+MAX_LAG = 0.8  # s behind, and the recording ends: a kill must not cost a second
+READING_LEAD = 1.0  # s of readings before the first pair: they bracket it
+CLOSE_TIMEOUT = 10.0  # s: what is under way is given so long to reach the disk
+
+RawImages = tuple[bytes | None, bytes | None]
+
+
+@dataclass(frozen=True, slots=True)
+class SessionRecorderState:
+    """How the recording is."""
+
+    recording: bool
+    folder: Path | None  # the newest; None before the first pair
+    folders: tuple[Path, ...]  # all of this run: one for each segment of the controller's clock
+    pairs: int  # on the disk, in all folders
+    readings: int
+    dropped: int  # pairs whose times did not rise
+    late: int  # pairs that were measured before they were on the disk
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class _WriteItem:
+    """Something to write."""
+
+    what: tuple[StereoPair, RawImages] | EncoderReading
+    came: float  # s, host's monotonic clock
+    done: threading.Event = field(default_factory=threading.Event)
+
+
+@dataclass(frozen=True, slots=True)
+class _UnencodedPair:
+    """A pair that is on the disk as it is."""
+
+    pair: StereoPair
+    raws: RawImages
+    came: float  # s, host's monotonic clock
+
+
+def _no_preparation(_pair: StereoPair) -> None:
+    """Do nothing meanwhile."""
+
+
+class SessionRecorder:
+    """Writes what a run sees as sessions that can be measured again.
+
+    A controller's clock that starts anew starts a new session folder: one session has one clock
+    offset. A folder is made with its first pair.
+
+    Args:
+        parent: where the session folders go.
+        name: pattern of their names, for strftime.
+        facts: what their session.toml says.
+        make: makes a folder; another one for tests.
+    """
+
+    def __init__(
+        self,
+        parent: Path,
+        name: str,
+        facts: SessionFacts,
+        make: Callable[..., SessionWriter] = SessionWriter,
+    ) -> None:
+        self._parent, self._name, self._facts, self._make = parent, name, facts, make
+        self._items: deque[_WriteItem] = deque()
+        self._aside: deque[_UnencodedPair] = deque()  # the writing thread's own
+        self._wake = threading.Condition()
+        self._closing = False
+        self._trouble = ""  # why the recording has ended
+        self._current: SessionWriter | None = None
+        self._folders: list[Path] = []
+        self._segment: int | None = None
+        self._early: deque[EncoderReading] = deque()
+        self._pairs = self._readings = self._late = 0
+        self._numbered = self._dropped = 0
+        self._through = -1  # number of the last pair that was measured and compared
+        self._last = (float("-inf"), float("-inf"))
+        self._thread = threading.Thread(target=self._write, name="recorder", daemon=True)
+        self._thread.start()
+
+    def keep(
+        self, pairs: Iterator[StereoPair], meanwhile: Callable[[StereoPair], None] = _no_preparation
+    ) -> Iterator[StereoPair]:
+        """Record pairs as they pass; each is on the disk before it comes out.
+
+        Args:
+            pairs: as the cameras give them; JPEGs of a `CapturedPair` go to the file as they are.
+            meanwhile: called with each pair while it is being written; it must compute nothing
+                from it that outlives a kill.
+
+        Yields:
+            The pairs, numbered from 0, as the recording has them. Pairs whose times do not rise
+            are left out.
+        """
+        for pair in pairs:
+            if pair.t_left <= self._last[0] or pair.t_right <= self._last[1]:
+                self._dropped += 1
+                continue
+            self._last = (pair.t_left, pair.t_right)
+            written = replace(pair_as_written(pair, self._facts.turning), frame=self._numbered)
+            self._numbered += 1
+            raws: RawImages = (None, None)
+            if isinstance(pair, CapturedPair):
+                raws = (pair.left_raw, pair.right_raw)
+            item = self._hand_over((written, raws))
+            meanwhile(written)
+            if item is not None and not item.done.wait(WRITE_TIMEOUT):
+                self._late += 1
+            yield written
+
+    def through(self, frame: int) -> None:
+        """Note that a pair is measured and compared: now there is time to encode it.
+
+        Args:
+            frame: its number, as it came out of `keep`.
+        """
+        with self._wake:
+            self._through = frame
+            self._wake.notify()
+
+    def reading(self, reading: EncoderReading) -> EncoderReading:
+        """Record a reading; gives it as the recording has it."""
+        written = reading_as_written(reading)
+        self._hand_over(written)
+        return written
+
+    def state(self) -> SessionRecorderState:
+        """Say how the recording is."""
+        folder = self._folders[-1] if self._folders else None
+        recording = not (self._trouble or self._closing)
+        return SessionRecorderState(
+            recording,
+            folder,
+            tuple(self._folders),
+            self._pairs,
+            self._readings,
+            self._dropped,
+            self._late,
+            self._sentence(folder),
+        )
+
+    def close(self) -> None:
+        """Write what is under way and close the session."""
+        with self._wake:
+            self._closing = True
+            self._wake.notify()
+        self._thread.join(CLOSE_TIMEOUT)
+        if self._thread.is_alive():
+            self._trouble = self._trouble or "the disk does not answer; the session stays open"
+
+    def _sentence(self, folder: Path | None) -> str:
+        whole = f"{self._pairs} pairs are whole"
+        if self._trouble:
+            return f"recording has stopped: {self._trouble}; {whole}"
+        if self._closing:
+            return f"recording closed: {whole}"
+        if folder is None:
+            return "recording begins with the first pair"
+        late = f"; {self._late} were measured before they were on the disk" if self._late else ""
+        return f"recording to {folder}: {whole}{late}"
+
+    def _hand_over(self, what: tuple[StereoPair, RawImages] | EncoderReading) -> _WriteItem | None:
+        now = time.monotonic()
+        with self._wake:
+            if self._items and now - self._items[0].came > MAX_LAG and not self._trouble:
+                self._trouble = f"{self._parent}: the disk is too slow, {MAX_LAG:g} s behind"
+            if self._trouble or self._closing:
+                return None
+            item = _WriteItem(what, now)
+            self._items.append(item)
+            self._wake.notify()
+        return item
+
+    def _write(self) -> None:
+        """Write items until the end, then close; runs in its own thread."""
+        request_short_slice()
+        while self._wait():
+            if not self._items:
+                self._guarded(self._encode)
+                continue
+            item = self._items[0]
+            if not self._trouble:
+                self._guarded(lambda item=item: self._put(item))  # type: ignore[misc]
+            with self._wake:
+                self._items.popleft()  # only now: its age is how far the disk lags
+            item.done.set()
+        self._guarded(self._close_part)
+
+    def _wait(self) -> bool:
+        """Wait for an item, or until a pair is to be encoded; False at the end."""
+        with self._wake:
+            while not self._items:
+                if self._aside:
+                    rest = self._due() - time.monotonic()
+                    if rest <= 0 or self._closing:
+                        return True
+                    self._wake.wait(rest)
+                elif self._closing:
+                    return False
+                else:
+                    self._wake.wait()
+            return True
+
+    def _due(self) -> float:
+        """When to encode the oldest pair that was set aside, s, host's monotonic clock."""
+        oldest = self._aside[0]
+        return oldest.came + (MAX_ENCODING_DELAY if oldest.pair.frame > self._through else 0.0)
+
+    def _guarded(self, action: Callable[[], None]) -> None:
+        """Do something with the disk; whatever goes wrong ends the recording and nothing else."""
+        try:
+            action()
+        except (OSError, InputError) as error:
+            folder = self._folders[-1] if self._folders else self._parent
+            self._fail(write_error_text(folder, error))
+        except Exception as error:  # a defect of ours must not stop an alarm
+            self._fail(f"a defect of this program, {type(error).__name__}: {error}")
+
+    def _fail(self, why: str) -> None:
+        self._trouble = self._trouble or why
+        self._aside.clear()
+        part, self._current = self._current, None
+        if part is not None:
+            self._guarded(part.close)
+
+    def _put(self, item: _WriteItem) -> None:
+        if isinstance(item.what, EncoderReading):
+            self._put_reading(item.what)
+        else:
+            self._put_pair(*item.what, item.came)
+
+    def _put_pair(self, pair: StereoPair, raws: RawImages, came: float) -> None:
+        if self._current is not None and not self._current.fits(raws, pair):
+            self._close_part()  # a camera has changed its format
+        if self._current is None:
+            self._current = self._begin(pair, raws)
+        part = self._current
+        while self._aside and not part.room:
+            self._encode()
+        if part.set_aside(pair, raws):
+            self._aside.append(_UnencodedPair(pair, raws, came))
+            return
+        while self._aside:
+            self._encode()
+        part.add_pair(pair, raws)
+        self._pairs += 1
+
+    def _encode(self) -> None:
+        """Carry the oldest pair that was set aside to where it belongs."""
+        if self._current is None:
+            raise RuntimeError("a pair was set aside in a session that is closed")
+        aside = self._aside[0]
+        self._current.add_pair(aside.pair, aside.raws)
+        self._aside.popleft()
+        self._pairs += 1
+
+    def _put_reading(self, reading: EncoderReading) -> None:
+        if reading.segment != self._segment:
+            self._segment = reading.segment
+            self._early.clear()
+            if self._current is not None and self._current.readings:
+                self._close_part()
+        if self._current is not None:
+            self._readings += self._current.add_reading(reading)
+            return
+        self._early.append(reading)
+        while self._early[0].t_host < reading.t_host - READING_LEAD:
+            self._early.popleft()
+
+    def _begin(self, pair: StereoPair, raws: RawImages) -> SessionWriter:
+        started = datetime.now(UTC).replace(microsecond=0)
+        folder = new_folder(self._parent, started.astimezone().strftime(self._name))
+        kinds = (picture_format(pair.left, raws[0]), picture_format(pair.right, raws[1]))
+        try:
+            part = self._make(folder, self._facts, started, kinds)
+        except (OSError, InputError):
+            remove_folder(folder)
+            raise
+        self._folders.append(folder)
+        while self._early:
+            self._readings += part.add_reading(self._early.popleft())
+        return part
+
+    def _close_part(self) -> None:
+        while self._aside:
+            self._encode()
+        part, self._current = self._current, None
+        if part is not None:
+            part.close()

@@ -1,0 +1,349 @@
+"""One session folder while it is being written: whole after every pair.
+
+Rows of frames.csv and encoders.csv as they come; what they say is what is measured with.
+
+Angles are written in degrees with nine decimals, and both the file's reader and the live
+measurement take them from there: so the two cannot differ, not even in the last digit.
+"""
+
+import errno
+import os
+import shutil
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from verify.core.records import Image, StereoPair
+from verify.devices.protocols import CapturedPair, EncoderReading
+from verify.errors import InputError
+from verify.io.files import write_whole
+from verify.io.toml import FORMAT, encode
+from verify.io.unfinished import NAME as PENDING
+from verify.io.unfinished import UnfinishedPairs, ring_bytes
+from verify.live.recording.matroska import (
+    MatroskaFile,
+    PictureEncoder,
+    PictureFormat,
+    picture_format,
+    sync_and_close,
+    write_all,
+)
+
+
+class CsvWriter:
+    """A CSV file that grows by whole lines.
+
+    Args:
+        path: a new file.
+        header: names of its columns.
+
+    Raises:
+        OSError: the system refuses it.
+    """
+
+    def __init__(self, path: Path, header: str) -> None:
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
+        self._length = 0
+        self.count = -1  # rows below the header
+        self.add(header)
+
+    def add(self, row: str) -> None:
+        """Append a line, or nothing.
+
+        Raises:
+            OSError: the system refuses it.
+        """
+        data = f"{row}\n".encode()
+        write_all(self._file, data, self._length)
+        self._length += len(data)
+        self.count += 1
+
+    def close(self) -> None:
+        """Have the disk hold it, and close it.
+
+        Raises:
+            OSError: the system refuses it; it is closed all the same.
+        """
+        sync_and_close(self._file)
+
+
+def frames_header(turning: bool) -> str:
+    """Name the columns of frames.csv; with `turning` the bases' angles have theirs."""
+    pan = ",pan_left_deg,pan_right_deg" if turning else ""
+    return f"frame,t_left_s,t_right_s{pan}"
+
+
+def frames_row(frame: int, pair: StereoPair, turning: bool) -> str:
+    """Word a pair's row."""
+    pan = f",{_degrees(pair.pan_left)},{_degrees(pair.pan_right)}" if turning else ""
+    return f"{frame},{pair.t_left!r},{pair.t_right!r}{pan}"
+
+
+def encoders_header(joints: int) -> str:
+    """Name the columns of encoders.csv; when a reading came is kept too, for later doubts."""
+    angles = ",".join(f"q{joint}_deg" for joint in range(1, joints + 1))
+    return f"t_s,{angles},t_host_s"
+
+
+def encoders_row(reading: EncoderReading) -> str:
+    """Word a reading's row."""
+    angles = ",".join(map(_degrees, reading.q.tolist()))
+    return f"{reading.t!r},{angles},{reading.t_host:.6f}"
+
+
+def pair_as_written(pair: CapturedPair | StereoPair, turning: bool) -> CapturedPair | StereoPair:
+    """Give the pair with the angles that its row has."""
+    if not turning:
+        return pair
+    return replace(
+        pair, pan_left=_written_angle(pair.pan_left), pan_right=_written_angle(pair.pan_right)
+    )
+
+
+def reading_as_written(reading: EncoderReading) -> EncoderReading:
+    """Give the reading with the angles that its row has."""
+    text = [float(_degrees(angle)) for angle in reading.q.tolist()]
+    return replace(reading, q=np.deg2rad(np.array(text)))
+
+
+def _degrees(angle: float) -> str:
+    return f"{np.rad2deg(angle):.9f}"
+
+
+def _written_angle(angle: float) -> float:
+    return float(np.deg2rad(float(_degrees(angle))))
+
+
+MIN_FREE_BYTES = 1 << 20  # bytes that stay free: to close the session properly
+MAX_UNENCODED_PAIRS = 16  # pairs that may wait to be encoded: half a second
+MAX_DISK_SHARE = 0.05  # of what the disk has free, that waiting pairs may take
+
+
+@dataclass(frozen=True, slots=True)
+class SessionFacts:
+    """What a session says beside its series."""
+
+    robot: str  # as session.toml names it
+    joints: int
+    files: Mapping[str, bytes]  # by name: rig.toml, marker.toml, and the robot's file if it has one
+    tables: Mapping[str, Any]  # of session.toml: description, clock, tolerance, …
+    turning: bool  # the bases turn: frames.csv tells their angles
+    time_stated: bool = False  # `tables` tells how well the readings' times are known
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFile:
+    """One camera's file and what encodes for it."""
+
+    coder: PictureEncoder
+    file: MatroskaFile
+
+    def attempt(self, image: Image, raw: bytes | None, t: float) -> Exception | None:
+        """Encode a picture and append it; what went wrong is handed back, for both sides' sake."""
+        try:
+            self.file.add(self.coder.encode(image, raw), t)
+        except Exception as error:
+            return error
+        return None
+
+
+class SessionWriter:
+    """A session folder that is open.
+
+    Args:
+        folder: is made.
+        facts: what session.toml says.
+        started: when.
+        kinds: of pictures, left and right.
+
+    Raises:
+        OSError, InputError: the system refuses it.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        facts: SessionFacts,
+        started: datetime,
+        kinds: tuple[PictureFormat, PictureFormat],
+    ) -> None:
+        self.folder, self.kinds = folder, kinds
+        self._facts, self._started = facts, started
+        self._begin: float | None = None
+        self._last_t = float("-inf")
+        self._half_widths = 0.0  # s², sum of squares
+        folder.mkdir(parents=True)
+        for name, data in facts.files.items():
+            write_whole(folder / name, data)
+        self._say("open")
+        coders = [PictureEncoder(kind) for kind in kinds]
+        self._sides = tuple(
+            CameraFile(coder, MatroskaFile(folder / f"{name}.mkv", coder.track))
+            for name, coder in zip(("left", "right"), coders, strict=True)
+        )
+        self._frames = CsvWriter(folder / "frames.csv", frames_header(facts.turning))
+        self._encoders = CsvWriter(folder / "encoders.csv", encoders_header(facts.joints))
+        self._other = ThreadPoolExecutor(max_workers=1, thread_name_prefix="record")
+        self._ring: UnfinishedPairs | None = None
+        self._aside = 0
+
+    @property
+    def pairs(self) -> int:
+        """How many pairs it holds."""
+        return self._frames.count
+
+    @property
+    def room(self) -> bool:
+        """Whether one more pair may be set aside."""
+        return self._aside < MAX_UNENCODED_PAIRS
+
+    def set_aside(self, pair: StereoPair, raws: tuple[bytes | None, bytes | None]) -> bool:
+        """Put a pair on the disk as it is; `add_pair` encodes it, in its turn, when there is time.
+
+        Returns:
+            False where that is no help: it is to be added at once. The first pair is, so that
+            every file holds something; JPEGs are, which need no encoding.
+
+        Raises:
+            OSError: the system refuses it.
+        """
+        if not self.pairs or raws != (None, None):
+            return False
+        if self._ring is None:
+            shapes = (pair.left.shape, pair.right.shape)
+            if (
+                ring_bytes(*shapes, MAX_UNENCODED_PAIRS)
+                > MAX_DISK_SHARE * shutil.disk_usage(self.folder).free
+            ):
+                return False
+            self._ring = UnfinishedPairs(self.folder / PENDING, *shapes, MAX_UNENCODED_PAIRS)
+        self._ring.put(self.pairs + self._aside, pair)
+        self._aside += 1
+        return True
+
+    @property
+    def readings(self) -> int:
+        """How many readings it holds."""
+        return self._encoders.count
+
+    def fits(self, raws: tuple[bytes | None, bytes | None], pair: StereoPair) -> bool:
+        """Whether a pair's pictures are of the kind that its files hold."""
+        return self.kinds == (
+            picture_format(pair.left, raws[0]),
+            picture_format(pair.right, raws[1]),
+        )
+
+    def add_pair(self, pair: StereoPair, raws: tuple[bytes | None, bytes | None]) -> None:
+        """Append both pictures, then the row that makes them count.
+
+        Raises:
+            OSError: the system refuses it; the session is as before.
+        """
+        self._check_disk(pair)
+        if self._begin is None:
+            self._begin = pair.t_left
+        t = pair.t_left - self._begin
+        left, right = self._sides
+        of_right = self._other.submit(right.attempt, pair.right, raws[1], t)
+        failures = (left.attempt(pair.left, raws[0], t), of_right.result())
+        try:
+            if (refused := next(filter(None, failures), None)) is not None:
+                raise refused
+            self._frames.add(frames_row(self.pairs, pair, self._facts.turning))
+            self._aside = max(self._aside - 1, 0)
+        except Exception:  # whatever it was: neither side keeps a picture that has no row
+            for side, failure in zip(self._sides, failures, strict=True):
+                if failure is None:
+                    side.file.drop_last()
+            raise
+
+    def add_reading(self, reading: EncoderReading) -> bool:
+        """Append a reading; False if its time is not after the last one's.
+
+        Raises:
+            OSError: the system refuses it; the session is as before.
+        """
+        if reading.t <= self._last_t:
+            return False
+        self._encoders.add(encoders_row(reading))
+        self._last_t = reading.t
+        self._half_widths += reading.half_width**2
+        return True
+
+    def close(self) -> None:
+        """Close every file, and say in session.toml that the session is whole.
+
+        Raises:
+            OSError, InputError: the system refuses it; the session stays "open" and can be read.
+        """
+        self._other.shutdown(wait=True)
+        failure: OSError | None = None
+        files: list[MatroskaFile | CsvWriter] = [side.file for side in self._sides]
+        for file in (*files, self._frames, self._encoders):
+            try:
+                file.close()
+            except OSError as error:
+                failure = error
+        if failure is not None:
+            raise failure
+        if self._ring is not None:
+            self._ring.close()
+        self._say("closed")
+
+    def _say(self, recording: str) -> None:
+        """Write session.toml."""
+        tables = dict(self._facts.tables)
+        if not self._facts.time_stated and recording == "closed" and self.readings:
+            # uniform within ± half-width: its standard deviation
+            spread = float(np.sqrt(self._half_widths / self.readings / 3.0))
+            told = {"time_standard_uncertainty_s": float(f"{spread:.3g}")}
+            tables["encoder_readings"] = {**tables.get("encoder_readings", {}), **told}
+        names = {key: f"{key}.mkv" for key in ("left", "right")}
+        names |= {key: f"{key}.csv" for key in ("frames", "encoders")}
+        head = {"format": FORMAT, "robot": self._facts.robot, "started": self._started}
+        files = {"recording": recording, "rig": "rig.toml", "marker": "marker.toml", **names}
+        write_whole(self.folder / "session.toml", encode({**head, **files, **tables}))
+
+    def _check_disk(self, pair: StereoPair) -> None:
+        """Stop before it is too late.
+
+        Raises:
+            OSError: hardly anything is free, or the folder was deleted.
+        """
+        if not self._sides[0].file.linked():
+            raise FileNotFoundError(errno.ENOENT, "the folder was deleted", str(self.folder))
+        if (
+            shutil.disk_usage(self.folder).free
+            < MIN_FREE_BYTES + pair.left.nbytes + pair.right.nbytes
+        ):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.folder))
+
+
+def new_folder(parent: Path, name: str) -> Path:
+    """Find a name that nothing in the folder has: name, name-2, and so on."""
+    folder, number = parent / name, 1
+    while folder.exists():
+        number += 1
+        folder = parent / f"{name}-{number}"
+    return folder
+
+
+def remove_folder(folder: Path) -> None:
+    """Take a folder away that could not be begun."""
+    with suppress(OSError):
+        for file in folder.iterdir():
+            file.unlink()
+        folder.rmdir()
+
+
+def write_error_text(folder: Path, error: OSError | InputError) -> str:
+    """Say why the system refused to write."""
+    if isinstance(error, InputError):
+        return f"{error.place}: {error.found}"
+    return f"{folder}: {(error.strerror or str(error)).lower()}"

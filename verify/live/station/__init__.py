@@ -1,0 +1,1 @@
+"""A station file and the devices it names."""

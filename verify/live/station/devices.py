@@ -1,0 +1,258 @@
+"""From a station file's tables to the drivers of its devices."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from verify.devices.cameras.opening import is_file
+from verify.devices.encoders.csv import CsvEncoders, CsvSettings
+from verify.devices.encoders.intake import AngleMap
+from verify.devices.encoders.labenc import LabencEncoders, LabencSettings
+from verify.devices.encoders.text import FieldMap, TextEncoders, TextSettings
+from verify.devices.melfa.reader import DEFAULT_MELFA_LINE, MelfaEncoders, MelfaSettings
+from verify.devices.melfa.realtime import RealtimeEncoders, RealtimeSettings
+from verify.devices.pan import PanReader, PanServo
+from verify.devices.ports import DEFAULT_LINE, SerialLine, host_and_port
+from verify.devices.protocols import CameraSettings, EncoderDevice, PanDevice
+from verify.errors import InputError
+from verify.io.toml import key_error, one_of
+from verify.live.station.keys import PanTable, StationCameraTable, StationEncodersTable
+
+COMMON_KEYS = ("driver", "resolution_deg", "time_standard_uncertainty_s")
+ANGLE_KEYS = ("sign", "offset_deg")
+SERIAL_KEYS = ("port", "baud", "data_bits", "parity", "stop_bits", "rts_cts")
+FIELD_KEYS = (
+    *("columns", "separator", "pattern", "skip", "time_unit", "tick_rate_hz", "wraps_after"),
+    *("angle_unit", "counts_per_degree", "checksum"),
+)
+BOARD_KEYS = ("checksum", "rate_hz", "unit", "latch_span_us")
+ENCODER_KEYS: dict[str, tuple[str, ...]] = {
+    "melfa": (
+        *COMMON_KEYS,
+        *ANGLE_KEYS,
+        *SERIAL_KEYS,
+        "terminator",
+        "pause_ms",
+        "timeout_s",
+        "robot_type",
+    ),
+    "melfa-realtime": (*COMMON_KEYS, *ANGLE_KEYS, "port", "cycle_ms"),
+    "labenc": (*COMMON_KEYS, *ANGLE_KEYS, *SERIAL_KEYS, *BOARD_KEYS),
+    "text": (
+        *COMMON_KEYS,
+        *ANGLE_KEYS,
+        *SERIAL_KEYS,
+        *FIELD_KEYS,
+        "latency_ms",
+        "at_start",
+        "at_end",
+    ),
+    "csv": (*COMMON_KEYS, *ANGLE_KEYS, "path", *FIELD_KEYS, "latency_ms"),
+    "sim": (*COMMON_KEYS, "rate_hz"),
+}
+PAN_KEYS: dict[str, tuple[str, ...]] = {
+    "fixed": ("driver",),
+    "serial": ("driver", "follow", *ANGLE_KEYS, "port", "baud", *BOARD_KEYS),
+    "sim": ("driver", "follow"),
+}
+TERMINATORS = {"CR": b"\r", "CR LF": b"\r\n", "NUL": b"\0", "none": b""}
+MELFA_RESOLUTION_DEG = 0.01  # JPOSF prints two decimals
+
+
+def given_keys(table: msgspec.Struct) -> set[str]:
+    """Name the keys that a table has and that are not as they are without it."""
+    return set(msgspec.to_builtins(table))
+
+
+def resolution_deg(table: StationEncodersTable) -> float | None:
+    """Say to what the readings are rounded: as stated, else as the driver knows."""
+    if table.resolution_deg is None and table.driver == "melfa":
+        return MELFA_RESOLUTION_DEG
+    return table.resolution_deg
+
+
+def camera_settings(path: Path, table: StationCameraTable, size: tuple[int, int]) -> CameraSettings:
+    """Turn [left] or [right] into what a camera is asked for; by default the rig's own size."""
+    source = table.source
+    if is_file(source) and source != "sim":
+        source = str(path.parent / str(source))
+    return CameraSettings(
+        source=source,
+        size=table.size or size,
+        rate=table.rate_hz,
+        format=table.format,
+        exposure=None if table.exposure_ms is None else table.exposure_ms * 1e-3,
+        gain=table.gain,
+        white_balance=table.white_balance_k,
+        grey=table.grey,
+        delay=table.delay_ms * 1e-3,
+    )
+
+
+def open_encoders(path: Path, table: StationEncodersTable, joints: int) -> EncoderDevice:
+    """Open the encoders that [encoders] names; not for `sim`.
+
+    Raises:
+        InputError: names the key, what stands there, what should, and what to do.
+    """
+    angles = _angle_map(path, "encoders", table, joints)
+    try:
+        return _make_encoders(path, table, angles, joints)
+    except InputError as error:
+        if error.place.startswith(str(path)):
+            raise
+        raise InputError(
+            f"{path}, {error.place}", error.found, error.expected, error.remedy
+        ) from error
+
+
+def open_pan(path: Path, table: PanTable) -> PanDevice | None:
+    """Open the bases that [pan] names, with the right to turn them if they follow; not for `sim`.
+
+    Raises:
+        InputError: names the key, what stands there, what should, and what to do.
+    """
+    if table.driver == "fixed":
+        return None
+    line = replace(DEFAULT_LINE, baud=table.baud or DEFAULT_LINE.baud)
+    settings = _board_settings(path, "pan", table, line)
+    angles = _angle_map(path, "pan", table, 2)
+    return PanServo(settings, angles) if table.follow else PanReader(settings, angles)
+
+
+def _make_encoders(
+    path: Path, table: StationEncodersTable, angles: AngleMap, joints: int
+) -> EncoderDevice:
+    match table.driver:
+        case "melfa":
+            return MelfaEncoders(_melfa_settings(path, table), angles)
+        case "melfa-realtime":
+            cycle = {} if table.cycle_ms is None else {"cycle": table.cycle_ms * 1e-3}
+            return RealtimeEncoders(
+                RealtimeSettings(_require_port(path, "encoders", table.port), **cycle), angles
+            )
+        case "labenc":
+            return LabencEncoders(
+                _board_settings(path, "encoders", table, _serial_line(path, table, DEFAULT_LINE)),
+                angles,
+            )
+        case "csv":
+            return CsvEncoders(_csv_settings(path, table, joints), angles)
+    return TextEncoders(_text_settings(path, table, joints), angles)
+
+
+def _angle_map(
+    path: Path, name: str, table: StationEncodersTable | PanTable, joints: int
+) -> AngleMap:
+    """Sign and zero of each joint; the device's own where nothing is said."""
+    given: list[list[float]] = []
+    for key, usual in (("sign", 1.0), ("offset_deg", 0.0)):
+        values = getattr(table, key)
+        if values is not None and len(values) != joints:
+            expected = f"one for each of the {joints} joints is expected"
+            raise key_error(path, f"{name}.{key}", f"is a list of {len(values)}", expected)
+        given.append(values or [usual] * joints)
+    if any(sign not in (1, -1) for sign in given[0]):
+        raise key_error(path, f"{name}.sign", f"is {given[0]}", "1 or -1 for each is expected")
+    return AngleMap(np.array(given[0], dtype=float), np.deg2rad(np.array(given[1], dtype=float)))
+
+
+def _require_port(path: Path, name: str, port: str | None) -> str:
+    if not port:
+        expected = "where the device is reached is needed"
+        remedy = 'Example: port = "tcp:192.168.0.20:10001", or a serial device\'s path.'
+        raise key_error(path, f"{name}.port", "is missing", expected, remedy)
+    kind, _, rest = port.replace("socket://", "tcp:", 1).partition(":")
+    if kind in ("tcp", "udp"):
+        try:
+            host_and_port(rest, port)
+        except InputError as error:
+            raise key_error(
+                path, f"{name}.port", error.found, error.expected, error.remedy
+            ) from error
+    return port
+
+
+def _serial_line(path: Path, table: StationEncodersTable, usual: SerialLine) -> SerialLine:
+    allowed = {"data_bits": (5, 6, 7, 8), "parity": ("N", "E", "O"), "stop_bits": (1, 2)}
+    for key, options in allowed.items():
+        value = getattr(table, key)
+        if value is not None and value not in options:
+            expected = f"one of {', '.join(map(str, options))} is expected"
+            raise key_error(path, f"encoders.{key}", f"is {value}", expected)
+    if table.baud is not None and table.baud < 1:
+        raise key_error(path, "encoders.baud", f"is {table.baud}", "a positive number is expected")
+    keys = ("baud", *allowed, "rts_cts")
+    given = {key: getattr(table, key) for key in keys if getattr(table, key) is not None}
+    return replace(usual, **given)
+
+
+def _melfa_settings(path: Path, table: StationEncodersTable) -> MelfaSettings:
+    given: dict[str, Any] = {}
+    if table.terminator is not None:
+        one_of(path, "encoders.terminator", table.terminator, tuple(TERMINATORS))
+        given["terminator"] = TERMINATORS[table.terminator]
+    if table.pause_ms is not None:
+        given["pause"] = table.pause_ms * 1e-3
+    if table.timeout_s is not None:
+        given["timeout"] = table.timeout_s
+    line = _serial_line(path, table, DEFAULT_MELFA_LINE)
+    return MelfaSettings(
+        _require_port(path, "encoders", table.port), line, robot_type=table.robot_type, **given
+    )
+
+
+def _board_settings(
+    path: Path, name: str, table: StationEncodersTable | PanTable, line: SerialLine
+) -> LabencSettings:
+    if table.checksum is not None:
+        one_of(path, f"{name}.checksum", table.checksum, ("xor", "crc16"))
+    if table.unit is not None:
+        one_of(path, f"{name}.unit", table.unit, ("deg", "counts"))
+    rate = table.rate_hz
+    if rate is not None and (rate < 1 or rate != int(rate)):
+        raise key_error(path, f"{name}.rate_hz", f"is {rate:g}", "a whole number is expected")
+    latch = {} if table.latch_span_us is None else {"latch_span": table.latch_span_us * 1e-6}
+    return LabencSettings(
+        _require_port(path, name, table.port),
+        line,
+        table.checksum or "xor",
+        None if rate is None else int(rate),
+        table.unit,
+        **latch,
+    )
+
+
+def _field_map(table: StationEncodersTable, joints: int) -> FieldMap:
+    names = {"tick_rate_hz": "tick_rate"}
+    keys = (key for key in FIELD_KEYS if getattr(table, key) is not None)
+    given = {names.get(key, key): getattr(table, key) for key in keys}
+    for key in ("columns", "counts_per_degree"):
+        if key in given:
+            given[key] = tuple(given[key])
+    return FieldMap(joints, **given)
+
+
+def _csv_settings(path: Path, table: StationEncodersTable, joints: int) -> CsvSettings:
+    if not table.path:
+        raise key_error(path, "encoders.path", "is missing", "which file is followed is needed")
+    mapped = table.columns or table.pattern
+    fields = _field_map(table, joints) if mapped else None
+    latency = {} if table.latency_ms is None else {"latency": table.latency_ms * 1e-3}
+    return CsvSettings(path.parent / table.path, fields, **latency)
+
+
+def _text_settings(path: Path, table: StationEncodersTable, joints: int) -> TextSettings:
+    given: dict[str, Any] = {}
+    if table.latency_ms is not None:
+        given["latency"] = table.latency_ms * 1e-3
+    for key in ("at_start", "at_end"):
+        if (text := getattr(table, key)) is not None:
+            given[key] = text.encode()
+    line = _serial_line(path, table, DEFAULT_LINE)
+    return TextSettings(
+        _require_port(path, "encoders", table.port), _field_map(table, joints), line, **given
+    )

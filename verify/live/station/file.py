@@ -1,0 +1,160 @@
+"""A station file: read, checked, and written anew with every key explained."""
+
+import re
+from datetime import datetime
+from importlib import resources
+from pathlib import Path
+
+from verify.errors import one_line
+from verify.io.session.keys import clock, tolerance
+from verify.io.toml import decode, did_you_mean, key_error, not_negative, one_of
+from verify.live.station.devices import ENCODER_KEYS, PAN_KEYS, given_keys
+from verify.live.station.keys import EVENT_KINDS, StationCameraTable, StationTable
+
+SIM = "sim"
+SIDES = ("left", "right", "both")
+_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^\s:/]+):[0-9]{1,5}")
+_MQTT = re.compile(r"mqtts?://([^\s/@]+@)?[^\s/]+/\S+")
+
+
+def read(path: Path) -> tuple[StationTable, tuple[str, ...]]:
+    """Read a station file and check what needs neither another file nor a device.
+
+    Returns:
+        Its keys, and a warning for each that has no meaning where it stands.
+
+    Raises:
+        InputError: names the key, what stands there, what should, and what to do.
+    """
+    table, warnings = decode(path, StationTable)
+    for side in ("left", "right"):
+        check_camera(path, side, getattr(table, side))
+    check_sources(path, table)
+    one_of(path, "encoders.driver", table.encoders.driver, tuple(ENCODER_KEYS))
+    one_of(path, "pan.driver", table.pan.driver, tuple(PAN_KEYS))
+    if table.pan.follow and table.pan.driver == "fixed":
+        expected = "bases that turn are needed to follow"
+        raise key_error(path, "pan.follow", "is true with fixed bases", expected)
+    clock(table.clock)
+    if table.clock is not None:
+        key = "encoder_offset_standard_uncertainty_s"
+        not_negative(path, f"clock.{key}", getattr(table.clock, key))
+    tolerance(path, table.tolerance, _n_tolerances(table))
+    for key in ("resolution_deg", "time_standard_uncertainty_s"):
+        not_negative(path, f"encoders.{key}", getattr(table.encoders, key))
+    _check_alarm(path, table)
+    _check_recording(path, table)
+    check_sim(path, table)
+    return table, (*warnings, *_unused_setting_warnings(path, table))
+
+
+def template() -> str:
+    """Give a station file that explains every key, and runs as it is: its devices are simulated."""
+    return (resources.files("verify.live.station") / "station.toml").read_text(encoding="utf-8")
+
+
+def _n_tolerances(table: StationTable) -> int:
+    """Count the joints that the tolerance lists; how many the robot has is checked later."""
+    given = table.tolerance.joints_deg if table.tolerance is not None else None
+    return len(given) if isinstance(given, list) else 1
+
+
+def check_camera(path: Path, side: str, table: StationCameraTable) -> None:
+    """Check [left] or [right].
+
+    Raises:
+        InputError: names the key, what stands there, and what should.
+    """
+    if isinstance(table.source, int):
+        not_negative(path, f"{side}.source", table.source)
+    elif not table.source:
+        raise key_error(path, f"{side}.source", "is empty", "an index, a device, a URL or a file")
+    if table.size is not None and min(table.size) < 1:
+        raise key_error(path, f"{side}.size", "is {} x {}".format(*table.size), "at least 1 x 1 px")
+    if table.format is not None and not re.fullmatch(r"[ -~]{4}", table.format):
+        expected = "four letters are expected, such as MJPG or YUYV"
+        raise key_error(path, f"{side}.format", f'is "{table.format}"', expected)
+    not_negative(path, f"{side}.rate_hz", table.rate_hz)
+    not_negative(path, f"{side}.delay_ms", table.delay_ms)
+    for key in ("exposure_ms", "white_balance_k"):
+        value = getattr(table, key)
+        if value is not None and value <= 0:
+            raise key_error(path, f"{side}.{key}", f"is {value}", "a number above 0 is expected")
+
+
+def check_sources(path: Path, table: StationTable) -> None:
+    """Refuse one camera for both sides, and half a simulation.
+
+    Raises:
+        InputError: names the key, what stands there, and what should.
+    """
+    left, right = table.left.source, table.right.source
+    simulated = (left == SIM, right == SIM)
+    if any(simulated) and not all(simulated):
+        expected = "both cameras are simulated, or neither"
+        key = "right.source" if simulated[0] else "left.source"
+        raise key_error(path, key, 'is not "sim"', expected)
+    if left == right and not any(simulated):
+        raise key_error(
+            path, "right.source", "is the left camera's", "each side has its own camera"
+        )
+    for key in ("rig", "marker"):
+        if getattr(table, key) == SIM and not any(simulated):
+            expected = 'that goes with cameras whose source is "sim" alone'
+            raise key_error(path, key, 'is "sim"', expected, f"Name a {key}.toml.")
+    if table.pan.driver == SIM and not any(simulated):
+        expected = "bases are simulated with their cameras, or not at all"
+        raise key_error(path, "pan.driver", 'is "sim"', expected)
+
+
+def _check_alarm(path: Path, table: StationTable) -> None:
+    alarm = table.alarm
+    if alarm.false_alarms_per_hour <= 0:
+        found = f"is {alarm.false_alarms_per_hour}"
+        expected = "a number above 0 is expected: no test is without false alarms"
+        raise key_error(path, "alarm.false_alarms_per_hour", found, expected)
+    if alarm.mqtt is not None and not _MQTT.fullmatch(alarm.mqtt):
+        expected = "mqtt://HOST:PORT/TOPIC is expected"
+        raise key_error(path, "alarm.mqtt", f'is "{alarm.mqtt}"', expected)
+    if alarm.prometheus is not None and not _HOST.fullmatch(alarm.prometheus):
+        expected = "HOST:PORT is expected, such as 127.0.0.1:9105"
+        raise key_error(path, "alarm.prometheus", f'is "{alarm.prometheus}"', expected)
+
+
+def _check_recording(path: Path, table: StationTable) -> None:
+    name = table.recording.name
+    try:
+        example = datetime(2026, 1, 15).strftime(name.replace("{robot}", "robot"))
+    except ValueError:
+        example = ""
+    if not example.strip() or re.search(r'[/\\<>:"|?*\0]', example) or example.startswith("."):
+        expected = "a folder's name is expected, with {robot} and the marks of strftime"
+        raise key_error(path, "recording.name", f'is "{name}"', expected)
+
+
+def check_sim(path: Path, table: StationTable) -> None:
+    """Check [sim].
+
+    Raises:
+        InputError: names the key, what stands there, and what should.
+    """
+    if table.sim.speed <= 0:
+        raise key_error(path, "sim.speed", f"is {table.sim.speed}", "a number above 0 is expected")
+    for index, event in enumerate(table.sim.event):
+        key = f"sim.event[{index}]"
+        one_of(path, f"{key}.what", event.what, EVENT_KINDS)
+        one_of(path, f"{key}.camera", event.camera, SIDES)
+        not_negative(path, f"{key}.at_s", event.at_s)
+        not_negative(path, f"{key}.for_s", event.for_s)
+
+
+def _unused_setting_warnings(path: Path, table: StationTable) -> list[str]:
+    """Warn of settings that the chosen driver has not."""
+    warnings = []
+    for name, keys in (("encoders", ENCODER_KEYS), ("pan", PAN_KEYS)):
+        part = getattr(table, name)
+        for key in sorted(given_keys(part) - set(keys[part.driver])):
+            hint = did_you_mean(key, keys[part.driver])
+            said = f'the driver "{part.driver}" has no such setting; it is left alone.{hint}'
+            warnings.append(one_line(f"{path}, {name}.{key}: {said}"))
+    return warnings

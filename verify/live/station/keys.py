@@ -1,0 +1,215 @@
+"""The keys of a station file, as the file has them: degrees, milliseconds, paths.
+
+What a station asks of a simulation: which scenario, how fast, and what goes wrong when.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import msgspec
+
+from verify.core.fiducials import Marker
+from verify.core.rig import Rig
+from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
+from verify.io.session.keys import ClockTable, EnvironmentTable, RobotFramesTable, ToleranceTable
+
+
+class StationCameraTable(msgspec.Struct, kw_only=True):
+    """The keys of [left] and [right]."""
+
+    source: int | str
+    size: tuple[int, int] | None = None
+    rate_hz: float | None = None
+    format: str | None = None
+    exposure_ms: float | None = None
+    gain: float | None = None
+    white_balance_k: float | None = None
+    grey: bool | None = None
+    delay_ms: float = 0.0
+
+
+class StationEncodersTable(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """The keys of [encoders]; which of them have a meaning depends on the driver."""
+
+    driver: str
+    resolution_deg: float | None = None
+    time_standard_uncertainty_s: float | None = None
+    sign: list[int] | None = None
+    offset_deg: list[float] | None = None
+    port: str | None = None
+    baud: int | None = None
+    data_bits: int | None = None
+    parity: str | None = None
+    stop_bits: int | None = None
+    rts_cts: bool | None = None
+    terminator: str | None = None
+    pause_ms: float | None = None
+    timeout_s: float | None = None
+    robot_type: str | None = None
+    cycle_ms: float | None = None
+    checksum: str | None = None
+    rate_hz: float | None = None
+    unit: str | None = None
+    latch_span_us: float | None = None
+    path: str | None = None
+    columns: list[str] | None = None
+    separator: str | None = None
+    pattern: str | None = None
+    skip: str | None = None
+    time_unit: str | None = None
+    tick_rate_hz: float | None = None
+    wraps_after: float | None = None
+    angle_unit: str | None = None
+    counts_per_degree: list[float] | None = None
+    latency_ms: float | None = None
+    at_start: str | None = None
+    at_end: str | None = None
+
+
+class PanTable(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """The keys of [pan]."""
+
+    driver: str = "fixed"
+    follow: bool = False
+    sign: list[int] | None = None
+    offset_deg: list[float] | None = None
+    port: str | None = None
+    baud: int | None = None
+    checksum: str | None = None
+    rate_hz: float | None = None
+    unit: str | None = None
+    latch_span_us: float | None = None
+
+
+class AlarmTable(msgspec.Struct, kw_only=True):
+    """The keys of [alarm]."""
+
+    false_alarms_per_hour: float = 0.1
+    command: str | None = None
+    mqtt: str | None = None
+    prometheus: str | None = None
+
+
+class StationRecordingTable(msgspec.Struct, kw_only=True):
+    """The keys of [recording]."""
+
+    folder: str = "recordings"
+    name: str = "{robot}-%Y-%m-%d-%H%M%S"
+
+
+class EventTable(msgspec.Struct, kw_only=True):
+    """The keys of [[sim.event]]."""
+
+    what: str
+    at_s: float
+    for_s: float | None = None
+    joint: int | None = None
+    degrees: float = 0.0
+    camera: str = "both"
+    led: str | None = None
+
+
+class SimTable(msgspec.Struct, kw_only=True):
+    """The keys of [sim]."""
+
+    scenario: str = "multi_joint_rv_3sd"
+    speed: float = 1.0
+    event: list[EventTable] = msgspec.field(default_factory=list)
+
+
+class StationTable(msgspec.Struct, kw_only=True):
+    """The keys of a station file."""
+
+    format: int
+    robot: str
+    description: str = ""
+    rig: str
+    marker: str
+    left: StationCameraTable
+    right: StationCameraTable
+    encoders: StationEncodersTable
+    pan: PanTable = msgspec.field(default_factory=PanTable)
+    tolerance: ToleranceTable | None = None
+    clock: ClockTable | None = None
+    alarm: AlarmTable = msgspec.field(default_factory=AlarmTable)
+    recording: StationRecordingTable = msgspec.field(default_factory=StationRecordingTable)
+    environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
+    robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
+    sim: SimTable = msgspec.field(default_factory=SimTable)
+
+
+EVENT_KINDS = (
+    "encoder_jump",  # joint, degrees: its readings are off by so much
+    "encoder_silent",  # no readings
+    "encoder_reset",  # the controller's clock starts anew
+    "camera_gone",  # camera: it is unplugged
+    "camera_stalls",  # camera: it is there and delivers nothing
+    "leds_covered",  # led: that one, or all
+    "lamp_on",  # a lamp beside the marker
+    "pan_gone",  # the bases' board is unplugged
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SimEvent:
+    """Something that happens to the simulated devices."""
+
+    what: str  # one of EVENT_KINDS
+    at: float  # s after the start
+    duration: float | None = None  # s; None: for good
+    joint: int | None = None  # counted from 1
+    angle: float = 0.0  # rad
+    camera: str = "both"  # left, right, both
+    led: str | None = None  # None: all
+
+    def present(self, t: float) -> bool:
+        """Whether it is so at t, s after the start."""
+        return self.at <= t and (self.duration is None or t < self.at + self.duration)
+
+    def strikes(self, side: int) -> bool:
+        """Whether it befalls the left (0) or right (1) camera."""
+        return self.camera in ("both", ("left", "right")[side])
+
+
+@dataclass(frozen=True, slots=True)
+class SimSettings:
+    """Which simulated station it is."""
+
+    scenario: str  # a built-in one's name, or a path
+    speed: float = 1.0  # times real time
+    events: tuple[SimEvent, ...] = ()
+
+
+class SimulatedHardware(Protocol):
+    """The simulated hardware, and what its owner believes of it."""
+
+    @property
+    def robot(self) -> str:
+        """Its arm, as a station file names one."""
+        ...
+
+    @property
+    def rig(self) -> Rig:
+        """Its calibration."""
+        ...
+
+    @property
+    def marker(self) -> Marker:
+        """Its LEDs."""
+        ...
+
+    def camera(self, side: int, settings: CameraSettings) -> CameraDevice:
+        """Open the left (0) or right (1) camera."""
+        ...
+
+    def encoders(self, rate: float | None) -> EncoderDevice:
+        """Open the encoders; rate in Hz, None for the scenario's own."""
+        ...
+
+    def pan(self) -> PanDevice:
+        """Open the turning bases."""
+        ...
+
+
+Simulate = Callable[[SimSettings], SimulatedHardware]

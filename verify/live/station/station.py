@@ -1,0 +1,307 @@
+"""A station: the robot, the calibrated cameras, and the devices that one file names."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+import msgspec
+import numpy as np
+
+import robots
+from verify.core.fiducials import Marker
+from verify.core.rig import Rig
+from verify.devices.cameras.opening import is_file, open_camera
+from verify.devices.cameras.replay import DEFAULT_RATE
+from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
+from verify.errors import InputError
+from verify.io import fiducials
+from verify.io import rig as io_rig
+from verify.io.files import read_bytes
+from verify.io.session import keys
+from verify.io.session.keys import Clock, Tolerance
+from verify.io.toml import key_error
+from verify.live.recording.recorder import SessionRecorder
+from verify.live.recording.session import SessionFacts
+from verify.live.station import devices, file
+from verify.live.station.file import SIM
+from verify.live.station.keys import (
+    SimEvent,
+    SimSettings,
+    SimTable,
+    Simulate,
+    SimulatedHardware,
+    StationTable,
+)
+
+T = TypeVar("T")
+ROBOT_FILES = {".toml", ".urdf"}  # what robots.load takes for a file; else it is a name
+
+
+@runtime_checkable
+class PanDrive(PanDevice, Protocol):
+    """Bases that can be turned: what `open_pan` gives where they follow."""
+
+    def turn_to(self, left: float, right: float) -> bool:
+        """Order both bases to angles, rad, as read; False if the line is down."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmSettings:
+    """When an alarm is raised, and who is told."""
+
+    false_alarms_per_hour: float
+    command: str | None = None  # called with the alarm as JSON
+    mqtt: str | None = None  # mqtt://HOST:PORT/TOPIC
+    prometheus: str | None = None  # HOST:PORT where metrics are served
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSettings:
+    """Where recordings go."""
+
+    folder: Path
+    name: str  # of a recording's folder, for strftime
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """Everything that `verify run` needs; devices are opened when they are asked for."""
+
+    path: Path
+    name: str
+    arm: robots.Arm
+    robot: str  # as the file names it
+    rig: Rig
+    marker: Marker
+    tolerance: Tolerance | None  # None: no verdict is asked for
+    clock: Clock | None  # None: the offset is estimated from the motion
+    encoder_resolution: float | None  # rad
+    encoder_time_standard_uncertainty: float | None  # s
+    alarm: AlarmSettings
+    recording: RecordingSettings
+    rate: float  # Hz, pairs: of the slower camera, as asked for
+    files: bool  # the cameras are files, whose pictures can wait
+    follow: bool  # the bases turn to keep the LEDs in view; open_pan gives a Servo then
+    warnings: tuple[str, ...]
+    open_cameras: Callable[[], tuple[CameraDevice, CameraDevice]]  # left, right
+    open_encoders: Callable[[], EncoderDevice]
+    open_pan: Callable[[], PanDevice | None]  # None: fixed bases, which stand as the rig says
+    facts: SessionFacts  # what a recording's session.toml says
+
+    def open_recorder(self) -> SessionRecorder:
+        """Begin to record; the session's folder is made with the first pair."""
+        return SessionRecorder(self.recording.folder, self.recording.name, self.facts)
+
+
+def open_station(path: str | Path, simulate: Simulate) -> Station:
+    """Read a station file and all that it names; no device is opened yet.
+
+    Args:
+        path: the file.
+        simulate: makes the simulated devices, where the file asks for them.
+
+    Raises:
+        InputError: one line that names the file, the place in it, what stands there, what should,
+            and what to do.
+    """
+    path = Path(path)
+    table, warnings = file.read(path)
+    sim = _make_simulation(path, table, simulate)
+    arm = _arm(path, table)
+    if sim is not None and table.robot != sim.robot:
+        expected = f'the simulated robot is "{sim.robot}"'
+        raise key_error(path, "robot", f'is "{table.robot}"', expected)
+    rig, rig_warnings = _rig(path, table, sim)
+    if table.left.source == SIM and sim is not None and sim.rig.image_size != rig.image_size:
+        found = "is for {} x {} px".format(*rig.image_size)
+        expected = "the simulated cameras have {} x {}".format(*sim.rig.image_size)
+        raise key_error(path, "rig", found, expected, 'Write rig = "sim".')
+    marker, marker_warnings = _marker(path, table, sim)
+    for side, camera in (("left", table.left), ("right", table.right)):
+        if camera.size is not None and tuple(camera.size) != tuple(rig.image_size):
+            found = "is {} x {}".format(*camera.size)
+            expected = "the rig is calibrated for {} x {}".format(*rig.image_size)
+            raise key_error(path, f"{side}.size", found, expected)
+    resolution = keys.to_radians(devices.resolution_deg(table.encoders))
+    slug = "".join(c if c.isalnum() or c in "-_" else "_" for c in arm.name)
+    station = Station(
+        path=path,
+        name=table.description or path.stem,
+        arm=arm,
+        robot=table.robot,
+        rig=rig,
+        marker=marker,
+        tolerance=keys.tolerance(path, table.tolerance, arm.dof),
+        clock=keys.clock(table.clock),
+        encoder_resolution=resolution,
+        encoder_time_standard_uncertainty=table.encoders.time_standard_uncertainty_s,
+        alarm=AlarmSettings(**msgspec.structs.asdict(table.alarm)),
+        recording=RecordingSettings(
+            path.parent / table.recording.folder,
+            table.recording.name.replace("{robot}", slug),
+        ),
+        rate=min(table.left.rate_hz or DEFAULT_RATE, table.right.rate_hz or DEFAULT_RATE),
+        files=all(c.source != SIM and is_file(c.source) for c in (table.left, table.right)),
+        follow=table.pan.follow,
+        warnings=(*warnings, *rig_warnings, *marker_warnings),
+        open_cameras=partial(_open_cameras, path, table, rig, sim),
+        open_encoders=partial(_open_encoders, path, table, arm.dof, sim),
+        open_pan=partial(_open_pan, path, table, sim),
+        facts=_session_facts(path, table, arm.dof, sim),
+    )
+    _check_settings(path, table, arm.dof)
+    return station
+
+
+def _open_cameras(
+    path: Path, table: StationTable, rig: Rig, sim: SimulatedHardware | None
+) -> tuple[CameraDevice, CameraDevice]:
+    left, right = camera_settings(path, table, rig)
+    if sim is not None and left.source == SIM:
+        return sim.camera(0, left), sim.camera(1, right)
+    return open_camera(left), open_camera(right)
+
+
+def camera_settings(
+    path: Path, table: StationTable, rig: Rig
+) -> tuple[CameraSettings, CameraSettings]:
+    """Say what both cameras are asked for."""
+    size = rig.image_size
+    left = devices.camera_settings(path, table.left, size)
+    return left, devices.camera_settings(path, table.right, size)
+
+
+def _open_encoders(
+    path: Path, table: StationTable, joints: int, sim: SimulatedHardware | None
+) -> EncoderDevice:
+    if sim is not None and table.encoders.driver == SIM:
+        return sim.encoders(table.encoders.rate_hz)
+    return devices.open_encoders(path, table.encoders, joints)
+
+
+def _open_pan(path: Path, table: StationTable, sim: SimulatedHardware | None) -> PanDevice | None:
+    if sim is not None and table.pan.driver == SIM:
+        return sim.pan()
+    return devices.open_pan(path, table.pan)
+
+
+def _check_settings(path: Path, table: StationTable, joints: int) -> None:
+    """Find wrong settings now, not when the run begins: drivers open their ports later.
+
+    Raises:
+        InputError: as the driver says.
+    """
+    if table.encoders.driver != SIM:
+        devices.open_encoders(path, table.encoders, joints).close()
+    if table.pan.driver != SIM and (pan := devices.open_pan(path, table.pan)) is not None:
+        pan.close()
+
+
+def _make_simulation(
+    path: Path, table: StationTable, simulate: Simulate
+) -> SimulatedHardware | None:
+    if SIM not in (table.left.source, table.encoders.driver):
+        return None
+    try:
+        return simulate(_sim_settings(path, table.sim))
+    except InputError as error:
+        if error.place.startswith("sim."):
+            key, found = error.place, error.found
+        else:
+            key, found = "sim.scenario", f"{error.place}: {error.found}"
+        raise InputError(f"{path}, {key}", found, error.expected, error.remedy) from error
+
+
+def _sim_settings(path: Path, table: SimTable) -> SimSettings:
+    events = tuple(
+        SimEvent(
+            event.what, event.at_s, event.for_s, event.joint, float(np.deg2rad(event.degrees)),
+            event.camera, event.led,
+        )
+        for event in table.event
+    )  # fmt: skip
+    is_file = Path(table.scenario).suffix == ".toml"
+    scenario = str(path.parent / table.scenario) if is_file else table.scenario
+    return SimSettings(scenario, table.speed, events)
+
+
+def _arm(path: Path, table: StationTable) -> robots.Arm:
+    chain = table.robot_frames
+    is_file = Path(table.robot).suffix in ROBOT_FILES
+    named = str(path.parent / table.robot) if is_file else table.robot
+    try:
+        return robots.load(named, base=chain.base, tip=chain.tip)
+    except robots.RobotError as error:
+        found = f"{error.place} {error.found}"
+        raise InputError(f"{path}, robot", found, error.expected, error.remedy) from error
+
+
+def _rig(
+    path: Path, table: StationTable, sim: SimulatedHardware | None
+) -> tuple[Rig, tuple[str, ...]]:
+    if sim is not None and table.rig == SIM:
+        return _round_trip(sim.rig, io_rig.write, io_rig.read), ()
+    return io_rig.read(path.parent / table.rig)
+
+
+def _marker(
+    path: Path, table: StationTable, sim: SimulatedHardware | None
+) -> tuple[Marker, tuple[str, ...]]:
+    if sim is not None and table.marker == SIM:
+        return _round_trip(sim.marker, fiducials.write_marker, fiducials.read_marker), ()
+    return fiducials.read_marker(path.parent / table.marker)
+
+
+def _round_trip(
+    thing: T, write: Callable[[Path, T], None], read: Callable[[Path], tuple[T, tuple[str, ...]]]
+) -> T:
+    """Give what a recording's file will say: numbers are rounded there, in the 15th digit.
+
+    What is measured live must be measured again from the recording, to the last digit.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "written.toml"
+        write(path, thing)
+        return read(path)[0]
+
+
+def _session_facts(
+    path: Path, table: StationTable, joints: int, sim: SimulatedHardware | None
+) -> SessionFacts:
+    """What a recording of this station says of itself: copies of its files, and the tables."""
+    robot: str = table.robot
+    files: dict[str, bytes] = {}
+    if Path(robot).suffix in ROBOT_FILES:
+        data = read_bytes(path.parent / robot)
+        robot = f"robot{Path(robot).suffix}"
+        files[robot] = data
+    if sim is not None:  # the very bytes that this run reads: written again they end otherwise
+        files |= {
+            "rig.toml": io_rig.encode(sim.rig),
+            "marker.toml": fiducials.encode_marker(sim.marker),
+        }
+    for name, given in (("rig.toml", table.rig), ("marker.toml", table.marker)):
+        if given != SIM:
+            files[name] = read_bytes(path.parent / given)
+    stated = table.encoders.time_standard_uncertainty_s
+    readings = {
+        "resolution_deg": devices.resolution_deg(table.encoders),
+        "time_standard_uncertainty_s": stated,
+    }
+    tables: dict[str, Any] = {"description": table.description or path.stem}
+    for key, part in (
+        ("clock", table.clock),
+        ("encoder_readings", readings),
+        ("tolerance", table.tolerance),
+        ("environment", table.environment),
+        ("robot_frames", table.robot_frames),
+    ):
+        said = {k: v for k, v in (msgspec.to_builtins(part) or {}).items() if v is not None}
+        if said:
+            tables[key] = said
+    turning = table.pan.driver != "fixed"
+    return SessionFacts(robot, joints, files, tables, turning, stated is not None)

@@ -1,0 +1,101 @@
+"""Left and right sightings, brought to the left camera's instant.
+
+The two pictures of a pair are not taken together, and with a rolling shutter not even one
+picture is: each spot has its own instant. It is carried to the pair's along its own image
+velocity, taken between this pair and its neighbour in time; what an acceleration would add is
+not known from two pairs and goes into the uncertainty (see pose.py).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from verify.core.records import Array, Sighting
+from verify.core.rig import Camera
+from verify.measurement.kernels.alignment import carry_to_instant
+
+# A longer gap between two pairs says nothing about the motion at either: single visits, at rest.
+MAX_GAP = 1.5  # s
+TOL_INSTANT = 1e-9  # s, closer than any camera's clock
+
+
+@dataclass(frozen=True, slots=True)
+class RawSighting:
+    """One camera's LEDs as seen, each at its own instant."""
+
+    sighting: Sighting
+    taken: Array  # (m,), s, the instant of each spot (differs by row with a rolling shutter)
+    depth: Array  # (m,), m, rough distance along the optical axis
+
+
+def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array:
+    """When each spot was taken, (m,) s: `t` is the middle row's instant."""
+    rows: Array = centre[:, 1] - (height - 1) / 2
+    return t + rows * camera.line_time
+
+
+def align(
+    now: RawSighting,
+    neighbour: RawSighting | None,
+    t: float,
+    camera: Camera,
+    *,
+    alone: bool = False,
+) -> Sighting | None:
+    """Carry one camera's spots to the instant `t`.
+
+    Args:
+        now: the sighting to carry.
+        neighbour: the same camera's sighting in the pair before (for the first pair: after);
+            None where there is none, or none with an LED in it.
+        t: s, the pair's instant.
+        camera: the camera that saw both.
+        alone: the pair is a single visit, far in time from its neighbours: taken as standing still.
+
+    Returns:
+        The sighting at `t`, or None where it has to be moved and nothing says how.
+    """
+    if alone:
+        return replace(now.sighting, t=t)
+    motion = _along_image_velocity(now, neighbour, t, camera) if neighbour is not None else None
+    if motion is None:
+        at_rest = bool(np.all(np.abs(t - now.taken) < TOL_INSTANT))
+        return replace(now.sighting, t=t) if at_rest else None
+    return motion
+
+
+def _along_image_velocity(
+    now: RawSighting, neighbour: RawSighting, t: float, camera: Camera
+) -> Sighting | None:
+    """Spots at the common instant, from the line through this sighting and its neighbour."""
+    seen, before = now.sighting, neighbour.sighting
+    m = len(seen)
+    centre, covariance = np.empty((m, 2)), np.empty((m, 2, 2))
+    velocity, lever = np.empty((m, 2)), np.empty(m)
+    matched = carry_to_instant(
+        (seen.led, before.led),
+        (
+            np.ascontiguousarray(seen.centre),
+            np.ascontiguousarray(_pan_compensated(neighbour, seen.pan, camera)),
+        ),
+        (np.ascontiguousarray(seen.covariance), np.ascontiguousarray(before.covariance)),
+        (now.taken, neighbour.taken),
+        t,
+        (centre, covariance, velocity, lever),
+    )
+    if not matched:
+        return None
+    return replace(
+        seen, centre=centre, covariance=covariance, t=t, velocity=velocity, acceleration_lever=lever
+    )
+
+
+def _pan_compensated(raw: RawSighting, pan: float, camera: Camera) -> Array:
+    """Where the neighbour's spots would have been, had the base stood as it does now; (m, 2) px."""
+    seen = raw.sighting
+    if seen.pan == pan:
+        return seen.centre
+    rays = np.concatenate([camera.normalise(seen.centre), np.ones((len(seen), 1))], axis=1)
+    points = np.concatenate([rays * raw.depth[:, None], np.ones((len(seen), 1))], axis=1)
+    now_T_then = camera.camera_T_rig(pan) @ camera.rig_T_camera(seen.pan)
+    return camera.project((points @ now_T_then.T)[:, :3])

@@ -1,0 +1,1 @@
+"""Which spot is which LED."""

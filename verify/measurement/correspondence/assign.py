@@ -1,0 +1,281 @@
+"""Which spot is which LED, in both images at once.
+
+Geometry first: points where two rays nearly meet, as far apart as the marker's LEDs are. What
+geometry leaves open (a symmetric marker, two LEDs that could change places) is settled by colour,
+then by continuity with the previous pair, then by the candidate nearest to the encoders' pose. The
+encoders choose, their value enters nothing.
+
+Every assignment of spots to LEDs that explains the images, found without knowing the past.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Spots
+from verify.core.rig import Rig
+from verify.measurement.correspondence.hypotheses import (
+    SPOT_REWARD,
+    UNPAIRED_COST,
+    Hypotheses,
+    SeedGraph,
+    build_graph,
+    conflicts,
+    departure,
+    find_edges,
+    find_points,
+    find_triangles,
+    follow_pose,
+    is_single_led,
+    refine,
+    score,
+    seed_hypotheses,
+    unique,
+)
+from verify.measurement.correspondence.kernels.points import Index
+from verify.measurement.correspondence.views import SpotViews, prepare_views
+
+MAX_PAIRS = 256  # best distances first: bounds the work in a scene of lamps
+
+
+def search_assignments(views: SpotViews, rig_R_flange: Array, *, single: bool) -> Hypotheses:
+    """Find the assignments with the most LEDs: from three in both images, else two, else one.
+
+    Args:
+        views: the two images.
+        rig_R_flange: (3, 3), what fills the turns that one or two LEDs leave open.
+        single: try one LED of several; it says nothing unless the past says where it should be.
+    """
+    points = find_points(views)
+    graph = build_graph(views, points)
+    for leds in (3, 2, 1) if single or len(views.leds) == 1 else (3, 2):
+        nodes = _nodes(graph, views.leds, leds)
+        found = refine(views, seed_hypotheses(views, points, graph, nodes, rig_R_flange))
+        if len(found):
+            break
+    return found
+
+
+def _nodes(graph: SeedGraph, leds: Array, count: int) -> Index:
+    """List the sets of so many nodes to begin with, best first."""
+    if count == 3:
+        return find_triangles(graph, leds)
+    return find_edges(graph)[:MAX_PAIRS] if count == 2 else np.arange(len(graph.led))[:, None]
+
+
+def follow_prediction(
+    views: SpotViews, found: Hypotheses, rig_T_flange: Array, position: float, rotation: float
+) -> Hypotheses:
+    """Take the spots nearest to a predicted pose, alone and from what the search found.
+
+    Args:
+        views: the two images.
+        found: what the search found there; LEDs that one camera alone sees are looked for anew.
+        rig_T_flange: (4, 4), the prediction.
+        position: m, its standard uncertainty.
+        rotation: rad, likewise.
+    """
+    place = np.array([position] * 3 + [rotation] * 3)
+    return follow_pose(views, found, rig_T_flange, place, settled=_is_complete(views, found))
+
+
+def _is_complete(views: SpotViews, found: Hypotheses) -> bool:
+    """Say whether there is one assignment, with a spot for every LED and none to spare.
+
+    Its fit is so good that no LED less would explain the images better.
+    """
+    spots = np.count_nonzero(np.isfinite(views.pixels[..., 0]), axis=1)
+    return (
+        len(found) == 1
+        and bool(np.all(found.spot >= 0))
+        and bool(np.all(spots == len(views.leds)))
+        and bool(found.chi2[0] < SPOT_REWARD + UNPAIRED_COST)
+    )
+
+
+__all__ = ["Correspondence", "PosePrediction", "assign_leds"]
+
+MIN_ADVANTAGE = 9.0  # of twice the log evidence: odds of 90 to 1, on noise allowed for generously
+MAX_DEPARTURE = 2.0  # standard deviations to how far a prediction may be off
+JUMP_COST = 50.0  # what a pose far from the prediction costs: two LED images and a half
+MAX_REFERENCE_DEPARTURE = 3.0  # departures beyond which a reference says nothing about a pose
+MIN_MARGIN = 1.0  # by how many departures the nearest must be nearer than the next
+ENCODERS_POSITION = 0.07  # m, how far a faulty arm and a clock not yet known may be believed to err
+ENCODERS_ROTATION = 0.2  # rad, likewise; marker symmetries lie above 1 rad
+
+
+@dataclass(frozen=True, slots=True)
+class PosePrediction:
+    """Where the chain expects the flange, from the pairs before.
+
+    How far it may be off is taken as two standard deviations; a jump beyond is still found.
+    """
+
+    rig_T_flange: Array  # (4, 4), at this pair's left instant
+    position_uncertainty: float  # m, how far it may be off
+    rotation_uncertainty: float  # rad
+
+
+@dataclass(frozen=True, slots=True)
+class Correspondence:
+    """Which spot is which LED, and how that was settled."""
+
+    left_led: NDArray[np.int64]  # (m,), index into marker.leds
+    left_spot: NDArray[np.int64]  # (m,), index into the left spots
+    right_led: NDArray[np.int64]  # (k,)
+    right_spot: NDArray[np.int64]  # (k,)
+    rig_T_flange: Array | None  # (4, 4), coarse; a turn the LEDs leave open is the reference's
+    choice: str  # geometry, colour, continuity, encoders; "" where nothing was identified
+    alternatives: int  # other assignments that geometry and colour explain as well
+    status: str  # measured, too_few_leds, ambiguous_leds
+
+
+def no_encoder_poses() -> Sequence[Array]:
+    """Stand in for encoders where there are none."""
+    return ()
+
+
+def assign_leds(
+    left: Spots,
+    right: Spots,
+    rig: Rig,
+    pan_left: float,
+    pan_right: float,
+    marker: Marker,
+    *,
+    prediction: PosePrediction | None = None,
+    expected: Callable[[], Sequence[Array]] = no_encoder_poses,
+    motion_tolerance_px: float = 2.0,
+) -> Correspondence:
+    """Find which spot is which LED.
+
+    Args:
+        left: spots of the left image, brightest first.
+        right: spots of the right image.
+        rig: the calibrated cameras.
+        pan_left: rad, reading of the left base.
+        pan_right: rad, reading of the right base.
+        marker: the LEDs, one to six in any arrangement.
+        prediction: from the previous pairs; settles what geometry and colour leave open, and
+            finds LEDs where too few are seen for geometry alone.
+        expected: gives rig_T_flange (4, 4) from the encoders; the nearest settles what is still
+            open, and nothing else. Asked only then, and where nothing is predicted.
+        motion_tolerance_px: px, how far LEDs may have moved between the two exposures.
+
+    Returns:
+        The assignment. Where several explain the spots equally it is empty, `ambiguous_leds`;
+        where none does, `too_few_leds`. An LED seen by one camera only is listed for that one.
+    """
+    if len(left) == 0 or len(right) == 0:
+        return _no_result("too_few_leds")
+    views = prepare_views((left, right), rig, (pan_left, pan_right), marker, motion_tolerance_px)
+    found = _find(views, prediction, expected)
+    if len(found) == 0:
+        return _no_result("too_few_leds")
+    evidence = score(views, found)
+    informed = evidence.copy()
+    if prediction is not None:
+        off = _departures(views, found, prediction)
+        informed += np.minimum(off**2, JUMP_COST)
+    best = int(np.argmin(informed))
+    rivals = conflicts(found, best) & (evidence < evidence[best] + MIN_ADVANTAGE)
+    alternatives = int(rivals.sum())
+    rivals &= informed < informed[best] + MIN_ADVANTAGE
+    if alternatives == 0 and is_single_led(found)[best]:
+        choice = "continuity"
+    elif alternatives == 0:
+        choice = "colour" if _needs_colour(views, found, best) else "geometry"
+    elif not rivals.any():
+        choice = "continuity"
+    else:
+        choice = "encoders"
+        open_ones = np.flatnonzero(rivals | (np.arange(len(found)) == best))
+        nearest = _nearest(views, found.take(open_ones), expected())
+        if nearest is None:
+            return _no_result("ambiguous_leds", alternatives)
+        best = int(open_ones[nearest])
+    return _build_result(found, best, choice, alternatives)
+
+
+def _find(
+    views: SpotViews, prediction: PosePrediction | None, expected: Callable[[], Sequence[Array]]
+) -> Hypotheses:
+    """Search the images, and follow the prediction where there is one."""
+    references = [prediction.rig_T_flange] if prediction is not None else expected()
+    rig_R_flange = references[0][:3, :3] if len(references) else np.eye(3)
+    found = search_assignments(views, rig_R_flange, single=prediction is not None)
+    if prediction is not None:
+        near = _departures(views, found, prediction) <= MAX_REFERENCE_DEPARTURE
+        there = found if near.all() else found.take(near)
+        tracked = follow_prediction(
+            views, there, prediction.rig_T_flange, *_prediction_sigmas(prediction)
+        )
+        found = unique(found.join(tracked))
+    stray = is_single_led(found)
+    if not stray.any():
+        return found
+    if prediction is not None:
+        stray &= _departures(views, found, prediction) > MAX_REFERENCE_DEPARTURE
+    return found.take(~stray)
+
+
+def _departures(views: SpotViews, found: Hypotheses, prediction: PosePrediction) -> Array:
+    """Departures of hypotheses (h,) from a prediction, in its standard deviations."""
+    return departure(views, found, prediction.rig_T_flange, *_prediction_sigmas(prediction))
+
+
+def _prediction_sigmas(prediction: PosePrediction) -> tuple[float, float]:
+    """Standard deviations of a prediction, m and rad."""
+    return (
+        prediction.position_uncertainty / MAX_DEPARTURE,
+        prediction.rotation_uncertainty / MAX_DEPARTURE,
+    )
+
+
+def _nearest(views: SpotViews, found: Hypotheses, expected_poses: Sequence[Array]) -> int | None:
+    """Choose the hypothesis nearest to an encoders' pose, if one is near and clearly nearest."""
+    if len(expected_poses) == 0:
+        return None
+    scales = ENCODERS_POSITION, ENCODERS_ROTATION
+    off = np.min([departure(views, found, pose, *scales) for pose in expected_poses], axis=0)
+    best = int(np.argmin(off))
+    others = np.delete(off, best)
+    clear = off[best] <= MAX_REFERENCE_DEPARTURE and np.all(others >= off[best] + MIN_MARGIN)
+    return best if clear else None
+
+
+def _needs_colour(views: SpotViews, found: Hypotheses, best: int) -> bool:
+    """Say whether the same search, colour-blind, would have left a rival to the one found."""
+    everything = np.repeat(np.isfinite(views.pixels[:, None, :, 0]), len(views.leds), axis=1)
+    if np.array_equal(views.allowed, everything):
+        return False
+    chosen = found.take(np.array([best]))
+    blind = replace(views, allowed=everything)
+    pool = chosen.join(search_assignments(blind, chosen.rotation[0], single=True))
+    evidence = score(blind, pool)
+    return bool(np.any(conflicts(pool, 0) & (evidence < evidence[0] + MIN_ADVANTAGE)))
+
+
+def _build_result(found: Hypotheses, best: int, choice: str, alternatives: int) -> Correspondence:
+    rig_T_flange = np.eye(4)
+    rig_T_flange[:3, :3] = found.rotation[best]
+    rig_T_flange[:3, 3] = found.position[best]
+    left_led, right_led = (np.flatnonzero(side >= 0) for side in found.spot[best])
+    return Correspondence(
+        left_led=left_led,
+        left_spot=found.spot[best, 0, left_led],
+        right_led=right_led,
+        right_spot=found.spot[best, 1, right_led],
+        rig_T_flange=rig_T_flange,
+        choice=choice,
+        alternatives=alternatives,
+        status="measured",
+    )
+
+
+def _no_result(status: str, alternatives: int = 0) -> Correspondence:
+    none = np.zeros(0, dtype=np.int64)
+    return Correspondence(none, none, none, none, None, "", alternatives, status)

@@ -1,0 +1,1 @@
+"""Compiled search for the LED of each spot."""

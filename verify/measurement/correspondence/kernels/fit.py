@@ -1,0 +1,250 @@
+"""Fitting many assignments, compiled: a pose and a shift of the right image to the spots of each.
+
+What is fitted, and why, is told in hypotheses.py.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.jit import compiled
+from verify.core.kernels.linear_algebra import compose, factor, invert, solve
+from verify.core.records import Array
+
+N_FREE = 8  # pose and shift
+SMALL_ANGLE = 1e-4  # rad: below, series are exact to rounding
+
+
+@compiled
+def rotation_matrix(vector: Array) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector (3,), by Rodrigues' formula."""
+    x, y, z = vector[0], vector[1], vector[2]
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    if angle < SMALL_ANGLE:
+        sine, versine = 1.0 - square / 6.0, 0.5 - square / 24.0
+    else:
+        sine, versine = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+    cosine = math.cos(angle)
+    turn = np.empty((3, 3))
+    turn[0, 0], turn[1, 1], turn[2, 2] = (
+        cosine + versine * x * x,
+        cosine + versine * y * y,
+        cosine + versine * z * z,
+    )
+    turn[0, 1], turn[1, 0] = versine * x * y - sine * z, versine * x * y + sine * z
+    turn[0, 2], turn[2, 0] = versine * x * z + sine * y, versine * x * z - sine * y
+    turn[1, 2], turn[2, 1] = versine * y * z - sine * x, versine * y * z + sine * x
+    return turn
+
+
+@compiled
+def predict_image(
+    led: Array,
+    rotation: Array,
+    position: Array,
+    camera_R_rig: Array,
+    center: Array,
+    focal: Array,
+    nearest: float,
+    pixel: Array,
+    derivative: Array,
+) -> float:
+    """Predict one LED's image in one camera, without the shift.
+
+    Args:
+        led: (3,), m, flange frame.
+        rotation: (3, 3), rig_R_flange.
+        position: (3,), m.
+        camera_R_rig: (3, 3).
+        center: (3,), m, rig frame.
+        focal: (2,), px.
+        nearest: m, depth below which nothing is imaged.
+        pixel: (2,), filled.
+        derivative: (2, 8), its first six columns filled: by position and rotation vector.
+
+    Returns:
+        The depth, m.
+    """
+    arm, local = np.empty(3), np.empty(3)
+    for i in range(3):
+        arm[i] = rotation[i, 0] * led[0] + rotation[i, 1] * led[1] + rotation[i, 2] * led[2]
+    for i in range(3):
+        local[i] = 0.0
+        for j in range(3):
+            local[i] += camera_R_rig[i, j] * (arm[j] + position[j] - center[j])
+    depth = local[2]
+    if depth <= nearest:
+        local[0], local[1], local[2] = 0.0, 0.0, 1.0
+    for axis in range(2):
+        scale = focal[axis] / local[2]
+        pixel[axis] = scale * local[axis]
+        lean = -pixel[axis] / local[2]
+        a = scale * camera_R_rig[axis, 0] + lean * camera_R_rig[2, 0]
+        b = scale * camera_R_rig[axis, 1] + lean * camera_R_rig[2, 1]
+        c = scale * camera_R_rig[axis, 2] + lean * camera_R_rig[2, 2]
+        derivative[axis, 0], derivative[axis, 1], derivative[axis, 2] = a, b, c
+        derivative[axis, 3] = c * arm[1] - b * arm[2]
+        derivative[axis, 4] = a * arm[2] - c * arm[0]
+        derivative[axis, 5] = b * arm[0] - a * arm[1]
+    return float(depth)
+
+
+@compiled
+def whitener(spread: Array, play: float, root: Array) -> None:
+    """Inverse Cholesky factor of a (2, 2) covariance to whose diagonal `play` is added."""
+    root[0, 0], root[0, 1] = 1.0 / math.sqrt(spread[0, 0] + play), 0.0
+    slant = spread[1, 0] * root[0, 0]
+    root[1, 1] = 1.0 / math.sqrt(spread[1, 1] + play - slant * slant)
+    root[1, 0] = -slant * root[0, 0] * root[1, 1]
+
+
+@compiled
+def move_by(step: Array, rotation: Array, position: Array, shift: Array) -> None:
+    """Move a pose and a shift by a step (8,)."""
+    before = rotation.copy()
+    compose(rotation_matrix(step[3:6]), before, rotation)
+    for i in range(3):
+        position[i] += step[i]
+    for i in range(2):
+        shift[i] += step[6 + i]
+
+
+@compiled
+def fit_one(
+    cameras: tuple[Array, Array, Array],
+    seen: tuple[Array, Array],
+    limits: tuple[float, float, float],
+    leds: Array,
+    rotation: Array,
+    position: Array,
+    shift: Array,
+    spot: NDArray[np.int64],
+    hold: Array,
+    steps: int,
+    covariance: Array,
+) -> float:
+    """Fit one hypothesis in place by Gauss-Newton.
+
+    Args:
+        cameras: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px.
+        seen: spots (2, s, 2) px and their covariance (2, s, 2, 2) px².
+        limits: nearest depth (m), an LED's play times the focal length (m px), and the inverse
+            variance of the shift.
+        leds: (n, 3), m, flange frame.
+        rotation: (3, 3), changed.
+        position: (3,), m, changed.
+        shift: (2,), px, changed.
+        spot: (2, n), -1 for none.
+        hold: (6,), inverse variances: how firmly each step keeps the pose.
+        steps: of Gauss-Newton.
+        covariance: (8, 8), filled.
+
+    Returns:
+        chi², the shift's share included.
+    """
+    camera_R_rig, center, focal = cameras
+    pixels, spreads = seen
+    nearest, play, held = limits
+    count = len(leds)
+    roots = np.empty((2, count, 2, 2))
+    pixel, derivative, white = np.empty(2), np.zeros((2, N_FREE)), np.empty(N_FREE)
+    information, root, pull = (
+        np.empty((N_FREE, N_FREE)),
+        np.empty((N_FREE, N_FREE)),
+        np.empty(N_FREE),
+    )
+    chi2 = 0.0
+    for step in range(steps + 1):
+        information[:], pull[:], chi2 = 0.0, 0.0, 0.0
+        for side in range(2):
+            for led in range(count):
+                which = spot[side, led]
+                if which < 0:
+                    continue
+                depth = predict_image(
+                    leds[led], rotation, position, camera_R_rig[side], center[side],
+                    focal[side], nearest, pixel, derivative,
+                )  # fmt: skip
+                derivative[0, 6] = derivative[1, 7] = float(side)
+                if step == 0:
+                    allowance = (play / max(depth, nearest)) ** 2
+                    whitener(spreads[side, which], allowance, roots[side, led])
+                own = roots[side, led]
+                off_x = pixels[side, which, 0] - pixel[0] - side * shift[0]
+                off_y = pixels[side, which, 1] - pixel[1] - side * shift[1]
+                for axis in range(2):
+                    residual = own[axis, 0] * off_x + own[axis, 1] * off_y
+                    chi2 += residual * residual
+                    for a in range(N_FREE):
+                        white[a] = own[axis, 0] * derivative[0, a] + own[axis, 1] * derivative[1, a]
+                        pull[a] += white[a] * residual
+                        for b in range(a + 1):
+                            information[a, b] += white[a] * white[b]
+        for a in range(N_FREE):
+            information[a, a] += hold[a] if a < 6 else held
+            for b in range(a):
+                information[b, a] = information[a, b]
+        factor(information, 0.0, root)
+        if step < steps:
+            pull[6] -= held * shift[0]
+            pull[7] -= held * shift[1]
+            solve(root, pull)
+            move_by(pull, rotation, position, shift)
+    invert(root, covariance)
+    return float(chi2 + held * (shift[0] * shift[0] + shift[1] * shift[1]))
+
+
+@compiled
+def fit_all(
+    cameras: tuple[Array, Array, Array],
+    seen: tuple[Array, Array],
+    limits: tuple[float, float, float],
+    leds: Array,
+    rotation: Array,
+    position: Array,
+    shift: Array,
+    spot: NDArray[np.int64],
+    hold: Array,
+    steps: int,
+    covariance: Array,
+    chi2: Array,
+) -> None:
+    """Fit h hypotheses in place: as `fit_one`, a row a hypothesis from `rotation` on."""
+    for h in range(len(chi2)):
+        chi2[h] = fit_one(
+            cameras, seen, limits, leds, rotation[h], position[h], shift[h], spot[h], hold[h],
+            steps, covariance[h],
+        )  # fmt: skip
+
+
+@compiled
+def predict_all(
+    cameras: tuple[Array, Array, Array],
+    nearest: float,
+    leds: Array,
+    rotation: Array,
+    position: Array,
+    shift: Array,
+    image: Array,
+    derivative: Array,
+    depth: Array,
+) -> None:
+    """Fill in every LED's image (h, 2, n, 2), its derivative (h, 2, n, 2, 8), and depth (h, 2, n).
+
+    Other arguments are those of `fit_all`.
+    """
+    camera_R_rig, center, focal = cameras
+    for h in range(len(position)):
+        for side in range(2):
+            for led in range(len(leds)):
+                pixel, slope = image[h, side, led], derivative[h, side, led]
+                depth[h, side, led] = predict_image(
+                    leds[led], rotation[h], position[h], camera_R_rig[side], center[side],
+                    focal[side], nearest, pixel, slope,
+                )  # fmt: skip
+                slope[0, 6] = slope[1, 7] = float(side)
+                slope[0, 7] = slope[1, 6] = 0.0
+                for axis in range(2):
+                    pixel[axis] += side * shift[h, axis]

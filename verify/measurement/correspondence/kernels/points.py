@@ -1,0 +1,218 @@
+"""Pairs of spots that may be one point, compiled: rays that nearly meet, and where.
+
+What is looked for, and why, is told in seeds.py.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.jit import compiled
+from verify.core.kernels.linear_algebra import distance
+from verify.core.records import Array
+from verify.measurement.triangulation import MIN_SIN2
+
+Index = NDArray[np.int64]
+
+MAX_DEVIATION = 4.0  # standard deviations: a true LED is turned away once in 16,000
+MAX_DEPTH = 10.0  # m, no camera of this kind resolves a marker there
+MIN_MARKER_PX = 8.0  # px, a marker that looks smaller than this cannot be read
+
+
+@compiled
+def insert_cost(cost: float, costs: Array, rows: Index, count: int) -> int:
+    """Open a place among the least costs, in rising order, equal ones as they came.
+
+    Args:
+        cost: of what is to be placed.
+        costs: (m,), the first `count` of them taken; the greatest is lost where all are.
+        rows: (m, k), what costs so much.
+        count: how many are taken.
+
+    Returns:
+        The place; its row is for the caller to fill. -1 where m others cost no more.
+    """
+    place = count
+    if count == len(costs):
+        if count == 0 or not cost < costs[count - 1]:
+            return -1
+        place = count - 1
+    while place > 0 and cost < costs[place - 1]:
+        costs[place] = costs[place - 1]
+        for k in range(rows.shape[1]):
+            rows[place, k] = rows[place - 1, k]
+        place -= 1
+    costs[place] = cost
+    return place
+
+
+@compiled
+def line_of_sight(pixel: Array, focal: Array, camera_R_rig: Array, sight: Array) -> None:
+    """Fill in the line of sight (3,), of unit depth, rig axes, of an ideal pixel (2,)."""
+    x, y = pixel[0] / focal[0], pixel[1] / focal[1]
+    for i in range(3):
+        sight[i] = x * camera_R_rig[0, i] + y * camera_R_rig[1, i] + camera_R_rig[2, i]
+
+
+@compiled
+def ray_midpoint(center: Array, a: Array, b: Array, point: Array) -> float:
+    """Fill in the point (3,) midway between rays a and b (3,) from two centres (2, 3).
+
+    Returns:
+        The gap between the rays, m; NaN where they are parallel or meet behind a camera.
+
+    Source: verify.measurement.triangulation.ray_midpoints.
+    """
+    nx, ny, nz = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    square = nx * nx + ny * ny + nz * nz
+    a_square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+    b_square = b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
+    if not square > MIN_SIN2 * (a_square * b_square):
+        return math.nan
+    x, y, z = center[1, 0] - center[0, 0], center[1, 1] - center[0, 1], center[1, 2] - center[0, 2]
+    along_a = (y * b[2] - z * b[1]) * nx + (z * b[0] - x * b[2]) * ny + (x * b[1] - y * b[0]) * nz
+    along_b = (y * a[2] - z * a[1]) * nx + (z * a[0] - x * a[2]) * ny + (x * a[1] - y * a[0]) * nz
+    if not (along_a > 0.0 and along_b > 0.0):
+        return math.nan
+    gap = 0.0
+    for i in range(3):
+        foot_a = center[0, i] + along_a / square * a[i]
+        foot_b = center[1, i] + along_b / square * b[i]
+        point[i] = (foot_a + foot_b) / 2
+        gap += (foot_b - foot_a) ** 2
+    return math.sqrt(gap)
+
+
+@compiled
+def max_depth_of(leds: Array, mean_focal: float) -> float:
+    """Depth (m) up to which a marker of LEDs (n, 3) is large enough in the image."""
+    size = 0.0
+    for a in range(len(leds)):
+        for b in range(a):
+            size = max(size, distance(leds[a], leds[b]))
+    return min(size * mean_focal / MIN_MARKER_PX, MAX_DEPTH) if len(leds) > 1 else MAX_DEPTH
+
+
+@compiled
+def colours_match(allowed: NDArray[np.bool_], left: int, right: int) -> bool:
+    """Say whether colour allows (2, n, s) two spots to be the same LED."""
+    some = False
+    for led in range(allowed.shape[1]):
+        some = some or (allowed[0, led, left] and allowed[1, led, right])
+    return some
+
+
+@compiled
+def pair_spots(
+    cameras: tuple[Array, Array, Array],
+    seen: tuple[Array, Array],
+    allowed: NDArray[np.bool_],
+    leds: Array,
+    mean_focal: float,
+    skew: float,
+    where: Array,
+    costs: Array,
+    spot: Index,
+) -> int:
+    """List pairs of spots on each other's epipolar line, best first.
+
+    Args:
+        cameras: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px.
+        seen: spots (2, s, 2) px, NaN where there is none, and their covariance (2, s, 2, 2) px².
+        allowed: (2, n, s), this spot may be that LED.
+        leds: (n, 3), m, flange frame.
+        mean_focal: px.
+        skew: px, by how much the marker may have moved between the images.
+        where: (s, s, 3), m, filled: the points of all pairs, left by right.
+        costs: (c,), filled: mismatch over its noise.
+        spot: (c, 2), filled: left and right spot.
+
+    Returns:
+        How many there are, the best c at most.
+    """
+    camera_R_rig, center, focal = cameras
+    pixels, covariance = seen
+    most, count = pixels.shape[1], 0
+    reach = max_depth_of(leds, mean_focal)
+    sights = np.empty((2, most, 3))
+    for side in range(2):
+        for k in range(most):
+            line_of_sight(pixels[side, k], focal[side], camera_R_rig[side], sights[side, k])
+    for left in range(most):
+        for right in range(most):
+            point, depth = where[left, right], 0.0
+            gap = ray_midpoint(center, sights[0, left], sights[1, right], point)
+            for i in range(3):
+                depth += (point[i] - center[0, i]) * camera_R_rig[0, 2, i]
+            a, b = covariance[0, left], covariance[1, right]
+            noise = math.sqrt((a[0, 0] + a[1, 1]) / 2 + (b[0, 0] + b[1, 1]) / 2)
+            mismatch = gap * mean_focal / depth
+            # NaN, rays that do not meet, fails
+            if not (mismatch <= skew + MAX_DEVIATION * noise and depth < reach):
+                continue
+            if not colours_match(allowed, left, right):
+                continue
+            place = insert_cost(mismatch / noise, costs, spot, count)
+            if place >= 0:
+                spot[place, 0], spot[place, 1] = left, right
+                count = min(count + 1, len(costs))
+    return count
+
+
+@compiled
+def invert_symmetric(m: Array, inverse: Array) -> None:
+    """Fill in the inverse of a symmetric matrix (3, 3), by cofactors."""
+    a = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
+    b = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
+    c = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
+    scale = 1.0 / (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c)
+    inverse[0, 0] = a * scale
+    inverse[0, 1] = inverse[1, 0] = b * scale
+    inverse[0, 2] = inverse[2, 0] = c * scale
+    inverse[1, 1] = (m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]) * scale
+    inverse[1, 2] = inverse[2, 1] = (m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]) * scale
+    inverse[2, 2] = (m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]) * scale
+
+
+@compiled
+def locate_points(
+    cameras: tuple[Array, Array, Array],
+    spread: Array,
+    where: Array,
+    spot: Index,
+    rig: Array,
+    covariance: Array,
+) -> None:
+    """Fill in where c pairs of spots are one point (c, 3), m, and how well, (c, 3, 3) m².
+
+    Args:
+        cameras: those of `pair_spots`.
+        spread: (2, s, 2, 2), px², covariance of the spots.
+        where: (s, s, 3), m, those of `pair_spots`.
+        spot: (c, 2), left and right spot.
+        rig: filled.
+        covariance: filled.
+    """
+    camera_R_rig, center, focal = cameras
+    local, slope, information = np.empty(3), np.empty(3), np.empty((3, 3))
+    for c in range(len(spot)):
+        for i in range(3):
+            rig[c, i] = where[spot[c, 0], spot[c, 1], i]
+            for j in range(3):
+                information[i, j] = 0.0
+        for side in range(2):
+            for i in range(3):
+                local[i] = 0.0
+                for j in range(3):
+                    local[i] += camera_R_rig[side, i, j] * (rig[c, j] - center[side, j])
+            for axis in range(2):
+                scale = focal[side, axis] / local[2]
+                lean = -local[axis] * scale / local[2]
+                weight = 1.0 / spread[side, spot[c, side], axis, axis]
+                for j in range(3):
+                    slope[j] = scale * camera_R_rig[side, axis, j] + lean * camera_R_rig[side, 2, j]
+                for i in range(3):
+                    for j in range(3):
+                        information[i, j] += slope[i] * weight * slope[j]
+        invert_symmetric(information, covariance[c])

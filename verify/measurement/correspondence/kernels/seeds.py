@@ -1,0 +1,199 @@
+"""Where a search starts, compiled: points at the marker's distances, and poses to begin with.
+
+What is looked for, and why, is told in seeds.py and hypotheses.py.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.jit import compiled
+from verify.core.kernels.linear_algebra import cross, distance, dot, scale_to_one
+from verify.core.records import Array
+from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index, insert_cost
+
+MIN_HEIGHT_RATIO = (
+    0.01  # height over longest side: less, and gathering about a line finds the third LED
+)
+
+
+@compiled
+def list_nodes(spot: Index, allowed: NDArray[np.bool_], point: Index, led: Index) -> int:
+    """List which point (of spots (c, 2)) may be which LED, LED by LED; how many there are."""
+    count = 0
+    for n in range(allowed.shape[1]):
+        for c in range(len(spot)):
+            if allowed[0, n, spot[c, 0]] and allowed[1, n, spot[c, 1]]:
+                point[count], led[count] = c, n
+                count += 1
+    return count
+
+
+@compiled
+def variance_along(covariance: Array, x: float, y: float, z: float) -> float:
+    """Variance along a direction, of a covariance (3, 3)."""
+    own = covariance[0, 0] * x * x + covariance[1, 1] * y * y + covariance[2, 2] * z * z
+    shared = covariance[0, 1] * x * y + covariance[0, 2] * x * z + covariance[1, 2] * y * z
+    return float(own + 2 * shared)
+
+
+@compiled
+def join_nodes(
+    points: tuple[Index, Array, Array],
+    point: Index,
+    led: Index,
+    leds: Array,
+    play: float,
+    deviation: Array,
+) -> None:
+    """Fill in how far every two nodes are from the marker's distance, in standard deviations.
+
+    Args:
+        points: spots (c, 2), places (c, 3) m, covariance (c, 3, 3) m².
+        point: (m,), of each node.
+        led: (m,), likewise.
+        leds: (n, 3), m, flange frame.
+        play: m, how far an LED's light may be from where the marker has it.
+        deviation: (m, m), filled; inf for nodes that share a spot or an LED.
+    """
+    spot, rig, covariance = points
+    count = len(spot)
+    apart, sigma = np.empty((count, count)), np.empty((count, count))
+    apart[:], sigma[:] = math.inf, 1.0
+    for i in range(count):
+        for j in range(i):
+            if spot[i, 0] == spot[j, 0] or spot[i, 1] == spot[j, 1]:
+                continue
+            far = distance(rig[i], rig[j])
+            over = 1.0 / far if far > 0.0 else 1.0
+            x, y, z = (
+                (rig[i, 0] - rig[j, 0]) * over,
+                (rig[i, 1] - rig[j, 1]) * over,
+                (rig[i, 2] - rig[j, 2]) * over,
+            )
+            spread = variance_along(covariance[i], x, y, z) + variance_along(covariance[j], x, y, z)
+            apart[i, j] = apart[j, i] = far
+            sigma[i, j] = sigma[j, i] = math.sqrt(spread + 2 * play * play)
+    wanted = np.empty((len(leds), len(leds)))
+    for a in range(len(leds)):
+        for b in range(len(leds)):
+            wanted[a, b] = distance(leds[a], leds[b])
+    for a in range(len(led)):
+        deviation[a, a] = math.inf
+        for b in range(a):
+            off = abs(apart[point[a], point[b]] - wanted[led[a], led[b]])
+            off = math.inf if led[a] == led[b] else off / sigma[point[a], point[b]]
+            deviation[a, b] = deviation[b, a] = off
+
+
+@compiled
+def list_edges(deviation: Array, costs: Array, edges: Index) -> int:
+    """List pairs of nodes that agree, (e, 2), best first; how many there are, e at most."""
+    count = 0
+    for a in range(len(deviation)):
+        for b in range(a + 1, len(deviation)):
+            if deviation[a, b] <= MAX_DEVIATION:
+                place = insert_cost(deviation[a, b], costs, edges, count)
+                if place >= 0:
+                    edges[place, 0], edges[place, 1] = a, b
+                    count = min(count + 1, len(costs))
+    return count
+
+
+@compiled
+def is_broad(a: Array, b: Array, c: Array) -> bool:
+    """Say whether a triangle has a height worth the name."""
+    side, other, across = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        side[i], other[i] = b[i] - a[i], c[i] - a[i]
+    cross(side, other, across)
+    longest = max(dot(side, side), dot(other, other))
+    return math.sqrt(dot(across, across)) > MIN_HEIGHT_RATIO * longest
+
+
+@compiled
+def list_triangles(
+    deviation: Array, edges: Index, led: Index, leds: Array, costs: Array, triples: Index
+) -> int:
+    """List triples of nodes every two of which agree, best first; how many there are.
+
+    Args:
+        deviation: (m, m), of `join_nodes`.
+        edges: (e, 2), best first.
+        led: (m,), of each node.
+        leds: (n, 3), m, flange frame.
+        costs: (t,), filled: sums of squares of the three deviations.
+        triples: (t, 3), filled, slender triangles left out.
+    """
+    count = 0
+    for e in range(len(edges)):
+        a, b = edges[e, 0], edges[e, 1]
+        for c in range(b + 1, len(deviation)):
+            if not (deviation[a, c] <= MAX_DEVIATION and deviation[b, c] <= MAX_DEVIATION):
+                continue
+            if not is_broad(leds[led[a]], leds[led[b]], leds[led[c]]):
+                continue
+            cost = deviation[a, c] ** 2 + deviation[a, b] ** 2 + deviation[b, c] ** 2
+            place = insert_cost(cost, costs, triples, count)
+            if place >= 0:
+                triples[place, 0], triples[place, 1], triples[place, 2] = a, b, c
+                count = min(count + 1, len(costs))
+    return count
+
+
+@compiled
+def triangle_axes(a: Array, b: Array, c: Array, axes: Array) -> None:
+    """Fill in a triangle's axes, rows of (3, 3): along its first side, in its plane, across it."""
+    for i in range(3):
+        axes[0, i], axes[1, i] = b[i] - a[i], c[i] - a[i]
+    cross(axes[0], axes[1], axes[2])
+    scale_to_one(axes[0])
+    scale_to_one(axes[2])
+    cross(axes[2], axes[0], axes[1])
+
+
+@compiled
+def begin_poses(
+    points: tuple[Index, Array],
+    graph: tuple[Index, Index],
+    nodes: Index,
+    leds: Array,
+    rotation: Array,
+    position: Array,
+    spot: Index,
+) -> None:
+    """Fill in a pose from each set of nodes, and the spots that it stands on.
+
+    Args:
+        points: spots (c, 2) and places (c, 3) m.
+        graph: point and LED of each node, (m,) both.
+        nodes: (h, 1), (h, 2) or (h, 3).
+        leds: (n, 3), m, flange frame.
+        rotation: (h, 3, 3), filled where there are three nodes.
+        position: (h, 3), m, filled.
+        spot: (h, 2, n), filled, -1 for none.
+    """
+    spots, rig = points
+    point, led = graph
+    corners = nodes.shape[1]
+    there, here = np.empty((3, 3)), np.empty((3, 3))
+    where, which = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
+    spot[:] = -1
+    for h in range(len(nodes)):
+        for k in range(corners):
+            where[k], which[k] = point[nodes[h, k]], led[nodes[h, k]]
+            spot[h, 0, which[k]], spot[h, 1, which[k]] = spots[where[k], 0], spots[where[k], 1]
+        if corners == 3:
+            triangle_axes(rig[where[0]], rig[where[1]], rig[where[2]], there)
+            triangle_axes(leds[which[0]], leds[which[1]], leds[which[2]], here)
+            for i in range(3):
+                for j in range(3):
+                    rotation[h, i, j] = 0.0
+                    for k in range(3):
+                        rotation[h, i, j] += there[k, i] * here[k, j]
+        for i in range(3):
+            position[h, i] = 0.0
+            for k in range(corners):
+                arm = dot(rotation[h, i], leds[which[k]])
+                position[h, i] += (rig[where[k], i] - arm) / corners

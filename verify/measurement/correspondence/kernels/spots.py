@@ -1,0 +1,364 @@
+"""Which spots an assignment explains, and how well, compiled.
+
+What is weighed, and why, is told in hypotheses.py.
+
+Hypotheses settled on their spots, compiled: what `polish` and `follow` of hypotheses.py do.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.jit import compiled
+from verify.core.kernels.linear_algebra import dot
+from verify.core.records import Array
+from verify.measurement.correspondence.kernels.fit import fit_all, predict_all
+
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+@compiled
+def spread_of(derivative: Array, covariance: Array) -> tuple[float, float, float]:
+    """Covariance xx, xy, yy (px²) of an image (2, 8) under that of its pose and shift (8, 8)."""
+    xx, xy, yy = 0.0, 0.0, 0.0
+    for i in range(derivative.shape[1]):
+        x, y = 0.0, 0.0
+        for j in range(derivative.shape[1]):
+            x += derivative[0, j] * covariance[j, i]
+            y += derivative[1, j] * covariance[j, i]
+        xx += x * derivative[0, i]
+        xy += x * derivative[1, i]
+        yy += y * derivative[1, i]
+    return xx, xy, yy
+
+
+@compiled
+def weigh_spots(
+    seen: tuple[Array, Array, Flags],
+    limits: tuple[float, float, float, float, float],
+    image: Array,
+    derivative: Array,
+    depth: float,
+    covariance: Array,
+    cost: Array,
+) -> None:
+    """Fill in what it costs to take each spot for an LED, inf for those outside its gate.
+
+    Args:
+        seen: spots (s, 2) px, their covariance (s, 2, 2) px², and which are merged (s,).
+        limits: those of `gather_all`.
+        image: (2,), px, predicted.
+        derivative: (2, 8), by pose and shift.
+        depth: m.
+        covariance: (8, 8), of pose and shift.
+        cost: (s,): those that may be the LED on entry finite; filled.
+    """
+    pixels, spread, merged = seen
+    nearest, play, gate, largest, merged_cost = limits
+    xx, xy, yy = spread_of(derivative, covariance)
+    known = xx + yy <= 2 * largest * largest and depth > nearest
+    allowance = (play / max(depth, nearest)) ** 2
+    for k in range(len(pixels)):
+        x, y = pixels[k, 0] - image[0], pixels[k, 1] - image[1]
+        a, d = spread[k, 0, 0] + (xx + allowance), spread[k, 1, 1] + (yy + allowance)
+        b = spread[k, 0, 1] + xy
+        squared = (d * x * x - 2 * b * x * y + a * y * y) / (a * d - b * b)
+        if known and squared <= gate * gate:
+            cost[k] += squared + merged_cost * merged[k]
+        else:
+            cost[k] = math.inf
+
+
+@compiled
+def choose_spots(cost: Array, spot: Index) -> None:
+    """Give every LED the cheapest of those spots (n, s) that no other LED gets cheaper."""
+    leds, spots = cost.shape
+    for k in range(spots):
+        least = math.inf
+        for led in range(leds):
+            least = min(least, cost[led, k])
+        for led in range(leds):
+            if cost[led, k] > least:
+                cost[led, k] = math.inf
+    for led in range(leds):
+        spot[led], least = -1, math.inf
+        for k in range(spots):
+            if cost[led, k] < least:
+                spot[led], least = k, cost[led, k]
+
+
+@compiled
+def gather_all(
+    seen: tuple[Array, Array, Flags],
+    allowed: Flags,
+    limits: tuple[float, float, float, float, float],
+    predicted: tuple[Array, Array, Array],
+    covariance: Array,
+    spot: Index,
+) -> None:
+    """Fill in the spot (h, 2, n) that each LED gets in each image, -1 for none.
+
+    Args:
+        seen: spots (2, s, 2) px, their covariance (2, s, 2, 2) px², and which are merged (2, s).
+        allowed: (2, n, s), this spot may be that LED.
+        limits: nearest depth (m), an LED's play times the focal length (m px), the gate in
+            standard deviations, the largest uncertainty (px) of an LED worth looking for, and
+            what a merged spot costs.
+        predicted: LED images (h, 2, n, 2) px, their derivative (h, 2, n, 2, 8), depths (h, 2, n) m.
+        covariance: (h, 8, 8), of pose and shift.
+        spot: filled.
+    """
+    pixels, spread, merged = seen
+    image, derivative, depth = predicted
+    cost = np.empty((allowed.shape[1], allowed.shape[2]))
+    for h in range(len(spot)):
+        for side in range(2):
+            own = pixels[side], spread[side], merged[side]
+            for led in range(len(cost)):
+                for k in range(cost.shape[1]):
+                    cost[led, k] = 0.0 if allowed[side, led, k] else math.inf
+                weigh_spots(
+                    own, limits, image[h, side, led], derivative[h, side, led],
+                    depth[h, side, led], covariance[h], cost[led],
+                )  # fmt: skip
+            choose_spots(cost, spot[h, side])
+
+
+@compiled
+def count_all(spot: Index, counts: Index) -> None:
+    """Count for assignments (h, 2, n), -1 for no spot; counts (3, h) are filled.
+
+    They are the spots in use, the LEDs seen by a camera, and those seen by both.
+    """
+    counts[:] = 0
+    for h in range(len(spot)):
+        for led in range(spot.shape[2]):
+            left, right = spot[h, 0, led] >= 0, spot[h, 1, led] >= 0
+            counts[0, h] += left + right
+            counts[1, h] += left or right
+            counts[2, h] += left and right
+
+
+@compiled
+def mark_conflicts(spot: Index, best: int, conflict: Flags) -> None:
+    """Fill in which assignments (h, 2, n) contradict the one numbered `best`.
+
+    They do with another spot for an LED, or another LED for a spot.
+    """
+    for h in range(len(spot)):
+        conflict[h] = False
+        for side in range(2):
+            for a in range(spot.shape[2]):
+                theirs = spot[h, side, a]
+                if theirs < 0:
+                    continue
+                for b in range(spot.shape[2]):
+                    mine = spot[best, side, b]
+                    if mine >= 0 and (mine == theirs) != (a == b):
+                        conflict[h] = True
+
+
+@compiled
+def departures_of_all(
+    leds: Array,
+    spot: Index,
+    poses: tuple[Array, Array],
+    rig_T_flange: Array,
+    scales: tuple[float, float, float],
+    off: Array,
+) -> None:
+    """Fill in how far the LEDs of each hypothesis (h,) are from where a reference pose has them.
+
+    Args:
+        leds: (n, 3), m, flange frame.
+        spot: (h, 2, n), -1 for none.
+        poses: rotations (h, 3, 3) and positions (h, 3) m of the hypotheses.
+        rig_T_flange: (4, 4), the reference.
+        scales: position (m), rotation (rad), and how well a coarse pose places an LED (m).
+        off: (h,), filled.
+    """
+    rotation, position = poses
+    along, about, coarse = scales
+    moves, mean, middle = np.empty((len(leds), 3)), np.empty(3), np.empty(3)
+    for h in range(len(off)):
+        seen = 0
+        for led in range(len(leds)):
+            seen += max(spot[h, 0, led], spot[h, 1, led]) >= 0
+        mean[:], middle[:] = 0.0, 0.0
+        share = 1.0 / max(seen, 1)
+        for led in range(len(leds)):
+            weight = share if max(spot[h, 0, led], spot[h, 1, led]) >= 0 else 0.0
+            for i in range(3):
+                move = position[h, i] - rig_T_flange[i, 3]
+                for j in range(3):
+                    move += (rotation[h, i, j] - rig_T_flange[i, j]) * leds[led, j]
+                moves[led, i] = move
+                mean[i] += weight * move
+                middle[i] += weight * leds[led, i]
+        radius, turned = 0.0, 0.0
+        for led in range(len(leds)):
+            weight = share if max(spot[h, 0, led], spot[h, 1, led]) >= 0 else 0.0
+            for i in range(3):
+                radius += weight * (leds[led, i] - middle[i]) ** 2
+                turned += weight * (moves[led, i] - mean[i]) ** 2
+        lever, moved = math.sqrt(dot(middle, middle)), math.sqrt(dot(mean, mean))
+        off[h] = math.hypot(
+            moved / (along + about * lever + coarse),
+            math.sqrt(turned) / (about * math.sqrt(radius) + coarse),
+        )
+
+
+Cameras = tuple[Array, Array, Array]
+# rotation, position, shift, spot, hold, covariance and chi² of hypotheses, as there
+HypothesisArrays = tuple[Array, Array, Array, Index, Array, Array, Array]
+Limits = tuple[tuple[float, float, float], tuple[float, float, float, float, float]]
+# cameras as `fit_all` takes them; spots (2, s, 2) px, their covariance (2, s, 2, 2) px², and which
+# are merged (2, s); which may be which LED (2, n, s); the limits of `fit_all` and of `gather_all`;
+# LEDs (n, 3), m, flange frame
+SearchInputs = tuple[Cameras, tuple[Array, Array, Flags], Flags, Limits, Array]
+
+
+@compiled
+def slice_hypotheses(laid: HypothesisArrays, begin: int, end: int) -> HypothesisArrays:
+    """Some of the hypotheses, not copied."""
+    rotation, position, shift, spot, hold, covariance, chi2 = laid
+    return (
+        rotation[begin:end], position[begin:end], shift[begin:end], spot[begin:end],
+        hold[begin:end], covariance[begin:end], chi2[begin:end],
+    )  # fmt: skip
+
+
+@compiled
+def fit_hypotheses(asked: SearchInputs, laid: HypothesisArrays, steps: int) -> None:
+    """Fit hypotheses in place, see `fit_all`."""
+    cameras, seen, _, limits, leds = asked
+    rotation, position, shift, spot, hold, covariance, chi2 = laid
+    fit_all(
+        cameras, (seen[0], seen[1]), limits[0], leds, rotation, position, shift, spot, hold,
+        steps, covariance, chi2,
+    )  # fmt: skip
+
+
+@compiled
+def explained_spots(asked: SearchInputs, laid: HypothesisArrays, largest: float) -> Index:
+    """Spots (h, 2, n) that the poses of hypotheses explain, see `gather_all`.
+
+    An LED whose place is known worse than `largest` (px) gets none.
+    """
+    cameras, seen, allowed, limits, leds = asked
+    nearest, play, gate, _, cost = limits[1]
+    bounds = nearest, play, gate, largest, cost
+    rotation, position, shift, covariance = laid[0], laid[1], laid[2], laid[5]
+    count, each = len(position), len(leds)
+    image, depth = np.empty((count, 2, each, 2)), np.empty((count, 2, each))
+    derivative = np.empty((count, 2, each, 2, covariance.shape[1]))
+    predict_all(cameras, nearest, leds, rotation, position, shift, image, derivative, depth)
+    spot = np.empty((count, 2, each), np.int64)
+    gather_all(seen, allowed, bounds, (image, derivative, depth), covariance, spot)
+    return spot
+
+
+@compiled
+def best_of_each(chi2: Array, spot: Index) -> Index:
+    """Number the best hypothesis of each assignment, by rising chi²."""
+    kept, count = np.arange(len(chi2)), 0
+    if len(chi2) < 2:
+        return kept
+    for index in np.argsort(chi2, kind="mergesort"):
+        known = False
+        for k in range(count):
+            known = known or bool(np.all(spot[index] == spot[kept[k]]))
+        if not known:
+            kept[count] = index
+            count += 1
+    return kept[:count]
+
+
+@compiled
+def select_likely(spot: Index, chi2: Array, greatest: Array, determined: Index) -> Index:
+    """Number the hypotheses that see an LED in both images and fit within their noise.
+
+    Args:
+        spot: (h, 2, n).
+        chi2: (h,).
+        greatest: chi² that is not improbable, by degrees of freedom.
+        determined: (4,), degrees of freedom that none, one, two or more LEDs determine.
+    """
+    counts, kept, count = np.empty((3, len(chi2)), np.int64), np.arange(len(chi2)), 0
+    count_all(spot, counts)
+    for h in range(len(chi2)):
+        freedom = max(2 * counts[0, h] - determined[min(counts[1, h], 3)], 1)
+        if counts[2, h] > 0 and chi2[h] <= greatest[freedom]:
+            kept[count] = h
+            count += 1
+    return kept[:count]
+
+
+@compiled
+def compact_hypotheses(laid: HypothesisArrays, kept: Index) -> HypothesisArrays:
+    """Bring the hypotheses of these numbers to the begin; gives them."""
+    rotation, position, shift, spot, hold, covariance, chi2 = laid
+    count = len(kept)
+    rotation[:count], position[:count], shift[:count] = rotation[kept], position[kept], shift[kept]
+    spot[:count], hold[:count] = spot[kept], hold[kept]
+    covariance[:count], chi2[:count] = covariance[kept], chi2[kept]
+    return slice_hypotheses(laid, 0, count)
+
+
+@compiled
+def settle_all(
+    asked: SearchInputs, laid: HypothesisArrays, steps: int, bounds: tuple[Array, Index]
+) -> int:
+    """Gather and fit until the spots are those of the poses; keep each good assignment once.
+
+    Args:
+        asked: the images and the marker.
+        laid: h hypotheses, changed.
+        steps: of a fit to begin with; below 0 there is none.
+        bounds: as for `select_likely`.
+
+    Returns:
+        How many are kept: the first of `laid`.
+    """
+    largest = asked[3][1][3]
+    if steps >= 0:
+        fit_hypotheses(asked, laid, steps)
+    laid[3][:] = explained_spots(asked, laid, largest)
+    laid = compact_hypotheses(laid, best_of_each(laid[6], laid[3]))
+    fit_hypotheses(asked, laid, 1)
+    again = explained_spots(asked, laid, largest)
+    if np.any(again != laid[3]):
+        laid[3][:] = again
+        fit_hypotheses(asked, laid, 2)
+    laid = compact_hypotheses(laid, select_likely(laid[3], laid[6], bounds[0], bounds[1]))
+    return len(compact_hypotheses(laid, best_of_each(laid[6], laid[3]))[6])
+
+
+@compiled
+def follow_all(
+    asked: SearchInputs, laid: HypothesisArrays, bounds: tuple[Array, Index], settled: bool
+) -> int:
+    """Take the spots nearest to a predicted pose, alone and from what a search found.
+
+    Args:
+        asked: the images and the marker.
+        laid: the prediction, then what the search found; changed.
+        bounds: as for `select_likely`.
+        settled: nothing is left to find, if the prediction's spots are those of the first found.
+
+    Returns:
+        How many are kept: the first of `laid`.
+    """
+    first, found = slice_hypotheses(laid, 0, 1), slice_hypotheses(laid, 1, len(laid[6]))
+    first[3][:] = explained_spots(asked, first, np.inf)
+    if settled and np.all(first[3][0] == found[3][0]):
+        fit_hypotheses(asked, laid, 2)
+        laid = compact_hypotheses(laid, best_of_each(laid[6], laid[3]))
+        fit_hypotheses(asked, laid, 1)
+        return len(laid[6])
+    fit_hypotheses(asked, found, 0)
+    found[3][:] = explained_spots(asked, found, np.inf)
+    fit_hypotheses(asked, laid, 2)
+    return settle_all(asked, laid, -1, bounds)

@@ -1,0 +1,126 @@
+"""One image as the search needs it, compiled: its lens undone, its noise, which LED a spot may be.
+
+What counts, and why, is told in views.py.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.jit import compiled
+from verify.core.records import Array
+
+Flags = NDArray[np.bool_]
+
+BLUE, GREEN, RED = 0, 1, 2  # channels of a colour, and LEDs that shine in them
+WHITE, ANY = 3, 4  # LEDs without a hue, and those that may have any
+MIN_HUE_CONTRAST = (
+    0.3  # (largest - second) / largest channel: warm white stays under 0.2, LEDs above 0.4
+)
+MAX_STEPS = 30  # quadratic convergence: three or four suffice for any sane lens
+TOL_STEP = 1e-9  # the next step would be about the square of this one: below rounding
+
+
+@compiled
+def undistort(x: float, y: float, lens: Array) -> tuple[float, float]:
+    """Invert OpenCV's distortion k1, k2, p1, p2, k3 (5,) by Newton's method, as `rig.undistort`."""
+    k1, k2, p1, p2, k3 = lens[0], lens[1], lens[2], lens[3], lens[4]
+    a, b = x, y
+    for _ in range(MAX_STEPS):
+        r2 = a * a + b * b
+        higher = r2 * k3 + k2
+        slope = 2.0 * (k1 + r2 * (higher + higher + r2 * k3))  # d radial / d r2, times 2
+        straight = 1.0 + r2 * (k1 + r2 * higher) + 2.0 * (p1 * b + p2 * a)
+        off_x, off_y = a * straight + p2 * r2 - x, b * straight + p1 * r2 - y
+        xx = straight + a * a * slope + 4.0 * p2 * a
+        xy = a * b * slope + 2.0 * (p1 * a + p2 * b)
+        yy = straight + b * b * slope + 4.0 * p1 * b
+        determinant = xx * yy - xy * xy
+        step_x = (off_x * yy - off_y * xy) / determinant
+        step_y = (off_y * xx - off_x * xy) / determinant
+        a, b = a - step_x, b - step_y
+        if not (abs(step_x) > TOL_STEP or abs(step_y) > TOL_STEP):
+            break
+    return a, b
+
+
+@compiled
+def hue_of(colour: Array) -> int:
+    """The channel that clearly outshines the others, WHITE where none does."""
+    most, second = 0, -math.inf
+    for channel in range(1, 3):
+        if colour[channel] > colour[most]:
+            most, second = channel, colour[most]
+        else:
+            second = max(second, colour[channel])
+    return most if colour[most] - second > MIN_HUE_CONTRAST * abs(colour[most]) else WHITE
+
+
+@compiled
+def is_grey(colour: Array) -> bool:
+    """Say whether no spot (n, 3) differs between the channels."""
+    uneven = 0.0
+    for spot in colour:
+        uneven = max(uneven, max(spot[0], spot[1], spot[2]) - min(spot[0], spot[1], spot[2]))
+    return uneven == 0.0
+
+
+@compiled
+def colour_allows(light: int, hue: int, saturated: bool) -> bool:
+    """Say whether a spot may be an LED, by its colour.
+
+    Only clear contradictions count. A spot with no clear hue may be white, infrared (cameras show
+    it whitish or violet) or, where saturated, any overexposed LED.
+    """
+    return light in (ANY, hue) or (saturated and hue == WHITE)
+
+
+@compiled
+def prepare_image(
+    spots: tuple[Array, Array, Flags, Flags, Array],
+    camera: tuple[Array, Array],
+    model: tuple[float, float],
+    light: NDArray[np.int64],
+    pixels: Array,
+    covariance: Array,
+    merged: Flags,
+    allowed: Flags,
+) -> None:
+    """Fill in one image's spots, the first s of them, or fewer where there are no more.
+
+    Args:
+        spots: centres (m, 2) px, covariance (m, 2, 2) px², merged (m,), saturated (m,) and
+            colour (m, 3).
+        camera: matrix (3, 3), px, and lens (5,).
+        model: px², variance beside the noise, and that of a merged spot in addition.
+        light: (n,), of each LED: BLUE to ANY.
+        pixels: (s, 2), filled, ideal px; NaN where there is no spot.
+        covariance: (s, 2, 2), px², filled.
+        merged: (s,), filled.
+        allowed: (n, s), filled: this spot may be that LED. A grey image tells nothing.
+    """
+    centre, noise, dragged, saturated, colour = spots
+    matrix, lens = camera
+    grey = is_grey(colour)
+    for k in range(len(pixels)):
+        there = k < len(centre)
+        merged[k] = there and dragged[k]
+        for led in range(len(light)):
+            allowed[led, k] = there
+        if not there:
+            pixels[k, 0] = pixels[k, 1] = math.nan
+            covariance[k, 0, 0] = covariance[k, 1, 1] = 1.0
+            covariance[k, 0, 1] = covariance[k, 1, 0] = 0.0
+            continue
+        y = (centre[k, 1] - matrix[1, 2]) / matrix[1, 1]
+        x = (centre[k, 0] - matrix[0, 2] - matrix[0, 1] * y) / matrix[0, 0]
+        x, y = undistort(x, y, lens)
+        pixels[k, 0], pixels[k, 1] = x * matrix[0, 0], y * matrix[1, 1]
+        beside = model[0] + model[1] * merged[k]
+        covariance[k, 0, 0], covariance[k, 1, 1] = noise[k, 0, 0] + beside, noise[k, 1, 1] + beside
+        covariance[k, 0, 1], covariance[k, 1, 0] = noise[k, 0, 1], noise[k, 1, 0]
+        if not grey:
+            hue = hue_of(colour[k])
+            for led in range(len(light)):
+                allowed[led, k] = colour_allows(light[led], hue, saturated[k])

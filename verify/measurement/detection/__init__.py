@@ -1,0 +1,1 @@
+"""LED images to sub-pixel spot centres with covariance."""

@@ -1,0 +1,263 @@
+"""Where LEDs may be: compact bright things above their own surroundings, roughly placed.
+
+The pixels around each candidate, colours combined into one value of known noise.
+"""
+
+from bisect import bisect_left
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.records import Array, Image, Noise
+from verify.measurement.detection.fit import Patches
+from verify.measurement.detection.kernels.candidates import (
+    MIN_WINDOW_SIDE,
+    compact_blobs,
+    find_blobs,
+    select_highest,
+    top_hat,
+)
+from verify.measurement.detection.kernels.patches import read_grey
+
+LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright thing must not hide a dim neighbour
+# 18 DN: a dim LED of peak 60 keeps twice this after halving; noise of 2.5 DN, halved, 14 sigma.
+MAX_FULL_SIZE_AREA = (
+    200_000  # px; larger pictures are searched at half size, which keeps any LED >= 3 px
+)
+MAX_AXIS_RATIO = (
+    2.5  # axis ratio at half height; an LED seen through a blur of its own length stays below
+)
+MIN_FILL = 0.6  # blob area over its ellipse's: an LED fills it, a bent or branched thing does not
+DEFAULT_DIAMETER = (
+    2.0,
+    40.0,
+)  # px; 2 is the least that the sampling supports, 40 a 5 mm LED at 13 cm
+BACKGROUND_FACTOR = (
+    1.5  # background window over the largest diameter: nothing of an LED survives in it
+)
+MAX_COMPILED_PIXELS = 40_000  # of a window: above, OpenCV is as quick, whatever an LED measures
+MAX_BLOBS = 1024  # blobs told apart in one window, those of higher levels first
+MAX_CANDIDATES = (
+    64  # blobs fitted at most, best contrast first: bounds the time in a cluttered room
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Rough places of LED-like blobs, highest contrast first."""
+
+    centre: Array  # (n, 2), px
+    radius: Array  # (n,), px, half the width at half height
+    contrast: Array  # (n,), DN above the surroundings
+
+    def __len__(self) -> int:
+        """Count the candidates."""
+        return len(self.centre)
+
+    def taken(self, which: NDArray[np.intp]) -> "Candidates":
+        """Some of the candidates."""
+        return Candidates(self.centre[which], self.radius[which], self.contrast[which])
+
+
+def find_candidates(
+    image: Image, windows: NDArray[np.int64] | None, diameter_px: tuple[float, float] | None
+) -> Candidates:
+    """List compact bright blobs of an image, inside the windows only if there are any.
+
+    Args:
+        image: (h, w) grey or (h, w, 3) BGR, searched by its brightest channel.
+        windows: (m, 4), x0, y0, x1, y1, inside the image, upper bounds exclusive; None is all.
+        diameter_px: least and largest full width; None is anything an LED may be.
+    """
+    smallest, largest = diameter_px or DEFAULT_DIAMETER
+    if windows is None:
+        windows = np.array([[0, 0, image.shape[1], image.shape[0]]])
+    boxes = windows.tolist()
+    area = [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes]
+    if image.ndim == 2 and max(area, default=0) <= MAX_COMPILED_PIXELS:
+        found = find_in_small_windows(image, windows, largest)
+        halved = np.ones(len(found), dtype=np.intp)
+    else:
+        factor = [2 if pixels > MAX_FULL_SIZE_AREA else 1 for pixels in area]
+        parts = [
+            find_in_large_window(image, *one, largest) for one in zip(boxes, factor, strict=True)
+        ]
+        found = np.concatenate([np.empty((0, 4)), *parts])
+        halved = np.repeat(np.array(factor, np.intp), [len(part) for part in parts])
+    best = np.empty((MAX_CANDIDATES, 4))
+    best = best[: select_highest(found, halved, (float(smallest), float(largest)), best)]
+    return Candidates(best[:, :2], best[:, 2].copy(), best[:, 3])
+
+
+def find_in_small_windows(image: Image, windows: NDArray[np.int64], largest: float) -> Array:
+    """Find blobs in small windows of a grey picture, (n, 4): x, y, radius (px), contrast (DN)."""
+    side = background_window(largest)
+    found = np.empty((MAX_BLOBS, 4))
+    shape = float(2 * side), MAX_AXIS_RATIO, MIN_FILL
+    return found[: find_blobs(image, windows, side // 2, LEVELS, shape, found)]
+
+
+def find_in_large_window(image: Image, window: list[int], factor: int, largest: float) -> Array:
+    """Find blobs in a window of a picture of any kind, made smaller by a factor; likewise."""
+    x0, y0, x1, y1 = window
+    part = image[y0:y1, x0:x1]
+    height, width = part.shape[0] // factor, part.shape[1] // factor
+    if min(height, width) < MIN_WINDOW_SIDE:
+        return np.empty((0, 4))
+    if factor > 1:
+        whole = part[: height * factor, : width * factor]
+        part = np.asarray(
+            cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8
+        )
+    if part.ndim == 3:
+        blue, green, red = cv2.split(part)
+        part = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
+    side = background_window(largest / factor)
+    found = np.empty((MAX_BLOBS, 4))
+    shape = float(2 * side), MAX_AXIS_RATIO, MIN_FILL
+    found = found[: compact_blobs(local_contrast(part, side), LEVELS, shape, found)]
+    found[:, :3] *= factor
+    # a pixel of the halved picture is centred between the two it came from
+    found[:, :2] += (factor - 1) / 2 + np.array([x0, y0])
+    return found
+
+
+def background_window(largest: float) -> int:
+    """Side of the square that surroundings are taken from, an odd number of px."""
+    return int(BACKGROUND_FACTOR * largest) | 1
+
+
+def local_contrast(image: Image, side: int) -> Image:
+    """Contrast of what is smaller than a square of `side` px, an odd number: the top hat, DN."""
+    if image.size > MAX_COMPILED_PIXELS:
+        window = np.ones((side, side), np.uint8)
+        return np.asarray(cv2.morphologyEx(image, cv2.MORPH_TOPHAT, window), np.uint8)
+    contrast = np.empty_like(image, order="C")
+    top_hat(np.ascontiguousarray(image), side // 2, contrast)
+    return contrast
+
+
+RADII = (8, 11, 14, 18, 26, 40, 62)  # px, of cut-outs: few, so that many share a batch
+PATCH_REACH = 2.4  # half-widths: a Gaussian has fallen to 1/50 there, a disc is long over
+PATCH_MARGIN = 2.5  # px of floor around that
+FIRST_LOOK_STEPS = 8  # steps from centre to edge of a first look: 197 pixels, whatever the size
+BATCH_PATCHES = 8  # patches a batch: their derivatives stay in the processor's cache
+MIN_CHANNEL_WEIGHT = 0.1  # of the strongest channel: less adds noise, not information
+CLIPPED_DN = 255
+
+
+@dataclass(frozen=True, slots=True)
+class LocatedPatches:
+    """Patches and where they came from."""
+
+    patches: Patches
+    origin: NDArray[np.intp]  # (n, 2), image x, y of each patch's centre pixel
+    colour: Array  # (n, 3), mean B, G, R above the surroundings
+
+
+def cut_first_look(image: Image, candidates: Candidates, noise: Noise) -> LocatedPatches:
+    """Take some 200 pixels around every candidate, spread over its size."""
+    column, row = disc_offsets(FIRST_LOOK_STEPS)
+    spacing = (PATCH_REACH * candidates.radius + PATCH_MARGIN)[:, None] / FIRST_LOOK_STEPS
+    offsets = [np.rint(spacing * axis).astype(np.intp) for axis in (column, row)]
+    origin = np.rint(candidates.centre).astype(np.intp)
+    return read_pixels(image, origin, candidates.radius, offsets[0], offsets[1], noise)
+
+
+def cut_patches(
+    image: Image, candidates: Candidates, noise: Noise
+) -> Iterator[tuple[NDArray[np.intp], LocatedPatches]]:
+    """Cut all pixels of the candidates out, batch by batch of one size, with their indices."""
+    needed = PATCH_REACH * candidates.radius + PATCH_MARGIN
+    size = [min(bisect_left(RADII, one), len(RADII) - 1) for one in needed.tolist()]
+    origin = np.rint(candidates.centre).astype(np.intp)
+    for which in sorted(set(size)):
+        members = [number for number, its in enumerate(size) if its == which]
+        column, row = disc_offsets(RADII[which])
+        for begin in range(0, len(members), BATCH_PATCHES):
+            part = np.array(members[begin : begin + BATCH_PATCHES])
+            radius = candidates.radius[part]
+            yield part, read_pixels(image, origin[part], radius, column, row, noise)
+
+
+@cache
+def disc_offsets(radius: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Columns and rows (1, p) of the pixels of a disc; everybody's, not to be changed."""
+    axis = np.arange(-radius, radius + 1)
+    column, row = np.meshgrid(axis, axis)
+    within = column**2 + row**2 <= radius**2
+    column, row = column[within], row[within]
+    column, row = column[None], row[None]
+    column.flags.writeable = row.flags.writeable = False
+    return column, row
+
+
+def read_pixels(
+    image: Image,
+    origin: NDArray[np.intp],
+    scale: Array,
+    column: NDArray[np.intp],
+    row: NDArray[np.intp],
+    noise: Noise,
+) -> LocatedPatches:
+    """Read the image at offsets (n, p), or (1, p) for all, from the origins; colours combined."""
+    known = np.empty((len(origin), 4, column.shape[1]))
+    whole = np.ones(len(origin))
+    if image.ndim == 2:
+        colour = np.empty((len(origin), 3))
+        read_grey(image, origin, scale, column, row, known, colour)
+        return LocatedPatches(Patches(known, scale, whole, whole, noise), origin, colour)
+    height, width = image.shape[:2]
+    x, y = origin[:, :1] + column, origin[:, 1:] + row
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    pixels = image[y.clip(0, height - 1), x.clip(0, width - 1)]
+    core = column**2 + row**2 <= np.square(scale)[:, None]
+    known[:, 2], known[:, 3] = column, row
+    if is_grey(pixels):
+        known[:, 0], known[:, 1] = pixels[..., 0], inside
+        colour = np.repeat(channel_contrast(pixels[..., :1], core), 3, axis=1)
+        return LocatedPatches(Patches(known, scale, whole, whole, noise), origin, colour)
+    colour = channel_contrast(pixels, core)
+    weight = channel_weights(colour)
+    known[:, 0] = (pixels @ weight[..., None])[..., 0]
+    known[:, 1] = inside & usable_pixels(pixels, weight)
+    square = np.square(weight)
+    # the channels' shares of the signal are the weights themselves, up to a factor
+    share = square.sum(axis=1), (square * weight).sum(axis=1) / square.sum(axis=1)
+    return LocatedPatches(Patches(known, scale, *share, noise), origin, colour)
+
+
+def usable_pixels(pixels: Image, weight: Array) -> NDArray[np.bool_]:
+    """Which pixels (n, p, 3) are clipped in none of the channels that count, or in all of them."""
+    clipped = (pixels == CLIPPED_DN) & (weight > 0)[:, None]
+    every = (clipped | (weight == 0)[:, None]).all(axis=2)
+    return np.asarray(~clipped.any(axis=2) | every, dtype=np.bool_)
+
+
+def is_grey(pixels: Image) -> bool:
+    """Whether the channels hold one picture three times: one measurement, not three."""
+    return bool(
+        np.array_equal(pixels[..., 0], pixels[..., 1])
+        and np.array_equal(pixels[..., 1], pixels[..., 2])
+    )
+
+
+def channel_weights(colour: Array) -> Array:
+    """Weight of each channel, (n, 3), summing to 1: its contrast, which is best for equal noise."""
+    weight = np.maximum(colour, 1e-3)  # DN: something to divide by on a flat patch
+    weight[weight < MIN_CHANNEL_WEIGHT * weight.max(axis=1, keepdims=True)] = 0.0
+    normalised: Array = weight / weight.sum(axis=1, keepdims=True)
+    return normalised
+
+
+def channel_contrast(pixels: Image, core: NDArray[np.bool_]) -> Array:
+    """Mean of each channel on the spot less the patch's lower third, (n, channels) DN."""
+    third = pixels.shape[1] // 3
+    floor = np.partition(pixels, third, axis=1)[:, third]
+    total = (pixels * core[..., None]).sum(axis=1)
+    above: Array = total / np.maximum(core.sum(axis=1), 1)[:, None] - floor
+    return above

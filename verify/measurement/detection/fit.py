@@ -1,0 +1,223 @@
+"""Every spot's centre at once: Gauss-Newton on a clipped-normal model of the pixels (model.py).
+
+The pixels of each patch as a spot's parameters would have them, and what they say of these.
+
+A pixel is mu + noise, rounded and clipped to 0 … 255, with mu = floor + slope · d + peak · f(t).
+Its mean and variance after clipping have closed forms, and (observed - mean) / variance, led
+through the mean's derivative, is the quasi-score. Weights come from the model, never from the
+observed value: that would favour pixels whose noise happened to be low. A pixel deep in saturation
+or below black has a mean that no parameter moves; it carries no information and needs no mask.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.records import Array, Noise
+from verify.measurement.detection.kernels import fit as kernel_priors
+from verify.measurement.detection.kernels import fit as kernels_fit
+from verify.measurement.detection.kernels import pixels as kernels_pixels
+from verify.measurement.detection.kernels.pixels import (
+    N_PARAMETERS,
+    PAR_FLOOR,
+    PAR_PEAK,
+    PAR_STEEPNESS,
+    PAR_XX,
+    PAR_YY,
+    SENSOR_LIMIT,
+)
+from verify.measurement.detection.profile import profile_table
+
+START_STEEPNESS = np.log(2.2)  # between a Gaussian (1.39) and an in-focus LED (5)
+# Priors, standard deviations. All but the slopes' concern terms that are even about the centre and
+# leave it alone; they only keep a dim or a fully saturated spot from drifting off.
+PRIOR_STEEPNESS = 1.0
+PRIOR_PEAK = 2000.0  # DN: eight times the sensor's range
+PRIOR_FLOOR = 10.0  # DN: a floor below black is not seen
+PRIOR_SHAPE = 2.0  # of (half-width / start)^-2
+
+
+def _default_prior() -> tuple[Array, Array]:
+    """Mean and inverse variance of what every spot is expected to have, (10,) each."""
+    mean, weight = np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS)
+    mean[PAR_STEEPNESS], mean[PAR_XX], mean[PAR_YY] = START_STEEPNESS, 1.0, 1.0
+    weight[PAR_PEAK], weight[PAR_FLOOR] = PRIOR_PEAK**-2, PRIOR_FLOOR**-2
+    weight[PAR_STEEPNESS], weight[PAR_XX : PAR_YY + 1] = PRIOR_STEEPNESS**-2, PRIOR_SHAPE**-2
+    return mean, weight
+
+
+DEFAULT_PRIOR = _default_prior()
+
+
+@dataclass(frozen=True, slots=True)
+class Patches:
+    """Pixels around candidates, as many for each, with what is known of their noise."""
+
+    # (n, 4, p): value, DN; 1 where inside the image and not clipped in part; column and row, px
+    # from the cut-out's centre pixel
+    pixels: Array
+    scale: Array  # (n,), px, half-width that the fit starts from
+    read_share: Array  # (n,), by which combining colours changes a channel's read variance
+    gain_share: Array  # (n,), likewise its shot-noise gain
+    noise: Noise  # of one channel
+
+    @property
+    def value(self) -> Array:
+        """DN, (n, p)."""
+        return self.pixels[:, 0]
+
+    def taken(self, which: NDArray[np.intp]) -> "Patches":
+        """Some of the patches."""
+        return replace(
+            self,
+            pixels=self.pixels[which],
+            scale=self.scale[which],
+            read_share=self.read_share[which],
+            gain_share=self.gain_share[which],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Priors:
+    """How firmly each parameter is held, and where; and where the fit starts."""
+
+    mean: Array  # (n, 10)
+    weight: Array  # (n, 10), inverse variance
+    start: Array  # (n, 10), as the pixels suggest
+    saturated: NDArray[np.bool_]  # (n,), whether some pixels on the spot are at the sensor's limit
+
+    def taken(self, which: NDArray[np.intp]) -> "Priors":
+        """Those of some of the patches."""
+        return Priors(
+            self.mean[which], self.weight[which], self.start[which], self.saturated[which]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SpotFit:
+    """Parameters of each patch's spot and the state of the pixels at them."""
+
+    parameters: Array  # (n, 10), x and y in px from the cut-out's centre pixel
+    information: Array  # (n, 10, 10), inverse covariance, priors included
+    gradient: Array  # (n, 10), of the quasi-likelihood
+    known: Array  # (n, 10, p), of the pixels before the last small step, but for their means
+    whitened: Array  # (n, 11, p), derivatives of mu by the parameters and residuals, over sigma
+    chi2: Array  # (n,)
+    priors: Priors
+
+    def put(
+        self, which: NDArray[np.intp], other: "SpotFit", whose: NDArray[np.intp] | None = None
+    ) -> None:
+        """Put another fit's patches, all or some, in the place of these; priors stay."""
+        for mine, theirs in zip(self.state, other.state, strict=True):
+            mine[which] = theirs if whose is None else theirs[whose]
+
+    @property
+    def state(self) -> tuple[Array, ...]:
+        """All that a fit changes."""
+        return (
+            self.parameters, self.information, self.gradient, self.known, self.whitened, self.chi2
+        )  # fmt: skip
+
+
+def expected_priors(patches: Patches) -> Priors:
+    """Say what is expected of each patch's spot before it is fitted."""
+    n = len(patches.scale)
+    mean, weight, start = np.empty((3, n, N_PARAMETERS))
+    full = np.empty(n, dtype=np.bool_)
+    kernel_priors.fill_priors(
+        patches.pixels,
+        patches.scale,
+        patches.noise.read,
+        DEFAULT_PRIOR,
+        (mean, weight),
+        start,
+        full,
+    )
+    return Priors(mean, weight, start, full)
+
+
+def solve_patches(
+    patches: Patches,
+    start: Array,
+    priors: Priors,
+    steps: int = 0,
+    settled: float = 0.0,
+) -> SpotFit:
+    """Fit every patch by Gauss-Newton.
+
+    Args:
+        patches: n of them.
+        start: (n, 10), parameters to begin with.
+        priors: how firmly they are held.
+        steps: at most; 0 looks how the pixels stand at the start.
+        settled: of chi² that a step may still gain.
+    """
+    n, _, size = patches.pixels.shape
+    fit = SpotFit(
+        parameters=start.copy(),
+        information=np.empty((n, N_PARAMETERS, N_PARAMETERS)),
+        gradient=np.empty((n, N_PARAMETERS)),
+        known=np.empty((n, kernels_pixels.N_ROWS, size)),
+        whitened=np.empty((n, kernels_pixels.ROW_WHITENED, size)),
+        chi2=np.empty(n),
+        priors=priors,
+    )
+    continue_fit(patches, fit, patches.noise, steps, settled)
+    return fit
+
+
+def continue_fit(
+    patches: Patches, fit: SpotFit, noise: Noise, steps: int, settled: float = 0.0
+) -> None:
+    """Take a fit further where it stands, under that noise of a channel; see `solve_patches`."""
+    kernels_fit.fit_patches(
+        fit.parameters, patches.pixels, patches.scale, (patches.read_share, patches.gain_share),
+        (noise.read**2, noise.gain, noise.black), profile_table(),
+        (fit.priors.mean, fit.priors.weight), (steps, settled),
+        (fit.known, fit.whitened, fit.information, fit.gradient, fit.chi2),
+    )  # fmt: skip
+
+
+TOL_LAST_STEP = 10.0  # of chi² that the last step may gain: it is taken, and nothing looked at anew
+MAX_STEPS = 8  # from a first look on; a clean spot takes two
+MAX_STEPS_SATURATED = 20  # its top is hidden, the valley long
+TOL_SATURATED = 0.001  # likewise: a step may gain little and the next one more
+MAX_STEPS_FIRST_LOOK = 6  # steps of a first look; what has not taken shape by then is no spot
+TOL_FIRST_LOOK = 1.0  # of chi², likewise: the place is good to a sigma
+START_STEEPNESS_SATURATED = np.log(
+    5.0
+)  # an in-focus LED: where a saturated spot's flat top is real
+
+
+def fit_spots(patches: Patches, start: Array | None = None) -> SpotFit:
+    """Fit one spot to each patch, from the parameters of a first look where there was one.
+
+    What is clear comes within a step of its place: `detect` goes on once it knows the noise. A
+    saturated spot is approached from two sides, as its hidden top may be steep or flat.
+    """
+    priors = expected_priors(patches)
+    fit = solve_patches(
+        patches, priors.start if start is None else start, priors, MAX_STEPS, TOL_LAST_STEP
+    )
+    full = np.flatnonzero(priors.saturated)
+    if not len(full):
+        return fit
+    part, held, flat = patches.taken(full), priors.taken(full), fit.parameters[full]
+    steep = held.mean.copy()
+    steep[:, PAR_STEEPNESS], steep[:, PAR_PEAK] = (
+        START_STEEPNESS_SATURATED,
+        SENSOR_LIMIT - steep[:, PAR_FLOOR],
+    )
+    fit.put(full, solve_patches(part, flat, held, MAX_STEPS_SATURATED, TOL_SATURATED))
+    other = solve_patches(part, steep, held, MAX_STEPS_SATURATED, TOL_SATURATED)
+    better = np.flatnonzero(~(fit.chi2[full] <= other.chi2))
+    fit.put(full[better], other, better)
+    return fit
+
+
+def first_look(patches: Patches) -> SpotFit:
+    """Fit with few steps: enough to see whether a spot is there, and where."""
+    priors = expected_priors(patches)
+    return solve_patches(patches, priors.start, priors, MAX_STEPS_FIRST_LOOK, TOL_FIRST_LOOK)

@@ -1,0 +1,290 @@
+"""Bright things of a picture, looked for from the highest level down, compiled.
+
+What is brighter than its surroundings, compiled: three steps a pixel, whatever the window.
+
+OpenCV's top hat takes as many as its window is wide. The same values.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.jit import compiled
+from verify.core.records import Array, Image
+from verify.measurement.detection.kernels.patches import measure_half_height
+
+
+@compiled
+def top_hat(image: Image, reach: int, contrast: Image) -> None:
+    """Fill in an image less its opening by a square of 2 reach + 1 px; borders hold nothing.
+
+    Args:
+        image: (h, w).
+        reach: px.
+        contrast: (h, w), filled.
+    """
+    height, width = image.shape
+    low, turned = np.empty((height, width), np.uint8), np.empty((width, height), np.uint8)
+    column_minima(image, reach, low)
+    if is_uniform(low):  # as where there is nothing but black between the LEDs
+        level = low[0, 0]
+        for y in range(height):
+            for x in range(width):
+                contrast[y, x] = image[y, x] - level
+        return
+    transpose(low, turned)
+    column_minima(turned, reach, turned)
+    invert_image(turned)  # the greatest of the least: the least of the complement
+    column_minima(turned, reach, turned)
+    transpose(turned, low)
+    column_minima(low, reach, low)
+    for y in range(height):
+        for x in range(width):
+            contrast[y, x] = image[y, x] - (255 - low[y, x])
+
+
+@compiled
+def is_uniform(image: Image) -> bool:
+    """Whether all pixels are alike."""
+    level, uneven = image[0, 0], np.uint8(0)
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            uneven |= image[y, x] ^ level
+    return bool(uneven == 0)
+
+
+@compiled
+def transpose(image: Image, turned: Image) -> None:
+    """Make rows of columns."""
+    for x in range(image.shape[1]):
+        for y in range(image.shape[0]):
+            turned[x, y] = image[y, x]
+
+
+@compiled
+def invert_image(image: Image) -> None:
+    """Make dark bright."""
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            image[y, x] = 255 - image[y, x]
+
+
+@compiled
+def column_minima(image: Image, reach: int, least: Image) -> None:
+    """Fill in the least of each column's values within `reach` rows; may be the image itself.
+
+    Source: van Herk (1992), Gil and Werman (1993): of blocks as long as the window, the least from
+    their begin on and that to their end.
+    """
+    height, width = image.shape
+    block = 2 * reach + 1
+    so_far, to_come = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
+    for y in range(height):
+        if y % block == 0:
+            for x in range(width):
+                so_far[y, x] = image[y, x]
+        else:
+            for x in range(width):
+                so_far[y, x] = min(image[y, x], so_far[y - 1, x])
+    for y in range(height - 1, -1, -1):
+        if y == height - 1 or (y + 1) % block == 0:
+            for x in range(width):
+                to_come[y, x] = image[y, x]
+        else:
+            for x in range(width):
+                to_come[y, x] = min(image[y, x], to_come[y + 1, x])
+    for y in range(height):
+        before, after = y - reach, min(y + reach, height - 1)
+        if before < 0:
+            for x in range(width):
+                least[y, x] = so_far[after, x]
+        elif before // block == after // block:
+            for x in range(width):
+                least[y, x] = to_come[before, x]
+        else:
+            for x in range(width):
+                least[y, x] = min(so_far[after, x], to_come[before, x])
+
+
+MIN_WINDOW_SIDE = 3  # px, side of a window: smaller ones show no blob
+BOX_MARGIN = 2  # px about a thing's box: its half height may lie below the level
+Labels = NDArray[np.int32]
+
+
+@compiled
+def find_blobs(
+    image: Image,
+    windows: NDArray[np.int64],
+    reach: int,
+    levels: tuple[int, ...],
+    shape: tuple[float, float, float],
+    found: Array,
+) -> int:
+    """List compact bright blobs in windows of a grey picture.
+
+    Args:
+        image: (h, w).
+        windows: (n, 4), x0, y0, x1, y1, upper bounds exclusive.
+        reach: px: what has brightness at that distance all around is background.
+        levels: as for `compact_blobs`, and so is shape.
+        shape: see there.
+        found: (m, 4), filled from the begin with as many as it holds, px of the picture.
+
+    Returns:
+        How many.
+    """
+    count = 0
+    for window in windows:
+        x0, y0, x1, y1 = window
+        if min(x1 - x0, y1 - y0) < MIN_WINDOW_SIDE:
+            continue
+        part = image[y0:y1, x0:x1].copy()
+        contrast = np.empty_like(part)
+        top_hat(part, reach, contrast)
+        before = count
+        count += compact_blobs(contrast, levels, shape, found[before:])
+        for k in range(before, count):
+            found[k, 0] += x0
+            found[k, 1] += y0
+    return count
+
+
+@compiled
+def cut_windows(windows: Array, size: tuple[int, int], whole: NDArray[np.int64]) -> None:
+    """Cut windows (n, 4), px, at a picture's border and widen them to whole pixels.
+
+    Args:
+        windows: x0, y0, x1, y1.
+        size: height and width of the picture.
+        whole: (n, 4), filled; upper bounds exclusive.
+    """
+    height, width = size
+    for n in range(len(windows)):
+        for axis in range(4):
+            end = width if axis % 2 == 0 else height
+            edge = min(max(windows[n, axis], 0.0), float(end))
+            whole[n, axis] = int(edge if axis < 2 else math.ceil(edge))
+
+
+@compiled
+def compact_blobs(
+    contrast: Image, levels: tuple[int, ...], shape: tuple[float, float, float], found: Array
+) -> int:
+    """List compact blobs by their contrast; a bright one's own foot is no further one.
+
+    Args:
+        contrast: (h, w), DN above the surroundings.
+        levels: DN, falling.
+        shape: longest side of a blob's box, px; longest axis ratio; least area over its ellipse's.
+        found: (m, 4), filled from the begin with as many as it holds: column and row of the
+            centre, px; half width, px; height, DN.
+
+    Returns:
+        How many.
+    """
+    label = np.zeros(contrast.shape, np.int32)
+    stack = np.empty((contrast.size, 2), np.int32)
+    seeds = np.empty((len(found), 2), np.int32)  # a pixel of each thing that a blob was found in
+    highest = np.empty(len(contrast), np.uint8)
+    row_peaks(contrast, highest)
+    number, count = 0, 0
+    for level in levels:
+        before = number
+        for y in range(contrast.shape[0]):
+            if highest[y] <= level:
+                continue
+            for x in range(contrast.shape[1]):
+                if contrast[y, x] <= level or label[y, x] > before:
+                    continue
+                number += 1
+                left, top, right, bottom = flood_fill(contrast, level, y, x, label, number, stack)
+                if max(right - left, bottom - top) >= shape[0]:
+                    continue
+                if count == len(found) or contains_seed(label, number, seeds[:count]):
+                    continue
+                x0, y0 = max(left - BOX_MARGIN, 0), max(top - BOX_MARGIN, 0)
+                part = contrast[y0 : bottom + BOX_MARGIN + 1, x0 : right + BOX_MARGIN + 1]
+                if measure_half_height(part, shape[1], shape[2], found[count]):
+                    found[count, 0] += x0
+                    found[count, 1] += y0
+                    seeds[count, 0], seeds[count, 1] = y, x
+                    count += 1
+    return count
+
+
+@compiled
+def select_highest(
+    found: Array, doubt: NDArray[np.int64], across: tuple[float, float], best: Array
+) -> int:
+    """List the blobs that are as large as asked, highest contrast first.
+
+    Args:
+        found: (n, 4), as `compact_blobs` fills it.
+        doubt: (n,), px, by which a blob's width may be missed.
+        across: px, least and largest width.
+        best: (m, 4), filled from the begin with as many as it holds.
+
+    Returns:
+        How many.
+    """
+    chosen, count = np.empty(len(found), np.int64), 0
+    for n in range(len(found)):
+        width = 2.0 * found[n, 2]
+        if width + doubt[n] >= across[0] and width - doubt[n] <= across[1]:
+            chosen[count] = n
+            count += 1
+    rank = np.empty(count)
+    for k in range(count):
+        rank[k] = -found[chosen[k], 3]
+    count = min(count, len(best))
+    order = np.argsort(rank, kind="mergesort")
+    for k in range(count):
+        best[k] = found[chosen[order[k]]]
+    return count
+
+
+@compiled
+def row_peaks(contrast: Image, highest: NDArray[np.uint8]) -> None:
+    """Fill in the highest of each row (h, w)."""
+    for y in range(contrast.shape[0]):
+        peak = np.uint8(0)
+        for x in range(contrast.shape[1]):
+            peak = max(peak, contrast[y, x])
+        highest[y] = peak
+
+
+@compiled
+def contains_seed(label: Labels, number: int, seeds: NDArray[np.int32]) -> bool:
+    """Whether a blob was found in this thing already, at a higher level: then this is its foot."""
+    held = False
+    for k in range(len(seeds)):
+        held = held or label[seeds[k, 0], seeds[k, 1]] == number
+    return held
+
+
+@compiled
+def flood_fill(
+    contrast: Image,
+    level: int,
+    y: int,
+    x: int,
+    label: Labels,
+    number: int,
+    stack: NDArray[np.int32],
+) -> tuple[int, int, int, int]:
+    """Label what is above a level and connected with a pixel, also by corners; give its box."""
+    height, width = contrast.shape
+    left, top, right, bottom = x, y, x, y
+    stack[0, 0], stack[0, 1], label[y, x] = y, x, number
+    waiting = 1
+    while waiting > 0:
+        waiting -= 1
+        y, x = stack[waiting, 0], stack[waiting, 1]
+        left, top, right, bottom = min(left, x), min(top, y), max(right, x), max(bottom, y)
+        for v in range(max(y - 1, 0), min(y + 2, height)):
+            for u in range(max(x - 1, 0), min(x + 2, width)):
+                if contrast[v, u] > level and label[v, u] != number:
+                    stack[waiting, 0], stack[waiting, 1], label[v, u] = v, u, number
+                    waiting += 1
+    return left, top, right, bottom

@@ -1,0 +1,427 @@
+"""The fit's inner loop, compiled: the way down to a patch's spot.
+
+What a patch's pixels lead one to expect of its spot before it is fitted, compiled.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.jit import compiled, compiled_sums
+from verify.core.kernels.linear_algebra import factor, solve
+from verify.core.records import Array
+from verify.measurement.detection.kernels.pixels import (
+    N_PARAMETERS,
+    NEIGHBOUR_RADIUS,
+    OUTLIER_SIGMA,
+    PAR_FLOOR,
+    PAR_PEAK,
+    PAR_SLOPE_X,
+    PAR_SLOPE_Y,
+    PAR_STEEPNESS,
+    PAR_X,
+    PAR_XX,
+    PAR_XY,
+    PAR_Y,
+    PAR_YY,
+    ROW_CORE,
+    ROW_MEAN,
+    ROW_RADIUS2,
+    ROW_RESIDUAL,
+    ROW_VARIANCE,
+    ROW_VISIBLE,
+    ROW_WHITENED,
+    SENSOR_LIMIT,
+    weigh_pixels,
+)
+
+FIRST_DAMPING = 1e-4
+MIN_INFORMATION = 1e-9  # information in every direction: of a patch none of whose pixels counts
+CORE_RADIUS = 1.5  # half-widths: the spot's own pixels, by which its fit is judged
+MIN_CORE_RADIUS = 3.0  # px, likewise for the smallest: 28 pixels against 8 parameters
+MIN_NOISE_SHARE = 0.9  # share of a pixel's noise that clipping must leave for its residual to count
+
+
+@compiled_sums
+def sum_products(rows: Array, products: Array) -> None:
+    """Products of every row (m, p) with every other, (m, m); m is odd.
+
+    Two rows by two at once: what is loaded is used twice.
+    """
+    last = rows.shape[0] - 1
+    for a in range(0, last, 2):
+        for b in range(0, a + 1, 2):
+            first, right, below, both = 0.0, 0.0, 0.0, 0.0
+            for k in range(rows.shape[1]):
+                first += rows[a, k] * rows[b, k]
+                right += rows[a, k] * rows[b + 1, k]
+                below += rows[a + 1, k] * rows[b, k]
+                both += rows[a + 1, k] * rows[b + 1, k]
+            products[a, b] = products[b, a] = first
+            products[a, b + 1] = products[b + 1, a] = right
+            products[a + 1, b] = products[b, a + 1] = below
+            products[a + 1, b + 1] = products[b + 1, a + 1] = both
+    for b in range(last + 1):
+        total = 0.0
+        for k in range(rows.shape[1]):
+            total += rows[last, k] * rows[b, k]
+        products[last, b] = products[b, last] = total
+
+
+@compiled
+def normal_equations(
+    p: Array, rows: Array, out: float, prior: Array, information: Array, gradient: Array
+) -> float:
+    """Sum the pixels up; `prior` (2, 10) is mean and inverse variance. Gives chi²."""
+    products = np.empty((ROW_WHITENED, ROW_WHITENED))
+    sum_products(rows, products)
+    chi2 = products[ROW_RESIDUAL, ROW_RESIDUAL] + out
+    for a in range(N_PARAMETERS):
+        off = prior[0, a] - p[a]
+        information[a] = products[a, :N_PARAMETERS]
+        information[a, a] += prior[1, a]
+        gradient[a] = products[ROW_RESIDUAL, a] + prior[1, a] * off
+        chi2 += prior[1, a] * off * off
+    return float(chi2)
+
+
+@compiled
+def limit_step(step: NDArray[np.floating], p: Array) -> bool:
+    """Shorten a step that leaves the region in which the linearisation means anything.
+
+    Returns:
+        Whether it did.
+    """
+    least = min(p[PAR_XX], p[PAR_YY])
+    ratio = max(abs(step[PAR_X]), abs(step[PAR_Y])) / 1.5  # px
+    ratio = max(ratio, abs(step[PAR_PEAK]) / (0.7 * p[PAR_PEAK]))
+    ratio = max(ratio, abs(step[PAR_FLOOR]) / 30.0)  # DN
+    ratio = max(ratio, max(abs(step[PAR_SLOPE_X]), abs(step[PAR_SLOPE_Y])) / 5.0)  # DN a px
+    ratio = max(
+        ratio, max(abs(step[PAR_XX]), abs(step[PAR_XY]), abs(step[PAR_YY])) / (0.45 * least)
+    )
+    ratio = max(ratio, abs(step[PAR_STEEPNESS]) / 0.5)
+    if ratio > 1.0:
+        step /= ratio
+    return bool(ratio > 1.0)
+
+
+@compiled
+def update_means(step: Array, rows: Array, known: Array) -> None:
+    """Let the means of the pixels that count follow a small step (10,), to first order."""
+    moved = np.zeros(rows.shape[1])
+    for a in range(N_PARAMETERS):
+        for k in range(rows.shape[1]):
+            moved[k] += step[a] * rows[a, k]
+    for k in range(rows.shape[1]):
+        known[ROW_MEAN, k] += moved[k] * math.sqrt(known[ROW_VARIANCE, k])
+
+
+@compiled
+def mark_core(p: Array, pixels: Array, known: Array) -> None:
+    """Mark the pixels that are the spot's own: its core, and for the smallest a few about it."""
+    for k in range(pixels.shape[1]):
+        x, y = pixels[2, k] - p[PAR_X], pixels[3, k] - p[PAR_Y]
+        near = known[ROW_RADIUS2, k] < CORE_RADIUS**2 or x * x + y * y < MIN_CORE_RADIUS**2
+        known[ROW_CORE, k] = pixels[1, k] if near else 0.0
+
+
+@compiled_sums
+def chi_squared(p: Array, pixels: Array, known: Array, variance: Array, prior: Array) -> float:
+    """Chi² of a patch at p under given variances (p,): `known` tells the means alone."""
+    total = 0.0
+    for k in range(pixels.shape[1]):
+        residual = pixels[0, k] - known[ROW_MEAN, k]
+        square = residual * residual / variance[k]
+        outside = known[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2 and square > OUTLIER_SIGMA**2
+        total += pixels[1, k] * (OUTLIER_SIGMA**2 if outside else square)
+    for a in range(N_PARAMETERS):
+        off = prior[0, a] - p[a]
+        total += prior[1, a] * off * off
+    return total
+
+
+@compiled
+def fit_patch(
+    p: Array,
+    pixels: Array,
+    scale: float,
+    noise: Array,
+    table: Array,
+    prior: Array,
+    steps: int,
+    settled: float,
+    known: Array,
+    rows: Array,
+    information: Array,
+    gradient: Array,
+) -> float:
+    """Fit one patch by Gauss-Newton with Levenberg's damping until it settles.
+
+    Args:
+        p: (10,), to begin with; the best met, afterwards.
+        pixels: as for `weigh_pixels`, and so are scale, noise and table.
+        scale: px.
+        noise: of this patch.
+        table: of the profiles.
+        prior: as for `normal_equations`.
+        steps: at most; 0 looks how the pixels stand at p.
+        settled: of chi² that a step may still gain. It is taken, and nothing is looked at anew.
+        known: filled as by `weigh_pixels`, where the last step but that one ended, the means alone where
+            that one does.
+        rows: whitened derivatives and residual, where the last step but that one ended.
+        information: (10, 10), filled.
+        gradient: (10,), filled.
+
+    Returns:
+        chi².
+    """
+    size = pixels.shape[1]
+    tried_information, tried_gradient = np.empty_like(information), np.empty_like(gradient)
+    root, step = np.empty_like(information), np.empty_like(gradient)
+    out = weigh_pixels(p, pixels, scale, noise, table, known, rows)
+    chi2 = normal_equations(p, rows, out, prior, information, gradient)
+    variance, stands = known[ROW_VARIANCE].copy(), chi2
+    damping, refused = FIRST_DAMPING, False
+    for _ in range(steps):
+        damped = information.copy()
+        for a in range(N_PARAMETERS):
+            damped[a, a] = damped[a, a] * (1.0 + damping) + MIN_INFORMATION
+        factor(damped, 0.0, root)
+        step[:] = gradient
+        solve(root, step)
+        shortened = limit_step(step, p)
+        gained = float(step @ gradient)  # what the step takes from chi²
+        if gained <= settled * (1.0 + chi2 / size) and not shortened:
+            p += step
+            chi2 -= gained
+            update_means(step, rows, known)
+            break
+        tried = p + step
+        out = weigh_pixels(tried, pixels, scale, noise, table, known, rows)
+        trial = normal_equations(tried, rows, out, prior, tried_information, tried_gradient)
+        # The weights move with the model, and chi² with them: a step is judged by those that it
+        # was found with.
+        refused = not chi_squared(tried, pixels, known, variance, prior) <= 1.1 * stands + 1.0
+        if refused:
+            damping *= 30.0
+            continue
+        p[:], chi2, damping = tried, trial, damping / 10.0
+        information[:], gradient[:] = tried_information, tried_gradient
+        variance[:], stands = known[ROW_VARIANCE], chi2
+    if refused:
+        weigh_pixels(p, pixels, scale, noise, table, known, rows)
+    mark_core(p, pixels, known)
+    return float(chi2)
+
+
+@compiled
+def fit_patches(
+    p: Array,
+    pixels: Array,
+    scale: Array,
+    shares: tuple[Array, Array],
+    noise: tuple[float, float, float],
+    table: Array,
+    prior: tuple[Array, Array],
+    limits: tuple[int, float],
+    state: tuple[Array, Array, Array, Array, Array],
+) -> None:
+    """Fit n patches, a row a patch: see `fit_patch`.
+
+    Args:
+        p: (n, 10).
+        pixels: (n, 4, p).
+        scale: (n,).
+        shares: (n,) and (n,), by which patches' read variance and gain are those of one channel.
+        noise: read variance, gain and black of one channel.
+        table: of the profiles.
+        prior: (n, 10) and (n, 10), mean and inverse variance.
+        limits: steps and settled.
+        state: known, rows, information, gradient and chi², filled.
+    """
+    known, rows, information, gradient, chi2 = state
+    own, held = np.empty(3), np.empty((2, N_PARAMETERS))
+    for n in range(len(p)):
+        own[0], own[1], own[2] = shares[0][n] * noise[0], shares[1][n] * noise[1], noise[2]
+        held[0], held[1] = prior[0][n], prior[1][n]
+        chi2[n] = fit_patch(
+            p[n], pixels[n], scale[n], own, table, held, limits[0], limits[1], known[n], rows[n],
+            information[n], gradient[n],
+        )  # fmt: skip
+
+
+@compiled
+def core_counts(pixels: Array, known: Array) -> Array:
+    """Count what judges n spots by their own pixels, (n, 4).
+
+    Pixels that clipping leaves alone; their squared residuals over the variance, summed; the
+    same in DN²; and how many of all are at the sensor's limit.
+    """
+    told = np.zeros((len(pixels), 4))
+    for n in range(len(pixels)):
+        for k in range(pixels.shape[2]):
+            if known[n, ROW_CORE, k] == 0.0:
+                continue
+            told[n, 3] += pixels[n, 0, k] >= SENSOR_LIMIT
+            if known[n, ROW_VISIBLE, k] > MIN_NOISE_SHARE:
+                square = (pixels[n, 0, k] - known[n, ROW_MEAN, k]) ** 2
+                told[n, 0] += 1.0
+                told[n, 1] += square / known[n, ROW_VARIANCE, k]
+                told[n, 2] += square
+    return told
+
+
+NEAR_LIMIT = 3.0  # DN below the limit: a top so near it is cut off, and higher than it seems
+PEAK_FACTOR_CLIPPED, PEAK_FACTOR = (
+    1.3,
+    1.05,
+)  # peak over what the core shows: of a cut-off top, and of another
+MAX_SLOPE = 30.0  # DN about the floor: a neighbour is no slope
+MIN_LOG_STEEPNESS, MAX_LOG_STEEPNESS = 0.3, 2.5  # logarithms: no guess of a steepness is beyond
+BLUR_BIAS = 0.1  # likewise: by which counted pixels look steeper than the spot
+HALO_DN = 0.7  # DN, of a spot's light in the pixels that its floor is guessed from
+MAX_BLACK_SHARE = (
+    0.98  # share of pixels: with more, how far below black the floor is cannot be guessed
+)
+LOGISTIC_SCALE = 1.702  # scale on which a logistic law is a normal one, to 0.01 (Camilli, 1994)
+
+
+@compiled
+def fill_priors(
+    pixels: Array,
+    scale: Array,
+    read: float,
+    usual: tuple[Array, Array],
+    prior: tuple[Array, Array],
+    start: Array,
+    full: NDArray[np.bool_],
+) -> None:
+    """Say what is expected of peak, floor and slopes, and where the fit may start.
+
+    Args:
+        pixels: (n, 4, p): value, 1 where valid, column, row.
+        scale: (n,), px, half-width that the fit starts from.
+        read: DN, standard deviation of a dark pixel.
+        usual: (10,) and (10,), mean and inverse variance of any spot's parameters.
+        prior: (n, 10) and (n, 10), of these ones', filled.
+        start: (n, 10), filled.
+        full: (n,), filled: whether pixels on the spot are at the sensor's limit.
+    """
+    mean, weight = prior
+    for n in range(len(pixels)):
+        value, valid, column, row = pixels[n, 0], pixels[n, 1], pixels[n, 2], pixels[n, 3]
+        mean[n], weight[n], start[n] = usual[0], usual[1], usual[0]
+        floor = value_at_rank(value, len(value) * 3 // 10)
+        top = floor_priors(value, valid, column, row, scale[n], floor, weight[n])
+        mean[n, PAR_FLOOR] = floor
+        mean[n, PAR_PEAK] = (
+            PEAK_FACTOR_CLIPPED if top > SENSOR_LIMIT - NEAR_LIMIT else PEAK_FACTOR
+        ) * max(top - floor, 1.0)
+        full[n] = False
+        for k in range(len(value)):
+            if value[k] >= SENSOR_LIMIT:
+                near = column[k] * column[k] + row[k] * row[k] <= scale[n] * scale[n]
+                full[n] = full[n] or near
+        start[n, PAR_PEAK], start[n, PAR_FLOOR] = mean[n, PAR_PEAK], floor
+        if not full[n]:  # a top that is cut off says nothing of its sides
+            start[n, PAR_FLOOR] = (
+                floor if floor > 0.0 else floor_below_black(value, read)
+            ) - HALO_DN
+            start[n, PAR_PEAK] = top - start[n, PAR_FLOOR]
+            start_values(value, column, row, scale[n], floor, top, start[n])
+
+
+@compiled
+def value_at_rank(value: Array, rank: int) -> float:
+    """The value (p,), DN, that so many others are no greater than."""
+    counts = np.zeros(int(SENSOR_LIMIT) + 1, np.int64)
+    for one in value:
+        whole = int(one)
+        if whole != one:  # of combined colours
+            return float(np.partition(value, rank)[rank])
+        counts[whole] += 1
+    level, below = 0, counts[0]
+    while below <= rank:
+        level += 1
+        below += counts[level]
+    return float(level)
+
+
+@compiled
+def floor_priors(
+    value: Array,
+    valid: Array,
+    column: Array,
+    row: Array,
+    scale: float,
+    floor: float,
+    weight: Array,
+) -> float:
+    """Hold the slopes (10,) as firmly as the pixels about the spot have none; give its top, DN."""
+    core, ring = (0.5 * scale + 0.5) ** 2, (2.3 * scale + 1.0) ** 2
+    total, count = 0.0, 0.0
+    lean_x, lean_y, lever_x, lever_y = 0.0, 0.0, 0.0, 0.0
+    for k in range(len(value)):
+        if valid[k] <= 0.0:
+            continue
+        x, y = column[k], row[k]
+        distance2 = x * x + y * y
+        if distance2 <= core:
+            total += value[k]
+            count += 1.0
+        elif distance2 > ring:
+            excess = min(max(value[k] - floor, -MAX_SLOPE), MAX_SLOPE)
+            lean_x += excess * x
+            lean_y += excess * y
+            lever_x += x * x
+            lever_y += y * y
+    # A slope costs the centre information, so it is let in as far as the surroundings have one.
+    weight[PAR_SLOPE_X] = 1.0 / ((lean_x / max(lever_x, 1.0)) ** 2 + 1e-8)
+    weight[PAR_SLOPE_Y] = 1.0 / ((lean_y / max(lever_y, 1.0)) ** 2 + 1e-8)
+    return float(total / max(count, 1.0))
+
+
+@compiled
+def floor_below_black(value: Array, read: float) -> float:
+    """Guess the floor where black cuts it off, from how many pixels are black."""
+    black = 0.0
+    for k in range(len(value)):
+        black += value[k] < 0.5
+    share = min(black / len(value), MAX_BLACK_SHARE)
+    return 0.5 - read * math.log(share / (1.0 - share)) / LOGISTIC_SCALE
+
+
+@compiled
+def start_values(
+    value: Array, column: Array, row: Array, scale: float, floor: float, top: float, start: Array
+) -> None:
+    """Guess a spot's place from its pixels over 1/4 of its height, its steepness from how many.
+
+    Args:
+        value: (p,), DN.
+        column: (p,), px.
+        row: (p,), px.
+        scale: px, half-width that the fit starts from.
+        floor: DN.
+        top: DN.
+        start: (10,), changed where the pixels tell.
+    """
+    height, wide, narrow = top - floor, 0.0, 0.0
+    light, right, down = 0.0, 0.0, 0.0
+    near = (2.2 * scale) ** 2
+    for k in range(len(value)):
+        over = value[k] - floor - 0.25 * height
+        if over > 0.0 and column[k] * column[k] + row[k] * row[k] < near:
+            wide += 1.0
+            narrow += over > 0.5 * height
+            light += over
+            right += over * column[k]
+            down += over * row[k]
+    if light > 0.0:
+        start[PAR_X], start[PAR_Y] = right / light, down / light
+    if 4.0 <= narrow < wide:
+        # areas go with the square of radii
+        guess = math.log(2.0 * math.log(3.0) / math.log(wide / narrow)) - BLUR_BIAS
+        start[PAR_STEEPNESS] = min(max(guess, MIN_LOG_STEEPNESS), MAX_LOG_STEEPNESS)

@@ -1,0 +1,275 @@
+"""What is expected of a patch's pixels at a spot's parameters, and what they weigh, compiled.
+
+The arithmetic of model.py. One loop does one thing, for then the processor takes several pixels at
+once.
+
+What a sensor makes of pixels near a limit of its range, compiled.
+
+One loop does one thing, for then the processor takes several pixels at once: a dark background has
+all of it asked of every pixel.
+"""
+
+import math
+
+import numpy as np
+from scipy.special import ndtr
+
+from verify.core.jit import compiled, compiled_sums
+from verify.core.records import Array
+from verify.measurement.detection.noise import QUANTISATION
+from verify.measurement.detection.profile import (
+    MAX_RADIUS,
+    MIN_LOG_STEEPNESS,
+    RADIUS_STEP,
+    ROW_STEP,
+)
+
+SENSOR_LIMIT = 255.0  # DN
+CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
+MIN_Z = -9.0  # sigma: below, a clipped pixel shows nothing
+STEPS_PER_UNIT = 256.0  # entries of a table of the normal law
+N_FREE_ROWS = 6  # rows that are written over
+_NODES = np.arange(MIN_Z, CLIP_REACH + 1.5 / STEPS_PER_UNIT, 1.0 / STEPS_PER_UNIT)
+NORMAL = np.column_stack([ndtr(_NODES), np.exp(-_NODES * _NODES / 2.0) / math.sqrt(2.0 * math.pi)])
+
+
+@compiled
+def clip(mean: Array, variance: Array, visible: Array, free: Array) -> None:
+    """Clip normal variables to the sensor's range.
+
+    Args:
+        mean: (p,), mu, DN; of the clipped variables, afterwards.
+        variance: (p,), likewise.
+        visible: (p,), filled with d mean / d mu.
+        free: (6, p), written over.
+    """
+    room, count, near = free[0], len(mean), 0
+    for k in range(count):  # the farther limit is always out of reach
+        room[k] = min(SENSOR_LIMIT - mean[k], mean[k])
+    for k in range(count):
+        near += (room[k] < 0.0) | (room[k] * room[k] < CLIP_REACH**2 * variance[k])
+    visible[:] = 1.0
+    if near > 0:
+        clip_near(mean, variance, visible, free)
+
+
+@compiled
+def clip_near(mean: Array, variance: Array, visible: Array, free: Array) -> None:
+    """Clip those that are in a limit's reach; the first row that is free holds their room."""
+    room, sigma, z = free[0], free[1], free[2]
+    inside, density, excess = free[3], free[4], free[5]
+    count = len(mean)
+    for k in range(count):
+        sigma[k] = math.sqrt(variance[k])
+    for k in range(count):
+        z[k] = min(max(room[k] / sigma[k], MIN_Z), CLIP_REACH)
+    normal_law(z, inside, density)
+    for k in range(count):
+        excess[k] = room[k] * inside[k] + density[k] * sigma[k]
+    for k in range(count):
+        # E[u²] less E[u]², u the clipped room. No less than rounding: a deviation there is the
+        # model's, not a miracle of the noise.
+        held = max(variance[k] * inside[k] + excess[k] * (room[k] - excess[k]), QUANTISATION)
+        variance[k] = held if z[k] < CLIP_REACH else variance[k]
+    for k in range(count):
+        held = SENSOR_LIMIT - excess[k] if SENSOR_LIMIT - mean[k] < mean[k] else excess[k]
+        mean[k] = held if z[k] < CLIP_REACH else mean[k]
+    for k in range(count):
+        visible[k] = inside[k] if z[k] < CLIP_REACH else 1.0
+
+
+@compiled
+def normal_law(z: Array, below: Array, density: Array) -> None:
+    """Share of a standard normal variable below each z (p,), and its density there, to 1e-9.
+
+    A Taylor series about the next entry of a table.
+    """
+    for k in range(len(z)):
+        at = int((z[k] - MIN_Z) * STEPS_PER_UNIT + 0.5)
+        below[k], density[k] = NORMAL[at, 0], NORMAL[at, 1]
+    for k in range(len(z)):
+        node = math.floor((z[k] - MIN_Z) * STEPS_PER_UNIT + 0.5) * (1.0 / STEPS_PER_UNIT) + MIN_Z
+        off, here = z[k] - node, density[k]
+        curved = off * (node * node - 1.0)
+        density[k] = here * (1.0 + off * (0.5 * curved - node))
+        below[k] += here * off * (1.0 + off * (curved * (1.0 / 6.0) - 0.5 * node))
+
+
+(
+    PAR_X,
+    PAR_Y,
+    PAR_PEAK,
+    PAR_FLOOR,
+    PAR_SLOPE_X,
+    PAR_SLOPE_Y,
+    PAR_XX,
+    PAR_XY,
+    PAR_YY,
+    PAR_STEEPNESS,
+) = range(10)
+N_PARAMETERS = 10
+ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives
+ROW_WHITENED = N_PARAMETERS + 1
+LATE_ROWS = slice(
+    PAR_FLOOR, PAR_STEEPNESS
+)  # rows of derivatives that are free until the pixels are weighed
+# what is known of each pixel, in the order of a state's rows
+(
+    ROW_MEAN,
+    ROW_VARIANCE,
+    ROW_SIGNAL,
+    ROW_USED,
+    ROW_VISIBLE,
+    ROW_U,
+    ROW_W,
+    ROW_RADIUS2,
+    ROW_SLOPE,
+    ROW_CORE,
+) = range(10)
+N_ROWS = 10
+NEIGHBOUR_RADIUS = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
+OUTLIER_SIGMA = 5.0  # sigma, likewise
+
+
+@compiled
+def place_pixels(p: Array, pixels: Array, scale: float, known: Array, rows: Array) -> None:
+    """Place a patch's pixels on the spot: u, w, t² and, in rows that are free still, t and lean."""
+    x, y, xx, xy, yy = p[PAR_X], p[PAR_Y], p[PAR_XX], p[PAR_XY], p[PAR_YY]
+    inverse, count = 1.0 / scale, pixels.shape[1]
+    for k in range(count):
+        known[ROW_U, k], known[ROW_W, k] = (
+            (pixels[2, k] - x) * inverse,
+            (pixels[3, k] - y) * inverse,
+        )
+    for k in range(count):
+        u, w = known[ROW_U, k], known[ROW_W, k]
+        rows[PAR_X, k], rows[PAR_Y, k] = xx * u + xy * w, xy * u + yy * w
+    for k in range(count):
+        radius2 = rows[PAR_X, k] * known[ROW_U, k] + rows[PAR_Y, k] * known[ROW_W, k]
+        known[ROW_RADIUS2, k] = radius2 if radius2 > 0.0 else 0.0
+    for k in range(count):
+        rows[ROW_RESIDUAL, k] = math.sqrt(known[ROW_RADIUS2, k])
+
+
+@compiled
+def look_up_profile(log_steepness: float, table: Array, known: Array, rows: Array) -> None:
+    """Look f, df / d(t²) and df / d(ln steepness) up, first order in t², at the pixels' t."""
+    samples = table.shape[2]
+    found = min(max((log_steepness - MIN_LOG_STEEPNESS) / ROW_STEP, 0.0), table.shape[1] - 1.001)
+    line = int(found)
+    share = found - line
+    for k in range(rows.shape[1]):
+        radius = rows[ROW_RESIDUAL, k]
+        # the last sample also where the radius is no number
+        index = int(radius * (1.0 / RADIUS_STEP) + 0.5) if radius < MAX_RADIUS else samples - 1
+        sample = index * RADIUS_STEP
+        # past the table the profile stands
+        beyond = min(known[ROW_RADIUS2, k] - sample * sample, 2 * MAX_RADIUS * RADIUS_STEP)
+        step = table[1, line, index]
+        slope = table[2, line, index] + share * table[3, line, index]
+        known[ROW_SLOPE, k], rows[PAR_STEEPNESS, k] = slope, step * (1.0 / ROW_STEP)
+        rows[PAR_PEAK, k] = table[0, line, index] + share * step + slope * beyond
+
+
+@compiled
+def expect_pixels(p: Array, pixels: Array, noise: Array, known: Array, rows: Array) -> None:
+    """Expect each pixel's mean and variance, as the sensor would clip it."""
+    read, gain, black = noise[0], noise[1], noise[2]
+    peak, floor, slope_x, slope_y = p[PAR_PEAK], p[PAR_FLOOR], p[PAR_SLOPE_X], p[PAR_SLOPE_Y]
+    count = pixels.shape[1]
+    for k in range(count):
+        known[ROW_MEAN, k] = (
+            floor + slope_x * pixels[2, k] + slope_y * pixels[3, k] + peak * rows[PAR_PEAK, k]
+        )
+    for k in range(count):
+        signal = known[ROW_MEAN, k] - black
+        signal = signal if signal > 0.0 else 0.0
+        known[ROW_SIGNAL, k], known[ROW_VARIANCE, k] = signal, read + gain * signal
+    rows[ROW_RESIDUAL] = known[ROW_VARIANCE]
+    clip(known[ROW_MEAN], known[ROW_VARIANCE], known[ROW_VISIBLE], rows[LATE_ROWS])
+
+
+@compiled
+def whiten_rows(p: Array, pixels: Array, scale: float, known: Array, rows: Array) -> float:
+    """Leave out what does not fit, and put every row over its pixels' sigmas.
+
+    Returns:
+        How many valid pixels are left out.
+    """
+    peak, lever, count = p[PAR_PEAK], -2.0 * p[PAR_PEAK] / scale, pixels.shape[1]
+    mark_used(pixels, known, rows)
+    for k in range(count):
+        rows[ROW_RESIDUAL, k] = known[ROW_USED, k] * math.sqrt(1.0 / known[ROW_VARIANCE, k])
+    for k in range(count):
+        rows[PAR_FLOOR, k] = rows[ROW_RESIDUAL, k] * known[ROW_VISIBLE, k]
+    for k in range(count):
+        rows[ROW_RESIDUAL, k] *= pixels[0, k] - known[ROW_MEAN, k]
+    for k in range(count):
+        rows[PAR_YY, k] = rows[PAR_FLOOR, k] * known[ROW_SLOPE, k]
+    for k in range(count):
+        rows[PAR_X, k], rows[PAR_Y, k] = (
+            lever * rows[PAR_YY, k] * rows[PAR_X, k],
+            lever * rows[PAR_YY, k] * rows[PAR_Y, k],
+        )
+    for k in range(count):
+        rows[PAR_PEAK, k] *= rows[PAR_FLOOR, k]
+    for k in range(count):
+        rows[PAR_STEEPNESS, k] = peak * rows[PAR_FLOOR, k] * rows[PAR_STEEPNESS, k]
+    for k in range(count):
+        rows[PAR_SLOPE_X, k] = rows[PAR_FLOOR, k] * pixels[2, k]
+    for k in range(count):
+        rows[PAR_SLOPE_Y, k] = rows[PAR_FLOOR, k] * pixels[3, k]
+    for k in range(count):
+        rows[PAR_YY, k] *= peak
+    for k in range(count):
+        rows[PAR_XX, k] = rows[PAR_YY, k] * known[ROW_U, k] * known[ROW_U, k]
+    for k in range(count):
+        rows[PAR_XY, k] = 2.0 * rows[PAR_YY, k] * known[ROW_U, k] * known[ROW_W, k]
+    for k in range(count):
+        rows[PAR_YY, k] *= known[ROW_W, k] * known[ROW_W, k]
+    return count_rejected(pixels, known)
+
+
+@compiled
+def mark_used(pixels: Array, known: Array, rows: Array) -> None:
+    """Mark the pixels that count: valid, and not a neighbour's; `rows` hold their variances."""
+    for k in range(pixels.shape[1]):
+        residual = pixels[0, k] - known[ROW_MEAN, k]
+        far, foot = (
+            residual * residual > OUTLIER_SIGMA**2 * rows[ROW_RESIDUAL, k],
+            known[ROW_RADIUS2, k],
+        )
+        known[ROW_USED, k] = pixels[1, k] * (0.0 if far & (foot > NEIGHBOUR_RADIUS**2) else 1.0)
+
+
+@compiled_sums
+def count_rejected(pixels: Array, known: Array) -> float:
+    """How many valid pixels do not count."""
+    total = 0.0
+    for k in range(pixels.shape[1]):
+        total += pixels[1, k] - known[ROW_USED, k]
+    return total
+
+
+@compiled
+def weigh_pixels(
+    p: Array, pixels: Array, scale: float, noise: Array, table: Array, known: Array, rows: Array
+) -> float:
+    """Place one patch's pixels on the spot that p (10,) describes, and weigh them.
+
+    Args:
+        p: the parameters.
+        pixels: (4, p): value, 1 where valid, column, row.
+        scale: px, half-width that the fit starts from.
+        noise: (3,): read variance, gain, black.
+        table: (4, rows, samples), of the profiles.
+        known: (10, p), filled but for ROW_CORE.
+        rows: (11, p), filled: derivatives and residual, over each pixel's sigma.
+
+    Returns:
+        What the pixels that are left out add to chi².
+    """
+    place_pixels(p, pixels, scale, known, rows)
+    look_up_profile(p[PAR_STEEPNESS], table, known, rows)
+    expect_pixels(p, pixels, noise, known, rows)
+    return OUTLIER_SIGMA**2 * whiten_rows(p, pixels, scale, known, rows)

@@ -1,0 +1,1 @@
+"""Compiled alignment, pose fit and sensitivities."""

@@ -1,0 +1,400 @@
+"""Where a pose puts the spots of both images, compiled: the inner loop of `pose.fit_pose`.
+
+The pose fit's inner loop, compiled: Gauss-Newton on all spots, and what it says of them.
+
+What is fitted, and why, is told in pose.py.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.jit import compiled
+from verify.core.kernels.linear_algebra import dot, factor, invert, solve
+from verify.core.records import Array
+
+
+@compiled
+def predict_spots(
+    rig_T_flange: Array,
+    points: Array,
+    camera_R_rig: Array,
+    origin: Array,
+    lens: Array,
+    focal: Array,
+    middle: Array,
+    pixels: Array,
+    by_point: Array,
+    by_pose: Array,
+) -> None:
+    """Fill in s spots' images and how they change with the point and with the pose.
+
+    Args:
+        rig_T_flange: (4, 4).
+        points: (s, 3), m, LEDs in the flange frame.
+        camera_R_rig: (s, 3, 3), of each spot's camera.
+        origin: (s, 3), m, of the rig in the camera.
+        lens: (5, s), k1, k2, p1, p2, k3.
+        focal: (s, 2, 2), px, of the camera's matrix.
+        middle: (s, 2), px, likewise.
+        pixels: (s, 2), filled.
+        by_point: (s, 2, 3), px/m, filled: by the point in the rig.
+        by_pose: (s, 2, 6), filled: by a translation and a rotation vector in rig axes.
+    """
+    for s in range(len(points)):
+        px, py, pz = points[s, 0], points[s, 1], points[s, 2]
+        a = rig_T_flange[0, 0] * px + rig_T_flange[0, 1] * py + rig_T_flange[0, 2] * pz
+        b = rig_T_flange[1, 0] * px + rig_T_flange[1, 1] * py + rig_T_flange[1, 2] * pz
+        c = rig_T_flange[2, 0] * px + rig_T_flange[2, 1] * py + rig_T_flange[2, 2] * pz
+        u, v, w = a + rig_T_flange[0, 3], b + rig_T_flange[1, 3], c + rig_T_flange[2, 3]
+        turn = camera_R_rig[s]
+        depth = turn[2, 0] * u + turn[2, 1] * v + turn[2, 2] * w + origin[s, 2]
+        x = (turn[0, 0] * u + turn[0, 1] * v + turn[0, 2] * w + origin[s, 0]) / depth
+        y = (turn[1, 0] * u + turn[1, 1] * v + turn[1, 2] * w + origin[s, 1]) / depth
+        k1, k2, p1, p2, k3 = lens[0, s], lens[1, s], lens[2, s], lens[3, s], lens[4, s]
+        r2 = x * x + y * y
+        higher = r2 * k3 + k2
+        radial = 1.0 + r2 * (k1 + r2 * higher)
+        slope = 2.0 * (k1 + r2 * (higher + higher + r2 * k3))  # d radial / d r2, times 2
+        straight = radial + 2.0 * (p1 * y + p2 * x)
+        seen_x, seen_y = x * straight + p2 * r2, y * straight + p1 * r2
+        xx = straight + x * x * slope + 4.0 * p2 * x
+        xy = x * y * slope + 2.0 * (p1 * x + p2 * y)
+        yy = straight + y * y * slope + 4.0 * p1 * y
+        for i in range(2):
+            f, g = focal[s, i, 0], focal[s, i, 1]
+            pixels[s, i] = f * seen_x + g * seen_y + middle[s, i]
+            by_x, by_y = (f * xx + g * xy) / depth, (f * xy + g * yy) / depth
+            by_depth = -(by_x * x + by_y * y)
+            d = by_x * turn[0, 0] + by_y * turn[1, 0] + by_depth * turn[2, 0]
+            e = by_x * turn[0, 1] + by_y * turn[1, 1] + by_depth * turn[2, 1]
+            h = by_x * turn[0, 2] + by_y * turn[1, 2] + by_depth * turn[2, 2]
+            by_point[s, i, 0], by_point[s, i, 1], by_point[s, i, 2] = d, e, h
+            by_pose[s, i, 0], by_pose[s, i, 1], by_pose[s, i, 2] = d, e, h
+            by_pose[s, i, 3], by_pose[s, i, 4] = h * b - e * c, d * c - h * a
+            by_pose[s, i, 5] = e * a - d * b
+
+
+Flags = NDArray[np.bool_]
+SpotGeometry = tuple[Array, Array, Array, Array, Array, Array]  # as `predict_spots` takes them
+
+N_FREE = 6
+LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
+# LEDs that barely leave a line: a turn known worse than this is no measurement, and too large
+# for the linearisation that its uncertainty rests on.
+MAX_UNCERTAINTY = 0.1  # rad, or 10 mm at the marker's size
+MIN_INFORMATION = 1e-10  # information a direction, relative to the best: rounding, not measurement
+SMALL_ANGLE = 1e-9  # rad: below, sine and angle are the same
+MAX_ITERATIONS = 25
+TOL_STEP = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
+RIDGE = 1e-6  # of the mean information: keeps the motion of one or two LEDs solvable
+MIN_VARIANCE = 1e-6  # px²: a spot that nothing else checks has no residual to speak of: against 0/0
+
+
+@compiled
+def scale_of(axis: int) -> float:
+    """Unit of a translation (m) or a rotation (rad) in which both are alike."""
+    return LEVER if axis < 3 else 1.0
+
+
+@compiled
+def move_pose(pose: Array, step: Array) -> None:
+    """Move a pose (4, 4) in place by a translation and a rotation vector, `step` (6,).
+
+    Source: Rodrigues' formula.
+    """
+    x, y, z = step[3], step[4], step[5]
+    angle = math.sqrt(x * x + y * y + z * z)
+    half = 0.5 * angle
+    sine = math.sin(angle) / angle if angle > SMALL_ANGLE else 1.0
+    versine = 0.5 * (math.sin(half) / half) ** 2 if angle > SMALL_ANGLE else 0.5
+    for j in range(3):
+        a, b, c = pose[0, j], pose[1, j], pose[2, j]
+        # v + sine (w x v) + versine (w x (w x v))
+        d, e, f = y * c - z * b, z * a - x * c, x * b - y * a
+        pose[0, j] = a + sine * d + versine * (y * f - z * e)
+        pose[1, j] = b + sine * e + versine * (z * d - x * f)
+        pose[2, j] = c + sine * f + versine * (x * e - y * d)
+        pose[j, 3] += step[j]
+
+
+@compiled
+def image_acceleration(
+    places: SpotGeometry, pose: Array, twist: Array, moment: float, second: Array
+) -> None:
+    """Fill in the spots' image acceleration (s, 2), px/s², as the pose moves by a steady twist.
+
+    Args:
+        places: of the spots, as `predict_spots` takes them.
+        pose: (4, 4).
+        twist: (6,), m/s and rad/s.
+        moment: s, by which the pose is moved to and fro.
+        second: filled.
+    """
+    count = len(second)
+    pixels, by_point, by_pose = (
+        np.empty((count, 2)),
+        np.empty((count, 2, 3)),
+        np.empty((count, 2, 6)),
+    )
+    second[:] = 0.0
+    for h, share in ((-moment, 1.0), (0.0, -2.0), (moment, 1.0)):
+        moved = pose.copy()
+        move_pose(moved, twist * h)
+        predict_spots(moved, *places, pixels, by_point, by_pose)
+        for s in range(count):
+            for i in range(2):
+                second[s, i] += share * pixels[s, i] / moment**2
+
+
+@compiled
+def covariance_of(information: Array, inverse: Array, vectors: Array, known: Flags) -> None:
+    """Fill in the covariance in the directions that an information matrix (6, 6) determines.
+
+    The information matrix of one or two LEDs (or of LEDs on one line) is singular; its null
+    vectors are the motions that no picture shows.
+
+    Args:
+        information: (6, 6), 1/m² and 1/rad².
+        inverse: (6, 6), filled.
+        vectors: (6, 6), filled: columns, directions in units of `scale_of`; only where one of
+            them is not known.
+        known: (6,), filled.
+    """
+    scaled, root, trace = np.empty((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE)), 0.0
+    for i in range(N_FREE):
+        for j in range(N_FREE):
+            scaled[i, j] = information[i, j] * scale_of(i) * scale_of(j)
+        trace += scaled[i, i]
+    known[:], inverse[:] = True, 0.0
+    # no eigenvalue is so small: the usual case, told without the eigenvalues
+    if factor(scaled, max(MIN_INFORMATION * trace, MAX_UNCERTAINTY**-2), root):
+        factor(scaled, 0.0, root)
+        invert(root, inverse)
+    else:
+        values, found = np.linalg.eigh(scaled)
+        for k in range(N_FREE):
+            known[k] = values[k] > max(MIN_INFORMATION * values[-1], MAX_UNCERTAINTY**-2)
+            for i in range(N_FREE):
+                vectors[i, k] = found[i, k]
+                for j in range(N_FREE):
+                    if known[k]:
+                        inverse[i, j] += found[i, k] * found[j, k] / values[k]
+    for i in range(N_FREE):
+        for j in range(N_FREE):
+            inverse[i, j] *= scale_of(i) * scale_of(j)
+
+
+@compiled
+def twist_from_velocities(
+    design: Array,
+    velocity: Array,
+    rows: NDArray[np.int64],
+    start: tuple[float, float, float],
+    twist: Array,
+) -> tuple[float, float]:
+    """Fill in how the flange moves, from the spots' velocities.
+
+    Args:
+        design: (2 s, 6), derivative of the spots by the pose.
+        velocity: (2 s,), px/s.
+        rows: (2 k,), those of the kept spots.
+        start: acceleration a speed (1/s), and that of an arm that starts: m/s² and rad/s².
+        twist: (6,), m/s and rad/s, filled.
+
+    Returns:
+        The acceleration that this suggests, a component, m/s² and rad/s².
+    """
+    rate, linear, angular = start
+    twist[:] = 0.0
+    moving = False
+    for row in rows:
+        moving = moving or velocity[row] != 0.0
+    if not moving:
+        return linear, angular
+    square, root, trace = np.zeros((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE)), 0.0
+    for row in rows:
+        for i in range(N_FREE):
+            scaled = design[row, i] * scale_of(i)
+            twist[i] += scaled * velocity[row]
+            for j in range(N_FREE):
+                square[i, j] += scaled * design[row, j] * scale_of(j)
+            trace += scaled * scaled
+    factor(square, -RIDGE * trace / N_FREE, root)
+    solve(root, twist)
+    for i in range(N_FREE):
+        twist[i] *= scale_of(i)
+    linear += rate * math.sqrt(dot(twist[:3], twist[:3]))
+    angular += rate * math.sqrt(dot(twist[3:], twist[3:]))
+    return linear / math.sqrt(3.0), angular / math.sqrt(3.0)
+
+
+@compiled
+def spot_covariance(
+    design: Array,
+    seen: tuple[Array, Array, Array],
+    rows: NDArray[np.int64],
+    prior: tuple[float, float],
+    spread: tuple[Array, Array, Array],
+) -> None:
+    """Fill in the covariance of the spots (2 s, 2 s), px², by its sources, and its inverse.
+
+    Args:
+        design: (2 s, 6), derivative of the spots by the pose.
+        seen: covariance (s, 2, 2) px², velocity, and the acceleration's lever (s,) s².
+        rows: (2 k,), those of the kept spots.
+        prior: acceleration, m/s² and rad/s² a component.
+        spread: from the pixels, from an unknown acceleration, and the inverse of their sum: that
+            of the kept spots, 0 for the others.
+    """
+    covariance, _, lever = seen
+    noise, acceleration, weight = spread
+    noise[:], weight[:] = 0.0, 0.0
+    for s in range(len(covariance)):
+        for a in range(2):
+            for b in range(2):
+                noise[2 * s + a, 2 * s + b] = covariance[s, a, b]
+    for i in range(len(noise)):
+        for j in range(i + 1):
+            shared = 0.0
+            for k in range(N_FREE):
+                shared += prior[k // 3] ** 2 * design[i, k] * design[j, k]
+            shared *= lever[i // 2] * lever[j // 2]
+            acceleration[i, j] = acceleration[j, i] = shared
+    count = len(rows)
+    kept, root = np.empty((count, count)), np.empty((count, count))
+    for i in range(count):
+        for j in range(count):
+            kept[i, j] = noise[rows[i], rows[j]] + acceleration[rows[i], rows[j]]
+    factor(kept, 0.0, root)
+    invert(root, kept)
+    for i in range(count):
+        for j in range(count):
+            weight[rows[i], rows[j]] = kept[i, j]
+
+
+@compiled
+def pose_information(design: Array, weight: Array, weighted: Array, information: Array) -> None:
+    """Fill in what the spots weigh in the pose (6, 2 s), and its information (6, 6)."""
+    information[:] = 0.0
+    for i in range(N_FREE):
+        for column in range(len(design)):
+            total = 0.0
+            for row in range(len(design)):
+                total += design[row, i] * weight[row, column]
+            weighted[i, column] = total
+            for j in range(N_FREE):
+                information[i, j] += total * design[column, j]
+
+
+@compiled
+def fit_spots(
+    views: tuple[Array, Array, Array, Array, Array, Array],
+    centre: Array,
+    seen: tuple[Array, Array, Array],
+    rows: NDArray[np.int64],
+    start: tuple[float, float, float],
+    pose: Array,
+    predicted: tuple[Array, Array, Array],
+    spread: tuple[Array, Array, Array],
+    gain: Array,
+    directions: tuple[Array, Flags],
+    twist: Array,
+) -> tuple[float, float]:
+    """Fit a pose to s spots by Gauss-Newton.
+
+    Args:
+        views: what `predict_spots` needs after the pose.
+        centre: (s, 2), px, as seen.
+        seen: covariance (s, 2, 2) px², velocity (s, 2) px/s and the acceleration's lever (s,) s².
+        rows: (2 k,), those of the spots that count.
+        start: acceleration a speed (1/s), and that of an arm that starts: m/s² and rad/s².
+        pose: (4, 4), rig_T_flange, changed.
+        predicted: residual (s, 2) px, and the derivatives of the spots by the point (s, 2, 3) and
+            by the pose (s, 2, 6), filled: before the last step.
+        spread: those of `spot_covariance`, (2 s, 2 s) each, filled.
+        gain: (6, 2 s), d pose / d spot, filled; 0 for spots that do not count.
+        directions: those of `covariance_of`, (6, 6) and (6,), filled.
+        twist: (6,), m/s and rad/s, filled.
+
+    Returns:
+        The acceleration assumed, a component, m/s² and rad/s².
+    """
+    points, camera_R_rig, origin, lens, focal, middle = views
+    residual, by_point, by_pose = predicted
+    prior = (0.0, 0.0)
+    design, off = by_pose.reshape(-1, N_FREE), residual.reshape(-1)
+    weighted, step = np.empty((N_FREE, len(off))), np.empty(N_FREE)
+    information, inverse = np.empty((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE))
+    for iteration in range(MAX_ITERATIONS):
+        predict_spots(
+            pose, points, camera_R_rig, origin, lens, focal, middle, residual, by_point, by_pose
+        )
+        for s in range(len(centre)):
+            for axis in range(2):
+                residual[s, axis] = centre[s, axis] - residual[s, axis]
+        if iteration == 0:  # velocities and their lever change nothing measurable in later rounds
+            prior = twist_from_velocities(design, seen[1].reshape(-1), rows, start, twist)
+            spot_covariance(design, seen, rows, prior, spread)
+        pose_information(design, spread[2], weighted, information)
+        covariance_of(information, inverse, directions[0], directions[1])
+        largest = 0.0
+        for i in range(N_FREE):
+            step[i] = 0.0
+            for column in range(len(off)):
+                gain[i, column] = 0.0
+                for j in range(N_FREE):
+                    gain[i, column] += inverse[i, j] * weighted[j, column]
+                step[i] += gain[i, column] * off[column]
+            largest = max(largest, abs(step[i]))
+        move_pose(pose, step)
+        if largest < TOL_STEP:
+            break
+    return prior
+
+
+@compiled
+def worst_spot(
+    predicted: tuple[Array, Array, Array],
+    spread: tuple[Array, Array, Array],
+    gain: Array,
+    rows: NDArray[np.int64],
+    tolerance: Array,
+) -> tuple[int, float]:
+    """The kept spot that fits worst, and its residual in its own uncertainty, squared.
+
+    Args:
+        predicted: those of `fit_spots`.
+        spread: likewise.
+        gain: (6, 2 s).
+        rows: (2 k,), those of the kept spots.
+        tolerance: (2 s, 2 s), px²: what spots may be off beside their noise.
+    """
+    residual, _, by_pose = predicted
+    noise, acceleration, _ = spread
+    design = by_pose.reshape(-1, N_FREE)
+    hat, block = np.empty((2, len(design))), np.empty((2, 2))
+    worst, most = 0, -math.inf
+    for row in rows[::2]:
+        s = row // 2
+        for axis in range(2):
+            for column in rows:
+                left = 1.0 if column == 2 * s + axis else 0.0
+                for k in range(N_FREE):
+                    left -= design[2 * s + axis, k] * gain[k, column]
+                hat[axis, column] = left
+        block[:] = 0.0
+        for i in rows:
+            for j in rows:
+                total = noise[i, j] + acceleration[i, j] + tolerance[i, j]
+                for axis in range(2):
+                    block[axis, 0] += hat[axis, i] * total * hat[0, j]
+                    block[axis, 1] += hat[axis, i] * total * hat[1, j]
+        a, d = block[0, 0] + MIN_VARIANCE, block[1, 1] + MIN_VARIANCE
+        x, y = residual[s, 0], residual[s, 1]
+        across = (block[0, 1] + block[1, 0]) * x * y
+        size = (d * x * x - across + a * y * y) / (a * d - block[0, 1] * block[1, 0])
+        if size > most:
+            worst, most = s, size
+    return worst, most

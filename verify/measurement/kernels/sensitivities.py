@@ -1,0 +1,141 @@
+"""How spots move when a parameter does, spot by spot, compiled."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.jit import compiled
+from verify.core.kernels.linear_algebra import dot
+from verify.core.records import Array
+
+MIDDLE, FOCAL, LENS, MOTION = range(4)
+LED, SHIFT, TURN = range(3)
+Index = NDArray[np.int64]
+
+
+@compiled
+def place_leds(
+    leds: Array,
+    led: Index,
+    rig_T_flange: Array,
+    placed: tuple[Array, Array],
+    left: int,
+    seen: tuple[Array, Array, Array],
+) -> None:
+    """Fill in where spots' LEDs are.
+
+    Args:
+        leds: (n, 3), m, flange frame.
+        led: (s,), of each spot.
+        rig_T_flange: (4, 4).
+        placed: camera_T_rig (4, 4) of the left camera and of the right one.
+        left: how many spots, the first ones, are the left camera's.
+        seen: (s, 3) each, m, filled: LED from flange in rig axes; point in the rig; in the camera.
+    """
+    offset, points, inside = seen
+    for s in range(len(led)):
+        for i in range(3):
+            offset[s, i] = dot(rig_T_flange[i, :3], leds[led[s]])
+            points[s, i] = offset[s, i] + rig_T_flange[i, 3]
+        camera = placed[0] if s < left else placed[1]
+        for i in range(3):
+            inside[s, i] = dot(camera[i, :3], points[s]) + camera[i, 3]
+
+
+@compiled
+def fill_by_camera(
+    columns: Index,
+    kinds: Index,
+    twists: Array,
+    camera: tuple[Array, Array],
+    places: tuple[Array, Array, Array],
+    some: tuple[int, int],
+    moved: Array,
+) -> None:
+    """Fill in how one camera's parameters move its spots.
+
+    Args:
+        columns: (k,), where each parameter is among all p.
+        kinds: (k, 2), what each parameter is, and which one of its kind.
+        twists: (k, 6), how it moves the camera: translation at the rig's origin (m) and turn.
+        camera: its matrix (3, 3), px, and k1, k2, p1, p2, k3.
+        places: of all spots: points in their cameras (s, 3), m; the same in the rig (s, 3), m;
+            d px / d point in the rig (s, 2, 3).
+        some: from which spot to which one they are this camera's.
+        moved: (p, s, 2), px a SI unit, filled there.
+    """
+    (matrix, lens), (inside, points, by_point) = camera, places
+    lenses, ideal = np.empty((5, 2)), np.empty(2)
+    for s in range(some[0], some[1]):
+        x, y = inside[s, 0] / inside[s, 2], inside[s, 1] / inside[s, 2]
+        r2, twice = x * x + y * y, 2.0 * x * y
+        for i, unit in enumerate((x, y)):
+            lenses[0, i] = r2 * unit
+            lenses[1, i] = r2 * r2 * unit
+            lenses[4, i] = r2 * r2 * r2 * unit
+        lenses[2, 0], lenses[2, 1] = twice, r2 + 2.0 * y * y
+        lenses[3, 0], lenses[3, 1] = r2 + 2.0 * x * x, twice
+        for i, unit in enumerate((x, y)):
+            ideal[i] = unit
+            for c in range(5):
+                ideal[i] += lens[c] * lenses[c, i]
+        for k in range(len(kinds)):
+            column, which = columns[k], kinds[k, 1]
+            moved[column, s] = 0.0
+            if kinds[k, 0] == MIDDLE:
+                moved[column, s, which] = 1.0
+            elif kinds[k, 0] == FOCAL:
+                moved[column, s, which] = ideal[which]
+            elif kinds[k, 0] == LENS:
+                for axis in range(2):
+                    for i in range(2):
+                        moved[column, s, axis] += matrix[axis, i] * lenses[which, i]
+            else:
+                for axis in range(2):
+                    moved[column, s, axis] = -slope_by_twist(
+                        by_point[s, axis], points[s], twists[k]
+                    )
+
+
+@compiled
+def slope_by_twist(slope: Array, point: Array, twist: Array) -> float:
+    """Say how a pixel whose slope is given (3,) moves as its point does by a twist (6,)."""
+    x, y, z = point[0], point[1], point[2]
+    a, b, c = slope[0], slope[1], slope[2]
+    along = a * twist[0] + b * twist[1] + c * twist[2]
+    about = twist[3] * (y * c - z * b) + twist[4] * (z * a - x * c) + twist[5] * (x * b - y * a)
+    return float(along + about)
+
+
+@compiled
+def fill_by_body(
+    kinds: Index,
+    led: Index,
+    rig_R_flange: Array,
+    offset: Array,
+    by_point: Array,
+    moved: Array,
+) -> None:
+    """Fill in how LEDs, and the body that holds them, move the spots.
+
+    Args:
+        kinds: (k, 4), the parameter's column, what it is, its LED, its axis of the flange.
+        led: (s,), of each spot.
+        rig_R_flange: (3, 3).
+        offset: (s, 3), m, LED from flange, rig axes.
+        by_point: (s, 2, 3), d px / d point in the rig.
+        moved: (p, s, 2), px a SI unit, its columns filled.
+    """
+    for column, kind, which, axis in kinds:
+        x, y, z = rig_R_flange[0, axis], rig_R_flange[1, axis], rig_R_flange[2, axis]
+        for s in range(len(led)):
+            if kind == LED and led[s] != which:
+                continue
+            along = (x, y, z)
+            if kind == TURN:
+                a, b, c = offset[s, 0], offset[s, 1], offset[s, 2]
+                along = (y * c - z * b, z * a - x * c, x * b - y * a)
+            for i in range(2):
+                slope = by_point[s, i]
+                moved[column, s, i] = (
+                    slope[0] * along[0] + slope[1] * along[1] + slope[2] * along[2]
+                )

@@ -1,0 +1,181 @@
+"""How spots move when a stated parameter does: derivatives of predicted pixels, all at once."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Sighting
+from verify.core.rig import Camera, Rig
+from verify.measurement.kernels import sensitivities as kernel
+from verify.measurement.kernels.sensitivities import Index
+
+AXES = ("x", "y", "z")
+LENS = ("k1", "k2", "p1", "p2", "k3")
+
+
+@dataclass(frozen=True, slots=True)
+class SpotGeometry:
+    """Everything about the spots that a derivative needs."""
+
+    side: tuple[tuple[str, Camera, float, int, int], ...]  # …, pan reading, which spots: from, to
+    inside: Array  # (s, 3), points in their cameras
+    points_rig: Array  # (s, 3)
+    led: Index  # (s,)
+    names: tuple[str, ...]
+    offset: Array  # (s, 3), LED from flange, rig axes
+    rig_R_flange: Array  # (3, 3)
+    by_point: Array  # (s, 2, 3), d px / d point in the rig
+
+
+def prepare_views(
+    rig_T_flange: Array, left: Sighting, right: Sighting, by_point: Array, rig: Rig, marker: Marker
+) -> SpotGeometry:
+    """Prepare the spots of a pose.
+
+    Args:
+        rig_T_flange: (4, 4), the pose.
+        left: LEDs in the left image.
+        right: LEDs in the right image.
+        by_point: (s, 2, 3), d px / d point in the rig, left spots first.
+        rig: the cameras.
+        marker: the LEDs.
+    """
+    led = np.concatenate([left.led, right.led])
+    offset, points, inside = np.empty((3, len(led), 3))
+    placed = rig.left.camera_T_rig(left.pan), rig.right.camera_T_rig(right.pan)
+    kernel.place_leds(marker.leds, led, rig_T_flange, placed, len(left), (offset, points, inside))
+    sides = (
+        ("left", rig.left, left.pan, 0, len(left)),
+        ("right", rig.right, right.pan, len(left), len(led)),
+    )
+    return SpotGeometry(
+        sides, inside, points, led, marker.names, offset, rig_T_flange[:3, :3], by_point
+    )
+
+
+def spot_derivatives(views: SpotGeometry, names: tuple[str, ...]) -> Array:
+    """Derivative of the predicted spots by parameters, (p, s, 2), px a SI unit.
+
+    Args:
+        views: the spots.
+        names: of the parameters; the robot's base moves no spot.
+    """
+    plan = _group_parameters(names, views.names)
+    moved = np.zeros((len(names), len(views.led), 2))
+    kernel.fill_by_body(
+        plan.body, views.led, views.rig_R_flange, views.offset, views.by_point, moved
+    )
+    spots = views.inside, views.points_rig, np.ascontiguousarray(views.by_point)
+    for side, camera, pan, begin, end in views.side:
+        columns, keys = plan.camera[side]
+        kernel.fill_by_camera(
+            columns, _kinds(keys), _twists(keys, camera, pan), (camera.matrix, camera.distortion),
+            spots, (begin, end), moved,
+        )  # fmt: skip
+    return moved
+
+
+@dataclass(frozen=True, slots=True)
+class _ParameterGroups:
+    """Parameters by what they belong to."""
+
+    body: Index  # (., 4), of LEDs and their body: column, kind, LED, axis
+    camera: dict[str, tuple[NDArray[np.intp], tuple[str, ...]]]  # columns, and the parameters' keys
+
+
+@lru_cache(maxsize=16)
+def _group_parameters(names: tuple[str, ...], leds: tuple[str, ...]) -> _ParameterGroups:
+    body: list[tuple[int, int, int, int]] = []
+    camera: dict[str, list[tuple[int, str]]] = {"left": [], "right": []}
+    for column, name in enumerate(names):
+        head, _, key = name.partition(".")
+        if head in camera:
+            camera[head].append((column, key))
+        elif head == "body":
+            axis = AXES.index(key.split("_")[0][-1])
+            body.append((column, kernel.TURN if key.startswith("r") else kernel.SHIFT, 0, axis))
+        elif head in ("led", "centre"):
+            led, _, axis_name = key.rpartition(".")
+            body.append((column, kernel.LED, leds.index(led), AXES.index(axis_name[0])))
+    sides = {
+        side: (np.array([c for c, _ in found], dtype=np.intp), tuple(key for _, key in found))
+        for side, found in camera.items()
+    }
+    return _ParameterGroups(np.array(body, dtype=np.int64).reshape(-1, 4), sides)
+
+
+def camera_derivatives(
+    keys: tuple[str, ...],
+    camera: Camera,
+    pan: float,
+    inside: Array,
+    points: Array,
+    by_point: Array,
+) -> Array:
+    """Derivative of one camera's pixels by some of its parameters, (k, m, 2).
+
+    Args:
+        keys: k parameters, by their names in rig.toml.
+        camera: theirs.
+        pan: rad, as read.
+        inside: (m, 3), m, the points in the camera.
+        points: (m, 3), m, the same in the rig.
+        by_point: (m, 2, 3), d px / d point in the rig.
+    """
+    moved = np.empty((len(keys), *by_point.shape[:2]))
+    places = [np.ascontiguousarray(part) for part in (inside, points, by_point)]
+    kernel.fill_by_camera(
+        np.arange(len(keys)), _kinds(keys), _twists(keys, camera, pan),
+        (camera.matrix, camera.distortion), (places[0], places[1], places[2]), (0, len(points)),
+        moved,
+    )  # fmt: skip
+    return moved
+
+
+@lru_cache(maxsize=32)
+def _kinds(keys: tuple[str, ...]) -> Index:
+    """What each of one camera's parameters is, and which one of its kind, (k, 2)."""
+    kinds = {kernel.MIDDLE: ("cx_px", "cy_px"), kernel.FOCAL: ("fx_px", "fy_px"), kernel.LENS: LENS}
+    places = {name: (kind, i) for kind, names in kinds.items() for i, name in enumerate(names)}
+    found = [places.get(key, (kernel.MOTION, 0)) for key in keys]
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+@lru_cache(maxsize=8)
+def _twists(keys: tuple[str, ...], camera: Camera, pan: float) -> Array:
+    """How the camera moves a unit parameter: (k, 6), translation at the rig's origin and turn.
+
+    The world moves against it. None for parameters that do not move it.
+    """
+    turned = np.asarray(cv2.Rodrigues(camera.pan_axis * (pan + camera.pan_zero))[0], dtype=float)
+    twists = np.zeros((len(keys), 6))
+    for i, (kind, _) in enumerate(_kinds(keys).tolist()):
+        if kind == kernel.MOTION:
+            twists[i] = _twist(keys[i], camera, pan, turned)
+    return twists
+
+
+def _twist(key: str, camera: Camera, pan: float, turned: Array) -> list[float]:
+    if key == "pan_zero_deg":
+        return _turn_about(camera.pan_axis, camera.pan_center)
+    what, axis, _ = key.rsplit("_", 2)
+    along = AXES.index(axis[-1])
+    if what == "pan_center":
+        return [float(i == along) for i in range(6)]
+    if what == "pan_axis":
+        turn = -turned[:, along]
+        turn[along] += 1.0
+        return _turn_about(turn, camera.pan_center)
+    if axis.startswith("r"):
+        return _turn_about(turned[:, along], camera.rig_T_camera(pan)[:3, 3])
+    return [*turned[:, along].tolist(), 0.0, 0.0, 0.0]
+
+
+def _turn_about(turn: Array, origin: Array) -> list[float]:
+    """A turn about a point, as translation at the rig's origin and turn."""
+    (a, b, c), (x, y, z) = turn.tolist(), origin.tolist()
+    return [c * y - b * z, a * z - c * x, b * x - a * y, a, b, c]

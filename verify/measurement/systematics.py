@@ -1,0 +1,248 @@
+"""What does not average out: the stated uncertainties of rig, base and LEDs, and what they move.
+
+A parameter's sensitivity is the derivative of the measured pose by the value in the file, at
+fixed pictures. A small rotation acts on the left, in the axes of the frame that holds it
+(docs/session.md): the rig's for the robot base and pan axis, the turntable's for a mount, the
+flange's for the LED body.
+"""
+
+import re
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Measurement, Pose, Sighting
+from verify.core.rig import Rig
+from verify.measurement.sensitivities import AXES, prepare_views, spot_derivatives
+
+BODY = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+PAN_READINGS = "left.pan_zero_deg", "right.pan_zero_deg"  # err as the zeros of their scales do
+UNITS = {"mm": 1e-3, "deg": np.pi / 180, "px": 1.0}
+CAMERA_KEYS = re.compile(
+    r"^(fx_px|fy_px|cx_px|cy_px|k1|k2|p1|p2|k3|pan_zero_deg|pan_axis_r[xyz]_deg"
+    r"|(mount|pan_center)_[xyz]_mm|mount_r[xyz]_deg)$"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Systematics:
+    """The parameters whose uncertainty is stated, in SI units."""
+
+    names: tuple[str, ...]
+    sources: tuple[str, ...]  # which line of the budget each belongs to
+    covariance: Array  # (p, p)
+    pan: Array  # (2,), rad, standard uncertainty of each pan reading; nan where not stated
+    uncounted: tuple[str, ...]  # sources that state no uncertainty and are taken as exact
+    degrees_of_freedom: float = float("inf")
+    unknown: tuple[str, ...] = field(default=())  # parameter names that nobody here understands
+
+
+def stated_systematics(rig: Rig, marker: Marker, turning: bool) -> Systematics:
+    """Collect what rig.toml and marker.toml say of their own uncertainty.
+
+    Args:
+        rig: the rig with its optional covariance.
+        marker: the LEDs with their optional uncertainties.
+        turning: pan readings vary or carry an uncertainty, so that they are a source at all.
+    """
+    names, blocks, unknown, degrees = _from_rig(rig, marker)
+    placed = any(n.startswith("led.") for n in names)  # in the flange frame: body included
+    lists = [_body(marker), _leds(marker, names), _centres(marker)]
+    for extra, sigma in lists:
+        names += extra
+        blocks.append(np.diag(np.square(sigma)) if extra else np.zeros((0, 0)))
+    pan = [
+        np.nan if c.pan_standard_uncertainty is None else c.pan_standard_uncertainty
+        for c in (rig.left, rig.right)
+    ]
+    return Systematics(
+        names=tuple(names),
+        sources=tuple(_source(n) for n in names),
+        covariance=np.asarray(block_diag(*blocks), dtype=float).reshape(len(names), len(names)),
+        pan=np.array(pan),
+        uncounted=_unstated_names(names, placed, bool(turning and np.isnan(pan).any())),
+        degrees_of_freedom=degrees,
+        unknown=tuple(unknown),
+    )
+
+
+def _from_rig(rig: Rig, marker: Marker) -> tuple[list[str], list[Array], list[str], float]:
+    given = rig.covariance
+    if given is None:
+        return [], [], [], float("inf")
+    understood = [i for i, n in enumerate(given.parameters) if _is_known(n, marker)]
+    unknown = [n for n in given.parameters if not _is_known(n, marker)]
+    names = [given.parameters[i] for i in understood]
+    sigma = np.array(
+        [given.standard_uncertainty[i] * unit(given.parameters[i]) for i in understood]
+    )
+    correlation = given.correlation[np.ix_(understood, understood)]
+    degrees = given.degrees_of_freedom or float("inf")
+    return names, [correlation * np.outer(sigma, sigma)], unknown, degrees
+
+
+def unit(name: str) -> float:
+    """SI units (or pixels, or one) in a unit of the parameter, by its name's suffix."""
+    return UNITS.get(name.rsplit("_", 1)[-1], 1.0)
+
+
+def _is_known(name: str, marker: Marker) -> bool:
+    head, _, key = name.partition(".")
+    if head in ("left", "right"):
+        return CAMERA_KEYS.match(key) is not None
+    if head == "robot_base":
+        return key in BODY
+    led, _, axis = key.rpartition(".")
+    return head == "led" and led in marker.names and axis in ("x_mm", "y_mm", "z_mm")
+
+
+def _body(marker: Marker) -> tuple[list[str], Array]:
+    if marker.body_standard_uncertainty is None:
+        return [], np.zeros(0)
+    return [f"body.{key}" for key in BODY], marker.body_standard_uncertainty
+
+
+def _leds(marker: Marker, given: list[str]) -> tuple[list[str], Array]:
+    sigma = marker.led_standard_uncertainty
+    if sigma is None or any(n.startswith("led.") for n in given):
+        return [], np.zeros(0)  # a covariance says more than one number for all
+    names = [f"led.{led}.{axis}_mm" for led in marker.names for axis in AXES]
+    return names, np.full(len(names), sigma)
+
+
+def _centres(marker: Marker) -> tuple[list[str], Array]:
+    sigma = marker.centre_shift_standard_uncertainty
+    if sigma is None:
+        return [], np.zeros(0)
+    names = [f"centre.{led}.{axis}_mm" for led in marker.names for axis in AXES]
+    return names, np.full(len(names), sigma)
+
+
+def _source(name: str) -> str:
+    head = name.partition(".")[0]
+    return {
+        "left": "rig",
+        "right": "rig",
+        "robot_base": "robot base",
+        "body": "LED body",
+        "led": "LED positions",
+        "centre": "apparent LED centre",
+    }[head]
+
+
+def _unstated_names(names: list[str], placed: bool, pan: bool) -> tuple[str, ...]:
+    present = {_source(n) for n in names}
+    places = ["rig", "robot base", "LED body", "LED positions", "apparent LED centre"]
+    missing = [p for p in places if p not in present]
+    if placed and "LED body" in missing:
+        missing.remove("LED body")
+    return (*missing, *(["pan angle"] if pan else []), "robot table")
+
+
+def sensitivities(parameters: Systematics, seen: Measurement, rig: Rig, marker: Marker) -> Array:
+    """How the measured pose in the robot's base changes with each parameter; (6, p + 2).
+
+    The last two columns are the left and the right pan reading. Twists in base axes at the
+    flange, m and rad a SI unit of the parameter.
+    """
+    pose, left, right = seen.pose, seen.left, seen.right
+    if pose is None or left is None or right is None:
+        raise ValueError("only a measured pair has sensitivities")
+    base_R_rig = rig.rig_T_base[:3, :3].T
+    gain = np.concatenate([base_R_rig @ pose.gain[:3], base_R_rig @ pose.gain[3:]])
+    names = (*parameters.names, *PAN_READINGS)
+    columns = -gain @ pixel_sensitivities(names, seen, rig, marker)
+    placed, base = _base_parameters(names)
+    if placed:
+        columns[:, placed] = _base(base, rig, pose)
+    return columns
+
+
+def pixel_sensitivities(
+    names: tuple[str, ...], seen: Measurement, rig: Rig, marker: Marker
+) -> Array:
+    """How the spots of a measured pair move with parameters, (2 s, p), px a SI unit.
+
+    Args:
+        names: of the parameters; the robot's base moves no spot.
+        seen: the pair.
+        rig: the cameras.
+        marker: the LEDs.
+    """
+    pose, left, right = seen.pose, seen.left, seen.right
+    if pose is None or left is None or right is None:
+        raise ValueError("only a measured pair has spots that a pose predicts")
+    views = prepare_views(pose.rig_T_flange, left, right, pose.sensitivity, rig, marker)
+    return spot_derivatives(views, names).reshape(len(names), -1).T
+
+
+def spot_columns(
+    parameters: Systematics,
+    left: Sighting,
+    right: Sighting,
+    rig_T_flange: Array,
+    by_point: Array,
+    rig: Rig,
+    marker: Marker,
+) -> Array:
+    """Columns of unit variance: how what is stated moves the spots that a pose predicts.
+
+    Args:
+        parameters: stated; a robot base moves no spot.
+        left: LEDs in the left image.
+        right: LEDs in the right image.
+        rig_T_flange: (4, 4), the pose.
+        by_point: (s, 2, 3), d px / d point in the rig, left spots first.
+        rig: the cameras.
+        marker: the LEDs.
+
+    Returns:
+        (2 s, p), px, left spots first.
+    """
+    views = prepare_views(rig_T_flange, left, right, by_point, rig, marker)
+    names = tuple(n for n in parameters.names if not n.startswith("robot_base."))
+    places = [parameters.names.index(n) for n in names]
+    spread = covariance_root(parameters.covariance[np.ix_(places, places)])
+    turning = [i for i in (0, 1) if parameters.pan[i] > 0]
+    angles = [f"{('left', 'right')[i]}.pan_zero_deg" for i in turning]
+    moved = spot_derivatives(views, (*names, *angles)).reshape(-1, 2 * len(views.led)).T
+    own = [moved[:, : len(names)] @ spread, moved[:, len(names) :] * parameters.pan[turning]]
+    return np.concatenate(own, axis=1)
+
+
+def covariance_root(covariance: Array) -> Array:
+    """A matrix whose square is the covariance, (p, q), without the directions of no variance."""
+    sigma = np.sqrt(np.diag(covariance))
+    safe = np.where(sigma > 0, sigma, 1.0)  # metres beside pixels: scaled before the eigenvalues
+    values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
+    some = values > 1e-12  # of a correlation matrix: rounding
+    found: Array = sigma[:, None] * vectors[:, some] * np.sqrt(values[some])
+    return found
+
+
+def _base(names: tuple[str, ...], rig: Rig, pose: Pose) -> Array:
+    """Change of the flange's pose in the base when the base's place in the rig changes, (6, p)."""
+    base_R_rig = rig.rig_T_base[:3, :3].T
+    x, y, z = (pose.rig_T_flange[:3, 3] - rig.rig_T_base[:3, 3]).tolist()
+    change = np.zeros((6, 6))  # by a shift along the rig's axes, and by a turn about them
+    change[:3, :3] = change[3:, 3:] = base_R_rig
+    change[:3, 3:] = base_R_rig @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    columns: Array = -change[:, _body_axes(names)]
+    return columns
+
+
+@lru_cache(maxsize=8)
+def _body_axes(names: tuple[str, ...]) -> list[int]:
+    """Which of a body's six ways to move each parameter is."""
+    keys = [name.partition(".")[2] for name in names]
+    return [AXES.index(key.split("_")[0][-1]) + 3 * key.startswith("r") for key in keys]
+
+
+@lru_cache(maxsize=8)
+def _base_parameters(names: tuple[str, ...]) -> tuple[list[int], tuple[str, ...]]:
+    """Which parameters are the robot base's, and their names."""
+    places = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
+    return places, tuple(names[i] for i in places)

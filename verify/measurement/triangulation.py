@@ -1,0 +1,117 @@
+"""Two sightings of one point: where it is in the rig.
+
+The start value of the pose fit and a cross-check of it, never the measurement: the point nearest
+both rays is not the one of least error in the images.
+"""
+
+import numpy as np
+
+from verify.core.records import Array
+from verify.core.rig import Camera
+
+MIN_SIN2 = 1e-18  # squared sine of the angle between rays; 1e-9 rad puts a point 1e8 m away
+TOL_COLLINEAR = (
+    1e-6  # second over first singular value: below it points lie on a line but for rounding
+)
+
+
+def triangulate(
+    left: Camera,
+    right: Camera,
+    pan_left: float,
+    pan_right: float,
+    left_px: Array,
+    right_px: Array,
+) -> tuple[Array, Array]:
+    """Find the points midway between pairs of rays, for any mounts and pan axes.
+
+    Args:
+        left: the left camera.
+        right: the right camera.
+        pan_left: rad, reading of the left base.
+        pan_right: rad, reading of the right base.
+        left_px: (..., 2), px as seen in the left image, distortion included.
+        right_px: (..., 2), the same points in the right image; the shapes broadcast.
+
+    Returns:
+        points_rig (..., 3), m, and the distance between the two rays (...,), m. Both are NaN where
+        the rays are parallel or meet behind a camera.
+
+    Source: the point nearest two skew lines, by Cramer's rule on their common perpendicular.
+    """
+    return ray_midpoints(*rays(left, pan_left, left_px), *rays(right, pan_right, right_px))
+
+
+def rays(camera: Camera, pan: float, pixels: Array) -> tuple[Array, Array]:
+    """Place a camera's lines of sight in the rig.
+
+    Args:
+        camera: the camera.
+        pan: rad, reading of its base.
+        pixels: (..., 2), px, distortion included.
+
+    Returns:
+        The optical centre (3,), m, and directions (..., 3), of unit depth in the camera.
+    """
+    rig_T_camera = camera.rig_T_camera(pan)
+    xy = camera.normalise(np.asarray(pixels, dtype=float))
+    sight = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+    return rig_T_camera[:3, 3], sight @ rig_T_camera[:3, :3].T
+
+
+def ray_midpoints(
+    center_a: Array, ray_a: Array, center_b: Array, ray_b: Array
+) -> tuple[Array, Array]:
+    """Find the points midway between rays (..., 3) from two centres (3,), and the gaps.
+
+    Returns:
+        Points (..., 3) and distances between the rays (...,); NaN where the rays are parallel or
+        where either would have to run backwards.
+    """
+    normal = np.cross(ray_a, ray_b)
+    square = np.sum(normal * normal, axis=-1)
+    lengths = np.sum(ray_a * ray_a, axis=-1) * np.sum(ray_b * ray_b, axis=-1)
+    apart = center_b - center_a
+    meets = square > MIN_SIN2 * lengths
+    scale = 1 / np.where(meets, square, 1.0)
+    along_a = np.sum(np.cross(apart, ray_b) * normal, axis=-1) * scale
+    along_b = np.sum(np.cross(apart, ray_a) * normal, axis=-1) * scale
+    meets = meets & (along_a > 0) & (along_b > 0)
+    foot_a = center_a + along_a[..., None] * ray_a
+    foot_b = center_b + along_b[..., None] * ray_b
+    points = np.where(meets[..., None], (foot_a + foot_b) / 2, np.nan)
+    gap = np.where(meets, np.linalg.norm(foot_b - foot_a, axis=-1), np.nan)
+    return points, gap
+
+
+def fit_rigid(points_a: Array, points_b: Array) -> Array:
+    """Find the rigid motion that best carries `points_b` onto `points_a`.
+
+    Args:
+        points_a: (n, 3), m, in frame a.
+        points_b: (n, 3), m, the same points in frame b, in the same order.
+
+    Returns:
+        a_T_b, (4, 4), the least-squares motion; a proper rotation even for a mirrored set.
+
+    Raises:
+        ValueError: fewer than three points, all on one line, or not finite.
+
+    Source: Umeyama, IEEE TPAMI 13(4), 1991, eqs. 38-43, without the scale.
+    """
+    if points_a.shape != points_b.shape or points_a.ndim != 2 or len(points_a) < 3:
+        raise ValueError(f"needs three points or more, twice; got {len(points_a)}")
+    mean_a, mean_b = points_a.mean(axis=0), points_b.mean(axis=0)
+    centred_a, centred_b = points_a - mean_a, points_b - mean_b
+    if not np.all(np.isfinite(centred_a + centred_b)):
+        raise ValueError("needs finite points")
+    for centred in (centred_a, centred_b):
+        spread = np.linalg.svd(centred, compute_uv=False)
+        if spread[1] <= TOL_COLLINEAR * spread[0]:
+            raise ValueError("the points lie on one line: the turn about it is not determined")
+    u, _, vt = np.linalg.svd(centred_a.T @ centred_b)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    a_T_b = np.eye(4)
+    a_T_b[:3, :3] = (u * sign) @ vt
+    a_T_b[:3, 3] = mean_a - a_T_b[:3, :3] @ mean_b
+    return a_T_b

@@ -1,0 +1,1 @@
+"""Sessions, devices, boards, a grasping cell and device emulators with known truth."""

@@ -1,0 +1,295 @@
+"""Simulated cameras before which a board is carried about: put down, held still, carried on."""
+
+import threading
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from math import ceil, floor
+
+import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from verify.core.fiducials import Board
+from verify.core.records import Array, Image
+from verify.devices.protocols import (
+    READ_TIMEOUT,
+    CameraFrame,
+    CameraSettings,
+    CameraState,
+    DeviceState,
+    PanReading,
+)
+from verify.errors import InputError
+from verify.live.station.keys import SimSettings
+from verify.simulation import library
+from verify.simulation.boards.render import PrintedBoard
+from verify.simulation.boards.simulate import SimulatedBoards, simulate_boards
+from verify.simulation.devices.scene import SimClock
+from verify.simulation.scenario import (
+    BoardRig,
+    BoardScenario,
+    BoardScenarioBases,
+    Scenario,
+    ScenarioBoards,
+)
+from verify.simulation.session import simulate as session_simulate
+from verify.simulation.world.motion import RandomStream, generator
+
+CARRY_TIME, N_CARRY_STEPS = 1.2, 3  # s on the way to the next place, and in how many jerks
+HOLD_TIME = 2.0  # s
+MAX_MOMENTS = 8  # moments: pictures and readings look back a little
+DEFAULT_RATE = 10.0  # Hz, where the station file gives none
+PAN_RATE = 50.0  # Hz
+TRANSFER_TIME = 0.002  # s
+PAN_TURN_DEG = 20.0  # either way, where a robot's scenario does not say how the bases turn
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class SceneState:
+    """How everything stands for a while."""
+
+    number: int  # counts such whiles: pictures of one are alike
+    rig_T_board: Array  # (4, 4)
+    pan: Array  # (2,), rad, as read
+    true_pan: Array  # (2,), rad
+    carried: bool
+
+
+class BoardScene:
+    """A board on its way from one place of a scenario to the next, without end.
+
+    Between two places it moves in a few jerks, and all pictures of one moment are alike: to compute
+    one takes longer than to look at it. The next moment begins once its pictures are there; on a
+    slow machine the board rests a little longer.
+
+    Args:
+        boards: the places.
+        clock: the cameras' clock.
+    """
+
+    def __init__(self, boards: SimulatedBoards, clock: SimClock) -> None:
+        self.boards, self.clock = boards, clock
+        scenario = boards.scenario
+        self._paper = PrintedBoard(boards.board, scenario.boards.margin_mm / 1000, scenario.image)
+        self._pool = ThreadPoolExecutor(2, thread_name_prefix="simulated boards")
+        self._lock, self._closed = threading.Lock(), False
+        self._began = deque(
+            [(clock.began, N_CARRY_STEPS)], maxlen=MAX_MOMENTS
+        )  # when, which moment
+        self._pictures: dict[int, tuple[Future[Image], Future[Image]]] = {}
+        self._look_ahead()
+
+    def moment(self, t: float) -> SceneState:
+        """How everything stands at an instant of the cameras' clock, no later than now."""
+        with self._lock:
+            self._go_on()
+            number = next((n for at, n in reversed(self._began) if at <= t), self._began[0][1])
+        return self._moment(number)
+
+    def picture(self, side: int, moment: SceneState) -> Image | None:
+        """Take a picture of a moment; None while it is still being computed, or long past."""
+        with self._lock:
+            pictures = self._pictures.get(moment.number)
+        if pictures is None or not wait([pictures[side]], READ_TIMEOUT).done:
+            return None
+        return None if pictures[side].cancelled() else pictures[side].result()
+
+    def close(self) -> None:
+        """Compute no more."""
+        with self._lock:
+            self._closed = True
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _moment(self, number: int) -> SceneState:
+        place, step = divmod(number, N_CARRY_STEPS + 1)
+        here, before = place % len(self.boards), max(place - 1, 0) % len(self.boards)
+        share = (step + 1) / (N_CARRY_STEPS + 1)
+        boards = self.boards
+        return SceneState(
+            number,
+            _interpolate_pose(boards.rig_T_board[before], boards.rig_T_board[here], share),
+            boards.pan[before] + share * (boards.pan[here] - boards.pan[before]),
+            boards.true_pan[before] + share * (boards.true_pan[here] - boards.true_pan[before]),
+            step < N_CARRY_STEPS,
+        )
+
+    def _go_on(self) -> None:
+        """Begin the next moment if it is time and its pictures are there."""
+        now, (since, number) = self.clock.now(), self._began[-1]
+        lasts = (
+            HOLD_TIME
+            if number % (N_CARRY_STEPS + 1) == N_CARRY_STEPS
+            else CARRY_TIME / N_CARRY_STEPS
+        )
+        ready = not self._closed and all(p.done() for p in self._pictures[number + 1])
+        if ready and now - since >= lasts:
+            self._began.append((now, number + 1))
+            self._look_ahead()
+
+    def _look_ahead(self) -> None:
+        """Have this moment's pictures computed, and the next one's; forget those long past."""
+        number = self._began[-1][1]
+        for wanted in (number, number + 1):
+            if wanted not in self._pictures:
+                left, right = (self._pool.submit(self._render, wanted, side) for side in (0, 1))
+                self._pictures[wanted] = left, right
+        self._pictures = {n: p for n, p in self._pictures.items() if n >= number - 1}
+
+    def _render(self, number: int, side: int) -> Image:
+        moment = self._moment(number)
+        rng = generator(self.boards.scenario.seed, RandomStream.PIXELS, side, number)
+        pan = float(moment.true_pan[side])
+        return self._paper.render(self.boards.cameras[side], pan, moment.rig_T_board, rng)
+
+
+class BoardCameras:
+    """The simulated station of a calibration.
+
+    Args:
+        settings: which scenario, how fast. One with a robot lends its cameras: boards of the
+            usual kind are carried about before them.
+        turning: the bases are turned with the board; otherwise they stand.
+        clock: the cameras' clock; made here unless a test brings its own.
+
+    Raises:
+        InputError: no such scenario, or one that contradicts itself.
+    """
+
+    def __init__(self, settings: SimSettings, turning: bool, clock: SimClock | None = None) -> None:
+        scenario = library.load(settings.scenario)
+        if isinstance(scenario, Scenario):
+            scenario = _board_scenario(scenario)
+        if not turning:
+            still = BoardScenarioBases(middle_deg=scenario.bases.middle_deg)
+            scenario = msgspec.structs.replace(scenario, bases=still)
+        elif not scenario.bases.range_deg:
+            found, expected = "has bases that stand still", 'and pan.driver is "sim"'
+            raise InputError("bases.range_deg", found, expected, 'Write driver = "fixed".')
+        self.scene = BoardScene(simulate_boards(scenario), clock or SimClock(settings.speed))
+
+    @property
+    def board(self) -> Board:
+        """The board that is carried."""
+        return self.scene.boards.board
+
+    def camera(self, side: int, settings: CameraSettings) -> "SimulatedBoardCamera":
+        """Open the left (0) or right (1) camera."""
+        return SimulatedBoardCamera(self.scene, side, settings.rate or DEFAULT_RATE)
+
+    def pan(self) -> "SimulatedBoardPan":
+        """Open the turning bases."""
+        return SimulatedBoardPan(self.scene)
+
+
+class SimulatedBoardCamera:
+    """One of the two cameras; both take their pictures at the same instants.
+
+    Args:
+        scene: what it looks at.
+        side: 0 left, 1 right.
+        rate: pictures a second.
+    """
+
+    def __init__(self, scene: BoardScene, side: int, rate: float) -> None:
+        self._scene, self._side, self._rate = scene, side, rate
+        self._number = self._frames = 0
+        self._recent: deque[float] = deque(maxlen=256)
+        self._closed = False
+
+    def read(self) -> CameraFrame | None:
+        """Give the newest picture; None after READ_TIMEOUT without one."""
+        clock = self._scene.clock
+        newest = floor((clock.now() - clock.began - TRANSFER_TIME) * self._rate)
+        self._number = max(self._number, newest)
+        t = clock.began + self._number / self._rate
+        if not clock.wait_until(t + TRANSFER_TIME, READ_TIMEOUT):
+            return None
+        image = self._scene.picture(self._side, self._scene.moment(t))
+        if image is None:
+            return None
+        self._recent.append(t)
+        self._number, self._frames = self._number + 1, self._frames + 1
+        return CameraFrame(t, 0.0, image, None, self._frames - 1)
+
+    def state(self) -> CameraState:
+        """Say how the camera is."""
+        now = self._scene.clock.now()
+        recent = list(self._recent)  # at once: another thread reads the camera meanwhile
+        within = sum(t > now - 1.0 for t in recent)
+        return CameraState(
+            connected=not self._closed,
+            age=now - recent[-1] if recent else None,
+            frames=self._frames,
+            lost=0,
+            sentence=f"simulated {SIDES[self._side]} camera: reading",
+            size=self._scene.boards.scenario.rig.image_size,
+            rate=float(within) if within else None,
+        )
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        self._closed = True
+        self._scene.close()
+
+
+class SimulatedBoardPan:
+    """Both bases, which are turned while the board is carried.
+
+    Args:
+        scene: where they stand, and the clock.
+    """
+
+    def __init__(self, scene: BoardScene) -> None:
+        self._scene = scene
+        self._next = ceil((scene.clock.now() - scene.clock.began) * PAN_RATE)
+        self._count = 0
+
+    def read(self) -> list[PanReading]:
+        """Give what has come since the last call, oldest first; waits for at most 20 ms."""
+        clock = self._scene.clock
+        clock.wait_until(clock.began + self._next / PAN_RATE, 1 / PAN_RATE)
+        newest = floor((clock.now() - clock.began) * PAN_RATE)
+        readings = []
+        for number in range(self._next, newest + 1):
+            t = clock.began + number / PAN_RATE
+            moment = self._scene.moment(t)
+            readings.append(PanReading(t, t, 0.0, 0, moment.pan, moment.carried))
+        self._next, self._count = max(self._next, newest + 1), self._count + len(readings)
+        return readings
+
+    def state(self) -> DeviceState:
+        """Say how the bases are."""
+        age = 0.0 if self._count else None
+        return DeviceState(True, age, self._count, 0, {}, "simulated bases: reading")
+
+    def close(self) -> None:
+        """Leave them alone."""
+
+
+def _board_scenario(scenario: Scenario) -> BoardScenario:
+    """Carry boards of the usual kind about before the cameras of a scenario with a robot."""
+    rig = scenario.rig
+    middle = np.rad2deg(session_simulate.simulate_session(scenario).pan[0]).tolist()
+    return BoardScenario(
+        format=1,
+        seed=scenario.seed,
+        boards=ScenarioBoards(pairs=40),
+        bases=BoardScenarioBases(middle_deg=(middle[0], middle[1]), range_deg=PAN_TURN_DEG),
+        rig=BoardRig(
+            image_size=rig.image_size,
+            baseline_mm=rig.baseline_mm,
+            left=rig.left,
+            right=rig.right,
+        ),
+    )
+
+
+def _interpolate_pose(start: Array, end: Array, share: float) -> Array:
+    """A pose (4, 4) on the way from one to another, by shares of turn and of way."""
+    a_T_b = np.eye(4)
+    turns = Rotation.from_matrix(np.stack([start[:3, :3], end[:3, :3]]))
+    a_T_b[:3, :3] = Slerp([0.0, 1.0], turns)(share).as_matrix()
+    a_T_b[:3, 3] = start[:3, 3] + share * (end[:3, 3] - start[:3, 3])
+    return a_T_b

@@ -1,0 +1,112 @@
+"""Write simulated boards as a folder: what `verify calibrate boards` reads, the truth, a README."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from verify.io import fiducials, rig, toml
+from verify.simulation.boards.simulate import SimulatedBoards
+
+SIDES = ("left", "right")
+PAIR_INTERVAL_S = 4.0  # between two pairs: time to hold the board elsewhere
+
+
+def write(boards: SimulatedBoards, folder: Path, done: Callable[[], object] = lambda: None) -> None:
+    """Write every file into an empty folder.
+
+    Args:
+        boards: from `simulate`.
+        folder: exists; what builds a folder whole or not at all is verify.io.files.
+        done: called after each picture, for a progress bar.
+
+    Raises:
+        InputError: the disk refuses.
+    """
+    fiducials.write_board(folder / "board.toml", boards.board)
+    rig.write(folder / "rig_true.toml", boards.rig)
+    _write_frames(boards, folder / "frames.csv")
+    _write_poses(boards, folder / "board_poses.csv")
+    _write_fixture(boards, folder / "board_in_base.toml")
+    (folder / "README.md").write_text(_readme(boards), encoding="utf-8", newline="\n")
+    for side, name in enumerate(SIDES):
+        (folder / name).mkdir()
+        for index in range(len(boards)):
+            encoded = cv2.imencode(".png", boards.image(side, index))[1]
+            (folder / name / f"{index:06d}.png").write_bytes(encoded.tobytes())
+            done()
+
+
+def _write_frames(boards: SimulatedBoards, path: Path) -> None:
+    lines = ["frame,t_left_s,t_right_s,pan_left_deg,pan_right_deg"]
+    for index, (left, right) in enumerate(np.degrees(boards.pan).tolist()):
+        t = f"{PAIR_INTERVAL_S * index:.6f}"
+        lines.append(f"{index},{t},{t},{left:.6f},{right:.6f}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+def _write_poses(boards: SimulatedBoards, path: Path) -> None:
+    lines = ["frame,rx_rad,ry_rad,rz_rad,x_mm,y_mm,z_mm"]
+    for index, rig_T_board in enumerate(boards.rig_T_board):
+        turn = cv2.Rodrigues(rig_T_board[:3, :3])[0].ravel()
+        cells = [f"{v:.9f}" for v in turn] + [f"{v:.6f}" for v in 1000 * rig_T_board[:3, 3]]
+        lines.append(",".join([str(index), *cells]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+def _write_fixture(boards: SimulatedBoards, path: Path) -> None:
+    """Say where a board that stands on the robot's base was put; exact."""
+    fixture = boards.scenario.fixture
+    if fixture is not None:
+        table = {
+            "format": toml.FORMAT,
+            "position_mm": list(fixture.board_position_mm),
+            "rotation_vector_deg": list(fixture.board_rotation_deg),
+        }
+        path.write_bytes(toml.encode(table))
+
+
+def _readme(boards: SimulatedBoards) -> str:
+    """Say what the folder shows, what is true and how the pictures came about."""
+    scenario, image = boards.scenario, boards.scenario.image
+    board = boards.board
+    pans = np.degrees(boards.pan)
+    turned = "stand still"
+    if np.ptp(pans, axis=0).any():
+        spans = [
+            f"{low:g} to {high:g} deg" for low, high in zip(pans.min(0), pans.max(0), strict=True)
+        ]
+        turned = f"are turned from pair to pair: left {spans[0]}, right {spans[1]}"
+    return f"""# {scenario.description or "Board pictures"}
+
+Simulated board pictures (seed {scenario.seed}), made by `verify simulate`.
+
+{len(boards)} pairs of a chessboard of {board.columns} x {board.rows} inner corners of \
+{1000 * board.square:g} mm. The cameras stand {scenario.rig.baseline_mm:g} mm apart; their bases \
+{turned}. Both cameras see the whole board in every pair.
+
+## Truth
+
+`rig_true.toml` is the rig, `board_poses.csv` holds rig_T_board of each pair: rotation vector, \
+rad, and position, mm. No calibration reads either.
+{_readings(boards)}{_fixture(boards)}
+## Pictures
+
+Rays through the exact lens onto the board; lamp, lens blur of {image.blur_px:g} px (standard \
+deviation), shot noise ({image.electrons_per_dn:g} electrons per DN), read noise \
+({image.read_noise_dn:g} DN), rounded to 0 … 255. Pixel centres at whole numbers.
+"""
+
+
+def _readings(boards: SimulatedBoards) -> str:
+    u = boards.scenario.bases.standard_uncertainty_deg
+    if not u:
+        return "The pan angles in frames.csv are exact.\n"
+    return f"The true pan angles lie off those in frames.csv by {u:g} deg (standard deviation).\n"
+
+
+def _fixture(boards: SimulatedBoards) -> str:
+    if boards.scenario.fixture is None:
+        return ""
+    return "The board stands still on the robot's base, where `board_in_base.toml` says.\n"

@@ -1,0 +1,262 @@
+"""Board pictures with known truth: a rig on turning bases looks at a chessboard."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.fiducials import Board, BoardPair, BoardView
+from verify.core.records import Array, Image
+from verify.core.rig import Camera, Rig
+from verify.errors import InputError
+from verify.io.fiducials import BoardTable, build_board
+from verify.simulation.boards.render import PrintedBoard
+from verify.simulation.scenario import BoardScenario
+from verify.simulation.world.bench import SimulatedCamera, build_camera, rigid
+from verify.simulation.world.motion import RandomStream, generator
+
+MIN_BORDER_PX = 10.0  # from the pattern's rim to the picture's
+MAX_ATTEMPTS = 40  # places for one setting of the bases and distance before both are drawn again
+MAX_SETTINGS = 60  # of these
+MAX_AZIMUTH = np.radians(28.0)  # within the view of any usual lens; what is outside is drawn again
+MAX_ELEVATION = np.radians(16.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedBoards:
+    """What was set up: cameras, how the bases stood, where the board was."""
+
+    scenario: BoardScenario
+    board: Board
+    cameras: tuple[SimulatedCamera, SimulatedCamera]  # left, right
+    pan: Array  # (pairs, 2), rad, as read
+    true_pan: Array  # (pairs, 2), rad
+    rig_T_board: Array  # (pairs, 4, 4)
+    rig_T_base: Array | None  # (4, 4), where the board stands on a robot
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self.pan)
+
+    @property
+    def rig(self) -> Rig:
+        """The true rig, as rig.toml would describe it."""
+        turn = float(np.radians(self.scenario.bases.standard_uncertainty_deg)) or None
+        left, right = (
+            _stated_camera(camera, float(pan), turn)
+            for camera, pan in zip(self.cameras, self.pan[0], strict=True)
+        )
+        registered = self.rig_T_base is not None
+        return Rig(
+            image_size=self.scenario.rig.image_size,
+            left=left,
+            right=right,
+            rig_T_base=np.full((4, 4), np.nan) if self.rig_T_base is None else self.rig_T_base,
+            base_source="fixture" if registered else "",
+        )
+
+    def corners(self, side: int) -> Array:
+        """Where the inner corners truly are in one camera's pictures, (pairs, corners, 2), px."""
+        camera = self.cameras[side]
+        return np.array(
+            [
+                camera.project(_transform(rig_T_board, self.board.points), pan)
+                for rig_T_board, pan in zip(self.rig_T_board, self.true_pan[:, side], strict=True)
+            ]
+        )
+
+    def image(self, side: int, index: int) -> Image:
+        """Take one picture, (h, w)."""
+        scenario = self.scenario
+        paper = PrintedBoard(self.board, scenario.boards.margin_mm / 1000, scenario.image)
+        rng = generator(scenario.seed, RandomStream.PIXELS, side, index)
+        pan = float(self.true_pan[index, side])
+        return paper.render(self.cameras[side], pan, self.rig_T_board[index], rng)
+
+
+def simulate_boards(scenario: BoardScenario) -> SimulatedBoards:
+    """Set up what the scenario says, boards drawn so that both cameras see them whole.
+
+    Raises:
+        InputError: no such place is found; the tables contradict one another.
+    """
+    table, rig = scenario.boards, scenario.rig
+    nearest, farthest = table.distance_mm
+    if farthest < nearest:
+        raise InputError("boards.distance_mm", "ends before it begins", "the nearest comes first")
+    half = rig.baseline_mm / 2000
+    cameras = (
+        build_camera(rig.left, rig.image_size, -half),
+        build_camera(rig.right, rig.image_size, half),
+    )
+    board = _board(scenario)
+    rig_T_base, still = _fixture(scenario)
+    drawn = [_draw(scenario, board, cameras, pair, still) for pair in range(table.pairs)]
+    pan = np.array([pan for pan, _ in drawn])
+    noise = generator(scenario.seed, RandomStream.PAN).standard_normal(pan.shape)
+    true_pan = pan + np.radians(scenario.bases.standard_uncertainty_deg) * noise
+    poses = np.array([rig_T_board for _, rig_T_board in drawn])
+    return SimulatedBoards(scenario, board, cameras, pan, true_pan, poses, rig_T_base)
+
+
+def _board(scenario: BoardScenario) -> Board:
+    """Check the pattern as board.toml's is checked."""
+    table = scenario.boards
+    return build_board(
+        "boards",
+        BoardTable(
+            format=1,
+            inner_corners=table.inner_corners,
+            square_mm=table.square_mm,
+            markers=table.markers,
+            marker_mm=table.marker_mm,
+        ),
+    )
+
+
+def board_pairs(scenario: BoardScenario) -> tuple[list[BoardPair], Rig]:
+    """Make what a corner finder would hand over, without pictures: true corners and noise.
+
+    Returns:
+        The pairs, each corner's covariance that of the noise drawn; and the true rig.
+
+    Raises:
+        InputError: as `simulate_boards`.
+    """
+    boards = simulate_boards(scenario)
+    seen = [boards.corners(side) for side in range(2)]
+    pairs = [
+        BoardPair(
+            frame=index,
+            pan_left=float(boards.pan[index, 0]),
+            pan_right=float(boards.pan[index, 1]),
+            left=_view(scenario, seen[0][index], 0, index),
+            right=_view(scenario, seen[1][index], 1, index),
+        )
+        for index in range(len(boards))
+    ]
+    return pairs, boards.rig
+
+
+def _view(scenario: BoardScenario, corners: Array, side: int, index: int) -> BoardView:
+    u = scenario.boards.corner_noise_px
+    rng = generator(scenario.seed, RandomStream.PIXELS, side, index)
+    noisy = corners + u * rng.standard_normal(corners.shape)
+    corner = np.flatnonzero(inside(corners, scenario.rig.image_size))
+    return BoardView(corner, noisy[corner], np.tile(u**2 * np.eye(2), (len(corner), 1, 1)))
+
+
+def _fixture(scenario: BoardScenario) -> tuple[Array | None, Array | None]:
+    """Place robot and board for a board that stands still: rig_T_base, rig_T_board."""
+    table = scenario.fixture
+    if table is None:
+        return None, None
+    rig_T_base = rigid(
+        np.radians(table.base_rotation_deg), np.asarray(table.base_position_mm) / 1000
+    )
+    base_T_board = rigid(
+        np.radians(table.board_rotation_deg), np.asarray(table.board_position_mm) / 1000
+    )
+    return rig_T_base, rig_T_base @ base_T_board
+
+
+def _draw(
+    scenario: BoardScenario,
+    board: Board,
+    cameras: tuple[SimulatedCamera, SimulatedCamera],
+    pair: int,
+    still: Array | None,
+) -> tuple[Array, Array]:
+    """Turn the bases and hold the board until both cameras see it whole: pan (2,), rig_T_board."""
+    rng = generator(scenario.seed, RandomStream.MOTION, pair)
+    nearest, farthest = scenario.boards.distance_mm
+    for _ in range(MAX_SETTINGS):
+        pan = _pan(scenario, rng)
+        distance = rng.uniform(nearest, farthest) / 1000
+        for _ in range(MAX_ATTEMPTS if still is None else 1):
+            pose = _draw_pose(scenario, board, pan, distance, rng) if still is None else still
+            if all(
+                _is_in_view(scenario, camera, angle, board, pose)
+                for camera, angle in zip(cameras, pan, strict=True)
+            ):
+                return pan, pose
+    raise InputError(
+        "boards.distance_mm" if still is None else "fixture",
+        "no place shows the whole board to both cameras",
+        remedy="Hold it farther away, make it smaller, or turn the bases less.",
+    )
+
+
+def _pan(scenario: BoardScenario, rng: np.random.Generator) -> Array:
+    bases = scenario.bases
+    steps = int(bases.range_deg / bases.step_deg + 1e-9)  # 1e-9: 20 / 5 is 4 whatever rounding says
+    turned = bases.step_deg * rng.integers(-steps, steps + 1, 2)
+    pan: Array = np.radians(np.asarray(bases.middle_deg) + turned)
+    return pan
+
+
+def _draw_pose(
+    scenario: BoardScenario, board: Board, pan: Array, distance: float, rng: np.random.Generator
+) -> Array:
+    """Hold the board somewhere before the cameras, tilted and a little rolled; rig_T_board."""
+    azimuth = pan.mean() + rng.uniform(-MAX_AZIMUTH, MAX_AZIMUTH)
+    elevation = rng.uniform(-MAX_ELEVATION, MAX_ELEVATION)
+    forward = np.array(
+        [
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+            np.cos(azimuth) * np.cos(elevation),
+        ]
+    )
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    right /= np.linalg.norm(right)
+    facing = np.eye(4)
+    facing[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
+    facing[:3, 3] = distance * forward
+    about = rng.uniform(0, 2 * np.pi)
+    tilt = np.radians(scenario.boards.tilt_deg) * np.sqrt(rng.uniform())
+    roll = np.radians(scenario.boards.roll_deg) * rng.uniform(-1, 1)
+    tilted = rigid(tilt * np.array([np.cos(about), np.sin(about), 0.0]), np.zeros(3))
+    rolled = rigid(np.array([0.0, 0.0, roll]), np.zeros(3))
+    centred = rigid(np.zeros(3), -board.points.mean(axis=0))
+    pose: Array = facing @ tilted @ rolled @ centred
+    return pose
+
+
+def _is_in_view(
+    scenario: BoardScenario, camera: SimulatedCamera, pan: float, board: Board, rig_T_board: Array
+) -> bool:
+    """Say whether enough of the pattern is in the picture; all of it, with its rim, if asked."""
+    wanted = scenario.boards.in_view
+    points = board.points
+    if wanted == 1:
+        low, wide, high = -1, board.columns, board.rows
+        rim = [[low, low, 0], [wide, low, 0], [wide, high, 0], [low, high, 0]]
+        points = board.square * np.array(rim, dtype=float)
+    seen = camera.project(_transform(rig_T_board, points), pan)
+    return bool(np.mean(inside(seen, camera.image_size)) >= wanted)
+
+
+def inside(pixels: Array, image_size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Say which of (..., 2) px lie in the picture, clear of its edge; NaN, out of sight, do not."""
+    limit = np.array(image_size) - 1 - MIN_BORDER_PX
+    within: NDArray[np.bool_] = np.all((pixels > MIN_BORDER_PX) & (pixels < limit), axis=-1)
+    return within
+
+
+def _transform(a_T_b: Array, points: Array) -> Array:
+    moved: Array = points @ a_T_b[:3, :3].T + a_T_b[:3, 3]
+    return moved
+
+
+def _stated_camera(camera: SimulatedCamera, pan: float, pan_u: float | None) -> Camera:
+    return Camera(
+        matrix=camera.matrix,
+        distortion=camera.distortion,
+        pan_center=camera.pan_center,
+        pan_axis=camera.pan_axis,
+        pan_zero=camera.pan_zero,
+        mount=camera.turntable_T_camera,
+        pan=pan,
+        pan_standard_uncertainty=pan_u,
+    )

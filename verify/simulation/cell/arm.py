@@ -1,0 +1,189 @@
+"""The simulated controller and its arm: orders in, joint angles out, later and a little noisy."""
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from robots import forward, inverse
+from robots.trajectory import (
+    JointMotion,
+    PathLimits,
+    Trajectory,
+    joint_path,
+    limit_violation,
+    rest_motion,
+    time_path,
+)
+from verify.core.records import Array
+from verify.grasping.actuators.protocols import (
+    ACCEPTING_STATES,
+    FINAL_STATES,
+    ExecutePermission,
+    MotionRefusedError,
+    MoverState,
+    MoverStatus,
+)
+from verify.grasping.planning.approach import ApproachLine, line_path
+from verify.grasping.planning.plan import GraspPlanner
+
+POWER_UP_TIME = 0.4  # s from asking for the controls to having them
+STREAM_TIMEOUT = 0.2  # s without a set point, and a stream counts as over
+MAX_ORDER_GAP = 0.04  # s between orders that are one motion
+HISTORY_TIME = 2.0  # s of orders that are kept: longer than any delay
+
+
+class CellArm:
+    """The arm itself: it is where it was ordered to be `delay` s ago. Moves nothing on its own.
+
+    Args:
+        q: (n,), rad, where it stands at first.
+        delay: s.
+    """
+
+    def __init__(self, q: Array, delay: float) -> None:
+        self._delay = delay
+        self._orders: deque[tuple[float, Array]] = deque([(0.0, q)])
+        self.braked: Array | None = None  # where an alarm has stopped it
+
+    def order(self, t: float, q: Array) -> None:
+        """Take a set point in."""
+        last, stood = self._orders[-1]
+        if t - last > MAX_ORDER_GAP:  # it stood there until now
+            self._orders.append((t - min(MAX_ORDER_GAP, self._delay), stood))
+        if t > last:
+            self._orders.append((t, np.array(q)))
+        while len(self._orders) > 2 and self._orders[1][0] < t - HISTORY_TIME:
+            self._orders.popleft()
+
+    def q(self, t: float) -> Array:
+        """Where the joints are, (n,), rad."""
+        if self.braked is not None:
+            return self.braked
+        times = np.array([at for at, _ in self._orders])
+        angles = np.array([q for _, q in self._orders])
+        then = t - self._delay
+        return np.array([np.interp(then, times, column) for column in angles.T])
+
+    def brake(self, t: float) -> None:
+        """Stand where it is, for good."""
+        self.braked = self.q(t)
+
+
+class SimMover:
+    """A simulated controller: a `Mover` that takes a stream of set points too.
+
+    Args:
+        arm: what it moves.
+        setup: for its moves' limits.
+        now: s, the simulation's clock.
+        right: the operator's order that it may move.
+    """
+
+    def __init__(
+        self, arm: CellArm, setup: GraspPlanner, now: Callable[[], float], right: ExecutePermission
+    ) -> None:
+        if not isinstance(right, ExecutePermission):
+            raise TypeError("an arm that moves needs the operator's right")
+        self._arm, self._setup, self._now = arm, setup, now
+        self._state, self._reason = MoverState.OFF, ""
+        self._since = now()
+        self._way: Trajectory | None = None
+        self._began = 0.0
+        self._ordered = arm.q(now())
+
+    def take_controls(self) -> None:
+        """Power the servo. See `Mover.take_controls`."""
+        if self._state not in FINAL_STATES:
+            raise MotionRefusedError(f"the arm is {self._state.value} already")
+        self._enter(MoverState.TAKING_CONTROLS)
+
+    def stream(self, q: Array) -> None:
+        """Be at joint angles (n,), rad, now: one of a stream of set points.
+
+        Raises:
+            MotionRefusedError: it has no controls, makes a move of its own, or q is outside limits.
+        """
+        if self._state not in ACCEPTING_STATES | {MoverState.MOVING} or self._way is not None:
+            raise MotionRefusedError(f"the arm takes no set point now, it is {self._state.value}")
+        if said := limit_violation(self._setup.limits, rest_motion(q)):
+            raise MotionRefusedError(said)
+        self._ordered = np.array(q)
+        self._enter(MoverState.MOVING)
+        self._arm.order(self._now(), self._ordered)
+
+    def move_joints(self, q: Array) -> None:
+        """Go to joint angles by joint interpolation. See `Mover.move_joints`."""
+        self._require_rest(q)
+        self._begin(time_path(joint_path(self._ordered, q), self._setup.limits))
+
+    def move_line(self, q: Array) -> None:
+        """Go to joint angles with the flange on a straight line. See `Mover.move_line`."""
+        self._require_rest(q)
+        arm, asked = self._setup.arm, self._setup.cell.approach
+        start, end = forward(arm, self._ordered), forward(arm, q)
+        answers = inverse(arm, start, hold=self._ordered).q
+        branch = int(np.nanargmin(np.abs(answers - self._ordered).max(axis=1)))
+        path = line_path(arm, ApproachLine(start, end[:3, 3] - start[:3, 3]), branch, self._ordered)
+        if isinstance(path, str):
+            raise MotionRefusedError(path)
+        rates = PathLimits(asked.speed, asked.acceleration, asked.jerk)
+        self._begin(time_path(path, self._setup.limits, rates))
+
+    def hold(self) -> None:
+        """Stop where it is and keep the controls. See `Mover.hold`."""
+        if self._state not in ACCEPTING_STATES | {MoverState.MOVING}:
+            return
+        if self._way is None:
+            self._enter(MoverState.HELD)
+            return
+        self._way = self._way.held(self._now() - self._began)
+        self._began = self._now()
+        self._enter(MoverState.STOPPING)
+
+    def release(self) -> None:
+        """Give the controls back. See `Mover.release`."""
+        if self._state not in FINAL_STATES:
+            self._way = None
+            self._enter(MoverState.RELEASED)
+
+    def alarm(self, reason: str) -> None:
+        """Fail as a controller does: the servo is off, the brakes are on."""
+        self._arm.brake(self._now())
+        self._way = None
+        self._enter(MoverState.FAILED)
+        self._reason = reason
+
+    def step(self) -> MoverStatus:
+        """Go on. See `Mover.step`."""
+        now = self._now()
+        if self._way is not None:
+            self._ordered = self._way.at(now - self._began).q
+            self._arm.order(now, self._ordered)
+            if now - self._began >= self._way.duration:
+                self._way = None
+                stopped = self._state is MoverState.STOPPING
+                self._enter(MoverState.HELD if stopped else MoverState.ARRIVED)
+        elif self._state is MoverState.TAKING_CONTROLS and now - self._since >= POWER_UP_TIME:
+            self._enter(MoverState.READY)
+        elif self._state is MoverState.MOVING and now - self._since > STREAM_TIMEOUT:
+            self._enter(MoverState.HELD)
+        known = None if self._state is MoverState.OFF else self._arm.q(now)
+        return MoverStatus(self._state, self._reason, known, now, 0.0, None)
+
+    def close(self) -> None:
+        """Give the controls back. See `Mover.close`."""
+        self.release()
+
+    def _require_rest(self, q: Array) -> None:
+        if self._state not in ACCEPTING_STATES:
+            raise MotionRefusedError(f"the arm takes no move now, it is {self._state.value}")
+        if said := limit_violation(self._setup.limits, JointMotion(q, 0 * q, 0 * q)):
+            raise MotionRefusedError(said)
+
+    def _begin(self, way: Trajectory) -> None:
+        self._way, self._began = way, self._now()
+        self._enter(MoverState.MOVING)
+
+    def _enter(self, state: MoverState) -> None:
+        self._state, self._since = state, self._now()

@@ -1,0 +1,234 @@
+"""The simulated cell: a world with a clock of its own, seen by cameras, moved by orders."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from robots.trajectory import JointLimits
+from robots.transforms import carry, invert
+from verify.core.records import Array, StereoPair
+from verify.devices.protocols import EncoderReading, PanReading
+from verify.simulation.cell.arm import CellArm
+from verify.simulation.cell.hand import CellHand
+from verify.simulation.cell.render import CellCamera, RenderedArm, RenderedCap, joint_points
+from verify.simulation.cell.scene import DUSK_TIME, CellScene, EventKind, SceneEvent
+from verify.simulation.cell.setup import CellSetup
+
+RATE = 30.0  # Hz, of the cameras
+RIGHT_DELAY = 0.004  # s by which the right picture is later
+N_SUBSTEPS = 4  # of the world in a camera's period
+BOARD_SIZE = (0.05, 0.22)  # m, half its width and its height
+
+
+@dataclass
+class LimitMonitor:
+    """What the world saw of the arm: the judge of limits, who knows nothing of the planner."""
+
+    limits: JointLimits
+    lower: Array  # (3,), m: the box of the grip point
+    upper: Array
+    speed: float = 0.0  # greatest share of the limit that was used
+    acceleration: float = 0.0
+    outside: float = 0.0  # m, farthest that the grip point was outside the box
+    _last: list[tuple[float, Array]] = field(default_factory=list)
+
+    def see(self, t: float, q: Array, grip: Array) -> None:
+        """Take note of joint angles (n,), rad, and the grip point (3,), m, at t, s."""
+        self._last = [*self._last[-2:], (t, q)]
+        beyond = np.maximum(self.lower - grip, grip - self.upper).max()
+        self.outside = max(self.outside, float(beyond))
+        if len(self._last) == 3:
+            (t0, q0), (t1, q1), (t2, q2) = self._last
+            fast = (q2 - q1) / (t2 - t1)
+            before = (q1 - q0) / (t1 - t0)
+            harder = (fast - before) / ((t2 - t0) / 2)
+            self.speed = max(self.speed, float(np.abs(fast / self.limits.speed).max()))
+            hard = float(np.abs(harder / self.limits.acceleration).max())
+            self.acceleration = max(self.acceleration, hard)
+
+
+class CellWorld:
+    """Everything in the cell as it really is.
+
+    Args:
+        setup: what those who work in it know of it.
+        scene: what stands there, and what happens.
+    """
+
+    def __init__(self, setup: CellSetup, scene: CellScene) -> None:
+        self.setup, self.scene = setup, scene
+        self.t = 0.0
+        self._rng = np.random.default_rng(scene.seed)
+        self._off = self._rng.normal(0.0, scene.hand_error, 3)
+        gripper, cell = setup.cell.gripper, setup.cell
+        self.arm = CellArm(setup.home, scene.delay)
+        self.hand = CellHand(gripper.opening)
+        self.watch = LimitMonitor(setup.planner.limits, cell.lower, cell.upper)
+        self.held: tuple[int, Array] | None = None  # which cap is in the hand, grip_T_cap
+        self.let_go: dict[int, Array] = {}  # where caps lie that were in the hand, base_T_cap
+        self.closed_on: Array | None = None  # (3,), m, base: the grip point when fingers closed
+        self.closed_at: Array | None = None  # (3,), m: where the target was then
+        self._since: dict[EventKind, float] = {}
+        self._frame = 0
+        self._turned = 0.0  # rad, by as much the bases stood elsewhere in the last picture
+        self._cameras = [
+            CellCamera(camera, setup.rig.rig_T_base, setup.rig.image_size, gripper, setup.marker, n)
+            for n, camera in enumerate((setup.rig.left, setup.rig.right), scene.seed * 2)
+        ]
+
+    def now(self) -> float:
+        """The world's clock, s."""
+        return self.t
+
+    def advance(self, dt: float) -> None:
+        """Let dt s pass."""
+        self.t += dt
+        self.hand.advance(dt)
+        grip = self.grip()
+        self._happen(grip)
+        self._grasp(grip)
+
+    def judge(self) -> None:
+        """Look whether the arm keeps its limits; once a set point, as those are made."""
+        q = self.arm.q(self.t)
+        _, told = joint_points(self.setup.planner.arm, q)  # limits are of what was told
+        self.watch.see(self.t, q, (told @ self.setup.cell.gripper.flange_T_grip)[:3, 3])
+
+    def encoders(self) -> EncoderReading:
+        """Read the joints."""
+        noise = self._rng.normal(0.0, self.scene.encoder_noise, len(self.setup.home))
+        return EncoderReading(self.t, self.t, 0.0005, 0, self.arm.q(self.t) + noise)
+
+    def bases(self) -> PanReading:
+        """Read how the camera bases stand."""
+        rig, turned = self.setup.rig, self._gone(self.t)
+        known = [c.pan_standard_uncertainty or 0.0 for c in (rig.left, rig.right)]
+        read = np.array([rig.left.pan, rig.right.pan]) + turned + self._rng.normal(0.0, known)
+        moving = any(turn.at <= self.t < turn.at + turn.lasts for turn in self.scene.turns)
+        return PanReading(self.t, self.t, 0.0005, 0, read, moving)
+
+    def pair(self, pans: tuple[float, float] | None = None) -> StereoPair | None:
+        """Take both pictures; None where no camera delivers any more.
+
+        Args:
+            pans: rad, what was read of the bases, left and right; None: they stand as the rig says.
+        """
+        if self.happened("camera_gone"):
+            return None
+        rig, scene = self.setup.rig, self.scene
+        self._turn_cameras()
+        posed = self._posed()
+        pictures = []
+        for camera, t in zip(self._cameras, (self.t, self.t + RIGHT_DELAY), strict=True):
+            caps = [
+                RenderedCap(cap.colour, place, cap.radius, cap.height)
+                for number, cap in enumerate(scene.caps)
+                if (place := self.cap(number, t)) is not None
+            ]
+            board = self._board() if self.happened("hidden") else None
+            pictures.append(camera.picture(caps, posed, self._light(t), scene.noise, board))
+        told = (rig.left.pan, rig.right.pan) if pans is None else pans
+        pair = StereoPair(self._frame, self.t, self.t + RIGHT_DELAY, *told, *pictures)
+        self._frame += 1
+        return pair
+
+    def grip(self) -> Array:
+        """Where the grip point really is, base_T_grip (4, 4)."""
+        found = self._posed().base_T_flange @ self.setup.cell.gripper.flange_T_grip
+        return np.asarray(found)
+
+    def cap(self, number: int, t: float) -> Array | None:
+        """Where a cap is, base_T_cap (4, 4); None where it was taken away."""
+        if number == 0 and self.happened("taken") and self.held is None:
+            return None
+        if self.held is not None and self.held[0] == number:
+            return self.grip() @ self.held[1]
+        if number in self.let_go:
+            return self.let_go[number]
+        placed = np.eye(4)
+        placed[:3, 3] = self.scene.caps[number].place(t)
+        return placed
+
+    def happened(self, what: EventKind) -> bool:
+        """Whether something has happened and still lasts."""
+        since = self._since.get(what)
+        return since is not None and self.t < since + self._of(what).lasts
+
+    def _gone(self, t: float) -> float:
+        """By how much both bases have turned since the start, rad."""
+        return sum(turn.gone(t) for turn in self.scene.turns)
+
+    def _turn_cameras(self) -> None:
+        turned = self._gone(self.t)
+        if turned != self._turned:
+            self._turned = turned
+            rig = self.setup.rig
+            for camera, stands in zip(self._cameras, (rig.left.pan, rig.right.pan), strict=True):
+                camera.turn(stands + turned)
+
+    def _of(self, what: EventKind) -> SceneEvent:
+        return next(h for h in self.scene.happenings if h.what == what)
+
+    def _happen(self, grip: Array) -> None:
+        target = self.cap(0, self.t)
+        for happening in self.scene.happenings:
+            if happening.what in self._since:
+                continue
+            if happening.near is None:
+                due = self.t >= happening.at
+            else:
+                away = np.inf if target is None else np.linalg.norm(target[:3, 3] - grip[:3, 3])
+                due = bool(away < happening.near)
+            if due:
+                self._since[happening.what] = self.t
+
+    def _grasp(self, grip: Array) -> None:
+        """What stands between the fingers stops them, and goes with them while they hold it."""
+        hand = self.hand
+        if self.held is not None:
+            if not hand.holds:  # it falls straight down, and stands
+                number = self.held[0]
+                dropped = np.eye(4)
+                dropped[:3, 3] = (grip @ self.held[1])[:3, 3]
+                dropped[2, 3] = self.scene.caps[number].height / 2
+                self.let_go[number] = dropped
+                self.held, hand.between = None, 0.0
+            return
+        hand.between = 0.0
+        for number, cap in enumerate(self.scene.caps):
+            place = self.cap(number, self.t)
+            if place is not None and self._between(grip, place, cap.radius):
+                hand.between = 2 * cap.radius
+                if hand.holds:
+                    self.held = (number, invert(grip) @ place)
+                    self.closed_on, self.closed_at = grip[:3, 3], place[:3, 3]
+
+    def _between(self, grip: Array, place: Array, radius: float) -> bool:
+        inside = carry(invert(grip), place[:3, 3])
+        build = self.setup.cell.gripper
+        aside = float(np.hypot(inside[0], inside[1]))
+        reach = -(build.finger_length - build.tips) < inside[2] < build.tips
+        return reach and aside + radius <= max(self.hand.opening, 2 * radius) / 2 + 0.01
+
+    def _posed(self) -> RenderedArm:
+        q = self.arm.q(self.t)
+        if self.scene.joint_errors:
+            q = q + np.array(self.scene.joint_errors)
+        points, flange = joint_points(self.setup.planner.arm, q)
+        moved = flange.copy()
+        moved[:3, 3] += self._off
+        return RenderedArm(points + self._off, moved, self.hand.opening)
+
+    def _light(self, t: float) -> float:
+        if not self.happened("dusk"):
+            return self.scene.light
+        gone = np.clip((t - self._since["dusk"]) / DUSK_TIME, 0.0, 1.0)
+        return float(self.scene.light * (1 - 0.5 * gone))
+
+    def _board(self) -> Array:
+        """A board between the target and the cameras."""
+        target = self.scene.caps[0].place(self.t)
+        half, height = BOARD_SIZE
+        x, y = target[0] + 0.05, target[1]
+        return np.array([[x, y - half * 4, 0], [x, y + half * 4, 0],
+                         [x, y + half * 4, height], [x, y - half * 4, height]])  # fmt: skip

@@ -1,0 +1,153 @@
+"""A grab in the simulated cell, put together: the world, its source of pictures, and the loop.
+
+The simulated cell as the loop's surroundings: pictures, joints, devices, and what goes wrong.
+"""
+
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+from verify.core.records import StereoPair
+from verify.devices.protocols import EncoderReading, PanReading
+from verify.grasping.actuators.protocols import ExecutePermission
+from verify.grasping.control.aim import Aim
+from verify.grasping.control.arm import DrivenArm, SteppedArm, StreamedArm
+from verify.grasping.control.closed_loop import ClosedLoopAim, MonitoredSource
+from verify.grasping.control.loop import GraspLoop
+from verify.grasping.control.orders import Actuators
+from verify.grasping.control.run import PairSource
+from verify.grasping.tool_offset.watch import FlangeWatch
+from verify.grasping.tracking.target import ColourSelection, Target, TrackingOptions
+from verify.grasping.tracking.track import TargetTracker
+from verify.simulation.cell.arm import SimMover
+from verify.simulation.cell.cell import N_SUBSTEPS, RATE, CellWorld
+from verify.simulation.cell.hand import SimGripper
+from verify.simulation.cell.scene import CellScene
+from verify.simulation.cell.setup import CellSetup
+
+ALARM = "alarm 0930 (servo error)"
+
+
+class PanInterpolator(Protocol):
+    """Turns readings of the camera bases into angles at an instant, as `verify run` does."""
+
+    def add(self, reading: PanReading) -> None:
+        """Take a reading."""
+        ...
+
+    def at(self, t: float) -> tuple[float, float] | None:
+        """Angles of left and right base, rad, at an instant, s; None where they are not known."""
+        ...
+
+
+class CellSource:
+    """Gives the loop what it asks for, and lets the world go on while it waits.
+
+    Args:
+        world: the cell.
+        bases: are told how the camera bases stand, and asked; None: they stand as the rig says.
+        paced: keep to the computer's clock, for an operator who watches; else as fast as it goes.
+    """
+
+    def __init__(
+        self, world: CellWorld, bases: PanInterpolator | None = None, *, paced: bool = False
+    ) -> None:
+        self._world, self._bases, self._paced = world, bases, paced
+        self._began = time.monotonic()
+        self._mover: SimMover | None = None
+
+    def devices(self, right: ExecutePermission) -> tuple[SimMover, SimGripper]:
+        """Make arm and gripper, which the operator's right allows to move."""
+        world = self._world
+        self._mover = SimMover(world.arm, world.setup.planner, world.now, right)
+        return self._mover, SimGripper(world.hand, world.now, right)
+
+    def pair(self) -> StereoPair | None:
+        """Take both pictures; None where a base was turning when they were taken."""
+        if self._bases is None:
+            return self._world.pair()
+        reading = self._world.bases()
+        self._bases.add(reading)
+        pans = self._bases.at(reading.t)
+        return None if pans is None else self._world.pair(pans)
+
+    def joints(self) -> EncoderReading | None:
+        """Read the joints."""
+        return self._world.encoders()
+
+    def wait(self) -> None:
+        """Let a camera's period pass."""
+        world = self._world
+        for _ in range(N_SUBSTEPS):
+            world.advance(1 / RATE / N_SUBSTEPS)
+        world.judge()
+        if self._mover is not None and world.happened("alarm") and world.arm.braked is None:
+            self._mover.alarm(ALARM)
+        if self._paced:
+            time.sleep(max(0.0, self._began + world.t - time.monotonic()))
+
+
+@dataclass(frozen=True, slots=True)
+class CellRun:
+    """What a grab in the cell runs on."""
+
+    world: CellWorld
+    source: PairSource
+    loop: GraspLoop
+
+
+def cell_grab(
+    setup: CellSetup,
+    scene: CellScene,
+    target: Target | None = None,
+    right: ExecutePermission | None = None,
+    *,
+    auto: bool = False,
+    stepped: bool = False,
+    paced: bool = False,
+    closed: bool = True,
+    bases: PanInterpolator | None = None,
+) -> CellRun:
+    """Put a grab together; nothing has begun yet.
+
+    Args:
+        setup: what is known of the cell.
+        scene: what stands there, and what happens.
+        target: what to grab; by default the colour of the scene's first cap.
+        right: the operator's order that the arm may move; None: it may not.
+        auto: grab as soon as the target stands still.
+        stepped: the arm takes one move at a time; else a stream of set points.
+        paced: keep to the computer's clock.
+        closed: the hand is seen above the object, and its end point corrected.
+        bases: keep the angles of turning camera bases; None: fixed ones.
+
+    Raises:
+        InputError: the target's colour has no name.
+    """
+    tracker = TargetTracker(
+        setup.rig, target or ColourSelection(scene.caps[0].colour), TrackingOptions()
+    )
+    world = CellWorld(setup, scene)
+    cell = CellSource(world, bases, paced=paced)
+    if right is None:
+        aim = Aim(setup.planner, setup.rig)
+        loop = GraspLoop(setup.planner, tracker, aim, None, cell.joints, world.now)
+        return CellRun(world, cell, loop)
+    mover, gripper = cell.devices(right)
+    arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
+    if stepped:
+        arm = SteppedArm(setup.planner, mover)
+    watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker)
+    aim = (
+        ClosedLoopAim(setup.planner, setup.rig, watch) if closed else Aim(setup.planner, setup.rig)
+    )
+    loop = GraspLoop(
+        setup.planner,
+        tracker,
+        aim,
+        Actuators(arm, gripper),
+        lambda: watch.read(cell.joints()),
+        world.now,
+        auto=auto,
+    )
+    return CellRun(world, MonitoredSource(cell, watch), loop)

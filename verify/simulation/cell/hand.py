@@ -1,0 +1,119 @@
+"""The simulated three-finger gripper: fingers that something stops, and that tell so."""
+
+from collections.abc import Callable
+
+from verify.grasping.actuators.protocols import (
+    ExecutePermission,
+    GripMode,
+    GripperState,
+    GripperStatus,
+    MotionRefusedError,
+)
+
+FINGER_SPEED = 0.11  # m/s, of the opening
+ACTIVATION_TIME = 0.5  # s
+RESTING_STATES = frozenset(
+    {
+        GripperState.READY,
+        GripperState.REACHED,
+        GripperState.GRIPPED,
+        GripperState.UNSURE,
+        GripperState.LOST,
+    }
+)
+
+
+class CellHand:
+    """The fingers themselves.
+
+    Args:
+        opening: m, the widest.
+    """
+
+    def __init__(self, opening: float) -> None:
+        self.widest = self.opening = opening
+        self.between = 0.0  # m, how wide what stands between the fingers is; 0: nothing
+        self.goal = opening
+
+    @property
+    def holds(self) -> bool:
+        """The fingers press on something."""
+        return self.between > 0 and self.opening <= self.between + 1e-9
+
+    def advance(self, dt: float) -> None:
+        """Let dt s pass."""
+        step = FINGER_SPEED * dt
+        if self.goal < self.opening:
+            self.opening = max(self.goal, self.between, self.opening - step)
+        else:
+            self.opening = min(self.goal, self.opening + step)
+
+
+class SimGripper:
+    """A simulated gripper behind the protocol `Gripper`.
+
+    Args:
+        hand: what it moves.
+        now: s, the simulation's clock.
+        right: the operator's order that it may move.
+    """
+
+    def __init__(self, hand: CellHand, now: Callable[[], float], right: ExecutePermission) -> None:
+        if not isinstance(right, ExecutePermission):
+            raise TypeError("a gripper that moves needs the operator's right")
+        self._hand, self._now = hand, now
+        self._state, self._since = GripperState.IDLE, now()
+        self._closing = False
+
+    def activate(self, reset: bool = False) -> None:
+        """Make it ready. See `Gripper.activate`."""
+        self._enter(GripperState.RESETTING if reset else GripperState.ACTIVATING)
+
+    def set_mode(self, mode: GripMode) -> None:
+        """Its fingers know the basic mode alone. See `Gripper.set_mode`."""
+        if mode is not GripMode.BASIC:
+            raise MotionRefusedError(f"the simulated gripper has no mode {mode.value}")
+
+    def open_to(self, opening: float) -> None:
+        """Open the fingers. See `Gripper.open_to`."""
+        self._order(opening, closing=False)
+
+    def close_to(self, opening: float) -> None:
+        """Close the fingers. See `Gripper.close_to`."""
+        self._order(opening, closing=True)
+
+    def stop(self) -> None:
+        """Stop the fingers where they are. See `Gripper.stop`."""
+        self._hand.goal = self._hand.opening
+        if self._state is GripperState.MOVING:
+            self._enter(GripperState.IDLE)
+
+    def step(self) -> GripperStatus:
+        """Go on. See `Gripper.step`."""
+        now, hand = self._now(), self._hand
+        starting = (GripperState.ACTIVATING, GripperState.RESETTING)
+        if self._state in starting and now - self._since >= ACTIVATION_TIME:
+            self._enter(GripperState.READY)
+        elif self._state is GripperState.MOVING and self._closing and hand.holds:
+            self._enter(GripperState.GRIPPED)
+        elif self._state is GripperState.MOVING and abs(hand.opening - hand.goal) < 1e-9:
+            self._enter(GripperState.REACHED)
+        elif self._state is GripperState.GRIPPED and not hand.holds:
+            self._enter(GripperState.LOST)
+        contacts = 3 if self._closing and hand.holds else 0
+        return GripperStatus(self._state, "", hand.opening, contacts, now, 0.0)
+
+    def close(self) -> None:
+        """Stop the fingers. See `Gripper.close`."""
+        self.stop()
+
+    def _order(self, opening: float, *, closing: bool) -> None:
+        if self._state not in RESTING_STATES:
+            raise MotionRefusedError(f"the gripper takes no order now, it is {self._state.value}")
+        if not 0 <= opening <= self._hand.widest + 1e-9:
+            raise MotionRefusedError(f"{1e3 * opening:.0f} mm are outside the gripper's stroke")
+        self._hand.goal, self._closing = opening, closing
+        self._enter(GripperState.MOVING)
+
+    def _enter(self, state: GripperState) -> None:
+        self._state, self._since = state, self._now()

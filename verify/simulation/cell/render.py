@@ -1,0 +1,269 @@
+"""Pictures of the simulated cell: polygons, far ones first, on a background that is drawn once."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from robots import DhArm
+from robots.transforms import carry, invert
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Image
+from verify.core.rig import Camera
+from verify.grasping.cell import GripperGeometry
+from verify.simulation.cell.scene import COLOURS
+
+ARM_COLOUR, PALM_COLOUR, FINGER_COLOUR = (
+    (206, 210, 212),
+    (70, 70, 72),
+    (150, 152, 155),
+)  # BGR: arm, palm, fingers
+COLLAR_COLOUR, LED = (24, 24, 25), 220.0
+TABLE_COLOUR, FLOOR_COLOUR = (110, 150, 180), (150, 155, 160)
+TABLE_CORNERS = ((0.24, -0.42), (0.74, -0.42), (0.74, 0.42), (0.24, 0.42))  # m, corners of its top
+LINK_RADIUS, FINGER_RADIUS = 0.045, 0.008  # m, radii as drawn: the links' own, not their safety's
+COLLAR_RANGE = (
+    0.04,
+    0.07,
+)  # m, of the flange's z: a black collar about the palm, with the LEDs on it
+COLLAR_RADIUS = 0.052  # m
+BLUR_PX = 0.6  # px
+NOISE_SHIFT_PX = 64  # px by which the noise pattern may be shifted
+CIRCLE_ANGLES = np.linspace(0.0, 2 * np.pi, 20, endpoint=False)
+RIM_ANGLES = np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedCap:
+    """A cap as it stands."""
+
+    colour: str
+    base_T_cap: Array  # (4, 4), its axis is z
+    radius: float  # m
+    height: float  # m
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedArm:
+    """The arm as it stands."""
+
+    joints: Array  # (k, 3), m, base frame: points that the links go through
+    base_T_flange: Array  # (4, 4)
+    opening: float  # m between the fingers
+
+
+class CellCamera:
+    """Draws what one camera sees.
+
+    Args:
+        camera: whose picture it is.
+        rig_T_base: (4, 4).
+        size: of the picture, px.
+        hand: how the gripper is built.
+        marker: LEDs on the flange.
+        seed: of the background and the noise.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        rig_T_base: Array,
+        size: tuple[int, int],
+        hand: GripperGeometry,
+        marker: Marker,
+        seed: int,
+    ) -> None:
+        self._rig_T_base = rig_T_base
+        self._camera, self._size, self._hand, self._marker = camera, size, hand, marker
+        self._rng = np.random.default_rng(seed)
+        coarse = self._rng.normal(0, 9, (size[1] // 16 + 1, size[0] // 16 + 1)).astype(np.float32)
+        self._pattern = cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)[..., None]
+        self.turn(camera.pan)
+        shape = (size[1] + NOISE_SHIFT_PX, size[0] + NOISE_SHIFT_PX, 3)
+        self._grain = self._rng.normal(0.0, 1.0, shape).astype(np.float32)
+
+    def turn(self, pan: float) -> None:
+        """Turn its base to where a reading would be pan, rad."""
+        self._camera_T_base = self._camera.camera_T_rig(pan) @ self._rig_T_base
+        self._rotation = cv2.Rodrigues(self._camera_T_base[:3, :3])[0]
+        self._background = self._table()
+
+    def picture(
+        self,
+        caps: Sequence[RenderedCap],
+        posed: RenderedArm,
+        light: float,
+        noise: float,
+        board: Array | None = None,
+    ) -> Image:
+        """Draw the cell.
+
+        Args:
+            caps: what stands about.
+            posed: the arm.
+            light: share of the usual light.
+            noise: DN, standard deviation of a pixel.
+            board: (4, 3), m, corners of a board that hides what is behind it.
+        """
+        picture = self._background.copy()
+        parts: list[tuple[float, Callable[[], None]]] = []
+        for cap in caps:
+            middle = cap.base_T_cap[:3, 3]
+            parts.append((self._away(middle), lambda cap=cap: self._cap(picture, cap)))  # type: ignore[misc]
+        parts += self._arm(picture, posed)
+        if board is not None:
+            away = self._away(board.mean(axis=0))
+            parts.append((away, lambda: self._fill(picture, board, FINGER_COLOUR)))
+        for _, draw in sorted(parts, key=lambda part: -part[0]):
+            draw()
+        cv2.GaussianBlur(picture, (0, 0), BLUR_PX, dst=picture)
+        dy, dx = self._rng.integers(0, NOISE_SHIFT_PX, 2)
+        height, width = picture.shape[:2]
+        sensed = cv2.addWeighted(
+            picture,
+            light,
+            self._grain[dy : dy + height, dx : dx + width],
+            noise,
+            0,
+            dtype=cv2.CV_8U,
+        )
+        return np.asarray(sensed, dtype=np.uint8)
+
+    def _table(self) -> Image:
+        """The table, a floor, a pale blue and a pale green paper."""
+        width, height = self._size
+        picture = np.empty((height, width, 3), np.uint8)
+        picture[:] = FLOOR_COLOUR
+        top = np.array([(*corner, 0.0) for corner in TABLE_CORNERS])
+        self._fill(picture, top, TABLE_COLOUR)
+        for x, y, colour in ((0.66, -0.34, (190, 170, 150)), (0.62, 0.33, (150, 185, 150))):
+            paper = np.array([(x + a, y + b, 0.0) for a, b in ((0, 0), (0.06, 0), (0.06, 0.05))])
+            self._fill(picture, np.vstack([paper, [x, y + 0.05, 0.0]]), colour)
+        mixed: Image = np.clip(picture + self._pattern, 0, 255).astype(np.uint8)
+        return mixed
+
+    def _arm(self, picture: Image, posed: RenderedArm) -> list[tuple[float, Callable[[], None]]]:
+        parts: list[tuple[float, Callable[[], None]]] = []
+
+        def capsule(a: Array, b: Array, radius: float, colour: tuple[int, int, int]) -> None:
+            parts.append(
+                (self._away((a + b) / 2), lambda: self._capsule(picture, a, b, radius, colour))
+            )
+
+        for a, b in zip(posed.joints[:-1], posed.joints[1:], strict=True):
+            capsule(a, b, LINK_RADIUS, ARM_COLOUR)
+        hand, flange = self._hand, posed.base_T_flange
+        grip = flange @ hand.flange_T_grip
+        palm = hand.finger_length - hand.tips
+        capsule(flange[:3, 3], carry(grip, np.array([0.0, 0.0, -palm])), 0.035, PALM_COLOUR)
+        top, bottom = (carry(flange, np.array([0.0, 0.0, z])) for z in COLLAR_RANGE)
+        capsule(top, bottom, COLLAR_RADIUS, COLLAR_COLOUR)
+        for angle in np.deg2rad([90.0, 210.0, 330.0]).tolist():
+            out = np.array([np.cos(angle), np.sin(angle), 0.0])
+            root = carry(grip, 0.03 * out - [0.0, 0.0, palm])
+            knee = carry(
+                grip, (posed.opening / 2 + FINGER_RADIUS + 0.006) * out - [0.0, 0.0, palm / 2]
+            )
+            tip = carry(
+                grip,
+                (posed.opening / 2 + FINGER_RADIUS) * out + [0.0, 0.0, hand.tips - FINGER_RADIUS],
+            )
+            capsule(root, knee, FINGER_RADIUS, FINGER_COLOUR)
+            capsule(knee, tip, FINGER_RADIUS, FINGER_COLOUR)
+        nearest = self._away(grip[:3, 3] - 0.05 * grip[:3, 2]) - 0.08
+        parts.append((nearest, lambda: self._leds(picture, flange)))
+        return parts
+
+    def _leds(self, picture: Image, flange: Array) -> None:
+        """Those that face the camera."""
+        eye = invert(self._camera_T_base)[:3, 3]
+        for led in self._marker.leds:
+            at = carry(flange, led)
+            outwards = flange[:3, :3] @ np.array([led[0], led[1], 0.0])
+            if outwards @ (eye - at) > 0.3 * np.linalg.norm(outwards) * np.linalg.norm(eye - at):
+                radius = self._camera.matrix[0, 0] * self._marker.led_diameter / 2 / self._away(at)
+                _draw_led(picture, self._pixels(at[None])[0], radius)
+
+    def _cap(self, picture: Image, cap: RenderedCap) -> None:
+        """A short cylinder: a lit top, a darker side, darker still to the right, a reflection."""
+        ring = (
+            np.stack([np.cos(RIM_ANGLES), np.sin(RIM_ANGLES), np.zeros_like(RIM_ANGLES)], axis=1)
+            * cap.radius
+        )
+        up = np.array([0.0, 0.0, cap.height / 2])
+        top, bottom = carry(cap.base_T_cap, ring + up), carry(cap.base_T_cap, ring - up)
+        colour = np.array(COLOURS[cap.colour], dtype=float)
+        self._fill(picture, np.vstack([top, bottom]), 0.72 * colour)
+        shade = ring[:, 1] > 0.3 * cap.radius
+        self._fill(picture, np.vstack([top[shade], bottom[shade]]), 0.55 * colour)
+        self._fill(picture, top, colour)
+        eye = invert(self._camera_T_base)[:3, 3]
+        aside = carry(invert(cap.base_T_cap), eye)[1]
+        shift = np.array([0.3 * cap.radius, 0.5 * aside * cap.radius, 0.0])
+        shine = carry(cap.base_T_cap, 0.18 * ring + up + shift)
+        self._fill(picture, shine, 0.4 * colour + 0.6 * 255)
+
+    def _capsule(
+        self, picture: Image, a: Array, b: Array, radius: float, colour: tuple[int, int, int]
+    ) -> None:
+        """Its outline by two circles that face the camera, and a lighter streak along it."""
+        across = np.linalg.inv(self._camera_T_base[:3, :3])[:, :2]
+        disc = (
+            np.cos(CIRCLE_ANGLES)[:, None] * across[:, 0]
+            + np.sin(CIRCLE_ANGLES)[:, None] * across[:, 1]
+        )
+        self._fill(
+            picture, np.vstack([a + radius * disc, b + radius * disc]), np.array(colour) * 0.8
+        )
+        streak = 0.55 * radius * disc + [0.0, 0.0, 0.25 * radius]
+        self._fill(picture, np.vstack([a + streak, b + streak]), colour)
+
+    def _away(self, point: Array) -> float:
+        """How far a point (3,) of the base is from the camera, m."""
+        return float(np.linalg.norm(carry(self._camera_T_base, point)))
+
+    def _pixels(self, points: Array) -> Array:
+        """Image (n, 2), px, of points (n, 3) of the base."""
+        placed = self._camera_T_base[:3, 3]
+        found, _ = cv2.projectPoints(
+            points, self._rotation, placed, self._camera.matrix, self._camera.distortion
+        )
+        return np.asarray(found[:, 0], dtype=float)
+
+    def _fill(self, picture: Image, points: Array, colour: Sequence[float] | Array) -> None:
+        pixels = np.rint(np.clip(self._pixels(points), -4e3, 4e3) * 16).astype(np.int32)
+        outline = cv2.convexHull(pixels)
+        shade = np.asarray(colour, dtype=float).tolist()
+        cv2.fillConvexPoly(picture, outline, shade, cv2.LINE_AA, shift=4)
+
+
+def _draw_led(picture: Image, centre: Array, radius: float) -> None:
+    """Light an LED: a disc about a place (2,), px, true to a small part of a pixel."""
+    reach = int(np.ceil(radius)) + 1
+    x, y = (int(v) for v in np.rint(centre))
+    height, width = picture.shape[:2]
+    if not (reach <= x < width - reach and reach <= y < height - reach):
+        return
+    rows, columns = np.mgrid[y - reach : y + reach + 1, x - reach : x + reach + 1]
+    away = np.hypot(columns - centre[0], rows - centre[1])
+    share = np.clip(radius + 0.5 - away, 0.0, 1.0)[..., None]
+    patch = picture[y - reach : y + reach + 1, x - reach : x + reach + 1]
+    patch[:] = np.rint((1 - share) * patch + share * LED).astype(np.uint8)
+
+
+def joint_points(arm: DhArm, q: Array) -> tuple[Array, Array]:
+    """Points that the links go through (k, 3), m, and base_T_flange (4, 4), by the DH table.
+
+    Source: Denavit and Hartenberg, RotZ(θ) TransZ(d) TransX(a) RotX(α).
+    """
+    frame, points = np.eye(4), [np.zeros(3)]
+    for theta, d, a, alpha in zip(arm.theta(q), arm.d, arm.a, arm.alpha, strict=True):
+        c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+        if d and a:  # a corner between the two
+            points.append(carry(frame, np.array([0.0, 0.0, d])))
+        frame = frame @ np.array(
+            [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+        )
+        points.append(frame[:3, 3])
+    return np.array(points), frame

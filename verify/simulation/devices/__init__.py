@@ -1,0 +1,1 @@
+"""Simulated cameras, encoders, bases in real time."""

@@ -1,0 +1,193 @@
+"""What a simulated camera sees: painted here, or elsewhere so that a run's threads need not wait.
+
+Threads of one Python process take turns. Painting in them would hold up a measurement that real
+cameras, whatever they do inside, do not.
+
+A scenario's motion without end: to its last instant, back to its first, and so on.
+"""
+
+import threading
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Protocol
+
+import numpy as np
+
+from verify.core.processes import (
+    Helper,
+    HelperLateError,
+    HelperLostError,
+    SharedPicture,
+    picture_at,
+)
+from verify.core.records import Array, Image
+from verify.simulation import library
+from verify.simulation.scenario import BoardScenario, Distractor
+from verify.simulation.session.simulate import START_OFFSET, SimulatedSession, simulate_session
+from verify.simulation.world.led_render import Renderer, visible_lights
+from verify.simulation.world.motion import MotionProfile
+from verify.simulation.world.world import SimulatedWorld
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodicMotion:
+    """Goes to and fro through a motion that was planned for a stretch of time.
+
+    The way there and back is a cosine: no joint's speed leaps where the motion turns round, and
+    nowhere is it more than π/2 times the planned one.
+    """
+
+    motion: MotionProfile
+    begin: float  # s, of the stretch
+    end: float  # s
+
+    def angles(self, t: Array) -> Array:
+        """True joint angles, rad: (...,) to (..., joints)."""
+        return self.motion.angles(self._place(t))
+
+    def direction(self, t: Array) -> Array:
+        """Last direction of travel, +1 or -1: (...,) to (..., joints)."""
+        back = np.asarray(np.sin(self._phase(t)) < 0)
+        way = np.where(back, -1.0, 1.0)[..., None]
+        direction: Array = way * self.motion.direction(self._place(t))
+        return direction
+
+    def _phase(self, t: Array) -> Array:
+        phase: Array = np.pi * (np.asarray(t) - self.begin) / (self.end - self.begin)
+        return phase
+
+    def _place(self, t: Array) -> Array:
+        half = (self.end - self.begin) / 2
+        place: Array = self.begin + half * (1 - np.cos(self._phase(t)))
+        return place
+
+
+LAMP_DN = 200.0  # as bright as an LED
+LAMP_OFFSET_MM = (60.0, 40.0, 0.0)  # mm, rig axes, from the middle of the LEDs' way
+# s for a picture painted elsewhere, then it is painted here: less than a camera may be silent for
+TIMEOUT = 0.3
+LATE_NOTE = "painted by the main process while the other one is late"
+
+
+@dataclass(frozen=True, slots=True)
+class RenderRequest:
+    """One picture that is to be taken."""
+
+    side: int  # 0 left, 1 right
+    seconds: float  # the world's time, middle of the exposure
+    pan: float  # rad, true
+    lit: bool  # a lamp is on
+    hidden: dict[int, float]  # covered LEDs by index, and by what share
+    number: int  # chooses the noise
+
+
+class Painter(Protocol):
+    """Paints what a camera sees."""
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with how it does; empty: nothing."""
+
+    def paint(self, sight: RenderRequest) -> Image:
+        """Give the picture, (h, w) grey or (h, w, 3) BGR."""
+
+    def close(self) -> None:
+        """Let go of what it needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocalPainter:
+    """Paints in the caller's thread."""
+
+    worlds: tuple[SimulatedWorld, SimulatedWorld]  # as it is, and with a lamp on
+    renderers: tuple[Renderer, Renderer]
+
+    @property
+    def trouble(self) -> str:
+        """Nothing can be."""
+        return ""
+
+    def paint(self, sight: RenderRequest) -> Image:
+        """Give the picture; the same sight comes out the same every time."""
+        world, side = self.worlds[sight.lit], sight.side
+        seen = visible_lights(world, side, sight.seconds, sight.pan, sight.hidden)
+        turned_px = sight.pan * world.bench.cameras[side].matrix[0, 0]
+        return self.renderers[side].render(seen, sight.number, turned_px)
+
+    def close(self) -> None:
+        """There is nothing to let go of."""
+
+
+def build_painter(session: SimulatedSession) -> LocalPainter:
+    """Paint a scenario's world, its motion made endless."""
+    begin, end = START_OFFSET, max(float(session.t[-1, 0]), START_OFFSET + 1.0)
+    endless = PeriodicMotion(session.world.motion, begin, end)
+    world: SimulatedWorld = replace(session.world, motion=endless)
+    middle = world.led_points(np.linspace(begin, end, 50)).mean(axis=(0, 1)) * 1e3
+    lamp = Distractor(position_mm=tuple(middle + LAMP_OFFSET_MM), peak_dn=LAMP_DN)
+    lit: SimulatedWorld = replace(world, lamps=(*world.lamps, lamp))
+    return LocalPainter((world, lit), session.renderers)
+
+
+class RemotePainter:
+    """Paints in another process, and here until that is ready, while it is late or once it is lost.
+
+    Args:
+        scenario: as the station names it.
+        near: paints the same here.
+        patience: s for a picture.
+    """
+
+    def __init__(self, scenario: str, near: LocalPainter, patience: float = TIMEOUT) -> None:
+        self._near, self._patience = near, patience
+        self._helper: Helper[tuple[RenderRequest, str, tuple[int, ...]], None] | None = Helper(
+            partial(_paint_remote, scenario), "simulated cameras",
+            aside=True, prepare=partial(_remote_painter, scenario),
+        )  # fmt: skip
+        self._rooms = (SharedPicture(), SharedPicture())
+        self._lock, self._closed = threading.Lock(), 0
+        self.trouble = ""
+
+    def paint(self, sight: RenderRequest) -> Image:
+        """Give the picture; the same as the one painted here."""
+        helper, room = self._helper, self._rooms[sight.side]
+        try:
+            if helper is not None and helper.is_ready():
+                name, shape = room.room(self._near.renderers[sight.side].shape)
+                helper.ask((sight, name, shape), self._patience)
+                self.trouble = ""
+                return room.copy(shape)
+        except HelperLateError:
+            self.trouble = LATE_NOTE
+        except HelperLostError as error:
+            self.trouble = f"painted by the main process from now on: {error}"
+            self._end()
+        return self._near.paint(sight)
+
+    def close(self) -> None:
+        """End the process, once both cameras are closed."""
+        with self._lock:
+            self._closed += 1
+            last = self._closed == len(self._rooms)
+        if last:
+            self._end()
+            for room in self._rooms:
+                room.close()
+
+    def _end(self) -> None:
+        helper, self._helper = self._helper, None
+        if helper is not None:
+            helper.close()
+
+
+@lru_cache(maxsize=1)
+def _remote_painter(scenario: str) -> LocalPainter:
+    """The other process's own painter."""
+    loaded = library.load(scenario)
+    assert not isinstance(loaded, BoardScenario)  # the station would have refused it
+    return build_painter(simulate_session(loaded))
+
+
+def _paint_remote(scenario: str, question: tuple[RenderRequest, str, tuple[int, ...]]) -> None:
+    sight, name, shape = question
+    picture_at(name, shape)[...] = _remote_painter(scenario).paint(sight)

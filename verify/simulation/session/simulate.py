@@ -1,0 +1,325 @@
+"""A simulated session: the world, what cameras and encoders make of it, what the user believes.
+
+What an encoder at fault adds to the true angle, as docs/results.md defines it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+import robots
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Image, StereoPair
+from verify.core.rig import Camera, Rig
+from verify.errors import InputError
+from verify.simulation.scenario import Scenario, ScenarioFault, ScenarioUncertainty
+from verify.simulation.world import uncertainty
+from verify.simulation.world.bench import Bench, SimulatedCamera, build_bench, place_rig
+from verify.simulation.world.led_render import Renderer, hidden_leds, led_images, visible_lights
+from verify.simulation.world.motion import MotionProfile, RandomStream, generator, plan_motion
+from verify.simulation.world.world import SimulatedWorld
+
+
+def reading_error(q: Array, direction: Array, faults: Sequence[ScenarioFault]) -> Array:
+    """Reading less true angle: offset + gain q + backlash/2 d + ecc cos(n (q - phase)).
+
+    Args:
+        q: (..., joints), rad, the true angles in the robot file's zero.
+        direction: (..., joints), +1 or -1, the last direction of travel, kept at rest.
+        faults: any number of them, also several on one joint.
+
+    Returns:
+        (..., joints), rad.
+    """
+    error = np.zeros_like(q)
+    for fault in faults:
+        k = fault.joint - 1
+        turn = fault.per_turn * (q[..., k] - np.radians(fault.phase_deg))
+        error[..., k] += (
+            np.radians(fault.offset_deg)
+            + fault.gain * q[..., k]
+            + np.radians(fault.backlash_deg) / 2 * direction[..., k]
+            + np.radians(fault.eccentricity_deg) * np.cos(turn)
+        )
+    return error
+
+
+START_OFFSET = 1.0  # s, the first pair: the encoders' record begins before it
+READING_MARGIN = (
+    0.6  # s of encoder readings on either side of every pair; motions have no gaps by that
+)
+TIME_STEP = 1e-6  # s, the grain of written times; the world uses the written ones
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedSession:
+    """One session with its truth; pictures are rendered when asked for, the same every time."""
+
+    scenario: Scenario
+    world: SimulatedWorld
+    rig: Rig  # what the user believes
+    marker: Marker
+    t: Array  # (pairs, 2), s, cameras' clock: left, right
+    pan: Array  # (pairs, 2), rad, as read
+    true_pan: Array  # (pairs, 2), rad
+    taken: Array  # (pairs,) int: the pair's number before any was dropped
+    encoder_t: Array  # (readings,), s, the controller's clock
+    encoder_q: Array  # (readings, joints), rad
+    clock_offset: float | None  # s, as session.toml tells it
+    renderers: tuple[Renderer, Renderer]
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self.t)
+
+    @property
+    def truth(self) -> Array:
+        """True joint angles at each pair's left time, (pairs, joints), rad."""
+        return self.world.joints(self.t[:, 0])
+
+    def spots(self, side: int) -> Array:
+        """True LED images of the left (0) or right (1) camera, (pairs, leds, 2), px; NaN unseen."""
+        return np.array(
+            [
+                led_images(self.world, side, self.t[i, side], self.true_pan[i, side])
+                for i in range(len(self))
+            ]
+        )
+
+    def image(self, side: int, index: int) -> Image:
+        """Render one picture of the left (0) or right (1) camera."""
+        names = [led.name for led in self.scenario.marker.led]
+        number = int(self.taken[index])
+        t, pan = float(self.t[index, side]), float(self.true_pan[index, side])
+        hidden = hidden_leds(self.scenario.occlusion, names, side, number)
+        seen = visible_lights(self.world, side, t, pan, hidden)
+        turned_px = pan * self.world.bench.cameras[side].matrix[0, 0]
+        return self.renderers[side].render(seen, number, turned_px)
+
+    def pair(self, index: int) -> StereoPair:
+        """Render one stereo pair."""
+        return StereoPair(
+            frame=index,
+            t_left=float(self.t[index, 0]),
+            t_right=float(self.t[index, 1]),
+            pan_left=float(self.pan[index, 0]),
+            pan_right=float(self.pan[index, 1]),
+            left=self.image(0, index),
+            right=self.image(1, index),
+        )
+
+    def pairs(self) -> Iterator[StereoPair]:
+        """Render all pairs, one at a time."""
+        return map(self.pair, range(len(self)))
+
+
+def simulate_session(scenario: Scenario) -> SimulatedSession:
+    """Play a scenario.
+
+    Raises:
+        InputError: the scenario contradicts itself or its robot, or no placement shows the LEDs.
+        robots.RobotError: the robot is not known or its file is at fault.
+    """
+    arm = robots.load(scenario.robot)
+    _check(scenario, arm)
+    scheduled = _exposure_times(scenario)
+    motion = plan_motion(scenario, START_OFFSET, float(scheduled[-1, 0]))
+    _check_limits(scenario, arm, motion.angles(scheduled[:, 0]))
+    kept = np.setdiff1d(np.arange(len(scheduled)), scenario.recording.dropped)
+
+    in_base = _world(scenario, arm, motion, build_bench(scenario, np.eye(4)))
+    stand = place_rig(
+        scenario, in_base.led_points(scheduled[:, 0]), in_base.led_normals(scheduled[:, 0])
+    )
+    believed = build_bench(scenario, stand.rig_T_base)
+
+    stated = scenario.uncertainty or ScenarioUncertainty()
+    drawn = stated if stated.draw else ScenarioUncertainty()
+    leds = len(scenario.marker.led)
+    departure = uncertainty.draw_departure(
+        drawn, leds, generator(scenario.seed, RandomStream.SYSTEMATIC)
+    )
+    world = _world(scenario, arm, motion, uncertainty.apply_departure(believed, departure))
+    true_pan = stand.pan + departure.pan
+    if scenario.rig.bases == "follow":  # each reading errs by itself, the same one always alike
+        rng = generator(scenario.seed, RandomStream.PAN)
+        error = np.radians(drawn.pan_deg) * rng.standard_normal(stand.pan.shape)
+        for side in range(2):
+            _, first, again = np.unique(stand.pan[:, side], return_index=True, return_inverse=True)
+            error[:, side] = error[first, side][again]
+        true_pan = stand.pan + error
+
+    encoder_t, encoder_q = _encoders(scenario, world, scheduled)
+    size = scenario.rig.image_size
+    return SimulatedSession(
+        scenario=scenario,
+        world=world,
+        rig=_stated_rig(scenario, believed, stand.pan[0]),
+        marker=_stated_marker(scenario, believed),
+        t=scheduled[kept],
+        pan=stand.pan[kept],
+        true_pan=true_pan[kept],
+        taken=kept,
+        encoder_t=encoder_t,
+        encoder_q=encoder_q,
+        clock_offset=_stated_offset(scenario),
+        renderers=(
+            Renderer(scenario.image, size, scenario.seed, 0),
+            Renderer(scenario.image, size, scenario.seed, 1),
+        ),
+    )
+
+
+def _world(
+    scenario: Scenario, arm: robots.Arm, motion: MotionProfile, bench: Bench
+) -> SimulatedWorld:
+    return SimulatedWorld(
+        arm,
+        motion,
+        bench,
+        tuple(scenario.marker.led),
+        scenario.marker.led_diameter_mm / 1000,
+        tuple(scenario.mirror),
+        tuple(scenario.distractor),
+    )
+
+
+def _exposure_times(scenario: Scenario) -> Array:
+    """When the cameras fire, (pairs, 2), s, in whole microseconds."""
+    recording = scenario.recording
+    rng = generator(scenario.seed, RandomStream.TIMES)
+    left = START_OFFSET + np.arange(recording.pairs) / recording.rate_hz
+    jitter = recording.skew_jitter_s * rng.standard_normal(recording.pairs)
+    times: Array = (
+        np.round(np.stack([left, left + recording.skew_s + jitter], 1) / TIME_STEP) * TIME_STEP
+    )
+    if np.any(np.diff(times, axis=0) <= 0):
+        raise InputError(
+            "recording.skew_jitter_s", "pairs overtake one another", "less than a frame's time"
+        )
+    return times
+
+
+def _encoders(scenario: Scenario, world: SimulatedWorld, frames: Array) -> tuple[Array, Array]:
+    """Read the joints at the controller's pace, around the pairs: (m,) s and (m, joints) rad.
+
+    The controller's clock shows t - offset - drift · t at the cameras' time t.
+    """
+    table = scenario.encoders
+    drift = 1 - table.clock_drift_ppm * 1e-6
+    ticks: list[Array] = []
+    for first, last in _reading_intervals(frames):
+        shown = (np.array([first, last]) * drift - table.clock_offset_s) * table.rate_hz
+        ticks.append(np.arange(np.ceil(shown[0]), np.floor(shown[1]) + 1))
+    stamps = np.round(np.concatenate(ticks) / table.rate_hz / TIME_STEP) * TIME_STEP
+    t = (stamps + table.clock_offset_s) / drift
+    q = world.joints(t)
+    rng = generator(scenario.seed, RandomStream.ENCODERS)
+    noise = np.radians(table.noise_deg) * rng.standard_normal(q.shape)
+    reading = q + reading_error(q, world.motion.direction(t), scenario.fault) + noise
+    if table.resolution_deg > 0:
+        step = np.radians(table.resolution_deg)
+        reading = np.round(reading / step) * step
+    return stamps, reading
+
+
+def _reading_intervals(frames: Array) -> list[tuple[float, float]]:
+    """Join the times around the pairs where they overlap: begin and end of each stretch, s."""
+    begin, end = frames.min(axis=1) - READING_MARGIN, frames.max(axis=1) + READING_MARGIN
+    gap = np.flatnonzero(begin[1:] > end[:-1])
+    first = np.concatenate([[0], gap + 1])
+    last = np.concatenate([gap, [len(frames) - 1]])
+    return list(zip(begin[first].tolist(), end[last].tolist(), strict=True))
+
+
+def _stated_offset(scenario: Scenario) -> float | None:
+    if scenario.clock is None:
+        return None
+    u = scenario.clock.encoder_offset_standard_uncertainty_s
+    rng = generator(scenario.seed, RandomStream.CLOCK)
+    return float(scenario.encoders.clock_offset_s + u * rng.standard_normal())
+
+
+def _stated_rig(scenario: Scenario, bench: Bench, pan: Array) -> Rig:
+    stated = scenario.uncertainty or ScenarioUncertainty()
+    turn = float(np.radians(stated.pan_deg)) or None
+    return Rig(
+        image_size=scenario.rig.image_size,
+        left=_stated_camera(bench.left, float(pan[0]), turn),
+        right=_stated_camera(bench.right, float(pan[1]), turn),
+        rig_T_base=bench.rig_T_base,
+        covariance=uncertainty.stated_covariance(stated),
+    )
+
+
+def _stated_camera(camera: SimulatedCamera, pan: float, pan_u: float | None) -> Camera:
+    return Camera(
+        matrix=camera.matrix,
+        distortion=camera.distortion,
+        pan_center=camera.pan_center,
+        pan_axis=camera.pan_axis,
+        pan_zero=camera.pan_zero,
+        mount=camera.turntable_T_camera,
+        pan=pan,
+        pan_standard_uncertainty=pan_u,
+        line_time=camera.line_time,
+        exposure=camera.exposure or None,
+    )
+
+
+def _stated_marker(scenario: Scenario, bench: Bench) -> Marker:
+    stated = scenario.uncertainty or ScenarioUncertainty()
+    body = np.repeat([stated.led_body_mm / 1000, float(np.radians(stated.led_body_deg))], 3)
+    return Marker(
+        names=tuple(led.name for led in scenario.marker.led),
+        leds=bench.leds,
+        colours=tuple(led.colour for led in scenario.marker.led),
+        led_diameter=scenario.marker.led_diameter_mm / 1000,
+        source="jig" if np.any(body) else None,
+        body_standard_uncertainty=body if np.any(body) else None,
+        led_standard_uncertainty=stated.led_mm / 1000 or None,
+    )
+
+
+def _check(scenario: Scenario, arm: robots.Arm) -> None:
+    """Refuse what the file's form alone cannot: numbers that must fit one another."""
+    for key in ("home_deg", "amplitude_deg", "speed_deg_s"):
+        values = getattr(scenario.motion, key, None)
+        if values is not None and len(values) != arm.dof:
+            raise InputError(
+                f"motion.{key}",
+                f"{len(values)} values",
+                f"{arm} has {arm.dof} joints",
+                "Give one number a joint.",
+            )
+    for index, fault in enumerate(scenario.fault):
+        if fault.joint > arm.dof:
+            raise InputError(
+                f"fault[{index}].joint", f"is {fault.joint}", f"{arm} has {arm.dof} joints"
+            )
+    names = [led.name for led in scenario.marker.led]
+    if len(set(names)) < len(names):
+        raise InputError("marker.led", "two LEDs have one name", "each needs its own")
+    for index, occlusion in enumerate(scenario.occlusion):
+        if occlusion.led not in names:
+            raise InputError(
+                f"occlusion[{index}].led", f'"{occlusion.led}"', f"the LEDs are {', '.join(names)}"
+            )
+    dropped = scenario.recording.dropped
+    if len(set(range(scenario.recording.pairs)) - set(dropped)) == 0:
+        raise InputError("recording.dropped", "no pair is left", "one at least is needed")
+
+
+def _check_limits(scenario: Scenario, arm: robots.Arm, q: Array) -> None:
+    """Refuse a motion that the arm could not make."""
+    outside = (q < arm.lower - 1e-9) | (q > arm.upper + 1e-9)  # 1e-9: rounding of the units
+    if np.any(outside):
+        pair, joint = np.argwhere(outside)[0]
+        low, high = np.degrees([arm.lower[joint], arm.upper[joint]])
+        raise InputError(
+            "motion",
+            f"takes joint {joint + 1} of {scenario.robot} to {np.degrees(q[pair, joint]):.1f}°",
+            f"its limits are {low:g}° and {high:g}°",
+            "Choose another home or a smaller motion.",
+        )

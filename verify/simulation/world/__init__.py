@@ -1,0 +1,1 @@
+"""Arm motion, lights, rendering."""

@@ -1,0 +1,249 @@
+"""The hardware of a simulated session: two cameras on turning bases, an arm's base, LEDs.
+
+Written without verify.core.rig and verify.core.fiducials on purpose: poses are composed with 4x4 matrices
+here, and cv2.projectPoints projects. A mistake shared with the measurement would prove nothing.
+
+Where to stand the rig before the robot so that every LED is seen in every pair.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from verify.core.records import Array
+from verify.errors import InputError
+from verify.simulation.scenario import Scenario, ScenarioCamera, ScenarioPlacement
+
+
+def rigid(rotation_vector: Array, position: Array) -> Array:
+    """Compose a (4, 4) pose from a rotation vector, rad, and a position, m."""
+    a_T_b = np.eye(4)
+    a_T_b[:3, :3] = cv2.Rodrigues(np.asarray(rotation_vector, dtype=float))[0]
+    a_T_b[:3, 3] = position
+    return a_T_b
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedCamera:
+    """A camera on a turning base, as rig.toml describes one."""
+
+    matrix: Array  # (3, 3), px
+    distortion: Array  # (5,), k1, k2, p1, p2, k3
+    pan_center: Array  # (3,), m, rig frame
+    pan_axis: Array  # (3,), unit vector, rig frame
+    pan_zero: float  # rad
+    turntable_T_camera: Array  # (4, 4)
+    line_time: float  # s a row
+    exposure: float  # s
+    image_size: tuple[int, int]  # width, height, px
+
+    def rig_T_camera(self, pan: float) -> Array:
+        """Place the camera for its base's true angle, rad; (4, 4)."""
+        rig_T_turntable = rigid(self.pan_axis * (pan + self.pan_zero), self.pan_center)
+        placed: Array = rig_T_turntable @ self.turntable_T_camera
+        return placed
+
+    def project(self, points_rig: Array, pan: float) -> Array:
+        """Image of points in the rig frame: (..., 3) m to (..., 2) px, NaN where not in sight."""
+        rig_T_camera = self.rig_T_camera(pan)
+        rotation = rig_T_camera[:3, :3]
+        points = (np.reshape(points_rig, (-1, 3)) - rig_T_camera[:3, 3]) @ rotation
+        # Far outside the lens's field the distortion polynomial folds back into the picture.
+        sane = points[:, 2] > 0.01  # m: nothing is that close to a lens
+        tangent = np.hypot(points[:, 0], points[:, 1]) / np.where(sane, points[:, 2], 1.0)
+        sane &= tangent < 1.3 * self._corner_tangent()  # 1.3: room for barrel distortion
+        pixels = np.full((len(points), 2), np.nan)
+        if np.any(sane):
+            seen, _ = cv2.projectPoints(
+                points[sane], np.zeros(3), np.zeros(3), self.matrix, self.distortion
+            )
+            pixels[sane] = seen[:, 0]
+        return np.reshape(pixels, (*np.shape(points_rig)[:-1], 2))
+
+    def _corner_tangent(self) -> float:
+        width, height = self.image_size
+        x = max(self.matrix[0, 2], width - self.matrix[0, 2]) / self.matrix[0, 0]
+        y = max(self.matrix[1, 2], height - self.matrix[1, 2]) / self.matrix[1, 1]
+        return float(np.hypot(x, y))
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """What a calibration describes; one is what the user believes, another is how it truly is."""
+
+    left: SimulatedCamera
+    right: SimulatedCamera
+    rig_T_base: Array  # (4, 4)
+    leds: Array  # (n, 3), m, flange frame
+
+    @property
+    def cameras(self) -> tuple[SimulatedCamera, SimulatedCamera]:
+        """Left, right."""
+        return self.left, self.right
+
+
+def build_camera(table: ScenarioCamera, image_size: tuple[int, int], x: float) -> SimulatedCamera:
+    """Build one camera whose pan centre lies at (x, 0, 0) of the rig, m."""
+    fx, fy = table.focal_px
+    cx, cy = table.principal_point_px
+    axis = np.asarray(table.pan_axis, dtype=float)
+    return SimulatedCamera(
+        matrix=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+        distortion=np.asarray(table.distortion, dtype=float),
+        pan_center=np.array([x, 0.0, 0.0]),
+        pan_axis=axis / np.linalg.norm(axis),
+        pan_zero=float(np.radians(table.pan_zero_deg)),
+        turntable_T_camera=rigid(
+            np.radians(table.mount_rotation_deg), np.asarray(table.mount_offset_mm) / 1000
+        ),
+        line_time=table.line_time_s,
+        exposure=table.exposure_s,
+        image_size=image_size,
+    )
+
+
+def build_bench(scenario: Scenario, rig_T_base: Array) -> Bench:
+    """Build what the scenario's tables say, with the robot's base where it was placed."""
+    rig = scenario.rig
+    half = rig.baseline_mm / 2000
+    return Bench(
+        left=build_camera(rig.left, rig.image_size, -half),
+        right=build_camera(rig.right, rig.image_size, half),
+        rig_T_base=rig_T_base,
+        leds=np.array([led.position_mm for led in scenario.marker.led], dtype=float) / 1000,
+    )
+
+
+MARGIN_PX = 25.0  # from the edge to an LED's centre: a spot of 5 mm and its blur stay inside
+MIN_COSINE = 0.5  # 60°: beyond it a flat LED is a sliver and a dome hides behind its holder
+N_DIRECTIONS = 600  # about 6° apart over the sphere: no LED's view changes much in between
+DISTANCE_FACTORS = (
+    1.0,
+    1.1,
+    1.2,
+    1.35,
+    1.5,
+)  # of the wanted distance, where the view is too narrow
+
+
+@dataclass(frozen=True, slots=True)
+class RobotPlacement:
+    """Where the base is in the rig, and how the camera bases are turned in every pair."""
+
+    rig_T_base: Array  # (4, 4)
+    pan: Array  # (pairs, 2), rad, as set: left, right
+
+
+def place_rig(scenario: Scenario, points: Array, normals: Array) -> RobotPlacement:
+    """Take the scenario's placement, or look for one.
+
+    Args:
+        scenario: its rig table says what is wanted.
+        points: (pairs, leds, 3), m, the LEDs in the robot's base frame.
+        normals: (pairs, leds, 3), where they shine.
+
+    Raises:
+        InputError: no direction shows every LED in every pair.
+    """
+    rig = scenario.rig
+    if isinstance(rig.placement, ScenarioPlacement):
+        rig_T_base = rigid(
+            np.radians(rig.placement.base_rotation_deg),
+            np.asarray(rig.placement.base_position_mm) / 1000,
+        )
+        bench = build_bench(scenario, rig_T_base)
+        if rig.bases == "follow":
+            return RobotPlacement(rig_T_base, _pans(scenario, bench, points))
+        return RobotPlacement(
+            rig_T_base, np.tile(np.radians(rig.placement.pan_deg), (len(points), 1))
+        )
+    target: Array = points.reshape(-1, 3).mean(axis=0)
+    for back in DISTANCE_FACTORS:
+        distance = back * rig.distance_mm / 1000
+        eyes = target + distance * _directions()
+        for eye in eyes[_rank_eyes(eyes, points, normals)]:
+            rig_T_base = _look_at(eye, target)
+            bench = build_bench(scenario, rig_T_base)
+            pan = _pans(scenario, bench, points)
+            if _all_inside(bench, pan, points):
+                return RobotPlacement(rig_T_base, pan)
+    raise InputError(
+        "rig.placement",
+        f"no place near {rig.distance_mm:g} mm shows every LED in every pair, at most 60° from "
+        "where it shines",
+        remedy="Make the motion smaller, the distance longer, or let the bases follow.",
+    )
+
+
+def _directions() -> Array:
+    """Spread unit vectors evenly over the sphere (a Fibonacci spiral), level ones first served."""
+    i = np.arange(N_DIRECTIONS) + 0.5
+    z = 1 - 2 * i / N_DIRECTIONS
+    angle = np.pi * (1 + np.sqrt(5)) * i
+    ring = np.sqrt(1 - z * z)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+
+
+def _rank_eyes(eyes: Array, points: Array, normals: Array) -> Array:
+    """Order the eyes (e, 3) that see every LED within 60°, the one that sees them best first."""
+    toward = eyes[:, None, None] - points
+    toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
+    worst = np.sum(toward * normals, axis=-1).min(axis=(1, 2))
+    order = np.argsort(-worst, kind="stable")
+    best: Array = order[worst[order] > MIN_COSINE]
+    return best
+
+
+def _look_at(eye: Array, target: Array) -> Array:
+    """Stand the rig at `eye`, looking at `target`, its x level (or along y, seen from above)."""
+    z = (target - eye) / np.linalg.norm(target - eye)
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    if np.linalg.norm(x) < 1e-6:  # looking straight down or up
+        x = np.array([0.0, -1.0, 0.0])
+    x /= np.linalg.norm(x)
+    rig_T_base = np.eye(4)
+    rig_T_base[:3, :3] = np.stack([x, np.cross(z, x), z])
+    rig_T_base[:3, 3] = -rig_T_base[:3, :3] @ eye
+    return rig_T_base
+
+
+def _pans(scenario: Scenario, bench: Bench, points: Array) -> Array:
+    """Turn each base towards the LEDs' mean, of each pair or of all, in whole steps."""
+    rig = scenario.rig
+    in_rig = points @ bench.rig_T_base[:3, :3].T + bench.rig_T_base[:3, 3]
+    means = in_rig.mean(axis=1)
+    if rig.bases == "fixed":
+        means = np.tile(means.mean(axis=0), (len(means), 1))
+    step = np.radians(rig.pan_step_deg)
+    pans = np.stack([_pan_towards(camera, means) for camera in bench.cameras], axis=1)
+    stepped: Array = np.round(pans / step) * step
+    return stepped
+
+
+def _pan_towards(camera: SimulatedCamera, targets: Array) -> Array:
+    """Find the pan at which the optical axis passes the targets (n, 3) nearest, (n,) rad."""
+    axis = camera.pan_axis
+    ahead = camera.turntable_T_camera[:3, 2]
+
+    def across(v: Array) -> Array:
+        flat: Array = v - (v @ axis)[..., None] * axis
+        return flat
+
+    start, toward = across(ahead), across(targets - camera.pan_center)
+    sine = np.cross(start, toward) @ axis
+    angle: Array = np.arctan2(sine, toward @ start) - camera.pan_zero
+    return angle
+
+
+def _all_inside(bench: Bench, pan: Array, points: Array) -> bool:
+    """Tell if both cameras have every LED well inside the picture in every pair."""
+    in_rig = points @ bench.rig_T_base[:3, :3].T + bench.rig_T_base[:3, 3]
+    for side, camera in enumerate(bench.cameras):
+        limit = np.array(camera.image_size) - 1 - MARGIN_PX
+        turns, pairs = np.unique(pan[:, side], return_inverse=True)
+        for i, turn in enumerate(turns):  # fixed bases: one projection of all pairs
+            pixels = camera.project(in_rig[pairs == i], turn)
+            if not np.all((pixels > MARGIN_PX) & (pixels < limit)):  # NaN fails too
+                return False
+    return True

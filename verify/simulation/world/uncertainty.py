@@ -1,0 +1,94 @@
+"""How far the true world may lie from what rig.toml and marker.toml say: stated, and drawn."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from verify.core.records import Array
+from verify.core.rig import Covariance
+from verify.simulation.scenario import ScenarioUncertainty
+from verify.simulation.world.bench import Bench, SimulatedCamera, rigid
+
+# A board fixes the ratio of the two focal lengths far better than their common size.
+FOCAL_CORRELATION = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class TrueDeviation:
+    """True less stated, in the units that the parameters' names in rig.toml carry."""
+
+    camera: Array  # (2, 4), left and right: fx, fy, cx, cy, px
+    turn: Array  # (3,), rad, of the right camera, on the left of its mount rotation
+    base: Array  # (6,), m and rad, rig axes; the rotation on the left
+    body: Array  # (6,), m and rad, flange axes
+    leds: Array  # (n, 3), m, flange axes
+    pan: Array  # (2,), rad, of bases that stand still
+
+
+def stated_covariance(stated: ScenarioUncertainty) -> Covariance | None:
+    """Write the rig's part as rig.toml states it; None where nothing is stated."""
+    groups = [
+        (["left.fx_px", "left.fy_px"], stated.focal_px),
+        (["left.cx_px", "left.cy_px"], stated.principal_point_px),
+        (["right.fx_px", "right.fy_px"], stated.focal_px),
+        (["right.cx_px", "right.cy_px"], stated.principal_point_px),
+        ([f"right.mount_r{axis}_deg" for axis in "xyz"], stated.camera_rotation_deg),
+        ([f"robot_base.{axis}_mm" for axis in "xyz"], stated.base_position_mm),
+        ([f"robot_base.r{axis}_deg" for axis in "xyz"], stated.base_rotation_deg),
+    ]
+    parameters = [(name, u) for names, u in groups if u > 0 for name in names]
+    if not parameters:
+        return None
+    names = [name for name, _ in parameters]
+    correlation = np.eye(len(names))
+    for i, name in enumerate(names):
+        if name.endswith("fx_px"):
+            correlation[i, i + 1] = correlation[i + 1, i] = FOCAL_CORRELATION
+    return Covariance(tuple(names), np.array([u for _, u in parameters]), correlation)
+
+
+def draw_departure(
+    stated: ScenarioUncertainty, leds: int, rng: np.random.Generator
+) -> TrueDeviation:
+    """Draw one true world about what is stated; every number is drawn whatever is 0."""
+    normal = rng.standard_normal
+    focal = np.array([[1.0, 0.0], [FOCAL_CORRELATION, np.sqrt(1 - FOCAL_CORRELATION**2)]])
+    lens = np.concatenate(
+        [stated.focal_px * normal((2, 2)) @ focal.T, stated.principal_point_px * normal((2, 2))], 1
+    )
+    return TrueDeviation(
+        camera=lens,
+        turn=np.radians(stated.camera_rotation_deg) * normal(3),
+        base=_twist(stated.base_position_mm, stated.base_rotation_deg, normal(6)),
+        body=_twist(stated.led_body_mm, stated.led_body_deg, normal(6)),
+        leds=stated.led_mm / 1000 * normal((leds, 3)),
+        pan=np.radians(stated.pan_deg) * normal(2),
+    )
+
+
+def apply_departure(bench: Bench, by: TrueDeviation) -> Bench:
+    """Move a bench from what is stated to what is true (pans aside: they are readings)."""
+    left, right = (
+        replace(camera, matrix=_scale_focal(camera, change))
+        for camera, change in zip(bench.cameras, by.camera, strict=True)
+    )
+    turned = right.turntable_T_camera.copy()
+    turned[:3, :3] = rigid(by.turn, np.zeros(3))[:3, :3] @ turned[:3, :3]
+    rig_T_base = bench.rig_T_base.copy()
+    rig_T_base[:3, :3] = rigid(by.base[3:], np.zeros(3))[:3, :3] @ rig_T_base[:3, :3]
+    rig_T_base[:3, 3] += by.base[:3]
+    body = rigid(by.body[3:], by.body[:3])
+    leds = bench.leds @ body[:3, :3].T + body[:3, 3] + by.leds
+    return Bench(left, replace(right, turntable_T_camera=turned), rig_T_base, leds)
+
+
+def _scale_focal(camera: SimulatedCamera, change: Array) -> Array:
+    matrix = camera.matrix.copy()
+    matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += change  # fx, fy, cx, cy
+    return matrix
+
+
+def _twist(length_mm: float, angle_deg: float, numbers: Array) -> Array:
+    scale = np.repeat([length_mm / 1000, float(np.radians(angle_deg))], 3)
+    scaled: Array = scale * numbers
+    return scaled
