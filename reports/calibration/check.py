@@ -20,24 +20,25 @@ Tables: lengths (ends, known_mm, measured_mm, error_mm, standard_uncertainty_mm,
 The report of an interim check, in words: verdicts, figures, notes.
 """
 
+from functools import partial
 from typing import Any
 
 from reports.calibration.check_figures import CHECK_FIGURES
-from reports.calibration.words import FigureText
 from reports.document.blocks import (
     Block,
     Bullets,
     Cell,
     Document,
     Facts,
-    Figure,
+    FigureText,
     Paragraph,
     Section,
     Table,
     Verdict,
+    described,
     figure_or_text,
+    files_and_software,
     number_figures,
-    provenance,
     row,
     software,
 )
@@ -106,16 +107,16 @@ FIGURES = {
 }
 
 
+_figure_block = partial(figure_or_text, CHECK_FIGURES, FIGURES)
+
+
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
-    source = summary.get("source") or {}
     return number_figures(
         Document(
             title="Interim check of a calibration",
-            subtitle=text_or_dash(
-                source.get("description") or source.get("path") or "a set of pictures"
-            ),
+            subtitle=described(summary, "a set of pictures"),
             footer=f"{software(results.summary)} · interim check",
             sections=tuple(section(results) for section in SECTIONS),
         )
@@ -277,14 +278,7 @@ def _unit_sign(unit: Any) -> str:
 
 def conditions(results: Results) -> Section:
     """Say what the check was made from."""
-    facts = Facts((("Software", software(results.summary)),))
-    return Section("conditions", "Files and software", (facts, *provenance(results.summary)))
-
-
-def _figure_block(results: Results, name: str) -> Block:
-    said = FIGURES[name]
-    drawing = CHECK_FIGURES[name](results)
-    return figure_or_text(Figure(name, said.caption, said.alt), drawing, said.otherwise)
+    return files_and_software(results.summary)
 
 
 SECTIONS = (verdict, figures, lengths, power, conditions)

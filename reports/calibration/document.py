@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import pandas as pd
-
 from reports.calibration import check
 from reports.calibration.rig import (
     accuracy,
@@ -26,11 +24,13 @@ from reports.document.blocks import (
     Section,
     Table,
     Verdict,
+    described,
     number_figures,
     provenance,
     row,
     software,
 )
+from reports.document.charts import records
 from reports.document.formatting import (
     DASH,
     count,
@@ -51,13 +51,10 @@ def document(results: Results) -> Document:
     summary = results.summary
     if summary.get("method") == "check":
         return check.document(results)
-    source = summary.get("source") or {}
     return number_figures(
         Document(
             title="Calibration of two cameras from boards",
-            subtitle=text_or_dash(
-                source.get("description") or source.get("path") or "a set of pictures"
-            ),
+            subtitle=described(summary, "a set of pictures"),
             footer=f"{software(summary)} · calibration",
             sections=tuple(section(results) for section in SECTIONS),
         )
@@ -132,8 +129,8 @@ def fit(results: Results) -> Section:
 
 
 def _pair_table(results: Results) -> Table:
-    known = {(r["camera"], r["frame"]): r for r in _records(results.table("views"))}
-    stood = {r["frame"]: r for r in _records(results.table("boards"))}
+    known = {(r["camera"], r["frame"]): r for r in records(results.table("views"))}
+    stood = {r["frame"]: r for r in records(results.table("boards"))}
     rows = []
     for frame in sorted({frame for _, frame in known}):
         left, right = (known.get((camera, frame), {}) for camera in ("left", "right"))
@@ -160,10 +157,6 @@ def _pair_table(results: Results) -> Table:
         (CalibrationNotes.PAIRS,),
         wide=(8,),
     )  # fmt: skip
-
-
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    return [{str(key): value for key, value in line.items()} for line in table.to_dict("records")]
 
 
 def _view_cells(view: dict[str, Any]) -> tuple[str, str]:

@@ -17,12 +17,13 @@ from reports.document.charts import (
     Path,
     Points,
     column,
+    correlation_panel,
     numbers,
+    square,
     texts,
 )
 from reports.document.formatting import decimals_of, finite, number, quantity
 from reports.results import Results
-from reports.session.evidence_figures import RED_BLUE
 
 CAMERAS = (("left", "series_1"), ("right", "series_2"))
 COLOUR_SCALE = ((0.0, "paper"), (1.0, "used"))
@@ -295,20 +296,12 @@ def correlation(results: Results) -> Chart | None:
     """How the rig's parameters hang together."""
     entry = results.summary.get("parameter_correlation") or {}
     names = [str(name) for name in entry.get("parameters") or []]
-    rows = [numbers(row) for row in entry.get("correlation") or []]
-    if len(names) < 2 or [len(row) for row in rows] != [len(names)] * len(names):
+    values = square(entry.get("correlation"), len(names))
+    if len(names) < 2 or not values.size:
         return None
-    places = np.arange(len(names), dtype=float)
-    rows_named = tuple((at, f"{name}  {at + 1:.0f}") for at, name in enumerate(names))
-    columns_numbered = tuple((at, f"{at + 1:.0f}") for at in range(len(names)))
-    panel = Panel(
-        (Cells(np.array(rows), places, places, RED_BLUE, -1.0, 1.0),),
-        x_ticks=columns_numbered,
-        y_ticks=rows_named,
-        x_range=(-0.5, len(names) - 0.5),
-        y_range=(len(names) - 0.5, -0.5),  # the first on top, as a matrix is read
-        equal=True,
-    )
+    rows = tuple((at, f"{name}  {at + 1}") for at, name in enumerate(names))
+    columns = tuple((at, f"{at + 1}") for at in range(len(names)))
+    panel = correlation_panel(values, rows, columns)
     return Chart((panel,), row_height=0.3 + 0.175 * len(names), width=0.85)
 
 

@@ -41,8 +41,9 @@ from reports.document.blocks import (
     Section,
     Table,
     Verdict,
+    described,
+    files_and_software,
     number_figures,
-    provenance,
     row,
     software,
 )
@@ -67,13 +68,10 @@ MAX_HELD_OUT_RATIO = 1.5  # held-out over fitted rms: more says that the model d
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
-    source = summary.get("source") or {}
     return number_figures(
         Document(
             title=f"Registration of {text_or_dash(summary.get('robot'))}",
-            subtitle=text_or_dash(
-                source.get("description") or source.get("path") or "a recorded session"
-            ),
+            subtitle=described(summary, "a recorded session"),
             footer=(
                 f"{software(summary)} · registration {text_or_dash(summary.get('registration'))[:23]}"
             ),
@@ -284,13 +282,8 @@ def _share_text(joint: dict[str, Any]) -> str:
 
 def conditions(results: Results) -> Section:
     """Say what the registration was made from."""
-    facts = Facts(
-        (
-            ("Registration", text_or_dash(results.summary.get("registration"))),
-            ("Software", software(results.summary)),
-        )
-    )
-    return Section("conditions", "Files and software", (facts, *provenance(results.summary)))
+    registration = ("Registration", text_or_dash(results.summary.get("registration")))
+    return files_and_software(results.summary, registration)
 
 
 SECTIONS = (verdict, base_and_leds, visibility, residuals, axes, conditions)

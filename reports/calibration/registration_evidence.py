@@ -6,16 +6,16 @@ The report of a registration, in words: methods, figures, notes.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from reports.calibration.figures import CAMERAS, residual_vectors
 from reports.calibration.words import FIGURES as CALIBRATION
-from reports.calibration.words import FigureText
 from reports.document.blocks import (
     Block,
     Cell,
-    Figure,
+    FigureText,
     Paragraph,
     Section,
     Table,
@@ -188,11 +188,7 @@ FIGURES = {
 }
 
 
-def figure_block(results: Results, name: str) -> Block:
-    """Show one of the report's figures, or say why it is not there."""
-    said = FIGURES[name]
-    drawing = REGISTRATION_FIGURES[name](results)
-    return figure_or_text(Figure(name, said.caption, said.alt), drawing, said.otherwise)
+figure_block = partial(figure_or_text, REGISTRATION_FIGURES, FIGURES)
 
 
 def residuals(results: Results) -> Section:

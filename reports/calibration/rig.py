@@ -3,6 +3,7 @@
 What a point is worth in the report of a calibration, and what would help most.
 """
 
+from functools import partial
 from typing import Any
 
 import pandas as pd
@@ -16,16 +17,7 @@ from reports.calibration.words import (
     STATES_NOTE,
     CalibrationNotes,
 )
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Figure,
-    Paragraph,
-    Section,
-    Table,
-    figure_or_text,
-    row,
-)
+from reports.document.blocks import Block, Bullets, Paragraph, Section, Table, figure_or_text, row
 from reports.document.charts import column, texts
 from reports.document.formatting import (
     DASH,
@@ -172,12 +164,7 @@ def _scale(summary: dict[str, Any]) -> tuple[Block, ...]:
     return (Paragraph(text),)
 
 
-def figure_block(results: Results, name: str) -> Block:
-    """Show one of the report's figures, or say why it is not there."""
-    said = FIGURES[name]
-    draw = CALIBRATION_FIGURES.get(name)
-    drawing = results.images.get(name) if draw is None else draw(results)
-    return figure_or_text(Figure(name, said.caption, said.alt), drawing, said.otherwise)
+figure_block = partial(figure_or_text, CALIBRATION_FIGURES, FIGURES)
 
 
 def working_distance_entry(summary: dict[str, Any]) -> dict[str, Any]:

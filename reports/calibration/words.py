@@ -1,6 +1,6 @@
 """The report of a calibration, in words: parameters, figures, notes."""
 
-from dataclasses import dataclass
+from reports.document.blocks import FigureText
 
 GROUPS = {
     "focal lengths": "the cameras' focal lengths",
@@ -80,15 +80,6 @@ class CalibrationNotes:
         "errors of one are made up for by another. What is left were a group exact says where more "
         "or better pictures pay."
     )
-
-
-@dataclass(frozen=True, slots=True)
-class FigureText:
-    """What stands under a figure, for those who cannot see it, and in its place."""
-
-    caption: str
-    alt: str
-    otherwise: str
 
 
 FIGURES = {

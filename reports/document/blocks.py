@@ -3,12 +3,13 @@
 What a result was made from, in its report.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, ClassVar
 
 from reports.document.charts import Chart, Path
 from reports.document.formatting import DASH, text_or_dash
-from reports.results import one_line
+from reports.results import Results, one_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +84,16 @@ class Figure:
     number: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class FigureText:
+    """A figure's caption, its text for those who cannot see it, and what stands in its place."""
+
+    caption: str
+    alt: str
+    otherwise: str
+
+
+Charts = Mapping[str, Callable[[Results], Chart | Path | None]]  # a report's figures by name
 Block = Verdict | Paragraph | Bullets | Facts | Table | Figure
 
 
@@ -151,9 +162,26 @@ def to_template_data(value: Any) -> Any:
     return value
 
 
-def figure_or_text(figure: Figure, drawing: Chart | Path | bytes | None, otherwise: str) -> Block:
+def block_or_paragraph(
+    figure: Figure, drawing: Chart | Path | bytes | None, otherwise: str
+) -> Block:
     """Show a figure where there is something to draw, else say in words why there is none."""
     return Paragraph(otherwise, "note") if drawing is None else replace(figure, drawing=drawing)
+
+
+def chart_of(charts: Charts, results: Results, name: str) -> Chart | Path | bytes | None:
+    """Draw the figure of this name, or take the image that was recorded under it."""
+    draw = charts.get(name)
+    return results.images.get(name) if draw is None else draw(results)
+
+
+def figure_or_text(
+    charts: Charts, texts: Mapping[str, FigureText], results: Results, name: str
+) -> Block:
+    """Show one of a report's figures, or say why it is not there."""
+    text = texts[name]
+    figure = Figure(name, text.caption, text.alt)
+    return block_or_paragraph(figure, chart_of(charts, results, name), text.otherwise)
 
 
 def row(*cells: str | Cell) -> tuple[Cell, ...]:
@@ -165,6 +193,12 @@ def software(summary: dict[str, Any]) -> str:
     """Name the program that made a result, and its version."""
     tool = summary.get("tool") or {}
     return f"{tool.get('name') or 'verify'} {tool.get('version') or DASH}"
+
+
+def described(summary: dict[str, Any], otherwise: str) -> str:
+    """Give the description or the path of what a result was made from."""
+    source = summary.get("source") or {}
+    return text_or_dash(source.get("description") or source.get("path") or otherwise)
 
 
 def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
@@ -182,3 +216,9 @@ def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
     else:
         blocks.append(Paragraph("There were no warnings."))
     return tuple(blocks)
+
+
+def files_and_software(summary: dict[str, Any], *facts: tuple[str, str]) -> Section:
+    """Close a report with what it was made from; `facts` come first."""
+    known = Facts((*facts, ("Software", software(summary))))
+    return Section("conditions", "Files and software", (known, *provenance(summary)))

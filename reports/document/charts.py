@@ -6,6 +6,7 @@
 Columns made ready to draw: broken where pairs are missing, thinned without hiding extremes.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Box = tuple[tuple[float, float], ...]
 
 MAX_LINE_POINTS = (
     5_000  # points a line may have; a page is some 2,000 dots wide, so more cannot be told apart
@@ -42,6 +44,16 @@ def texts(table: pd.DataFrame, name: str) -> list[str]:
     if name not in table:
         return [""] * len(table)
     return ["" if pd.isna(value) else str(value) for value in table[name]]
+
+
+def columns(table: pd.DataFrame, names: Iterable[str]) -> Array:
+    """Take columns as numbers side by side, (rows, columns); NaN where one is missing."""
+    return np.stack([column(table, name) for name in names], axis=1)
+
+
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Take a table row by row."""
+    return [{str(name): value for name, value in one.items()} for one in table.to_dict("records")]
 
 
 def origin(t: Array) -> float:
@@ -143,6 +155,28 @@ def numbers(values: Any) -> list[float]:
     return [float(v) if isinstance(v, int | float) else float("nan") for v in values]
 
 
+def square(rows: Any, size: int) -> Array:
+    """Take a list of lists as a square matrix; empty where it is none."""
+    lines = [numbers(row) for row in rows] if isinstance(rows, list) else []
+    fits = len(lines) == size and all(len(line) == size for line in lines)
+    return np.array(lines) if fits else np.empty(0)
+
+
+def box(points: Array, longer: float, share: float = 0.2, least: float = 0.0) -> Box:
+    """Find ranges of x, y and z around points (n, 3), for axes that can be read.
+
+    Args:
+        points: NaN where a line is broken.
+        longer: each range over the points' own extent.
+        share: half of a range is at least this share of the longest extent, ...
+        least: ... and at least this, in the points' unit.
+    """
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    half = np.maximum((high - low) / 2, max(share * float((high - low).max()), least)) * longer
+    middle = (low + high) / 2
+    return tuple((float(m - h), float(m + h)) for m, h in zip(middle, half, strict=True))
+
+
 def _split_at_gaps(t: Array, y: Array) -> tuple[Indices, Indices]:
     kept = np.flatnonzero(np.isfinite(t) & np.isfinite(y))
     if not len(kept):
@@ -169,6 +203,8 @@ def _extremes(y: Array) -> Indices:
     ]
     return np.unique(np.array(both, dtype=np.int64))
 
+
+Ticks = tuple[tuple[float, str], ...]  # place, word
 
 # Role: (on light, on dark). Hues after Okabe and Ito, told apart by every common colour vision.
 PALETTE = {
@@ -198,6 +234,7 @@ PALETTE = {
     "series_8": ("#999999", "#8a8f96"),
 }
 DASHES = {"encoder": "dash", "tolerance": "dot"}  # told apart without colour too
+RED_BLUE = ((0.0, "low"), (0.5, "paper"), (1.0, "high"))
 SERIES = [name for name in PALETTE if name.startswith("series_")]
 
 
@@ -300,8 +337,8 @@ class Panel:
     title: str = ""
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
-    x_ticks: tuple[tuple[float, str], ...] = ()
-    y_ticks: tuple[tuple[float, str], ...] = ()
+    x_ticks: Ticks = ()
+    y_ticks: Ticks = ()
     equal: bool = False  # one unit as long on x as on y
     unit: str = ""  # of y, for what a pointer reads off
 
@@ -324,3 +361,19 @@ class Path:
     lines: tuple[tuple[Array, str, str], ...]
     labels: tuple[str, str, str]
     ranges: tuple[tuple[float, float], ...] = field(default=())
+
+
+def correlation_panel(
+    values: Array, rows: Ticks, columns: Ticks, text: tuple[tuple[str, ...], ...] = ()
+) -> Panel:
+    """Lay out a correlation matrix (n, n), the first row on top, as a matrix is read."""
+    n = len(values)
+    places = np.arange(n, dtype=float)
+    return Panel(
+        (Cells(values, places, places, RED_BLUE, -1.0, 1.0, text),),
+        x_ticks=columns,
+        y_ticks=rows,
+        x_range=(-0.5, n - 0.5),
+        y_range=(n - 0.5, -0.5),
+        equal=True,
+    )

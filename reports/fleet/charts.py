@@ -36,11 +36,6 @@ KINDS = {"step": "step", "drift": "drift", "change": "step or drift"}
 VERDICTS = {"conform": "conform", "nonconform": "do not conform", "undecided": "undecided"}
 
 
-def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Take a table row by row."""
-    return [{str(name): value for name, value in one.items()} for one in table.to_dict("records")]
-
-
 def format_day(days: Any) -> str:
     """Write days since 1970 as a date."""
     known = finite(days)

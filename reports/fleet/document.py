@@ -16,6 +16,7 @@ from reports.document.blocks import (
     row,
     software,
 )
+from reports.document.charts import records
 from reports.document.formatting import (
     DASH,
     count,
@@ -111,7 +112,7 @@ def _headline(results: Results) -> Verdict:
     accused = found.drop_duplicates(["arm", "joint"])
     others = judged - len(accused)
     label = f"{count(len(accused))} of {count(judged)} joints changed"
-    sentences = [fleet_charts.change_text(one) for one in fleet_charts.records(found)[:4]]
+    sentences = [fleet_charts.change_text(one) for one in records(found)[:4]]
     if len(found) > 4:
         sentences.append(f"{count(len(found) - 4)} further changes are listed below")
     rest = f" The other {count(others)} joints show no change." if others else ""
@@ -124,7 +125,7 @@ def joints(results: Results) -> Section:
     table = results.table("joints")
     order = {"several": 0, "drift": 1, "step": 1, "change": 1, "steady": 2, "unknown": 3}
     entries = sorted(
-        fleet_charts.records(table),
+        records(table),
         key=lambda e: (order.get(str(e["state"]), 2), str(e["arm"]), int(e["joint"])),
     )
     rows = []
@@ -173,7 +174,7 @@ def _expanded(u: float | None) -> float | None:
 
 def changes(results: Results) -> Section:
     """Every change with its date, size and how surely its kind is told."""
-    found = fleet_charts.records(results.table("changes"))
+    found = records(results.table("changes"))
     if not found:
         text = "No change was found beyond what chance brings about."
         return Section("changes", "Changes", (Bullets((text,)),))

@@ -6,6 +6,7 @@ import pandas as pd
 
 from reports.document import formatting
 from reports.document.blocks import Block, Bullets, Cell, Paragraph, Section, Table, row
+from reports.document.charts import records
 from reports.document.formatting import (
     DASH,
     count,
@@ -18,7 +19,7 @@ from reports.document.formatting import (
     text_or_dash,
     with_uncertainty,
 )
-from reports.fleet.charts import STATES, records
+from reports.fleet.charts import STATES
 from reports.results import Results
 from reports.session import phrases
 

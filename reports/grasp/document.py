@@ -40,7 +40,7 @@ from reports.document.blocks import (
     Section,
     Table,
     Verdict,
-    figure_or_text,
+    block_or_paragraph,
     number_figures,
     row,
     software,
@@ -172,7 +172,7 @@ def _outcome(results: Results) -> Section:
         "pictures", "Both cameras, left and right: what was searched (box) and seen (ellipse).",
         "Pictures of both cameras in the main states", picture,
     )  # fmt: skip
-    blocks.append(figure_or_text(shown, picture, "There are no pictures."))
+    blocks.append(block_or_paragraph(shown, picture, "There are no pictures."))
     return Section("outcome", "Outcome", tuple(blocks))
 
 
@@ -189,7 +189,7 @@ def _states(results: Results) -> Section:
     )  # fmt: skip
     head = ("t [s]", "from", "to", "event", "because")
     blocks = (
-        figure_or_text(figure, chart, "It was too short to draw."),
+        block_or_paragraph(figure, chart, "It was too short to draw."),
         Table("Every passage from one state to another.", "rllll", head, rows, wide=(4,)),
     )
     return Section("states", "States over time", blocks)
@@ -202,7 +202,7 @@ def _track(results: Results) -> Section:
     )  # fmt: skip
     drawing = figures.track(results)
     said = "The target was not seen by both cameras."
-    return Section("track", "Track", (figure_or_text(figure, drawing, said),))
+    return Section("track", "Track", (block_or_paragraph(figure, drawing, said),))
 
 
 def _camshift(results: Results) -> Section:
@@ -212,13 +212,13 @@ def _camshift(results: Results) -> Section:
     )  # fmt: skip
     drawing = figures.windows(results)
     said = "CAMSHIFT saw nothing of the target's colours."
-    return Section("camshift", "CAMSHIFT over time", (figure_or_text(figure, drawing, said),))
+    return Section("camshift", "CAMSHIFT over time", (block_or_paragraph(figure, drawing, said),))
 
 
 def _joints(results: Results) -> Section:
     figure = Figure("joints", "Joint angles, read and ordered.", "Six strips of joint angles")
     blocks: list[Block] = [
-        figure_or_text(figure, figures.joints(results), "No joint angles were read.")
+        block_or_paragraph(figure, figures.joints(results), "No joint angles were read.")
     ]
     table = results.table("cycles")
     names, t = texts(table, "state"), column(table, "t_s")
@@ -265,7 +265,9 @@ def _margins(results: Results) -> Section:
         "Three lines over time, and what the gripper leaves",
     )  # fmt: skip
     drawing = figures.margins(results)
-    blocks: list[Block] = [figure_or_text(figure, drawing, "The target's place was never known.")]
+    blocks: list[Block] = [
+        block_or_paragraph(figure, drawing, "The target's place was never known.")
+    ]
     if plan:
         margin = plan["margin"]
         rows = tuple(
@@ -288,7 +290,7 @@ def _plan(results: Results) -> Section:
     said = "There is no plan."
     if refusal:
         said = f"Refused ({refusal['kind']}): {refusal['reason']}."
-    blocks.append(figure_or_text(figure, figures.planned_motion(results), said))
+    blocks.append(block_or_paragraph(figure, figures.planned_motion(results), said))
     chosen = plan or refusal or {}
     rows = [row(entry["branch"], entry["reason"]) for entry in chosen.get("rejected") or []]
     if plan:

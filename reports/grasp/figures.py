@@ -12,7 +12,9 @@ from reports.document.charts import (
     Panel,
     Path,
     Runs,
+    box,
     column,
+    columns,
     texts,
 )
 from reports.results import Results
@@ -65,10 +67,7 @@ def track(results: Results) -> Path | None:
     if not lines:
         return None
     every = np.vstack([points for points, _, _ in lines])
-    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
-    sides = np.maximum(high - low, MIN_BOX_SIDE * (high - low).max()) * AXIS_EXTENSION
-    middle, half = (low + high) / 2, sides / 2
-    ranges = tuple((float(m - h), float(m + h)) for m, h in zip(middle, half, strict=True))
+    ranges = box(every, AXIS_EXTENSION, MIN_BOX_SIDE / 2)
     return Path(tuple(lines), ("x [mm]", "y [mm]", "z [mm]"), ranges)
 
 
@@ -165,4 +164,4 @@ def _angle_panel(joint: int, marks: list[Mark]) -> Panel:
 
 
 def _point_columns(table: pd.DataFrame, name: str) -> Array:
-    return np.stack([column(table, f"{name}_{axis}_mm") for axis in "xyz"], axis=1)
+    return columns(table, (f"{name}_{axis}_mm" for axis in "xyz"))

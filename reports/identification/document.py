@@ -30,22 +30,23 @@ Tables: residuals (source, frame, used, before_mm, after_mm, before_deg, after_d
 The report of an identified arm, in words: models, figures, notes.
 """
 
+from functools import partial
 from typing import Any
 
-from reports.calibration.words import FigureText
 from reports.document.blocks import (
     Block,
     Cell,
     Document,
     Facts,
-    Figure,
+    FigureText,
     Paragraph,
     Section,
     Table,
     Verdict,
+    described,
     figure_or_text,
+    files_and_software,
     number_figures,
-    provenance,
     row,
     software,
 )
@@ -140,18 +141,17 @@ MAX_OUTLIERS = 60  # outlying poses in the table; the others are in summary.json
 RESIDUAL_COLUMNS = ("mean [mm]", "rms [mm]", "max [mm]", "mean [°]", "rms [°]", "max [°]")
 UNITS = {"deg": "°", "mm": "mm"}
 
+_figure_block = partial(figure_or_text, IDENTIFICATION_FIGURES, FIGURES)
+
 
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
-    source = summary.get("source") or {}
     fingerprint = text_or_dash(summary.get("robot_fingerprint"))[:23]
     return number_figures(
         Document(
             title=f"Identification of {text_or_dash(summary.get('robot'))}",
-            subtitle=text_or_dash(
-                source.get("description") or source.get("path") or "a recorded session"
-            ),
+            subtitle=described(summary, "a recorded session"),
             footer=f"{software(summary)} · robot {fingerprint}",
             sections=tuple(section(results) for section in SECTIONS),
         )
@@ -388,14 +388,7 @@ def parameter_uncertainty(results: Results) -> Section:
 
 def conditions(results: Results) -> Section:
     """Say what the identification was made from."""
-    facts = Facts((("Software", software(results.summary)),))
-    return Section("conditions", "Files and software", (facts, *provenance(results.summary)))
-
-
-def _figure_block(results: Results, name: str) -> Block:
-    words = FIGURES[name]
-    drawing = IDENTIFICATION_FIGURES[name](results)
-    return figure_or_text(Figure(name, words.caption, words.alt), drawing, words.otherwise)
+    return files_and_software(results.summary)
 
 
 SECTIONS = (

@@ -28,14 +28,14 @@ Tables: trajectory, poses, pairs, spots, arm, cameras, shown, sources.
 The report of a planned session, in words: kinds, figures, notes.
 """
 
+from functools import partial
 from typing import Any
 
-from reports.calibration.words import FigureText
 from reports.document.blocks import (
     Block,
     Document,
     Facts,
-    Figure,
+    FigureText,
     Paragraph,
     Section,
     Table,
@@ -150,6 +150,8 @@ FIGURES = {
 
 
 UNITS = {"deg": "°", "percent": "%", "mm": "mm"}
+
+_figure_block = partial(figure_or_text, PLAN_FIGURES, FIGURES)
 
 
 def document(results: Results) -> Document:
@@ -369,9 +371,3 @@ def conditions(results: Results) -> Section:
     return Section(
         "conditions", "Assumptions, files and software", (facts, *provenance(results.summary))
     )
-
-
-def _figure_block(results: Results, name: str) -> Block:
-    words = FIGURES[name]
-    drawing = PLAN_FIGURES[name](results)
-    return figure_or_text(Figure(name, words.caption, words.alt), drawing, words.otherwise)

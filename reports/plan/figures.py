@@ -15,7 +15,9 @@ from reports.document.charts import (
     Panel,
     Path,
     Points,
+    box,
     column,
+    columns,
     numbers,
     texts,
     trace,
@@ -103,13 +105,13 @@ def view(results: Results) -> Chart | None:
 def path(results: Results) -> Path | None:
     """The flange's way, the arm at some poses, and the cameras."""
     table, cameras = results.table("arm"), results.table("cameras")
-    points = np.stack([column(table, f"{a}_mm") for a in "xyz"], axis=1)
+    points = columns(table, (f"{a}_mm" for a in "xyz"))
     what, number = np.array(texts(table, "what")), column(table, "number")
     if not np.isfinite(points).any():
         return None
     arms = [points[(what == "arm") & (number == k)] for k in np.unique(number[what == "arm"])]
-    eyes = np.stack([column(cameras, f"{a}_mm") for a in "xyz"], axis=1)
-    ahead = np.stack([column(cameras, f"axis_{a}") for a in "xyz"], axis=1)
+    eyes = columns(cameras, (f"{a}_mm" for a in "xyz"))
+    ahead = columns(cameras, (f"axis_{a}" for a in "xyz"))
     axes = [np.stack([eye, eye + AXIS_MM * way]) for eye, way in zip(eyes, ahead, strict=True)]
     lines = (
         (points[what == "flange"], "measured", "flange"),
@@ -117,11 +119,7 @@ def path(results: Results) -> Path | None:
         (_join_with_gaps(axes), "encoder", "cameras"),
     )
     every = np.concatenate([line for line, _, _ in lines])
-    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
-    half = np.maximum((high - low) / 2, 0.2 * float((high - low).max())) * (1 + PATH_MARGIN)
-    middle = (low + high) / 2
-    ranges = tuple((float(m - h), float(m + h)) for m, h in zip(middle, half, strict=True))
-    return Path(lines, ("x [mm]", "y [mm]", "z [mm]"), ranges)
+    return Path(lines, ("x [mm]", "y [mm]", "z [mm]"), box(every, 1 + PATH_MARGIN))
 
 
 def _join_with_gaps(pieces: list[Array]) -> Array:

@@ -16,6 +16,7 @@ from reports.document.formatting import (
     count,
     finite,
     join_words,
+    joint_names,
     number,
     percent,
     quantity,
@@ -57,17 +58,13 @@ def monte_carlo_blocks(summary: dict[str, Any]) -> list[Block]:
         return [Paragraph(f"{chain} {holds}")]
     bad = sorted({j for fail in fails if not fail.get("coupled") for j in fail.get("joints") or []})
     counted = (
-        f"It does not hold for {_joint_names(bad)} at the poses below: there the budget says too "
+        f"It does not hold for {joint_names(bad)} at the poses below: there the budget says too "
         "little or too much."
         if bad
         else "It fails only for joints that a singularity couples, which no single joint's figure "
         "rests on."
     )
     return [Paragraph(f"{chain} {counted}"), _failure_table(fails, within)]
-
-
-def _joint_names(names: list[Any]) -> str:
-    return f"joint{'s' if len(names) > 1 else ''} {join_words([text_or_dash(n) for n in names])}"
 
 
 def _failure_table(fails: list[dict[str, Any]], within: str) -> Table:

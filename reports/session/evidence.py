@@ -9,7 +9,15 @@ import numpy as np
 import pandas as pd
 
 from reports.document import formatting
-from reports.document.blocks import Block, Figure, Paragraph, Section, Table, figure_or_text, row
+from reports.document.blocks import (
+    Block,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    block_or_paragraph,
+    row,
+)
 from reports.document.charts import Band, Chart, Level, Mark, Panel, Points, column, texts
 from reports.document.formatting import (
     DASH,
@@ -189,7 +197,7 @@ def relative_motions(results: Results) -> Section:
     blocks: list[Block] = [
         Paragraph(_test_text(entry)),
         Paragraph(RELATIVE_NOTE),
-        figure_or_text(
+        block_or_paragraph(
             Figure(
                 "relative",
                 RELATIVE_CAPTION,

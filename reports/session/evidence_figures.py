@@ -1,7 +1,5 @@
 """Figures of what the results rest on: tables in, chart out, None for nothing."""
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -21,6 +19,8 @@ from reports.document.charts import (
     Points,
     Runs,
     column,
+    correlation_panel,
+    square,
     time_axis,
     trace,
 )
@@ -33,27 +33,18 @@ MAX_SCATTER_POINTS = (
     5_000  # spots; more of them cover each other, so their density is shown instead
 )
 DENSITY_CELLS = 61  # a side; odd, so that one cell is centred on zero
-RED_BLUE = ((0.0, "low"), (0.5, "paper"), (1.0, "high"))
 
 
 def correlation(results: Results) -> Chart | None:
     """How the mean errors of the joints hang together."""
     rows = results.summary.get("joint_error_correlation")
     names = [f"q{joint.get('joint')}" for joint in (results.summary.get("joints") or [])]
-    values = _square(rows, len(names))
+    values = square(rows, len(names))
     if len(names) < 2 or not np.isfinite(values).any():
         return None
-    places = np.arange(len(names), dtype=float)
-    ticks = tuple(zip(places.tolist(), names, strict=True))
     text = tuple(tuple(number(v, 2) for v in line) for line in values)
-    panel = Panel(
-        (Cells(values, places, places, RED_BLUE, -1.0, 1.0, text),),
-        x_ticks=ticks,
-        y_ticks=ticks,
-        x_range=(-0.5, len(names) - 0.5),
-        y_range=(len(names) - 0.5, -0.5),  # joint 1 on top, as a matrix is read
-        equal=True,
-    )
+    ticks = tuple((float(place), name) for place, name in enumerate(names))
+    panel = correlation_panel(values, ticks, ticks, text)
     return Chart((panel,), row_height=0.25 + 0.25 * len(names), width=0.42)
 
 
@@ -201,13 +192,6 @@ def budget_shares(table: pd.DataFrame) -> pd.DataFrame:
     total = wide.sum()
     shares: pd.DataFrame = (wide / total.where(total > 0)).fillna(0.0)
     return shares if bool((total > 0).any()) else pd.DataFrame()
-
-
-def _square(rows: Any, size: int) -> Array:
-    """Take a list of lists as a square matrix; empty where it is none."""
-    lines = [charts.numbers(row) for row in rows] if isinstance(rows, list) else []
-    fits = len(lines) == size and all(len(line) == size for line in lines)
-    return np.array(lines) if fits else np.empty(0)
 
 
 def _used_spots(spots: pd.DataFrame) -> NDArray[np.bool_]:

@@ -1,11 +1,21 @@
 """The first half of a report: the verdict, the joints, the causes, the errors, the pose."""
 
-from dataclasses import replace
 from pathlib import PurePath
 from typing import Any
 
 from reports.document import formatting
-from reports.document.blocks import Block, Cell, Facts, Figure, Paragraph, Section, Table, row
+from reports.document.blocks import (
+    Block,
+    Cell,
+    Facts,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    block_or_paragraph,
+    chart_of,
+    row,
+)
 from reports.document.charts import MAX_LINE_POINTS
 from reports.document.formatting import (
     DASH,
@@ -80,9 +90,7 @@ def clock_text(summary: dict[str, Any]) -> str:
 
 def chart_or_text(results: Results, figure: Figure, otherwise: str) -> Block:
     """Show a figure where there is something to draw, else say in words why there is none."""
-    draw = FIGURES.get(figure.name)
-    drawing = results.images.get(figure.name) if draw is None else draw(results)
-    return Paragraph(otherwise, "note") if drawing is None else replace(figure, drawing=drawing)
+    return block_or_paragraph(figure, chart_of(FIGURES, results, figure.name), otherwise)
 
 
 def joints(results: Results) -> Section:

@@ -84,9 +84,9 @@ def pose(results: Results) -> Chart | None:
     """Position and rotation vector of the flange over time, measured and from the encoders."""
     frames = results.table("frames")
     t, time = time_axis(frames)
-    turned = charts.unwrap_rotation(_columns(frames, ["rx_deg", "ry_deg", "rz_deg"]))
+    turned = charts.unwrap_rotation(charts.columns(frames, ["rx_deg", "ry_deg", "rz_deg"]))
     turned_encoder = charts.unwrap_rotation(
-        _columns(frames, ["rx_encoder_deg", "ry_encoder_deg", "rz_encoder_deg"]), turned
+        charts.columns(frames, ["rx_encoder_deg", "ry_encoder_deg", "rz_encoder_deg"]), turned
     )
     panels = []
     for i, axis in enumerate("xyz"):
@@ -109,7 +109,7 @@ def flange_path(results: Results) -> Path | None:
         (("x_mm", "y_mm", "z_mm"), "measured", "measured"),
         (("x_encoder_mm", "y_encoder_mm", "z_encoder_mm"), "encoder", "from encoders"),
     ):
-        points = _columns(frames, list(names))
+        points = charts.columns(frames, names)
         stride = max(1, -(-len(points) // charts.MAX_LINE_POINTS))
         gaps, _ = trace(index[::stride], points[::stride].sum(axis=1))
         rows = np.where(np.isfinite(gaps), gaps, 0).astype(int)
@@ -117,13 +117,7 @@ def flange_path(results: Results) -> Path | None:
     every = np.concatenate([line for line, _, _ in lines])
     if not np.isfinite(every).any():
         return None
-    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
-    # A flat path still needs axes that can be read: none shorter than 0.4 of the longest, or 1 mm.
-    half = np.maximum((high - low) / 2, max(0.2 * float((high - low).max()), 0.5)) * (
-        1 + PANEL_MARGIN
-    )
-    middle = (low + high) / 2
-    ranges = tuple((float(m - h), float(m + h)) for m, h in zip(middle, half, strict=True))
+    ranges = charts.box(every, 1 + PANEL_MARGIN, least=0.5)  # mm: the arm may stand still
     return Path(tuple(lines), ("x [mm]", "y [mm]", "z [mm]"), ranges)
 
 
@@ -133,10 +127,6 @@ def _resolved_per_frame(results: Results) -> pd.DataFrame:
     if "frame" not in frames or "frame" not in resolved:
         return pd.DataFrame(index=frames.index)
     return resolved.drop_duplicates("frame").set_index("frame").reindex(frames["frame"])
-
-
-def _columns(table: pd.DataFrame, names: list[str]) -> Array:
-    return np.stack([column(table, name) for name in names], axis=1)
 
 
 def _pose_panel(

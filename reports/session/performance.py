@@ -13,7 +13,7 @@ from reports.document.blocks import (
     Paragraph,
     Section,
     Table,
-    figure_or_text,
+    block_or_paragraph,
     row,
 )
 from reports.document.formatting import (
@@ -178,13 +178,13 @@ def performance(results: Results) -> Section:
     if poses:
         clusters = Figure("pose_clusters", CLUSTER_CAPTION, CLUSTERS_ALT)
         blocks += [Paragraph(_pose_summary(poses)), _positions(entry)]
-        blocks.append(figure_or_text(clusters, pose_clusters(results), NO_VISITS))
+        blocks.append(block_or_paragraph(clusters, pose_clusters(results), NO_VISITS))
         blocks += _optional_tables(poses, _orientations, _variation, _drift)
     blocks += _optional_tables(entry.get("distances") or [], _distances)
     if paths:
         band = Figure("path_band", BAND_CAPTION, BAND_ALT)
         blocks += [Paragraph(_path_summary(paths)), _paths(paths)]
-        blocks.append(figure_or_text(band, path_band(results), NO_VISITS))
+        blocks.append(block_or_paragraph(band, path_band(results), NO_VISITS))
     blocks.append(
         Paragraph(
             "These figures are named ISO 9283-style because the test differs from the standard's, "

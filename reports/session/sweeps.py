@@ -12,7 +12,7 @@ from reports.document.blocks import (
     Paragraph,
     Section,
     Table,
-    figure_or_text,
+    block_or_paragraph,
     row,
 )
 from reports.document.charts import Chart, Level, Line, Mark, Panel, Points, column
@@ -86,7 +86,7 @@ def _blocks(results: Results) -> tuple[Block, ...]:
     return (
         *blocks,
         Paragraph(SWEEP_NOTE),
-        figure_or_text(figure, _chart(results), "The sweeps' pairs were not kept."),
+        block_or_paragraph(figure, _chart(results), "The sweeps' pairs were not kept."),
         _table(entries),
         *_excluded_pairs(entries),
     )
