@@ -1,67 +1,84 @@
-# Everything a user or the CI needs; each target builds the environment first, once.
+# Everything a user or the CI needs. Each target builds what it needs of the environment, once.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
-WARM := $(VENV)/.warm
+RUN := $(VENV)/.run-installed
+DEV := $(VENV)/.dev-installed
+COMPILED := $(VENV)/.compiled
+PIP = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c .ci/constraints.txt
 
-.PHONY: demo test lint check format samples accept bench soak bench-coverage bench-diagnosis bench-grab clean
+.PHONY: demo test test-all lint check format samples accept bench soak bench-coverage bench-diagnosis bench-grab clean
 
-$(STAMP): pyproject.toml .ci/constraints.txt
+# what running needs
+$(RUN): pyproject.toml .ci/constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "verify needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt -e '.[dev]'
+	@echo "environment: $(VENV), packages that running needs"
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) -e .
 	@touch $@
 
-# what is compiled, once and not at the first measurement
-$(WARM): $(STAMP)
-	$(BIN)/python -m verify.compile_ahead
+# what tests and checks need besides
+$(DEV): $(RUN)
+	@echo "environment: packages that tests and checks need"
+	@$(PIP) -e '.[dev]'
+	@touch $@
+
+# once, not at the first measurement
+$(COMPILED): $(RUN)
+	@echo "machine code of the inner loops, once: about a minute of processor time"
+	@$(BIN)/python -m verify.compile_ahead
 	@touch $@
 
 # status 1 says that the robot does not conform, as this one should not
-demo: $(WARM)
+demo: $(RUN)
+	@echo "sample session: measured, compared, reported in demo-report/"
 	@$(BIN)/verify run sample_sessions/multi_joint_fault_6r -o demo-report --force --tolerance 0.2; \
 	status=$$?; [ $$status -le 1 ] || exit $$status
 
-test: $(WARM)
+# the quick suite: every room, every command once from end to end
+test: $(DEV) $(COMPILED)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not realtime and not browser"
+
+# all of it: what is slow, statistical, in real time or in a browser as well
+test-all: $(DEV) $(COMPILED)
 	$(BIN)/python -m pytest -n 3 --dist worksteal
 
-lint: $(STAMP)
+lint: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-check: lint test
+check: lint test-all
 
-format: $(STAMP)
+format: $(DEV)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-samples: $(STAMP)
+samples: $(DEV)
 	$(BIN)/python -m tests.support.samples
 
-accept: $(STAMP)
+accept: $(DEV)
 	$(BIN)/python -m pytest tests/golden --accept
 
-bench: $(STAMP)
+bench: $(DEV)
 	$(BIN)/python -m tests.bench
 	$(BIN)/python -m tests.bench.fleet_pixels
 
-soak: $(STAMP)
+soak: $(DEV)
 	$(BIN)/python -m tests.bench.soak
 
-bench-coverage: $(STAMP)
+bench-coverage: $(DEV)
 	$(BIN)/python -m tests.bench.coverage
 	$(BIN)/python -m tests.bench.calibration
 	$(BIN)/python -m tests.bench.registration
 	$(BIN)/python -m tests.bench.whole_chain
 
-bench-diagnosis: $(STAMP)
+bench-diagnosis: $(DEV)
 	$(BIN)/python -m tests.bench.judged
 	$(BIN)/python -m tests.bench.diagnosis
 
-bench-grab: $(STAMP)
+bench-grab: $(DEV)
 	$(BIN)/python -m tests.bench.grab --full
 	$(BIN)/python -m tests.bench.grab_closed
 	$(BIN)/python -m tests.bench.grab_emulated
