@@ -1,0 +1,59 @@
+"""The rules of docs/architecture.md that import-linter does not check."""
+
+import ast
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / "verify"
+FACES = {"verify", "robots", "reports"}
+MAX_LINES = 450
+
+
+def modules() -> list[Path]:
+    return sorted(p for p in PACKAGE.rglob("*.py") if p.name != "__init__.py")
+
+
+def test_no_module_is_loose_in_the_package() -> None:
+    assert len(list(PACKAGE.glob("*.py"))) <= 4
+
+
+def test_a_class_name_is_defined_once() -> None:
+    places = defaultdict(list)
+    for path in modules():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(path.relative_to(PACKAGE).as_posix())
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}
+
+
+@pytest.mark.parametrize("package", ["verify", "robots", "reports"])
+def test_no_family_of_files_shares_a_first_word(package: str) -> None:
+    families = []
+    for folder in {p.parent for p in (PACKAGE.parent / package).rglob("*.py")}:
+        words = defaultdict(list)
+        for path in folder.glob("*.py"):
+            words[path.stem.split("_")[0]].append(path.name)
+        families += [
+            sorted(names)
+            for word, names in words.items()
+            if word and len(names) > 1 and any("_" in name for name in names)
+        ]
+    assert families == []
+
+
+@pytest.mark.parametrize("package", ["verify", "reports"])
+def test_a_face_holds_a_docstring_and_nothing_else(package: str) -> None:
+    root = PACKAGE.parent / package
+    for path in root.rglob("__init__.py"):
+        if path.parent.name in FACES:
+            continue
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        assert len(body) == 1, path
+        assert isinstance(body[0], ast.Expr), path
+
+
+def test_no_module_is_longer_than_a_reader_holds() -> None:
+    lengths = {p.relative_to(PACKAGE): len(p.read_text().splitlines()) for p in modules()}
+    assert {path: n for path, n in lengths.items() if n > MAX_LINES} == {}
