@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 import robots
-from robots import Arm, DhArm
+from robots import Arm, DhArm, RobotError
 from robots.inverse import near_within
 from robots.trajectory import (
     JointLimits,
@@ -96,7 +96,11 @@ def make_planner(arm: Arm, cell: Cell, cameras: Array) -> GraspPlanner:
     if not isinstance(arm, DhArm):
         expected = "an arm with a closed form is needed to grasp"
         raise InputError(f'robot "{arm.name}"', "is a URDF", expected, "Write its DH table.")
-    return GraspPlanner(Workspace(arm, cell, cameras), joint_limits(arm, cell.moving.share))
+    try:
+        limits = joint_limits(arm, cell.moving.share)
+    except RobotError as error:
+        raise InputError(error.place, error.found, error.expected, error.remedy) from error
+    return GraspPlanner(Workspace(arm, cell, cameras), limits)
 
 
 def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPlan | GraspRefusal:
