@@ -92,7 +92,7 @@ def target_fields(seen: TargetObservation | None, *, fresh: bool) -> dict[str, A
 
 def object_fields(cycle: "LoopCycle") -> dict[str, Any]:
     """Where the target is in the base, how well that is known, and how big it is."""
-    known = cycle.known
+    known = cycle.target
     told: dict[str, Any] = {"position_mm": None}
     if known is not None and np.isfinite(known.thing.covariance).all():
         thing = known.thing
@@ -106,7 +106,7 @@ def object_fields(cycle: "LoopCycle") -> dict[str, Any]:
 def picture_fields(cycle: "LoopCycle", side: int, rig: Rig) -> dict[str, Any]:
     """What is drawn into one picture; px, centres at whole numbers."""
     assert cycle.pair is not None
-    pair, seen = cycle.pair, cycle.seen
+    pair, seen = cycle.pair, cycle.observation
     height, width = (pair.left, pair.right)[side].shape[:2]
     found: dict[str, Any] = {"width": width, "height": height, "target": None}
     if seen is None:
@@ -261,7 +261,7 @@ class GraspPageSource:
         row = {
             **self._of_state(shown),
             **target_fields(
-                None if self._pictured is None else self._pictured.seen, fresh=shown.fresh
+                None if self._pictured is None else self._pictured.observation, fresh=shown.fresh
             ),
             **object_fields(shown.cycle),
             "q_deg": degrees(shown.cycle.q),
@@ -310,7 +310,7 @@ class GraspPageSource:
         shown = self._shown
         if shown is None:
             return ""
-        seen = None if self._pictured is None else self._pictured.seen
+        seen = None if self._pictured is None else self._pictured.observation
         quality = 0.0 if seen is None else seen.quality
         return (
             "# TYPE verify_grab_state gauge\n"
@@ -345,8 +345,8 @@ class GraspPageSource:
         scene: dict[str, Any] = {"cameras": camera_poses(self._told.rig, pair)}
         if cycle.q is not None:
             scene["arm_mm"] = millimetres(joint_origins(self._told.setup.arm, cycle.q))
-        if cycle.known is not None:
-            scene["target_mm"] = millimetres(cycle.known.thing.position[None])[0]
+        if cycle.target is not None:
+            scene["target_mm"] = millimetres(cycle.target.thing.position[None])[0]
         return scene
 
     def _way(self, planned: GraspPlan | GraspRefusal | None) -> dict[str, Any] | None:

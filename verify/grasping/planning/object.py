@@ -33,7 +33,7 @@ class GraspObject:
     width_standard_uncertainty: float  # m
     length: float  # m, along the approach
     length_standard_uncertainty: float  # m
-    seen: OffsetMeasurement | None = None  # the hand, looked at above it; None: it was not
+    offset: OffsetMeasurement | None = None  # of the hand, measured above it; None: it was not
 
 
 def point_in_base(rig: Rig, point: Array, covariance: Array) -> tuple[Array, Array]:
@@ -200,17 +200,17 @@ def _commanded_grip_point(thing: GraspObject, cell: Cell) -> tuple[Array, float]
     what is told and by what is seen: where the arm is too high, the rest stays.
     """
     wanted, raised = grip_point(thing.position, cell)
-    if thing.seen is None or thing.seen.hand is None or not thing.seen.used:
+    if thing.offset is None or thing.offset.hand is None or not thing.offset.used:
         return wanted, raised
-    told, more = grip_point(wanted - thing.seen.hand.off, cell)
+    told, more = grip_point(wanted - thing.offset.hand.off, cell)
     return told, raised + more
 
 
 def _known_offset(thing: GraspObject, cell: Cell) -> tuple[float, float]:
     """By how much the hand is known to be off sideways and along, m, without being corrected."""
-    if thing.seen is None or thing.seen.hand is None or thing.seen.used:
+    if thing.offset is None or thing.offset.hand is None or thing.offset.used:
         return 0.0, 0.0
-    off, direction = thing.seen.hand.off, cell.approach.direction
+    off, direction = thing.offset.hand.off, cell.approach.direction
     along = float(off @ direction)
     return float(np.linalg.norm(off - along * direction)), abs(along)
 
@@ -247,8 +247,8 @@ def _grip_uncertainty(thing: GraspObject, cell: Cell) -> tuple[float, float]:
     """Standard uncertainty, the greatest sideways and that along the approach, with the robot's."""
     direction = cell.approach.direction
     total = thing.covariance + np.eye(3) * cell.accuracy.robot**2
-    if thing.seen is not None and thing.seen.hand is not None:
-        total = total + thing.seen.hand.covariance  # the arm need not repeat itself any better
+    if thing.offset is not None and thing.offset.hand is not None:
+        total = total + thing.offset.hand.covariance  # the arm need not repeat itself any better
     sideways = np.linalg.svd(direction[None])[2][1:]  # two unit vectors across the approach
     across = float(np.linalg.eigvalsh(sideways @ total @ sideways.T)[-1])
     return float(np.sqrt(across)), float(np.sqrt(direction @ total @ direction))

@@ -119,7 +119,7 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
     ):
         return GraspRefusal("way", f"the arm cannot begin where it stands: {said}")
     good, reasons = find_postures(setup.workspace, setup.limits, margin.grip, q_now)
-    if thing.seen is not None and thing.seen.used:  # a correction holds where it was measured
+    if thing.offset is not None and thing.offset.used:  # a correction holds where it was measured
         good = [p for p in good if np.abs(p.q_above - q_now).max() < TOL_SAME_POSTURE]
     ways: dict[int, str] = {}  # why not, of branches that could stand there
     for posture in good[:MAX_POSTURES]:

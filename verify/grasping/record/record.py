@@ -132,7 +132,7 @@ class GraspRecord:
         """Make what the report is made of."""
         plan = None if aim.planned is None else aim.planned.answer
         good = plan if isinstance(plan, GraspPlan) else None
-        hand = None if aim.planned is None else aim.planned.thing.seen
+        hand = None if aim.planned is None else aim.planned.thing.offset
         summary: dict[str, Any] = {
             "kind": "grab",
             "tool": {"name": "verify", "version": __version__},
@@ -188,12 +188,13 @@ def _lift_check(
     cycle: LoopCycle, workspace: Workspace, grip: Array, raised: float
 ) -> _LiftCheck | None:
     """How far from the grip point both cameras see the object now; None where they do not."""
-    if cycle.known is None or cycle.seen is None or not np.isfinite(cycle.seen.measured).all():
+    target, observation = cycle.target, cycle.observation
+    if target is None or observation is None or not np.isfinite(observation.measured).all():
         return None
-    thing = cycle.known.thing
+    thing = target.thing
     spread = thing.covariance
-    if thing.seen is not None and thing.seen.hand is not None:
-        hand = thing.seen.hand  # the hand is there, whatever its encoders say
+    if thing.offset is not None and thing.offset.hand is not None:
+        hand = thing.offset.hand  # the hand is there, whatever its encoders say
         grip, spread = grip + hand.off, spread + hand.covariance
     else:
         spread = spread + np.eye(3) * workspace.cell.accuracy.robot**2

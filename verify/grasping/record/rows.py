@@ -23,7 +23,7 @@ PLAN_PARTS = ("over", "down", "up")
 def cycle_row(cycle: LoopCycle, workspace: Workspace) -> dict[str, Any]:
     """Write a cycle as one row."""
     told: dict[str, Any] = {"t_s": cycle.t, "state": cycle.state.value}
-    seen, known = cycle.seen, cycle.known
+    seen, known = cycle.observation, cycle.target
     told["status"] = None if seen is None else seen.status
     told["lost_because"] = None if seen is None else seen.reason
     told["quality"] = None if seen is None else seen.quality

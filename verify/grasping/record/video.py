@@ -63,12 +63,12 @@ def _annotated_picture(cycle: LoopCycle, side: int) -> Image:
     scale = WIDTH / image.shape[1]
     small = cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
     picture = np.asarray(small, dtype=np.uint8)
-    if cycle.seen is not None:
-        window = cycle.seen.windows[side]
+    if cycle.observation is not None:
+        window = cycle.observation.windows[side]
         if window is not None:
             x, y, w, h = (round(scale * v) for v in window)
             cv2.rectangle(picture, (x, y), (x + w, y + h), WINDOW_COLOUR, 1, cv2.LINE_AA)
-        outline = (cycle.seen.left, cycle.seen.right)[side]
+        outline = (cycle.observation.left, cycle.observation.right)[side]
         if outline is not None:
             _draw_ellipse(picture, outline, scale)
     return picture
@@ -85,7 +85,7 @@ def _text_strip(cycle: LoopCycle) -> Image:
     """Time, state, what the tracker says, in one line."""
     strip = np.full((STRIP_HEIGHT, 2 * WIDTH, 3), 30, np.uint8)
     tone = STATE_COLOURS.get(cycle.state.value, WHITE)
-    seen = "" if cycle.seen is None else cycle.seen.status
+    seen = "" if cycle.observation is None else cycle.observation.status
     pictures = seen if cycle.pair is not None else "no pictures"
     words = f"{cycle.t:6.2f} s   {cycle.state.value.upper()}   target: {pictures}"
     cv2.putText(strip, words, (12, 27), cv2.FONT_HERSHEY_SIMPLEX, 0.6, tone, 1, cv2.LINE_AA)
