@@ -77,8 +77,9 @@ def test_a_cap_is_tracked_gripped_within_3_mm_and_lifted() -> None:
     assert height[2, 3] > 0.1
     assert kept_limits(grab)
     assert [p.target for p in ended.passages] == [
-        GraspState.SEARCHING, GraspState.TRACKING, GraspState.FOLLOWING, GraspState.APPROACHING, GraspState.CLOSING,
-        GraspState.CHECKING, GraspState.LIFTING, GraspState.LIFTED, GraspState.RELEASING, GraspState.RELEASED,
+        GraspState.SEARCHING, GraspState.TRACKING, GraspState.FOLLOWING, GraspState.APPROACHING,
+        GraspState.CLOSING, GraspState.CHECKING, GraspState.LIFTING, GraspState.LIFTED,
+        GraspState.RELEASING, GraspState.RELEASED,
     ]  # fmt: skip
 
 
