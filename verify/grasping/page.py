@@ -27,7 +27,8 @@ from verify.grasping.control.states import (
 from verify.grasping.planning.facts import plan_facts
 from verify.grasping.planning.object import GraspRefusal
 from verify.grasping.planning.plan import GraspPlan, GraspPlanner
-from verify.grasping.tracking.target import Outline, TargetObservation
+from verify.grasping.tracking.camshift import Blob
+from verify.grasping.tracking.target import TargetObservation
 from verify.live.page.run import camera_poses
 from verify.live.page.scene import joint_origins, millimetres, small_jpeg
 
@@ -125,13 +126,14 @@ def picture_fields(cycle: "LoopCycle", side: int, rig: Rig) -> dict[str, Any]:
     return found
 
 
-def _ellipse(outline: Outline | None) -> dict[str, Any] | None:
-    if outline is None:
+def _ellipse(blob: Blob | None) -> dict[str, Any] | None:
+    if blob is None:
         return None
+    *axes, angle = blob.ellipse
     return {
-        "centre": np.round(outline.centre, 1).tolist(),
-        "axes": [round(float(axis), 1) for axis in outline.axes],
-        "angle_deg": round(float(np.degrees(outline.angle)), 1),
+        "centre": np.round(blob.centre, 1).tolist(),
+        "axes": [round(axis, 1) for axis in axes],
+        "angle_deg": round(float(np.degrees(angle)), 1),
     }
 
 

@@ -13,7 +13,7 @@ from verify.grasping.planning.object import GripMargin
 from verify.grasping.planning.plan import GraspPlan
 from verify.grasping.planning.workspace import Workspace
 from verify.grasping.tool_offset.offset import OffsetMeasurement
-from verify.grasping.tracking.target import Outline
+from verify.grasping.tracking.camshift import Blob
 
 _MM = 1e3  # mm/m
 PLAN_PERIOD = 0.02  # s between two rows of a plan
@@ -127,7 +127,7 @@ def _grip_position(base_T_flange: Array, workspace: Workspace) -> Array:
     return found
 
 
-def _outline(side: str, outline: Outline | None) -> dict[str, float | None]:
+def _outline(side: str, outline: Blob | None) -> dict[str, float | None]:
     if outline is None:
         return {f"{side}_{what}_px": None for what in ("x", "y", "width", "height")}
     _, _, width, height = outline.box

@@ -8,7 +8,6 @@ import numpy as np
 
 from verify.core.records import Image
 from verify.grasping.control.aim import LoopCycle
-from verify.grasping.tracking.target import Outline
 
 WIDTH, HEIGHT, STRIP_HEIGHT = 640, 360, 40  # px: of each picture, and of the line of text below
 WHITE, OUTLINE_COLOUR, WINDOW_COLOUR = (255, 255, 255), (60, 230, 255), (200, 200, 200)  # BGR
@@ -68,17 +67,13 @@ def _annotated_picture(cycle: LoopCycle, side: int) -> Image:
         if window is not None:
             x, y, w, h = (round(scale * v) for v in window)
             cv2.rectangle(picture, (x, y), (x + w, y + h), WINDOW_COLOUR, 1, cv2.LINE_AA)
-        outline = (cycle.observation.left, cycle.observation.right)[side]
-        if outline is not None:
-            _draw_ellipse(picture, outline, scale)
+        blob = (cycle.observation.left, cycle.observation.right)[side]
+        if blob is not None:
+            long, short, angle = blob.ellipse
+            centre = (float(scale * blob.centre[0]), float(scale * blob.centre[1]))
+            ellipse = (centre, (scale * long, scale * short), float(np.degrees(angle)))
+            cv2.ellipse(picture, ellipse, OUTLINE_COLOUR, 1, cv2.LINE_AA)
     return picture
-
-
-def _draw_ellipse(picture: Image, outline: Outline, scale: float) -> None:
-    centre = (float(scale * outline.centre[0]), float(scale * outline.centre[1]))
-    axes = (scale * outline.axes[0], scale * outline.axes[1])
-    box = (centre, axes, float(np.degrees(outline.angle)))
-    cv2.ellipse(picture, box, OUTLINE_COLOUR, 1, cv2.LINE_AA)
 
 
 def _text_strip(cycle: LoopCycle) -> Image:
