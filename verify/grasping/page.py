@@ -1,15 +1,13 @@
-"""What a grab has to show, units at the door: millimetres, degrees, pixels, seconds.
+"""Give the page of a grasp its content: millimetres, degrees, pixels, seconds.
 
-The loop shows each turn with `see`; the feed's thread reads what was shown last. Nothing here can
-order anything: no driver that moves is imported, and the loop is only looked at.
-
-What a grab's page is told, as JSON has it: millimetres, degrees, pixels, seconds.
+The loop shows each cycle with `show`; the page's thread reads the newest. Nothing here can order
+anything: no driver that moves is imported, and the loop is only read.
 """
 
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +15,8 @@ from robots.transforms import carry, invert
 from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.grasping.cell import WatchdogLimits
+from verify.grasping.control.aim import LoopCycle
+from verify.grasping.control.loop import GraspLoop
 from verify.grasping.control.states import (
     MOVING_STATES,
     TRANSITIONS_BY_EVENT,
@@ -24,7 +24,6 @@ from verify.grasping.control.states import (
     StateChange,
     StateMachine,
 )
-from verify.grasping.planning.facts import plan_facts
 from verify.grasping.planning.object import GraspRefusal
 from verify.grasping.planning.plan import GraspPlan, GraspPlanner
 from verify.grasping.tracking.camshift import Blob
@@ -32,11 +31,11 @@ from verify.grasping.tracking.target import TargetObservation
 from verify.live.page.run import camera_poses
 from verify.live.page.scene import joint_origins, millimetres, small_jpeg
 
-if TYPE_CHECKING:  # types alone: what they come from can move an arm
-    from verify.grasping.control.aim import LoopCycle
-    from verify.grasping.control.loop import GraspLoop
-
 _MM = 1e3  # of a metre
+MAX_TEXT_LENGTH = 2000  # characters of a description
+MAX_STATE_CHANGES = 12  # shown, the newest
+N_PATH_POINTS = 24  # points of a planned motion
+SILENCE_TIMEOUT = 1.0  # s without a cycle of the loop, and the page says so
 
 
 def missing_conditions(machine: StateMachine) -> str | None:
@@ -47,7 +46,7 @@ def missing_conditions(machine: StateMachine) -> str | None:
 
 
 def device_status(
-    cycle: "LoopCycle", loop: "GraspLoop", watch: WatchdogLimits
+    cycle: LoopCycle, loop: GraspLoop, watch: WatchdogLimits
 ) -> tuple[tuple[str, bool, str], ...]:
     """Say of each device its name, whether it is well, and how it is; the cameras come first."""
     arm, fingers = loop.arm, cycle.gripper
@@ -91,20 +90,20 @@ def target_fields(seen: TargetObservation | None, *, fresh: bool) -> dict[str, A
     }
 
 
-def object_fields(cycle: "LoopCycle") -> dict[str, Any]:
+def object_fields(cycle: LoopCycle) -> dict[str, Any]:
     """Where the target is in the base, how well that is known, and how big it is."""
     known = cycle.target
     told: dict[str, Any] = {"position_mm": None}
     if known is not None and np.isfinite(known.thing.covariance).all():
         thing = known.thing
-        told["position_mm"] = _rounded(thing.position)
-        told["standard_uncertainty_mm"] = _rounded(np.sqrt(np.diag(thing.covariance)))
+        told["position_mm"] = _rounded(_MM * thing.position, 2)
+        told["standard_uncertainty_mm"] = _rounded(_MM * np.sqrt(np.diag(thing.covariance)), 2)
         told["size_mm"] = [_finite(thing.width), _finite(thing.length)]
         told["speed_mm_s"] = round(float(np.linalg.norm(known.velocity)) * _MM, 1)
     return told
 
 
-def picture_fields(cycle: "LoopCycle", side: int, rig: Rig) -> dict[str, Any]:
+def picture_fields(cycle: LoopCycle, side: int, rig: Rig) -> dict[str, Any]:
     """What is drawn into one picture; px, centres at whole numbers."""
     assert cycle.pair is not None
     pair, seen = cycle.pair, cycle.observation
@@ -137,27 +136,40 @@ def _ellipse(blob: Blob | None) -> dict[str, Any] | None:
     }
 
 
-def _rounded(metres: Array) -> list[float]:
-    return [round(float(v) * _MM, 2) for v in metres]
+def plan_facts(plan: GraspPlan | GraspRefusal) -> dict[str, Any]:
+    """Write a plan, or why there is none, as JSON can hold it; millimetres, degrees, seconds."""
+    if isinstance(plan, GraspRefusal):
+        return {"refused": plan.kind, "reason": plan.reason, "branches": dict(plan.branches)}
+    posture, margin = plan.posture, plan.margin
+    return {
+        "posture": posture.name,
+        "score": round(posture.score, 4),
+        "scores": {
+            key: round(getattr(posture, key), 4)
+            for key in ("limits", "dexterity", "nearness", "clearance")
+        },
+        "above_deg": _rounded(np.degrees(posture.q_above), 3),
+        "grip_deg": _rounded(np.degrees(posture.q_grip), 3),
+        "grip_mm": _rounded(margin.grip * _MM, 3),
+        "raised_mm": round(margin.raised * _MM, 3),
+        "margin_across_mm": round(margin.across * _MM, 3),
+        "needed_across_mm": round(margin.across_needed * _MM, 3),
+        "margin_along_mm": round(margin.along * _MM, 3),
+        "needed_along_mm": round(margin.along_needed * _MM, 3),
+        "over_s": [round(part.duration, 3) for part in plan.over],
+        "down_s": round(plan.down.duration, 3),
+        "up_s": round(plan.up.duration, 3),
+        "slowed": round(plan.slowed, 3),
+        "not_taken": plan.rejected,
+    }
+
+
+def _rounded(values: Array, digits: int) -> list[float]:
+    return [round(float(value), digits) for value in values]
 
 
 def _finite(length: float) -> float | None:
     return round(length * _MM, 1) if np.isfinite(length) else None
-
-
-def degrees(q: Array | None) -> list[float] | None:
-    """Write joint angles (n,), rad."""
-    return None if q is None else [round(float(v), 2) for v in np.degrees(q)]
-
-
-if TYPE_CHECKING:  # types alone: what they come from can move an arm
-    from verify.grasping.control.aim import LoopCycle
-    from verify.grasping.control.loop import GraspLoop
-
-MAX_TEXT_LENGTH = 2000  # characters of a description
-MAX_STATE_CHANGES = 12  # shown, the newest
-N_PATH_POINTS = 24  # points of a planned way
-SILENCE_TIMEOUT = 1.0  # s without a turn of the loop, and the page says so
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +189,7 @@ class LoopSnapshot:
     """One turn of the loop, as it was when it ended."""
 
     at: float  # s, this computer's monotonic clock
-    cycle: "LoopCycle"
+    cycle: LoopCycle
     passages: tuple[StateChange, ...]
     planned: GraspPlan | GraspRefusal | None
     lacks: str | None  # for the grab; empty: it may be ordered; None: it is no order in this state
@@ -206,9 +218,7 @@ class GraspPageSource:
         self._frame: int | None = None
         self._drawn: tuple[GraspPlan, dict[str, Any]] | None = None
 
-    # by the loop
-
-    def see(self, cycle: "LoopCycle", loop: "GraspLoop", stops: int) -> None:
+    def see(self, cycle: LoopCycle, loop: GraspLoop, stops: int) -> None:
         """Take in a turn of the loop; called between two of them.
 
         Args:
@@ -241,8 +251,6 @@ class GraspPageSource:
         """Say how it ended."""
         self._finished = words
 
-    # by the page
-
     def hello(self) -> dict[str, Any]:
         """What never changes."""
         told = self._told
@@ -266,7 +274,7 @@ class GraspPageSource:
                 None if self._pictured is None else self._pictured.observation, fresh=shown.fresh
             ),
             **object_fields(shown.cycle),
-            "q_deg": degrees(shown.cycle.q),
+            "q_deg": None if shown.cycle.q is None else _rounded(np.degrees(shown.cycle.q), 2),
             "scene": self._scene(shown.cycle),
             "stops": self._stops,
             "answers": self._answers,
@@ -341,7 +349,7 @@ class GraspPageSource:
             "reason": passage.reason,
         }
 
-    def _scene(self, cycle: "LoopCycle") -> dict[str, Any]:
+    def _scene(self, cycle: LoopCycle) -> dict[str, Any]:
         """Arm as read, the target, and the cameras as they stood for the pictures shown."""
         pair = None if self._pictured is None else self._pictured.pair
         scene: dict[str, Any] = {"cameras": camera_poses(self._told.rig, pair)}
