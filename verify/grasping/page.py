@@ -39,7 +39,7 @@ SILENCE_TIMEOUT = 1.0  # s without a cycle of the loop, and the page says so
 
 
 def missing_conditions(machine: StateMachine) -> str | None:
-    """What the grab waits for; empty: it may be ordered; None: it is no order in this state."""
+    """Name what a grasp still needs; empty: it may be ordered; None: no order in this state."""
     if (machine.state, GraspEvent.GRAB) not in TRANSITIONS_BY_EVENT:
         return None
     return ", ".join(sorted(need.value for need in machine.lacks(GraspEvent.GRAB)))
@@ -48,7 +48,7 @@ def missing_conditions(machine: StateMachine) -> str | None:
 def device_status(
     cycle: LoopCycle, loop: GraspLoop, watch: WatchdogLimits
 ) -> tuple[tuple[str, bool, str], ...]:
-    """Say of each device its name, whether it is well, and how it is; the cameras come first."""
+    """List each device's name, whether it is well, and its status; the cameras come first."""
     arm, fingers = loop.arm, cycle.gripper
     lines = [
         _age_status("cameras", cycle.t, loop.pictures_t, watch.stale),
@@ -77,30 +77,30 @@ def _joined(*parts: str) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def target_fields(seen: TargetObservation | None, *, fresh: bool) -> dict[str, Any]:
-    """What the newest pictures say of the target, and how well it is seen."""
-    if seen is None:
+def target_fields(observation: TargetObservation | None, *, fresh: bool) -> dict[str, Any]:
+    """The target in the newest pictures, and the quality of its measurement."""
+    if observation is None:
         return {"status": None, "unseen_because": "", "quality": None}
     if not fresh:
         return {"status": "not seen", "unseen_because": "the pictures are old", "quality": None}
     return {
-        "status": seen.status,
-        "unseen_because": seen.reason,
-        "quality": round(float(seen.quality), 3) if np.isfinite(seen.quality) else None,
+        "status": observation.status,
+        "unseen_because": observation.reason,
+        "quality": round(observation.quality, 3) if np.isfinite(observation.quality) else None,
     }
 
 
 def object_fields(cycle: LoopCycle) -> dict[str, Any]:
-    """Where the target is in the base, how well that is known, and how big it is."""
-    known = cycle.target
-    told: dict[str, Any] = {"position_mm": None}
-    if known is not None and np.isfinite(known.thing.covariance).all():
-        thing = known.thing
-        told["position_mm"] = _rounded(_MM * thing.position, 2)
-        told["standard_uncertainty_mm"] = _rounded(_MM * np.sqrt(np.diag(thing.covariance)), 2)
-        told["size_mm"] = [_finite(thing.width), _finite(thing.length)]
-        told["speed_mm_s"] = round(float(np.linalg.norm(known.velocity)) * _MM, 1)
-    return told
+    """The target's position in the base, with its uncertainty, and its size."""
+    target = cycle.target
+    fields: dict[str, Any] = {"position_mm": None}
+    if target is not None and np.isfinite(target.thing.covariance).all():
+        thing = target.thing
+        fields["position_mm"] = _rounded(_MM * thing.position, 2)
+        fields["standard_uncertainty_mm"] = _rounded(_MM * np.sqrt(np.diag(thing.covariance)), 2)
+        fields["size_mm"] = [_finite(thing.width), _finite(thing.length)]
+        fields["speed_mm_s"] = round(float(np.linalg.norm(target.velocity)) * _MM, 1)
+    return fields
 
 
 def picture_fields(cycle: LoopCycle, side: int, rig: Rig) -> dict[str, Any]:
@@ -202,11 +202,11 @@ class GraspPageSource:
     """Keeps the newest turn; nothing waits for it.
 
     Args:
-        told: what never changes.
+        facts: what never changes.
     """
 
-    def __init__(self, told: GraspFacts) -> None:
-        self._told = told
+    def __init__(self, facts: GraspFacts) -> None:
+        self._facts = facts
         self._shown: LoopSnapshot | None = None
         self._pictured: LoopCycle | None = None  # the newest with pictures
         self._began: float | None = None
@@ -218,20 +218,20 @@ class GraspPageSource:
         self._frame: int | None = None
         self._drawn: tuple[GraspPlan, dict[str, Any]] | None = None
 
-    def see(self, cycle: LoopCycle, loop: GraspLoop, stops: int) -> None:
-        """Take in a turn of the loop; called between two of them.
+    def show(self, cycle: LoopCycle, loop: GraspLoop, stops: int) -> None:
+        """Take a cycle of the loop, before the next one.
 
         Args:
-            cycle: what it saw and ordered.
-            loop: looked at, no more.
-            stops: how many stops of the page's the loop has taken.
+            cycle: measured and ordered in it.
+            loop: only read.
+            stops: how many of the page's stops the loop has taken.
         """
         machine, planned = loop.machine, loop.aim.planned
         self._began = cycle.t if self._began is None else self._began
         self._stops = stops
         if cycle.pair is not None:
             self._pictured = cycle
-        said = device_status(cycle, loop, self._told.setup.cell.watch)
+        said = device_status(cycle, loop, self._facts.setup.cell.watch)
         self._shown = LoopSnapshot(
             time.monotonic(),
             cycle,
@@ -244,23 +244,23 @@ class GraspPageSource:
         )
 
     def answer(self, words: str) -> None:
-        """Say what became of a request."""
+        """Show what became of a request."""
         self._answer, self._answers = words, self._answers + 1
 
     def end(self, words: str) -> None:
-        """Say how it ended."""
+        """Show how it ended."""
         self._finished = words
 
     def hello(self) -> dict[str, Any]:
         """What never changes."""
-        told = self._told
+        facts = self._facts
         return {
             "mode": "grab",
-            "title": told.robot,
-            "description": told.description[:MAX_TEXT_LENGTH],
-            "execute": told.execute,
-            "duration_s": told.duration,
-            "cameras": camera_poses(told.rig, None),
+            "title": facts.robot,
+            "description": facts.description[:MAX_TEXT_LENGTH],
+            "execute": facts.execute,
+            "duration_s": facts.duration,
+            "cameras": camera_poses(facts.rig, None),
         }
 
     def rows(self) -> list[dict[str, Any]]:
@@ -311,7 +311,7 @@ class GraspPageSource:
         pair = cycle.pair
         self._frame = pair.frame
         return [
-            (side, picture_fields(cycle, side, self._told.rig), small_jpeg(image))
+            (side, picture_fields(cycle, side, self._facts.rig), small_jpeg(image))
             for side, image in enumerate((pair.left, pair.right))
         ]
 
@@ -352,9 +352,9 @@ class GraspPageSource:
     def _scene(self, cycle: LoopCycle) -> dict[str, Any]:
         """Arm as read, the target, and the cameras as they stood for the pictures shown."""
         pair = None if self._pictured is None else self._pictured.pair
-        scene: dict[str, Any] = {"cameras": camera_poses(self._told.rig, pair)}
+        scene: dict[str, Any] = {"cameras": camera_poses(self._facts.rig, pair)}
         if cycle.q is not None:
-            scene["arm_mm"] = millimetres(joint_origins(self._told.setup.arm, cycle.q))
+            scene["arm_mm"] = millimetres(joint_origins(self._facts.setup.arm, cycle.q))
         if cycle.target is not None:
             scene["target_mm"] = millimetres(cycle.target.thing.position[None])[0]
         return scene
@@ -364,7 +364,7 @@ class GraspPageSource:
         if not isinstance(planned, GraspPlan):
             return None
         if self._drawn is None or self._drawn[0] is not planned:
-            setup = self._told.setup
+            setup = self._facts.setup
             turns = np.concatenate(
                 [
                     way.sampled(way.duration / N_PATH_POINTS)[1].q

@@ -1,4 +1,4 @@
-"""The film of a grab: both pictures side by side, what was searched and seen, and the state."""
+"""Write the film of a grasp: both pictures, the searched windows, the target, and the state."""
 
 from pathlib import Path
 
@@ -77,7 +77,7 @@ def _annotated_picture(cycle: LoopCycle, side: int) -> Image:
 
 
 def _text_strip(cycle: LoopCycle) -> Image:
-    """Time, state, what the tracker says, in one line."""
+    """Time, state and the target's status in one line."""
     strip = np.full((STRIP_HEIGHT, 2 * WIDTH, 3), 30, np.uint8)
     tone = STATE_COLOURS.get(cycle.state.value, WHITE)
     seen = "" if cycle.observation is None else cycle.observation.status
