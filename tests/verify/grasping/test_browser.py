@@ -67,8 +67,8 @@ def drag(tab: Tab, side: str, box: tuple[int, int, int, int]) -> None:
 
 def tracks(cell: Cell, cap: int) -> None:
     """The cap that really is followed is this one, within 3 mm."""
-    cell.until(lambda: cell.grab.loop.aim.known is not None)
-    known = cell.grab.loop.aim.known
+    cell.until(lambda: cell.grab.loop.aim.target is not None)
+    known = cell.grab.loop.aim.target
     assert known is not None
     assert np.linalg.norm(known.thing.position - cell.place(cap)) < 3e-3
 

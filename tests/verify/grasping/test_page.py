@@ -166,7 +166,7 @@ def test_bad_messages_are_refused_and_change_nothing() -> None:
             line.send(text)
             cell.turns(2)
         assert cell.states == [GraspState.SEARCHING]
-        assert cell.grab.loop.aim.known is None
+        assert cell.grab.loop.aim.target is None
         row = latest(line, lambda row: row["answers"] >= 12)
         assert row["stops"] == 0
         line.send("select left {},{},{},{}".format(*cell.box()))  # and a good one counts
@@ -204,7 +204,7 @@ def test_a_selection_counts_only_while_nothing_moves() -> None:
         following(cell)
         line.send("select left {},{},{},{}".format(*cell.box()))
         latest(line, lambda row: "must have come to rest" in row["answer"])
-        assert cell.grab.loop.aim.known is not None
+        assert cell.grab.loop.aim.target is not None
 
 
 def test_another_object_may_be_selected_while_it_is_held_and_then_that_is_gone_after() -> None:

@@ -67,15 +67,10 @@ class FlangeWatch:
         self._look: _RestSightings | None = None
         self._working: Future[FlangeMeasurement] | None = None
 
-    def see(self, pair: StereoPair | None) -> StereoPair | None:
-        """Take note of the newest pictures, and pass them on."""
-        self._pair = pair if pair is not None else self._pair
-        return pair
-
-    def read(self, reading: EncoderReading | None) -> EncoderReading | None:
-        """Take note of the newest joint angles, and pass them on."""
-        self._reading = reading if reading is not None else self._reading
-        return reading
+    def update(self, pair: StereoPair | None, reading: EncoderReading | None) -> None:
+        """Take the newest pictures and joint angles; None where there are no new ones."""
+        self._pair = self._pair if pair is None else pair
+        self._reading = self._reading if reading is None else reading
 
     def forget(self) -> None:
         """The arm moves: what was gathered counts no more."""

@@ -47,7 +47,7 @@ def error(grab: CellRun) -> float:
 
 def hand(grab: CellRun) -> OffsetMeasurement:
     assert grab.loop.aim.planned is not None
-    found = grab.loop.aim.planned.thing.seen
+    found = grab.loop.aim.planned.thing.offset
     assert found is not None
     return found
 
@@ -152,11 +152,11 @@ def test_nothing_is_gathered_of_an_arm_that_has_just_come_to_rest_or_moves_on() 
     q = SETUP.home
     for now in (0.0, 0.1, 0.2):
         world.t = now
-        watch.see(pair_of(world))
+        watch.update(pair_of(world), None)
         assert watch.gather(now, q) is None
     assert not waiting
     world.t = 0.4
-    watch.see(pair_of(world))
+    watch.update(pair_of(world), None)
     assert watch.gather(0.4, q) is None
     assert len(waiting) == 1
     assert watch.gather(0.5, q) is None  # nobody waits for what is being measured
@@ -170,9 +170,9 @@ def test_encoders_that_still_move_end_the_look() -> None:
     gathered = None
     for turn in range(100):
         world.t = turn / 30
-        watch.see(pair_of(world))
+        watch.update(pair_of(world), None)
         reading = world.encoders()
-        watch.read(replace(reading, q=reading.q + 1e-4 * turn * FIRST))
+        watch.update(None, replace(reading, q=reading.q + 1e-4 * turn * FIRST))
         gathered = watch.gather(world.t, SETUP.home)
         if gathered is not None:
             break
