@@ -8,7 +8,7 @@ import numpy as np
 import robots
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import Comparison, alignment_scale
-from verify.analysis.diagnosis.link_faults import link_frames, rotation_twist, translation_twist
+from verify.analysis.diagnosis.link_faults import rotation_twist, translation_twist
 from verify.analysis.model import JointErrorModel, clock_effect, pan_columns
 from verify.core.readings import RATE_SPAN
 from verify.core.records import Array
@@ -180,7 +180,7 @@ def robot_table_columns(arm: robots.Arm, comparison: Comparison) -> tuple[tuple[
     """
     if not isinstance(arm, robots.DhArm):
         return (), np.zeros((len(comparison), 6, 0))
-    frames = link_frames(arm, comparison.q)
+    frames = robots.link_frames(arm, comparison.q)
     tip, links = frames[:, -1, :3, 3], range(arm.dof)
     along = [translation_twist(frames[:, i + 1, :3, 0]) for i in links]
     down = [translation_twist(frames[:, i, :3, 2]) for i in links]
