@@ -17,7 +17,7 @@ from tests.support.motions import ARM, HOME, make_track, swinging
 from tests.support.scene import make_marker, make_rig
 from tests.verify.analysis.test_joint_errors import ESTIMATED, GIVEN, model_of
 from verify.analysis.comparison import compare
-from verify.analysis.sweeps.axis import SweepData, fit_axis
+from verify.analysis.sweeps.axis import SweepData, fit_axis, fit_circles
 from verify.analysis.sweeps.segments import find_segments
 from verify.analysis.sweeps.sweeps import JointSweep, judge_sweeps
 from verify.core.readings import Readings
@@ -201,13 +201,14 @@ def test_the_axis_is_where_pinocchio_has_it(joint: int) -> None:
         q=q[:, joint],
         reading_variance=np.full(30, 1e-12),
     )
-    fit = fit_axis(seen, (q[:, [joint]] - q[:, joint].mean()))
+    terms = q[:, [joint]] - q[:, joint].mean()
+    fit, line = fit_axis(seen, terms), fit_circles(seen, terms).state
     frame = data.oMi[joint + 1]
     # the axis that the joint's Jacobian column turns about, in the world
     column = pinocchio.computeJointJacobians(model, data, q[-1])[:, joint]
     axis = column[3:] / np.linalg.norm(column[3:])
-    assert_allclose(fit.direction, axis, atol=1e-8)
-    assert_allclose(np.cross(fit.point - frame.translation, axis), 0, atol=1e-8)
+    assert_allclose(line.direction, axis, atol=1e-8)
+    assert_allclose(np.cross(line.point - frame.translation, axis), 0, atol=1e-8)
     assert_allclose(fit.value, 0, atol=1e-8)
     assert fit.chi2_rest < 1e-3
 
