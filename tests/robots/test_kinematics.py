@@ -92,6 +92,19 @@ def test_the_jacobian_is_the_slope_of_the_pose(name: str) -> None:
         assert_allclose(robots.jacobian(arm, q), (apart / 2e-6).T, atol=2e-9)
 
 
+@pytest.mark.parametrize("name", [*robots.names(), "ur5", "panda", "kinova"])
+def test_link_frames_stand_on_the_joints_axes_and_end_at_the_flange(name: str) -> None:
+    arm = robots.load(name)
+    q = np.random.default_rng(6).uniform(arm.lower, arm.upper, (10, arm.dof))
+    frames, moves = robots.link_frames(arm, q), robots.jacobian(arm, q)
+    assert_allclose(frames[:, -1], robots.forward(arm, q), atol=1e-12)
+    sign = arm.sign if isinstance(arm, robots.DhArm) else np.ones(arm.dof)
+    axes = frames[:, :-1, :3, 2] * sign[:, None]
+    levers = frames[:, -1:, :3, 3] - frames[:, :-1, :3, 3]
+    assert_allclose(axes, np.swapaxes(moves[:, 3:], 1, 2), atol=1e-12)
+    assert_allclose(np.cross(axes, levers), np.swapaxes(moves[:, :3], 1, 2), atol=1e-12)
+
+
 @EVERY_ARM
 def test_det_j_factors_into_wrist_elbow_and_shoulder(arm: robots.DhArm) -> None:
     q = np.random.default_rng(4).uniform(-np.pi, np.pi, (100, 6))

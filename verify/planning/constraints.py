@@ -9,9 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+import robots
 from verify.core.records import Array
 from verify.core.rig import Camera
-from verify.planning.links import LinkChain, build_skeleton, dexterity
+from verify.planning.links import LinkChain, dexterity
 from verify.planning.request import PlanningSetup, PlanRequest
 
 Flags = NDArray[np.bool_]
@@ -127,7 +128,7 @@ class PostureConstraints:
     @cached_property
     def skeleton(self) -> LinkChain:
         """The arm's links."""
-        return build_skeleton(self.bench.arm)
+        return LinkChain(self.bench.arm)
 
     @cached_property
     def _apart(self) -> Flags:
@@ -167,7 +168,7 @@ class PostureConstraints:
 
     def _reason(self, q: Array, on_the_way: bool) -> Rows:
         margin = MARGIN_PX / 2 if on_the_way else MARGIN_PX
-        frames = self.skeleton.frames(q)
+        frames = robots.link_frames(self.bench.arm, q)
         left, right = visible_leds(self.bench, frames[:, -1], margin, self.wish.view_angle)
         inside = left.inside & right.inside
         facing = inside & left.facing & right.facing

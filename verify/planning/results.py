@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+import robots
 from reports import Results
 from verify.core.records import Array, Measurement
 from verify.core.version import __version__
-from verify.planning.links import build_skeleton
+from verify.planning.links import LinkChain
 from verify.planning.plan import SessionPlan, SessionPrediction
 from verify.planning.prediction import PredictedIdentifiability, uncertainty_sources
 from verify.planning.request import PlanningSetup, PlanRequest, SessionConditions
@@ -73,13 +74,13 @@ def spot_table(measurements: list[Measurement], bench: PlanningSetup) -> pd.Data
 
 def arm_table(timed: TimedMotion, bench: PlanningSetup) -> pd.DataFrame:
     """The flange's way, and the links at some of the poses; robot's base frame."""
-    bones = build_skeleton(bench.arm)
     t = np.append(np.arange(0.0, timed.duration, FLANGE_STEP), timed.duration)
-    flange = bones.frames(timed.q(t))[:, -1, :3, 3] * 1e3
+    flange = robots.forward(bench.arm, timed.q(t))[:, :3, 3] * 1e3
     rows = [("flange", 0, *place) for place in flange.tolist()]
     stops = [stop.q for stop in timed.stops if stop.pose is not None]
     some = np.unique(np.linspace(0, len(stops) // 2, MAX_DRAWN_ARMS).astype(int))
-    points = bones.points(bones.frames(np.array([stops[k] for k in some])))
+    frames = robots.link_frames(bench.arm, np.array([stops[k] for k in some]))
+    points = LinkChain(bench.arm).points(frames)
     for number, arm in enumerate(points * 1e3, start=1):
         rows += [("arm", number, *place) for place in arm.tolist()]
     return pd.DataFrame(rows, columns=["what", "number", "x_mm", "y_mm", "z_mm"])

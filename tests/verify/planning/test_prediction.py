@@ -16,7 +16,7 @@ from tests.support import planning
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.joint_errors import resolve_errors
 from verify.analysis.least_squares import solve
-from verify.analysis.model import build_model
+from verify.analysis.model import SessionComparison, build_model
 from verify.analysis.session import analyse
 from verify.analysis.uncertainty.budget import budget
 from verify.core.readings import Readings
@@ -229,10 +229,12 @@ def test_a_plan_s_coverage_factor_is_the_budget_s(
         arm=bench.arm, rig=rig, encoder_resolution=None, encoder_time_standard_uncertainty=None,
         instrument=None,
     )  # fmt: skip
+    compared = SessionComparison(
+        cast("Session", session), seen.track, systematics, seen.clock, seen.comparison,
+        solve_joints(seen.comparison, bench.arm),
+    )  # fmt: skip
     stated = budget(
-        model, seen.comparison, solve_joints(seen.comparison, bench.arm), judged.errors,
-        judged.means, resolve_errors(model), cast("Session", session), systematics, seen.track,
-        seen.clock,
-    ).coverage_factor  # fmt: skip
+        model, compared, judged.errors, judged.means, resolve_errors(model)
+    ).coverage_factor
     assert_allclose(judged.means.coverage_factor, stated, rtol=1e-9)
     assert np.all((stated > 2.0) & (stated < 2.65)) if degrees < 10 else np.any(stated == 2.0)

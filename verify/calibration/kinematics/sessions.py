@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.analysis.comparison import Comparison, compare
+from verify.analysis.comparison import Comparison, ReadingUncertainty, compare
 from verify.analysis.instrument import stated_noise
 from verify.analysis.least_squares import autocorrelation
 from verify.analysis.measured import Progress
@@ -100,8 +100,10 @@ def session_to_poses(session: Session, progress: Progress) -> SessionPoses:
     seen, clock = measure_session(session, readings, progress, measure)
     track, systematics = seen.track, seen.systematics
     compared = compare(
-        track, session.arm, readings, clock.offset, resolution=session.encoder_resolution,
-        time_uncertainty=session.encoder_time_standard_uncertainty,
+        track, session.arm, readings, clock.offset,
+        stated=ReadingUncertainty(
+            session.encoder_resolution, session.encoder_time_standard_uncertainty
+        ),
     )  # fmt: skip
     if not len(compared):
         raise InputError(
