@@ -81,7 +81,7 @@ def test_every_posture_and_leg_of_the_roadmap_keeps_everything(bench: PlanningSe
     assert np.isfinite(known.time).all()
     for row in known.q[:50]:
         assert robots.coupled(bench.arm, row) is None
-    way = [0, *known.way(0, len(known.q) - 1)]
+    way = [0, *known.path(0, len(known.q) - 1)]
     assert way[-1] == len(known.q) - 1
     legs = known.q[way]
     assert clear_legs(constraints, legs[:-1], legs[1:]).all()

@@ -91,21 +91,19 @@ class ClosedLoopAim(Aim):
     def _measured_offset(
         self, q: Array, sights: tuple[FlangeMeasurement, ...], read: Array | None
     ) -> OffsetMeasurement:
-        arm = self._setup.arm
-        told = robots.forward(arm, q)
-        stood = None if read is None else robots.forward(arm, read)
+        arm, rig_T_base = self._setup.arm, self._rig.rig_T_base
+        ordered = robots.forward(arm, q)
         if read is None:
-            return OffsetMeasurement(
-                "the arm did not stand" + NO_CORRECTION, sights, told, None, None, None
-            )
-        found = average_sights(sights, told)
+            return OffsetMeasurement("the arm did not stand" + NO_CORRECTION, sights, ordered)
+        stood = robots.forward(arm, read)
+        found = average_sights(sights, ordered)
         if isinstance(found, str):
-            return OffsetMeasurement(found + NO_CORRECTION, sights, told, stood, None, None)
-        rig_R_base = self._rig.rig_T_base[:3, :3]
-        place = carry(self._rig.rig_T_base, told[:3, 3])
+            return OffsetMeasurement(found + NO_CORRECTION, sights, ordered, stood)
+        rig_R_base = rig_T_base[:3, :3]
+        place = carry(rig_T_base, ordered[:3, 3])
         base = rig_R_base.T @ base_covariance(self._rig, place) @ rig_R_base
         hand = tool_offset(found, arm, self._setup.cell, base, q, self._end(q))
-        return OffsetMeasurement(tool_offset_text(hand), sights, told, stood, found.pose, hand)
+        return OffsetMeasurement(tool_offset_text(hand), sights, ordered, stood, found.pose, hand)
 
     def _end(self, q: Array) -> Array:
         """Where the line down from here ends, (n,), rad; where there is none, here."""

@@ -80,7 +80,7 @@ def plan_table(plan: GraspPlan | None, workspace: Workspace) -> pd.DataFrame:
 
 
 def tool_offset_table(seen: OffsetMeasurement | None, workspace: Workspace) -> pd.DataFrame:
-    """Write the pictures in which the hand was looked at, one a row; its grip point by its LEDs."""
+    """Write the pictures in which the hand was measured, one a row; its grip point by its LEDs."""
     rows: list[dict[str, Any]] = []
     for sight in seen.sights if seen is not None else ():
         row: dict[str, Any] = {"t_s": sight.t, "status": sight.status}
@@ -92,8 +92,8 @@ def tool_offset_table(seen: OffsetMeasurement | None, workspace: Workspace) -> p
 
 
 def tool_offset_fields(seen: OffsetMeasurement, workspace: Workspace) -> dict[str, Any]:
-    """Write where the hand was told to be, read and seen, and what came of it; mm, k = 2."""
-    hand, places = seen.hand, {"told": seen.told, "read": seen.read, "seen": seen.measured}
+    """Write where the hand was ordered, read and measured, and the offset; mm, k = 2."""
+    hand, places = seen.hand, {"told": seen.ordered, "read": seen.read, "seen": seen.measured}
     return {
         "used": seen.used,
         "reason": seen.reason,
