@@ -75,7 +75,7 @@ def image_coverage(calibration: Calibration) -> tuple[ImageCoverage, ...]:
     half = np.hypot(width, height) / 2
     found = []
     for camera in (0, 1):
-        seen = residuals.seen[(residuals.camera == camera) & residuals.used]
+        seen = residuals.observed[(residuals.camera == camera) & residuals.used]
         offset = seen - np.array([width - 1, height - 1]) / 2
         reach = float(np.linalg.norm(offset, axis=1).max() / half) if len(seen) else 0.0
         found.append(

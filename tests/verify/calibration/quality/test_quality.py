@@ -426,7 +426,7 @@ def test_boards_at_one_distance_are_told_to_move() -> None:
 def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, words: str) -> None:
     found = made.calibration(count=60)
     own = found.residuals
-    at = np.floor((own.seen + 0.5) / [1280 / 3, 720 / 3])
+    at = np.floor((own.observed + 0.5) / [1280 / 3, 720 / 3])
     away = (own.camera == 0) & (at == [column, row]).all(axis=1)
     cleared = replace(found, residuals=replace(own, used=own.used & ~away))
     said = coverage_gaps(cleared, judge_calibration(cleared))
@@ -436,7 +436,7 @@ def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, wor
 def test_corners_that_keep_off_an_edge_are_told_to_reach_it() -> None:
     found = made.calibration(count=60)
     own = found.residuals
-    away = (own.camera == 1) & (own.seen[:, 0] > 1000)
+    away = (own.camera == 1) & (own.observed[:, 0] > 1000)
     cleared = replace(found, residuals=replace(own, used=own.used & ~away))
     said = coverage_gaps(cleared, judge_calibration(cleared))
     assert [s for s in said if re.search(r"near the right \(2\d %\) edge of the right image", s)]
