@@ -1,4 +1,4 @@
-"""An identification as results: keys and tables that `reports.identification.document` documents."""
+"""An identification as results, with the keys that `reports.identification.document` documents."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,10 +14,8 @@ from verify.calibration.kinematics.chain import Parameter
 from verify.calibration.kinematics.fit import CrossValidation, statistics
 from verify.calibration.kinematics.identify import IdentificationResult, LevelResult
 from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.calibration.origin import DEG, MM, ResultsOrigin
 from verify.core.records import Array
-from verify.core.version import __version__
-
-MM, DEG = 1e3, 180 / np.pi
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +63,9 @@ def identification_results(
     outlying = np.flatnonzero(~fitted.used)
     parameters = _parameters(chosen, found)
     summary = {
-        "format": 1,
-        "kind": "identification",
-        "tool": {"name": "verify", "version": __version__},
-        "source": {"path": ", ".join(origin.names), "description": origin.description},
+        **ResultsOrigin(
+            ", ".join(origin.names), origin.description, origin.inputs, tuple(origin.warnings)
+        ).summary("identification"),
         "robot": origin.arm.name,
         "robot_fingerprint": f"sha256:{origin.arm.fingerprint}",
         "robot_file": robot_file,
@@ -93,8 +90,6 @@ def identification_results(
             "parameters": [parameter.name for parameter in fitted.parameters],
             "correlation": correlation(fitted.covariance).tolist(),
         },
-        "inputs": dict(sorted(origin.inputs.items())),
-        "warnings": list(origin.warnings),
     }
     tables = {
         "residuals": _residuals(found, poses, origin),

@@ -51,6 +51,19 @@ def covariance_in_si(covariance: Covariance) -> Array:
     return full
 
 
+def camera_covariance(rig: Rig) -> tuple[tuple[str, ...], Array]:
+    """Names (p) and covariance (p, p), SI units and pixels, of the cameras' stated parameters.
+
+    Raises:
+        ValueError: the rig states no covariance.
+    """
+    given = rig.covariance
+    if given is None:
+        raise ValueError("the rig states no covariance")
+    own = [i for i, name in enumerate(given.parameters) if name.startswith(("left.", "right."))]
+    return tuple(given.parameters[i] for i in own), covariance_in_si(given)[np.ix_(own, own)]
+
+
 def state_covariance(
     names: Sequence[str],
     full: Array,
