@@ -81,7 +81,8 @@ def _refuse_without_its_markers(
     if counts is not None:
         raise InputError(
             folder.folder,
-            f"no marker was found in the pictures, which show a plain board of {_corners_text(counts)}",
+            "no marker was found in the pictures, which show a plain board of "
+            f"{_corners_text(counts)}",
             expected,
             "Delete markers and marker_mm from board.toml, or take pictures of the ChArUco board.",
         )

@@ -157,34 +157,38 @@ def _offset(level: LevelResult, joint: int) -> tuple[float | None, float | None]
 
 
 def _held(found: IdentificationResult) -> list[dict[str, Any]]:
-    """Every parameter that the chosen model leaves as it was, and why."""
-    rows = []
+    """List the parameters that the chosen model leaves as they were, and why."""
     largest = found.level("geometry")
-    for entry in largest.support.held:
-        scale, unit = _unit(entry.parameter)
-        rows.append(
-            {
-                "name": entry.parameter.name,
-                "unit": unit,
-                "reason": "gauge" if entry.redundant else "not_supported",
-                "confounded_with": [{"name": p.name, "share": share} for p, share in entry.with_],
-                "standard_uncertainty_if_free": None if entry.redundant else entry.alone * scale,
-            }
+    rows = [
+        _held_row(
+            entry.parameter,
+            "gauge" if entry.redundant else "not_supported",
+            None if entry.redundant else entry.uncertainty_if_free,
+            entry.confounded_with,
         )
+        for entry in largest.support.held
+    ]
     sigma = np.sqrt(np.diag(largest.fit.covariance))
     for parameter, u in zip(largest.fit.parameters, sigma.tolist(), strict=True):
         if parameter not in found.chosen.fit.parameters:
-            scale, unit = _unit(parameter)
-            rows.append(
-                {
-                    "name": parameter.name,
-                    "unit": unit,
-                    "reason": "not_called_for",
-                    "confounded_with": [],
-                    "standard_uncertainty_if_free": u * scale,
-                }
-            )
+            rows.append(_held_row(parameter, "not_called_for", u))
     return rows
+
+
+def _held_row(
+    parameter: Parameter,
+    reason: str,
+    uncertainty: float | None,
+    confounded: Sequence[tuple[Parameter, float]] = (),
+) -> dict[str, Any]:
+    scale, unit = _unit(parameter)
+    return {
+        "name": parameter.name,
+        "unit": unit,
+        "reason": reason,
+        "confounded_with": [{"name": p.name, "share": share} for p, share in confounded],
+        "standard_uncertainty_if_free": None if uncertainty is None else uncertainty * scale,
+    }
 
 
 def _level(level: LevelResult) -> dict[str, Any]:
