@@ -40,11 +40,7 @@ def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Re
             "decisions": list(found.decisions),
         },
         setup={},
-        tables={
-            "lengths": _lengths(found),
-            "pairs": _pairs(figures),
-            "sources": _sources(figures),
-        },
+        tables={"lengths": _lengths(found), "pairs": _pairs(figures), "sources": _sources(figures)},
     )
 
 

@@ -76,12 +76,10 @@ def _apply_map(parameters: Array, squares: Array) -> Array:
     return bent
 
 
-SAMPLE_OFFSET = (
-    0.25  # squares from a corner, diagonally, where its four squares' brightness is read
-)
-MIN_CROSSING_CONTRAST = (
-    1.4  # white, white, white, black, as at a board's rim, makes 1.0; a crossing far more
-)
+# squares from a corner, diagonally, where its four squares' brightness is read
+SAMPLE_OFFSET = 0.25
+# white, white, white, black, as at a board's rim, makes 1.0; a crossing far more
+MIN_CROSSING_CONTRAST = 1.4
 MIN_LINE_SHARE = 0.6  # of a row's or column's corners: some may be covered or in glare
 
 

@@ -75,9 +75,7 @@ def whitened_columns(
 
 
 def fit_parameters(
-    state: ArmState,
-    poses: IdentificationPoses,
-    parameters: tuple[Parameter, ...],
+    state: ArmState, poses: IdentificationPoses, parameters: tuple[Parameter, ...]
 ) -> KinematicFit:
     """Fit parameters to the rows that are not outlying.
 
@@ -148,10 +146,7 @@ def _least_squares(
 
 
 def _residuals_without_nuisances(
-    state: ArmState,
-    poses: IdentificationPoses,
-    used: NDArray[np.bool_],
-    scale: NoiseScale,
+    state: ArmState, poses: IdentificationPoses, used: NDArray[np.bool_], scale: NoiseScale
 ) -> Array:
     """Residuals of each row less the most likely effect of the nuisances, (n, 6)."""
     left = pose_residuals(state, poses)

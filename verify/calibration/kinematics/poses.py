@@ -95,7 +95,8 @@ def build_poses(
 def select_rows(data: IdentificationPoses, rows: NDArray[np.bool_]) -> IdentificationPoses:
     """Select some of the rows (n,)."""
     values: dict[str, Any] = {f.name: getattr(data, f.name) for f in fields(data)}
-    return replace(data, **{k: v[rows] for k, v in values.items() if isinstance(v, np.ndarray)})
+    selected: dict[str, Any] = {k: v[rows] for k, v in values.items() if isinstance(v, np.ndarray)}
+    return replace(data, **selected)
 
 
 def _whitener(

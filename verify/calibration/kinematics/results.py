@@ -91,10 +91,7 @@ def identification_results(
             "correlation": correlation(fitted.covariance).tolist(),
         },
     }
-    tables = {
-        "residuals": _residuals(found, poses, origin),
-        "parameters": pd.DataFrame(parameters),
-    }
+    tables = {"residuals": _residuals(found, poses, origin), "parameters": pd.DataFrame(parameters)}
     return Results(summary=summary, setup={}, tables=tables)
 
 

@@ -146,12 +146,7 @@ def _raw(now: PairSpots, side: int, found: Correspondence, camera: Camera) -> Ra
     return RawSighting(sighting, spot_instants(now.t[side], centre, camera, now.height), depth)
 
 
-def _pose(
-    i: int,
-    found: list[AssignedPair],
-    rig: Rig,
-    marker: Marker,
-) -> BodyPose | None:
+def _pose(i: int, found: list[AssignedPair], rig: Rig, marker: Marker) -> BodyPose | None:
     """Bring a pair's right image to the left one's instant and fit the body's pose."""
     now, identified, raw = found[i]
     near = [

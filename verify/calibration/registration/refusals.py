@@ -21,9 +21,8 @@ MAX_UNCERTAINTY = (5e-3, np.deg2rad(0.5))  # m, rad: known worse, base and LEDs 
 SWING_ANGLE = np.deg2rad(20.0)  # a movement that would be added, either way
 SWING_PAIRS = 5.0  # pairs seen at each end of it
 MIN_PARALLEL_COSINE = 0.999  # cosine between directions that are called one
-MIN_TURN_SHARE = (
-    0.2  # of an undetermined direction, in units of the limits: it is a turn, not a shift
-)
+# of an undetermined direction, in units of the limits: it is a turn, not a shift
+MIN_TURN_SHARE = 0.2
 
 
 def refuse_undetermined(arm: robots.Arm, q: Array, noise: tuple[float, float], place: str) -> None:
