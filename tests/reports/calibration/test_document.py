@@ -31,6 +31,7 @@ from tests.reports.conftest import LIBRARY
 from tests.reports.format.test_html import Page, _luminance, _strings
 from tests.reports.session.test_figures import _coloured
 from tests.support.reports import made_calibration as made
+from verify.calibration.origin import ResultsOrigin
 from verify.calibration.quality.results import calibration_results
 
 
@@ -38,7 +39,7 @@ def good() -> Results:
     """Everything covered; the cameras turned on their bases."""
     found = made.calibration(count=24)
     return calibration_results(
-        replace(found, turning=True), picture=made.pictures(found), source="boards"
+        replace(found, turning=True), picture=made.pictures(found), origin=ResultsOrigin("boards")
     )
 
 
@@ -46,7 +47,8 @@ def doubtful() -> Results:
     """Few boards, flat ones, one view that stands out, and inputs to list."""
     found = made.with_poor_view(made.calibration(count=9, tilt_deg=8.0))
     return calibration_results(
-        found, source="boards", inputs=made.INPUTS, warnings=("frames.csv: no pan.",)
+        found,
+        origin=ResultsOrigin("boards", inputs=made.INPUTS, warnings=("frames.csv: no pan.",)),
     )
 
 

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from tests.support.recorded import require_shared
-from verify.calibration.kinematics import identify
 from verify.calibration.kinematics.chain import Parameter, chain_of
-from verify.calibration.kinematics.identify import IdentificationOptions, IdentificationResult
+from verify.calibration.kinematics.identify import (
+    IdentificationOptions,
+    IdentificationResult,
+    identify_arm,
+)
 from verify.calibration.kinematics.sessions import (
     CombinedPoses,
     SessionPoses,
@@ -26,9 +29,9 @@ def seen() -> SessionPoses:
 
 
 def found(gathered: CombinedPoses, *, free: bool) -> IdentificationResult:
-    chain = chain_of(gathered.seen[0].session.arm)
+    chain = chain_of(gathered.sessions[0].session.arm)
     wish = IdentificationOptions(free_base=free, free_tool=free, splits=0)
-    return identify(chain, gathered.poses, wish, gathered.state(chain))
+    return identify_arm(chain, gathered.poses, wish, gathered.state(chain))
 
 
 def offset_deg(identified: IdentificationResult, joint: int) -> tuple[float, float]:
@@ -56,8 +59,8 @@ def test_through_its_own_encoders_joints_1_and_6_cannot_show(seen: SessionPoses)
     identified = found(gather_sessions([seen]), free=True)
     held = {h.parameter.name: h for h in identified.level("offsets").support.held}
     assert set(held) == {"offset_1", "offset_6"}
-    assert held["offset_1"].with_[0][0].name == "base_rz"
-    assert held["offset_6"].with_[0][0].name == "tool_rz"
+    assert held["offset_1"].confounded_with[0][0].name == "base_rz"
+    assert held["offset_6"].confounded_with[0][0].name == "tool_rz"
     error, u = offset_deg(identified, 3)
     assert abs(error - FAULT_DEG) < 3 * u
     assert u > 2 * offset_deg(found(gather_sessions([seen]), free=False), 3)[1]

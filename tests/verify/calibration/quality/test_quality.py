@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import reports
 from tests.support.recorded import require_shared
 from tests.support.reports import made_calibration as made
+from verify.calibration.origin import ResultsOrigin
 from verify.calibration.quality.accuracy import (
     SPOT_SIGMA,
     TEST_LENGTH,
@@ -24,7 +25,6 @@ from verify.calibration.quality.advice import calibration_doubts, coverage_gaps,
 from verify.calibration.quality.coverage import board_stances, view_frame
 from verify.calibration.quality.quality import (
     NOISE_GROUP,
-    SIDES,
     draw_rectified,
     judge_calibration,
     outlying_views,
@@ -34,8 +34,8 @@ from verify.calibration.quality.quality import (
 from verify.calibration.quality.results import calibration_results, pan_axes_angle, stereo_geometry
 from verify.calibration.registration.fixture import FixtureRegistration
 from verify.calibration.registration.records import MotionRegistration, SpotResiduals
-from verify.calibration.registration.results import POSE, fixture_results, motion_results
-from verify.calibration.stereo.parameters import PARAMETER_KEYS, step_camera
+from verify.calibration.registration.results import fixture_results, motion_results
+from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES, step_camera
 from verify.calibration.stereo.records import (
     Calibration,
     Residuals,
@@ -45,6 +45,7 @@ from verify.calibration.stereo.records import (
 from verify.core.fiducials import Marker
 from verify.core.records import Array
 from verify.core.rig import Camera, Covariance, Rig
+from verify.measurement.systematics import BODY
 from verify.measurement.triangulation import triangulate
 
 STILL = np.zeros(2)  # rad, the pan readings of a rig whose bases stand still
@@ -426,7 +427,7 @@ def test_boards_at_one_distance_are_told_to_move() -> None:
 def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, words: str) -> None:
     found = made.calibration(count=60)
     own = found.residuals
-    at = np.floor((own.seen + 0.5) / [1280 / 3, 720 / 3])
+    at = np.floor((own.observed + 0.5) / [1280 / 3, 720 / 3])
     away = (own.camera == 0) & (at == [column, row]).all(axis=1)
     cleared = replace(found, residuals=replace(own, used=own.used & ~away))
     said = coverage_gaps(cleared, judge_calibration(cleared))
@@ -436,7 +437,7 @@ def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, wor
 def test_corners_that_keep_off_an_edge_are_told_to_reach_it() -> None:
     found = made.calibration(count=60)
     own = found.residuals
-    away = (own.camera == 1) & (own.seen[:, 0] > 1000)
+    away = (own.camera == 1) & (own.observed[:, 0] > 1000)
     cleared = replace(found, residuals=replace(own, used=own.used & ~away))
     said = coverage_gaps(cleared, judge_calibration(cleared))
     assert [s for s in said if re.search(r"near the right \(2\d %\) edge of the right image", s)]
@@ -478,9 +479,8 @@ def test_a_rectified_pair_has_its_corners_on_level_lines() -> None:
 
 
 def _results(found: Calibration) -> reports.Results:
-    return calibration_results(
-        found, picture=made.pictures(found), source="boards", inputs=made.INPUTS
-    )
+    origin = ResultsOrigin("boards", inputs=made.INPUTS)
+    return calibration_results(found, picture=made.pictures(found), origin=origin)
 
 
 def test_results_come_back_from_their_folder_and_are_the_same_each_time(tmp_path: Path) -> None:
@@ -524,7 +524,7 @@ def _registered() -> Rig:
     base = np.eye(4)
     base[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
     base[:3, 3] = [0.1, 0.2, 1.2]
-    names = (*(f"robot_base.{key}" for key in POSE), *(f"led.A.{a}_mm" for a in "xyz"))
+    names = (*(f"robot_base.{key}" for key in BODY), *(f"led.A.{a}_mm" for a in "xyz"))
     covariance = Covariance(names, np.arange(1.0, 10.0), np.eye(9))
     return replace(
         made.make_rig(), rig_T_base=base, base_source="motion", covariance=covariance,
@@ -537,7 +537,7 @@ def _moved_robot() -> MotionRegistration:
         frame=np.array([0, 1]),
         camera=np.array([0, 1]),
         led=np.array([0, 1]),
-        seen=np.array([[10.0, 20.0], [30.0, 40.0]]),
+        observed=np.array([[10.0, 20.0], [30.0, 40.0]]),
         residual=np.array([[0.1, 0.0], [0.0, -0.2]]),
         used=np.array([True, False]),
     )
@@ -552,7 +552,9 @@ def _moved_robot() -> MotionRegistration:
 
 
 def test_a_registration_from_motion_is_laid_out_in_the_file_s_units() -> None:
-    found = motion_results(_moved_robot(), robot="iust_6r", source="session", inputs=made.INPUTS)
+    found = motion_results(
+        _moved_robot(), robot="iust_6r", origin=ResultsOrigin("s", inputs=made.INPUTS)
+    )
     base = found.summary["base"]
     assert_allclose(base["position_mm"], [100.0, 200.0, 1200.0])
     assert_allclose(base["rotation_vector_deg"], [0, 0, np.rad2deg(0.5)], atol=1e-12)
