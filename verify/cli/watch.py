@@ -22,7 +22,7 @@ from verify.core.processes import ChildProcess, answer_requests
 from verify.errors import InputError
 from verify.io.session.keys import Tolerance
 from verify.live.alarms.joints import AlarmLimits
-from verify.live.clock import ClockRequest, estimate_offset
+from verify.live.clock import ESTIMATE_TIMEOUT, ClockRequest, estimate_offset
 from verify.live.loop import LiveLoop, LoopSettings
 from verify.live.measuring_process import MeasuringProcess
 from verify.live.outputs.listeners import (
@@ -43,7 +43,6 @@ from verify.live.station.station import PanDrive, Station
 SWITCH_INTERVAL = (
     0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
 )
-ESTIMATE_TIMEOUT = 20.0  # s for the clock, on a busy machine
 
 
 @dataclass(frozen=True, slots=True)

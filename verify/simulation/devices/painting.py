@@ -66,7 +66,7 @@ class PeriodicMotion:
 LAMP_DN = 200.0  # as bright as an LED
 LAMP_OFFSET_MM = (60.0, 40.0, 0.0)  # mm, rig axes, from the middle of the LEDs' way
 # s for a picture painted elsewhere, then it is painted here: less than a camera may be silent for
-TIMEOUT = 0.3
+ANSWER_TIMEOUT = 0.3
 LATE_NOTE = "painted by the main process while the other one is late"
 
 
@@ -139,11 +139,11 @@ class RemotePainter:
     Args:
         scenario: as the station names it.
         near: paints the same here.
-        patience: s for a picture.
+        timeout: s for a picture.
     """
 
-    def __init__(self, scenario: str, near: LocalPainter, patience: float = TIMEOUT) -> None:
-        self._near, self._patience = near, patience
+    def __init__(self, scenario: str, near: LocalPainter, timeout: float = ANSWER_TIMEOUT) -> None:
+        self._near, self._timeout = near, timeout
         self._process: ChildProcess[PaintRequest, None] | None = ChildProcess(
             answer_requests, partial(_paint_remote, scenario), partial(_remote_painter, scenario),
             name="simulated cameras", background=True,
@@ -158,7 +158,7 @@ class RemotePainter:
         try:
             if process is not None and process.is_ready():
                 name, shape = room.room(self._near.renderers[sight.side].shape)
-                process.ask((sight, name, shape), self._patience)
+                process.ask((sight, name, shape), self._timeout)
                 self.trouble = ""
                 return room.copy(shape)
         except ChildLateError:

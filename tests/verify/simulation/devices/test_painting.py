@@ -61,7 +61,7 @@ def test_one_that_is_late_is_not_waited_for_and_asked_again_once_it_answers() ->
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
     assert distant.trouble == LATE_NOTE
     os.kill(process.pid, signal.SIGCONT)
-    distant._patience, end = LIMIT, time.monotonic() + LIMIT
+    distant._timeout, end = LIMIT, time.monotonic() + LIMIT
     while distant.trouble:
         assert np.array_equal(distant.paint(SIGHTS[1]), wanted[1])
         assert time.monotonic() < end
