@@ -1,24 +1,21 @@
-"""Child processes, their share of the processors, and pictures in memory that processes share.
+"""Child processes, their priority, and pictures in memory that processes share.
 
 A child process is started as a fresh interpreter, tells when it is ready, exchanges messages with
 the process that started it, and ends with it. Nothing else in this program starts processes of
 Python code.
 """
 
-import ctypes
 import gc
 import math
 import multiprocessing
 import os
 import signal
-import struct
 import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
-from contextlib import suppress
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.shared_memory import SharedMemory
 from typing import Any, Generic, NoReturn, TypeVar
@@ -108,7 +105,8 @@ class ChildProcess(Generic[Request, Answer]):
             name=name,
             daemon=not nested,
         )
-        self._process.start()
+        with _interrupts_ignored():  # also in the child process, from its first instruction on
+            self._process.start()
         requests.close()
         messages.close()
         self._lock = threading.Lock()
@@ -303,72 +301,35 @@ def _exit_with_parent() -> NoReturn:
     os._exit(1)
 
 
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Ignore Ctrl-C for a moment; other threads than the main one cannot, and do nothing."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _failure(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
 NICENESS = 10
-SHORT_SLICE_NS, DEFAULT_SLICE_NS = (
-    100_000,
-    0,
-)  # ns of a turn: the shortest that Linux grants; by default it is 3 ms
-SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # numbers of the system call
-# size, policy, flags, niceness, priority, turn in ns, two for deadlines: linux/sched/types.h
-ATTRIBUTES = struct.Struct("=IIQiIQQQ")
 
 
 def lower_priority() -> None:
-    """Let others have the processor first, from now on, in this thread and those it starts.
+    """Lower the priority of this thread and those it starts; on Linux alone.
 
-    Where niceness belongs to the whole process, which is everywhere but on Linux, nothing changes.
+    Elsewhere niceness belongs to the whole process.
     """
     if sys.platform == "linux":
         os.nice(NICENESS)
         with suppress(PermissionError):  # some sandboxes; niceness remains
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-
-
-def request_short_slice(*, wanted: bool = True) -> bool:
-    """Let this thread have the processor as soon as it is woken, for short turns at a time.
-
-    Linux, from 6.12 on, lets whoever asks for shorter turns interrupt those with longer ones; that
-    takes no right, as the share of the processor stays what it is. Elsewhere nothing changes.
-
-    Args:
-        wanted: False takes it back.
-
-    Returns:
-        Whether the system took the call; one before 6.12 takes it, and does nothing.
-    """
-    number = SCHED_SETATTR.get(os.uname().machine) if sys.platform == "linux" else None
-    if number is None:
-        return False
-    niceness = os.getpriority(os.PRIO_PROCESS, 0)
-    turn = SHORT_SLICE_NS if wanted else DEFAULT_SLICE_NS
-    told = ATTRIBUTES.pack(ATTRIBUTES.size, os.SCHED_OTHER, 0, niceness, 0, turn, 0, 0)
-    return bool(_c_library().syscall(number, 0, told, 0) == 0)
-
-
-@lru_cache(maxsize=1)
-def _c_library() -> ctypes.CDLL:
-    return ctypes.CDLL(None)
-
-
-def split_processors(other: int) -> None:
-    """Give this thread one half of the processors, and another process (its id) the other half.
-
-    A process that is asked something tends to be woken where the one who asks runs; two that are
-    to work at once then take turns, until the scheduler notices.
-    """
-    if sys.platform != "linux":
-        return
-    usable = sorted(os.sched_getaffinity(0))
-    if len(usable) < 2:
-        return
-    half = len(usable) // 2
-    with suppress(ProcessLookupError, PermissionError):
-        os.sched_setaffinity(other, usable[half:])
-        os.sched_setaffinity(0, usable[:half])
 
 
 Place = tuple[str, tuple[int, ...]]  # name and shape

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 import robots
-from verify.core.processes import request_short_slice
 from verify.core.records import Array, Measurement, StereoPair
 from verify.devices.protocols import CameraDevice, CapturedPair, EncoderDevice, PanDevice
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
@@ -195,7 +194,6 @@ class LiveLoop:
     # measuring
 
     def _measure(self) -> None:
-        request_short_slice()
         try:
             pairs = self._noted(self._recorder.keep(self._taken(), self._prepare))
             for measurement in self._measuring(pairs, self._expected):
@@ -273,7 +271,6 @@ class LiveLoop:
     # comparing
 
     def _compare(self) -> None:
-        request_short_slice()
         while (item := self._next_measured()) is not None:
             try:
                 pairs = [self._bracketing.wait(*item, self._recorder.through)]

@@ -29,8 +29,6 @@ from verify.core.processes import (
     answer_requests,
     location_of,
     picture_at,
-    request_short_slice,
-    split_processors,
 )
 from verify.core.records import Array, Image, Measurement, Spots, StereoPair
 from verify.core.rig import Rig
@@ -63,7 +61,7 @@ class ParallelDetector:
     def __init__(self, warn: Callable[[str], None]) -> None:
         self._warn, self._warned = warn, False
         self._process: ChildProcess[DetectionRequest, Spots] | None = ChildProcess(
-            answer_requests, _detect_shared_picture, request_short_slice, name="right picture"
+            answer_requests, _detect_shared_picture, name="right picture"
         )
         self._process.wait_until_ready()
         self._picture = SharedPicture()
@@ -95,11 +93,6 @@ class ParallelDetector:
             self._warn(f"pictures are searched one after the other from now on: {error}")
             self.close()
         return detect(left, left_windows), detect(right, right_windows)
-
-    def spread(self) -> None:
-        """Search each picture on processors of its own; moves the calling thread."""
-        if self._process is not None:
-            split_processors(self._process.pid)
 
     def close(self) -> None:
         """End the second process."""
@@ -209,8 +202,6 @@ def _measure_pairs(line: ParentLine, rig: Rig, marker: Marker) -> None:
     with ExitStack() as stack:
         detector = ParallelDetector(lambda text: line.send("warning", text))
         stack.callback(detector.close)
-        detector.spread()
-        request_short_slice()
         warm_up(detector)
         gc.collect()
         gc.freeze()  # the collector need not search what is there: that takes a picture's time

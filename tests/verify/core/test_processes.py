@@ -1,4 +1,4 @@
-"""Child processes: ready, asked, late, failed, lost, stopped; and their share of the processors."""
+"""Child processes: ready, asked, late, failed, lost, stopped; and their priority."""
 
 import os
 import signal
@@ -21,7 +21,6 @@ from verify.core.processes import (
     ParentLine,
     answer_requests,
     lower_priority,
-    split_processors,
     wait_for_any,
 )
 
@@ -142,29 +141,6 @@ def test_one_thread_stands_back_and_the_others_do_not() -> None:
 
 
 @linux
-@pytest.mark.parametrize("processors", [1, None])
-def test_two_that_work_at_once_share_no_processor_where_there_are_two(
-    processors: int | None,
-) -> None:
-    everything = os.sched_getaffinity(0)
-    usable = set(sorted(everything)[:processors])
-    os.sched_setaffinity(0, usable)  # the other one inherits it
-    with subprocess.Popen(["sleep", "60"]) as other:
-        try:
-            split_processors(other.pid)
-            mine, theirs = os.sched_getaffinity(0), os.sched_getaffinity(other.pid)
-            assert mine
-            assert theirs
-            assert mine | theirs == usable
-            assert bool(mine & theirs) == (len(usable) == 1)
-        finally:
-            os.sched_setaffinity(0, everything)
-            other.kill()
-    split_processors(other.pid)  # who is gone needs none
-    assert os.sched_getaffinity(0) == everything
-
-
-@linux
 def test_a_child_process_ends_with_the_process_that_started_it() -> None:
     command = [sys.executable, "-c", STARTS_A_CHILD]
     with subprocess.Popen(
@@ -181,7 +157,6 @@ def test_a_child_process_ends_with_the_process_that_started_it() -> None:
 
 def test_elsewhere_nothing_is_asked_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")
-    for name in ("nice", "sched_setscheduler", "sched_setaffinity"):
+    for name in ("nice", "sched_setscheduler"):
         monkeypatch.delattr(os, name, raising=False)
     lower_priority()
-    split_processors(os.getpid())

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from verify.core.processes import request_short_slice
 from verify.core.records import StereoPair
 from verify.devices.protocols import CapturedPair, EncoderReading
 from verify.errors import InputError
@@ -206,7 +205,6 @@ class SessionRecorder:
 
     def _write(self) -> None:
         """Write items until the end, then close; runs in its own thread."""
-        request_short_slice()
         while self._wait():
             if not self._items:
                 self._guarded(self._encode)
