@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.jit import compiled
+from verify.core.kernels.linear_algebra import median
 from verify.core.records import Array
 
 MAD_TO_SIGMA = 1.4826  # of a Gaussian
@@ -220,7 +221,7 @@ def median_difference(t: Array, column: Array, order: int, longest: float) -> tu
         if whole:
             sizes[count] = abs(differences[i])
             count += 1
-    return (float(np.median(sizes[:count])) if count else 0.0), count
+    return (float(median(sizes[:count])) if count else 0.0), count
 
 
 @compiled

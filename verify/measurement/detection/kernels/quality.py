@@ -83,9 +83,9 @@ def assess_shape(counted: Array, peak: float, limits: tuple[float, ...], told: A
     rough = math.sqrt(square_dn / paid)
     merged = misfit > most and rough > rough_most * min(peak, SENSOR_LIMIT)
     excess = max(misfit - 1.0 - chance * math.sqrt(2.0 / paid), 0.0) if full == 0.0 else 0.0
-    told[COL_COVARIANCE_XX : COL_COVARIANCE_YY + 1] *= (
-        together * misfit if merged else 1.0 + together * excess
-    )
+    larger = together * misfit if merged else 1.0 + together * excess
+    for k in range(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1):
+        told[k] *= larger
     told[COL_MISFIT], told[COL_COUNT] = misfit, count
     told[COL_SATURATED], told[COL_MERGED] = 1.0 if full > 0.0 else 0.0, 1.0 if merged else 0.0
 
