@@ -56,7 +56,12 @@ def _source_fingerprint(package: Path) -> str:
 CACHE = _cache_available()
 # level 3 takes a fifth longer to compile and is no quicker here; nothing calls from C
 vars(numba.config)["OPT"] = type(vars(numba.config)["OPT"])(2)
-OPTIONS: dict[str, Any] = {"cache": CACHE, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+OPTIONS: dict[str, Any] = {
+    "cache": CACHE,
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}
 
 
 def compiled(function: Function) -> Function:

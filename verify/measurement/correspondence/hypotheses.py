@@ -22,8 +22,14 @@ from verify.measurement.correspondence.kernels import fit, seeds
 from verify.measurement.correspondence.kernels import points as kernels_points
 from verify.measurement.correspondence.kernels import seeds as kernels_seeds
 from verify.measurement.correspondence.kernels import spots as kernel_spots
-from verify.measurement.correspondence.kernels import spots as kernels_spots
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
+from verify.measurement.correspondence.refinement import (
+    HypothesisArrays,
+    SearchInputs,
+    best_of_each,
+    follow_all,
+    settle_all,
+)
 from verify.measurement.correspondence.views import SpotViews
 
 MAX_POINTS = 120  # best rays first; keeps a scene full of lamps on one line within bounds
@@ -131,7 +137,7 @@ class Hypotheses:
         return len(self.position)
 
     @property
-    def laid(self) -> kernels_spots.HypothesisArrays:
+    def laid(self) -> HypothesisArrays:
         """All that they are, as the kernels take it."""
         return (
             self.rotation, self.position, self.shift, self.spot, self.hold, self.covariance,
@@ -234,9 +240,7 @@ def refine(views: SpotViews, hypotheses: Hypotheses) -> Hypotheses:
         return hypotheses
     steps = 2  # from a few mm off they leave 0.01 px
     own = hypotheses.copied()
-    count = kernels_spots.settle_all(
-        _kernel_inputs(views), own.laid, steps, settle_bounds(len(views.leds))
-    )
+    count = settle_all(_kernel_inputs(views), own.laid, steps, settle_bounds(len(views.leds)))
     return own.first(count)
 
 
@@ -260,14 +264,12 @@ def follow_pose(
     for mine, theirs in zip(own.laid, found.laid, strict=True):
         mine[1:] = theirs
     own.hold[:] = place**-2
-    count = kernels_spots.follow_all(
-        _kernel_inputs(views), own.laid, settle_bounds(len(views.leds)), settled
-    )
+    count = follow_all(_kernel_inputs(views), own.laid, settle_bounds(len(views.leds)), settled)
     return own.first(count)
 
 
-def _kernel_inputs(views: SpotViews) -> kernels_spots.SearchInputs:
-    """What the kernels that settle hypotheses are told of the images and the marker."""
+def _kernel_inputs(views: SpotViews) -> SearchInputs:
+    """Lay out the images and the marker for the refinement."""
     play = views.led_play * views.mean_focal
     return (
         views.cameras,
@@ -285,12 +287,12 @@ def unique(hypotheses: Hypotheses) -> Hypotheses:
     """Keep the best fit of each assignment: two poses of a flat marker may share one."""
     if len(hypotheses) < 2:
         return hypotheses
-    return hypotheses.take(kernels_spots.best_of_each(hypotheses.chi2, hypotheses.spot))
+    return hypotheses.take(best_of_each(hypotheses.chi2, hypotheses.spot))
 
 
 @lru_cache(maxsize=8)
 def settle_bounds(leds: int) -> tuple[Array, Index]:
-    """What `kernel_settle.likely` is to know, of a marker with so many LEDs."""
+    """Bounds of `select_likely` for a marker of so many LEDs: chi² by degrees of freedom, and those."""
     freedom = np.maximum(np.arange(4 * leds + 1), 1)
     return np.asarray(chdtri(freedom, P_REJECT), dtype=float), DOF_BY_LEDS
 

@@ -214,37 +214,6 @@ def compact_blobs(
 
 
 @compiled
-def select_highest(
-    found: Array, doubt: NDArray[np.int64], across: tuple[float, float], best: Array
-) -> int:
-    """List the blobs that are as large as asked, highest contrast first.
-
-    Args:
-        found: (n, 4), as `compact_blobs` fills it.
-        doubt: (n,), px, by which a blob's width may be missed.
-        across: px, least and largest width.
-        best: (m, 4), filled from the begin with as many as it holds.
-
-    Returns:
-        How many.
-    """
-    chosen, count = np.empty(len(found), np.int64), 0
-    for n in range(len(found)):
-        width = 2.0 * found[n, 2]
-        if width + doubt[n] >= across[0] and width - doubt[n] <= across[1]:
-            chosen[count] = n
-            count += 1
-    rank = np.empty(count)
-    for k in range(count):
-        rank[k] = -found[chosen[k], 3]
-    count = min(count, len(best))
-    order = np.argsort(rank, kind="mergesort")
-    for k in range(count):
-        best[k] = found[chosen[order[k]]]
-    return count
-
-
-@compiled
 def row_peaks(contrast: Image, highest: NDArray[np.uint8]) -> None:
     """Fill in the highest of each row (h, w)."""
     for y in range(contrast.shape[0]):
