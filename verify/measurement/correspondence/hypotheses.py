@@ -77,9 +77,10 @@ def find_points(views: SpotViews) -> TriangulatedPoints:
 
 def build_graph(views: SpotViews, points: TriangulatedPoints) -> SeedGraph:
     """Join points that may be LEDs at the marker's distances, within noise and skew."""
-    point, led = np.empty((2, len(points.spot) * len(views.leds)), dtype=np.int64)
-    count = seeds.list_nodes(points.spot, views.allowed, point, led)
-    point, led, deviation = point[:count], led[:count], np.empty((count, count))
+    left, right = points.spot.T
+    possible = np.flatnonzero(views.allowed[0][:, left] & views.allowed[1][:, right])
+    led, point = np.divmod(possible, len(points.spot))
+    deviation = np.empty((len(point), len(point)))
     places = points.spot, points.rig, points.covariance
     seeds.join_nodes(places, point, led, views.leds, views.led_play, deviation)
     return SeedGraph(point, led, deviation)
@@ -87,8 +88,11 @@ def build_graph(views: SpotViews, points: TriangulatedPoints) -> SeedGraph:
 
 def find_edges(graph: SeedGraph) -> Index:
     """List pairs of nodes that agree, (e, 2), best first."""
-    edges = np.empty((MAX_EDGES, 2), dtype=np.int64)
-    return edges[: seeds.list_edges(graph.deviation, np.empty(MAX_EDGES), edges)]
+    agreeing = np.flatnonzero(graph.deviation <= MAX_DEVIATION)
+    one, other = np.divmod(agreeing, len(graph.deviation))
+    once = one < other
+    best = np.argsort(graph.deviation.ravel()[agreeing[once]], kind="stable")[:MAX_EDGES]
+    return np.column_stack([one[once][best], other[once][best]])
 
 
 def find_triangles(graph: SeedGraph, leds: Array) -> Index:
@@ -322,9 +326,10 @@ def _counts(hypotheses: Hypotheses) -> Index:
 
 def conflicts(hypotheses: Hypotheses, best: int) -> NDArray[np.bool_]:
     """Say which hypotheses contradict one: another spot for an LED, or another LED for a spot."""
-    marked = np.empty(len(hypotheses), dtype=np.bool_)
-    kernel_spots.mark_conflicts(hypotheses.spot, best, marked)
-    return marked
+    theirs, mine = hypotheses.spot[:, :, :, None], hypotheses.spot[best][:, None]
+    same_led = np.eye(mine.shape[-1], dtype=np.bool_)
+    contrary = (theirs >= 0) & (mine >= 0) & ((theirs == mine) != same_led)
+    return np.asarray(contrary.any(axis=(1, 2, 3)))
 
 
 def departure(

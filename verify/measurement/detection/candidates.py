@@ -176,6 +176,8 @@ def cut_first_look(image: Image, candidates: Candidates, noise: Noise) -> Locate
     column, row = disc_offsets(FIRST_LOOK_STEPS)
     spacing = (PATCH_REACH * candidates.radius + PATCH_MARGIN)[:, None] / FIRST_LOOK_STEPS
     offsets = [np.rint(spacing * axis).astype(np.intp) for axis in (column, row)]
+    for axis in offsets:
+        axis.flags.writeable = False  # as those of a disc: a function is compiled for one of both
     origin = np.rint(candidates.centre).astype(np.intp)
     return read_pixels(image, origin, candidates.radius, offsets[0], offsets[1], noise)
 

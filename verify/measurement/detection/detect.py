@@ -26,7 +26,6 @@ from verify.measurement.detection.fit import (
     first_look,
     fit_spots,
 )
-from verify.measurement.detection.kernels import candidates as kernels_candidates
 from verify.measurement.detection.kernels import noise as kernels_noise
 from verify.measurement.detection.kernels.fit import MIN_NOISE_SHARE
 from verify.measurement.detection.kernels.pixels import (
@@ -152,9 +151,10 @@ def clip_windows(windows: Array | None, image: Image) -> NDArray[np.int64] | Non
     """Windows in whole pixels, cut at the image's border."""
     if windows is None:
         return None
-    whole = np.empty(np.shape(windows), dtype=np.int64)
-    kernels_candidates.cut_windows(np.asarray(windows, dtype=float), image.shape[:2], whole)
-    return whole
+    height, width = image.shape[:2]
+    cut = np.clip(np.asarray(windows, dtype=float), 0.0, (width, height, width, height))
+    cut[:, 2:] = np.ceil(cut[:, 2:])
+    return cut.astype(np.int64)
 
 
 def fit_candidates(

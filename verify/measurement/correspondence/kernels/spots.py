@@ -140,25 +140,6 @@ def count_all(spot: Index, counts: Index) -> None:
 
 
 @compiled
-def mark_conflicts(spot: Index, best: int, conflict: Flags) -> None:
-    """Fill in which assignments (h, 2, n) contradict the one numbered `best`.
-
-    They do with another spot for an LED, or another LED for a spot.
-    """
-    for h in range(len(spot)):
-        conflict[h] = False
-        for side in range(2):
-            for a in range(spot.shape[2]):
-                theirs = spot[h, side, a]
-                if theirs < 0:
-                    continue
-                for b in range(spot.shape[2]):
-                    mine = spot[best, side, b]
-                    if mine >= 0 and (mine == theirs) != (a == b):
-                        conflict[h] = True
-
-
-@compiled
 def departures_of_all(
     leds: Array,
     spot: Index,

@@ -5,8 +5,6 @@ What is brighter than its surroundings, compiled: three steps a pixel, whatever 
 OpenCV's top hat takes as many as its window is wide. The same values.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -148,23 +146,6 @@ def find_blobs(
             found[k, 0] += x0
             found[k, 1] += y0
     return count
-
-
-@compiled
-def cut_windows(windows: Array, size: tuple[int, int], whole: NDArray[np.int64]) -> None:
-    """Cut windows (n, 4), px, at a picture's border and widen them to whole pixels.
-
-    Args:
-        windows: x0, y0, x1, y1.
-        size: height and width of the picture.
-        whole: (n, 4), filled; upper bounds exclusive.
-    """
-    height, width = size
-    for n in range(len(windows)):
-        for axis in range(4):
-            end = width if axis % 2 == 0 else height
-            edge = min(max(windows[n, axis], 0.0), float(end))
-            whole[n, axis] = int(edge if axis < 2 else math.ceil(edge))
 
 
 @compiled
