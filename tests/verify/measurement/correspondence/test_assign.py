@@ -19,7 +19,7 @@ from verify.core.records import Array, Noise, Spots
 from verify.core.rig import Camera, Rig
 from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
 from verify.measurement.correspondence.hypotheses import settle_bounds
-from verify.measurement.correspondence.kernels.spots import select_likely
+from verify.measurement.correspondence.refinement import select_likely
 
 SIZE = (1280, 720)
 PANS = (0.11, -0.09)
