@@ -122,6 +122,7 @@ def test_json_gives_one_object_a_line(lab: Path, out: Path, tmp_path: Path) -> N
     assert lines[-1]["summary"]["kind"] == "fleet"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_pdf")
 def test_before_and_after_a_day_is_in_the_report(lab: Path, out: Path, tmp_path: Path) -> None:
     place = tmp_path / "fleet"
@@ -132,6 +133,7 @@ def test_before_and_after_a_day_is_in_the_report(lab: Path, out: Path, tmp_path:
     assert "since 2025-03-05" in (place / "fleet.html").read_text()
 
 
+@pytest.mark.slow
 def test_session_reports_are_written_where_asked_and_linked(lab: Path, tmp_path: Path) -> None:
     some = tmp_path / "some"
     shutil.copytree(lab / "01", some / "01")
@@ -174,6 +176,7 @@ def closed(heap: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "scandir", guarded)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("closed", "without_pdf")
 def test_each_spoilt_session_is_reported_and_the_rest_unharmed(heap: Path, tmp_path: Path) -> None:
     place = tmp_path / "fleet"

@@ -103,6 +103,7 @@ def test_the_rig_holds_the_truth_within_what_it_states(
     assert baseline == pytest.approx(170.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_the_same_pictures_give_the_same_figures(
     calibrated: tuple[Path, Path, Outcome], pictures: Path, tmp_path: Path
 ) -> None:
@@ -178,6 +179,7 @@ def test_a_board_on_the_base_registers_the_robot_and_the_check_holds(
     assert "The calibration holds" in held.out
 
 
+@pytest.mark.slow
 def test_a_bumped_camera_fails_the_check(
     calibrated: tuple[Path, Path, Outcome], tmp_path: Path, pictures: Path
 ) -> None:
@@ -194,6 +196,7 @@ def test_a_bumped_camera_fails_the_check(
     assert "does not hold" in said.out
 
 
+@pytest.mark.slow
 def test_a_check_leaves_a_report_where_one_is_asked_for(
     calibrated: tuple[Path, Path, Outcome], pictures: Path, tmp_path: Path
 ) -> None:
@@ -226,7 +229,6 @@ def test_readings_of_another_robot_are_named_as_the_first_suspect(tmp_path: Path
     assert "mirror" not in said.err
 
 
-@pytest.mark.slow
 def test_a_motion_registers_base_and_leds(tmp_path: Path) -> None:
     session = SAMPLES / "multi_joint_rv_3sd"
     out, marker, report = tmp_path / "rig.toml", tmp_path / "marker.toml", tmp_path / "report"
@@ -257,6 +259,7 @@ def one_line(said: Outcome, *words: str) -> None:
         assert word in said.err, said.err
 
 
+@pytest.mark.slow
 def test_bad_pictures_are_refused_in_one_line(pictures: Path, tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"
 
@@ -292,6 +295,7 @@ def test_bad_pictures_are_refused_in_one_line(pictures: Path, tmp_path: Path) ->
     assert not (tmp_path / "report").exists()
 
 
+@pytest.mark.slow
 def test_pan_angles_in_radians_are_suspected_before_the_boards(tmp_path: Path) -> None:
     turning = SMALL.format(pairs=12) + "\n[bases]\nrange_deg = 15.0\n"
     (tmp_path / "turning.toml").write_text(turning)
@@ -328,6 +332,7 @@ def test_a_disk_that_fills_up_leaves_neither_rig_nor_report(
     assert list(place.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_another_number_of_corners_is_named(pictures: Path, tmp_path: Path) -> None:
     said = verify(
         "calibrate", "boards", pictures, "-o", tmp_path / "rig.toml", "--report", tmp_path / "r",
@@ -336,6 +341,7 @@ def test_another_number_of_corners_is_named(pictures: Path, tmp_path: Path) -> N
     one_line(said, "9 x 6", "7 x 5")
 
 
+@pytest.mark.slow
 def test_columns_and_rows_that_are_swapped_are_named(tmp_path: Path) -> None:
     scenario = SMALL.format(pairs=4).replace("[9, 6]", "[7, 5]")
     (tmp_path / "odd.toml").write_text(scenario)
@@ -352,6 +358,7 @@ def test_options_of_the_other_way_of_registering_are_refused(pictures: Path) -> 
     one_line(said, "--corners")
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_the_recorded_boards_calibrate_as_typed(tmp_path: Path) -> None:
     folder = shared("sessions", "calibration_boards")
@@ -368,6 +375,7 @@ def test_the_recorded_boards_calibrate_as_typed(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_board_that_a_quarter_turn_leaves_as_it_is_is_spoken_of(tmp_path: Path) -> None:
     said = verify("board", "--corners", "8x8", "--square-mm", "20", "-o", tmp_path / "square")
     assert said.status == 0

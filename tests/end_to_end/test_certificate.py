@@ -88,6 +88,7 @@ def test_a_session_that_was_changed_since_does_not(
     assert "encoders.csv is not what was read" in answer.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "change", "said"),
     [
@@ -110,6 +111,7 @@ def test_a_summary_that_was_changed_does_not(
     assert said in answer.stderr
 
 
+@pytest.mark.slow
 def test_a_result_with_hidden_joints_passes_too(
     recipe: Path, hiding: tuple[Path, Path], tmp_path: Path
 ) -> None:

@@ -76,6 +76,7 @@ def outcomes(clone: Path) -> dict[str, subprocess.CompletedProcess[str]]:
     return {line: run(["bash", "-c", line], clone) for line in typed}
 
 
+@pytest.mark.slow
 def test_the_readme_runs_as_written_and_what_it_leaves_is_explained(
     clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
 ) -> None:

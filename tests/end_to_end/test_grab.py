@@ -265,7 +265,7 @@ def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setattr(grab_station, "STDIN", read)
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_a_cap_is_grasped_through_the_real_drivers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -277,7 +277,7 @@ def test_a_cap_is_grasped_through_the_real_drivers(
     assert (summary["state"], summary["released"]) == ("lifted", True)
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_a_wrong_confirmation_moves_nothing_and_writes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -299,7 +299,6 @@ def test_a_wrong_confirmation_moves_nothing_and_writes_nothing(
             grab_on_station(station, nowhere, GRABS, out, force=False)
 
 
-@pytest.mark.slow
 def test_without_execute_a_station_is_planned_for(tmp_path: Path) -> None:
     with cell(tmp_path, 8.0) as (station, _, _):
         out = tmp_path / "out"
@@ -343,7 +342,7 @@ def test_a_robot_that_is_no_melfa_is_refused(tmp_path: Path) -> None:
     assert 'station.toml, encoders.driver: is "labenc"; only a MELFA controller can be' in said
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_emulators_need_execute_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         grabbing_station, "_read_line", lambda: pytest.fail("nobody is to be asked")
@@ -357,7 +356,7 @@ def test_emulators_need_execute_alone(tmp_path: Path, monkeypatch: pytest.Monkey
     assert summary["released"]
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.parametrize("real", ["controller", "gripper"])
 def test_one_real_device_is_enough_to_be_asked(
     real: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

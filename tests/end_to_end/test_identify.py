@@ -43,6 +43,7 @@ def test_a_session_gives_a_corrected_arm_with_its_sign_spelled_out(tmp_path: Pat
     assert "Joint offsets" in (out / "report.html").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.parametrize(("positions_alone", "rank"), [(False, 30), (True, 27)])
 def test_a_laser_tracker_s_poses_need_no_registration(

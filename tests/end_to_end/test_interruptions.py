@@ -35,6 +35,7 @@ def assert_refused(status: int, err: str, *named: str) -> None:
         assert word in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "kill"])
 def test_a_run_that_is_interrupted_leaves_nothing_and_says_so(
     sent: signal.Signals, tmp_path: Path
@@ -89,6 +90,7 @@ def test_forced_over_earlier_results_an_interruption_leaves_those(
     assert (tmp_path / "summary.json").read_text() == "earlier"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", ["16k", "300k", "2m"])  # full at the tables, the picture, the HTML
 def test_a_full_disk_is_one_line_and_leaves_nothing(
     size: str, measurements: list[Measurement], tmp_path: Path

@@ -41,6 +41,7 @@ def test_run_and_report_take_poses(posed: Path, tmp_path: Path) -> None:
     assert (tmp_path / "out" / "report.pdf").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_batch_takes_poses_beside_pictures(posed: Path, tmp_path: Path) -> None:
     done = verify("batch", posed.parent, SAMPLE, "-o", tmp_path / "fleet", "--workers", "1")
     assert done.status == 1

@@ -86,6 +86,7 @@ def rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
+@pytest.mark.slow
 def test_the_quarter_circle_is_measured_whole_and_nothing_is_accused(quarter_circle: Run) -> None:
     assert quarter_circle.outcome.status == 0
     assert quarter_circle.summary["pairs"] == {"recorded": 40, "measured": 40, "rejected": {}}
@@ -157,6 +158,7 @@ def shares(summary: dict[str, Any]) -> list[float]:
     return [joint["visible_fraction"] for joint in summary["joints"]]
 
 
+@pytest.mark.slow
 def test_a_registration_by_motion_hides_what_the_table_says(
     multi_joint: Run, tmp_path: Path
 ) -> None:
@@ -172,6 +174,7 @@ def test_a_registration_by_motion_hides_what_the_table_says(
     assert np.all(multi_joint.joints("visible_fraction") >= 0.985)  # .99 to 1 in the table
 
 
+@pytest.mark.slow
 def test_the_quarter_circle_shows_little_and_with_leds_by_motion_nothing(
     quarter_circle: Run, tmp_path: Path
 ) -> None:
@@ -182,6 +185,7 @@ def test_the_quarter_circle_shows_little_and_with_leds_by_motion_nothing(
     assert fitted == pytest.approx([0.0] * 6, abs=TABLE)
 
 
+@pytest.mark.slow
 def test_joints_that_the_registration_swallowed_get_no_figure_and_no_verdict(
     multi_joint: Run, tmp_path: Path
 ) -> None:
@@ -197,6 +201,7 @@ def test_joints_that_the_registration_swallowed_get_no_figure_and_no_verdict(
     assert min(since) > 0.98
 
 
+@pytest.mark.slow
 def test_the_means_come_from_the_fit_with_the_registration_not_from_residuals(
     multi_joint: Run, tmp_path: Path
 ) -> None:

@@ -26,7 +26,6 @@ from verify.io.session.session import open_session
 from verify.live.station.file import template
 from verify.simulation.emulators.server import EmulatorFaults
 
-pytestmark = pytest.mark.slow
 SLOW = "rate_hz = 10.0"  # pictures a second: a machine that does other things keeps up
 
 
@@ -113,6 +112,7 @@ def event(what: str, at: float, lasts: float | None = None, **more: object) -> s
     return "\n[[sim.event]]\n" + "\n".join(lines) + "\n"
 
 
+@pytest.mark.realtime
 def test_what_befalls_the_cameras_is_said_and_the_joint_that_jumps_is_named(tmp_path: Path) -> None:
     events = (
         event("camera_gone", 4.0, 2.0, camera="left")
@@ -150,6 +150,7 @@ def test_what_befalls_the_cameras_is_said_and_the_joint_that_jumps_is_named(tmp_
     )
 
 
+@pytest.mark.realtime
 def test_what_was_measured_live_is_what_the_recording_gives(tmp_path: Path) -> None:
     run = listen(started(station(tmp_path), "--for", "8s", "-o", "out"), Run())
     again = json.loads((tmp_path / "out" / "summary.json").read_text())
@@ -166,6 +167,7 @@ def test_what_was_measured_live_is_what_the_recording_gives(tmp_path: Path) -> N
         np.testing.assert_array_equal(recorded.loc[frame].to_numpy(), angles)
 
 
+@pytest.mark.realtime
 def test_a_bad_line_resets_and_jumps_of_its_clock_give_no_false_number(tmp_path: Path) -> None:
     faults = EmulatorFaults(
         noise=0.02, half=0.02, digit=0.02, double=0.02, lost=0.02, split=0.02,
@@ -211,6 +213,7 @@ def test_a_bad_line_resets_and_jumps_of_its_clock_give_no_false_number(tmp_path:
     assert {"measured", "no_encoder"} == set(frames["status"])
 
 
+@pytest.mark.realtime
 def test_bases_follow_and_a_base_that_is_gone_is_said(tmp_path: Path) -> None:
     scenario = tmp_path / "wide.toml"
     scenario.write_text(WIDE)
@@ -231,6 +234,7 @@ def test_bases_follow_and_a_base_that_is_gone_is_said(tmp_path: Path) -> None:
     assert len(measured) > 0.9 * len(run.pairs)
 
 
+@pytest.mark.realtime
 def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
     with mounted(tmp_path / "recordings", "-o", "size=5m") as disk:
         path = station(tmp_path, event("encoder_jump", 9.0, joint=4, degrees=0.5))
@@ -243,6 +247,7 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path
         assert [a["joint"] for a in run.told("change")] == [4]
 
 
+@pytest.mark.realtime
 def test_a_run_that_is_killed_leaves_a_session_up_to_its_last_second(tmp_path: Path) -> None:
     process = started(station(tmp_path))
     run = listen(process, Run(), lambda pair: pair["frame"] == 40)
@@ -266,6 +271,7 @@ def test_ctrl_c_ends_the_run_and_its_report_is_made(tmp_path: Path) -> None:
     assert "closed" in run.watched["recording"]
 
 
+@pytest.mark.realtime
 def test_options_of_a_station_are_refused_for_a_recording_and_the_other_way_round(
     tmp_path: Path,
 ) -> None:
@@ -295,6 +301,7 @@ WIDE = (
 )
 
 
+@pytest.mark.realtime
 def test_a_part_that_cannot_be_measured_takes_no_other_with_it(tmp_path: Path) -> None:
     good = SAMPLES / "multi_joint_rv_3sd"
     broken = tmp_path / "broken"

@@ -31,6 +31,7 @@ def to_own_joints(branches: Array, q: Array) -> Array:
     return np.nanmin(away, axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", [*ARMS.values(), with_signs(ARMS["rv_3sd"])], ids=str)
 def test_ten_thousand_random_poses_give_their_own_joints_back_and_every_branch_reaches(
     arm: robots.DhArm,

@@ -92,6 +92,7 @@ def test_the_report_lists_the_sums(panda: tuple[InMemory, Results]) -> None:
     assert "of more than six joints a pose determines six sums" in page
 
 
+@pytest.mark.slow
 def test_no_sums_of_self_motion_for_six_joints() -> None:
     session = in_memory(
         Scenario(

@@ -11,6 +11,8 @@ from tests.bench.whole_chain import WITHIN, d2_ratio, holds
 from tests.support.whole_chain import ARMS, Checked, replicate
 from verify.core.records import Array
 
+pytestmark = pytest.mark.slow
+
 SESSIONS = 5  # an arm
 PAIRS = 20  # a session
 SEED = 20260131
@@ -54,7 +56,6 @@ def of_arms(outcomes: list[dict[str, Checked]], what: str) -> list[Checked]:
     return [o[f"{arm} {what}"] for o in outcomes for arm in ARMS]
 
 
-@pytest.mark.slow
 def test_stated_uncertainties_hold_from_boards_to_mean_joint_errors() -> None:
     """One test: processes that share the tests would each draw the replicates."""
     seeds = np.random.SeedSequence(SEED).generate_state(REPLICATES).tolist()

@@ -135,6 +135,7 @@ def test_two_offsets_at_once_are_both_named() -> None:
     assert [(c.kind, c.joint) for c in causes] == [("offset", 2), ("offset", 3)]
 
 
+@pytest.mark.slow
 def test_a_healthy_arm_is_seldom_accused() -> None:
     accused = sum(bool(diagnosed(model_of(*compared(s), "fixture", "jig"))) for s in range(60))
     assert accused <= 2  # a family-wise 0.1 % gives 0.06 of them
@@ -291,6 +292,7 @@ def replicate(rig: Rig, marker: Marker, parameters: Systematics, seed: int) -> M
     return mean_errors(model, errors, resolve_errors(model), None, parameters)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("doubts", [False, True])
 def test_d_squared_of_the_mean_errors_is_chi_squared(doubts: bool) -> None:
     rig, marker = believed(doubts=doubts)

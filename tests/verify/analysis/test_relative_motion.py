@@ -98,6 +98,7 @@ def test_offsets_of_the_first_and_the_last_joint_do_not_show_and_the_others_do()
     assert np.all(np.rad2deg(found.detectable[1:5]) < 1.0)
 
 
+@pytest.mark.slow
 def test_healthy_arms_are_not_accused_and_chance_is_what_is_stated() -> None:
     p, inside, count = [], 0, 0
     for seed in range(60):

@@ -155,6 +155,7 @@ def matrix(camera: Camera, *entries: tuple[int, int]) -> Camera:
     return replace(camera, matrix=changed)
 
 
+@pytest.mark.slow
 def test_figures_scatter_as_stated_and_no_healthy_rig_is_accused() -> None:
     rig, marker = believed(doubts=True)
     parameters = stated_systematics(rig, marker, turning=False)
@@ -213,6 +214,7 @@ def test_a_rendered_session_accuses_a_bumped_rig_and_no_other(session: InMemory)
         assert (moved_warning(found, ()) is None) == (name == "healthy"), name
 
 
+@pytest.mark.slow
 def test_a_result_warns_of_a_rig_that_has_moved(session: InMemory) -> None:
     """LEDs known to 0.1 mm keep the pairs measurable that a baseline 0.6 % off would spoil."""
     marker = replace(session.marker, led_standard_uncertainty=1e-4)
@@ -222,6 +224,7 @@ def test_a_result_warns_of_a_rig_that_has_moved(session: InMemory) -> None:
         assert any(ACCUSED in w for w in results.summary["warnings"]) == accused
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["multi_joint_fault_6r", "quarter_circle_6r"])
 def test_the_recorded_sessions_are_healthy_and_a_bumped_rig_would_show(name: str) -> None:

@@ -74,6 +74,7 @@ def test_settings_that_are_refused_are_doubtful(
     assert found["right camera"]["outcome"] == "works"
 
 
+@pytest.mark.realtime
 def test_devices_on_the_network_are_tried_and_the_missing_one_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -129,6 +129,7 @@ def report_what_is_compiled_after(name: str) -> None:
         print(use.__name__, late or "nothing")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ahead", AHEAD, ids=lambda each: str(each.__name__))
 def test_after_compiling_ahead_nothing_is_left_to_compile(ahead: Callable[[], None]) -> None:
     name = f"t.report_what_is_compiled_after({ahead.__name__!r})"

@@ -18,6 +18,8 @@ from verify.core.processes import (
     split_processors,
 )
 
+pytestmark = pytest.mark.realtime
+
 linux = pytest.mark.skipif(sys.platform != "linux", reason="a matter of Linux")
 
 

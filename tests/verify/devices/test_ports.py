@@ -24,6 +24,7 @@ def test_settings_that_do_not_exist_are_refused() -> None:
         open_port("loop://", SerialLine(parity="X"))
 
 
+@pytest.mark.realtime
 def test_a_line_without_a_descriptor_is_waited_on_all_the_same() -> None:
     port = open_port("loop://", DEFAULT_LINE)
     begin = time.monotonic()
@@ -56,6 +57,7 @@ def test_why_a_port_does_not_open_is_said_in_words(error: OSError, said: str) ->
     assert said in describe_port_error(error)
 
 
+@pytest.mark.realtime
 def test_one_program_at_a_time_has_a_serial_port() -> None:
     ends = os.openpty()
     name = os.ttyname(ends[1])
@@ -86,6 +88,7 @@ def test_a_port_is_tried_ever_more_seldom() -> None:
     assert gaps == sorted(gaps)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("reset", [False, True])
 @pytest.mark.parametrize("greeting", [b"", b"hello"])
 def test_a_line_that_is_ended_from_there_is_told_from_one_that_is_taken(

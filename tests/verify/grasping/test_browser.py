@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.support.devices.chromium import Browser, Tab, browser_needed, launched
+from tests.support.devices.chromium import Browser, Tab, launched
 from tests.support.grasp.page import STANDS, Cell, grabbing
 from verify.grasping.control.states import MOVING_STATES, GraspState
 from verify.simulation.cell.scene import Cap, CellScene
 
-pytestmark = browser_needed
+pytestmark = pytest.mark.browser
 WANDERS = CellScene((Cap("blue", (0.40, -0.20), (0.0, 0.04), 30.0),), seed=2)
 YELLOW = """id => { const c = document.getElementById(id);
   const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
@@ -174,7 +174,6 @@ def test_the_view_in_space_draws_the_cameras_as_they_stood_for_the_pictures(
         assert tab.complaints == []
 
 
-@pytest.mark.slow
 def test_the_grab_button_works_in_the_state_in_which_the_key_does(browser: Browser) -> None:
     with grabbing() as cell, looking(browser, cell) as tab:
         assert tab.evaluate("document.querySelector('#grab').disabled")

@@ -57,6 +57,7 @@ def test_a_stop_holds_as_the_key_does_and_it_stays_held() -> None:
         assert cell.state is GraspState.HOLDING_OPERATOR
 
 
+@pytest.mark.realtime
 def test_a_stop_before_anything_has_begun_is_not_forgotten() -> None:
     with grabbing() as cell, cell.line() as line:
         assert cell.state is GraspState.IDLE  # the simulated devices take half a second
@@ -65,6 +66,7 @@ def test_a_stop_before_anything_has_begun_is_not_forgotten() -> None:
         assert not MOVING_STATES & set(cell.states)
 
 
+@pytest.mark.realtime
 def test_a_stop_gets_through_while_pictures_are_stuck(monkeypatch: pytest.MonkeyPatch) -> None:
     with grabbing(WANDERS) as cell, cell.line() as line:
         following(cell)
@@ -85,6 +87,7 @@ def test_a_stop_gets_through_while_pictures_are_stuck(monkeypatch: pytest.Monkey
         latest(line, lambda row: row["stops"] == 1)
 
 
+@pytest.mark.realtime
 def test_a_stop_gets_through_from_a_viewer_whose_line_is_full(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -106,6 +109,7 @@ def test_a_stop_gets_through_from_a_viewer_whose_line_is_full(
             assert time.monotonic() - began < 5.0
 
 
+@pytest.mark.realtime
 def test_a_line_that_is_lost_stops_nothing() -> None:
     with grabbing(WANDERS) as cell:
         with cell.line():
@@ -114,7 +118,7 @@ def test_a_line_that_is_lost_stops_nothing() -> None:
         assert cell.state is GraspState.FOLLOWING
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_the_grab_counts_where_the_key_does_and_lifts() -> None:
     with grabbing(paced=False) as cell, cell.line() as line:
         line.send("grab 0")  # the state is another by then, or it is no order in it
@@ -132,6 +136,7 @@ def test_the_grab_counts_where_the_key_does_and_lifts() -> None:
         assert ended["finished"] == "lifted: the object came along; the controls were given back"
 
 
+@pytest.mark.realtime
 def test_what_a_page_says_moves_nothing_without_execute() -> None:
     with grabbing(execute=False, selects=True) as cell, cell.line() as line:
         cell.until(lambda: cell.state is GraspState.SEARCHING)
@@ -159,6 +164,7 @@ BAD = [
 ]  # fmt: skip
 
 
+@pytest.mark.realtime
 def test_bad_messages_are_refused_and_change_nothing() -> None:
     with grabbing(selects=True) as cell, cell.line() as line:
         cell.until(lambda: cell.state is GraspState.SEARCHING)
@@ -173,6 +179,7 @@ def test_bad_messages_are_refused_and_change_nothing() -> None:
         latest(line, lambda row: row["status"] == "tracked")
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -199,6 +206,7 @@ def asking() -> Any:
         yield cell, line
 
 
+@pytest.mark.realtime
 def test_a_selection_counts_only_while_nothing_moves() -> None:
     with grabbing(WANDERS) as cell, cell.line() as line:
         following(cell)
@@ -207,6 +215,7 @@ def test_a_selection_counts_only_while_nothing_moves() -> None:
         assert cell.grab.loop.aim.known is not None
 
 
+@pytest.mark.realtime
 def test_another_object_may_be_selected_while_it_is_held_and_then_that_is_gone_after() -> None:
     with grabbing(STANDS) as cell, cell.line() as line:
         following(cell)
@@ -220,6 +229,7 @@ def test_another_object_may_be_selected_while_it_is_held_and_then_that_is_gone_a
         np.testing.assert_allclose(row["position_mm"], 1e3 * cell.place(1), atol=3.0)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", None, "http://127.0.0.1:1"])
 def test_another_origin_can_order_nothing(asking: tuple[Cell, Any], origin: Any) -> None:
     cell, _ = asking
@@ -233,7 +243,7 @@ def test_another_origin_can_order_nothing(asking: tuple[Cell, Any], origin: Any)
     assert cell.state is GraspState.SEARCHING
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_the_command_serves_it_and_names_in_the_report_what_was_selected(tmp_path: Path) -> None:
     words = ["--json", "grab", "--sim", "--small", "--page", "--page-port", "0", "--for", "40s"]
     with subprocess.Popen(

@@ -209,6 +209,7 @@ def test_live_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -> N
             np.testing.assert_array_equal(row.measured, found[row.t])
 
 
+@pytest.mark.realtime
 def test_a_camera_that_goes_is_named_waited_for_and_taken_up_again() -> None:
     _, _, heard = watched(6.0, stage(away={"left": (1.5, 3.5)}))
     kinds = [(a.kind, a.device) for a in heard.alarms if a.ended is None]
@@ -219,6 +220,7 @@ def test_a_camera_that_goes_is_named_waited_for_and_taken_up_again() -> None:
     assert not [a for a in heard.alarms if a.kind == "change"]
 
 
+@pytest.mark.realtime
 def test_covered_leds_are_a_lost_target_and_never_no_error() -> None:
     _, _, heard = watched(5.0, stage(away={"leds": (1.5, 3.2)}))
     target = [a for a in heard.alarms if a.kind == "target"]
@@ -238,6 +240,7 @@ def test_silent_encoders_leave_pairs_without_error_and_are_named() -> None:
     assert all(np.isnan(r.error).all() for r in late)
 
 
+@pytest.mark.realtime
 def test_a_reset_controller_begins_a_new_clock_and_accuses_no_joint() -> None:
     _, _, heard = watched(5.0, stage(reset_at=2.5))
     segments = [r.clock.segment for r in heard.rows if r.clock is not None]
@@ -249,12 +252,14 @@ def test_a_reset_controller_begins_a_new_clock_and_accuses_no_joint() -> None:
     assert np.nanmax(np.abs(np.rad2deg([r.error[0] for r in late]))) < 0.5
 
 
+@pytest.mark.realtime
 def test_the_run_ends_with_the_robot_s_program() -> None:
     begin = time.monotonic()
     watched(60.0, stage(ends_at=1.0))
     assert time.monotonic() - begin < 20.0
 
 
+@pytest.mark.realtime
 def test_a_listener_that_hangs_holds_up_nobody_and_gets_its_alarms() -> None:
     release, heard = threading.Event(), Heard()
 
@@ -329,6 +334,7 @@ def test_nothing_that_watches_can_command_a_robot() -> None:
                     }
 
 
+@pytest.mark.realtime
 def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None:
     import cv2
 
@@ -369,6 +375,7 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
     detector.close()
 
 
+@pytest.mark.realtime
 def test_a_file_waits_until_its_pictures_are_measured() -> None:
     from verify.live.intake import MAX_QUEUED_PAIRS, PairQueue, PollingThread, camera_step
     from verify.live.pairing import Pairing

@@ -78,6 +78,7 @@ def test_a_rehearsal_between_pairs_changes_nothing(
     assert len(done) >= PAIRS - 3  # all but the first, for which nothing was known before
 
 
+@pytest.mark.realtime
 def test_its_loss_costs_no_pair_and_is_said(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
@@ -102,6 +103,7 @@ def test_its_loss_costs_no_pair_and_is_said(
     assert "measured by the main process from now on" in said[0]
 
 
+@pytest.mark.realtime
 def test_it_asks_where_the_readings_put_the_flange(session: SimulatedSession) -> None:
     asked: list[float] = []
 
@@ -134,6 +136,7 @@ def test_a_picture_that_is_shared_already_is_not_put_anywhere_again() -> None:
         shared.close()
 
 
+@pytest.mark.realtime
 def test_a_prepared_pair_is_the_one_that_is_measured(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:

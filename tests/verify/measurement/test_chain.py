@@ -162,6 +162,7 @@ def many() -> tuple[SimulatedSession, list[Measurement]]:
     )
 
 
+@pytest.mark.slow
 def test_poses_scatter_at_most_a_tenth_above_the_cramer_rao_bound() -> None:
     session, measurements = many()
     assert [m.status for m in measurements] == ["measured"] * PAIRS
@@ -170,6 +171,7 @@ def test_poses_scatter_at_most_a_tenth_above_the_cramer_rao_bound() -> None:
     assert 0.95 < ratio < 1.1  # below by chance alone: 0.95 is two and a half of its own errors
 
 
+@pytest.mark.slow
 def test_the_reported_covariance_is_the_observed_scatter() -> None:
     session, measurements = many()
     scatter = whitened(wrong(session, measurements), claimed(measurements))
@@ -178,6 +180,7 @@ def test_the_reported_covariance_is_the_observed_scatter() -> None:
     assert np.mean(scatter**2, axis=0) == pytest.approx(np.ones(6), abs=0.28)
 
 
+@pytest.mark.slow
 def test_poses_are_free_of_bias() -> None:
     session, measurements = many()
     scatter = whitened(wrong(session, measurements), claimed(measurements))
@@ -287,6 +290,7 @@ def test_two_leds_on_the_last_axis_leave_that_joint_empty_and_give_the_others() 
     assert frames["orientation_error_deg"].isna().all()
 
 
+@pytest.mark.slow
 def test_two_leds_in_motion_give_means_where_no_pair_gives_an_angle() -> None:
     session = in_memory(
         scene(
@@ -310,6 +314,7 @@ def skewed(pairs: int, **changes: object) -> Scenario:
     return scene(**{"marker": FOUR, "motion": motion, "recording": recording, **changes})
 
 
+@pytest.mark.slow
 def test_a_late_right_camera_costs_no_more_than_is_claimed() -> None:
     session = in_memory(skewed(50))
     frames = analyse(session).tables["frames"]
@@ -321,6 +326,7 @@ def test_a_late_right_camera_costs_no_more_than_is_claimed() -> None:
     )  # neighbours err alike: few are independent
 
 
+@pytest.mark.slow
 def test_a_late_camera_that_is_taken_for_a_prompt_one_would_ruin_the_poses() -> None:
     """The test before this one has something to find."""
     session = simulate_session(skewed(10))

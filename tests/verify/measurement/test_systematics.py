@@ -94,6 +94,7 @@ def by_refit(
     return np.concatenate([ends[0][:3, 3] - ends[1][:3, 3], turn]) / (2 * STEP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*NAMES, *(f"body.{k}" for k in (
     "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"))])  # fmt: skip
 def test_a_sensitivity_is_what_a_refit_with_the_parameter_moved_shows(name: str) -> None:

@@ -31,6 +31,7 @@ from verify.planning.request import FAULT_KINDS, PlanningSetup
 AGREES = 0.2  # of an uncertainty: noise of the pictures is taken as one number
 
 
+@pytest.mark.slow
 def test_a_recorded_session_states_what_was_foretold(
     bench: PlanningSetup, made: SessionPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -53,6 +54,7 @@ def test_a_recorded_session_states_what_was_foretold(
         np.testing.assert_allclose(np.rad2deg(predicted), stated, rtol=AGREES, err_msg=key)
 
 
+@pytest.mark.slow
 def test_a_recorded_session_knows_its_clock_as_was_foretold(
     bench: PlanningSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:

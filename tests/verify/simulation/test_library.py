@@ -132,6 +132,7 @@ def test_a_samples_tables_are_what_its_scenario_gives(name: str, tmp_path: Path)
         assert np.allclose(numbers(kept), numbers(made), rtol=0, atol=2e-6), REMEDY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLES)
 def test_a_samples_pictures_are_what_its_scenario_renders(name: str) -> None:
     session = simulate_session(library.load(name))

@@ -203,6 +203,7 @@ def test_link_frames_end_at_the_flange() -> None:
     assert_allclose(link_frames(ARM, q)[:, -1], robots.forward(ARM, q), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_several_faults_at_once_are_each_named() -> None:
     def error(t: Array, q: Array) -> Array:
         return sum(
@@ -261,6 +262,7 @@ def test_errors_that_no_fault_describes_accuse_nobody_on_the_strength_of_the_noi
     assert names(seen) == []
 
 
+@pytest.mark.slow
 def test_sound_arms_are_hardly_ever_accused() -> None:
     assert sum(bool(found(100 + seed).causes) for seed in range(40)) <= 2  # 0.2 are expected
 
@@ -328,6 +330,7 @@ def test_a_long_session_is_thinned_and_pairs_keep_their_places(
     assert seen.products.rows == 6 * 43
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_the_recorded_fault_is_joint_3s_offset_and_nothing_else() -> None:
     summary = analyse(open_session(require_shared() / "multi_joint_fault_6r")).summary

@@ -156,6 +156,7 @@ def test_a_pose_approached_from_two_sides_varies_by_the_backlash() -> None:
     assert judged.variation.noise < 4e-5
 
 
+@pytest.mark.slow
 def test_scatter_alone_is_told_from_a_variation() -> None:
     over = []
     for seed in range(100):
@@ -307,6 +308,7 @@ def test_a_session_carries_its_repeated_poses(tmp_path: Path) -> None:
     assert {d["kind"] for d in entry["deviations"]} >= {"cycles", "commanded", "load"}
 
 
+@pytest.mark.slow
 def test_positions_alone_are_judged_at_their_point(tmp_path: Path) -> None:
     folder = written(tmp_path / "session", positions_alone=True)
     entry = analyse(open_session(folder)).summary["performance"]

@@ -283,6 +283,7 @@ def test_sensitivities_to_the_table_are_those_of_metrology_md() -> None:
     np.testing.assert_allclose(np.sqrt((lines**2).sum()), stated, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_the_quarter_circle_is_a_sweep_of_joint_1_and_shows_it_sound() -> None:
     results = analyse(open_session(shared("sessions", "quarter_circle_6r")))

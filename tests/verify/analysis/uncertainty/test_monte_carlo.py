@@ -68,6 +68,7 @@ def test_a_pose_fitted_in_no_drawn_world_is_the_chains_own(
         assert_allclose(found[0], seen.pose.rig_T_flange, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", list(HOMES))
 def test_where_it_is_said_to_hold_it_agrees_within_5_percent_as_the_draws_fall(
     arm: str, both: dict[str, Spotted]
@@ -81,6 +82,7 @@ def test_where_it_is_said_to_hold_it_agrees_within_5_percent_as_the_draws_fall(
     assert away.max() < MAX_RATIO_ERROR + 3 / np.sqrt(2 * 4000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", list(HOMES))
 def test_the_scatter_is_that_of_poses_drawn_and_fitted_by_the_chain_itself(
     arm: str, both: dict[str, Spotted]

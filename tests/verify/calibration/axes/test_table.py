@@ -29,6 +29,7 @@ REPLICATES = 60
 POSE_SIGMA = np.array([2e-5, 2e-5, 8e-5, 4e-4, 4e-4, 2e-4])  # m and rad
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", robots.names())
 def test_lines_of_neighbouring_joints_stand_as_the_table_says(name: str) -> None:
     arm = robots.load(name)
@@ -61,6 +62,7 @@ def circling(rng: np.random.Generator, n: int = 20) -> tuple[Array, Array, Array
     return direction, point, angle, poses, np.tile(np.diag(POSE_SIGMA**2), (n, 1, 1))
 
 
+@pytest.mark.slow
 def test_d_squared_of_an_axis_is_chi_squared() -> None:
     lines, angles = [], []
     for seed in range(REPLICATES):

@@ -43,6 +43,7 @@ def board_pairs(true: Rig, count: int = 1, seed: int = 0) -> list[BoardPair]:
     return [pair(true, placed(z=0.6 + 0.02 * i), rng, frame=i) for i in range(count)]
 
 
+@pytest.mark.slow
 def test_a_healthy_rig_is_held_and_every_length_is_in_its_uncertainty() -> None:
     rig, marker = believed(doubts=True)
     held, z = 0, []
@@ -75,6 +76,7 @@ def test_lengths_show_a_baseline_off_by_half_a_percent() -> None:
     assert each.ends[0] == ("A", "B")
 
 
+@pytest.mark.slow
 def test_the_smallest_change_named_is_seen_four_times_in_five() -> None:
     rig = doubtful_rig()
     sizes = {
@@ -171,6 +173,7 @@ def test_the_few_pairs_that_fit_a_badly_moved_rig_by_chance_hold_nothing() -> No
         check_rig([*few, *lost], *file)
 
 
+@pytest.mark.slow
 def test_a_session_of_a_bar_is_checked_though_its_ends_look_alike() -> None:
     built = library.load("multi_joint_fault_6r")
     session = in_memory(

@@ -30,6 +30,7 @@ def found(image: Image, board: Board) -> BoardView:
     return view
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("board", "look"),
     [
@@ -81,6 +82,7 @@ def test_it_beats_opencv_several_times() -> None:
     assert own < np.sqrt(np.mean((refined - truth) ** 2)) / 3
 
 
+@pytest.mark.slow
 def test_corners_of_neighbours_share_no_error() -> None:
     rng = np.random.default_rng(7)
     camera_T_board = placed((0.1, 0.2, 0.1), (0, 0, 1.0), PLAIN)

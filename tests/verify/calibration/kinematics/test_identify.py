@@ -36,6 +36,7 @@ def predicted_less_true(found: IdentificationResult, truth: TrueArm, q: np.ndarr
     return float(error @ np.linalg.solve(fit.covariance, error))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["iust_6r", "rv_3sd_melfa"])
 def test_predictions_meet_the_true_arm_within_the_stated_uncertainty(name: str) -> None:
     """d² of the 30 identified combinations over 8 arms, in the 99.8 % interval of χ²(240)."""

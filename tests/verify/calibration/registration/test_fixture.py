@@ -104,6 +104,7 @@ def test_one_camera_alone_places_the_board() -> None:
     assert_allclose(found.rig.rig_T_base, base, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_d_squared_of_base_and_cameras_together_is_chi_squared() -> None:
     """Base errors in their full covariance with the cameras' own: cross-correlations included."""
     rig = doubtful_rig()
@@ -142,6 +143,7 @@ def test_d_squared_of_base_and_cameras_together_is_chi_squared() -> None:
         assert low < sum(d2) < high
 
 
+@pytest.mark.slow
 def test_repeats_do_not_average_the_fixture_out() -> None:
     rig = make_rig()
     base_T_board: Array = invert(rig.rig_T_base) @ placed()

@@ -140,6 +140,7 @@ def test_held_out_pairs_fit_as_well_as_those_registered(recording: Recording) ->
     assert found.held_out_rms_px < 1.3 * found.fit_rms_px
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.parametrize("joint", range(6))
 def test_an_injected_offset_moves_base_and_leds_as_the_absorption_says(
@@ -157,6 +158,7 @@ def test_an_injected_offset_moves_base_and_leds_as_the_absorption_says(
     np.testing.assert_allclose(after.marker.leds - leds, body, atol=0.06e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_weighed_by_the_pictures_alone_the_shares_are_the_published_ones(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
@@ -171,6 +173,7 @@ def test_weighed_by_the_pictures_alone_the_shares_are_the_published_ones(
     assert np.all(informed[1:5] > shares[1:5])
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_joints_one_and_six_are_hidden_altogether_and_verify_run_says_the_same(
     recording: Recording, tmp_path: Path
@@ -198,6 +201,7 @@ def registered(found: MotionRegistration, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_both_files_carry_one_id_that_comes_from_what_they_hold(recording: Recording) -> None:
     one, two = register_motion(recording), register_motion(recording)
@@ -220,6 +224,7 @@ def test_a_base_from_a_fixture_is_kept(recording: Recording) -> None:
     assert found.visible_fractions[0] > 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_leds_known_from_a_jig_are_kept_and_their_uncertainty_reaches_the_base(
     recording: Recording,
@@ -239,6 +244,7 @@ def test_leds_known_from_a_jig_are_kept_and_their_uncertainty_reaches_the_base(
     assert found.visible_fractions[5] > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_what_the_rig_states_of_itself_reaches_base_and_leds_with_its_correlation(
     recording: Recording,
@@ -292,6 +298,7 @@ def test_a_healthy_simulated_arm_is_registered_to_within_its_uncertainty(
     assert abs(found.skew) < 4 * found.skew_standard_uncertainty
 
 
+@pytest.mark.slow
 def test_a_skew_that_the_stamps_do_not_tell_is_found_and_said(simulated: InMemory) -> None:
     frames = simulated.frames
     late = replace(simulated, frames=replace(frames, t_right=frames.t_right - 0.003))

@@ -48,6 +48,7 @@ def test_an_offset_moves_what_was_fitted_by_what_it_takes_in(
     np.testing.assert_allclose(leds, body, atol=1e-5 + 0.02 * np.abs(body).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", range(6))
 def test_the_visible_fraction_is_what_brute_force_leaves_in_the_pictures(
     session: SimulatedSession, healthy: AdjustedRegistration, joint: int

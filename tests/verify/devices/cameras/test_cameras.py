@@ -129,6 +129,7 @@ def test_exposure_that_the_system_cannot_set_is_refused() -> None:
     assert source(FakeCapture("AVFOUNDATION"), exposure=0.005).refused[0].setting == "exposure"
 
 
+@pytest.mark.realtime
 def test_the_kernels_stamp_is_taken_where_it_is_of_the_hosts_clock() -> None:
     capture = FakeCapture()
     capture.stamped = time.monotonic() - 0.03
@@ -214,6 +215,7 @@ def test_a_camera_that_vanishes_is_named_and_taken_up_again() -> None:
     camera.close()
 
 
+@pytest.mark.realtime
 def test_a_camera_that_hangs_holds_nobody_up() -> None:
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open)
@@ -229,6 +231,7 @@ def test_a_camera_that_hangs_holds_nobody_up() -> None:
     flaky.free.set()
 
 
+@pytest.mark.realtime
 def test_pictures_that_nobody_reads_make_room_and_are_counted() -> None:
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open)
@@ -241,6 +244,7 @@ def test_pictures_that_nobody_reads_make_room_and_are_counted() -> None:
     camera.close()
 
 
+@pytest.mark.realtime
 def test_a_network_camera_gives_its_jpegs_and_is_found_again() -> None:
     server = CameraServer()
     camera = open_camera(CameraSettings(server.url))
@@ -262,6 +266,7 @@ def test_a_network_camera_gives_its_jpegs_and_is_found_again() -> None:
     again.close()
 
 
+@pytest.mark.realtime
 def test_pictures_of_another_size_than_the_rigs_are_never_given_out(tmp_path: Path) -> None:
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open, (1280, 720))
@@ -275,6 +280,7 @@ def test_pictures_of_another_size_than_the_rigs_are_never_given_out(tmp_path: Pa
     assert "has pictures of 64 x 48 px; 1280 x 720 are needed" in replay.state().sentence
 
 
+@pytest.mark.realtime
 def test_a_damaged_picture_is_counted_and_the_next_one_taken() -> None:
     server = CameraServer(damaged=3)
     camera = open_camera(CameraSettings(server.url, grey=True))
@@ -286,6 +292,7 @@ def test_a_damaged_picture_is_counted_and_the_next_one_taken() -> None:
     server.close()
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     "url", ["http://127.0.0.1:9/video", "rtsp://127.0.0.1:9/stream", "nonsense://x"]
 )
@@ -308,6 +315,7 @@ def test_a_stream_clock_finds_the_quickest_way_and_follows_a_slow_drift() -> Non
     assert abs(error.mean()) < 0.002
 
 
+@pytest.mark.realtime
 def test_a_file_is_played_at_the_rate_that_is_asked_for(tmp_path: Path) -> None:
     pictures = images(12)
     write_video(tmp_path / "left.mkv", pictures)
@@ -323,6 +331,7 @@ def test_a_file_is_played_at_the_rate_that_is_asked_for(tmp_path: Path) -> None:
     assert camera.state().sentence == "left.mkv: over after 12 pictures"
 
 
+@pytest.mark.realtime
 def test_a_folder_is_played_as_fast_as_it_is_read(tmp_path: Path) -> None:
     write_folder(tmp_path / "left", images(40))
     camera = open_camera(CameraSettings(str(tmp_path / "left"), rate=0.0))

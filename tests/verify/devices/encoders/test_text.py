@@ -170,6 +170,7 @@ def test_lines_with_a_time_of_their_own(where: str) -> None:
     assert board.log[0] == b"go\n"
 
 
+@pytest.mark.realtime
 def test_lines_without_a_time_are_stamped_on_arrival_with_their_latency_as_doubt() -> None:
     with running(Printer(timed=False)) as emulated:
         encoders = driver(emulated.address, FieldMap(6, NAMES[1:]))
@@ -180,6 +181,7 @@ def test_lines_without_a_time_are_stamped_on_arrival_with_their_latency_as_doubt
             assert true <= reading.t_host + 1e-3
 
 
+@pytest.mark.realtime
 def test_a_disturbed_line_tells_no_false_time() -> None:
     faults = EmulatorFaults(noise=0.2, half=0.2, split=0.2, silence=(1.0, 0.5))
     fields = FieldMap(6, (*NAMES,), time_unit="ms")
@@ -192,6 +194,7 @@ def test_a_disturbed_line_tells_no_false_time() -> None:
         assert "dropped" in encoders.state().sentence
 
 
+@pytest.mark.realtime
 def test_one_axis_a_line_is_joined_by_time() -> None:
     class OneAxis(Printer):
         def step(self, t: float, received: bytes) -> list[TimedMessage]:

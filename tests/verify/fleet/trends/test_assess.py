@@ -32,6 +32,7 @@ def dense(series: JointSeries) -> np.ndarray:
     return np.diag(series.scatter**2) + np.where(alike, blocks, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("calibrations", [1, 3])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_drifting_and_the_stepping_joint_are_named_and_no_other(
@@ -54,12 +55,14 @@ def test_the_drifting_and_the_stepping_joint_are_named_and_no_other(
     assert drift["session"] == first
 
 
+@pytest.mark.slow
 def test_a_fleet_without_change_is_left_in_peace() -> None:
     fleets = [rows(1000 + seed, sessions=30, calibrations=seed % 3 + 1) for seed in range(16)]
     accused = sum(len(changes(fleet)) > 0 for fleet in fleets)
     assert accused <= stats.binom.isf(0.001, len(fleets), P_FALSE_ALARM)
 
 
+@pytest.mark.slow
 def test_sessions_that_scatter_more_than_they_state_accuse_nobody() -> None:
     fleets = [rows(2000 + seed, sessions=30, scatter=2.5) for seed in range(12)]
     results = [assess(fleet, NO_FAILURES, TrendRequest(), ()) for fleet in fleets]

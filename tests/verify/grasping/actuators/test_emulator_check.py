@@ -24,6 +24,8 @@ from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 from verify.simulation.emulators.melfa_arm import MelfaArm
 from verify.simulation.emulators.server import TimedMessage
 
+pytestmark = pytest.mark.realtime
+
 PORTS = ["tcp:0", "pty"]
 REAL = "3F;3F;7,0;3,5,A,1E,32,46,64;MB4;PRM;RV-3SB;CRn-5xx;MELFA;05-07-14;Ver.K4a;ENG;;1;1;8;"
 

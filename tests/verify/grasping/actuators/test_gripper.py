@@ -87,6 +87,7 @@ def test_a_gripper_is_a_gripper() -> None:
     gripper.close()
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 def test_the_reader_reads_and_can_send_nothing_else(where: str) -> None:
     engine = quick()
@@ -110,6 +111,7 @@ def test_without_the_operators_right_there_is_no_driver() -> None:
         ExecutePermission(" ")
 
 
+@pytest.mark.realtime
 def test_nothing_moves_before_an_order_nor_when_it_is_closed() -> None:
     engine = quick()
     with running(engine) as emulated:
@@ -119,6 +121,7 @@ def test_nothing_moves_before_an_order_nor_when_it_is_closed() -> None:
     assert {request[0] for request in engine.log} == {3}
 
 
+@pytest.mark.realtime
 def test_a_reading_each_step_of_a_loop_at_60_hz() -> None:
     with running(quick()) as emulated, driver(emulated) as gripper:
         stepped(gripper, lambda status: status.t is not None)
@@ -132,6 +135,7 @@ def after(seconds: float) -> Callable[[GripperStatus], bool]:
     return lambda _: time.monotonic() > end
 
 
+@pytest.mark.realtime
 def test_orders_that_are_not_possible_are_refused_and_send_nothing() -> None:
     engine = quick()
     with running(engine) as emulated, driver(emulated) as gripper:
@@ -152,6 +156,7 @@ def test_orders_that_are_not_possible_are_refused_and_send_nothing() -> None:
     assert all(write[6] & 1 for write in writes)  # each keeps the activation
 
 
+@pytest.mark.realtime
 def test_every_mode_is_taken_and_kept() -> None:
     engine = quick(np.array([20.0, 20.0, 20.0, 160.0]))
     with running(engine) as emulated, driver(emulated) as gripper:
@@ -164,6 +169,7 @@ def test_every_mode_is_taken_and_kept() -> None:
             assert engine.hand.inputs()[0] >> 1 & 3 == number
 
 
+@pytest.mark.realtime
 def test_one_finger_alone_is_not_called_a_grip() -> None:
     with (
         running(quick(np.array([100.0, np.inf, np.inf, np.inf]))) as emulated,
@@ -176,6 +182,7 @@ def test_one_finger_alone_is_not_called_a_grip() -> None:
         assert status.contacts == 1
 
 
+@pytest.mark.realtime
 def test_what_falls_out_is_noticed() -> None:
     engine = quick(contact_positions(60.0))
     with running(engine) as emulated, driver(emulated) as gripper:
@@ -187,6 +194,7 @@ def test_what_falls_out_is_noticed() -> None:
         assert "what was gripped is gone" in status.reason
 
 
+@pytest.mark.realtime
 def test_closing_to_the_same_place_twice_does_not_believe_the_first_answer() -> None:
     engine = quick(contact_positions(60.0))
     with running(engine) as emulated, driver(emulated) as gripper:
@@ -198,6 +206,7 @@ def test_closing_to_the_same_place_twice_does_not_believe_the_first_answer() -> 
         assert settled(gripper, GripperState.REACHED).contacts == 0
 
 
+@pytest.mark.realtime
 def test_stop_stops_the_fingers_and_keeps_the_activation() -> None:
     engine = quick()
     with running(engine) as emulated, driver(emulated) as gripper:
@@ -215,6 +224,7 @@ def test_stop_stops_the_fingers_and_keeps_the_activation() -> None:
         settled(gripper, GripperState.REACHED)
 
 
+@pytest.mark.realtime
 def test_stop_and_the_end_let_go_of_nothing() -> None:
     engine = quick(contact_positions(120.0))
     with running(engine) as emulated:
@@ -227,6 +237,7 @@ def test_stop_and_the_end_let_go_of_nothing() -> None:
         assert engine.hand.outputs[0] == 0x09
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("cycle", [0.005, 0.1])
 def test_stop_ends_an_activation_by_a_reset(cycle: float) -> None:
     """However long the gripper takes to take an order up: until then its inputs are older."""
@@ -239,6 +250,7 @@ def test_stop_ends_an_activation_by_a_reset(cycle: float) -> None:
         assert engine.hand.stage == 0
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("number", [0x09, 0x0A, 0x0D, 0x0E, 0x0F, 0x42])
 def test_a_fault_in_mid_motion_stops_the_fingers_and_is_worded(number: int) -> None:
     engine = quick()
@@ -259,6 +271,7 @@ def test_a_fault_in_mid_motion_stops_the_fingers_and_is_worded(number: int) -> N
         assert gripper.step().reason == ""
 
 
+@pytest.mark.realtime
 def test_a_gripper_that_was_without_power_is_not_activated_again_unasked() -> None:
     engine = quick(contact_positions(60.0))
     with running(engine) as emulated, driver(emulated) as gripper:
@@ -277,6 +290,7 @@ def settled_after_mishap(gripper: GripperDriver) -> GripperStatus:
     return stepped(gripper, lambda status: status.state is GripperState.FAILED)[-1]
 
 
+@pytest.mark.realtime
 def test_silence_is_said_holds_what_is_gripped_and_needs_a_new_order() -> None:
     engine = quick(contact_positions(60.0))
     with (
@@ -297,6 +311,7 @@ def test_silence_is_said_holds_what_is_gripped_and_needs_a_new_order() -> None:
         settled(gripper, GripperState.READY)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("kind", ["tcp", "pty"])
 def test_a_cable_that_is_pulled_in_mid_motion_stops_the_fingers_once_it_is_back(
     kind: str, tmp_path: Path
@@ -312,6 +327,7 @@ def test_a_cable_that_is_pulled_in_mid_motion_stops_the_fingers_once_it_is_back(
         assert 20 < engine.hand.position[0] < 250
 
 
+@pytest.mark.realtime
 def test_a_gripper_that_lost_its_power_while_the_cable_was_out_is_left_alone() -> None:
     """A stop carries the activation bit: it would activate it, and every finger would move."""
     engine, faults = quick(), EmulatorFaults(unplug=(1.0, 0.6), reset=(1.3, 1.3))
@@ -327,6 +343,7 @@ def test_a_gripper_that_lost_its_power_while_the_cable_was_out_is_left_alone() -
         assert engine.hand.outputs == bytes(16)
 
 
+@pytest.mark.realtime
 def test_a_disturbed_line_delays_orders_and_tells_nothing_false() -> None:
     faults = EmulatorFaults(noise=0.1, half=0.1, lost=0.1, double=0.1)
     engine = quick(contact_positions(120.0))
@@ -340,6 +357,7 @@ def test_a_disturbed_line_delays_orders_and_tells_nothing_false() -> None:
         assert gripper._line.bad["request without an answer"] > 3
 
 
+@pytest.mark.realtime
 def test_an_activation_that_never_ends_has_a_limit() -> None:
     engine = GripperEngine(GripperOptions(activation=60.0))
     with running(engine) as emulated, driver(emulated, activation_limit=0.5) as gripper:
@@ -349,6 +367,7 @@ def test_an_activation_that_never_ends_has_a_limit() -> None:
         stepped(gripper, lambda _: engine.hand.stage == 0)
 
 
+@pytest.mark.realtime
 def test_a_motion_that_never_ends_has_a_limit_and_is_stopped() -> None:
     class Stuck(GripperEngine):
         def step(self, t: float, received: bytes) -> list[TimedMessage]:
@@ -363,6 +382,7 @@ def test_a_motion_that_never_ends_has_a_limit_and_is_stopped() -> None:
         stepped(gripper, lambda _: engine.hand.outputs[0] == 0x01)
 
 
+@pytest.mark.realtime
 def test_nobody_there_is_said_and_no_step_waits_for_it() -> None:
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
@@ -371,6 +391,7 @@ def test_nobody_there_is_said_and_no_step_waits_for_it() -> None:
         assert "nobody listens there" in settled(gripper, GripperState.FAILED).reason
 
 
+@pytest.mark.realtime
 def test_a_computer_that_does_not_answer_makes_no_step_wait() -> None:
     asked, answer = threading.Event(), threading.Event()
 
@@ -387,6 +408,7 @@ def test_a_computer_that_does_not_answer_makes_no_step_wait() -> None:
     gripper.close()
 
 
+@pytest.mark.realtime
 def test_a_gripper_of_2014_and_one_that_refuses_are_told_apart() -> None:
     class Deaf(GripperEngine):
         """Knows no register 2000."""

@@ -136,6 +136,7 @@ def test_what_was_asked_before_a_line_broke_is_not_asked_on_the_next() -> None:
     assert port.sent == [READ]
 
 
+@pytest.mark.realtime
 def test_a_port_that_opens_after_nobody_wants_it_is_closed_again() -> None:
     port, may_open = Scripted(), threading.Event()
 

@@ -149,6 +149,7 @@ def reading(t: float, left: float, *, moving: bool = False) -> PanReading:
     return PanReading(t, t, 5e-4, 0, np.array([left, -left]), moving)
 
 
+@pytest.mark.realtime
 def test_a_stations_pairs_carry_the_angles_of_their_instant_and_none_of_a_turning_base() -> None:
     pan = GivenPan(*(reading(101.0 + 0.01 * i, 0.02) for i in range(60)))
     live, cameras = pairs(pan)

@@ -132,6 +132,7 @@ def test_a_box_that_teaches_nothing_leaves_the_last_target_as_it_was() -> None:
     assert grab.loop.cycle(grab.source.pair()).state is GraspState.TRACKING
 
 
+@pytest.mark.slow
 def test_no_other_target_is_taken_while_anything_moves() -> None:
     grab = made()
     seen: set[GraspState] = set()

@@ -38,8 +38,8 @@ SAFE = frozenset(  # where a grab may end, or wait for as long as it likes
     }
 )
 WHOLE_GRAB = [
-    GraspEvent.START, GraspEvent.FOUND, GraspEvent.FOLLOW, GraspEvent.GRAB, GraspEvent.AT_OBJECT, GraspEvent.CLOSED,
-    GraspEvent.HELD, GraspEvent.AT_TOP,
+    GraspEvent.START, GraspEvent.FOUND, GraspEvent.FOLLOW, GraspEvent.GRAB,
+    GraspEvent.AT_OBJECT, GraspEvent.CLOSED, GraspEvent.HELD, GraspEvent.AT_TOP,
 ]  # fmt: skip
 events = st.lists(st.sampled_from(list(GraspEvent)), max_size=40)
 

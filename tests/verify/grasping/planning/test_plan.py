@@ -177,6 +177,7 @@ def test_a_way_that_is_not_clear_leads_through_home(made: GraspPlanner) -> None:
     assert "camera 1" in stuck.reason
 
 
+@pytest.mark.slow
 def test_the_stated_coverage_is_kept_by_what_is_not_refused(made: GraspPlanner) -> None:
     """Draw targets and widths: where the margin is just met, 95 % of them go in, or more."""
     random = np.random.default_rng(0)
@@ -259,6 +260,7 @@ def test_which_extent_goes_between_the_fingers_depends_on_how_the_cameras_look()
     assert thing.width_standard_uncertainty == 2e-3
 
 
+@pytest.mark.slow
 def test_the_arm_follows_a_moving_target_from_above_without_ever_leaving_limits_or_box(
     made: GraspPlanner,
 ) -> None:

@@ -74,6 +74,7 @@ def test_a_joint_that_is_off_is_carried_from_above_to_the_object(
     assert left @ np.linalg.solve(hand.covariance, left) < 16.3  # chi², 3 degrees, 0.1 %
 
 
+@pytest.mark.slow
 def test_the_stated_uncertainty_holds_over_many_arms(tmp_path: Path) -> None:
     """Arms drawn from what is claimed: squared Mahalanobis distances are chi² of 3 degrees."""
     rng, made, end = np.random.default_rng(5), cell(tmp_path), below(tmp_path, Q)

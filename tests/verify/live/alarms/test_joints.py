@@ -114,6 +114,7 @@ def test_the_threshold_gives_white_noise_no_more_than_the_stated_alarms() -> Non
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("repeating", [0.0, 0.9])
 def test_healthy_joints_raise_no_more_false_alarms_than_stated(repeating: float) -> None:
     hour_share, stated = 200.0 / 3600, 120.0  # many an hour are allowed, so that some could come
@@ -123,6 +124,7 @@ def test_healthy_joints_raise_no_more_false_alarms_than_stated(repeating: float)
     assert len(found) <= 3 * hour_share * stated
 
 
+@pytest.mark.slow
 def test_a_bias_within_what_rig_and_leds_state_is_no_alarm() -> None:
     assert alarms(made_rows(60.0, 5, bias=1.5)) == []
 
@@ -161,6 +163,7 @@ def test_a_second_jump_is_told_after_the_first() -> None:
     assert abs(math.degrees(second[-1].error or 0.0) - 0.5) < 0.1
 
 
+@pytest.mark.slow
 def test_through_the_chain_the_jump_of_joint_4_alarms_within_a_second() -> None:
     rig, marker = facing_rig()
     run = SpotRun(rig, marker, rate=15.0, jump=(8.0, 4, math.radians(0.5)))

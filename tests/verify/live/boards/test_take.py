@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.support.devices.chromium import Browser, browser_needed, launched
+from tests.support.devices.chromium import Browser, launched
 from verify.calibration.corners.find import find_board
 from verify.calibration.corners.folder import find_boards
 from verify.cli.calibrate_live import BoardRunOptions, board_of, refuse_without_live, take_pictures
@@ -418,7 +418,7 @@ POINTS = """() => { const c = document.querySelector('.tilts canvas');
   return n; }"""
 
 
-@browser_needed
+@pytest.mark.browser
 def test_the_page_fills_takes_and_finishes(browser: Browser, station: Path, tmp_path: Path) -> None:
     with (
         taking(station, tmp_path / "taken") as (page, state, thread),
@@ -448,7 +448,7 @@ def test_the_page_fills_takes_and_finishes(browser: Browser, station: Path, tmp_
     assert len(open_board_folder(tmp_path / "taken")) == state.snapshot().pairs
 
 
-@browser_needed
+@pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_phone_shows_it_too(browser: Browser, station: Path, tmp_path: Path, scheme: str) -> None:
     with (

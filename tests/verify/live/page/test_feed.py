@@ -49,6 +49,7 @@ def line_to(page: Page) -> Iterator[Any]:
         page.close()
 
 
+@pytest.mark.realtime
 def test_words_come_back_in_order_and_only_those_that_are_offered() -> None:
     heard: list[str] = []
     ended = threading.Event()
@@ -64,6 +65,7 @@ def test_words_come_back_in_order_and_only_those_that_are_offered() -> None:
     assert heard == ["stop", "go:1 2", "go:", "stop"]
 
 
+@pytest.mark.realtime
 def test_a_word_that_fails_does_not_keep_the_next_from_being_heard() -> None:
     ended = threading.Event()
 
@@ -78,6 +80,7 @@ def test_a_word_that_fails_does_not_keep_the_next_from_being_heard() -> None:
     assert "cannot be done" in page.trouble
 
 
+@pytest.mark.realtime
 def test_a_line_that_is_too_long_ends_that_viewer_s_and_no_other_s() -> None:
     ended = threading.Event()
     page = Page(Nothing(), 0, asked={"stop": ended.set}, given={"go": lambda _: None})

@@ -144,6 +144,7 @@ def start(folder: Path, rate: float | str) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("round_number", range(4))
 def test_after_a_kill_every_pair_that_was_handed_on_is_there(
     tmp_path: Path, round_number: int
@@ -203,7 +204,7 @@ def test_what_is_measured_live_is_measured_again_from_the_recording_to_the_last_
         assert_array_equal(before.pose.rig_T_flange, after.pose.rig_T_flange)
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_a_run_that_is_killed_is_measured_up_to_its_last_pair(tmp_path: Path) -> None:
     process = start(tmp_path / "run", "sim")
     time.sleep(6.0)
@@ -348,6 +349,7 @@ def test_a_disk_that_fills_to_the_last_byte_leaves_whole_pairs(
     assert len(open_session(folder)) == pairs
 
 
+@pytest.mark.realtime
 def test_a_disk_that_is_too_slow_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
     class Slow(SessionWriter):
         def add_pair(self, *arguments: Any) -> None:

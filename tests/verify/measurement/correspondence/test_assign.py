@@ -187,6 +187,7 @@ def hide(rng: np.random.Generator, count: int) -> tuple[tuple[int, ...], tuple[i
     return sides[0], sides[1]
 
 
+@pytest.mark.slow
 def test_every_asymmetric_marker_with_three_leds_in_both_images_is_identified() -> None:
     outcomes: Counter[str] = Counter()
     took = []
@@ -395,6 +396,7 @@ def test_infrared_leds_may_look_violet_or_white() -> None:
     assert scene.outcome(scene.identify()) == "complete"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("real", [False, True], ids=["random spots", "lamps in space"])
 def test_nothing_is_identified_in_pure_clutter(real: bool) -> None:
     outcomes: Counter[str] = Counter()
@@ -410,6 +412,7 @@ def test_nothing_is_identified_in_pure_clutter(real: bool) -> None:
     assert rate <= 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("help_from", ["encoders", "prediction"])
 def test_help_from_outside_seldom_makes_leds_of_lamps(help_from: str) -> None:
     outcomes: Counter[str] = Counter()

@@ -31,6 +31,7 @@ def matched(spots: Spots, centres: Array) -> tuple[Array, Array]:
     return nearest, error[np.arange(len(centres)), nearest]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_centres_reach_the_bound_and_the_claimed_covariance_is_the_scatter(name: str) -> None:
     spot, sensor, rng = CASES[name], Sensor(), np.random.default_rng(11)

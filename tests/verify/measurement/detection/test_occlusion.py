@@ -80,6 +80,7 @@ def bound() -> float:
 
 
 # Depth in radii, and by how much the centre of a whole disc's fit is off: rms of a coordinate.
+@pytest.mark.slow
 @pytest.mark.parametrize(("depth", "drawn"), [(0.03, 0.0110), (0.08, 0.0400)])
 @pytest.mark.parametrize("width", [0.3, 0.5, 1.0])
 def test_slivers_hidden_on_one_side_of_all_leds_hardly_draw_their_centres(
@@ -112,6 +113,7 @@ def test_one_led_behind_a_cable_is_centred_and_the_others_stay_at_the_bound() ->
     assert whole.over_claimed == pytest.approx(1.0, abs=0.2)  # 150 errors: 4 % is one sigma
 
 
+@pytest.mark.slow
 def test_bitten_reflections_beside_them_do_not_move_whole_leds() -> None:
     rng, whole = np.random.default_rng(33), Figures()
     for _ in range(25):
@@ -132,7 +134,7 @@ def test_the_depth_of_a_bite_is_averaged_as_the_integral_over_its_prior_says() -
 
         def moment(power: int, g: float = g) -> float:
             return quad(
-                lambda b: b**power * 2 * norm.pdf(b, 0, PRIOR_DEPTH) * np.exp(g * b - 0.75e4 * b * b),
+                lambda b: 2 * b**power * norm.pdf(b, 0, PRIOR_DEPTH) * np.exp(g*b - 0.75e4 * b*b),
                 0, 1, points=[0.01, 0.05, 0.1, 0.2], limit=200,
             )[0]  # fmt: skip
 

@@ -69,6 +69,7 @@ def left_frames(
         yield number, seen.reshape(-1, 2), detect(image)
 
 
+@pytest.mark.slow
 def test_every_led_is_found_and_few_other_things() -> None:
     for name in ("quarter_circle_6r", "multi_joint_fault_6r"):
         for _, truth, spots in left_frames(name, every=9):
@@ -77,6 +78,7 @@ def test_every_led_is_found_and_few_other_things() -> None:
             assert len(spots) <= 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "centroid_rms_px"),
     [("quarter_circle_6r", 0.0181), ("multi_joint_fault_6r", 0.0145)],

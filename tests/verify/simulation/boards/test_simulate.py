@@ -115,6 +115,7 @@ def test_corners_of_clean_pictures_are_where_opencv_projects_them() -> None:
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 0.03  # cornerSubPix's own
 
 
+@pytest.mark.slow
 def test_each_pixel_is_the_light_that_falls_on_it() -> None:
     """Against plain brute force: hundreds of hard-edged rays a pixel, blurred and added up."""
     boards = simulate_boards(scene(1))
@@ -166,6 +167,7 @@ def test_the_board_is_whole_and_its_first_corner_at_the_top_left() -> None:
         assert np.all(np.diff(grid[..., 1], axis=1) > 0)
 
 
+@pytest.mark.slow
 def test_opencv_finds_the_board_as_it_was_held() -> None:
     boards = simulate_boards(scene(3, image=BoardImage()))
     for i in range(len(boards)):

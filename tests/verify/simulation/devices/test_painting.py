@@ -5,6 +5,7 @@ import signal
 import time
 
 import numpy as np
+import pytest
 
 from verify.core.processes import Helper
 from verify.simulation import library
@@ -15,6 +16,8 @@ from verify.simulation.devices.painting import (
     build_painter,
 )
 from verify.simulation.session.simulate import START_OFFSET, simulate_session
+
+pytestmark = pytest.mark.realtime
 
 SCENARIO = "multi_joint_rv_3sd"
 LIMIT = 60.0  # s for the other process's start, on a busy machine

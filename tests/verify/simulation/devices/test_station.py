@@ -273,6 +273,7 @@ def test_the_world_can_run_faster_than_the_host() -> None:
     assert made.scene.clock._now() - begin == pytest.approx(0.2, abs=0.05)
 
 
+@pytest.mark.realtime
 def test_a_slow_reader_loses_pictures_and_is_told_how_many() -> None:
     made = station()
     camera = made.camera(0, SIM)
@@ -284,6 +285,7 @@ def test_a_slow_reader_loses_pictures_and_is_told_how_many() -> None:
     assert camera.state().lost == second.sequence - first.sequence - 1 > 20
 
 
+@pytest.mark.realtime
 def test_read_keeps_its_limits_in_real_time() -> None:
     made = SimulatedStation(
         SimSettings(

@@ -157,6 +157,7 @@ def test_the_client_of_pymodbus_activates_grasps_and_opens(
         assert read.registers == OPEN
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 def test_all_functions_and_exceptions_reach_the_client_of_pymodbus(where: str) -> None:
     with running(quick(), where) as emulated, client(emulated.address) as modbus:
@@ -196,6 +197,7 @@ def test_another_slave_a_wrong_check_and_half_a_request_get_no_answer() -> None:
     assert said(engine, "09 03 07D0 0001 85 CF", 0.3) != ""
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("kind", ["noise", "half", "lost", "double", "split"])
 def test_a_disturbed_line_gives_the_client_errors_and_no_false_register(kind: str) -> None:
     faults = EmulatorFaults(**{kind: 0.3})  # type: ignore[arg-type]
@@ -250,6 +252,7 @@ def test_automatic_release_opens_slowly_and_ends_in_a_fault_that_a_reset_clears(
     assert engine.hand.inputs()[2] == 0
 
 
+@pytest.mark.realtime
 def test_a_fault_on_demand_stands_until_a_reset_and_a_major_one_stops_the_fingers() -> None:
     faults = EmulatorFaults(alarm=(1.0, 14.0))
     with running(quick(), faults=faults) as emulated, client(emulated.address) as modbus:
@@ -320,6 +323,7 @@ def test_a_gripper_without_power_forgets_and_keeps_its_fingers_where_they_are() 
     assert engine.hand.inputs()[:5] == bytes([0, 0, 0, 0, at])
 
 
+@pytest.mark.realtime
 def test_the_command_serves_an_object_between_the_fingers_and_refuses_one_elsewhere() -> None:
     words = [sys.executable, "-c", COMMAND, "gripper", "--port", "tcp:0", "--object-mm", "60"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:

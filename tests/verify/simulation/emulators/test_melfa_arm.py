@@ -164,6 +164,7 @@ def test_run_leads_the_arm_back_to_where_the_program_was() -> None:
     assert desk.moving()
 
 
+@pytest.mark.realtime
 def test_the_command_emulates_a_controller_that_waits_to_be_moved() -> None:
     words = [sys.executable, "-c", COMMAND, "melfa", "--idle", "--motion", "hold"]
     with subprocess.Popen(

@@ -158,6 +158,7 @@ def found_at(engine: MelfaEngine, override: int) -> MelfaEngine:
     return engine
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 @pytest.mark.parametrize("how", ["release", "hold", "alarm", "silence", "exception"])
 def test_the_override_is_put_back_however_it_ends(where: str, how: str) -> None:
@@ -190,6 +191,7 @@ def test_the_override_is_put_back_however_it_ends(where: str, how: str) -> None:
     assert "SRVOFF" in engine.log[:back]  # nothing is made faster that still has power
 
 
+@pytest.mark.realtime
 def test_an_override_that_was_not_changed_is_left_alone() -> None:
     engine = found_at(controller(idle=False), 37)  # a program runs: the right is not taken
     with running(engine) as emulated, mover(emulated) as arm:
@@ -198,6 +200,7 @@ def test_an_override_that_was_not_changed_is_left_alone() -> None:
     assert not [order for order in engine.log if order.startswith("OVRD")]
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("answer", "words"),
     [(3110, "override put back was refused, error 3110"), ("", "the override is 3 %, it was 37 %")],
@@ -218,6 +221,7 @@ def test_an_override_that_does_not_come_back_is_said(
     assert not engine.arm.right
 
 
+@pytest.mark.realtime
 def test_a_straight_move_is_straight_and_a_joint_move_is_not() -> None:
     """Seen by the arm's own kinematics, at what the encoders tell."""
     far = HOME + np.deg2rad([25.0, 10.0, -10.0, 0.0, 0.0, 0.0])
@@ -293,6 +297,7 @@ def test_hold_stops_the_arm_where_it_is_and_keeps_the_controls(where: str) -> No
         settled(arm, MoverState.ARRIVED)
 
 
+@pytest.mark.realtime
 def test_a_second_move_while_one_is_under_way_is_refused_and_changes_nothing() -> None:
     with running(controller()) as emulated, mover(emulated, limits(override=3)) as arm:
         with pytest.raises(MotionRefusedError, match="it is off"):
@@ -308,6 +313,7 @@ def test_a_second_move_while_one_is_under_way_is_refused_and_changes_nothing() -
         )
 
 
+@pytest.mark.realtime
 def test_targets_outside_any_limit_are_refused_and_nothing_is_sent() -> None:
     narrow = LIMITS.copy()
     narrow[0] = np.deg2rad([-30.0, 30.0])
@@ -331,6 +337,7 @@ def test_targets_outside_any_limit_are_refused_and_nothing_is_sent() -> None:
         assert arm.step().state is MoverState.READY
 
 
+@pytest.mark.realtime
 def test_signs_and_zeros_of_the_robot_file_reach_the_controller() -> None:
     angles = AngleMap(np.array([1.0, -1, 1, 1, -1, 1]), np.deg2rad([0.0, 10, -5, 0, 0, 3]))
     everything = MoveLimits(np.tile([-6.3, 6.3], (6, 1)), hand_speed=2.0, override=60)
@@ -347,6 +354,7 @@ def test_signs_and_zeros_of_the_robot_file_reach_the_controller() -> None:
         )
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 @pytest.mark.parametrize(
     ("number", "words"),
@@ -376,6 +384,7 @@ def test_an_alarm_in_mid_move_stops_gives_back_and_is_worded(
     assert names(engine).count("CNTLON") == 1
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 def test_silence_in_mid_move_is_given_up_within_its_time_and_then_stopped(where: str) -> None:
     engine = controller()
@@ -394,6 +403,7 @@ def test_silence_in_mid_move_is_given_up_within_its_time_and_then_stopped(where:
         assert not engine.arm.servo_on
 
 
+@pytest.mark.realtime
 def test_silence_without_an_end_is_said_as_what_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.states.RELEASE_TIMEOUT", 1.0)
     engine = controller()
@@ -408,6 +418,7 @@ def test_silence_without_an_end_is_said_as_what_it_is(monkeypatch: pytest.Monkey
         assert "emergency stop" in failed.reason
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("kind", ["tcp", "pty"])
 def test_a_line_that_breaks_in_mid_move_is_taken_up_again_to_stop(
     kind: str, tmp_path: Path
@@ -427,6 +438,7 @@ def test_a_line_that_breaks_in_mid_move_is_taken_up_again_to_stop(
         assert not engine.arm.moving
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 def test_late_answers_are_not_taken_for_others(where: str) -> None:
     class Dawdling(MelfaEngine):
@@ -447,6 +459,7 @@ def test_late_answers_are_not_taken_for_others(where: str) -> None:
         assert not engine.arm.servo_on
 
 
+@pytest.mark.realtime
 def test_a_controller_that_was_reset_is_not_taken_again_unasked() -> None:
     engine = controller()
     with (
@@ -459,6 +472,7 @@ def test_a_controller_that_was_reset_is_not_taken_again_unasked() -> None:
     assert names(engine).count("CNTLON") == 1
 
 
+@pytest.mark.realtime
 def test_an_old_fault_is_not_told_of_an_arm_that_was_taken_anew() -> None:
     engine = controller()
     with running(engine) as emulated, mover(emulated, limits(hand_speed=1e-3)) as arm:
@@ -474,6 +488,7 @@ def settled_after(arm: MelfaMover, until: Callable[[MoverStatus], bool]) -> Move
     return settled(arm, MoverState.FAILED)[-1]
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("fault", ["noise", "half"])
 def test_an_answer_that_is_not_understood_stops_the_arm(fault: str) -> None:
     engine = controller()
@@ -487,6 +502,7 @@ def test_an_answer_that_is_not_understood_stops_the_arm(fault: str) -> None:
     assert not engine.arm.moving
 
 
+@pytest.mark.realtime
 def test_a_running_program_a_standing_alarm_another_robot_keep_it_from_taking_controls() -> None:
     alarmed = controller()
     alarmed.arm.alarm = 4140
@@ -501,6 +517,7 @@ def test_a_running_program_a_standing_alarm_another_robot_keep_it_from_taking_co
         assert names(engine) == []  # not even a stop: what runs there is not ours
 
 
+@pytest.mark.realtime
 def test_a_program_that_somebody_starts_and_a_servo_that_somebody_takes_are_noticed() -> None:
     for change, words in [("running", "a program runs"), ("_servo_at", "lost its power")]:
         engine = controller()
@@ -511,6 +528,7 @@ def test_a_program_that_somebody_starts_and_a_servo_that_somebody_takes_are_noti
             assert words in failed.reason
 
 
+@pytest.mark.realtime
 def test_a_servo_that_stays_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.states.RELEASE_TIMEOUT", 0.5)
 
@@ -525,6 +543,7 @@ def test_a_servo_that_stays_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         assert "the servo is still on" in settled(arm, MoverState.FAILED)[-1].reason
 
 
+@pytest.mark.realtime
 def test_a_servo_that_does_not_come_on_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.simulation.emulators.melfa_arm.SERVO_TIME", 1e9)
     monkeypatch.setattr("verify.grasping.actuators.melfa.answers.POWER_TIMEOUT", 0.5)
@@ -533,6 +552,7 @@ def test_a_servo_that_does_not_come_on_has_a_limit(monkeypatch: pytest.MonkeyPat
         assert "powering takes too long" in settled(arm, MoverState.FAILED)[-1].reason
 
 
+@pytest.mark.realtime
 def test_an_arm_that_does_not_go_to_its_target_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.states.STALL_TIMEOUT", 0.5)
 
@@ -552,6 +572,7 @@ def test_an_arm_that_does_not_go_to_its_target_is_stopped(monkeypatch: pytest.Mo
         assert "degrees from its target" in failed.reason
 
 
+@pytest.mark.realtime
 def test_a_hand_that_goes_too_fast_is_stopped() -> None:
     far = HOME + np.deg2rad([60.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     with running(controller()) as emulated, mover(emulated, limits(hand_speed=0.1)) as arm:
@@ -563,6 +584,7 @@ def test_a_hand_that_goes_too_fast_is_stopped() -> None:
         assert failed.q[0] < far[0]
 
 
+@pytest.mark.realtime
 def test_a_move_that_the_controller_refuses_ends_in_a_stop() -> None:
     """Straight to the other side of the wrist's singularity: no line leads there."""
     engine = controller()
@@ -576,6 +598,7 @@ def test_a_move_that_the_controller_refuses_ends_in_a_stop() -> None:
         assert not engine.arm.servo_on
 
 
+@pytest.mark.realtime
 def test_an_exception_in_the_loop_gives_the_controller_back() -> None:
     engine = controller()
 
@@ -599,6 +622,7 @@ def test_an_exception_in_the_loop_gives_the_controller_back() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.realtime
 def test_the_makers_pause_is_kept_while_the_arm_moves_and_a_stop_does_not_wait_for_it() -> None:
     engine = controller(least_pause=0.0)
     with running(engine) as emulated, mover(emulated, limits(override=3), pause=0.1) as arm:
@@ -610,6 +634,7 @@ def test_the_makers_pause_is_kept_while_the_arm_moves_and_a_stop_does_not_wait_f
         settled(arm, MoverState.HELD)
 
 
+@pytest.mark.realtime
 def test_nobody_there_is_said_and_no_step_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.mover.CONNECT_TIMEOUT", 0.6)
     with socket.create_server(("127.0.0.1", 0)) as unused:
@@ -619,6 +644,7 @@ def test_nobody_there_is_said_and_no_step_waits_for_it(monkeypatch: pytest.Monke
         assert "nobody listens there" in settled(arm, MoverState.FAILED)[-1].reason
 
 
+@pytest.mark.realtime
 def test_procedural_rs232_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.mover.CONNECT_TIMEOUT", 1.0)
 
@@ -632,6 +658,7 @@ def test_procedural_rs232_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -
         assert "CPRC232" in settled(arm, MoverState.FAILED)[-1].reason
 
 
+@pytest.mark.realtime
 def test_a_line_that_another_program_has_is_waited_for() -> None:
     with running(controller()) as emulated, mover(emulated) as first, mover(emulated) as second:
         ready(first)
@@ -642,6 +669,7 @@ def test_a_line_that_another_program_has_is_waited_for() -> None:
         settled(second, MoverState.READY)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("end", [b"\r\n", b"\0", b""])
 @pytest.mark.parametrize("terminator", [b"\r\n", b"\0", b""])
 def test_every_terminator_in_use_is_understood(end: bytes, terminator: bytes) -> None:
