@@ -12,8 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 
-from tests.support.spot_level import SpotRun, facing_rig
-from tests.verify.live.alarms.test_joints import RATE, streamed
+from tests.support.spot_level import RATE, SpotRun, facing_rig, streamed
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
 
 HOURS = 10.0

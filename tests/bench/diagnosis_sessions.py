@@ -1,8 +1,8 @@
 """Sessions at spot level for the diagnosis: pictures are measured once, then faults are put in.
 
 True LEDs are projected by OpenCV (in verify.simulation) into a true rig drawn about the stated
-one, and given noise. A fault of a joint or of the clock changes the readings; one of the arm, the base or
-the LED body changes what the poses show; one of the cameras is measured anew.
+one, and given noise. A fault of a joint or of the clock changes the readings; one of the arm, the
+base or the LED body changes what the poses show; one of the cameras is measured anew.
 """
 
 from dataclasses import dataclass, replace

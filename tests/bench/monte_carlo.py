@@ -13,8 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tests.support.spotted import spotted
-from tests.verify.analysis.uncertainty.test_monte_carlo import HOMES, SPREAD
+from tests.support.spotted import HOMES, SPREAD, spotted
 from verify.analysis.uncertainty.monte_carlo import MAX_RATIO_ERROR
 from verify.core.records import Array
 

@@ -1,6 +1,5 @@
 """Stopped midway, or refused by the disk: one line, the right status, nothing half-written."""
 
-import os
 import shutil
 import signal
 import subprocess
@@ -127,15 +126,3 @@ def test_a_place_that_may_not_be_written_is_refused_in_one_line(
         left = list(disk.iterdir())
     assert_refused(outcome.status, outcome.err, "out")
     assert left == []
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="nothing is forbidden to root")
-def test_a_folder_without_permission_is_refused_in_one_line(
-    measurements: list[Measurement], tmp_path: Path
-) -> None:
-    place = tmp_path / "locked"
-    place.mkdir(mode=0o555)
-    with replayed(measurements):
-        outcome = verify("run", SESSION, "-o", place / "out")
-    assert_refused(outcome.status, outcome.err, "permission")
-    assert list(place.iterdir()) == []

@@ -3,21 +3,11 @@
 import shutil
 import subprocess
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 
-import plotly.offline
 import pytest
 
-import reports
-from reports.format import pdf as pdf_format
-from reports.session.document import document
-from tests.support.reports import made
-
-LIBRARY = plotly.offline.get_plotlyjs()  # left out of what is tested: five million letters
-html_of = cache(lambda name: reports.render_html(made.EVERY[name]()).replace(LIBRARY, ""))
-files_of = cache(lambda name: pdf_format.typst_files(document(made.EVERY[name]())))
-pdf_of = cache(lambda name: pdf_format.typeset(files_of(name)))
+from tests.support.reports.page import html_of, pdf_of
 
 
 @pytest.fixture

@@ -18,12 +18,10 @@ from reports.calibration.check_figures import CHECK_FIGURES
 from reports.document.blocks import to_template_data
 from reports.format import matplotlib, pdf
 from reports.results import Results
-from tests.reports.conftest import LIBRARY
-from tests.reports.format.test_html import Page, _strings
+from tests.support.boards.fixture import BOARD, STATED, board_pairs, doubtful_rig
+from tests.support.moved_rig import bumped, seen_by
+from tests.support.reports.page import LIBRARY, Page, strings
 from tests.support.scene import make_rig
-from tests.verify.analysis.test_rig_check import bumped, seen_by
-from tests.verify.calibration.check.test_check import STATED, board_pairs, doubtful_rig
-from tests.verify.calibration.registration.test_fixture import BOARD
 from verify.calibration.check.check import check_board, check_rig
 from verify.calibration.check.results import check_results
 
@@ -62,7 +60,7 @@ def test_all_that_the_outline_says_stands_on_the_page_and_no_word_of_the_program
     page = Page(html_of(name))
     assert page.open == []
     text = "".join(page.text)
-    for said in _strings(to_template_data(document.document(made_of(name)))):
+    for said in strings(to_template_data(document.document(made_of(name)))):
         assert said in text
     assert not re.search(r"\b(None|nan|NaN|null|inf)\b", text)
 

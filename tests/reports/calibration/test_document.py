@@ -27,10 +27,8 @@ from reports.document.blocks import Bullets, Figure, Table, to_template_data
 from reports.document.charts import Chart, Line
 from reports.format import matplotlib, pdf, plotly
 from reports.results import Results
-from tests.reports.conftest import LIBRARY
-from tests.reports.format.test_html import Page, _luminance, _strings
-from tests.reports.session.test_figures import _coloured
 from tests.support.reports import made_calibration as made
+from tests.support.reports.page import LIBRARY, Page, coloured, luminance, strings
 from verify.calibration.quality.results import calibration_results
 
 
@@ -129,7 +127,7 @@ def outline(name: str) -> Any:
 
 
 def words(name: str) -> str:
-    return " ".join(_strings(to_template_data(outline(name).document(made_of(name)))))
+    return " ".join(strings(to_template_data(outline(name).document(made_of(name)))))
 
 
 @pytest.mark.parametrize("name", sorted(EVERY))
@@ -137,7 +135,7 @@ def test_all_that_the_outline_says_stands_on_the_page(name: str) -> None:
     page = Page(html_of(name))
     assert page.open == []
     text = "".join(page.text)
-    for said in _strings(to_template_data(outline(name).document(made_of(name)))):
+    for said in strings(to_template_data(outline(name).document(made_of(name)))):
         assert said in text
 
 
@@ -184,7 +182,7 @@ def test_every_figure_of_a_calibration_is_drawn_or_declined(figure: str) -> None
     for name in ("good", "doubtful"):
         chart = draw(made_of(name))
         assert chart is not None
-        plot = _coloured(plotly.specification(chart))
+        plot = coloured(plotly.specification(chart))
         go.Figure(plot["data"], plot["layout"])
         go.Figure(plot["data"], plot["narrow"])
         assert matplotlib.svg(chart) == matplotlib.svg(chart)
@@ -196,7 +194,7 @@ def test_every_figure_of_a_registration_is_drawn_or_declined(figure: str) -> Non
     assert draw(made_of("bare")) is None
     chart = draw(made_of("motion"))
     assert chart is not None
-    plot = _coloured(plotly.specification(chart))
+    plot = coloured(plotly.specification(chart))
     go.Figure(plot["data"], plot["layout"])
     assert matplotlib.svg(chart) == matplotlib.svg(chart)
 
@@ -341,7 +339,7 @@ def test_a_cell_s_letters_stand_out_from_its_colour(value: float, role: str) -> 
     assert found is not None
     full = np.array(to_rgb(charts.PALETTE[role][0]))
     behind = to_hex((1 - value) * np.ones(3) + value * full)
-    own, other = _luminance(found[1]), _luminance(behind)
+    own, other = luminance(found[1]), luminance(behind)
     assert (max(own, other) + 0.05) / (min(own, other) + 0.05) >= 2.5
 
 

@@ -13,9 +13,9 @@ import pytest
 import reports
 from reports.format import pdf
 from reports.format.branding import DEFAULT_BRANDING, MAX_HEIGHT_MM, MAX_WIDTH_MM, read_logo
-from tests.reports.conftest import LIBRARY
-from tests.reports.format.test_html import Page
+from reports.session.document import document
 from tests.support.reports import made
+from tests.support.reports.page import LIBRARY, Page
 
 ROOT = Path(__file__).parents[3]
 HEAD = '<svg xmlns="http://www.w3.org/2000/svg" '
@@ -229,7 +229,7 @@ def test_a_typst_template_may_use_files_of_its_folder(tmp_path: Path) -> None:
     kept(tmp_path, "a.png", png(20, 10))
     kept(tmp_path, "report.typ", '#import "own.typ": stamp\n#image("a.png")\n#stamp')
     look = reports.look(templates=tmp_path)
-    assert pdf.pages(reports.outline.document(made.nothing()), look)[:5] == b"%PDF-"
+    assert pdf.pages(document(made.nothing()), look)[:5] == b"%PDF-"
 
 
 def test_a_folder_without_a_template_is_refused(tmp_path: Path) -> None:

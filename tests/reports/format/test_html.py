@@ -1,7 +1,5 @@
 import re
 from collections.abc import Callable
-from html.parser import HTMLParser
-from typing import Any
 
 import pytest
 
@@ -9,46 +7,10 @@ import reports
 from reports.document.blocks import to_template_data
 from reports.document.charts import PALETTE
 from reports.session.document import SECTIONS, document
-from tests.reports.conftest import LIBRARY
 from tests.support.reports import made
+from tests.support.reports.page import LIBRARY, Page, luminance, strings
 
 FETCHING = {"src", "href", "data", "action", "poster", "srcset", "formaction", "background"}
-VOID = {"meta", "br", "img", "link", "input", "hr"}
-
-
-class Page(HTMLParser):
-    """What a browser would see: text outside scripts, elements, attributes that fetch."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(convert_charrefs=True)
-        self.text: list[str] = []
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.open: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag, f"{tag} closes another element"
-
-    def handle_data(self, data: str) -> None:
-        if not {"script", "style"} & set(self.open):
-            self.text.append(data)
-
-
-def _strings(value: Any) -> list[str]:
-    if isinstance(value, str):
-        return [value]
-    if isinstance(value, dict):
-        return [s for key, item in value.items() if key in SHOWN for s in _strings(item)]
-    return [s for item in value for s in _strings(item)] if isinstance(value, list) else []
-
-
-SHOWN = {"title", "subtitle", "footer", "sections", "blocks", "label", "sentence", "remarks",
-         "text", "items", "caption", "head", "rows", "notes"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", sorted(made.EVERY))
@@ -58,7 +20,7 @@ def test_all_that_the_outline_says_stands_on_the_page(
     page = Page(html(name))
     assert page.open == []
     text = "".join(page.text)
-    for said in _strings(to_template_data(document(made.EVERY[name]()))):
+    for said in strings(to_template_data(document(made.EVERY[name]()))):
         assert said in text
 
 
@@ -126,16 +88,10 @@ def test_what_is_unknown_is_a_dash_and_not_a_word_of_the_program(
         assert not re.search(r"\b(None|nan|NaN|null|inf)\b", text)
 
 
-def _luminance(colour: str) -> float:
-    channels = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
 @pytest.mark.parametrize("scheme", [0, 1])
 def test_text_and_lines_stand_out_from_the_paper_as_wcag_asks(scheme: int) -> None:
-    paper = _luminance(PALETTE["paper"][scheme])
+    paper = luminance(PALETTE["paper"][scheme])
     for role, least in {"ink": 7, "muted": 4.5, "measured": 4.5, "encoder": 3, "resolved": 3,
                         "tolerance": 4.5}.items():  # fmt: skip
-        own = _luminance(PALETTE[role][scheme])
+        own = luminance(PALETTE[role][scheme])
         assert (max(own, paper) + 0.05) / (min(own, paper) + 0.05) >= least, role

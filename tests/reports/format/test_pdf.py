@@ -9,8 +9,8 @@ import reports
 from reports.document.blocks import Table
 from reports.format import pdf as pdf_format
 from reports.session.document import document
-from tests.reports.conftest import files_of
 from tests.support.reports import made
+from tests.support.reports.page import files_of
 
 
 def test_the_same_results_give_the_same_pdf(pdf: Callable[[str], bytes]) -> None:

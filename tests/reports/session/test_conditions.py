@@ -12,9 +12,9 @@ from reports.document.blocks import Facts
 from reports.results import Results
 from reports.session.conditions import conditions
 from reports.session.headline import headline
-from tests.reports.conftest import LIBRARY
 from tests.support.command import SAMPLES
 from tests.support.reports import made
+from tests.support.reports.page import LIBRARY
 from verify import analyse, open_session
 
 SAMPLE = SAMPLES / "multi_joint_fault_6r"

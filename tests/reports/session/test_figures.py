@@ -1,7 +1,6 @@
 import base64
 import io
 import re
-from typing import Any
 
 import matplotlib.colors
 import matplotlib.image
@@ -16,6 +15,7 @@ from reports.format import matplotlib as format_matplotlib
 from reports.format import pdf, plotly
 from reports.session.figures import FIGURES
 from tests.support.reports import made
+from tests.support.reports.page import coloured
 
 
 @pytest.mark.parametrize("figure", sorted(FIGURES))
@@ -28,21 +28,11 @@ def test_every_figure_is_drawn_or_declined(name: str, figure: str) -> None:
         assert chart is not None
 
 
-def _coloured(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _coloured(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_coloured(item) for item in value]
-    if isinstance(value, str) and value.startswith("role:"):
-        return charts.PALETTE[value.removeprefix("role:")][0][:7]
-    return value
-
-
 @pytest.mark.parametrize("figure", sorted(FIGURES))
 def test_plotly_itself_accepts_every_plot_of_the_page(figure: str) -> None:
     chart = FIGURES[figure](made.nonconforming())
     assert chart is not None
-    plot = _coloured(plotly.specification(chart))
+    plot = coloured(plotly.specification(chart))
     go.Figure(plot["data"], plot["layout"])
     go.Figure(plot["data"], plot["narrow"])
 

@@ -8,8 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from tests.support.motions import ARM
-from tests.verify.analysis.test_joint_errors import ESTIMATED, compared, model_of
+from tests.support.motions import ARM, ESTIMATED, compared, model_of
 from verify.analysis.model import JointErrorModel
 from verify.analysis.relative_motion import (
     DETECTION_SIGMA,

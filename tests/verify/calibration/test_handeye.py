@@ -71,24 +71,6 @@ def data(*parts: str) -> Path:
     return require_shared().parent.joinpath("data", *parts)
 
 
-@pytest.mark.shared
-def test_a_real_arm_before_a_laser_tracker_is_registered_to_its_published_residual() -> None:
-    # SOURCE.md: 1.09 mm (B) median position over all poses, 0.08°; on the registration poses
-    # alone, which the solution was fitted to, it is less
-    path = data("robot_ur10_lasertracker", "Series_B", "calibration_handeye.csv")
-    text = path.read_text().replace(",", ".")
-    rows = np.array([line.split(";") for line in text.splitlines()[1:]], dtype=float)
-    b = motions(rows[:, :3], Rotation.from_quat(rows[:, 3:7]))
-    turns = Rotation.from_euler("XYZ", rows[:, 10:13], degrees=True)
-    solved = solve_hand_eye(motions(rows[:, 7:10] * 1e-3, turns), b)
-    place, turn = (np.linalg.norm(part, axis=1) for part in np.split(solved.residual, 2, axis=1))
-    assert 0.5e-3 < np.median(place) < 1.1e-3
-    assert np.rad2deg(np.median(turn)) < 0.08
-    # the T-Mac sits 93 mm before UR's last frame (SOURCE.md: 109 mm from the flange, of which
-    # some belongs to another frame); the shape of the loop must not be turned inside out
-    assert 0.08 < np.linalg.norm(solved.x[:3, 3]) < 0.12
-
-
 @pytest.fixture(scope="module")
 def streams() -> tuple[Array, Array]:
     stem = "robot_arm_complete_bag_color_and_ir_"

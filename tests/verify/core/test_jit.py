@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.support import led_scene as scenes
 from tests.support.scene import facing, make_marker, make_rig, sight
-from tests.verify.measurement.correspondence import test_assign as scenes
 from verify.analysis.session import analyse
 from verify.analysis.warm_up import warm_up
 from verify.calibration.corners.find import find_board

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from tests.support.recorded import MARKER, replace, require_shared
-from tests.verify.io.test_rig import assert_same, every_disk, finite, positive, texts
+from tests.support.strategies import assert_same, every_disk, finite, positive, texts
 from verify.core import fiducials as core_fiducials
 from verify.core.fiducials import COLOURS, Board, Marker
 from verify.errors import InputError

@@ -174,13 +174,6 @@ def test_a_run_that_fails_leaves_the_place_as_it_was(
         assert (out / "summary.json").read_text() == "old"
 
 
-def test_a_folder_that_is_not_empty_is_refused_unless_forced(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"is not empty.*Choose another -o or give --force\."):
-        build(tmp_path, then=too_late)
-    assert names(tmp_path) == ["notes.txt"]
-
-
 def test_force_replaces_what_is_made_and_leaves_the_rest(tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "a.parquet").write_text("old")
@@ -231,17 +224,6 @@ def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
     (tmp_path / "report").touch()
     with pytest.raises(InputError, match="report: is a file; a folder is expected"):
         build(tmp_path / "report", force=True, then=too_late)
-
-
-def test_a_place_without_permission_is_refused_before_the_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refused(path: Path, *_: object) -> None:  # root, who may run this, is refused nothing
-        raise PermissionError(errno.EACCES, "Permission denied", str(path))
-
-    monkeypatch.setattr(Path, "mkdir", refused)
-    with pytest.raises(InputError, match=r"report: permission denied\. Grant access"):
-        build(tmp_path / "report", then=too_late)
 
 
 def test_a_folder_filled_by_another_run_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
@@ -314,20 +296,6 @@ def test_a_folder_without_write_permission() -> None:
             assert list(locked.iterdir()) == []
         finally:
             locked.chmod(0o700)
-
-
-def test_a_file_whose_folder_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"rig\.toml: cannot be made: .*Choose another place"):
-        write_whole(tmp_path / "gone" / "rig.toml", b"")
-
-
-def test_nothing_is_worked_out_for_a_place_that_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with (
-        pytest.raises(InputError, match="lies below a file"),
-        write_folder_whole(tmp_path / "file" / "report"),
-    ):
-        pytest.fail("the work began")
 
 
 def test_files_stay_where_all_went_well(tmp_path: Path) -> None:

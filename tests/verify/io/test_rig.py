@@ -4,23 +4,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from tests.support.recorded import RIG, replace, require_shared
+from tests.support.strategies import assert_same, every_disk, finite, positive, texts
 from verify.core.records import Array
 from verify.core.rig import Camera, Covariance, Rig
 from verify.errors import InputError
 from verify.io import rig as io_rig
 
-finite = st.floats(-1e3, 1e3, allow_subnormal=False)
 triples = st.tuples(finite, finite, finite).map(np.array)
-positive = st.floats(1e-6, 1e3)
-texts = st.text("aß 'o\"\\\n\t\x00\x1b\x7f#=[]{}😀", max_size=8)  # what TOML must escape, and more
-every_disk = settings(max_examples=50, deadline=None)  # each example waits for the disk
 directions = triples.filter(lambda v: np.linalg.norm(v) > 1e-3).map(lambda v: v / np.linalg.norm(v))
 
 
@@ -85,19 +82,6 @@ def rigs(draw: st.DrawFn) -> Rig:
         absorption=draw(st.none() | arrays(float, (12, columns), elements=cell)),
         covariance=draw(st.none() | covariances()),
     )
-
-
-def assert_same(a: object, b: object) -> None:
-    """Compare field by field: 1e-12, for numbers pass through 15 digits and a change of units."""
-    if hasattr(a, "__dataclass_fields__"):
-        assert type(a) is type(b)
-        for name in a.__dataclass_fields__:
-            assert_same(getattr(a, name), getattr(b, name))
-    elif isinstance(a, np.ndarray | float):
-        assert isinstance(b, np.ndarray | float)
-        assert_allclose(b, a, rtol=1e-12, atol=1e-12)
-    else:
-        assert a == b
 
 
 @every_disk

@@ -1,6 +1,5 @@
 """The loop with devices that a test plays: what is measured, what is lost, what is said."""
 
-import ast
 import os
 import signal
 import threading
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import verify.live
 from tests.support.spot_level import READ_EVERY, SpotRun, facing_rig, without_pictures
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, StereoPair
@@ -311,27 +309,6 @@ def test_the_command_gets_the_facts_and_no_shell_reads_them(tmp_path: Path) -> N
     assert '"alarm": 7' in told
     command.alarm(Alarm(8, "change", 0.0, 0.0, "text", (4,), 0.01, 0.001, revised=True))
     assert '"alarm": 7' in out.read_text()  # a revision calls nobody again
-
-
-def test_nothing_that_watches_can_command_a_robot() -> None:
-    """What is imported knows no way to move one; only readers and their records."""
-    allowed = {"verify.devices"}  # protocols and records alone: drivers are opened by the station
-    for file in Path(verify.live.__file__).parent.glob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("verify."):
-                module = node.module or ""
-                if module.startswith(
-                    ("verify.devices", "verify.simulation.emulators", "verify.simulation")
-                ):
-                    assert module in allowed, f"{file.name} imports {module}"
-                    names = {alias.name for alias in node.names}
-                    assert names <= {
-                        "DeviceState",
-                        "EncoderReading",
-                        "Encoders",
-                        "Pan",
-                        "PanReading",
-                    }
 
 
 @pytest.mark.realtime

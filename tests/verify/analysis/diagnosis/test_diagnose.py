@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from tests.support.motions import ARM, HOME, PERIOD, make_track
-from tests.support.recorded import require_shared
 from tests.support.scene import make_marker, make_rig
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import compare
@@ -24,15 +23,13 @@ from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes, thin_model
 from verify.analysis.diagnosis.faults import Fault, base_motion, body_motion
-from verify.analysis.diagnosis.link_faults import link_displacements, link_frames
+from verify.analysis.diagnosis.link_faults import link_displacements
 from verify.analysis.diagnosis.search import FaultProducts
 from verify.analysis.joint_errors import resolve_errors
 from verify.analysis.model import build_model
 from verify.analysis.results.entries import cause_entry
-from verify.analysis.session import analyse
 from verify.core.readings import Readings
 from verify.core.records import Array
-from verify.io.session.session import open_session
 from verify.measurement.systematics import stated_systematics
 from verify.measurement.track import Track, subset
 
@@ -197,12 +194,6 @@ def test_displaced_links_span_what_a_dh_table_can_have_wrong(name: str) -> None:
     assert int(np.sum(size > 1e-9 * size[0])) == 4 * arm.dof + 6
 
 
-def test_link_frames_end_at_the_flange() -> None:
-    assert isinstance(ARM, robots.DhArm)
-    q = motion(T[:5])
-    assert_allclose(link_frames(ARM, q)[:, -1], robots.forward(ARM, q), atol=1e-12)
-
-
 @pytest.mark.slow
 def test_several_faults_at_once_are_each_named() -> None:
     def error(t: Array, q: Array) -> Array:
@@ -328,17 +319,6 @@ def test_a_long_session_is_thinned_and_pairs_keep_their_places(
     assert seen.outlying.tolist() == [0, len(T) - 1]
     assert names(seen) == [("offset", 3)]
     assert seen.products.rows == 6 * 43
-
-
-@pytest.mark.slow
-@pytest.mark.shared
-def test_the_recorded_fault_is_joint_3s_offset_and_nothing_else() -> None:
-    summary = analyse(open_session(require_shared() / "multi_joint_fault_6r")).summary
-    (cause,) = summary["diagnosis"]
-    assert (cause["joint"], cause["kind"]) == (3, "offset")
-    assert abs(cause["value"] - 0.40) < 0.01
-    assert cause["runner_up"]["advantage"] > 15
-    assert summary["outlying_pairs"] == []
 
 
 FREEDOM = [1, 2, 3, 1, 2, 6, 3, 1]

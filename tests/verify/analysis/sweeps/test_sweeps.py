@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, kstest
 
 import robots
-from tests.support.motions import ARM, HOME, make_track, swinging
+from tests.support.motions import ARM, ESTIMATED, GIVEN, HOME, make_track, model_of, swinging
 from tests.support.scene import make_marker, make_rig
-from tests.verify.analysis.test_joint_errors import ESTIMATED, GIVEN, model_of
 from verify.analysis.comparison import compare
 from verify.analysis.sweeps.axis import SweepData, fit_axis
 from verify.analysis.sweeps.segments import find_segments

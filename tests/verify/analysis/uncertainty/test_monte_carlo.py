@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support.spotted import Spotted, spotted
+from tests.support.spotted import HOMES, SPREAD, Spotted, spotted
 from verify.analysis.uncertainty.draws import (
     ViewDraws,
     camera_draws,
@@ -16,12 +16,6 @@ from verify.analysis.uncertainty.draws import (
 )
 from verify.analysis.uncertainty.monte_carlo import MAX_RATIO_ERROR, monte_carlo
 from verify.core.records import Array
-
-HOMES = {
-    "iust_6r": np.deg2rad([35.0, -60.0, 45.0, 5.0, -80.0, 30.0]),
-    "rv_3sd_melfa": np.deg2rad([10.0, 15.0, 95.0, 10.0, 50.0, 20.0]),
-}
-SPREAD = np.deg2rad([10.0, 7.0, 8.0, 10.0, 10.0, 20.0])
 
 
 def visits(arm: str, seed: int, count: int = 8) -> Array:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.support.boards.fixture import BOARD, STATED, board_pairs, doubtful_rig
+from tests.support.drawn_rig import believed, drawn
+from tests.support.moved_rig import bumped, seen_by, stretched, turned
 from tests.support.recorded import require_shared
 from tests.support.scene import make_marker, make_rig
 from tests.support.simulated import in_memory
-from tests.verify.analysis.test_joint_errors import believed, drawn
-from tests.verify.analysis.test_rig_check import bumped, seen_by, stretched, turned
-from tests.verify.calibration.registration.test_fixture import BOARD, pair, placed
 from verify.calibration.check.check import (
     CheckResult,
     bar_marker,
@@ -24,23 +24,11 @@ from verify.calibration.check.check import (
 from verify.calibration.corners.find import find_board
 from verify.core.fiducials import Board, BoardPair
 from verify.core.records import Measurement
-from verify.core.rig import Covariance, Rig
 from verify.errors import InputError
 from verify.io import rig as io_rig
 from verify.simulation import library
 
 REPLICATES = 60
-STATED = make_marker(led_standard_uncertainty=2e-5, centre_shift_standard_uncertainty=1e-5)
-
-
-def doubtful_rig() -> Rig:
-    names = tuple(f"right.mount_r{axis}_deg" for axis in "xyz")
-    return replace(make_rig(), covariance=Covariance(names, np.full(3, 0.005), np.eye(3)))
-
-
-def board_pairs(true: Rig, count: int = 1, seed: int = 0) -> list[BoardPair]:
-    rng = np.random.default_rng(seed)
-    return [pair(true, placed(z=0.6 + 0.02 * i), rng, frame=i) for i in range(count)]
 
 
 @pytest.mark.slow

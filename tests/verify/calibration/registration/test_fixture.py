@@ -10,60 +10,20 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from robots.transforms import difference, invert
-from tests.support.scene import make_rig, project
-from tests.verify.analysis.test_joint_errors import CAMERAS, TURN
+from tests.support.boards.fixture import BOARD, pair, placed
+from tests.support.drawn_rig import CAMERAS, TURN
+from tests.support.scene import make_rig
 from verify.calibration.registration import fixture_file
 from verify.calibration.registration.fixture import BASE_NAMES, register_fixture
 from verify.calibration.stereo.records import covariance_in_si
-from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array
-from verify.core.rig import Camera, Covariance, Rig
+from verify.core.rig import Covariance, Rig
 from verify.errors import InputError
 from verify.io import rig as io_rig
 from verify.measurement.pose import perturb
 
-BOARD = Board(columns=7, rows=5, square=0.03)
-SIGMA = 0.03  # px, of a corner
 FIXED = np.diag(np.square([2e-4] * 3 + [np.deg2rad(0.03)] * 3))
 REPLICATES = 60  # d²/6 is then known to 7 %
-
-
-def placed(x: float = -0.09, y: float = -0.06, z: float = 0.65) -> Array:
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec([0.25, -0.3, 0.1]).as_matrix()
-    pose[:3, 3] = [x, y, z]
-    return pose
-
-
-def view(
-    camera: Camera, pan: float, rig_T_board: Array, rng: np.random.Generator | None = None
-) -> BoardView:
-    points = BOARD.points @ rig_T_board[:3, :3].T + rig_T_board[:3, 3]
-    centre = project(camera, pan, points)
-    if rng is not None:
-        centre = centre + rng.normal(0, SIGMA, centre.shape)
-    n = len(BOARD)
-    return BoardView(np.arange(n), centre, np.tile(np.eye(2) * SIGMA**2, (n, 1, 1)))
-
-
-def pair(
-    rig: Rig,
-    rig_T_board: Array,
-    rng: np.random.Generator | None = None,
-    *,
-    frame: int = 0,
-    turn: float = 0.0,
-    error: tuple[float, float] = (0.0, 0.0),
-) -> BoardPair:
-    """The board seen with both bases turned by `turn` from home, readings off by `error`, rad."""
-    left, right = rig.left.pan + turn, rig.right.pan + turn
-    return BoardPair(
-        frame,
-        left,
-        right,
-        view(rig.left, left + error[0], rig_T_board, rng),
-        view(rig.right, right + error[1], rig_T_board, rng),
-    )
 
 
 def doubtful_rig() -> Rig:

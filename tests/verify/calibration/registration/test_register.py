@@ -1,4 +1,3 @@
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -13,7 +12,6 @@ import robots
 from robots.transforms import difference
 from tests.support.recorded import PAIRS, require_shared, write_session
 from tests.support.simulated import InMemory, in_memory
-from verify.analysis.session import analyse
 from verify.calibration.registration import register
 from verify.calibration.registration.body_poses import BodyPose, body_poses
 from verify.calibration.registration.led_tracks import (
@@ -29,8 +27,6 @@ from verify.core.fiducials import Marker
 from verify.core.records import Array
 from verify.core.rig import Covariance, Rig
 from verify.errors import InputError
-from verify.io import fiducials
-from verify.io import rig as io_rig
 from verify.io.session.session import Recording, open_recording, open_session
 from verify.measurement.systematics import unit
 from verify.simulation import library
@@ -171,34 +167,6 @@ def test_weighed_by_the_pictures_alone_the_shares_are_the_published_ones(
     shares = register_motion(mended).visible_fractions
     np.testing.assert_allclose(shares, [0.0, 0.03, 0.03, 0.05, 0.06, 0.0], atol=0.006)
     assert np.all(informed[1:5] > shares[1:5])
-
-
-@pytest.mark.slow
-@pytest.mark.shared
-def test_joints_one_and_six_are_hidden_altogether_and_verify_run_says_the_same(
-    recording: Recording, tmp_path: Path
-) -> None:
-    found = register_motion(recording)
-    assert found.visible_fractions[[0, 5]].tolist() == [0.0, 0.0]
-    results = analyse(open_session(registered(found, tmp_path / "again")))
-    joints = results.summary["joints"]
-    shares = np.array([joint["visible_fraction"] for joint in joints])
-    np.testing.assert_allclose(found.visible_fractions, shares, atol=0.01)
-    assert [joint["mean_error_deg"] for joint in joints if joint["joint"] in (1, 6)] == [None] * 2
-    # through residuals no joint is accused: what is named, if anything, is the one at fault
-    accused = {cause["joint"] for cause in results.summary["diagnosis"]}
-    assert accused <= {3}
-    assert joints[2]["mean_error_deg"] == pytest.approx(
-        0.40, abs=3 * joints[2]["standard_uncertainty_deg"]
-    )
-
-
-def registered(found: MotionRegistration, folder: Path) -> Path:
-    shutil.copytree(shared_session(), folder, copy_function=shutil.copyfile)
-    folder.chmod(0o755)
-    io_rig.write(folder / "rig.toml", found.rig)
-    fiducials.write_marker(folder / "marker.toml", found.marker)
-    return folder
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from tests.support.devices.bench import (
     same_angles,
 )
 from verify.devices.encoders.intake import AngleMap
-from verify.devices.melfa import protocol, reader
+from verify.devices.melfa import protocol
 from verify.devices.melfa.reader import MelfaEncoders, MelfaSettings
 from verify.devices.ports import SerialLine
 from verify.devices.protocols import EncoderReading
@@ -70,12 +70,6 @@ def test_the_controller_is_sent_nothing_but_reading_commands() -> None:
     assert all(any(name.startswith(known) for known in protocol.READ_COMMANDS) for name in names)
     assert engine.log[0] == "OPEN=verify"
     assert engine.log[-1] == "CLOSE"
-
-
-def test_one_function_writes_to_the_controller() -> None:
-    source = Path(reader.__file__).read_text()
-    assert source.count("_link.send(") == 1
-    assert "_link.send(request.encoded(" in source
 
 
 @pytest.mark.realtime

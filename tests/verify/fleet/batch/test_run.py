@@ -74,18 +74,6 @@ def batch(
     return done
 
 
-def test_results_are_those_of_verify_run(lab: Path, tmp_path: Path) -> None:
-    done = batch(lab, tmp_path / "out", Inline())
-    ((name, place),) = done.kept
-    kept, plain = read_results(place), analyse(open_session(lab / "one"))
-    assert name == f"{lab}/one"
-    assert kept.summary["joints"] == plain.summary["joints"]
-    assert kept.summary["inputs"] == plain.summary["inputs"]
-    assert kept.summary["session"]["path"] == name
-    assert kept.images == plain.images
-    assert done.progress.pairs == PAIRS
-
-
 def test_a_rate_counts_from_when_a_worker_could_begin(
     lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,7 @@ from functools import partial
 import pytest
 
 from tests.support.devices.bench import running
-from tests.verify.grasping.actuators.melfa.test_mover import LIMITS
+from tests.support.devices.melfa_mover import LIMITS
 from verify.devices.melfa.protocol import READ_COMMANDS
 from verify.devices.ports import DEFAULT_LINE, Port, open_port
 from verify.grasping.actuators import emulator_check

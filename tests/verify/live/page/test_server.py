@@ -26,7 +26,6 @@ from verify.live.outputs.metrics import MetricsServer
 from verify.live.page.access import check_access
 from verify.live.page.feed import Page
 from verify.live.page.run import RunFacts, RunPageSource
-from verify.live.page.scene import joint_origins
 from verify.live.protocols import Alarm, MonitoredRobot
 from verify.live.state import DeviceStatus, LiveState
 
@@ -200,21 +199,6 @@ def test_pictures_are_encoded_once_for_all_and_only_while_somebody_looks() -> No
 
 
 @pytest.mark.realtime
-def test_viewers_may_ask_for_what_is_offered_and_for_nothing_else() -> None:
-    with Playing() as playing:
-        asked: list[str] = []
-        page = Page(playing.source, 0, asked={"take": lambda: asked.append("take")})
-        with own(page) as line:
-            for word in ("stop", "take", "x" * 1000):
-                line.send(word)
-            assert until(lambda: bool(asked))
-            line.send(b"take")  # no page sends that: whoever does is let go
-            assert until(lambda: page.viewers == 0)
-        assert asked == ["take"]
-        page.close()
-
-
-@pytest.mark.realtime
 def test_metrics_are_prometheus_text(served: Page) -> None:
     assert until(lambda: "verify_joint_error_degrees" in get(served, "/metrics").text)
     text = get(served, "/metrics").text
@@ -261,15 +245,6 @@ def test_the_token_opens_the_page_once_and_then_the_cookie_does() -> None:
 def test_a_port_that_is_taken_is_said_in_one_line(served: Page) -> None:
     with Playing() as playing, pytest.raises(InputError, match="taken"):
         Page(playing.source, port(served))
-
-
-def test_the_drawn_arm_ends_where_the_flange_is() -> None:
-    for name in ("iust_6r", "rv_3sd", "panda"):
-        arm = robots.load(name)
-        q = np.linspace(-0.5, 0.7, arm.dof)
-        points = joint_origins(arm, q)
-        np.testing.assert_allclose(points[-1], robots.forward(arm, q)[:3, 3], atol=1e-12)
-        assert len(points) >= arm.dof
 
 
 @pytest.mark.realtime

@@ -18,7 +18,6 @@ from numpy.testing import assert_array_equal
 from tests.support.devices.recording_process import FACTS, pair, reading
 from tests.support.recorded import HEIGHT, WIDTH
 from tests.support.small_disk import mounted
-from verify.analysis.session import analyse
 from verify.devices.cameras.opencv import JpegDecoder
 from verify.devices.protocols import CapturedPair, EncoderReading
 from verify.errors import InputError
@@ -145,7 +144,7 @@ def start(folder: Path, rate: float | str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("round_number", range(4))
+@pytest.mark.parametrize("round_number", range(2))
 def test_after_a_kill_every_pair_that_was_handed_on_is_there(
     tmp_path: Path, round_number: int
 ) -> None:
@@ -202,27 +201,6 @@ def test_what_is_measured_live_is_measured_again_from_the_recording_to_the_last_
         assert before.pose is not None
         assert after.pose is not None
         assert_array_equal(before.pose.rig_T_flange, after.pose.rig_T_flange)
-
-
-@pytest.mark.realtime
-def test_a_run_that_is_killed_is_measured_up_to_its_last_pair(tmp_path: Path) -> None:
-    process = start(tmp_path / "run", "sim")
-    time.sleep(6.0)
-    process.kill()
-    lines = process.communicate()[0].rpartition("\n")[0].splitlines()
-    told = np.array([line.split() for line in lines], dtype=float)
-    (folder,) = (tmp_path / "run" / "recordings").iterdir()
-    session = open_session(folder)
-    assert session.open
-    assert len(session) >= len(told) - told[-1, 2]
-    results = analyse(session)
-    frames = results.tables["frames"]
-    measured = frames[frames["status"] == "measured"]
-    assert measured["t_s"].iloc[-1] >= told[-1, 1] - 1.0
-    assert len(measured) > 0.9 * len(frames)
-    for joint in results.summary["joints"]:
-        u = joint["expanded_uncertainty_deg"]
-        assert abs(joint["mean_error_deg"]) < 2 * u  # the simulated encoders are in order
 
 
 def test_a_controller_whose_clock_starts_anew_starts_a_new_session(tmp_path: Path) -> None:
