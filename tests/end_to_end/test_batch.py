@@ -302,10 +302,7 @@ def test_a_process_that_is_killed_costs_nothing_but_time(
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "kill"])
 def test_an_interrupted_batch_keeps_what_was_done_and_goes_on_from_there(
-    lab: Path,
-    out: Path,
-    started: Start,
-    sent: signal.Signals,
+    lab: Path, out: Path, started: Start, sent: signal.Signals
 ) -> None:
     process, place = started()
     source = nursery(process.pid)

@@ -58,10 +58,7 @@ def test_a_run_that_is_interrupted_leaves_nothing_and_says_so(
 
 @pytest.mark.parametrize("step", ["render_html", "render_pdf", "write"])
 def test_an_interruption_while_writing_leaves_nothing_either(
-    step: str,
-    measurements: list[Measurement],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    step: str, measurements: list[Measurement], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt

@@ -43,21 +43,6 @@ def test_a_report_is_built_again_with_a_logo_and_an_owner(out: Path, tmp_path: P
     assert (hash((out / "report.pdf").read_bytes()), hash(again)) == before
 
 
-def test_without_options_a_report_is_what_the_library_gives(
-    out: Path, analysed: reports.Results
-) -> None:
-    assert verify("report", out).status == 0
-    plain = reports.render_html(analysed)
-    assert hash((out / "report.html").read_text(encoding="utf-8")) == hash(plain)
-
-
-def test_a_language_is_refused_as_any_unknown_option(out: Path) -> None:
-    outcome = verify("report", out, "--language", "de")
-    assert outcome.status == 2
-    assert "No such option: --language" in outcome.err
-    assert {(out / n).read_text() for n in ("report.html", "report.pdf")} == {"as it was"}
-
-
 @pytest.mark.parametrize(
     ("option", "name", "content", "said"),
     [

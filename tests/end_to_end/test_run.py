@@ -286,10 +286,6 @@ def test_a_tolerance_a_joint_is_taken_joint_by_joint(faulty: Run, tmp_path: Path
     assert summary["position"]["tolerance_mm"] == pytest.approx(9.0)
 
 
-def test_bad_input_is_status_2(tmp_path: Path) -> None:
-    assert verify("run", tmp_path / "nowhere").status == 2
-
-
 def test_the_same_session_gives_the_same_bytes_and_json_is_all_that_json_prints(
     faulty: Run, tmp_path: Path
 ) -> None:

@@ -55,9 +55,7 @@ def assert_within_limits(trajectory: Trajectory, limits: JointLimits = LIMITS) -
     # a difference is a mean of the derivative over the step: it cannot exceed its greatest value
     used = []
     for found, limit in zip(
-        rates_by_differences(q, FINE),
-        (limits.speed, limits.acceleration, limits.jerk),
-        strict=True,
+        rates_by_differences(q, FINE), (limits.speed, limits.acceleration, limits.jerk), strict=True
     ):
         assert np.all(found <= limit * (1 + 1e-6) + 1e-6)
         used.append(float((found / limit).max()))

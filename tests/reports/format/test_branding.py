@@ -14,7 +14,7 @@ import reports
 from reports.format import pdf
 from reports.format.branding import DEFAULT_BRANDING, MAX_HEIGHT_MM, MAX_WIDTH_MM, read_logo
 from reports.session.document import document
-from tests.support.reports import made
+from tests.support.reports import session as made
 from tests.support.reports.page import LIBRARY, Page
 
 ROOT = Path(__file__).parents[3]

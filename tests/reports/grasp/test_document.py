@@ -9,7 +9,7 @@ from reports.document.blocks import Facts, Figure, Table, collect_figures
 from reports.grasp import figures as grasp_figures
 from reports.grasp.document import document, outcome
 from reports.results import Results
-from tests.support.reports import made_grasp
+from tests.support.reports import grasp as made_grasp
 
 BARE = {"kind": "grab", "robot": "an arm", "target": "blue object", "cell": "simulated"}
 

@@ -5,7 +5,8 @@ from reports.document.blocks import Bullets, Figure, Paragraph, Section, Table
 from reports.document.charts import Chart, Points
 from reports.results import Results
 from reports.session import document
-from tests.support.reports import made, made_budget
+from tests.support.reports import budget as made_budget
+from tests.support.reports import session as made
 
 
 def section(results: Results, name: str) -> Section:

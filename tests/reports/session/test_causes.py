@@ -12,7 +12,7 @@ from reports.session import causes as session_causes
 from reports.session import findings
 from reports.session.combinations import detectable
 from reports.session.headline import headline
-from tests.support.reports import made
+from tests.support.reports import session as made
 
 
 def cause(kind: str, joint: int | None, value: float, unit: str, **more: Any) -> dict[str, Any]:

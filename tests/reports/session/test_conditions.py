@@ -13,7 +13,7 @@ from reports.results import Results
 from reports.session.conditions import conditions
 from reports.session.headline import headline
 from tests.support.command import SAMPLES
-from tests.support.reports import made
+from tests.support.reports import session as made
 from tests.support.reports.page import LIBRARY
 from verify import analyse, open_session
 

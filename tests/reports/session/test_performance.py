@@ -18,7 +18,7 @@ from reports.session.performance import (
     deviation,
     performance,
 )
-from tests.support.reports import made
+from tests.support.reports import session as made
 
 DEVIATIONS: list[dict[str, Any]] = [
     {"kind": "cycles", "found": 12, "standard": 30},

@@ -13,16 +13,8 @@ from tests.support.devices.bench import Emulated, same_angles
 from verify.core.records import Array
 from verify.devices.encoders.intake import AngleMap
 from verify.grasping.actuators.melfa.mover import MelfaMover
-from verify.grasping.actuators.melfa.orders import (
-    MOVE_COMMANDS,
-    MotionSettings,
-    MoveLimits,
-)
-from verify.grasping.actuators.protocols import (
-    ExecutePermission,
-    MoverState,
-    MoverStatus,
-)
+from verify.grasping.actuators.melfa.orders import MOVE_COMMANDS, MotionSettings, MoveLimits
+from verify.grasping.actuators.protocols import ExecutePermission, MoverState, MoverStatus
 from verify.simulation.emulators import trajectory
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 from verify.simulation.emulators.melfa_arm import MelfaArm

@@ -1,17 +1,22 @@
 """A document's parts, as tests look them up."""
 
+import shutil
+import subprocess
+from collections.abc import Callable
 from functools import cache
 from html.parser import HTMLParser
 from typing import Any
 
+import pytest
 from plotly.offline import get_plotlyjs
 
 import reports
 from reports.document import charts
 from reports.document.blocks import Document, Table
 from reports.format import pdf as pdf_format
-from reports.session.document import document
-from tests.support.reports import made
+from reports.render import DOCUMENTS
+from reports.results import Results
+from tests.support.reports import boards, check, fleet, registration, session
 
 
 def tables(of: Document) -> dict[str, Table]:
@@ -25,9 +30,41 @@ def tables(of: Document) -> dict[str, Table]:
 
 
 LIBRARY = get_plotlyjs()  # left out of what is tested: five million letters
-html_of = cache(lambda name: reports.render_html(made.EVERY[name]()).replace(LIBRARY, ""))
-files_of = cache(lambda name: pdf_format.typst_files(document(made.EVERY[name]())))
+EVERY: dict[str, Callable[[], Results]] = {
+    **session.EVERY,
+    "good": boards.good, "doubtful": boards.doubtful, "uncalibrated": boards.nothing,
+    "motion": registration.motion, "fixture": registration.fixture, "bare": registration.bare,
+    "held": check.held, "not_held": check.not_held, "board": check.board,
+    "unchecked": check.nothing, "fleet": fleet.changed,
+}  # fmt: skip
+made_of = cache(lambda name: EVERY[name]())
+html_of = cache(lambda name: page_of(made_of(name)))
+files_of = cache(lambda name: pdf_format.typst_files(document_of(name)))
 pdf_of = cache(lambda name: pdf_format.typeset(files_of(name)))
+
+
+@cache
+def document_of(name: str) -> Document:
+    results = made_of(name)
+    return DOCUMENTS[results.summary.get("kind", "run")](results)
+
+
+def page_of(results: Results) -> str:
+    """The page of results without the plotting library."""
+    return reports.render_html(results).replace(LIBRARY, "")
+
+
+def pdf_text_of(name: str) -> str:
+    """The text of the PDF as a reader copies it; skip without pdftotext."""
+    tool = shutil.which("pdftotext")
+    if tool is None:
+        pytest.skip("pdftotext is not installed (poppler-utils)")
+    command = [tool, "-layout", "-", "-"]
+    return subprocess.run(
+        command, check=True, capture_output=True, input=pdf_of(name)
+    ).stdout.decode()
+
+
 VOID = {"meta", "br", "img", "link", "input", "hr"}
 
 

@@ -45,9 +45,7 @@ def panda() -> tuple[InMemory, Results]:
     return session, analyse(session)
 
 
-def test_seven_joints_give_six_sums_that_a_pose_determines(
-    panda: tuple[InMemory, Results],
-) -> None:
+def test_seven_joints_give_six_sums_that_a_pose_determines(panda: tuple[InMemory, Results]) -> None:
     session, results = panda
     sums = [c for c in results.summary["combinations"] if c["why"] == "self_motion"]
     assert len(sums) == 6

@@ -68,9 +68,7 @@ def test_stated_uncertainties_hold_from_boards_to_mean_joint_errors() -> None:
     base_and_cameras_taken_as_independent_would_state_too_much(outcomes)
 
 
-def the_calibration_lies_as_near_its_truth_as_it_says(
-    outcomes: list[dict[str, Checked]],
-) -> None:
+def the_calibration_lies_as_near_its_truth_as_it_says(outcomes: list[dict[str, Checked]]) -> None:
     rigs = [o["rig"] for o in outcomes]
     ratio, low, high = d2_ratio(rigs)
     assert low < ratio < high

@@ -83,11 +83,7 @@ FAULTS: dict[str, tuple[int, Error, float]] = {
     "backlash": (4, lambda t, _: at(4, np.deg2rad(0.1) * direction(t)[:, 3]), 0.2),
     "eccentricity": (6, lambda _, q: at(6, np.deg2rad(0.25) * np.cos(3 * (q[:, 5] - 0.4))), 0.25),
     "drift": (5, lambda t, _: at(5, np.deg2rad(0.02) * (t - T[0])), 72.0),
-    "compliance": (
-        5,
-        lambda _, q: at(5, np.deg2rad(4.0) * robots.jacobian(ARM, q)[:, 2, 4]),
-        4.0,
-    ),
+    "compliance": (5, lambda _, q: at(5, np.deg2rad(4.0) * robots.jacobian(ARM, q)[:, 2, 4]), 4.0),
 }
 
 

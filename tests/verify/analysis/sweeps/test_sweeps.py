@@ -29,8 +29,7 @@ from verify.simulation.world.motion import JointTurn, MotionProfile, SequentialS
 
 SLOT = 6.0  # s a joint
 SESSION = cast(
-    "Session",
-    SimpleNamespace(encoder_resolution=None, encoder_time_standard_uncertainty=None),
+    "Session", SimpleNamespace(encoder_resolution=None, encoder_time_standard_uncertainty=None)
 )
 FAULTS = (
     ScenarioFault(joint=2, backlash_deg=0.3),

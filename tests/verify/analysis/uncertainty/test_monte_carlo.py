@@ -49,10 +49,7 @@ def test_a_pose_fitted_in_no_drawn_world_is_the_chains_own(
         spots = used_spots(seen, rig, marker)
         sides = [
             camera_draws(camera, name, {}, np.array([s.pan]))
-            for camera, name, s in (
-                (rig.left, "left", seen.left),
-                (rig.right, "right", seen.right),
-            )
+            for camera, name, s in ((rig.left, "left", seen.left), (rig.right, "right", seen.right))
         ]
         views = ViewDraws(sides[0], sides[1], spots.left)
         leds = led_draws(marker, {}, 1)[:, spots.led]

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from tests.support.reports import made_calibration as made
+from tests.support.reports import calibration as made
 from verify.calibration.quality.accuracy import (
     SPOT_SIGMA,
     TEST_LENGTH,
@@ -15,16 +15,10 @@ from verify.calibration.quality.accuracy import (
 )
 from verify.calibration.quality.advice import calibration_doubts, main_advice
 from verify.calibration.quality.coverage import board_stances, view_frame
-from verify.calibration.quality.quality import (
-    NOISE_GROUP,
-    judge_calibration,
-)
+from verify.calibration.quality.quality import NOISE_GROUP, judge_calibration
 from verify.calibration.quality.results import pan_axes_angle, stereo_geometry
 from verify.calibration.stereo.parameters import PARAMETER_KEYS, step_camera
-from verify.calibration.stereo.records import (
-    covariance_in_si,
-    state_covariance,
-)
+from verify.calibration.stereo.records import covariance_in_si, state_covariance
 from verify.core.records import Array
 from verify.core.rig import Camera, Covariance, Rig
 from verify.measurement.triangulation import triangulate

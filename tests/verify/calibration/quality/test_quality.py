@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import reports
 from tests.support.recorded import require_shared
-from tests.support.reports import made_calibration as made
+from tests.support.reports import calibration as made
 from verify.calibration.quality.advice import calibration_doubts, coverage_gaps
 from verify.calibration.quality.quality import (
     SIDES,
@@ -27,10 +27,7 @@ from verify.calibration.registration.fixture import FixtureRegistration
 from verify.calibration.registration.records import MotionRegistration, SpotResiduals
 from verify.calibration.registration.results import POSE, fixture_results, motion_results
 from verify.calibration.stereo.parameters import PARAMETER_KEYS
-from verify.calibration.stereo.records import (
-    Calibration,
-    Residuals,
-)
+from verify.calibration.stereo.records import Calibration, Residuals
 from verify.core.fiducials import Marker
 from verify.core.rig import Covariance, Rig
 

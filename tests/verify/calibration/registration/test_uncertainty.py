@@ -73,9 +73,7 @@ def test_the_first_and_the_last_joint_are_hidden_altogether(healthy: AdjustedReg
     assert np.all(fractions[1:5] > 0.01)
 
 
-def test_with_base_and_leds_held_nothing_takes_anything_in(
-    healthy: AdjustedRegistration,
-) -> None:
+def test_with_base_and_leds_held_nothing_takes_anything_in(healthy: AdjustedRegistration) -> None:
     free = np.zeros(healthy.at.size, dtype=bool)
     held = replace(healthy, free=free, inverse=np.zeros_like(healthy.inverse))
     assert not absorbed_offsets(held).any()

@@ -79,10 +79,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
 
 
 def test_a_scheduler_and_workers_by_hand_one_of_them_killed_midway(
-    lab: Path,
-    alone: Path,
-    tmp_path: Path,
-    start: Callable[..., subprocess.Popen[bytes]],
+    lab: Path, alone: Path, tmp_path: Path, start: Callable[..., subprocess.Popen[bytes]]
 ) -> None:
     told = tmp_path / "scheduler.json"
     start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",

@@ -11,7 +11,7 @@ import pytest
 
 import reports
 from tests.support.command import ROOT
-from tests.support.reports import made
+from tests.support.reports import session as made
 from verify.errors import InputError
 from verify.fleet.batch import tables
 from verify.fleet.batch import tables as batch_tables

@@ -147,9 +147,7 @@ def test_a_thin_obstacle_does_not_slip_between_samples(workspace: Workspace) -> 
     far = workspace.cell.gripper.radius - 0.001
     camera = tips[:3, 3] + far * np.array([*outward, 0.0])
     near = dataclasses.replace(
-        workspace,
-        cameras=camera[None],
-        cell=dataclasses.replace(workspace.cell, moving=moving),
+        workspace, cameras=camera[None], cell=dataclasses.replace(workspace.cell, moving=moving)
     )
     assert near.margins(way.q(np.linspace(0, 1, 9))).min() > 0
     assert "camera 1" in near.along(way)

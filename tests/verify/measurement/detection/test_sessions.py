@@ -80,8 +80,7 @@ def test_every_led_is_found_and_few_other_things() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "centroid_rms_px"),
-    [("quarter_circle_6r", 0.0181), ("multi_joint_fault_6r", 0.0145)],
+    ("name", "centroid_rms_px"), [("quarter_circle_6r", 0.0181), ("multi_joint_fault_6r", 0.0145)]
 )
 def test_centres_beat_the_plain_centroid(name: str, centroid_rms_px: float) -> None:
     errors, normalised = [], []

@@ -181,11 +181,7 @@ def test_opencv_finds_the_board_as_it_was_held() -> None:
 
 def test_the_markers_are_those_of_opencvs_charuco_board() -> None:
     table = ScenarioBoards(
-        pairs=1,
-        markers="DICT_5X5_100",
-        marker_mm=30.0,
-        in_view=0.5,
-        distance_mm=(450.0, 700.0),
+        pairs=1, markers="DICT_5X5_100", marker_mm=30.0, in_view=0.5, distance_mm=(450.0, 700.0)
     )
     boards = simulate_boards(scene(boards=table))
     detector = cv2.aruco.CharucoDetector(fiducials.charuco_board(boards.board))

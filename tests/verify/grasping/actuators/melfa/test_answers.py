@@ -18,9 +18,7 @@ from tests.support.devices.melfa_mover import (
     stepped,
     under_way,
 )
-from verify.grasping.actuators.protocols import (
-    MoverState,
-)
+from verify.grasping.actuators.protocols import MoverState
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 from verify.simulation.emulators.server import EmulatorFaults, TimedMessage
 

@@ -28,10 +28,7 @@ from verify.grasping.actuators.melfa.orders import (
     line_move,
     parse_limits,
 )
-from verify.grasping.actuators.protocols import (
-    MotionRefusedError,
-    MoverState,
-)
+from verify.grasping.actuators.protocols import MotionRefusedError, MoverState
 
 
 def test_no_mover_is_made_without_the_operators_permission() -> None:

@@ -25,10 +25,7 @@ from tests.support.devices.melfa_mover import (
     stepped,
     under_way,
 )
-from verify.grasping.actuators.protocols import (
-    MotionRefusedError,
-    MoverState,
-)
+from verify.grasping.actuators.protocols import MotionRefusedError, MoverState
 from verify.simulation.emulators import trajectory
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 from verify.simulation.emulators.melfa_arm import MelfaArm
