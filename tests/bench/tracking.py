@@ -13,7 +13,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from tests.bench.grab import ENDS
+from tests.bench.grasp.open_loop import ENDS
 from tests.support.grasp.caps import BLUE, GREEN, RED, YELLOW, Cap, Path, Slab, pairs, small_rig
 from tests.support.scene import make_rig, project
 from verify.core.records import Array, Image, StereoPair

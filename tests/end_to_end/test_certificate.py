@@ -12,7 +12,7 @@ import pytest
 
 import reports
 from reports.results import to_json_value
-from tests.support.command import SAMPLES
+from tests.support.command import SAMPLES, sample_results
 from verify import analyse, open_session
 
 DOCS = Path(__file__).parents[2] / "docs" / "results.md"
@@ -34,11 +34,10 @@ def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a checker reads of OUT; the reports themselves are no part of it."""
     out: Path = tmp_path_factory.mktemp("result")
-    return judged(FAULTY, out)
+    return written(sample_results("multi_joint_fault_6r"), out)
 
 
-def judged(session: Path, out: Path) -> Path:
-    results = analyse(open_session(session))
+def written(results: reports.Results, out: Path) -> Path:
     reports.write(results, out / "results")
     (out / "summary.json").write_text(json.dumps(to_json_value(results.summary), allow_nan=False))
     return out
@@ -51,7 +50,7 @@ def hiding(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     session = shutil.copytree(FAULTY, folder / "session")
     rig = session / "rig.toml"
     rig.write_text(rig.read_text().replace('source = "fixture"', 'source = "motion"'))
-    return session, judged(session, folder / "out")
+    return session, written(analyse(open_session(session)), folder / "out")
 
 
 def checked(recipe: Path, session: Path, out: Path) -> subprocess.CompletedProcess[str]:

@@ -125,6 +125,13 @@ def test_every_make_target_is_in_the_readme() -> None:
     assert not missing
 
 
+def test_robots_lists_every_arm_and_checks_one() -> None:
+    listed = verify("robots")
+    assert [line.split()[0] for line in listed.out.splitlines()] == list(robots.names())
+    checked = verify("robots", "iust_6r", "--poses", "20")
+    assert (listed.status, checked.status) == (0, 0)
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_subcommand_and_option_is_in_the_readme(command: str) -> None:
     described = re.search(rf"^\| `verify {command}\b.*$", README.read_text(), flags=re.MULTILINE)

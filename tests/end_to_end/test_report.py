@@ -6,15 +6,14 @@ from pathlib import Path
 import pytest
 
 import reports
-from tests.support.command import SAMPLES, verify
-from verify import analyse, open_session
+from tests.support.command import sample_results, verify
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 4 1"><rect width="4" height="1"/></svg>'
 
 
 @pytest.fixture(scope="module")
 def analysed() -> reports.Results:
-    return analyse(open_session(SAMPLES / "multi_joint_fault_6r"))
+    return sample_results("multi_joint_fault_6r")
 
 
 @pytest.fixture

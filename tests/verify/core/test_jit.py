@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support import led_scene as scenes
+from tests.support.leds import scene as scenes
 from tests.support.scene import facing, make_marker, make_rig, sight
 from verify.analysis.session import analyse
 from verify.analysis.warm_up import warm_up

@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from tests.support.led_scene import (
+from tests.support.leds.scene import (
     BLUE,
     EQUILATERAL,
     GREEN,

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.led_images import Sensor, Spot, centre_bound, picture, scattered
+from tests.support.leds.images import Sensor, Spot, centre_bound, picture, scattered
 from verify.core.records import Array, Noise, Spots
 from verify.errors import InputError
 from verify.measurement.detection.candidates import LocatedPatches, disc_offsets

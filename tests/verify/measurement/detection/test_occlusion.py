@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from tests.support.led_images import REACH, Sensor, Spot, centre_bound, scattered
+from tests.support.leds.images import REACH, Sensor, Spot, centre_bound, scattered
 from verify.core.records import Array, Image, Spots
 from verify.measurement.detection.detect import detect
 from verify.measurement.detection.occlusion import (

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import robots
+from tests.support.command import verify
 from tests.support.devices.bench import same_angles
 from verify.core.records import Array
 from verify.devices.melfa.protocol import parse_joints, parse_state
@@ -184,9 +185,7 @@ def test_the_command_emulates_a_controller_that_waits_to_be_moved() -> None:
             _until(arm, MoverState.ARRIVED)
         process.send_signal(signal.SIGINT)
         process.wait(timeout=10)
-    wrong = [sys.executable, "-c", COMMAND, "labenc", "--idle"]
-    told = subprocess.run(wrong, capture_output=True, text=True, check=False)
-    assert "labenc runs no program" in told.stderr
+    assert "labenc runs no program" in verify("emulate", "labenc", "--idle").err
 
 
 def _until(arm: MelfaMover, state: MoverState) -> None:

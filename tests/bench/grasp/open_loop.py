@@ -1,5 +1,5 @@
 """Simulated grasps: successes, false successes, limits, grip error;
-python -m tests.bench.grab [N] [--full] [--figure FILE.svg].
+python -m tests.bench.grasp.open_loop [N] [--full] [--figure FILE.svg].
 
 Cells are drawn at random: where the cap stands or slides to, other caps, light, noise, an arm that
 is not quite where it was registered. A success is a cap in the hand, as the world knows it; a false

@@ -6,7 +6,7 @@ tell from every other fault (separable). A fault is put in at 1.5 times the sepa
 that and 1.5 times the detectable one; and at half the separable one. Verdicts: a joint that is
 sound, or has one of three faults whose mean is next to nothing, at a tolerance of 0.2°.
 
-    python -m tests.bench.diagnosis [SESSIONS] [SEED]
+    python -m tests.bench.diagnosis.shares [SESSIONS] [SEED]
 """
 
 import os
@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from tests.bench.diagnosis_sessions import Injected, Watched, diagnosed, watched
-from tests.bench.diagnosis_verdicts import CASES, verdicts
+from tests.bench.diagnosis.sessions import Injected, Watched, diagnosed, watched
+from tests.bench.diagnosis.verdicts import CASES, verdicts
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis
 from verify.analysis.diagnosis.faults import UNIT_SCALES
