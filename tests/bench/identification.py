@@ -12,7 +12,6 @@ import numpy as np
 
 import robots
 from tests.support.published import series
-from verify.calibration.kinematics import identify
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.fit import pose_residuals, statistics
 from verify.calibration.kinematics.identify import register
@@ -22,7 +21,7 @@ if __name__ == "__main__":
     models = {}
     for name in ("A", "B"):
         rows, begun = series(name), time.perf_counter()
-        found = identify(arm, rows)
+        found = identify_arm(arm, rows)
         models[name] = found.chain
         print(f"series {name}: {len(rows)} poses, {time.perf_counter() - begun:.0f} s")
         registered = found.level("registration").fit.state

@@ -30,7 +30,6 @@ from tests.support.recorded import require_shared
 from verify.analysis.clock import estimate_clock
 from verify.analysis.session import analyse
 from verify.calibration.handeye import solve_hand_eye
-from verify.calibration.kinematics import identify
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.fit import hold_out, pose_residuals, statistics
 from verify.calibration.kinematics.identify import IdentificationOptions, register
@@ -403,7 +402,7 @@ def test_registered_alone_the_arm_is_as_far_off_as_is_known(name: str) -> None:
 def test_identified_on_70_percent_the_others_are_met(name: str, every: int) -> None:
     """All of series A takes a minute: `python -m tests.bench.identification`."""
     rows = series(name, every)
-    found = identify(chain_of(robots.load("ur10")), rows, IdentificationOptions(splits=0))
+    found = identify_arm(chain_of(robots.load("ur10")), rows, IdentificationOptions(splits=0))
     assert found.chosen.name == "geometry"
     assert found.chosen.support.rank == 30
     fit = found.chosen.fit
@@ -416,7 +415,9 @@ def test_identified_on_70_percent_the_others_are_met(name: str, every: int) -> N
 def test_a_model_of_series_a_serves_series_b() -> None:
     """Months later, elsewhere, the mounting anew: the arm's own errors stay with the arm."""
     arm = chain_of(robots.load("ur10"))
-    model = identify(arm, series("A", 10), IdentificationOptions(level="geometry", splits=0)).chain
+    model = identify_arm(
+        arm, series("A", 10), IdentificationOptions(level="geometry", splits=0)
+    ).chain
     other = series("B")
     before, after = (
         statistics(pose_residuals(register(chain, other).state, other)[:, :3])[0] * 1e3

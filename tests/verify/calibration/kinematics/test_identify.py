@@ -6,10 +6,12 @@ from scipy.stats import chi2
 
 from robots.transforms import difference
 from tests.support.true_arm import TrueArm, measured, readings, true_arm
-from verify.calibration.kinematics import identify
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.identifiability import observability_indices
-from verify.calibration.kinematics.identify import IdentificationOptions, IdentificationResult
+from verify.calibration.kinematics.identify import (
+    IdentificationOptions,
+    IdentificationResult,
+)
 from verify.calibration.kinematics.model import predict_with_jacobian
 from verify.calibration.kinematics.poses import build_poses
 
@@ -20,7 +22,7 @@ def identified(
     truth: TrueArm, count: int, seed: int, wish: IdentificationOptions | None = None
 ) -> IdentificationResult:
     q = readings(truth.arm, count, seed)
-    return identify(chain_of(truth.arm), build_poses(q, *measured(truth, q, seed + 1)), wish)
+    return identify_arm(chain_of(truth.arm), build_poses(q, *measured(truth, q, seed + 1)), wish)
 
 
 def predicted_less_true(found: IdentificationResult, truth: TrueArm, q: np.ndarray) -> float:
@@ -109,7 +111,7 @@ def test_positions_of_a_point_support_27_parameters() -> None:
     truth = true_arm("iust_6r", seed=9)
     q = readings(truth.arm, 80, 10)
     seen, covariance = measured(truth, q, 11)
-    found = identify(
+    found = identify_arm(
         chain_of(truth.arm),
         build_poses(q, seen[:, :3, 3], covariance[:, :3, :3]),
         IdentificationOptions(splits=2, level="geometry"),
@@ -123,7 +125,7 @@ def test_positions_of_a_point_support_27_parameters() -> None:
 def test_noise_that_is_not_stated_is_found() -> None:
     truth = true_arm("iust_6r", seed=12)
     q = readings(truth.arm, 200, 13)
-    found = identify(
+    found = identify_arm(
         chain_of(truth.arm),
         build_poses(q, measured(truth, q, 14)[0]),
         IdentificationOptions(splits=0),
@@ -140,7 +142,9 @@ def test_outlying_poses_are_listed_and_do_no_harm() -> None:
     for row, by in ((5, 3e-3), (17, 20e-3), (40, 0.5)):
         seen[row, :3, 3] += by
     rows = build_poses(q, seen, covariance)
-    found = identify(chain_of(truth.arm), rows, IdentificationOptions(level="geometry", splits=0))
+    found = identify_arm(
+        chain_of(truth.arm), rows, IdentificationOptions(level="geometry", splits=0)
+    )
     assert np.flatnonzero(~found.chosen.fit.used).tolist() == [5, 17, 40]
     distance = predicted_less_true(found, truth, readings(truth.arm, 40, 18))
     assert distance < chi2.ppf(0.999, 30)
@@ -152,7 +156,7 @@ def test_little_motion_supports_little_and_says_how_little() -> None:
     q = np.radians([10.0, -60, 80, 30, 50, 20]) + np.random.default_rng(20).uniform(
         -0.035, 0.035, (30, 6)
     )
-    found = identify(
+    found = identify_arm(
         chain_of(truth.arm),
         build_poses(q, *measured(truth, q, 21)),
         IdentificationOptions(level="geometry", splits=0),
@@ -175,7 +179,9 @@ def test_two_placings_of_one_arm_share_its_parameters() -> None:
     seen[40:] = shift @ seen[40:]
     place = np.repeat([0, 1], 40)
     rows = build_poses(q, seen, covariance, base=place)
-    found = identify(chain_of(truth.arm), rows, IdentificationOptions(level="geometry", splits=2))
+    found = identify_arm(
+        chain_of(truth.arm), rows, IdentificationOptions(level="geometry", splits=2)
+    )
     assert found.chosen.support.rank == 36
     assert np.allclose(
         difference(found.chosen.fit.state.base[1:], (shift @ found.chosen.fit.state.base[0])[None]),

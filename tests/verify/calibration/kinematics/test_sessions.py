@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from tests.support.recorded import require_shared
-from verify.calibration.kinematics import identify
 from verify.calibration.kinematics.chain import Parameter, chain_of
-from verify.calibration.kinematics.identify import IdentificationOptions, IdentificationResult
+from verify.calibration.kinematics.identify import (
+    IdentificationOptions,
+    IdentificationResult,
+)
 from verify.calibration.kinematics.sessions import (
     CombinedPoses,
     SessionPoses,
@@ -30,7 +32,7 @@ def seen() -> SessionPoses:
 def found(gathered: CombinedPoses, *, free: bool) -> IdentificationResult:
     chain = chain_of(gathered.seen[0].session.arm)
     wish = IdentificationOptions(free_base=free, free_tool=free, splits=0)
-    return identify(chain, gathered.poses, wish, gathered.state(chain))
+    return identify_arm(chain, gathered.poses, wish, gathered.state(chain))
 
 
 def offset_deg(identified: IdentificationResult, joint: int) -> tuple[float, float]:
