@@ -14,7 +14,7 @@ import robots
 from tests.support.published import series
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.fit import pose_residuals, statistics
-from verify.calibration.kinematics.identify import register
+from verify.calibration.kinematics.identify import identify_arm, register
 
 if __name__ == "__main__":
     arm = chain_of(robots.load("ur10"))

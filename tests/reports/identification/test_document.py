@@ -11,7 +11,7 @@ from reports.results import Results
 from tests.support.reports.page import tables
 from tests.support.true_arm import measured, readings, true_arm
 from verify.calibration.kinematics.chain import chain_of
-from verify.calibration.kinematics.identify import IdentificationOptions
+from verify.calibration.kinematics.identify import IdentificationOptions, identify_arm
 from verify.calibration.kinematics.poses import build_poses
 from verify.calibration.kinematics.results import (
     IdentificationProvenance,

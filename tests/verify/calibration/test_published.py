@@ -32,7 +32,7 @@ from verify.analysis.session import analyse
 from verify.calibration.handeye import solve_hand_eye
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.fit import hold_out, pose_residuals, statistics
-from verify.calibration.kinematics.identify import IdentificationOptions, register
+from verify.calibration.kinematics.identify import IdentificationOptions, identify_arm, register
 from verify.calibration.registration.adjustment import AdjustmentSetup, adjust
 from verify.calibration.registration.model import (
     RegistrationParameters,

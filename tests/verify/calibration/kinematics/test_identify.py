@@ -11,6 +11,7 @@ from verify.calibration.kinematics.identifiability import observability_indices
 from verify.calibration.kinematics.identify import (
     IdentificationOptions,
     IdentificationResult,
+    identify_arm,
 )
 from verify.calibration.kinematics.model import predict_with_jacobian
 from verify.calibration.kinematics.poses import build_poses

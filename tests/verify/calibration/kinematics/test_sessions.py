@@ -8,6 +8,7 @@ from verify.calibration.kinematics.chain import Parameter, chain_of
 from verify.calibration.kinematics.identify import (
     IdentificationOptions,
     IdentificationResult,
+    identify_arm,
 )
 from verify.calibration.kinematics.sessions import (
     CombinedPoses,
