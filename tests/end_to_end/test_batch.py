@@ -59,7 +59,7 @@ def assert_same(one: dict[str, bytes], other: dict[str, bytes]) -> None:
         assert bool(content == other[name]), name
 
 
-def test_out_holds_what_is_promised_and_nothing_else(out: Path) -> None:
+def test_the_output_folder_holds_exactly_the_documented_files(out: Path) -> None:
     inside = {path.name for path in out.iterdir()}
     assert inside == {*TABLES, *REPORTS, "sessions", "results"}
 
@@ -134,7 +134,7 @@ def test_before_and_after_a_day_is_in_the_report(lab: Path, out: Path, tmp_path:
 
 
 @pytest.mark.slow
-def test_session_reports_are_written_where_asked_and_linked(lab: Path, tmp_path: Path) -> None:
+def test_session_reports_are_written_and_linked(lab: Path, tmp_path: Path) -> None:
     some = tmp_path / "some"
     shutil.copytree(lab / "01", some / "01")
     place = tmp_path / "fleet"
@@ -178,7 +178,9 @@ def closed(heap: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("closed", "without_pdf")
-def test_each_spoilt_session_is_reported_and_the_rest_unharmed(heap: Path, tmp_path: Path) -> None:
+def test_each_broken_session_is_reported_and_the_others_are_measured(
+    heap: Path, tmp_path: Path
+) -> None:
     place = tmp_path / "fleet"
     done = verify("batch", heap, "-o", place, "--workers", "2", "--tolerance", "5")
     assert done.status == 4, done.err
@@ -288,9 +290,7 @@ def nursery(pid: int) -> int:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("which", ["a worker", "where workers come from"])
-def test_a_process_that_is_killed_costs_nothing_but_time(
-    out: Path, started: Start, which: str
-) -> None:
+def test_a_killed_process_costs_only_time(out: Path, started: Start, which: str) -> None:
     process, place = started()
     source = nursery(process.pid)
     os.kill(children(source)[0] if which == "a worker" else source, signal.SIGKILL)

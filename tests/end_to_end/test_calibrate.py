@@ -136,7 +136,7 @@ def test_reports_are_built_again_from_results(calibrated: tuple[Path, Path, Outc
     assert (report / "report.html").read_bytes() == before
 
 
-def test_nothing_is_overwritten_unasked(
+def test_nothing_is_overwritten_without_force(
     calibrated: tuple[Path, Path, Outcome], pictures: Path
 ) -> None:
     rig, report, _ = calibrated
@@ -197,7 +197,7 @@ def test_a_bumped_camera_fails_the_check(
 
 
 @pytest.mark.slow
-def test_a_check_leaves_a_report_where_one_is_asked_for(
+def test_a_check_writes_its_report(
     calibrated: tuple[Path, Path, Outcome], pictures: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "check"
@@ -216,7 +216,7 @@ def test_a_check_leaves_a_report_where_one_is_asked_for(
 
 
 @pytest.mark.slow
-def test_readings_of_another_robot_are_named_as_the_first_suspect(tmp_path: Path) -> None:
+def test_another_robots_readings_are_the_first_cause_named(tmp_path: Path) -> None:
     session = tmp_path / "session"
     shutil.copytree(SAMPLES / "multi_joint_rv_3sd", session)
     text = (session / "session.toml").read_text()
@@ -296,7 +296,7 @@ def test_bad_pictures_are_refused_in_one_line(pictures: Path, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_pan_angles_in_radians_are_suspected_before_the_boards(tmp_path: Path) -> None:
+def test_pan_angles_in_radians_are_named_before_the_boards(tmp_path: Path) -> None:
     turning = SMALL.format(pairs=12) + "\n[bases]\nrange_deg = 15.0\n"
     (tmp_path / "turning.toml").write_text(turning)
     folder = tmp_path / "turning"
@@ -376,7 +376,7 @@ def test_the_recorded_boards_calibrate_as_typed(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_board_that_a_quarter_turn_leaves_as_it_is_is_spoken_of(tmp_path: Path) -> None:
+def test_a_board_ambiguous_by_a_quarter_turn_is_warned_of(tmp_path: Path) -> None:
     said = verify("board", "--corners", "8x8", "--square-mm", "20", "-o", tmp_path / "square")
     assert said.status == 0
     assert "quarter turn" in said.err

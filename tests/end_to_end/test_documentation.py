@@ -77,7 +77,7 @@ def outcomes(clone: Path) -> dict[str, subprocess.CompletedProcess[str]]:
 
 
 @pytest.mark.slow
-def test_the_readme_runs_as_written_and_what_it_leaves_is_explained(
+def test_the_readme_runs_as_written_and_its_output_is_explained(
     clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
 ) -> None:
     """One test: processes that share the tests would each run the commands, which takes minutes."""
@@ -103,7 +103,7 @@ def every_python_example_runs(clone: Path) -> None:
         assert done.stdout.strip()
 
 
-def test_what_sets_up_names_targets_files_and_extras_that_exist() -> None:
+def test_installation_names_existing_targets_files_and_extras() -> None:
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = extras["optional-dependencies"]
@@ -148,7 +148,7 @@ def options(command: str) -> set[str]:
 
 
 @each_document
-def test_every_command_and_option_that_is_named_is_real(document: Path) -> None:
+def test_every_command_and_option_named_exists(document: Path) -> None:
     text = document.read_text()
     typed = re.findall(r"^(?:\.venv/bin/)?(verify .*)$|`(verify [^`]*)`", text, re.MULTILINE)
     for words in (shlex.split(a or b, comments=True) for a, b in typed):
@@ -161,7 +161,7 @@ def test_every_command_and_option_that_is_named_is_real(document: Path) -> None:
 
 
 @each_document
-def test_every_link_and_every_file_that_is_named_exists(document: Path) -> None:
+def test_every_link_and_file_named_exists(document: Path) -> None:
     text = document.read_text()
     for link in re.findall(r"\]\(([^)]+)\)", text):
         if link.startswith("https://"):
@@ -183,9 +183,7 @@ def headings(document: Path) -> set[str]:
 
 
 @each_document
-def test_every_file_that_is_shown_is_read_without_a_complaint(
-    document: Path, tmp_path: Path
-) -> None:
+def test_every_file_shown_is_read_without_a_warning(document: Path, tmp_path: Path) -> None:
     readers = {
         "session": session_keys.read,
         "rig": rig.read,

@@ -88,7 +88,7 @@ def test_a_grab_leaves_a_film_a_session_and_a_report(tmp_path: Path) -> None:
     assert results.table("passages")["to_state"].iloc[-1] == "released"
 
 
-def test_without_execute_the_plan_is_told_and_nothing_moves(
+def test_without_execute_the_plan_is_shown_and_nothing_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(terminal, "as_json", True)
@@ -112,7 +112,7 @@ def test_without_execute_the_plan_is_told_and_nothing_moves(
     assert "Planned; nothing was moved" in (out / "report.html").read_text()
 
 
-def test_an_end_that_is_no_success_is_told_by_the_status(tmp_path: Path) -> None:
+def test_a_failed_grasp_has_exit_status_1(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("--sim", "--execute", "--auto", "--small", "--for", "0.3s", "-o", str(out))
     status, said = verify_grab(*words)
@@ -358,7 +358,7 @@ def test_emulators_need_execute_alone(tmp_path: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("real", ["controller", "gripper"])
-def test_one_real_device_is_enough_to_be_asked(
+def test_one_real_device_requires_confirmation(
     real: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(emulator_check, "TIMEOUT", 0.3)

@@ -68,7 +68,7 @@ def test_a_laser_tracker_s_poses_need_no_registration(
     assert robots.load(str(out / "ur10_identified.urdf")).dof == 6
 
 
-def test_what_cannot_be_identified_from_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:
     one, other = SAMPLES / "multi_joint_fault_6r", SAMPLES / "multi_joint_rv_3sd"
     full = tmp_path / "full"
     full.mkdir()

@@ -36,7 +36,7 @@ def assert_refused(status: int, err: str, *named: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "kill"])
-def test_a_run_that_is_interrupted_leaves_nothing_and_says_so(
+def test_an_interrupted_run_reports_it_and_writes_nothing(
     sent: signal.Signals, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"

@@ -88,7 +88,7 @@ def test_json_holds_the_summary(rig: Path, tmp_path: Path) -> None:
         (("--floor-mm", "3000", *NEAR), "by the arm below the floor"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(
+def test_impossible_requests_are_refused_in_one_line(
     words: tuple[str, ...], said: str, rig: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"

@@ -87,7 +87,7 @@ def rms(values: Array) -> Array:
 
 
 @pytest.mark.slow
-def test_the_quarter_circle_is_measured_whole_and_nothing_is_accused(quarter_circle: Run) -> None:
+def test_the_quarter_circle_is_measured_without_a_finding(quarter_circle: Run) -> None:
     assert quarter_circle.outcome.status == 0
     assert quarter_circle.summary["pairs"] == {"recorded": 40, "measured": 40, "rejected": {}}
     assert quarter_circle.summary["diagnosis"] == []
@@ -159,7 +159,7 @@ def shares(summary: dict[str, Any]) -> list[float]:
 
 
 @pytest.mark.slow
-def test_a_registration_by_motion_hides_what_the_table_says(
+def test_a_registration_by_motion_hides_the_published_shares(
     multi_joint: Run, tmp_path: Path
 ) -> None:
     for place, (base, leds, expected) in enumerate(
@@ -186,9 +186,7 @@ def test_the_quarter_circle_shows_little_and_with_leds_by_motion_nothing(
 
 
 @pytest.mark.slow
-def test_joints_that_the_registration_swallowed_get_no_figure_and_no_verdict(
-    multi_joint: Run, tmp_path: Path
-) -> None:
+def test_hidden_joints_get_no_figure_and_no_verdict(multi_joint: Run, tmp_path: Path) -> None:
     summary = registered(multi_joint, tmp_path / "copy", base=True, leds=True)
     for joint in (summary["joints"][0], summary["joints"][5]):
         assert joint["mean_error_deg"] is None
@@ -202,9 +200,7 @@ def test_joints_that_the_registration_swallowed_get_no_figure_and_no_verdict(
 
 
 @pytest.mark.slow
-def test_the_means_come_from_the_fit_with_the_registration_not_from_residuals(
-    multi_joint: Run, tmp_path: Path
-) -> None:
+def test_means_come_from_the_fit_with_the_registration(multi_joint: Run, tmp_path: Path) -> None:
     """Residuals of such a registration accuse joint 4 (metrology.md: −0.114° and +0.154°)."""
     summary = registered(multi_joint, tmp_path / "copy", base=True, leds=True)
     fault = np.array([0, 0, 0.40, 0, 0, 0])

@@ -113,7 +113,7 @@ def event(what: str, at: float, lasts: float | None = None, **more: object) -> s
 
 
 @pytest.mark.realtime
-def test_what_befalls_the_cameras_is_said_and_the_joint_that_jumps_is_named(tmp_path: Path) -> None:
+def test_camera_faults_are_reported_and_the_jumping_joint_is_named(tmp_path: Path) -> None:
     events = (
         event("camera_gone", 4.0, 2.0, camera="left")
         + event("camera_stalls", 8.0, 2.0, camera="right")
@@ -151,7 +151,7 @@ def test_what_befalls_the_cameras_is_said_and_the_joint_that_jumps_is_named(tmp_
 
 
 @pytest.mark.realtime
-def test_what_was_measured_live_is_what_the_recording_gives(tmp_path: Path) -> None:
+def test_live_figures_are_those_of_the_recording(tmp_path: Path) -> None:
     run = listen(started(station(tmp_path), "--for", "8s", "-o", "out"), Run())
     again = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert again["pairs"]["recorded"] == len(run.pairs)
@@ -168,7 +168,7 @@ def test_what_was_measured_live_is_what_the_recording_gives(tmp_path: Path) -> N
 
 
 @pytest.mark.realtime
-def test_a_bad_line_resets_and_jumps_of_its_clock_give_no_false_number(tmp_path: Path) -> None:
+def test_a_disturbed_line_and_clock_jumps_give_no_false_reading(tmp_path: Path) -> None:
     faults = EmulatorFaults(
         noise=0.02, half=0.02, digit=0.02, double=0.02, lost=0.02, split=0.02,
         silence=(6.0, 2.0), jump=(11.0, 3.0), reset=(16.0, 16.0),
@@ -214,7 +214,7 @@ def test_a_bad_line_resets_and_jumps_of_its_clock_give_no_false_number(tmp_path:
 
 
 @pytest.mark.realtime
-def test_bases_follow_and_a_base_that_is_gone_is_said(tmp_path: Path) -> None:
+def test_bases_follow_and_a_lost_base_is_reported(tmp_path: Path) -> None:
     scenario = tmp_path / "wide.toml"
     scenario.write_text(WIDE)
     events = event("pan_gone", 14.0, 3.0)
@@ -248,7 +248,7 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path
 
 
 @pytest.mark.realtime
-def test_a_run_that_is_killed_leaves_a_session_up_to_its_last_second(tmp_path: Path) -> None:
+def test_a_killed_run_leaves_a_session_up_to_its_last_second(tmp_path: Path) -> None:
     process = started(station(tmp_path))
     run = listen(process, Run(), lambda pair: pair["frame"] == 40)
     process.kill()
@@ -261,7 +261,7 @@ def test_a_run_that_is_killed_leaves_a_session_up_to_its_last_second(tmp_path: P
     assert verify("run", folder, "-o", tmp_path / "again").status in {0, 1, 3}
 
 
-def test_ctrl_c_ends_the_run_and_its_report_is_made(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_run_with_a_report(tmp_path: Path) -> None:
     process = started(station(tmp_path), "-o", "out")
     run = listen(process, Run(), lambda pair: pair["frame"] == 30)
     process.send_signal(signal.SIGINT)
@@ -302,7 +302,7 @@ WIDE = (
 
 
 @pytest.mark.realtime
-def test_a_part_that_cannot_be_measured_takes_no_other_with_it(tmp_path: Path) -> None:
+def test_an_unmeasurable_part_does_not_affect_the_others(tmp_path: Path) -> None:
     good = SAMPLES / "multi_joint_rv_3sd"
     broken = tmp_path / "broken"
     shutil.copytree(good, broken)

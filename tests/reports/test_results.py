@@ -34,7 +34,7 @@ def test_the_same_results_give_the_same_files(tmp_path: Path) -> None:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-def test_nothing_else_is_left_behind_and_nothing_of_others_is_touched(tmp_path: Path) -> None:
+def test_only_own_files_are_written_and_removed(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     folder.mkdir()
     (folder / "notes.txt").write_text("mine")
@@ -80,9 +80,7 @@ def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", [b"", b"{", b"\xff\xfe", b"[1]", b'{"format": 99}', b'{"format": 1}']
 )
-def test_a_manifest_that_is_damaged_or_foreign_is_said_in_one_line(
-    folder: Path, text: bytes
-) -> None:
+def test_a_damaged_or_foreign_manifest_is_refused_in_one_line(folder: Path, text: bytes) -> None:
     (folder / MANIFEST).write_bytes(text)
     assert MANIFEST in _complaint(folder)
 
@@ -110,7 +108,7 @@ def test_a_table_cannot_be_written_outside_the_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_cannot_be_written_is_said_in_one_line(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(reports.ReportError, match="cannot be written"):
         reports.write(made.one_pair(), tmp_path / "file" / "results")

@@ -16,7 +16,7 @@ def test_the_verdict_is_the_check_s_and_names_what_is_off() -> None:
     assert "Scale of known lengths is off by more than the uncertainty explains" in bad
 
 
-def test_each_length_is_told_with_the_error_and_uncertainty_that_were_found() -> None:
+def test_each_length_has_its_error_and_uncertainty() -> None:
     lengths = made_of("not_held").table("lengths")
     assert (lengths["error_mm"] < 0).all()  # all too short, as the yaw makes them
     np.testing.assert_allclose(

@@ -56,7 +56,7 @@ def test_every_figure_of_a_registration_is_drawn_or_declined(figure: str) -> Non
     assert matplotlib.svg(chart) == matplotlib.svg(chart)
 
 
-def test_every_axis_says_its_unit_or_what_it_counts() -> None:
+def test_every_axis_has_a_unit_or_a_count() -> None:
     pairs = [(draw, "good") for draw in CALIBRATION_FIGURES.values()]
     pairs += [(draw, "motion") for draw in REGISTRATION_FIGURES.values()]
     for draw, name in pairs:
@@ -69,7 +69,7 @@ def test_every_axis_says_its_unit_or_what_it_counts() -> None:
                 assert counted or re.search(r"\[(s|°|mm|px|%)\]$", label), label
 
 
-def test_every_table_s_column_says_its_unit_where_it_holds_measures() -> None:
+def test_every_column_of_measures_has_a_unit() -> None:
     for name in ("doubtful", "motion", "fixture"):
         for section in document_of(name).sections:
             for block in section.blocks:
@@ -80,7 +80,7 @@ def test_every_table_s_column_says_its_unit_where_it_holds_measures() -> None:
                     )
 
 
-def test_the_headline_says_what_a_point_is_worth_and_what_to_improve() -> None:
+def test_the_headline_has_point_accuracy_and_what_to_improve() -> None:
     summary = made_of("good").summary
     text = words("good")
     entry = next(
@@ -94,7 +94,7 @@ def test_the_headline_says_what_a_point_is_worth_and_what_to_improve() -> None:
     assert "The rig is calibrated, with doubts" not in text
 
 
-def test_doubts_and_gaps_are_said_in_words() -> None:
+def test_doubts_and_gaps_are_listed() -> None:
     results_, text = made_of("doubtful"), words("doubtful")
     assert "The rig is calibrated, with doubts" in text
     assert results_.summary["doubts"]
@@ -110,7 +110,7 @@ def test_doubts_and_gaps_are_said_in_words() -> None:
     assert "stands out: right" in text
 
 
-def test_what_was_held_is_said_with_why() -> None:
+def test_held_parameters_are_listed_with_the_reason() -> None:
     text = words("doubtful")
     assert "0 (chosen)" in text
     assert "0 (held)" in text
@@ -119,12 +119,12 @@ def test_what_was_held_is_said_with_why() -> None:
     assert "K3 is held at zero" in text
 
 
-def test_a_calibration_with_standing_bases_says_so_and_one_with_turning_bases_too() -> None:
+def test_fixed_and_turning_bases_are_stated() -> None:
     assert "The bases stood still" in words("doubtful")
     assert "The bases were turned between pairs" in words("good")
 
 
-def test_every_input_s_hash_and_every_warning_stands_in_the_report() -> None:
+def test_every_input_hash_and_warning_is_in_the_report() -> None:
     text = words("doubtful")
     for name, digest in made.INPUTS.items():
         assert name in text
@@ -143,7 +143,7 @@ def test_the_rectified_pair_is_shown_where_there_is_one() -> None:
     assert "No pair was given to show rectified." in words("doubtful")
 
 
-def test_arrows_point_from_where_a_corner_was_seen_along_its_residual() -> None:
+def test_arrows_begin_at_the_corner_and_follow_its_residual() -> None:
     x, y = arrows(np.array([10.0]), np.array([20.0]), np.array([3.0]), np.array([-4.0]))
     assert [x[0], y[0], x[1], y[1]] == [10.0, 20.0, 13.0, 16.0]
     assert np.isnan(x[2])
@@ -151,7 +151,7 @@ def test_arrows_point_from_where_a_corner_was_seen_along_its_residual() -> None:
     assert np.isnan(x[-1])
 
 
-def test_the_arrow_on_top_is_as_long_as_it_says() -> None:
+def test_the_scale_arrow_has_its_stated_length() -> None:
     results_ = made_of("good")
     chart = CALIBRATION_FIGURES["vectors"](results_)
     assert isinstance(chart, Chart)
@@ -186,7 +186,7 @@ def test_counts_and_uncertainties_are_written_into_their_cells() -> None:
 
 @pytest.mark.parametrize("value", [0.0, 0.4, 0.6, 0.8, 1.0])
 @pytest.mark.parametrize("role", ["used", "high"])
-def test_a_cell_s_letters_stand_out_from_its_colour(value: float, role: str) -> None:
+def test_text_in_a_cell_contrasts_with_its_colour(value: float, role: str) -> None:
     values, place = np.full((1, 1), value), np.zeros(1)
     scale = ((0.0, "paper"), (1.0, role))
     cells = charts.Cells(values, place, place, scale, 0.0, 1.0, (("88",),))
@@ -200,7 +200,7 @@ def test_a_cell_s_letters_stand_out_from_its_colour(value: float, role: str) -> 
     assert (max(own, other) + 0.05) / (min(own, other) + 0.05) >= 2.5
 
 
-def test_the_registration_says_what_it_hides() -> None:
+def test_the_registration_lists_hidden_joints() -> None:
     text = words("motion")
     assert "A constant offset of joints 1 and 6 cannot show." in text
     assert "A constant offset of joint 1 cannot show, however large." in text

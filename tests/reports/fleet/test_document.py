@@ -107,7 +107,7 @@ def test_links_lead_to_sessions_that_have_a_report() -> None:
     assert "--reports" in quiet.notes[-1]
 
 
-def test_before_and_after_stands_where_it_was_asked() -> None:
+def test_before_and_after_is_shown_on_request() -> None:
     assert not section(fleet_document.document(made_fleet.quiet()), "contrasts")
     results = made_fleet.changed(since=date(2025, 6, 12))
     (table,) = section(fleet_document.document(results), "contrasts")
@@ -115,7 +115,7 @@ def test_before_and_after_stands_where_it_was_asked() -> None:
     assert table.rows[0][-1].text == "changed"
 
 
-def test_what_no_session_could_show_is_said() -> None:
+def test_undetectable_offsets_are_listed() -> None:
     results = made_fleet.changed()
     joints = results.table("joints").copy()
     joints.loc[0, "visible"] = 0.0
@@ -124,7 +124,7 @@ def test_what_no_session_could_show_is_said() -> None:
     assert "arm_a: an offset of joint 1 that was there at registration shows in none" in said
 
 
-def test_hostile_names_are_shown_and_never_markup() -> None:
+def test_markup_in_names_is_shown_and_never_run() -> None:
     results = made_fleet.changed(arm=HOSTILE)
     page = render_html(results)
     assert "</script><b>" not in page

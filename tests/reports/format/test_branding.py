@@ -72,7 +72,7 @@ def test_logo_and_owner_stand_above_the_title_in_both_formats(
     assert len(first) > len(reports.render_pdf(made.nothing()))
 
 
-def test_without_any_wish_a_report_is_as_it_always_was() -> None:
+def test_without_branding_the_report_is_unchanged() -> None:
     assert html(DEFAULT_BRANDING) == html(reports.look())
     page = html(DEFAULT_BRANDING)
     assert "owner" not in page
@@ -110,7 +110,7 @@ BOMB = HEAD.replace("<svg", '<!DOCTYPE svg [<!ENTITY a "aaaa">]><svg') + 'viewBo
         ("nan.svg", HEAD + 'viewBox="0 0 nan inf"/>', "no viewBox"),
     ],
 )
-def test_what_is_no_plain_picture_is_refused_in_one_line(
+def test_an_unsafe_or_damaged_logo_is_refused_in_one_line(
     tmp_path: Path, name: str, content: bytes | str, said: str
 ) -> None:
     path = kept(tmp_path, name, content)
@@ -173,7 +173,7 @@ def test_the_templates_of_the_documentation_work(tmp_path: Path) -> None:
     )
 
 
-def test_what_a_folder_does_not_hold_is_ours(tmp_path: Path) -> None:
+def test_missing_templates_fall_back_to_the_default(tmp_path: Path) -> None:
     kept(tmp_path, "report.css", "h1 { color: teal; }")
     look = reports.look(templates=tmp_path)
     assert html(look).replace("h1 { color: teal; }\n", "") == html(DEFAULT_BRANDING)
@@ -194,9 +194,7 @@ def test_what_a_folder_does_not_hold_is_ours(tmp_path: Path) -> None:
         ("{{ document.update({}) }}", "is unsafe"),
     ],
 )
-def test_an_error_in_a_page_template_is_said_with_its_line(
-    tmp_path: Path, template: str, said: str
-) -> None:
+def test_a_page_template_error_names_its_line(tmp_path: Path, template: str, said: str) -> None:
     path = kept(tmp_path, "report.html.j2", template)
     with pytest.raises(reports.ReportError, match=re.escape(said)) as problem:
         reports.render_html(made.nothing(), reports.look(templates=tmp_path))
@@ -214,9 +212,7 @@ def test_an_error_in_a_page_template_is_said_with_its_line(
         ("#(", "line 1: unclosed delimiter"),
     ],
 )
-def test_an_error_in_a_typst_template_is_said_with_its_line(
-    tmp_path: Path, template: str, said: str
-) -> None:
+def test_a_typst_template_error_names_its_line(tmp_path: Path, template: str, said: str) -> None:
     path = kept(tmp_path, "report.typ", template)
     with pytest.raises(reports.ReportError, match=re.escape(said)) as problem:
         reports.render_pdf(made.nothing(), reports.look(templates=tmp_path))

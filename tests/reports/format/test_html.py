@@ -56,7 +56,7 @@ def test_the_page_fetches_nothing(name: str) -> None:
     assert "default-src 'none'" in str(policy[0])
 
 
-def test_hostile_words_are_shown_and_never_run() -> None:
+def test_markup_in_names_is_shown_and_never_run() -> None:
     benign, hostile = Page(html_of("nonconforming")), Page(html_of("hostile"))
     assert [t for t, _ in benign.tags] == [t for t, _ in hostile.tags]
     assert "<script>alert(1)</script>" in "".join(hostile.text)
@@ -67,7 +67,7 @@ def test_hostile_words_are_shown_and_never_run() -> None:
 
 
 @pytest.mark.parametrize("name", ["good", "motion"])
-def test_hostile_words_of_a_calibration_are_shown_and_never_run(name: str) -> None:
+def test_markup_in_a_calibration_is_shown_and_never_run(name: str) -> None:
     given, evil = made_of(name), '<script>alert(1)</script> {{ 7*7 }} #panic("x")'
     summary = given.summary | {
         "source": {"path": evil, "description": evil}, "warnings": [evil], "decisions": [evil],
@@ -91,7 +91,7 @@ def test_the_plotting_library_is_there_once_and_only_where_needed() -> None:
     assert "</script" not in LIBRARY
 
 
-def test_every_picture_has_words_and_every_table_headers() -> None:
+def test_every_picture_has_alternative_text_and_every_table_headers() -> None:
     page = Page(html_of("nonconforming"))
     for tag, attributes in page.tags:
         if tag == "img":

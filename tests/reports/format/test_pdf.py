@@ -63,7 +63,7 @@ def test_an_unknown_value_is_a_dash(name: str) -> None:
     assert not re.search(r"\b(None|none|nan|NaN|null|inf)\b", text.replace("A dash: none", ""))
 
 
-def test_hostile_words_are_set_as_they_are() -> None:
+def test_markup_in_names_is_set_as_text() -> None:
     text = pdf_text_of("hostile")
     assert "<script>alert(1)</script>" in text
     assert "*a*" in text

@@ -27,7 +27,9 @@ BARE = {"kind": "grab", "robot": "an arm", "target": "blue object", "cell": "sim
         ({"state": "tracking", "refusal": {"reason": "too wide"}}, "undecided", "Refused"),
     ],
 )
-def test_each_end_has_its_words(summary: dict[str, object], tone: str, label: str) -> None:
+def test_each_final_state_has_its_verdict(
+    summary: dict[str, object], tone: str, label: str
+) -> None:
     said = outcome(summary)
     assert said.tone == tone
     assert label in said.label
@@ -58,7 +60,7 @@ SEEN = {
         ),
     ],
 )
-def test_the_verdict_says_who_saw_the_object_come_along(
+def test_the_verdict_names_the_evidence_for_the_lift(
     seen: dict[str, Any], sentence: str, fact: str
 ) -> None:
     ended = made_grasp.SUMMARY | seen
@@ -68,7 +70,7 @@ def test_the_verdict_says_who_saw_the_object_come_along(
     assert dict(facts.items)["Object from the grip point, seen"] == fact
 
 
-def test_a_grab_that_lifted_nothing_says_nothing_of_an_object_in_the_hand() -> None:
+def test_a_missed_grasp_reports_no_object_in_the_hand() -> None:
     told = document(made_grasp.results(dict.fromkeys(SEEN) | {"state": "missed"}))
     (facts,) = [block for block in told.sections[0].blocks if isinstance(block, Facts)]
     assert "Object from the grip point, seen" not in dict(facts.items)
@@ -99,7 +101,7 @@ def test_time_is_written_once_below_panels_that_share_it() -> None:
         assert lowest == chart.columns
 
 
-def test_what_was_not_seen_is_said_and_not_drawn() -> None:
+def test_missing_measurements_are_stated_and_not_drawn() -> None:
     told = document(Results(BARE | {"state": "searching"}, {}, {"cycles": pd.DataFrame()}))
     assert collect_figures(told) == {}
     blocks = [block for section in told.sections for block in section.blocks]

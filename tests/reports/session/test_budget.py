@@ -47,7 +47,7 @@ def test_the_worst_known_joint_and_its_largest_source_come_first() -> None:
     assert "rig, 49 % of the variance" in first.text
 
 
-def test_monte_carlo_says_where_it_holds_and_where_not() -> None:
+def test_monte_carlo_states_where_linear_propagation_holds() -> None:
     holds = texts(section(made_budget.holding(), "budget"))
     assert "22 pairs drawn anew 200 times" in holds
     assert "the largest difference is 2.4 %, where 5.0 % are allowed" in holds
@@ -66,7 +66,7 @@ def test_well_known_sums_stand_beside_their_members_and_the_worst_known() -> Non
         assert name in said
 
 
-def test_sweeps_are_worded_by_what_is_beyond_chance() -> None:
+def test_sweeps_report_only_significant_effects() -> None:
     sound = texts(section(made_budget.holding(), "relative"))
     assert "Turned alone, joints 1, 2, 3, 4, 5 and 6: the encoder follows" in sound
     faulty = texts(section(made_budget.failing(), "relative"))
@@ -83,7 +83,7 @@ def test_sweeps_are_worded_by_what_is_beyond_chance() -> None:
     assert "follows the turn" not in faulty
 
 
-def test_without_a_sweep_one_line_says_what_motion_would_give_it() -> None:
+def test_without_a_sweep_the_required_motion_is_named() -> None:
     part = section(made.nonconforming(), "relative")
     assert [b for b in part.blocks if isinstance(b, Paragraph)][-1].text.startswith(
         "No single-joint sweep: turn one joint alone"

@@ -38,7 +38,7 @@ def test_plotly_itself_accepts_every_plot_of_the_page(figure: str) -> None:
 
 
 @pytest.mark.parametrize("figure", sorted(set(FIGURES) - {"correlation", "path"}))
-def test_every_axis_says_its_unit_or_what_it_counts(figure: str) -> None:
+def test_every_axis_has_a_unit_or_a_count(figure: str) -> None:
     chart = FIGURES[figure](made.nonconforming())
     assert isinstance(chart, Chart)
     for panel in chart.panels:
@@ -124,7 +124,7 @@ def test_the_shares_of_variance_add_up_to_all() -> None:
 
 
 @pytest.mark.parametrize("figure", ["joint_errors", "pose", "path", "clock"])
-def test_every_line_that_is_drawn_can_be_seen_on_the_page(figure: str) -> None:
+def test_every_line_is_visible_in_the_image(figure: str) -> None:
     chart = FIGURES[figure](made.nonconforming())
     assert chart is not None
     files = {"main.typ": b'#image("chart.svg")', "chart.svg": format_matplotlib.svg(chart)}

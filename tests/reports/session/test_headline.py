@@ -14,7 +14,7 @@ def _with(results: Results, **summary: Any) -> Results:
     return replace(results, summary=results.summary | summary)
 
 
-def test_a_found_offset_is_said_with_its_correction() -> None:
+def test_an_offset_is_stated_with_its_correction() -> None:
     said = headline(made.nonconforming())
     assert said.sentence == (
         "Joint 3 reads 0.400° ± 0.015° (k = 2) too high: add −0.400° to its reading."
@@ -44,14 +44,14 @@ def test_rival_causes_are_both_named() -> None:
     assert "offset of joint 4, −0.050° ± 0.060° (k = 2)" in said.sentence
 
 
-def test_conforming_says_how_surely_and_never_more_than_was_found() -> None:
+def test_conformity_is_stated_with_its_probability_rounded_down() -> None:
     said = headline(made.conforming())
     assert "within ±0.5° at every pose" in said.sentence
     assert "at least 99.3 %" in said.sentence  # 0.99312, rounded down
     assert "no others" in " ".join(said.remarks)
 
 
-def test_cannot_tell_is_never_fine() -> None:
+def test_undecided_never_reads_as_conforming() -> None:
     said = headline(made.undecided())
     text = " ".join((said.label, said.sentence, *said.remarks))
     assert said.label == "Undecided"
@@ -70,7 +70,7 @@ def test_an_undecided_verdict_names_the_largest_source_to_improve() -> None:
     assert "improve first is relative yaw of the cameras" in said.sentence
 
 
-def test_a_joint_hidden_behind_the_clock_alone_asks_for_the_clock() -> None:
+def test_a_joint_hidden_by_the_clock_requires_the_clock_offset() -> None:
     rows = [dict(row) for row in made.undecided().summary["joints"]]
     said = headline(_with(made.undecided(), joints=rows))
     assert "first give the clock offset" in said.sentence
@@ -88,7 +88,7 @@ def test_without_a_tolerance_there_is_no_verdict_but_a_largest_error() -> None:
     assert said.sentence.endswith(" (k = 2).")
 
 
-def test_a_tolerance_that_could_not_be_applied_is_not_said_to_be_missing() -> None:
+def test_an_inapplicable_tolerance_is_not_reported_as_missing() -> None:
     said = headline(_with(made.nonconforming(), verdict=None))
     assert "nothing that could be judged" in said.sentence
     assert "no tolerance" not in said.sentence
@@ -96,7 +96,7 @@ def test_a_tolerance_that_could_not_be_applied_is_not_said_to_be_missing() -> No
 
 @pytest.mark.parametrize("verdict", ["conform", "nonconform", "undecided", None, "novel"])
 @pytest.mark.parametrize("name", ["nonconforming", "nulls"])
-def test_every_verdict_can_be_said_of_any_results(name: str, verdict: str | None) -> None:
+def test_every_verdict_has_a_sentence_for_any_results(name: str, verdict: str | None) -> None:
     said = headline(_with(made.EVERY[name](), verdict=verdict))
     assert said.sentence.endswith(".")
     assert said.sentence[0] == said.sentence[0].upper()
@@ -109,7 +109,7 @@ def test_every_kind_of_cause_has_a_name_and_a_remedy(index: int) -> None:
     assert causes.remedy(entry)
 
 
-def test_backlash_gain_and_eccentricity_are_said_in_their_own_terms() -> None:
+def test_backlash_gain_and_eccentricity_have_their_own_sentences() -> None:
     said = [causes.finding(entry) for entry in made.every_cause().summary["diagnosis"]]
     assert "joint 2's reading turns 0.520 ± 0.040 % (k = 2) more than the joint" in said[1]
     assert (
@@ -121,6 +121,6 @@ def test_backlash_gain_and_eccentricity_are_said_in_their_own_terms() -> None:
     assert "correct a2 in the robot file by +0.84 mm" in said[5]
 
 
-def test_words_that_are_not_known_are_shown_as_they_are() -> None:
+def test_unknown_labels_are_shown_as_they_are() -> None:
     assert formatting.lookup_label(phrases.STATUSES, "lens_cap_on") == "lens cap on"
     assert formatting.lookup_label(phrases.STATUSES, None) == "–"

@@ -32,7 +32,7 @@ def outcomes() -> dict[str, list[tuple[Array, float, float]]]:
     return found
 
 
-def test_intervals_hold_the_true_joints_as_often_as_they_say(
+def test_joint_intervals_have_their_stated_coverage(
     outcomes: dict[str, list[tuple[Array, float, float]]],
 ) -> None:
     shares = np.array([[o[0] for o in of_arm] for of_arm in outcomes.values()])
@@ -41,7 +41,7 @@ def test_intervals_hold_the_true_joints_as_often_as_they_say(
     assert np.nanmean(shares, axis=1).min() > 0.82
 
 
-def test_hardly_a_pair_is_left_out_of_that(
+def test_few_pairs_are_singular_or_lost(
     outcomes: dict[str, list[tuple[Array, float, float]]],
 ) -> None:
     for of_arm in outcomes.values():

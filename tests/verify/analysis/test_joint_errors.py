@@ -106,7 +106,7 @@ def test_the_visible_share_is_what_is_left_of_an_offset_after_registering_by_bru
         assert_allclose(visibility(model).fraction[joint], share, rtol=0.02)
 
 
-def test_an_offset_is_named_with_its_value_and_nothing_else_is_accused() -> None:
+def test_an_offset_is_the_only_finding() -> None:
     for seed in range(8):
         error = np.deg2rad(0.1) * np.eye(6)[seed % 6]
         causes = diagnosed(model_of(*compared(seed, error), "fixture", "jig"))
@@ -121,12 +121,12 @@ def test_two_offsets_at_once_are_both_named() -> None:
 
 
 @pytest.mark.slow
-def test_a_healthy_arm_is_seldom_accused() -> None:
+def test_false_findings_on_a_healthy_arm_are_rare() -> None:
     accused = sum(bool(diagnosed(model_of(*compared(s), "fixture", "jig"))) for s in range(60))
     assert accused <= 2  # a family-wise 0.1 % gives 0.06 of them
 
 
-def test_an_offset_that_is_noticed_but_not_told_from_its_neighbour_is_ambiguous() -> None:
+def test_a_detectable_but_inseparable_offset_is_ambiguous() -> None:
     track, comparison = compared(6)
     seen = visibility(model_of(track, comparison, "motion", "motion"))
     assert seen.separable[2] > 2 * seen.detectable[2]

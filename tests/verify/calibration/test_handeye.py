@@ -44,7 +44,7 @@ def test_turns_about_one_axis_are_called_open(rng: np.random.Generator) -> None:
     assert solve_hand_eye(y @ b @ np.linalg.inv(x), b).open
 
 
-def test_a_body_seen_in_a_mirror_is_recognised(rng: np.random.Generator) -> None:
+def test_a_mirrored_body_is_recognised(rng: np.random.Generator) -> None:
     x, y = random_motions(2, rng)
     b = random_motions(8, rng)
     mirror = np.diag([-1.0, 1.0, 1.0, 1.0])

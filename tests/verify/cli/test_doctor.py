@@ -35,7 +35,7 @@ def findings(capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, object]]
     return {line["what"]: line for line in lines if line["type"] == "check"}
 
 
-def test_a_machine_is_looked_over(
+def test_a_machine_is_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

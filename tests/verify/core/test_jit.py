@@ -141,7 +141,7 @@ def test_after_compiling_ahead_nothing_is_left_to_compile(ahead: Callable[[], No
     assert told == ["nothing"] * len(AHEAD[ahead])
 
 
-def test_every_compiled_source_counts_when_machine_code_is_looked_up() -> None:
+def test_every_compiled_source_is_in_the_cache_key() -> None:
     package = Path(jit.__file__).parents[1]
     counted = {package / source for source in jit.compiled_sources(package)}
     has_some = {f for f in package.rglob("*.py") if "@compiled" in f.read_text()}

@@ -24,7 +24,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="a matter of Linux")
 
 
 @linux
-def test_one_thread_stands_back_and_the_others_do_not() -> None:
+def test_one_thread_has_low_priority_and_the_others_do_not() -> None:
     before, seen = os.getpriority(os.PRIO_PROCESS, 0), []
 
     def work() -> None:
@@ -42,9 +42,7 @@ def test_one_thread_stands_back_and_the_others_do_not() -> None:
 
 @linux
 @pytest.mark.parametrize("processors", [1, None])
-def test_two_that_work_at_once_share_no_processor_where_there_are_two(
-    processors: int | None,
-) -> None:
+def test_two_processes_share_no_processor_if_there_are_two(processors: int | None) -> None:
     everything = os.sched_getaffinity(0)
     usable = set(sorted(everything)[:processors])
     os.sched_setaffinity(0, usable)  # the other one inherits it
@@ -73,7 +71,7 @@ def turn_of_this_thread() -> tuple[int, int]:
 
 
 @linux
-def test_a_thread_has_short_turns_from_linux_6_12_on_until_it_wants_them_no_more() -> None:
+def test_a_thread_gets_a_short_time_slice_from_linux_6_12_on() -> None:
     seen: list[tuple[int, int]] = []
     taken: list[bool] = []
 
@@ -100,7 +98,7 @@ def test_a_thread_has_short_turns_from_linux_6_12_on_until_it_wants_them_no_more
     assert short[1] < usual[1] or not grants
 
 
-def test_elsewhere_nothing_is_asked_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outside_linux_no_priority_is_changed(monkeypatch: pytest.MonkeyPatch) -> None:
     before = turn_of_this_thread() if sys.platform == "linux" else None
     monkeypatch.setattr(sys, "platform", "darwin")
     for name in ("nice", "sched_setscheduler", "sched_setaffinity", "uname"):

@@ -53,7 +53,7 @@ def test_sign_and_zero_of_the_bases_go_both_ways() -> None:
 
 
 @pytest.mark.realtime
-def test_a_limit_is_refused_by_the_board_and_said() -> None:
+def test_a_limit_is_refused_by_the_board_and_reported() -> None:
     with running(PanEngine(OPTIONS)) as emulated:
         servo = kept(PanServo(LabencSettings(emulated.address), same_angles(2)))
         gather(servo, lambda found: len(found) >= 1)
@@ -64,7 +64,7 @@ def test_a_limit_is_refused_by_the_board_and_said() -> None:
 
 
 @pytest.mark.realtime
-def test_a_servo_that_is_gone_is_said() -> None:
+def test_a_missing_servo_is_reported() -> None:
     with running(PanEngine(OPTIONS), faults=EmulatorFaults(unplug=(0.5, 0.6))) as emulated:
         servo = kept(PanServo(LabencSettings(emulated.address), same_angles(2)))
         gather(servo, lambda found: len(found) >= 1)

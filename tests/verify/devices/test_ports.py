@@ -53,7 +53,7 @@ def test_socket_urls_are_taken_too() -> None:
         (OSError(113, "No route to host"), "no route to host"),
     ],
 )
-def test_why_a_port_does_not_open_is_said_in_words(error: OSError, said: str) -> None:
+def test_the_reason_why_a_port_does_not_open_is_reported(error: OSError, said: str) -> None:
     assert said in describe_port_error(error)
 
 
@@ -71,7 +71,7 @@ def test_one_program_at_a_time_has_a_serial_port() -> None:
     gather(second, lambda _: not second.state().connected)
 
 
-def test_a_port_is_tried_ever_more_seldom() -> None:
+def test_a_port_is_tried_at_growing_intervals() -> None:
     t, tries = [0.0], []
 
     def refuse() -> None:
@@ -91,9 +91,7 @@ def test_a_port_is_tried_ever_more_seldom() -> None:
 @pytest.mark.realtime
 @pytest.mark.parametrize("reset", [False, True])
 @pytest.mark.parametrize("greeting", [b"", b"hello"])
-def test_a_line_that_is_ended_from_there_is_told_from_one_that_is_taken(
-    reset: bool, greeting: bytes
-) -> None:
+def test_a_closed_line_is_distinguished_from_a_taken_one(reset: bool, greeting: bytes) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp:127.0.0.1:{server.getsockname()[1]}"
         link = PortLink(address, partial(open_port, address, DEFAULT_LINE))

@@ -190,7 +190,7 @@ def test_the_grab_button_works_in_the_state_in_which_the_key_does(browser: Brows
         assert tab.evaluate("document.querySelector('#banner').hidden")
 
 
-def test_a_lost_connection_is_said_and_so_is_a_stop_that_was_not_sent(browser: Browser) -> None:
+def test_a_lost_connection_and_an_unsent_stop_are_shown(browser: Browser) -> None:
     with grabbing(WANDERS) as cell, looking(browser, cell) as tab:
         cell.until(lambda: cell.state is GraspState.FOLLOWING)
         cell.page._page._process.terminate()

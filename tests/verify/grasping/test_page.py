@@ -128,7 +128,7 @@ def test_the_grab_counts_where_the_key_does_and_lifts() -> None:
 
 
 @pytest.mark.realtime
-def test_what_a_page_says_moves_nothing_without_execute() -> None:
+def test_without_execute_the_page_moves_nothing() -> None:
     with grabbing(execute=False, selects=True) as cell, cell.line() as line:
         cell.until(lambda: cell.state is GraspState.SEARCHING)
         home = cell.grab.world.arm.q(0.0)

@@ -121,7 +121,7 @@ def test_a_single_pair_is_opened(tmp_path: Path) -> None:
     assert len(open_board_folder(tmp_path, BOARD)) == 1
 
 
-def test_a_board_given_by_option_wins_and_a_contradiction_is_said(folder: Path) -> None:
+def test_a_board_by_option_wins_and_a_contradiction_is_reported(folder: Path) -> None:
     other = Board(8, 6, 0.025)
     boards = open_board_folder(folder, other)
     assert boards.board == other
@@ -138,9 +138,7 @@ def test_a_board_given_by_option_wins_and_a_contradiction_is_said(folder: Path) 
         ("frame,pan_left_deg,other", "no pan_right_deg; that base is taken to stand at 0"),
     ],
 )
-def test_a_pan_column_that_is_missing_or_misspelt_is_said(
-    folder: Path, header: str, said: str
-) -> None:
+def test_a_missing_or_misspelt_pan_column_is_reported(folder: Path, header: str, said: str) -> None:
     (folder / "frames.csv").write_text(FRAMES.replace(FRAMES.splitlines()[0], header))
     boards = open_board_folder(folder)
     assert any(said in warning for warning in boards.warnings)

@@ -131,7 +131,7 @@ def test_a_marker_without_leds_is_refused(path: Path) -> None:
 
 
 @pytest.mark.shared
-def test_the_markers_of_the_recorded_sessions_hold_what_their_files_say() -> None:
+def test_the_recorded_markers_hold_the_values_of_their_files() -> None:
     for path in sorted(require_shared().glob("*/marker.toml")):
         marker, warnings = fiducials.read_marker(path)
         leds = tomllib.loads(path.read_text())["led"]

@@ -54,7 +54,7 @@ def test_a_file_holds_what_was_given_and_nothing_lies_beside_it(tmp_path: Path) 
     assert names(tmp_path) == ["rig.toml"]
 
 
-def test_who_reads_while_it_is_replaced_sees_the_old_file_whole(tmp_path: Path) -> None:
+def test_a_reader_during_replacement_gets_the_old_file(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_bytes(b"before")
     with (tmp_path / "rig.toml").open("rb") as reader:
         write_whole(tmp_path / "rig.toml", b"after, and longer")
@@ -111,7 +111,7 @@ def test_an_interrupt_leaves_what_was_there(
     assert names(tmp_path) == []
 
 
-def test_a_full_disk_is_said_in_one_line(full_disk: Path) -> None:
+def test_a_full_disk_is_reported_in_one_line(full_disk: Path) -> None:
     write_whole(full_disk / "rig.toml", b"before")
     with pytest.raises(InputError, match="no space left on device"):
         write_whole(full_disk / "rig.toml", bytes(200_000))
@@ -226,7 +226,7 @@ def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
         build(tmp_path / "report", force=True, then=too_late)
 
 
-def test_a_folder_filled_by_another_run_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_folder_filled_by_another_run_is_not_overwritten(tmp_path: Path) -> None:
     out = tmp_path / "report"
 
     def another_run() -> None:

@@ -113,7 +113,7 @@ def test_a_torn_last_line_is_left_out_of_an_open_recording(tmp_path: Path) -> No
         ),
     ],
 )
-def test_what_cannot_be_read_is_said_in_one_line(
+def test_unreadable_files_are_refused_in_one_line(
     tmp_path: Path, rows: list[str], header: str, place: str, said: str
 ) -> None:
     with pytest.raises(InputError) as refused:

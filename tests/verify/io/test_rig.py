@@ -267,7 +267,7 @@ def test_what_is_written_reads_like_what_a_person_would_write(path: Path) -> Non
 
 
 @pytest.mark.shared
-def test_the_rigs_of_the_recorded_sessions_hold_what_their_files_say() -> None:
+def test_the_recorded_rigs_hold_the_values_of_their_files() -> None:
     for path in sorted(require_shared().glob("*/rig.toml")):
         rig, warnings = io_rig.read(path)
         table = tomllib.loads(path.read_text())

@@ -239,7 +239,7 @@ def test_silent_encoders_leave_pairs_without_error_and_are_named() -> None:
 
 
 @pytest.mark.realtime
-def test_a_reset_controller_begins_a_new_clock_and_accuses_no_joint() -> None:
+def test_a_reset_controller_begins_a_new_clock_without_an_alarm() -> None:
     _, _, heard = watched(5.0, stage(reset_at=2.5))
     segments = [r.clock.segment for r in heard.rows if r.clock is not None]
     assert segments[0] == 0
@@ -258,7 +258,7 @@ def test_the_run_ends_with_the_robot_s_program() -> None:
 
 
 @pytest.mark.realtime
-def test_a_listener_that_hangs_holds_up_nobody_and_gets_its_alarms() -> None:
+def test_a_hanging_listener_blocks_nothing_and_gets_its_alarms() -> None:
     release, heard = threading.Event(), Heard()
 
     class Slow(Heard):
@@ -394,7 +394,7 @@ def test_a_file_waits_until_its_pictures_are_measured() -> None:
     assert MAX_QUEUED_PAIRS < 200
 
 
-def test_the_live_table_says_what_stands() -> None:
+def test_the_live_table_shows_the_current_state() -> None:
     from rich.console import Console
 
     from verify.live.outputs.terminal import render_snapshot

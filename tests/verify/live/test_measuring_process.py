@@ -49,7 +49,7 @@ def alike(found: list[Measurement], wanted: list[Measurement]) -> None:
         np.testing.assert_array_equal(one.pose.covariance, other.pose.covariance)
 
 
-def test_it_gives_the_same_to_the_last_digit_and_ends(
+def test_it_gives_the_same_figures_and_ends(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
     said: list[str] = []
@@ -62,7 +62,7 @@ def test_it_gives_the_same_to_the_last_digit_and_ends(
     assert not process._process.is_alive()
 
 
-def test_a_rehearsal_between_pairs_changes_nothing(
+def test_a_rehearsal_between_pairs_changes_no_figure(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
     setup, done = Setup(session.rig, session.marker), []
@@ -79,7 +79,7 @@ def test_a_rehearsal_between_pairs_changes_nothing(
 
 
 @pytest.mark.realtime
-def test_its_loss_costs_no_pair_and_is_said(
+def test_a_lost_process_costs_no_pair_and_is_reported(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
     said: list[str] = []
@@ -104,7 +104,7 @@ def test_its_loss_costs_no_pair_and_is_said(
 
 
 @pytest.mark.realtime
-def test_it_asks_where_the_readings_put_the_flange(session: SimulatedSession) -> None:
+def test_it_requests_the_predicted_flange_pose(session: SimulatedSession) -> None:
     asked: list[float] = []
 
     def expected(t: float) -> list[Array]:

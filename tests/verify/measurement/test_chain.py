@@ -249,7 +249,7 @@ def test_lamps_and_reflections_are_not_taken_for_leds() -> None:
     assert_sound(session, measurements)
 
 
-def test_leds_that_come_back_are_believed_over_a_reflection_of_them() -> None:
+def test_returning_leds_win_over_their_reflection() -> None:
     session, measurements = played(
         recording=ScenarioRecording(pairs=12, rate_hz=10.0),
         mirror=[MIRROR],
@@ -258,7 +258,7 @@ def test_leds_that_come_back_are_believed_over_a_reflection_of_them() -> None:
     assert_sound(session, [m for m in measurements if m.frame not in (4, 5)])
 
 
-def test_an_led_that_one_camera_sees_sharpens_the_pose() -> None:
+def test_an_led_in_one_camera_sharpens_the_pose() -> None:
     missing = Occlusion(led="B", first=0, last=9)
     sides = []
     for camera in ("left", "both"):
@@ -431,7 +431,7 @@ def test_windows_meet_nowhere_and_hold_every_leds_own(seed: int) -> None:
         assert np.isclose(found[:, None, side], own[None, :, side], atol=1e-9).any(axis=1).all()
 
 
-def test_what_is_behind_the_camera_or_beside_the_image_is_not_looked_for() -> None:
+def test_points_outside_the_image_get_no_window() -> None:
     leds = np.array([[0.0, 0, 0], [0.0, 0, -2.0], [1.5, 0, 0]])
     assert len(looked_for(leds, 0.8, 1e-3, 1e-4)[0]) == 1
     assert looked_for(leds[:1] - [0, 0, 2.0], 0.8, 1e-3, 1e-4)[0].shape == (0, 4)

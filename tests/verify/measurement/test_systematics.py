@@ -81,7 +81,7 @@ def test_a_sensitivity_is_what_a_refit_with_the_parameter_moved_shows(name: str)
     assert np.linalg.norm(column - expected) < 0.01 * np.linalg.norm(expected)
 
 
-def test_a_name_that_nobody_understands_is_given_back() -> None:
+def test_an_unknown_name_is_returned() -> None:
     covariance = Covariance(("left.fx_px", "left.zoom"), np.array([0.3, 1.0]), np.eye(2))
     parameters = stated_systematics(
         replace(make_rig(), covariance=covariance), make_marker(), turning=False

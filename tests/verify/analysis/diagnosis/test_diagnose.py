@@ -105,7 +105,7 @@ def test_an_eccentricity_comes_with_its_phase_and_number_of_waves() -> None:
     assert abs(turn) < 3
 
 
-def test_a_wrong_clock_offset_and_a_clock_that_runs_slow_are_told_apart() -> None:
+def test_clock_offset_and_clock_drift_are_distinguished() -> None:
     seen = found(3, clock=lambda t: t - 0.004)
     assert names(seen) == [("clock", None)]
     assert_allclose(cause_entry(seen.causes[0])["value"], 0.004, atol=2e-4)
@@ -154,7 +154,7 @@ def test_a_wrong_link_is_named_with_what_to_add_to_the_robot_file(
     assert abs(entry["value"] - unit * value) < 2 * entry["expanded_uncertainty"]
 
 
-def test_an_arm_whose_links_are_off_all_over_is_said_to_be_and_its_joints_are_not_accused() -> None:
+def test_many_wrong_links_are_one_finding_and_no_joint_fault() -> None:
     assert isinstance(ARM, robots.DhArm)
     rng = np.random.default_rng(3)
     bent = replace(
@@ -206,7 +206,7 @@ def test_several_faults_at_once_are_each_named() -> None:
     ]
 
 
-def test_what_is_noticed_but_not_told_apart_is_one_entry_with_a_motion_that_would_tell() -> None:
+def test_ambiguous_faults_are_one_entry_with_a_separating_motion() -> None:
     table = detectable(found(7).products)
     own = table[(table["kind"] == "offset") & (table["joint"] == 4)].iloc[0]
     size = np.deg2rad(np.sqrt(1.5 * own["detectable"] * own["separable"] / 2))
@@ -236,7 +236,7 @@ def test_outlying_pairs_are_listed_and_do_not_disturb() -> None:
     assert names(found(8, change=disturbed)) == []
 
 
-def test_errors_that_no_fault_describes_accuse_nobody_on_the_strength_of_the_noise() -> None:
+def test_unmodelled_errors_give_no_finding() -> None:
     rng = np.random.default_rng(9)
 
     def rough(track: Track) -> Track:
@@ -250,11 +250,11 @@ def test_errors_that_no_fault_describes_accuse_nobody_on_the_strength_of_the_noi
 
 
 @pytest.mark.slow
-def test_sound_arms_are_hardly_ever_accused() -> None:
+def test_false_findings_on_healthy_arms_are_rare() -> None:
     assert sum(bool(found(100 + seed).causes) for seed in range(40)) <= 2  # 0.2 are expected
 
 
-def test_what_registration_through_the_encoders_hides_is_not_claimed() -> None:
+def test_hidden_offsets_are_not_stated_as_found() -> None:
     seen = found(10, lambda t, _: at(1, np.deg2rad(1.0) + 0 * t), source="motion")
     assert names(seen) == []
     table = detectable(seen.products)
@@ -337,7 +337,7 @@ def products(columns: list[np.ndarray], error: np.ndarray) -> FaultProducts:
 
 
 @pytest.mark.parametrize("chosen", [(), (2,), (0, 4), (1, 5, 6)])
-def test_what_a_fault_adds_is_what_a_fit_with_it_explains_more(chosen: tuple[int, ...]) -> None:
+def test_a_faults_gain_is_the_reduction_of_chi_squared(chosen: tuple[int, ...]) -> None:
     rng = np.random.default_rng(1)
     columns = [rng.normal(size=(ROWS, f)) for f in FREEDOM]
     error = rng.normal(size=ROWS) + columns[2].sum(axis=1)
@@ -353,7 +353,7 @@ def test_what_a_fault_adds_is_what_a_fit_with_it_explains_more(chosen: tuple[int
     np.testing.assert_allclose(added, expected, atol=1e-9)
 
 
-def test_nothing_is_added_to_a_set_that_cannot_be_told_apart() -> None:
+def test_an_inseparable_set_of_faults_is_not_extended() -> None:
     rng = np.random.default_rng(2)
     first, other = rng.normal(size=(2, ROWS, 1))
     found = products([first, first.copy(), other], rng.normal(size=ROWS))

@@ -117,7 +117,7 @@ def test_faults_come_back_with_the_uncertainty_that_is_stated() -> None:
     assert chi2.ppf(0.0005, len(pulls)) < square < chi2.ppf(0.9995, len(pulls))
 
 
-def test_healthy_joints_are_not_accused() -> None:
+def test_healthy_joints_have_no_findings() -> None:
     pulls = [pull(s.gain.value, s.gain.uncertainty) for s in healthy()]
     pulls += [pull(s.hysteresis.value, s.hysteresis.uncertainty) for s in healthy()]
     square = float(np.sum(np.square(pulls)))
@@ -154,7 +154,7 @@ def test_one_way_shows_no_hysteresis_and_no_figure_is_made_up_for_it() -> None:
     assert abs(pull(found[0].gain.value, found[0].gain.uncertainty, 0.01)) < 4
 
 
-def test_where_the_robot_stands_and_how_the_leds_sit_changes_nothing() -> None:
+def test_results_do_not_depend_on_base_and_led_poses() -> None:
     rng = np.random.default_rng(5)
     elsewhere = np.tile(np.eye(4), (2, 1, 1))
     elsewhere[:, :3, :3] = Rotation.random(2, random_state=rng).as_matrix()

@@ -61,7 +61,7 @@ def test_a_pose_fitted_in_no_drawn_world_is_the_chains_own(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", list(HOMES))
-def test_where_it_is_said_to_hold_it_agrees_within_5_percent_as_the_draws_fall(
+def test_where_linear_propagation_holds_the_draws_agree_within_5_percent(
     arm: str, both: dict[str, Spotted]
 ) -> None:
     """Not by the ratio that the check uses, but by the plain scatter of 4,000 other draws."""
@@ -120,7 +120,7 @@ def test_the_scatter_is_that_of_poses_drawn_and_fitted_by_the_chain_itself(
     assert_allclose(found.scatter[place] / np.std(q, axis=0), 1, atol=4 * 0.032)
 
 
-def test_next_to_a_singularity_it_says_that_linear_propagation_fails_and_it_does() -> None:
+def test_next_to_a_singularity_linear_propagation_is_reported_to_fail() -> None:
     # so near that the doubt of joint 5 reaches the singularity
     made = spotted("iust_6r", at("iust_6r", -0.4), 3, larger=2.0)
     found = made.check()

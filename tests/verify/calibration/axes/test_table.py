@@ -31,7 +31,7 @@ POSE_SIGMA = np.array([2e-5, 2e-5, 8e-5, 4e-4, 4e-4, 2e-4])  # m and rad
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", robots.names())
-def test_lines_of_neighbouring_joints_stand_as_the_table_says(name: str) -> None:
+def test_neighbouring_axes_lie_as_in_the_table(name: str) -> None:
     arm = robots.load(name)
     assert isinstance(arm, robots.DhArm)
     q = np.random.default_rng(4).uniform(-1, 1, 6)
@@ -154,7 +154,7 @@ def faulty() -> tuple[InMemory, SweepResult]:
     return session, axes_from_sweeps(session, measured(session))
 
 
-def test_every_joint_turns_as_its_encoder_says_but_the_faulty_one(
+def test_all_encoders_but_the_faulty_one_agree_with_the_rotation(
     faulty: tuple[InMemory, SweepResult],
 ) -> None:
     _, found = faulty
@@ -174,7 +174,7 @@ def test_every_joint_turns_as_its_encoder_says_but_the_faulty_one(
     ]
 
 
-def test_axes_lie_as_the_table_has_them(faulty: tuple[InMemory, SweepResult]) -> None:
+def test_axes_lie_as_in_the_table(faulty: tuple[InMemory, SweepResult]) -> None:
     session, found = faulty
     assert isinstance(session.arm, robots.DhArm)
     assert [p.joints for p in found.pairs] == [(i, i + 1) for i in range(1, 6)]
@@ -198,9 +198,7 @@ def test_the_base_is_found_by_the_arm_s_own_axes(faulty: tuple[InMemory, SweepRe
     assert any("rests on joint 1's encoder" in d for d in found.decisions)
 
 
-def test_a_link_that_is_longer_than_the_table_says_shows(
-    faulty: tuple[InMemory, SweepResult],
-) -> None:
+def test_a_link_longer_than_in_the_table_is_found(faulty: tuple[InMemory, SweepResult]) -> None:
     session, _ = faulty
     assert isinstance(session.arm, robots.DhArm)
     shorter = session.arm.a - np.array([0, 1e-3, 0, 0, 0, 0])

@@ -65,7 +65,7 @@ def test_lengths_show_a_baseline_off_by_half_a_percent() -> None:
 
 
 @pytest.mark.slow
-def test_the_smallest_change_named_is_seen_four_times_in_five() -> None:
+def test_the_stated_detectable_change_is_found_four_times_in_five() -> None:
     rig = doubtful_rig()
     sizes = {
         v.change: v.smallest
@@ -84,7 +84,7 @@ def test_the_smallest_change_named_is_seen_four_times_in_five() -> None:
     assert seen / REPLICATES > 0.8 - 3 * np.sqrt(0.8 * 0.2 / REPLICATES)
 
 
-def test_what_is_not_stated_is_said_and_a_failure_then_names_the_doubt() -> None:
+def test_missing_uncertainties_are_listed_and_named_on_failure() -> None:
     file = make_rig(), make_marker()
     healthy = check_rig(seen_by(file, file, 0), *file)
     assert healthy.uncounted == ("rig", "LED positions", "apparent LED centre")
@@ -94,7 +94,7 @@ def test_what_is_not_stated_is_said_and_a_failure_then_names_the_doubt() -> None
     assert not any("could not be tested" in w for w in healthy.warnings)
 
 
-def test_what_the_check_cannot_see_is_said() -> None:
+def test_undetectable_changes_are_listed() -> None:
     file = make_rig(), STATED
     assert any(
         "both cameras together" in d for d in check_rig(seen_by(file, file, 0), *file).decisions
@@ -162,7 +162,7 @@ def test_the_few_pairs_that_fit_a_badly_moved_rig_by_chance_hold_nothing() -> No
 
 
 @pytest.mark.slow
-def test_a_session_of_a_bar_is_checked_though_its_ends_look_alike() -> None:
+def test_a_session_of_a_symmetric_bar_is_checked() -> None:
     built = library.load("multi_joint_fault_6r")
     session = in_memory(
         msgspec.structs.replace(

@@ -95,7 +95,7 @@ def test_a_board_s_tilts_are_those_it_was_placed_with() -> None:
     assert stood[0].distance == pytest.approx((depth[0] + depth[-1]) / 2)
 
 
-def test_the_view_looks_where_both_cameras_look() -> None:
+def test_the_common_view_is_where_both_cameras_point() -> None:
     rig = made.make_rig()
     view = view_frame(rig, STILL)
     assert_allclose(view[:3, :3] @ view[:3, :3].T, np.eye(3), atol=1e-12)
@@ -265,7 +265,7 @@ def test_what_is_left_were_a_group_exact_is_the_covariance_given_that_group() ->
     ("cy", "u", "odd", "believed"),
     [(355.0, 0.2, False, True), (193.8, 3.0, True, True), (193.8, 60.0, True, False)],
 )
-def test_an_odd_principal_point_is_believed_if_it_is_known_well_enough(
+def test_an_unusual_principal_point_is_accepted_if_well_determined(
     cy: float, u: float, odd: bool, believed: bool
 ) -> None:
     found = made.calibration()

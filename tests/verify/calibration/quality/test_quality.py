@@ -112,21 +112,21 @@ def _webcam(folder: Path, count: int, size: tuple[int, int]) -> Residuals:
     )
 
 
-def test_boards_that_cover_everything_leave_nothing_to_say() -> None:
+def test_complete_coverage_gives_no_advice() -> None:
     found = made.calibration(count=60)
     quality = judge_calibration(found)
     assert coverage_gaps(found, quality) == ()
     assert calibration_doubts(found, quality) == ()
 
 
-def test_flat_boards_are_told_to_tilt() -> None:
+def test_flat_boards_give_the_advice_to_tilt() -> None:
     found = made.calibration(count=60, tilt_deg=8.0)
     said = " ".join(coverage_gaps(found, judge_calibration(found)))
     for axis in ("horizontal", "vertical"):
         assert re.search(rf"never tilted about the {axis} axis by more than \d+°", said)
 
 
-def test_boards_tilted_one_way_only_are_told_the_other_way() -> None:
+def test_boards_tilted_one_way_give_the_advice_for_the_other() -> None:
     found = made.calibration(count=60)
     quality = judge_calibration(found)
     one_way = tuple(s for s in quality.stances if s.about_horizontal > 0)
@@ -134,7 +134,7 @@ def test_boards_tilted_one_way_only_are_told_the_other_way() -> None:
     assert [s for s in said if "horizontal axis with its lower edge nearer" in s]
 
 
-def test_boards_at_one_distance_are_told_to_move() -> None:
+def test_boards_at_one_distance_give_the_advice_to_move() -> None:
     found = made.calibration(count=60)
     quality = judge_calibration(found)
     near = tuple(s for s in quality.stances if s.distance < 0.8)
@@ -156,7 +156,7 @@ def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, wor
     assert f"No corner lies in the {words} of the left image: hold the board there." in said
 
 
-def test_corners_that_keep_off_an_edge_are_told_to_reach_it() -> None:
+def test_corners_missing_at_an_edge_give_the_advice_to_reach_it() -> None:
     found = made.calibration(count=60)
     own = found.residuals
     away = (own.camera == 1) & (own.seen[:, 0] > 1000)
@@ -221,7 +221,7 @@ PLAIN = {"camera", "frame", "corner", "corners", "refused", "poor", "used", "kin
          "parameter", "unit", "value", "standard_uncertainty", "state"}  # fmt: skip
 
 
-def test_every_column_says_its_unit() -> None:
+def test_every_column_has_a_unit() -> None:
     for table in _results(made.calibration()).tables.values():
         for name in table.columns:
             assert name in PLAIN or re.search(r"_(px|mm|deg)$", name), name

@@ -267,7 +267,7 @@ def test_a_healthy_simulated_arm_is_registered_to_within_its_uncertainty(
 
 
 @pytest.mark.slow
-def test_a_skew_that_the_stamps_do_not_tell_is_found_and_said(simulated: InMemory) -> None:
+def test_an_unstated_skew_is_found_and_reported(simulated: InMemory) -> None:
     frames = simulated.frames
     late = replace(simulated, frames=replace(frames, t_right=frames.t_right - 0.003))
     pairs = [

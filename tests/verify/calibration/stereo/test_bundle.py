@@ -112,7 +112,7 @@ def test_a_rig_is_found_again_exactly_where_corners_have_no_noise(kind: str) -> 
     assert found.square_found[0] == pytest.approx(BOARD.square, abs=1e-8)
 
 
-def test_a_base_that_never_turned_has_its_gauge_said() -> None:
+def test_the_gauge_of_a_fixed_base_is_stated() -> None:
     rng = np.random.default_rng(3)
     found = calibrate(make_pairs(fixed_rig(), poses(rng, 10), rng), BOARD, SIZE)
     for side, camera in (("left", found.rig.left), ("right", found.rig.right)):
@@ -161,7 +161,7 @@ def test_readings_that_grow_the_other_way_turn_the_axis_round() -> None:
     assert found.noise == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_turn_too_small_to_show_an_axis_is_held_and_said() -> None:
+def test_a_turn_too_small_for_an_axis_is_held_and_reported() -> None:
     rng = np.random.default_rng(6)
     pan = np.deg2rad(rng.uniform(-0.03, 0.03, (12, 2)) + TOE_IN_DEG)
     found = calibrate(make_pairs(turning_rig(), poses(rng, 12), rng, pan), BOARD, SIZE)
@@ -181,7 +181,7 @@ def test_readings_that_scatter_are_fitted_and_their_deviation_stated() -> None:
     assert found.residuals.used.all()
 
 
-def test_readings_without_scatter_are_exact_and_what_could_hide_is_stated() -> None:
+def test_readings_without_scatter_are_exact_with_a_stated_bound() -> None:
     rng = np.random.default_rng(8)
     found = calibrate(
         make_pairs(turning_rig(), poses(rng, 20), rng, readings(rng, 20)), BOARD, SIZE
@@ -220,7 +220,7 @@ def test_a_view_that_one_camera_alone_has_counts_for_that_camera() -> None:
     assert joined["left.fx_px"] < 0.9 * alone["left.fx_px"]
 
 
-def test_noise_is_what_the_corners_show_not_what_they_state() -> None:
+def test_noise_is_estimated_from_the_corners() -> None:
     rng = np.random.default_rng(11)
     boards = poses(rng, 10)
     pairs = make_pairs(fixed_rig(), boards, rng, sigma=0.08, stated=0.02)

@@ -86,7 +86,7 @@ def source(capture: FakeCapture, **settings: Any) -> OpenCvSource:
     return OpenCvSource(CameraSettings(0, **settings), lambda _: capture)
 
 
-def test_settings_are_asked_for_with_the_automatics_off_and_the_format_first() -> None:
+def test_settings_are_set_format_first_with_automatic_control_off() -> None:
     capture = FakeCapture()
     asked = source(
         capture, size=(1280, 720), rate=30.0, format="YUYV", exposure=0.005, gain=3.0,
@@ -115,7 +115,7 @@ def test_what_a_camera_refuses_is_named_with_what_it_does_instead() -> None:
     ]
 
 
-def test_a_camera_may_round_what_it_is_asked_for() -> None:
+def test_a_camera_may_round_its_settings() -> None:
     assert source(FakeCapture(FPS=29.97, EXPOSURE=52), rate=30.0, exposure=0.005).refused == ()
 
 
@@ -154,7 +154,7 @@ def test_jpegs_of_a_camera_are_kept_as_they_come() -> None:
     assert_array_equal(shot.image, JpegDecoder().decode(data))
 
 
-def test_one_channel_is_kept_where_that_is_asked_for() -> None:
+def test_one_channel_is_kept_on_request() -> None:
     shot = source(FakeCapture(), format="MJPG", grey=True).grab()
     assert shot is not None
     assert shot.image.shape == (48, 64)
@@ -216,7 +216,7 @@ def test_a_camera_that_vanishes_is_named_and_taken_up_again() -> None:
 
 
 @pytest.mark.realtime
-def test_a_camera_that_hangs_holds_nobody_up() -> None:
+def test_a_hanging_camera_blocks_nothing() -> None:
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open)
     take(camera, 2)
@@ -232,7 +232,7 @@ def test_a_camera_that_hangs_holds_nobody_up() -> None:
 
 
 @pytest.mark.realtime
-def test_pictures_that_nobody_reads_make_room_and_are_counted() -> None:
+def test_unread_pictures_are_dropped_and_counted() -> None:
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open)
     first = take(camera, 1)[0]
@@ -296,7 +296,7 @@ def test_a_damaged_picture_is_counted_and_the_next_one_taken() -> None:
 @pytest.mark.parametrize(
     "url", ["http://127.0.0.1:9/video", "rtsp://127.0.0.1:9/stream", "nonsense://x"]
 )
-def test_a_network_camera_that_is_not_there_is_said(url: str) -> None:
+def test_a_missing_network_camera_is_reported(url: str) -> None:
     camera = open_camera(CameraSettings(url))
     assert wait_for(lambda: "being opened" not in camera.state().sentence)
     assert camera.state().sentence.startswith(f"{url}: not connected: ")
@@ -316,7 +316,7 @@ def test_a_stream_clock_finds_the_quickest_way_and_follows_a_slow_drift() -> Non
 
 
 @pytest.mark.realtime
-def test_a_file_is_played_at_the_rate_that_is_asked_for(tmp_path: Path) -> None:
+def test_a_file_is_played_at_the_requested_rate(tmp_path: Path) -> None:
     pictures = images(12)
     write_video(tmp_path / "left.mkv", pictures)
     camera = open_camera(CameraSettings(str(tmp_path / "left.mkv"), rate=60.0))
@@ -341,12 +341,12 @@ def test_a_folder_is_played_as_fast_as_it_is_read(tmp_path: Path) -> None:
     assert_allclose(np.diff([frame.t for frame in frames]), 1 / 30, atol=1e-9)
 
 
-def test_a_file_that_is_not_there_is_said_at_once(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_at_once(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         open_camera(CameraSettings(str(tmp_path / "left.mkv")))
 
 
-def test_a_file_that_is_damaged_ends_in_words(tmp_path: Path) -> None:
+def test_a_damaged_file_ends_with_a_message(tmp_path: Path) -> None:
     (tmp_path / "left.mkv").write_bytes(b"no video at all")
     camera = open_camera(CameraSettings(str(tmp_path / "left.mkv")))
     assert camera.read() is None

@@ -100,7 +100,7 @@ def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
 
 
 @pytest.mark.realtime
-def test_a_file_whose_first_line_does_not_name_the_joints_is_refused_in_words(path: Path) -> None:
+def test_a_header_without_joint_names_is_refused(path: Path) -> None:
     path.write_text("time,a,b\n")
     encoders = driver(path)
     append(path, "1,2,3\n")

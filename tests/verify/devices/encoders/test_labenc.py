@@ -65,7 +65,7 @@ def test_the_counter_wraps_in_mid_run() -> None:
 
 
 @pytest.mark.realtime
-def test_raw_counts_are_asked_for_and_scaled() -> None:
+def test_raw_counts_are_requested_and_scaled() -> None:
     with running(LabencEngine(Ramp(), 6, QUICK)) as emulated:
         encoders = driver(emulated.address, unit="counts", rate=50)
         readings = gather(encoders, lambda found: len(found) >= 60)
@@ -85,7 +85,7 @@ def test_crc16_and_carriage_returns() -> None:
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
-def test_a_disturbed_line_loses_samples_and_tells_no_false_one(where: str) -> None:
+def test_a_disturbed_line_loses_samples_and_gives_no_false_one(where: str) -> None:
     faults = EmulatorFaults(noise=0.1, half=0.05, digit=0.1, double=0.1, lost=0.1, split=0.2)
     with running(LabencEngine(Ramp(), 6, QUICK), where, faults) as emulated:
         encoders = driver(emulated.address)
@@ -112,7 +112,7 @@ def test_a_board_that_was_reset_begins_a_segment() -> None:
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("leap", [30.0, -0.4])
-def test_a_clock_that_leaps_begins_a_segment(leap: float) -> None:
+def test_a_clock_jump_begins_a_segment(leap: float) -> None:
     with running(
         LabencEngine(Ramp(), 6, QUICK), faults=EmulatorFaults(jump=(1.0, leap))
     ) as emulated:
@@ -168,7 +168,7 @@ class Mute(LabencEngine):
 
 
 @pytest.mark.realtime
-def test_a_board_of_another_robot_or_another_version_is_refused_in_words() -> None:
+def test_a_board_of_another_robot_or_version_is_refused() -> None:
     with running(LabencEngine(Ramp(5), 5, QUICK)) as emulated:
         encoders = driver(emulated.address)
         gather(encoders, lambda _: "5 axes, 6 are expected" in encoders.state().sentence)
@@ -206,7 +206,7 @@ def test_a_rate_that_the_line_cannot_carry_is_refused_by_the_board() -> None:
 
 
 @pytest.mark.realtime
-def test_a_reader_that_slept_says_how_doubtful_arrival_is_by_the_boards_own_clock() -> None:
+def test_arrival_times_after_a_pause_have_larger_uncertainty() -> None:
     with running(LabencEngine(Ramp(), 6, QUICK)) as emulated:
         encoders = driver(emulated.address)
         gather(encoders, lambda found: len(found) >= 10)

@@ -61,7 +61,7 @@ def test_ar4() -> None:
     assert read(FieldMap(6, pattern=AR4), line).values == ANGLES
 
 
-def test_teleplot_tells_one_axis_a_line() -> None:
+def test_teleplot_has_one_axis_a_line() -> None:
     fields = FieldMap(
         6, pattern=r"^>q(?P<axis>\d):(?P<t>\d+):(?P<value>[-.\d]+)$", time_unit="ms"
     )  # fmt: skip
@@ -171,7 +171,7 @@ def test_lines_with_a_time_of_their_own(where: str) -> None:
 
 
 @pytest.mark.realtime
-def test_lines_without_a_time_are_stamped_on_arrival_with_their_latency_as_doubt() -> None:
+def test_lines_without_a_time_are_stamped_on_arrival_with_their_latency() -> None:
     with running(Printer(timed=False)) as emulated:
         encoders = driver(emulated.address, FieldMap(6, NAMES[1:]))
         for reading in gather(encoders, lambda found: len(found) >= 20):
@@ -182,7 +182,7 @@ def test_lines_without_a_time_are_stamped_on_arrival_with_their_latency_as_doubt
 
 
 @pytest.mark.realtime
-def test_a_disturbed_line_tells_no_false_time() -> None:
+def test_a_disturbed_line_gives_no_false_time() -> None:
     faults = EmulatorFaults(noise=0.2, half=0.2, split=0.2, silence=(1.0, 0.5))
     fields = FieldMap(6, (*NAMES,), time_unit="ms")
     with running(Printer(), faults=faults) as emulated:

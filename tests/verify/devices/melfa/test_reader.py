@@ -73,7 +73,7 @@ def test_the_controller_is_sent_nothing_but_reading_commands() -> None:
 
 
 @pytest.mark.realtime
-def test_the_pause_that_the_maker_asks_for_is_kept() -> None:
+def test_the_pause_of_the_manual_is_kept() -> None:
     engine = controller(ControllerOptions(least_pause=0.095))
     with running(engine) as emulated:
         encoders = kept(MelfaEncoders(MelfaSettings(emulated.address), same_angles(6)))
@@ -83,7 +83,7 @@ def test_the_pause_that_the_maker_asks_for_is_kept() -> None:
 
 
 @pytest.mark.realtime
-def test_who_asks_too_fast_and_is_refused_goes_back_to_the_makers_pause() -> None:
+def test_after_a_refusal_the_pause_of_the_manual_is_used() -> None:
     engine = controller(ControllerOptions(least_pause=0.09))
     with running(engine) as emulated:
         encoders = driver(emulated.address)
@@ -126,7 +126,7 @@ def test_a_slow_serial_line_gives_few_readings_with_wide_times() -> None:
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
-def test_a_disturbed_line_loses_readings_and_tells_no_false_one(where: str) -> None:
+def test_a_disturbed_line_loses_readings_and_gives_no_false_one(where: str) -> None:
     faults = EmulatorFaults(noise=0.2, half=0.1, lost=0.05, split=0.3)
     with running(controller(), where, faults) as emulated:
         encoders = driver(emulated.address, timeout=0.1)
@@ -160,7 +160,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
 
 
 @pytest.mark.realtime
-def test_silence_is_said_and_over_when_it_is_over() -> None:
+def test_silence_is_reported_until_it_ends() -> None:
     with running(controller(), faults=EmulatorFaults(silence=(0.5, 2.5))) as emulated:
         encoders = driver(emulated.address, timeout=0.3)
         gather(encoders, lambda found: len(found) >= 3)
@@ -192,7 +192,7 @@ def test_a_controller_that_was_reset_is_opened_again() -> None:
 
 
 @pytest.mark.realtime
-def test_an_alarm_is_worded_while_readings_go_on() -> None:
+def test_an_alarm_is_reported_while_readings_continue() -> None:
     with running(controller(), faults=EmulatorFaults(alarm=(0.0, 4140.0))) as emulated:
         encoders = driver(emulated.address)
         readings = gather(encoders, lambda found: len(found) >= 3)
@@ -201,7 +201,7 @@ def test_an_alarm_is_worded_while_readings_go_on() -> None:
 
 
 @pytest.mark.realtime
-def test_an_alarm_that_no_list_here_holds_is_asked_about() -> None:
+def test_an_unknown_alarm_is_queried() -> None:
     with running(controller(), faults=EmulatorFaults(alarm=(0.0, 999.0))) as emulated:
         encoders = driver(emulated.address)
         gather(encoders, lambda _: "NO MESSAGE" in encoders.state().sentence)
@@ -219,7 +219,7 @@ def test_whether_the_program_runs_and_which_robot_it_is() -> None:
 
 
 @pytest.mark.realtime
-def test_a_second_reader_is_told_that_the_line_is_taken() -> None:
+def test_a_second_reader_is_refused() -> None:
     with running(controller()) as emulated:
         first, second = driver(emulated.address), driver(emulated.address)
         gather(first, lambda found: len(found) >= 2)
@@ -228,7 +228,7 @@ def test_a_second_reader_is_told_that_the_line_is_taken() -> None:
 
 
 @pytest.mark.realtime
-def test_procedural_rs232_is_refused_in_words() -> None:
+def test_procedural_rs232_is_refused() -> None:
     class Procedural(MelfaEngine):
         def step(self, t: float, received: bytes) -> list[TimedMessage]:
             return [TimedMessage(t, b"\x05")] if received else []
@@ -240,7 +240,7 @@ def test_procedural_rs232_is_refused_in_words() -> None:
 
 
 @pytest.mark.realtime
-def test_nobody_there_is_said() -> None:
+def test_a_missing_controller_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
     encoders = driver(f"tcp:127.0.0.1:{port}")

@@ -102,7 +102,7 @@ def test_a_scheduler_and_workers_by_hand_one_of_them_killed_midway(
     assert_same(alone, out)
 
 
-def test_an_address_where_nobody_answers_is_refused_in_one_line() -> None:
+def test_an_address_without_an_answer_is_refused_in_one_line() -> None:
     with pytest.raises(InputError) as problem:
         Cluster("nonsense://nowhere")
     assert "\n" not in str(problem.value)

@@ -122,7 +122,7 @@ def test_silence_an_echo_and_a_gripper_for_a_controller_are_none() -> None:
     assert not EmulatorPortOpener(opens("tcp:127.0.0.1:1"), is_emulated_melfa).there()
 
 
-def test_an_emulators_answer_to_somebody_else_proves_nothing() -> None:
+def test_an_answer_to_another_challenge_proves_nothing() -> None:
     said = melfa()._identity("verify").encode()
     with recorded(said) as address:
         assert not EmulatorPortOpener(opens(address), is_emulated_melfa).there()
@@ -139,7 +139,7 @@ def test_a_real_controller_that_takes_the_emulators_place_is_not_opened() -> Non
             only()
 
 
-def test_a_port_that_nobody_calls_for_is_closed() -> None:
+def test_an_unused_port_is_closed() -> None:
     with running(melfa()) as arm:
         only = EmulatorPortOpener(opens(arm.address), is_emulated_melfa)
         assert only.there()

@@ -63,7 +63,7 @@ def ready(gripper: GripperDriver) -> None:
 @pytest.mark.parametrize(
     ("width_mm", "state"), [(None, GripperState.REACHED), (115.0, GripperState.GRIPPED)]
 )
-def test_the_gripper_itself_says_whether_it_holds_something(
+def test_the_gripper_reports_whether_it_holds_an_object(
     where: str, width_mm: float | None, state: GripperState
 ) -> None:
     engine = quick(None if width_mm is None else contact_positions(width_mm))
@@ -188,7 +188,7 @@ def test_what_falls_out_is_noticed() -> None:
 
 
 @pytest.mark.realtime
-def test_closing_to_the_same_place_twice_does_not_believe_the_first_answer() -> None:
+def test_closing_twice_to_one_position_waits_for_the_new_status() -> None:
     engine = quick(contact_positions(60.0))
     with running(engine) as emulated, driver(emulated) as gripper:
         ready(gripper)
@@ -245,7 +245,7 @@ def test_stop_ends_an_activation_by_a_reset(cycle: float) -> None:
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("number", [0x09, 0x0E])
-def test_a_fault_in_mid_motion_stops_the_fingers_and_is_worded(number: int) -> None:
+def test_a_fault_in_mid_motion_stops_the_fingers_and_is_named(number: int) -> None:
     engine = quick()
     with running(engine) as emulated, driver(emulated) as gripper:
         ready(gripper)
@@ -265,7 +265,7 @@ def test_a_fault_in_mid_motion_stops_the_fingers_and_is_worded(number: int) -> N
 
 
 @pytest.mark.realtime
-def test_a_gripper_that_was_without_power_is_not_activated_again_unasked() -> None:
+def test_a_gripper_after_power_loss_is_not_activated_by_itself() -> None:
     engine = quick(contact_positions(60.0))
     with running(engine) as emulated, driver(emulated) as gripper:
         ready(gripper)
@@ -284,7 +284,7 @@ def settled_after_mishap(gripper: GripperDriver) -> GripperStatus:
 
 
 @pytest.mark.realtime
-def test_silence_is_said_holds_what_is_gripped_and_needs_a_new_order() -> None:
+def test_silence_is_reported_keeps_the_grip_and_needs_a_new_order() -> None:
     engine = quick(contact_positions(60.0))
     with (
         running(engine, faults=EmulatorFaults(silence=(1.3, 1.0))) as emulated,
@@ -337,7 +337,7 @@ def test_a_gripper_that_lost_its_power_while_the_cable_was_out_is_left_alone() -
 
 
 @pytest.mark.realtime
-def test_a_disturbed_line_delays_orders_and_tells_nothing_false() -> None:
+def test_a_disturbed_line_delays_orders_without_false_status() -> None:
     faults = EmulatorFaults(noise=0.1, half=0.1, lost=0.1, double=0.1)
     engine = quick(contact_positions(120.0))
     with running(engine, "pty", faults) as emulated, driver(emulated, tries=8) as gripper:
@@ -376,7 +376,7 @@ def test_a_motion_that_never_ends_has_a_limit_and_is_stopped() -> None:
 
 
 @pytest.mark.realtime
-def test_nobody_there_is_said_and_no_step_waits_for_it() -> None:
+def test_a_missing_device_is_reported_without_blocking() -> None:
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
     with driver(f"tcp:127.0.0.1:{port}", activation_limit=0.5) as gripper:
@@ -385,7 +385,7 @@ def test_nobody_there_is_said_and_no_step_waits_for_it() -> None:
 
 
 @pytest.mark.realtime
-def test_a_gripper_of_2014_and_one_that_refuses_are_told_apart() -> None:
+def test_a_2014_gripper_is_distinguished_from_a_refusing_one() -> None:
     class Deaf(GripperEngine):
         """Knows no register 2000."""
 
@@ -398,7 +398,7 @@ def test_a_gripper_of_2014_and_one_that_refuses_are_told_apart() -> None:
             stepped(gripper, lambda status, words=words: words in status.reason)  # type: ignore[misc]
 
 
-def test_recorded_inputs_are_read_as_the_manual_says() -> None:
+def test_recorded_inputs_are_read_as_in_the_manual() -> None:
     gripped = parse_inputs([0xB9EA, 0x00FF, 0xBC00, 0x00C1, 0x0000, 0xBD00, 0x0089, 0x0000])
     assert gripped is not None
     assert (gripped.active, gripped.go, gripped.activation, gripped.fault) == (True, True, 3, 0)

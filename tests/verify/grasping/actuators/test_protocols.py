@@ -20,7 +20,7 @@ def attempted(opening: BackgroundOpener, over: Callable[[str], bool]) -> str:
 
 
 @pytest.mark.realtime
-def test_the_last_refusal_is_told_while_the_next_attempt_hangs() -> None:
+def test_the_last_refusal_is_reported_while_the_next_attempt_hangs() -> None:
     hangs, count = threading.Event(), [0]
 
     def open_port() -> Port:

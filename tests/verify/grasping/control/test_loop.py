@@ -205,7 +205,7 @@ def test_what_cannot_be_grasped_is_refused_with_the_reason(cap: Cap, word: str) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stepped", [False, True], ids=["stream", "stop and go"])
-def test_the_operators_hold_stops_a_descent_and_the_hand_goes_up_when_told(stepped: bool) -> None:
+def test_a_hold_stops_a_descent_and_the_hand_rises_on_order(stepped: bool) -> None:
     orders = {
         GraspState.APPROACHING: GraspEvent.HOLD,
         GraspState.HOLDING_OPERATOR: GraspEvent.RETREAT,
@@ -218,7 +218,7 @@ def test_the_operators_hold_stops_a_descent_and_the_hand_goes_up_when_told(stepp
 
 
 @pytest.mark.slow
-def test_a_hold_on_the_way_up_keeps_the_grip_and_goes_on_when_told() -> None:
+def test_a_hold_on_the_way_up_keeps_the_grip_and_continues_on_order() -> None:
     orders = {GraspState.LIFTING: GraspEvent.HOLD, GraspState.HOLDING_OPERATOR: GraspEvent.RESUME}
     grab, ended, _ = grabbed(STANDS, orders=orders)
     assert GraspState.HOLDING_OPERATOR in [p.target for p in ended.passages]

@@ -180,7 +180,7 @@ def test_a_stations_pairs_carry_the_angles_of_their_instant_and_none_of_a_turnin
     assert all(camera.closed for camera in cameras)
 
 
-def test_without_pan_bases_the_rig_says_how_they_stand() -> None:
+def test_without_pan_bases_the_angles_are_those_of_the_rig() -> None:
     live, cameras = pairs(None)
     try:
         for camera in cameras:

@@ -257,7 +257,7 @@ def test_without_the_right_to_move_it_only_tracks() -> None:
         ({"device_error": "alarm 5640"}, GraspState.FAULT, "alarm 5640"),
     ],
 )
-def test_the_watchdog_holds_what_follows_and_says_why(
+def test_the_watchdog_holds_the_arm_and_states_the_reason(
     changes: dict[str, object], ends: GraspState, word: str
 ) -> None:
     made, dog = watched()
@@ -303,7 +303,7 @@ def test_a_camera_that_comes_back_lets_it_go_on_with_or_without_the_target() -> 
     ),
     events,
 )
-def test_with_anything_old_or_broken_nothing_moves(
+def test_stale_or_broken_inputs_stop_all_motion(
     ages: list[tuple[float, float, float, bool, bool]], told: list[GraspEvent]
 ) -> None:
     made, dog = watched(auto=True)

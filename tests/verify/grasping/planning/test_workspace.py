@@ -153,7 +153,7 @@ def test_a_thin_obstacle_does_not_slip_between_samples(workspace: Workspace) -> 
     assert "camera 1" in near.along(way)
 
 
-def test_a_stream_of_postures_is_looked_at_in_between(workspace: Workspace) -> None:
+def test_a_stream_of_postures_is_checked_in_between(workspace: Workspace) -> None:
     low = np.radians([[0, 70, 100, 0, 10, 0]])
     assert "table" in workspace.clear(low)
     up = np.radians([[0, 0, 90, 0, 90, 0]])

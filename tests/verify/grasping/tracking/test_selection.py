@@ -75,7 +75,7 @@ def test_among_others_of_its_colour_at_the_same_height_it_is_itself(side: str) -
     np.testing.assert_allclose(thing.place.point, HERE, atol=0.002)
 
 
-def test_what_only_one_camera_sees_is_not_found() -> None:
+def test_objects_in_one_picture_alone_are_not_found() -> None:
     lone = np.array([0.45, 0.02, 0.7])  # beyond the right picture's border
     pair = film(Cap(BLUE, still(*lone)), Cap(BLUE, still(-0.1, -0.12, 0.9)))
     assert counterpart(pair, RIG, box(lone), TrackingOptions())[1] is None

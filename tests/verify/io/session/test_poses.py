@@ -235,9 +235,7 @@ def test_of_positions_alone_three_directions_are_determined(
     assert any("only 3 of 6" in warning for warning in summary["warnings"])
 
 
-def test_a_point_off_the_flange_shows_what_its_own_motion_tells(
-    watched: Watched, tmp_path: Path
-) -> None:
+def test_a_point_off_the_flange_determines_its_motion(watched: Watched, tmp_path: Path) -> None:
     t, poses = watched.poses
     point = np.array([0.06, 0.005, 0.02])
     moved = poses.copy()
@@ -253,7 +251,7 @@ def test_a_point_off_the_flange_shows_what_its_own_motion_tells(
     assert named == [(2, "offset")]
 
 
-def test_the_report_says_which_instrument_it_was(watched: Watched, tmp_path: Path) -> None:
+def test_the_report_names_the_instrument(watched: Watched, tmp_path: Path) -> None:
     results = analyse(open_session(posed(tmp_path, watched)))
     assert results.summary["session"]["instrument"] == "a laser tracker"
     assert results.setup["instrument"]["name"] == "a laser tracker"
@@ -320,7 +318,7 @@ def test_cameras_cannot_be_registered_or_watched_by_poses(watched: Watched, tmp_
         ('[poses]\nfile = "poses.csv"', 'poses = "poses.csv"\n[x]', "poses: is"),
     ],
 )
-def test_a_wrong_session_file_is_said_in_one_line(
+def test_a_wrong_session_file_is_refused_in_one_line(
     watched: Watched, tmp_path: Path, old: str, new: str, said: str
 ) -> None:
     folder = posed(tmp_path, watched)

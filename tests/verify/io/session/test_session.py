@@ -29,7 +29,7 @@ def folder(tmp_path: Path) -> Path:
     return write_session(tmp_path / "tuesday")
 
 
-def test_a_session_is_what_its_files_say(folder: Path) -> None:
+def test_a_session_holds_the_values_of_its_files(folder: Path) -> None:
     session = open_session(folder)
     assert (session.name, session.robot, session.description) == ("tuesday", "iust_6r", "small")
     assert session.started == "2026-11-20T10:00:00Z"
@@ -339,7 +339,7 @@ def pipe(folder: Path) -> None:
         (absorption_of_one_joint, ["absorption", "1 columns", "6 joints"]),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said_in_one_line_that_names_the_place(
+def test_errors_are_one_line_with_the_place(
     folder: Path, capfd: pytest.CaptureFixture[str], change: Callable[[Path], None], said: list[str]
 ) -> None:
     change(folder)
@@ -350,7 +350,7 @@ def test_what_is_wrong_is_said_in_one_line_that_names_the_place(
 
 
 @pytest.mark.parametrize("name", ["nowhere", "rig.toml", "a\nb\x1b[31m", "zero\0byte"])
-def test_what_is_no_folder_is_refused(folder: Path, name: str) -> None:
+def test_a_file_instead_of_a_folder_is_refused(folder: Path, name: str) -> None:
     assert "tuesday" in complaint(folder / name)
 
 

@@ -87,7 +87,7 @@ def test_a_jump_of_half_a_degree_names_its_joint_within_a_second(joint: int) -> 
     assert {a.number for a in found} == {1}  # one alarm, told again as more is known of it
 
 
-def test_a_second_jump_is_told_after_the_first() -> None:
+def test_a_second_jump_raises_a_second_alarm() -> None:
     rows = made_rows(40.0, 9, jump=(15.0, 4, math.radians(0.5)))
     more = made_rows(40.0, 9, jump=(15.0, 4, math.radians(1.0)))
     found = alarms([a if a.t < 30.0 else b for a, b in zip(rows, more, strict=True)])
@@ -106,7 +106,7 @@ def test_through_the_chain_the_jump_of_joint_4_alarms_within_a_second() -> None:
     assert found[-1].joints == (4,)
 
 
-def test_an_error_beyond_its_tolerance_is_told_and_ends_when_it_is_gone() -> None:
+def test_an_error_beyond_tolerance_raises_an_alarm_until_it_ends() -> None:
     rows = made_rows(10.0, 3, stated=0.3, jump=(3.0, 1, math.radians(1.0)))
     back = made_rows(10.0, 3, stated=0.3)
     found = alarms([a if a.t < 6.0 else b for a, b in zip(rows, back, strict=True)], 0.1, 0.6)
@@ -142,7 +142,7 @@ def test_where_no_pairs_come_the_target_is_lost_too() -> None:
     assert watch.look(105.0, 0.0) == []
 
 
-def test_a_silent_device_is_named_with_what_it_says() -> None:
+def test_a_silent_device_is_named_with_its_message() -> None:
     watch = DeviceWatch(1.0, itertools.count(1))
     watch.begin(0.0)
     assert watch.take("left camera", 0.2, "reading", 5.0, 0.0) == []

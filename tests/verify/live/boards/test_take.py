@@ -154,7 +154,7 @@ def placed(rotation_deg: tuple[float, float, float], at: tuple[float, float, flo
         ((0.0, 0.0, 0.0), (0.0, 0.0, 1.3), True),
     ],
 )
-def test_a_pair_is_worth_taking_if_the_board_stands_otherwise(
+def test_a_pair_is_taken_if_the_board_pose_is_new(
     rotation: tuple[float, float, float], at: tuple[float, float, float], new: bool
 ) -> None:
     taken = CapturedPairs(BOARD, (1280, 720))
@@ -286,7 +286,7 @@ def test_nothing_is_added_to_pictures_that_are_there(tmp_path: Path) -> None:
         BoardPictures(tmp_path, BOARD, turning=False)
 
 
-def test_a_disk_that_refuses_is_said_in_a_line(
+def test_a_refusing_disk_is_reported_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pictures = BoardPictures(tmp_path / "kept", BOARD, turning=False)

@@ -47,7 +47,7 @@ def line_to(page: Page) -> Iterator[Any]:
 
 
 @pytest.mark.realtime
-def test_words_come_back_in_order_and_only_those_that_are_offered() -> None:
+def test_offered_requests_arrive_in_order_and_no_others() -> None:
     heard: list[str] = []
     ended = threading.Event()
     page = Page(
@@ -68,7 +68,7 @@ def test_words_come_back_in_order_and_only_those_that_are_offered() -> None:
 
 
 @pytest.mark.realtime
-def test_a_word_that_fails_does_not_keep_the_next_from_being_heard() -> None:
+def test_a_failing_request_does_not_block_the_next() -> None:
     ended = threading.Event()
 
     def fail() -> None:
@@ -83,7 +83,7 @@ def test_a_word_that_fails_does_not_keep_the_next_from_being_heard() -> None:
 
 
 @pytest.mark.realtime
-def test_a_line_that_is_too_long_ends_that_viewer_s_and_no_other_s() -> None:
+def test_a_too_long_message_ends_that_connection_alone() -> None:
     ended = threading.Event()
     page = Page(Nothing(), 0, asked={"stop": ended.set}, given={"go": lambda _: None})
     with line_to(page) as line:

@@ -135,7 +135,7 @@ def test_the_page_comes_with_a_policy_that_runs_no_foreign_script(served: Page) 
 
 
 @pytest.mark.realtime
-def test_a_name_that_is_made_to_point_here_is_refused(served: Page) -> None:
+def test_another_host_name_is_refused(served: Page) -> None:
     answer = get(served, Host=f"evil.example:{port(served)}")
     assert answer.status == 403
     assert "127.0.0.1" in answer.text
@@ -143,7 +143,7 @@ def test_a_name_that_is_made_to_point_here_is_refused(served: Page) -> None:
 
 
 @pytest.mark.realtime
-def test_nothing_but_the_page_s_own_files_is_given_out(served: Page) -> None:
+def test_only_the_pages_own_files_are_served(served: Page) -> None:
     for path in ("/../access.py", "/%2e%2e/access.py", "/server.py", "/etc/passwd"):
         assert get(served, path).status == 404
 
@@ -162,7 +162,7 @@ def own(page: Page) -> Any:
     return connect(f"ws://{host}/live", origin=f"http://{host}", max_queue=None)
 
 
-def test_the_page_s_own_script_is_told_everything_and_numbers_are_json(served: Page) -> None:
+def test_the_page_gets_all_data_as_json(served: Page) -> None:
     kinds, pictures = set(), 0
     with own(served) as line:
         for _ in range(60):
@@ -179,7 +179,7 @@ def test_the_page_s_own_script_is_told_everything_and_numbers_are_json(served: P
 
 
 @pytest.mark.realtime
-def test_pictures_are_encoded_once_for_all_and_only_while_somebody_looks() -> None:
+def test_pictures_are_encoded_once_and_only_for_viewers() -> None:
     with Playing() as playing:
         source, calls = playing.source, []
         given = source.pictures
@@ -207,7 +207,7 @@ def test_metrics_are_prometheus_text(served: Page) -> None:
     assert 'verify_dropped_total{reason="no partner in time"} 2' in text
 
 
-def test_another_address_needs_a_token_that_nobody_guesses() -> None:
+def test_another_address_needs_a_random_token() -> None:
     with pytest.raises(InputError, match="token"):
         check_access("0.0.0.0", 1, None)
     with pytest.raises(InputError, match="at least"):
@@ -242,7 +242,7 @@ def test_the_token_opens_the_page_once_and_then_the_cookie_does() -> None:
 
 
 @pytest.mark.realtime
-def test_a_port_that_is_taken_is_said_in_one_line(served: Page) -> None:
+def test_a_taken_port_is_reported_in_one_line(served: Page) -> None:
     with Playing() as playing, pytest.raises(InputError, match="taken"):
         Page(playing.source, port(served))
 
@@ -322,7 +322,7 @@ def test_a_strip_shows_error_band_and_tolerance(browser: Browser, served: Page) 
 
 
 @pytest.mark.browser
-def test_what_is_html_is_shown_as_text(browser: Browser, served: Page) -> None:
+def test_html_in_names_is_shown_as_text(browser: Browser, served: Page) -> None:
     with looking(browser, served) as tab:
         assert tab.text("#description") == HOSTILE
         tab.until("document.querySelector('#devices li') && document.querySelector('#alarms time')")

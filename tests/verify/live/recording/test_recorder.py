@@ -253,7 +253,7 @@ def test_readings_before_the_first_pair_and_repeated_times(tmp_path: Path) -> No
     assert np.all(np.diff(t) > 0)
 
 
-def test_how_well_the_readings_times_are_known_is_told_at_the_end(tmp_path: Path) -> None:
+def test_the_uncertainty_of_reading_times_is_reported_at_the_end(tmp_path: Path) -> None:
     record(tmp_path, pairs_at_thirty_hertz(5))
     told = open_session(tmp_path / "session").encoder_time_standard_uncertainty
     assert told == pytest.approx(0.001 / np.sqrt(3), rel=1e-2)  # uniform within ± 1 ms
@@ -354,7 +354,7 @@ def test_a_disk_that_is_too_slow_ends_the_recording_and_nothing_else(tmp_path: P
         (ZeroDivisionError("oh"), "a defect of this program, ZeroDivisionError: oh"),
     ],
 )
-def test_what_the_system_refuses_ends_the_recording_in_words(
+def test_a_system_error_ends_the_recording_with_a_message(
     tmp_path: Path, error: Exception, words: str
 ) -> None:
     class Refused(SessionWriter):
@@ -371,7 +371,7 @@ def test_what_the_system_refuses_ends_the_recording_in_words(
     assert len(open_session(tmp_path / "session")) == 5
 
 
-def test_a_folder_that_is_deleted_meanwhile_is_noticed(tmp_path: Path) -> None:
+def test_a_deleted_folder_is_noticed(tmp_path: Path) -> None:
     recorder = SessionRecorder(tmp_path, "session", FACTS)
     recorder.reading(reading(1.0))
     pairs = pairs_at_thirty_hertz(10)
@@ -383,7 +383,7 @@ def test_a_folder_that_is_deleted_meanwhile_is_noticed(tmp_path: Path) -> None:
     assert "the folder was deleted" in recorder.state().sentence
 
 
-def test_a_place_that_cannot_be_written_to_is_said(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     recorder = SessionRecorder(tmp_path / "file", "session", FACTS)
     assert len(list(recorder.keep(iter(pairs_at_thirty_hertz(3))))) == 3
@@ -407,7 +407,7 @@ def test_a_recording_without_a_pair_leaves_no_folder(tmp_path: Path) -> None:
     assert recorder.state().folder is None
 
 
-def test_a_recording_without_readings_says_so_when_it_is_opened(tmp_path: Path) -> None:
+def test_a_recording_without_readings_is_refused_on_opening(tmp_path: Path) -> None:
     recorder = SessionRecorder(tmp_path, "session", FACTS)
     list(recorder.keep(iter(pairs_at_thirty_hertz(3))))
     recorder.close()

@@ -77,7 +77,7 @@ def test_a_marker_of_any_shape_is_never_identified_wrongly() -> None:
     assert outcomes["complete"] >= 110  # the others are nearly symmetric, and say so
 
 
-def test_an_led_that_one_camera_alone_sees_is_listed_for_that_camera() -> None:
+def test_an_led_in_one_camera_is_listed_for_that_camera() -> None:
     rng = np.random.default_rng(5)
     scene = make_scene(rng, random_leds(rng, 5, SEES), clutter=5, missing=((1,), (3,)))
     found = scene.identify()
@@ -155,7 +155,7 @@ def test_encoders_as_near_to_one_candidate_as_to_another_choose_none() -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_leds_on_one_line_are_told_apart_by_their_distances(seed: int) -> None:
+def test_leds_on_one_line_are_distinguished_by_distance(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = make_scene(rng, ROW, clutter=8, skew_px=1.0)
     found = scene.identify()
@@ -226,14 +226,14 @@ def test_colours_settle_what_geometry_leaves_open() -> None:
     assert (found.status, found.alternatives) == ("ambiguous_leds", 1)  # the flip about red stays
 
 
-def test_a_grey_image_says_nothing_of_colours() -> None:
+def test_a_grey_image_has_no_colours() -> None:
     rng = np.random.default_rng(1)
     scene = make_scene(rng, EQUILATERAL, names=("red", "green", "blue"))
     found = scene.identify()
     assert (found.status, found.alternatives) == ("ambiguous_leds", 5)
 
 
-def test_infrared_leds_may_look_violet_or_white() -> None:
+def test_infrared_leds_may_appear_violet_or_white() -> None:
     rng = np.random.default_rng(2)
     violet = (220.0, 120.0, 200.0)
     leds = random_leds(rng, 3, SEES)
@@ -259,7 +259,7 @@ def test_nothing_is_identified_in_pure_clutter(real: bool) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("help_from", ["encoders", "prediction"])
-def test_help_from_outside_seldom_makes_leds_of_lamps(help_from: str) -> None:
+def test_a_prediction_seldom_turns_lamps_into_leds(help_from: str) -> None:
     outcomes: Counter[str] = Counter()
     for trial in range(120):
         rng = np.random.default_rng(trial)
@@ -339,7 +339,7 @@ def test_a_mirror_image_of_the_marker_is_never_taken_whole() -> None:
         assert len(found.left_led) + len(found.right_led) < 8
 
 
-def test_a_flat_marker_is_seen_from_its_true_side() -> None:
+def test_a_flat_marker_is_identified_from_its_true_side() -> None:
     flat = np.array([[0.06, 0.005, 0], [-0.045, 0.04, 0], [-0.02, -0.055, 0], [0.03, 0.05, 0]])
     for seed in range(30):
         rng = np.random.default_rng(seed)

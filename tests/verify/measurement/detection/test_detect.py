@@ -160,7 +160,7 @@ def test_two_leds_run_together_are_flagged() -> None:
     assert all(spots.merged) or len(spots) == 0
 
 
-def test_a_hidden_part_is_flagged_or_said_by_the_covariance() -> None:
+def test_a_hidden_part_is_flagged_or_in_the_covariance() -> None:
     rng = np.random.default_rng(13)
     light = 6 + Spot(200, 0.6, radius=4.5).light((101, 101), 50.2, 49.8)
     light[:, :48] = 6.0  # an edge before the left third of the LED

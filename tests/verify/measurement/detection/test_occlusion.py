@@ -83,7 +83,7 @@ def bound() -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize(("depth", "drawn"), [(0.03, 0.0110), (0.08, 0.0400)])
 @pytest.mark.parametrize("width", [0.3, 0.5, 1.0])
-def test_slivers_hidden_on_one_side_of_all_leds_hardly_draw_their_centres(
+def test_slivers_hidden_on_one_side_hardly_bias_the_centres(
     depth: float, drawn: float, width: float
 ) -> None:
     rng, found = np.random.default_rng(31), Figures()
@@ -126,7 +126,7 @@ def test_bitten_reflections_beside_them_do_not_move_whole_leds() -> None:
     assert whole.over_claimed == pytest.approx(1.0, abs=0.2)
 
 
-def test_the_depth_of_a_bite_is_averaged_as_the_integral_over_its_prior_says() -> None:
+def test_the_depth_of_a_bite_is_its_posterior_mean() -> None:
     gradient, information = np.array([-700.0, 0.0, 300.0, 1500.0]), np.full(4, 1.5e4)
     score = RimScore(gradient[None], information[None], np.zeros((1, 4, 2)))
     evidence, mean, square = depth_posterior(score)
@@ -153,7 +153,7 @@ def test_where_nothing_is_known_nothing_is_shifted() -> None:
     assert doubt.shape == (0, 2, 2)
 
 
-def test_what_one_led_shows_is_believed_sooner_when_the_others_show_it_too() -> None:
+def test_evidence_of_several_leds_is_shared() -> None:
     evidence = np.full((3, N_DIRECTIONS), -2.0)
     evidence[0, 5] = 4.0
     alone = occlusion_probability(evidence)

@@ -70,7 +70,7 @@ def left_frames(
 
 
 @pytest.mark.slow
-def test_every_led_is_found_and_few_other_things() -> None:
+def test_every_led_is_found_with_few_false_spots() -> None:
     for name in ("quarter_circle_6r", "multi_joint_fault_6r"):
         for _, truth, spots in left_frames(name, every=9):
             distance = np.linalg.norm(spots.centre[None] - truth[:, None], axis=-1)

@@ -217,7 +217,7 @@ def test_a_disturbed_line_gives_the_client_errors_and_no_false_register(kind: st
     assert good > 5
 
 
-def test_actions_that_come_too_early_are_told_as_faults() -> None:
+def test_actions_that_come_too_early_are_faults() -> None:
     engine = quick()
     said(engine, add_crc(frame("09 10 03E8 0001 02 0800")).hex(), 0.0)
     passed(engine, 0.0, 0.05)

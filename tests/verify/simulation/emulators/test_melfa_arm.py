@@ -139,7 +139,7 @@ def test_a_stop_brakes_an_alarm_too_and_an_emergency_stop_takes_the_power() -> N
         np.testing.assert_array_equal(desk.joints_deg(), after)
 
 
-def test_the_hands_speed_is_told_as_the_arm_has_it() -> None:
+def test_the_reported_hand_speed_is_the_arms() -> None:
     """Joint 1 alone turns the hand about the base's axis: speed is radius times rate."""
     desk = Desk()
     desk.power(20)

@@ -33,7 +33,7 @@ from verify.simulation.emulators.server import EmulatorFaults, TimedMessage
         (999, "alarm 999: NO MESSAGE"),
     ],
 )
-def test_an_alarm_in_mid_move_stops_gives_back_and_is_worded(
+def test_an_alarm_in_mid_move_stops_releases_and_is_reported(
     where: str, number: int, words: str
 ) -> None:
     engine = controller()
@@ -73,7 +73,7 @@ def test_silence_in_mid_move_is_given_up_within_its_time_and_then_stopped(where:
 
 
 @pytest.mark.realtime
-def test_silence_without_an_end_is_said_as_what_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_permanent_silence_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.states.RELEASE_TIMEOUT", 1.0)
     engine = controller()
     with (
@@ -109,7 +109,7 @@ def test_a_line_that_breaks_in_mid_move_is_taken_up_again_to_stop(
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
-def test_late_answers_are_not_taken_for_others(where: str) -> None:
+def test_late_answers_are_not_mistaken_for_others(where: str) -> None:
     class Dawdling(MelfaEngine):
         """Its twentieth answer comes long after the driver has given up."""
 
@@ -129,7 +129,7 @@ def test_late_answers_are_not_taken_for_others(where: str) -> None:
 
 
 @pytest.mark.realtime
-def test_a_controller_that_was_reset_is_not_taken_again_unasked() -> None:
+def test_a_reset_controller_is_not_taken_again_without_a_request() -> None:
     engine = controller()
     with (
         running(engine, faults=EmulatorFaults(reset=(1.2, 1.2))) as emulated,
@@ -142,7 +142,7 @@ def test_a_controller_that_was_reset_is_not_taken_again_unasked() -> None:
 
 
 @pytest.mark.realtime
-def test_an_old_fault_is_not_told_of_an_arm_that_was_taken_anew() -> None:
+def test_an_old_fault_is_not_reported_after_taking_control_again() -> None:
     engine = controller()
     with running(engine) as emulated, mover(emulated, limits(hand_speed=1e-3)) as arm:
         ready(arm)
@@ -167,7 +167,7 @@ def test_an_answer_that_is_not_understood_stops_the_arm(fault: str) -> None:
 
 
 @pytest.mark.realtime
-def test_nobody_there_is_said_and_no_step_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_device_is_reported_without_blocking(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.mover.CONNECT_TIMEOUT", 0.6)
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
@@ -177,7 +177,7 @@ def test_nobody_there_is_said_and_no_step_waits_for_it(monkeypatch: pytest.Monke
 
 
 @pytest.mark.realtime
-def test_procedural_rs232_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_procedural_rs232_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.mover.CONNECT_TIMEOUT", 1.0)
 
     class Procedural(MelfaEngine):

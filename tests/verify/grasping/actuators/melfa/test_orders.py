@@ -37,7 +37,7 @@ def test_no_mover_is_made_without_the_operators_permission() -> None:
         MelfaMover(settings, same_angles(6), limits(), None)  # type: ignore[arg-type]
 
 
-def test_orders_that_could_do_harm_cannot_be_worded() -> None:
+def test_dangerous_commands_cannot_be_built() -> None:
     for name, argument in [
         ("BREAKON", "FF"), ("JOG", "00"), ("HNDON", "1"), ("RSTALRM", ""), ("RUN", ""),
         ("MOVSP", ""), ("PRGLOAD", "=1"), ("HOT", "1;M1=1"), ("CNTLON", "X"), ("OVRD", "=0"),
@@ -49,7 +49,7 @@ def test_orders_that_could_do_harm_cannot_be_worded() -> None:
     assert not {*MOVE_COMMANDS} & {*READ_COMMANDS}
 
 
-def test_moves_are_worded_as_the_manual_says() -> None:
+def test_moves_have_the_bytes_of_the_manual() -> None:
     angles = np.array([-7.42, 38.21, 77.74, 7.08, 61.72, -9.75])
     worded = [order.encoded(b"\r") for order in line_move(angles, 1)]
     assert worded == [
@@ -108,7 +108,7 @@ def test_signs_and_zeros_of_the_robot_file_reach_the_controller() -> None:
 
 
 @pytest.mark.realtime
-def test_the_makers_pause_is_kept_while_the_arm_moves_and_a_stop_does_not_wait_for_it() -> None:
+def test_the_pause_is_kept_while_moving_and_a_stop_does_not_wait() -> None:
     engine = controller(least_pause=0.0)
     with running(engine) as emulated, mover(emulated, limits(override=3), pause=0.1) as arm:
         ready(arm)

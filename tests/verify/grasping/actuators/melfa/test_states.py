@@ -106,7 +106,7 @@ def test_an_override_that_was_not_changed_is_left_alone() -> None:
     [(3110, "override put back was refused, error 3110"), ("", "the override is 3 %, it was 37 %")],
     ids=["refused", "ignored"],
 )
-def test_an_override_that_does_not_come_back_is_said(
+def test_an_override_that_is_not_restored_is_reported(
     answer: int | str, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = found_at(controller(), 37)
@@ -192,7 +192,7 @@ def test_a_running_program_a_standing_alarm_another_robot_keep_it_from_taking_co
 
 
 @pytest.mark.realtime
-def test_a_program_that_somebody_starts_and_a_servo_that_somebody_takes_are_noticed() -> None:
+def test_an_external_program_start_and_servo_off_are_noticed() -> None:
     for change, words in [("running", "a program runs"), ("_servo_at", "lost its power")]:
         engine = controller()
         with running(engine) as emulated, mover(emulated) as arm:
@@ -203,7 +203,7 @@ def test_a_program_that_somebody_starts_and_a_servo_that_somebody_takes_are_noti
 
 
 @pytest.mark.realtime
-def test_a_servo_that_stays_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_servo_that_stays_on_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.states.RELEASE_TIMEOUT", 0.5)
 
     class Stubborn(MelfaArm):
