@@ -97,10 +97,10 @@ def test_bad_input_gets_one_line_and_leaves_nothing(
 
 
 def assert_refused(status: int, err: str, named: str) -> None:
-    said = [line for line in err.splitlines() if line.startswith("error:")]
+    message = [line for line in err.splitlines() if line.startswith("error:")]
     assert status == 2
-    assert len(said) == 1
-    assert named in said[0]
+    assert len(message) == 1
+    assert named in message[0]
     assert "Traceback" not in err
 
 

@@ -113,8 +113,8 @@ def test_the_reports_are_built_again_from_the_results(out: Path) -> None:
 def test_json_gives_one_object_a_line(lab: Path, out: Path, tmp_path: Path) -> None:
     place = tmp_path / "fleet"
     shutil.copytree(out, place)
-    said = verify("batch", lab, "-o", place, "--tolerance", "0.2", "--json")
-    lines = [json.loads(line) for line in said.out.splitlines()]
+    message = verify("batch", lab, "-o", place, "--tolerance", "0.2", "--json")
+    lines = [json.loads(line) for line in message.out.splitlines()]
     progress = [line for line in lines if line["type"] == "progress"]
     assert progress[-1]["done"] == progress[-1]["sessions"] == SESSIONS
     assert set(progress[0]) >= {"pairs_per_s", "time_left_s", "failures", "kept"}
@@ -282,8 +282,8 @@ def ended(pid: int) -> None:
 
 def nursery(pid: int) -> int:
     """The process whose copies the workers are."""
-    said = {child: Path(f"/proc/{child}/cmdline").read_bytes() for child in children(pid)}
-    (found,) = (child for child, words in said.items() if b"forkserver" in words)
+    message = {child: Path(f"/proc/{child}/cmdline").read_bytes() for child in children(pid)}
+    (found,) = (child for child, words in message.items() if b"forkserver" in words)
     return found
 
 
@@ -310,9 +310,9 @@ def test_an_interrupted_batch_keeps_what_was_done_and_goes_on_from_there(
     assert len(workers) == 2
     for one in [process.pid, *([source, *workers] if sent == signal.SIGINT else [])]:
         os.kill(one, sent)  # Ctrl-C reaches all that the terminal has started
-    _, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130, said
-    assert said.splitlines()[-1] == "interrupted"
+    _, message = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, message
+    assert message.splitlines()[-1] == "interrupted"
     assert not any(running(worker) for worker in workers)
     ended(source)
     assert {path.name for path in place.iterdir()} == {"sessions"}

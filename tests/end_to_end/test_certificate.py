@@ -89,7 +89,7 @@ def test_a_session_that_was_changed_since_does_not(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("part", "change", "said"),
+    ("part", "change", "message"),
     [
         ("joint 2", {"verdict": "conform"}, "joint 2: nonconform"),
         ("position", {"worst_error_standard_uncertainty_mm": 1.0}, "uncertainty 1.0"),
@@ -98,11 +98,11 @@ def test_a_session_that_was_changed_since_does_not(
     ],
 )
 def test_a_summary_that_was_changed_does_not(
-    recipe: Path, result: Path, tmp_path: Path, part: str, change: dict[str, Any], said: str
+    recipe: Path, result: Path, tmp_path: Path, part: str, change: dict[str, Any], message: str
 ) -> None:
     answer = checked(recipe, FAULTY, changed(result, tmp_path / "out", change, part))
     assert answer.returncode != 0
-    assert said in answer.stderr
+    assert message in answer.stderr
 
 
 @pytest.mark.slow

@@ -90,8 +90,8 @@ def test_the_readme_runs_as_written_and_its_output_is_explained(
 def every_command_runs(outcomes: dict[str, subprocess.CompletedProcess[str]]) -> None:
     assert len(outcomes) >= len(COMMANDS)
     for line, done in outcomes.items():
-        said = re.search(r"# status (\d+)", line)
-        assert done.returncode == (int(said[1]) if said else 0), f"{line}\n{done.stderr}"
+        message = re.search(r"# status (\d+)", line)
+        assert done.returncode == (int(message[1]) if message else 0), f"{line}\n{done.stderr}"
 
 
 def every_python_example_runs(clone: Path) -> None:
@@ -143,8 +143,8 @@ def test_every_subcommand_and_option_is_in_the_readme(command: str) -> None:
 @cache
 def options(command: str) -> set[str]:
     """Long options by --help, but those of every command, and --out, which is shown as -o."""
-    said = verify(*command.split(), "--help").out
-    return set(re.findall(r"--[a-z-]+", said)) - EVERYWHERE - {"--out"}
+    message = verify(*command.split(), "--help").out
+    return set(re.findall(r"--[a-z-]+", message)) - EVERYWHERE - {"--out"}
 
 
 @each_document

@@ -73,7 +73,7 @@ def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:
     full = tmp_path / "full"
     full.mkdir()
     (full / "a").write_text("")
-    for words, said in (
+    for words, message in (
         ((tmp_path / "nowhere",), "nowhere"),
         ((one, one), "is given twice"),
         ((one, other), "one arm is identified at a time"),
@@ -85,5 +85,5 @@ def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:
         done = verify("identify", *words)
         assert done.status == 2, words
         assert done.err.count("\n") == 1, done.err
-        assert said in done.err
+        assert message in done.err
         assert not (Path.cwd() / "multi_joint_fault_6r-identification").exists()

@@ -29,9 +29,9 @@ def measurements() -> list[Measurement]:
 def assert_refused(status: int, err: str, *named: str) -> None:
     assert status == 2
     assert "Traceback" not in err
-    (said,) = [line for line in err.splitlines() if line.startswith("error:")]
+    (message,) = [line for line in err.splitlines() if line.startswith("error:")]
     for word in named:
-        assert word in said
+        assert word in message
 
 
 @pytest.mark.slow

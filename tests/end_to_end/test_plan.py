@@ -72,7 +72,7 @@ def test_json_holds_the_summary(rig: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--near", "1,2,3"), '--near: "1,2,3" is no posture of iust_6r; 6 numbers'),
         (("--near", "0,0,0,0,0,200"), "--near: joint 6 stands at 200°; its limits are -170°"),
@@ -89,12 +89,12 @@ def test_json_holds_the_summary(rig: Path, tmp_path: Path) -> None:
     ],
 )
 def test_impossible_requests_are_refused_in_one_line(
-    words: tuple[str, ...], said: str, rig: Path, tmp_path: Path
+    words: tuple[str, ...], message: str, rig: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     done = verify("plan", "iust_6r", rig, "-o", out, *words)
     assert done.status == 2
-    assert said in done.err
+    assert message in done.err
     assert "Traceback" not in done.err
     assert done.err.splitlines()[-1].startswith("error: ")
     assert not out.exists()

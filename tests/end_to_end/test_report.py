@@ -29,8 +29,8 @@ def out(analysed: reports.Results, tmp_path: Path) -> Path:
 def test_a_report_is_built_again_with_a_logo_and_an_owner(out: Path, tmp_path: Path) -> None:
     (tmp_path / "logo.svg").write_text(SVG)
     wish = ("--logo", tmp_path / "logo.svg", "--owner", "Prüflabor, Halle 3")
-    said = verify("report", out, *wish)
-    assert (said.status, said.err) == (0, "")
+    message = verify("report", out, *wish)
+    assert (message.status, message.err) == (0, "")
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "The robot does not conform" in page
     assert "Prüflabor, Halle 3" in page
@@ -43,7 +43,7 @@ def test_a_report_is_built_again_with_a_logo_and_an_owner(out: Path, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("option", "name", "content", "said"),
+    ("option", "name", "content", "message"),
     [
         ("--logo", "x.png", "no picture", "x.png: is neither"),
         ("--logo", "none.png", None, "none.png: cannot be read"),
@@ -54,7 +54,7 @@ def test_a_report_is_built_again_with_a_logo_and_an_owner(out: Path, tmp_path: P
     ],
 )
 def test_what_cannot_be_used_is_one_line_and_leaves_the_reports_as_they_were(
-    out: Path, tmp_path: Path, option: str, name: str, content: str | None, said: str
+    out: Path, tmp_path: Path, option: str, name: str, content: str | None, message: str
 ) -> None:
     given: str | Path = name
     if option != "--owner":
@@ -65,7 +65,7 @@ def test_what_cannot_be_used_is_one_line_and_leaves_the_reports_as_they_were(
             given = given.parent if option == "--template" else given
     outcome = verify("report", out, option, given)
     assert outcome.status == 2
-    assert said in outcome.err
+    assert message in outcome.err
     assert outcome.err.count("\n") == 1
     assert {(out / n).read_text() for n in ("report.html", "report.pdf")} == {"as it was"}
 

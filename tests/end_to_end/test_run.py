@@ -292,10 +292,10 @@ def test_the_same_session_gives_the_same_bytes_and_json_is_all_that_json_prints(
     again = run(faulty.folder, tmp_path / "again", "--json")
     assert again.outcome.status == faulty.outcome.status
     assert again.outcome.err == ""
-    said = [json.loads(line) for line in again.outcome.out.splitlines()]
-    assert all(isinstance(line, dict) for line in said)
-    assert said[-1]["type"] == "result"
-    assert said[-1]["summary"] == faulty.summary
+    message = [json.loads(line) for line in again.outcome.out.splitlines()]
+    assert all(isinstance(line, dict) for line in message)
+    assert message[-1]["type"] == "result"
+    assert message[-1]["summary"] == faulty.summary
     assert files(again.out) == files(faulty.out)
 
 

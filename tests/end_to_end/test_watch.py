@@ -68,20 +68,20 @@ def listen(
     """Take what is said, up to a certain pair, or to the end."""
     assert process.stdout is not None
     for line in process.stdout:
-        said = json.loads(line)
-        match said["type"]:
+        message = json.loads(line)
+        match message["type"]:
             case "pair":
-                run.pairs.append(said)
-                if until is not None and until(said):
+                run.pairs.append(message)
+                if until is not None and until(message):
                     return run
             case "alarm":
-                run.alarms.append(said)
+                run.alarms.append(message)
             case "warning":
-                run.warnings.append(said["text"])
+                run.warnings.append(message["text"])
             case "watched":
-                run.watched = said
+                run.watched = message
             case "result":
-                run.result = said
+                run.result = message
     run.status = process.wait()
     process.stdout.close()
     if until is not None:
@@ -275,9 +275,9 @@ def test_ctrl_c_ends_the_run_with_a_report(tmp_path: Path) -> None:
 def test_options_of_a_station_are_refused_for_a_recording_and_the_other_way_round(
     tmp_path: Path,
 ) -> None:
-    said = verify("run", tmp_path, "--for", "10s")
-    assert said.status == 2
-    assert "--for" in said.err
+    message = verify("run", tmp_path, "--for", "10s")
+    assert message.status == 2
+    assert "--for" in message.err
     assert verify("run", tmp_path / "none.toml").status == 2
     path = tmp_path / "station.toml"
     assert verify("run", "--new-station", path).status == 0
@@ -285,9 +285,9 @@ def test_options_of_a_station_are_refused_for_a_recording_and_the_other_way_roun
     assert again.status == 2
     assert "exists" in again.err
     for wrong in ("10 parsecs", "-3s", "0"):
-        said = verify("run", path, "--for", wrong)
-        assert said.status == 2
-        assert "--for" in said.err
+        message = verify("run", path, "--for", wrong)
+        assert message.status == 2
+        assert "--for" in message.err
 
 
 WIDE = (

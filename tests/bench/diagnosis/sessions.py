@@ -115,10 +115,10 @@ def watched(seed: int) -> Watched:
             rig=replace(session.rig, base_source="motion"),
             marker=replace(session.marker, source="motion"),
         )
-    told = session.simulated.scenario.encoders.clock_offset_s
+    output = session.simulated.scenario.encoders.clock_offset_s
     given = rng.random() < 0.5
     clock = ClockEstimate(
-        told, None if given else 1e-4, "given" if given else "estimated", np.zeros((0, 2))
+        output, None if given else 1e-4, "given" if given else "estimated", np.zeros((0, 2))
     )
     systematics = stated_systematics(session.rig, session.marker, turning=False)
     noise = int(rng.integers(2**31))

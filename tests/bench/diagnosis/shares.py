@@ -94,10 +94,10 @@ def _told(fault: Injected, level: str, diagnosis: Diagnosis) -> Trial:
 def accusations(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
     """Print what is said of sessions without a fault; 1 where too much."""
     seeds = np.random.SeedSequence([seed, 1]).generate_state(HEALTHY * sessions).tolist()
-    said = [causes for causes in pool.map(healthy, seeds) if causes]
-    good = len(said) <= MOST_FALSE * len(seeds)
-    print(f"without a fault: {len(said)} of {len(seeds)} sessions accuse anybody"
-          f"{'' if good else '  FAILS'}{': ' if said else ''}{'; '.join(map(str, said))}",
+    message = [causes for causes in pool.map(healthy, seeds) if causes]
+    good = len(message) <= MOST_FALSE * len(seeds)
+    print(f"without a fault: {len(message)} of {len(seeds)} sessions accuse anybody"
+          f"{'' if good else '  FAILS'}{': ' if message else ''}{'; '.join(map(str, message))}",
           flush=True)  # fmt: skip
     return int(not good)
 

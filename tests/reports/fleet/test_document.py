@@ -120,8 +120,8 @@ def test_undetectable_offsets_are_listed() -> None:
     joints = results.table("joints").copy()
     joints.loc[0, "visible"] = 0.0
     results = replace(results, tables={**results.tables, "joints": joints})
-    said = " ".join(section(fleet_document.document(results), "unseen")[0].items)
-    assert "arm_a: an offset of joint 1 that was there at registration shows in none" in said
+    message = " ".join(section(fleet_document.document(results), "unseen")[0].items)
+    assert "arm_a: an offset of joint 1 that was there at registration shows in none" in message
 
 
 def test_markup_in_names_is_shown_and_never_run() -> None:

@@ -85,7 +85,7 @@ BOMB = HEAD.replace("<svg", '<!DOCTYPE svg [<!ENTITY a "aaaa">]><svg') + 'viewBo
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "message"),
     [
         ("a.png", b"not a picture", "is neither"),
         ("a.svg", "<html><body>svg</body></html>", "is neither"),
@@ -111,10 +111,10 @@ BOMB = HEAD.replace("<svg", '<!DOCTYPE svg [<!ENTITY a "aaaa">]><svg') + 'viewBo
     ],
 )
 def test_an_unsafe_or_damaged_logo_is_refused_in_one_line(
-    tmp_path: Path, name: str, content: bytes | str, said: str
+    tmp_path: Path, name: str, content: bytes | str, message: str
 ) -> None:
     path = kept(tmp_path, name, content)
-    with pytest.raises(reports.ReportError, match=re.escape(said)) as problem:
+    with pytest.raises(reports.ReportError, match=re.escape(message)) as problem:
         read_logo(path)
     assert str(problem.value).startswith(str(path))
     assert "\n" not in str(problem.value)
@@ -182,7 +182,7 @@ def test_missing_templates_fall_back_to_the_default(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("template", "said"),
+    ("template", "message"),
     [
         ("a\n{% if %}", "line 2: Expected an expression"),
         ("a\n\n{{ document.titel }}", "line 3: 'dict object' has no attribute 'titel'"),
@@ -194,16 +194,16 @@ def test_missing_templates_fall_back_to_the_default(tmp_path: Path) -> None:
         ("{{ document.update({}) }}", "is unsafe"),
     ],
 )
-def test_a_page_template_error_names_its_line(tmp_path: Path, template: str, said: str) -> None:
+def test_a_page_template_error_names_its_line(tmp_path: Path, template: str, message: str) -> None:
     path = kept(tmp_path, "report.html.j2", template)
-    with pytest.raises(reports.ReportError, match=re.escape(said)) as problem:
+    with pytest.raises(reports.ReportError, match=re.escape(message)) as problem:
         reports.render_html(made.nothing(), reports.look(templates=tmp_path))
     assert str(problem.value).startswith(str(path))
     assert "\n" not in str(problem.value)
 
 
 @pytest.mark.parametrize(
-    ("template", "said"),
+    ("template", "message"),
     [
         ("= A\n#nothing()", "line 2: unknown variable: nothing"),
         ('#let doc = json("report.json")\n\n#doc.nothing', "line 3"),
@@ -212,9 +212,9 @@ def test_a_page_template_error_names_its_line(tmp_path: Path, template: str, sai
         ("#(", "line 1: unclosed delimiter"),
     ],
 )
-def test_a_typst_template_error_names_its_line(tmp_path: Path, template: str, said: str) -> None:
+def test_a_typst_template_error_names_its_line(tmp_path: Path, template: str, message: str) -> None:
     path = kept(tmp_path, "report.typ", template)
-    with pytest.raises(reports.ReportError, match=re.escape(said)) as problem:
+    with pytest.raises(reports.ReportError, match=re.escape(message)) as problem:
         reports.render_pdf(made.nothing(), reports.look(templates=tmp_path))
     assert str(problem.value).startswith(str(path))
     assert "\n" not in str(problem.value)

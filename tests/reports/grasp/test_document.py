@@ -30,10 +30,10 @@ BARE = {"kind": "grab", "robot": "an arm", "target": "blue object", "cell": "sim
 def test_each_final_state_has_its_verdict(
     summary: dict[str, object], tone: str, label: str
 ) -> None:
-    said = outcome(summary)
-    assert said.tone == tone
-    assert label in said.label
-    assert "None" not in said.sentence
+    message = outcome(summary)
+    assert message.tone == tone
+    assert label in message.label
+    assert "None" not in message.sentence
 
 
 BY_GRIPPER = "The object came along, by the gripper's status; the cameras"
@@ -65,14 +65,14 @@ def test_the_verdict_names_the_evidence_for_the_lift(
 ) -> None:
     ended = made_grasp.SUMMARY | seen
     assert outcome(ended).sentence == sentence
-    told = document(made_grasp.results(seen))
-    (facts,) = [block for block in told.sections[0].blocks if isinstance(block, Facts)]
+    output = document(made_grasp.results(seen))
+    (facts,) = [block for block in output.sections[0].blocks if isinstance(block, Facts)]
     assert dict(facts.items)["Object from the grip point, seen"] == fact
 
 
 def test_a_missed_grasp_reports_no_object_in_the_hand() -> None:
-    told = document(made_grasp.results(dict.fromkeys(SEEN) | {"state": "missed"}))
-    (facts,) = [block for block in told.sections[0].blocks if isinstance(block, Facts)]
+    output = document(made_grasp.results(dict.fromkeys(SEEN) | {"state": "missed"}))
+    (facts,) = [block for block in output.sections[0].blocks if isinstance(block, Facts)]
     assert "Object from the grip point, seen" not in dict(facts.items)
     assert "– mm" not in str(facts)
 
@@ -80,12 +80,12 @@ def test_a_missed_grasp_reports_no_object_in_the_hand() -> None:
 def test_small_scores_keep_their_digits() -> None:
     parts = {"limits": 0.45, "dexterity": 0.2319, "nearness": 0.99992, "clearance": 0.001}
     plan = made_grasp.plan({}) | {"score": 0.000104327, "parts": parts}
-    told = document(made_grasp.results({"plan": plan}))
-    (said,) = [cell for block in told.sections[-1].blocks if isinstance(block, Table)
+    output = document(made_grasp.results({"plan": plan}))
+    (message,) = [cell for block in output.sections[-1].blocks if isinstance(block, Table)
                for row in block.rows for cell in row if "taken" in str(cell)]  # fmt: skip
-    assert "score 0.00010 (" in str(said)
-    assert "clearance 0.0010" in str(said)
-    assert "dexterity 0.23" in str(said)
+    assert "score 0.00010 (" in str(message)
+    assert "clearance 0.0010" in str(message)
+    assert "dexterity 0.23" in str(message)
 
 
 def test_time_is_written_once_below_panels_that_share_it() -> None:
@@ -102,10 +102,10 @@ def test_time_is_written_once_below_panels_that_share_it() -> None:
 
 
 def test_missing_measurements_are_stated_and_not_drawn() -> None:
-    told = document(Results(BARE | {"state": "searching"}, {}, {"cycles": pd.DataFrame()}))
-    assert collect_figures(told) == {}
-    blocks = [block for section in told.sections for block in section.blocks]
+    output = document(Results(BARE | {"state": "searching"}, {}, {"cycles": pd.DataFrame()}))
+    assert collect_figures(output) == {}
+    blocks = [block for section in output.sections for block in section.blocks]
     assert not any(isinstance(block, Figure) for block in blocks)
     words = " ".join(str(getattr(block, "text", "")) for block in blocks)
-    for said in ("no pictures", "was not seen", "saw nothing", "No joint angles", "no plan"):
-        assert said in words
+    for message in ("no pictures", "was not seen", "saw nothing", "No joint angles", "no plan"):
+        assert message in words

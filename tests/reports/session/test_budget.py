@@ -27,8 +27,8 @@ def texts(part: Section) -> str:
 
 
 def test_the_budget_adds_what_a_reader_checks_it_by() -> None:
-    said = section(made_budget.holding(), "budget")
-    table = next(b for b in said.blocks if isinstance(b, Table) and "by source" in b.caption)
+    message = section(made_budget.holding(), "budget")
+    table = next(b for b in message.blocks if isinstance(b, Table) and "by source" in b.caption)
     rows = {row[0].text: [cell.text for cell in row[1:]] for row in table.rows}
     assert rows["rig"][:3] == ["systematic", "B", "40"]
     assert rows["encoder resolution"][2] == "∞"
@@ -61,9 +61,9 @@ def test_monte_carlo_states_where_linear_propagation_holds() -> None:
 
 
 def test_well_known_sums_stand_beside_their_members_and_the_worst_known() -> None:
-    said = texts(section(made_budget.holding(), "budget"))
+    message = texts(section(made_budget.holding(), "budget"))
     for name in ("q2+q3+q4", "a member by itself", "known best of all", "known worst of all"):
-        assert name in said
+        assert name in message
 
 
 def test_sweeps_report_only_significant_effects() -> None:

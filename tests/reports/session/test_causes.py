@@ -59,10 +59,10 @@ def table_of(section: Section, place: int = 0) -> Table:
 
 def test_every_kind_has_its_remedy() -> None:
     for entry in EVERY:
-        said = headline(with_causes([entry | {"joint": None} if not entry["joint"] else entry]))
+        message = headline(with_causes([entry | {"joint": None} if not entry["joint"] else entry]))
         assert session_causes.remedy(entry) != "–", entry["kind"]
         assert ":" in session_causes.finding(entry)
-        assert "None" not in said.sentence, entry["kind"]
+        assert "None" not in message.sentence, entry["kind"]
 
 
 def test_signs_are_stated_as_corrections() -> None:

@@ -38,9 +38,9 @@ def registered_by_motion(tmp_path_factory: pytest.TempPathFactory) -> Results:
 def test_the_first_page_lists_what_a_registration_by_motion_hides(
     registered_by_motion: Results,
 ) -> None:
-    said = headline(registered_by_motion)
-    assert said.tone == "nonconform"
-    assert said.remarks[1:3] == ("Whether joint 1 conforms is undecided.", f"{BASE}encoders.")
+    message = headline(registered_by_motion)
+    assert message.tone == "nonconform"
+    assert message.remarks[1:3] == ("Whether joint 1 conforms is undecided.", f"{BASE}encoders.")
     page = reports.render_html(registered_by_motion).replace(LIBRARY, "")
     verdict, found = page.index("The robot does not conform"), page.index(BASE)
     assert verdict < found < page.index("Without any registration", verdict)
@@ -106,8 +106,8 @@ CASES: dict[str, tuple[Results, str, str, str]] = {
 def test_hidden_offsets_are_stated_with_every_verdict(name: str) -> None:
     results, named, why, _ = CASES[name]
     for verdict in ("conform", "nonconform", "undecided", None):
-        said = headline(replace(results, summary=results.summary | {"verdict": verdict}))
-        assert f"A constant offset of {named} cannot show here: {why}." in said.remarks, verdict
+        message = headline(replace(results, summary=results.summary | {"verdict": verdict}))
+        assert f"A constant offset of {named} cannot show here: {why}." in message.remarks, verdict
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -118,14 +118,14 @@ def test_an_undecided_verdict_names_what_would_decide_it(name: str) -> None:
         for row in results.summary["joints"]
     ]
     summary = results.summary | {"verdict": "undecided", "joints": rows}
-    said = headline(replace(results, summary=summary))
-    assert f"an offset of {named} cannot show: {remedy}" in said.sentence
-    assert "could not be seen" not in " ".join(said.remarks)  # said above, with its reason
+    message = headline(replace(results, summary=summary))
+    assert f"an offset of {named} cannot show: {remedy}" in message.sentence
+    assert "could not be seen" not in " ".join(message.remarks)  # said above, with its reason
 
 
 def test_a_joint_beyond_its_tolerance_may_hide_its_constant() -> None:
-    said = headline(_results({3: FOUND}, setup={"rig": {"base_source": "motion"}}))
-    assert any("offset of joint 3 cannot show here" in remark for remark in said.remarks)
+    message = headline(_results({3: FOUND}, setup={"rig": {"base_source": "motion"}}))
+    assert any("offset of joint 3 cannot show here" in remark for remark in message.remarks)
 
 
 def test_nothing_is_stated_if_every_offset_is_detectable() -> None:

@@ -38,13 +38,13 @@ class Line:
             self._hear(message)
 
     def _hear(self, message: dict[str, Any]) -> None:
-        said = message.get("params", {})
+        words = message.get("params", {})
         if message["method"] == "Runtime.exceptionThrown":
-            self.complaints.append(str(said["exceptionDetails"]))
-        elif message["method"] == "Runtime.consoleAPICalled" and said["type"] == "error":
-            self.complaints.append(str(said["args"]))
-        elif message["method"] == "Log.entryAdded" and said["entry"]["level"] == "error":
-            self.complaints.append(said["entry"]["text"])
+            self.complaints.append(str(words["exceptionDetails"]))
+        elif message["method"] == "Runtime.consoleAPICalled" and words["type"] == "error":
+            self.complaints.append(str(words["args"]))
+        elif message["method"] == "Log.entryAdded" and words["entry"]["level"] == "error":
+            self.complaints.append(words["entry"]["text"])
 
 
 class Tab(Line):
@@ -133,9 +133,9 @@ def launched(profile: Path) -> Iterator[Browser]:
 
 def _address(profile: Path) -> tuple[str, str]:
     """Where it listens: it writes that into its folder once it does."""
-    told, end = profile / "DevToolsActivePort", time.monotonic() + LIMIT
-    while not (told.exists() and "\n" in told.read_text()):
+    output, end = profile / "DevToolsActivePort", time.monotonic() + LIMIT
+    while not (output.exists() and "\n" in output.read_text()):
         assert time.monotonic() < end, "Chromium does not start"
         time.sleep(0.03)
-    port, path = told.read_text().split("\n")[:2]
+    port, path = output.read_text().split("\n")[:2]
     return f"127.0.0.1:{port}", path

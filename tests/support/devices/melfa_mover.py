@@ -98,10 +98,10 @@ def under_way(arm: MelfaMover, q: Array) -> None:
 
 def names(engine: MelfaEngine) -> list[str]:
     """What the controller was told, without what only reads and without arguments."""
-    told = [
+    output = [
         next((name for name in MOVE_COMMANDS if order.startswith(name)), "") for order in engine.log
     ]
-    return [name for name in told if name]
+    return [name for name in output if name]
 
 
 def found_at(engine: MelfaEngine, override: int) -> MelfaEngine:

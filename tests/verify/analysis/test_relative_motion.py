@@ -50,8 +50,8 @@ def test_turn_and_advance_of_a_known_screw() -> None:
 
 def test_what_a_pose_does_to_a_screw_is_what_it_does_when_it_is_moved() -> None:
     early, late = poses(np.random.default_rng(4), 200), poses(np.random.default_rng(5), 200)
-    told = screw_motion(early, late)[:, 0]
-    known = (told > np.deg2rad(10.0)) & (told < np.deg2rad(170.0))
+    output = screw_motion(early, late)[:, 0]
+    known = (output > np.deg2rad(10.0)) & (output < np.deg2rad(170.0))
     early, late = early[known], late[known]
     by_early, by_late = screw_derivatives(early, late)
     h = 1e-6

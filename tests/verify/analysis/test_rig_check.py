@@ -42,9 +42,9 @@ def test_a_small_bump_is_noticed(what: str, doubts: bool) -> None:
         marker = make_marker(led_standard_uncertainty=5e-5, centre_shift_standard_uncertainty=1e-5)
         file = file[0], marker
     true = bumped(file[0])[what], file[1]
-    said = moved_warning(found_in(true, file), ())
-    assert said is not None
-    assert ACCUSED in said
+    message = moved_warning(found_in(true, file), ())
+    assert message is not None
+    assert ACCUSED in message
 
 
 def test_a_common_rotation_of_both_cameras_is_undetectable() -> None:

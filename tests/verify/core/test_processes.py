@@ -64,9 +64,9 @@ def test_two_processes_share_no_processor_if_there_are_two(processors: int | Non
 def turn_of_this_thread() -> tuple[int, int]:
     """Niceness and length of a turn (ns), as the system tells them: sched_getattr."""
     number = SCHED_SETATTR[os.uname().machine] + 1
-    told = ctypes.create_string_buffer(ATTRIBUTES.size)
-    assert ctypes.CDLL(None).syscall(number, 0, told, ATTRIBUTES.size, 0) == 0
-    _, _, _, niceness, _, turn, _, _ = ATTRIBUTES.unpack(told.raw)
+    output = ctypes.create_string_buffer(ATTRIBUTES.size)
+    assert ctypes.CDLL(None).syscall(number, 0, output, ATTRIBUTES.size, 0) == 0
+    _, _, _, niceness, _, turn, _, _ = ATTRIBUTES.unpack(output.raw)
     return niceness, turn
 
 

@@ -43,7 +43,7 @@ def test_socket_urls_are_taken_too() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "said"),
+    ("error", "message"),
     [
         (FileNotFoundError(2, "x"), "is it plugged in"),
         (PermissionError(13, "x"), "dialout"),
@@ -53,8 +53,8 @@ def test_socket_urls_are_taken_too() -> None:
         (OSError(113, "No route to host"), "no route to host"),
     ],
 )
-def test_the_reason_why_a_port_does_not_open_is_reported(error: OSError, said: str) -> None:
-    assert said in describe_port_error(error)
+def test_the_reason_why_a_port_does_not_open_is_reported(error: OSError, message: str) -> None:
+    assert message in describe_port_error(error)
 
 
 @pytest.mark.realtime

@@ -83,14 +83,14 @@ def test_target_state_and_plan_are_shown(browser: Browser) -> None:
             assert abs(across - (x + w / 2) / 640) < 0.01
             assert abs(down - (y + h / 2) / 360) < 0.015
         place = 1e3 * cell.place(0)
-        said = tab.text("#target")
-        shown = [float(said.split(f"{axis} ")[1].split(" ")[0]) for axis in "xyz"]
+        message = tab.text("#target")
+        shown = [float(message.split(f"{axis} ")[1].split(" ")[0]) for axis in "xyz"]
         np.testing.assert_allclose(shown, place, atol=3.0)
-        assert "±" in said
+        assert "±" in message
         tab.until("document.querySelector('#plan-words').textContent.startsWith('planned')")
         assert "needed" in tab.text("#plan")
-        said = tab.text("#passages")
-        assert said.index("following") < said.index("tracking") < said.index("searching")
+        message = tab.text("#passages")
+        assert message.index("following") < message.index("tracking") < message.index("searching")
         assert "ready" in tab.text("#devices")
         assert tab.complaints == []
 

@@ -34,9 +34,9 @@ def latest(line: Any, wanted: Any) -> dict[str, Any]:
         message = line.recv(timeout=20)
         if isinstance(message, bytes):
             continue
-        told = json.loads(message)
-        if told["type"] == "rows" and wanted(told["rows"][-1]):
-            row: dict[str, Any] = told["rows"][-1]
+        output = json.loads(message)
+        if output["type"] == "rows" and wanted(output["rows"][-1]):
+            row: dict[str, Any] = output["rows"][-1]
             return row
     raise AssertionError("no such row came")
 

@@ -258,16 +258,16 @@ def refusal(place: Path) -> str:
 @pytest.mark.parametrize("below", ["report", "deep/report"])
 def test_a_folder_below_a_file(tmp_path: Path, below: str) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    said = refusal(tmp_path / "notes.txt" / below)
-    assert "lies below a file; a folder is expected. Choose another -o." in said
+    message = refusal(tmp_path / "notes.txt" / below)
+    assert "lies below a file; a folder is expected. Choose another -o." in message
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc")
 def test_a_place_that_takes_no_folders() -> None:
-    said = refusal(Path("/proc/verify-report"))
-    assert "/proc/verify-report: cannot be made" in said
-    assert "Choose another place, in a folder that takes files." in said
+    message = refusal(Path("/proc/verify-report"))
+    assert "/proc/verify-report: cannot be made" in message
+    assert "Choose another place, in a folder that takes files." in message
 
 
 @contextmanager

@@ -175,7 +175,7 @@ correlation = [[1.0, 0.5], [0.5, 1.0]]
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("[64, 48]", "[64]", ["image_size: is a list of 1", "length 2"]),
         ("[64, 48]", "[64, 0]", ["image_size: is 64 x 0"]),
@@ -201,17 +201,19 @@ correlation = [[1.0, 0.5], [0.5, 1.0]]
         ('"fixture"', '"fixture"\nregistration = 3', ["robot_base.registration: is 3"]),
     ],
 )
-def test_a_wrong_rig_is_refused_by_its_key(path: Path, old: str, new: str, said: list[str]) -> None:
+def test_a_wrong_rig_is_refused_by_its_key(
+    path: Path, old: str, new: str, message: list[str]
+) -> None:
     replace(path, old, new)
     with pytest.raises(InputError) as caught:
         io_rig.read(path)
-    for words in said:
+    for words in message:
         assert f"{words}" in str(caught.value)
     assert str(caught.value).startswith(str(path))
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         (
             "[[50.0, 0.0, 31.5]",
@@ -223,15 +225,15 @@ def test_a_wrong_rig_is_refused_by_its_key(path: Path, old: str, new: str, said:
         ("[[1.0, 0.0, 0.0]", "[[1.1, 0.0, 0.0]", "left.mount_rotation: is no rotation"),
     ],
 )
-def test_a_wrong_camera_is_refused(path: Path, old: str, new: str, said: str) -> None:
+def test_a_wrong_camera_is_refused(path: Path, old: str, new: str, message: str) -> None:
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError, match=r"left\.") as caught:
         io_rig.read(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("left.fx_px", "left", 'parameters[0]: is "left"'),
         ("left.fx_px", "led.A", 'parameters[0]: is "led.A"'),
@@ -246,13 +248,13 @@ def test_a_wrong_camera_is_refused(path: Path, old: str, new: str, said: str) ->
         ("0.01]\n", "0.01]\ndegrees_of_freedom = 0\n", "degrees_of_freedom: is 0"),
     ],
 )
-def test_a_wrong_covariance_is_refused(path: Path, old: str, new: str, said: str) -> None:
+def test_a_wrong_covariance_is_refused(path: Path, old: str, new: str, message: str) -> None:
     path.write_text(RIG + COVARIANCE)
     assert io_rig.read(path)[0].covariance is not None
     replace(path, old, new)
     with pytest.raises(InputError, match="covariance") as caught:
         io_rig.read(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_what_is_written_reads_like_what_a_person_would_write(path: Path) -> None:

@@ -100,8 +100,8 @@ def test_a_readings_time_is_known_as_badly_as_that_of_its_worse_neighbour() -> N
     book = ReadingBuffer()
     assert book.half_width_about(0.0) == 0.0
     for number, width in enumerate((0.001, 0.008, 0.002, 0.001)):
-        told = reading(0.1 * number, 0.001)
-        book.add(replace(told, half_width=width))
+        output = reading(0.1 * number, 0.001)
+        book.add(replace(output, half_width=width))
     about = [book.half_width_about(t) for t in (-0.1, 0.05, 0.15, 0.25, 0.3, 0.35)]
     assert about == [0.001, 0.008, 0.008, 0.002, 0.002, 0.001]
 

@@ -304,9 +304,9 @@ def test_the_command_gets_the_facts_and_no_shell_reads_them(tmp_path: Path) -> N
 
     command = AlarmCommand(f"{sys.executable} {script} {out} '$(touch nothing); *'")
     command.alarm(Alarm(7, "change", 0.0, 0.0, "text", (4,), 0.01, 0.001))
-    joint, word, told = out.read_text().split("|")
+    joint, word, output = out.read_text().split("|")
     assert (joint, word) == ("4", "$(touch nothing); *")
-    assert '"alarm": 7' in told
+    assert '"alarm": 7' in output
     command.alarm(Alarm(8, "change", 0.0, 0.0, "text", (4,), 0.01, 0.001, revised=True))
     assert '"alarm": 7' in out.read_text()  # a revision calls nobody again
 
@@ -318,7 +318,7 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
     from verify.live.measuring_process import ParallelDetector
     from verify.measurement.detection.detect import detect
 
-    chance, said = np.random.default_rng(0), []
+    chance, message = np.random.default_rng(0), []
     pictures = []
     for x in (100.3, 140.8):
         picture = np.zeros((240, 320), dtype=np.uint8)
@@ -328,7 +328,7 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
             + chance.integers(0, 4, (240, 320)).astype(np.uint8)
         )
     windows = np.array([[60.0, 80.0, 200.0, 160.0]])
-    detector = ParallelDetector(said.append)
+    detector = ParallelDetector(message.append)
     for where in (None, windows):
         found = detector(pictures[0], pictures[1], where, where)
         for picture, spots in zip(pictures, found, strict=True):
@@ -340,15 +340,15 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
     os.kill(helper.pid, signal.SIGSTOP)
     for _ in range(3):  # waited for once
         assert len(detector(pictures[0], pictures[1], None, None)[1]) == 1
-    assert len(said) == 1
-    assert "now and then: no answer within 1 s" in said[0]
+    assert len(message) == 1
+    assert "now and then: no answer within 1 s" in message[0]
     assert detector._helper is helper
     helper._process.kill()
     helper._process.join()
     found = detector(pictures[0], pictures[1], None, None)
     assert len(found[1]) == 1
-    assert len(said) == 2
-    assert "from now on" in said[1]
+    assert len(message) == 2
+    assert "from now on" in message[1]
     detector.close()
 
 

@@ -52,13 +52,13 @@ def alike(found: list[Measurement], wanted: list[Measurement]) -> None:
 def test_it_gives_the_same_figures_and_ends(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
-    said: list[str] = []
-    process = MeasuringProcess(session.rig, session.marker, said.append)
+    message: list[str] = []
+    process = MeasuringProcess(session.rig, session.marker, message.append)
     try:
         alike(list(process.measure(pairs(session), nothing)), here)
     finally:
         process.close()
-    assert not said
+    assert not message
     assert not process._process.is_alive()
 
 
@@ -82,8 +82,8 @@ def test_a_rehearsal_between_pairs_changes_no_figure(
 def test_a_lost_process_costs_no_pair_and_is_reported(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
-    said: list[str] = []
-    process = MeasuringProcess(session.rig, session.marker, said.append)
+    message: list[str] = []
+    process = MeasuringProcess(session.rig, session.marker, message.append)
 
     def given() -> Iterator[StereoPair]:
         for pair in pairs(session):
@@ -99,8 +99,8 @@ def test_a_lost_process_costs_no_pair_and_is_reported(
     assert [m.frame for m in found] == [m.frame for m in here]
     assert all(m.status == "measured" for m in found)
     alike(found[:LOST_AFTER], here[:LOST_AFTER])
-    assert len(said) == 1
-    assert "measured by the main process from now on" in said[0]
+    assert len(message) == 1
+    assert "measured by the main process from now on" in message[0]
 
 
 @pytest.mark.realtime

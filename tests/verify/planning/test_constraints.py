@@ -99,19 +99,19 @@ def test_counts_add_up(bench: PlanningSetup) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said", "remedy"),
+    ("changed", "message", "remedy"),
     [
         ({"view_angle": 0.02}, REASONS[1], "--view-angle-deg"),
         ({"floor": 3.0}, REASONS[3], "--floor-mm"),
     ],
 )
 def test_an_impossible_plan_is_refused_with_counts(
-    changed: dict[str, float], said: str, remedy: str, bench: PlanningSetup
+    changed: dict[str, float], message: str, remedy: str, bench: PlanningSetup
 ) -> None:
     constraints = PostureConstraints(bench, wish(**changed))
     with pytest.raises(InputError) as problem:
         build_roadmap(constraints, np.random.default_rng(0))
-    assert f" by {said}" in problem.value.found
+    assert f" by {message}" in problem.value.found
     assert remedy in problem.value.remedy
     assert "none of 40,000 postures of iust_6r" in problem.value.found
 

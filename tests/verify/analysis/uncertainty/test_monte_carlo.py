@@ -65,9 +65,9 @@ def test_where_linear_propagation_holds_the_draws_agree_within_5_percent(
     arm: str, both: dict[str, Spotted]
 ) -> None:
     """Not by the ratio that the check uses, but by the plain scatter of 4,000 other draws."""
-    said = both[arm].check()
+    message = both[arm].check()
     many = both[arm].check(draws=4000, seed=9)
-    holds = said.holds & ~said.coupled
+    holds = message.holds & ~message.coupled
     assert holds.mean() > 0.9
     away = np.abs(many.scatter / many.linear - 1)[holds]
     assert away.max() < MAX_RATIO_ERROR + 3 / np.sqrt(2 * 4000)

@@ -202,8 +202,8 @@ def test_a_link_longer_than_in_the_table_is_found(faulty: tuple[InMemory, SweepR
     session, _ = faulty
     assert isinstance(session.arm, robots.DhArm)
     shorter = session.arm.a - np.array([0, 1e-3, 0, 0, 0, 0])
-    told = replace(session, arm=replace(session.arm, a=shorter))
-    found = axes_from_sweeps(told, measured(session))
+    output = replace(session, arm=replace(session.arm, a=shorter))
+    found = axes_from_sweeps(output, measured(session))
     wrong = [p for p in found.pairs if not p.agrees]
     assert [p.joints for p in wrong] == [(2, 3)]
     assert_allclose(wrong[0].distance - wrong[0].distance_table, 1e-3, atol=2e-4)

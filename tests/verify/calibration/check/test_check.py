@@ -172,15 +172,15 @@ def test_a_session_of_a_symmetric_bar_is_checked() -> None:
         )
     )
     length = float(np.linalg.norm(session.marker.leds[1] - session.marker.leds[0]))
-    told: list[int] = []
+    output: list[int] = []
     result = check_session(
         session,
         length=length,
         length_standard_uncertainty=1e-5,
-        progress=lambda done, _: told.append(done),
+        progress=lambda done, _: output.append(done),
     )
     assert result.holds
-    assert told == list(range(1, 9))
+    assert output == list(range(1, 9))
     assert result.lengths.pairs.tolist() == [8]
     assert not check_session(session, length=length * 1.004, length_standard_uncertainty=1e-5).holds
 

@@ -49,8 +49,8 @@ def test_every_view_is_summed_up_and_a_bad_one_is_named() -> None:
     assert bad.corners == chosen.sum()
     squares = np.sum(own.residual[chosen] ** 2, axis=1)
     assert bad.rms == pytest.approx(np.sqrt(squares.mean()))
-    said = calibration_doubts(found, judge_calibration(found), {4: "left05.png and right05.png"})
-    assert said[0].startswith("Pair 4 (left05.png and right05.png) hurts in the right camera")
+    message = calibration_doubts(found, judge_calibration(found), {4: "left05.png and right05.png"})
+    assert message[0].startswith("Pair 4 (left05.png and right05.png) hurts in the right camera")
     assert bad.largest == pytest.approx(np.sqrt(squares.max()))
 
 
@@ -121,25 +121,25 @@ def test_complete_coverage_gives_no_advice() -> None:
 
 def test_flat_boards_give_the_advice_to_tilt() -> None:
     found = made.calibration(count=60, tilt_deg=8.0)
-    said = " ".join(coverage_gaps(found, judge_calibration(found)))
+    message = " ".join(coverage_gaps(found, judge_calibration(found)))
     for axis in ("horizontal", "vertical"):
-        assert re.search(rf"never tilted about the {axis} axis by more than \d+°", said)
+        assert re.search(rf"never tilted about the {axis} axis by more than \d+°", message)
 
 
 def test_boards_tilted_one_way_give_the_advice_for_the_other() -> None:
     found = made.calibration(count=60)
     quality = judge_calibration(found)
     one_way = tuple(s for s in quality.stances if s.about_horizontal > 0)
-    said = coverage_gaps(found, replace(quality, stances=one_way))
-    assert [s for s in said if "horizontal axis with its lower edge nearer" in s]
+    message = coverage_gaps(found, replace(quality, stances=one_way))
+    assert [s for s in message if "horizontal axis with its lower edge nearer" in s]
 
 
 def test_boards_at_one_distance_give_the_advice_to_move() -> None:
     found = made.calibration(count=60)
     quality = judge_calibration(found)
     near = tuple(s for s in quality.stances if s.distance < 0.8)
-    said = coverage_gaps(found, replace(quality, stances=near))
-    assert [s for s in said if s.startswith("All boards stood between")]
+    message = coverage_gaps(found, replace(quality, stances=near))
+    assert [s for s in message if s.startswith("All boards stood between")]
 
 
 @pytest.mark.parametrize(
@@ -152,8 +152,8 @@ def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, wor
     at = np.floor((own.seen + 0.5) / [1280 / 3, 720 / 3])
     away = (own.camera == 0) & (at == [column, row]).all(axis=1)
     cleared = replace(found, residuals=replace(own, used=own.used & ~away))
-    said = coverage_gaps(cleared, judge_calibration(cleared))
-    assert f"No corner lies in the {words} of the left image: hold the board there." in said
+    message = coverage_gaps(cleared, judge_calibration(cleared))
+    assert f"No corner lies in the {words} of the left image: hold the board there." in message
 
 
 def test_corners_missing_at_an_edge_give_the_advice_to_reach_it() -> None:
@@ -161,8 +161,8 @@ def test_corners_missing_at_an_edge_give_the_advice_to_reach_it() -> None:
     own = found.residuals
     away = (own.camera == 1) & (own.seen[:, 0] > 1000)
     cleared = replace(found, residuals=replace(own, used=own.used & ~away))
-    said = coverage_gaps(cleared, judge_calibration(cleared))
-    assert [s for s in said if re.search(r"near the right \(2\d %\) edge of the right image", s)]
+    message = coverage_gaps(cleared, judge_calibration(cleared))
+    assert [s for s in message if re.search(r"near the right \(2\d %\) edge of the right image", s)]
 
 
 def test_squares_that_come_out_wrong_are_a_doubt() -> None:
@@ -270,7 +270,7 @@ def _moved_robot() -> MotionRegistration:
         clock_offset=0.137, clock_standard_uncertainty=None, skew=1e-4,
         skew_standard_uncertainty=2e-5, visible_fractions=np.array([0.0, 0.3]), rms_px=0.1,
         fit_rms_px=0.1, held_out_rms_px=0.11, misfit=1.1, pairs_used=2,
-        left_out={5: "why", 6: "why"}, residuals=spots, decisions=("said",), warnings=("warned",),
+        left_out={5: "why", 6: "why"}, residuals=spots, decisions=("note",), warnings=("warned",),
     )  # fmt: skip
 
 

@@ -187,7 +187,7 @@ def test_what_a_fixture_file_does_not_state_is_warned_of(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (FIXTURE + "rotation = [[1.0,0,0],[0,1.0,0],[0,0,1.0]]\n", "rotation: is given twice"),
         ("format = 1\nposition_mm = [1.0, 2.0, 3.0]\n", "rotation: is missing"),
@@ -198,8 +198,8 @@ def test_what_a_fixture_file_does_not_state_is_warned_of(tmp_path: Path) -> None
         (FIXTURE + "position_standard_uncertainty_mm = -1.0\n", "is -1.0"),
     ],
 )  # fmt: skip
-def test_a_wrong_fixture_file_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_wrong_fixture_file_is_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "fixture.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         fixture_file.read(path)

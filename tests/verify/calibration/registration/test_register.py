@@ -278,7 +278,7 @@ def test_an_unstated_skew_is_found_and_reported(simulated: InMemory) -> None:
         patch.setattr(register, "find_spots", lambda _recording, _progress: pairs)
         found = register_motion(late)
     assert found.skew == pytest.approx(0.003, abs=0.0002)
-    assert any("right camera's stamps" in said for said in found.warnings)
+    assert any("right camera's stamps" in message for message in found.warnings)
 
 
 # --- motions that leave something undetermined ---
@@ -294,10 +294,10 @@ def swing(joints: Sequence[int], degrees: float, n: int = 30) -> Array:
 def test_one_joint_alone_leaves_the_place_along_its_axis_and_the_turn_about_it_open() -> None:
     with pytest.raises(InputError) as refused:
         refuse_undetermined(ARM, swing([0], 20), NOISE, "here")
-    said = str(refused.value)
-    assert "the base's position along joint 1's axis" in said
-    assert "its turn about joint 1's axis" in said
-    assert "Add a movement of joint" in said
+    message = str(refused.value)
+    assert "the base's position along joint 1's axis" in message
+    assert "its turn about joint 1's axis" in message
+    assert "Add a movement of joint" in message
 
 
 def test_parallel_axes_are_no_better_than_one() -> None:

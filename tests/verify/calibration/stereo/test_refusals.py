@@ -198,8 +198,8 @@ def test_a_square_board_turned_by_90_degrees_in_one_camera_is_left_out_and_named
     assert SQUARE.four_fold
     found = calibrate(square_pairs([2, 7]), SQUARE, SIZE)
     assert not {2, 7} & set(found.frames.tolist())
-    said = next(d for d in found.decisions if "quarter turn" in d)
-    assert said.startswith("pairs 2, 7 left out")
+    message = next(d for d in found.decisions if "quarter turn" in d)
+    assert message.startswith("pairs 2, 7 left out")
     assert found.noise == pytest.approx(1.0, abs=0.05)
 
 

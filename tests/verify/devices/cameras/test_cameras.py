@@ -98,10 +98,10 @@ def test_settings_are_set_format_first_with_automatic_control_off() -> None:
     automatic = keys.index(cv2.CAP_PROP_AUTO_EXPOSURE)
     assert automatic < keys.index(cv2.CAP_PROP_EXPOSURE)
     assert keys.index(cv2.CAP_PROP_AUTO_WB) < keys.index(cv2.CAP_PROP_WB_TEMPERATURE)
-    told = dict(capture.asked)
-    assert told[cv2.CAP_PROP_AUTO_EXPOSURE] == 1.0  # V4L2's word for manual
-    assert told[cv2.CAP_PROP_EXPOSURE] == pytest.approx(50.0)  # in units of 100 µs
-    assert told[cv2.CAP_PROP_AUTO_WB] == 0.0
+    output = dict(capture.asked)
+    assert output[cv2.CAP_PROP_AUTO_EXPOSURE] == 1.0  # V4L2's word for manual
+    assert output[cv2.CAP_PROP_EXPOSURE] == pytest.approx(50.0)  # in units of 100 µs
+    assert output[cv2.CAP_PROP_AUTO_WB] == 0.0
 
 
 def test_what_a_camera_refuses_is_named_with_what_it_does_instead() -> None:
@@ -271,8 +271,8 @@ def test_pictures_of_another_size_than_the_rigs_are_never_given_out(tmp_path: Pa
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open, (1280, 720))
     assert camera.read() is None
-    said = "left eye: gives pictures of 64 x 48 px; 1280 x 720 are needed"
-    assert camera.state().sentence == said
+    message = "left eye: gives pictures of 64 x 48 px; 1280 x 720 are needed"
+    assert camera.state().sentence == message
     camera.close()
     write_video(tmp_path / "left.mkv", images(3))
     replay = open_camera(CameraSettings(str(tmp_path / "left.mkv"), size=(1280, 720)))

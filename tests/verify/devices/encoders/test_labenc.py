@@ -138,14 +138,14 @@ def test_silence_and_a_port_that_vanishes(tmp_path: Path) -> None:
 
 @pytest.mark.realtime
 @pytest.mark.parametrize(
-    ("bits", "said"), [(1, "not homed"), (2, "encoder fault"), (4, "held or interpolated")]
+    ("bits", "message"), [(1, "not homed"), (2, "encoder fault"), (4, "held or interpolated")]
 )
-def test_samples_that_the_board_itself_doubts_are_not_used(bits: int, said: str) -> None:
+def test_samples_that_the_board_itself_doubts_are_not_used(bits: int, message: str) -> None:
     faults = EmulatorFaults(status=(0.0, float(bits)))
     with running(LabencEngine(Ramp(), 6, QUICK), faults=faults) as emulated:
         encoders = driver(emulated.address)
-        assert gather(encoders, lambda _: encoders.state().bad.get(said, 0) > 20) == []
-        assert said in encoders.state().sentence
+        assert gather(encoders, lambda _: encoders.state().bad.get(message, 0) > 20) == []
+        assert message in encoders.state().sentence
 
 
 @pytest.mark.realtime

@@ -87,7 +87,7 @@ def test_units() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "words"),
     [
         ({"columns": ("t", "q1")}, "name no q2"),
         ({"columns": ("q1", "q2"), "time_unit": "ms"}, "name no t"),
@@ -101,9 +101,9 @@ def test_units() -> None:
     ],
 )
 def test_settings_that_contradict_each_other_are_refused(
-    settings: dict[str, object], said: str
+    settings: dict[str, object], words: str
 ) -> None:
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=words):
         FieldMap(2, **settings)  # type: ignore[arg-type]
 
 

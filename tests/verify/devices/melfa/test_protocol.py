@@ -87,8 +87,8 @@ def test_a_changed_character_gives_none_or_the_changed_value(at: int, character:
     position = r3.parse_joints(changed, 6)
     if position is not None:
         written = changed.split(";;")[0].split(";")
-        told = dict(zip(written[::2], map(float, written[1::2]), strict=True))
-        assert position.joints_deg == tuple(told[f"J{joint}"] for joint in range(1, 7))
+        output = dict(zip(written[::2], map(float, written[1::2]), strict=True))
+        assert position.joints_deg == tuple(output[f"J{joint}"] for joint in range(1, 7))
 
 
 def test_status_and_errors_are_distinguished() -> None:

@@ -123,8 +123,8 @@ def test_silence_an_echo_and_a_gripper_for_a_controller_are_none() -> None:
 
 
 def test_an_answer_to_another_challenge_proves_nothing() -> None:
-    said = melfa()._identity("verify").encode()
-    with recorded(said) as address:
+    message = melfa()._identity("verify").encode()
+    with recorded(message) as address:
         assert not EmulatorPortOpener(opens(address), is_emulated_melfa).there()
 
 

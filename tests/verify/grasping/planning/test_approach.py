@@ -94,9 +94,9 @@ def refused(q: Array, shift: Array) -> str:
 
 def test_a_line_out_of_reach_names_the_place() -> None:
     q = np.radians([0.0, 20.0, 60.0, 0.0, 30.0, 0.0])
-    said = refused(q, np.array([0.6, 0.0, 0.0]))
-    assert said.startswith("out of reach")
-    before = float(said.split()[3])
+    message = refused(q, np.array([0.6, 0.0, 0.0]))
+    assert message.startswith("out of reach")
+    before = float(message.split()[3])
     flange = robots.forward(melfa(), q)
     for shift, there in ((0.6 - before / 1e3 - 0.08, True), (0.6 - before / 1e3 + 0.001, False)):
         pose = flange.copy()

@@ -136,7 +136,7 @@ def test_a_grasp_is_refused_with_the_reason(
 def test_out_of_reach_lists_every_branch(made: GraspPlanner) -> None:
     found = refused(made, cap(0.34, 0.0))
     assert len(found.branches) == 8
-    assert all(said for _, said in found.branches)
+    assert all(message for _, message in found.branches)
 
 
 def test_an_arm_outside_its_limits_has_no_plan(made: GraspPlanner) -> None:
@@ -345,10 +345,10 @@ def test_the_page_lists_every_kind_of_refusal() -> None:
 
 def test_a_plan_has_page_units_and_a_time_table(made: GraspPlanner) -> None:
     found = planned(made, cap())
-    told = json.loads(json.dumps(plan_facts(found)))
-    assert_allclose(told["grip_mm"], [450, 0, 30])
-    assert_allclose(np.radians(told["grip_deg"]), found.posture.q_grip, atol=1e-5)
-    assert len(told["not_taken"]) == 7
+    output = json.loads(json.dumps(plan_facts(found)))
+    assert_allclose(output["grip_mm"], [450, 0, 30])
+    assert_allclose(np.radians(output["grip_deg"]), found.posture.q_grip, atol=1e-5)
+    assert len(output["not_taken"]) == 7
     rows = motion_table(made, found, 0.05)
     assert list(dict.fromkeys(rows["part"])) == ["over", "down", "up"]
     assert (np.diff(rows["t_s"]) >= 0).all()

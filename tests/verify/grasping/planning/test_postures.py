@@ -117,7 +117,7 @@ def joint_heights(q: Array) -> list[float]:
 )
 def test_a_rejected_branch_has_a_reason(made: GraspPlanner, point: list[float], words: str) -> None:
     _, rejected = find_postures(made.workspace, made.limits, np.array(point), home(made))
-    assert any(words in said for said in rejected.values())
+    assert any(words in message for message in rejected.values())
 
 
 def test_low_objects_and_those_near_cameras_are_refused(made: GraspPlanner) -> None:
@@ -128,7 +128,7 @@ def test_low_objects_and_those_near_cameras_are_refused(made: GraspPlanner) -> N
     assert any("finger tips would come 8 mm too near to the table" in r for r in rejected.values())
     beside = dataclasses.replace(made.workspace, cameras=POINT[None] + np.array([0.0, 0.15, 0.1]))
     good, rejected = find_postures(beside, made.limits, POINT, home(made))
-    assert any("near to camera 1" in said for said in rejected.values())
+    assert any("near to camera 1" in message for message in rejected.values())
 
 
 def test_every_inverse_solution_is_considered(made: GraspPlanner) -> None:

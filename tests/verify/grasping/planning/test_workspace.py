@@ -125,13 +125,13 @@ def test_a_way_is_judged_as_brute_force_judges_it(workspace: Workspace) -> None:
         start, end = clear[random.integers(0, len(clear), 2)]
         path = joint_path(start, end)
         worst = workspace.margins(path.q(np.linspace(0, 1, 2001))).min()
-        said = workspace.along(path)
-        if said:  # refused: brute force sees it too, but for what it slips past
+        message = workspace.along(path)
+        if message:  # refused: brute force sees it too, but for what it slips past
             assert worst < -RESOLUTION + 1e-3
-            assert "of the way" in said
+            assert "of the way" in message
         else:
             assert worst >= -RESOLUTION
-        found[bool(said)] += 1
+        found[bool(message)] += 1
     assert min(found.values()) >= 5
 
 

@@ -63,8 +63,8 @@ def cycle(state: GraspState, q: Array, off: Array | None) -> LoopCycle:
 
 def told(folder: Path, cycles: Sequence[LoopCycle]) -> list[Any]:
     facts = SessionFacts("arm", 6, {}, {}, turning=False)
-    said = GraspContext("arm", "blue object", "simulated", True, datetime.now(UTC))
-    record = GraspRecord(folder, facts, SPACE, said, 30.0)
+    message = GraspContext("arm", "blue object", "simulated", True, datetime.now(UTC))
+    record = GraspRecord(folder, facts, SPACE, message, 30.0)
     for one in cycles:
         record.see(one)
     record.close()

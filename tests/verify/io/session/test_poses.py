@@ -294,7 +294,7 @@ def test_cameras_cannot_be_registered_or_watched_by_poses(watched: Watched, tmp_
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ('frame = "rig"', 'frame = "world"', 'poses.frame: is "world"'),
         ('instrument = "a laser tracker"', 'instrument = " "', "poses.instrument: is empty"),
@@ -319,7 +319,7 @@ def test_cameras_cannot_be_registered_or_watched_by_poses(watched: Watched, tmp_
     ],
 )
 def test_a_wrong_session_file_is_refused_in_one_line(
-    watched: Watched, tmp_path: Path, old: str, new: str, said: str
+    watched: Watched, tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     folder = posed(tmp_path, watched)
     path = folder / "session.toml"
@@ -328,7 +328,7 @@ def test_a_wrong_session_file_is_refused_in_one_line(
     path.write_text(text.replace(old, new))
     with pytest.raises(InputError) as refused:
         open_session(folder)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert "\n" not in str(refused.value)
 
 

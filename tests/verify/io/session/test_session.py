@@ -292,7 +292,7 @@ def pipe(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (drop("session.toml"), ["has no session.toml"]),
         (drop("rig.toml"), ["session.toml, rig", "does not exist"]),
@@ -340,11 +340,14 @@ def pipe(folder: Path) -> None:
     ],
 )  # fmt: skip
 def test_errors_are_one_line_with_the_place(
-    folder: Path, capfd: pytest.CaptureFixture[str], change: Callable[[Path], None], said: list[str]
+    folder: Path,
+    capfd: pytest.CaptureFixture[str],
+    change: Callable[[Path], None],
+    message: list[str],
 ) -> None:
     change(folder)
     line = complaint(folder)
-    for words in said:
+    for words in message:
         assert words in line
     assert capfd.readouterr() == ("", "")  # no line of OpenCV's, ffmpeg's or libpng's beside ours
 

@@ -110,11 +110,11 @@ def test_an_error_beyond_tolerance_raises_an_alarm_until_it_ends() -> None:
     rows = made_rows(10.0, 3, stated=0.3, jump=(3.0, 1, math.radians(1.0)))
     back = made_rows(10.0, 3, stated=0.3)
     found = alarms([a if a.t < 6.0 else b for a, b in zip(rows, back, strict=True)], 0.1, 0.6)
-    told = [a for a in found if a.kind == "tolerance"]
-    assert [a.joints for a in told] == [(1,), (1,)]
-    assert told[0].ended is None
-    assert told[1].ended is not None
-    assert 3.0 < told[0].t < 5.0
+    output = [a for a in found if a.kind == "tolerance"]
+    assert [a.joints for a in output] == [(1,), (1,)]
+    assert output[0].ended is None
+    assert output[1].ended is not None
+    assert 3.0 < output[0].t < 5.0
 
 
 def test_an_error_at_its_tolerance_is_not_beyond_it() -> None:
@@ -146,7 +146,7 @@ def test_a_silent_device_is_named_with_its_message() -> None:
     watch = DeviceWatch(1.0, itertools.count(1))
     watch.begin(0.0)
     assert watch.take("left camera", 0.2, "reading", 5.0, 0.0) == []
-    told = watch.take("left camera", 1.2, "unplugged", 6.0, 0.0)
-    assert [(a.device, "unplugged" in a.text) for a in told] == [("left camera", True)]
+    output = watch.take("left camera", 1.2, "unplugged", 6.0, 0.0)
+    assert [(a.device, "unplugged" in a.text) for a in output] == [("left camera", True)]
     assert watch.take("left camera", 2.2, "unplugged", 7.0, 0.0) == []
     assert [a.ended for a in watch.take("left camera", 0.0, "reading", 8.0, 9.0)] == [9.0]

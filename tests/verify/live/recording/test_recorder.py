@@ -162,10 +162,10 @@ def test_after_a_kill_every_pair_that_was_handed_on_is_there(
     for process in processes:
         whole_lines = process.communicate()[0].rpartition("\n")[0].splitlines()
         handed_on.append(np.array([line.split() for line in whole_lines], dtype=float))
-    for folder, told in zip(folders, handed_on, strict=True):
+    for folder, output in zip(folders, handed_on, strict=True):
         # a pair that the disk was too slow for is handed on before; how many those were is told
-        late = int(told[-1, 2]) if len(told) else 0
-        times = told[: len(told) - late, 1] if len(told) else []
+        late = int(output[-1, 2]) if len(output) else 0
+        times = output[: len(output) - late, 1] if len(output) else []
         session = open_session(folder / "killed")
         assert session.open
         assert len(session) >= len(times) + 1  # the first line was read before
@@ -255,8 +255,8 @@ def test_readings_before_the_first_pair_and_repeated_times(tmp_path: Path) -> No
 
 def test_the_uncertainty_of_reading_times_is_reported_at_the_end(tmp_path: Path) -> None:
     record(tmp_path, pairs_at_thirty_hertz(5))
-    told = open_session(tmp_path / "session").encoder_time_standard_uncertainty
-    assert told == pytest.approx(0.001 / np.sqrt(3), rel=1e-2)  # uniform within ± 1 ms
+    output = open_session(tmp_path / "session").encoder_time_standard_uncertainty
+    assert output == pytest.approx(0.001 / np.sqrt(3), rel=1e-2)  # uniform within ± 1 ms
 
 
 def kept_in_time(recorder: SessionRecorder, pairs: list[CapturedPair]) -> float:

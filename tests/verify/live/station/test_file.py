@@ -87,11 +87,11 @@ def test_the_template_names_every_key_and_no_other(tmp_path: Path) -> None:
             if isinstance(part, type) and issubclass(part, msgspec.Struct):
                 assert keys(part) <= named, f"[{name}]"
     # with every explained key switched on, none is unknown
-    said = re.sub(r"(?m)^# (?=\[|[a-z_]+ = )", "", text)
-    said = re.sub(r"(?m)^(driver|port|baud|columns|pattern|checksum) = .*\n", "", said)
-    said = re.sub(r"(?m)^(rate_hz|sign|unit|latch_span_us) = .*\n", "", said)
-    said = said.replace("[encoders]", '[encoders]\ndriver = "sim"')
-    (tmp_path / "station.toml").write_text(said)
+    message = re.sub(r"(?m)^# (?=\[|[a-z_]+ = )", "", text)
+    message = re.sub(r"(?m)^(driver|port|baud|columns|pattern|checksum) = .*\n", "", message)
+    message = re.sub(r"(?m)^(rate_hz|sign|unit|latch_span_us) = .*\n", "", message)
+    message = message.replace("[encoders]", '[encoders]\ndriver = "sim"')
+    (tmp_path / "station.toml").write_text(message)
     _, warnings = file.read(tmp_path / "station.toml")
     assert not [w for w in warnings if "does not know" in w]
 
@@ -225,11 +225,11 @@ def test_settings_that_do_not_fit_the_simulation_are_refused(tmp_path: Path) -> 
 
 def test_a_key_that_means_nothing_is_named(tmp_path: Path) -> None:
     made = station(tmp_path, REAL + "pause_ms = 50.0\ntimout_s = 1.0\n[alarm]\nloud = true\n")
-    said = "\n".join(made.warnings)
-    assert 'encoders.pause_ms: the driver "labenc" has no such setting' in said
-    assert "encoders.timout_s: the format does not know this key" in said
-    assert "`timeout_s`" in said
-    assert "alarm.loud" in said
+    message = "\n".join(made.warnings)
+    assert 'encoders.pause_ms: the driver "labenc" has no such setting' in message
+    assert "encoders.timout_s: the format does not know this key" in message
+    assert "`timeout_s`" in message
+    assert "alarm.loud" in message
 
 
 def test_a_recording_holds_the_stations_settings(tmp_path: Path) -> None:

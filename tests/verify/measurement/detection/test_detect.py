@@ -88,8 +88,8 @@ def test_the_noise_of_an_image_is_the_sensors() -> None:
     ]
     for level in (6.0, 150.0):
         truth = sensor.read**2 + 1 / 12 + sensor.gain * level
-        said = np.mean([n.read**2 + n.gain * (level - n.black) for n in found])
-        assert said == pytest.approx(truth, rel=0.08)  # four spots know their noise to 8 %
+        message = np.mean([n.read**2 + n.gain * (level - n.black) for n in found])
+        assert message == pytest.approx(truth, rel=0.08)  # four spots know their noise to 8 %
 
 
 def test_windows_find_the_same_spots_as_the_whole_image() -> None:

@@ -79,20 +79,20 @@ def blob_by_opencv(part: Image) -> Array:
 @pytest.mark.parametrize("blur", [0.7, 1.5, 3.0])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_blob_at_half_its_height_is_that_of_opencv(seed: int, blur: float) -> None:
-    part, told = cloud(seed, blur), np.empty(4)
-    assert measure_half_height(part, *ANY_SHAPE, told)
-    np.testing.assert_allclose(told, blob_by_opencv(part), rtol=1e-12)
+    part, output = cloud(seed, blur), np.empty(4)
+    assert measure_half_height(part, *ANY_SHAPE, output)
+    np.testing.assert_allclose(output, blob_by_opencv(part), rtol=1e-12)
 
 
 def test_a_streak_and_a_hook_are_no_blobs_and_a_disc_is_one() -> None:
-    told = np.empty(4)
+    output = np.empty(4)
     for thing, compact in [
         (cv2.circle(np.zeros((40, 40), np.uint8), (20, 20), 8, 200, cv2.FILLED), True),
         (cv2.line(np.zeros((40, 40), np.uint8), (5, 5), (35, 30), 200, 2), False),
         (cv2.ellipse(np.zeros((40, 40), np.uint8), (20, 20), (12, 12), 0, 0, 200, 200, 3), False),
         (np.full((40, 40), 200, np.uint8), False),
     ]:
-        assert measure_half_height(np.asarray(thing, np.uint8), 2.5, 0.6, told) == compact
+        assert measure_half_height(np.asarray(thing, np.uint8), 2.5, 0.6, output) == compact
 
 
 @pytest.mark.parametrize("origin", [(30, 20), (2, 1), (49, 39)])
@@ -120,11 +120,11 @@ def test_a_bites_bump_is_the_exponential_to_what_it_promises() -> None:
 
 
 def test_of_spots_on_one_place_the_better_fitting_stays_and_of_equals_the_first() -> None:
-    told = np.zeros((5, N_COLUMNS))
-    told[:, COL_CENTRE_X], told[:, COL_CENTRE_Y] = [10.0, 11.0, 30.0, 30.5, 50.0], 10.0
-    told[:, COL_DIAMETER], told[:, COL_MISFIT] = 8.0, [2.0, 1.0, 1.0, 1.0, 9.0]
+    output = np.zeros((5, N_COLUMNS))
+    output[:, COL_CENTRE_X], output[:, COL_CENTRE_Y] = [10.0, 11.0, 30.0, 30.5, 50.0], 10.0
+    output[:, COL_DIAMETER], output[:, COL_MISFIT] = 8.0, [2.0, 1.0, 1.0, 1.0, 9.0]
     twin = np.empty(5, np.bool_)
-    mark_duplicates(told, 0.5, twin)
+    mark_duplicates(output, 0.5, twin)
     assert twin.tolist() == [True, False, False, True, False]
 
 
@@ -164,8 +164,8 @@ def test_sums_of_products_are_those_of_a_matrix_product() -> None:
 
 def test_the_logarithm_of_a_normal_share_is_that_of_scipy() -> None:
     z = np.linspace(-80, 10, 1801)
-    told = [log_normal_cdf(value) for value in z]
-    np.testing.assert_allclose(told, log_ndtr(z), rtol=1e-12, atol=1e-15)
+    output = [log_normal_cdf(value) for value in z]
+    np.testing.assert_allclose(output, log_ndtr(z), rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("floor", [-3.0, -1.0, 0.5])

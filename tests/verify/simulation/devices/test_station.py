@@ -205,13 +205,13 @@ def test_a_camera_that_fails_is_silent_and_comes_back(what: str) -> None:
     left, right = made.camera(0, SIM), made.camera(1, SIM)
     before = frames(left, 0.5, made)
     during = frames(left, 0.9, made)
-    said = left.state()
+    message = left.state()
     after = frames(left, 0.7, made)
     assert before
     assert after
     assert not during
-    assert said.connected == (what == "camera_stalls")
-    assert ("unplugged" if what == "camera_gone" else "silent") in said.sentence
+    assert message.connected == (what == "camera_stalls")
+    assert ("unplugged" if what == "camera_gone" else "silent") in message.sentence
     assert right.state().connected
     assert after[0].sequence - before[-1].sequence > 25
     assert left.state().connected

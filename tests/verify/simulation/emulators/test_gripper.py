@@ -135,9 +135,9 @@ def overall(found: bytes) -> int:
 
 
 @pytest.mark.parametrize("where", PORTS)
-@pytest.mark.parametrize(("width_mm", "told"), [(None, 3), (115.0, 2)])
+@pytest.mark.parametrize(("width_mm", "output"), [(None, 3), (115.0, 2)])
 def test_the_client_of_pymodbus_activates_grasps_and_opens(
-    where: str, width_mm: float | None, told: int
+    where: str, width_mm: float | None, output: int
 ) -> None:
     contacts = None if width_mm is None else contact_positions(width_mm)
     with running(quick(contacts), where) as emulated, client(emulated.address) as modbus:
@@ -147,9 +147,9 @@ def test_the_client_of_pymodbus_activates_grasps_and_opens(
         order(modbus, [0x0900, 0x0064, 0xFFFF])  # to position 100
         assert overall(inputs(modbus)) == 0
         found = until(modbus, lambda found: overall(found) != 0)
-        assert overall(found) == told
+        assert overall(found) == output
         fingers = [found[1] >> 2 * axis & 3 for axis in range(3)]
-        assert fingers == [told] * 3
+        assert fingers == [output] * 3
         at = 100 if width_mm is None else round(255 * (1 - width_mm / 155))
         assert [found[4], found[7], found[10]] == [at] * 3
         order(modbus, OPEN)

@@ -289,8 +289,8 @@ def test_an_exception_in_the_loop_gives_the_controller_back() -> None:
         assert not engine.arm.moving
         assert not engine.arm.servo_on
         assert not engine.arm.right
-    told = [order for order in engine.log if order.split("=")[0] not in ("OPEN", "JPOSF")]
+    output = [order for order in engine.log if order.split("=")[0] not in ("OPEN", "JPOSF")]
     looked = len(GIVEN_BACK) + 1  # the servo's power may take a second look to be gone
-    assert told[-looked:] == [*GIVEN_BACK, "CLOSE"] or told[-looked - 1 :] == [
+    assert output[-looked:] == [*GIVEN_BACK, "CLOSE"] or output[-looked - 1 :] == [
         *GIVEN_BACK, "STATE", "CLOSE",
     ]  # fmt: skip
