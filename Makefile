@@ -1,4 +1,4 @@
-# Everything a user or the CI needs. Each target builds what it needs of the environment, once.
+# Targets for users and the CI. Each builds the environment that it needs, once.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -9,7 +9,7 @@ PIP = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-ch
 
 .PHONY: demo test test-all lint check format samples accept bench soak bench-coverage bench-diagnosis bench-grab clean
 
-# what running needs
+# packages that running needs
 $(RUN): pyproject.toml .ci/constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "verify needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
 	@echo "environment: $(VENV), packages that running needs"
@@ -17,19 +17,19 @@ $(RUN): pyproject.toml .ci/constraints.txt
 	@$(PIP) -e .
 	@touch $@
 
-# what tests and checks need besides
+# packages that tests and checks need
 $(DEV): $(RUN)
 	@echo "environment: packages that tests and checks need"
 	@$(PIP) -e '.[dev]'
 	@touch $@
 
-# once, not at the first measurement
+# compiled once, not at the first measurement
 $(COMPILED): $(RUN)
 	@echo "machine code of the inner loops, once: about a minute of processor time"
 	@$(BIN)/python -m verify.compile_ahead
 	@touch $@
 
-# status 1 says that the robot does not conform, as this one should not
+# status 1: the robot does not conform; the sample has a fault
 demo: $(RUN)
 	@echo "sample session: measured, compared, reported in demo-report/"
 	@$(BIN)/verify run sample_sessions/multi_joint_fault_6r -o demo-report --force --tolerance 0.2; \
@@ -39,7 +39,7 @@ demo: $(RUN)
 test: $(DEV) $(COMPILED)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not realtime and not browser"
 
-# all of it: what is slow, statistical, in real time or in a browser as well
+# all tests: the slow, the statistical, those in real time and in a browser too
 test-all: $(DEV) $(COMPILED)
 	$(BIN)/python -m pytest -n 3 --dist worksteal
 
@@ -76,12 +76,12 @@ bench-coverage: $(DEV)
 
 bench-diagnosis: $(DEV)
 	$(BIN)/python -m tests.bench.judged
-	$(BIN)/python -m tests.bench.diagnosis
+	$(BIN)/python -m tests.bench.diagnosis.shares
 
 bench-grab: $(DEV)
-	$(BIN)/python -m tests.bench.grab --full
-	$(BIN)/python -m tests.bench.grab_closed
-	$(BIN)/python -m tests.bench.grab_emulated
+	$(BIN)/python -m tests.bench.grasp.open_loop --full
+	$(BIN)/python -m tests.bench.grasp.closed_loop
+	$(BIN)/python -m tests.bench.grasp.emulated
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -12,8 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 
-from tests.support.spot_level import SpotRun, facing_rig
-from tests.verify.live.alarms.test_joints import RATE, streamed
+from tests.support.spot_level import RATE, SpotRun, facing_rig, streamed
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
 
 HOURS = 10.0
@@ -53,10 +52,10 @@ def through_the_chain(seconds: float) -> Iterator[str]:
     for skew in (0.0, 0.004):
         run = SpotRun(rig, marker, RATE, skew)
         _, found, _ = run.watch(seconds, AlarmLimits(STATED[-1], RATE, None))
-        told = [a for a in found if not a.revised]
+        output = [a for a in found if not a.revised]
         yield (
-            f"chain, {seconds:g} s, skew {skew * 1e3:g} ms: {len(told)} false alarms, "
-            f"{seconds / 3600 * STATED[-1]:.2f} are stated: {[a.text for a in told]}"
+            f"chain, {seconds:g} s, skew {skew * 1e3:g} ms: {len(output)} false alarms, "
+            f"{seconds / 3600 * STATED[-1]:.2f} are stated: {[a.text for a in output]}"
         )
         jumping = SpotRun(rig, marker, RATE, skew, (20.0, 4, math.radians(0.5)))
         _, found, _ = jumping.watch(22.0, AlarmLimits(STATED[0], RATE, None))

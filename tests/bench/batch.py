@@ -115,8 +115,8 @@ def _pairs_a_second(lab: Path, out: Path, cores: list[int]) -> float:
     done = subprocess.run(
         [*command, "-o", str(out), "--json"], capture_output=True, text=True, check=False, env=kept
     )
-    told = [json.loads(line) for line in done.stdout.splitlines()]
-    return float([t["pairs_per_s"] for t in told if t["type"] == "progress"][-1])
+    output = [json.loads(line) for line in done.stdout.splitlines()]
+    return float([t["pairs_per_s"] for t in output if t["type"] == "progress"][-1])
 
 
 def _decoded_a_second(lab: Path) -> float:

@@ -68,8 +68,8 @@ def main(sessions: int, seeds: tuple[int, ...]) -> int:
             print(f"{arm}, seed {seed}, {sessions} sessions of {PAIRS} pairs; left out as singular "
                   f"{singular:.1%}, not measured {lost:.1%}")  # fmt: skip
             for j in range(len(share)):
-                said = "" if good[j] else "  FAILS"
-                print(f"  q{j + 1}  {share[j]:.1%} ± {error[j]:.1%}{said}")
+                message = "" if good[j] else "  FAILS"
+                print(f"  q{j + 1}  {share[j]:.1%} ± {error[j]:.1%}{message}")
     print("all cells hold" if not failed else f"{failed} cells fail")
     return int(failed > 0)
 

@@ -7,7 +7,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from tests.support.led_images import Sensor, Spot, picture
+from tests.support.leds.images import Sensor, Spot, picture
 from verify.measurement.detection.detect import detect
 
 ROUNDS = 15  # interleaved, so that a busy machine slows all alike

@@ -23,7 +23,7 @@ import numpy as np
 
 import robots
 from reports.session.causes import cause_name
-from tests.bench.diagnosis_sessions import STATED, sighting, stated_doubt
+from tests.bench.diagnosis.sessions import STATED, sighting, stated_doubt
 from tests.bench.memory import long_session
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse

@@ -13,8 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tests.support.spotted import spotted
-from tests.verify.analysis.uncertainty.test_monte_carlo import HOMES, SPREAD
+from tests.support.spotted import HOMES, SPREAD, spotted
 from verify.analysis.uncertainty.monte_carlo import MAX_RATIO_ERROR
 from verify.core.records import Array
 
@@ -28,12 +27,12 @@ NEAR = np.deg2rad(1.5)  # of joint 5 about its singularity, in every fifth visit
 def lines(sessions: int = SESSIONS, seed: int = SEED) -> Iterator[str]:
     """Compare a session at a time, for either arm."""
     for arm in HOMES:
-        said, away = [], []
+        message, away = [], []
         for number in range(sessions):
             holds, apart = session(arm, seed + number)
-            said.append(holds.ravel())
+            message.append(holds.ravel())
             away.append(apart.ravel())
-        holds, apart = np.concatenate(said), np.concatenate(away)
+        holds, apart = np.concatenate(message), np.concatenate(away)
         chance = 3 / np.sqrt(2 * DRAWS)
         inside = float(np.mean(apart[holds] <= MAX_RATIO_ERROR + chance))
         failing = (

@@ -114,22 +114,22 @@ def _followed(kind: str, process: "subprocess.Popen[str]", began: float, seconds
     summary: dict[str, object] = {}
     assert process.stdout is not None
     for line in process.stdout:
-        said = json.loads(line)
-        if said["type"] == "page":
-            args = (said["url"], stop, received)
+        message = json.loads(line)
+        if message["type"] == "page":
+            args = (message["url"], stop, received)
             threading.Thread(target=_look_on, args=args, daemon=True).start()
-        elif said["type"] == "watched":
+        elif message["type"] == "watched":
             stop.set()
-            summary = said
-        elif said["type"] in {"warning", "alarm"}:
-            print(f"  {said['type']}: {said['text']}")
+            summary = message
+        elif message["type"] in {"warning", "alarm"}:
+            print(f"  {message['type']}: {message['text']}")
     process.wait()
     return _told(kind, summary, memory, received[0], seconds)
 
 
 def _told(
     kind: str,
-    said: dict[str, object],
+    message: dict[str, object],
     memory: list[tuple[float, float]],
     received: int,
     seconds: float,
@@ -137,18 +137,18 @@ def _told(
     """Print the figures beside their goals."""
     settled = [m for t, m in memory if min(SETTLED, seconds / 2) < t < seconds]
     growth = max(settled) - settled[0] if settled else float("nan")
-    pairs, dropped = int(str(said["pairs"])), said["dropped"]
-    p50, p99 = (float(str(said[f"latency_{p}_ms"])) for p in ("p50", "p99"))
+    pairs, dropped = int(str(message["pairs"])), message["dropped"]
+    p50, p99 = (float(str(message[f"latency_{p}_ms"])) for p in ("p50", "p99"))
     share = pairs / (RATE * seconds)
     goals = {
         f"{pairs} pairs in {seconds:.0f} s, {share:.1%} of 30 a second, lost {dropped or 'none'}, "
-        f"{said['statuses']}": not dropped,
+        f"{message['statuses']}": not dropped,
         f"latency p50 {p50:.1f} ms (goal {P50:.0f}), p99 {p99:.1f} ms (goal {P99:.0f}), of all "
         f"pairs": p50 < P50 and p99 < P99,
         f"memory {settled[0] if settled else 0:.0f} MB with all its processes, grown by "
         f"{growth:.0f} MB (goal {FLAT:.0f})": growth < FLAT,
     }
-    print(f"{kind}: alarms {said['alarms'] or 'none'}, the viewer got {received} messages")
+    print(f"{kind}: alarms {message['alarms'] or 'none'}, the viewer got {received} messages")
     for text, met in goals.items():
         print(f"  {'met ' if met else 'MISSED'} {text}", flush=True)
     return all(goals.values())

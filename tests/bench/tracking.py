@@ -13,7 +13,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from tests.bench.grab import ENDS
+from tests.bench.grasp.open_loop import ENDS
 from tests.support.grasp.caps import BLUE, GREEN, RED, YELLOW, Cap, Path, Slab, pairs, small_rig
 from tests.support.scene import make_rig, project
 from verify.core.records import Array, Image, StereoPair
@@ -65,8 +65,8 @@ def rate() -> Iterator[str]:
                 theirs.append(perf_counter() - middle)
         for name, figure in (("median", median), ("mean", np.mean), ("slowest", max)):
             mine, other = float(figure(ours)), float(figure(theirs))
-            said = f"{1e3 * mine:.1f} ms a pair, {1 / mine:.0f} Hz"
-            yield f"pair to 3D target, {name}: {said}; {mine / other:.2f} of full-frame CamShift"
+            message = f"{1e3 * mine:.1f} ms a pair, {1 / mine:.0f} Hz"
+            yield f"pair to 3D target, {name}: {message}; {mine / other:.2f} of full-frame CamShift"
     finally:
         cv2.setNumThreads(threads)
 
@@ -98,9 +98,9 @@ def whole_loop() -> Iterator[str]:
         state = run(grab.loop, grab.source, ENDS, look).state.value
         for name, figure in (("median", median), ("mean", np.mean)):
             mine, other = float(figure(ours)), float(figure(theirs))
-            said = f"{1e3 * mine:.1f} ms a cycle, {1 / mine:.0f} Hz (wanted: 30)"
+            message = f"{1e3 * mine:.1f} ms a cycle, {1 / mine:.0f} Hz (wanted: 30)"
             beside = f"{mine / other:.2f} of full-frame CamShift"
-            yield f"pair to joint command, {name}: {said}; {beside}"
+            yield f"pair to joint command, {name}: {message}; {beside}"
         within = float(np.mean(np.array(ours) < PERIOD))
         yield f"  {within:.1%} of {len(ours)} cycles within a picture's time; it ended {state}"
     finally:

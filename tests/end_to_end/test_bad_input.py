@@ -97,10 +97,10 @@ def test_bad_input_gets_one_line_and_leaves_nothing(
 
 
 def assert_refused(status: int, err: str, named: str) -> None:
-    said = [line for line in err.splitlines() if line.startswith("error:")]
+    message = [line for line in err.splitlines() if line.startswith("error:")]
     assert status == 2
-    assert len(said) == 1
-    assert named in said[0]
+    assert len(message) == 1
+    assert named in message[0]
     assert "Traceback" not in err
 
 
@@ -109,7 +109,7 @@ def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
     assert_refused(outcome.status, outcome.err, "nowhere")
 
 
-def test_readings_in_radians_are_refused_because_the_pixels_say_so(
+def test_readings_in_radians_contradict_the_pixels_and_are_refused(
     session: Path, tmp_path: Path
 ) -> None:
     path = session / "encoders.csv"
@@ -128,7 +128,9 @@ def test_an_unknown_key_is_a_warning_that_names_it(session: Path, tmp_path: Path
     assert "describtion" in outcome.err
 
 
-def test_pictures_without_an_led_say_what_was_seen(session: Path, tmp_path: Path) -> None:
+def test_pictures_without_an_led_are_refused_with_their_spots(
+    session: Path, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(1)
     for side in ("left", "right"):
         (session / f"{side}.mkv").unlink()

@@ -59,7 +59,7 @@ def assert_same(one: dict[str, bytes], other: dict[str, bytes]) -> None:
         assert bool(content == other[name]), name
 
 
-def test_out_holds_what_is_promised_and_nothing_else(out: Path) -> None:
+def test_the_output_folder_holds_exactly_the_documented_files(out: Path) -> None:
     inside = {path.name for path in out.iterdir()}
     assert inside == {*TABLES, *REPORTS, "sessions", "results"}
 
@@ -113,8 +113,8 @@ def test_the_reports_are_built_again_from_the_results(out: Path) -> None:
 def test_json_gives_one_object_a_line(lab: Path, out: Path, tmp_path: Path) -> None:
     place = tmp_path / "fleet"
     shutil.copytree(out, place)
-    said = verify("batch", lab, "-o", place, "--tolerance", "0.2", "--json")
-    lines = [json.loads(line) for line in said.out.splitlines()]
+    message = verify("batch", lab, "-o", place, "--tolerance", "0.2", "--json")
+    lines = [json.loads(line) for line in message.out.splitlines()]
     progress = [line for line in lines if line["type"] == "progress"]
     assert progress[-1]["done"] == progress[-1]["sessions"] == SESSIONS
     assert set(progress[0]) >= {"pairs_per_s", "time_left_s", "failures", "kept"}
@@ -122,6 +122,7 @@ def test_json_gives_one_object_a_line(lab: Path, out: Path, tmp_path: Path) -> N
     assert lines[-1]["summary"]["kind"] == "fleet"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_pdf")
 def test_before_and_after_a_day_is_in_the_report(lab: Path, out: Path, tmp_path: Path) -> None:
     place = tmp_path / "fleet"
@@ -132,7 +133,8 @@ def test_before_and_after_a_day_is_in_the_report(lab: Path, out: Path, tmp_path:
     assert "since 2025-03-05" in (place / "fleet.html").read_text()
 
 
-def test_session_reports_are_written_where_asked_and_linked(lab: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_session_reports_are_written_and_linked(lab: Path, tmp_path: Path) -> None:
     some = tmp_path / "some"
     shutil.copytree(lab / "01", some / "01")
     place = tmp_path / "fleet"
@@ -174,8 +176,11 @@ def closed(heap: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "scandir", guarded)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("closed", "without_pdf")
-def test_each_spoilt_session_is_reported_and_the_rest_unharmed(heap: Path, tmp_path: Path) -> None:
+def test_each_broken_session_is_reported_and_the_others_are_measured(
+    heap: Path, tmp_path: Path
+) -> None:
     place = tmp_path / "fleet"
     done = verify("batch", heap, "-o", place, "--workers", "2", "--tolerance", "5")
     assert done.status == 4, done.err
@@ -284,19 +289,16 @@ def test_a_worker_that_is_killed_costs_nothing_but_time(out: Path, started: Star
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "kill"])
 def test_an_interrupted_batch_keeps_what_was_done_and_goes_on_from_there(
-    lab: Path,
-    out: Path,
-    started: Start,
-    sent: signal.Signals,
+    lab: Path, out: Path, started: Start, sent: signal.Signals
 ) -> None:
     process, place = started()
     workers = workers_of(process.pid)
     assert len(workers) == 2
     for one in [process.pid, *(workers if sent == signal.SIGINT else [])]:
         os.kill(one, sent)  # Ctrl-C reaches all that the terminal has started
-    _, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130, said
-    assert said.splitlines()[-1] == "interrupted"
+    _, message = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, message
+    assert message.splitlines()[-1] == "interrupted"
     assert not any(running(worker) for worker in workers)
     assert {path.name for path in place.iterdir()} == {"sessions"}
     again = verify("batch", lab, "-o", place, "--workers", "2", "--tolerance", "0.2")

@@ -12,7 +12,7 @@ import pytest
 
 import reports
 from reports.results import to_json_value
-from tests.support.command import SAMPLES
+from tests.support.command import SAMPLES, sample_results
 from verify import analyse, open_session
 
 DOCS = Path(__file__).parents[2] / "docs" / "results.md"
@@ -34,11 +34,10 @@ def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a checker reads of OUT; the reports themselves are no part of it."""
     out: Path = tmp_path_factory.mktemp("result")
-    return judged(FAULTY, out)
+    return written(sample_results("multi_joint_fault_6r"), out)
 
 
-def judged(session: Path, out: Path) -> Path:
-    results = analyse(open_session(session))
+def written(results: reports.Results, out: Path) -> Path:
     reports.write(results, out / "results")
     (out / "summary.json").write_text(json.dumps(to_json_value(results.summary), allow_nan=False))
     return out
@@ -51,7 +50,7 @@ def hiding(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     session = shutil.copytree(FAULTY, folder / "session")
     rig = session / "rig.toml"
     rig.write_text(rig.read_text().replace('source = "fixture"', 'source = "motion"'))
-    return session, judged(session, folder / "out")
+    return session, written(analyse(open_session(session)), folder / "out")
 
 
 def checked(recipe: Path, session: Path, out: Path) -> subprocess.CompletedProcess[str]:
@@ -88,28 +87,25 @@ def test_a_session_that_was_changed_since_does_not(
     assert "encoders.csv is not what was read" in answer.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("part", "change", "said"),
+    ("part", "change", "message"),
     [
         ("joint 2", {"verdict": "conform"}, "joint 2: nonconform"),
-        ("joint 2", {"tolerance_deg": 1.0}, "joint 2: conform"),
-        ("joint 2", {"worst_error_deg": 0.1}, "worst error 0.1"),
-        ("joint 2", {"standard_uncertainty_deg": 1e-5}, "budget of joint 2"),
-        ("position", {"verdict": "conform"}, "position: nonconform"),
-        ("position", {"tolerance_mm": 10.0}, "position: conform"),
         ("position", {"worst_error_standard_uncertainty_mm": 1.0}, "uncertainty 1.0"),
         ("orientation", {"tolerance_deg": 0.36}, "orientation: undecided"),
         ("decision", {"lack_of_fit": True}, "joint 1: undecided"),
     ],
 )
 def test_a_summary_that_was_changed_does_not(
-    recipe: Path, result: Path, tmp_path: Path, part: str, change: dict[str, Any], said: str
+    recipe: Path, result: Path, tmp_path: Path, part: str, change: dict[str, Any], message: str
 ) -> None:
     answer = checked(recipe, FAULTY, changed(result, tmp_path / "out", change, part))
     assert answer.returncode != 0
-    assert said in answer.stderr
+    assert message in answer.stderr
 
 
+@pytest.mark.slow
 def test_a_result_with_hidden_joints_passes_too(
     recipe: Path, hiding: tuple[Path, Path], tmp_path: Path
 ) -> None:

@@ -76,7 +76,8 @@ def outcomes(clone: Path) -> dict[str, subprocess.CompletedProcess[str]]:
     return {line: run(["bash", "-c", line], clone) for line in typed}
 
 
-def test_the_readme_runs_as_written_and_what_it_leaves_is_explained(
+@pytest.mark.slow
+def test_the_readme_runs_as_written_and_its_output_is_explained(
     clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
 ) -> None:
     """One test: processes that share the tests would each run the commands, which takes minutes."""
@@ -89,8 +90,8 @@ def test_the_readme_runs_as_written_and_what_it_leaves_is_explained(
 def every_command_runs(outcomes: dict[str, subprocess.CompletedProcess[str]]) -> None:
     assert len(outcomes) >= len(COMMANDS)
     for line, done in outcomes.items():
-        said = re.search(r"# status (\d+)", line)
-        assert done.returncode == (int(said[1]) if said else 0), f"{line}\n{done.stderr}"
+        message = re.search(r"# status (\d+)", line)
+        assert done.returncode == (int(message[1]) if message else 0), f"{line}\n{done.stderr}"
 
 
 def every_python_example_runs(clone: Path) -> None:
@@ -102,7 +103,7 @@ def every_python_example_runs(clone: Path) -> None:
         assert done.stdout.strip()
 
 
-def test_what_sets_up_names_targets_files_and_extras_that_exist() -> None:
+def test_installation_names_existing_targets_files_and_extras() -> None:
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = extras["optional-dependencies"]
@@ -124,6 +125,13 @@ def test_every_make_target_is_in_the_readme() -> None:
     assert not missing
 
 
+def test_robots_lists_every_arm_and_checks_one() -> None:
+    listed = verify("robots")
+    assert [line.split()[0] for line in listed.out.splitlines()] == list(robots.names())
+    checked = verify("robots", "iust_6r", "--poses", "20")
+    assert (listed.status, checked.status) == (0, 0)
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_subcommand_and_option_is_in_the_readme(command: str) -> None:
     described = re.search(rf"^\| `verify {command}\b.*$", README.read_text(), flags=re.MULTILINE)
@@ -135,12 +143,12 @@ def test_every_subcommand_and_option_is_in_the_readme(command: str) -> None:
 @cache
 def options(command: str) -> set[str]:
     """Long options by --help, but those of every command, and --out, which is shown as -o."""
-    said = verify(*command.split(), "--help").out
-    return set(re.findall(r"--[a-z-]+", said)) - EVERYWHERE - {"--out"}
+    message = verify(*command.split(), "--help").out
+    return set(re.findall(r"--[a-z-]+", message)) - EVERYWHERE - {"--out"}
 
 
 @each_document
-def test_every_command_and_option_that_is_named_is_real(document: Path) -> None:
+def test_every_command_and_option_named_exists(document: Path) -> None:
     text = document.read_text()
     typed = re.findall(r"^(?:\.venv/bin/)?(verify .*)$|`(verify [^`]*)`", text, re.MULTILINE)
     for words in (shlex.split(a or b, comments=True) for a, b in typed):
@@ -153,7 +161,7 @@ def test_every_command_and_option_that_is_named_is_real(document: Path) -> None:
 
 
 @each_document
-def test_every_link_and_every_file_that_is_named_exists(document: Path) -> None:
+def test_every_link_and_file_named_exists(document: Path) -> None:
     text = document.read_text()
     for link in re.findall(r"\]\(([^)]+)\)", text):
         if link.startswith("https://"):
@@ -175,9 +183,7 @@ def headings(document: Path) -> set[str]:
 
 
 @each_document
-def test_every_file_that_is_shown_is_read_without_a_complaint(
-    document: Path, tmp_path: Path
-) -> None:
+def test_every_file_shown_is_read_without_a_warning(document: Path, tmp_path: Path) -> None:
     readers = {
         "session": lambda path: session_keys.read(path, session_keys.SessionTable),
         "rig": rig.read,

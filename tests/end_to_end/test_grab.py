@@ -70,9 +70,9 @@ def verify_grab(*words: str) -> tuple[int, str]:
 def test_a_grab_leaves_a_film_a_session_and_a_report(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("--sim", "--execute", "--auto", "--small", "--seed", "4", "-o", str(out))
-    status, said = verify_grab(*words)
+    status, message = verify_grab(*words)
     assert status == 0
-    assert "lifted: the object came along" in said
+    assert "lifted: the object came along" in message
     summary = json.loads((out / "summary.json").read_text())
     assert (summary["state"], summary["released"]) == ("lifted", True)
     session = open_session(out / "session")
@@ -88,7 +88,7 @@ def test_a_grab_leaves_a_film_a_session_and_a_report(tmp_path: Path) -> None:
     assert results.table("passages")["to_state"].iloc[-1] == "released"
 
 
-def test_without_execute_the_plan_is_told_and_nothing_moves(
+def test_without_execute_the_plan_is_shown_and_nothing_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(terminal, "as_json", True)
@@ -99,9 +99,9 @@ def test_without_execute_the_plan_is_told_and_nothing_moves(
     x, y = columns.min() - 2, rows.min() - 2
     box = f"{x},{y},{columns.max() - x + 2},{rows.max() - y + 2}"
     out = tmp_path / "out"
-    status, said = verify_grab("--sim", "--small", "--seed", "4", "--roi", box, "-o", str(out))
+    status, message = verify_grab("--sim", "--small", "--seed", "4", "--roi", box, "-o", str(out))
     assert status == 0
-    lines = [json.loads(line) for line in said.splitlines()]
+    lines = [json.loads(line) for line in message.splitlines()]
     assert [line["type"] for line in lines][-1] == "result"
     assert lines[-1]["summary"]["plan"]["branch"]
     results = read(out / "results")
@@ -112,16 +112,16 @@ def test_without_execute_the_plan_is_told_and_nothing_moves(
     assert "Planned; nothing was moved" in (out / "report.html").read_text()
 
 
-def test_an_end_that_is_no_success_is_told_by_the_status(tmp_path: Path) -> None:
+def test_a_failed_grasp_has_exit_status_1(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("--sim", "--execute", "--auto", "--small", "--for", "0.3s", "-o", str(out))
-    status, said = verify_grab(*words)
+    status, message = verify_grab(*words)
     assert status == 1
-    assert "idle" in said
+    assert "idle" in message
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--sim", "--target", "mauve"), "mauve"),
         (("--sim", "--roi", "3,4"), "--roi"),
@@ -132,10 +132,10 @@ def test_an_end_that_is_no_success_is_told_by_the_status(tmp_path: Path) -> None
     ],
 )
 def test_bad_input_takes_one_line_and_leaves_nothing(
-    tmp_path: Path, words: tuple[str, ...], said: str
+    tmp_path: Path, words: tuple[str, ...], message: str
 ) -> None:
     out = tmp_path / "out"
-    with pytest.raises((InputError, Exception), match=re.escape(said)):
+    with pytest.raises((InputError, Exception), match=re.escape(message)):
         verify_grab(*words, "-o", str(out))
     assert not out.exists()
 
@@ -165,9 +165,9 @@ def test_keys_become_orders_and_others_are_named(capsys: pytest.CaptureFixture[s
 def test_turning_bases_are_recorded_as_they_stood(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("--sim", "--execute", "--auto", "--small", "--seed", "4", "--turning", "-o", str(out))
-    status, said = verify_grab(*words)
+    status, message = verify_grab(*words)
     assert status == 0
-    assert "holding-stale" in said
+    assert "holding-stale" in message
     pans = [math.degrees(pair.pan_left) for pair in open_session(out / "session").pairs()]
     stood = [pans[0], pans[0] + 3.0, pans[0] - 2.0]
     assert all(min(abs(pan - angle) for angle in stood) < 0.02 for pan in pans)
@@ -265,7 +265,7 @@ def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setattr(grab_station, "STDIN", read)
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_a_cap_is_grasped_through_the_real_drivers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -277,7 +277,7 @@ def test_a_cap_is_grasped_through_the_real_drivers(
     assert (summary["state"], summary["released"]) == ("lifted", True)
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_a_wrong_confirmation_moves_nothing_and_writes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -299,7 +299,6 @@ def test_a_wrong_confirmation_moves_nothing_and_writes_nothing(
             grab_on_station(station, nowhere, GRABS, out, force=False)
 
 
-@pytest.mark.slow
 def test_without_execute_a_station_is_planned_for(tmp_path: Path) -> None:
     with cell(tmp_path, 8.0) as (station, _, _):
         out = tmp_path / "out"
@@ -330,20 +329,20 @@ def test_a_cell_without_a_gripper_is_refused(tmp_path: Path) -> None:
     head, tail = whole.split("[gripper]")
     without = head + tail[tail.index("\n[") :]
     station = STATION.format(robot=ROBOT, port="tcp:127.0.0.1:9")
-    said = refused(tmp_path, station, without)
-    assert "grab.toml" in said
-    assert "gripper" in said
+    message = refused(tmp_path, station, without)
+    assert "grab.toml" in message
+    assert "gripper" in message
 
 
 def test_a_robot_that_is_no_melfa_is_refused(tmp_path: Path) -> None:
     whole = (resources.files("verify.simulation") / "cell.toml").read_text()
     head = STATION.split("[encoders]")[0].format(robot=ROBOT)
     other = 'driver = "labenc"\nport = "/dev/null"\nresolution_deg = 0.01\n'
-    said = refused(tmp_path, f"{head}[encoders]\n{other}", whole)
-    assert 'station.toml, encoders.driver: is "labenc"; only a MELFA controller can be' in said
+    message = refused(tmp_path, f"{head}[encoders]\n{other}", whole)
+    assert 'station.toml, encoders.driver: is "labenc"; only a MELFA controller can be' in message
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_emulators_need_execute_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         grabbing_station, "_read_line", lambda: pytest.fail("nobody is to be asked")
@@ -357,9 +356,9 @@ def test_emulators_need_execute_alone(tmp_path: Path, monkeypatch: pytest.Monkey
     assert summary["released"]
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.parametrize("real", ["controller", "gripper"])
-def test_one_real_device_is_enough_to_be_asked(
+def test_one_real_device_requires_confirmation(
     real: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(emulator_check, "TIMEOUT", 0.3)

@@ -43,6 +43,7 @@ def test_a_session_gives_a_corrected_arm_with_its_sign_spelled_out(tmp_path: Pat
     assert "Joint offsets" in (out / "report.html").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.parametrize(("positions_alone", "rank"), [(False, 30), (True, 27)])
 def test_a_laser_tracker_s_poses_need_no_registration(
@@ -67,12 +68,12 @@ def test_a_laser_tracker_s_poses_need_no_registration(
     assert robots.load(str(out / "ur10_identified.urdf")).dof == 6
 
 
-def test_what_cannot_be_identified_from_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:
     one, other = SAMPLES / "multi_joint_fault_6r", SAMPLES / "multi_joint_rv_3sd"
     full = tmp_path / "full"
     full.mkdir()
     (full / "a").write_text("")
-    for words, said in (
+    for words, message in (
         ((tmp_path / "nowhere",), "nowhere"),
         ((one, one), "is given twice"),
         ((one, other), "one arm is identified at a time"),
@@ -84,5 +85,5 @@ def test_what_cannot_be_identified_from_is_refused_in_one_line(tmp_path: Path) -
         done = verify("identify", *words)
         assert done.status == 2, words
         assert done.err.count("\n") == 1, done.err
-        assert said in done.err
+        assert message in done.err
         assert not (Path.cwd() / "multi_joint_fault_6r-identification").exists()

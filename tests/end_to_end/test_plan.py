@@ -72,7 +72,7 @@ def test_json_holds_the_summary(rig: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--near", "1,2,3"), '--near: "1,2,3" is no posture of iust_6r; 6 numbers'),
         (("--near", "0,0,0,0,0,200"), "--near: joint 6 stands at 200°; its limits are -170°"),
@@ -88,13 +88,13 @@ def test_json_holds_the_summary(rig: Path, tmp_path: Path) -> None:
         (("--floor-mm", "3000", *NEAR), "by the arm below the floor"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(
-    words: tuple[str, ...], said: str, rig: Path, tmp_path: Path
+def test_impossible_requests_are_refused_in_one_line(
+    words: tuple[str, ...], message: str, rig: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     done = verify("plan", "iust_6r", rig, "-o", out, *words)
     assert done.status == 2
-    assert said in done.err
+    assert message in done.err
     assert "Traceback" not in done.err
     assert done.err.splitlines()[-1].startswith("error: ")
     assert not out.exists()

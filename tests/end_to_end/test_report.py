@@ -6,15 +6,14 @@ from pathlib import Path
 import pytest
 
 import reports
-from tests.support.command import SAMPLES, verify
-from verify import analyse, open_session
+from tests.support.command import sample_results, verify
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 4 1"><rect width="4" height="1"/></svg>'
 
 
 @pytest.fixture(scope="module")
 def analysed() -> reports.Results:
-    return analyse(open_session(SAMPLES / "multi_joint_fault_6r"))
+    return sample_results("multi_joint_fault_6r")
 
 
 @pytest.fixture
@@ -30,8 +29,8 @@ def out(analysed: reports.Results, tmp_path: Path) -> Path:
 def test_a_report_is_built_again_with_a_logo_and_an_owner(out: Path, tmp_path: Path) -> None:
     (tmp_path / "logo.svg").write_text(SVG)
     wish = ("--logo", tmp_path / "logo.svg", "--owner", "Prüflabor, Halle 3")
-    said = verify("report", out, *wish)
-    assert (said.status, said.err) == (0, "")
+    message = verify("report", out, *wish)
+    assert (message.status, message.err) == (0, "")
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "The robot does not conform" in page
     assert "Prüflabor, Halle 3" in page
@@ -43,23 +42,8 @@ def test_a_report_is_built_again_with_a_logo_and_an_owner(out: Path, tmp_path: P
     assert (hash((out / "report.pdf").read_bytes()), hash(again)) == before
 
 
-def test_without_options_a_report_is_what_the_library_gives(
-    out: Path, analysed: reports.Results
-) -> None:
-    assert verify("report", out).status == 0
-    plain = reports.render_html(analysed)
-    assert hash((out / "report.html").read_text(encoding="utf-8")) == hash(plain)
-
-
-def test_a_language_is_refused_as_any_unknown_option(out: Path) -> None:
-    outcome = verify("report", out, "--language", "de")
-    assert outcome.status == 2
-    assert "No such option: --language" in outcome.err
-    assert {(out / n).read_text() for n in ("report.html", "report.pdf")} == {"as it was"}
-
-
 @pytest.mark.parametrize(
-    ("option", "name", "content", "said"),
+    ("option", "name", "content", "message"),
     [
         ("--logo", "x.png", "no picture", "x.png: is neither"),
         ("--logo", "none.png", None, "none.png: cannot be read"),
@@ -70,7 +54,7 @@ def test_a_language_is_refused_as_any_unknown_option(out: Path) -> None:
     ],
 )
 def test_what_cannot_be_used_is_one_line_and_leaves_the_reports_as_they_were(
-    out: Path, tmp_path: Path, option: str, name: str, content: str | None, said: str
+    out: Path, tmp_path: Path, option: str, name: str, content: str | None, message: str
 ) -> None:
     given: str | Path = name
     if option != "--owner":
@@ -81,7 +65,7 @@ def test_what_cannot_be_used_is_one_line_and_leaves_the_reports_as_they_were(
             given = given.parent if option == "--template" else given
     outcome = verify("report", out, option, given)
     assert outcome.status == 2
-    assert said in outcome.err
+    assert message in outcome.err
     assert outcome.err.count("\n") == 1
     assert {(out / n).read_text() for n in ("report.html", "report.pdf")} == {"as it was"}
 

@@ -86,7 +86,8 @@ def rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
-def test_the_quarter_circle_is_measured_whole_and_nothing_is_accused(quarter_circle: Run) -> None:
+@pytest.mark.slow
+def test_the_quarter_circle_is_measured_without_a_finding(quarter_circle: Run) -> None:
     assert quarter_circle.outcome.status == 0
     assert quarter_circle.summary["pairs"] == {"recorded": 40, "measured": 40, "rejected": {}}
     assert quarter_circle.summary["diagnosis"] == []
@@ -157,7 +158,8 @@ def shares(summary: dict[str, Any]) -> list[float]:
     return [joint["visible_fraction"] for joint in summary["joints"]]
 
 
-def test_a_registration_by_motion_hides_what_the_table_says(
+@pytest.mark.slow
+def test_a_registration_by_motion_hides_the_published_shares(
     multi_joint: Run, tmp_path: Path
 ) -> None:
     for place, (base, leds, expected) in enumerate(
@@ -172,6 +174,7 @@ def test_a_registration_by_motion_hides_what_the_table_says(
     assert np.all(multi_joint.joints("visible_fraction") >= 0.985)  # .99 to 1 in the table
 
 
+@pytest.mark.slow
 def test_the_quarter_circle_shows_little_and_with_leds_by_motion_nothing(
     quarter_circle: Run, tmp_path: Path
 ) -> None:
@@ -182,9 +185,8 @@ def test_the_quarter_circle_shows_little_and_with_leds_by_motion_nothing(
     assert fitted == pytest.approx([0.0] * 6, abs=TABLE)
 
 
-def test_joints_that_the_registration_swallowed_get_no_figure_and_no_verdict(
-    multi_joint: Run, tmp_path: Path
-) -> None:
+@pytest.mark.slow
+def test_hidden_joints_get_no_figure_and_no_verdict(multi_joint: Run, tmp_path: Path) -> None:
     summary = registered(multi_joint, tmp_path / "copy", base=True, leds=True)
     for joint in (summary["joints"][0], summary["joints"][5]):
         assert joint["mean_error_deg"] is None
@@ -197,9 +199,8 @@ def test_joints_that_the_registration_swallowed_get_no_figure_and_no_verdict(
     assert min(since) > 0.98
 
 
-def test_the_means_come_from_the_fit_with_the_registration_not_from_residuals(
-    multi_joint: Run, tmp_path: Path
-) -> None:
+@pytest.mark.slow
+def test_means_come_from_the_fit_with_the_registration(multi_joint: Run, tmp_path: Path) -> None:
     """Residuals of such a registration accuse joint 4 (metrology.md: −0.114° and +0.154°)."""
     summary = registered(multi_joint, tmp_path / "copy", base=True, leds=True)
     fault = np.array([0, 0, 0.40, 0, 0, 0])

@@ -26,7 +26,6 @@ from verify.io.session.session import open_session
 from verify.live.station.file import template
 from verify.simulation.emulators.server import EmulatorFaults
 
-pytestmark = pytest.mark.slow
 SLOW = "rate_hz = 10.0"  # pictures a second: a machine that does other things keeps up
 
 
@@ -69,20 +68,20 @@ def listen(
     """Take what is said, up to a certain pair, or to the end."""
     assert process.stdout is not None
     for line in process.stdout:
-        said = json.loads(line)
-        match said["type"]:
+        message = json.loads(line)
+        match message["type"]:
             case "pair":
-                run.pairs.append(said)
-                if until is not None and until(said):
+                run.pairs.append(message)
+                if until is not None and until(message):
                     return run
             case "alarm":
-                run.alarms.append(said)
+                run.alarms.append(message)
             case "warning":
-                run.warnings.append(said["text"])
+                run.warnings.append(message["text"])
             case "watched":
-                run.watched = said
+                run.watched = message
             case "result":
-                run.result = said
+                run.result = message
     run.status = process.wait()
     process.stdout.close()
     if until is not None:
@@ -113,7 +112,8 @@ def event(what: str, at: float, lasts: float | None = None, **more: object) -> s
     return "\n[[sim.event]]\n" + "\n".join(lines) + "\n"
 
 
-def test_what_befalls_the_cameras_is_said_and_the_joint_that_jumps_is_named(tmp_path: Path) -> None:
+@pytest.mark.realtime
+def test_camera_faults_are_reported_and_the_jumping_joint_is_named(tmp_path: Path) -> None:
     events = (
         event("camera_gone", 4.0, 2.0, camera="left")
         + event("camera_stalls", 8.0, 2.0, camera="right")
@@ -150,7 +150,8 @@ def test_what_befalls_the_cameras_is_said_and_the_joint_that_jumps_is_named(tmp_
     )
 
 
-def test_what_was_measured_live_is_what_the_recording_gives(tmp_path: Path) -> None:
+@pytest.mark.realtime
+def test_live_figures_are_those_of_the_recording(tmp_path: Path) -> None:
     run = listen(started(station(tmp_path), "--for", "8s", "-o", "out"), Run())
     again = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert again["pairs"]["recorded"] == len(run.pairs)
@@ -166,7 +167,8 @@ def test_what_was_measured_live_is_what_the_recording_gives(tmp_path: Path) -> N
         np.testing.assert_array_equal(recorded.loc[frame].to_numpy(), angles)
 
 
-def test_a_bad_line_resets_and_jumps_of_its_clock_give_no_false_number(tmp_path: Path) -> None:
+@pytest.mark.realtime
+def test_a_disturbed_line_and_clock_jumps_give_no_false_reading(tmp_path: Path) -> None:
     faults = EmulatorFaults(
         noise=0.02, half=0.02, digit=0.02, double=0.02, lost=0.02, split=0.02,
         silence=(6.0, 2.0), jump=(11.0, 3.0), reset=(16.0, 16.0),
@@ -211,7 +213,8 @@ def test_a_bad_line_resets_and_jumps_of_its_clock_give_no_false_number(tmp_path:
     assert {"measured", "no_encoder"} == set(frames["status"])
 
 
-def test_bases_follow_and_a_base_that_is_gone_is_said(tmp_path: Path) -> None:
+@pytest.mark.realtime
+def test_bases_follow_and_a_lost_base_is_reported(tmp_path: Path) -> None:
     scenario = tmp_path / "wide.toml"
     scenario.write_text(WIDE)
     events = event("pan_gone", 14.0, 3.0)
@@ -231,6 +234,7 @@ def test_bases_follow_and_a_base_that_is_gone_is_said(tmp_path: Path) -> None:
     assert len(measured) > 0.9 * len(run.pairs)
 
 
+@pytest.mark.realtime
 def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
     with mounted(tmp_path / "recordings", "-o", "size=5m") as disk:
         path = station(tmp_path, event("encoder_jump", 9.0, joint=4, degrees=0.5))
@@ -243,7 +247,8 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path
         assert [a["joint"] for a in run.told("change")] == [4]
 
 
-def test_a_run_that_is_killed_leaves_a_session_up_to_its_last_second(tmp_path: Path) -> None:
+@pytest.mark.realtime
+def test_a_killed_run_leaves_a_session_up_to_its_last_second(tmp_path: Path) -> None:
     process = started(station(tmp_path))
     run = listen(process, Run(), lambda pair: pair["frame"] == 40)
     process.kill()
@@ -256,7 +261,7 @@ def test_a_run_that_is_killed_leaves_a_session_up_to_its_last_second(tmp_path: P
     assert verify("run", folder, "-o", tmp_path / "again").status in {0, 1, 3}
 
 
-def test_ctrl_c_ends_the_run_and_its_report_is_made(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_run_with_a_report(tmp_path: Path) -> None:
     process = started(station(tmp_path), "-o", "out")
     run = listen(process, Run(), lambda pair: pair["frame"] == 30)
     process.send_signal(signal.SIGINT)
@@ -266,12 +271,13 @@ def test_ctrl_c_ends_the_run_and_its_report_is_made(tmp_path: Path) -> None:
     assert "closed" in run.watched["recording"]
 
 
+@pytest.mark.realtime
 def test_options_of_a_station_are_refused_for_a_recording_and_the_other_way_round(
     tmp_path: Path,
 ) -> None:
-    said = verify("run", tmp_path, "--for", "10s")
-    assert said.status == 2
-    assert "--for" in said.err
+    message = verify("run", tmp_path, "--for", "10s")
+    assert message.status == 2
+    assert "--for" in message.err
     assert verify("run", tmp_path / "none.toml").status == 2
     path = tmp_path / "station.toml"
     assert verify("run", "--new-station", path).status == 0
@@ -279,9 +285,9 @@ def test_options_of_a_station_are_refused_for_a_recording_and_the_other_way_roun
     assert again.status == 2
     assert "exists" in again.err
     for wrong in ("10 parsecs", "-3s", "0"):
-        said = verify("run", path, "--for", wrong)
-        assert said.status == 2
-        assert "--for" in said.err
+        message = verify("run", path, "--for", wrong)
+        assert message.status == 2
+        assert "--for" in message.err
 
 
 WIDE = (
@@ -295,7 +301,8 @@ WIDE = (
 )
 
 
-def test_a_part_that_cannot_be_measured_takes_no_other_with_it(tmp_path: Path) -> None:
+@pytest.mark.realtime
+def test_an_unmeasurable_part_does_not_affect_the_others(tmp_path: Path) -> None:
     good = SAMPLES / "multi_joint_rv_3sd"
     broken = tmp_path / "broken"
     shutil.copytree(good, broken)

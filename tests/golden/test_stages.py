@@ -4,15 +4,12 @@
 """
 
 import json
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from reports import Results
-from tests.support.command import SAMPLES
-from verify import analyse, open_session
+from tests.support.command import sample_results
 
 GOLDEN = Path(__file__).parent
 NAMES = ("quarter_circle_6r", "multi_joint_fault_6r", "multi_joint_rv_3sd")
@@ -21,13 +18,8 @@ EVERY = 10  # frames apart: enough to see a stage move
 TOLERANCE = {"spots_px": 2e-4, "pose_mm_deg": 2e-4, "joints_deg": 5e-4, "summary": 5e-4}
 
 
-@cache
-def results(name: str) -> Results:
-    return analyse(open_session(SAMPLES / name))
-
-
 def stages(name: str) -> dict[str, Any]:
-    found = results(name)
+    found = sample_results(name)
     frames = found.tables["frames"].iloc[::EVERY]
     spots = found.tables["spots"]
     spots = spots[spots["frame"] % EVERY == 0]

@@ -10,7 +10,7 @@ from pandas.testing import assert_frame_equal
 
 import reports
 from reports.results import MANIFEST, to_json_value
-from tests.support.reports import made
+from tests.support.reports import session as made
 
 
 def test_a_results_folder_gives_back_what_was_written(tmp_path: Path) -> None:
@@ -25,12 +25,6 @@ def test_a_results_folder_gives_back_what_was_written(tmp_path: Path) -> None:
         assert_frame_equal(again.tables[name], table, check_dtype=False)
 
 
-def test_a_report_built_again_from_the_folder_is_the_same(tmp_path: Path) -> None:
-    results = made.nonconforming()
-    reports.write(results, tmp_path)
-    assert reports.render_html(reports.read(tmp_path)) == reports.render_html(results)
-
-
 def test_the_same_results_give_the_same_files(tmp_path: Path) -> None:
     for name in ("a", "b"):
         reports.write(made.nonconforming(), tmp_path / name)
@@ -40,7 +34,7 @@ def test_the_same_results_give_the_same_files(tmp_path: Path) -> None:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-def test_nothing_else_is_left_behind_and_nothing_of_others_is_touched(tmp_path: Path) -> None:
+def test_only_own_files_are_written_and_removed(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     folder.mkdir()
     (folder / "notes.txt").write_text("mine")
@@ -86,9 +80,7 @@ def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", [b"", b"{", b"\xff\xfe", b"[1]", b'{"format": 99}', b'{"format": 1}']
 )
-def test_a_manifest_that_is_damaged_or_foreign_is_said_in_one_line(
-    folder: Path, text: bytes
-) -> None:
+def test_a_damaged_or_foreign_manifest_is_refused_in_one_line(folder: Path, text: bytes) -> None:
     (folder / MANIFEST).write_bytes(text)
     assert MANIFEST in _complaint(folder)
 
@@ -116,7 +108,7 @@ def test_a_table_cannot_be_written_outside_the_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_cannot_be_written_is_said_in_one_line(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(reports.ReportError, match="cannot be written"):
         reports.write(made.one_pair(), tmp_path / "file" / "results")

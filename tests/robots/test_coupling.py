@@ -50,7 +50,7 @@ def test_a_straight_wrist_couples_the_joints_on_record(
 
 
 @EVERY_ARM
-def test_the_gate_stands_at_a_fifth(arm: robots.DhArm) -> None:
+def test_the_threshold_is_a_fifth(arm: robots.DhArm) -> None:
     assert found(arm, theta5=np.arcsin(0.199)) is not None
     assert found(arm, theta5=np.arcsin(0.201)) is None
     assert found(arm, theta3=stretched(arm) + np.arcsin(0.199)) is not None

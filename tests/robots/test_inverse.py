@@ -31,6 +31,7 @@ def to_own_joints(branches: Array, q: Array) -> Array:
     return np.nanmin(away, axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", [*ARMS.values(), with_signs(ARMS["rv_3sd"])], ids=str)
 def test_ten_thousand_random_poses_give_their_own_joints_back_and_every_branch_reaches(
     arm: robots.DhArm,
@@ -142,7 +143,7 @@ def test_a_batch_of_any_shape_is_its_poses_one_by_one(arm: robots.DhArm) -> None
 
 @pytest.mark.parametrize(("name", "joint"), [("iust_6r", 5), ("rv_3sd", 3), ("rv_3sd_melfa", 3)])
 @pytest.mark.parametrize("theta5", [0.0, np.pi])
-def test_a_straight_wrist_holds_the_free_joint_and_says_so(
+def test_a_straight_wrist_keeps_the_free_joint_and_flags_it(
     name: str, joint: int, theta5: float
 ) -> None:
     arm = ARMS[name]
@@ -161,7 +162,7 @@ def test_a_straight_wrist_holds_the_free_joint_and_says_so(
 
 
 @EVERY_ARM
-def test_a_wrist_on_axis_1_holds_joint_1_and_says_so(arm: robots.DhArm) -> None:
+def test_a_wrist_on_axis_1_keeps_joint_1_and_flags_it(arm: robots.DhArm) -> None:
     q = wrist_on_axis_1(arm, 50, 5)
     q = q[np.abs(np.sin(arm.theta(q)[:, 4])) > 0.1]
     branches = robots.inverse(arm, robots.forward(arm, q), hold=q)

@@ -28,7 +28,7 @@ def flange(name: str, theta_deg: list[float]) -> Array:
         ("rv_3sd_melfa", [475, 0, -5], [121.990467, 64.010211, -7.673209]),
     ],
 )
-def test_the_flange_is_where_the_record_says(
+def test_flange_positions_are_the_recorded_ones(
     name: str, zero_mm: list[float], turned_mm: list[float]
 ) -> None:
     assert_allclose(flange(name, [0] * 6)[:3, 3] * 1000, zero_mm, atol=1e-9)
@@ -36,7 +36,7 @@ def test_the_flange_is_where_the_record_says(
     assert_allclose(turned[:3, 3] * 1000, turned_mm, atol=1e-6)  # as many digits as are on record
 
 
-def test_the_flange_is_turned_as_the_record_says() -> None:
+def test_flange_orientations_are_the_recorded_ones() -> None:
     assert_allclose(flange("iust_6r", [0] * 6)[:3, :3], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=0)
     assert_allclose(flange("rv_3sd", [0] * 6)[:3, :3], np.eye(3), atol=0)
     assert_allclose(flange("rv_3sd_melfa", [0] * 6)[:3, :3], np.diag([1, -1, -1]), atol=0)
@@ -142,7 +142,7 @@ def test_the_wrong_number_of_joints_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", [*robots.names(), "ur5"])
-def test_the_self_check_finds_nothing_amiss(name: str) -> None:
+def test_the_self_check_passes(name: str) -> None:
     found = robots.self_check(robots.load(name), poses=200)
     assert found.lost == 0
     assert found.inverse_position < 1e-9

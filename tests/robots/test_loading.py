@@ -163,7 +163,7 @@ def test_a_urdfs_flange_is_pinocchios_between_any_two_links() -> None:
         assert_allclose(robots.forward(arm, q), expected, atol=1e-14)
 
 
-def test_a_small_urdf_is_where_trigonometry_says(tmp_path: Path) -> None:
+def test_a_small_urdf_agrees_with_trigonometry(tmp_path: Path) -> None:
     arm = robots.load("arm.urdf", folder=tmp_path) if urdf(tmp_path) else None
     assert arm is not None
     assert_allclose([arm.lower, arm.upper], [[-1, -1], [2, 2]])

@@ -55,9 +55,7 @@ def assert_within_limits(trajectory: Trajectory, limits: JointLimits = LIMITS) -
     # a difference is a mean of the derivative over the step: it cannot exceed its greatest value
     used = []
     for found, limit in zip(
-        rates_by_differences(q, FINE),
-        (limits.speed, limits.acceleration, limits.jerk),
-        strict=True,
+        rates_by_differences(q, FINE), (limits.speed, limits.acceleration, limits.jerk), strict=True
     ):
         assert np.all(found <= limit * (1 + 1e-6) + 1e-6)
         used.append(float((found / limit).max()))
@@ -98,7 +96,7 @@ def test_all_joints_begin_and_end_together_on_a_straight_line() -> None:
     assert_allclose(motion.velocity[[0, -1]], 0, atol=1e-12)
 
 
-def test_no_way_takes_no_time() -> None:
+def test_a_motion_of_no_length_takes_no_time() -> None:
     trajectory = time_path(joint_path(HOME, HOME), LIMITS)
     assert_allclose(trajectory.at(trajectory.duration).q, HOME)
     assert not trajectory.at(0.1).velocity.any()
@@ -198,7 +196,7 @@ wild = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 @settings(max_examples=15, deadline=None)
 @given(wild)
-def test_no_goal_however_wild_leads_out_of_the_limits(random: np.random.Generator) -> None:
+def test_no_goal_leads_out_of_the_limits(random: np.random.Generator) -> None:
     follower = TrajectoryFollower(LIMITS, HOME, PERIOD, lambda _: "")
     goal: Array | None = None
     for step in range(200):
@@ -257,7 +255,7 @@ def test_a_goal_beyond_a_limit_leads_up_to_it_and_the_other_joints_to_theirs() -
     assert_allclose(np.delete(follower.motion.q, 4), HOME[0] + np.delete(HOME + 0.3, 4), atol=1e-9)
 
 
-def test_what_is_not_clear_is_stopped_before_and_said() -> None:
+def test_an_obstructed_motion_stops_before_the_obstacle_with_a_reason() -> None:
     def clear(q: Array) -> str:
         return "the wall" if q[:, 0].max() > 0.3 else ""
 
@@ -305,7 +303,7 @@ def changed(key: str, joint: int, value: float) -> JointMotion:
         ("acceleration", 5, 30.0, "joint 6 would speed up by 1718.9°/s²"),
     ],
 )
-def test_what_breaks_a_limit_is_said(key: str, joint: int, value: float, words: str) -> None:
+def test_a_broken_limit_is_named(key: str, joint: int, value: float, words: str) -> None:
     assert limit_violation(HALF_LIMITS, changed("q", 0, 0.0)) == ""
     assert words in limit_violation(HALF_LIMITS, changed(key, joint, value))
 

@@ -7,17 +7,26 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from reports import Results
+from verify import analyse, open_session
 from verify.analysis import session
 from verify.cli.main import main
 from verify.core.records import Measurement
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "sample_sessions"
+
+
+@cache
+def sample_results(name: str) -> Results:
+    """Results of a sample session, analysed once in a process. Do not change them."""
+    return analyse(open_session(SAMPLES / name))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Remake the README's figure, the first page of a sample's report: `python -m tests.support.figures`."""
+"""Remake the README's figure, a report's first page: `python -m tests.support.figures`."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,13 +1,19 @@
 """Tracks with known truth for tests of clock, comparison and judgement: no pictures needed."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import robots
+from tests.support.scene import make_marker, make_rig
+from verify.analysis.clock import ClockEstimate
+from verify.analysis.comparison import Comparison, compare
+from verify.analysis.model import JointErrorModel, build_model
 from verify.core.readings import Readings
 from verify.core.records import Array
+from verify.measurement.systematics import stated_systematics
 from verify.measurement.track import Track
 
 ARM = robots.load("iust_6r")
@@ -62,3 +68,31 @@ def read(
     """Readings on a clock that needs `offset` added, with 0.005° noise and a constant error."""
     q = motion(t) + rng.normal(0, np.deg2rad(0.005), (len(t), 6)) + error
     return Readings(t - offset, q)
+
+
+PAIRS = np.arange(1.0, 7.0, 1 / 15)
+LOG = np.arange(0.0, 8.0, 0.02)
+GIVEN = ClockEstimate(0.0, None, "given", np.zeros((0, 2)))
+POSTURES = {
+    "iust_6r": (35.0, -60.0, 45.0, 5.0, -80.0, 30.0),
+    "rv_3sd_melfa": (20.0, 10.0, 80.0, 30.0, 60.0, -40.0),
+}
+
+
+ESTIMATED = replace(GIVEN, source="estimated", standard_uncertainty=1e-4)
+
+
+def compared(seed: int, error: Array | float = 0.0) -> tuple[Track, Comparison]:
+    rng = np.random.default_rng(seed)
+    track = make_track(PAIRS, swinging(PAIRS), rng)
+    return track, compare(track, ARM, read(swinging, LOG, 0.0, rng, error), 0.0)
+
+
+def model_of(
+    track: Track, comparison: Comparison, base: str, body: str | None, clock: ClockEstimate = GIVEN
+) -> JointErrorModel:
+    rig = replace(make_rig(), base_source=base)
+    marker = replace(make_marker(), source=body)
+    return build_model(
+        comparison, track, rig, marker, clock, stated_systematics(rig, marker, turning=False)
+    )

@@ -47,11 +47,7 @@ class Watched:
 
 
 def poses_csv(
-    t: Array,
-    poses: Array,
-    *,
-    positions_alone: bool = False,
-    more: dict[str, Array] | None = None,
+    t: Array, poses: Array, *, positions_alone: bool = False, more: dict[str, Array] | None = None
 ) -> str:
     """Write (n, 4, 4) poses, m, as the text of a poses.csv; every other quaternion is negated."""
     quaternion = np.roll(Rotation.from_matrix(poses[:, :3, :3]).as_quat(), 1, axis=1)

@@ -5,6 +5,7 @@ import functools
 
 import numpy as np
 from hypothesis import strategies as st
+from numpy import cos, sin
 
 import robots
 from robots import spherical_wrist
@@ -57,3 +58,21 @@ def wrist_on_axis_1(arm: robots.DhArm, count: int, seed: int) -> Array:
         )
     on_axis = np.abs(distance(theta)) < 1e-15
     return arm.joint_angles(theta[on_axis][:count])
+
+
+def link(theta: Array, a: float, d: float, quarter: int) -> Array:
+    """RotZ(θ) TransZ(d) TransX(a) RotX(α), standard DH; (m, 4, 4)."""
+    c, s, o = cos(theta), sin(theta), np.zeros_like(theta)
+    ca, sa = float(quarter == 0), float(quarter)
+    rows = [
+        [c, -s * ca, s * sa, a * c],
+        [s, c * ca, -c * sa, a * s],
+        [o, o + sa, o + ca, o + d],
+        [o, o, o, o + 1],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def turned_by(found: Array, true: Array) -> Array:
+    """By how much angles differ, on the circle."""
+    return np.abs((found - true + np.pi) % (2 * np.pi) - np.pi)

@@ -42,8 +42,8 @@ def random_scenario(
         pairs: how many.
 
     Returns:
-        A scenario that `simulate_session` accepts; faults and uncertainties are the caller's to add with
-        msgspec.structs.replace.
+        A scenario that `simulate_session` accepts; faults and uncertainties are added
+        with msgspec.structs.replace.
 
     Raises:
         InputError: no posture is known for the arm.

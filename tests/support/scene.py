@@ -1,5 +1,7 @@
 """A rig, a marker and true poses for tests of the chain; pixels by OpenCV, not our code."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -98,3 +100,34 @@ def sight(
             )
         )
     return sides[0], sides[1]
+
+
+def turned(rotation: Array, axis: str, angle: float) -> Array:
+    vector = np.eye(3)["xyz".index(axis)] * angle
+    return Rotation.from_rotvec(vector).as_matrix() @ rotation
+
+
+def move_camera(camera: Camera, key: str, step: float) -> Camera:
+    lens = ("k1", "k2", "p1", "p2", "k3")
+    if key in lens:
+        return replace(camera, distortion=camera.distortion + step * np.eye(5)[lens.index(key)])
+    places = {"fx_px": (0, 0), "fy_px": (1, 1), "cx_px": (0, 2), "cy_px": (1, 2)}
+    if key in places:
+        matrix = camera.matrix.copy()
+        matrix[places[key]] += step
+        return replace(camera, matrix=matrix)
+    if key == "pan_zero_deg":
+        return replace(camera, pan_zero=camera.pan_zero + step)
+    if key.startswith("pan_center"):
+        return replace(
+            camera, pan_center=camera.pan_center + step * np.eye(3)["xyz".index(key[11])]
+        )
+    if key.startswith("pan_axis"):
+        turn = turned(np.eye(3), key[10], step)
+        return replace(camera, pan_axis=turn @ camera.pan_axis)
+    mount = camera.mount.copy()
+    if key.startswith("mount_r"):
+        mount[:3, :3] = turned(mount[:3, :3], key[7], step)
+    else:
+        mount[:3, 3] += step * np.eye(3)["xyz".index(key[6])]
+    return replace(camera, mount=mount)

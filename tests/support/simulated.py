@@ -94,3 +94,20 @@ def scene(**changes: Any) -> Scenario:
         encoders=ScenarioEncoders(noise_deg=0.0),
     )
     return msgspec.structs.replace(plain, **changes)
+
+
+MINIMAL = """
+format = 1
+robot = "iust_6r"
+seed = 1
+[motion]
+kind = "multi_joint"
+home_deg = [30.0, -62.0, 46.0, 8.0, -84.0, 24.0]
+amplitude_deg = [5.0, 5.0, 5.0, 5.0, 5.0, 5.0]
+[recording]
+pairs = 3
+rate_hz = 10.0
+[[marker.led]]
+name = "A"
+position_mm = [60.0, 5.0, 20.0]
+"""

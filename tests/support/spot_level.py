@@ -1,5 +1,6 @@
 """A run without pictures: true LED images with noise go through the chain as detected spots."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,8 +18,8 @@ from verify.devices.protocols import EncoderReading
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
 from verify.live.bracketing import Bracketing, MeasuredPair
 from verify.live.buffers import ReadingBuffer
-from verify.live.clock import ESTIMATE_PERIOD, ClockKeeper, estimate_offset
-from verify.live.joint_row import JointRow
+from verify.live.clock import ESTIMATE_PERIOD, ClockKeeper, LiveClock, estimate_offset
+from verify.live.joint_row import Evidence, JointRow
 from verify.live.protocols import Alarm, MonitoredRobot
 from verify.measurement import chain
 from verify.measurement.chain import Setup, measure
@@ -152,3 +153,67 @@ def facing_rig() -> tuple[Rig, Marker]:
     rig_T_base = facing() @ np.linalg.inv(flange)
     marker = Marker(tuple("ABCD"), LEDS * 1e-3, ("white",) * 4, 0.005)
     return Rig(rig.image_size, rig.left, rig.right, rig_T_base), marker
+
+
+ARM = robots.load("iust_6r")
+RATE = 30.0
+POSE_SIGMA = np.array([7e-5] * 3 + [math.radians(0.04)] * 3)  # m, rad: what pixels leave of a pose
+JOINT_PERIOD = np.array([2.9, 3.7, 3.1, 2.3, 4.3, 2.7])
+CLOCK = LiveClock(0.1, 1e-4, "estimated")
+PRIORS = 8
+
+
+def streamed(
+    seconds: float,
+    seed: int,
+    *,
+    bias: float = 1.0,
+    stated: float = 4.0,
+    repeating: float = 0.0,
+    jump: tuple[float, int, float] | None = None,
+) -> Iterator[JointRow]:
+    """Rows as the loop makes them, numbers only.
+
+    Args:
+        seconds: of them.
+        seed: for what is drawn.
+        bias: standard deviations of what rig, base and LEDs are off.
+        stated: how large such a deviation is, against a pair's noise.
+        repeating: correlation of a pair's noise with the one before.
+        jump: s, joint counted from 1, rad.
+    """
+    chance = np.random.default_rng(seed)
+    t = np.arange(int(seconds * RATE)) / RATE
+    q = HOME + SWING * np.sin(2 * np.pi * t[:, None] / JOINT_PERIOD + np.arange(6))
+    jacobian = robots.jacobian(ARM, q)
+    priors = chance.normal(0, 1, (6, PRIORS)) * (stated * POSE_SIGMA)[:, None]
+    off = bias * chance.choice([-1.0, 1.0], PRIORS)
+    sway = np.linspace(0.5, 1.5, PRIORS)
+    noise = np.zeros(6)
+    for i in range(len(t)):
+        noise = repeating * noise + math.sqrt(1 - repeating**2) * chance.normal(0, 1, 6)
+        columns = priors * (1 + 0.3 * np.sin(t[i] * sway))
+        xi = POSE_SIGMA * noise + columns @ off
+        if jump is not None and t[i] >= jump[0]:
+            xi = xi + jacobian[i][:, jump[1] - 1] * jump[2]
+        evidence = Evidence(
+            xi=xi,
+            jacobian=jacobian[i],
+            noise=np.diag(POSE_SIGMA**2),
+            alignment=np.zeros((6, 6)),
+            prior=columns,
+            clock=np.zeros(6),
+            clock_uncertainty=1e-4,
+            determined=np.eye(6),
+        )
+        error = np.linalg.solve(jacobian[i], xi)
+        inverse = np.linalg.inv(jacobian[i])
+        spread = inverse @ (np.diag(POSE_SIGMA**2) + columns @ columns.T) @ inverse.T
+        yield row(float(t[i]), error, np.sqrt(np.diag(spread)), evidence)
+
+
+def row(t: float, error: Array, uncertainty: Array, evidence: Evidence | None) -> JointRow:
+    nothing = np.full(6, np.nan)
+    return JointRow(
+        0, t, "measured", 4, nothing, nothing, error, uncertainty, error, CLOCK, evidence=evidence
+    )

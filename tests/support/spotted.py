@@ -96,3 +96,12 @@ def spotted(arm_name: str, q: Array, seed: int, larger: float = 1.0) -> Spotted:
         systematics=parameters,
         clock=ClockEstimate(0.0, 5e-4, "given", np.zeros((0, 2))),
     )
+
+
+HOMES = {
+    "iust_6r": np.deg2rad([35.0, -60.0, 45.0, 5.0, -80.0, 30.0]),
+    "rv_3sd_melfa": np.deg2rad([10.0, 15.0, 95.0, 10.0, 50.0, 20.0]),
+}
+
+
+SPREAD = np.deg2rad([10.0, 7.0, 8.0, 10.0, 10.0, 20.0])

@@ -116,8 +116,8 @@ def replicate(
         rigs = {"means": registration.rig, "means apart": decorrelated(registration.rig)}
         noise = int(rng.integers(2**31))
         for name in ("means", "means apart") if apart else ("means",):
-            told = replace(session, rig=_standing(rigs[name], session))
-            mean, covariance = _through_pixels(told) if pixels else _at_spots(told, noise)
+            output = replace(session, rig=_standing(rigs[name], session))
+            mean, covariance = _through_pixels(output) if pixels else _at_spots(output, noise)
             joints = [f"q{j + 1}" for j in range(len(mean))]
             outcome[f"{arm} {name}"] = checked(joints, mean, covariance)
     return outcome
@@ -217,8 +217,8 @@ def _registered(
     played = session.simulated
     base = played.world.bench.rig_T_base
     for _ in range(ATTEMPTS):
-        told: Array = invert(base) @ _before_the_cameras(rng, played)
-        true = perturb(told, FIXTURE * rng.normal(size=6))
+        output: Array = invert(base) @ _before_the_cameras(rng, played)
+        true = perturb(output, FIXTURE * rng.normal(size=6))
         scenario = BoardScenario(
             format=1,
             seed=int(rng.integers(2**31)),
@@ -241,7 +241,7 @@ def _registered(
             pairs = _pairs(scenario, pixels)
         except InputError:  # not whole in both pictures
             continue
-        return register_fixture(found, pairs, FIXTURE_BOARD, told, np.diag(FIXTURE**2))
+        return register_fixture(found, pairs, FIXTURE_BOARD, output, np.diag(FIXTURE**2))
     raise RuntimeError(f"{ATTEMPTS} places of the fixture's board drawn, none of them in view")
 
 
@@ -336,12 +336,17 @@ def _at_spots(session: InMemory, noise_seed: int) -> tuple[Array, Array]:
         effects.append(sensitivities(parameters, seen, rig, marker))
     track = collect_track(measurements, rig, effects)
     assert session.clock is not None
-    told = session.clock.encoder_offset, session.clock.standard_uncertainty
+    output = session.clock.encoder_offset, session.clock.standard_uncertainty
     readings = Readings(session.encoders.t, session.encoders.q)
-    comparison = compare(track, arm, readings, told[0])
+    comparison = compare(track, arm, readings, output[0])
     joints = solve_joints(comparison, arm)
     model = build_model(
-        comparison, track, rig, marker, ClockEstimate(*told, "given", np.zeros((0, 2))), parameters
+        comparison,
+        track,
+        rig,
+        marker,
+        ClockEstimate(*output, "given", np.zeros((0, 2))),
+        parameters,
     )
     errors = JointErrors(
         error=joints.single,

@@ -9,6 +9,9 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "verify"
 FACES = {"verify", "robots", "reports"}
 MAX_LINES = 450
+SMALL_MODULE = 80  # lines
+MAX_SMALL_MODULES = 30
+MAX_MODULES = 340
 
 
 def modules() -> list[Path]:
@@ -28,7 +31,7 @@ def test_a_class_name_is_defined_once() -> None:
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
-@pytest.mark.parametrize("package", ["verify", "robots", "reports"])
+@pytest.mark.parametrize("package", ["verify", "robots", "reports", "tests/bench", "tests/support"])
 def test_no_family_of_files_shares_a_first_word(package: str) -> None:
     families = []
     for folder in {p.parent for p in (PACKAGE.parent / package).rglob("*.py")}:
@@ -54,6 +57,21 @@ def test_a_face_holds_a_docstring_and_nothing_else(package: str) -> None:
         assert isinstance(body[0], ast.Expr), path
 
 
-def test_no_module_is_longer_than_a_reader_holds() -> None:
+def test_modules_are_neither_too_long_nor_too_many_nor_too_small() -> None:
     lengths = {p.relative_to(PACKAGE): len(p.read_text().splitlines()) for p in modules()}
     assert {path: n for path, n in lengths.items() if n > MAX_LINES} == {}
+    small = sorted(str(path) for path, n in lengths.items() if n < SMALL_MODULE)
+    assert len(small) <= MAX_SMALL_MODULES, small
+    assert len(lengths) <= MAX_MODULES
+
+
+def test_test_modules_import_helpers_from_support_alone() -> None:
+    tests = PACKAGE.parent / "tests"
+    borrowed = []
+    for path in tests.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests."):
+                parts = (node.module or "").split(".")
+                if parts[1] not in ("support", "bench"):
+                    borrowed.append(f"{path.relative_to(tests)}: {node.module}")
+    assert borrowed == []

@@ -54,7 +54,7 @@ def test_units_follow_as_the_si_brochure_sets_them() -> None:
 
 
 @pytest.mark.parametrize("uncertainty", [1e-12, 1e9, 0.0, None])
-def test_no_uncertainty_asks_for_absurd_decimals(uncertainty: float | None) -> None:
+def test_decimals_are_limited_for_any_uncertainty(uncertainty: float | None) -> None:
     assert 0 <= decimals_of(uncertainty) <= 7
 
 

@@ -13,9 +13,9 @@ import pytest
 import reports
 from reports.format import pdf
 from reports.format.branding import DEFAULT_BRANDING, MAX_HEIGHT_MM, MAX_WIDTH_MM, read_logo
-from tests.reports.conftest import LIBRARY
-from tests.reports.format.test_html import Page
-from tests.support.reports import made
+from reports.session.document import document
+from tests.support.reports import session as made
+from tests.support.reports.page import LIBRARY, Page
 
 ROOT = Path(__file__).parents[3]
 HEAD = '<svg xmlns="http://www.w3.org/2000/svg" '
@@ -72,7 +72,7 @@ def test_logo_and_owner_stand_above_the_title_in_both_formats(
     assert len(first) > len(reports.render_pdf(made.nothing()))
 
 
-def test_without_any_wish_a_report_is_as_it_always_was() -> None:
+def test_without_branding_the_report_is_unchanged() -> None:
     assert html(DEFAULT_BRANDING) == html(reports.look())
     page = html(DEFAULT_BRANDING)
     assert "owner" not in page
@@ -85,7 +85,7 @@ BOMB = HEAD.replace("<svg", '<!DOCTYPE svg [<!ENTITY a "aaaa">]><svg') + 'viewBo
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "message"),
     [
         ("a.png", b"not a picture", "is neither"),
         ("a.svg", "<html><body>svg</body></html>", "is neither"),
@@ -110,11 +110,11 @@ BOMB = HEAD.replace("<svg", '<!DOCTYPE svg [<!ENTITY a "aaaa">]><svg') + 'viewBo
         ("nan.svg", HEAD + 'viewBox="0 0 nan inf"/>', "no viewBox"),
     ],
 )
-def test_what_is_no_plain_picture_is_refused_in_one_line(
-    tmp_path: Path, name: str, content: bytes | str, said: str
+def test_an_unsafe_or_damaged_logo_is_refused_in_one_line(
+    tmp_path: Path, name: str, content: bytes | str, message: str
 ) -> None:
     path = kept(tmp_path, name, content)
-    with pytest.raises(reports.ReportError, match=re.escape(said)) as problem:
+    with pytest.raises(reports.ReportError, match=re.escape(message)) as problem:
         read_logo(path)
     assert str(problem.value).startswith(str(path))
     assert "\n" not in str(problem.value)
@@ -173,7 +173,7 @@ def test_the_templates_of_the_documentation_work(tmp_path: Path) -> None:
     )
 
 
-def test_what_a_folder_does_not_hold_is_ours(tmp_path: Path) -> None:
+def test_missing_templates_fall_back_to_the_default(tmp_path: Path) -> None:
     kept(tmp_path, "report.css", "h1 { color: teal; }")
     look = reports.look(templates=tmp_path)
     assert html(look).replace("h1 { color: teal; }\n", "") == html(DEFAULT_BRANDING)
@@ -182,7 +182,7 @@ def test_what_a_folder_does_not_hold_is_ours(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("template", "said"),
+    ("template", "message"),
     [
         ("a\n{% if %}", "line 2: Expected an expression"),
         ("a\n\n{{ document.titel }}", "line 3: 'dict object' has no attribute 'titel'"),
@@ -194,18 +194,16 @@ def test_what_a_folder_does_not_hold_is_ours(tmp_path: Path) -> None:
         ("{{ document.update({}) }}", "is unsafe"),
     ],
 )
-def test_an_error_in_a_page_template_is_said_with_its_line(
-    tmp_path: Path, template: str, said: str
-) -> None:
+def test_a_page_template_error_names_its_line(tmp_path: Path, template: str, message: str) -> None:
     path = kept(tmp_path, "report.html.j2", template)
-    with pytest.raises(reports.ReportError, match=re.escape(said)) as problem:
+    with pytest.raises(reports.ReportError, match=re.escape(message)) as problem:
         reports.render_html(made.nothing(), reports.look(templates=tmp_path))
     assert str(problem.value).startswith(str(path))
     assert "\n" not in str(problem.value)
 
 
 @pytest.mark.parametrize(
-    ("template", "said"),
+    ("template", "message"),
     [
         ("= A\n#nothing()", "line 2: unknown variable: nothing"),
         ('#let doc = json("report.json")\n\n#doc.nothing', "line 3"),
@@ -214,11 +212,9 @@ def test_an_error_in_a_page_template_is_said_with_its_line(
         ("#(", "line 1: unclosed delimiter"),
     ],
 )
-def test_an_error_in_a_typst_template_is_said_with_its_line(
-    tmp_path: Path, template: str, said: str
-) -> None:
+def test_a_typst_template_error_names_its_line(tmp_path: Path, template: str, message: str) -> None:
     path = kept(tmp_path, "report.typ", template)
-    with pytest.raises(reports.ReportError, match=re.escape(said)) as problem:
+    with pytest.raises(reports.ReportError, match=re.escape(message)) as problem:
         reports.render_pdf(made.nothing(), reports.look(templates=tmp_path))
     assert str(problem.value).startswith(str(path))
     assert "\n" not in str(problem.value)
@@ -229,7 +225,7 @@ def test_a_typst_template_may_use_files_of_its_folder(tmp_path: Path) -> None:
     kept(tmp_path, "a.png", png(20, 10))
     kept(tmp_path, "report.typ", '#import "own.typ": stamp\n#image("a.png")\n#stamp')
     look = reports.look(templates=tmp_path)
-    assert pdf.pages(reports.outline.document(made.nothing()), look)[:5] == b"%PDF-"
+    assert pdf.pages(document(made.nothing()), look)[:5] == b"%PDF-"
 
 
 def test_a_folder_without_a_template_is_refused(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from reports.document.blocks import Facts, Figure, Table, collect_figures
 from reports.grasp import figures as grasp_figures
 from reports.grasp.document import document, outcome
 from reports.results import Results
-from tests.support.reports import made_grasp
+from tests.support.reports import grasp as made_grasp
 
 BARE = {"kind": "grab", "robot": "an arm", "target": "blue object", "cell": "simulated"}
 
@@ -27,11 +27,13 @@ BARE = {"kind": "grab", "robot": "an arm", "target": "blue object", "cell": "sim
         ({"state": "tracking", "refusal": {"reason": "too wide"}}, "undecided", "Refused"),
     ],
 )
-def test_each_end_has_its_words(summary: dict[str, object], tone: str, label: str) -> None:
-    said = outcome(summary)
-    assert said.tone == tone
-    assert label in said.label
-    assert "None" not in said.sentence
+def test_each_final_state_has_its_verdict(
+    summary: dict[str, object], tone: str, label: str
+) -> None:
+    message = outcome(summary)
+    assert message.tone == tone
+    assert label in message.label
+    assert "None" not in message.sentence
 
 
 BY_GRIPPER = "The object came along, by the gripper's status; the cameras"
@@ -58,19 +60,19 @@ SEEN = {
         ),
     ],
 )
-def test_the_verdict_says_who_saw_the_object_come_along(
+def test_the_verdict_names_the_evidence_for_the_lift(
     seen: dict[str, Any], sentence: str, fact: str
 ) -> None:
     ended = made_grasp.SUMMARY | seen
     assert outcome(ended).sentence == sentence
-    told = document(made_grasp.results(seen))
-    (facts,) = [block for block in told.sections[0].blocks if isinstance(block, Facts)]
+    output = document(made_grasp.results(seen))
+    (facts,) = [block for block in output.sections[0].blocks if isinstance(block, Facts)]
     assert dict(facts.items)["Object from the grip point, seen"] == fact
 
 
-def test_a_grab_that_lifted_nothing_says_nothing_of_an_object_in_the_hand() -> None:
-    told = document(made_grasp.results(dict.fromkeys(SEEN) | {"state": "missed"}))
-    (facts,) = [block for block in told.sections[0].blocks if isinstance(block, Facts)]
+def test_a_missed_grasp_reports_no_object_in_the_hand() -> None:
+    output = document(made_grasp.results(dict.fromkeys(SEEN) | {"state": "missed"}))
+    (facts,) = [block for block in output.sections[0].blocks if isinstance(block, Facts)]
     assert "Object from the grip point, seen" not in dict(facts.items)
     assert "– mm" not in str(facts)
 
@@ -78,12 +80,12 @@ def test_a_grab_that_lifted_nothing_says_nothing_of_an_object_in_the_hand() -> N
 def test_small_scores_keep_their_digits() -> None:
     parts = {"limits": 0.45, "dexterity": 0.2319, "nearness": 0.99992, "clearance": 0.001}
     plan = made_grasp.plan({}) | {"score": 0.000104327, "parts": parts}
-    told = document(made_grasp.results({"plan": plan}))
-    (said,) = [cell for block in told.sections[-1].blocks if isinstance(block, Table)
+    output = document(made_grasp.results({"plan": plan}))
+    (message,) = [cell for block in output.sections[-1].blocks if isinstance(block, Table)
                for row in block.rows for cell in row if "taken" in str(cell)]  # fmt: skip
-    assert "score 0.00010 (" in str(said)
-    assert "clearance 0.0010" in str(said)
-    assert "dexterity 0.23" in str(said)
+    assert "score 0.00010 (" in str(message)
+    assert "clearance 0.0010" in str(message)
+    assert "dexterity 0.23" in str(message)
 
 
 def test_time_is_written_once_below_panels_that_share_it() -> None:
@@ -99,11 +101,11 @@ def test_time_is_written_once_below_panels_that_share_it() -> None:
         assert lowest == chart.columns
 
 
-def test_what_was_not_seen_is_said_and_not_drawn() -> None:
-    told = document(Results(BARE | {"state": "searching"}, {}, {"cycles": pd.DataFrame()}))
-    assert collect_figures(told) == {}
-    blocks = [block for section in told.sections for block in section.blocks]
+def test_missing_measurements_are_stated_and_not_drawn() -> None:
+    output = document(Results(BARE | {"state": "searching"}, {}, {"cycles": pd.DataFrame()}))
+    assert collect_figures(output) == {}
+    blocks = [block for section in output.sections for block in section.blocks]
     assert not any(isinstance(block, Figure) for block in blocks)
     words = " ".join(str(getattr(block, "text", "")) for block in blocks)
-    for said in ("no pictures", "was not seen", "saw nothing", "No joint angles", "no plan"):
-        assert said in words
+    for message in ("no pictures", "was not seen", "saw nothing", "No joint angles", "no plan"):
+        assert message in words

@@ -54,7 +54,7 @@ def every() -> dict[str, Results]:
     }
 
 
-def test_the_answer_stands_first(every: dict[str, Results]) -> None:
+def test_the_verdict_is_first(every: dict[str, Results]) -> None:
     first = document(every["geometry"]).sections[0].blocks[0]
     assert isinstance(first, Verdict)
     assert first.sentence.startswith("30 parameters were identified from 59 poses.")

@@ -52,14 +52,14 @@ def every() -> dict[str, Results]:
     }
 
 
-def test_the_answer_stands_first(every: dict[str, Results]) -> None:
+def test_the_verdict_is_first(every: dict[str, Results]) -> None:
     first = document(every["plain"]).sections[0].blocks[0]
     assert isinstance(first, Verdict)
     assert first.sentence.startswith("A constant offset of 0.")
     assert first.sentence.endswith("° or more would be noticed in every joint.")
 
 
-def test_what_cannot_show_is_said_with_its_cause(every: dict[str, Results]) -> None:
+def test_undetectable_offsets_are_stated_with_the_cause(every: dict[str, Results]) -> None:
     first = document(every["blind"]).sections[0].blocks[0]
     assert isinstance(first, Verdict)
     assert "noticed in joints 2, 3, 4 and 5." in first.sentence
@@ -84,7 +84,7 @@ def test_each_kind_has_its_columns(every: dict[str, Results]) -> None:
     assert float(table.rows[0][3].text) == pytest.approx(first["standard_uncertainty"], rel=0.06)
 
 
-def test_geometry_is_told_where_it_was_asked_for(every: dict[str, Results]) -> None:
+def test_geometry_is_shown_on_request(every: dict[str, Results]) -> None:
     names = [section.name for section in document(every["plain"]).sections]
     assert "geometry" in names
     assert "geometry" not in [section.name for section in document(every["blind"]).sections]

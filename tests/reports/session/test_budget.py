@@ -5,7 +5,8 @@ from reports.document.blocks import Bullets, Figure, Paragraph, Section, Table
 from reports.document.charts import Chart, Points
 from reports.results import Results
 from reports.session import document
-from tests.support.reports import made, made_budget
+from tests.support.reports import budget as made_budget
+from tests.support.reports import session as made
 
 
 def section(results: Results, name: str) -> Section:
@@ -26,8 +27,8 @@ def texts(part: Section) -> str:
 
 
 def test_the_budget_adds_what_a_reader_checks_it_by() -> None:
-    said = section(made_budget.holding(), "budget")
-    table = next(b for b in said.blocks if isinstance(b, Table) and "by source" in b.caption)
+    message = section(made_budget.holding(), "budget")
+    table = next(b for b in message.blocks if isinstance(b, Table) and "by source" in b.caption)
     rows = {row[0].text: [cell.text for cell in row[1:]] for row in table.rows}
     assert rows["rig"][:3] == ["systematic", "B", "40"]
     assert rows["encoder resolution"][2] == "∞"
@@ -46,7 +47,7 @@ def test_the_worst_known_joint_and_its_largest_source_come_first() -> None:
     assert "rig, 49 % of the variance" in first.text
 
 
-def test_monte_carlo_says_where_it_holds_and_where_not() -> None:
+def test_monte_carlo_states_where_linear_propagation_holds() -> None:
     holds = texts(section(made_budget.holding(), "budget"))
     assert "22 pairs drawn anew 200 times" in holds
     assert "the largest difference is 2.4 %, where 5.0 % are allowed" in holds
@@ -60,12 +61,12 @@ def test_monte_carlo_says_where_it_holds_and_where_not() -> None:
 
 
 def test_well_known_sums_stand_beside_their_members_and_the_worst_known() -> None:
-    said = texts(section(made_budget.holding(), "budget"))
+    message = texts(section(made_budget.holding(), "budget"))
     for name in ("q2+q3+q4", "a member by itself", "known best of all", "known worst of all"):
-        assert name in said
+        assert name in message
 
 
-def test_sweeps_are_worded_by_what_is_beyond_chance() -> None:
+def test_sweeps_report_only_significant_effects() -> None:
     sound = texts(section(made_budget.holding(), "relative"))
     assert "Turned alone, joints 1, 2, 3, 4, 5 and 6: the encoder follows" in sound
     faulty = texts(section(made_budget.failing(), "relative"))
@@ -82,7 +83,7 @@ def test_sweeps_are_worded_by_what_is_beyond_chance() -> None:
     assert "follows the turn" not in faulty
 
 
-def test_without_a_sweep_one_line_says_what_motion_would_give_it() -> None:
+def test_without_a_sweep_the_required_motion_is_named() -> None:
     part = section(made.nonconforming(), "relative")
     assert [b for b in part.blocks if isinstance(b, Paragraph)][-1].text.startswith(
         "No single-joint sweep: turn one joint alone"

@@ -12,7 +12,7 @@ from reports.session import causes as session_causes
 from reports.session import findings
 from reports.session.combinations import detectable
 from reports.session.headline import headline
-from tests.support.reports import made
+from tests.support.reports import session as made
 
 
 def cause(kind: str, joint: int | None, value: float, unit: str, **more: Any) -> dict[str, Any]:
@@ -57,15 +57,15 @@ def table_of(section: Section, place: int = 0) -> Table:
     return [block for block in section.blocks if isinstance(block, Table)][place]
 
 
-def test_every_kind_is_said_with_its_remedy() -> None:
+def test_every_kind_has_its_remedy() -> None:
     for entry in EVERY:
-        said = headline(with_causes([entry | {"joint": None} if not entry["joint"] else entry]))
+        message = headline(with_causes([entry | {"joint": None} if not entry["joint"] else entry]))
         assert session_causes.remedy(entry) != "–", entry["kind"]
         assert ":" in session_causes.finding(entry)
-        assert "None" not in said.sentence, entry["kind"]
+        assert "None" not in message.sentence, entry["kind"]
 
 
-def test_signs_are_said_as_they_act() -> None:
+def test_signs_are_stated_as_corrections() -> None:
     assert "loses 140" in session_causes.finding(EVERY[3])
     assert "gains 140" in session_causes.finding(EVERY[4])
     assert "later than stamped: add +0.00310 s to t_right_s" in session_causes.finding(EVERY[5])
@@ -91,9 +91,7 @@ def test_many_pairs_left_out_are_not_all_printed() -> None:
 
 @pytest.mark.parametrize("motion", [*session_causes.MOTIONS, "unheard_of"])
 @pytest.mark.parametrize("numbers", [[], [3], [3, 4]])
-def test_an_ambiguous_entry_says_the_motion_that_would_tell(
-    motion: str, numbers: list[int]
-) -> None:
+def test_an_ambiguous_entry_names_the_separating_motion(motion: str, numbers: list[int]) -> None:
     entry = UNCLEAR | {"separating_motion": motion, "separating_joints": numbers}
     section = findings.diagnosis(with_causes([entry]))
     cells = [cell.text for cell in table_of(section).rows[0]]
@@ -120,7 +118,7 @@ def faults(**more: Any) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=names).assign(**more)
 
 
-def test_what_could_be_seen_is_a_table_of_joints_and_kinds() -> None:
+def test_detectable_faults_are_a_table_of_joints_and_kinds() -> None:
     results = made.nonconforming()
     section = detectable(replace(results, tables=results.tables | {"detectable": faults()}))
     (hidden,) = [block for block in section.blocks if isinstance(block, Bullets)]
@@ -137,6 +135,6 @@ def test_what_could_be_seen_is_a_table_of_joints_and_kinds() -> None:
     assert ["moved robot base or rig, rz", "0.0080", "–", "°"] in second
 
 
-def test_without_the_table_nothing_is_claimed() -> None:
+def test_without_the_table_no_detectability_is_stated() -> None:
     section = detectable(made.nothing())
     assert [block.kind for block in section.blocks] == ["paragraph"]

@@ -12,9 +12,9 @@ from reports.document.blocks import Facts
 from reports.results import Results
 from reports.session.conditions import conditions
 from reports.session.headline import headline
-from tests.reports.conftest import LIBRARY
 from tests.support.command import SAMPLES
-from tests.support.reports import made
+from tests.support.reports import session as made
+from tests.support.reports.page import LIBRARY
 from verify import analyse, open_session
 
 SAMPLE = SAMPLES / "multi_joint_fault_6r"
@@ -35,12 +35,12 @@ def registered_by_motion(tmp_path_factory: pytest.TempPathFactory) -> Results:
     return analyse(open_session(folder))
 
 
-def test_the_first_page_says_what_a_registration_by_motion_hides(
+def test_the_first_page_lists_what_a_registration_by_motion_hides(
     registered_by_motion: Results,
 ) -> None:
-    said = headline(registered_by_motion)
-    assert said.tone == "nonconform"
-    assert said.remarks[1:3] == ("Whether joint 1 conforms is undecided.", f"{BASE}encoders.")
+    message = headline(registered_by_motion)
+    assert message.tone == "nonconform"
+    assert message.remarks[1:3] == ("Whether joint 1 conforms is undecided.", f"{BASE}encoders.")
     page = reports.render_html(registered_by_motion).replace(LIBRARY, "")
     verdict, found = page.index("The robot does not conform"), page.index(BASE)
     assert verdict < found < page.index("Without any registration", verdict)
@@ -103,36 +103,36 @@ CASES: dict[str, tuple[Results, str, str, str]] = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_hides_an_offset_is_told_with_every_verdict(name: str) -> None:
+def test_hidden_offsets_are_stated_with_every_verdict(name: str) -> None:
     results, named, why, _ = CASES[name]
     for verdict in ("conform", "nonconform", "undecided", None):
-        said = headline(replace(results, summary=results.summary | {"verdict": verdict}))
-        assert f"A constant offset of {named} cannot show here: {why}." in said.remarks, verdict
+        message = headline(replace(results, summary=results.summary | {"verdict": verdict}))
+        assert f"A constant offset of {named} cannot show here: {why}." in message.remarks, verdict
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_an_undecided_verdict_says_what_would_free_it(name: str) -> None:
+def test_an_undecided_verdict_names_what_would_decide_it(name: str) -> None:
     results, named, _, remedy = CASES[name]
     rows = [
         row | ({"verdict": "undecided"} if row["reason"] == "not_observable" else {})
         for row in results.summary["joints"]
     ]
     summary = results.summary | {"verdict": "undecided", "joints": rows}
-    said = headline(replace(results, summary=summary))
-    assert f"an offset of {named} cannot show: {remedy}" in said.sentence
-    assert "could not be seen" not in " ".join(said.remarks)  # said above, with its reason
+    message = headline(replace(results, summary=summary))
+    assert f"an offset of {named} cannot show: {remedy}" in message.sentence
+    assert "could not be seen" not in " ".join(message.remarks)  # said above, with its reason
 
 
 def test_a_joint_beyond_its_tolerance_may_hide_its_constant() -> None:
-    said = headline(_results({3: FOUND}, setup={"rig": {"base_source": "motion"}}))
-    assert any("offset of joint 3 cannot show here" in remark for remark in said.remarks)
+    message = headline(_results({3: FOUND}, setup={"rig": {"base_source": "motion"}}))
+    assert any("offset of joint 3 cannot show here" in remark for remark in message.remarks)
 
 
-def test_nothing_is_said_where_every_offset_could_show() -> None:
+def test_nothing_is_stated_if_every_offset_is_detectable() -> None:
     assert not any("cannot show" in remark for remark in headline(_base()).remarks)
 
 
-def test_an_open_joint_beside_a_failing_one_says_why_it_is_open() -> None:
+def test_an_undecided_joint_beside_a_failing_one_has_its_reason() -> None:
     row = {"verdict": "undecided", "reason": "uncertainty_too_large"}
     assert (
         "Joint 4: uncertainty too large for this tolerance." in headline(_results({4: row})).remarks
@@ -150,14 +150,12 @@ NOBODY_SAYS = (
 )  # fmt: skip
 
 
-def test_what_a_session_does_not_state_is_said_to_be_not_stated(
-    registered_by_motion: Results,
-) -> None:
+def test_missing_statements_are_reported_as_not_stated(registered_by_motion: Results) -> None:
     facts = _facts(registered_by_motion)
     assert {facts[label] for label in NOBODY_SAYS} == {"not stated"}
 
 
-def test_what_is_stated_stays_as_it_is() -> None:
+def test_stated_values_are_unchanged() -> None:
     setup = {"rig": {"registration": "of monday"}, "marker": {"led_standard_uncertainty_mm": 0.05}}
     facts = _facts(_results({}, setup=setup))
     assert facts["Registration"] == "of monday"

@@ -1,7 +1,6 @@
 import base64
 import io
 import re
-from typing import Any
 
 import matplotlib.colors
 import matplotlib.image
@@ -15,11 +14,12 @@ from reports.document.charts import Band, Chart, Line, Path
 from reports.format import matplotlib as format_matplotlib
 from reports.format import pdf, plotly
 from reports.session.figures import FIGURES
-from tests.support.reports import made
+from tests.support.reports import session as made
+from tests.support.reports.page import coloured
 
 
 @pytest.mark.parametrize("figure", sorted(FIGURES))
-@pytest.mark.parametrize("name", ["nonconforming", "nulls", "nothing", "one_pair", "one_joint"])
+@pytest.mark.parametrize("name", ["nonconforming", "nothing", "one_pair"])
 def test_every_figure_is_drawn_or_declined(name: str, figure: str) -> None:
     chart = FIGURES[figure](made.EVERY[name]())
     if name == "nothing":
@@ -28,27 +28,17 @@ def test_every_figure_is_drawn_or_declined(name: str, figure: str) -> None:
         assert chart is not None
 
 
-def _coloured(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _coloured(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_coloured(item) for item in value]
-    if isinstance(value, str) and value.startswith("role:"):
-        return charts.PALETTE[value.removeprefix("role:")][0][:7]
-    return value
-
-
 @pytest.mark.parametrize("figure", sorted(FIGURES))
 def test_plotly_itself_accepts_every_plot_of_the_page(figure: str) -> None:
     chart = FIGURES[figure](made.nonconforming())
     assert chart is not None
-    plot = _coloured(plotly.specification(chart))
+    plot = coloured(plotly.specification(chart))
     go.Figure(plot["data"], plot["layout"])
     go.Figure(plot["data"], plot["narrow"])
 
 
 @pytest.mark.parametrize("figure", sorted(set(FIGURES) - {"correlation", "path"}))
-def test_every_axis_says_its_unit_or_what_it_counts(figure: str) -> None:
+def test_every_axis_has_a_unit_or_a_count(figure: str) -> None:
     chart = FIGURES[figure](made.nonconforming())
     assert isinstance(chart, Chart)
     for panel in chart.panels:
@@ -134,7 +124,7 @@ def test_the_shares_of_variance_add_up_to_all() -> None:
 
 
 @pytest.mark.parametrize("figure", ["joint_errors", "pose", "path", "clock"])
-def test_every_line_that_is_drawn_can_be_seen_on_the_page(figure: str) -> None:
+def test_every_line_is_visible_in_the_image(figure: str) -> None:
     chart = FIGURES[figure](made.nonconforming())
     assert chart is not None
     files = {"main.typ": b'#image("chart.svg")', "chart.svg": format_matplotlib.svg(chart)}
@@ -147,13 +137,6 @@ def test_every_line_that_is_drawn_can_be_seen_on_the_page(figure: str) -> None:
     for role in roles:
         distance = np.abs(pixels - matplotlib.colors.to_rgb(charts.PALETTE[role][0])).max(axis=2)
         assert (distance < 0.1).sum() > 300, role  # dots; the legend alone has fewer
-
-
-@pytest.mark.parametrize("figure", ["timeline", "budget"])
-def test_the_same_chart_gives_the_same_svg(figure: str) -> None:
-    chart = FIGURES[figure](made.hostile())
-    assert chart is not None
-    assert format_matplotlib.svg(chart) == format_matplotlib.svg(chart)
 
 
 def test_a_user_s_word_cannot_become_a_link_in_a_plot() -> None:

@@ -18,7 +18,7 @@ from reports.session.performance import (
     deviation,
     performance,
 )
-from tests.support.reports import made
+from tests.support.reports import session as made
 
 DEVIATIONS: list[dict[str, Any]] = [
     {"kind": "cycles", "found": 12, "standard": 30},
@@ -159,7 +159,7 @@ def test_the_answer_comes_first() -> None:
     assert "RP 0.440 (0.350 – 0.700) mm" in first.text
 
 
-def test_a_share_that_is_not_told_from_the_floor_is_a_bound() -> None:
+def test_a_share_within_the_noise_floor_is_a_bound() -> None:
     rows = table(section(repeated()), "Pose accuracy AP").rows
     assert [cells[-1].text for cells in rows] == ["0.430", "≤ 0.697"]
 
@@ -173,7 +173,7 @@ def test_every_index_has_its_table_and_positions_alone_have_no_angles() -> None:
     assert "Pose accuracy and pose repeatability of orientations." not in found
 
 
-def test_every_deviation_is_listed_in_words() -> None:
+def test_every_deviation_is_listed() -> None:
     bullets = next(b for b in section(repeated()).blocks if isinstance(b, Bullets))
     assert len(bullets.items) == len(DEVIATIONS)
     assert {str(d["kind"]) for d in DEVIATIONS} == FIXED_DEVIATIONS.keys() | DEVIATION_TEXTS.keys()
@@ -184,13 +184,13 @@ def test_every_deviation_is_listed_in_words() -> None:
 
 
 @pytest.mark.parametrize("reason", REASONS)
-def test_where_nothing_is_repeated_it_says_so(reason: str) -> None:
+def test_without_repetition_the_reason_is_stated(reason: str) -> None:
     (only,) = section(without(reason)).blocks
     assert isinstance(only, Paragraph)
     assert only.text == REASONS[reason]
 
 
-def test_results_of_before_have_no_such_section() -> None:
+def test_results_of_earlier_versions_have_no_such_section() -> None:
     whole: Document = document(made.nonconforming())
     assert "performance" not in [s.name for s in whole.sections]
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.verify.measurement.test_systematics import move_camera
+from tests.support.scene import move_camera
 from verify.calibration.stereo.records import Calibration, covariance_in_si
 from verify.core.fiducials import Board
 from verify.core.records import Array

@@ -15,7 +15,6 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 
 PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser")
-browser_needed = pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
 LIMIT = 30.0  # s, for anything to show
 
 
@@ -39,13 +38,13 @@ class Line:
             self._hear(message)
 
     def _hear(self, message: dict[str, Any]) -> None:
-        said = message.get("params", {})
+        words = message.get("params", {})
         if message["method"] == "Runtime.exceptionThrown":
-            self.complaints.append(str(said["exceptionDetails"]))
-        elif message["method"] == "Runtime.consoleAPICalled" and said["type"] == "error":
-            self.complaints.append(str(said["args"]))
-        elif message["method"] == "Log.entryAdded" and said["entry"]["level"] == "error":
-            self.complaints.append(said["entry"]["text"])
+            self.complaints.append(str(words["exceptionDetails"]))
+        elif message["method"] == "Runtime.consoleAPICalled" and words["type"] == "error":
+            self.complaints.append(str(words["args"]))
+        elif message["method"] == "Log.entryAdded" and words["entry"]["level"] == "error":
+            self.complaints.append(words["entry"]["text"])
 
 
 class Tab(Line):
@@ -112,8 +111,9 @@ class Browser:
 
 @contextmanager
 def launched(profile: Path) -> Iterator[Browser]:
-    """Start the browser, and end it; `profile` is a folder that it may fill."""
-    assert PROGRAM is not None
+    """Start the browser, end it; `profile` is a folder that it may fill. Skip without Chromium."""
+    if PROGRAM is None:
+        pytest.skip("needs Chromium")
     # what it draws, without a graphics card, must not cost the live runs beside it their pictures
     aside = ("nice", "-n", "10") if shutil.which("nice") else ()
     arguments = ("--headless", "--no-sandbox", "--hide-scrollbars", "--remote-debugging-port=0")
@@ -133,9 +133,9 @@ def launched(profile: Path) -> Iterator[Browser]:
 
 def _address(profile: Path) -> tuple[str, str]:
     """Where it listens: it writes that into its folder once it does."""
-    told, end = profile / "DevToolsActivePort", time.monotonic() + LIMIT
-    while not (told.exists() and "\n" in told.read_text()):
+    output, end = profile / "DevToolsActivePort", time.monotonic() + LIMIT
+    while not (output.exists() and "\n" in output.read_text()):
         assert time.monotonic() < end, "Chromium does not start"
         time.sleep(0.03)
-    port, path = told.read_text().split("\n")[:2]
+    port, path = output.read_text().split("\n")[:2]
     return f"127.0.0.1:{port}", path

@@ -53,7 +53,7 @@ class Followed:
         return q
 
 
-def emulate(kind: str, port: str, began: float, faults: EmulatorFaults, told: Connection) -> None:
+def emulate(kind: str, port: str, began: float, faults: EmulatorFaults, output: Connection) -> None:
     """Be the device, in a process of its own, from the word on until killed; faults count from it.
 
     Its address is told before.
@@ -68,8 +68,8 @@ def emulate(kind: str, port: str, began: float, faults: EmulatorFaults, told: Co
         arm = MelfaArm(followed, 6, limits, follows="command")
         engine = MelfaEngine(arm, ControllerOptions(), 0)
     server = EmulatorServer(open_front(port, SerialLine()), engine, faults, None, 0)
-    told.send(server.front.address)
-    told.recv()
+    output.send(server.front.address)
+    output.recv()
     followed.start = time.monotonic()
     first = iter([followed.start])
     server.serve(lambda: False, lambda: next(first, None) or time.monotonic())

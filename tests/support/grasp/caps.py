@@ -71,10 +71,7 @@ def pairs(
     for frame in range(round(seconds * RATE)):
         t = frame / RATE
         taken = []
-        for background, camera, at in (
-            (rooms[0], rig.left, t),
-            (rooms[1], rig.right, t + SKEW),
-        ):
+        for background, camera, at in ((rooms[0], rig.left, t), (rooms[1], rig.right, t + SKEW)):
             clean = draw(background, things, camera, at)
             dy, dx = rng.integers(0, 64, 2)
             sensed = clean.astype(np.float32) * np.float32(light(at))

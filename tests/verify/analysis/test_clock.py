@@ -52,7 +52,7 @@ def at_constant_speed(t: Array) -> Array:
 
 
 @pytest.mark.parametrize("motion", [at_rest, at_constant_speed], ids=["rest", "constant speed"])
-def test_a_motion_that_cannot_show_the_offset_is_said_to_be_such(motion) -> None:
+def test_a_motion_without_information_on_the_clock_is_reported(motion) -> None:
     for seed in range(5):
         rng = np.random.default_rng(seed)
         track = make_track(PAIRS, motion(PAIRS), rng)

@@ -45,9 +45,7 @@ def panda() -> tuple[InMemory, Results]:
     return session, analyse(session)
 
 
-def test_seven_joints_give_six_sums_that_a_pose_determines(
-    panda: tuple[InMemory, Results],
-) -> None:
+def test_seven_joints_give_six_sums_that_a_pose_determines(panda: tuple[InMemory, Results]) -> None:
     session, results = panda
     sums = [c for c in results.summary["combinations"] if c["why"] == "self_motion"]
     assert len(sums) == 6
@@ -92,6 +90,7 @@ def test_the_report_lists_the_sums(panda: tuple[InMemory, Results]) -> None:
     assert "of more than six joints a pose determines six sums" in page
 
 
+@pytest.mark.slow
 def test_no_sums_of_self_motion_for_six_joints() -> None:
     session = in_memory(
         Scenario(

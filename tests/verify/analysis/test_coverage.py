@@ -11,6 +11,8 @@ from tests.bench.whole_chain import WITHIN, d2_ratio, holds
 from tests.support.whole_chain import ARMS, Checked, replicate
 from verify.core.records import Array
 
+pytestmark = pytest.mark.slow
+
 SESSIONS = 5  # an arm
 PAIRS = 20  # a session
 SEED = 20260131
@@ -30,7 +32,7 @@ def outcomes() -> dict[str, list[tuple[Array, float, float]]]:
     return found
 
 
-def test_intervals_hold_the_true_joints_as_often_as_they_say(
+def test_joint_intervals_have_their_stated_coverage(
     outcomes: dict[str, list[tuple[Array, float, float]]],
 ) -> None:
     shares = np.array([[o[0] for o in of_arm] for of_arm in outcomes.values()])
@@ -39,7 +41,7 @@ def test_intervals_hold_the_true_joints_as_often_as_they_say(
     assert np.nanmean(shares, axis=1).min() > 0.82
 
 
-def test_hardly_a_pair_is_left_out_of_that(
+def test_few_pairs_are_singular_or_lost(
     outcomes: dict[str, list[tuple[Array, float, float]]],
 ) -> None:
     for of_arm in outcomes.values():
@@ -54,7 +56,6 @@ def of_arms(outcomes: list[dict[str, Checked]], what: str) -> list[Checked]:
     return [o[f"{arm} {what}"] for o in outcomes for arm in ARMS]
 
 
-@pytest.mark.slow
 def test_stated_uncertainties_hold_from_boards_to_mean_joint_errors() -> None:
     """One test: processes that share the tests would each draw the replicates."""
     seeds = np.random.SeedSequence(SEED).generate_state(REPLICATES).tolist()
@@ -67,9 +68,7 @@ def test_stated_uncertainties_hold_from_boards_to_mean_joint_errors() -> None:
     base_and_cameras_taken_as_independent_would_state_too_much(outcomes)
 
 
-def the_calibration_lies_as_near_its_truth_as_it_says(
-    outcomes: list[dict[str, Checked]],
-) -> None:
+def the_calibration_lies_as_near_its_truth_as_it_says(outcomes: list[dict[str, Checked]]) -> None:
     rigs = [o["rig"] for o in outcomes]
     ratio, low, high = d2_ratio(rigs)
     assert low < ratio < high

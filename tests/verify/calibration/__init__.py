@@ -1,1 +1,0 @@
-"""Calibration: corners, boards, registration."""

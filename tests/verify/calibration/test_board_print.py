@@ -184,7 +184,7 @@ def test_the_command_writes_three_files_and_the_same_ones_again(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--corners", "9"], '--corners: is "9"; two counts are expected'),
         (["--corners", "9x2"], "at least 3 a side"),
@@ -196,8 +196,8 @@ def test_the_command_writes_three_files_and_the_same_ones_again(tmp_path: Path) 
         (["--paper", "A4"], "the largest squares that would are"),
     ],
 )
-def test_wrong_options_leave_nothing_behind(tmp_path: Path, words: list[str], said: str) -> None:
+def test_wrong_options_leave_nothing_behind(tmp_path: Path, words: list[str], message: str) -> None:
     with pytest.raises(InputError) as refused:
         run("-o", str(tmp_path / "board"), *words)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert not list(tmp_path.iterdir())

@@ -35,7 +35,7 @@ def findings(capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, object]]
     return {line["what"]: line for line in lines if line["type"] == "check"}
 
 
-def test_a_machine_is_looked_over(
+def test_a_machine_is_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -74,6 +74,7 @@ def test_settings_that_are_refused_are_doubtful(
     assert found["right camera"]["outcome"] == "works"
 
 
+@pytest.mark.realtime
 def test_devices_on_the_network_are_tried_and_the_missing_one_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

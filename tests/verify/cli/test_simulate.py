@@ -4,7 +4,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from tests.verify.simulation.test_library import MINIMAL
+from tests.support.simulated import MINIMAL
 from verify.cli.simulate import simulate
 from verify.errors import InputError
 

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.support.leds import scene as scenes
 from tests.support.scene import facing, make_marker, make_rig, sight
-from tests.verify.measurement.correspondence import test_assign as scenes
 from verify.analysis.session import analyse
 from verify.analysis.warm_up import warm_up
 from verify.calibration.corners.find import find_board
@@ -129,6 +129,7 @@ def report_what_is_compiled_after(name: str) -> None:
         print(use.__name__, late or "nothing")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ahead", AHEAD, ids=lambda each: str(each.__name__))
 def test_after_compiling_ahead_nothing_is_left_to_compile(ahead: Callable[[], None]) -> None:
     name = f"t.report_what_is_compiled_after({ahead.__name__!r})"
@@ -140,7 +141,7 @@ def test_after_compiling_ahead_nothing_is_left_to_compile(ahead: Callable[[], No
     assert told == ["nothing"] * len(AHEAD[ahead])
 
 
-def test_every_compiled_source_counts_when_machine_code_is_looked_up() -> None:
+def test_every_compiled_source_is_in_the_cache_key() -> None:
     package = Path(jit.__file__).parents[1]
     counted = {package / source for source in jit.compiled_sources(package)}
     has_some = {f for f in package.rglob("*.py") if "@compiled" in f.read_text()}

@@ -24,6 +24,8 @@ from verify.core.processes import (
     wait_for_any,
 )
 
+pytestmark = pytest.mark.realtime
+
 LIMIT = 60.0  # s for a start on a busy machine
 STARTS_A_CHILD = """
 import sys
@@ -124,7 +126,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="a matter of Linux")
 
 
 @linux
-def test_one_thread_stands_back_and_the_others_do_not() -> None:
+def test_one_thread_has_low_priority_and_the_others_do_not() -> None:
     before, seen = os.getpriority(os.PRIO_PROCESS, 0), []
 
     def work() -> None:
@@ -155,7 +157,7 @@ def test_a_child_process_ends_with_the_process_that_started_it() -> None:
         time.sleep(0.02)
 
 
-def test_elsewhere_nothing_is_asked_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outside_linux_no_priority_is_changed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")
     for name in ("nice", "sched_setscheduler"):
         monkeypatch.delattr(os, name, raising=False)

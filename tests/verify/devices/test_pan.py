@@ -27,6 +27,7 @@ def test_bases_are_turned_and_their_way_is_marked_as_moving(where: str) -> None:
         assert all(reading.moving for reading in way)
 
 
+@pytest.mark.realtime
 def test_the_reader_cannot_turn_anything() -> None:
     engine = PanEngine(OPTIONS)
     with running(engine) as emulated:
@@ -38,6 +39,7 @@ def test_the_reader_cannot_turn_anything() -> None:
     assert not any(order.startswith("G") for order in engine.log)
 
 
+@pytest.mark.realtime
 def test_sign_and_zero_of_the_bases_go_both_ways() -> None:
     turned = AngleMap(np.array([1.0, -1.0]), np.deg2rad([2.0, -3.0]))
     with running(PanEngine(OPTIONS)) as emulated:
@@ -50,7 +52,8 @@ def test_sign_and_zero_of_the_bases_go_both_ways() -> None:
         np.testing.assert_allclose(last.pan, np.deg2rad([4.0, 4.0]), atol=2e-6)
 
 
-def test_a_limit_is_refused_by_the_board_and_said() -> None:
+@pytest.mark.realtime
+def test_a_limit_is_refused_by_the_board_and_reported() -> None:
     with running(PanEngine(OPTIONS)) as emulated:
         servo = kept(PanServo(LabencSettings(emulated.address), same_angles(2)))
         gather(servo, lambda found: len(found) >= 1)
@@ -60,7 +63,8 @@ def test_a_limit_is_refused_by_the_board_and_said() -> None:
             servo.turn_to(float("nan"), 0.0)
 
 
-def test_a_servo_that_is_gone_is_said() -> None:
+@pytest.mark.realtime
+def test_a_missing_servo_is_reported() -> None:
     with running(PanEngine(OPTIONS), faults=EmulatorFaults(unplug=(0.5, 0.6))) as emulated:
         servo = kept(PanServo(LabencSettings(emulated.address), same_angles(2)))
         gather(servo, lambda found: len(found) >= 1)

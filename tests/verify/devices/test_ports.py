@@ -24,6 +24,7 @@ def test_settings_that_do_not_exist_are_refused() -> None:
         open_port("loop://", SerialLine(parity="X"))
 
 
+@pytest.mark.realtime
 def test_a_line_without_a_descriptor_is_waited_on_all_the_same() -> None:
     port = open_port("loop://", DEFAULT_LINE)
     begin = time.monotonic()
@@ -42,7 +43,7 @@ def test_socket_urls_are_taken_too() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "said"),
+    ("error", "message"),
     [
         (FileNotFoundError(2, "x"), "is it plugged in"),
         (PermissionError(13, "x"), "dialout"),
@@ -52,10 +53,11 @@ def test_socket_urls_are_taken_too() -> None:
         (OSError(113, "No route to host"), "no route to host"),
     ],
 )
-def test_why_a_port_does_not_open_is_said_in_words(error: OSError, said: str) -> None:
-    assert said in describe_port_error(error)
+def test_the_reason_why_a_port_does_not_open_is_reported(error: OSError, message: str) -> None:
+    assert message in describe_port_error(error)
 
 
+@pytest.mark.realtime
 def test_one_program_at_a_time_has_a_serial_port() -> None:
     ends = os.openpty()
     name = os.ttyname(ends[1])
@@ -69,7 +71,7 @@ def test_one_program_at_a_time_has_a_serial_port() -> None:
     gather(second, lambda _: not second.state().connected)
 
 
-def test_a_port_is_tried_ever_more_seldom() -> None:
+def test_a_port_is_tried_at_growing_intervals() -> None:
     t, tries = [0.0], []
 
     def refuse() -> None:
@@ -86,11 +88,10 @@ def test_a_port_is_tried_ever_more_seldom() -> None:
     assert gaps == sorted(gaps)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("reset", [False, True])
 @pytest.mark.parametrize("greeting", [b"", b"hello"])
-def test_a_line_that_is_ended_from_there_is_told_from_one_that_is_taken(
-    reset: bool, greeting: bytes
-) -> None:
+def test_a_closed_line_is_distinguished_from_a_taken_one(reset: bool, greeting: bytes) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp:127.0.0.1:{server.getsockname()[1]}"
         link = PortLink(address, partial(open_port, address, DEFAULT_LINE))

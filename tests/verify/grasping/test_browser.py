@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.support.devices.chromium import Browser, Tab, browser_needed, launched
+from tests.support.devices.chromium import Browser, Tab, launched
 from tests.support.grasp.page import STANDS, Cell, grabbing
 from verify.grasping.control.states import MOVING_STATES, GraspState
 from verify.simulation.cell.scene import Cap, CellScene
 
-pytestmark = browser_needed
+pytestmark = pytest.mark.browser
 WANDERS = CellScene((Cap("blue", (0.40, -0.20), (0.0, 0.04), 30.0),), seed=2)
 YELLOW = """id => { const c = document.getElementById(id);
   const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
@@ -83,14 +83,14 @@ def test_target_state_and_plan_are_shown(browser: Browser) -> None:
             assert abs(across - (x + w / 2) / 640) < 0.01
             assert abs(down - (y + h / 2) / 360) < 0.015
         place = 1e3 * cell.place(0)
-        said = tab.text("#target")
-        shown = [float(said.split(f"{axis} ")[1].split(" ")[0]) for axis in "xyz"]
+        message = tab.text("#target")
+        shown = [float(message.split(f"{axis} ")[1].split(" ")[0]) for axis in "xyz"]
         np.testing.assert_allclose(shown, place, atol=3.0)
-        assert "±" in said
+        assert "±" in message
         tab.until("document.querySelector('#plan-words').textContent.startsWith('planned')")
         assert "needed" in tab.text("#plan")
-        said = tab.text("#passages")
-        assert said.index("following") < said.index("tracking") < said.index("searching")
+        message = tab.text("#passages")
+        assert message.index("following") < message.index("tracking") < message.index("searching")
         assert "ready" in tab.text("#devices")
         assert tab.complaints == []
 
@@ -174,7 +174,6 @@ def test_the_view_in_space_draws_the_cameras_as_they_stood_for_the_pictures(
         assert tab.complaints == []
 
 
-@pytest.mark.slow
 def test_the_grab_button_works_in_the_state_in_which_the_key_does(browser: Browser) -> None:
     with grabbing() as cell, looking(browser, cell) as tab:
         assert tab.evaluate("document.querySelector('#grab').disabled")
@@ -191,7 +190,7 @@ def test_the_grab_button_works_in_the_state_in_which_the_key_does(browser: Brows
         assert tab.evaluate("document.querySelector('#banner').hidden")
 
 
-def test_a_lost_connection_is_said_and_so_is_a_stop_that_was_not_sent(browser: Browser) -> None:
+def test_a_lost_connection_and_an_unsent_stop_are_shown(browser: Browser) -> None:
     with grabbing(WANDERS) as cell, looking(browser, cell) as tab:
         cell.until(lambda: cell.state is GraspState.FOLLOWING)
         cell.page._page._server._process.terminate()

@@ -26,7 +26,7 @@ def test_the_example_of_the_page_is_read_in_metres_and_radians(tmp_path: Path) -
     assert read.still.speed == 0.01
 
 
-def test_what_the_page_calls_defaults_are_the_defaults(tmp_path: Path) -> None:
+def test_documented_defaults_are_the_defaults(tmp_path: Path) -> None:
     whole = cell(tmp_path)
     kept = []
     for part in example().split("\n["):
@@ -88,7 +88,7 @@ def test_an_unknown_key_is_a_warning(tmp_path: Path) -> None:
     assert "gripper.tip_mm" in warnings[0]
 
 
-def test_an_arm_without_rates_is_not_moved_and_says_what_to_write() -> None:
+def test_an_arm_without_rates_is_refused_with_the_missing_key() -> None:
     with pytest.raises(robots.RobotError, match="speed_deg_s") as caught:
         joint_limits(robots.load("iust_6r"), 0.1)
     assert "iust_6r" in str(caught.value)

@@ -121,7 +121,7 @@ def test_a_single_pair_is_opened(tmp_path: Path) -> None:
     assert len(open_board_folder(tmp_path, BOARD)) == 1
 
 
-def test_a_board_given_by_option_wins_and_a_contradiction_is_said(folder: Path) -> None:
+def test_a_board_by_option_wins_and_a_contradiction_is_reported(folder: Path) -> None:
     other = Board(8, 6, 0.025)
     boards = open_board_folder(folder, other)
     assert boards.board == other
@@ -132,23 +132,23 @@ def test_a_board_given_by_option_wins_and_a_contradiction_is_said(folder: Path) 
 
 
 @pytest.mark.parametrize(
-    ("header", "said"),
+    ("header", "message"),
     [
         ("frame,pan_left_deg,pan_rigth_deg", "Did you mean `pan_right_deg`?"),
         ("frame,pan_left_deg,other", "no pan_right_deg; that base is taken to stand at 0"),
     ],
 )
-def test_a_pan_column_that_is_missing_or_misspelt_is_said(
-    folder: Path, header: str, said: str
+def test_a_missing_or_misspelt_pan_column_is_reported(
+    folder: Path, header: str, message: str
 ) -> None:
     (folder / "frames.csv").write_text(FRAMES.replace(FRAMES.splitlines()[0], header))
     boards = open_board_folder(folder)
-    assert any(said in warning for warning in boards.warnings)
+    assert any(message in warning for warning in boards.warnings)
     assert_allclose(boards.pan_right, 0)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("2,0.0,2.5\n", "", "has 2 rows; there are 3 pairs"),
         ("2,0.0", "3,0.0", "line 4: frame is 3; 2 is expected"),
@@ -156,10 +156,10 @@ def test_a_pan_column_that_is_missing_or_misspelt_is_said(
         ("frame", "number", "no column frame"),
     ],
 )
-def test_a_wrong_frames_csv_is_refused(folder: Path, old: str, new: str, said: str) -> None:
+def test_a_wrong_frames_csv_is_refused(folder: Path, old: str, new: str, message: str) -> None:
     (folder / "frames.csv").write_text(FRAMES)
     replace(folder / "frames.csv", old, new)
-    assert said in refusal(folder)
+    assert message in refusal(folder)
 
 
 def test_folders_that_hold_no_pairs_are_refused(tmp_path: Path) -> None:
@@ -222,8 +222,8 @@ def test_what_is_no_picture_is_named(folder: Path) -> None:
 def test_a_picture_of_another_size_is_named(folder: Path, side: str, index: int) -> None:
     name = f"{index:06d}.png"
     cv2.imwrite(str(folder / side / name), LEFT[0][:40])
-    said = refusal(folder)
-    assert f"{name}: is 64 x 40 px; the first left one is 64 x 48" in said
+    message = refusal(folder)
+    assert f"{name}: is 64 x 40 px; the first left one is 64 x 48" in message
 
 
 @pytest.mark.shared

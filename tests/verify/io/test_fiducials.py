@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from tests.support.recorded import MARKER, replace, require_shared
-from tests.verify.io.test_rig import assert_same, every_disk, finite, positive, texts
+from tests.support.strategies import assert_same, every_disk, finite, positive, texts
 from verify.core import fiducials as core_fiducials
 from verify.core.fiducials import COLOURS, Board, Marker
 from verify.errors import InputError
@@ -92,7 +92,7 @@ NEGATIVE = "{x_mm=-1, y_mm=0, z_mm=0, rx_deg=0, ry_deg=0, rz_deg=0}"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("led_diameter_mm = 5.0", "led_diameter_mm = 0", "led_diameter_mm: is 0.0"),
         ("led_diameter_mm = 5.0", "", "led_diameter_mm: is missing"),
@@ -117,11 +117,11 @@ NEGATIVE = "{x_mm=-1, y_mm=0, z_mm=0, rx_deg=0, ry_deg=0, rz_deg=0}"
         ),
     ],
 )
-def test_a_wrong_marker_is_refused_by_its_key(path: Path, old: str, new: str, said: str) -> None:
+def test_a_wrong_marker_is_refused_by_its_key(path: Path, old: str, new: str, message: str) -> None:
     replace(path, old, new)
     with pytest.raises(InputError) as caught:
         fiducials.read_marker(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_marker_without_leds_is_refused(path: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_marker_without_leds_is_refused(path: Path) -> None:
 
 
 @pytest.mark.shared
-def test_the_markers_of_the_recorded_sessions_hold_what_their_files_say() -> None:
+def test_the_recorded_markers_hold_the_values_of_their_files() -> None:
     for path in sorted(require_shared().glob("*/marker.toml")):
         marker, warnings = fiducials.read_marker(path)
         leds = tomllib.loads(path.read_text())["led"]
@@ -190,7 +190,7 @@ def test_millimetres_become_metres(board_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("inner_corners = [9, 7]", "squares = [10, 8]", "Write [9, 7] for 10 x 8 squares"),
         ("inner_corners = [9, 7]", "inner_corners = [10, 8]\nsquares = [10, 8]", "one fewer"),
@@ -211,12 +211,12 @@ def test_millimetres_become_metres(board_path: Path) -> None:
     ],
 )
 def test_a_wrong_board_is_refused_by_its_key(
-    board_path: Path, old: str, new: str, said: str
+    board_path: Path, old: str, new: str, message: str
 ) -> None:
     replace(board_path, old, new)
     with pytest.raises(InputError) as caught:
         io_fiducials.read_board(board_path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert str(board_path) in str(caught.value)
 
 
@@ -226,18 +226,18 @@ def test_squares_that_agree_with_the_corners_do_no_harm(board_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("format = 1", "format = 1\nsquare_um = 40000", "`square_mm`"),
         ("square_mm = 40.0\nmarkers", "square_mm = 0.04\nmarkers", "in metres?"),
     ],
 )
 def test_what_may_be_a_mistake_is_a_warning(
-    board_path: Path, old: str, new: str, said: str
+    board_path: Path, old: str, new: str, message: str
 ) -> None:
     replace(board_path, old, new)
     replace(board_path, "marker_mm = 30.0", "marker_mm = 0.03")
-    assert said in io_fiducials.read_board(board_path)[1][0]
+    assert message in io_fiducials.read_board(board_path)[1][0]
 
 
 def test_the_corners_come_in_the_order_of_opencvs_charuco_board(board_path: Path) -> None:

@@ -54,7 +54,7 @@ def test_a_file_holds_what_was_given_and_nothing_lies_beside_it(tmp_path: Path) 
     assert names(tmp_path) == ["rig.toml"]
 
 
-def test_who_reads_while_it_is_replaced_sees_the_old_file_whole(tmp_path: Path) -> None:
+def test_a_reader_during_replacement_gets_the_old_file(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_bytes(b"before")
     with (tmp_path / "rig.toml").open("rb") as reader:
         write_whole(tmp_path / "rig.toml", b"after, and longer")
@@ -111,7 +111,7 @@ def test_an_interrupt_leaves_what_was_there(
     assert names(tmp_path) == []
 
 
-def test_a_full_disk_is_said_in_one_line(full_disk: Path) -> None:
+def test_a_full_disk_is_reported_in_one_line(full_disk: Path) -> None:
     write_whole(full_disk / "rig.toml", b"before")
     with pytest.raises(InputError, match="no space left on device"):
         write_whole(full_disk / "rig.toml", bytes(200_000))
@@ -174,13 +174,6 @@ def test_a_run_that_fails_leaves_the_place_as_it_was(
         assert (out / "summary.json").read_text() == "old"
 
 
-def test_a_folder_that_is_not_empty_is_refused_unless_forced(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"is not empty.*Choose another -o or give --force\."):
-        build(tmp_path, then=too_late)
-    assert names(tmp_path) == ["notes.txt"]
-
-
 def test_force_replaces_what_is_made_and_leaves_the_rest(tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "a.parquet").write_text("old")
@@ -233,18 +226,7 @@ def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
         build(tmp_path / "report", force=True, then=too_late)
 
 
-def test_a_place_without_permission_is_refused_before_the_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refused(path: Path, *_: object) -> None:  # root, who may run this, is refused nothing
-        raise PermissionError(errno.EACCES, "Permission denied", str(path))
-
-    monkeypatch.setattr(Path, "mkdir", refused)
-    with pytest.raises(InputError, match=r"report: permission denied\. Grant access"):
-        build(tmp_path / "report", then=too_late)
-
-
-def test_a_folder_filled_by_another_run_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_folder_filled_by_another_run_is_not_overwritten(tmp_path: Path) -> None:
     out = tmp_path / "report"
 
     def another_run() -> None:
@@ -276,16 +258,16 @@ def refusal(place: Path) -> str:
 @pytest.mark.parametrize("below", ["report", "deep/report"])
 def test_a_folder_below_a_file(tmp_path: Path, below: str) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    said = refusal(tmp_path / "notes.txt" / below)
-    assert "lies below a file; a folder is expected. Choose another -o." in said
+    message = refusal(tmp_path / "notes.txt" / below)
+    assert "lies below a file; a folder is expected. Choose another -o." in message
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc")
 def test_a_place_that_takes_no_folders() -> None:
-    said = refusal(Path("/proc/verify-report"))
-    assert "/proc/verify-report: cannot be made" in said
-    assert "Choose another place, in a folder that takes files." in said
+    message = refusal(Path("/proc/verify-report"))
+    assert "/proc/verify-report: cannot be made" in message
+    assert "Choose another place, in a folder that takes files." in message
 
 
 @contextmanager
@@ -314,20 +296,6 @@ def test_a_folder_without_write_permission() -> None:
             assert list(locked.iterdir()) == []
         finally:
             locked.chmod(0o700)
-
-
-def test_a_file_whose_folder_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"rig\.toml: cannot be made: .*Choose another place"):
-        write_whole(tmp_path / "gone" / "rig.toml", b"")
-
-
-def test_nothing_is_worked_out_for_a_place_that_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with (
-        pytest.raises(InputError, match="lies below a file"),
-        write_folder_whole(tmp_path / "file" / "report"),
-    ):
-        pytest.fail("the work began")
 
 
 def test_files_stay_where_all_went_well(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_a_torn_last_line_is_left_out_of_an_open_recording(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("rows", "header", "place", "said"),
+    ("rows", "header", "place", "message"),
     [
         (["0,1,2,3"], "t,x,y,z", "line 1", "no column t_s"),
         (["0,1,2,3"], "t_s,x_mm,y_mm", "line 1", "no column z_mm"),
@@ -113,12 +113,12 @@ def test_a_torn_last_line_is_left_out_of_an_open_recording(tmp_path: Path) -> No
         ),
     ],
 )
-def test_what_cannot_be_read_is_said_in_one_line(
-    tmp_path: Path, rows: list[str], header: str, place: str, said: str
+def test_unreadable_files_are_refused_in_one_line(
+    tmp_path: Path, rows: list[str], header: str, place: str, message: str
 ) -> None:
     with pytest.raises(InputError) as refused:
         io_poses.read(write(tmp_path, *rows, header=header))
     text = str(refused.value)
     assert place in text
-    assert said in text
+    assert message in text
     assert "\n" not in text

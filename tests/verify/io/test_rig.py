@@ -4,23 +4,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from tests.support.recorded import RIG, replace, require_shared
+from tests.support.strategies import assert_same, every_disk, finite, positive, texts
 from verify.core.records import Array
 from verify.core.rig import Camera, Covariance, Rig
 from verify.errors import InputError
 from verify.io import rig as io_rig
 
-finite = st.floats(-1e3, 1e3, allow_subnormal=False)
 triples = st.tuples(finite, finite, finite).map(np.array)
-positive = st.floats(1e-6, 1e3)
-texts = st.text("aß 'o\"\\\n\t\x00\x1b\x7f#=[]{}😀", max_size=8)  # what TOML must escape, and more
-every_disk = settings(max_examples=50, deadline=None)  # each example waits for the disk
 directions = triples.filter(lambda v: np.linalg.norm(v) > 1e-3).map(lambda v: v / np.linalg.norm(v))
 
 
@@ -85,19 +82,6 @@ def rigs(draw: st.DrawFn) -> Rig:
         absorption=draw(st.none() | arrays(float, (12, columns), elements=cell)),
         covariance=draw(st.none() | covariances()),
     )
-
-
-def assert_same(a: object, b: object) -> None:
-    """Compare field by field: 1e-12, for numbers pass through 15 digits and a change of units."""
-    if hasattr(a, "__dataclass_fields__"):
-        assert type(a) is type(b)
-        for name in a.__dataclass_fields__:
-            assert_same(getattr(a, name), getattr(b, name))
-    elif isinstance(a, np.ndarray | float):
-        assert isinstance(b, np.ndarray | float)
-        assert_allclose(b, a, rtol=1e-12, atol=1e-12)
-    else:
-        assert a == b
 
 
 @every_disk
@@ -191,7 +175,7 @@ correlation = [[1.0, 0.5], [0.5, 1.0]]
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("[64, 48]", "[64]", ["image_size: is a list of 1", "length 2"]),
         ("[64, 48]", "[64, 0]", ["image_size: is 64 x 0"]),
@@ -217,17 +201,19 @@ correlation = [[1.0, 0.5], [0.5, 1.0]]
         ('"fixture"', '"fixture"\nregistration = 3', ["robot_base.registration: is 3"]),
     ],
 )
-def test_a_wrong_rig_is_refused_by_its_key(path: Path, old: str, new: str, said: list[str]) -> None:
+def test_a_wrong_rig_is_refused_by_its_key(
+    path: Path, old: str, new: str, message: list[str]
+) -> None:
     replace(path, old, new)
     with pytest.raises(InputError) as caught:
         io_rig.read(path)
-    for words in said:
+    for words in message:
         assert f"{words}" in str(caught.value)
     assert str(caught.value).startswith(str(path))
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         (
             "[[50.0, 0.0, 31.5]",
@@ -239,15 +225,15 @@ def test_a_wrong_rig_is_refused_by_its_key(path: Path, old: str, new: str, said:
         ("[[1.0, 0.0, 0.0]", "[[1.1, 0.0, 0.0]", "left.mount_rotation: is no rotation"),
     ],
 )
-def test_a_wrong_camera_is_refused(path: Path, old: str, new: str, said: str) -> None:
+def test_a_wrong_camera_is_refused(path: Path, old: str, new: str, message: str) -> None:
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError, match=r"left\.") as caught:
         io_rig.read(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("left.fx_px", "left", 'parameters[0]: is "left"'),
         ("left.fx_px", "led.A", 'parameters[0]: is "led.A"'),
@@ -262,13 +248,13 @@ def test_a_wrong_camera_is_refused(path: Path, old: str, new: str, said: str) ->
         ("0.01]\n", "0.01]\ndegrees_of_freedom = 0\n", "degrees_of_freedom: is 0"),
     ],
 )
-def test_a_wrong_covariance_is_refused(path: Path, old: str, new: str, said: str) -> None:
+def test_a_wrong_covariance_is_refused(path: Path, old: str, new: str, message: str) -> None:
     path.write_text(RIG + COVARIANCE)
     assert io_rig.read(path)[0].covariance is not None
     replace(path, old, new)
     with pytest.raises(InputError, match="covariance") as caught:
         io_rig.read(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_what_is_written_reads_like_what_a_person_would_write(path: Path) -> None:
@@ -283,7 +269,7 @@ def test_what_is_written_reads_like_what_a_person_would_write(path: Path) -> Non
 
 
 @pytest.mark.shared
-def test_the_rigs_of_the_recorded_sessions_hold_what_their_files_say() -> None:
+def test_the_recorded_rigs_hold_the_values_of_their_files() -> None:
     for path in sorted(require_shared().glob("*/rig.toml")):
         rig, warnings = io_rig.read(path)
         table = tomllib.loads(path.read_text())

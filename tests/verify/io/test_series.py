@@ -76,7 +76,7 @@ def test_numbers_that_pandas_writes_are_read_exactly(
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", ": is empty"),
         ("\n", "line 1: is empty; it names the columns"),
@@ -106,16 +106,18 @@ def test_numbers_that_pandas_writes_are_read_exactly(
         (ENCODERS.replace("11", "1" * 200_000 + "x"), "line 3: is not CSV"),
     ],
 )
-def test_a_wrong_table_of_readings_is_refused_by_its_line(path: Path, text: str, said: str) -> None:
+def test_a_wrong_table_of_readings_is_refused_by_its_line(
+    path: Path, text: str, message: str
+) -> None:
     path.write_text(text)
     with pytest.raises(InputError) as caught:
         read_encoders(path, 2)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert str(caught.value).startswith(str(path))
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("\n1,1,", "\n2,1,", "line 3: frame is 2; 1 is expected"),
         ("\n0,0,", "\n1,0,", "line 2: frame is 1; 0 is expected"),
@@ -127,12 +129,12 @@ def test_a_wrong_table_of_readings_is_refused_by_its_line(path: Path, text: str,
     ],
 )
 def test_a_wrong_table_of_frames_is_refused_by_its_line(
-    path: Path, old: str, new: str, said: str
+    path: Path, old: str, new: str, message: str
 ) -> None:
     path.write_text(FRAMES.replace(old, new))
     with pytest.raises(InputError) as caught:
         read_frames(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_table_in_utf_16_is_refused(path: Path) -> None:

@@ -3,7 +3,7 @@ import tomllib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.verify.io.test_rig import texts
+from tests.support.strategies import texts
 from verify.io.toml import encode
 
 keys = st.sampled_from(["a", "b_mm", "led"])

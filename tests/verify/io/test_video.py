@@ -69,7 +69,7 @@ def test_both_sides_stay_in_step(path: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("processors")
-def test_no_more_images_are_decoded_than_are_asked_for(path: Path) -> None:
+def test_only_requested_images_are_decoded(path: Path) -> None:
     assert len(list(decode_in_step(open_images(path), open_images(path), 3))) == 3
 
 
@@ -81,7 +81,7 @@ def test_a_side_that_ends_early_is_named(video: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stop", ["close", "exception", "end", "bad image"])
-def test_no_thread_outlives_the_loop(tmp_path: Path, stop: str) -> None:
+def test_no_thread_remains_after_the_loop(tmp_path: Path, stop: str) -> None:
     write_folder(tmp_path / "left", images(10))
     if stop == "bad image":
         (tmp_path / "left" / "000005.png").write_bytes(b"no image")

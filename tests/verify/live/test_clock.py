@@ -55,7 +55,7 @@ def reading(t: float, late: float, segment: int = 0) -> EncoderReading:
     return EncoderReading(t, t + 5.0 + late, 50e-6, segment, np.zeros(6))
 
 
-def test_until_the_motion_tells_readings_are_as_old_as_the_quickest_delivery() -> None:
+def test_before_an_estimate_the_quickest_delivery_is_the_offset() -> None:
     book = ReadingBuffer()
     for k, late in enumerate((0.004, 0.001, 0.009)):
         book.add(reading(0.01 * k, late))
@@ -86,7 +86,7 @@ def test_readings_that_do_not_rise_are_left_out() -> None:
     assert kept.t.tolist() == [0.0, 0.02, 0.03]
 
 
-def test_readings_from_before_a_silence_say_nothing_of_what_came_after_it() -> None:
+def test_readings_before_a_silence_do_not_count_after_it() -> None:
     book = ReadingBuffer()
     for t in (*np.arange(0.0, 1.0, 0.1), *np.arange(3.0, 3.25, 0.1)):
         book.add(reading(float(t), 0.001))
@@ -100,8 +100,8 @@ def test_a_readings_time_is_known_as_badly_as_that_of_its_worse_neighbour() -> N
     book = ReadingBuffer()
     assert book.half_width_about(0.0) == 0.0
     for number, width in enumerate((0.001, 0.008, 0.002, 0.001)):
-        told = reading(0.1 * number, 0.001)
-        book.add(replace(told, half_width=width))
+        output = reading(0.1 * number, 0.001)
+        book.add(replace(output, half_width=width))
     about = [book.half_width_about(t) for t in (-0.1, 0.05, 0.15, 0.25, 0.3, 0.35)]
     assert about == [0.001, 0.008, 0.008, 0.002, 0.002, 0.001]
 

@@ -1,6 +1,5 @@
 """The loop with devices that a test plays: what is measured, what is lost, what is said."""
 
-import ast
 import os
 import signal
 import threading
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import verify.live
 from tests.support.spot_level import READ_EVERY, SpotRun, facing_rig, without_pictures
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, StereoPair
@@ -209,6 +207,7 @@ def test_live_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -> N
             np.testing.assert_array_equal(row.measured, found[row.t])
 
 
+@pytest.mark.realtime
 def test_a_camera_that_goes_is_named_waited_for_and_taken_up_again() -> None:
     _, _, heard = watched(6.0, stage(away={"left": (1.5, 3.5)}))
     kinds = [(a.kind, a.device) for a in heard.alarms if a.ended is None]
@@ -219,6 +218,7 @@ def test_a_camera_that_goes_is_named_waited_for_and_taken_up_again() -> None:
     assert not [a for a in heard.alarms if a.kind == "change"]
 
 
+@pytest.mark.realtime
 def test_covered_leds_are_a_lost_target_and_never_no_error() -> None:
     _, _, heard = watched(5.0, stage(away={"leds": (1.5, 3.2)}))
     target = [a for a in heard.alarms if a.kind == "target"]
@@ -238,7 +238,8 @@ def test_silent_encoders_leave_pairs_without_error_and_are_named() -> None:
     assert all(np.isnan(r.error).all() for r in late)
 
 
-def test_a_reset_controller_begins_a_new_clock_and_accuses_no_joint() -> None:
+@pytest.mark.realtime
+def test_a_reset_controller_begins_a_new_clock_without_an_alarm() -> None:
     _, _, heard = watched(5.0, stage(reset_at=2.5))
     segments = [r.clock.segment for r in heard.rows if r.clock is not None]
     assert segments[0] == 0
@@ -249,13 +250,15 @@ def test_a_reset_controller_begins_a_new_clock_and_accuses_no_joint() -> None:
     assert np.nanmax(np.abs(np.rad2deg([r.error[0] for r in late]))) < 0.5
 
 
+@pytest.mark.realtime
 def test_the_run_ends_with_the_robot_s_program() -> None:
     begin = time.monotonic()
     watched(60.0, stage(ends_at=1.0))
     assert time.monotonic() - begin < 20.0
 
 
-def test_a_listener_that_hangs_holds_up_nobody_and_gets_its_alarms() -> None:
+@pytest.mark.realtime
+def test_a_hanging_listener_blocks_nothing_and_gets_its_alarms() -> None:
     release, heard = threading.Event(), Heard()
 
     class Slow(Heard):
@@ -301,27 +304,21 @@ def test_the_command_gets_the_facts_and_no_shell_reads_them(tmp_path: Path) -> N
 
     command = AlarmCommand(f"{sys.executable} {script} {out} '$(touch nothing); *'")
     command.alarm(Alarm(7, "change", 0.0, 0.0, "text", (4,), 0.01, 0.001))
-    joint, word, told = out.read_text().split("|")
+    joint, word, output = out.read_text().split("|")
     assert (joint, word) == ("4", "$(touch nothing); *")
-    assert '"alarm": 7' in told
+    assert '"alarm": 7' in output
     command.alarm(Alarm(8, "change", 0.0, 0.0, "text", (4,), 0.01, 0.001, revised=True))
     assert '"alarm": 7' in out.read_text()  # a revision calls nobody again
 
 
-def test_the_live_room_imports_devices_protocols_alone() -> None:
-    for file in Path(verify.live.__file__).parent.glob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("verify.dev"):
-                assert node.module == "verify.devices.protocols", file.name
-
-
+@pytest.mark.realtime
 def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None:
     import cv2
 
     from verify.live.measuring_process import ParallelDetector
     from verify.measurement.detection.detect import detect
 
-    chance, said = np.random.default_rng(0), []
+    chance, message = np.random.default_rng(0), []
     pictures = []
     for x in (100.3, 140.8):
         picture = np.zeros((240, 320), dtype=np.uint8)
@@ -331,7 +328,7 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
             + chance.integers(0, 4, (240, 320)).astype(np.uint8)
         )
     windows = np.array([[60.0, 80.0, 200.0, 160.0]])
-    detector = ParallelDetector(said.append)
+    detector = ParallelDetector(message.append)
     for where in (None, windows):
         found = detector(pictures[0], pictures[1], where, where)
         for picture, spots in zip(pictures, found, strict=True):
@@ -343,18 +340,19 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
     os.kill(process.pid, signal.SIGSTOP)
     for _ in range(3):  # waited for once
         assert len(detector(pictures[0], pictures[1], None, None)[1]) == 1
-    assert len(said) == 1
-    assert "now and then: no answer within 1 s" in said[0]
+    assert len(message) == 1
+    assert "now and then: no answer within 1 s" in message[0]
     assert detector._process is process
     process._process.kill()
     process._process.join()
     found = detector(pictures[0], pictures[1], None, None)
     assert len(found[1]) == 1
-    assert len(said) == 2
-    assert "from now on" in said[1]
+    assert len(message) == 2
+    assert "from now on" in message[1]
     detector.close()
 
 
+@pytest.mark.realtime
 def test_a_file_waits_until_its_pictures_are_measured() -> None:
     from verify.live.intake import MAX_QUEUED_PAIRS, PairQueue, PollingThread, camera_step
     from verify.live.pairing import Pairing
@@ -396,7 +394,7 @@ def test_a_file_waits_until_its_pictures_are_measured() -> None:
     assert MAX_QUEUED_PAIRS < 200
 
 
-def test_the_live_table_says_what_stands() -> None:
+def test_the_live_table_shows_the_current_state() -> None:
     from rich.console import Console
 
     from verify.live.outputs.terminal import render_snapshot

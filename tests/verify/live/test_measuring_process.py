@@ -44,24 +44,25 @@ def alike(found: list[Measurement], wanted: list[Measurement]) -> None:
         np.testing.assert_array_equal(one.pose.covariance, other.pose.covariance)
 
 
-def test_it_gives_the_same_to_the_last_digit_and_ends(
+def test_it_gives_the_same_figures_and_ends(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
-    said: list[str] = []
-    process = MeasuringProcess(session.rig, session.marker, said.append)
+    message: list[str] = []
+    process = MeasuringProcess(session.rig, session.marker, message.append)
     try:
         alike(list(process.measure(pairs(session), nothing)), here)
     finally:
         process.close()
-    assert not said
+    assert not message
     assert not process._process._process.is_alive()
 
 
-def test_its_loss_costs_no_pair_and_is_said(
+@pytest.mark.realtime
+def test_a_lost_process_costs_no_pair_and_is_reported(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
-    said: list[str] = []
-    process = MeasuringProcess(session.rig, session.marker, said.append)
+    message: list[str] = []
+    process = MeasuringProcess(session.rig, session.marker, message.append)
 
     def given() -> Iterator[StereoPair]:
         for pair in pairs(session):
@@ -77,11 +78,12 @@ def test_its_loss_costs_no_pair_and_is_said(
     assert [m.frame for m in found] == [m.frame for m in here]
     assert all(m.status == "measured" for m in found)
     alike(found[:LOST_AFTER], here[:LOST_AFTER])
-    assert len(said) == 1
-    assert "measured by the main process from now on" in said[0]
+    assert len(message) == 1
+    assert "measured by the main process from now on" in message[0]
 
 
-def test_it_asks_where_the_readings_put_the_flange(session: SimulatedSession) -> None:
+@pytest.mark.realtime
+def test_it_requests_the_predicted_flange_pose(session: SimulatedSession) -> None:
     asked: list[float] = []
 
     def expected(t: float) -> list[Array]:
@@ -113,6 +115,7 @@ def test_a_picture_that_is_shared_already_is_not_put_anywhere_again() -> None:
         shared.close()
 
 
+@pytest.mark.realtime
 def test_a_prepared_pair_is_the_one_that_is_measured(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:

@@ -51,7 +51,7 @@ def test_the_first_pair_uses_its_successor() -> None:
 
 
 @pytest.mark.parametrize("neighbour", [0.937, 1.071])
-def test_an_acceleration_costs_what_the_lever_says(neighbour: float) -> None:
+def test_an_acceleration_costs_its_lever(neighbour: float) -> None:
     acceleration = np.array([800.0, 300.0])  # px/s²
 
     def at(t: float) -> Array:

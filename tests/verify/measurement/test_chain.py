@@ -162,6 +162,7 @@ def many() -> tuple[SimulatedSession, list[Measurement]]:
     )
 
 
+@pytest.mark.slow
 def test_poses_scatter_at_most_a_tenth_above_the_cramer_rao_bound() -> None:
     session, measurements = many()
     assert [m.status for m in measurements] == ["measured"] * PAIRS
@@ -170,6 +171,7 @@ def test_poses_scatter_at_most_a_tenth_above_the_cramer_rao_bound() -> None:
     assert 0.95 < ratio < 1.1  # below by chance alone: 0.95 is two and a half of its own errors
 
 
+@pytest.mark.slow
 def test_the_reported_covariance_is_the_observed_scatter() -> None:
     session, measurements = many()
     scatter = whitened(wrong(session, measurements), claimed(measurements))
@@ -178,6 +180,7 @@ def test_the_reported_covariance_is_the_observed_scatter() -> None:
     assert np.mean(scatter**2, axis=0) == pytest.approx(np.ones(6), abs=0.28)
 
 
+@pytest.mark.slow
 def test_poses_are_free_of_bias() -> None:
     session, measurements = many()
     scatter = whitened(wrong(session, measurements), claimed(measurements))
@@ -246,7 +249,7 @@ def test_lamps_and_reflections_are_not_taken_for_leds() -> None:
     assert_sound(session, measurements)
 
 
-def test_leds_that_come_back_are_believed_over_a_reflection_of_them() -> None:
+def test_returning_leds_win_over_their_reflection() -> None:
     session, measurements = played(
         recording=ScenarioRecording(pairs=12, rate_hz=10.0),
         mirror=[MIRROR],
@@ -255,7 +258,7 @@ def test_leds_that_come_back_are_believed_over_a_reflection_of_them() -> None:
     assert_sound(session, [m for m in measurements if m.frame not in (4, 5)])
 
 
-def test_an_led_that_one_camera_sees_sharpens_the_pose() -> None:
+def test_an_led_in_one_camera_sharpens_the_pose() -> None:
     missing = Occlusion(led="B", first=0, last=9)
     sides = []
     for camera in ("left", "both"):
@@ -287,6 +290,7 @@ def test_two_leds_on_the_last_axis_leave_that_joint_empty_and_give_the_others() 
     assert frames["orientation_error_deg"].isna().all()
 
 
+@pytest.mark.slow
 def test_two_leds_in_motion_give_means_where_no_pair_gives_an_angle() -> None:
     session = in_memory(
         scene(
@@ -310,6 +314,7 @@ def skewed(pairs: int, **changes: object) -> Scenario:
     return scene(**{"marker": FOUR, "motion": motion, "recording": recording, **changes})
 
 
+@pytest.mark.slow
 def test_a_late_right_camera_costs_no_more_than_is_claimed() -> None:
     session = in_memory(skewed(50))
     frames = analyse(session).tables["frames"]
@@ -321,6 +326,7 @@ def test_a_late_right_camera_costs_no_more_than_is_claimed() -> None:
     )  # neighbours err alike: few are independent
 
 
+@pytest.mark.slow
 def test_a_late_camera_that_is_taken_for_a_prompt_one_would_ruin_the_poses() -> None:
     """The test before this one has something to find."""
     session = simulate_session(skewed(10))
@@ -408,7 +414,7 @@ def test_leds_far_from_each_other_have_a_window_each() -> None:
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(own, axis=0), atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(8))
 def test_windows_meet_nowhere_and_hold_every_leds_own(seed: int) -> None:
     rng = np.random.default_rng(seed)
     leds = rng.uniform(-0.1, 0.1, (6, 3))
@@ -425,7 +431,7 @@ def test_windows_meet_nowhere_and_hold_every_leds_own(seed: int) -> None:
         assert np.isclose(found[:, None, side], own[None, :, side], atol=1e-9).any(axis=1).all()
 
 
-def test_what_is_behind_the_camera_or_beside_the_image_is_not_looked_for() -> None:
+def test_points_outside_the_image_get_no_window() -> None:
     leds = np.array([[0.0, 0, 0], [0.0, 0, -2.0], [1.5, 0, 0]])
     assert len(looked_for(leds, 0.8, 1e-3, 1e-4)[0]) == 1
     assert looked_for(leds[:1] - [0, 0, 2.0], 0.8, 1e-3, 1e-4)[0].shape == (0, 4)

@@ -1,11 +1,11 @@
 """Truth: cv2.projectPoints for what a camera sees, the laws of rigid motion, scipy's alignment."""
 
-import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from tests.support.scene import project
 from verify.core.records import Array
 from verify.core.rig import Camera
 from verify.measurement.triangulation import fit_rigid, triangulate
@@ -36,24 +36,12 @@ def make_camera(
     )
 
 
-def seen(camera: Camera, pan: float, points_rig: Array) -> Array:
-    """Where OpenCV sees points; the camera's place is built here from the session format's text."""
-    turntable = turn(camera.pan_axis * (pan + camera.pan_zero))
-    rotation = turntable @ camera.mount[:3, :3]
-    center = camera.pan_center + turntable @ camera.mount[:3, 3]
-    vector = cv2.Rodrigues(rotation.T)[0]
-    pixels = cv2.projectPoints(
-        points_rig, vector, -rotation.T @ center, camera.matrix, camera.distortion
-    )[0]
-    return np.asarray(pixels, dtype=float).reshape(-1, 2)
-
-
 def scene(rng: np.random.Generator, n: int = 20) -> Array:
     return rng.uniform([-0.15, -0.12, 0.45], [0.15, 0.12, 1.0], (n, 3))
 
 
 @pytest.mark.parametrize("ideal", [True, False])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_a_point_that_opencv_projects_is_found_again(seed: int, ideal: bool) -> None:
     rng = np.random.default_rng(seed)
     left = make_camera(rng, -0.08, ideal=ideal, vertical=False)
@@ -61,7 +49,7 @@ def test_a_point_that_opencv_projects_is_found_again(seed: int, ideal: bool) -> 
     pans = rng.uniform(0.02, 0.2), -rng.uniform(0.02, 0.2)
     truth = scene(rng)
     points, gap = triangulate(
-        left, right, *pans, seen(left, pans[0], truth), seen(right, pans[1], truth)
+        left, right, *pans, project(left, pans[0], truth), project(right, pans[1], truth)
     )
     assert_allclose(points, truth, rtol=0, atol=1e-9)
     assert_allclose(gap, 0, atol=1e-9)
@@ -72,7 +60,7 @@ def test_a_vertical_mismatch_shows_as_gap_and_the_point_lies_midway() -> None:
     left, right = make_camera(rng, -0.1), make_camera(rng, 0.1)
     apart = np.array([0, 2e-3, 0])
     truth = np.array([[0.0, 0.0, 0.7]])
-    pixels = seen(left, 0.1, truth - apart / 2), seen(right, -0.1, truth + apart / 2)
+    pixels = project(left, 0.1, truth - apart / 2), project(right, -0.1, truth + apart / 2)
     points, gap = triangulate(left, right, 0.1, -0.1, *pixels)
     assert_allclose(gap, 2e-3, rtol=2e-3)  # rays drawn 2 mm apart, a little slanted to each other
     assert_allclose(points, truth, atol=1e-4)  # the gap's own slant: a twentieth of it
@@ -93,7 +81,7 @@ def test_shapes_broadcast_so_that_every_left_spot_meets_every_right_one() -> Non
     rng = np.random.default_rng(3)
     left, right = make_camera(rng, -0.1), make_camera(rng, 0.1)
     truth = scene(rng, 5)
-    pixels = seen(left, 0.1, truth), seen(right, -0.1, truth)
+    pixels = project(left, 0.1, truth), project(right, -0.1, truth)
     points, gap = triangulate(left, right, 0.1, -0.1, pixels[0][:, None], pixels[1][None])
     assert points.shape == (5, 5, 3)
     assert_allclose(np.diagonal(gap), 0, atol=1e-9)

@@ -37,7 +37,7 @@ def test_the_skeleton_is_the_arm(name: str) -> None:
     assert len(links.way) == len(still)
 
 
-def test_leds_are_where_opencv_sees_them(bench: PlanningSetup) -> None:
+def test_leds_are_where_opencv_projects_them(bench: PlanningSetup) -> None:
     q = HOME + np.deg2rad(8) * np.random.default_rng(1).uniform(-1, 1, (20, 6))
     poses = robots.forward(bench.arm, q)
     seen = visible_leds(bench, poses, MARGIN_PX, np.deg2rad(60))
@@ -53,7 +53,7 @@ def test_leds_are_where_opencv_sees_them(bench: PlanningSetup) -> None:
         np.testing.assert_array_equal(view.inside, rim > MARGIN_PX)
 
 
-def test_leds_behind_the_flange_are_not_seen(bench: PlanningSetup) -> None:
+def test_leds_behind_the_flange_are_invisible(bench: PlanningSetup) -> None:
     pose = robots.forward(bench.arm, HOME[None])
     facing = visible_leds(bench, pose, 0.0, np.deg2rad(60))
     turned = pose.copy()
@@ -64,7 +64,7 @@ def test_leds_behind_the_flange_are_not_seen(bench: PlanningSetup) -> None:
     assert all(view.facing.all() for view in visible_leds(bench, turned, 0.0, np.pi))
 
 
-def test_images_that_touch_are_told(bench: PlanningSetup) -> None:
+def test_touching_images_are_reported(bench: PlanningSetup) -> None:
     leds = bench.marker.leds.copy()
     leds[1] = leds[0] + [0.004, 0.0, 0.0]
     close = replace(bench, marker=replace(bench.marker, leds=leds))
@@ -99,24 +99,24 @@ def test_counts_add_up(bench: PlanningSetup) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said", "remedy"),
+    ("changed", "message", "remedy"),
     [
         ({"view_angle": 0.02}, REASONS[1], "--view-angle-deg"),
         ({"floor": 3.0}, REASONS[3], "--floor-mm"),
     ],
 )
-def test_nothing_to_plan_is_said_with_its_counts(
-    changed: dict[str, float], said: str, remedy: str, bench: PlanningSetup
+def test_an_impossible_plan_is_refused_with_counts(
+    changed: dict[str, float], message: str, remedy: str, bench: PlanningSetup
 ) -> None:
     constraints = PostureConstraints(bench, wish(**changed))
     with pytest.raises(InputError) as problem:
         build_roadmap(constraints, np.random.default_rng(0))
-    assert f" by {said}" in problem.value.found
+    assert f" by {message}" in problem.value.found
     assert remedy in problem.value.remedy
     assert "none of 40,000 postures of iust_6r" in problem.value.found
 
 
-def test_a_rig_that_looks_elsewhere_is_said(bench: PlanningSetup) -> None:
+def test_a_rig_that_points_elsewhere_is_refused(bench: PlanningSetup) -> None:
     away = bench.rig.rig_T_base.copy()
     away[0, 3] += 5.0
     elsewhere = replace(bench, rig=replace(bench.rig, rig_T_base=away))

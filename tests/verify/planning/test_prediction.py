@@ -31,7 +31,8 @@ from verify.planning.request import FAULT_KINDS, PlanningSetup
 AGREES = 0.2  # of an uncertainty: noise of the pictures is taken as one number
 
 
-def test_a_recorded_session_states_what_was_foretold(
+@pytest.mark.slow
+def test_a_recorded_session_agrees_with_the_prediction(
     bench: PlanningSetup, made: SessionPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Through rendered pictures, detection, identification, and cameras that are off as stated."""
@@ -53,7 +54,8 @@ def test_a_recorded_session_states_what_was_foretold(
         np.testing.assert_allclose(np.rad2deg(predicted), stated, rtol=AGREES, err_msg=key)
 
 
-def test_a_recorded_session_knows_its_clock_as_was_foretold(
+@pytest.mark.slow
+def test_a_recorded_sessions_clock_agrees_with_the_prediction(
     bench: PlanningSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What it states grows with what offsets do not explain, which is another in every world."""
@@ -155,7 +157,7 @@ def faulty(
     return seen.model.white.rows((xi[0] - xi[1])[:, :, None])[:, 0]
 
 
-def test_offsets_alone_are_the_judgement_s_own(made: SessionPlan) -> None:
+def test_offsets_alone_agree_with_the_analysis(made: SessionPlan) -> None:
     model = made.prediction.session.model
     alone = predict_faults(model, ("offsets",))[0]
     np.testing.assert_allclose(
@@ -199,7 +201,7 @@ def test_the_sources_make_up_the_uncertainty(made: SessionPlan) -> None:
     np.testing.assert_allclose(whole, np.diag(foretold.analysis.means.covariance), rtol=1e-9)
 
 
-def test_all_that_can_be_asked_for(bench: PlanningSetup) -> None:
+def test_every_request_is_predicted(bench: PlanningSetup) -> None:
     made = planning.planned(bench, planning.wish(observe=FAULT_KINDS), planning.conditions())
     found = made.prediction.geometry
     assert found is not None

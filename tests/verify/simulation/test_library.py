@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.samples import FOLDER, SAMPLES
-from tests.support.simulated import scene
+from tests.support.simulated import MINIMAL, scene
 from verify.errors import InputError
 from verify.simulation import library
 from verify.simulation.scenario import (
@@ -23,22 +23,6 @@ from verify.simulation.scenario import (
 )
 from verify.simulation.session.folder import write_tables
 from verify.simulation.session.simulate import simulate_session
-
-MINIMAL = """
-format = 1
-robot = "iust_6r"
-seed = 1
-[motion]
-kind = "multi_joint"
-home_deg = [30.0, -62.0, 46.0, 8.0, -84.0, 24.0]
-amplitude_deg = [5.0, 5.0, 5.0, 5.0, 5.0, 5.0]
-[recording]
-pairs = 3
-rate_hz = 10.0
-[[marker.led]]
-name = "A"
-position_mm = [60.0, 5.0, 20.0]
-"""
 
 
 @pytest.mark.parametrize("name", library.names())
@@ -132,6 +116,7 @@ def test_a_samples_tables_are_what_its_scenario_gives(name: str, tmp_path: Path)
         assert np.allclose(numbers(kept), numbers(made), rtol=0, atol=2e-6), REMEDY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLES)
 def test_a_samples_pictures_are_what_its_scenario_renders(name: str) -> None:
     session = simulate_session(library.load(name))

@@ -134,11 +134,13 @@ def hits_of_repeatability(shape: Array, n: int, draws: int) -> int:
     return sum(one.low <= true <= one.high for one in found)
 
 
+@pytest.mark.slow
 def test_the_interval_of_repeatability_holds_the_truth_of_round_scatter() -> None:
     """Its shape is found uneven by chance, which widens it: at least 95 %, at most 99 %."""
     assert LEAST <= hits_of_repeatability(ROUND, 10, DRAWS) <= 0.99 * DRAWS
 
 
+@pytest.mark.slow
 def test_the_interval_of_repeatability_holds_the_truth_of_uneven_scatter() -> None:
     draws = 400
     least, most = binom.ppf([0.0005, 0.9995], draws, 0.95)
@@ -159,12 +161,14 @@ def hits_of_length(shape: Array, n: int, sizes: float) -> int:
     return held
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [ROUND, DEEP], ids=["round", "uneven"])
 @pytest.mark.parametrize("sizes", [0.0, 1.0, 3.0])
 def test_the_interval_of_a_short_length_holds_the_truth_at_least(shape: Array, sizes: float):
     assert hits_of_length(shape, 10, sizes) >= LEAST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [ROUND, DEEP], ids=["round", "uneven"])
 def test_the_interval_of_a_long_length_holds_the_truth(shape: Array) -> None:
     assert LEAST <= hits_of_length(shape, 10, 20.0) <= MOST

@@ -52,7 +52,8 @@ def test_a_bump_is_found_where_it_is() -> None:
     assert found.accuracy_noise == pytest.approx(0.0, abs=1e-9)
 
 
-def test_noise_alone_is_told_from_a_path_that_is_off() -> None:
+@pytest.mark.slow
+def test_noise_is_distinguished_from_a_path_error() -> None:
     """Passages about the path itself: AT above what they scatter to in about 5 % of cases."""
     over = []
     for seed in range(60):

@@ -156,7 +156,8 @@ def test_a_pose_approached_from_two_sides_varies_by_the_backlash() -> None:
     assert judged.variation.noise < 4e-5
 
 
-def test_scatter_alone_is_told_from_a_variation() -> None:
+@pytest.mark.slow
+def test_scatter_is_distinguished_from_a_variation() -> None:
     over = []
     for seed in range(100):
         rng = np.random.default_rng(seed)
@@ -195,7 +196,7 @@ def test_single_visits_take_the_noise_that_the_poses_state() -> None:
     assert judged.paths == ()
 
 
-def test_pairs_that_saw_too_little_are_left_out() -> None:
+def test_incomplete_pairs_are_left_out() -> None:
     readings = readings_of(RUN)
     model = model_of(RUN, followed(RUN), readings)
     known = list(model.comparison.determined)
@@ -307,6 +308,7 @@ def test_a_session_carries_its_repeated_poses(tmp_path: Path) -> None:
     assert {d["kind"] for d in entry["deviations"]} >= {"cycles", "commanded", "load"}
 
 
+@pytest.mark.slow
 def test_positions_alone_are_judged_at_their_point(tmp_path: Path) -> None:
     folder = written(tmp_path / "session", positions_alone=True)
     entry = analyse(open_session(folder)).summary["performance"]
@@ -332,7 +334,7 @@ def test_a_wrong_name_is_refused(tmp_path: Path, more: str, place: str, found: s
     assert found in str(refused.value)
 
 
-def test_named_poses_of_a_session_count_and_a_misspelt_key_is_told(tmp_path: Path) -> None:
+def test_a_sessions_named_poses_count_and_a_misspelt_key_is_warned_of(tmp_path: Path) -> None:
     stops = [i for i, pose in enumerate(repeated(6).order) if pose == 0]
     more = "\n".join(
         f'[[pose]]\nname = "home"\nt_start_s = {2.2 * i:.1f}\nt_end_s = {2.2 * i + 1.2:.1f}\n'

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, kstest
 
 import robots
-from tests.support.motions import ARM, HOME, make_track, swinging
+from tests.support.motions import ARM, ESTIMATED, GIVEN, HOME, make_track, model_of, swinging
 from tests.support.scene import make_marker, make_rig
-from tests.verify.analysis.test_joint_errors import ESTIMATED, GIVEN, model_of
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import ReadingUncertainty, compare, solve_joints
 from verify.analysis.model import JointErrorModel, SessionComparison
@@ -33,8 +32,7 @@ from verify.simulation.world.motion import JointTurn, MotionProfile, SequentialS
 
 SLOT = 6.0  # s a joint
 SESSION = cast(
-    "Session",
-    SimpleNamespace(encoder_resolution=None, encoder_time_standard_uncertainty=None),
+    "Session", SimpleNamespace(encoder_resolution=None, encoder_time_standard_uncertainty=None)
 )
 FAULTS = (
     ScenarioFault(joint=2, backlash_deg=0.3),
@@ -132,7 +130,7 @@ def test_faults_come_back_with_the_uncertainty_that_is_stated() -> None:
     assert chi2.ppf(0.0005, len(pulls)) < square < chi2.ppf(0.9995, len(pulls))
 
 
-def test_healthy_joints_are_not_accused() -> None:
+def test_healthy_joints_have_no_findings() -> None:
     pulls = [pull(s.gain.value, s.gain.uncertainty) for s in healthy()]
     pulls += [pull(s.hysteresis.value, s.hysteresis.uncertainty) for s in healthy()]
     square = float(np.sum(np.square(pulls)))
@@ -169,7 +167,7 @@ def test_one_way_shows_no_hysteresis_and_no_figure_is_made_up_for_it() -> None:
     assert abs(pull(found[0].gain.value, found[0].gain.uncertainty, 0.01)) < 4
 
 
-def test_where_the_robot_stands_and_how_the_leds_sit_changes_nothing() -> None:
+def test_results_do_not_depend_on_base_and_led_poses() -> None:
     rng = np.random.default_rng(5)
     elsewhere = np.tile(np.eye(4), (2, 1, 1))
     elsewhere[:, :3, :3] = Rotation.random(2, random_state=rng).as_matrix()

@@ -15,7 +15,7 @@ from scipy.stats import t as student
 import robots
 from robots.transforms import difference
 from tests.support.beside import shared
-from tests.support.command import SAMPLES
+from tests.support.command import sample_results
 from tests.support.motions import ARM, make_track, read, swinging
 from tests.support.scene import make_marker, make_rig
 from verify import analyse, open_session
@@ -283,6 +283,7 @@ def test_sensitivities_to_the_table_are_those_of_metrology_md() -> None:
     np.testing.assert_allclose(np.sqrt((lines**2).sum()), stated, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_the_quarter_circle_is_a_sweep_of_joint_1_and_shows_it_sound() -> None:
     results = analyse(open_session(shared("sessions", "quarter_circle_6r")))
@@ -298,7 +299,7 @@ def test_the_quarter_circle_is_a_sweep_of_joint_1_and_shows_it_sound() -> None:
 
 @pytest.mark.parametrize("name", ["multi_joint_rv_3sd", "multi_joint_fault_6r"])
 def test_the_budgets_lines_add_up_to_the_stated_uncertainty(name: str) -> None:
-    results = analyse(open_session(SAMPLES / name))
+    results = sample_results(name)
     lines = results.tables["budget"].pivot_table(
         index="source", columns="joint", values="standard_uncertainty_deg"
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support.spotted import Spotted, spotted
+from tests.support.spotted import HOMES, SPREAD, Spotted, spotted
 from verify.analysis.uncertainty.draws import (
     ViewDraws,
     camera_draws,
@@ -16,12 +16,6 @@ from verify.analysis.uncertainty.draws import (
 )
 from verify.analysis.uncertainty.monte_carlo import MAX_RATIO_ERROR, monte_carlo
 from verify.core.records import Array
-
-HOMES = {
-    "iust_6r": np.deg2rad([35.0, -60.0, 45.0, 5.0, -80.0, 30.0]),
-    "rv_3sd_melfa": np.deg2rad([10.0, 15.0, 95.0, 10.0, 50.0, 20.0]),
-}
-SPREAD = np.deg2rad([10.0, 7.0, 8.0, 10.0, 10.0, 20.0])
 
 
 def visits(arm: str, seed: int, count: int = 8) -> Array:
@@ -55,10 +49,7 @@ def test_a_pose_fitted_in_no_drawn_world_is_the_chains_own(
         spots = used_spots(seen, rig, marker)
         sides = [
             camera_draws(camera, name, {}, np.array([s.pan]))
-            for camera, name, s in (
-                (rig.left, "left", seen.left),
-                (rig.right, "right", seen.right),
-            )
+            for camera, name, s in ((rig.left, "left", seen.left), (rig.right, "right", seen.right))
         ]
         views = ViewDraws(sides[0], sides[1], spots.left)
         leds = led_draws(marker, {}, 1)[:, spots.led]
@@ -68,19 +59,21 @@ def test_a_pose_fitted_in_no_drawn_world_is_the_chains_own(
         assert_allclose(found[0], seen.pose.rig_T_flange, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", list(HOMES))
-def test_where_it_is_said_to_hold_it_agrees_within_5_percent_as_the_draws_fall(
+def test_where_linear_propagation_holds_the_draws_agree_within_5_percent(
     arm: str, both: dict[str, Spotted]
 ) -> None:
     """Not by the ratio that the check uses, but by the plain scatter of 4,000 other draws."""
-    said = both[arm].check()
+    message = both[arm].check()
     many = both[arm].check(draws=4000, seed=9)
-    holds = said.holds & ~said.coupled
+    holds = message.holds & ~message.coupled
     assert holds.mean() > 0.9
     away = np.abs(many.scatter / many.linear - 1)[holds]
     assert away.max() < MAX_RATIO_ERROR + 3 / np.sqrt(2 * 4000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", list(HOMES))
 def test_the_scatter_is_that_of_poses_drawn_and_fitted_by_the_chain_itself(
     arm: str, both: dict[str, Spotted]
@@ -127,7 +120,7 @@ def test_the_scatter_is_that_of_poses_drawn_and_fitted_by_the_chain_itself(
     assert_allclose(found.scatter[place] / np.std(q, axis=0), 1, atol=4 * 0.032)
 
 
-def test_next_to_a_singularity_it_says_that_linear_propagation_fails_and_it_does() -> None:
+def test_next_to_a_singularity_linear_propagation_is_reported_to_fail() -> None:
     # so near that the doubt of joint 5 reaches the singularity
     made = spotted("iust_6r", at("iust_6r", -0.4), 3, larger=2.0)
     found = made.check()

@@ -29,8 +29,9 @@ REPLICATES = 60
 POSE_SIGMA = np.array([2e-5, 2e-5, 8e-5, 4e-4, 4e-4, 2e-4])  # m and rad
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", robots.names())
-def test_lines_of_neighbouring_joints_stand_as_the_table_says(name: str) -> None:
+def test_neighbouring_axes_lie_as_in_the_table(name: str) -> None:
     arm = robots.load(name)
     assert isinstance(arm, robots.DhArm)
     q = np.random.default_rng(4).uniform(-1, 1, 6)
@@ -61,6 +62,7 @@ def circling(rng: np.random.Generator, n: int = 20) -> tuple[Array, Array, Array
     return direction, point, angle, poses, np.tile(np.diag(POSE_SIGMA**2), (n, 1, 1))
 
 
+@pytest.mark.slow
 def test_d_squared_of_an_axis_is_chi_squared() -> None:
     lines, angles = [], []
     for seed in range(REPLICATES):
@@ -152,7 +154,7 @@ def faulty() -> tuple[InMemory, SweepResult]:
     return session, axes_from_sweeps(session, measured(session))
 
 
-def test_every_joint_turns_as_its_encoder_says_but_the_faulty_one(
+def test_all_encoders_but_the_faulty_one_agree_with_the_rotation(
     faulty: tuple[InMemory, SweepResult],
 ) -> None:
     _, found = faulty
@@ -172,7 +174,7 @@ def test_every_joint_turns_as_its_encoder_says_but_the_faulty_one(
     ]
 
 
-def test_axes_lie_as_the_table_has_them(faulty: tuple[InMemory, SweepResult]) -> None:
+def test_axes_lie_as_in_the_table(faulty: tuple[InMemory, SweepResult]) -> None:
     session, found = faulty
     assert isinstance(session.arm, robots.DhArm)
     assert [p.joints for p in found.pairs] == [(i, i + 1) for i in range(1, 6)]
@@ -196,14 +198,12 @@ def test_the_base_is_found_by_the_arm_s_own_axes(faulty: tuple[InMemory, SweepRe
     assert any("rests on joint 1's encoder" in d for d in found.decisions)
 
 
-def test_a_link_that_is_longer_than_the_table_says_shows(
-    faulty: tuple[InMemory, SweepResult],
-) -> None:
+def test_a_link_longer_than_in_the_table_is_found(faulty: tuple[InMemory, SweepResult]) -> None:
     session, _ = faulty
     assert isinstance(session.arm, robots.DhArm)
     shorter = session.arm.a - np.array([0, 1e-3, 0, 0, 0, 0])
-    told = replace(session, arm=replace(session.arm, a=shorter))
-    found = axes_from_sweeps(told, measured(session))
+    output = replace(session, arm=replace(session.arm, a=shorter))
+    found = axes_from_sweeps(output, measured(session))
     wrong = [p for p in found.pairs if not p.agrees]
     assert [p.joints for p in wrong] == [(2, 3)]
     assert_allclose(wrong[0].distance - wrong[0].distance_table, 1e-3, atol=2e-4)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.support.boards.fixture import BOARD, STATED, board_pairs, doubtful_rig
+from tests.support.drawn_rig import believed, drawn
+from tests.support.moved_rig import bumped, seen_by, stretched, turned
 from tests.support.recorded import require_shared
 from tests.support.scene import make_marker, make_rig
 from tests.support.simulated import in_memory
-from tests.verify.analysis.test_joint_errors import believed, drawn
-from tests.verify.analysis.test_rig_check import bumped, seen_by, stretched, turned
-from tests.verify.calibration.registration.test_fixture import BOARD, pair, placed
 from verify.calibration.check.check import (
     CheckResult,
     bar_marker,
@@ -24,25 +24,14 @@ from verify.calibration.check.check import (
 from verify.calibration.corners.find import find_board
 from verify.core.fiducials import Board, BoardPair
 from verify.core.records import Measurement
-from verify.core.rig import Covariance, Rig
 from verify.errors import InputError
 from verify.io import rig as io_rig
 from verify.simulation import library
 
 REPLICATES = 60
-STATED = make_marker(led_standard_uncertainty=2e-5, centre_shift_standard_uncertainty=1e-5)
 
 
-def doubtful_rig() -> Rig:
-    names = tuple(f"right.mount_r{axis}_deg" for axis in "xyz")
-    return replace(make_rig(), covariance=Covariance(names, np.full(3, 0.005), np.eye(3)))
-
-
-def board_pairs(true: Rig, count: int = 1, seed: int = 0) -> list[BoardPair]:
-    rng = np.random.default_rng(seed)
-    return [pair(true, placed(z=0.6 + 0.02 * i), rng, frame=i) for i in range(count)]
-
-
+@pytest.mark.slow
 def test_a_healthy_rig_is_held_and_every_length_is_in_its_uncertainty() -> None:
     rig, marker = believed(doubts=True)
     held, z = 0, []
@@ -75,7 +64,8 @@ def test_lengths_show_a_baseline_off_by_half_a_percent() -> None:
     assert each.ends[0] == ("A", "B")
 
 
-def test_the_smallest_change_named_is_seen_four_times_in_five() -> None:
+@pytest.mark.slow
+def test_the_stated_detectable_change_is_found_four_times_in_five() -> None:
     rig = doubtful_rig()
     sizes = {
         v.change: v.smallest
@@ -94,7 +84,7 @@ def test_the_smallest_change_named_is_seen_four_times_in_five() -> None:
     assert seen / REPLICATES > 0.8 - 3 * np.sqrt(0.8 * 0.2 / REPLICATES)
 
 
-def test_what_is_not_stated_is_said_and_a_failure_then_names_the_doubt() -> None:
+def test_missing_uncertainties_are_listed_and_named_on_failure() -> None:
     file = make_rig(), make_marker()
     healthy = check_rig(seen_by(file, file, 0), *file)
     assert healthy.uncounted == ("rig", "LED positions", "apparent LED centre")
@@ -104,7 +94,7 @@ def test_what_is_not_stated_is_said_and_a_failure_then_names_the_doubt() -> None
     assert not any("could not be tested" in w for w in healthy.warnings)
 
 
-def test_what_the_check_cannot_see_is_said() -> None:
+def test_undetectable_changes_are_listed() -> None:
     file = make_rig(), STATED
     assert any(
         "both cameras together" in d for d in check_rig(seen_by(file, file, 0), *file).decisions
@@ -171,7 +161,8 @@ def test_the_few_pairs_that_fit_a_badly_moved_rig_by_chance_hold_nothing() -> No
         check_rig([*few, *lost], *file)
 
 
-def test_a_session_of_a_bar_is_checked_though_its_ends_look_alike() -> None:
+@pytest.mark.slow
+def test_a_session_of_a_symmetric_bar_is_checked() -> None:
     built = library.load("multi_joint_fault_6r")
     session = in_memory(
         msgspec.structs.replace(
@@ -181,15 +172,15 @@ def test_a_session_of_a_bar_is_checked_though_its_ends_look_alike() -> None:
         )
     )
     length = float(np.linalg.norm(session.marker.leds[1] - session.marker.leds[0]))
-    told: list[int] = []
+    output: list[int] = []
     result = check_session(
         session,
         length=length,
         length_standard_uncertainty=1e-5,
-        progress=lambda done, _: told.append(done),
+        progress=lambda done, _: output.append(done),
     )
     assert result.holds
-    assert told == list(range(1, 9))
+    assert output == list(range(1, 9))
     assert result.lengths.pairs.tolist() == [8]
     assert not check_session(session, length=length * 1.004, length_standard_uncertainty=1e-5).holds
 

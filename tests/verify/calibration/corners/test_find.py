@@ -30,6 +30,7 @@ def found(image: Image, board: Board) -> BoardView:
     return view
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("board", "look"),
     [
@@ -40,7 +41,7 @@ def found(image: Image, board: Board) -> BoardView:
     ],
     ids=["usual", "dark and blurred", "shaded, with gamma", "charuco"],
 )
-def test_errors_scatter_as_their_covariance_says(board: Board, look: Look) -> None:
+def test_errors_scatter_as_their_covariance_states(board: Board, look: Look) -> None:
     rng = np.random.default_rng(3)
     errors, d2 = [], []
     for _ in range(4):
@@ -81,6 +82,7 @@ def test_it_beats_opencv_several_times() -> None:
     assert own < np.sqrt(np.mean((refined - truth) ** 2)) / 3
 
 
+@pytest.mark.slow
 def test_corners_of_neighbours_share_no_error() -> None:
     rng = np.random.default_rng(7)
     camera_T_board = placed((0.1, 0.2, 0.1), (0, 0, 1.0), PLAIN)
@@ -105,7 +107,7 @@ def test_colours_settle_the_order_at_any_turn(turn: float) -> None:
 @pytest.mark.parametrize(
     ("counts", "turn", "label"), [((9, 7), 60.0, 0), ((9, 7), 130.0, 62), ((8, 8), -30.0, 0)]
 )
-def test_a_pattern_that_looks_alike_starts_at_the_top_left(
+def test_a_symmetric_pattern_starts_at_the_top_left(
     counts: tuple[int, int], turn: float, label: int
 ) -> None:
     board, rng = Board(*counts, 0.035), np.random.default_rng(9)

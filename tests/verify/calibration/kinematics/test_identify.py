@@ -39,6 +39,7 @@ def predicted_less_true(found: IdentificationResult, truth: TrueArm, q: np.ndarr
     return float(error @ np.linalg.solve(fit.covariance, error))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["iust_6r", "rv_3sd_melfa"])
 def test_predictions_meet_the_true_arm_within_the_stated_uncertainty(name: str) -> None:
     """d² of the 30 identified combinations over 8 arms, in the 99.8 % interval of χ²(240)."""
@@ -77,7 +78,7 @@ def test_a_handful_of_poses_calls_for_no_geometry() -> None:
     assert found.chosen.name != "geometry"
 
 
-def test_offsets_alone_are_told_from_geometry_and_their_sign_is_to_be_added() -> None:
+def test_offsets_are_distinguished_from_geometry_with_the_sign_to_add() -> None:
     truth = true_arm("rv_3sd_melfa", seed=5, geometry=0.0)
     found = identified(truth, 60, 6, IdentificationOptions(splits=0))
     assert found.chosen.name == "offsets"
@@ -150,7 +151,7 @@ def test_outlying_poses_are_listed_and_do_no_harm() -> None:
     assert distance < chi2.ppf(0.999, 30)
 
 
-def test_little_motion_supports_little_and_says_how_little() -> None:
+def test_little_motion_supports_few_parameters() -> None:
     """±2° about one posture: what stays held is named with the uncertainty that it would have."""
     truth = true_arm("iust_6r", seed=19, geometry=0.0, offsets=0.0)
     q = np.radians([10.0, -60, 80, 30, 50, 20]) + np.random.default_rng(20).uniform(

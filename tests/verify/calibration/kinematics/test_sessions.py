@@ -19,6 +19,8 @@ from verify.calibration.kinematics.sessions import (
 )
 from verify.io.session.session import open_session
 
+pytestmark = pytest.mark.slow
+
 FAULT_DEG = 0.40  # joint 3 reads too high by it, says the session's own note
 
 

@@ -12,81 +12,26 @@ from scipy.spatial.transform import Rotation
 
 import reports
 from tests.support.recorded import require_shared
-from tests.support.reports import made_calibration as made
+from tests.support.reports import calibration as made
 from verify.calibration.origin import ResultsOrigin
-from verify.calibration.quality.accuracy import (
-    SPOT_SIGMA,
-    TEST_LENGTH,
-    length_uncertainty,
-    uncertainty_field,
-    uncertainty_parts,
-)
-from verify.calibration.quality.advice import calibration_doubts, coverage_gaps, main_advice
-from verify.calibration.quality.coverage import board_stances, view_frame
+from verify.calibration.quality.advice import calibration_doubts, coverage_gaps
 from verify.calibration.quality.quality import (
-    NOISE_GROUP,
+    SIDES,
     draw_rectified,
     judge_calibration,
     outlying_views,
     rms,
     view_residuals,
 )
-from verify.calibration.quality.results import calibration_results, pan_axes_angle, stereo_geometry
+from verify.calibration.quality.results import calibration_results
 from verify.calibration.registration.fixture import FixtureRegistration
 from verify.calibration.registration.records import MotionRegistration, SpotResiduals
 from verify.calibration.registration.results import fixture_results, motion_results
-from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES, step_camera
-from verify.calibration.stereo.records import (
-    Calibration,
-    Residuals,
-    covariance_in_si,
-    state_covariance,
-)
+from verify.calibration.stereo.parameters import PARAMETER_KEYS
+from verify.calibration.stereo.records import Calibration, Residuals
 from verify.core.fiducials import Marker
-from verify.core.records import Array
-from verify.core.rig import Camera, Covariance, Rig
+from verify.core.rig import Covariance, Rig
 from verify.measurement.systematics import BODY
-from verify.measurement.triangulation import triangulate
-
-STILL = np.zeros(2)  # rad, the pan readings of a rig whose bases stand still
-DRAWS = 1500  # of a Monte Carlo: a standard deviation is then known to 1.8 %
-CLOSE = 0.08  # relative, over four standard deviations of that
-
-
-def drawn_rigs(rig: Rig, count: int = DRAWS) -> list[Rig]:
-    """Rigs as the covariance says they might be."""
-    assert rig.covariance is not None
-    random = np.random.default_rng(5)
-    steps = random.multivariate_normal(
-        np.zeros(len(rig.covariance.parameters)),
-        covariance_in_si(rig.covariance),
-        count,
-        method="eigh",
-    )
-    return [_stepped(rig, step) for step in steps]
-
-
-def _stepped(rig: Rig, step: Array) -> Rig:
-    assert rig.covariance is not None
-    sides = {"left": np.zeros(len(PARAMETER_KEYS)), "right": np.zeros(len(PARAMETER_KEYS))}
-    for name, amount in zip(rig.covariance.parameters, step.tolist(), strict=True):
-        side, _, key = name.partition(".")
-        sides[side][PARAMETER_KEYS.index(key)] = amount
-    return replace(
-        rig, left=step_camera(rig.left, sides["left"]), right=step_camera(rig.right, sides["right"])
-    )
-
-
-def in_pixels(camera: Camera, point: Array) -> Array:
-    camera_T_rig = np.linalg.inv(camera.rig_T_camera(0.0))
-    return camera.project(camera_T_rig[:3, :3] @ point + camera_T_rig[:3, 3])
-
-
-def spread(rigs: list[Rig], points: Array, nominal: Rig) -> Array:
-    """Points that each rig triangulates from the pixels of the nominal one, (n, m, 3)."""
-    left = np.array([in_pixels(nominal.left, p) for p in points])
-    right = np.array([in_pixels(nominal.right, p) for p in points])
-    return np.array([triangulate(r.left, r.right, 0.0, 0.0, left, right)[0] for r in rigs])
 
 
 def test_rms_is_the_root_mean_square_distance() -> None:
@@ -106,8 +51,8 @@ def test_every_view_is_summed_up_and_a_bad_one_is_named() -> None:
     assert bad.corners == chosen.sum()
     squares = np.sum(own.residual[chosen] ** 2, axis=1)
     assert bad.rms == pytest.approx(np.sqrt(squares.mean()))
-    said = calibration_doubts(found, judge_calibration(found), {4: "left05.png and right05.png"})
-    assert said[0].startswith("Pair 4 (left05.png and right05.png) hurts in the right camera")
+    message = calibration_doubts(found, judge_calibration(found), {4: "left05.png and right05.png"})
+    assert message[0].startswith("Pair 4 (left05.png and right05.png) hurts in the right camera")
     assert bad.largest == pytest.approx(np.sqrt(squares.max()))
 
 
@@ -169,255 +114,34 @@ def _webcam(folder: Path, count: int, size: tuple[int, int]) -> Residuals:
     )
 
 
-def test_every_corner_is_counted_once_a_picture() -> None:
-    found = made.calibration()
-    for side in judge_calibration(found).coverage:
-        seen = (found.residuals.camera == side.camera).sum()
-        assert side.counts.sum() == side.regions.sum() == seen
-
-
-def test_a_board_s_tilts_are_those_it_was_placed_with() -> None:
-    found = made.calibration(count=3)
-    rig_T_view = view_frame(found.rig, STILL)
-    wanted = [(0.3, 0.0), (0.0, -0.4), (-0.2, 0.0)]
-    poses = []
-    for about_horizontal, about_vertical in wanted:
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_rotvec([about_horizontal, about_vertical, 0.0]).as_matrix()
-        pose[2, 3] = 1.1
-        poses.append(rig_T_view @ pose)
-    turned = replace(found, rig_T_board=np.array(poses))
-    stood = board_stances(turned, np.zeros((3, 2)))
-    assert_allclose([(s.about_horizontal, s.about_vertical) for s in stood], wanted, atol=1e-12)
-    assert_allclose([s.tilt for s in stood], [0.3, 0.4, 0.2], atol=1e-9)
-    corners = made.BOARD.points @ poses[0][:3, :3].T + poses[0][:3, 3]
-    depth = (corners - rig_T_view[:3, 3]) @ rig_T_view[:3, 2]
-    assert depth[0] < depth[-1]  # tilted up: the upper edge is nearer
-    assert stood[0].distance == pytest.approx((depth[0] + depth[-1]) / 2)
-
-
-def test_the_view_looks_where_both_cameras_look() -> None:
-    rig = made.make_rig()
-    view = view_frame(rig, STILL)
-    assert_allclose(view[:3, :3] @ view[:3, :3].T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(view[:3, :3]) == pytest.approx(1)
-    for camera in (rig.left, rig.right):
-        assert camera.rig_T_camera(0.0)[:3, 2] @ view[:3, 2] > np.cos(np.deg2rad(8))
-
-
-def parallel_rig() -> Rig:
-    """Two pinholes, 0.2 m apart, that look the same way; only the baseline is uncertain."""
-    matrix = np.array([[1000.0, 0, 639.5], [0, 1000.0, 359.5], [0, 0, 1]])
-    none, up = np.zeros(3), np.array([0.0, 1, 0])
-    left = Camera(matrix, np.zeros(5), none, up, 0.0, np.eye(4))
-    mount = np.eye(4)
-    mount[0, 3] = 0.2
-    right = replace(left, mount=mount)
-    covariance = Covariance(("right.mount_x_mm",), np.array([0.2]), np.eye(1))
-    return Rig((1280, 720), left, right, np.full((4, 4), np.nan), "", covariance=covariance)
-
-
-def test_a_point_s_noise_follows_the_law_of_parallel_cameras() -> None:
-    found = uncertainty_field(parallel_rig(), STILL, 0.8, turning=False)
-    middle = found.random[len(found.y) // 2, len(found.x) // 2]
-    depth = 0.8**2 / (1000 * 0.2) * np.sqrt(2) * SPOT_SIGMA  # metrology.md, section 2
-    lateral = 0.8 / 1000 * SPOT_SIGMA / np.sqrt(2)
-    assert np.sqrt(middle[2, 2]) == pytest.approx(depth, rel=0.01)
-    assert np.sqrt(middle[1, 1]) == pytest.approx(lateral, rel=0.01)
-
-
-def test_a_baseline_s_error_scales_the_depth() -> None:
-    rig = parallel_rig()
-    found = uncertainty_field(rig, STILL, 0.8, turning=False)
-    middle = found.systematic[len(found.y) // 2, len(found.x) // 2]
-    assert np.sqrt(middle[2, 2]) == pytest.approx(0.8 * 0.001, rel=1e-3)  # 0.2 mm of 200 mm
-    random, systematic = length_uncertainty(rig, STILL, 0.8, 2, turning=False)
-    assert systematic == pytest.approx(TEST_LENGTH * 0.001, rel=1e-3)
-    assert random > 0
-
-
-def test_points_are_mapped_only_where_both_cameras_see_them() -> None:
-    found = uncertainty_field(made.calibration().rig, STILL, 0.6, turning=False)
-    rig_T_view = view_frame(made.make_rig(), STILL)
-    for i, y in enumerate(found.y):
-        for j, x in enumerate(found.x):
-            point = rig_T_view[:3, :3] @ [x, y, found.distance] + rig_T_view[:3, 3]
-            pixels = [in_pixels(c, point) for c in (made.make_rig().left, made.make_rig().right)]
-            seen = all((p >= -0.5).all() and (p <= [1279.5, 719.5]).all() for p in pixels)
-            assert np.isfinite(found.random[i, j]).all() == seen
-
-
-def test_the_rig_s_share_is_what_rigs_drawn_from_its_covariance_show() -> None:
-    rig = made.calibration().rig
-    rig_T_view = view_frame(rig, STILL)
-    found = uncertainty_field(rig, STILL, 1.0, turning=False)
-    places = [(2, 4), (1, 1), (3, 7)]
-    points = np.array([[found.x[j], found.y[i], 1.0] for i, j in places])
-    shown = spread(drawn_rigs(rig), points @ rig_T_view[:3, :3].T + rig_T_view[:3, 3], rig)
-    for k, (i, j) in enumerate(places):
-        there = np.cov(shown[:, k] @ rig_T_view[:3, :3], rowvar=False)
-        assert_allclose(np.diag(there), np.diag(found.systematic[i, j]), rtol=2 * CLOSE)
-
-
-def test_the_spots_share_is_what_noisy_spots_show() -> None:
-    rig = made.calibration().rig
-    rig_T_view = view_frame(rig, STILL)
-    found = uncertainty_field(rig, STILL, 1.0, turning=False)
-    point = rig_T_view[:3, :3] @ [found.x[1], found.y[3], 1.0] + rig_T_view[:3, 3]
-    random = np.random.default_rng(8)
-    left, right = (
-        in_pixels(camera, point) + random.normal(0, SPOT_SIGMA, (DRAWS, 2))
-        for camera in (rig.left, rig.right)
-    )
-    shown = triangulate(rig.left, rig.right, 0.0, 0.0, left, right)[0] @ rig_T_view[:3, :3]
-    there = np.diag(np.cov(shown, rowvar=False))
-    # the midpoint of two rays is a little worse than the point of least error in the images
-    assert_allclose(there, np.diag(found.random[3, 1]), rtol=3 * CLOSE)
-
-
-def test_across_depth_and_whole_are_one_covariance_s_parts() -> None:
-    found = uncertainty_field(made.calibration().rig, STILL, 1.0, turning=False)
-    lateral, depth, whole = uncertainty_parts(found, found.total)
-    seen = np.isfinite(whole)
-    assert (whole[seen] ** 2 <= 2 * lateral[seen] ** 2 + depth[seen] ** 2 + 1e-15).all()
-    assert (whole[seen] ** 2 >= lateral[seen] ** 2 + depth[seen] ** 2 - 1e-15).all()
-
-
-def test_a_length_s_uncertainty_is_what_drawn_rigs_show() -> None:
-    rig = made.calibration().rig
-    rig_T_view = view_frame(rig, STILL)
-    ends = np.array([[-TEST_LENGTH / 2, 0, 1.0], [TEST_LENGTH / 2, 0, 1.0]])
-    shown = spread(drawn_rigs(rig), ends @ rig_T_view[:3, :3].T + rig_T_view[:3, 3], rig)
-    apart = np.linalg.norm(shown[:, 1] - shown[:, 0], axis=1)
-    assert length_uncertainty(rig, STILL, 1.0, 0, turning=False)[1] == pytest.approx(
-        apart.std(), rel=CLOSE
-    )
-
-
-def test_stereo_relation_and_its_uncertainty_are_what_drawn_rigs_show() -> None:
-    rig = made.calibration().rig
-    entry = stereo_geometry(rig, STILL)
-    assert_allclose(entry["position_mm"], [168.5, 1.2, 22.4], atol=1e-9)
-    assert_allclose(entry["rotation_vector_deg"], [0.4, -15.0, -0.3], atol=1e-9)
-    assert entry["convergence_deg"] == pytest.approx(15.0, abs=0.01)
-    baselines = [
-        np.linalg.norm(r.right.mount[:3, 3] - r.left.mount[:3, 3]) for r in drawn_rigs(rig)
-    ]
-    u = entry["baseline_standard_uncertainty_mm"]
-    assert u == pytest.approx(1e3 * np.std(baselines), rel=CLOSE)
-
-
-def test_the_turning_axes_angle_is_found_with_its_uncertainty() -> None:
-    rig = made.make_rig()
-    tilted = Rotation.from_rotvec([0.01, 0.0, 0.0]).apply(rig.right.pan_axis)
-    rig = replace(
-        rig,
-        right=replace(rig.right, pan_axis=tilted),
-        covariance=Covariance(("right.pan_axis_rx_deg",), np.array([0.02]), np.eye(1)),
-    )
-    entry = pan_axes_angle(rig)
-    assert entry["axes_angle_deg"] == pytest.approx(np.rad2deg(0.01))
-    assert entry["axes_angle_standard_uncertainty_deg"] == pytest.approx(0.02, rel=1e-3)
-
-
-def test_the_working_distance_is_the_boards_median_even_where_maps_coincide() -> None:
-    found = made.calibration(count=3)
-    rig_T_view = view_frame(found.rig, STILL)
-    poses = np.tile(rig_T_view, (3, 1, 1))
-    for pose, z in zip(poses, (0.66, 0.67, 1.2), strict=True):
-        pose[:3, 3] += z * rig_T_view[:3, 2]
-    quality = judge_calibration(replace(found, rig_T_board=poses))
-    assert quality.working_distance == 0.65
-    assert [f.distance for f in quality.fields] == [0.65, 1.2]
-
-
-def test_pan_readings_add_their_own_uncertainty_where_bases_turn() -> None:
-    rig = made.calibration().rig
-    loose = replace(rig, left=replace(rig.left, pan_standard_uncertainty=np.deg2rad(0.1)))
-    still = uncertainty_field(loose, STILL, 0.9, turning=False)
-    turned = uncertainty_field(loose, STILL, 0.9, turning=True)
-    assert_allclose(still.systematic, uncertainty_field(rig, STILL, 0.9, turning=False).systematic)
-    more = turned.systematic[2, 4] - still.systematic[2, 4]
-    assert np.sqrt(more[2, 2]) > 0.005  # 0.1° at 0.9 m and 170 mm: Z² / B times the angle
-    found = replace(made.calibration(), rig=loose, turning=True)
-    assert main_advice(judge_calibration(found))[0] == "pan readings"
-
-
-def test_what_is_left_were_a_group_exact_is_the_covariance_given_that_group() -> None:
-    found = made.calibration()
-    quality = judge_calibration(found)
-    given = found.rig.covariance
-    assert given is not None
-    keep = [
-        i for i, n in enumerate(given.parameters) if n.partition(".")[2] not in ("fx_px", "fy_px")
-    ]
-    information = np.linalg.inv(covariance_in_si(given))
-    conditional = np.linalg.inv(information[np.ix_(keep, keep)])  # the others, focal lengths exact
-    covariance = state_covariance([given.parameters[i] for i in keep], conditional)
-    rest = replace(found, rig=replace(found.rig, covariance=covariance))
-    by_group = {c.group: c for c in quality.contributions}
-    again = {c.group: c for c in judge_calibration(rest).contributions}
-    noise = again[NOISE_GROUP]
-    assert by_group["focal lengths"].without == pytest.approx(np.hypot(noise.alone, noise.without))
-    assert quality.contributions[0].without == min(c.without for c in quality.contributions)
-
-
-@pytest.mark.parametrize(
-    ("cy", "u", "odd", "believed"),
-    [(355.0, 0.2, False, True), (193.8, 3.0, True, True), (193.8, 60.0, True, False)],
-)
-def test_an_odd_principal_point_is_believed_if_it_is_known_well_enough(
-    cy: float, u: float, odd: bool, believed: bool
-) -> None:
-    found = made.calibration()
-    given = found.rig.covariance
-    assert given is not None
-    sigma = given.standard_uncertainty.copy()
-    sigma[[given.parameters.index(f"left.{key}") for key in ("cx_px", "cy_px")]] = u
-    matrix = found.rig.left.matrix.copy()
-    matrix[:2, 2] = [639.5, cy]
-    rig = replace(
-        found.rig,
-        left=replace(found.rig.left, matrix=matrix),
-        covariance=replace(given, standard_uncertainty=sigma),
-    )
-    found = replace(found, rig=rig)
-    quality = judge_calibration(found)
-    point = quality.principal_points[0]
-    assert point.distance == pytest.approx(abs(cy - 359.5))
-    assert (point.odd, point.believed) == (odd, believed)
-    named = [s for s in calibration_doubts(found, quality) if "principal point" in s]
-    assert len(named) == (odd and not believed)
-
-
-def test_boards_that_cover_everything_leave_nothing_to_say() -> None:
+def test_complete_coverage_gives_no_advice() -> None:
     found = made.calibration(count=60)
     quality = judge_calibration(found)
     assert coverage_gaps(found, quality) == ()
     assert calibration_doubts(found, quality) == ()
 
 
-def test_flat_boards_are_told_to_tilt() -> None:
+def test_flat_boards_give_the_advice_to_tilt() -> None:
     found = made.calibration(count=60, tilt_deg=8.0)
-    said = " ".join(coverage_gaps(found, judge_calibration(found)))
+    message = " ".join(coverage_gaps(found, judge_calibration(found)))
     for axis in ("horizontal", "vertical"):
-        assert re.search(rf"never tilted about the {axis} axis by more than \d+°", said)
+        assert re.search(rf"never tilted about the {axis} axis by more than \d+°", message)
 
 
-def test_boards_tilted_one_way_only_are_told_the_other_way() -> None:
+def test_boards_tilted_one_way_give_the_advice_for_the_other() -> None:
     found = made.calibration(count=60)
     quality = judge_calibration(found)
     one_way = tuple(s for s in quality.stances if s.about_horizontal > 0)
-    said = coverage_gaps(found, replace(quality, stances=one_way))
-    assert [s for s in said if "horizontal axis with its lower edge nearer" in s]
+    message = coverage_gaps(found, replace(quality, stances=one_way))
+    assert [s for s in message if "horizontal axis with its lower edge nearer" in s]
 
 
-def test_boards_at_one_distance_are_told_to_move() -> None:
+def test_boards_at_one_distance_give_the_advice_to_move() -> None:
     found = made.calibration(count=60)
     quality = judge_calibration(found)
     near = tuple(s for s in quality.stances if s.distance < 0.8)
-    said = coverage_gaps(found, replace(quality, stances=near))
-    assert [s for s in said if s.startswith("All boards stood between")]
+    message = coverage_gaps(found, replace(quality, stances=near))
+    assert [s for s in message if s.startswith("All boards stood between")]
 
 
 @pytest.mark.parametrize(
@@ -430,17 +154,17 @@ def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, wor
     at = np.floor((own.observed + 0.5) / [1280 / 3, 720 / 3])
     away = (own.camera == 0) & (at == [column, row]).all(axis=1)
     cleared = replace(found, residuals=replace(own, used=own.used & ~away))
-    said = coverage_gaps(cleared, judge_calibration(cleared))
-    assert f"No corner lies in the {words} of the left image: hold the board there." in said
+    message = coverage_gaps(cleared, judge_calibration(cleared))
+    assert f"No corner lies in the {words} of the left image: hold the board there." in message
 
 
-def test_corners_that_keep_off_an_edge_are_told_to_reach_it() -> None:
+def test_corners_missing_at_an_edge_give_the_advice_to_reach_it() -> None:
     found = made.calibration(count=60)
     own = found.residuals
     away = (own.camera == 1) & (own.observed[:, 0] > 1000)
     cleared = replace(found, residuals=replace(own, used=own.used & ~away))
-    said = coverage_gaps(cleared, judge_calibration(cleared))
-    assert [s for s in said if re.search(r"near the right \(2\d %\) edge of the right image", s)]
+    message = coverage_gaps(cleared, judge_calibration(cleared))
+    assert [s for s in message if re.search(r"near the right \(2\d %\) edge of the right image", s)]
 
 
 def test_squares_that_come_out_wrong_are_a_doubt() -> None:
@@ -498,7 +222,7 @@ PLAIN = {"camera", "frame", "corner", "corners", "refused", "poor", "used", "kin
          "parameter", "unit", "value", "standard_uncertainty", "state"}  # fmt: skip
 
 
-def test_every_column_says_its_unit() -> None:
+def test_every_column_has_a_unit() -> None:
     for table in _results(made.calibration()).tables.values():
         for name in table.columns:
             assert name in PLAIN or re.search(r"_(px|mm|deg)$", name), name
@@ -547,7 +271,7 @@ def _moved_robot() -> MotionRegistration:
         clock_offset=0.137, clock_standard_uncertainty=None, skew=1e-4,
         skew_standard_uncertainty=2e-5, visible_fractions=np.array([0.0, 0.3]), rms_px=0.1,
         fit_rms_px=0.1, held_out_rms_px=0.11, misfit=1.1, pairs_used=2,
-        left_out={5: "why", 6: "why"}, residuals=spots, decisions=("said",), warnings=("warned",),
+        left_out={5: "why", 6: "why"}, residuals=spots, decisions=("note",), warnings=("warned",),
     )  # fmt: skip
 
 

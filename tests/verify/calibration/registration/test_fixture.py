@@ -10,60 +10,20 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from robots.transforms import difference, invert
-from tests.support.scene import make_rig, project
-from tests.verify.analysis.test_joint_errors import CAMERAS, TURN
+from tests.support.boards.fixture import BOARD, pair, placed
+from tests.support.drawn_rig import CAMERAS, TURN
+from tests.support.scene import make_rig
 from verify.calibration.registration import fixture_file
 from verify.calibration.registration.fixture import BASE_NAMES, register_fixture
 from verify.calibration.stereo.records import covariance_in_si
-from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array
-from verify.core.rig import Camera, Covariance, Rig
+from verify.core.rig import Covariance, Rig
 from verify.errors import InputError
 from verify.io import rig as io_rig
 from verify.measurement.pose import perturb
 
-BOARD = Board(columns=7, rows=5, square=0.03)
-SIGMA = 0.03  # px, of a corner
 FIXED = np.diag(np.square([2e-4] * 3 + [np.deg2rad(0.03)] * 3))
 REPLICATES = 60  # d²/6 is then known to 7 %
-
-
-def placed(x: float = -0.09, y: float = -0.06, z: float = 0.65) -> Array:
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec([0.25, -0.3, 0.1]).as_matrix()
-    pose[:3, 3] = [x, y, z]
-    return pose
-
-
-def view(
-    camera: Camera, pan: float, rig_T_board: Array, rng: np.random.Generator | None = None
-) -> BoardView:
-    points = BOARD.points @ rig_T_board[:3, :3].T + rig_T_board[:3, 3]
-    centre = project(camera, pan, points)
-    if rng is not None:
-        centre = centre + rng.normal(0, SIGMA, centre.shape)
-    n = len(BOARD)
-    return BoardView(np.arange(n), centre, np.tile(np.eye(2) * SIGMA**2, (n, 1, 1)))
-
-
-def pair(
-    rig: Rig,
-    rig_T_board: Array,
-    rng: np.random.Generator | None = None,
-    *,
-    frame: int = 0,
-    turn: float = 0.0,
-    error: tuple[float, float] = (0.0, 0.0),
-) -> BoardPair:
-    """The board seen with both bases turned by `turn` from home, readings off by `error`, rad."""
-    left, right = rig.left.pan + turn, rig.right.pan + turn
-    return BoardPair(
-        frame,
-        left,
-        right,
-        view(rig.left, left + error[0], rig_T_board, rng),
-        view(rig.right, right + error[1], rig_T_board, rng),
-    )
 
 
 def doubtful_rig() -> Rig:
@@ -104,6 +64,7 @@ def test_one_camera_alone_places_the_board() -> None:
     assert_allclose(found.rig.rig_T_base, base, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_d_squared_of_base_and_cameras_together_is_chi_squared() -> None:
     """Base errors in their full covariance with the cameras' own: cross-correlations included."""
     rig = doubtful_rig()
@@ -142,6 +103,7 @@ def test_d_squared_of_base_and_cameras_together_is_chi_squared() -> None:
         assert low < sum(d2) < high
 
 
+@pytest.mark.slow
 def test_repeats_do_not_average_the_fixture_out() -> None:
     rig = make_rig()
     base_T_board: Array = invert(rig.rig_T_base) @ placed()
@@ -225,7 +187,7 @@ def test_what_a_fixture_file_does_not_state_is_warned_of(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (FIXTURE + "rotation = [[1.0,0,0],[0,1.0,0],[0,0,1.0]]\n", "rotation: is given twice"),
         ("format = 1\nposition_mm = [1.0, 2.0, 3.0]\n", "rotation: is missing"),
@@ -236,8 +198,8 @@ def test_what_a_fixture_file_does_not_state_is_warned_of(tmp_path: Path) -> None
         (FIXTURE + "position_standard_uncertainty_mm = -1.0\n", "is -1.0"),
     ],
 )  # fmt: skip
-def test_a_wrong_fixture_file_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_wrong_fixture_file_is_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "fixture.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         fixture_file.read(path)

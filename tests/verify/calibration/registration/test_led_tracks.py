@@ -66,9 +66,7 @@ def test_the_leds_are_the_body_that_moves_whatever_shines_beside_them(
     np.testing.assert_allclose(sides(found), sides(session.marker.leds), atol=2e-3)
 
 
-def test_another_number_of_leds_than_asked_for_is_refused(
-    session: InMemory, looks: list[PairSpots]
-) -> None:
+def test_another_number_of_leds_is_refused(session: InMemory, looks: list[PairSpots]) -> None:
     with pytest.raises(InputError, match="4 LEDs move together; 5 are asked for"):
         find_leds(drop_still_spots(looks), session.rig, 5, "here")
 

@@ -61,7 +61,7 @@ def test_its_own_readings_are_taken_up_to_some_degrees_of_joint_error(moved: str
 @pytest.mark.parametrize(
     ("moved", "named"), [("rv_3sd_melfa", "iust_6r"), ("iust_6r", "rv_3sd_melfa")]
 )
-def test_another_robot_s_name_is_the_first_suspect(moved: str, named: str) -> None:
+def test_another_robot_is_the_first_cause_named(moved: str, named: str) -> None:
     arm = robots.load(moved)
     q = motion(arm)
     error = refusal(started(arm, robots.load(named), q, q, np.eye(4)), named)
@@ -69,20 +69,20 @@ def test_another_robot_s_name_is_the_first_suspect(moved: str, named: str) -> No
 
 
 @pytest.mark.parametrize("order", [[5, 4, 3, 2, 1, 0], [1, 0, 2, 3, 4, 5], [0, 1, 2, 3, 5, 4]])
-def test_columns_in_another_order_are_suspected(order: list[int]) -> None:
+def test_columns_in_another_order_are_named_as_cause(order: list[int]) -> None:
     arm = robots.load("rv_3sd_melfa")
     q = motion(arm)
     refusal(started(arm, arm, q, q[:, order], np.eye(4)), "rv_3sd_melfa")
 
 
-def test_radians_read_as_degrees_are_suspected() -> None:
+def test_radians_read_as_degrees_are_named_as_cause() -> None:
     arm = robots.load("iust_6r")
     q = motion(arm)
     error = refusal(started(arm, arm, q, np.deg2rad(q), np.eye(4)), "iust_6r")
     assert "degrees" in error.remedy
 
 
-def test_leds_seen_in_a_mirror_are_still_said_to_be() -> None:
+def test_mirrored_leds_are_still_reported_as_mirrored() -> None:
     arm = robots.load("iust_6r")
     q = motion(arm)
     error = refusal(started(arm, arm, q, q, MIRROR), "iust_6r")

@@ -48,6 +48,7 @@ def test_an_offset_moves_what_was_fitted_by_what_it_takes_in(
     np.testing.assert_allclose(leds, body, atol=1e-5 + 0.02 * np.abs(body).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", range(6))
 def test_the_visible_fraction_is_what_brute_force_leaves_in_the_pictures(
     session: SimulatedSession, healthy: AdjustedRegistration, joint: int
@@ -72,9 +73,7 @@ def test_the_first_and_the_last_joint_are_hidden_altogether(healthy: AdjustedReg
     assert np.all(fractions[1:5] > 0.01)
 
 
-def test_with_base_and_leds_held_nothing_takes_anything_in(
-    healthy: AdjustedRegistration,
-) -> None:
+def test_with_base_and_leds_held_nothing_takes_anything_in(healthy: AdjustedRegistration) -> None:
     free = np.zeros(healthy.at.size, dtype=bool)
     held = replace(healthy, free=free, inverse=np.zeros_like(healthy.inverse))
     assert not absorbed_offsets(held).any()

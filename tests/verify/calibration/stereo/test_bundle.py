@@ -1,20 +1,17 @@
 """Rigs found again from corners that OpenCV projected, and from real and rendered pictures."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 import cv2
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from tests.bench.calibration import deviation, mean_d2, study
 from tests.support.boards.calibrated import (
     departure,
     departure_covariance,
     left_T_right,
-    linear_theory,
     moved,
     squared_distance,
 )
@@ -37,7 +34,6 @@ from verify.calibration.stereo.records import Calibration, covariance_in_si
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array
 from verify.core.rig import Rig
-from verify.io import rig as io_rig
 
 STEREO, STEREO_SIZE = Board(9, 6, 0.03), (640, 480)
 TOE_IN_DEG = np.array([6.0, -6.0])
@@ -116,7 +112,7 @@ def test_a_rig_is_found_again_exactly_where_corners_have_no_noise(kind: str) -> 
     assert found.square_found[0] == pytest.approx(BOARD.square, abs=1e-8)
 
 
-def test_a_base_that_never_turned_has_its_gauge_said() -> None:
+def test_the_gauge_of_a_fixed_base_is_stated() -> None:
     rng = np.random.default_rng(3)
     found = calibrate(make_pairs(fixed_rig(), poses(rng, 10), rng), BOARD, SIZE)
     for side, camera in (("left", found.rig.left), ("right", found.rig.right)):
@@ -165,7 +161,7 @@ def test_readings_that_grow_the_other_way_turn_the_axis_round() -> None:
     assert found.noise == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_turn_too_small_to_show_an_axis_is_held_and_said() -> None:
+def test_a_turn_too_small_for_an_axis_is_held_and_reported() -> None:
     rng = np.random.default_rng(6)
     pan = np.deg2rad(rng.uniform(-0.03, 0.03, (12, 2)) + TOE_IN_DEG)
     found = calibrate(make_pairs(turning_rig(), poses(rng, 12), rng, pan), BOARD, SIZE)
@@ -185,7 +181,7 @@ def test_readings_that_scatter_are_fitted_and_their_deviation_stated() -> None:
     assert found.residuals.used.all()
 
 
-def test_readings_without_scatter_are_exact_and_what_could_hide_is_stated() -> None:
+def test_readings_without_scatter_are_exact_with_a_stated_bound() -> None:
     rng = np.random.default_rng(8)
     found = calibrate(
         make_pairs(turning_rig(), poses(rng, 20), rng, readings(rng, 20)), BOARD, SIZE
@@ -224,7 +220,7 @@ def test_a_view_that_one_camera_alone_has_counts_for_that_camera() -> None:
     assert joined["left.fx_px"] < 0.9 * alone["left.fx_px"]
 
 
-def test_noise_is_what_the_corners_show_not_what_they_state() -> None:
+def test_noise_is_estimated_from_the_corners() -> None:
     rng = np.random.default_rng(11)
     boards = poses(rng, 10)
     pairs = make_pairs(fixed_rig(), boards, rng, sigma=0.08, stated=0.02)
@@ -279,7 +275,7 @@ def test_a_boards_pose_lies_within_its_uncertainty() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["fixed", "turning", "scattering"])
+@pytest.mark.parametrize("kind", ["fixed", "scattering"])
 def test_stated_uncertainties_cover_the_truth(kind: str) -> None:
     errors, d2, rank = study(kind, 20, 20261121, jobs=1)
     ratio, low, high = mean_d2(d2, rank)
@@ -363,20 +359,3 @@ def test_real_pairs_left_out_one_by_one_scatter_as_stated(stereo_pairs: list[Boa
     # the jackknife of 13 pairs knows a deviation to 20 %, and 24 of them together to less
     assert 0.75 < np.sqrt(np.mean(ratio**2)) < 1.33
     assert ratio.max() < 2.0
-
-
-@pytest.mark.shared
-@pytest.mark.slow
-def test_rendered_pairs_hold_the_true_rig_within_stated_uncertainties() -> None:
-    folder = require_shared() / "calibration_boards"
-    truth, _ = io_rig.read(folder / "rig.toml")
-    pan = (truth.left.pan, truth.right.pan)
-    sides: list[list[Path]] = [sorted((folder / s).glob("*.png")) for s in ("left", "right")]
-    found = calibrate(found_pairs(*sides, BOARD, pan), BOARD, SIZE)
-    error, covariance = departure(found.rig, truth), departure_covariance(found)
-    d2, degrees = squared_distance(error, covariance)
-    low, high = chi2.ppf([0.005, 0.995], degrees)
-    assert low < d2 < high
-    sigma = float(np.sqrt(np.mean(found.residuals.uncertainty**2)))
-    theory = linear_theory(found.rig, found.rig_T_board, BOARD, sigma)
-    assert np.all(np.sqrt(np.diag(covariance)) < 2 * theory)

@@ -136,7 +136,7 @@ def test_a_board_turned_by_180_degrees_in_one_camera_names_the_pairs(kind: str, 
     assert "turned by 180° in pairs 2, 7" in error.found
 
 
-def test_a_board_turned_in_one_camera_throughout_is_found_out_as_well() -> None:
+def test_a_board_turned_throughout_in_one_camera_is_found() -> None:
     error = refusal([replace(p, right=turned(p.right)) for p in good_pairs()])
     assert error.place == "right"
     assert "and 2 more" in error.found
@@ -198,12 +198,12 @@ def test_a_square_board_turned_by_90_degrees_in_one_camera_is_left_out_and_named
     assert SQUARE.four_fold
     found = calibrate(square_pairs([2, 7]), SQUARE, SIZE)
     assert not {2, 7} & set(found.frames.tolist())
-    said = next(d for d in found.decisions if "quarter turn" in d)
-    assert said.startswith("pairs 2, 7 left out")
+    message = next(d for d in found.decisions if "quarter turn" in d)
+    assert message.startswith("pairs 2, 7 left out")
     assert found.noise == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_square_board_that_nobody_turned_is_not_spoken_of() -> None:
+def test_a_square_board_without_a_turn_gives_no_warning() -> None:
     found = calibrate(square_pairs([]), SQUARE, SIZE)
     assert len(found.frames) == 12
     assert not any("quarter turn" in d for d in found.decisions)

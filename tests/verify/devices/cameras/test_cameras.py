@@ -85,7 +85,7 @@ def source(capture: FakeCapture, **settings: Any) -> OpenCvSource:
     return OpenCvSource(CameraSettings(0, **settings), lambda _: capture)
 
 
-def test_settings_are_asked_for_with_the_automatics_off_and_the_format_first() -> None:
+def test_settings_are_set_format_first_with_automatic_control_off() -> None:
     capture = FakeCapture()
     asked = source(
         capture, size=(1280, 720), rate=30.0, format="YUYV", exposure=0.005, gain=3.0,
@@ -97,10 +97,10 @@ def test_settings_are_asked_for_with_the_automatics_off_and_the_format_first() -
     automatic = keys.index(cv2.CAP_PROP_AUTO_EXPOSURE)
     assert automatic < keys.index(cv2.CAP_PROP_EXPOSURE)
     assert keys.index(cv2.CAP_PROP_AUTO_WB) < keys.index(cv2.CAP_PROP_WB_TEMPERATURE)
-    told = dict(capture.asked)
-    assert told[cv2.CAP_PROP_AUTO_EXPOSURE] == 1.0  # V4L2's word for manual
-    assert told[cv2.CAP_PROP_EXPOSURE] == pytest.approx(50.0)  # in units of 100 µs
-    assert told[cv2.CAP_PROP_AUTO_WB] == 0.0
+    output = dict(capture.asked)
+    assert output[cv2.CAP_PROP_AUTO_EXPOSURE] == 1.0  # V4L2's word for manual
+    assert output[cv2.CAP_PROP_EXPOSURE] == pytest.approx(50.0)  # in units of 100 µs
+    assert output[cv2.CAP_PROP_AUTO_WB] == 0.0
 
 
 def test_what_a_camera_refuses_is_named_with_what_it_does_instead() -> None:
@@ -114,7 +114,7 @@ def test_what_a_camera_refuses_is_named_with_what_it_does_instead() -> None:
     ]
 
 
-def test_a_camera_may_round_what_it_is_asked_for() -> None:
+def test_a_camera_may_round_its_settings() -> None:
     assert source(FakeCapture(FPS=29.97, EXPOSURE=52), rate=30.0, exposure=0.005).refused == ()
 
 
@@ -128,6 +128,7 @@ def test_exposure_that_the_system_cannot_set_is_refused() -> None:
     assert source(FakeCapture("AVFOUNDATION"), exposure=0.005).refused[0].setting == "exposure"
 
 
+@pytest.mark.realtime
 def test_the_kernels_stamp_is_taken_where_it_is_of_the_hosts_clock() -> None:
     capture = FakeCapture()
     capture.stamped = time.monotonic() - 0.03
@@ -152,7 +153,7 @@ def test_jpegs_of_a_camera_are_kept_as_they_come() -> None:
     assert_array_equal(shot.image, JpegDecoder().decode(data))
 
 
-def test_one_channel_is_kept_where_that_is_asked_for() -> None:
+def test_one_channel_is_kept_on_request() -> None:
     shot = source(FakeCapture(), format="MJPG", grey=True).grab()
     assert shot is not None
     assert shot.image.shape == (48, 64)
@@ -213,7 +214,8 @@ def test_a_camera_that_vanishes_is_named_and_taken_up_again() -> None:
     camera.close()
 
 
-def test_a_camera_that_hangs_holds_nobody_up() -> None:
+@pytest.mark.realtime
+def test_a_hanging_camera_blocks_nothing() -> None:
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open)
     take(camera, 2)
@@ -228,7 +230,8 @@ def test_a_camera_that_hangs_holds_nobody_up() -> None:
     flaky.free.set()
 
 
-def test_pictures_that_nobody_reads_make_room_and_are_counted() -> None:
+@pytest.mark.realtime
+def test_unread_pictures_are_dropped_and_counted() -> None:
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open)
     first = take(camera, 1)[0]
@@ -240,6 +243,7 @@ def test_pictures_that_nobody_reads_make_room_and_are_counted() -> None:
     camera.close()
 
 
+@pytest.mark.realtime
 def test_a_network_camera_gives_its_jpegs_and_is_found_again() -> None:
     server = CameraServer()
     camera = open_camera(CameraSettings(server.url))
@@ -261,12 +265,13 @@ def test_a_network_camera_gives_its_jpegs_and_is_found_again() -> None:
     again.close()
 
 
+@pytest.mark.realtime
 def test_pictures_of_another_size_than_the_rigs_are_never_given_out(tmp_path: Path) -> None:
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open, (1280, 720))
     assert camera.read() is None
-    said = "left eye: gives pictures of 64 x 48 px; 1280 x 720 are needed"
-    assert camera.state().sentence == said
+    message = "left eye: gives pictures of 64 x 48 px; 1280 x 720 are needed"
+    assert camera.state().sentence == message
     camera.close()
     write_video(tmp_path / "left.mkv", images(3))
     replay = open_camera(CameraSettings(str(tmp_path / "left.mkv"), size=(1280, 720)))
@@ -274,6 +279,7 @@ def test_pictures_of_another_size_than_the_rigs_are_never_given_out(tmp_path: Pa
     assert "has pictures of 64 x 48 px; 1280 x 720 are needed" in replay.state().sentence
 
 
+@pytest.mark.realtime
 def test_a_damaged_picture_is_counted_and_the_next_one_taken() -> None:
     server = CameraServer(damaged=3)
     camera = open_camera(CameraSettings(server.url, grey=True))
@@ -285,10 +291,11 @@ def test_a_damaged_picture_is_counted_and_the_next_one_taken() -> None:
     server.close()
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     "url", ["http://127.0.0.1:9/video", "rtsp://127.0.0.1:9/stream", "nonsense://x"]
 )
-def test_a_network_camera_that_is_not_there_is_said(url: str) -> None:
+def test_a_missing_network_camera_is_reported(url: str) -> None:
     camera = open_camera(CameraSettings(url))
     assert wait_for(lambda: "being opened" not in camera.state().sentence)
     assert camera.state().sentence.startswith(f"{url}: not connected: ")
@@ -307,7 +314,8 @@ def test_a_stream_clock_finds_the_quickest_way_and_follows_a_slow_drift() -> Non
     assert abs(error.mean()) < 0.002
 
 
-def test_a_file_is_played_at_the_rate_that_is_asked_for(tmp_path: Path) -> None:
+@pytest.mark.realtime
+def test_a_file_is_played_at_the_requested_rate(tmp_path: Path) -> None:
     pictures = images(12)
     write_video(tmp_path / "left.mkv", pictures)
     camera = open_camera(CameraSettings(str(tmp_path / "left.mkv"), rate=60.0))
@@ -322,6 +330,7 @@ def test_a_file_is_played_at_the_rate_that_is_asked_for(tmp_path: Path) -> None:
     assert camera.state().sentence == "left.mkv: over after 12 pictures"
 
 
+@pytest.mark.realtime
 def test_a_folder_is_played_as_fast_as_it_is_read(tmp_path: Path) -> None:
     write_folder(tmp_path / "left", images(40))
     camera = open_camera(CameraSettings(str(tmp_path / "left"), rate=0.0))
@@ -331,12 +340,12 @@ def test_a_folder_is_played_as_fast_as_it_is_read(tmp_path: Path) -> None:
     assert_allclose(np.diff([frame.t for frame in frames]), 1 / 30, atol=1e-9)
 
 
-def test_a_file_that_is_not_there_is_said_at_once(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_at_once(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         open_camera(CameraSettings(str(tmp_path / "left.mkv")))
 
 
-def test_a_file_that_is_damaged_ends_in_words(tmp_path: Path) -> None:
+def test_a_damaged_file_ends_with_a_message(tmp_path: Path) -> None:
     (tmp_path / "left.mkv").write_bytes(b"no video at all")
     camera = open_camera(CameraSettings(str(tmp_path / "left.mkv")))
     assert camera.read() is None

@@ -44,6 +44,7 @@ def test_rows_that_are_appended_are_read_and_those_before_are_not(path: Path) ->
     assert readings[0].q == pytest.approx([0.0174533, -0.00872665], abs=1e-7)
 
 
+@pytest.mark.realtime
 def test_half_a_row_is_waited_for(path: Path) -> None:
     encoders = driver(path)
     append(path, row(2) + row(3)[:7])
@@ -54,6 +55,7 @@ def test_half_a_row_is_waited_for(path: Path) -> None:
     assert dict(encoders.state().bad) == {}
 
 
+@pytest.mark.realtime
 def test_a_row_that_was_half_there_at_the_beginning_is_left_out(path: Path) -> None:
     append(path, row(2)[:8])
     encoders = driver(path)
@@ -62,6 +64,7 @@ def test_a_row_that_was_half_there_at_the_beginning_is_left_out(path: Path) -> N
     assert dict(encoders.state().bad) == {}
 
 
+@pytest.mark.realtime
 def test_a_file_that_is_cut_or_replaced_is_read_from_its_beginning(path: Path) -> None:
     encoders = driver(path)
     append(path, row(2))
@@ -74,6 +77,7 @@ def test_a_file_that_is_cut_or_replaced_is_read_from_its_beginning(path: Path) -
     assert times(encoders, 4) == [0.6, 0.7, 0.8, 0.9]
 
 
+@pytest.mark.realtime
 def test_a_file_that_comes_later_and_grows_slowly(tmp_path: Path) -> None:
     path = tmp_path / "later.csv"
     encoders = kept(CsvEncoders(CsvSettings(path), same_angles(2)))
@@ -84,6 +88,7 @@ def test_a_file_that_comes_later_and_grows_slowly(tmp_path: Path) -> None:
     assert times(encoders, 1) == [0.1]
 
 
+@pytest.mark.realtime
 def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
     path = tmp_path / "mixed.csv"
     path.write_text("speed,q2_deg,t_s,q1_deg\n")
@@ -94,7 +99,8 @@ def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
     assert reading.q == pytest.approx([0.5235988, -0.0349066])
 
 
-def test_a_file_whose_first_line_does_not_name_the_joints_is_refused_in_words(path: Path) -> None:
+@pytest.mark.realtime
+def test_a_header_without_joint_names_is_refused(path: Path) -> None:
     path.write_text("time,a,b\n")
     encoders = driver(path)
     append(path, "1,2,3\n")
@@ -102,6 +108,7 @@ def test_a_file_whose_first_line_does_not_name_the_joints_is_refused_in_words(pa
     assert "no (or two) t_s, q1_deg, q2_deg" in encoders.state().sentence
 
 
+@pytest.mark.realtime
 def test_a_file_without_names_is_read_by_a_field_map(tmp_path: Path) -> None:
     path = tmp_path / "bare.csv"
     path.write_text("0;1;2\n")
@@ -111,6 +118,7 @@ def test_a_file_without_names_is_read_by_a_field_map(tmp_path: Path) -> None:
     gather(encoders, lambda _: sum(encoders.state().bad.values()) == 1)
 
 
+@pytest.mark.realtime
 def test_rows_that_a_program_writes_in_lumps_are_all_read(path: Path) -> None:
     encoders = driver(path)
     append(path, "".join(row(i) for i in range(2, 40)))

@@ -22,7 +22,7 @@ def take(intake: ReadingIntake, t: float, degrees: float) -> int:
     return len(intake.take(ControllerInstant(t, 0), t, 0.0, np.deg2rad([degrees, 0.0])))
 
 
-def test_a_leap_that_no_arm_can_make_is_dropped_alone() -> None:
+def test_an_impossible_jump_is_dropped_alone() -> None:
     counts = IntakeCounts()
     intake = ReadingIntake(same_angles(2), counts)
     taken = [take(intake, 0.01 * i, 90.0 if i == 7 else 0.1 * i) for i in range(20)]
@@ -30,7 +30,7 @@ def test_a_leap_that_no_arm_can_make_is_dropped_alone() -> None:
     assert counts.bad[LEAP] == 1
 
 
-def test_a_leap_that_stays_is_believed() -> None:
+def test_a_lasting_jump_is_accepted() -> None:
     intake = ReadingIntake(same_angles(2), IntakeCounts())
     assert [take(intake, 0.01 * i, 0.0 if i < 3 else 90.0) for i in range(10)] == [
         1, 1, 1, 0, 0, 0, 0, 1, 1, 1,
@@ -74,7 +74,7 @@ def test_a_counter_that_wraps_goes_on() -> None:
     np.testing.assert_allclose([instant.t - start for instant in found], t, atol=1e-6)
 
 
-def test_wraps_that_nobody_saw_are_counted() -> None:
+def test_missed_counter_wraps_are_counted() -> None:
     clock = ControllerClock(WRAP)
     away = 2.3 * WRAP  # nearly three hours of silence
     first, later = accepted(times(clock, [(10.0, 0.0), ((10.0 + away) % WRAP, away + 0.01)]))
@@ -93,7 +93,7 @@ def test_a_crystal_that_drifts_a_day_is_one_segment() -> None:
         assert {instant.segment for instant in accepted(found)} == {0}
 
 
-def test_a_clock_that_leaps_begins_a_segment_and_no_time_is_false() -> None:
+def test_a_clock_jump_begins_a_segment_without_false_times() -> None:
     for leap, reason in ((5.0, AHEAD), (-5.0, STALE), (-0.5, STALE), (0.3, AHEAD)):
         clock = ControllerClock(WRAP)
         t = np.arange(0.0, 2.0, 0.01)
@@ -117,7 +117,7 @@ def test_one_stamp_out_of_place_is_refused_alone() -> None:
     assert len(accepted(found)) == 19
 
 
-def test_a_lump_that_comes_late_does_not_begin_a_segment() -> None:
+def test_a_late_burst_does_not_begin_a_segment() -> None:
     clock = ControllerClock(WRAP)
     times(clock, [(0.01 * i, 0.01 * i) for i in range(100)])
     lump = times(clock, [(0.01 * i, 3.0) for i in range(100, 300)])
@@ -136,7 +136,7 @@ def test_a_clock_set_back_during_a_silence_is_found_out() -> None:
     assert {instant.segment for instant in accepted(found)} == {1}
 
 
-def test_a_reader_that_begins_with_a_lump_sees_one_segment() -> None:
+def test_readings_that_begin_in_a_burst_are_one_segment() -> None:
     clock = ControllerClock(WRAP)
     late = times(clock, [(0.01 * i, 1.0) for i in range(100)])
     found = late + times(clock, [(0.01 * i, 0.01 * i) for i in range(100, 200)])
@@ -144,7 +144,7 @@ def test_a_reader_that_begins_with_a_lump_sees_one_segment() -> None:
     assert {instant.segment for instant in accepted(found)} == {0}
 
 
-def test_a_file_in_slow_lumps_is_one_segment() -> None:
+def test_a_file_in_slow_bursts_is_one_segment() -> None:
     clock = ControllerClock(None, in_lumps=True)
     stamps = [(0.5 * i, 20.0 * (1 + i // 40)) for i in range(400)]
     assert {instant.segment for instant in accepted(times(clock, stamps))} == {0}

@@ -54,6 +54,7 @@ def test_every_sample_of_the_stream_arrives_and_is_true(where: str) -> None:
     assert {order.split(",")[0] for order in engine.log} <= {"Q", "S", "R", "D"}
 
 
+@pytest.mark.realtime
 def test_the_counter_wraps_in_mid_run() -> None:
     options = LabencOptions(greeting_after=0.05, first_tick=2**32 - 500_000)
     with running(LabencEngine(Ramp(), 6, options)) as emulated:
@@ -63,7 +64,8 @@ def test_the_counter_wraps_in_mid_run() -> None:
         assert readings[-1].t > 2**32 * 1e-6
 
 
-def test_raw_counts_are_asked_for_and_scaled() -> None:
+@pytest.mark.realtime
+def test_raw_counts_are_requested_and_scaled() -> None:
     with running(LabencEngine(Ramp(), 6, QUICK)) as emulated:
         encoders = driver(emulated.address, unit="counts", rate=50)
         readings = gather(encoders, lambda found: len(found) >= 60)
@@ -72,6 +74,7 @@ def test_raw_counts_are_asked_for_and_scaled() -> None:
         np.testing.assert_allclose(np.diff([r.t for r in readings[-20:]]), 0.02, atol=2e-5)
 
 
+@pytest.mark.realtime
 def test_crc16_and_carriage_returns() -> None:
     options = LabencOptions(greeting_after=0.05, checksum="crc16", carriage_return=True)
     with running(LabencEngine(Ramp(), 6, options)) as emulated:
@@ -80,8 +83,9 @@ def test_crc16_and_carriage_returns() -> None:
         assert dict(encoders.state().bad) == {}
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
-def test_a_disturbed_line_loses_samples_and_tells_no_false_one(where: str) -> None:
+def test_a_disturbed_line_loses_samples_and_gives_no_false_one(where: str) -> None:
     faults = EmulatorFaults(noise=0.1, half=0.05, digit=0.1, double=0.1, lost=0.1, split=0.2)
     with running(LabencEngine(Ramp(), 6, QUICK), where, faults) as emulated:
         encoders = driver(emulated.address)
@@ -96,6 +100,7 @@ def test_a_disturbed_line_loses_samples_and_tells_no_false_one(where: str) -> No
         assert "lost on the way" in state.sentence
 
 
+@pytest.mark.realtime
 def test_a_board_that_was_reset_begins_a_segment() -> None:
     with running(
         LabencEngine(Ramp(), 6, QUICK), faults=EmulatorFaults(reset=(1.0, 1.0))
@@ -105,8 +110,9 @@ def test_a_board_that_was_reset_begins_a_segment() -> None:
         assert {reading.segment for reading in readings} == {0, 1}
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("leap", [30.0, -0.4])
-def test_a_clock_that_leaps_begins_a_segment(leap: float) -> None:
+def test_a_clock_jump_begins_a_segment(leap: float) -> None:
     with running(
         LabencEngine(Ramp(), 6, QUICK), faults=EmulatorFaults(jump=(1.0, leap))
     ) as emulated:
@@ -117,6 +123,7 @@ def test_a_clock_that_leaps_begins_a_segment(leap: float) -> None:
         assert sum(encoders.state().bad.values()) > 0
 
 
+@pytest.mark.realtime
 def test_silence_and_a_port_that_vanishes(tmp_path: Path) -> None:
     faults = EmulatorFaults(silence=(0.5, 2.4), unplug=(3.4, 0.5))
     where = f"pty:{tmp_path / 'board'}"
@@ -129,17 +136,19 @@ def test_silence_and_a_port_that_vanishes(tmp_path: Path) -> None:
         require_true(again, emulated)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
-    ("bits", "said"), [(1, "not homed"), (2, "encoder fault"), (4, "held or interpolated")]
+    ("bits", "message"), [(1, "not homed"), (2, "encoder fault"), (4, "held or interpolated")]
 )
-def test_samples_that_the_board_itself_doubts_are_not_used(bits: int, said: str) -> None:
+def test_samples_that_the_board_itself_doubts_are_not_used(bits: int, message: str) -> None:
     faults = EmulatorFaults(status=(0.0, float(bits)))
     with running(LabencEngine(Ramp(), 6, QUICK), faults=faults) as emulated:
         encoders = driver(emulated.address)
-        assert gather(encoders, lambda _: encoders.state().bad.get(said, 0) > 20) == []
-        assert said in encoders.state().sentence
+        assert gather(encoders, lambda _: encoders.state().bad.get(message, 0) > 20) == []
+        assert message in encoders.state().sentence
 
 
+@pytest.mark.realtime
 def test_a_board_that_greets_late_or_never() -> None:
     late = LabencOptions(greeting_after=2.3)
     with running(LabencEngine(Ramp(), 6, late)) as emulated:
@@ -158,7 +167,8 @@ class Mute(LabencEngine):
         return []
 
 
-def test_a_board_of_another_robot_or_another_version_is_refused_in_words() -> None:
+@pytest.mark.realtime
+def test_a_board_of_another_robot_or_version_is_refused() -> None:
     with running(LabencEngine(Ramp(5), 5, QUICK)) as emulated:
         encoders = driver(emulated.address)
         gather(encoders, lambda _: "5 axes, 6 are expected" in encoders.state().sentence)
@@ -174,6 +184,7 @@ def test_a_board_of_another_robot_or_another_version_is_refused_in_words() -> No
         assert encoders.read() == []
 
 
+@pytest.mark.realtime
 def test_a_newer_minor_version_may_add_fields_and_types() -> None:
     class Newer(LabencEngine):
         def _hello(self) -> str:
@@ -187,13 +198,15 @@ def test_a_newer_minor_version_may_add_fields_and_types() -> None:
         require_true(readings, emulated)
 
 
+@pytest.mark.realtime
 def test_a_rate_that_the_line_cannot_carry_is_refused_by_the_board() -> None:
     with running(LabencEngine(Ramp(), 6, QUICK)) as emulated:
         encoders = driver(emulated.address, rate=500)
         gather(encoders, lambda _: "R,2,bad rate" in encoders.state().sentence)
 
 
-def test_a_reader_that_slept_says_how_doubtful_arrival_is_by_the_boards_own_clock() -> None:
+@pytest.mark.realtime
+def test_arrival_times_after_a_pause_have_larger_uncertainty() -> None:
     with running(LabencEngine(Ramp(), 6, QUICK)) as emulated:
         encoders = driver(emulated.address)
         gather(encoders, lambda found: len(found) >= 10)

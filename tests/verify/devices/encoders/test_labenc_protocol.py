@@ -37,7 +37,7 @@ def test_every_line_of_the_sheet_is_framed_and_read(line: str) -> None:
     assert not isinstance(lines.parse_line(line.encode()), lines.InvalidLine)
 
 
-def test_what_the_lines_say() -> None:
+def test_lines_are_parsed_to_their_fields() -> None:
     hello, axis, sample, counts = (lines.parse_line(line.encode()) for line in SHEET[:4])
     assert hello == lines.LabencGreeting(1, 0, "IUST6R", 6, "deg", 1_000_000, 100, "0123ABCD")
     assert axis == lines.LabencAxis(1, 98304, 1, 0)

@@ -61,7 +61,7 @@ def test_ar4() -> None:
     assert read(FieldMap(6, pattern=AR4), line).values == ANGLES
 
 
-def test_teleplot_tells_one_axis_a_line() -> None:
+def test_teleplot_has_one_axis_a_line() -> None:
     fields = FieldMap(
         6, pattern=r"^>q(?P<axis>\d):(?P<t>\d+):(?P<value>[-.\d]+)$", time_unit="ms"
     )  # fmt: skip
@@ -87,7 +87,7 @@ def test_units() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "words"),
     [
         ({"columns": ("t", "q1")}, "name no q2"),
         ({"columns": ("q1", "q2"), "time_unit": "ms"}, "name no t"),
@@ -101,9 +101,9 @@ def test_units() -> None:
     ],
 )
 def test_settings_that_contradict_each_other_are_refused(
-    settings: dict[str, object], said: str
+    settings: dict[str, object], words: str
 ) -> None:
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=words):
         FieldMap(2, **settings)  # type: ignore[arg-type]
 
 
@@ -170,7 +170,8 @@ def test_lines_with_a_time_of_their_own(where: str) -> None:
     assert board.log[0] == b"go\n"
 
 
-def test_lines_without_a_time_are_stamped_on_arrival_with_their_latency_as_doubt() -> None:
+@pytest.mark.realtime
+def test_lines_without_a_time_are_stamped_on_arrival_with_their_latency() -> None:
     with running(Printer(timed=False)) as emulated:
         encoders = driver(emulated.address, FieldMap(6, NAMES[1:]))
         for reading in gather(encoders, lambda found: len(found) >= 20):
@@ -180,7 +181,8 @@ def test_lines_without_a_time_are_stamped_on_arrival_with_their_latency_as_doubt
             assert true <= reading.t_host + 1e-3
 
 
-def test_a_disturbed_line_tells_no_false_time() -> None:
+@pytest.mark.realtime
+def test_a_disturbed_line_gives_no_false_time() -> None:
     faults = EmulatorFaults(noise=0.2, half=0.2, split=0.2, silence=(1.0, 0.5))
     fields = FieldMap(6, (*NAMES,), time_unit="ms")
     with running(Printer(), faults=faults) as emulated:
@@ -192,6 +194,7 @@ def test_a_disturbed_line_tells_no_false_time() -> None:
         assert "dropped" in encoders.state().sentence
 
 
+@pytest.mark.realtime
 def test_one_axis_a_line_is_joined_by_time() -> None:
     class OneAxis(Printer):
         def step(self, t: float, received: bytes) -> list[TimedMessage]:

@@ -20,14 +20,14 @@ HARMFUL = [
 
 
 @pytest.mark.parametrize("command", HARMFUL)
-def test_a_command_that_does_more_than_read_cannot_be_worded(command: str) -> None:
+def test_a_command_that_does_more_than_read_cannot_be_built(command: str) -> None:
     for end in range(len(command) + 1):  # however it is cut into name and argument
         with pytest.raises(ForbiddenCommandError):
             ReadCommand(command[:end], command[end:])
 
 
 @given(st.text(max_size=12), st.text(max_size=12))
-def test_nothing_but_the_list_can_be_worded(name: str, argument: str) -> None:
+def test_only_listed_commands_can_be_built(name: str, argument: str) -> None:
     try:
         request = ReadCommand(name, argument)
     except ForbiddenCommandError:
@@ -35,7 +35,7 @@ def test_nothing_but_the_list_can_be_worded(name: str, argument: str) -> None:
     assert request.name in r3.READ_COMMANDS
 
 
-def test_every_reading_command_of_the_sheet_is_worded_byte_for_byte() -> None:
+def test_every_reading_command_has_the_bytes_of_the_manual() -> None:
     assert ReadCommand("JPOSF").encoded(b"\r") == bytes.fromhex("313B313B4A504F53460D")
     assert ReadCommand("OPEN", "=NAME").encoded(b"\r") == b"1;1;OPEN=NAME\r"
     assert ReadCommand("PAR", "MEJAR").encoded(b"\r\n") == b"1;1;PARMEJAR\r\n"
@@ -82,16 +82,16 @@ def test_bytes_that_are_no_answer_are_none(data: bytes) -> None:
 
 
 @given(st.integers(0, len(AT_REST) - 1), st.characters(max_codepoint=127))
-def test_another_character_gives_none_or_what_then_stands_there(at: int, character: str) -> None:
+def test_a_changed_character_gives_none_or_the_changed_value(at: int, character: str) -> None:
     changed = AT_REST[:at] + character + AT_REST[at + 1 :]
     position = r3.parse_joints(changed, 6)
     if position is not None:
         written = changed.split(";;")[0].split(";")
-        told = dict(zip(written[::2], map(float, written[1::2]), strict=True))
-        assert position.joints_deg == tuple(told[f"J{joint}"] for joint in range(1, 7))
+        output = dict(zip(written[::2], map(float, written[1::2]), strict=True))
+        assert position.joints_deg == tuple(output[f"J{joint}"] for joint in range(1, 7))
 
 
-def test_status_and_errors_are_told_apart() -> None:
+def test_status_and_errors_are_distinguished() -> None:
     refused = r3.parse_answer(bytes.fromhex("516552363032 30".replace(" ", "")))
     assert refused == r3.ControllerAnswer(False, 6020, "")
     assert r3.ERROR_MEANINGS[6020] == "no operation right"

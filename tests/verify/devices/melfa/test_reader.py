@@ -16,7 +16,7 @@ from tests.support.devices.bench import (
     same_angles,
 )
 from verify.devices.encoders.intake import AngleMap
-from verify.devices.melfa import protocol, reader
+from verify.devices.melfa import protocol
 from verify.devices.melfa.reader import MelfaEncoders, MelfaSettings
 from verify.devices.ports import SerialLine
 from verify.devices.protocols import EncoderReading
@@ -72,13 +72,8 @@ def test_the_controller_is_sent_nothing_but_reading_commands() -> None:
     assert engine.log[-1] == "CLOSE"
 
 
-def test_one_function_writes_to_the_controller() -> None:
-    source = Path(reader.__file__).read_text()
-    assert source.count("_link.send(") == 1
-    assert "_link.send(request.encoded(" in source
-
-
-def test_the_pause_that_the_maker_asks_for_is_kept() -> None:
+@pytest.mark.realtime
+def test_the_pause_of_the_manual_is_kept() -> None:
     engine = controller(ControllerOptions(least_pause=0.095))
     with running(engine) as emulated:
         encoders = kept(MelfaEncoders(MelfaSettings(emulated.address), same_angles(6)))
@@ -87,7 +82,8 @@ def test_the_pause_that_the_maker_asks_for_is_kept() -> None:
         assert min(np.diff([reading.t for reading in readings])) > 0.1
 
 
-def test_who_asks_too_fast_and_is_refused_goes_back_to_the_makers_pause() -> None:
+@pytest.mark.realtime
+def test_after_a_refusal_the_pause_of_the_manual_is_used() -> None:
     engine = controller(ControllerOptions(least_pause=0.09))
     with running(engine) as emulated:
         encoders = driver(emulated.address)
@@ -96,6 +92,7 @@ def test_who_asks_too_fast_and_is_refused_goes_back_to_the_makers_pause() -> Non
         assert "pause is back at 100 ms" in encoders.state().sentence
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("end", [b"\r", b"\r\n", b"\0", b""])
 @pytest.mark.parametrize("terminator", [b"\r", b"\r\n", b"\0", b""])
 def test_every_terminator_in_use_is_understood(end: bytes, terminator: bytes) -> None:
@@ -105,6 +102,7 @@ def test_every_terminator_in_use_is_understood(end: bytes, terminator: bytes) ->
         assert encoders.state().bad == {}
 
 
+@pytest.mark.realtime
 def test_eight_axes_signs_and_zeros() -> None:
     sign = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     offset = np.deg2rad([0.0, 90.0, -90.0, 0.0, 10.0, 0.0])
@@ -115,6 +113,7 @@ def test_eight_axes_signs_and_zeros() -> None:
             Ramp().time(sign * (reading.q - offset))
 
 
+@pytest.mark.realtime
 def test_a_slow_serial_line_gives_few_readings_with_wide_times() -> None:
     """9600 8E2 carries 12 bits a character: 118.8 ms a round trip, says the fact sheet."""
     with running(controller(), "pty", baud=8000) as emulated:  # 8000 at 10 bits is 9600 at 12
@@ -125,8 +124,9 @@ def test_a_slow_serial_line_gives_few_readings_with_wide_times() -> None:
         assert 0.045 < np.median(widths) < 0.08
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
-def test_a_disturbed_line_loses_readings_and_tells_no_false_one(where: str) -> None:
+def test_a_disturbed_line_loses_readings_and_gives_no_false_one(where: str) -> None:
     faults = EmulatorFaults(noise=0.2, half=0.1, lost=0.05, split=0.3)
     with running(controller(), where, faults) as emulated:
         encoders = driver(emulated.address, timeout=0.1)
@@ -148,6 +148,7 @@ class Dawdling(MelfaEngine):
         return [TimedMessage(message.at + late, message.data) for message in messages]
 
 
+@pytest.mark.realtime
 def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
     engine = Dawdling(MelfaArm(Ramp(), 6, LIMITS, "command"), ControllerOptions())
     with running(engine) as emulated:
@@ -158,7 +159,8 @@ def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
         assert encoders.state().bad["request without an answer"] > 3
 
 
-def test_silence_is_said_and_over_when_it_is_over() -> None:
+@pytest.mark.realtime
+def test_silence_is_reported_until_it_ends() -> None:
     with running(controller(), faults=EmulatorFaults(silence=(0.5, 2.5))) as emulated:
         encoders = driver(emulated.address, timeout=0.3)
         gather(encoders, lambda found: len(found) >= 3)
@@ -166,6 +168,7 @@ def test_silence_is_said_and_over_when_it_is_over() -> None:
         require_true(gather(encoders, lambda found: len(found) >= 3), emulated)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("kind", ["tcp", "pty"])
 def test_a_port_that_vanishes_is_named_and_taken_up_again(kind: str, tmp_path: Path) -> None:
     where = "tcp:0" if kind == "tcp" else f"pty:{tmp_path / 'port'}"
@@ -177,6 +180,7 @@ def test_a_port_that_vanishes_is_named_and_taken_up_again(kind: str, tmp_path: P
         require_true(gather(encoders, lambda found: len(found) >= 3), emulated)
 
 
+@pytest.mark.realtime
 def test_a_controller_that_was_reset_is_opened_again() -> None:
     with running(controller(), faults=EmulatorFaults(reset=(0.5, 0.5))) as emulated:
         encoders = driver(emulated.address)
@@ -187,7 +191,8 @@ def test_a_controller_that_was_reset_is_opened_again() -> None:
         assert encoders.state().program_running is False  # its program did not survive
 
 
-def test_an_alarm_is_worded_while_readings_go_on() -> None:
+@pytest.mark.realtime
+def test_an_alarm_is_reported_while_readings_continue() -> None:
     with running(controller(), faults=EmulatorFaults(alarm=(0.0, 4140.0))) as emulated:
         encoders = driver(emulated.address)
         readings = gather(encoders, lambda found: len(found) >= 3)
@@ -195,12 +200,14 @@ def test_an_alarm_is_worded_while_readings_go_on() -> None:
         assert "alarm 4140 is standing: the program is missing" in encoders.state().sentence
 
 
-def test_an_alarm_that_no_list_here_holds_is_asked_about() -> None:
+@pytest.mark.realtime
+def test_an_unknown_alarm_is_queried() -> None:
     with running(controller(), faults=EmulatorFaults(alarm=(0.0, 999.0))) as emulated:
         encoders = driver(emulated.address)
         gather(encoders, lambda _: "NO MESSAGE" in encoders.state().sentence)
 
 
+@pytest.mark.realtime
 def test_whether_the_program_runs_and_which_robot_it_is() -> None:
     engine = controller(ControllerOptions(robot_type="RV-6S"))
     with running(engine) as emulated:
@@ -211,7 +218,8 @@ def test_whether_the_program_runs_and_which_robot_it_is() -> None:
         gather(encoders, lambda _: encoders.state().program_running is False)
 
 
-def test_a_second_reader_is_told_that_the_line_is_taken() -> None:
+@pytest.mark.realtime
+def test_a_second_reader_is_refused() -> None:
     with running(controller()) as emulated:
         first, second = driver(emulated.address), driver(emulated.address)
         gather(first, lambda found: len(found) >= 2)
@@ -219,7 +227,8 @@ def test_a_second_reader_is_told_that_the_line_is_taken() -> None:
         gather(first, lambda found: len(found) >= 2)
 
 
-def test_procedural_rs232_is_refused_in_words() -> None:
+@pytest.mark.realtime
+def test_procedural_rs232_is_refused() -> None:
     class Procedural(MelfaEngine):
         def step(self, t: float, received: bytes) -> list[TimedMessage]:
             return [TimedMessage(t, b"\x05")] if received else []
@@ -230,7 +239,8 @@ def test_procedural_rs232_is_refused_in_words() -> None:
         gather(encoders, lambda _: "CPRC232" in encoders.state().sentence)
 
 
-def test_nobody_there_is_said() -> None:
+@pytest.mark.realtime
+def test_a_missing_controller_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
     encoders = driver(f"tcp:127.0.0.1:{port}")

@@ -2,6 +2,7 @@ import struct
 import time
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -71,7 +72,8 @@ def test_the_stream_is_read_on_the_cycle_counters_clock() -> None:
     assert commands == {(0, 0), (255, 0)}  # never 1, and never a data type for a command
 
 
-def test_faults_of_the_stream_are_counted_and_tell_no_false_time() -> None:
+@pytest.mark.realtime
+def test_faults_of_the_stream_are_counted_and_give_no_false_time() -> None:
     faults = EmulatorFaults(noise=0.05, half=0.05, double=0.1, lost=0.1, jump=(1.5, 40.0))
     with running(RealtimeEngine(Ramp(), 6), "udp:0", faults) as emulated:
         encoders = driver(emulated.address)
@@ -86,7 +88,8 @@ def test_faults_of_the_stream_are_counted_and_tell_no_false_time() -> None:
         assert encoders.state().lost > 0
 
 
-def test_nobody_there_is_said_and_taken_up_when_somebody_is() -> None:
+@pytest.mark.realtime
+def test_a_missing_controller_is_reported_and_used_once_it_answers() -> None:
     faults = EmulatorFaults(unplug=(0.5, 0.7))
     with running(RealtimeEngine(Ramp(), 6), "udp:0", faults) as emulated:
         encoders = driver(emulated.address)

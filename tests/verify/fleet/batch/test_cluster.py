@@ -79,20 +79,17 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
 
 
 def test_a_scheduler_and_workers_by_hand_one_of_them_killed_midway(
-    lab: Path,
-    alone: Path,
-    tmp_path: Path,
-    start: Callable[..., subprocess.Popen[bytes]],
+    lab: Path, alone: Path, tmp_path: Path, start: Callable[..., subprocess.Popen[bytes]]
 ) -> None:
-    told = tmp_path / "scheduler.json"
+    output = tmp_path / "scheduler.json"
     start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
-          "--scheduler-file", str(told))  # fmt: skip
+          "--scheduler-file", str(output))  # fmt: skip
     workers = [
-        start("worker", "--scheduler-file", str(told), "--nthreads", "1", "--no-dashboard",
+        start("worker", "--scheduler-file", str(output), "--nthreads", "1", "--no-dashboard",
               "--host", "127.0.0.1", "--no-nanny", "--local-directory", str(tmp_path / "dask"))
         for _ in range(2)
     ]  # fmt: skip
-    address = _address(told)
+    address = _address(output)
     out = tmp_path / "out"
     batch = subprocess.Popen(
         [sys.executable, "-m", "verify", "batch", str(lab), "-o", str(out), "--scheduler", address],
@@ -105,17 +102,17 @@ def test_a_scheduler_and_workers_by_hand_one_of_them_killed_midway(
     assert_same(alone, out)
 
 
-def test_an_address_where_nobody_answers_is_refused_in_one_line() -> None:
+def test_an_address_without_an_answer_is_refused_in_one_line() -> None:
     with pytest.raises(InputError) as problem:
         Cluster("nonsense://nowhere")
     assert "\n" not in str(problem.value)
 
 
-def _address(told: Path) -> str:
+def _address(output: Path) -> str:
     import json
 
-    _wait_for(told.exists)
-    return str(json.loads(told.read_text())["address"])
+    _wait_for(output.exists)
+    return str(json.loads(output.read_text())["address"])
 
 
 def _wait_for(happened: Callable[[], bool]) -> None:

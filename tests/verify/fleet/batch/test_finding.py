@@ -128,7 +128,7 @@ def test_ten_thousand_stubs_are_listed_in_under_five_seconds(tmp_path: Path) -> 
     assert not failures
 
 
-def test_sessions_behind_a_url_are_found_fetched_and_told_apart() -> None:
+def test_sessions_behind_a_url_are_found_fetched_and_distinguished() -> None:
     storage = fsspec.filesystem("memory")
     for name in ("a/one", "a/one/inside", "b/two"):
         storage.pipe(f"/lab/{name}/session.toml", b"format = 1\n")

@@ -74,18 +74,6 @@ def batch(
     return done
 
 
-def test_results_are_those_of_verify_run(lab: Path, tmp_path: Path) -> None:
-    done = batch(lab, tmp_path / "out", Inline())
-    ((name, place),) = done.kept
-    kept, plain = read_results(place), analyse(open_session(lab / "one"))
-    assert name == f"{lab}/one"
-    assert kept.summary["joints"] == plain.summary["joints"]
-    assert kept.summary["inputs"] == plain.summary["inputs"]
-    assert kept.summary["session"]["path"] == name
-    assert kept.images == plain.images
-    assert done.progress.pairs == PAIRS
-
-
 def test_a_rate_counts_from_when_a_worker_could_begin(
     lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,9 +85,7 @@ def test_a_rate_counts_from_when_a_worker_could_begin(
     assert rate > PAIRS / hour
 
 
-def test_started_again_only_what_changed_is_done_and_that_is_said(
-    lab: Path, tmp_path: Path
-) -> None:
+def test_a_second_run_measures_only_changed_sessions(lab: Path, tmp_path: Path) -> None:
     shutil.copytree(lab / "one", lab / "two")
     out = tmp_path / "out"
     batch(lab, out, first := Inline())
@@ -138,7 +124,7 @@ def test_a_session_whose_worker_dies_each_time_is_reported(lab: Path, tmp_path: 
     assert "killed 3 times" in failure.why
 
 
-def test_a_defect_of_ours_in_one_session_does_not_stop_the_others(
+def test_a_program_error_in_one_session_does_not_stop_the_others(
     lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(lab / "one", lab / "two")

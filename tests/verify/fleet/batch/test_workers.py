@@ -54,7 +54,7 @@ def pool() -> ProcessPool:
     return ProcessPool(2)
 
 
-def test_every_task_is_done_once_and_new_ones_may_come_meanwhile(pool: ProcessPool) -> None:
+def test_every_task_is_done_once_and_tasks_may_be_added(pool: ProcessPool) -> None:
     tasks: deque[Task] = deque(Square(n) for n in range(4))
     outcomes = []
     try:
@@ -67,7 +67,7 @@ def test_every_task_is_done_once_and_new_ones_may_come_meanwhile(pool: ProcessPo
     assert sorted(outcomes) == [0, 1, 4, 9, 100]
 
 
-def test_nobody_waits_while_what_was_done_is_put_away(tmp_path: Path) -> None:
+def test_workers_continue_while_results_are_stored(tmp_path: Path) -> None:
     pool = ProcessPool(1)
     marks = [Mark(str(tmp_path / name)) for name in "ab"]
     outcomes = pool.run(deque(marks))

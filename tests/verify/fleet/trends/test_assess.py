@@ -32,11 +32,10 @@ def dense(series: JointSeries) -> np.ndarray:
     return np.diag(series.scatter**2) + np.where(alike, blocks, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("calibrations", [1, 3])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_drifting_and_the_stepping_joint_are_named_and_no_other(
-    seed: int, calibrations: int
-) -> None:
+def test_only_the_drifting_and_the_stepping_joint_are_found(seed: int, calibrations: int) -> None:
     sessions = rows(seed, drift=0.02, step=0.3, calibrations=calibrations)
     found = changes(sessions)
     assert [(r.arm, r.joint, r.kind) for r in found.itertuples()] == [
@@ -54,13 +53,15 @@ def test_the_drifting_and_the_stepping_joint_are_named_and_no_other(
     assert drift["session"] == first
 
 
-def test_a_fleet_without_change_is_left_in_peace() -> None:
+@pytest.mark.slow
+def test_a_fleet_without_change_has_no_findings() -> None:
     fleets = [rows(1000 + seed, sessions=30, calibrations=seed % 3 + 1) for seed in range(16)]
     accused = sum(len(changes(fleet)) > 0 for fleet in fleets)
     assert accused <= stats.binom.isf(0.001, len(fleets), P_FALSE_ALARM)
 
 
-def test_sessions_that_scatter_more_than_they_state_accuse_nobody() -> None:
+@pytest.mark.slow
+def test_excess_scatter_gives_no_findings() -> None:
     fleets = [rows(2000 + seed, sessions=30, scatter=2.5) for seed in range(12)]
     results = [assess(fleet, NO_FAILURES, TrendRequest(), ()) for fleet in fleets]
     assert sum(len(r.table("changes")) > 0 for r in results) <= 1
@@ -68,7 +69,7 @@ def test_sessions_that_scatter_more_than_they_state_accuse_nobody() -> None:
     assert np.median(excess) == pytest.approx(2.5, rel=0.15)
 
 
-def test_a_drift_that_a_repair_ends_is_seen_as_both() -> None:
+def test_a_drift_ended_by_a_repair_is_drift_and_step() -> None:
     sessions = rows(5, sessions=120)
     arm = sessions["robot"] == "arm_c"
     day = (sessions["started"] - pd.Timestamp(BEGIN)).dt.total_seconds() / 86_400
@@ -181,7 +182,7 @@ def test_a_difference_is_that_of_the_weighted_means() -> None:
     assert contrast(series, second | True, 0.05) is None
 
 
-def test_two_arms_of_one_kind_are_told_apart_by_their_folders() -> None:
+def test_arms_of_one_kind_are_distinguished_by_folder() -> None:
     sessions = rows(13, sessions=20)
     sessions["robot"] = "same"
     assert assess(sessions, NO_FAILURES, TrendRequest(), ()).summary["arms"] == ["same"]
@@ -189,7 +190,7 @@ def test_two_arms_of_one_kind_are_told_apart_by_their_folders() -> None:
     assert by == ["same in arm_a", "same in arm_b", "same in arm_c"]
 
 
-def test_sessions_without_a_date_or_a_figure_are_counted_and_accuse_nobody() -> None:
+def test_sessions_without_date_or_figure_are_counted() -> None:
     sessions = rows(14, sessions=10)
     sessions.loc[3, "started"] = pd.NaT
     sessions.loc[5, "q4_mean_error_deg"] = np.nan

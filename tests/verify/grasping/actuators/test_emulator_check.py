@@ -9,7 +9,7 @@ from functools import partial
 import pytest
 
 from tests.support.devices.bench import running
-from tests.verify.grasping.actuators.melfa.test_mover import LIMITS
+from tests.support.devices.melfa_mover import LIMITS
 from verify.devices.melfa.protocol import READ_COMMANDS
 from verify.devices.ports import DEFAULT_LINE, Port, open_port
 from verify.grasping.actuators import emulator_check
@@ -23,6 +23,8 @@ from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 from verify.simulation.emulators.melfa_arm import MelfaArm
 from verify.simulation.emulators.server import TimedMessage
+
+pytestmark = pytest.mark.realtime
 
 PORTS = ["tcp:0", "pty"]
 REAL = "3F;3F;7,0;3,5,A,1E,32,46,64;MB4;PRM;RV-3SB;CRn-5xx;MELFA;05-07-14;Ver.K4a;ENG;;1;1;8;"
@@ -120,9 +122,9 @@ def test_silence_an_echo_and_a_gripper_for_a_controller_are_none() -> None:
     assert not EmulatorPortOpener(opens("tcp:127.0.0.1:1"), is_emulated_melfa).there()
 
 
-def test_an_emulators_answer_to_somebody_else_proves_nothing() -> None:
-    said = melfa()._identity("verify").encode()
-    with recorded(said) as address:
+def test_an_answer_to_another_challenge_proves_nothing() -> None:
+    message = melfa()._identity("verify").encode()
+    with recorded(message) as address:
         assert not EmulatorPortOpener(opens(address), is_emulated_melfa).there()
 
 
@@ -137,7 +139,7 @@ def test_a_real_controller_that_takes_the_emulators_place_is_not_opened() -> Non
             only()
 
 
-def test_a_port_that_nobody_calls_for_is_closed() -> None:
+def test_an_unused_port_is_closed() -> None:
     with running(melfa()) as arm:
         only = EmulatorPortOpener(opens(arm.address), is_emulated_melfa)
         assert only.there()

@@ -1,5 +1,4 @@
 import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,7 +15,6 @@ from verify.grasping.actuators.gripper_reader import GripperReader
 from verify.grasping.actuators.protocols import (
     ExecutePermission,
     GripMode,
-    Gripper,
     GripperState,
     GripperStatus,
     MotionRefusedError,
@@ -65,7 +63,7 @@ def ready(gripper: GripperDriver) -> None:
 @pytest.mark.parametrize(
     ("width_mm", "state"), [(None, GripperState.REACHED), (115.0, GripperState.GRIPPED)]
 )
-def test_the_gripper_itself_says_whether_it_holds_something(
+def test_the_gripper_reports_whether_it_holds_an_object(
     where: str, width_mm: float | None, state: GripperState
 ) -> None:
     engine = quick(None if width_mm is None else contact_positions(width_mm))
@@ -82,11 +80,7 @@ def test_the_gripper_itself_says_whether_it_holds_something(
         assert status.reason == ""
 
 
-def test_a_gripper_is_a_gripper() -> None:
-    gripper: Gripper = GripperDriver(GripperSettings("/dev/none"), RIGHT)
-    gripper.close()
-
-
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 def test_the_reader_reads_and_can_send_nothing_else(where: str) -> None:
     engine = quick()
@@ -110,6 +104,7 @@ def test_without_the_operators_right_there_is_no_driver() -> None:
         ExecutePermission(" ")
 
 
+@pytest.mark.realtime
 def test_nothing_moves_before_an_order_nor_when_it_is_closed() -> None:
     engine = quick()
     with running(engine) as emulated:
@@ -119,6 +114,7 @@ def test_nothing_moves_before_an_order_nor_when_it_is_closed() -> None:
     assert {request[0] for request in engine.log} == {3}
 
 
+@pytest.mark.realtime
 def test_a_reading_each_step_of_a_loop_at_60_hz() -> None:
     with running(quick()) as emulated, driver(emulated) as gripper:
         stepped(gripper, lambda status: status.t is not None)
@@ -132,6 +128,7 @@ def after(seconds: float) -> Callable[[GripperStatus], bool]:
     return lambda _: time.monotonic() > end
 
 
+@pytest.mark.realtime
 def test_orders_that_are_not_possible_are_refused_and_send_nothing() -> None:
     engine = quick()
     with running(engine) as emulated, driver(emulated) as gripper:
@@ -152,6 +149,7 @@ def test_orders_that_are_not_possible_are_refused_and_send_nothing() -> None:
     assert all(write[6] & 1 for write in writes)  # each keeps the activation
 
 
+@pytest.mark.realtime
 def test_every_mode_is_taken_and_kept() -> None:
     engine = quick(np.array([20.0, 20.0, 20.0, 160.0]))
     with running(engine) as emulated, driver(emulated) as gripper:
@@ -164,6 +162,7 @@ def test_every_mode_is_taken_and_kept() -> None:
             assert engine.hand.inputs()[0] >> 1 & 3 == number
 
 
+@pytest.mark.realtime
 def test_one_finger_alone_is_not_called_a_grip() -> None:
     with (
         running(quick(np.array([100.0, np.inf, np.inf, np.inf]))) as emulated,
@@ -176,6 +175,7 @@ def test_one_finger_alone_is_not_called_a_grip() -> None:
         assert status.contacts == 1
 
 
+@pytest.mark.realtime
 def test_what_falls_out_is_noticed() -> None:
     engine = quick(contact_positions(60.0))
     with running(engine) as emulated, driver(emulated) as gripper:
@@ -187,7 +187,8 @@ def test_what_falls_out_is_noticed() -> None:
         assert "what was gripped is gone" in status.reason
 
 
-def test_closing_to_the_same_place_twice_does_not_believe_the_first_answer() -> None:
+@pytest.mark.realtime
+def test_closing_twice_to_one_position_waits_for_the_new_status() -> None:
     engine = quick(contact_positions(60.0))
     with running(engine) as emulated, driver(emulated) as gripper:
         ready(gripper)
@@ -198,6 +199,7 @@ def test_closing_to_the_same_place_twice_does_not_believe_the_first_answer() -> 
         assert settled(gripper, GripperState.REACHED).contacts == 0
 
 
+@pytest.mark.realtime
 def test_stop_stops_the_fingers_and_keeps_the_activation() -> None:
     engine = quick()
     with running(engine) as emulated, driver(emulated) as gripper:
@@ -215,6 +217,7 @@ def test_stop_stops_the_fingers_and_keeps_the_activation() -> None:
         settled(gripper, GripperState.REACHED)
 
 
+@pytest.mark.realtime
 def test_stop_and_the_end_let_go_of_nothing() -> None:
     engine = quick(contact_positions(120.0))
     with running(engine) as emulated:
@@ -227,6 +230,7 @@ def test_stop_and_the_end_let_go_of_nothing() -> None:
         assert engine.hand.outputs[0] == 0x09
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("cycle", [0.005, 0.1])
 def test_stop_ends_an_activation_by_a_reset(cycle: float) -> None:
     """However long the gripper takes to take an order up: until then its inputs are older."""
@@ -239,8 +243,9 @@ def test_stop_ends_an_activation_by_a_reset(cycle: float) -> None:
         assert engine.hand.stage == 0
 
 
-@pytest.mark.parametrize("number", [0x09, 0x0A, 0x0D, 0x0E, 0x0F, 0x42])
-def test_a_fault_in_mid_motion_stops_the_fingers_and_is_worded(number: int) -> None:
+@pytest.mark.realtime
+@pytest.mark.parametrize("number", [0x09, 0x0E])
+def test_a_fault_in_mid_motion_stops_the_fingers_and_is_named(number: int) -> None:
     engine = quick()
     with running(engine) as emulated, driver(emulated) as gripper:
         ready(gripper)
@@ -259,7 +264,8 @@ def test_a_fault_in_mid_motion_stops_the_fingers_and_is_worded(number: int) -> N
         assert gripper.step().reason == ""
 
 
-def test_a_gripper_that_was_without_power_is_not_activated_again_unasked() -> None:
+@pytest.mark.realtime
+def test_a_gripper_after_power_loss_is_not_activated_by_itself() -> None:
     engine = quick(contact_positions(60.0))
     with running(engine) as emulated, driver(emulated) as gripper:
         ready(gripper)
@@ -277,7 +283,8 @@ def settled_after_mishap(gripper: GripperDriver) -> GripperStatus:
     return stepped(gripper, lambda status: status.state is GripperState.FAILED)[-1]
 
 
-def test_silence_is_said_holds_what_is_gripped_and_needs_a_new_order() -> None:
+@pytest.mark.realtime
+def test_silence_is_reported_keeps_the_grip_and_needs_a_new_order() -> None:
     engine = quick(contact_positions(60.0))
     with (
         running(engine, faults=EmulatorFaults(silence=(1.3, 1.0))) as emulated,
@@ -297,6 +304,7 @@ def test_silence_is_said_holds_what_is_gripped_and_needs_a_new_order() -> None:
         settled(gripper, GripperState.READY)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("kind", ["tcp", "pty"])
 def test_a_cable_that_is_pulled_in_mid_motion_stops_the_fingers_once_it_is_back(
     kind: str, tmp_path: Path
@@ -312,6 +320,7 @@ def test_a_cable_that_is_pulled_in_mid_motion_stops_the_fingers_once_it_is_back(
         assert 20 < engine.hand.position[0] < 250
 
 
+@pytest.mark.realtime
 def test_a_gripper_that_lost_its_power_while_the_cable_was_out_is_left_alone() -> None:
     """A stop carries the activation bit: it would activate it, and every finger would move."""
     engine, faults = quick(), EmulatorFaults(unplug=(1.0, 0.6), reset=(1.3, 1.3))
@@ -327,7 +336,8 @@ def test_a_gripper_that_lost_its_power_while_the_cable_was_out_is_left_alone() -
         assert engine.hand.outputs == bytes(16)
 
 
-def test_a_disturbed_line_delays_orders_and_tells_nothing_false() -> None:
+@pytest.mark.realtime
+def test_a_disturbed_line_delays_orders_without_false_status() -> None:
     faults = EmulatorFaults(noise=0.1, half=0.1, lost=0.1, double=0.1)
     engine = quick(contact_positions(120.0))
     with running(engine, "pty", faults) as emulated, driver(emulated, tries=8) as gripper:
@@ -340,6 +350,7 @@ def test_a_disturbed_line_delays_orders_and_tells_nothing_false() -> None:
         assert gripper._line.bad["request without an answer"] > 3
 
 
+@pytest.mark.realtime
 def test_an_activation_that_never_ends_has_a_limit() -> None:
     engine = GripperEngine(GripperOptions(activation=60.0))
     with running(engine) as emulated, driver(emulated, activation_limit=0.5) as gripper:
@@ -349,6 +360,7 @@ def test_an_activation_that_never_ends_has_a_limit() -> None:
         stepped(gripper, lambda _: engine.hand.stage == 0)
 
 
+@pytest.mark.realtime
 def test_a_motion_that_never_ends_has_a_limit_and_is_stopped() -> None:
     class Stuck(GripperEngine):
         def step(self, t: float, received: bytes) -> list[TimedMessage]:
@@ -363,7 +375,8 @@ def test_a_motion_that_never_ends_has_a_limit_and_is_stopped() -> None:
         stepped(gripper, lambda _: engine.hand.outputs[0] == 0x01)
 
 
-def test_nobody_there_is_said_and_no_step_waits_for_it() -> None:
+@pytest.mark.realtime
+def test_a_missing_device_is_reported_without_blocking() -> None:
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
     with driver(f"tcp:127.0.0.1:{port}", activation_limit=0.5) as gripper:
@@ -371,23 +384,8 @@ def test_nobody_there_is_said_and_no_step_waits_for_it() -> None:
         assert "nobody listens there" in settled(gripper, GripperState.FAILED).reason
 
 
-def test_a_computer_that_does_not_answer_makes_no_step_wait() -> None:
-    asked, answer = threading.Event(), threading.Event()
-
-    def opening() -> object:
-        asked.set()
-        answer.wait(5.0)
-        raise TimeoutError
-
-    gripper = GripperDriver(GripperSettings("slow"), RIGHT, opening)  # type: ignore[arg-type]
-    status = stepped(gripper, lambda _: asked.is_set())[-1]
-    status = stepped(gripper, after(0.5))[-1]
-    assert "being opened" in status.reason
-    answer.set()
-    gripper.close()
-
-
-def test_a_gripper_of_2014_and_one_that_refuses_are_told_apart() -> None:
+@pytest.mark.realtime
+def test_a_2014_gripper_is_distinguished_from_a_refusing_one() -> None:
     class Deaf(GripperEngine):
         """Knows no register 2000."""
 
@@ -400,7 +398,7 @@ def test_a_gripper_of_2014_and_one_that_refuses_are_told_apart() -> None:
             stepped(gripper, lambda status, words=words: words in status.reason)  # type: ignore[misc]
 
 
-def test_recorded_inputs_are_read_as_the_manual_says() -> None:
+def test_recorded_inputs_are_read_as_in_the_manual() -> None:
     gripped = parse_inputs([0xB9EA, 0x00FF, 0xBC00, 0x00C1, 0x0000, 0xBD00, 0x0089, 0x0000])
     assert gripped is not None
     assert (gripped.active, gripped.go, gripped.activation, gripped.fault) == (True, True, 3, 0)

@@ -89,7 +89,7 @@ def test_an_answer_in_pieces_behind_noise_is_understood() -> None:
         b"\x00" * MAX_BUFFER_BYTES * 3,
     ],
 )
-def test_what_is_no_answer_is_passed_by_and_asked_again(wrong: bytes) -> None:
+def test_an_invalid_answer_is_skipped_and_the_request_repeated(wrong: bytes) -> None:
     port, clock = Scripted(), Clock()
     made = asked(port, clock)
     port.to_come.append(wrong)
@@ -101,7 +101,7 @@ def test_what_is_no_answer_is_passed_by_and_asked_again(wrong: bytes) -> None:
     assert made.step() is not None
 
 
-def test_after_three_silences_it_is_given_up_and_an_exception_is_told() -> None:
+def test_after_three_timeouts_it_gives_up_and_exceptions_are_reported() -> None:
     port, clock = Scripted(), Clock()
     made = asked(port, clock)
     for _ in range(2):
@@ -125,7 +125,7 @@ def test_a_line_for_reading_sends_no_write() -> None:
     assert port.sent == []
 
 
-def test_what_was_asked_before_a_line_broke_is_not_asked_on_the_next() -> None:
+def test_pending_requests_are_dropped_with_a_broken_line() -> None:
     port, clock = Scripted(), Clock()
     made = asked(port, clock)
     made.link.drop("pulled")
@@ -137,7 +137,8 @@ def test_what_was_asked_before_a_line_broke_is_not_asked_on_the_next() -> None:
     assert port.sent == [READ]
 
 
-def test_a_port_that_opens_after_nobody_wants_it_is_closed_again() -> None:
+@pytest.mark.realtime
+def test_a_port_that_opens_too_late_is_closed_again() -> None:
     port, may_open = Scripted(), threading.Event()
 
     def opening() -> Scripted:

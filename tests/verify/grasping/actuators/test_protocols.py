@@ -19,7 +19,8 @@ def attempted(opening: BackgroundOpener, over: Callable[[str], bool]) -> str:
     return "never"
 
 
-def test_the_last_refusal_is_told_while_the_next_attempt_hangs() -> None:
+@pytest.mark.realtime
+def test_the_last_refusal_is_reported_while_the_next_attempt_hangs() -> None:
     hangs, count = threading.Event(), [0]
 
     def open_port() -> Port:
@@ -30,7 +31,7 @@ def test_the_last_refusal_is_told_while_the_next_attempt_hangs() -> None:
 
     opening = BackgroundOpener(open_port)
     try:
-        assert "nobody listens" in attempted(opening, lambda said: "nobody" in said)
+        assert "nobody listens" in attempted(opening, lambda message: "nobody" in message)
         with pytest.raises(ConnectionRefusedError, match="nobody listens"):
             opening()  # the second attempt hangs
         assert count[0] <= 2

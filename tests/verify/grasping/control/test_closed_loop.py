@@ -94,9 +94,7 @@ def test_an_arm_as_it_is_stated_is_not_made_worse() -> None:
 
 
 @pytest.mark.slow
-def test_leds_that_are_dark_are_said_and_it_goes_on_without(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_dark_leds_are_reported_and_the_grasp_continues(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.simulation.cell.render._draw_led", lambda *_: None)
     grab, ended = grabbed(STANDS)
     assert ended.state is GraspState.LIFTED
@@ -125,7 +123,7 @@ def test_a_hand_too_far_off_is_not_corrected_and_the_margin_decides() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("far", [(0.525, -0.06), (0.439, -0.021)])
-def test_the_hand_is_seen_where_it_once_was_not(far: tuple[float, float]) -> None:
+def test_the_hand_is_measured_where_it_was_hidden_before(far: tuple[float, float]) -> None:
     """At the box's far wall, where joints by themselves do not get to; where LEDs look alike."""
     grab, ended = grabbed(CellScene((Cap("blue", far),), seed=1))
     assert ended.state is GraspState.LIFTED
@@ -140,7 +138,7 @@ def pair_of(world: CellWorld) -> StereoPair:
     return pair
 
 
-def test_nothing_is_gathered_of_an_arm_that_has_just_come_to_rest_or_moves_on() -> None:
+def test_no_pairs_are_taken_before_rest_or_during_motion() -> None:
     world = CellWorld(SETUP, STANDS)
     waiting: list[object] = []
 
@@ -164,7 +162,7 @@ def test_nothing_is_gathered_of_an_arm_that_has_just_come_to_rest_or_moves_on() 
     assert len(waiting) == 1
 
 
-def test_encoders_that_still_move_end_the_look() -> None:
+def test_moving_encoders_end_the_measurement() -> None:
     world = CellWorld(SETUP, STANDS)
     watch = FlangeWatch(SETUP.planner.arm, SETUP.rig, SETUP.marker)
     gathered = None

@@ -83,6 +83,7 @@ def test_a_cap_is_tracked_gripped_within_3_mm_and_lifted() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_one_move_at_a_time_does_it_too() -> None:
     grab, ended, _ = grabbed(STANDS, stepped=True)
     assert ended.state is GraspState.LIFTED
@@ -90,6 +91,7 @@ def test_one_move_at_a_time_does_it_too() -> None:
     assert kept_limits(grab)
 
 
+@pytest.mark.slow
 def test_a_cap_that_slides_is_followed_and_grasped_where_it_stops() -> None:
     slides = Cap("blue", (0.46, -0.06), (0.02, 0.06), 2.0)
     grab, ended, _ = grabbed(CellScene((slides,), seed=2))
@@ -107,6 +109,7 @@ def test_nothing_moves_without_the_right() -> None:
     assert np.array_equal(grab.world.arm.q(grab.world.t), home)
 
 
+@pytest.mark.slow
 def test_without_auto_it_waits_for_the_order() -> None:
     grab = made(STANDS, auto=False)
     ended = run(grab.loop, grab.source, StopConditions(3.0, 1.0), lambda _: None)
@@ -119,6 +122,7 @@ def test_an_order_that_does_not_count_is_answered_with_what_lacks() -> None:
     assert "no order" in grab.loop.tell(GraspEvent.GRAB)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stepped", [False, True], ids=["stream", "stop and go"])
 def test_a_camera_that_dies_in_mid_approach_holds_the_arm(stepped: bool) -> None:
     grab, ended, seen = grabbed(STANDS, SceneEvent("camera_gone", near=0.09), stepped=stepped)
@@ -128,6 +132,7 @@ def test_a_camera_that_dies_in_mid_approach_holds_the_arm(stepped: bool) -> None
     assert kept_limits(grab)
 
 
+@pytest.mark.slow
 def test_an_alarm_of_the_controller_is_a_fault() -> None:
     grab, ended, seen = grabbed(STANDS, SceneEvent("alarm", near=0.08))
     assert ended.state is GraspState.FAULT
@@ -136,6 +141,7 @@ def test_an_alarm_of_the_controller_is_a_fault() -> None:
     assert rests(seen)
 
 
+@pytest.mark.slow
 def test_an_object_taken_at_the_last_moment_is_a_miss_not_a_success() -> None:
     grab, ended, _ = grabbed(STANDS, SceneEvent("taken", near=0.03))
     assert ended.state is GraspState.MISSED
@@ -143,12 +149,14 @@ def test_an_object_taken_at_the_last_moment_is_a_miss_not_a_success() -> None:
     assert kept_limits(grab)
 
 
+@pytest.mark.slow
 def test_an_object_taken_before_the_approach_is_lost_to_sight() -> None:
     grab, ended, _ = grabbed(STANDS, SceneEvent("taken", near=0.16))
     assert ended.state is GraspState.HOLDING_LOST
     assert kept_limits(grab)
 
 
+@pytest.mark.slow
 def test_a_target_that_is_hidden_a_while_is_grasped_after_it() -> None:
     hidden = SceneEvent("hidden", at=0.9, lasts=1.6)
     grab, ended, _ = grabbed(STANDS, hidden)
@@ -157,6 +165,7 @@ def test_a_target_that_is_hidden_a_while_is_grasped_after_it() -> None:
     assert grab.world.held is not None
 
 
+@pytest.mark.slow
 def test_a_target_that_leaves_both_pictures_and_returns_is_grasped_after_it() -> None:
     leaves = Cap("blue", (0.45, 0.0), (0.0, 1.2), 1.0, away=0.8)
     grab, ended, seen = grabbed(replace(STANDS, caps=(leaves,)))
@@ -175,11 +184,13 @@ def test_a_target_that_leaves_both_pictures_and_returns_is_grasped_after_it() ->
     assert kept_limits(grab)
 
 
+@pytest.mark.slow
 def test_the_light_may_halve_within_a_second() -> None:
     _, ended, _ = grabbed(STANDS, SceneEvent("dusk", at=1.0))
     assert ended.state is GraspState.LIFTED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cap", "word"),
     [
@@ -196,8 +207,9 @@ def test_what_cannot_be_grasped_is_refused_with_the_reason(cap: Cap, word: str) 
     assert kept_limits(grab)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stepped", [False, True], ids=["stream", "stop and go"])
-def test_the_operators_hold_stops_a_descent_and_the_hand_goes_up_when_told(stepped: bool) -> None:
+def test_a_hold_stops_a_descent_and_the_hand_rises_on_order(stepped: bool) -> None:
     orders = {
         GraspState.APPROACHING: GraspEvent.HOLD,
         GraspState.HOLDING_OPERATOR: GraspEvent.RETREAT,
@@ -209,7 +221,8 @@ def test_the_operators_hold_stops_a_descent_and_the_hand_goes_up_when_told(stepp
     assert kept_limits(grab)
 
 
-def test_a_hold_on_the_way_up_keeps_the_grip_and_goes_on_when_told() -> None:
+@pytest.mark.slow
+def test_a_hold_on_the_way_up_keeps_the_grip_and_continues_on_order() -> None:
     orders = {GraspState.LIFTING: GraspEvent.HOLD, GraspState.HOLDING_OPERATOR: GraspEvent.RESUME}
     grab, ended, _ = grabbed(STANDS, orders=orders)
     assert GraspState.HOLDING_OPERATOR in [p.target for p in ended.passages]
@@ -219,6 +232,7 @@ def test_a_hold_on_the_way_up_keeps_the_grip_and_goes_on_when_told() -> None:
     assert kept_limits(grab)
 
 
+@pytest.mark.slow
 def test_a_hold_on_the_way_around_a_wall_stops_there_and_the_hand_gets_above_after() -> None:
     """Joints by themselves end at the box's far wall: a way that was looked at leads on."""
     grab = made(CellScene((Cap("blue", (0.525, -0.06)),), seed=1))
@@ -258,6 +272,7 @@ def box_of(cap: Cap) -> Box:
     return x, y, right - x, bottom - y
 
 
+@pytest.mark.slow
 def test_a_target_that_passes_behind_another_of_its_colour_is_the_one_that_is_lifted() -> None:
     passes = Cap("blue", (0.43, -0.10), (0.0, 0.13), 2.4)
     scene = CellScene((passes, Cap("blue", (0.49, 0.0))), seed=4)

@@ -149,6 +149,7 @@ def reading(t: float, left: float, *, moving: bool = False) -> PanReading:
     return PanReading(t, t, 5e-4, 0, np.array([left, -left]), moving)
 
 
+@pytest.mark.realtime
 def test_a_stations_pairs_carry_the_angles_of_their_instant_and_none_of_a_turning_base() -> None:
     pan = GivenPan(*(reading(101.0 + 0.01 * i, 0.02) for i in range(60)))
     live, cameras = pairs(pan)
@@ -179,7 +180,7 @@ def test_a_stations_pairs_carry_the_angles_of_their_instant_and_none_of_a_turnin
     assert all(camera.closed for camera in cameras)
 
 
-def test_without_pan_bases_the_rig_says_how_they_stand() -> None:
+def test_without_pan_bases_the_angles_are_those_of_the_rig() -> None:
     live, cameras = pairs(None)
     try:
         for camera in cameras:

@@ -50,7 +50,7 @@ def chosen(grab: CellRun, drawn: BoxSelection) -> str:
     return select_target(grab.loop, SETUP.rig, drawn, pair)
 
 
-def test_a_stop_forgets_what_was_asked_before_it_and_nothing_that_comes_after() -> None:
+def test_a_stop_discards_earlier_requests_only() -> None:
     requests = OperatorRequests()
     requests.grab("3")
     requests.select("left 10,10,20,20")
@@ -110,7 +110,7 @@ def test_what_is_no_box_in_a_picture_is_refused(text: str) -> None:
         parse_drawn(text, "selection")
 
 
-def test_without_a_target_nothing_is_looked_for_until_one_is_drawn() -> None:
+def test_without_a_target_no_search_begins_until_one_is_selected() -> None:
     grab = started()
     grab.loop.look_for(None)
     turned(grab, GraspState.SEARCHING)
@@ -122,7 +122,7 @@ def test_without_a_target_nothing_is_looked_for_until_one_is_drawn() -> None:
     turned(grab, GraspState.FOLLOWING)
 
 
-def test_a_box_that_teaches_nothing_leaves_the_last_target_as_it_was() -> None:
+def test_a_box_without_a_colour_keeps_the_last_target() -> None:
     grab = started(execute=False)
     turned(grab, GraspState.TRACKING)
     known = grab.loop.aim.target
@@ -132,6 +132,7 @@ def test_a_box_that_teaches_nothing_leaves_the_last_target_as_it_was() -> None:
     assert grab.loop.cycle(grab.source.pair()).state is GraspState.TRACKING
 
 
+@pytest.mark.slow
 def test_no_other_target_is_taken_while_anything_moves() -> None:
     grab = made()
     seen: set[GraspState] = set()

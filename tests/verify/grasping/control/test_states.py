@@ -38,8 +38,8 @@ SAFE = frozenset(  # where a grab may end, or wait for as long as it likes
     }
 )
 WHOLE_GRAB = [
-    GraspEvent.START, GraspEvent.FOUND, GraspEvent.FOLLOW, GraspEvent.GRAB, GraspEvent.AT_OBJECT,
-    GraspEvent.CLOSED, GraspEvent.HELD, GraspEvent.AT_TOP,
+    GraspEvent.START, GraspEvent.FOUND, GraspEvent.FOLLOW, GraspEvent.GRAB,
+    GraspEvent.AT_OBJECT, GraspEvent.CLOSED, GraspEvent.HELD, GraspEvent.AT_TOP,
 ]  # fmt: skip
 events = st.lists(st.sampled_from(list(GraspEvent)), max_size=40)
 
@@ -58,9 +58,9 @@ def machine(execute: bool = True) -> StateMachine:
     return made
 
 
-def after(*told: GraspEvent, execute: bool = True) -> StateMachine:
+def after(*output: GraspEvent, execute: bool = True) -> StateMachine:
     made = machine(execute)
-    for event in told:
+    for event in output:
         assert made.tell(event), (made.state, event)
     return made
 
@@ -97,9 +97,11 @@ def test_a_whole_grab_goes_through_every_step_and_is_logged() -> None:
 
 
 @given(events)
-def test_without_the_right_to_move_nothing_is_ever_ordered_to_move(told: list[GraspEvent]) -> None:
+def test_without_the_right_to_move_nothing_is_ever_ordered_to_move(
+    output: list[GraspEvent],
+) -> None:
     made = machine(execute=False)
-    for event in [*WHOLE_GRAB, *told]:
+    for event in [*WHOLE_GRAB, *output]:
         made.tell(event)
         assert made.order not in ARM_ORDERS | FINGER_ORDERS
 
@@ -142,10 +144,10 @@ def test_what_goes_after_the_target_holds_without_it(
 
 @given(events, st.booleans())
 def test_an_interrupt_holds_and_then_releases_from_anywhere(
-    told: list[GraspEvent], execute: bool
+    output: list[GraspEvent], execute: bool
 ) -> None:
     made = machine(execute)
-    for event in told:
+    for event in output:
         made.tell(event)
     if made.state is not GraspState.RELEASED:
         made.tell(GraspEvent.INTERRUPT)
@@ -158,9 +160,9 @@ def test_an_interrupt_holds_and_then_releases_from_anywhere(
 
 
 @given(events)
-def test_a_device_error_is_a_fault_from_anywhere(told: list[GraspEvent]) -> None:
+def test_a_device_error_is_a_fault_from_anywhere(output: list[GraspEvent]) -> None:
     made = machine()
-    for event in told:
+    for event in output:
         made.tell(event)
     made.tell(GraspEvent.DEVICE_ERROR)
     assert made.state in {GraspState.FAULT, GraspState.RELEASED}
@@ -204,9 +206,9 @@ def test_a_hand_that_is_low_is_never_streamed_about() -> None:
 
 
 @given(events)
-def test_no_low_hand_follows_or_searches(told: list[GraspEvent]) -> None:
+def test_no_low_hand_follows_or_searches(output: list[GraspEvent]) -> None:
     made = machine()
-    for event in [*WHOLE_GRAB[:4], *told]:
+    for event in [*WHOLE_GRAB[:4], *output]:
         made.tell(event)
         if made.low:
             assert made.order is not DeviceOrder.FOLLOW
@@ -257,7 +259,7 @@ def test_without_the_right_to_move_it_only_tracks() -> None:
         ({"device_error": "alarm 5640"}, GraspState.FAULT, "alarm 5640"),
     ],
 )
-def test_the_watchdog_holds_what_follows_and_says_why(
+def test_the_watchdog_holds_the_arm_and_states_the_reason(
     changes: dict[str, object], ends: GraspState, word: str
 ) -> None:
     made, dog = watched()
@@ -303,14 +305,14 @@ def test_a_camera_that_comes_back_lets_it_go_on_with_or_without_the_target() -> 
     ),
     events,
 )
-def test_with_anything_old_or_broken_nothing_moves(
-    ages: list[tuple[float, float, float, bool, bool]], told: list[GraspEvent]
+def test_stale_or_broken_inputs_stop_all_motion(
+    ages: list[tuple[float, float, float, bool, bool]], output: list[GraspEvent]
 ) -> None:
     made, dog = watched(auto=True)
     for step, (pictures, joints, tracked, broken, there) in enumerate(ages):
         now = 0.1 * step
-        if told:
-            made.tell(told[step % len(told)])
+        if output:
+            made.tell(output[step % len(output)])
         dog.observe(
             now,
             Observation(
@@ -332,9 +334,9 @@ def test_with_anything_old_or_broken_nothing_moves(
 )
 def test_still_means_that_all_places_of_a_while_lie_together(speed: float, still: bool) -> None:
     watch = StillWatch(STILL)
-    told = [watch.see(t, np.array([speed * t, 0, 0])) for t in np.arange(0, 2, 0.05).tolist()]
-    assert not any(told[:9])  # less than the while has passed
-    assert all(told[12:]) if still else not any(told)
+    output = [watch.see(t, np.array([speed * t, 0, 0])) for t in np.arange(0, 2, 0.05).tolist()]
+    assert not any(output[:9])  # less than the while has passed
+    assert all(output[12:]) if still else not any(output)
 
 
 def test_a_target_out_of_sight_is_not_still() -> None:

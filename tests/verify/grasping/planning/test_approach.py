@@ -49,7 +49,7 @@ def test_a_hand_points_along_the_direction_turned_about_it(direction: Array, tur
     assert np.cos(back - turn) == pytest.approx(1)
 
 
-def test_the_flange_is_where_the_gripper_s_place_on_it_says() -> None:
+def test_the_flange_pose_follows_from_the_grip_pose() -> None:
     flange_T_grip = np.eye(4)
     flange_T_grip[:3, 3] = [0.0, 0.0, 0.15]
     base_T_grip = hand_poses(DOWN, np.array([0.4, 0.0, 0.05]), np.zeros(1))[0]
@@ -92,11 +92,11 @@ def refused(q: Array, shift: Array) -> str:
     return path
 
 
-def test_a_line_that_leaves_the_reach_says_where() -> None:
+def test_a_line_out_of_reach_names_the_place() -> None:
     q = np.radians([0.0, 20.0, 60.0, 0.0, 30.0, 0.0])
-    said = refused(q, np.array([0.6, 0.0, 0.0]))
-    assert said.startswith("out of reach")
-    before = float(said.split()[3])
+    message = refused(q, np.array([0.6, 0.0, 0.0]))
+    assert message.startswith("out of reach")
+    before = float(message.split()[3])
     flange = robots.forward(melfa(), q)
     for shift, there in ((0.6 - before / 1e3 - 0.08, True), (0.6 - before / 1e3 + 0.001, False)):
         pose = flange.copy()
@@ -104,7 +104,7 @@ def test_a_line_that_leaves_the_reach_says_where() -> None:
         assert bool(np.isfinite(robots.inverse(melfa(), pose).q).any()) == there
 
 
-def test_a_line_past_a_straight_wrist_is_no_smooth_way_and_says_so() -> None:
+def test_a_line_past_a_straight_wrist_is_refused() -> None:
     """Down through a posture whose wrist is straight but for 0.0001 mm beside: joint 4 leaps."""
     q = np.radians([0.0, 30.0, 70.0, 0.0, 0.0, 0.0])
     through = robots.forward(melfa(), q)

@@ -78,7 +78,7 @@ def test_a_plan_goes_over_down_and_up_within_limits_and_clear(
     assert len(found.rejected) == 7
 
 
-def test_the_descent_is_straight_and_as_fast_as_asked(made: GraspPlanner) -> None:
+def test_the_descent_is_straight_with_the_requested_speed(made: GraspPlanner) -> None:
     found = planned(made, cap())
     times, motion = found.down.sampled(0.01)
     grip = made.workspace.grip(motion.q)[:, :3, 3]
@@ -101,7 +101,7 @@ def test_a_descent_that_the_joints_cannot_follow_is_slowed(made: GraspPlanner) -
     assert limit_violation(made.limits, found.down.sampled(0.005)[1]) == ""
 
 
-def test_a_thing_near_the_table_is_gripped_as_low_as_the_tips_allow(made: GraspPlanner) -> None:
+def test_a_low_object_is_gripped_as_low_as_the_tips_allow(made: GraspPlanner) -> None:
     found = planned(made, cap(z=0.010))
     assert found.margin.raised == pytest.approx(0.008)
     assert_allclose(found.margin.grip, [0.45, 0.0, 0.018])
@@ -133,13 +133,13 @@ def test_a_grasp_is_refused_with_the_reason(
     assert words in found.reason
 
 
-def test_out_of_reach_tells_every_branch(made: GraspPlanner) -> None:
+def test_out_of_reach_lists_every_branch(made: GraspPlanner) -> None:
     found = refused(made, cap(0.34, 0.0))
     assert len(found.branches) == 8
-    assert all(said for _, said in found.branches)
+    assert all(message for _, message in found.branches)
 
 
-def test_an_arm_that_stands_outside_begins_nothing(made: GraspPlanner) -> None:
+def test_an_arm_outside_its_limits_has_no_plan(made: GraspPlanner) -> None:
     found = plan_grasp(made, cap(), np.radians([0, -80.0, 90, 0, 90, 0]))
     assert isinstance(found, GraspRefusal)
     assert found.kind == "way"
@@ -177,6 +177,7 @@ def test_a_way_that_is_not_clear_leads_through_home(made: GraspPlanner) -> None:
     assert "camera 1" in stuck.reason
 
 
+@pytest.mark.slow
 def test_the_stated_coverage_is_kept_by_what_is_not_refused(made: GraspPlanner) -> None:
     """Draw targets and widths: where the margin is just met, 95 % of them go in, or more."""
     random = np.random.default_rng(0)
@@ -247,7 +248,7 @@ def seen(size: tuple[float, float]) -> TargetObservation:
     )  # fmt: skip
 
 
-def test_which_extent_goes_between_the_fingers_depends_on_how_the_cameras_look() -> None:
+def test_the_gripped_extent_depends_on_the_viewing_direction() -> None:
     made = rig()
     upright = made.rig_T_base[:3, :3].T @ [0, 1.0, 0]  # the rig's y, in the base
     thing = object_from_target(seen((0.03, 0.2)), made, upright)
@@ -259,6 +260,7 @@ def test_which_extent_goes_between_the_fingers_depends_on_how_the_cameras_look()
     assert thing.width_standard_uncertainty == 2e-3
 
 
+@pytest.mark.slow
 def test_the_arm_follows_a_moving_target_from_above_without_ever_leaving_limits_or_box(
     made: GraspPlanner,
 ) -> None:
@@ -289,7 +291,7 @@ def test_the_arm_follows_a_moving_target_from_above_without_ever_leaving_limits_
     assert max(away[60:]) < 1e-3
 
 
-def test_a_target_out_of_reach_is_no_goal_and_says_why(made: GraspPlanner) -> None:
+def test_a_target_out_of_reach_is_refused_with_the_reason(made: GraspPlanner) -> None:
     hover = HoverPlanner(made)
     found = hover.goal(np.array([0.9, 0.0, 0.05]), np.zeros(3), home(made))
     assert isinstance(found, GraspRefusal)
@@ -341,12 +343,12 @@ def test_the_page_lists_every_kind_of_refusal() -> None:
         assert f"| `{kind}` |" in DOCS.read_text("utf-8")
 
 
-def test_a_plan_is_told_in_the_units_of_pages_and_as_a_table_in_time(made: GraspPlanner) -> None:
+def test_a_plan_has_page_units_and_a_time_table(made: GraspPlanner) -> None:
     found = planned(made, cap())
-    told = json.loads(json.dumps(plan_facts(found)))
-    assert_allclose(told["grip_mm"], [450, 0, 30])
-    assert_allclose(np.radians(told["grip_deg"]), found.posture.q_grip, atol=1e-5)
-    assert len(told["not_taken"]) == 7
+    output = json.loads(json.dumps(plan_facts(found)))
+    assert_allclose(output["grip_mm"], [450, 0, 30])
+    assert_allclose(np.radians(output["grip_deg"]), found.posture.q_grip, atol=1e-5)
+    assert len(output["not_taken"]) == 7
     none = json.loads(json.dumps(plan_facts(refused(made, cap(0.34)))))
     assert none["refused"] == "reach"
     assert len(none["branches"]) == 8

@@ -27,7 +27,7 @@ def made(tmp_path: Path) -> GraspPlanner:
     return setup(tmp_path)
 
 
-def test_every_branch_is_offered_or_told_why_not(made: GraspPlanner) -> None:
+def test_every_branch_is_offered_or_has_a_reason(made: GraspPlanner) -> None:
     good, rejected = find_postures(made.workspace, made.limits, POINT, home(made))
     assert {posture.branch for posture in good} | set(rejected) == set(range(8))
     assert not {posture.branch for posture in good} & set(rejected)
@@ -35,7 +35,7 @@ def test_every_branch_is_offered_or_told_why_not(made: GraspPlanner) -> None:
     assert [p.score for p in good] == sorted((p.score for p in good), reverse=True)
 
 
-def test_what_is_offered_stands_above_and_at_the_object(made: GraspPlanner) -> None:
+def test_offered_postures_are_above_and_at_the_object(made: GraspPlanner) -> None:
     good, _ = find_postures(made.workspace, made.limits, POINT, home(made))
     for posture in good:
         above, grip = (made.workspace.grip(q) for q in (posture.q_above, posture.q_grip))
@@ -52,7 +52,7 @@ def test_what_is_offered_stands_above_and_at_the_object(made: GraspPlanner) -> N
             assert 0 < part <= 1
 
 
-def test_no_joint_is_wound_up_from_where_the_arm_stands(made: GraspPlanner) -> None:
+def test_no_joint_winds_up_from_the_current_posture(made: GraspPlanner) -> None:
     wound = home(made) + np.radians([0, 0, 0, 0, 0, 150.0])
     good, _ = find_postures(made.workspace, made.limits, POINT, wound)
     assert max(posture.q_above[5] for posture in good) > np.pi
@@ -115,14 +115,12 @@ def joint_heights(q: Array) -> list[float]:
         ([0.45, 0.35, 0.05], "the grip point would be 50 mm outside the workspace box"),
     ],
 )
-def test_a_branch_that_cannot_says_why(made: GraspPlanner, point: list[float], words: str) -> None:
+def test_a_rejected_branch_has_a_reason(made: GraspPlanner, point: list[float], words: str) -> None:
     _, rejected = find_postures(made.workspace, made.limits, np.array(point), home(made))
-    assert any(words in said for said in rejected.values())
+    assert any(words in message for message in rejected.values())
 
 
-def test_low_things_are_refused_for_the_table_and_near_cameras_for_the_cameras(
-    made: GraspPlanner,
-) -> None:
+def test_low_objects_and_those_near_cameras_are_refused(made: GraspPlanner) -> None:
     good, rejected = find_postures(
         made.workspace, made.limits, POINT - np.array([0, 0, 0.03]), home(made)
     )
@@ -130,10 +128,10 @@ def test_low_things_are_refused_for_the_table_and_near_cameras_for_the_cameras(
     assert any("finger tips would come 8 mm too near to the table" in r for r in rejected.values())
     beside = dataclasses.replace(made.workspace, cameras=POINT[None] + np.array([0.0, 0.15, 0.1]))
     good, rejected = find_postures(beside, made.limits, POINT, home(made))
-    assert any("near to camera 1" in said for said in rejected.values())
+    assert any("near to camera 1" in message for message in rejected.values())
 
 
-def test_every_answer_of_the_arm_was_looked_at(made: GraspPlanner) -> None:
+def test_every_inverse_solution_is_considered(made: GraspPlanner) -> None:
     """Against brute force: random postures that grasp the point are all of an offered branch."""
     good, _ = find_postures(made.workspace, made.limits, POINT, home(made))
     offered = {posture.branch for posture in good}

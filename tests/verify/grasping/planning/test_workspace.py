@@ -125,13 +125,13 @@ def test_a_way_is_judged_as_brute_force_judges_it(workspace: Workspace) -> None:
         start, end = clear[random.integers(0, len(clear), 2)]
         path = joint_path(start, end)
         worst = workspace.margins(path.q(np.linspace(0, 1, 2001))).min()
-        said = workspace.along(path)
-        if said:  # refused: brute force sees it too, but for what it slips past
+        message = workspace.along(path)
+        if message:  # refused: brute force sees it too, but for what it slips past
             assert worst < -RESOLUTION + 1e-3
-            assert "of the way" in said
+            assert "of the way" in message
         else:
             assert worst >= -RESOLUTION
-        found[bool(said)] += 1
+        found[bool(message)] += 1
     assert min(found.values()) >= 5
 
 
@@ -147,15 +147,13 @@ def test_a_thin_obstacle_does_not_slip_between_samples(workspace: Workspace) -> 
     far = workspace.cell.gripper.radius - 0.001
     camera = tips[:3, 3] + far * np.array([*outward, 0.0])
     near = dataclasses.replace(
-        workspace,
-        cameras=camera[None],
-        cell=dataclasses.replace(workspace.cell, moving=moving),
+        workspace, cameras=camera[None], cell=dataclasses.replace(workspace.cell, moving=moving)
     )
     assert near.margins(way.q(np.linspace(0, 1, 9))).min() > 0
     assert "camera 1" in near.along(way)
 
 
-def test_a_stream_of_postures_is_looked_at_in_between(workspace: Workspace) -> None:
+def test_a_stream_of_postures_is_checked_in_between(workspace: Workspace) -> None:
     low = np.radians([[0, 70, 100, 0, 10, 0]])
     assert "table" in workspace.clear(low)
     up = np.radians([[0, 0, 90, 0, 90, 0]])

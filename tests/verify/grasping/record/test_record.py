@@ -63,8 +63,8 @@ def cycle(state: GraspState, q: Array, off: Array | None) -> LoopCycle:
 
 def told(folder: Path, cycles: Sequence[LoopCycle]) -> list[Any]:
     facts = SessionFacts("arm", 6, {}, {}, turning=False)
-    said = GraspContext("arm", "blue object", "simulated", True, datetime.now(UTC))
-    record = GraspRecord(folder, facts, SPACE, said, 30.0)
+    message = GraspContext("arm", "blue object", "simulated", True, datetime.now(UTC))
+    record = GraspRecord(folder, facts, SPACE, message, 30.0)
     for one in cycles:
         record.add(one)
     record.close()
@@ -73,7 +73,7 @@ def told(folder: Path, cycles: Sequence[LoopCycle]) -> list[Any]:
     return [summary[field] for field in FIELDS]
 
 
-def test_the_last_sight_in_the_lift_outlives_what_is_not_seen_after_it(tmp_path: Path) -> None:
+def test_the_last_detection_in_the_lift_is_kept(tmp_path: Path) -> None:
     low, middle, top = raised(0.0), raised(0.1), raised(0.3)
     cycles = [
         cycle(GraspState.CLOSING, low, np.array([0.09, 0.0, 0.0])),
@@ -91,7 +91,7 @@ def test_the_last_sight_in_the_lift_outlives_what_is_not_seen_after_it(tmp_path:
     assert up > 10
 
 
-def test_what_was_seen_before_the_lift_is_no_sight_of_it(tmp_path: Path) -> None:
+def test_detections_before_the_lift_do_not_count(tmp_path: Path) -> None:
     low, top = raised(0.0), raised(0.2)
     cycles = [
         cycle(GraspState.APPROACHING, low, np.zeros(3)),
@@ -102,7 +102,7 @@ def test_what_was_seen_before_the_lift_is_no_sight_of_it(tmp_path: Path) -> None
     assert told(tmp_path, cycles) == [None, None, None]
 
 
-def test_another_try_begins_without_the_sight_of_the_last(tmp_path: Path) -> None:
+def test_another_try_begins_without_earlier_detections(tmp_path: Path) -> None:
     low, top = raised(0.0), raised(0.2)
     slipped = [cycle(GraspState.LIFTING, top, np.zeros(3)), cycle(GraspState.RETREATING, top, None)]
     again = [cycle(GraspState.APPROACHING, low, None), cycle(GraspState.LIFTED, top, None)]
@@ -126,7 +126,7 @@ def seen() -> OffsetMeasurement:
     return OffsetMeasurement("the hand was off", sights, TOLD, TOLD, measured, hand)
 
 
-def test_told_read_and_seen_places_are_kept_in_millimetres(tmp_path: Path) -> None:
+def test_commanded_read_and_measured_positions_are_in_millimetres(tmp_path: Path) -> None:
     workspace = setup(tmp_path).workspace
     fields = tool_offset_fields(seen(), workspace)
     told = np.array(fields["told_mm"])
@@ -151,7 +151,7 @@ def test_what_is_not_known_stays_empty(tmp_path: Path) -> None:
     assert not any("nan" in str(block) for section in told.sections for block in section.blocks)
 
 
-def test_the_report_and_the_last_line_say_what_came_of_it(tmp_path: Path) -> None:
+def test_report_and_last_line_state_the_outcome(tmp_path: Path) -> None:
     summary = ENDED | {"hand": tool_offset_fields(seen(), setup(tmp_path).workspace)}
     assert outcome(summary).sentence.startswith("The object came along, by the gripper's status")
     assert outcome(summary).sentence.endswith(". The hand was off.")

@@ -74,6 +74,7 @@ def test_a_joint_that_is_off_is_carried_from_above_to_the_object(
     assert left @ np.linalg.solve(hand.covariance, left) < 16.3  # chi², 3 degrees, 0.1 %
 
 
+@pytest.mark.slow
 def test_the_stated_uncertainty_holds_over_many_arms(tmp_path: Path) -> None:
     """Arms drawn from what is claimed: squared Mahalanobis distances are chi² of 3 degrees."""
     rng, made, end = np.random.default_rng(5), cell(tmp_path), below(tmp_path, Q)
@@ -113,7 +114,7 @@ def test_pictures_that_agree_no_better_than_noise_leave_a_healthy_arm_where_it_i
     assert np.linalg.norm(hand.off) < 0.2e-3
 
 
-def test_a_base_that_is_off_is_seen_as_a_shift(tmp_path: Path) -> None:
+def test_a_base_error_is_measured_as_a_shift(tmp_path: Path) -> None:
     moved = TOLD.copy()
     moved[:3, 3] += [1.2e-3, -0.8e-3, 0.5e-3]
     found = average_sights(sights(moved, np.random.default_rng(2)), TOLD)
@@ -132,7 +133,7 @@ def test_what_is_farther_off_than_the_bound_is_not_corrected(tmp_path: Path) -> 
     assert not hand.used
 
 
-def test_too_few_pictures_and_such_that_contradict_each_other_are_refused_in_words() -> None:
+def test_too_few_or_contradicting_pictures_are_refused() -> None:
     rng = np.random.default_rng(4)
     blind = FlangeMeasurement(0.0, "too_few_leds", None, None, None)
     assert average_sights([*sights(TOLD, rng, MIN_AGREEING - 1), blind], TOLD) == (
@@ -153,9 +154,7 @@ def seen(off_mm: list[float], *, used: bool, u: float = 0.1e-3) -> OffsetMeasure
     return OffsetMeasurement("", (), TOLD, TOLD, TOLD, hand)
 
 
-def test_a_corrected_hand_is_told_to_go_elsewhere_and_a_refused_one_needs_room(
-    tmp_path: Path,
-) -> None:
+def test_a_corrected_target_moves_and_a_refused_one_needs_margin(tmp_path: Path) -> None:
     made, thing = cell(tmp_path), cap()
     plain = grip_margin(thing, made)
     corrected = grip_margin(replace(thing, offset=seen([2.0, -1.0, -0.5], used=True)), made)

@@ -66,11 +66,11 @@ def test_of_two_objects_none_is_taken() -> None:
     assert verdict.reason == "2 objects have this colour: select one"
 
 
-def test_a_target_that_stands_still_is_tracked() -> None:
+def test_a_target_at_rest_is_tracked() -> None:
     assert chosen(*HERE).show(seen(*HERE), times=30).status == "tracked"
 
 
-def test_what_is_not_seen_is_lost_and_found_again_where_it_was() -> None:
+def test_a_hidden_target_is_lost_and_found_at_its_place() -> None:
     film = chosen(*HERE)
     film.show(seen(*HERE), times=30)
     assert film.show(times=60).status == "lost"
@@ -101,7 +101,7 @@ def test_after_a_long_absence_it_is_found_wherever_it_is() -> None:
     assert film.show(seen(0.4, 0.1, 0.9), times=3).status == "tracked"
 
 
-def test_two_that_come_back_where_either_might_be_are_not_told_apart() -> None:
+def test_two_returning_targets_stay_ambiguous() -> None:
     film = chosen(*HERE)
     film.show(seen(*HERE), seen(0.03, 0.0, 0.7), times=30)
     film.show(times=150)  # five seconds in which they may have changed places
@@ -135,7 +135,7 @@ def test_the_pieces_of_a_half_hidden_target_are_no_other_objects() -> None:
     assert film.identity.others(film.frame / RATE) == []
 
 
-def test_a_jump_is_believed_after_a_few_pairs_only() -> None:
+def test_a_jump_is_accepted_after_a_few_pairs_only() -> None:
     film = chosen(*HERE)
     film.show(seen(*HERE), times=60)
     assert film.show(seen(0.05, 0.0, 0.7)).status == "lost"

@@ -55,7 +55,7 @@ def test_the_window_climbs_to_the_target_from_beside_it() -> None:
     np.testing.assert_allclose(blob.centre, [150, 110], atol=0.2)
 
 
-def test_nothing_is_seen_outside_the_searched_region() -> None:
+def test_nothing_is_detected_outside_the_searched_region() -> None:
     image = picture(((150, 110), (14, 14), 0, BLUE))
     assert camshift(image, (220, 40, 30, 30), (200, 20, 80, 80), named_colour("blue")) is None
 
@@ -67,7 +67,7 @@ def test_a_neighbour_of_the_same_colour_does_not_pull_at_the_centre() -> None:
     assert blob.share < 0.7  # the rest is elsewhere
 
 
-def test_what_touches_it_is_cut_off_at_the_expected_size_and_told() -> None:
+def test_a_touching_object_is_cut_at_the_expected_size_and_flagged() -> None:
     joined = picture(((150, 110), (12, 12), 0, BLUE), ((150, 136), (5, 16), 0, BLUE))
     blob = found(joined, expected=np.array([24.0, 24.0]))
     assert np.linalg.norm(blob.centre - [150, 110]) < 4.5
@@ -79,7 +79,7 @@ def test_a_reflection_inside_is_a_part_of_the_target() -> None:
     np.testing.assert_allclose(found(shiny).centre, [150, 110], atol=0.2)
 
 
-def test_touching_the_border_is_told() -> None:
+def test_touching_the_border_is_flagged() -> None:
     assert found(picture(((5, 110), (12, 12), 0, BLUE))).cut
     inside = picture(((60, 110), (12, 12), 0, BLUE))
     assert not found(inside, start=(50, 100, 20, 20), region=(50, 90, 40, 40)).cut

@@ -60,7 +60,7 @@ def test_a_plain_colour_has_its_name_and_no_other(name: str) -> None:
 
 
 @pytest.mark.parametrize("bgr", DULL, ids=["grey", "wood", "skin", "pale paper", "black"])
-def test_dull_things_have_no_colours_name(bgr: tuple[int, int, int]) -> None:
+def test_dull_colours_have_no_name(bgr: tuple[int, int, int]) -> None:
     for name in NAMED_HUES_DEG:
         assert named_colour(name).back_project(to_hsv(flat(bgr))).max() <= 127, name
 
@@ -84,7 +84,7 @@ def test_a_learned_colour_is_the_targets_and_not_its_surroundings() -> None:
     assert (weights[away > 22] > 127).mean() < 0.005
 
 
-def test_brightness_tells_apart_what_has_the_same_colour() -> None:
+def test_brightness_distinguishes_objects_of_one_colour() -> None:
     darker = tuple(int(0.55 * c) for c in GREEN)
     picture = disc(GREEN, darker)  # type: ignore[arg-type]  # three numbers
     model = model_from_box(picture, (30, 30, 41, 41))
@@ -116,7 +116,7 @@ def test_the_similarity_is_that_of_bhattacharyya() -> None:
     assert model.similarity(hsv, 255 - left) == 0.0
 
 
-def test_adapting_moves_the_colours_by_the_share_that_was_asked() -> None:
+def test_adapting_moves_the_colours_by_the_given_share() -> None:
     one = model_from_box(disc(BLUE, (110, 150, 180)), (30, 30, 41, 41))
     other = model_from_box(disc(GREEN, (110, 150, 180)), (30, 30, 41, 41))
     mixed = blend(one, other, 0.25)

@@ -35,7 +35,7 @@ def test_two_steps_predict_as_one_does() -> None:
     np.testing.assert_allclose(twice.covariance, once.covariance, atol=1e-12)
 
 
-def test_out_of_sight_the_velocity_is_forgotten_but_stays_a_velocity() -> None:
+def test_without_measurements_the_velocity_decays() -> None:
     track = begin_track(0.0, np.zeros(3), np.eye(3) * SIGMA**2, 0.5).at(60.0)
     np.testing.assert_allclose(track.velocity_covariance, np.eye(3) * 0.25, rtol=1e-6)
     assert 1.0 < np.sqrt(track.position_covariance[0, 0]) < 8.0  # a minute's wandering
@@ -85,7 +85,7 @@ def test_the_velocity_is_found() -> None:
     np.testing.assert_allclose(velocity, [0.2, -0.1, 0.05], atol=0.1)
 
 
-def test_what_stands_still_is_learned_to_do_so() -> None:
+def test_a_target_at_rest_gets_a_small_process_noise() -> None:
     track = begin_track(0.0, np.zeros(3), np.eye(3) * SIGMA**2, 0.5)
     for i in range(1, 120):
         track = track.at(i / 30).updated(np.zeros(3), np.eye(3) * SIGMA**2).learned(1 / 30)

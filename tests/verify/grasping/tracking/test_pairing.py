@@ -55,13 +55,13 @@ def test_a_small_patch_and_a_large_one_are_no_object() -> None:
     )
 
 
-def test_what_is_too_large_or_too_far_is_not_looked_for() -> None:
+def test_too_large_or_too_distant_objects_are_ignored() -> None:
     pair, lefts, rights = blobs(Cap(BLUE, still(0.0, 0.02, 0.7)))
     assert pair_blobs(lefts, rights, pair, RIG, TrackingOptions(sizes=(0.008, 0.03))) == []
     assert pair_blobs(lefts, rights, pair, RIG, TrackingOptions(depths=(0.15, 0.6))) == []
 
 
-def test_a_moving_object_is_seen_where_it_was_when_the_left_picture_was_taken() -> None:
+def test_a_moving_object_is_placed_at_the_left_pictures_instant() -> None:
     velocity = np.array([0.8, 0.0, 0.0])
     pair, lefts, rights = blobs(Cap(BLUE, lambda t: (0.8 * t, 0.02, 0.7)))
     moving = join_blobs(lefts[0], rights[0], pair, RIG, ObjectMotion(velocity, np.zeros((3, 3))))

@@ -30,7 +30,7 @@ def test_a_box_is_four_whole_numbers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("610,340,48", "x,y,w,h in whole pixels is expected"),
         ("a,b,c,d", "x,y,w,h in whole pixels is expected"),
@@ -39,8 +39,8 @@ def test_a_box_is_four_whole_numbers() -> None:
         ("5,2,30,4", "is 30 x 4 px; 8 x 8 px is the least"),
     ],
 )
-def test_any_other_text_is_refused_in_one_line(text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said) as refusal:
+def test_any_other_text_is_refused_in_one_line(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as refusal:
         parse_box(text)
     assert str(refusal.value).startswith("--roi: ")
     assert "\n" not in str(refusal.value)
@@ -75,7 +75,7 @@ def test_among_others_of_its_colour_at_the_same_height_it_is_itself(side: str) -
     np.testing.assert_allclose(thing.place.point, HERE, atol=0.002)
 
 
-def test_what_only_one_camera_sees_is_not_found() -> None:
+def test_objects_in_one_picture_alone_are_not_found() -> None:
     lone = np.array([0.45, 0.02, 0.7])  # beyond the right picture's border
     pair = film(Cap(BLUE, still(*lone)), Cap(BLUE, still(-0.1, -0.12, 0.9)))
     assert counterpart(pair, RIG, box(lone), TrackingOptions())[1] is None

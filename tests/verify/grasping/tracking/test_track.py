@@ -107,7 +107,7 @@ def test_a_hidden_target_is_lost_and_found_again() -> None:
     assert hidden[0].reason
 
 
-def test_a_target_of_which_one_camera_sees_less_than_half_is_not_lost() -> None:
+def test_a_target_half_hidden_in_one_camera_is_not_lost() -> None:
     """As between the fingers: whole for the one camera, four tenths of it for the other."""
     cap = Cap(BLUE, still(*HERE))
 
@@ -163,14 +163,14 @@ def test_two_of_the_colour_are_refused_until_one_is_selected() -> None:
     assert errors(chosen, caps[1]).max() < 0.003
 
 
-def test_nothing_of_the_colour_is_said() -> None:
+def test_a_missing_colour_is_reported() -> None:
     seen = list(track(pairs([Cap(GREEN, still(*HERE))], RIG, 0.2), RIG, ColourSelection("blue")))
     assert {(s.status, s.reason) for s in seen} == {("searching", "its colour is not seen")}
     assert np.isnan(seen[-1].centre).all()
     assert seen[-1].quality == 0.0
 
 
-def test_colours_that_drift_are_followed_only_where_that_is_asked() -> None:
+def test_drifting_colours_are_followed_on_request_only() -> None:
     def film() -> Iterator[StereoPair]:
         for i in range(60):  # six seconds from blue halfway to purple: another lamp
             b, g, r = (

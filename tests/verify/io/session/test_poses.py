@@ -113,13 +113,6 @@ def test_with_one_clock_the_mean_errors_agree_to_the_files_rounding(
     )
 
 
-def test_an_injected_fault_is_named_alike(watched: Watched, seen: Results, tmp_path: Path) -> None:
-    found = analyse(open_session(posed(tmp_path, watched))).summary["diagnosis"]
-    named = [(c["joint"], c["kind"]) for c in found]
-    assert named == [(c["joint"], c["kind"]) for c in seen.summary["diagnosis"]] == [(2, "offset")]
-    assert abs(found[0]["value"] - 0.35) < 2 * found[0]["expanded_uncertainty"]
-
-
 def test_poses_in_the_base_or_in_the_instruments_own_frame_are_the_same_session(
     watched: Watched, tmp_path: Path
 ) -> None:
@@ -242,9 +235,7 @@ def test_of_positions_alone_three_directions_are_determined(
     assert any("only 3 of 6" in warning for warning in summary["warnings"])
 
 
-def test_a_point_off_the_flange_shows_what_its_own_motion_tells(
-    watched: Watched, tmp_path: Path
-) -> None:
+def test_a_point_off_the_flange_determines_its_motion(watched: Watched, tmp_path: Path) -> None:
     t, poses = watched.poses
     point = np.array([0.06, 0.005, 0.02])
     moved = poses.copy()
@@ -260,7 +251,7 @@ def test_a_point_off_the_flange_shows_what_its_own_motion_tells(
     assert named == [(2, "offset")]
 
 
-def test_the_report_says_which_instrument_it_was(watched: Watched, tmp_path: Path) -> None:
+def test_the_report_names_the_instrument(watched: Watched, tmp_path: Path) -> None:
     results = analyse(open_session(posed(tmp_path, watched)))
     assert results.summary["session"]["instrument"] == "a laser tracker"
     assert results.setup["instrument"]["name"] == "a laser tracker"
@@ -303,7 +294,7 @@ def test_cameras_cannot_be_registered_or_watched_by_poses(watched: Watched, tmp_
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ('frame = "rig"', 'frame = "world"', 'poses.frame: is "world"'),
         ('instrument = "a laser tracker"', 'instrument = " "', "poses.instrument: is empty"),
@@ -323,16 +314,12 @@ def test_cameras_cannot_be_registered_or_watched_by_poses(watched: Watched, tmp_
             'frame = "rig"\nrotation = [[2,0,0],[0,1,0],[0,0,1]]',
             "poses.rotation: is no rotation",
         ),
-        (
-            'frame = "rig"',
-            f'frame = "rig"\n{BODY}',
-            "poses.body_standard_uncertainty.x_mm: is -1",
-        ),
+        ('frame = "rig"', f'frame = "rig"\n{BODY}', "poses.body_standard_uncertainty.x_mm: is -1"),
         ('[poses]\nfile = "poses.csv"', 'poses = "poses.csv"\n[x]', "poses: is"),
     ],
 )
-def test_a_wrong_session_file_is_said_in_one_line(
-    watched: Watched, tmp_path: Path, old: str, new: str, said: str
+def test_a_wrong_session_file_is_refused_in_one_line(
+    watched: Watched, tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     folder = posed(tmp_path, watched)
     path = folder / "session.toml"
@@ -341,7 +328,7 @@ def test_a_wrong_session_file_is_said_in_one_line(
     path.write_text(text.replace(old, new))
     with pytest.raises(InputError) as refused:
         open_session(folder)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert "\n" not in str(refused.value)
 
 

@@ -29,7 +29,7 @@ def folder(tmp_path: Path) -> Path:
     return write_session(tmp_path / "tuesday")
 
 
-def test_a_session_is_what_its_files_say(folder: Path) -> None:
+def test_a_session_holds_the_values_of_its_files(folder: Path) -> None:
     session = open_session(folder)
     assert (session.name, session.robot, session.description) == ("tuesday", "iust_6r", "small")
     assert session.started == "2026-11-20T10:00:00Z"
@@ -292,7 +292,7 @@ def pipe(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (drop("session.toml"), ["has no session.toml"]),
         (drop("rig.toml"), ["session.toml, rig", "does not exist"]),
@@ -339,18 +339,21 @@ def pipe(folder: Path) -> None:
         (absorption_of_one_joint, ["absorption", "1 columns", "6 joints"]),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said_in_one_line_that_names_the_place(
-    folder: Path, capfd: pytest.CaptureFixture[str], change: Callable[[Path], None], said: list[str]
+def test_errors_are_one_line_with_the_place(
+    folder: Path,
+    capfd: pytest.CaptureFixture[str],
+    change: Callable[[Path], None],
+    message: list[str],
 ) -> None:
     change(folder)
     line = complaint(folder)
-    for words in said:
+    for words in message:
         assert words in line
     assert capfd.readouterr() == ("", "")  # no line of OpenCV's, ffmpeg's or libpng's beside ours
 
 
 @pytest.mark.parametrize("name", ["nowhere", "rig.toml", "a\nb\x1b[31m", "zero\0byte"])
-def test_what_is_no_folder_is_refused(folder: Path, name: str) -> None:
+def test_a_file_instead_of_a_folder_is_refused(folder: Path, name: str) -> None:
     assert "tuesday" in complaint(folder / name)
 
 

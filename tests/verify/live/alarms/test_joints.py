@@ -2,91 +2,24 @@
 
 import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-import robots
-from tests.support.spot_level import HOME, SWING, SpotRun, facing_rig
-from verify.core.records import Array
+from tests.support.spot_level import RATE, SpotRun, facing_rig, row, streamed
 from verify.live.alarms.change_detection import Cusum, alarm_threshold, run_length
 from verify.live.alarms.innovations import Innovation
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
 from verify.live.alarms.loss import DeviceWatch, TargetWatch
-from verify.live.clock import LiveClock
-from verify.live.joint_row import Evidence, JointRow
+from verify.live.joint_row import JointRow
 from verify.live.protocols import Alarm
-
-ARM = robots.load("iust_6r")
-RATE = 30.0
-SIGMA = np.array([7e-5] * 3 + [math.radians(0.04)] * 3)  # m, rad: what pixels leave of a pose
-PERIOD = np.array([2.9, 3.7, 3.1, 2.3, 4.3, 2.7])
-CLOCK = LiveClock(0.1, 1e-4, "estimated")
-PRIORS = 8
 
 
 def made_rows(seconds: float, seed: int, **how: Any) -> list[JointRow]:
     """Rows of `streamed`, all at once."""
     return list(streamed(seconds, seed, **how))
-
-
-def streamed(
-    seconds: float,
-    seed: int,
-    *,
-    bias: float = 1.0,
-    stated: float = 4.0,
-    repeating: float = 0.0,
-    jump: tuple[float, int, float] | None = None,
-) -> Iterator[JointRow]:
-    """Rows as the loop makes them, numbers only.
-
-    Args:
-        seconds: of them.
-        seed: for what is drawn.
-        bias: standard deviations of what rig, base and LEDs are off.
-        stated: how large such a deviation is, against a pair's noise.
-        repeating: correlation of a pair's noise with the one before.
-        jump: s, joint counted from 1, rad.
-    """
-    chance = np.random.default_rng(seed)
-    t = np.arange(int(seconds * RATE)) / RATE
-    q = HOME + SWING * np.sin(2 * np.pi * t[:, None] / PERIOD + np.arange(6))
-    jacobian = robots.jacobian(ARM, q)
-    priors = chance.normal(0, 1, (6, PRIORS)) * (stated * SIGMA)[:, None]
-    off = bias * chance.choice([-1.0, 1.0], PRIORS)
-    sway = np.linspace(0.5, 1.5, PRIORS)
-    noise = np.zeros(6)
-    for i in range(len(t)):
-        noise = repeating * noise + math.sqrt(1 - repeating**2) * chance.normal(0, 1, 6)
-        columns = priors * (1 + 0.3 * np.sin(t[i] * sway))
-        xi = SIGMA * noise + columns @ off
-        if jump is not None and t[i] >= jump[0]:
-            xi = xi + jacobian[i][:, jump[1] - 1] * jump[2]
-        evidence = Evidence(
-            xi=xi,
-            jacobian=jacobian[i],
-            noise=np.diag(SIGMA**2),
-            alignment=np.zeros((6, 6)),
-            prior=columns,
-            clock=np.zeros(6),
-            clock_uncertainty=1e-4,
-            determined=np.eye(6),
-        )
-        error = np.linalg.solve(jacobian[i], xi)
-        inverse = np.linalg.inv(jacobian[i])
-        spread = inverse @ (np.diag(SIGMA**2) + columns @ columns.T) @ inverse.T
-        yield row(float(t[i]), error, np.sqrt(np.diag(spread)), evidence)
-
-
-def row(t: float, error: Array, uncertainty: Array, evidence: Evidence | None) -> JointRow:
-    nothing = np.full(6, np.nan)
-    return JointRow(
-        0, t, "measured", 4, nothing, nothing, error, uncertainty, error, CLOCK, evidence=evidence
-    )
 
 
 def alarms(
@@ -114,6 +47,7 @@ def test_the_threshold_gives_white_noise_no_more_than_the_stated_alarms() -> Non
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("repeating", [0.0, 0.9])
 def test_healthy_joints_raise_no_more_false_alarms_than_stated(repeating: float) -> None:
     hour_share, stated = 200.0 / 3600, 120.0  # many an hour are allowed, so that some could come
@@ -123,6 +57,7 @@ def test_healthy_joints_raise_no_more_false_alarms_than_stated(repeating: float)
     assert len(found) <= 3 * hour_share * stated
 
 
+@pytest.mark.slow
 def test_a_bias_within_what_rig_and_leds_state_is_no_alarm() -> None:
     assert alarms(made_rows(60.0, 5, bias=1.5)) == []
 
@@ -152,7 +87,7 @@ def test_a_jump_of_half_a_degree_names_its_joint_within_a_second(joint: int) -> 
     assert {a.number for a in found} == {1}  # one alarm, told again as more is known of it
 
 
-def test_a_second_jump_is_told_after_the_first() -> None:
+def test_a_second_jump_raises_a_second_alarm() -> None:
     rows = made_rows(40.0, 9, jump=(15.0, 4, math.radians(0.5)))
     more = made_rows(40.0, 9, jump=(15.0, 4, math.radians(1.0)))
     found = alarms([a if a.t < 30.0 else b for a, b in zip(rows, more, strict=True)])
@@ -161,6 +96,7 @@ def test_a_second_jump_is_told_after_the_first() -> None:
     assert abs(math.degrees(second[-1].error or 0.0) - 0.5) < 0.1
 
 
+@pytest.mark.slow
 def test_through_the_chain_the_jump_of_joint_4_alarms_within_a_second() -> None:
     rig, marker = facing_rig()
     run = SpotRun(rig, marker, rate=15.0, jump=(8.0, 4, math.radians(0.5)))
@@ -170,15 +106,15 @@ def test_through_the_chain_the_jump_of_joint_4_alarms_within_a_second() -> None:
     assert found[-1].joints == (4,)
 
 
-def test_an_error_beyond_its_tolerance_is_told_and_ends_when_it_is_gone() -> None:
+def test_an_error_beyond_tolerance_raises_an_alarm_until_it_ends() -> None:
     rows = made_rows(10.0, 3, stated=0.3, jump=(3.0, 1, math.radians(1.0)))
     back = made_rows(10.0, 3, stated=0.3)
     found = alarms([a if a.t < 6.0 else b for a, b in zip(rows, back, strict=True)], 0.1, 0.6)
-    told = [a for a in found if a.kind == "tolerance"]
-    assert [a.joints for a in told] == [(1,), (1,)]
-    assert told[0].ended is None
-    assert told[1].ended is not None
-    assert 3.0 < told[0].t < 5.0
+    output = [a for a in found if a.kind == "tolerance"]
+    assert [a.joints for a in output] == [(1,), (1,)]
+    assert output[0].ended is None
+    assert output[1].ended is not None
+    assert 3.0 < output[0].t < 5.0
 
 
 def test_an_error_at_its_tolerance_is_not_beyond_it() -> None:
@@ -206,11 +142,11 @@ def test_where_no_pairs_come_the_target_is_lost_too() -> None:
     assert watch.look(105.0, 0.0) == []
 
 
-def test_a_silent_device_is_named_with_what_it_says() -> None:
+def test_a_silent_device_is_named_with_its_message() -> None:
     watch = DeviceWatch(1.0, itertools.count(1))
     watch.begin(0.0)
     assert watch.take("left camera", 0.2, "reading", 5.0, 0.0) == []
-    told = watch.take("left camera", 1.2, "unplugged", 6.0, 0.0)
-    assert [(a.device, "unplugged" in a.text) for a in told] == [("left camera", True)]
+    output = watch.take("left camera", 1.2, "unplugged", 6.0, 0.0)
+    assert [(a.device, "unplugged" in a.text) for a in output] == [("left camera", True)]
     assert watch.take("left camera", 2.2, "unplugged", 7.0, 0.0) == []
     assert [a.ended for a in watch.take("left camera", 0.0, "reading", 8.0, 9.0)] == [9.0]

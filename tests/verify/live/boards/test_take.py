@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.support.devices.chromium import Browser, browser_needed, launched
+from tests.support.devices.chromium import Browser, launched
 from verify.calibration.corners.find import find_board
 from verify.calibration.corners.folder import find_boards
 from verify.cli.calibrate_live import BoardRunOptions, board_of, refuse_without_live, take_pictures
@@ -154,7 +154,7 @@ def placed(rotation_deg: tuple[float, float, float], at: tuple[float, float, flo
         ((0.0, 0.0, 0.0), (0.0, 0.0, 1.3), True),
     ],
 )
-def test_a_pair_is_worth_taking_if_the_board_stands_otherwise(
+def test_a_pair_is_taken_if_the_board_pose_is_new(
     rotation: tuple[float, float, float], at: tuple[float, float, float], new: bool
 ) -> None:
     taken = CapturedPairs(BOARD, (1280, 720))
@@ -286,7 +286,7 @@ def test_nothing_is_added_to_pictures_that_are_there(tmp_path: Path) -> None:
         BoardPictures(tmp_path, BOARD, turning=False)
 
 
-def test_a_disk_that_refuses_is_said_in_a_line(
+def test_a_refusing_disk_is_reported_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pictures = BoardPictures(tmp_path / "kept", BOARD, turning=False)
@@ -418,7 +418,7 @@ POINTS = """() => { const c = document.querySelector('.tilts canvas');
   return n; }"""
 
 
-@browser_needed
+@pytest.mark.browser
 def test_the_page_fills_takes_and_finishes(browser: Browser, station: Path, tmp_path: Path) -> None:
     with (
         taking(station, tmp_path / "taken") as (page, state, thread),
@@ -448,7 +448,7 @@ def test_the_page_fills_takes_and_finishes(browser: Browser, station: Path, tmp_
     assert len(open_board_folder(tmp_path / "taken")) == state.snapshot().pairs
 
 
-@browser_needed
+@pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_phone_shows_it_too(browser: Browser, station: Path, tmp_path: Path, scheme: str) -> None:
     with (

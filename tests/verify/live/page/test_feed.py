@@ -1,18 +1,15 @@
 """What comes back from viewers: whole words, words with more behind them, and nothing else."""
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
 from websockets.sync.client import connect
 
-from verify.cli import watch
-from verify.cli.watch import PageOptions
-from verify.io.session.keys import Tolerance
 from verify.live.page.feed import Page
-from verify.live.state import LiveState
 
 LIMIT = 20.0  # s
 
@@ -49,7 +46,8 @@ def line_to(page: Page) -> Iterator[Any]:
         page.close()
 
 
-def test_words_come_back_in_order_and_only_those_that_are_offered() -> None:
+@pytest.mark.realtime
+def test_offered_requests_arrive_in_order_and_no_others() -> None:
     heard: list[str] = []
     ended = threading.Event()
     page = Page(
@@ -61,10 +59,16 @@ def test_words_come_back_in_order_and_only_those_that_are_offered() -> None:
         for text in ("stop", "stop now", "go 1 2", "go", "gone", "Stop", "\nstop", "stop", "end"):
             line.send(text)
         assert ended.wait(LIMIT)
+        line.send(b"stop")  # no page sends bytes: the connection is closed
+        end = time.monotonic() + LIMIT
+        while page.viewers:
+            assert time.monotonic() < end
+            time.sleep(0.01)
     assert heard == ["stop", "go:1 2", "go:", "stop"]
 
 
-def test_a_word_that_fails_does_not_keep_the_next_from_being_heard() -> None:
+@pytest.mark.realtime
+def test_a_failing_request_does_not_block_the_next() -> None:
     ended = threading.Event()
 
     def fail() -> None:
@@ -78,7 +82,8 @@ def test_a_word_that_fails_does_not_keep_the_next_from_being_heard() -> None:
     assert "cannot be done" in page.trouble
 
 
-def test_a_line_that_is_too_long_ends_that_viewer_s_and_no_other_s() -> None:
+@pytest.mark.realtime
+def test_a_too_long_message_ends_that_connection_alone() -> None:
     ended = threading.Event()
     page = Page(Nothing(), 0, asked={"stop": ended.set}, given={"go": lambda _: None})
     with line_to(page) as line:
@@ -87,27 +92,3 @@ def test_a_line_that_is_too_long_ends_that_viewer_s_and_no_other_s() -> None:
             other.send("go " + "1" * 10_000)
         line.send("stop")
         assert ended.wait(LIMIT)
-
-
-def test_the_page_of_a_run_is_given_nothing_to_ask_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
-
-    class Recorded:
-        url = "http://127.0.0.1:1/"
-        close: Callable[[], None] = staticmethod(lambda: None)
-
-        def __init__(self, *given: Any, **named: Any) -> None:
-            made.append((given, named))
-
-    class Station:
-        class alarm:  # noqa: N801
-            prometheus = None
-
-    monkeypatch.setattr(watch, "Page", Recorded)
-    page = PageOptions(0, "127.0.0.1", None)
-    wish = watch.RunOptions(None, Tolerance(None, None, None), None, page)
-    with ExitStack() as stack:
-        watch._serve(Station(), wish, Nothing(), LiveState(), stack)  # type: ignore[arg-type]
-    ((given, named),) = made
-    assert given[1:] == (0, "127.0.0.1", None)
-    assert set(named) == {"moment"}  # no `asked`, no `given`

@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 import robots
-from tests.support.devices.chromium import Browser, Tab, browser_needed, launched
+from tests.support.devices.chromium import Browser, Tab, launched
 from tests.support.spot_level import HOME, facing_rig
 from verify.core.records import Measurement, Sighting, StereoPair
 from verify.errors import InputError
@@ -26,7 +26,6 @@ from verify.live.outputs.metrics import MetricsServer
 from verify.live.page.access import check_access
 from verify.live.page.feed import Page
 from verify.live.page.run import RunFacts, RunPageSource
-from verify.live.page.scene import joint_origins
 from verify.live.protocols import Alarm, MonitoredRobot
 from verify.live.state import DeviceStatus, LiveState
 
@@ -135,18 +134,21 @@ def test_the_page_comes_with_a_policy_that_runs_no_foreign_script(served: Page) 
         assert outside not in answer.text
 
 
-def test_a_name_that_is_made_to_point_here_is_refused(served: Page) -> None:
+@pytest.mark.realtime
+def test_another_host_name_is_refused(served: Page) -> None:
     answer = get(served, Host=f"evil.example:{port(served)}")
     assert answer.status == 403
     assert "127.0.0.1" in answer.text
     assert get(served, "/metrics", Host="evil.example").status == 403
 
 
-def test_nothing_but_the_page_s_own_files_is_given_out(served: Page) -> None:
+@pytest.mark.realtime
+def test_only_the_pages_own_files_are_served(served: Page) -> None:
     for path in ("/../access.py", "/%2e%2e/access.py", "/server.py", "/etc/passwd"):
         assert get(served, path).status == 404
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", None, "http://127.0.0.1:1"])
 def test_another_origin_s_script_gets_no_line(served: Page, origin: Any) -> None:
     with pytest.raises((InvalidStatus, ConnectionClosed)):  # noqa: SIM117
@@ -160,7 +162,7 @@ def own(page: Page) -> Any:
     return connect(f"ws://{host}/live", origin=f"http://{host}", max_queue=None)
 
 
-def test_the_page_s_own_script_is_told_everything_and_numbers_are_json(served: Page) -> None:
+def test_the_page_gets_all_data_as_json(served: Page) -> None:
     kinds, pictures = set(), 0
     with own(served) as line:
         for _ in range(60):
@@ -176,7 +178,8 @@ def test_the_page_s_own_script_is_told_everything_and_numbers_are_json(served: P
     assert pictures
 
 
-def test_pictures_are_encoded_once_for_all_and_only_while_somebody_looks() -> None:
+@pytest.mark.realtime
+def test_pictures_are_encoded_once_and_only_for_viewers() -> None:
     with Playing() as playing:
         source, calls = playing.source, []
         given = source.pictures
@@ -195,20 +198,7 @@ def test_pictures_are_encoded_once_for_all_and_only_while_somebody_looks() -> No
         page.close()
 
 
-def test_viewers_may_ask_for_what_is_offered_and_for_nothing_else() -> None:
-    with Playing() as playing:
-        asked: list[str] = []
-        page = Page(playing.source, 0, asked={"take": lambda: asked.append("take")})
-        with own(page) as line:
-            for word in ("stop", "take", "x" * 1000):
-                line.send(word)
-            assert until(lambda: bool(asked))
-            line.send(b"take")  # no page sends that: whoever does is let go
-            assert until(lambda: page.viewers == 0)
-        assert asked == ["take"]
-        page.close()
-
-
+@pytest.mark.realtime
 def test_metrics_are_prometheus_text(served: Page) -> None:
     assert until(lambda: "verify_joint_error_degrees" in get(served, "/metrics").text)
     text = get(served, "/metrics").text
@@ -217,7 +207,7 @@ def test_metrics_are_prometheus_text(served: Page) -> None:
     assert 'verify_dropped_total{reason="no partner in time"} 2' in text
 
 
-def test_another_address_needs_a_token_that_nobody_guesses() -> None:
+def test_another_address_needs_a_random_token() -> None:
     with pytest.raises(InputError, match="token"):
         check_access("0.0.0.0", 1, None)
     with pytest.raises(InputError, match="at least"):
@@ -225,6 +215,7 @@ def test_another_address_needs_a_token_that_nobody_guesses() -> None:
     assert check_access("::1", 1, None).token is None
 
 
+@pytest.mark.realtime
 def test_the_token_opens_the_page_once_and_then_the_cookie_does() -> None:
     with Playing() as playing:
         page = Page(playing.source, 0, "0.0.0.0", TOKEN)
@@ -250,20 +241,13 @@ def test_the_token_opens_the_page_once_and_then_the_cookie_does() -> None:
         page.close()
 
 
-def test_a_port_that_is_taken_is_said_in_one_line(served: Page) -> None:
+@pytest.mark.realtime
+def test_a_taken_port_is_reported_in_one_line(served: Page) -> None:
     with Playing() as playing, pytest.raises(InputError, match="taken"):
         Page(playing.source, port(served))
 
 
-def test_the_drawn_arm_ends_where_the_flange_is() -> None:
-    for name in ("iust_6r", "rv_3sd", "panda"):
-        arm = robots.load(name)
-        q = np.linspace(-0.5, 0.7, arm.dof)
-        points = joint_origins(arm, q)
-        np.testing.assert_allclose(points[-1], robots.forward(arm, q)[:3, 3], atol=1e-12)
-        assert len(points) >= arm.dof
-
-
+@pytest.mark.realtime
 def test_metrics_have_an_address_of_their_own_where_no_page_is_wanted() -> None:
     with pytest.raises(InputError, match="HOST:PORT"):
         MetricsServer("nowhere", str)
@@ -316,7 +300,7 @@ def looking(browser: Browser, page: Page, *size: int, scheme: str = "light") -> 
         yield tab
 
 
-@browser_needed
+@pytest.mark.browser
 def test_the_browser_draws_and_keeps_drawing(browser: Browser, served: Page) -> None:
     with looking(browser, served) as tab:
         tab.until("document.querySelector('#left').ariaLabel.includes('4 of 4')")
@@ -327,7 +311,7 @@ def test_the_browser_draws_and_keeps_drawing(browser: Browser, served: Page) -> 
         assert tab.complaints == []
 
 
-@browser_needed
+@pytest.mark.browser
 def test_a_strip_shows_error_band_and_tolerance(browser: Browser, served: Page) -> None:
     with looking(browser, served) as tab:
         tab.until(f"({KINDS})('.strip canvas').measured > 50")
@@ -337,8 +321,8 @@ def test_a_strip_shows_error_band_and_tolerance(browser: Browser, served: Page) 
         assert tab.complaints == []
 
 
-@browser_needed
-def test_what_is_html_is_shown_as_text(browser: Browser, served: Page) -> None:
+@pytest.mark.browser
+def test_html_in_names_is_shown_as_text(browser: Browser, served: Page) -> None:
     with looking(browser, served) as tab:
         assert tab.text("#description") == HOSTILE
         tab.until("document.querySelector('#devices li') && document.querySelector('#alarms time')")
@@ -350,7 +334,7 @@ def test_what_is_html_is_shown_as_text(browser: Browser, served: Page) -> None:
         assert tab.complaints == []
 
 
-@browser_needed
+@pytest.mark.browser
 def test_the_browser_comes_back_after_the_server_does(browser: Browser) -> None:
     with Playing("first") as playing:
         page = Page(playing.source, 0)
@@ -367,7 +351,7 @@ def test_the_browser_comes_back_after_the_server_does(browser: Browser) -> None:
                 again.close()
 
 
-@browser_needed
+@pytest.mark.browser
 def test_keys_do_what_the_pointer_does(browser: Browser, served: Page) -> None:
     with looking(browser, served) as tab:
         tab.press("4")
@@ -385,7 +369,7 @@ def test_keys_do_what_the_pointer_does(browser: Browser, served: Page) -> None:
         assert tab.complaints == []
 
 
-@browser_needed
+@pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_phone_scrolls_down_only(browser: Browser, served: Page, scheme: str) -> None:
     with looking(browser, served, 360, 740, scheme=scheme) as tab:

@@ -18,7 +18,6 @@ from numpy.testing import assert_array_equal
 from tests.support.devices.recording_process import FACTS, pair, reading
 from tests.support.recorded import HEIGHT, WIDTH
 from tests.support.small_disk import mounted
-from verify.analysis.session import analyse
 from verify.devices.cameras.opencv import JpegDecoder
 from verify.devices.protocols import CapturedPair, EncoderReading
 from verify.errors import InputError
@@ -144,7 +143,8 @@ def start(folder: Path, rate: float | str) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("round_number", range(4))
+@pytest.mark.realtime
+@pytest.mark.parametrize("round_number", range(2))
 def test_after_a_kill_every_pair_that_was_handed_on_is_there(
     tmp_path: Path, round_number: int
 ) -> None:
@@ -162,10 +162,10 @@ def test_after_a_kill_every_pair_that_was_handed_on_is_there(
     for process in processes:
         whole_lines = process.communicate()[0].rpartition("\n")[0].splitlines()
         handed_on.append(np.array([line.split() for line in whole_lines], dtype=float))
-    for folder, told in zip(folders, handed_on, strict=True):
+    for folder, output in zip(folders, handed_on, strict=True):
         # a pair that the disk was too slow for is handed on before; how many those were is told
-        late = int(told[-1, 2]) if len(told) else 0
-        times = told[: len(told) - late, 1] if len(told) else []
+        late = int(output[-1, 2]) if len(output) else 0
+        times = output[: len(output) - late, 1] if len(output) else []
         session = open_session(folder / "killed")
         assert session.open
         assert len(session) >= len(times) + 1  # the first line was read before
@@ -201,27 +201,6 @@ def test_what_is_measured_live_is_measured_again_from_the_recording_to_the_last_
         assert before.pose is not None
         assert after.pose is not None
         assert_array_equal(before.pose.rig_T_flange, after.pose.rig_T_flange)
-
-
-@pytest.mark.slow
-def test_a_run_that_is_killed_is_measured_up_to_its_last_pair(tmp_path: Path) -> None:
-    process = start(tmp_path / "run", "sim")
-    time.sleep(6.0)
-    process.kill()
-    lines = process.communicate()[0].rpartition("\n")[0].splitlines()
-    told = np.array([line.split() for line in lines], dtype=float)
-    (folder,) = (tmp_path / "run" / "recordings").iterdir()
-    session = open_session(folder)
-    assert session.open
-    assert len(session) >= len(told) - told[-1, 2]
-    results = analyse(session)
-    frames = results.tables["frames"]
-    measured = frames[frames["status"] == "measured"]
-    assert measured["t_s"].iloc[-1] >= told[-1, 1] - 1.0
-    assert len(measured) > 0.9 * len(frames)
-    for joint in results.summary["joints"]:
-        u = joint["expanded_uncertainty_deg"]
-        assert abs(joint["mean_error_deg"]) < 2 * u  # the simulated encoders are in order
 
 
 def test_a_controller_whose_clock_starts_anew_starts_a_new_session(tmp_path: Path) -> None:
@@ -274,10 +253,10 @@ def test_readings_before_the_first_pair_and_repeated_times(tmp_path: Path) -> No
     assert np.all(np.diff(t) > 0)
 
 
-def test_how_well_the_readings_times_are_known_is_told_at_the_end(tmp_path: Path) -> None:
+def test_the_uncertainty_of_reading_times_is_reported_at_the_end(tmp_path: Path) -> None:
     record(tmp_path, pairs_at_thirty_hertz(5))
-    told = open_session(tmp_path / "session").encoder_time_standard_uncertainty
-    assert told == pytest.approx(0.001 / np.sqrt(3), rel=1e-2)  # uniform within ± 1 ms
+    output = open_session(tmp_path / "session").encoder_time_standard_uncertainty
+    assert output == pytest.approx(0.001 / np.sqrt(3), rel=1e-2)  # uniform within ± 1 ms
 
 
 def kept_in_time(recorder: SessionRecorder, pairs: list[CapturedPair]) -> float:
@@ -348,6 +327,7 @@ def test_a_disk_that_fills_to_the_last_byte_leaves_whole_pairs(
     assert len(open_session(folder)) == pairs
 
 
+@pytest.mark.realtime
 def test_a_disk_that_is_too_slow_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
     class Slow(SessionWriter):
         def add_pair(self, *arguments: Any) -> None:
@@ -374,7 +354,7 @@ def test_a_disk_that_is_too_slow_ends_the_recording_and_nothing_else(tmp_path: P
         (ZeroDivisionError("oh"), "a defect of this program, ZeroDivisionError: oh"),
     ],
 )
-def test_what_the_system_refuses_ends_the_recording_in_words(
+def test_a_system_error_ends_the_recording_with_a_message(
     tmp_path: Path, error: Exception, words: str
 ) -> None:
     class Refused(SessionWriter):
@@ -391,7 +371,7 @@ def test_what_the_system_refuses_ends_the_recording_in_words(
     assert len(open_session(tmp_path / "session")) == 5
 
 
-def test_a_folder_that_is_deleted_meanwhile_is_noticed(tmp_path: Path) -> None:
+def test_a_deleted_folder_is_noticed(tmp_path: Path) -> None:
     recorder = SessionRecorder(tmp_path, "session", FACTS)
     recorder.reading(reading(1.0))
     pairs = pairs_at_thirty_hertz(10)
@@ -403,7 +383,7 @@ def test_a_folder_that_is_deleted_meanwhile_is_noticed(tmp_path: Path) -> None:
     assert "the folder was deleted" in recorder.state().sentence
 
 
-def test_a_place_that_cannot_be_written_to_is_said(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     recorder = SessionRecorder(tmp_path / "file", "session", FACTS)
     assert len(list(recorder.keep(iter(pairs_at_thirty_hertz(3))))) == 3
@@ -427,7 +407,7 @@ def test_a_recording_without_a_pair_leaves_no_folder(tmp_path: Path) -> None:
     assert recorder.state().folder is None
 
 
-def test_a_recording_without_readings_says_so_when_it_is_opened(tmp_path: Path) -> None:
+def test_a_recording_without_readings_is_refused_on_opening(tmp_path: Path) -> None:
     recorder = SessionRecorder(tmp_path, "session", FACTS)
     list(recorder.keep(iter(pairs_at_thirty_hertz(3))))
     recorder.close()

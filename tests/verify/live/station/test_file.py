@@ -87,11 +87,11 @@ def test_the_template_names_every_key_and_no_other(tmp_path: Path) -> None:
             if isinstance(part, type) and issubclass(part, msgspec.Struct):
                 assert keys(part) <= named, f"[{name}]"
     # with every explained key switched on, none is unknown
-    said = re.sub(r"(?m)^# (?=\[|[a-z_]+ = )", "", text)
-    said = re.sub(r"(?m)^(driver|port|baud|columns|pattern|checksum) = .*\n", "", said)
-    said = re.sub(r"(?m)^(rate_hz|sign|unit|latch_span_us) = .*\n", "", said)
-    said = said.replace("[encoders]", '[encoders]\ndriver = "sim"')
-    (tmp_path / "station.toml").write_text(said)
+    message = re.sub(r"(?m)^# (?=\[|[a-z_]+ = )", "", text)
+    message = re.sub(r"(?m)^(driver|port|baud|columns|pattern|checksum) = .*\n", "", message)
+    message = re.sub(r"(?m)^(rate_hz|sign|unit|latch_span_us) = .*\n", "", message)
+    message = message.replace("[encoders]", '[encoders]\ndriver = "sim"')
+    (tmp_path / "station.toml").write_text(message)
     _, warnings = file.read(tmp_path / "station.toml")
     assert not [w for w in warnings if "does not know" in w]
 
@@ -138,7 +138,7 @@ def test_every_driver_can_be_named(tmp_path: Path, text: str, kind: type) -> Non
     opened.close()
 
 
-def test_bases_follow_only_where_that_is_said(tmp_path: Path) -> None:
+def test_bases_follow_on_request_only(tmp_path: Path) -> None:
     pan = '[pan]\ndriver = "serial"\nport = "tcp:127.0.0.1:1"\n'
     still = station(tmp_path, REAL + pan)
     reader = still.open_pan()
@@ -183,9 +183,7 @@ def test_simulated_bases_can_be_turned(tmp_path: Path) -> None:
         ('driver = "labenc"', 'driver = "csv"', "encoders.path: is missing"),
     ],
 )
-def test_what_is_wrong_is_said_with_file_and_key(
-    tmp_path: Path, old: str, new: str, words: str
-) -> None:
+def test_errors_name_file_and_key(tmp_path: Path, old: str, new: str, words: str) -> None:
     with pytest.raises(InputError, match=words.replace("format is", "format: is")) as problem:
         station(tmp_path, **{old: new})
     assert str(tmp_path) in str(problem.value)
@@ -214,7 +212,7 @@ def test_what_is_wrong_further_down_too(tmp_path: Path, more: str, words: str) -
         station(tmp_path, REAL + more)
 
 
-def test_what_does_not_fit_the_simulation_is_said(tmp_path: Path) -> None:
+def test_settings_that_do_not_fit_the_simulation_are_refused(tmp_path: Path) -> None:
     text = file.template()
     with pytest.raises(InputError, match=r'robot: is "iust_6r"; the simulated robot is "rv_3sd_'):
         station(tmp_path, text.replace('robot = "rv_3sd_melfa"', 'robot = "iust_6r"'))
@@ -227,14 +225,14 @@ def test_what_does_not_fit_the_simulation_is_said(tmp_path: Path) -> None:
 
 def test_a_key_that_means_nothing_is_named(tmp_path: Path) -> None:
     made = station(tmp_path, REAL + "pause_ms = 50.0\ntimout_s = 1.0\n[alarm]\nloud = true\n")
-    said = "\n".join(made.warnings)
-    assert 'encoders.pause_ms: the driver "labenc" has no such setting' in said
-    assert "encoders.timout_s: the format does not know this key" in said
-    assert "`timeout_s`" in said
-    assert "alarm.loud" in said
+    message = "\n".join(made.warnings)
+    assert 'encoders.pause_ms: the driver "labenc" has no such setting' in message
+    assert "encoders.timout_s: the format does not know this key" in message
+    assert "`timeout_s`" in message
+    assert "alarm.loud" in message
 
 
-def test_a_recording_says_what_the_station_says(tmp_path: Path) -> None:
+def test_a_recording_holds_the_stations_settings(tmp_path: Path) -> None:
     from tests.support.devices.recording_process import pair, reading
 
     made = station(

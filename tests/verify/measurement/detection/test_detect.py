@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.led_images import Sensor, Spot, centre_bound, picture, scattered
+from tests.support.leds.images import Sensor, Spot, centre_bound, picture, scattered
 from verify.core.records import Array, Noise, Spots
 from verify.errors import InputError
 from verify.measurement.detection.candidates import LocatedPatches, disc_offsets
@@ -31,6 +31,7 @@ def matched(spots: Spots, centres: Array) -> tuple[Array, Array]:
     return nearest, error[np.arange(len(centres)), nearest]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_centres_reach_the_bound_and_the_claimed_covariance_is_the_scatter(name: str) -> None:
     spot, sensor, rng = CASES[name], Sensor(), np.random.default_rng(11)
@@ -87,8 +88,8 @@ def test_the_noise_of_an_image_is_the_sensors() -> None:
     ]
     for level in (6.0, 150.0):
         truth = sensor.read**2 + 1 / 12 + sensor.gain * level
-        said = np.mean([n.read**2 + n.gain * (level - n.black) for n in found])
-        assert said == pytest.approx(truth, rel=0.08)  # four spots know their noise to 8 %
+        message = np.mean([n.read**2 + n.gain * (level - n.black) for n in found])
+        assert message == pytest.approx(truth, rel=0.08)  # four spots know their noise to 8 %
 
 
 def test_windows_find_the_same_spots_as_the_whole_image() -> None:
@@ -159,7 +160,7 @@ def test_two_leds_run_together_are_flagged() -> None:
     assert all(spots.merged) or len(spots) == 0
 
 
-def test_a_hidden_part_is_flagged_or_said_by_the_covariance() -> None:
+def test_a_hidden_part_is_flagged_or_in_the_covariance() -> None:
     rng = np.random.default_rng(13)
     light = 6 + Spot(200, 0.6, radius=4.5).light((101, 101), 50.2, 49.8)
     light[:, :48] = 6.0  # an edge before the left third of the LED

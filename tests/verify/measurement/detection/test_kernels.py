@@ -77,22 +77,22 @@ def blob_by_opencv(part: Image) -> Array:
 
 
 @pytest.mark.parametrize("blur", [0.7, 1.5, 3.0])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_a_blob_at_half_its_height_is_that_of_opencv(seed: int, blur: float) -> None:
-    part, told = cloud(seed, blur), np.empty(4)
-    assert measure_half_height(part, *ANY_SHAPE, told)
-    np.testing.assert_allclose(told, blob_by_opencv(part), rtol=1e-12)
+    part, output = cloud(seed, blur), np.empty(4)
+    assert measure_half_height(part, *ANY_SHAPE, output)
+    np.testing.assert_allclose(output, blob_by_opencv(part), rtol=1e-12)
 
 
 def test_a_streak_and_a_hook_are_no_blobs_and_a_disc_is_one() -> None:
-    told = np.empty(4)
+    output = np.empty(4)
     for thing, compact in [
         (cv2.circle(np.zeros((40, 40), np.uint8), (20, 20), 8, 200, cv2.FILLED), True),
         (cv2.line(np.zeros((40, 40), np.uint8), (5, 5), (35, 30), 200, 2), False),
         (cv2.ellipse(np.zeros((40, 40), np.uint8), (20, 20), (12, 12), 0, 0, 200, 200, 3), False),
         (np.full((40, 40), 200, np.uint8), False),
     ]:
-        assert measure_half_height(np.asarray(thing, np.uint8), 2.5, 0.6, told) == compact
+        assert measure_half_height(np.asarray(thing, np.uint8), 2.5, 0.6, output) == compact
 
 
 @pytest.mark.parametrize("origin", [(30, 20), (2, 1), (49, 39)])
@@ -120,17 +120,17 @@ def test_a_bites_bump_is_the_exponential_to_what_it_promises() -> None:
 
 
 def test_of_spots_on_one_place_the_better_fitting_stays_and_of_equals_the_first() -> None:
-    told = np.zeros((5, N_COLUMNS))
-    told[:, COL_CENTRE_X], told[:, COL_CENTRE_Y] = [10.0, 11.0, 30.0, 30.5, 50.0], 10.0
-    told[:, COL_DIAMETER], told[:, COL_MISFIT] = 8.0, [2.0, 1.0, 1.0, 1.0, 9.0]
+    output = np.zeros((5, N_COLUMNS))
+    output[:, COL_CENTRE_X], output[:, COL_CENTRE_Y] = [10.0, 11.0, 30.0, 30.5, 50.0], 10.0
+    output[:, COL_DIAMETER], output[:, COL_MISFIT] = 8.0, [2.0, 1.0, 1.0, 1.0, 9.0]
     twin = np.empty(5, np.bool_)
-    mark_duplicates(told, 0.5, twin)
+    mark_duplicates(output, 0.5, twin)
     assert twin.tolist() == [True, False, False, True, False]
 
 
 @pytest.mark.parametrize("level", [60, 120, 200])
 @pytest.mark.parametrize("seed", range(10))
-def test_things_above_a_level_are_the_connected_components_of_opencv(seed: int, level: int) -> None:
+def test_regions_above_a_level_are_opencvs_connected_components(seed: int, level: int) -> None:
     picture = cloud(seed, 1.0)
     label, stack = np.zeros(picture.shape, np.int32), np.empty((picture.size, 2), np.int32)
     _, expected, stats, _ = cv2.connectedComponentsWithStats(np.asarray(picture > level, np.uint8))
@@ -164,8 +164,8 @@ def test_sums_of_products_are_those_of_a_matrix_product() -> None:
 
 def test_the_logarithm_of_a_normal_share_is_that_of_scipy() -> None:
     z = np.linspace(-80, 10, 1801)
-    told = [log_normal_cdf(value) for value in z]
-    np.testing.assert_allclose(told, log_ndtr(z), rtol=1e-12, atol=1e-15)
+    output = [log_normal_cdf(value) for value in z]
+    np.testing.assert_allclose(output, log_ndtr(z), rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("floor", [-3.0, -1.0, 0.5])
@@ -203,7 +203,7 @@ def test_levels_and_differences_are_those_of_unclipped_neighbours(width: int, me
     assert np.array_equal(difference[:count], np.abs(np.diff(whole, 4, axis=1))[clean])
 
 
-def test_a_spot_of_few_pixels_that_fits_by_chance_says_nothing_of_noise() -> None:
+def test_a_small_spot_that_fits_by_chance_is_no_noise_estimate() -> None:
     rng = np.random.default_rng(3)
     spot = np.repeat(np.arange(5), [90, 90, 90, 90, 18])
     signal = rng.uniform(0.0, 200.0, len(spot))
@@ -234,7 +234,7 @@ def test_windows_are_cut_at_the_border_and_hold_all_of_a_pixel() -> None:
 
 
 @pytest.mark.parametrize("reach", [1, 4, 15, 30])
-def test_what_is_above_its_surroundings_is_what_opencv_says(reach: int) -> None:
+def test_pixels_above_their_surroundings_agree_with_opencv(reach: int) -> None:
     """Pictures smaller than the window, as large, and several times as large; borders included."""
     rng = np.random.default_rng(reach)
     side = 2 * reach + 1
@@ -247,7 +247,7 @@ def test_what_is_above_its_surroundings_is_what_opencv_says(reach: int) -> None:
         assert_array_equal(found, cv2.morphologyEx(image, cv2.MORPH_TOPHAT, window))
 
 
-def test_on_black_that_every_column_has_things_are_what_opencv_says_too() -> None:
+def test_regions_on_black_columns_agree_with_opencv() -> None:
     image = np.random.default_rng(1).poisson(0.3, (70, 90)).astype(np.uint8)
     image[20:30, 40:52] = 200
     found = np.empty_like(image)
@@ -293,7 +293,7 @@ def test_moments_are_those_of_the_clipped_law(z: float, sigma: float, top: bool)
     assert variance == pytest.approx(max(true_variance, 1 / 12), abs=1e-6)  # or rounding's
 
 
-def test_the_normal_law_is_that_of_the_book_all_over_its_range() -> None:
+def test_the_normal_distribution_is_exact_over_its_range() -> None:
     z = np.append(np.linspace(MIN_Z, CLIP_REACH, 4321), 0.0)
     below, here = np.empty_like(z), np.empty_like(z)
     normal_law(z, below, here)
@@ -302,6 +302,6 @@ def test_the_normal_law_is_that_of_the_book_all_over_its_range() -> None:
     assert math.isclose(below[-1], 0.5, abs_tol=1e-12)
 
 
-def test_far_beyond_a_limit_nothing_is_seen_and_far_inside_nothing_is_clipped() -> None:
+def test_limits_of_clipping_are_exact_far_outside_and_inside() -> None:
     assert clipped(-400.0, 4.0) == pytest.approx((0.0, 1 / 12, 0.0), abs=1e-12)
     assert clipped(128.0, 4.0) == (128.0, 4.0, 1.0)

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from tests.support.led_images import REACH, Sensor, Spot, centre_bound, scattered
+from tests.support.leds.images import REACH, Sensor, Spot, centre_bound, scattered
 from verify.core.records import Array, Image, Spots
 from verify.measurement.detection.detect import detect
 from verify.measurement.detection.occlusion import (
@@ -80,9 +80,10 @@ def bound() -> float:
 
 
 # Depth in radii, and by how much the centre of a whole disc's fit is off: rms of a coordinate.
+@pytest.mark.slow
 @pytest.mark.parametrize(("depth", "drawn"), [(0.03, 0.0110), (0.08, 0.0400)])
 @pytest.mark.parametrize("width", [0.3, 0.5, 1.0])
-def test_slivers_hidden_on_one_side_of_all_leds_hardly_draw_their_centres(
+def test_slivers_hidden_on_one_side_hardly_bias_the_centres(
     depth: float, drawn: float, width: float
 ) -> None:
     rng, found = np.random.default_rng(31), Figures()
@@ -112,6 +113,7 @@ def test_one_led_behind_a_cable_is_centred_and_the_others_stay_at_the_bound() ->
     assert whole.over_claimed == pytest.approx(1.0, abs=0.2)  # 150 errors: 4 % is one sigma
 
 
+@pytest.mark.slow
 def test_bitten_reflections_beside_them_do_not_move_whole_leds() -> None:
     rng, whole = np.random.default_rng(33), Figures()
     for _ in range(25):
@@ -124,7 +126,7 @@ def test_bitten_reflections_beside_them_do_not_move_whole_leds() -> None:
     assert whole.over_claimed == pytest.approx(1.0, abs=0.2)
 
 
-def test_the_depth_of_a_bite_is_averaged_as_the_integral_over_its_prior_says() -> None:
+def test_the_depth_of_a_bite_is_its_posterior_mean() -> None:
     gradient, information = np.array([-700.0, 0.0, 300.0, 1500.0]), np.full(4, 1.5e4)
     score = RimScore(gradient[None], information[None], np.zeros((1, 4, 2)))
     evidence, mean, square = depth_posterior(score)
@@ -132,7 +134,7 @@ def test_the_depth_of_a_bite_is_averaged_as_the_integral_over_its_prior_says() -
 
         def moment(power: int, g: float = g) -> float:
             return quad(
-                lambda b: b**power * 2 * norm.pdf(b, 0, PRIOR_DEPTH) * np.exp(g * b - 0.75e4 * b * b),
+                lambda b: 2 * b**power * norm.pdf(b, 0, PRIOR_DEPTH) * np.exp(g*b - 0.75e4 * b*b),
                 0, 1, points=[0.01, 0.05, 0.1, 0.2], limit=200,
             )[0]  # fmt: skip
 
@@ -151,7 +153,7 @@ def test_where_nothing_is_known_nothing_is_shifted() -> None:
     assert doubt.shape == (0, 2, 2)
 
 
-def test_what_one_led_shows_is_believed_sooner_when_the_others_show_it_too() -> None:
+def test_evidence_of_several_leds_is_shared() -> None:
     evidence = np.full((3, N_DIRECTIONS), -2.0)
     evidence[0, 5] = 4.0
     alone = occlusion_probability(evidence)

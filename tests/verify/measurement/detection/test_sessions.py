@@ -69,7 +69,8 @@ def left_frames(
         yield number, seen.reshape(-1, 2), detect(image)
 
 
-def test_every_led_is_found_and_few_other_things() -> None:
+@pytest.mark.slow
+def test_every_led_is_found_with_few_false_spots() -> None:
     for name in ("quarter_circle_6r", "multi_joint_fault_6r"):
         for _, truth, spots in left_frames(name, every=9):
             distance = np.linalg.norm(spots.centre[None] - truth[:, None], axis=-1)
@@ -77,9 +78,9 @@ def test_every_led_is_found_and_few_other_things() -> None:
             assert len(spots) <= 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "centroid_rms_px"),
-    [("quarter_circle_6r", 0.0181), ("multi_joint_fault_6r", 0.0145)],
+    ("name", "centroid_rms_px"), [("quarter_circle_6r", 0.0181), ("multi_joint_fault_6r", 0.0145)]
 )
 def test_centres_beat_the_plain_centroid(name: str, centroid_rms_px: float) -> None:
     errors, normalised = [], []

@@ -77,7 +77,7 @@ def projected(camera: Camera, pan: float, rig_T_board: Array, points: Array) -> 
     return seen[:, 0]
 
 
-def test_a_written_folder_shows_what_its_truth_says(tmp_path: Path) -> None:
+def test_pictures_of_a_folder_agree_with_its_truth(tmp_path: Path) -> None:
     """Corners found in the PNGs agree with rig_true.toml, frames.csv and board_poses.csv."""
     path = tmp_path / "mine.toml"
     text = (BUILT_IN / "boards_turning.toml").read_text()
@@ -115,6 +115,7 @@ def test_corners_of_clean_pictures_are_where_opencv_projects_them() -> None:
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 0.03  # cornerSubPix's own
 
 
+@pytest.mark.slow
 def test_each_pixel_is_the_light_that_falls_on_it() -> None:
     """Against plain brute force: hundreds of hard-edged rays a pixel, blurred and added up."""
     boards = simulate_boards(scene(1))
@@ -166,6 +167,7 @@ def test_the_board_is_whole_and_its_first_corner_at_the_top_left() -> None:
         assert np.all(np.diff(grid[..., 1], axis=1) > 0)
 
 
+@pytest.mark.slow
 def test_opencv_finds_the_board_as_it_was_held() -> None:
     boards = simulate_boards(scene(3, image=BoardImage()))
     for i in range(len(boards)):
@@ -179,11 +181,7 @@ def test_opencv_finds_the_board_as_it_was_held() -> None:
 
 def test_the_markers_are_those_of_opencvs_charuco_board() -> None:
     table = ScenarioBoards(
-        pairs=1,
-        markers="DICT_5X5_100",
-        marker_mm=30.0,
-        in_view=0.5,
-        distance_mm=(450.0, 700.0),
+        pairs=1, markers="DICT_5X5_100", marker_mm=30.0, in_view=0.5, distance_mm=(450.0, 700.0)
     )
     boards = simulate_boards(scene(boards=table))
     detector = cv2.aruco.CharucoDetector(fiducials.charuco_board(boards.board))
@@ -215,7 +213,7 @@ def test_pan_readings_scatter_about_the_truth_by_what_is_stated() -> None:
     assert boards.rig.left.pan_standard_uncertainty == pytest.approx(np.radians(0.05))
 
 
-def test_a_fixture_stands_still_on_the_robots_base() -> None:
+def test_a_fixture_is_fixed_to_the_robot_base() -> None:
     scenario = built_in("boards_fixture")
     assert scenario.fixture is not None
     boards = simulate_boards(scenario)
@@ -229,7 +227,7 @@ def test_a_fixture_stands_still_on_the_robots_base() -> None:
     assert np.all(np.ptp(boards.pan, axis=0) > 0)
 
 
-def test_a_fixtures_folder_says_where_the_board_was_put(tmp_path: Path) -> None:
+def test_a_fixtures_folder_holds_the_board_pose(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     text = (BUILT_IN / "boards_fixture.toml").read_text()
     path.write_text(text.replace("pairs = 12", "pairs = 1"))
@@ -261,7 +259,7 @@ def test_corners_without_pictures_carry_the_noise_that_they_state() -> None:
     assert scatter.std() == pytest.approx(1, abs=0.03)
 
 
-def test_pixel_noise_is_what_the_scenario_says() -> None:
+def test_pixel_noise_is_that_of_the_scenario() -> None:
     table = BoardImage(lamp_mm=(0.0, 0.0, -1e7), read_noise_dn=2.0, electrons_per_dn=20.0)
     still = BoardScenarioBases(middle_deg=(7.0, -7.0))
     boards = simulate_boards(scene(2, image=table, bases=still))
@@ -292,7 +290,7 @@ def test_the_scenario_boards_turning_shows_every_key() -> None:
 
 
 @pytest.mark.parametrize("name", [f.stem for f in sorted(BUILT_IN.glob("boards_*.toml"))])
-def test_the_defaults_that_the_scenarios_speak_of_are_the_defaults(name: str) -> None:
+def test_defaults_in_scenario_comments_are_the_defaults(name: str) -> None:
     text = (BUILT_IN / f"{name}.toml").read_text()
     spoken = [line for line in text.splitlines() if "(default)" in line]
     without = "\n".join(line for line in text.splitlines() if line not in spoken)

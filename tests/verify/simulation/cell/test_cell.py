@@ -27,7 +27,7 @@ SETUP = cell_setup(SMALL_SIZE)
 RIGHT = ExecutePermission("test")
 
 
-def test_the_arm_is_drawn_where_its_kinematics_say() -> None:
+def test_the_arm_is_drawn_by_its_kinematics() -> None:
     rng = np.random.default_rng(1)
     for _ in range(5):
         q = rng.uniform(-1.0, 1.0, 6)
@@ -35,7 +35,7 @@ def test_the_arm_is_drawn_where_its_kinematics_say() -> None:
         np.testing.assert_allclose(flange, robots.forward(SETUP.planner.arm, q), atol=1e-12)
 
 
-def test_a_cap_is_seen_where_it_stands_within_what_the_tracker_states() -> None:
+def test_a_cap_is_measured_within_the_stated_uncertainty() -> None:
     scene = CellScene((Cap("green", (0.46, 0.05)),), seed=2)
     world = CellWorld(SETUP, scene)
     source = CellSource(world)
@@ -53,7 +53,7 @@ def test_a_cap_is_seen_where_it_stands_within_what_the_tracker_states() -> None:
     assert off @ np.linalg.solve(last.covariance, off) < 16.3  # chi², 3 degrees, 0.1 %
 
 
-def test_a_sliding_cap_slows_down_evenly_and_stands() -> None:
+def test_a_sliding_cap_decelerates_to_rest() -> None:
     cap = Cap("blue", (0.4, 0.0), (0.1, 0.0), 2.0)
     x = [cap.place(t)[0] for t in (0.0, 1.0, 2.0, 5.0)]
     np.testing.assert_allclose(x, [0.4, 0.475, 0.5, 0.5])  # v t - v t² / 2T
@@ -100,7 +100,7 @@ def test_nothing_is_taken_without_controls_or_beyond_a_limit() -> None:
 
 
 @pytest.mark.parametrize("between", [0.0, 0.03])
-def test_fingers_stop_at_what_is_between_them_and_say_so(between: float) -> None:
+def test_fingers_stop_at_an_object_and_report_it(between: float) -> None:
     now = [0.0]
     hand = CellHand(0.07)
     gripper = SimGripper(hand, lambda: now[0], RIGHT)
@@ -117,7 +117,7 @@ def test_fingers_stop_at_what_is_between_them_and_say_so(between: float) -> None
     assert states[-1] is (GripperState.GRIPPED if between else GripperState.REACHED)
 
 
-def test_what_slips_out_of_closed_fingers_is_told_as_lost() -> None:
+def test_an_object_that_slips_out_is_reported_as_lost() -> None:
     now = [0.0]
     hand = CellHand(0.07)
     gripper = SimGripper(hand, lambda: now[0], RIGHT)

@@ -5,6 +5,7 @@ import signal
 import time
 
 import numpy as np
+import pytest
 
 from verify.core.processes import ChildProcess
 from verify.simulation import library
@@ -15,6 +16,8 @@ from verify.simulation.devices.painting import (
     build_painter,
 )
 from verify.simulation.session.simulate import START_OFFSET, simulate_session
+
+pytestmark = pytest.mark.realtime
 
 SCENARIO = "multi_joint_rv_3sd"
 LIMIT = 60.0  # s for the other process's start, on a busy machine
@@ -34,7 +37,7 @@ def ready(distant: RemotePainter) -> ChildProcess[object, None]:
     return process
 
 
-def test_both_paint_the_same_and_one_stands_in_for_the_other() -> None:
+def test_both_processes_paint_the_same_and_one_replaces_the_other() -> None:
     near = build_painter(simulate_session(library.load(SCENARIO)))
     wanted = [near.paint(sight) for sight in SIGHTS]
     assert not np.array_equal(wanted[0], wanted[1])
@@ -52,7 +55,7 @@ def test_both_paint_the_same_and_one_stands_in_for_the_other() -> None:
     distant.close()
 
 
-def test_one_that_is_late_is_not_waited_for_and_asked_again_once_it_answers() -> None:
+def test_a_late_process_is_skipped_until_it_answers() -> None:
     near = build_painter(simulate_session(library.load(SCENARIO)))
     wanted = [near.paint(sight) for sight in SIGHTS]
     distant = RemotePainter(SCENARIO, near, 0.01)
@@ -71,7 +74,7 @@ def test_one_that_is_late_is_not_waited_for_and_asked_again_once_it_answers() ->
     distant.close()
 
 
-def test_a_process_that_cannot_prepare_itself_is_said_and_missed_by_nobody() -> None:
+def test_a_process_that_fails_to_start_is_reported_and_replaced() -> None:
     near = build_painter(simulate_session(library.load(SCENARIO)))
     distant, end = RemotePainter("no such scenario", near), time.monotonic() + LIMIT
     while not distant.trouble:

@@ -172,7 +172,7 @@ def test_events_count_from_the_first_device_on_however_long_the_start_took() -> 
     assert made.scene.resets(opened + 2.1) == pytest.approx([opened + 2.0])
 
 
-def test_a_jump_is_seen_from_its_instant_on_in_its_joint_alone() -> None:
+def test_a_jump_appears_in_its_joint_from_its_instant_on() -> None:
     jump = np.deg2rad(0.5)
     made = station(SimEvent("encoder_jump", 1.0, joint=4, angle=jump))
     encoders, began = made.encoders(100.0), made.scene.clock.began
@@ -205,13 +205,13 @@ def test_a_camera_that_fails_is_silent_and_comes_back(what: str) -> None:
     left, right = made.camera(0, SIM), made.camera(1, SIM)
     before = frames(left, 0.5, made)
     during = frames(left, 0.9, made)
-    said = left.state()
+    message = left.state()
     after = frames(left, 0.7, made)
     assert before
     assert after
     assert not during
-    assert said.connected == (what == "camera_stalls")
-    assert ("unplugged" if what == "camera_gone" else "silent") in said.sentence
+    assert message.connected == (what == "camera_stalls")
+    assert ("unplugged" if what == "camera_gone" else "silent") in message.sentence
     assert right.state().connected
     assert after[0].sequence - before[-1].sequence > 25
     assert left.state().connected
@@ -236,7 +236,7 @@ def test_one_led_can_be_covered_for_one_camera() -> None:
     assert counts == [4, 3]
 
 
-def test_bases_turn_at_their_speed_and_say_that_they_move() -> None:
+def test_bases_turn_at_their_speed_and_report_motion() -> None:
     made = station()
     pan = made.pan()
     start = pan.read()[-1].pan
@@ -254,7 +254,7 @@ def test_bases_turn_at_their_speed_and_say_that_they_move() -> None:
     assert "refused" in pan.state().sentence
 
 
-def test_bases_that_are_gone_say_nothing_and_take_no_order() -> None:
+def test_missing_bases_report_nothing_and_accept_nothing() -> None:
     made = station(SimEvent("pan_gone", 0.1, 1.0))
     pan = made.pan()
     readings = []
@@ -273,7 +273,8 @@ def test_the_world_can_run_faster_than_the_host() -> None:
     assert made.scene.clock._now() - begin == pytest.approx(0.2, abs=0.05)
 
 
-def test_a_slow_reader_loses_pictures_and_is_told_how_many() -> None:
+@pytest.mark.realtime
+def test_a_slow_reader_gets_the_count_of_lost_pictures() -> None:
     made = station()
     camera = made.camera(0, SIM)
     first = camera.read()
@@ -284,6 +285,7 @@ def test_a_slow_reader_loses_pictures_and_is_told_how_many() -> None:
     assert camera.state().lost == second.sequence - first.sequence - 1 > 20
 
 
+@pytest.mark.realtime
 def test_read_keeps_its_limits_in_real_time() -> None:
     made = SimulatedStation(
         SimSettings(
@@ -333,6 +335,6 @@ def test_an_endless_motion_is_smooth_and_stays_on_its_way() -> None:
         (SimSettings(SCENARIO, events=(SimEvent("leds_covered", 1.0, led="Z"),)), "A, B, C, D"),
     ],
 )
-def test_what_cannot_be_simulated_is_said(settings: SimSettings, words: str) -> None:
+def test_settings_that_cannot_be_simulated_are_refused(settings: SimSettings, words: str) -> None:
     with pytest.raises(InputError, match=words):
         SimulatedStation(settings)

@@ -12,6 +12,7 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.exceptions import ModbusException
 
+from tests.support.command import verify
 from tests.support.devices.bench import running
 from verify.simulation.emulators.gripper import SLAVE, GripperEngine, GripperOptions, add_crc
 from verify.simulation.emulators.gripper_hand import (
@@ -134,9 +135,9 @@ def overall(found: bytes) -> int:
 
 
 @pytest.mark.parametrize("where", PORTS)
-@pytest.mark.parametrize(("width_mm", "told"), [(None, 3), (115.0, 2)])
+@pytest.mark.parametrize(("width_mm", "output"), [(None, 3), (115.0, 2)])
 def test_the_client_of_pymodbus_activates_grasps_and_opens(
-    where: str, width_mm: float | None, told: int
+    where: str, width_mm: float | None, output: int
 ) -> None:
     contacts = None if width_mm is None else contact_positions(width_mm)
     with running(quick(contacts), where) as emulated, client(emulated.address) as modbus:
@@ -146,9 +147,9 @@ def test_the_client_of_pymodbus_activates_grasps_and_opens(
         order(modbus, [0x0900, 0x0064, 0xFFFF])  # to position 100
         assert overall(inputs(modbus)) == 0
         found = until(modbus, lambda found: overall(found) != 0)
-        assert overall(found) == told
+        assert overall(found) == output
         fingers = [found[1] >> 2 * axis & 3 for axis in range(3)]
-        assert fingers == [told] * 3
+        assert fingers == [output] * 3
         at = 100 if width_mm is None else round(255 * (1 - width_mm / 155))
         assert [found[4], found[7], found[10]] == [at] * 3
         order(modbus, OPEN)
@@ -157,6 +158,7 @@ def test_the_client_of_pymodbus_activates_grasps_and_opens(
         assert read.registers == OPEN
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 def test_all_functions_and_exceptions_reach_the_client_of_pymodbus(where: str) -> None:
     with running(quick(), where) as emulated, client(emulated.address) as modbus:
@@ -196,6 +198,7 @@ def test_another_slave_a_wrong_check_and_half_a_request_get_no_answer() -> None:
     assert said(engine, "09 03 07D0 0001 85 CF", 0.3) != ""
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("kind", ["noise", "half", "lost", "double", "split"])
 def test_a_disturbed_line_gives_the_client_errors_and_no_false_register(kind: str) -> None:
     faults = EmulatorFaults(**{kind: 0.3})  # type: ignore[arg-type]
@@ -214,7 +217,7 @@ def test_a_disturbed_line_gives_the_client_errors_and_no_false_register(kind: st
     assert good > 5
 
 
-def test_actions_that_come_too_early_are_told_as_faults() -> None:
+def test_actions_that_come_too_early_are_faults() -> None:
     engine = quick()
     said(engine, add_crc(frame("09 10 03E8 0001 02 0800")).hex(), 0.0)
     passed(engine, 0.0, 0.05)
@@ -250,6 +253,7 @@ def test_automatic_release_opens_slowly_and_ends_in_a_fault_that_a_reset_clears(
     assert engine.hand.inputs()[2] == 0
 
 
+@pytest.mark.realtime
 def test_a_fault_on_demand_stands_until_a_reset_and_a_major_one_stops_the_fingers() -> None:
     faults = EmulatorFaults(alarm=(1.0, 14.0))
     with running(quick(), faults=faults) as emulated, client(emulated.address) as modbus:
@@ -320,6 +324,7 @@ def test_a_gripper_without_power_forgets_and_keeps_its_fingers_where_they_are() 
     assert engine.hand.inputs()[:5] == bytes([0, 0, 0, 0, at])
 
 
+@pytest.mark.realtime
 def test_the_command_serves_an_object_between_the_fingers_and_refuses_one_elsewhere() -> None:
     words = [sys.executable, "-c", COMMAND, "gripper", "--port", "tcp:0", "--object-mm", "60"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
@@ -330,6 +335,4 @@ def test_the_command_serves_an_object_between_the_fingers_and_refuses_one_elsewh
             assert stage(inputs(modbus)) == 1
         process.send_signal(signal.SIGINT)
         process.wait(timeout=10)
-    wrong = [sys.executable, "-c", COMMAND, "melfa", "--object-mm", "60"]
-    told = subprocess.run(wrong, capture_output=True, text=True, check=False)
-    assert "melfa has no fingers" in told.stderr
+    assert "melfa has no fingers" in verify("emulate", "melfa", "--object-mm", "60").err

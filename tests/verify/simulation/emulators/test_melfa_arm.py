@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import robots
+from tests.support.command import verify
 from tests.support.devices.bench import same_angles
 from verify.core.records import Array
 from verify.devices.melfa.protocol import parse_joints, parse_state
@@ -138,7 +139,7 @@ def test_a_stop_brakes_an_alarm_too_and_an_emergency_stop_takes_the_power() -> N
         np.testing.assert_array_equal(desk.joints_deg(), after)
 
 
-def test_the_hands_speed_is_told_as_the_arm_has_it() -> None:
+def test_the_reported_hand_speed_is_the_arms() -> None:
     """Joint 1 alone turns the hand about the base's axis: speed is radius times rate."""
     desk = Desk()
     desk.power(20)
@@ -164,6 +165,7 @@ def test_run_leads_the_arm_back_to_where_the_program_was() -> None:
     assert desk.moving()
 
 
+@pytest.mark.realtime
 def test_the_command_emulates_a_controller_that_waits_to_be_moved() -> None:
     words = [sys.executable, "-c", COMMAND, "melfa", "--idle", "--motion", "hold"]
     with subprocess.Popen(
@@ -183,9 +185,7 @@ def test_the_command_emulates_a_controller_that_waits_to_be_moved() -> None:
             _until(arm, MoverState.ARRIVED)
         process.send_signal(signal.SIGINT)
         process.wait(timeout=10)
-    wrong = [sys.executable, "-c", COMMAND, "labenc", "--idle"]
-    told = subprocess.run(wrong, capture_output=True, text=True, check=False)
-    assert "labenc runs no program" in told.stderr
+    assert "labenc runs no program" in verify("emulate", "labenc", "--idle").err
 
 
 def _until(arm: MelfaMover, state: MoverState) -> None:

@@ -44,7 +44,7 @@ def controller(opened: bool = True) -> MelfaEngine:
         ("ERROR", "QoK"), ("EMISS", "QoK0;0;0;0;0;0;0;0"), ("STOP", "QoK"),
     ],
 )  # fmt: skip
-def test_a_controller_refuses_as_the_sheet_says(command: str, answer: str) -> None:
+def test_a_controller_refuses_as_in_the_manual(command: str, answer: str) -> None:
     assert said(controller(), command) == answer
 
 
@@ -120,7 +120,7 @@ def test_a_front_that_cannot_be_opened_is_refused() -> None:
 
 
 @pytest.mark.parametrize("where", ["tcp:0", "pty"])
-def test_the_command_says_where_it_listens_answers_and_ends_at_ctrl_c(where: str) -> None:
+def test_the_command_prints_its_address_and_ends_at_ctrl_c(where: str) -> None:
     words = [sys.executable, "-c", COMMAND, "labenc", "--port", where, "--motion", "sweep"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

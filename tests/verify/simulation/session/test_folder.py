@@ -55,7 +55,7 @@ def decoded(path: Path) -> list[Image]:
     return images
 
 
-def test_the_folder_holds_what_the_session_format_asks_for(tmp_path: Path) -> None:
+def test_the_folder_follows_the_session_format(tmp_path: Path) -> None:
     session = rich_session()
     write_session(session, tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {
@@ -92,7 +92,7 @@ def test_tables_hold_the_sessions_own_numbers(tmp_path: Path) -> None:
     assert_allclose(readings, np.degrees(session.encoder_q), atol=1e-6)
 
 
-def test_rig_and_marker_say_what_the_user_believes(tmp_path: Path) -> None:
+def test_rig_and_marker_files_hold_the_stated_values(tmp_path: Path) -> None:
     session = rich_session()
     write_session(session, tmp_path)
     rig = tomllib.loads((tmp_path / "rig.toml").read_text())

@@ -172,7 +172,7 @@ def test_a_spots_centroid_light_and_width_are_right_wherever_it_falls(
         assert spread == pytest.approx(width, abs=0.015 * width + 4 * aliasing)
 
 
-def test_a_spot_seen_aslant_is_an_ellipse_of_the_right_axes() -> None:
+def test_an_inclined_led_is_an_ellipse_of_the_right_axes() -> None:
     light = Light(np.array([[50.3, 60.8]]), np.array([[4.0, 0.0], [0.0, 2.0]]), 200.0, "white")
     total, centre, spread = moments(light, 0.6)
     assert np.abs(centre - [50.3, 60.8]).max() < 1e-3
@@ -271,7 +271,7 @@ def test_an_occlusion_hides_its_share_of_the_led_in_its_frames_alone() -> None:
     assert light_of_b(session, 1, 4) == light_of_b(free, 1, 4)
 
 
-def test_a_turning_camera_sees_the_rooms_pattern_shift() -> None:
+def test_a_turning_camera_shifts_the_background() -> None:
     table = ScenarioImage(background_dn=40.0, texture_dn=8.0, read_noise_dn=0.0)
     renderer = Renderer(table, (640, 360), seed=1, side=0)
     straight, turned = renderer.clean([], 0.0), renderer.clean([], 50.0)

@@ -37,10 +37,10 @@ def test_direction_is_the_sign_of_the_last_travel_kept_at_rest(table: MotionTabl
     steps = np.diff(motion.angles(t), axis=0)
     middle = motion.direction(t[:-1] + 0.5e-3)
     last = np.ones(6)
-    for step, said in zip(steps, middle, strict=True):
+    for step, message in zip(steps, middle, strict=True):
         moved = np.abs(step) > 1e-7  # rad in 1 ms: below, the turning point itself is within
-        last = np.where(moved, np.sign(step), np.where(step == 0, last, said))
-        assert np.array_equal(said, last)
+        last = np.where(moved, np.sign(step), np.where(step == 0, last, message))
+        assert np.array_equal(message, last)
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda t: type(t).__name__)

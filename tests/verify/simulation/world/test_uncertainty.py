@@ -70,7 +70,7 @@ def test_the_truth_lies_off_the_belief_in_the_formats_own_sense() -> None:
     assert_allclose(session.true_pan - session.pan, np.tile(departure.pan, (12, 1)), atol=1e-15)
 
 
-def test_stated_but_not_drawn_leaves_the_world_as_the_files_say() -> None:
+def test_without_a_draw_the_world_is_that_of_the_files() -> None:
     session = simulate_session(
         scene(uncertainty=ScenarioUncertainty(focal_px=1.0, led_mm=1.0, draw=False))
     )

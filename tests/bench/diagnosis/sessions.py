@@ -1,8 +1,8 @@
 """Sessions at spot level for the diagnosis: pictures are measured once, then faults are put in.
 
-True LEDs are projected by OpenCV (in verify.simulation) into a true rig drawn about the stated one, and
-given noise. A fault of a joint or of the clock changes the readings; one of the arm, the base or
-the LED body changes what the poses show; one of the cameras is measured anew.
+True LEDs are projected by OpenCV (in verify.simulation) into a true rig drawn about the stated
+one, and given noise. A fault of a joint or of the clock changes the readings; one of the arm, the
+base or the LED body changes what the poses show; one of the cameras is measured anew.
 """
 
 from dataclasses import dataclass, replace
@@ -115,10 +115,10 @@ def watched(seed: int) -> Watched:
             rig=replace(session.rig, base_source="motion"),
             marker=replace(session.marker, source="motion"),
         )
-    told = session.simulated.scenario.encoders.clock_offset_s
+    output = session.simulated.scenario.encoders.clock_offset_s
     given = rng.random() < 0.5
     clock = ClockEstimate(
-        told, None if given else 1e-4, "given" if given else "estimated", np.zeros((0, 2))
+        output, None if given else 1e-4, "given" if given else "estimated", np.zeros((0, 2))
     )
     systematics = stated_systematics(session.rig, session.marker, turning=False)
     noise = int(rng.integers(2**31))

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from robots.transforms import Array
-from tests.robots.test_paper_6r import link, turned_by
+from tests.support.postures import link, turned_by
 
 L10, L11, L2, L30, L31, D6 = 95.0, 350.0, 245.0, 135.0, 270.0, 85.0  # Tables 1 and 2
 R1, R2 = L2, hypot(L30, L31)  # Eqs 28, 29

@@ -1,5 +1,5 @@
 """Grasps through the real drivers and the emulated devices, over TCP: python -m
-tests.bench.grab_emulated [N].
+tests.bench.grasp.emulated [N].
 
 The simulated cell shows what the cameras see; its arm stands where the emulated controller says,
 its fingers where the emulated gripper says. What is between them stops the emulated fingers.

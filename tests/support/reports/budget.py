@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from reports.results import Results
-from tests.support.reports import made
+from tests.support.reports import session as made
 
 LINES = (
     ("pixels", "random", "A", 234.0, 0.30),

@@ -42,7 +42,7 @@ def verdicts(seed: int) -> dict[str, str | None]:
     track = make_track(PAIRS, motion(PAIRS), rng)
     sound = read(motion, LOG, 0.0, rng)
     rig, marker = replace(make_rig(), base_source="fixture"), make_marker(source="jig")
-    said: dict[str, str | None] = {}
+    message: dict[str, str | None] = {}
     for case, _, _ in CASES:
         q = sound.q.copy()
         q[:, joint] += _error(case, motion(LOG)[:, joint])
@@ -53,8 +53,8 @@ def verdicts(seed: int) -> dict[str, str | None]:
         resolved, least = resolve_errors(model), visibility(model).detectable
         each = {judge_joint(resolved, j, TOLERANCE, float(least[j])).verdict for j in range(6)}
         own = judge_joint(resolved, joint, TOLERANCE, float(least[joint])).verdict
-        said[case] = own if case != "healthy" or len(each) == 1 else None
-    return said
+        message[case] = own if case != "healthy" or len(each) == 1 else None
+    return message
 
 
 def _error(case: str, q: Array) -> Array:

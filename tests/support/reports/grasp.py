@@ -46,11 +46,13 @@ def results(changes: dict[str, Any], passages: pd.DataFrame | None = None) -> Re
 
 def whole() -> Results:
     """Make a grab that was planned, seen, refused in one branch, and lifted."""
-    said = "the LEDs show the hand 0.52 mm ± 0.21 mm (k = 2) off, and its end point was corrected"
+    message = (
+        "the LEDs show the hand 0.52 mm ± 0.21 mm (k = 2) off, and its end point was corrected"
+    )
     near = "the forearm would come 12 mm too near to the table, after 30% of the way"
     changes = {
         "plan": plan({branch_name(3): near, branch_name(4): "next to a singularity (wrist)"}),
-        "hand": hand(f"{said} for it", seen=True),
+        "hand": hand(f"{message} for it", seen=True),
     }
     return results(changes)
 
@@ -59,28 +61,28 @@ def cycles() -> pd.DataFrame:
     """Cycles through every state."""
     t = np.linspace(0.0, 8.0, N)
     states = [state.value for state in GraspState]
-    told: dict[str, Any] = {
+    output: dict[str, Any] = {
         "t_s": t,
         "state": [states[i * len(states) // N] for i in range(N)],
         "quality": np.full(N, 0.8),
         "took_ms": np.full(N, 5.0),
     }
     for k, axis in enumerate("xyz"):
-        told |= {f"target_{axis}_mm": 400.0 + k + t, f"grip_{axis}_mm": 420.0 + k - t}
-        told[f"u_{axis}_mm"] = 0.4 + 0.01 * t
+        output |= {f"target_{axis}_mm": 400.0 + k + t, f"grip_{axis}_mm": 420.0 + k - t}
+        output[f"u_{axis}_mm"] = 0.4 + 0.01 * t
     for side in ("left", "right"):
-        told |= {f"{side}_{what}_px": 30 + t for what in ("x", "y", "width", "height")}
+        output |= {f"{side}_{what}_px": 30 + t for what in ("x", "y", "width", "height")}
     for joint in range(1, 7):
-        told |= {f"q{joint}_deg": joint * t, f"q{joint}_ordered_deg": joint * t + 0.1}
-    return pd.DataFrame(told)
+        output |= {f"q{joint}_deg": joint * t, f"q{joint}_ordered_deg": joint * t + 0.1}
+    return pd.DataFrame(output)
 
 
 def planned() -> pd.DataFrame:
     """A plan of three parts."""
     t = np.linspace(0.0, 3.0, 30)
-    told: dict[str, Any] = {"t_s": t, "part": np.repeat(["over", "down", "up"], 10)}
-    told |= {f"q{joint}_deg": joint * t for joint in range(1, 7)}
-    return pd.DataFrame(told | {f"grip_{axis}_mm": 400 + t for axis in "xyz"})
+    output: dict[str, Any] = {"t_s": t, "part": np.repeat(["over", "down", "up"], 10)}
+    output |= {f"q{joint}_deg": joint * t for joint in range(1, 7)}
+    return pd.DataFrame(output | {f"grip_{axis}_mm": 400 + t for axis in "xyz"})
 
 
 def every_passage() -> pd.DataFrame:
@@ -98,7 +100,7 @@ def plan(rejected: dict[str, str]) -> dict[str, Any]:
         "parts": {"limits": 0.8, "dexterity": 0.7, "nearness": 0.9, "clearance": 0.8},
         "duration_s": 6.2,
         "margin": MARGIN,
-        "rejected": [{"branch": name, "reason": said} for name, said in rejected.items()],
+        "rejected": [{"branch": name, "reason": message} for name, message in rejected.items()],
     }
 
 

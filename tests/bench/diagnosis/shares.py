@@ -6,7 +6,7 @@ tell from every other fault (separable). A fault is put in at 1.5 times the sepa
 that and 1.5 times the detectable one; and at half the separable one. Verdicts: a joint that is
 sound, or has one of three faults whose mean is next to nothing, at a tolerance of 0.2°.
 
-    python -m tests.bench.diagnosis [SESSIONS] [SEED]
+    python -m tests.bench.diagnosis.shares [SESSIONS] [SEED]
 """
 
 import os
@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from tests.bench.diagnosis_sessions import Injected, Watched, diagnosed, watched
-from tests.bench.diagnosis_verdicts import CASES, verdicts
+from tests.bench.diagnosis.sessions import Injected, Watched, diagnosed, watched
+from tests.bench.diagnosis.verdicts import CASES, verdicts
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis
 from verify.analysis.diagnosis.faults import UNIT_SCALES
@@ -94,10 +94,10 @@ def _told(fault: Injected, level: str, diagnosis: Diagnosis) -> Trial:
 def accusations(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
     """Print what is said of sessions without a fault; 1 where too much."""
     seeds = np.random.SeedSequence([seed, 1]).generate_state(HEALTHY * sessions).tolist()
-    said = [causes for causes in pool.map(healthy, seeds) if causes]
-    good = len(said) <= MOST_FALSE * len(seeds)
-    print(f"without a fault: {len(said)} of {len(seeds)} sessions accuse anybody"
-          f"{'' if good else '  FAILS'}{': ' if said else ''}{'; '.join(map(str, said))}",
+    message = [causes for causes in pool.map(healthy, seeds) if causes]
+    good = len(message) <= MOST_FALSE * len(seeds)
+    print(f"without a fault: {len(message)} of {len(seeds)} sessions accuse anybody"
+          f"{'' if good else '  FAILS'}{': ' if message else ''}{'; '.join(map(str, message))}",
           flush=True)  # fmt: skip
     return int(not good)
 

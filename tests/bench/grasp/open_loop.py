@@ -1,5 +1,5 @@
 """Simulated grasps: successes, false successes, limits, grip error;
-python -m tests.bench.grab [N] [--full] [--figure FILE.svg].
+python -m tests.bench.grasp.open_loop [N] [--full] [--figure FILE.svg].
 
 Cells are drawn at random: where the cap stands or slides to, other caps, light, noise, an arm that
 is not quite where it was registered. A success is a cap in the hand, as the world knows it; a false
@@ -140,8 +140,8 @@ def main() -> None:
         print(f"grip error across: rms {rms:.2f} mm, worst {errors.max():.2f} mm")
         print(f"grip error along: worst {np.abs(heights).max():.2f} mm")
     works = 1e3 * np.concatenate([g.works for g in grasps])
-    told = np.percentile(works, [50, 95, 100])
-    print("work a cycle: median {:.1f} ms, 95 % {:.1f} ms, worst {:.1f} ms".format(*told))
+    output = np.percentile(works, [50, 95, 100])
+    print("work a cycle: median {:.1f} ms, 95 % {:.1f} ms, worst {:.1f} ms".format(*output))
     print(f"time to the end: median {np.median([g.seconds for g in grasps]):.1f} s")
     found = distances(setup)
     if place is not None:

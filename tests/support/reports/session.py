@@ -165,20 +165,11 @@ def hostile() -> Results:
     return Results(summary, setup, tables | {"spots": spots, "budget": budget}, results.images)
 
 
-EVERY = {
-    "nonconforming": nonconforming,
-    "conforming": conforming,
-    "no_tolerance": no_tolerance,
-    "undecided": undecided,
-    "every_cause": every_cause,
-    "nulls": nulls,
-    "nothing": nothing,
-    "seven_joints": seven_joints,
-    "one_joint": one_joint,
-    "one_pair": one_pair,
-    "visits": visits,
-    "hostile": hostile,
-}
+KINDS = (
+    nonconforming, conforming, no_tolerance, undecided, every_cause, nulls, nothing, seven_joints,
+    one_joint, one_pair, visits, hostile,
+)  # fmt: skip
+EVERY = {one.__name__: one for one in KINDS}
 
 
 @cache

@@ -1,4 +1,4 @@
-"""What the LEDs' correction is worth; python -m tests.bench.grab_closed [N] [--small].
+"""What the LEDs' correction is worth; python -m tests.bench.grasp.closed_loop [N] [--small].
 
 The same drawn cells, grasped with and without it: by an arm as it is stated, and by one with one
 joint 0.4° off, of which its encoders and its controller know nothing.

@@ -1,0 +1,65 @@
+"""A board in a fixture before two cameras."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tests.support.scene import make_marker, make_rig, project
+from verify.core.fiducials import Board, BoardPair, BoardView
+from verify.core.records import Array
+from verify.core.rig import Camera, Covariance, Rig
+
+BOARD = Board(columns=7, rows=5, square=0.03)
+SIGMA = 0.03  # px, of a corner
+
+
+def placed(x: float = -0.09, y: float = -0.06, z: float = 0.65) -> Array:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec([0.25, -0.3, 0.1]).as_matrix()
+    pose[:3, 3] = [x, y, z]
+    return pose
+
+
+def view(
+    camera: Camera, pan: float, rig_T_board: Array, rng: np.random.Generator | None = None
+) -> BoardView:
+    points = BOARD.points @ rig_T_board[:3, :3].T + rig_T_board[:3, 3]
+    centre = project(camera, pan, points)
+    if rng is not None:
+        centre = centre + rng.normal(0, SIGMA, centre.shape)
+    n = len(BOARD)
+    return BoardView(np.arange(n), centre, np.tile(np.eye(2) * SIGMA**2, (n, 1, 1)))
+
+
+def pair(
+    rig: Rig,
+    rig_T_board: Array,
+    rng: np.random.Generator | None = None,
+    *,
+    frame: int = 0,
+    turn: float = 0.0,
+    error: tuple[float, float] = (0.0, 0.0),
+) -> BoardPair:
+    """The board seen with both bases turned by `turn` from home, readings off by `error`, rad."""
+    left, right = rig.left.pan + turn, rig.right.pan + turn
+    return BoardPair(
+        frame,
+        left,
+        right,
+        view(rig.left, left + error[0], rig_T_board, rng),
+        view(rig.right, right + error[1], rig_T_board, rng),
+    )
+
+
+STATED = make_marker(led_standard_uncertainty=2e-5, centre_shift_standard_uncertainty=1e-5)
+
+
+def doubtful_rig() -> Rig:
+    names = tuple(f"right.mount_r{axis}_deg" for axis in "xyz")
+    return replace(make_rig(), covariance=Covariance(names, np.full(3, 0.005), np.eye(3)))
+
+
+def board_pairs(true: Rig, count: int = 1, seed: int = 0) -> list[BoardPair]:
+    rng = np.random.default_rng(seed)
+    return [pair(true, placed(z=0.6 + 0.02 * i), rng, frame=i) for i in range(count)]

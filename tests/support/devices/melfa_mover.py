@@ -1,0 +1,115 @@
+"""A mover before an emulated controller."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+
+import numpy as np
+
+import robots
+from tests.support.devices import bench
+from tests.support.devices.bench import Emulated, same_angles
+from verify.core.records import Array
+from verify.devices.encoders.intake import AngleMap
+from verify.grasping.actuators.melfa.mover import MelfaMover
+from verify.grasping.actuators.melfa.orders import MOVE_COMMANDS, MotionSettings, MoveLimits
+from verify.grasping.actuators.protocols import ExecutePermission, MoverState, MoverStatus
+from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
+from verify.simulation.emulators.melfa_arm import MelfaArm
+
+RIGHT = ExecutePermission("--execute, in a test")
+ARM = robots.load("rv_3sd_melfa")
+LIMITS = np.column_stack([ARM.lower, ARM.upper])
+FAST = 0.01  # s, pause: tests cannot wait
+
+
+def controller(idle: bool = True, limits: Array = LIMITS, **options: object) -> MelfaEngine:
+    assert isinstance(ARM, robots.DhArm)
+    arm = MelfaArm(trajectory.load("hold", 6), 6, limits, arm=ARM, idle=idle)
+    return MelfaEngine(arm, ControllerOptions(**options))  # type: ignore[arg-type]
+
+
+def limits(**changed: object) -> MoveLimits:
+    chosen = {"hand_speed": 2.0, "override": 60} | changed  # tests cannot wait
+    return MoveLimits(LIMITS, **chosen)  # type: ignore[arg-type]
+
+
+@contextmanager
+def mover(
+    emulated: Emulated | str,
+    moving: MoveLimits | None = None,
+    angles: AngleMap | None = None,
+    **settings: object,
+) -> Iterator[MelfaMover]:
+    address = emulated if isinstance(emulated, str) else emulated.address
+    chosen = {"robot_type": "RV-3SD", "pause": FAST} | settings
+    with MelfaMover(
+        MotionSettings(address, **chosen),  # type: ignore[arg-type]
+        angles or same_angles(6),
+        moving or limits(),
+        RIGHT,
+    ) as found:
+        yield found
+
+
+stepped = partial(bench.stepped, limit=15.0)  # a move takes longer
+RESTS = {
+    MoverState.READY, MoverState.ARRIVED, MoverState.HELD, MoverState.RELEASED, MoverState.FAILED,
+}  # fmt: skip
+
+
+def settled(arm: MelfaMover, state: MoverState) -> list[MoverStatus]:
+    seen = stepped(arm, lambda status: status.state in RESTS)
+    assert seen[-1].state is state, seen[-1]
+    return seen
+
+
+def ready(arm: MelfaMover) -> None:
+    arm.take_controls()
+    settled(arm, MoverState.READY)
+
+
+PORTS = ["tcp:0", "pty"]
+HOME = np.deg2rad(trajectory.HOME_DEG)
+NEXT = HOME + np.deg2rad([8.0, -5.0, 6.0, 10.0, -8.0, 12.0])
+GIVEN_BACK = ["STOP", "ERROR", "SRVOFF", "OVRD=100", "CNTLOFF", "STATE"]
+
+
+def after(seconds: float) -> Callable[[MoverStatus], bool]:
+    end = time.monotonic() + seconds
+    return lambda _: time.monotonic() > end
+
+
+def under_way(arm: MelfaMover, q: Array) -> None:
+    """Order a move, and come back in its middle."""
+    begin = arm.step().q
+    assert begin is not None
+    arm.move_joints(q)
+    far = float(np.max(np.abs(q - begin)))
+    stepped(
+        arm,
+        lambda status: (
+            status.q is not None and 0.2 * far < np.max(np.abs(status.q - begin)) < 0.8 * far
+        ),
+    )
+
+
+def names(engine: MelfaEngine) -> list[str]:
+    """What the controller was told, without what only reads and without arguments."""
+    output = [
+        next((name for name in MOVE_COMMANDS if order.startswith(name)), "") for order in engine.log
+    ]
+    return [name for name in output if name]
+
+
+def found_at(engine: MelfaEngine, override: int) -> MelfaEngine:
+    """Set the override as somebody at the controller has left it."""
+    engine.arm._override = override
+    return engine
+
+
+def settled_after(arm: MelfaMover, until: Callable[[MoverStatus], bool]) -> MoverStatus:
+    stepped(arm, until)
+    return settled(arm, MoverState.FAILED)[-1]

@@ -1,0 +1,207 @@
+import socket
+from pathlib import Path
+
+import pytest
+
+from tests.support.devices.bench import running
+from tests.support.devices.melfa_mover import (
+    NEXT,
+    PORTS,
+    after,
+    controller,
+    limits,
+    mover,
+    names,
+    ready,
+    settled,
+    settled_after,
+    stepped,
+    under_way,
+)
+from verify.grasping.actuators.protocols import MoverState
+from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
+from verify.simulation.emulators.server import EmulatorFaults, TimedMessage
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("where", PORTS)
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (50, "alarm 50: emergency stop: external"),
+        (2140, "alarm 2140: outside a joint limit"),
+        (999, "alarm 999: NO MESSAGE"),
+    ],
+)
+def test_an_alarm_in_mid_move_stops_releases_and_is_reported(
+    where: str, number: int, words: str
+) -> None:
+    engine = controller()
+    with running(engine, where) as emulated, mover(emulated, limits(override=3)) as arm:
+        ready(arm)
+        under_way(arm, NEXT)
+        engine.afflict("alarm", number)
+        failed = settled(arm, MoverState.FAILED)[-1]
+        assert words in failed.reason
+        assert not engine.arm.right
+        assert not engine.arm.servo_on
+        assert not engine.arm.moving
+        arm.take_controls()
+        refused = settled(arm, MoverState.FAILED)[-1]
+        assert "clear it at the controller" in refused.reason or "emergency" in refused.reason
+    assert "RSTALRM" not in engine.log
+    assert names(engine).count("CNTLON") == 1
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("where", PORTS)
+def test_silence_in_mid_move_is_given_up_within_its_time_and_then_stopped(where: str) -> None:
+    engine = controller()
+    with (
+        running(engine, where, EmulatorFaults(silence=(0.8, 0.9))) as emulated,
+        mover(emulated, limits(override=3), timeout=0.4) as arm,
+    ):
+        ready(arm)
+        arm.move_joints(NEXT)
+        failing = stepped(arm, lambda status: status.state is MoverState.FAILING)[-1]
+        assert "no answer" in failing.reason
+        assert failing.age is not None
+        assert failing.age < 1.0
+        settled(arm, MoverState.FAILED)
+        assert not engine.arm.right
+        assert not engine.arm.servo_on
+
+
+@pytest.mark.realtime
+def test_permanent_silence_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("verify.grasping.actuators.melfa.states.RELEASE_TIMEOUT", 1.0)
+    engine = controller()
+    with (
+        running(engine, faults=EmulatorFaults(silence=(0.8, 60.0))) as emulated,
+        mover(emulated, limits(override=3), timeout=0.3) as arm,
+    ):
+        ready(arm)
+        arm.move_joints(NEXT)
+        failed = settled(arm, MoverState.FAILED)[-1]
+        assert "could not be told: stop, servo off, override put back" in failed.reason
+        assert "emergency stop" in failed.reason
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("kind", ["tcp", "pty"])
+def test_a_line_that_breaks_in_mid_move_is_taken_up_again_to_stop(
+    kind: str, tmp_path: Path
+) -> None:
+    where = "tcp:0" if kind == "tcp" else f"pty:{tmp_path / 'port'}"
+    engine = controller()
+    with (
+        running(engine, where, EmulatorFaults(unplug=(0.8, 0.6))) as emulated,
+        mover(emulated, limits(override=3)) as arm,
+    ):
+        ready(arm)
+        arm.move_joints(NEXT)
+        failed = settled(arm, MoverState.FAILED)[-1]
+        assert failed.reason.startswith(f"{emulated.address}: ")
+        assert not engine.arm.right
+        assert not engine.arm.servo_on
+        assert not engine.arm.moving
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("where", PORTS)
+def test_late_answers_are_not_mistaken_for_others(where: str) -> None:
+    class Dawdling(MelfaEngine):
+        """Its twentieth answer comes long after the driver has given up."""
+
+        def step(self, t: float, received: bytes) -> list[TimedMessage]:
+            late = 0.5 if len(self.log) == 20 else 0.0
+            return [
+                TimedMessage(found.at + late, found.data) for found in super().step(t, received)
+            ]
+
+    engine = Dawdling(controller().arm, ControllerOptions())
+    with running(engine, where) as emulated, mover(emulated, timeout=0.2) as arm:
+        ready(arm)
+        failed = settled_after(arm, lambda status: status.state is MoverState.FAILED)
+        assert "no answer" in failed.reason
+        assert "servo" not in failed.reason  # all was given back, and seen to be
+        assert not engine.arm.servo_on
+
+
+@pytest.mark.realtime
+def test_a_reset_controller_is_not_taken_again_without_a_request() -> None:
+    engine = controller()
+    with (
+        running(engine, faults=EmulatorFaults(reset=(1.2, 1.2))) as emulated,
+        mover(emulated) as arm,
+    ):
+        ready(arm)
+        failed = settled_after(arm, after(1.2))
+        assert "error 6500" in failed.reason
+    assert names(engine).count("CNTLON") == 1
+
+
+@pytest.mark.realtime
+def test_an_old_fault_is_not_reported_after_taking_control_again() -> None:
+    engine = controller()
+    with running(engine) as emulated, mover(emulated, limits(hand_speed=1e-3)) as arm:
+        ready(arm)
+        arm.move_joints(NEXT)
+        assert "the hand goes at" in settled(arm, MoverState.FAILED)[-1].reason
+        arm.take_controls()
+        assert settled(arm, MoverState.READY)[-1].reason == ""
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("fault", ["noise", "half"])
+def test_an_answer_that_is_not_understood_stops_the_arm(fault: str) -> None:
+    engine = controller()
+    faults = EmulatorFaults(**{fault: 0.03})  # type: ignore[arg-type]
+    with running(engine, "pty", faults) as emulated, mover(emulated, timeout=0.3) as arm:
+        arm.take_controls()
+        stepped(arm, lambda status: status.state in {MoverState.READY, MoverState.FAILED})
+        if arm.step().state is MoverState.READY:
+            arm.move_joints(NEXT)
+        stepped(arm, lambda status: status.state is MoverState.FAILED, limit=30.0)
+    assert not engine.arm.moving
+
+
+@pytest.mark.realtime
+def test_a_missing_device_is_reported_without_blocking(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("verify.grasping.actuators.melfa.mover.CONNECT_TIMEOUT", 0.6)
+    with socket.create_server(("127.0.0.1", 0)) as unused:
+        port = unused.getsockname()[1]
+    with mover(f"tcp:127.0.0.1:{port}") as arm:
+        arm.take_controls()
+        assert "nobody listens there" in settled(arm, MoverState.FAILED)[-1].reason
+
+
+@pytest.mark.realtime
+def test_procedural_rs232_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("verify.grasping.actuators.melfa.mover.CONNECT_TIMEOUT", 1.0)
+
+    class Procedural(MelfaEngine):
+        def step(self, t: float, received: bytes) -> list[TimedMessage]:
+            return [TimedMessage(t, b"\x05")] if received else []
+
+    engine = Procedural(controller().arm, ControllerOptions())
+    with running(engine, "pty") as emulated, mover(emulated) as arm:
+        arm.take_controls()
+        assert "CPRC232" in settled(arm, MoverState.FAILED)[-1].reason
+
+
+@pytest.mark.realtime
+def test_a_line_that_another_program_has_is_waited_for() -> None:
+    with running(controller()) as emulated, mover(emulated) as first, mover(emulated) as second:
+        ready(first)
+        second.take_controls()
+        stepped(second, after(0.3))
+        assert second.step().state is MoverState.CONNECTING
+        first.close()
+        settled(second, MoverState.READY)
+
+
+@pytest.mark.realtime
+def test_answers_without_a_terminator_are_understood() -> None:
+    with running(controller(end=b"")) as emulated, mover(emulated, terminator=b"\r\n") as arm:
+        ready(arm)

@@ -1,0 +1,296 @@
+import time
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+import robots
+from tests.support.devices.bench import Emulated, running
+from tests.support.devices.melfa_mover import (
+    ARM,
+    GIVEN_BACK,
+    HOME,
+    LIMITS,
+    NEXT,
+    PORTS,
+    after,
+    controller,
+    found_at,
+    limits,
+    mover,
+    names,
+    ready,
+    settled,
+    settled_after,
+    stepped,
+    under_way,
+)
+from verify.grasping.actuators.protocols import MotionRefusedError, MoverState
+from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
+from verify.simulation.emulators.melfa_arm import MelfaArm
+from verify.simulation.emulators.server import EmulatorFaults, TimedMessage
+
+
+@pytest.mark.parametrize("where", PORTS)
+def test_the_arm_takes_controls_moves_jointwise_and_straight_and_gives_back(where: str) -> None:
+    engine = controller()
+    with running(engine, where) as emulated:
+        with mover(emulated) as arm:
+            assert arm.step().state is MoverState.OFF
+            ready(arm)
+            assert engine.arm.right
+            assert engine.arm.servo_on
+            arm.move_joints(NEXT)
+            end = settled(arm, MoverState.ARRIVED)[-1]
+            np.testing.assert_allclose(end.q, NEXT, atol=np.deg2rad(0.011))
+            arm.move_line(HOME)
+            way = settled(arm, MoverState.ARRIVED)
+            np.testing.assert_allclose(way[-1].q, HOME, atol=np.deg2rad(0.011))
+            arm.release()
+            assert settled(arm, MoverState.RELEASED)[-1].reason == ""
+        assert not engine.arm.right
+        assert not engine.arm.servo_on
+    assert engine.log[0] == "OPEN=verify"
+    assert names(engine) == [
+        "CNTLON", "OVRD", "SRVON", "EXEC", "EXEC", "EXEC", "EXEC", "EXEC",
+        "STOP", "SRVOFF", "OVRD", "CNTLOFF",
+    ]  # fmt: skip
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("where", PORTS)
+@pytest.mark.parametrize("how", ["release", "hold", "alarm", "silence", "exception"])
+def test_the_override_is_put_back_however_it_ends(where: str, how: str) -> None:
+    engine = found_at(controller(), 37)
+    silent = EmulatorFaults(silence=(0.8, 0.9)) if how == "silence" else None
+
+    def moves(emulated: Emulated) -> None:
+        with mover(emulated, limits(override=3), timeout=0.4) as arm:
+            ready(arm)
+            assert engine.arm._override == 3
+            arm.move_joints(NEXT)
+            if how == "hold":
+                arm.hold()
+                settled(arm, MoverState.HELD)
+            elif how == "alarm":
+                engine.afflict("alarm", 2140)
+                settled(arm, MoverState.FAILED)
+            elif how == "silence":
+                settled(arm, MoverState.FAILED)
+            elif how == "exception":
+                raise ZeroDivisionError
+
+    with running(engine, where, silent) as emulated:
+        with suppress(ZeroDivisionError):
+            moves(emulated)
+        assert engine.arm._override == 37
+        assert not engine.arm.right
+        assert not engine.arm.servo_on
+    back = engine.log.index("OVRD=37")
+    assert "SRVOFF" in engine.log[:back]  # nothing is made faster that still has power
+
+
+@pytest.mark.realtime
+def test_an_override_that_was_not_changed_is_left_alone() -> None:
+    engine = found_at(controller(idle=False), 37)  # a program runs: the right is not taken
+    with running(engine) as emulated, mover(emulated) as arm:
+        arm.take_controls()
+        settled(arm, MoverState.FAILED)
+    assert not [order for order in engine.log if order.startswith("OVRD")]
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [(3110, "override put back was refused, error 3110"), ("", "the override is 3 %, it was 37 %")],
+    ids=["refused", "ignored"],
+)
+def test_an_override_that_is_not_restored_is_reported(
+    answer: int | str, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = found_at(controller(), 37)
+    sets = engine.arm._set_override
+    monkeypatch.setattr(
+        engine.arm, "_set_override", lambda text: answer if text == "=37" else sets(text)
+    )
+    with running(engine) as emulated, mover(emulated, limits(override=3)) as arm:
+        ready(arm)
+        arm.release()
+        assert words in settled(arm, MoverState.FAILED)[-1].reason
+    assert not engine.arm.right
+
+
+@pytest.mark.realtime
+def test_a_straight_move_is_straight_and_a_joint_move_is_not() -> None:
+    """Seen by the arm's own kinematics, at what the encoders tell."""
+    far = HOME + np.deg2rad([25.0, 10.0, -10.0, 0.0, 0.0, 0.0])
+    with running(controller()) as emulated, mover(emulated) as arm:
+        ready(arm)
+        bends = []
+        for order, target in [(arm.move_line, far), (arm.move_joints, HOME)]:
+            order(target)
+            way = np.array([status.q for status in settled(arm, MoverState.ARRIVED)])
+            places = robots.forward(ARM, way)[:, :3, 3]
+            chord = places[-1] - places[0]
+            along = np.clip((places - places[0]) @ chord / (chord @ chord), 0, 1)
+            away = places - places[0] - along[:, None] * chord
+            bends.append(float(np.max(np.linalg.norm(away, axis=1))))
+    assert bends[0] < 2e-4  # 0.01° at 0.6 m is 0.1 mm
+    assert bends[1] > 5e-3
+
+
+@pytest.mark.parametrize("where", PORTS)
+def test_hold_stops_the_arm_where_it_is_and_keeps_the_controls(where: str) -> None:
+    engine = controller()
+    with running(engine, where) as emulated, mover(emulated, limits(override=8)) as arm:
+        ready(arm)
+        under_way(arm, NEXT)
+        begin = time.monotonic()
+        arm.hold()
+        held = settled(arm, MoverState.HELD)[-1]
+        assert time.monotonic() - begin < 2.0
+        assert held.q is not None
+        assert np.max(np.abs(held.q - NEXT)) > np.deg2rad(1.0)
+        assert engine.arm.right
+        at = engine.arm.joints(engine.arm._now, 0.0)
+        stepped(arm, after(0.3))
+        np.testing.assert_array_equal(engine.arm.joints(engine.arm._now, 0.0), at)
+        arm.move_joints(NEXT)
+        settled(arm, MoverState.ARRIVED)
+
+
+@pytest.mark.realtime
+def test_a_second_move_while_one_is_under_way_is_refused_and_changes_nothing() -> None:
+    with running(controller()) as emulated, mover(emulated, limits(override=3)) as arm:
+        with pytest.raises(MotionRefusedError, match="it is off"):
+            arm.move_joints(NEXT)
+        ready(arm)
+        with pytest.raises(MotionRefusedError, match="ready already"):
+            arm.take_controls()
+        under_way(arm, NEXT)
+        with pytest.raises(MotionRefusedError, match="it is moving"):
+            arm.move_joints(HOME)
+        np.testing.assert_allclose(
+            settled(arm, MoverState.ARRIVED)[-1].q, NEXT, atol=np.deg2rad(0.011)
+        )
+
+
+@pytest.mark.realtime
+def test_a_running_program_a_standing_alarm_another_robot_keep_it_from_taking_controls() -> None:
+    alarmed = controller()
+    alarmed.arm.alarm = 4140
+    for engine, words in [
+        (controller(idle=False), "a program runs"),
+        (alarmed, "alarm 4140 is standing: the program is missing; clear it at the controller"),
+        (controller(robot_type="RV-6S"), "the robot is RV-6S; RV-3SD is expected"),
+    ]:
+        with running(engine) as emulated, mover(emulated) as arm:
+            arm.take_controls()
+            assert words in settled(arm, MoverState.FAILED)[-1].reason
+        assert names(engine) == []  # not even a stop: what runs there is not ours
+
+
+@pytest.mark.realtime
+def test_an_external_program_start_and_servo_off_are_noticed() -> None:
+    for change, words in [("running", "a program runs"), ("_servo_at", "lost its power")]:
+        engine = controller()
+        with running(engine) as emulated, mover(emulated) as arm:
+            ready(arm)
+            setattr(engine.arm, change, True if change == "running" else None)
+            failed = settled_after(arm, lambda status: status.state is MoverState.FAILED)
+            assert words in failed.reason
+
+
+@pytest.mark.realtime
+def test_a_servo_that_stays_on_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("verify.grasping.actuators.melfa.states.RELEASE_TIMEOUT", 0.5)
+
+    class Stubborn(MelfaArm):
+        def obey(self, name: str, argument: str, t: float) -> str | int:
+            return "" if name == "SRVOFF" else super().obey(name, argument, t)
+
+    plain = Stubborn(trajectory.load("hold", 6), 6, LIMITS, idle=True)
+    with running(MelfaEngine(plain, ControllerOptions())) as emulated, mover(emulated) as arm:
+        ready(arm)
+        arm.release()
+        assert "the servo is still on" in settled(arm, MoverState.FAILED)[-1].reason
+
+
+@pytest.mark.realtime
+def test_a_servo_that_does_not_come_on_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("verify.simulation.emulators.melfa_arm.SERVO_TIME", 1e9)
+    monkeypatch.setattr("verify.grasping.actuators.melfa.answers.POWER_TIMEOUT", 0.5)
+    with running(controller()) as emulated, mover(emulated) as arm:
+        arm.take_controls()
+        assert "powering takes too long" in settled(arm, MoverState.FAILED)[-1].reason
+
+
+@pytest.mark.realtime
+def test_an_arm_that_does_not_go_to_its_target_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("verify.grasping.actuators.melfa.states.STALL_TIMEOUT", 0.5)
+
+    class Lazy(MelfaEngine):
+        """Says yes, and stops on its way."""
+
+        def step(self, t: float, received: bytes) -> list[TimedMessage]:
+            if np.max(np.abs(self.arm.joints(t, 0.0) - HOME)) > np.deg2rad(3.0):
+                self.arm.obey("STOP", "", t)
+            return super().step(t, received)
+
+    engine = Lazy(controller().arm, ControllerOptions())
+    with running(engine) as emulated, mover(emulated, limits(override=10)) as arm:
+        ready(arm)
+        arm.move_joints(NEXT)
+        failed = settled(arm, MoverState.FAILED)[-1]
+        assert "degrees from its target" in failed.reason
+
+
+@pytest.mark.realtime
+def test_a_hand_that_goes_too_fast_is_stopped() -> None:
+    far = HOME + np.deg2rad([60.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with running(controller()) as emulated, mover(emulated, limits(hand_speed=0.1)) as arm:
+        ready(arm)
+        arm.move_joints(far)
+        failed = settled(arm, MoverState.FAILED)[-1]
+        assert "the hand goes at" in failed.reason
+        assert failed.q is not None
+        assert failed.q[0] < far[0]
+
+
+@pytest.mark.realtime
+def test_a_move_that_the_controller_refuses_ends_in_a_stop() -> None:
+    """Straight to the other side of the wrist's singularity: no line leads there."""
+    engine = controller()
+    target = HOME.copy()
+    target[4] = -target[4]
+    with running(engine) as emulated, mover(emulated) as arm:
+        ready(arm)
+        arm.move_line(target)
+        failed = settled(arm, MoverState.FAILED)[-1]
+        assert "EXEC was refused, error 2603: the via point is out of reach" in failed.reason
+        assert not engine.arm.servo_on
+
+
+@pytest.mark.realtime
+def test_an_exception_in_the_loop_gives_the_controller_back() -> None:
+    engine = controller()
+
+    def fails(emulated: Emulated) -> None:
+        with mover(emulated, limits(override=3)) as arm:
+            ready(arm)
+            arm.move_joints(NEXT)
+            stepped(arm, lambda _: engine.arm.moving)
+            raise ZeroDivisionError
+
+    with running(engine) as emulated:
+        with pytest.raises(ZeroDivisionError):
+            fails(emulated)
+        assert not engine.arm.moving
+        assert not engine.arm.servo_on
+        assert not engine.arm.right
+    output = [order for order in engine.log if order.split("=")[0] not in ("OPEN", "JPOSF")]
+    looked = len(GIVEN_BACK) + 1  # the servo's power may take a second look to be gone
+    assert output[-looked:] == [*GIVEN_BACK, "CLOSE"] or output[-looked - 1 :] == [
+        *GIVEN_BACK, "STATE", "CLOSE",
+    ]  # fmt: skip
