@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 import robots
 from robots.transforms import difference, invert
 from tests.bench.calibration import deviation
-from tests.support.random_scenarios import random_scenario
 from tests.support.boards.calibrated import squared_distance
+from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints

@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from verify.cli.batch import batch
 from verify.cli.board import board
-from verify.cli.calibrate import calibrate
+from verify.cli.calibrate.calibrate import calibrate
 from verify.cli.doctor import doctor
 from verify.cli.emulate import emulate
 from verify.cli.grab.grab import grab

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from verify.cli.options import ReplaceInFolder
 from verify.cli.terminal import terminal
 
 
@@ -20,9 +21,7 @@ def simulate(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Draw other numbers than the scenario's own seed.")
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace files in a folder that is not empty.")
-    ] = False,
+    force: ReplaceInFolder = False,
 ) -> None:
     """Make a session with known truth and chosen faults, or board pictures for a calibration.
 

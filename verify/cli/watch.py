@@ -16,6 +16,7 @@ import pandas as pd
 from rich.console import Console
 
 from verify.analysis.warm_up import warm_up_comparison
+from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
 from verify.core.processes import Helper
 from verify.errors import InputError
@@ -39,19 +40,9 @@ from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot
 from verify.live.state import LiveState
 from verify.live.station.station import PanDrive, Station
 
-SWITCH_INTERVAL = (
-    0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
-)
+# s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
+SWITCH_INTERVAL = 0.0005
 ESTIMATE_TIMEOUT = 20.0  # s for the clock, on a busy machine
-
-
-@dataclass(frozen=True, slots=True)
-class PageOptions:
-    """Where the page is wanted."""
-
-    port: int
-    address: str
-    token: str | None
 
 
 @dataclass(frozen=True, slots=True)

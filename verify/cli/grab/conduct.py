@@ -17,9 +17,9 @@ from reports import Results
 from reports.format import html, pdf
 from reports.grasp.document import document, outcome
 from reports.results import to_json_value
-from verify.cli.options import parse_duration
+from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
-from verify.cli.watch import PageOptions, stop_on_signal
+from verify.cli.watch import stop_on_signal
 from verify.core.records import StereoPair
 from verify.core.rig import Rig
 from verify.grasping.control.aim import LoopCycle
@@ -158,7 +158,7 @@ class GraspOptions:
     roi: str | None
     execute: bool
     auto: bool
-    duration: str
+    duration: float  # s
     page: PageOptions | None = None
 
     @property
@@ -174,15 +174,9 @@ class GraspOptions:
 
     @property
     def ends(self) -> StopConditions:
-        """When it is over.
-
-        Raises:
-            InputError: the duration is none.
-        """
+        """When it is over."""
         patience = HOLDING_TIMEOUT if self.page is None else HOLDING_TIMEOUT_PAGE
-        return StopConditions(
-            parse_duration("--for", self.duration), patience, planned=self.page is None
-        )
+        return StopConditions(self.duration, patience, planned=self.page is None)
 
 
 @dataclass(frozen=True, slots=True)

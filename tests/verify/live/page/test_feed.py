@@ -9,7 +9,7 @@ import pytest
 from websockets.sync.client import connect
 
 from verify.cli import watch
-from verify.cli.watch import PageOptions
+from verify.cli.options import PageOptions
 from verify.io.session.keys import Tolerance
 from verify.live.page.feed import Page
 from verify.live.state import LiveState
