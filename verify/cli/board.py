@@ -23,7 +23,7 @@ def board(
         CornerCounts,
         typer.Option(
             parser=parse_corners,
-            metavar="TEXT",
+            metavar="<str>",
             help="Inner corners along and across, one fewer than squares.",
         ),
     ] = DEFAULT_CORNERS,

@@ -135,7 +135,7 @@ Corners = Annotated[
     CornerCounts | None,
     typer.Option(
         parser=parse_corners,
-        metavar="TEXT",
+        metavar="<str>",
         help="Inner corners of the board, instead of board.toml: 9x7.",
     ),
 ]

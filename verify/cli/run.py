@@ -47,7 +47,7 @@ def run(
         typer.Option(
             "--for",
             parser=parse_duration,
-            metavar="TEXT",
+            metavar="<str>",
             help="Station: how long to watch: 60s, 10m, 1.5h.",
         ),
     ] = None,

@@ -60,7 +60,7 @@ def grab(
         typer.Option(
             "--for",
             parser=parse_duration,
-            metavar="TEXT",
+            metavar="<str>",
             show_default=False,  # would be in seconds, as a number
             help="The longest it may take: 60s, 10m.  [default: 60s]",
         ),
