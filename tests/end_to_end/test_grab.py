@@ -50,10 +50,10 @@ from verify.simulation.cell.cell import CellWorld
 from verify.simulation.cell.scene import Cap, CellScene, draw_scene
 from verify.simulation.cell.setup import ROBOT, SMALL_SIZE, cell_setup
 from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
-from verify.simulation.emulators.gripper_hand import contact_positions
+from verify.simulation.emulators.hand import contact_positions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 
 APP = typer.Typer()
 APP.command()(grab)

@@ -10,9 +10,8 @@ from reports.identification.document import document
 from reports.results import Results
 from tests.support.reports.page import tables
 from tests.support.true_arm import measured, readings, true_arm
-from verify.calibration.kinematics import identify
 from verify.calibration.kinematics.chain import chain_of
-from verify.calibration.kinematics.identify import IdentificationOptions
+from verify.calibration.kinematics.identify import IdentificationOptions, identify_arm
 from verify.calibration.kinematics.poses import build_poses
 from verify.calibration.kinematics.results import (
     IdentificationProvenance,
@@ -31,7 +30,7 @@ def made(geometry: float, *, outlying: bool = False, position_only: bool = False
         seen[:, :3, 3] if position_only else seen,
         covariance[:, :3, :3] if position_only else covariance,
     )
-    found = identify(chain_of(truth.arm), rows, IdentificationOptions(splits=2))
+    found = identify_arm(chain_of(truth.arm), rows, IdentificationOptions(splits=2))
     origin = IdentificationProvenance(
         arm=robots.load("iust_6r"),
         names=["monday"],

@@ -19,9 +19,9 @@ from verify.devices.ports import SerialLine
 from verify.live.station.keys import SimSettings
 from verify.simulation.devices.scene import SimClock
 from verify.simulation.devices.station import SimulatedStation
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 from verify.simulation.emulators.server import (
     EmulatorEngine,
     EmulatorFaults,

@@ -9,7 +9,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from verify.core.records import Array
-from verify.simulation.emulators.gripper_hand import N_BYTES, NO_CONTACT, GripperHand
+from verify.simulation.emulators.hand import N_BYTES, NO_CONTACT, GripperHand
 from verify.simulation.emulators.server import TimedMessage
 
 SLAVE = 9

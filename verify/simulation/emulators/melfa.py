@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.core.records import Array
-from verify.simulation.emulators.melfa_arm import MelfaArm
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.server import TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
 

@@ -32,8 +32,8 @@ from verify.grasping.actuators.protocols import (
     MoverStatus,
 )
 from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 from verify.simulation.emulators.server import EmulatorFaults, TimedMessage
 
 PORTS = ["tcp:0", "pty"]
@@ -48,7 +48,7 @@ GIVEN_BACK = ["STOP", "ERROR", "SRVOFF", "OVRD=100", "CNTLOFF", "STATE"]
 
 @pytest.fixture(autouse=True)
 def a_servo_that_comes_on_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("verify.simulation.emulators.melfa_arm.SERVO_TIME", 0.05)
+    monkeypatch.setattr("verify.simulation.emulators.arm.SERVO_TIME", 0.05)
 
 
 def controller(idle: bool = True, limits: Array = LIMITS, **options: object) -> MelfaEngine:
@@ -526,7 +526,7 @@ def test_a_servo_that_stays_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_servo_that_does_not_come_on_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("verify.simulation.emulators.melfa_arm.SERVO_TIME", 1e9)
+    monkeypatch.setattr("verify.simulation.emulators.arm.SERVO_TIME", 1e9)
     monkeypatch.setattr("verify.grasping.actuators.melfa.answers.POWER_TIMEOUT", 0.5)
     with running(controller()) as emulated, mover(emulated) as arm:
         arm.take_controls()
