@@ -18,15 +18,12 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Box = tuple[tuple[float, float], ...]
 
-MAX_LINE_POINTS = (
-    5_000  # points a line may have; a page is some 2,000 dots wide, so more cannot be told apart
-)
-N_BINS = (
-    1_000  # stretches that a longer line is cut into; each keeps its smallest and largest value
-)
-MAX_GAP_RATIO = (
-    2.5  # times the usual step: one dropped pair (2) is bridged, two are a break in the line
-)
+# points a line may have; a page is some 2,000 dots wide, so more cannot be told apart
+MAX_LINE_POINTS = 5_000
+# stretches that a longer line is cut into; each keeps its smallest and largest value
+N_BINS = 1_000
+# times the usual step: one dropped pair (2) is bridged, two are a break in the line
+MAX_GAP_RATIO = 2.5
 
 
 def column(table: pd.DataFrame, name: str) -> Array:

@@ -126,8 +126,8 @@ def _melfa(motion: str, joints: int, idle: bool, seed: int) -> "EmulatorEngine":
     import numpy as np
 
     import robots
-    from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
     from verify.simulation.emulators.arm import MelfaArm
+    from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
     from verify.simulation.emulators.trajectory import load
 
     known = robots.load(MELFA_ROBOT)

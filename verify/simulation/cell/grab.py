@@ -33,11 +33,9 @@ class PanInterpolator(Protocol):
 
     def add(self, reading: PanReading) -> None:
         """Take a reading."""
-        ...
 
     def at(self, t: float) -> tuple[float, float] | None:
         """Angles of left and right base, rad, at an instant, s; None where they are not known."""
-        ...
 
 
 class CellSource:

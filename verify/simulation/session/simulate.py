@@ -46,9 +46,8 @@ def reading_error(q: Array, direction: Array, faults: Sequence[ScenarioFault]) -
 
 
 START_OFFSET = 1.0  # s, the first pair: the encoders' record begins before it
-READING_MARGIN = (
-    0.6  # s of encoder readings on either side of every pair; motions have no gaps by that
-)
+# s of encoder readings on either side of every pair; motions have no gaps by that
+READING_MARGIN = 0.6
 TIME_STEP = 1e-6  # s, the grain of written times; the world uses the written ones
 
 

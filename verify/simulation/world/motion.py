@@ -47,11 +47,9 @@ class MotionProfile(Protocol):
 
     def angles(self, t: Array) -> Array:
         """True joint angles, rad: (...,) to (..., joints)."""
-        ...
 
     def direction(self, t: Array) -> Array:
         """Last direction of travel, +1 or -1, kept at rest: (...,) to (..., joints)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
