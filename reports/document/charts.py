@@ -1,9 +1,8 @@
-"""What is drawn, whatever draws it: panels of lines, bands, points, cells and bars.
+"""Charts in any format: panels of lines, bands, points, cells and bars; columns ready to draw.
 
-`figures.py` turns tables into charts; `drawing.py` draws them with matplotlib for paper,
-`plotting.py` with plotly for the screen. A role stands for a colour and a line style.
-
-Columns made ready to draw: broken where pairs are missing, thinned without hiding extremes.
+A chart is drawn by `reports.format.matplotlib` on paper and by `reports.format.plotly` on the
+screen. A role stands for a colour and a line style. Lines break where pairs are missing; long ones
+are thinned and keep their extremes.
 """
 
 from collections.abc import Iterable

@@ -1,7 +1,4 @@
-"""Draw a checkerboard to print, true to scale.
-
-Example: verify board --corners 9x7 --square-mm 25 --paper A3
-"""
+"""Draw a checkerboard to print, true to scale."""
 
 from pathlib import Path
 from typing import Annotated

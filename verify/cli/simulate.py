@@ -1,7 +1,4 @@
-"""Make a session with known truth and chosen faults, or board pictures for a calibration.
-
-Example: verify simulate multi_joint_fault_6r -o my_session
-"""
+"""Make a session with known truth and chosen faults, or board pictures for a calibration."""
 
 from functools import partial
 from pathlib import Path

@@ -12,9 +12,9 @@ import pytest
 import typst
 
 import reports
-from reports.calibration import check as calibration_check
 from reports.calibration import document
-from reports.calibration.check_figures import CHECK_FIGURES
+from reports.check import document as check_document
+from reports.check.figures import CHECK_FIGURES
 from reports.document.blocks import to_template_data
 from reports.format import matplotlib, pdf
 from reports.results import Results
@@ -69,7 +69,7 @@ def test_all_that_the_outline_says_stands_on_the_page_and_no_word_of_the_program
 
 @pytest.mark.parametrize("name", sorted(EVERY))
 def test_both_formats_have_the_sections_in_order(name: str) -> None:
-    titles = [section(made_of(name)).title for section in calibration_check.SECTIONS]
+    titles = [section(made_of(name)).title for section in check_document.SECTIONS]
     assert re.findall(r"<h2[^>]*>.*?</span> (.*?)</h2>", html_of(name)) == titles
     files = pdf.typst_files(document.document(made_of(name)))
     found = json.loads(typst.query(files, "heading", field="body", **pdf.FONTS))

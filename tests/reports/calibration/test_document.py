@@ -19,13 +19,13 @@ from matplotlib.colors import to_hex, to_rgb
 
 import reports
 from reports.calibration import document as calibration_document
-from reports.calibration import registration
 from reports.calibration.figures import CALIBRATION_FIGURES, arrows
-from reports.calibration.registration_evidence import REGISTRATION_FIGURES
 from reports.document import charts
 from reports.document.blocks import Bullets, Figure, Table, to_template_data
 from reports.document.charts import Chart, Line
 from reports.format import matplotlib, pdf, plotly
+from reports.registration import document as registration
+from reports.registration.evidence import REGISTRATION_FIGURES
 from reports.results import Results
 from tests.reports.conftest import LIBRARY
 from tests.reports.format.test_html import Page, _luminance, _strings

@@ -1,7 +1,4 @@
-"""`verify grab` at work: the loop, who looks on, the operator's keys, and what is left behind.
-
-The page of `verify grab`: what it shows, and what becomes of what is asked for there.
-"""
+"""Run a grasp: loop, page, operator's keys, recording and report."""
 
 import json
 import os

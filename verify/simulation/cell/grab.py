@@ -1,7 +1,4 @@
-"""A grab in the simulated cell, put together: the world, its source of pictures, and the loop.
-
-The simulated cell as the loop's surroundings: pictures, joints, devices, and what goes wrong.
-"""
+"""A grasp in the simulated cell: pictures, joints, devices and scene events around the loop."""
 
 import time
 from dataclasses import dataclass

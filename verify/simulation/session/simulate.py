@@ -1,7 +1,4 @@
-"""A simulated session: the world, what cameras and encoders make of it, what the user believes.
-
-What an encoder at fault adds to the true angle, as docs/results.md defines it.
-"""
+"""A simulated session: world, pictures, readings with encoder faults, stated rig and marker."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,4 @@
-"""What of the world shines into one camera during one exposure, in pixels.
-
-From lights to 8-bit images: lens blur, sensor noise, black level, quantisation.
-"""
+"""Render the LEDs in view of a camera: exposure, lens blur, sensor noise, black level, 8 bits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
