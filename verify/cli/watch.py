@@ -17,6 +17,7 @@ from rich.console import Console
 
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.warm_up import warm_up_comparison
+from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
 from verify.core.processes import ChildProcess, answer_requests
 from verify.errors import InputError
@@ -40,18 +41,8 @@ from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot
 from verify.live.state import LiveState
 from verify.live.station.station import PanDrive, Station
 
-SWITCH_INTERVAL = (
-    0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
-)
-
-
-@dataclass(frozen=True, slots=True)
-class PageOptions:
-    """Where the page is wanted."""
-
-    port: int
-    address: str
-    token: str | None
+# s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
+SWITCH_INTERVAL = 0.0005
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,4 @@
-"""`verify grab STATION`: real cameras, a MELFA controller and a gripper as the stage of a grab.
-
-Pairs of a station's cameras for a grab: the newest, with the angles of their bases.
-"""
+"""Grasp with a station's real cameras, a MELFA controller and a gripper."""
 
 import os
 import threading

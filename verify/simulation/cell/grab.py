@@ -1,7 +1,4 @@
-"""A grab in the simulated cell, put together: the world, its source of pictures, and the loop.
-
-The simulated cell as the loop's surroundings: pictures, joints, devices, and what goes wrong.
-"""
+"""A grasp in the simulated cell: pictures, joints, devices and scene events around the loop."""
 
 import time
 from dataclasses import dataclass
@@ -33,11 +30,9 @@ class PanInterpolator(Protocol):
 
     def add(self, reading: PanReading) -> None:
         """Take a reading."""
-        ...
 
     def at(self, t: float) -> tuple[float, float] | None:
         """Angles of left and right base, rad, at an instant, s; None where they are not known."""
-        ...
 
 
 class CellSource:
