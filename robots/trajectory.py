@@ -352,12 +352,12 @@ class TrajectoryFollower:
         )
 
     def _trouble(self, motion: JointMotion, stop: Any) -> str:
-        """What speaks against standing at `motion` with that stop before one, in words."""
+        """Why the arm may not go to `motion` and that stop, in words; empty where it may."""
         extrema = stop.position_extrema
         for value in ([e.min for e in extrema], [e.max for e in extrema]):
-            said = limit_violation(self._limits, rest_motion(np.array(value)))
-            if said:
-                return said
+            problem = limit_violation(self._limits, rest_motion(np.array(value)))
+            if problem:
+                return problem
         times = np.linspace(0.0, stop.duration, N_STOP_SAMPLES)
         stops = np.array([stop.at_time(t)[0] for t in times.tolist()])
         return limit_violation(self._limits, motion) or self._clear(
