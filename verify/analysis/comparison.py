@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
+from robots.transforms import cross_matrix
 from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import RATE_SPAN, Readings
 from verify.core.records import Array
@@ -206,7 +207,7 @@ def _complete_poses(
             xi = twist_difference(encoder[i : i + 1], filled[i : i + 1])[0]
             step = hidden @ np.linalg.lstsq(hidden[3:], xi[3:], rcond=None)[0]
             _apply_screw(filled[i], step)
-            carry[i] = _twist_transport(filled[i, :3, 3] - measured[i, :3, 3])
+            carry[i] = twist_transport(filled[i, :3, 3] - measured[i, :3, 3])
             known[i] = np.linalg.inv(carry[i]).T @ functionals
             if np.linalg.norm(step[3:]) < TOL_GAUGE:
                 break
@@ -225,11 +226,10 @@ def _apply_screw(pose: Array, step: Array) -> None:
     pose[:3, 3] += (np.eye(3) - turn) @ -arm
 
 
-def _twist_transport(shift: Array) -> Array:
-    """Carry a twist to an origin that lies `shift` further on, (6, 6)."""
-    carry = np.eye(6)
-    x, y, z = shift
-    carry[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # rho + phi x shift
+def twist_transport(shift: Array) -> Array:
+    """Carry twists to an origin that lies `shift` (..., 3), m, further on, (..., 6, 6)."""
+    carry = np.broadcast_to(np.eye(6), (*shift.shape[:-1], 6, 6)).copy()
+    carry[..., :3, 3:] = -cross_matrix(shift)  # rho + phi x shift
     return carry
 
 
@@ -292,13 +292,18 @@ class JointComparison:
     coupling: tuple[robots.Coupling | None, ...]  # joints that a singularity near by couples
 
     @property
-    def single(self) -> Array:
-        """Errors that may enter a single joint's statistics: coupled ones are nan; (n, j)."""
-        error = self.error.copy()
+    def coupled(self) -> NDArray[np.bool_]:
+        """Joints that a singularity near by couples, (n, j)."""
+        coupled = np.zeros(self.error.shape, dtype=bool)
         for i, coupling in enumerate(self.coupling):
             if coupling is not None:
-                error[i, list(coupling.joints)] = np.nan
-        return error
+                coupled[i, list(coupling.joints)] = True
+        return coupled
+
+    @property
+    def single(self) -> Array:
+        """Errors that may enter a single joint's statistics: coupled ones are nan; (n, j)."""
+        return np.where(self.coupled, np.nan, self.error)
 
 
 def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
+from robots.transforms import cross_matrix
 from verify.analysis.comparison import ReadingUncertainty, compare
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, Pose
@@ -46,12 +47,13 @@ class InstrumentNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredPoses:
-    """What an instrument's file gives, as the chain gives it from pictures."""
+class MeasuredSession:
+    """What the pictures, or the instrument, gave."""
 
     measurements: list[Measurement]
     track: Track
     systematics: Systematics
+    preview: bytes | None = None  # PNG of a pair; an instrument's poses have none
 
 
 def instrument_setup(session: Session, instrument: Instrument) -> dict[str, Any]:
@@ -104,7 +106,7 @@ def measure_poses(
     readings: Readings,
     noise: InstrumentNoise,
     offset: float | None = None,
-) -> MeasuredPoses:
+) -> MeasuredSession:
     """Take an instrument's poses as measured; each carries this noise.
 
     Args:
@@ -125,7 +127,9 @@ def measure_poses(
         for m in measurements
         if m.pose is not None
     ]
-    return MeasuredPoses(measurements, collect_track(measurements, session.rig, moved), systematics)
+    return MeasuredSession(
+        measurements, collect_track(measurements, session.rig, moved), systematics
+    )
 
 
 def _measurements(
@@ -165,8 +169,7 @@ def _point_to_flange(lever: Array, *, alone: bool) -> tuple[Array, Array]:
         (6, 3 or 6), the flange's twist by the point's shift (and the body's turn); and (6, d),
         orthonormal.
     """
-    x, y, z = lever
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # lever x .
+    across = cross_matrix(lever)
     if not alone:
         gain = np.eye(6)
         gain[:3, 3:] = across

@@ -5,14 +5,18 @@ One pair of pictures with the LEDs marked: what the report shows of the raw evid
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 import robots
 from verify.analysis.clock import ClockEstimate, estimate_clock
-from verify.analysis.instrument import measure_poses, noise_from_scatter, stated_noise
+from verify.analysis.instrument import (
+    MeasuredSession,
+    measure_poses,
+    noise_from_scatter,
+    stated_noise,
+)
 from verify.analysis.results.warnings import rig_moved
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings
@@ -21,7 +25,7 @@ from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.chain import Setup
-from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
+from verify.measurement.systematics import sensitivities, stated_systematics
 from verify.measurement.track import Track, collect_track
 
 WIDTH, HEIGHT = 720, 450  # px of one picture in the report
@@ -84,16 +88,6 @@ Progress = Callable[[int, int], None]
 Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuredSession:
-    """What the pictures, or the instrument, gave."""
-
-    measurements: list[Measurement]
-    track: Track
-    systematics: Systematics
-    preview: bytes | None  # of a pair; an instrument's poses have none
-
-
 def setup_of(session: Session) -> Setup:
     """What the chain needs to know to measure a session."""
     readings = Readings(session.encoders.t, session.encoders.q)
@@ -151,7 +145,7 @@ def measure_instrument(
         seen = measure_poses(session, instrument, readings, found, clock.offset)
         if not instrument.positions_alone:  # places and turns now weigh as much as they are worth
             clock = session_clock(session, seen.track, readings)
-    return MeasuredSession(seen.measurements, seen.track, seen.systematics, None), clock
+    return seen, clock
 
 
 def _remember_pairs(pairs: Iterator[StereoPair], recent: deque[StereoPair]) -> Iterator[StereoPair]:

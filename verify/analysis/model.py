@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robots.transforms import cross_matrix
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import Comparison, JointComparison
 from verify.analysis.least_squares import Whitener, residual_products, whiten
@@ -156,21 +157,13 @@ def _registration_columns(comparison: Comparison, *, base: bool, body: bool) -> 
     if base:
         arm = flange[:, :3, 3]
         motion = np.tile(np.eye(6), (n, 1, 1))
-        motion[:, :3, 3:] = -_cross(arm)
+        motion[:, :3, 3:] = -cross_matrix(arm)
         columns = np.concatenate([columns, motion], axis=2)
     if body:
         turn = np.zeros((n, 6, 6))
         turn[:, :3, :3] = turn[:, 3:, 3:] = flange[:, :3, :3]
         columns = np.concatenate([columns, turn], axis=2)
     return columns
-
-
-def _cross(vectors: Array) -> Array:
-    """Matrices of v x ., (n, 3, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    matrix = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
-    return matrix.reshape(-1, 3, 3)
 
 
 def _in_base_axes(rig: Rig) -> Array:

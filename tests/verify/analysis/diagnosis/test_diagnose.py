@@ -24,7 +24,7 @@ from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes, thin_model
 from verify.analysis.diagnosis.faults import Fault, base_motion, body_motion
-from verify.analysis.diagnosis.link_faults import link_displacements, link_frames
+from verify.analysis.diagnosis.link_faults import link_displacements
 from verify.analysis.diagnosis.search import FaultProducts
 from verify.analysis.joint_errors import resolve_errors
 from verify.analysis.model import build_model
@@ -195,12 +195,6 @@ def test_displaced_links_span_what_a_dh_table_can_have_wrong(name: str) -> None:
     rows = np.concatenate([*columns, robots.jacobian(arm, q)], axis=2).reshape(360, -1)
     size = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
     assert int(np.sum(size > 1e-9 * size[0])) == 4 * arm.dof + 6
-
-
-def test_link_frames_end_at_the_flange() -> None:
-    assert isinstance(ARM, robots.DhArm)
-    q = motion(T[:5])
-    assert_allclose(link_frames(ARM, q)[:, -1], robots.forward(ARM, q), atol=1e-12)
 
 
 def test_several_faults_at_once_are_each_named() -> None:
