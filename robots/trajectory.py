@@ -1,18 +1,13 @@
-"""How far, how fast and how abruptly each joint may go; and words for what would go beyond.
+"""Jerk-limited motion of an arm within its joints' limits: along a path, or after a moving goal.
 
-Jerk-limited motion along a path of joint angles: an S-curve over the way, by ruckig.
+Along a path: a B-spline q(s) and an S-curve s(t) by ruckig. A B-spline lies within the hull of its
+coefficients, and its derivatives are B-splines too, so that their greatest values are bounded along
+the whole path, not at samples.
 
-The path is a B-spline q(s), the S-curve is s(t). Since a B-spline lies within the hull of its
-coefficients, and its derivatives are B-splines too, their greatest values are bounded along the
-whole way, not at samples. A straight line between two postures is a path as well: then the S-curve
-of the joint that needs most time rules, and all joints begin and end together.
-
-Motion as a stream: jerk-limited, after a goal that jumps about, and never without a way to stop.
-
-Each joint goes after its goal on the quickest S-curve within its limits (ruckig). One step of it is
-taken only if from there the arm can still stop without leaving the joints' limits or what `clear`
-allows; else it goes on along the stop that was found possible before. So whatever goals come, what
-is ordered stays within the limits, and so does the stop that follows.
+After a goal: each joint follows on the quickest S-curve within its limits. A step is taken only if
+the arm can still stop from there within the limits and what `clear` allows; else it goes on along
+the stop that was found before. So any goal leaves the motion, and the stop that follows, within the
+limits.
 """
 
 from collections.abc import Callable
@@ -28,6 +23,13 @@ from robots.errors import RobotError
 from robots.transforms import Array
 
 TOL_LIMIT = 1e-6  # of each limit: rounding of a trajectory that runs at its limit
+MIN_PATH_LENGTH = 1e-9  # rad: a way this short is none
+ObstacleCheck = Callable[
+    [Array], str
+]  # postures (m, n) in order: what stands in the way; "": nothing
+TOL_REST = 1e-9  # rad/s and rad/s²: rounding of an arm at rest
+N_STOP_SAMPLES = 9  # of a stop, handed to `clear`
+MAX_GOAL_SPEED_RATIO = 0.95  # of the limit: a goal may be as fast as that; ruckig wants it below
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +96,6 @@ def limit_violation(limits: JointLimits, motion: JointMotion) -> str:
             allowed = f"allowed is {low:g} to {high:g}{unit}"
             return f"joint {joint + 1} {what} {value:.1f}{unit}, {allowed}"
     return ""
-
-
-MIN_PATH_LENGTH = 1e-9  # rad: a way this short is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,14 +278,6 @@ def _calculate(order: Any) -> Any:
 def _state_at(curve: Any, t: float) -> tuple[float, float, float]:
     s, speed, acceleration = curve.at_time(t)
     return float(s[0]), float(speed[0]), float(acceleration[0])
-
-
-ObstacleCheck = Callable[
-    [Array], str
-]  # postures (m, n) in order: what stands in the way; "": nothing
-TOL_REST = 1e-9  # rad/s and rad/s²: rounding of an arm at rest
-N_STOP_SAMPLES = 9  # of a stop, handed to `clear`
-MAX_GOAL_SPEED_RATIO = 0.95  # of the limit: a goal may be as fast as that; ruckig wants it below
 
 
 @dataclass(frozen=True, slots=True)

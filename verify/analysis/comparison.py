@@ -1,10 +1,9 @@
-"""The encoders' pose less the measured one, pair by pair: what every judgement rests on.
+"""Compare the encoders' poses with the measured ones, as twists and as joint angles.
 
-All statistics start from the twist `xi` between the two poses (translation, rotation vector; base
-axes at the flange; m and rad) and the Jacobian that carries joint errors to it. No joint angle is
-inverted for them, so a pair near a singularity does no harm.
-
-Measured pose to joint angles: closed-form inverse, the branch nearest the readings.
+All statistics start from the twist xi of the readings' pose less the measured one (translation,
+rotation vector; base axes at the flange; m and rad) and the Jacobian J with xi = J e for joint
+errors e. No joint angle is inverted for them, so a pair near a singularity does no harm. Joint
+angles of measured poses come from the inverse, the branch nearest the readings.
 """
 
 from dataclasses import dataclass, replace
@@ -24,6 +23,8 @@ from verify.measurement.track import Track
 MIN_ACCELERATIONS = 5  # second differences that make a session's mean square
 MAX_GAUGE_STEPS = 12  # Newton on a turn: from half a turn away it takes six
 TOL_GAUGE = 1e-9  # rad
+# A direction that moves a joint less than this share of the most moved one is rounding.
+MIN_MOTION = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,10 +274,6 @@ def _second_difference_variance(
         + variance[usable + 1] * late**2
     ) / span[:, None] ** 2
     return total
-
-
-# A direction that moves a joint less than this share of the most moved one is rounding.
-MIN_MOTION = 1e-6
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,8 @@
-"""Poses that another instrument measured, as measurements: all that follows is the cameras' own.
+"""Turn poses that another instrument measured into measurements with covariance.
 
-A pose from a file has no spots, so it carries its covariance ready made, and the stated doubts
-that move it are those of the robot's base and of the body on the flange.
-
-The noise of an instrument that does not state it, from the data's own scatter.
+A pose from a file has no spots: its covariance comes from the file, from session.toml, or from the
+poses' own scatter, and the systematic parameters are those of the robot's base and of the body on
+the flange.
 """
 
 from collections.abc import Iterator
@@ -29,6 +28,12 @@ from verify.measurement.track import Track, collect_track
 NOISE = "the instrument's noise"
 CALIBRATION_SOURCE = "the instrument's own calibration"
 BODY_SOURCE = "the body on the flange"
+WINDOW = 5  # poses in a row that a parabola is laid through: two are left over
+MIN_WINDOWS = 12  # for a scatter that is worth the name
+MEDIAN_CHI2 = 5.348  # of six degrees of freedom: two that are left over, of three coordinates
+# a variance from a median of squares is less certain than one from their mean
+MEDIAN_VARIANCE_FACTOR = 1.3
+PARTS = (slice(0, 3), slice(3, 6))  # translation and rotation of a twist
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,15 +247,6 @@ def _sensitivities(parameters: Systematics, rig_T_flange: Array, rig_T_base: Arr
     base_R_rig = rig_T_base[:3, :3].T
     columns[:3], columns[3:] = base_R_rig @ columns[:3], base_R_rig @ columns[3:]
     return columns
-
-
-WINDOW = 5  # poses in a row that a parabola is laid through: two are left over
-MIN_WINDOWS = 12  # for a scatter that is worth the name
-MEDIAN_CHI2 = 5.348  # of six degrees of freedom: two that are left over, of three coordinates
-MEDIAN_VARIANCE_FACTOR = (
-    1.3  # a variance from a median of squares is less certain than one from their mean
-)
-PARTS = (slice(0, 3), slice(3, 6))  # translation and rotation of a twist
 
 
 def noise_from_scatter(

@@ -1,6 +1,6 @@
-"""What was measured in a session, through its pictures or by another instrument, and its clock.
+"""Measure a session, through its pictures or by another instrument, and find its clock.
 
-One pair of pictures with the LEDs marked: what the report shows of the raw evidence.
+One pair of pictures is kept with its LEDs marked, for the report.
 """
 
 from collections import Counter, deque
@@ -39,6 +39,11 @@ PNG_FLAGS = (
 )  # of a dark room: smaller too
 RING_COLOUR = (80, 200, 80)  # BGR
 TEXT_COLOUR = (60, 220, 255)
+SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
+SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
+MAX_CANDIDATES = 200
+Progress = Callable[[int, int], None]
+Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
 
 
 def draw_pair(pair: StereoPair, measurement: Measurement, marker: Marker) -> bytes:
@@ -78,14 +83,6 @@ def _crop(sighting: Sighting, width: int, height: int) -> tuple[float, float, fl
     left = np.clip(middle[0] - WIDTH / scale / 2, 0, width - WIDTH / scale)
     top = np.clip(middle[1] - HEIGHT / scale / 2, 0, height - HEIGHT / scale)
     return float(left), float(top), scale
-
-
-SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
-SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
-MAX_CANDIDATES = 200
-
-Progress = Callable[[int, int], None]
-Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
 
 
 def setup_of(session: Session) -> Setup:

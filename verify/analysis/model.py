@@ -1,8 +1,14 @@
-"""A session as a linear model: what joint errors, a registration and stated doubts move.
+"""A session as a whitened linear model, and which joint errors it can show.
 
-The length of an error vector, and how well it is known.
+    W xi = W J e + W F f + W P p + noise of unit variance,    p ~ N(0, 1)
 
-What the session could have shown: visible share, detectable and separable error a joint.
+==========  =====================================================================
+columns     meaning
+==========  =====================================================================
+J e         joint errors e, less what the registration took in of them
+F f         what was fitted with them: clock, and base and LEDs from this motion
+P p         stated uncertainties that do not average out, in standard deviations
+==========  =====================================================================
 """
 
 from dataclasses import dataclass, replace
@@ -22,10 +28,12 @@ from verify.measurement.track import Track
 
 # More distinct pan readings than this are taken as errors of single pairs, which average out.
 MAX_PAN_GROUPS = 60
-MIN_VISIBLE_SHARE = (
-    1e-3  # of a joint's column: a share below this is what rounding leaves of nothing
-)
+# of a joint's column: a share below this is what rounding leaves of nothing
+MIN_VISIBLE_SHARE = 1e-3
 MIN_SPEED_SIGMA = 5.0  # standard deviations of a mean speed that readings at rest do not reach
+MIN_PAIRS = 10  # fewer say nothing of a session's shares
+# False alarm 0.1 % (two-sided, 3.29) and power 80 % (0.84).
+DETECTION_SIGMA = 4.13
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +72,8 @@ class JointErrorModel:
     xi: Array  # (r,)
     joints: Array  # (r, j), of a constant offset that arose after registration, 1 rad
     hidden: Array  # (r, j), the same for one that was there at registration
-    fitted: (
-        Array  # (r, f), free columns: clock, and base and LED body where this session's stand in
-    )
+    # (r, f), free columns: clock, and base and LED body where this session's stand in
+    fitted: Array
     seen: "WhitenedColumns"  # the same columns as the pictures alone weigh them
     prior: Array  # (r, p), columns of unit variance: everything stated that does not average out
     prior_columns: Array  # (n, 6, p), the same before whitening
@@ -227,11 +234,6 @@ def vector_length(vectors: Array, covariance: Array) -> tuple[Array, Array]:
     variance = np.where(size**2 > largest, variance, largest)
     uncertainty: Array = np.sqrt(np.where(np.isnan(size), np.nan, variance))
     return size, uncertainty
-
-
-MIN_PAIRS = 10  # fewer say nothing of a session's shares
-# False alarm 0.1 % (two-sided, 3.29) and power 80 % (0.84).
-DETECTION_SIGMA = 4.13
 
 
 @dataclass(frozen=True, slots=True)

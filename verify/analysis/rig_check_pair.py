@@ -14,9 +14,8 @@ from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
 
 TOL_RANK = 1e-9  # singular values of a whitened pose design below this are rounding
-MIN_EFFECT = (
-    1e-6  # of a figure's effect left beside the pose's: less, and the pair does not show it
-)
+# of a figure's effect left beside the pose's: less, and the pair does not show it
+MIN_EFFECT = 1e-6
 
 PosedPair = tuple[Measurement, Pose, Sighting, Sighting]  # a pair, its pose, left and right
 

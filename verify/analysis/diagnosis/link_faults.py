@@ -1,18 +1,13 @@
-"""What a wrong link parameter does to every pair: the arm is not quite what its table says.
+"""Fault models of an arm's links, and the dictionary of all faults that a diagnosis tries.
 
-Standard DH, RotZ(θ) TransZ(d) TransX(a) RotX(α), with Hayati's RotY(β) behind it where the next
-axis is parallel: there the common normal is nowhere in particular, and d slides along with the d of
-the next joint. Source: Hayati, Robot arm geometric link parameter estimation, 22nd IEEE CDC, 1983.
+A single link parameter: standard DH, RotZ(θ) TransZ(d) TransX(a) RotX(α), with Hayati's RotY(β)
+behind it where the next axis is parallel, as the common normal is not determined there and d is
+redundant with the next joint's. Source: Hayati, Robot arm geometric link parameter estimation,
+22nd IEEE CDC, 1983.
 
-An arm whose links are off all over: one fault of many coefficients, for any arm.
-
-A real arm is seldom built as its table says, and no single length or twist then explains it. What
-many of them do together would pass for offsets, waves and drifts of the joints, so it is tried as
-a whole: every link may be displaced against the next axis in the four ways that matter.
-
-Where an arm's links are, and how the flange moves when one of them is not what it should be.
-
-Everything that a diagnosis tries.
+The geometry as a whole: every link displaced against the next axis in the four ways that matter,
+one fault of many coefficients, for any arm. Small errors of many links together would otherwise be
+taken for offsets, waves and drifts of joints.
 """
 
 import numpy as np
@@ -30,9 +25,9 @@ from verify.analysis.model import JointErrorModel
 from verify.core.records import Array
 from verify.core.rig import Rig
 
-MIN_SINGULAR_VALUE = (
-    1e-3  # of the largest singular value: what registration leaves of a gauge is rounding
-)
+# of the largest singular value: what registration leaves of a gauge is rounding
+MIN_SINGULAR_VALUE = 1e-3
+MAX_PARALLEL_SINE = np.sin(np.deg2rad(10.0))  # below, two axes count as parallel
 
 
 def geometry_fault(model: JointErrorModel, arm: robots.Arm) -> Fault:
@@ -87,11 +82,8 @@ def translation_twist(axis: Array) -> Array:
 
 
 def rotation_twist(axis: Array, lever: Array) -> Array:
-    """Likewise a radian about axes (m, 3) that the flange is a lever (m, 3), m, away from."""
+    """Twist of the flange (m, 6, 1) a radian about axes (m, 3), at a lever (m, 3), m, from them."""
     return np.concatenate([np.cross(axis, lever), axis], axis=1)[:, :, None]
-
-
-MAX_PARALLEL_SINE = np.sin(np.deg2rad(10.0))  # below, two axes count as parallel
 
 
 def link_faults(model: JointErrorModel, arm: robots.DhArm) -> list[Fault]:
