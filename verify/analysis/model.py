@@ -97,7 +97,7 @@ def build_model(
 ) -> JointErrorModel:
     """Lay a comparison out as a whitened linear model."""
     white = whiten(comparison)
-    jacobian = comparison.jacobian
+    jacobian, flange = comparison.jacobian, comparison.base_T_jacobian
     latency = clock_effect(comparison, steady=clock.source == "not_observable")
     open_clock = clock.source != "given" and bool(latency.any())
     clock_columns = latency if open_clock else latency[:, :, :0]
@@ -105,11 +105,11 @@ def build_model(
     base, body = rig.base_source == "motion", marker.source == "motion"
     hidden, fitted = jacobian, clock_columns
     if rig.absorption is not None and (base or body):
-        full = _registration_columns(comparison, base=True, body=True)
+        full = np.concatenate([base_motion(flange), body_motion(flange)], axis=2)
         hidden = jacobian - full @ _in_base_axes(rig) @ rig.absorption
     elif base or body:
-        registered = _registration_columns(comparison, base=base, body=body)
-        fitted = np.concatenate([clock_columns, registered], axis=2)
+        parts = [*([base_motion(flange)] * base), *([body_motion(flange)] * body)]
+        fitted = np.concatenate([clock_columns, *parts], axis=2)
     hidden = _zero_rounding(hidden, jacobian, white)
     # shares are of what the pictures show, whatever the readings' noise
     pictures = whiten(comparison, comparison.covariance_measured)
@@ -156,21 +156,18 @@ def _zero_rounding(hidden: Array, jacobian: Array, white: Whitener) -> Array:
     return np.where(left > MIN_VISIBLE_SHARE * whole, hidden, 0.0)
 
 
-def _registration_columns(comparison: Comparison, *, base: bool, body: bool) -> Array:
-    """What a motion of the registered base (base axes) or LED body (flange axes) does to xi."""
-    n = len(comparison)
-    columns = np.zeros((n, 6, 0))
-    flange = comparison.base_T_jacobian
-    if base:
-        arm = flange[:, :3, 3]
-        motion = np.tile(np.eye(6), (n, 1, 1))
-        motion[:, :3, 3:] = -cross_matrix(arm)
-        columns = np.concatenate([columns, motion], axis=2)
-    if body:
-        turn = np.zeros((n, 6, 6))
-        turn[:, :3, :3] = turn[:, 3:, 3:] = flange[:, :3, :3]
-        columns = np.concatenate([columns, turn], axis=2)
-    return columns
+def base_motion(base_T_flange: Array) -> Array:
+    """Twist (n, 6, 6) of the flange for a motion of what it stands on, base axes."""
+    motion = np.tile(np.eye(6), (len(base_T_flange), 1, 1))
+    motion[:, :3, 3:] = -cross_matrix(base_T_flange[:, :3, 3])
+    return motion
+
+
+def body_motion(base_T_flange: Array) -> Array:
+    """Twist (n, 6, 6) of the flange for a motion of itself in its own axes."""
+    motion = np.zeros((len(base_T_flange), 6, 6))
+    motion[:, :3, :3] = motion[:, 3:, 3:] = base_T_flange[:, :3, :3]
+    return motion
 
 
 def _in_base_axes(rig: Rig) -> Array:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from verify.analysis.model import JointErrorModel, clock_effect
+from verify.analysis.model import JointErrorModel, base_motion, body_motion, clock_effect
 from verify.core.records import Array
 from verify.core.rig import Rig
 
@@ -181,21 +181,6 @@ def common_faults(model: JointErrorModel, rig: Rig | None) -> list[Fault]:
     if rig is not None:
         columns.append(("camera_skew", "s", skew_effect(model, rig)))
     return [Fault(kind, None, unit, model.white.rows(c)) for kind, unit, c in columns]
-
-
-def base_motion(base_T_flange: Array) -> Array:
-    """Twist (n, 6, 6) of the flange for a motion of what it stands on, base axes."""
-    motion = np.tile(np.eye(6), (len(base_T_flange), 1, 1))
-    for k in range(3):
-        motion[:, :3, 3 + k] = np.cross(np.eye(3)[k], base_T_flange[:, :3, 3])
-    return motion
-
-
-def body_motion(base_T_flange: Array) -> Array:
-    """Twist (n, 6, 6) of the flange for a motion of itself in its own axes."""
-    motion = np.zeros((len(base_T_flange), 6, 6))
-    motion[:, :3, :3] = motion[:, 3:, 3:] = base_T_flange[:, :3, :3]
-    return motion
 
 
 def skew_effect(model: JointErrorModel, rig: Rig) -> Array:

@@ -16,12 +16,10 @@ from scipy.spatial.transform import Rotation
 import robots
 from verify.analysis.diagnosis.faults import (
     Fault,
-    base_motion,
-    body_motion,
     common_faults,
     joint_faults,
 )
-from verify.analysis.model import JointErrorModel
+from verify.analysis.model import JointErrorModel, base_motion, body_motion
 from verify.core.records import Array
 from verify.core.rig import Rig
 
@@ -36,10 +34,7 @@ def geometry_fault(model: JointErrorModel, arm: robots.Arm) -> Fault:
     rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     taken = [model.fitted]
     if model.through_encoders:  # registered by another motion: as if it had been this one
-        pose = model.comparison.base_T_jacobian
-        body = np.zeros((len(pose), 6, 6))
-        body[:, :3, :3] = body[:, 3:, 3:] = pose[:, :3, :3]
-        taken.append(model.white.rows(np.concatenate([base_motion(pose), body], axis=2)))
+        taken.append(_registration_rows(model))
     beside = np.concatenate(taken, axis=1)
     basis, size, _ = np.linalg.svd(
         beside / np.maximum(np.linalg.norm(beside, axis=0), 1e-300), full_matrices=False
@@ -116,11 +111,15 @@ def _minus_registration(model: JointErrorModel, rows: list[Array]) -> list[Array
 
     They were registered by another one, which is not known here; a length was as wrong then.
     """
-    pose = model.comparison.base_T_jacobian
-    taken = model.white.rows(np.concatenate([base_motion(pose), body_motion(pose)], axis=2))
-    basis, size, _ = np.linalg.svd(taken, full_matrices=False)
+    basis, size, _ = np.linalg.svd(_registration_rows(model), full_matrices=False)
     basis = basis[:, size > 1e-9 * size[0]]
     return [columns - basis @ (basis.T @ columns) for columns in rows]
+
+
+def _registration_rows(model: JointErrorModel) -> Array:
+    """Whitened columns of a motion of base and LED body, (r, 12)."""
+    pose = model.comparison.base_T_jacobian
+    return model.white.rows(np.concatenate([base_motion(pose), body_motion(pose)], axis=2))
 
 
 def fault_dictionary(
