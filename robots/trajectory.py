@@ -28,6 +28,13 @@ from robots.errors import RobotError
 from robots.transforms import Array
 
 TOL_LIMIT = 1e-6  # of each limit: rounding of a trajectory that runs at its limit
+MIN_PATH_LENGTH = 1e-9  # rad: a way this short is none
+ObstacleCheck = Callable[
+    [Array], str
+]  # postures (m, n) in order: what stands in the way; "": nothing
+TOL_REST = 1e-9  # rad/s and rad/s²: rounding of an arm at rest
+N_STOP_SAMPLES = 9  # of a stop, handed to `clear`
+MAX_GOAL_SPEED_RATIO = 0.95  # of the limit: a goal may be as fast as that; ruckig wants it below
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +98,6 @@ def limit_violation(limits: JointLimits, motion: JointMotion) -> str:
             allowed = f"allowed is {low:g} to {high:g}{unit}"
             return f"joint {joint + 1} {what} {value:.1f}{unit}, {allowed}"
     return ""
-
-
-MIN_PATH_LENGTH = 1e-9  # rad: a way this short is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,13 +275,6 @@ def _calculate(order: Any) -> Any:
 def _state_at(curve: Any, t: float) -> tuple[float, float, float]:
     s, speed, acceleration = curve.at_time(t)
     return float(s[0]), float(speed[0]), float(acceleration[0])
-
-
-# postures (m, n), rad, in order -> what stands in the way, in words; "": nothing
-ObstacleCheck = Callable[[Array], str]
-TOL_REST = 1e-9  # rad/s and rad/s²: rounding of an arm at rest
-N_STOP_SAMPLES = 9  # of a stop, handed to `clear`
-MAX_GOAL_SPEED_RATIO = 0.95  # of the limit: a goal may be as fast as that; ruckig wants it below
 
 
 @dataclass(frozen=True, slots=True)
