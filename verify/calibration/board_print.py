@@ -1,9 +1,7 @@
-"""How a board lies on paper: where the pattern stands, its black areas, the rulers beside it.
+"""Print a board: its layout on paper, its black areas and rulers, and the sheet as PDF and PNG.
 
-Millimetres throughout, x to the right and y down from the sheet's top left corner: this is a
-door, to paper.
-
-A board's sheet as PDF and PNG, set by typst; every coordinate is the layout's own.
+Millimetres throughout, x to the right and y down from the sheet's top left corner. The sheet is set
+by typst; every coordinate is the layout's own.
 """
 
 import json

@@ -1,6 +1,6 @@
-"""Known distances between LEDs, as triangulated through the rig over a session.
+"""Measure known distances between LEDs through the rig, over a session.
 
-A bar of two LEDs: which of two like lights is which does not matter, but one must be chosen.
+`BarTracker` keeps the two like ends of a bar apart by continuity.
 """
 
 from collections import defaultdict
@@ -154,10 +154,7 @@ def _parameter_derivatives(
 
 @dataclass
 class BarTracker:
-    """Watches pairs go by and proposes where the bar is, ends kept apart by continuity.
-
-    A choice, never a value: identification takes the nearest of its own hypotheses.
-    """
+    """Proposes the bar's pose in each pair; correspondence takes its own nearest hypothesis."""
 
     rig: Rig
     marker: Marker  # two LEDs
@@ -165,9 +162,9 @@ class BarTracker:
     _proposed: dict[float, Array] = field(default_factory=dict)  # the last pair's, by its t_left
 
     def watch(self, pairs: Iterable[StereoPair]) -> Iterator[StereoPair]:
-        """Pass pairs on, each looked at first."""
+        """Pass pairs on, after locating the bar in each."""
         for pair in pairs:
-            ends = self._look(pair)
+            ends = self._locate(pair)
             self._proposed = {}
             if ends is not None:
                 self._ends = ends
@@ -175,24 +172,20 @@ class BarTracker:
             yield pair
 
     def expected(self, t: float) -> Sequence[Array]:
-        """What `Setup.expected` asks for."""
+        """Expected poses at an instant, as `Setup.expected` takes them."""
         return [self._proposed[t]] if t in self._proposed else []
 
-    def _look(self, pair: StereoPair) -> Array | None:
-        """Both ends by the two brightest spots of either image, (2, 3); None: not seen."""
+    def _locate(self, pair: StereoPair) -> Array | None:
+        """Triangulate the two brightest spots of either image, (2, 3); None: not visible."""
         left, right = detect(pair.left), detect(pair.right)
         if min(len(left), len(right)) < 2:
             return None
         ways = []
         for order in ([0, 1], [1, 0]):
             points, gap = triangulate(
-                self.rig.left,
-                self.rig.right,
-                pair.pan_left,
-                pair.pan_right,
-                left.centre[:2],
-                right.centre[order],
-            )
+                self.rig.left, self.rig.right, pair.pan_left, pair.pan_right,
+                left.centre[:2], right.centre[order],
+            )  # fmt: skip
             if np.isfinite(points).all():
                 ways.append((float(np.sum(gap)), points))
         if not ways:
