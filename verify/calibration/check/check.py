@@ -27,6 +27,7 @@ from verify.analysis.rig_check import (
 )
 from verify.calibration.board_pose import board_marker, board_poses
 from verify.calibration.check.lengths import BarTracker, Lengths, measured_lengths
+from verify.calibration.stereo.records import rms
 from verify.core.fiducials import Board, BoardPair, Marker
 from verify.core.records import Measurement, StereoPair
 from verify.core.rig import Rig
@@ -218,7 +219,6 @@ def _result(
     limit = figure_limit(found)
     beyond = np.abs(np.nan_to_num(found.z)) > limit
     residuals = [m.pose.residual[~m.pose.rejected] for m in poses if m.pose]
-    squares = np.concatenate([np.sum(residual**2, axis=1) for residual in residuals])
     holds = not bool(beyond.any())
     exact = tuple(s for s in uncounted if s in REQUIRED_SOURCES)
     return CheckResult(
@@ -226,7 +226,7 @@ def _result(
         found=found,
         lengths=each,
         square=square,
-        reprojection_rms_px=float(np.sqrt(np.mean(squares))),
+        reprojection_rms_px=rms(np.concatenate(residuals)),
         visible=_visible(found, limit),
         uncounted=exact,
         decisions=tuple(_decisions(found, beyond, limit)),

@@ -90,10 +90,10 @@ def _length_uncertainty(shown: list[_PairLength], parameters: Systematics) -> fl
 
 
 def _pair_lengths(
-    seen: Measurement, rig: Rig, marker: Marker, parameters: Systematics
+    measurement: Measurement, rig: Rig, marker: Marker, parameters: Systematics
 ) -> list[_PairLength]:
     """Each distance that one pair shows."""
-    pose, left, right = seen.pose, seen.left, seen.right
+    pose, left, right = measurement.pose, measurement.left, measurement.right
     if pose is None or left is None or right is None:
         return []
     good = ~pose.rejected if pose.consistent else np.ones_like(pose.rejected)
@@ -118,7 +118,7 @@ def _pair_lengths(
     functionals = np.zeros((len(found), 2 * len(good)))
     for i, (_, _, where, by_pixels) in enumerate(found):
         functionals[i, (2 * where.reshape(-1, 1) + [0, 1]).reshape(-1)] = by_pixels
-    columns = _parameter_derivatives(seen, pose, functionals, rig, marker, parameters)
+    columns = _parameter_derivatives(measurement, pose, functionals, rig, marker, parameters)
     return [
         _PairLength(ends, length, by_pixels, column, (left.pan, right.pan))
         for (ends, length, _, by_pixels), column in zip(found, columns, strict=True)
@@ -133,7 +133,7 @@ def _point_by_pixels(pose: Pose, spots: Array) -> Array:
 
 
 def _parameter_derivatives(
-    seen: Measurement,
+    measurement: Measurement,
     pose: Pose,
     functionals: Array,
     rig: Rig,
@@ -147,7 +147,7 @@ def _parameter_derivatives(
         some = functionals[start : start + CHUNK_ROWS]
         gain = np.zeros((CHUNK_ROWS, functionals.shape[1]))
         gain[: len(some)] = some
-        probe = replace(seen, pose=replace(pose, gain=gain))
+        probe = replace(measurement, pose=replace(pose, gain=gain))
         columns += list(sensitivities(parameters, probe, at_origin, marker)[: len(some)])
     return columns
 

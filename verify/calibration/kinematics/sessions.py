@@ -98,8 +98,8 @@ def session_to_poses(session: Session, progress: Progress) -> SessionPoses:
         InputError: no pair could be measured, or none has a reading.
     """
     readings = Readings(session.encoders.t, session.encoders.q)
-    seen, clock = measure_session(session, readings, progress, measure)
-    track, systematics = seen.track, seen.systematics
+    measured, clock = measure_session(session, readings, progress, measure)
+    track, systematics = measured.track, measured.systematics
     compared = compare(
         track, session.arm, readings, clock.offset, resolution=session.encoder_resolution,
         time_uncertainty=session.encoder_time_standard_uncertainty,
@@ -200,11 +200,11 @@ def _blocks(sizes: Sequence[int]) -> Rows:
     return np.concatenate(parts)
 
 
-def _mounting(seen: SessionPoses) -> bytes:
-    """What tells one mounting on the flange from another."""
-    instrument = seen.session.instrument
+def _mounting(one: SessionPoses) -> bytes:
+    """Identify a mounting on the flange."""
+    instrument = one.session.instrument
     body = b"" if instrument is None else instrument.flange_T_body.tobytes()
-    return seen.session.marker.leds.tobytes() + body
+    return one.session.marker.leds.tobytes() + body
 
 
 def deflate_repetition(gathered: CombinedPoses, found: IdentificationResult) -> CombinedPoses:
@@ -225,12 +225,12 @@ def _groups(keys: Iterable[bytes]) -> NDArray[np.int64]:
 
 
 def _nuisances(
-    seen: Sequence[SessionPoses], bases: NDArray[np.int64], tools: NDArray[np.int64]
+    sessions: Sequence[SessionPoses], bases: NDArray[np.int64], tools: NDArray[np.int64]
 ) -> Array:
     """Place every session's columns: shared ones above each other, its own to the right."""
     shared: dict[tuple[int, int, int], int] = {}
     places, width = [], 0
-    for one, base, tool in zip(seen, bases.tolist(), tools.tolist(), strict=True):
+    for one, base, tool in zip(sessions, bases.tolist(), tools.tolist(), strict=True):
         key = (base, tool, one.stated.shape[2])
         if key not in shared:
             shared[key] = width
@@ -238,7 +238,7 @@ def _nuisances(
         places.append((shared[key], width))
         width += one.own.shape[2]
     blocks = []
-    for one, (first, second) in zip(seen, places, strict=True):
+    for one, (first, second) in zip(sessions, places, strict=True):
         block = np.zeros((len(one.comparison), 6, width))
         block[:, :, first : first + one.stated.shape[2]] = one.stated
         block[:, :, second : second + one.own.shape[2]] = one.own

@@ -65,8 +65,8 @@ def body_poses(
     rough = leds
     assigned = _assign_leds(pairs, rig, body_marker(leds, diameter, START_LED_SIGMA))
     for _ in range(MAX_ROUNDS):
-        seen = _fit_poses(assigned, rig, body_marker(leds, diameter, REFINED_LED_SIGMA))
-        better = _refine_leds(leds, seen)
+        poses = _fit_poses(assigned, rig, body_marker(leds, diameter, REFINED_LED_SIGMA))
+        better = _refine_leds(leds, poses)
         moved, leds = float(np.abs(better - leds).max()), better
         if moved < TOL_BODY:
             break

@@ -315,7 +315,7 @@ def _refine_body(leds: Array, clouds: Sequence[PointCloud]) -> _GrownBody | None
         found = [f for f in (_match_leds(leds, cloud) for cloud in clouds) if f is not None]
         if len(found) < MIN_VIEW_SHARE * len(clouds):
             return None
-        stack = np.array(found)  # (views, n, 3), in the body; nan where not seen
+        stack = np.array(found)  # (views, n, 3), in the body; nan where not visible
         mean = np.nanmean(stack, axis=0)
         off = float(np.sqrt(np.nanmean((stack - mean) ** 2)))
         leds = mean
@@ -324,7 +324,7 @@ def _refine_body(leds: Array, clouds: Sequence[PointCloud]) -> _GrownBody | None
 
 
 def _match_leds(leds: Array, cloud: PointCloud) -> Array | None:
-    """The LEDs as one view has them, brought to the body's frame, (n, 3); nan where unseen."""
+    """The LEDs as one view has them, brought to the body's frame, (n, 3); nan where not visible."""
     trio = _match(cloud, leds[:3])
     if trio is None:
         return None

@@ -15,8 +15,8 @@ from verify.calibration.registration.uncertainty import (
     rig_covariance,
     visible_fractions,
 )
+from verify.calibration.stereo.records import rms
 from verify.core.fiducials import Marker
-from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.errors import one_line
 from verify.io import fiducials
@@ -85,7 +85,7 @@ def registration_outcome(
         skew=at.skew,
         skew_standard_uncertainty=shown[1],
         visible_fractions=visible_fractions(adjusted, before),
-        rms_px=_rms(adjusted.predicted.residual[spotted.used]),
+        rms_px=rms(adjusted.predicted.residual[spotted.used]),
         fit_rms_px=fit_rms,
         held_out_rms_px=held_out,
         misfit=adjusted.chi2 / max(adjusted.degrees_of_freedom, 1),
@@ -124,13 +124,10 @@ def _hold_out_rms(
         return None, None
     on_rest = judged[spotted.pair]
     part = adjust(replace(spotted, used=spotted.used & ~on_rest), setup, adjusted.at, adjusted.free)
-    seen = predict_spots(spotted, setup.rig, setup.arm, setup.readings, part.at)
-    return _rms(seen.residual[spotted.used & ~on_rest]), _rms(seen.residual[spotted.used & on_rest])
-
-
-def _rms(residual: Array) -> float:
-    """Root mean square distance, px."""
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+    predicted = predict_spots(spotted, setup.rig, setup.arm, setup.readings, part.at)
+    return rms(predicted.residual[spotted.used & ~on_rest]), rms(
+        predicted.residual[spotted.used & on_rest]
+    )
 
 
 def _decisions(

@@ -12,6 +12,7 @@ import robots
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.adjustment import AdjustedRegistration
 from verify.calibration.registration.start import RegistrationStart
+from verify.calibration.stereo.records import rms
 from verify.core.records import Array
 from verify.errors import InputError
 
@@ -162,10 +163,10 @@ def refuse_misfit(adjusted: AdjustedRegistration, place: str) -> None:
         InputError: the LEDs are farther from their predicted pixels than joint errors explain.
     """
     left = adjusted.predicted.residual[adjusted.spotted.used]
-    rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1)))) if len(left) else np.inf
-    if rms > MAX_RMS_PX:
+    distance = rms(left) if len(left) else np.inf
+    if distance > MAX_RMS_PX:
         raise InputError(
-            place, f"the readings put the LEDs {rms:.0f} px (rms) from where they are seen",
+            place, f"the readings put the LEDs {distance:.0f} px (rms) from where they are seen",
             f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain",
             "Check the robot's name, the readings' unit (degrees) and order, and the rig.",
         )  # fmt: skip

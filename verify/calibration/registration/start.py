@@ -27,7 +27,7 @@ MAX_SQUARED_MISFIT = 100.0  # a wild pair has one vote
 MIN_OVERLAP = 0.5  # of the pairs must have a reading at an offset that is tried
 MIN_SEPARATION = 10 * TIME_STEP  # nearer minima are one, roughened by noise
 MAX_OFFSETS = 8  # offsets that are compared by the whole registration
-MAX_MISFIT_RATIO = 1.3  # of the best misfit: an offset that cannot be told from it
+MAX_MISFIT_RATIO = 1.3  # of the best misfit: within it offsets fit equally well
 MAX_RESIDUAL_RATIO = 6.0  # times the median residual: a pose of spots confused
 
 Rotations = Callable[[Array], Array]  # instants (m,) to rotations (m, 3, 3)

@@ -111,16 +111,16 @@ def _derivative_by(name: str, rig: Rig, marker: Marker, adjusted: AdjustedRegist
 
 def _camera_change(rig: Rig, side: str, key: str, adjusted: AdjustedRegistration) -> Array:
     """Derivative of the predicted spots by a parameter of one camera, (s, 2)."""
-    spotted, seen = adjusted.spotted, adjusted.predicted
+    spotted, predicted = adjusted.spotted, adjusted.predicted
     which = ("left", "right").index(side)
     camera = (rig.left, rig.right)[which]
-    pixels = np.zeros_like(seen.residual)
+    pixels = np.zeros_like(predicted.residual)
     for i, sightings in enumerate(spotted.sightings):
         mine = (spotted.pair == i) & (spotted.side == which)
         if mine.any():
             pixels[mine] = camera_derivatives(
-                (key,), camera, sightings[which].pan, seen.points_camera[mine],
-                seen.points_rig[mine], seen.by_point[mine],
+                (key,), camera, sightings[which].pan, predicted.points_camera[mine],
+                predicted.points_rig[mine], predicted.by_point[mine],
             )[0]  # fmt: skip
     return pixels
 
@@ -207,13 +207,17 @@ def absorption(adjusted: AdjustedRegistration, held: Array | None = None) -> Arr
 
 def visible_fractions(adjusted: AdjustedRegistration, held: Array | None = None) -> Array:
     """Share of a constant offset of each joint that stays visible in the pixels, (j,)."""
-    taken, seen, spotted = absorbed_offsets(adjusted, held), adjusted.predicted, adjusted.spotted
-    design = seen.design
+    taken, predicted, spotted = (
+        absorbed_offsets(adjusted, held),
+        adjusted.predicted,
+        adjusted.spotted,
+    )
+    design = predicted.design
     left, whole = np.zeros(taken.shape[1]), np.zeros(taken.shape[1])
     for i in range(len(spotted)):
         mine = (spotted.pair == i) & spotted.used
         lower = np.linalg.cholesky(block_diagonal(spotted.covariance[mine]))
-        joints = seen.by_joint[mine].reshape(len(lower), -1)
+        joints = predicted.by_joint[mine].reshape(len(lower), -1)
         hidden = joints - design[mine].reshape(len(lower), -1) @ taken
         left += np.sum(np.linalg.solve(lower, hidden) ** 2, axis=0)
         whole += np.sum(np.linalg.solve(lower, joints) ** 2, axis=0)
