@@ -15,7 +15,7 @@ from verify.analysis.session import measure_session
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.kinematics.chain import ArmState, KinematicChain
 from verify.calibration.kinematics.identify import IdentificationResult
-from verify.calibration.kinematics.poses import IdentificationPoses, Rows, build_poses
+from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
@@ -135,6 +135,9 @@ def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
     bases = _groups(one.session.rig.rig_T_base.tobytes() for one in sessions)
     tools = _groups(_mounting(one) for one in sessions)
     source = np.repeat(np.arange(len(sessions)), sizes)
+    # parts of each session that are held out together
+    parts = [np.arange(n) * min(N_BLOCKS, n) // n + N_BLOCKS * i for i, n in enumerate(sizes)]
+    block = np.concatenate(parts)
     nuisance = _nuisances(sessions, bases, tools)
     points = [one.point for one in sessions if one.point is not None]
     # what is not stated is estimated from the fit's residuals, not from how neighbours scatter
@@ -151,14 +154,14 @@ def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
         rows = _point_rows(sessions, points, nuisance, stated=stated)
     else:
         rows = build_poses(
-            _join_poses(one.comparison.q for one in sessions),
-            _join_poses(one.comparison.base_T_measured for one in sessions),
-            _join_poses(one.comparison.covariance for one in sessions) if stated else None,
+            np.concatenate([one.comparison.q for one in sessions]),
+            np.concatenate([one.comparison.base_T_measured for one in sessions]),
+            np.concatenate([one.comparison.covariance for one in sessions]) if stated else None,
             nuisance=nuisance,
             determined=tuple(known for one in sessions for known in one.comparison.determined),
         )
     return CombinedPoses(
-        poses=replace(rows, base=bases[source], tool=tools[source], block=_blocks(sizes)),
+        poses=replace(rows, base=bases[source], tool=tools[source], block=block),
         sessions=tuple(sessions),
         source=source,
         frame=np.concatenate([one.frame for one in sessions]),
@@ -179,25 +182,15 @@ def _point_rows(
         measured.append(pose[:, :3, 3] + lever)
         gains.append(rigid_columns(lever))
     gain = np.concatenate(gains)
-    covariance = _join_poses(one.comparison.covariance for one in sessions)
+    covariance = np.concatenate([one.comparison.covariance for one in sessions])
     moved = np.zeros_like(nuisance)
     moved[:, :3] = gain @ nuisance
     return build_poses(
-        _join_poses(one.comparison.q for one in sessions),
+        np.concatenate([one.comparison.q for one in sessions]),
         np.concatenate(measured),
         gain @ covariance @ np.swapaxes(gain, 1, 2) if stated else None,
         nuisance=moved,
     )
-
-
-def _join_poses(parts: Iterable[Array]) -> Array:
-    return np.concatenate(list(parts))
-
-
-def _blocks(sizes: Sequence[int]) -> Rows:
-    """Number the parts of each session that are held out together."""
-    parts = [np.arange(n) * min(N_BLOCKS, n) // n + N_BLOCKS * i for i, n in enumerate(sizes)]
-    return np.concatenate(parts)
 
 
 def _mounting(one: SessionPoses) -> bytes:
