@@ -125,9 +125,8 @@ def _hold_out_rms(
     on_rest = judged[spotted.pair]
     part = adjust(replace(spotted, used=spotted.used & ~on_rest), setup, adjusted.at, adjusted.free)
     predicted = predict_spots(spotted, setup.rig, setup.arm, setup.readings, part.at)
-    return rms(predicted.residual[spotted.used & ~on_rest]), rms(
-        predicted.residual[spotted.used & on_rest]
-    )
+    fitted, held_out = (spotted.used & ~on_rest, spotted.used & on_rest)
+    return rms(predicted.residual[fitted]), rms(predicted.residual[held_out])
 
 
 def _decisions(
