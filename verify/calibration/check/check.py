@@ -246,35 +246,32 @@ def _visible(found: RigConsistency, limit: float) -> tuple[DetectableChange, ...
     return tuple(rows)
 
 
-def _decisions(found: RigConsistency, beyond: NDArray[np.bool_], limit: float) -> list[str]:
-    words = [
-        f"{text[0].upper()}{text[1:]}: {'beyond' if exceeded else 'within'} {limit:.2f} u."
-        for text, exceeded, value in zip(figures_text(found), beyond, found.value, strict=True)
-        if not np.isnan(value)
-    ]
-    words.append(
+def _decisions(found: RigConsistency, beyond: NDArray[np.bool_], limit: float) -> Iterator[str]:
+    for text, exceeded, value in zip(figures_text(found), beyond, found.value, strict=True):
+        if not np.isnan(value):
+            verdict = "beyond" if exceeded else "within"
+            yield f"{text[0].upper()}{text[1:]}: {verdict} {limit:.2f} u."
+    yield (
         f"Each figure is tested two-sided, {P_CONFIDENCE:.0%} for all together, over "
         f"{len(found.frame)} pairs."
     )
     missing = [name for name, v in zip(FIGURES, found.value, strict=True) if np.isnan(v)]
     if missing:
-        words.append(f"Not tested, as nothing in the pictures shows it: {', '.join(missing)}.")
+        yield f"Not tested, as nothing in the pictures shows it: {', '.join(missing)}."
     if found.left_out:
         frames = ", ".join(map(str, found.left_out))
-        words.append(f"Left out, far from what all others show: pair {frames}.")
-    words.append(HIDDEN_CHANGES)
-    return words
+        yield f"Left out, far from what all others show: pair {frames}."
+    yield HIDDEN_CHANGES
 
 
-def _conditions(holds: bool, exact: tuple[str, ...]) -> list[str]:
+def _conditions(holds: bool, exact: tuple[str, ...]) -> Iterator[str]:
     """State what the verdict rests on, and what could not be tested."""
     if not exact:
-        return []
+        return
     sources = ", ".join(exact)
-    words = [f"No uncertainty is stated for {sources}: taken as exact; the verdict rests on that."]
+    yield f"No uncertainty is stated for {sources}: taken as exact; the verdict rests on that."
     if not holds:
-        words.append(
+        yield (
             "Whether the rig has changed, or these never were as good as taken, could not be "
             "tested."
         )
-    return words

@@ -1,6 +1,7 @@
 """Outcome of a registration: contents of rig and marker file, hold-out, decisions, warnings."""
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -135,56 +136,51 @@ def _decisions(
     held: FixedParameters,
     adjusted: AdjustedRegistration,
     diameter: float,
-) -> list[str]:
-    sentences = [f"{len(adjusted.at.leds)} LEDs move together as one rigid body."]
+) -> Iterator[str]:
+    yield f"{len(adjusted.at.leds)} LEDs move together as one rigid body."
     if named is None:
-        sentences.append(f"LED diameter {diameter * 1e3:.1f} mm, from its image.")
+        yield f"LED diameter {diameter * 1e3:.1f} mm, from its image."
     if held.base:
-        sentences.append("The robot base stands as rig.toml has it; the LEDs are fitted.")
+        yield "The robot base stands as rig.toml has it; the LEDs are fitted."
     if held.leds is not None:
-        sentences.append(
+        yield (
             "The LEDs stand as marker.toml has them; the base is fitted. What marker.toml states "
             "of their uncertainty moves to rig.toml, where its correlation with the base is kept."
         )
     if recording.clock is not None and not adjusted.free[-2]:
-        sentences.append("The clock offset stands as session.toml has it.")
+        yield "The clock offset stands as session.toml has it."
     elif not adjusted.free[-2]:
-        sentences.append("The motion does not show the clock offset: held.")
+        yield "The motion does not show the clock offset: held."
     if not adjusted.free[-1]:
-        sentences.append(
-            "The motion does not show a skew of the cameras beside their stamps: held at 0."
-        )
+        yield ("The motion does not show a skew of the cameras beside their stamps: held at 0.")
     refused = int((~adjusted.spotted.used).sum())
     if refused:
-        sentences.append(f"{refused} of {len(adjusted.spotted.used)} spots were refused.")
+        yield f"{refused} of {len(adjusted.spotted.used)} spots were refused."
     if adjusted.inflation > 1:
-        sentences.append(
+        yield (
             f"Residuals are larger or last longer than noise: variances multiplied by "
             f"{adjusted.inflation:.1f}."
         )
-    return sentences
 
 
 def _warnings(
     adjusted: AdjustedRegistration, start: RegistrationStart, shown: list[float | None]
-) -> list[str]:
-    sentences = []
+) -> Iterator[str]:
     if start.rivals:
         others = ", ".join(f"{o:+.3f}" for o in start.rivals[:4])
-        sentences.append(
+        yield (
             f"The motion repeats itself: the readings' clock could as well be off by {others} s. "
             "State [clock] encoder_offset_s, or add a movement that does not repeat."
         )
     skew, u = adjusted.at.skew, shown[1]
     if u is not None and abs(skew) > MIN_SKEW_SIGMA * u:
-        sentences.append(
+        yield (
             f"The right camera's stamps are {skew * 1e3:+.2f} ms ± {u * 1e3:.2f} ms early against "
             "the left one's: add that to t_right_s in frames.csv."
         )
     misfit = adjusted.chi2 / max(adjusted.degrees_of_freedom, 1)
     if misfit > MIN_REPORTED_MISFIT:
-        sentences.append(
+        yield (
             f"The residuals are {np.sqrt(misfit):.1f} times what noise explains: the robot's "
             "joints or its table are off, or the rig is; uncertainties are enlarged by it."
         )
-    return sentences

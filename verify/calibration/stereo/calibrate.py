@@ -5,7 +5,7 @@ coefficients, one with all of them, the board's bow, the bases' axes and the rea
 lens coefficients that the pictures support, the final adjustment.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -298,27 +298,27 @@ def _with_reading(camera: Camera, base: str, readings: Array, scatter: PanScatte
     return replace(camera, pan=float(np.median(readings)), pan_standard_uncertainty=deviation)
 
 
-def _decisions(adjusted: _AdjustedBundle, board: Board) -> list[str]:
+def _decisions(adjusted: _AdjustedBundle, board: Board) -> Iterator[str]:
     """Describe what was chosen of bases, lens and board, and what was refused."""
     found = adjusted.found
-    sentences = [*adjusted.notes, *(d.sentence for d in adjusted.dropped)]
-    sentences += pan_bases.base_sentences(found, adjusted.scatter, adjusted.corners.pan)
+    yield from adjusted.notes
+    yield from (d.sentence for d in adjusted.dropped)
+    yield from pan_bases.base_sentences(found, adjusted.scatter, adjusted.corners.pan)
     if adjusted.bow is not None:
-        sentences.append(adjusted.bow.sentence)
+        yield adjusted.bow.sentence
     refused = int(np.sum(~found.used))
     if refused:
-        sentences.append(
+        yield (
             f"{refused} of {len(found.used)} corners refused, as the others of their views "
             "contradict them."
         )
     if found.design_effect > 1:
-        sentences.append(
+        yield (
             "corners of a pair err together (a board that bends in the hand, blur): every standard "
             f"uncertainty is {np.sqrt(found.design_effect):.2f} times what single residuals say."
         )
     if board.square_standard_uncertainty is None:
-        sentences.append(
+        yield (
             "The square's size carries no uncertainty: it is taken as exact, and with it every "
             "length."
         )
-    return sentences
