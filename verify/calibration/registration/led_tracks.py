@@ -60,7 +60,7 @@ class PairSpots:
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """The candidate points of one view."""
+    """The candidate points of one pair."""
 
     points: Array  # (m, 3), m
     spots: NDArray[np.int64]  # (m, 2), the left and the right spot behind each
@@ -94,15 +94,10 @@ def drop_still_spots(pairs: Sequence[PairSpots]) -> list[PairSpots]:
     for side in (0, 1):
         found = [pair.spots[side].centre for pair in pairs]
         pan = np.array([pair.pan[side] for pair in pairs])
-        sides.append(
-            [
-                _select_spots(pair.spots[side], ~_still_spots(i, found, pan))
-                for i, pair in enumerate(pairs)
-            ]
-        )
-    return [
-        replace(pair, spots=(left, right)) for pair, left, right in zip(pairs, *sides, strict=True)
-    ]
+        moving = [~_still_spots(i, found, pan) for i in range(len(pairs))]
+        sides.append([_select_spots(p.spots[side], m) for p, m in zip(pairs, moving, strict=True)])
+    each = zip(pairs, *sides, strict=True)
+    return [replace(pair, spots=(left, right)) for pair, left, right in each]
 
 
 def _still_spots(i: int, found: list[Array], pan: Array) -> NDArray[np.bool_]:
@@ -115,8 +110,8 @@ def _still_spots(i: int, found: list[Array], pan: Array) -> NDArray[np.bool_]:
         if len(found[j]):
             apart = np.linalg.norm(found[i][:, None] - found[j][None], axis=2)
             again += apart.min(axis=1) < MAX_STILL_PX
-    stands: NDArray[np.bool_] = again > MIN_STILL_SHARE * len(alike)
-    return stands
+    still: NDArray[np.bool_] = again > MIN_STILL_SHARE * len(alike)
+    return still
 
 
 def _select_spots(spots: Spots, keep: NDArray[np.bool_]) -> Spots:
@@ -161,7 +156,7 @@ def max_motion_px(pair: PairSpots) -> float:
 
 
 def candidate_points(pair: PairSpots, rig: Rig) -> PointCloud:
-    """Every point in the rig at which a left and a right spot may have met."""
+    """Triangulate every left spot with every right one whose rays meet."""
     left, right = (spots.centre for spots in pair.spots)
     if not len(left) or not len(right):
         return PointCloud(np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64), 0.0)
@@ -213,7 +208,7 @@ def _spread(clouds: Sequence[PointCloud], count: int) -> list[PointCloud]:
 
 
 def _triangles(references: list[PointCloud], tests: list[PointCloud]) -> list[Array]:
-    """The triangles of points that come back in most views, each (3, 3), best first."""
+    """Find the triangles of points that recur in most pairs, each (3, 3), best first."""
     scored = []
     for cloud in references:
         for trio in combinations(range(len(cloud.points)), 3):
@@ -247,7 +242,7 @@ def _usable(corners: Array) -> bool:
 
 
 def _match(cloud: PointCloud, corners: Array) -> NDArray[np.int64] | None:
-    """The three points of a view that form the triangle best, (3,), or None."""
+    """Find the three points of a pair that form the triangle best, (3,), or None."""
     wanted = [np.linalg.norm(corners[i] - corners[j]) for i, j in ((0, 1), (0, 2), (1, 2))]
     apart = np.linalg.norm(cloud.points[:, None] - cloud.points[None], axis=2)
     first, second, third = (np.abs(apart - w) for w in wanted)
@@ -265,14 +260,21 @@ def _match(cloud: PointCloud, corners: Array) -> NDArray[np.int64] | None:
 
 
 def _grow(corners: Array, clouds: Sequence[PointCloud], most: int) -> _GrownBody | None:
-    """Add to a triangle what keeps its place beside it."""
-    poses, in_body, spread = _place_triangle(corners, clouds)
-    if len(poses) < MIN_VIEW_SHARE * len(clouds) or not _is_moving(poses):
+    """Add to a triangle the points that keep their place beside it."""
+    placed = [
+        (cloud.play, *_in_body(cloud, trio, corners))
+        for cloud in clouds
+        if (trio := _match(cloud, corners)) is not None
+    ]
+    if len(placed) < MIN_VIEW_SHARE * len(clouds):
+        return None
+    plays, poses, in_body = zip(*placed, strict=True)
+    if not _is_moving(np.array(poses)):
         return None
     leds = list(corners)
     everything = np.concatenate(in_body)
-    reach = 2 * spread
-    limit = MIN_VIEW_SHARE * len(in_body)
+    reach = 2 * float(np.median(plays))
+    limit = MIN_VIEW_SHARE * len(placed)
     while len(leds) < most:
         near = np.linalg.norm(everything[:, None] - np.array(leds)[None], axis=2).min(axis=1)
         free = everything[near > max(MIN_SIDE, 2 * reach)]
@@ -287,20 +289,10 @@ def _grow(corners: Array, clouds: Sequence[PointCloud], most: int) -> _GrownBody
     return _refine_body(np.array(leds), clouds)
 
 
-def _place_triangle(
-    corners: Array, clouds: Sequence[PointCloud]
-) -> tuple[Array, list[Array], float]:
-    """Where the triangle stands in each view that has it, and the view's points from there."""
-    poses, in_body, plays = [], [], []
-    for cloud in clouds:
-        trio = _match(cloud, corners)
-        if trio is None:
-            continue
-        pose = fit_rigid(cloud.points[trio], corners)
-        poses.append(pose)
-        in_body.append((cloud.points - pose[:3, 3]) @ pose[:3, :3])
-        plays.append(cloud.play)
-    return np.array(poses).reshape(-1, 4, 4), in_body, float(np.median(plays or [0.0]))
+def _in_body(cloud: PointCloud, index: NDArray[np.int64], leds: Array) -> tuple[Array, Array]:
+    """Fit the body by some points of a pair: its pose (4, 4), all points in its frame (m, 3)."""
+    pose = fit_rigid(cloud.points[index], leds)
+    return pose, (cloud.points - pose[:3, 3]) @ pose[:3, :3]
 
 
 def _is_moving(poses: Array) -> bool:
@@ -310,7 +302,7 @@ def _is_moving(poses: Array) -> bool:
 
 
 def _refine_body(leds: Array, clouds: Sequence[PointCloud]) -> _GrownBody | None:
-    """Move the LEDs to their mean places over the views, and see how well they hold."""
+    """Move the LEDs to their mean places over the pairs; with it, how well they fit."""
     for _ in range(MAX_ROUNDS):
         found = [f for f in (_match_leds(leds, cloud) for cloud in clouds) if f is not None]
         if len(found) < MIN_VIEW_SHARE * len(clouds):
@@ -324,18 +316,17 @@ def _refine_body(leds: Array, clouds: Sequence[PointCloud]) -> _GrownBody | None
 
 
 def _match_leds(leds: Array, cloud: PointCloud) -> Array | None:
-    """The LEDs as one view has them, brought to the body's frame, (n, 3); nan where not visible."""
+    """Find the LEDs in one pair, in the body's frame, (n, 3); nan where not visible."""
     trio = _match(cloud, leds[:3])
     if trio is None:
         return None
-    pose = fit_rigid(cloud.points[trio], leds[:3])
-    local = (cloud.points - pose[:3, 3]) @ pose[:3, :3]
+    _, local = _in_body(cloud, trio, leds[:3])
     apart = np.linalg.norm(local[:, None] - leds[None], axis=2)
     nearest = apart.argmin(axis=0)
     there = apart.min(axis=0) < 3 * cloud.play
     if there.sum() < 3:
         return None
-    pose = fit_rigid(cloud.points[nearest[there]], leds[there])
-    found: Array = (cloud.points[nearest] - pose[:3, 3]) @ pose[:3, :3]
+    _, local = _in_body(cloud, nearest[there], leds[there])
+    found: Array = local[nearest]
     found[~there] = np.nan
     return found
