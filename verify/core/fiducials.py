@@ -1,9 +1,4 @@
-"""The LEDs on the flange.
-
-A calibration board, and how its corners were seen.
-
-The markers of a ChArUco board, as OpenCV knows them.
-"""
+"""The LEDs on the flange, calibration boards with their markers, and board corners in pictures."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,4 @@
-"""What the loop needs of others, and no more.
-
-One alarm: what it is, whom it names, how it is told.
-"""
+"""Protocols and records that the live loop shares with recorder, listeners and devices; alarms."""
 
 import itertools
 import math
@@ -71,12 +68,10 @@ class RecorderState(Protocol):
     @property
     def recording(self) -> bool:
         """It goes on."""
-        ...
 
     @property
     def sentence(self) -> str:
         """What there is to say."""
-        ...
 
 
 class Recorder(Protocol):
@@ -86,23 +81,18 @@ class Recorder(Protocol):
         self, pairs: Iterator[StereoPair], meanwhile: Callable[[StereoPair], None]
     ) -> Iterator[StereoPair]:
         """Record pairs as they pass; the other is called while each is being written."""
-        ...
 
     def through(self, frame: int) -> None:
         """Note that the pair of that number is measured and compared."""
-        ...
 
     def reading(self, reading: EncoderReading) -> EncoderReading:
         """Record a reading; gives it as the recording has it."""
-        ...
 
     def state(self) -> RecorderState:
         """Say how the recording is."""
-        ...
 
     def close(self) -> None:
         """Write what is under way and close the session."""
-        ...
 
 
 class Listener(Protocol):
@@ -110,15 +100,12 @@ class Listener(Protocol):
 
     def row(self, row: JointRow, statistic: Array) -> None:
         """Take a pair's outcome; some may be left out when there are too many."""
-        ...
 
     def alarm(self, alarm: Alarm) -> None:
         """Take an alarm that is new, revised, or over."""
-        ...
 
     def close(self) -> None:
         """Nothing more will come."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,4 @@
-"""What is known right now while board pictures are taken, for whoever looks.
-
-Taking board pictures in a terminal: what is missing, and what becomes of the board in view.
-
-What the taking of board pictures has to show, units at the door: degrees, metres, pixels.
-"""
+"""The state of taking board pictures, in a terminal and for the page (degrees, metres, pixels)."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""What a run has to show, units at the door: degrees, millimetres, milliseconds."""
+"""The state of a run as the page shows it, in degrees, millimetres and milliseconds."""
 
 import time
 from collections.abc import Sequence

@@ -1,7 +1,4 @@
-"""What the page's scene is drawn from: an arm as the chain of points from base to flange; mm.
-
-Pictures for the page: small, as JPEG, encoded once for all who look.
-"""
+"""Data of the page's 3D scene (arm, poses; mm), and its pictures as small JPEGs."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""A station's cameras and turning bases alone: what a calibration needs before there is a rig."""
+"""A station's cameras and turning bases without robot and rig, as a calibration needs them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -42,15 +42,12 @@ class SimulatedCameras(Protocol):
     @property
     def board(self) -> Board:
         """The board that is carried."""
-        ...
 
     def camera(self, side: int, settings: CameraSettings) -> CameraDevice:
         """Open the left (0) or right (1) camera."""
-        ...
 
     def pan(self) -> PanDevice:
         """Open the turning bases."""
-        ...
 
 
 SimulateCameras = Callable[[SimSettings, bool], SimulatedCameras]  # True: the bases are turned

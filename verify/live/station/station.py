@@ -46,7 +46,6 @@ class PanDrive(PanDevice, Protocol):
 
     def turn_to(self, left: float, right: float) -> bool:
         """Order both bases to angles, rad, as read; False if the line is down."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
