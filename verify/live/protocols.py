@@ -1,6 +1,5 @@
 """Protocols and records that the live loop shares with recorder, listeners and devices; alarms."""
 
-import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -57,9 +56,6 @@ class Alarm:
             "ended_s": self.ended,
             "revised": self.revised,
         }
-
-
-AlarmNumbers = itertools.count  # alarms are numbered through, whoever raises them
 
 
 class RecorderState(Protocol):

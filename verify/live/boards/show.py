@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -187,15 +187,9 @@ class BoardPageSource:
         """What was covered, and what is missing."""
         now = self._state.snapshot()
         return {
-            "goals": [
-                {"name": goal.name, "reached": goal.reached, "words": goal.words}
-                for goal in now.goals
-            ],
+            "goals": [asdict(goal) for goal in now.goals],
             "coverage": [_coverage(c) for c in now.coverage],
-            "devices": [
-                {"name": line.name, "well": line.well, "sentence": line.sentence}
-                for line in now.devices
-            ],
+            "devices": [asdict(line) for line in now.devices],
         }
 
     def alarms(self) -> Sequence[dict[str, Any]]:
