@@ -178,8 +178,18 @@ class SimSettings:
     events: tuple[SimEvent, ...] = ()
 
 
-class SimulatedHardware(Protocol):
-    """The simulated hardware, and what its owner believes of it."""
+class SimulatedDevices(Protocol):
+    """Simulated cameras on turning bases."""
+
+    def camera(self, side: int, settings: CameraSettings) -> CameraDevice:
+        """Open the left (0) or right (1) camera."""
+
+    def pan(self) -> PanDevice:
+        """Open the turning bases."""
+
+
+class SimulatedHardware(SimulatedDevices, Protocol):
+    """The simulated robot with its cameras, and its owner's description of them."""
 
     @property
     def robot(self) -> str:
@@ -193,14 +203,8 @@ class SimulatedHardware(Protocol):
     def marker(self) -> Marker:
         """Its LEDs."""
 
-    def camera(self, side: int, settings: CameraSettings) -> CameraDevice:
-        """Open the left (0) or right (1) camera."""
-
     def encoders(self, rate: float | None) -> EncoderDevice:
         """Open the encoders; rate in Hz, None for the scenario's own."""
-
-    def pan(self) -> PanDevice:
-        """Open the turning bases."""
 
 
 Simulate = Callable[[SimSettings], SimulatedHardware]
