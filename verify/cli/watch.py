@@ -24,7 +24,7 @@ from verify.errors import InputError
 from verify.io.session.keys import Tolerance
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import ESTIMATE_TIMEOUT, ClockRequest, estimate_offset
-from verify.live.loop import LiveLoop, LoopSettings
+from verify.live.loop import LiveLoop, LoopComputation, LoopSettings
 from verify.live.measuring_process import MeasuringProcess
 from verify.live.outputs.listeners import (
     AlarmCommand,
@@ -106,11 +106,11 @@ def watch(station: Station, wish: RunOptions) -> RunResult:
             _open_devices(station),
             recorder,
             LoopSettings(limits, wish.duration),
-            lambda question: clock.ask(question, ESTIMATE_TIMEOUT),
+            LoopComputation(
+                lambda request: clock.ask(request, ESTIMATE_TIMEOUT), chain.measure, chain.prepare
+            ),
             listeners,
-            measuring=chain.measure,
-            state=state,
-            prepare=chain.prepare,
+            state,
         )
         stack.enter_context(_frozen_garbage_collector())
         look = stack.enter_context(
