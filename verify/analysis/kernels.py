@@ -41,7 +41,7 @@ def motion_misfits(
     Args:
         instants: (o, 2, n), s, beginning and end of each of n motions, on the readings' clock.
         known: (o, n), which of them have readings.
-        grid: instants in order (g,), s, a step apart, and the flange there (g, 4, 4).
+        grid: instants in order (g,), s, a step apart, and the flange then (g, 4, 4).
         step: s.
         measured: the motions' angle and distance, and the variance of each, (n, 2) both.
         most: of a squared misfit: a wild pair has one vote.

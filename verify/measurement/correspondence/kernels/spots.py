@@ -96,7 +96,7 @@ def gather_all(
 def count_all(spot: Index, counts: Index) -> None:
     """Count for assignments (h, 2, n), -1 for no spot; counts (3, h) are filled.
 
-    They are the spots in use, the LEDs seen by a camera, and those seen by both.
+    They are the spots in use, the LEDs with a spot in an image, and those with one in both.
     """
     counts[:] = 0
     for h in range(len(spot)):

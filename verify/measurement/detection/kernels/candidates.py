@@ -112,8 +112,8 @@ def find_blobs(
         image: (h, w).
         windows: (n, 4), x0, y0, x1, y1, upper bounds exclusive.
         reach: px: what has brightness at that distance all around is background.
-        levels: as for `compact_blobs`, and so is shape.
-        shape: see there.
+        levels: as for `compact_blobs`.
+        shape: likewise.
         found: (m, 4), filled from the begin with as many as it holds, px of the picture.
 
     Returns:
