@@ -1,4 +1,4 @@
-"""What every other room speaks.
+"""Value types, the rig model, encoder readings as functions of time, compiled linear algebra.
 
-Value types, the rig model, encoder readings as functions of time, compiled linear algebra, helper processes. No file, no device.
+And worker processes. Every other room imports it; it reads no file and no device.
 """
