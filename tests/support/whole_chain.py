@@ -1,4 +1,4 @@
-"""The whole chain from one seed: boards, rig, fixture, session, each seen through the one before.
+"""The whole chain from one seed: boards, rig, fixture, session, each measured with the one before.
 
 Everything true is drawn: two cameras on turning bases, the printed square, where the fixture's
 board sits on the robot, where the LEDs sit on the flange, every pan angle, the clock. Handed on is

@@ -1,4 +1,4 @@
-"""Where workers come from: one process that has everything loaded before a worker asks for it."""
+"""Workers are copies of one process that has everything loaded."""
 
 import os
 import signal
