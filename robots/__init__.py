@@ -24,7 +24,7 @@ from robots.check import Reach, SelfCheck, reach, self_check
 from robots.coupling import Coupling, coupled, couplings
 from robots.errors import RobotError
 from robots.inverse import Branches, inverse, turns, within_limits
-from robots.kinematics import forward, jacobian
+from robots.kinematics import forward, jacobian, link_frames
 from robots.library import example_names, load, names
 from robots.nearest import nearest
 from robots.pinocchio_model import pinocchio_model
@@ -44,6 +44,7 @@ __all__ = [
     "forward",
     "inverse",
     "jacobian",
+    "link_frames",
     "load",
     "names",
     "nearest",

@@ -89,6 +89,25 @@ class UrdfArm(Arm):
         found = [self.model.joints[self.model.getJointId(name)] for name in self.joint_names]
         return [(joint.idx_q, joint.idx_v, joint.nq == 2) for joint in found]
 
+    @cached_property
+    def rest_frames(self) -> Array:
+        """Joint frames at q = 0 with z along the joint's axis, then the flange: (n + 1, 4, 4), m.
+
+        In the base. Computed in a workspace of its own, so that any thread may ask.
+        """
+        data = self.model.createData()
+        pinocchio.framesForwardKinematics(self.model, data, self.configuration(np.zeros(self.dof)))
+        base = data.oMf[self.base_frame]
+        frames = np.tile(np.eye(4), (self.dof + 1, 1, 1))
+        for frame, name in zip(frames, self.joint_names, strict=False):
+            number = self.model.getJointId(name)
+            placed = base.actInv(data.oMi[number])
+            axis = placed.rotation @ np.ravel(data.joints[number].S)[3:]
+            across = np.linalg.svd(axis[None])[2][1]
+            frame[:3] = np.column_stack([across, np.cross(axis, across), axis, placed.translation])
+        frames[-1] = base.actInv(data.oMf[self.tip_frame]).homogeneous
+        return frames
+
     def configuration(self, q: Array) -> Array:
         """Pinocchio's configuration vector for joint angles q (n,)."""
         configuration = np.zeros(self.model.nq)

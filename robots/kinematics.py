@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio
 
 from robots.arm import Arm, DhArm, UrdfArm
-from robots.transforms import Array
+from robots.transforms import Array, invert
 
 # Plain floats for one pose (a camera frame must not wait for numpy's overhead), arrays (m,) for
 # many: the same arithmetic serves both, one coordinate at a time.
@@ -63,6 +63,35 @@ def jacobian(arm: Arm, q: Array) -> Array:
         for row, value in enumerate(column):
             matrix[:, row, joint] = value
     return matrix.reshape(*q.shape[:-1], 6, 6)
+
+
+def link_frames(arm: Arm, q: Array) -> Array:
+    """Place a frame on every joint's axis, and the flange.
+
+    Args:
+        arm: any arm.
+        q: (m, n), rad, in the robot file's own zero and sense.
+
+    Returns:
+        base_T_frame, (m, n + 1, 4, 4), m. Joint i + 1 turns about z of frame i, the last frame is
+        the flange: frames 0 to n of a DH table. At a joint of a URDF the origin is the joint's, z
+        grows its angle, and x is any direction across.
+    """
+    q = _checked(arm, q)
+    if isinstance(arm, DhArm):
+        return np.stack([_assembled(frame, q.shape[:-1]) for frame in _chain(arm, q)], axis=1)
+    assert isinstance(arm, UrdfArm)
+    rest = arm.rest_frames
+    frames = np.empty((len(q), arm.dof + 1, 4, 4))
+    base_T_moved = np.tile(np.eye(4), (len(q), 1, 1))  # carries a link from q = 0 to q
+    turn = np.tile(np.eye(4), (len(q), 1, 1))
+    for j in range(arm.dof):
+        frames[:, j] = base_T_moved @ rest[j]
+        c, s = np.cos(q[:, j]), np.sin(q[:, j])
+        turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = c, -s, s, c
+        base_T_moved = frames[:, j] @ turn @ invert(rest[j])
+    frames[:, -1] = base_T_moved @ rest[-1]
+    return frames
 
 
 def _checked(arm: Arm, q: Array) -> Array:

@@ -1,18 +1,18 @@
-"""How far, how fast and how abruptly each joint may go; and words for what would go beyond.
+"""Move joints within their limits of speed, acceleration and jerk: along a path, or after a goal.
 
-Jerk-limited motion along a path of joint angles: an S-curve over the way, by ruckig.
+Along a path: joint angles are a B-spline q(s) of the way s; s(t) is an S-curve (ruckig) from rest
+to rest. The joints' rates are then
 
-The path is a B-spline q(s), the S-curve is s(t). Since a B-spline lies within the hull of its
-coefficients, and its derivatives are B-splines too, their greatest values are bounded along the
-whole way, not at samples. A straight line between two postures is a path as well: then the S-curve
-of the joint that needs most time rules, and all joints begin and end together.
+    q' s',   q'' s'² + q' s'',   q''' s'³ + 3 q'' s' s'' + q' s'''
 
-Motion as a stream: jerk-limited, after a goal that jumps about, and never without a way to stop.
+A B-spline and its derivatives lie within the hull of their coefficients, so these are bounded along
+the whole way, not at samples. A straight line between two postures is a path too: the joint that
+needs most time rules, and all joints begin and end together.
 
-Each joint goes after its goal on the quickest S-curve within its limits (ruckig). One step of it is
-taken only if from there the arm can still stop without leaving the joints' limits or what `clear`
-allows; else it goes on along the stop that was found possible before. So whatever goals come, what
-is ordered stays within the limits, and so does the stop that follows.
+After a goal that may jump: each joint follows its own quickest S-curve. A step of it is taken only
+if the arm can still stop from there without leaving the joints' limits or what `clear` allows; else
+the stop that was found possible before is continued. So every ordered posture, and the stop that
+follows it, stays within the limits.
 """
 
 from collections.abc import Callable
@@ -74,10 +74,7 @@ def rest_motion(q: Array) -> JointMotion:
 
 
 def limit_violation(limits: JointLimits, motion: JointMotion) -> str:
-    """Say which limit a motion breaks, in words; empty where it keeps them all.
-
-    The last look before anything is ordered; NaN breaks every limit.
-    """
+    """Say which limit a motion breaks, in words; empty where it keeps all. NaN breaks every one."""
     speed, most = limits.speed, limits.acceleration
     limited = (
         (motion.q, limits.lower, limits.upper, "would stand at", "°"),
@@ -121,8 +118,7 @@ class JointPath:
 
     def q(self, s: Array | float) -> Array:
         """Joint angles (..., n)."""
-        found: Array = np.asarray(self.spline(np.clip(s, 0.0, self.length)))
-        return found
+        return self.derivative(s, 0)
 
     def derivative(self, s: Array | float, order: int) -> Array:
         """Joint angles' derivative by s, (..., n)."""
@@ -182,19 +178,15 @@ class Trajectory:
 
     def held(self, t: float) -> "Trajectory":
         """Come to rest as soon as the limits allow, from t s on, without leaving the path."""
-        s, speed, acceleration = _state_at(self.curve, min(max(t, 0.0), self.duration))
-        order = _ruckig_input(s, speed, acceleration, self.rates)
+        order = _path_order(_state_at(self.curve, min(max(t, 0.0), self.duration)), self.rates)
         order.control_interface = ruckig.ControlInterface.Velocity
         curve = _calculate(order)
         return Trajectory(self.path, self.rates, curve, curve.duration)
 
     def returning(self) -> "Trajectory":
         """Go back along the path from where this one ends to the path's beginning."""
-        return _rest_to_rest(self.path, self.rates, self._end, 0.0)
-
-    @property
-    def _end(self) -> float:
-        return _state_at(self.curve, self.duration)[0]
+        end = _state_at(self.curve, self.duration)[0]
+        return _rest_to_rest(self.path, self.rates, end, 0.0)
 
 
 def time_path(path: JointPath, limits: JointLimits, wanted: PathLimits | None = None) -> Trajectory:
@@ -224,11 +216,7 @@ def _reached_limits(path: JointPath, rates: PathLimits) -> PathLimits:
 
 
 def _slowdown(path: JointPath, limits: JointLimits, rates: PathLimits) -> float:
-    """How many times slower than `rates` a path must be played.
-
-    With s(t) the joints' rates are q' s', q'' s'² + q' s'', q''' s'³ + 3 q'' s' s'' + q' s''';
-    played k times as slowly they shrink by k, k² and k³.
-    """
+    """Find by how much, k, a path must be slowed; its rates shrink by k, k² and k³."""
     first, second, third = path.bounds()
     v, a, j = rates.speed, rates.acceleration, rates.jerk
     speed = first * v
@@ -252,25 +240,29 @@ def _straight_rates(path: JointPath, limits: JointLimits) -> PathLimits:
 
 def _rest_to_rest(path: JointPath, rates: PathLimits, start: float, goal: float) -> Trajectory:
     """From rest at one place of the way to rest at another."""
-    order = _ruckig_input(start, 0.0, 0.0, rates)
+    order = _path_order((start, 0.0, 0.0), rates)
     order.target_position = [goal]
     curve = _calculate(order)
     return Trajectory(path, rates, curve, curve.duration)
 
 
-def _ruckig_input(s: float, speed: float, acceleration: float, rates: PathLimits) -> Any:
-    order = ruckig.InputParameter(1)
-    order.current_position, order.current_velocity = [s], [speed]
-    order.current_acceleration = [acceleration]
-    order.target_velocity, order.target_acceleration = [0.0], [0.0]
-    order.max_velocity, order.max_acceleration = [rates.speed], [rates.acceleration]
-    order.max_jerk = [rates.jerk]
+def _path_order(state: tuple[float, float, float], rates: PathLimits) -> Any:
+    """Ruckig's input of the way s, from a state (s, speed, acceleration) to rest."""
+    limits = (rates.speed, rates.acceleration, rates.jerk)
+    return _order([[value] for value in state], [[value] for value in limits])
+
+
+def _order(state: list[list[float]], limits: list[list[float]]) -> Any:
+    """Ruckig's input of n coordinates, from a state (3, n) to rest; limits (3, n) of its rates."""
+    order = ruckig.InputParameter(len(state[0]))
+    order.current_position, order.current_velocity, order.current_acceleration = state
+    order.max_velocity, order.max_acceleration, order.max_jerk = limits
     return order
 
 
 def _calculate(order: Any) -> Any:
-    curve = ruckig.Trajectory(1)
-    result = ruckig.Ruckig(1).calculate(order, curve)
+    curve = ruckig.Trajectory(order.degrees_of_freedom)
+    result = ruckig.Ruckig(order.degrees_of_freedom).calculate(order, curve)
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
         raise ArithmeticError(f"ruckig finds no S-curve: {result}")
     return curve
@@ -281,9 +273,8 @@ def _state_at(curve: Any, t: float) -> tuple[float, float, float]:
     return float(s[0]), float(speed[0]), float(acceleration[0])
 
 
-ObstacleCheck = Callable[
-    [Array], str
-]  # postures (m, n) in order: what stands in the way; "": nothing
+# postures (m, n), rad, in order -> what stands in the way, in words; "": nothing
+ObstacleCheck = Callable[[Array], str]
 TOL_REST = 1e-9  # rad/s and rad/s²: rounding of an arm at rest
 N_STOP_SAMPLES = 9  # of a stop, handed to `clear`
 MAX_GOAL_SPEED_RATIO = 0.95  # of the limit: a goal may be as fast as that; ruckig wants it below
@@ -312,16 +303,14 @@ class TrajectoryFollower:
     """
 
     def __init__(self, limits: JointLimits, q: Array, period: float, clear: ObstacleCheck) -> None:
-        inside = TOL_LIMIT * (
-            limits.upper - limits.lower
-        )  # what `limit_violation` lets pass beyond
+        # what `limit_violation` lets pass beyond
+        inside = TOL_LIMIT * (limits.upper - limits.lower)
         self._limits = replace(limits, lower=limits.lower + inside, upper=limits.upper - inside)
         self._period, self._clear = period, clear
         self._motion = rest_motion(np.array(q, dtype=float))
         trouble = limit_violation(limits, self._motion) or clear(self._motion.q[None])
         if trouble:
             raise ValueError(f"the arm cannot begin here: {trouble}")
-        self._otg = ruckig.Ruckig(len(q))
         self._stop = self._stopping(self._motion)
         self._since_stop = 0.0  # s along that stop
 
@@ -381,34 +370,20 @@ class TrajectoryFollower:
         if velocity is not None and np.isfinite(velocity).all():
             fastest = MAX_GOAL_SPEED_RATIO * self._limits.speed
             order.target_velocity = np.clip(velocity, -fastest, fastest).tolist()
-        return self._calculated(order)
+        return _calculate(order)
 
     def _stopping(self, motion: JointMotion) -> Any:
         order = self._order(motion)
         order.control_interface = ruckig.ControlInterface.Velocity
-        return self._calculated(order)
+        return _calculate(order)
 
     def _order(self, motion: JointMotion) -> Any:
-        count = len(motion.q)
-        order = ruckig.InputParameter(count)
-        order.current_position = motion.q.tolist()
-        order.current_velocity = motion.velocity.tolist()
-        order.current_acceleration = motion.acceleration.tolist()
-        order.target_velocity = [0.0] * count
-        order.target_acceleration = [0.0] * count
-        order.max_velocity = self._limits.speed.tolist()
-        order.max_acceleration = self._limits.acceleration.tolist()
-        order.max_jerk = self._limits.jerk.tolist()
+        limits = (self._limits.speed, self._limits.acceleration, self._limits.jerk)
+        state = (motion.q, motion.velocity, motion.acceleration)
+        order = _order([v.tolist() for v in state], [v.tolist() for v in limits])
         # each joint by itself: a joint that waits for another would leave its quickest stop
         order.synchronization = ruckig.Synchronization.No
         return order
-
-    def _calculated(self, order: Any) -> Any:
-        found = ruckig.Trajectory(order.degrees_of_freedom)
-        result = self._otg.calculate(order, found)
-        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-            raise ArithmeticError(f"ruckig finds no S-curve: {result}")
-        return found
 
 
 def _motion_at(found: Any, t: float) -> JointMotion:

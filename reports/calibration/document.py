@@ -105,8 +105,9 @@ def _headline(summary: dict[str, Any]) -> str:
     depth, lateral = (finite(entry.get(f"total_{part}_mm")) for part in ("depth", "lateral"))
     if depth is not None and lateral is not None:
         sentence += (
-            f"A point {format_distance(entry)} away is known to ±{quantity(COVERAGE_FACTOR * depth, 'mm')} in "
-            f"depth and ±{quantity(COVERAGE_FACTOR * lateral, 'mm')} across (k = 2). "
+            f"A point {format_distance(entry)} away is known to "
+            f"±{quantity(COVERAGE_FACTOR * depth, 'mm')} in depth and "
+            f"±{quantity(COVERAGE_FACTOR * lateral, 'mm')} across (k = 2). "
         )
     return sentence + main_improvement(summary)
 
@@ -114,8 +115,8 @@ def _headline(summary: dict[str, Any]) -> str:
 def _headline_note(summary: dict[str, Any]) -> str:
     return (
         "Both hold for one LED whose centre is known to "
-        f"{exact_number(summary.get('spot_px'))} px in either image, in the frame of the rig, and within "
-        "the field and the distances that the boards covered."
+        f"{exact_number(summary.get('spot_px'))} px in either image, in the frame of the rig, and "
+        "within the field and the distances that the boards covered."
     )
 
 

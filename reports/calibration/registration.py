@@ -68,13 +68,12 @@ MAX_HELD_OUT_RATIO = 1.5  # held-out over fitted rms: more says that the model d
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
+    registration = text_or_dash(summary.get("registration"))
     return number_figures(
         Document(
             title=f"Registration of {text_or_dash(summary.get('robot'))}",
             subtitle=described(summary, "a recorded session"),
-            footer=(
-                f"{software(summary)} · registration {text_or_dash(summary.get('registration'))[:23]}"
-            ),
+            footer=f"{software(summary)} · registration {registration[:23]}",
             sections=tuple(section(results) for section in SECTIONS),
         )
     )

@@ -194,7 +194,7 @@ figure_block = partial(figure_or_text, REGISTRATION_FIGURES, FIGURES)
 def residuals(results: Results) -> Section:
     """Say how well the registration fits, where it was fitted and where it was held out."""
     fit = results.summary.get("fit") or {}
-    rows = [
+    rows = tuple(
         row(name, number(fit.get(key), 3))
         for name, key in (
             ("All pairs", "rms_px"),
@@ -202,13 +202,14 @@ def residuals(results: Results) -> Section:
             ("Fitted on one half, judged on the other", "held_out_rms_px"),
         )
         if finite(fit.get(key)) is not None
-    ]
+    )
+    held_out = finite(fit.get("held_out_rms_px")) is not None
+    notes = (RegistrationNotes.HOLD_OUT,) if held_out else ()
     blocks: list[Block] = []
     if rows:
         blocks.append(
-            Table("Reprojection of the spots.", "lr", ("Registered on", "rms [px]"), tuple(rows),
-                  (RegistrationNotes.HOLD_OUT,) if finite(fit.get("held_out_rms_px")) is not None else ())
-        )  # fmt: skip
+            Table("Reprojection of the spots.", "lr", ("Registered on", "rms [px]"), rows, notes)
+        )
     if finite(fit.get("misfit")) is not None:
         blocks.append(
             Paragraph(

@@ -82,8 +82,9 @@ def _principal_point(point: dict[str, Any]) -> Paragraph:
     if distance is None or u is None or u == 0:
         return Paragraph(f"How well the {camera} camera's principal point is known is not stated.")
     text = (
-        f"The {camera} camera's principal point lies {with_uncertainty(distance, u, 'px', signed=False)} "
-        f"from the image's centre, {significant(distance / u)} times its standard uncertainty"
+        f"The {camera} camera's principal point lies "
+        f"{with_uncertainty(distance, u, 'px', signed=False)} from the image's centre, "
+        f"{significant(distance / u)} times its standard uncertainty"
     )
     if not point.get("odd"):
         return Paragraph(f"{text}: within what cameras of this kind have.")
@@ -150,9 +151,9 @@ def _scale(summary: dict[str, Any]) -> tuple[Block, ...]:
     off = significant(abs(found - given) / u) if u else DASH
     exact = square.get("stated_standard_uncertainty_mm")
     text = (
-        f"Triangulated, {board} comes out as {with_uncertainty(found, u, 'mm', signed=False)} on average, "
-        f"where {exact_number(given)} mm is stated: {off} times the standard uncertainty apart. Single "
-        f"edges scatter by {quantity(square.get('deviation_mm'), 'mm')}. "
+        f"Triangulated, {board} comes out as {with_uncertainty(found, u, 'mm', signed=False)} on "
+        f"average, where {exact_number(given)} mm is stated: {off} times the standard uncertainty "
+        f"apart. Single edges scatter by {quantity(square.get('deviation_mm'), 'mm')}. "
     )
     if exact is None:
         text += (
@@ -253,8 +254,8 @@ def improvement(results: Results) -> Section:
         )  # fmt: skip
         blocks.append(
             Table(
-                f"Depth of a point {format_distance(working_distance_entry(results.summary))} away, by what its "
-                "uncertainty comes from.",
+                f"Depth of a point {format_distance(working_distance_entry(results.summary))} "
+                "away, by what its uncertainty comes from.",
                 "lrr",
                 ("Source", "u from it alone [mm]", "u left, were it exact [mm]"),
                 rows,

@@ -181,15 +181,15 @@ def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[Block, ...]:
         blind = [one["joint"] for one in entries if _is_hidden(one["visible"])]
         if blind:
             said.append(
-                f"{text_or_dash(arm)}: an offset of {joint_names(blind)} that was there at registration shows "
-                "in none of the usual sessions, however large."
+                f"{text_or_dash(arm)}: an offset of {joint_names(blind)} that was there at "
+                "registration shows in none of the usual sessions, however large."
             )
         short = [one["joint"] for one in entries if one["state"] == "unknown"]
         if short:
             fewest = count(results.summary.get("fewest_sessions"))
             said.append(
-                f"{text_or_dash(arm)}: {joint_names(short)}: {STATES['unknown']} to follow over time (at least "
-                f"{fewest} dated ones with a figure)."
+                f"{text_or_dash(arm)}: {joint_names(short)}: {STATES['unknown']} to follow over "
+                f"time (at least {fewest} dated ones with a figure)."
             )
     undated = int((results.summary.get("sessions") or {}).get("undated") or 0)
     if undated:
@@ -232,8 +232,9 @@ def method(results: Results) -> Section:
     rate = DASH if share is None else exact_number(100 * share)
     by = {"robot": "the robot that session.toml names",
           "folder": "that robot and the folder that holds the session"}  # fmt: skip
+    grouping = by.get(str(summary.get("by")), text_or_dash(summary.get("by")))
     items = (
-        f"Arms are told apart by {by.get(str(summary.get('by')), text_or_dash(summary.get('by')))}.",
+        f"Arms are told apart by {grouping}.",
         *METHOD_PARAGRAPHS,
         FALSE_ALARM_NOTE.format(rate=rate),
     )

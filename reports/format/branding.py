@@ -99,7 +99,8 @@ def check_templates(folder: Path) -> Path:
     if not any((folder / name).is_file() for name in TEMPLATE_FILES):
         found = "holds none of them" if folder.is_dir() else "is no folder"
         raise ReportError(
-            folder, found, f"a folder with {', '.join(TEMPLATE_FILES)}, or one of them, is expected",
+            folder, found,
+            f"a folder with {', '.join(TEMPLATE_FILES)}, or one of them, is expected",
             "docs/reports.md says how to write one.",
         )  # fmt: skip
     return folder

@@ -83,10 +83,11 @@ def document(results: Results) -> Document:
         _margins,
         _plan,
     )
+    cell = text_or_dash(summary.get("cell"))
     return number_figures(
         Document(
             title=f"Grab with {text_or_dash(summary.get('robot'))}",
-            subtitle=f"{text_or_dash(summary.get('target'))}, {text_or_dash(summary.get('cell'))} cell",
+            subtitle=f"{text_or_dash(summary.get('target'))}, {cell} cell",
             footer=f"{software(summary)} · grab",
             sections=tuple(section(results) for section in sections),
         )

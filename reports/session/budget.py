@@ -164,8 +164,8 @@ def _largest_contribution(table: pd.DataFrame, summary: dict[str, Any]) -> list[
     first = mine.sort_values("share", ascending=False, kind="stable").iloc[0]
     size = quantity(worst["expanded_uncertainty_deg"], "°")
     text = (
-        f"Known worst is joint {text_or_dash(worst.get('joint'))}, with U = {size}; most of that comes "
-        f"from: {_source_name(first['source'])}, {percent(first['share'])} of the variance."
+        f"Known worst is joint {text_or_dash(worst.get('joint'))}, with U = {size}; most of that "
+        f"comes from: {_source_name(first['source'])}, {percent(first['share'])} of the variance."
     )
     return [Paragraph(text)]
 

@@ -176,7 +176,8 @@ def _decimals(entry: dict[str, Any]) -> int:
 
 def _offset(entry: dict[str, Any], known: float) -> str:
     side = "high" if known > 0 else "low"
-    return f"joint {entry.get('joint')} reads {_unsigned_with_uncertainty(entry, abs(known), '°')} too {side}"
+    amount = _unsigned_with_uncertainty(entry, abs(known), "°")
+    return f"joint {entry.get('joint')} reads {amount} too {side}"
 
 
 def _gain(entry: dict[str, Any], known: float) -> str:
@@ -215,7 +216,8 @@ def _dh(entry: dict[str, Any], known: float) -> str:
 
 
 def _compliance(entry: dict[str, Any], known: float) -> str:
-    return f"joint {entry.get('joint')} gives way by {_unsigned_with_uncertainty(entry, known, '°/m')} of lever"
+    amount = _unsigned_with_uncertainty(entry, known, "°/m")
+    return f"joint {entry.get('joint')} gives way by {amount} of lever"
 
 
 def _drift(entry: dict[str, Any], known: float) -> str:
@@ -230,7 +232,8 @@ def _clock_drift(entry: dict[str, Any], known: float) -> str:
 
 def _camera_skew(entry: dict[str, Any], known: float) -> str:
     side = "later" if known > 0 else "earlier"
-    return f"the right pictures were taken {_unsigned_with_uncertainty(entry, abs(known), 's')} {side} than stamped"
+    amount = _unsigned_with_uncertainty(entry, abs(known), "s")
+    return f"the right pictures were taken {amount} {side} than stamped"
 
 
 def _camera_rotation(entry: dict[str, Any], known: float) -> str:
@@ -243,8 +246,8 @@ def _displacement(entry: dict[str, Any], known: float) -> str:
         "base_moved": "the robot's base, or the whole rig, has",
         "led_body_slipped": "the LED body has",
     }[str(entry.get("kind"))]
-    turn = number(entry.get("turn_deg"), 3)
-    return f"{what} moved by {_unsigned_with_uncertainty(entry, known, 'mm')} and {turn}° since it was registered"
+    amount, turn = _unsigned_with_uncertainty(entry, known, "mm"), number(entry.get("turn_deg"), 3)
+    return f"{what} moved by {amount} and {turn}° since it was registered"
 
 
 _FINDINGS: dict[str, Callable[[dict[str, Any], float], str]] = {

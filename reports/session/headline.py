@@ -120,7 +120,8 @@ def _undecided(results: Results) -> str:
         names = [n for n in ("position", "orientation")
                  if (summary.get(n) or {}).get("verdict") == "undecided"]  # fmt: skip
         subject = f"the flange's {join_words(names)}" if names else "the robot"
-        return f"the instrument cannot tell whether {subject} conforms; {_first_improvement(results, [])}."
+        improvement = _first_improvement(results, [])
+        return f"the instrument cannot tell whether {subject} conforms; {improvement}."
     names_text = joint_names([joint.get("joint") for joint in open_joints])
     verb = "stay" if len(open_joints) > 1 else "stays"
     return (
@@ -187,8 +188,9 @@ def _hiding_parameter(results: Results, joint: dict[str, Any]) -> tuple[str, str
     )
     if before is not None and before < MAX_HIDDEN_SHARE:
         if fitted and (since is None or since >= MAX_HIDDEN_SHARE):
+            verb = "was" if fitted in SINGULAR_NAMES else "were"
             return (
-                f"{fitted} {'was' if fitted in SINGULAR_NAMES else 'were'} found through the same encoders",
+                f"{fitted} {verb} found through the same encoders",
                 f"first give {fitted} by a fixture, or from another registration",
             )
         if (summary.get("clock") or {}).get("observable") is False:

@@ -173,8 +173,8 @@ def _error_panel(
                 marks.append(Level(-limit, "tolerance", "tolerance"))
                 reach = min(reach[0], -limit), reach[1]
         else:
-            bound = f"{'' if one_sided else '±'}{exact_number(limit)}{unit if unit == '°' else f' {unit}'}"
-            title = f"tolerance {bound}: beyond this scale"
+            sign, space = "" if one_sided else "±", "" if unit == "°" else " "
+            title = f"tolerance {sign}{exact_number(limit)}{space}{unit}: beyond this scale"
     if reach is None:
         return Panel((), label, title="no measured pair", unit=unit)
     room = PANEL_MARGIN * (reach[1] - reach[0]) or 1e-3  # a thousandth of a degree or millimetre

@@ -210,7 +210,8 @@ def _pose_summary(poses: list[dict[str, Any]]) -> str:
         f"{count(len(poses))} poses, each visited {often} times. "
         f"Largest pose accuracy: AP {_interval(accuracy, 'ap', 'mm')} mm, at {accuracy['pose']}. "
         f"Largest pose repeatability: RP {_interval(scatter, 'rp', 'mm')} mm, at "
-        f"{scatter['pose']}, of which the robot's share is {_format_robot_share(scatter, 'rp', 'mm')} mm."
+        f"{scatter['pose']}, of which the robot's share is "
+        f"{_format_robot_share(scatter, 'rp', 'mm')} mm."
     )
 
 

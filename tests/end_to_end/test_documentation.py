@@ -185,7 +185,7 @@ def headings(document: Path) -> set[str]:
 @each_document
 def test_every_file_shown_is_read_without_a_warning(document: Path, tmp_path: Path) -> None:
     readers = {
-        "session": session_keys.read,
+        "session": lambda path: session_keys.read(path, session_keys.SessionTable),
         "rig": rig.read,
         "marker": io_fiducials.read_marker,
         "board": fiducials.read_board,

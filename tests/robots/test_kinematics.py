@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from robots.transforms import Array
+from robots.transforms import Array, difference
 from tests.support.postures import with_signs
 
 ARMS = {name: robots.load(name) for name in robots.names()}
@@ -79,6 +79,28 @@ def test_one_pose_and_a_batch_are_the_same(arm: robots.DhArm) -> None:
     for index in np.ndindex(2, 3):
         assert_allclose(robots.forward(arm, q[index]), poses[index], atol=1e-15)
         assert_allclose(robots.jacobian(arm, q[index]), moves[index], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", [*robots.names(), "ur5", "panda", "kinova"])
+def test_the_jacobian_is_the_slope_of_the_pose(name: str) -> None:
+    arm = robots.load(name)
+    for q in np.random.default_rng(3).uniform(arm.lower, arm.upper, (10, arm.dof)):
+        nudges = 1e-6 * np.eye(arm.dof)
+        apart = difference(robots.forward(arm, q + nudges), robots.forward(arm, q - nudges))
+        assert_allclose(robots.jacobian(arm, q), (apart / 2e-6).T, atol=2e-9)
+
+
+@pytest.mark.parametrize("name", [*robots.names(), "ur5", "panda", "kinova"])
+def test_link_frames_stand_on_the_joints_axes_and_end_at_the_flange(name: str) -> None:
+    arm = robots.load(name)
+    q = np.random.default_rng(6).uniform(arm.lower, arm.upper, (10, arm.dof))
+    frames, moves = robots.link_frames(arm, q), robots.jacobian(arm, q)
+    assert_allclose(frames[:, -1], robots.forward(arm, q), atol=1e-12)
+    sign = arm.sign if isinstance(arm, robots.DhArm) else np.ones(arm.dof)
+    axes = frames[:, :-1, :3, 2] * sign[:, None]
+    levers = frames[:, -1:, :3, 3] - frames[:, :-1, :3, 3]
+    assert_allclose(axes, np.swapaxes(moves[:, 3:], 1, 2), atol=1e-12)
+    assert_allclose(np.cross(axes, levers), np.swapaxes(moves[:, :3], 1, 2), atol=1e-12)
 
 
 def test_the_wrong_number_of_joints_is_refused() -> None:

@@ -124,7 +124,7 @@ def recorded(
         base_position_mm=tuple((placed[:3, 3] * 1e3).tolist()),
         pan_deg=(float(np.rad2deg(of.rig.left.pan)), float(np.rad2deg(of.rig.right.pan))),
     )
-    pairs = len(made.prediction.foreseen.t)
+    pairs = len(made.prediction.session.t)
     scenario = msgspec.structs.replace(
         scenario,
         recording=ScenarioRecording(pairs=pairs, rate_hz=RATE),

@@ -9,15 +9,16 @@ import numpy as np
 import robots
 from tests.support.scene import facing, make_marker, make_rig, sight
 from verify.analysis.clock import ClockEstimate
-from verify.analysis.comparison import Comparison, JointComparison, compare, solve_joints
+from verify.analysis.comparison import compare, solve_joints
+from verify.analysis.model import SessionComparison
 from verify.analysis.uncertainty.monte_carlo import MonteCarlo, monte_carlo
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement
 from verify.core.rig import Covariance
 from verify.io.session.session import Session
 from verify.measurement.pose import fit_pose
-from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
-from verify.measurement.track import Track, collect_track
+from verify.measurement.systematics import sensitivities, stated_systematics
+from verify.measurement.track import collect_track
 
 SPOT_SIGMA = 0.03  # px
 STATED = {
@@ -32,23 +33,14 @@ STATED = {
 
 
 @dataclass(frozen=True)
-class Spotted:
-    """What `monte_carlo` asks for."""
+class Spotted(SessionComparison):
+    """A compared session with its measured pairs."""
 
-    session: Session
     measurements: list[Measurement]
-    track: Track
-    comparison: Comparison
-    joints: JointComparison
-    systematics: Systematics
-    clock: ClockEstimate
 
     def check(self, **options: Any) -> MonteCarlo:
-        """Run the check."""
-        found = monte_carlo(
-            self.session, self.measurements, self.track, self.comparison, self.joints,
-            self.systematics, self.clock, **options,
-        )  # fmt: skip
+        """Run the Monte-Carlo check."""
+        found = monte_carlo(self, self.measurements, **options)
         assert found is not None
         return found
 

@@ -9,6 +9,7 @@ from scipy.linalg import qr
 import robots
 from verify.analysis.comparison import Comparison, JointComparison
 from verify.analysis.joint_errors import JointErrors, MeanErrors
+from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.core.records import Array
 
 MIN_WEIGHT = 0.005  # of a weight: less than what its two decimals in the label can show
@@ -46,32 +47,25 @@ def _format_weight(weight: float) -> str:
 
 
 def combinations(
-    arm: robots.Arm,
-    comparison: Comparison,
-    joints: JointComparison,
-    errors: JointErrors,
-    means: MeanErrors,
-    clock_uncertainty: float | None,
-    *,
-    through_encoders: bool,
+    compared: SessionComparison, model: JointErrorModel, errors: JointErrors, means: MeanErrors
 ) -> list[Combination]:
-    """Collect the sums worth telling.
+    """Collect sums of joint errors that are known better than their parts.
+
+    Errors of single pairs count only where base and LEDs were registered without the encoders:
+    else they are residuals.
 
     Args:
-        arm: for joints with parallel axes.
-        comparison: readings and measured poses.
-        joints: measured angles, and what a singularity couples.
+        compared: the session, for the arm, the clock and what a singularity couples.
+        model: its linear model.
         errors: joint errors a pair with their covariance.
         means: mean errors of the single joints.
-        clock_uncertainty: s, of a clock offset that was estimated; None where it is given.
-        through_encoders: base or LEDs were fitted through the encoders: errors of single pairs
-            are residuals then, and say nothing.
     """
+    arm, joints, clock = compared.session.arm, compared.joints, compared.clock_uncertainty
     found: list[Combination] = []
-    if not through_encoders:
-        found += _singularity_sums(joints, errors, clock_uncertainty)
+    if not model.through_encoders:
+        found += _singularity_sums(joints, errors, clock)
         if arm.dof > POSE_DOF:
-            found += _pose_sums(comparison, joints, errors, clock_uncertainty)
+            found += _pose_sums(model.comparison, joints, errors, clock)
     return found + _parallel(arm, means)
 
 

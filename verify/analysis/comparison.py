@@ -50,6 +50,21 @@ class Comparison:
         """Count the compared pairs."""
         return len(self.index)
 
+    @property
+    def reading_noise(self) -> Array:
+        """Standard deviation of one reading, (j,), rad, from what it does to a rate."""
+        noise: Array = np.sqrt(2 * self.rate_variance) * RATE_SPAN
+        return noise
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingUncertainty:
+    """What is stated of the readings beside their noise; None: not known."""
+
+    resolution: float | None = None  # rad, the last digit
+    time: float | Array | None = None  # s, standard, of time stamps; or of those about a pair (n,)
+    missed: Array | None = None  # (n, j), rad, standard, of the curve between readings
+
 
 def compare(
     track: Track,
@@ -57,10 +72,8 @@ def compare(
     readings: Readings,
     offset: float | Array,
     *,
-    resolution: float | None = None,
-    time_uncertainty: float | Array | None = None,
+    stated: ReadingUncertainty = ReadingUncertainty(),
     known: NDArray[np.bool_] | None = None,
-    missed: Array | None = None,
 ) -> Comparison:
     """Set the readings at each pair's instant against its measured pose.
 
@@ -69,10 +82,8 @@ def compare(
         arm: the robot.
         readings: its joint readings, on the controller's clock.
         offset: s, added to the readings' time to get the cameras' clock; or one a pair (n,).
-        resolution: rad, the readings' last digit.
-        time_uncertainty: s, of each reading's time stamp; or of those about each pair (n,).
-        known: which pairs to take; those with a reading where not given.
-        missed: (pairs, j), rad, standard uncertainty of what the curve between readings misses.
+        stated: of the readings; arrays have a row a pair of the track.
+        known: (n,), which pairs to take; those with a reading where not given.
 
     Returns:
         One row a pair that has a reading.
@@ -88,16 +99,7 @@ def compare(
     measured, determined, carry = _complete_poses(
         track.base_T_flange[index], encoder, tuple(track.determined[i] for i in index)
     )
-    variance = np.repeat(readings.noise[None] ** 2, len(index), axis=0)
-    if missed is not None:
-        variance = variance + missed[index] ** 2
-    if resolution is not None:
-        variance = variance + resolution**2 / 12
-    spread = np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian)
-    if time_uncertainty is not None:
-        speed = np.einsum("nij,nj->ni", jacobian, rate)
-        doubt = np.broadcast_to(time_uncertainty, track.t.shape)[index, None, None]
-        spread = spread + doubt**2 * speed[:, :, None] * speed[:, None, :]
+    spread = _reading_covariance(readings, stated, index, jacobian, rate)
     scale = alignment_scale(track)[:, None, None]
     own = (scale * track.covariance_alignment + track.covariance_pixels)[index]
     own = carry @ own @ np.swapaxes(carry, 1, 2)
@@ -119,6 +121,29 @@ def compare(
         determined=determined,
         rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
     )
+
+
+def _reading_covariance(
+    readings: Readings,
+    stated: ReadingUncertainty,
+    index: NDArray[np.int64],
+    jacobian: Array,
+    rate: Array,
+) -> Array:
+    """Covariance of xi by the readings of some pairs of a track, (n, 6, 6)."""
+    variance = np.repeat(readings.noise[None] ** 2, len(index), axis=0)
+    if stated.missed is not None:
+        variance = variance + stated.missed[index] ** 2
+    if stated.resolution is not None:
+        variance = variance + stated.resolution**2 / 12
+    spread: Array = np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian)
+    if stated.time is not None:
+        speed = np.einsum("nij,nj->ni", jacobian, rate)
+        time = (
+            stated.time[index, None, None] if isinstance(stated.time, np.ndarray) else stated.time
+        )
+        spread = spread + time**2 * speed[:, :, None] * speed[:, None, :]
+    return spread
 
 
 def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Comparison:

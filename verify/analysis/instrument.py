@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.analysis.comparison import compare
+from verify.analysis.comparison import ReadingUncertainty, compare
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, Pose
 from verify.io.session.poses import Instrument
@@ -270,7 +270,11 @@ def noise_from_scatter(
         All of the noise; None where poses are too few, or too far apart in time, to show it.
     """
     comparison = compare(
-        track, session.arm, readings, offset, resolution=session.encoder_resolution
+        track,
+        session.arm,
+        readings,
+        offset,
+        stated=ReadingUncertainty(session.encoder_resolution),
     )
     first = _windows(comparison.t)
     if len(first) < MIN_WINDOWS:

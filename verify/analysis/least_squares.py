@@ -5,13 +5,18 @@ within that uncertainty. Fitting it beside the free ones gives estimates and unc
 hold random and systematic parts together, without a covariance of all pairs with all pairs.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from verify.analysis.comparison import Comparison
 from verify.core.records import Array
+
+State = TypeVar("State")
+Solution = TypeVar("Solution")
 
 CHUNK = 4000  # rows reduced at a time
 MIN_PAIRS_CORRELATION = 12  # pairs; the bias correction needs more than its own size
@@ -101,6 +106,36 @@ def solve(rows: Array, target: Array, prior: Array | None = None) -> RegressionF
         degrees_of_freedom=int(len(target) - good.sum() + held.shape[1]),
         held=solution[free:],
     )
+
+
+def gauss_newton(
+    start: State,
+    solve_step: Callable[[State], tuple[Array, Solution]],
+    move: Callable[[State, Array], State],
+    *,
+    max_iterations: int,
+    tol_step: float,
+) -> tuple[State, Solution]:
+    """Minimise a sum of squares by solving it linearised, again and again.
+
+    Args:
+        start: the parameters to begin with.
+        solve_step: gives the step (p,) of the problem linearised at some parameters, and whatever
+            else of that problem is of use.
+        move: takes a step from some parameters.
+        max_iterations: at most so many steps.
+        tol_step: a step with no larger entry is the last.
+
+    Returns:
+        The parameters, and what the last linearisation gave beside its step.
+    """
+    state = start
+    for _ in range(max_iterations):
+        step, solution = solve_step(state)
+        state = move(state, step)
+        if np.abs(step).max(initial=0.0) < tol_step:
+            break
+    return state, solution
 
 
 def residual_products(columns: Array, target: Array, prior: Array | None = None) -> Array:

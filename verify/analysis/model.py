@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify.analysis.clock import ClockEstimate
-from verify.analysis.comparison import Comparison
+from verify.analysis.comparison import Comparison, JointComparison
 from verify.analysis.least_squares import Whitener, residual_products, whiten
 from verify.core.fiducials import Marker
 from verify.core.records import Array
 from verify.core.rig import Rig
+from verify.io.session.session import Session
 from verify.measurement.systematics import Systematics, covariance_root
 from verify.measurement.track import Track
 
@@ -24,6 +25,23 @@ MIN_VISIBLE_SHARE = (
     1e-3  # of a joint's column: a share below this is what rounding leaves of nothing
 )
 MIN_SPEED_SIGMA = 5.0  # standard deviations of a mean speed that readings at rest do not reach
+
+
+@dataclass(frozen=True, slots=True)
+class SessionComparison:
+    """A session's measured poses against its readings, with what is stated of both."""
+
+    session: Session
+    track: Track  # the measured poses
+    systematics: Systematics  # stated of rig and marker
+    clock: ClockEstimate  # of the readings
+    comparison: Comparison  # pairs that repeat each other's errors count in full
+    joints: JointComparison  # measured angles of the compared pairs
+
+    @property
+    def clock_uncertainty(self) -> float | None:
+        """Standard uncertainty of a clock offset that was estimated, s; None of a given one."""
+        return self.clock.standard_uncertainty if self.clock.source == "estimated" else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""A recorded session from pixels to results: chain, clock, comparison, judgement."""
+"""A recorded session from pixels to results: measure, compare, estimate, present."""
 
 from collections import Counter
 from dataclasses import replace
@@ -11,7 +11,7 @@ from verify.analysis.clock import ClockEstimate
 from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
     Comparison,
-    JointComparison,
+    ReadingUncertainty,
     compare,
     inflate_covariance,
     relinearise,
@@ -33,6 +33,7 @@ from verify.analysis.measured import (
 )
 from verify.analysis.model import (
     JointErrorModel,
+    SessionComparison,
     add_pan_noise,
     build_model,
     clock_effect,
@@ -50,7 +51,7 @@ from verify.analysis.results.tables import (
     resolved_table,
     spots_table,
 )
-from verify.analysis.results.warnings import result_warnings, unstated_sources
+from verify.analysis.results.warnings import result_warnings
 from verify.analysis.sweeps.sweeps import judge_sweeps
 from verify.analysis.uncertainty.budget import budget
 from verify.analysis.uncertainty.monte_carlo import monte_carlo
@@ -60,14 +61,12 @@ from verify.errors import InputError
 from verify.io.session.keys import Tolerance
 from verify.io.session.session import Session
 from verify.measurement.chain import measure
-from verify.measurement.systematics import Systematics
 from verify.measurement.track import Track
 
 __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 
-MIN_VISIBLE_SHARE = (
-    1e-9  # of a joint's column: a share below this is what rounding leaves of nothing
-)
+MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
+NO_TOLERANCE = Tolerance(None, None, None)
 
 
 def _no_progress(_done: int, _total: int) -> None:
@@ -96,13 +95,10 @@ def analyse(
         InputError: the session cannot be measured; nothing is returned in part.
     """
     readings = Readings(session.encoders.t, session.encoders.q)
-    seen, clock = measure_session(session, readings, progress, chain or measure)
-    track = seen.track
-    comparison, joints, unreachable = _compare(session, track, readings, clock, seen.systematics)
-    if not len(comparison):
-        raise _comparison_refusal(session, track, reached=not unreachable)
-    model = session_model(session, track, clock, seen.systematics, comparison, joints)
-    return _judge(session, tolerance, seen, clock, model, comparison, joints, unreachable)
+    measured, clock = measure_session(session, readings, progress, chain or measure)
+    compared, unreachable = compare_session(session, measured, readings, clock)
+    found = _estimate(compared, measured, tolerance or NO_TOLERANCE, unreachable)
+    return _results(found, measured)
 
 
 def measure_session(
@@ -121,48 +117,65 @@ def measure_session(
     """
     instrument = session.instrument
     if instrument is None:
-        seen = measure_pictures(session, progress, chain)
-        if not len(seen.track):
-            raise measurement_refusal(session, seen)
-        clock = session_clock(session, seen.track, readings)
+        measured = measure_pictures(session, progress, chain)
+        if not len(measured.track):
+            raise measurement_refusal(session, measured)
+        clock = session_clock(session, measured.track, readings)
     else:
-        seen, clock = measure_instrument(session, instrument, readings)
+        measured, clock = measure_instrument(session, instrument, readings)
         progress(len(session), len(session))
-        refuse_misread(session, instrument, seen.track, readings, clock)
-    refuse_radians(session, seen.track, readings, clock)
-    return seen, clock
+        refuse_misread(session, instrument, measured.track, readings, clock)
+    refuse_radians(session, measured.track, readings, clock)
+    return measured, clock
 
 
-def session_model(
-    session: Session,
-    track: Track,
-    clock: ClockEstimate,
-    systematics: Systematics,
-    comparison: Comparison,
-    joints: JointComparison,
-) -> JointErrorModel:
-    """Lay a session out about the errors that are there; pairs repeat each other.
+def compare_session(
+    session: Session, measured: MeasuredSession, readings: Readings, clock: ClockEstimate
+) -> tuple[SessionComparison, set[int]]:
+    """Compare every pair that has a reading and that the arm can stand in.
 
-    Args:
-        session: the session.
-        track: its measured poses.
-        clock: of its readings.
-        systematics: what is stated of rig and marker.
-        comparison: poses against readings.
-        joints: measured angles of the compared pairs.
+    Returns:
+        The comparison, and the rows of the track that the arm cannot stand in.
+
+    Raises:
+        InputError: no pair is left.
     """
+    track, systematics = measured.track, measured.systematics
+    known = readings.known(track.t - clock.offset)
+    stated = ReadingUncertainty(
+        session.encoder_resolution, session.encoder_time_standard_uncertainty
+    )
+    unreachable: set[int] = set()
+    for _ in range(2):  # a second time without the pairs that the arm cannot reach
+        comparison = compare(track, session.arm, readings, clock.offset, stated=stated, known=known)
+        comparison = add_pan_noise(comparison, track, systematics)
+        joints = solve_joints(comparison, session.arm)
+        if joints.reached.all():
+            break
+        unreachable = set(comparison.index[~joints.reached].tolist())
+        known = known.copy()
+        known[list(unreachable)] = False
+    if not len(comparison):
+        raise _comparison_refusal(session, track, reached=not unreachable)
+    return SessionComparison(session, track, systematics, clock, comparison, joints), unreachable
 
-    def built(compared: Comparison) -> JointErrorModel:
-        shown = zero_undetermined_columns(compared)
-        return build_model(shown, track, session.rig, session.marker, clock, systematics)
 
-    error, told = np.nan_to_num(joints.error), ~np.isnan(joints.error)
-    typical = error.sum(axis=0) / np.maximum(told.sum(axis=0), 1)
-    if not told.any(axis=0).all():  # joints that no pair tells: from a first fit
-        typical = np.where(
-            told.any(axis=0), typical, np.nan_to_num(resolve_errors(built(comparison)).mean)
-        )
-    middle = relinearise(comparison, session.arm, typical)
+def session_model(compared: SessionComparison) -> JointErrorModel:
+    """Linearise a session about the errors that are there; pairs repeat each other's errors."""
+    session, joints = compared.session, compared.joints
+
+    def built(comparison: Comparison) -> JointErrorModel:
+        return build_model(
+            zero_undetermined_columns(comparison), compared.track, session.rig, session.marker,
+            compared.clock, compared.systematics,
+        )  # fmt: skip
+
+    error, known = np.nan_to_num(joints.error), ~np.isnan(joints.error)
+    typical = error.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    if not known.any(axis=0).all():  # joints that no pair determines: from a first fit
+        first = np.nan_to_num(resolve_errors(built(compared.comparison)).mean)
+        typical = np.where(known.any(axis=0), typical, first)
+    middle = relinearise(compared.comparison, session.arm, typical)
     model = built(middle)
     residual = model.xi - predict_errors(model, resolve_errors(model))
     factors = autocorrelation(model.white.by_pair(residual))
@@ -176,8 +189,8 @@ def zero_undetermined_columns(comparison: Comparison) -> Comparison:
     rounding leaves of the column would pass for a joint with an error of any size.
     """
     columns = comparison.jacobian
-    seen = [known.T @ one for known, one in zip(comparison.determined, columns, strict=True)]
-    shown = np.max([np.linalg.norm(one, axis=0) for one in seen], axis=0)
+    determined = [known.T @ one for known, one in zip(comparison.determined, columns, strict=True)]
+    shown = np.max([np.linalg.norm(one, axis=0) for one in determined], axis=0)
     whole = np.linalg.norm(columns, axis=1).max(axis=0)
     return replace(comparison, jacobian=np.where(shown > MIN_VISIBLE_SHARE * whole, columns, 0.0))
 
@@ -202,141 +215,74 @@ def _comparison_refusal(session: Session, track: Track, *, reached: bool) -> Inp
     )
 
 
-def _compare(
-    session: Session,
-    track: Track,
-    readings: Readings,
-    clock: ClockEstimate,
-    systematics: Systematics,
-) -> tuple[Comparison, JointComparison, set[int]]:
-    """Compare every pair that has a reading and that the arm can stand in; name the others."""
-    known = readings.known(track.t - clock.offset)
-    unreachable: set[int] = set()
-    for _ in range(2):  # a second time without the pairs that the arm cannot reach
-        comparison = compare(
-            track,
-            session.arm,
-            readings,
-            clock.offset,
-            resolution=session.encoder_resolution,
-            time_uncertainty=session.encoder_time_standard_uncertainty,
-            known=known,
-        )
-        comparison = add_pan_noise(comparison, track, systematics)
-        joints = solve_joints(comparison, session.arm)
-        if joints.reached.all():
-            break
-        unreachable = set(comparison.index[~joints.reached].tolist())
-        known = known.copy()
-        known[list(unreachable)] = False
-    return comparison, joints, unreachable
-
-
-def _judge(
-    session: Session,
-    tolerance: Tolerance | None,
-    seen: MeasuredSession,
-    clock: ClockEstimate,
-    model: JointErrorModel,
-    plain: Comparison,
-    joints: JointComparison,
+def _estimate(
+    compared: SessionComparison,
+    measured: MeasuredSession,
+    tolerance: Tolerance,
     unreachable: set[int],
-) -> Results:
-    comparison, systematics = model.comparison, seen.systematics
-    random = joints.inverse @ comparison.covariance @ np.swapaxes(joints.inverse, 1, 2)
+) -> SessionAnalysis:
+    """Estimate errors, their uncertainties and their causes."""
+    session, joints = compared.session, compared.joints
+    model = session_model(compared)
+    comparison, clock_uncertainty = model.comparison, compared.clock_uncertainty
     errors = JointErrors(
         error=joints.single,
-        covariance=random,
+        covariance=joints.inverse @ comparison.covariance @ np.swapaxes(joints.inverse, 1, 2),
         systematic=joints.inverse @ model.prior_columns,
         clock=(joints.inverse @ clock_effect(comparison))[:, :, 0],
     )
-    resolved, relative = resolve_errors(model), compare_relative_motions(model)
-    estimated = clock.standard_uncertainty if clock.source == "estimated" else None
-    means = mean_errors(model, errors, resolved, estimated, systematics)
-    sources = budget(
-        model, plain, joints, errors, means, resolved, session, systematics, seen.track, clock
-    )
+    resolved = resolve_errors(model)
+    means = mean_errors(model, errors, resolved, clock_uncertainty, compared.systematics)
+    sources = budget(model, compared, errors, means, resolved)
     means = replace(means, coverage_factor=sources.coverage_factor)
-    measured = [m for m in seen.measurements if m.status == "measured"]
-    drawn = monte_carlo(session, measured, seen.track, plain, joints, systematics, clock)
-    given = clock.source == "given"
-    swept = judge_sweeps(model, session, seen.track, systematics, clock_given=given)
-    frame = seen.track.frame[comparison.index]
-    diagnosis = find_causes(model, resolved, session.arm, session.rig)
-    status, rows = _statuses(seen, comparison, unreachable)
-    judged = SessionAnalysis(
-        session=session,
-        tolerance=_tolerance(session, tolerance),
-        status=status,
-        choices=dict(Counter(m.choice for m in seen.measurements if m.choice)),
-        clock=clock,
-        comparison=comparison,
-        joints=joints,
-        combinations=combinations(
-            session.arm,
-            comparison,
-            joints,
-            errors,
-            means,
-            estimated,
-            through_encoders=model.through_encoders,
-        ),
+    used = [m for m in measured.measurements if m.status == "measured"]
+    return SessionAnalysis(
+        compared=compared,
+        model=model,
+        tolerance=_merge_tolerances(session.tolerance or NO_TOLERANCE, tolerance),
+        status=_statuses(measured, compared.comparison, unreachable),
+        choices=dict(Counter(m.choice for m in measured.measurements if m.choice)),
+        errors=errors,
         means=means,
-        sources=sources,
-        drawn=drawn,
-        sweeps=swept,
-        frame=frame,
-        visibility=visibility(model),
         resolved=resolved,
-        relative=relative,
-        diagnosis=diagnosis,
-        flange=_flange(model, estimated),
-        through_encoders=model.through_encoders,
-        uncounted=unstated_sources(systematics, clock),
-        warnings=result_warnings(session, seen.measurements, systematics, clock, model),
+        combinations=combinations(compared, model, errors, means),
+        sources=sources,
+        drawn=monte_carlo(compared, used),
+        sweeps=judge_sweeps(model, compared),
+        visibility=visibility(model),
+        relative=compare_relative_motions(model),
+        diagnosis=find_causes(model, resolved, session.arm, session.rig),
+        flange=_flange(model, clock_uncertainty),
+        warnings=result_warnings(compared, measured.measurements, model),
     )
+
+
+def _results(found: SessionAnalysis, measured: MeasuredSession) -> Results:
+    """Word an analysis as summary, set-up, tables and images."""
+    session, clock = found.compared.session, found.compared.clock
     tables = {
-        "frames": frames_table(
-            seen.measurements, status, comparison, rows, joints,
-            _combined_uncertainty(joints, errors, comparison, clock),
-        ),
-        "spots": spots_table(seen.measurements, session.marker),
-        "resolved": resolved_table(comparison, resolved, seen.track.frame[comparison.index]),
-        "relative": relative_table(relative, seen.track.frame[comparison.index]),
+        "frames": frames_table(measured.measurements, found),
+        "spots": spots_table(measured.measurements, session.marker),
+        "resolved": resolved_table(found.model.comparison, found.resolved, found.frame),
+        "relative": relative_table(found.relative, found.frame),
         "clock_curve": pd.DataFrame(clock.curve, columns=["offset_s", "cost"]),
-        "budget": sources.lines,
-        "budget_parameters": sources.parameters,
-        "monte_carlo": monte_carlo_table(drawn, frame),
-        "sweeps": sweeps_table(swept, frame),
-        "detectable": detectable(diagnosis.products),
-    }  # fmt: skip
-    images = {"pair": seen.preview} if seen.preview is not None else {}
-    repeated, repeated_tables = session_performance(session, model, clock.offset)
-    return Results(
-        summarise(judged) | repeated, describe(session), tables | repeated_tables, images
-    )
+        "budget": found.sources.lines,
+        "budget_parameters": found.sources.parameters,
+        "monte_carlo": monte_carlo_table(found.drawn, found.frame),
+        "sweeps": sweeps_table(found.sweeps, found.frame),
+        "detectable": detectable(found.diagnosis.products),
+    }
+    images = {"pair": measured.preview} if measured.preview is not None else {}
+    repeated, repeated_tables = session_performance(session, found.model, clock.offset)
+    return Results(summarise(found) | repeated, describe(session), tables | repeated_tables, images)
 
 
-def _tolerance(session: Session, override: Tolerance | None) -> Tolerance:
-    given = session.tolerance or Tolerance(None, None, None)
-    if override is None:
-        return given
+def _merge_tolerances(given: Tolerance, override: Tolerance) -> Tolerance:
     return Tolerance(
         given.joints if override.joints is None else override.joints,
         given.position if override.position is None else override.position,
         given.orientation if override.orientation is None else override.orientation,
     )
-
-
-def _combined_uncertainty(
-    joints: JointComparison, errors: JointErrors, comparison: Comparison, clock: ClockEstimate
-) -> Array:
-    """Standard uncertainty of each pair's error from all sources, (n, j), rad."""
-    variance = np.diagonal(joints.covariance, axis1=1, axis2=2) + np.sum(errors.systematic**2, 2)
-    if clock.source == "estimated" and clock.standard_uncertainty is not None:
-        variance = variance + (comparison.rate * clock.standard_uncertainty) ** 2
-    uncertainty: Array = np.sqrt(variance)
-    return uncertainty
 
 
 def _flange(model: JointErrorModel, clock_uncertainty: float | None) -> tuple[Array, Array]:
@@ -353,13 +299,11 @@ def _flange(model: JointErrorModel, clock_uncertainty: float | None) -> tuple[Ar
 
 
 def _statuses(
-    seen: MeasuredSession, comparison: Comparison, unreachable: set[int]
-) -> tuple[list[str], list[int]]:
-    """What is finally said of each pair, and which rows were compared."""
-    status = [m.status for m in seen.measurements]
-    measured = [i for i, s in enumerate(status) if s == "measured"]
-    compared = set(comparison.index.tolist())
-    for place, row in enumerate(measured):
-        if place not in compared:
-            status[row] = "unreachable" if place in unreachable else "no_encoder"
-    return status, [measured[i] for i in comparison.index]
+    measured: MeasuredSession, comparison: Comparison, unreachable: set[int]
+) -> list[str]:
+    """What is finally stated of each pair."""
+    status = [m.status for m in measured.measurements]
+    rows = [i for i, s in enumerate(status) if s == "measured"]
+    for place in set(range(len(rows))) - set(comparison.index.tolist()):
+        status[rows[place]] = "unreachable" if place in unreachable else "no_encoder"
+    return status

@@ -1,1 +1,1 @@
-"""Cameras from boards, robot base and LEDs from a motion or fixture, kinematic calibration of the arm, interim checks."""
+"""Calibration of cameras by boards, of base and LEDs, of the arm's kinematics; interim checks."""

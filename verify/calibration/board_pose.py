@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from verify.analysis.least_squares import gauss_newton
 from verify.core.fiducials import Board, BoardPair, BoardView, Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
 from verify.core.rig import Camera, Rig
@@ -126,7 +127,7 @@ def _by_one_camera(camera: Camera, view: Sighting, points: Array) -> Array:
 def _fit(views: SightingStack, start: Array, reject: bool) -> Pose:
     keep = np.ones(len(views.centre), dtype=bool)
     while True:
-        pose = _gauss_newton(views, keep, start)
+        pose = _fit_pose(views, keep, start)
         size = _corner_chi2(views, pose)
         worst = int(np.argmax(np.where(keep, size, 0.0)))
         settled = size[worst] < MAX_CORNER_CHI2 or not keep[worst]
@@ -144,19 +145,20 @@ def _corner_chi2(views: SightingStack, pose: Pose) -> Array:
     return size
 
 
-def _gauss_newton(views: SightingStack, keep: NDArray[np.bool_], start: Array) -> Pose:
-    pose = np.array(start, dtype=float)
+def _fit_pose(views: SightingStack, keep: NDArray[np.bool_], start: Array) -> Pose:
     weight = np.linalg.inv(views.covariance) * keep[:, None, None]
-    for _ in range(MAX_ITERATIONS):
+
+    def solve_step(pose: Array) -> tuple[Array, tuple[Array, Array, Array, Array]]:
         pixels, by_point, by_pose = predict(views, pose)
         residual = views.centre - pixels
         weighted = weight @ by_pose  # (s, 2, 6)
         covariance = np.linalg.inv(np.einsum("sia,sib->ab", by_pose, weighted))
         step = covariance @ np.einsum("sia,si->a", weighted, residual)
-        pose = perturb(pose, step)
-        if np.max(np.abs(step)) < TOL_STEP:
-            break
-    gain = covariance @ weighted.reshape(-1, 6).T
+        return step, (covariance, covariance @ weighted.reshape(-1, 6).T, by_point, residual)
+
+    pose, (covariance, gain, by_point, residual) = gauss_newton(
+        start, solve_step, perturb, max_iterations=MAX_ITERATIONS, tol_step=TOL_STEP
+    )
     return Pose(
         rig_T_flange=pose,
         covariance_pixels=covariance,

@@ -264,10 +264,7 @@ def _sheet(board: Board, layout: PageLayout) -> dict[str, Any]:
     lines, labels = _rulers(layout)
     return {
         "page": layout.page,
-        "black": [
-            *(areas[:, None, :2] + corners * areas[:, None, 2:]).tolist(),
-            arrow,
-        ],
+        "black": [*(areas[:, None, :2] + corners * areas[:, None, 2:]).tolist(), arrow],
         "lines": lines,
         "labels": [*labels, (x, y + 11, "up")],
         "text": layout.text,

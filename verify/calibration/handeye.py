@@ -1,4 +1,16 @@
-"""Robot-world and hand-eye calibration in closed form: A X = Y B."""
+"""Robot-world and hand-eye calibration in closed form.
+
+    A_i X = Y B_i,   i = 1 … n
+
+    A_i   (4, 4)   the body as the cameras measure it, rig_T_body         given
+    B_i   (4, 4)   the flange by the encoders, base_T_flange              given
+    X     (4, 4)   body_T_flange: 3 turns, 3 translations                 found
+    Y     (4, 4)   rig_T_base: 3 turns, 3 translations                    found
+
+Source: Shah, "Solving the Robot-World/Hand-Eye Calibration Problem Using the Kronecker Product",
+J. Mechanisms and Robotics 5(3), 2013: vec(R_X) and vec(R_Y) are the first right and left singular
+vectors of the sum of R_B ⊗ R_A; the translations follow by least squares.
+"""
 
 from dataclasses import dataclass
 
@@ -16,7 +28,7 @@ MAX_RANK_RATIO = 1 - 1e-7
 
 @dataclass(frozen=True, slots=True)
 class HandEye:
-    """The two unknown places of a closed loop, and what the poses say of them."""
+    """The two unknown poses of a closed loop, and how well all others fit them."""
 
     x: Array  # (4, 4)
     y: Array  # (4, 4)
@@ -29,18 +41,14 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
     """Solve A X = Y B for X and Y.
 
     Args:
-        a: (n, 4, 4), the target as a fixed camera sees it (rig_T_body), m.
-        b: (n, 4, 4), the flange as the encoders put it (base_T_flange), at the same instants.
+        a: (n, 4, 4), the body in a fixed camera (rig_T_body), m.
+        b: (n, 4, 4), the flange by the encoders (base_T_flange), at the same instants.
 
     Returns:
         x (body_T_flange) and y (rig_T_base) with each pose's residual.
 
     Raises:
         ValueError: fewer than three poses, or not as many of one as of the other.
-
-    Source: Shah, "Solving the Robot-World/Hand-Eye Calibration Problem Using the Kronecker
-    Product", J. Mechanisms and Robotics 5(3), 2013: vec(R_X) and vec(R_Y) are the first right and
-    left singular vectors of the sum of R_B ⊗ R_A; the translations follow by least squares.
     """
     if len(a) < MIN_POSES or a.shape != b.shape:
         raise ValueError(f"needs {MIN_POSES} poses or more, twice; got {len(a)} and {len(b)}")
@@ -49,9 +57,11 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
     u, size, vt = np.linalg.svd(kronecker)
     x_like, y_like = (v.reshape(3, 3).T for v in (vt[0], u[:, 0]))  # vec stacks columns
     x, y = np.eye(4), np.eye(4)
-    x[:3, :3], y[:3, :3] = _nearest_rotation(x_like), _nearest_rotation(y_like)
+    x[:3, :3], y[:3, :3] = (
+        nearest_rotation(like * np.sign(np.linalg.det(like))) for like in (x_like, y_like)
+    )
     places, misfit = _translations(a, b, y[:3, :3])
-    # the turns fit X and Y as well as -X and -Y, a mirror image; the places tell which it is
+    # the turns fit X and Y as well as -X and -Y, a mirror image; the translations decide
     mirrored = _translations(a, b, -y[:3, :3])[1] < misfit
     x[:3, 3], y[:3, 3] = places[:3], places[3:]
     return HandEye(
@@ -82,9 +92,9 @@ def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[n
         good = kept
 
 
-def _nearest_rotation(like: Array) -> Array:
-    """The rotation nearest to a multiple of it, of either sign."""
-    u, _, vt = np.linalg.svd(like * np.sign(np.linalg.det(like)))
+def nearest_rotation(matrix: Array) -> Array:
+    """Find the rotation nearest to a matrix (3, 3), by the Frobenius norm."""
+    u, _, vt = np.linalg.svd(matrix)
     rotation: Array = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     return rotation
 
@@ -97,3 +107,17 @@ def _translations(a: Array, b: Array, y_rotation: Array) -> tuple[Array, float]:
     design, target = rows.reshape(-1, 6), wanted.reshape(-1)
     solution = np.linalg.lstsq(design, target, rcond=None)[0]
     return solution, float(np.linalg.norm(target - design @ solution))
+
+
+def cross_matrices(vectors: Array) -> Array:
+    """Matrices of v × ., (n, 3, 3), of vectors (n, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    matrix = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
+    return matrix.reshape(-1, 3, 3)
+
+
+def rigid_columns(points: Array) -> Array:
+    """Derivative (n, 3, 6) of points (n, 3) by a rigid motion: shift, turn about the origin."""
+    shift = np.tile(np.eye(3), (len(points), 1, 1))
+    return np.concatenate([shift, -cross_matrices(points)], axis=2)

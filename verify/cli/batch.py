@@ -52,10 +52,6 @@ def batch(
 
     Example: verify batch sample_sessions -o fleet-report
     """
-    from verify.fleet.batch import workers as batch_workers
-
-    if scheduler is None:
-        batch_workers.prepare()
     from verify.cli.options import Asked
     from verify.fleet.batch.finding import find_sessions
     from verify.fleet.batch.records import BatchOptions
@@ -65,15 +61,15 @@ def batch(
 
     asked = Asked(tolerance, position_tolerance, orientation_tolerance)
     questions = _trend_request(by, since, compare)
-    found, failures = find_sessions(folders, out)
-    require_folders([one.session for one in found], questions)
-    require_writable(out)
-    crew = _worker_pool(workers, scheduler)
+    pool = _worker_pool(workers, scheduler)  # the first worker loads meanwhile
     try:
+        found, failures = find_sessions(folders, out)
+        require_folders([one.session for one in found], questions)
+        require_writable(out)
         with _ProgressDisplay() as watch:
-            done = measure_all(found, failures, out, BatchOptions(asked, _version()), crew, watch)
+            done = measure_all(found, failures, out, BatchOptions(asked, _version()), pool, watch)
     finally:
-        crew.close()
+        pool.close()
     if reports:
         _session_reports(done, workers)
     return _finish(done, out, questions)
@@ -166,12 +162,12 @@ def _session_reports(done: "BatchResult", workers: int | None) -> None:
     from verify.fleet.batch.run import report_all
     from verify.fleet.batch.workers import ProcessPool, available_cpus
 
-    crew = ProcessPool(workers or available_cpus())
+    pool = ProcessPool(workers or available_cpus())
     try:
         with terminal.progress("reports") as counter:
-            report_all(done, crew, counter)
+            report_all(done, pool, counter)
     finally:
-        crew.close()
+        pool.close()
 
 
 def _finish(done: "BatchResult", out: Path, questions: "TrendRequest") -> int:

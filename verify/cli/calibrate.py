@@ -73,6 +73,7 @@ def boards(
     import numpy as np
 
     from verify.calibration.corners.folder import find_boards, middle_pair
+    from verify.calibration.origin import ResultsOrigin
     from verify.calibration.quality.results import calibration_results
     from verify.calibration.stereo.calibrate import calibrate as adjust
     from verify.cli.calibrate_live import (
@@ -120,9 +121,9 @@ def boards(
         picture=(shown.left, shown.right),
         picture_pan=pan[shown.frame],
         names={frame: opened.name(frame) for frame in found.frames.tolist()},
-        source=folder.resolve().name,
-        inputs=opened.inputs,
-        warnings=opened.warnings,
+        origin=ResultsOrigin(
+            folder.resolve().name, inputs=opened.inputs, warnings=tuple(opened.warnings)
+        ),
     )
     with written_together(out):
         io_rig.write(out, found.rig)

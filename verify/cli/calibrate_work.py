@@ -10,6 +10,7 @@ from verify.calibration.axes.table import axes_from_sweeps
 from verify.calibration.check import check as interim
 from verify.calibration.check.results import check_results
 from verify.calibration.corners.folder import find_boards
+from verify.calibration.origin import ResultsOrigin
 from verify.calibration.registration import fixture_file
 from verify.calibration.registration.fixture import register_fixture
 from verify.calibration.registration.register import register_motion
@@ -135,8 +136,7 @@ def register_by_fixture(
     made = fixture_results(
         replace(found, warnings=warnings),
         robot="a robot by a board on its base",
-        source=folder.resolve().name,
-        inputs=opened.inputs,
+        origin=ResultsOrigin(folder.resolve().name, inputs=opened.inputs),
     )
     with written_together(out):
         io_rig.write(out, found.rig)
@@ -172,9 +172,7 @@ def register_by_motion(
     made = motion_results(
         replace(found, warnings=warnings),
         robot=recording.robot,
-        source=recording.name,
-        description=recording.description,
-        inputs=recording.inputs,
+        origin=ResultsOrigin(recording.name, recording.description, recording.inputs),
         sweeps=swept,
         base_held=wishes.keep_base,
         leds_held=wishes.keep_leds,
@@ -224,17 +222,12 @@ class CheckReport:
     """An interim check, and what it was made from."""
 
     found: "CheckResult"
-    name: str  # of the folder
-    description: str
-    inputs: Mapping[str, str]
+    origin: ResultsOrigin
 
 
 def write_check(done: CheckReport, out: Path, *, force: bool) -> None:
     """Write the report of a check, and say where."""
-    made = check_results(
-        done.found, source=done.name, description=done.description, inputs=done.inputs
-    )
-    write_report_folder(made, out, force=force)
+    write_report_folder(check_results(done.found, done.origin), out, force=force)
     terminal.say(f"Report: {out / 'report.html'} and {out / 'report.pdf'}")
 
 
@@ -274,7 +267,8 @@ def run_check(
                 else length_uncertainty_mm * 1e-3,
                 progress=progress,
             )
-        return CheckReport(found, session.name, session.description, session.inputs | other_rig)
+        origin = ResultsOrigin(session.name, session.description, session.inputs | other_rig)
+        return CheckReport(found, origin)
     if rig is None:
         expected = "pictures of a board do not say which rig is to be checked"
         raise InputError("--rig", "is missing", expected, "Give the rig file, or a session.")
@@ -284,7 +278,8 @@ def run_check(
     _require_same_size(opened.folder, opened.image_size, rig)
     with terminal.progress("pairs searched for the board") as progress:
         found = interim.check_board(rig, find_boards(opened, progress), opened.board)
-    return CheckReport(found, source.resolve().name, "", opened.inputs | other_rig)
+    origin = ResultsOrigin(source.resolve().name, inputs=opened.inputs | other_rig)
+    return CheckReport(found, origin)
 
 
 def _require_same_size(folder: Path, size: tuple[int, int], rig: "Rig") -> None:

@@ -188,19 +188,19 @@ def _validate(
     judging: CombinedPoses, found: IdentificationResult, wish: IdentificationOptions
 ) -> ValidationSessions:
     """Register other sessions anew, with the arm as its file has it and with the identified one."""
-    rows, arm = judging.poses, chain_of(judging.seen[0].session.arm)
+    rows, arm = judging.poses, chain_of(judging.sessions[0].session.arm)
     left = []
     for chain in (arm, found.chain):
         known = None if wish.free_base and wish.free_tool else judging.state(chain)
         left.append(pose_residuals(register(chain, rows, wish, known).state, rows))
-    return ValidationSessions([seen.session.name for seen in judging.seen], *left)
+    return ValidationSessions([seen.session.name for seen in judging.sessions], *left)
 
 
 def _identify_twice(
     gathered: CombinedPoses, wish: IdentificationOptions
 ) -> tuple[CombinedPoses, IdentificationResult]:
     """Identify, and again with pairs that repeat each other's errors counting for fewer."""
-    chain = chain_of(gathered.seen[0].session.arm)
+    chain = chain_of(gathered.sessions[0].session.arm)
     # where both are sought anew, nobody needs to have stated them, not even roughly
     known = None if wish.free_base and wish.free_tool else gathered.state(chain)
     first = identify_arm(chain, gathered.poses, replace(wish, splits=0), known)
@@ -211,7 +211,7 @@ def _identify_twice(
 def _identification_provenance(
     gathered: CombinedPoses, wish: IdentificationOptions, level: str
 ) -> IdentificationProvenance:
-    sessions = [seen.session for seen in gathered.seen]
+    sessions = [seen.session for seen in gathered.sessions]
     several = len(sessions) > 1
     inputs = {
         f"{session.name}/{path}" if several else path: digest
@@ -227,7 +227,7 @@ def _identification_provenance(
         free_tool=wish.free_tool,
         description=sessions[0].description if not several else "",
         inputs=inputs,
-        warnings=tuple(dict.fromkeys(_warnings(gathered.seen, wish, level))),
+        warnings=tuple(dict.fromkeys(_warnings(gathered.sessions, wish, level))),
     )
 
 

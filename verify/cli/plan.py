@@ -279,7 +279,7 @@ def _require(option: str, value: float | None, *, zero: bool = False) -> float |
 
 def _warnings(made: SessionPlan) -> list[str]:
     said = []
-    seen = made.prediction.foreseen
+    seen = made.prediction.session
     exact = seen.systematics.uncounted
     if exact:
         said.append(

@@ -15,13 +15,14 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from verify.analysis.clock import ClockEstimate
 from verify.analysis.warm_up import warm_up_comparison
 from verify.cli.terminal import terminal
-from verify.core.processes import Helper
+from verify.core.processes import ChildProcess, answer_requests
 from verify.errors import InputError
 from verify.io.session.keys import Tolerance
 from verify.live.alarms.joints import AlarmLimits
-from verify.live.clock import estimate_offset
+from verify.live.clock import ESTIMATE_TIMEOUT, ClockRequest, estimate_offset
 from verify.live.loop import LiveLoop, LoopSettings
 from verify.live.measuring_process import MeasuringProcess
 from verify.live.outputs.listeners import (
@@ -42,7 +43,6 @@ from verify.live.station.station import PanDrive, Station
 SWITCH_INTERVAL = (
     0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
 )
-ESTIMATE_TIMEOUT = 20.0  # s for the clock, on a busy machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +101,10 @@ def watch(station: Station, wish: RunOptions) -> RunResult:
         sys.setswitchinterval(SWITCH_INTERVAL)
         listeners = _listeners(station, wish, stack)
         _serve(station, wish, RunPageSource(state, subject, facts), state, stack)
-        clock = Helper(estimate_offset, "clock", aside=True)
-        stack.callback(clock.close)
+        clock: ChildProcess[ClockRequest, ClockEstimate] = ChildProcess(
+            answer_requests, estimate_offset, name="clock", background=True
+        )
+        stack.callback(clock.stop)
         chain = MeasuringProcess(station.rig, station.marker, terminal.warn)
         stack.callback(chain.close)
         warm_up_comparison()  # the first pairs come at once, and soon would be too many

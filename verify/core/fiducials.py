@@ -1,8 +1,6 @@
-"""The LEDs on the flange.
+"""The bodies that cameras measure: the LEDs on the flange and the calibration board.
 
-A calibration board, and how its corners were seen.
-
-The markers of a ChArUco board, as OpenCV knows them.
+A ChArUco board's markers are named as OpenCV names their dictionaries.
 """
 
 from dataclasses import dataclass
@@ -18,7 +16,7 @@ COLOURS = ("white", "red", "green", "blue", "infrared")
 
 @dataclass(frozen=True, slots=True)
 class Marker:
-    """Where the LEDs sit in the flange frame, and how well that is known."""
+    """Positions of the LEDs in the flange frame, with their standard uncertainties."""
 
     names: tuple[str, ...]
     leds: Array  # (n, 3), m, flange frame
@@ -41,7 +39,7 @@ class Board:
     """A flat chessboard pattern.
 
     Frame: origin at the first inner corner, x along the columns, y along the rows, z into the
-    board, away from the cameras. Seen the right way up, the first corner is at the top left.
+    board, away from the cameras. With the board upright, the first corner is at the top left.
     """
 
     columns: int  # inner corners along x
@@ -71,20 +69,20 @@ class Board:
 
 @dataclass(frozen=True, slots=True)
 class BoardView:
-    """One board in one image."""
+    """Corners of one board found in one image."""
 
     corner: NDArray[np.int64]  # (n,), index into board.points
-    centre: Array  # (n, 2), px, distorted, as seen
+    centre: Array  # (n, 2), px, distorted
     covariance: Array  # (n, 2, 2), px², from the image's own noise
 
     def __len__(self) -> int:
-        """Count the corners seen."""
+        """Count the corners found."""
         return len(self.corner)
 
 
 @dataclass(frozen=True, slots=True)
 class BoardPair:
-    """What both cameras saw of the board at one instant; None: not found."""
+    """The board in both cameras' images of one instant; None: not found."""
 
     frame: int
     pan_left: float  # rad, as read
@@ -101,11 +99,6 @@ DICTIONARIES = tuple(  # OpenCV spells some twice, once in small letters
 def dictionary(name: str) -> cv2.aruco.Dictionary:
     """Look up one of `DICTIONARIES`."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-
-
-def dictionary_size(name: str) -> int:
-    """Count the markers of a dictionary."""
-    return len(dictionary(name).bytesList)
 
 
 def count_white_squares(board: Board) -> int:

@@ -4,7 +4,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -54,19 +54,24 @@ def _source_fingerprint(package: Path) -> str:
 
 
 CACHE = _cache_available()
+# level 3 takes a fifth longer to compile and is no quicker here; nothing calls from C
+vars(numba.config)["OPT"] = type(vars(numba.config)["OPT"])(2)
+OPTIONS: dict[str, Any] = {
+    "cache": CACHE,
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function when it is first called; the machine code is kept for the next time.
+    """Compile a function at its first call; the machine code is kept for the next time.
 
-    Other threads run meanwhile: it must touch nothing but its arguments.
+    It runs without the interpreter's lock: it must touch nothing but its arguments.
     """
-    return cast("Function", numba.njit(function, cache=CACHE, nogil=True, error_model="numpy"))
+    return cast("Function", numba.njit(function, **OPTIONS))
 
 
 def compiled_sums(function: Function) -> Function:
-    """Compile likewise a function whose sums may be taken several terms at once: far quicker."""
-    quick = numba.njit(
-        function, cache=CACHE, nogil=True, error_model="numpy", fastmath=FASTMATH_FLAGS
-    )
-    return cast("Function", quick)
+    """Compile as `compiled` does, with sums taken several terms at once: far quicker."""
+    return cast("Function", numba.njit(function, fastmath=FASTMATH_FLAGS, **OPTIONS))

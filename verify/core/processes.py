@@ -1,137 +1,118 @@
-"""A second process for work that must not take the measurement's time: one question at once.
+"""Child processes, their priority, and pictures in memory that processes share.
 
-Who computes when and where: pictures for lookers-on may be late, a measurement may not.
-
-A picture where two processes see it.
+A child process is started as a fresh interpreter, tells when it is ready, exchanges messages with
+the process that started it, and ends with it. Nothing else in this program starts processes of
+Python code.
 """
 
-import ctypes
 import gc
 import math
 import multiprocessing
 import os
 import signal
-import struct
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import suppress
-from functools import lru_cache
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, wait
 from multiprocessing.shared_memory import SharedMemory
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NoReturn, TypeVar
 
 import numpy as np
 
 from verify.core.records import Image
 
-NICENESS = 10
-SHORT_SLICE_NS, DEFAULT_SLICE_NS = (
-    100_000,
-    0,
-)  # ns of a turn: the shortest that Linux grants; by default it is 3 ms
-SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # numbers of the system call
-# size, policy, flags, niceness, priority, turn in ns, two for deadlines: linux/sched/types.h
-ATTRIBUTES = struct.Struct("=IIQiIQQQ")
+START_TIMEOUT = 60.0  # s until a child process is ready: a busy machine imports slowly
+JOIN_TIMEOUT = 1.0  # s for a child process to end by itself before it is terminated
+READY, FAILED, ANSWER = "ready", "failed", "answer"  # kinds of messages from a child process
 
-
-def lower_priority() -> None:
-    """Let others have the processor first, from now on, in this thread and those it starts.
-
-    Where niceness belongs to the whole process, which is everywhere but on Linux, nothing changes.
-    """
-    if sys.platform == "linux":
-        os.nice(NICENESS)
-        with suppress(PermissionError):  # some sandboxes; niceness remains
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-
-
-def request_short_slice(*, wanted: bool = True) -> bool:
-    """Let this thread have the processor as soon as it is woken, for short turns at a time.
-
-    Linux, from 6.12 on, lets whoever asks for shorter turns interrupt those with longer ones; that
-    takes no right, as the share of the processor stays what it is. Elsewhere nothing changes.
-
-    Args:
-        wanted: False takes it back.
-
-    Returns:
-        Whether the system took the call; one before 6.12 takes it, and does nothing.
-    """
-    number = SCHED_SETATTR.get(os.uname().machine) if sys.platform == "linux" else None
-    if number is None:
-        return False
-    niceness = os.getpriority(os.PRIO_PROCESS, 0)
-    turn = SHORT_SLICE_NS if wanted else DEFAULT_SLICE_NS
-    told = ATTRIBUTES.pack(ATTRIBUTES.size, os.SCHED_OTHER, 0, niceness, 0, turn, 0, 0)
-    return bool(_c_library().syscall(number, 0, told, 0) == 0)
-
-
-@lru_cache(maxsize=1)
-def _c_library() -> ctypes.CDLL:
-    return ctypes.CDLL(None)
-
-
-def split_processors(other: int) -> None:
-    """Give this thread one half of the processors, and another process (its id) the other half.
-
-    A process that is asked something tends to be woken where the one who asks runs; two that are
-    to work at once then take turns, until the scheduler notices.
-    """
-    if sys.platform != "linux":
-        return
-    usable = sorted(os.sched_getaffinity(0))
-    if len(usable) < 2:
-        return
-    half = len(usable) // 2
-    with suppress(ProcessLookupError, PermissionError):
-        os.sched_setaffinity(other, usable[half:])
-        os.sched_setaffinity(0, usable[:half])
-
-
-Question = TypeVar("Question")
+Message = tuple[str, Any]  # kind and value
+Request = TypeVar("Request")
 Answer = TypeVar("Answer")
-START_TIMEOUT = 60.0  # s
-JOIN_TIMEOUT = 1.0  # s that it is given to end by itself
 
 
-class HelperLostError(Exception):
-    """The second process is gone, or its work failed; the words say why."""
+class ChildLostError(Exception):
+    """The child process has ended, or its work failed; the text says why."""
 
 
-class HelperLateError(HelperLostError):
-    """Its answer takes longer than one would wait."""
+class ChildLateError(ChildLostError):
+    """No message came within the timeout."""
 
 
-class Helper(Generic[Question, Answer]):
-    """Answers questions in a process of its own, which ends when this one does.
+class ChildFailedError(ChildLostError):
+    """The child process reports that its work failed."""
+
+
+class ParentLostError(Exception):
+    """The process that started this one has closed the line, or has ended."""
+
+
+class ParentLine:
+    """The line from a child process to its parent process.
 
     Args:
-        function: an importable function; question and answer are pickled.
-        name: what a list of processes calls it.
-        aside: it stands back where others want the processor too.
-        prepare: called there before it is ready.
+        incoming: requests of the parent process.
+        outgoing: messages to it.
+    """
+
+    def __init__(self, incoming: Connection, outgoing: Connection) -> None:
+        self._incoming, self._outgoing = incoming, outgoing
+
+    def send(self, kind: str, value: Any = None) -> None:
+        """Send a message; raises ParentLostError."""
+        try:
+            self._outgoing.send((kind, value))
+        except OSError as error:
+            raise ParentLostError from error
+
+    def receive(self) -> Any:
+        """Wait for what the parent process sends; raises ParentLostError."""
+        try:
+            return self._incoming.recv()
+        except (OSError, EOFError) as error:
+            raise ParentLostError from error
+
+
+class ChildProcess(Generic[Request, Answer]):
+    """A process of its own that ends when this one does.
+
+    Args:
+        target: importable function; called there with a `ParentLine` and `args`. It sends READY
+            once it is.
+        args: further arguments, pickled.
+        name: in a list of processes.
+        background: it has lower priority than this process.
+        nested: it starts a process itself. It must be stopped, or this process waits for it.
     """
 
     def __init__(
         self,
-        function: Callable[[Question], Answer],
+        target: Callable[..., None],
+        *args: Any,
         name: str,
-        *,
-        aside: bool = False,
-        prepare: Callable[[], object] | None = None,
+        background: bool = False,
+        nested: bool = False,
     ) -> None:
-        # not forked: a copy of a process with threads and cameras is no sound one
+        # not forked: threads and open cameras do not survive a fork
         context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
+        requests, self._outgoing = context.Pipe(duplex=False)
+        self._incoming, messages = context.Pipe(duplex=False)
         self._process = context.Process(
-            target=_serve, args=(function, theirs, aside, prepare), name=name, daemon=True
+            target=_run,
+            args=(target, ParentLine(requests, messages), args, background),
+            name=name,
+            daemon=not nested,
         )
-        self._process.start()
-        theirs.close()
+        with _interrupts_ignored():  # also in the child process, from its first instruction on
+            self._process.start()
+        requests.close()
+        messages.close()
         self._lock = threading.Lock()
-        self._ready = self._owes = False
+        self._early: deque[Message] = deque()  # sent before READY
+        self._ready: Message | None = None
+        self._unanswered = False
 
     @property
     def pid(self) -> int:
@@ -139,143 +120,216 @@ class Helper(Generic[Question, Answer]):
         assert self._process.pid is not None  # it was started
         return self._process.pid
 
-    def wait_until_ready(self) -> None:
-        """Wait until it has imported what it needs, which a busy machine takes seconds for.
+    def wait_until_ready(self, timeout: float = START_TIMEOUT) -> Any:
+        """Wait for READY and return its value; `timeout` in s.
 
         Raises:
-            HelperLostError: it does not start.
+            ChildLostError: it does not start.
         """
-        if not self._ready:
-            receive(self._connection, START_TIMEOUT)
-            self._ready = True
+        while self._ready is None:
+            message = self._receive(timeout)
+            if message[0] == READY:
+                self._ready = message
+            else:
+                self._early.append(message)
+        return self._ready[1]
 
     def is_ready(self) -> bool:
-        """Whether it can be asked without a wait for its start.
+        """Whether it is ready, without a wait.
 
         Raises:
-            HelperLostError: it did not start.
+            ChildLostError: it did not start.
         """
-        with self._lock:
-            if not self._ready and self._connection.poll(0.0):
-                self.wait_until_ready()
-            return self._ready
+        with self._lock, suppress(ChildLateError):
+            self.wait_until_ready(0.0)
+        return self._ready is not None
 
-    def ask(self, question: Question, patience: float) -> Answer:
-        """Ask, and wait for the answer.
+    def send(self, message: Any) -> None:
+        """Send what its `ParentLine.receive` returns.
+
+        Raises:
+            ChildLostError: it has ended.
+        """
+        try:
+            self._outgoing.send(message)
+        except (OSError, ValueError) as error:
+            raise ChildLostError(str(error)) from error
+
+    def receive(self, timeout: float | None) -> Message:
+        """Wait for a message, once it is ready.
 
         Args:
-            question: what the function takes.
-            patience: s.
+            timeout: s; None waits until the process ends.
 
         Raises:
-            HelperLateError: no answer came so soon, or there is none yet to the question before.
-            HelperLostError: the work failed, or nobody is there.
+            ChildLateError: no message within the timeout.
+            ChildFailedError: it reports a failure.
+            ChildLostError: it has ended.
+        """
+        return self._early.popleft() if self._early else self._receive(timeout)
+
+    def ask(self, request: Request, timeout: float) -> Answer:
+        """Send a request to `answer_requests` and wait for its answer.
+
+        Args:
+            request: what its function takes.
+            timeout: s, counted once it is ready.
+
+        Raises:
+            ChildLateError: no answer within the timeout, or none yet to the request before.
+            ChildLostError: the work failed, or the process has ended.
         """
         with self._lock:
-            self.begin(question)
-            return self.finish(patience)
+            self.wait_until_ready()
+            self.begin(request)
+            return self.finish(timeout)
 
-    def begin(self, question: Question) -> None:
-        """Hand over a question; `finish` waits for its answer.
+    def begin(self, request: Request) -> None:
+        """Send a request; `finish` waits for its answer.
 
         Raises:
-            HelperLateError: the question before, which nobody waits for any more, is still being
-                answered; later it can be asked again.
-            HelperLostError: nobody is there.
+            ChildLateError: the request before, which timed out, is still being answered.
+            ChildLostError: the process has ended.
         """
-        self.wait_until_ready()
-        if self._owes:
+        if self._unanswered:
             self.finish(0.0)
-        try:
-            self._connection.send(question)
-        except (OSError, ValueError) as error:
-            raise HelperLostError(str(error)) from error
-        self._owes = True
+        self.send(request)
+        self._unanswered = True
 
-    def finish(self, patience: float) -> Answer:
-        """Wait for the answer to `begin`'s question.
+    def answered(self) -> bool:
+        """Whether `finish` returns at once.
 
         Raises:
-            HelperLateError: none came so soon.
-            HelperLostError: the work failed, or nobody is there.
+            ChildLostError: it did not start.
         """
-        answer: Answer = receive(self._connection, patience)[1]
-        self._owes = False
+        return self.is_ready() and self._incoming.poll(0.0)
+
+    def finish(self, timeout: float) -> Answer:
+        """Wait for the answer to `begin`'s request.
+
+        Raises:
+            ChildLateError: none within the timeout, s.
+            ChildLostError: the work failed, or the process has ended.
+        """
+        try:
+            answer: Answer = self.receive(timeout)[1]
+        except ChildFailedError:
+            self._unanswered = False
+            raise
+        self._unanswered = False
         return answer
 
-    def close(self) -> None:
-        """Let it end."""
-        self._connection.close()
-        end_process(self._process, JOIN_TIMEOUT)
+    def stop(self, timeout: float = JOIN_TIMEOUT) -> None:
+        """Close the line; terminate it if it has not ended after `timeout` s.
+
+        Its last messages can still be received.
+        """
+        self._outgoing.close()
+        self._process.join(timeout)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(timeout)
+
+    def _receive(self, timeout: float | None) -> Message:
+        try:
+            if not self._incoming.poll(timeout):
+                raise ChildLateError(f"no answer within {timeout:g} s")
+            message: Message = self._incoming.recv()
+        except (OSError, EOFError) as error:
+            raise ChildLostError(str(error) or "the process has ended") from error
+        if message[0] == FAILED:
+            raise ChildFailedError(str(message[1]))
+        return message
 
 
-def receive(connection: Connection, patience: float) -> tuple[str, Any]:
-    """Wait for what another process says: of what kind, and what.
+AnyChild = TypeVar("AnyChild", bound=ChildProcess[Any, Any])
+
+
+def wait_for_any(children: Iterable[AnyChild]) -> list[AnyChild]:
+    """Wait until child processes have sent a message or ended; return those that have."""
+    lines: dict[object, AnyChild] = {child._incoming: child for child in children}
+    return [lines[line] for line in wait(list(lines))]  # type: ignore[arg-type]
+
+
+def answer_requests(
+    line: ParentLine,
+    function: Callable[[Any], Any],
+    prepare: Callable[[], object] | None = None,
+) -> None:
+    """Answer each request with `function(request)`: a target for `ChildProcess`.
 
     Args:
-        connection: to it.
-        patience: s.
-
-    Raises:
-        HelperLateError: it said nothing.
-        HelperLostError: it is gone, or says that it failed.
+        line: to the parent process.
+        function: importable; request and answer are pickled.
+        prepare: called before it is ready.
     """
-    try:
-        if not connection.poll(patience):
-            raise HelperLateError(f"no answer within {patience:g} s")
-        kind, value = connection.recv()
-    except (OSError, EOFError) as error:
-        raise HelperLostError(str(error) or "the process has ended") from error
-    if kind == "failed":
-        raise HelperLostError(str(value))
-    return kind, value
-
-
-def end_process(process: BaseProcess, goodbye: float) -> None:
-    """End a process whose connection is closed; it is given so many s to do so by itself."""
-    process.join(goodbye)
-    if process.is_alive():
-        process.terminate()
-        process.join(goodbye)
-
-
-def _serve(
-    function: Callable[[Any], Any],
-    connection: Connection,
-    aside: bool,
-    prepare: Callable[[], object] | None,
-) -> None:
-    """Answer until nobody asks any more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks
-    if aside:
-        lower_priority()
-    try:
-        if prepare is not None:
-            prepare()
-    except Exception as error:
-        with suppress(OSError):
-            connection.send(_failure_message(error))
-        return
-    gc.freeze()  # what was imported is no garbage: looking through it would take a picture's time
-    with suppress(OSError):
-        connection.send(("ready", None))
+    if prepare is not None:
+        prepare()
+    gc.freeze()  # the collector need not search what was imported: that takes a picture's time
+    line.send(READY)
     while True:
+        request = line.receive()
         try:
-            question = connection.recv()
-        except (EOFError, OSError):
-            return
-        try:
-            answer = ("done", function(question))
+            answer = ANSWER, function(request)
         except Exception as error:
-            answer = _failure_message(error)
+            answer = FAILED, _failure(error)
+        line.send(*answer)
+
+
+def _run(
+    target: Callable[..., None], line: ParentLine, args: tuple[Any, ...], background: bool
+) -> None:
+    """Run a child process's target until it ends or the parent process does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
+    threading.Thread(target=_exit_with_parent, name="parent", daemon=True).start()
+    if background:
+        lower_priority()
+    with suppress(ParentLostError):
         try:
-            connection.send(answer)
-        except OSError:
-            return
+            target(line, *args)
+        except ParentLostError:
+            raise
+        except Exception as error:
+            line.send(FAILED, _failure(error))
 
 
-def _failure_message(error: Exception) -> tuple[str, str]:
-    return "failed", f"{type(error).__name__}: {error}"
+def _exit_with_parent() -> NoReturn:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    time.sleep(JOIN_TIMEOUT)  # for what is removed on the way out
+    os._exit(1)
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Ignore Ctrl-C for a moment; other threads than the main one cannot, and do nothing."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _failure(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+NICENESS = 10
+
+
+def lower_priority() -> None:
+    """Lower the priority of this thread and those it starts; on Linux alone.
+
+    Elsewhere niceness belongs to the whole process.
+    """
+    if sys.platform == "linux":
+        os.nice(NICENESS)
+        with suppress(PermissionError):  # some sandboxes; niceness remains
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 Place = tuple[str, tuple[int, ...]]  # name and shape

@@ -11,7 +11,6 @@ from verify.core.kernels.readings import (
     interpolation_error,
     mark_bracketed,
     rates,
-    reading_noise,
     travel_directions,
 )
 from verify.core.records import Array
@@ -19,6 +18,8 @@ from verify.core.records import Array
 # Between readings further apart than this the motion is not known: single visits, logged in bursts.
 MAX_GAP = 0.6  # s; readings at 2 Hz still pass
 RATE_SPAN = 0.05  # s: shorter differences of readings are noise, longer ones blur the motion
+MAD_TO_SIGMA = 1.4826  # of a Gaussian
+DIFFERENCE_VARIANCES = (6.0, 20.0, 70.0)  # of white noise's second to fourth ones, over its own
 MIN_DIFFERENCES = 8  # fewer say nothing about their spread
 HOLD_TIME = 0.5  # s: at the edge of a burst at rest the arm is taken as standing still for so long
 
@@ -86,10 +87,19 @@ class Readings:
 
     @cached_property
     def noise(self) -> Array:
-        """Standard deviation of one reading, (joints,), rad, from the readings' own roughness."""
-        smallest: Array = np.zeros(self.q.shape[1])
-        reading_noise(*self._plain, MAX_GAP, MIN_DIFFERENCES, smallest)
-        return smallest
+        """Standard deviation of one reading, (joints,), rad, from the readings' own differences.
+
+        The smallest of the estimates from second to fourth differences: motion that a low order
+        mistakes for noise, a higher one removes. Those across a gap are motion and do not count.
+        """
+        smallest: Array = np.full(self.q.shape[1], np.inf)
+        whole, steps = np.diff(self.t) <= MAX_GAP, np.diff(self.q, axis=0)
+        for variance in DIFFERENCE_VARIANCES:
+            whole, steps = whole[1:] & whole[:-1], np.diff(steps, axis=0)
+            if np.count_nonzero(whole) > MIN_DIFFERENCES:
+                size = np.median(np.abs(steps[whole]), axis=0)
+                smallest = np.minimum(smallest, MAD_TO_SIGMA * size / np.sqrt(variance))
+        return np.where(np.isfinite(smallest), smallest, 0.0)
 
     def missed(self, t: Array) -> Array:
         """What the curve between readings may miss at the instants t (n,), rad, (n, joints).

@@ -13,7 +13,7 @@ import numpy as np
 
 from verify.devices.encoders.intake import AngleMap
 from verify.devices.encoders.labenc import READ_COMMANDS, LabencBoard, LabencSettings
-from verify.devices.encoders.labenc_protocol import MOVING, UNUSABLE
+from verify.devices.encoders.labenc_protocol import MOVING
 from verify.devices.ports import ClockFunction, Port
 from verify.devices.protocols import DeviceState, PanReading
 
@@ -49,10 +49,6 @@ class PanReader:
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
         readings = []
         for sample in self._board.samples():
-            flaw = next((word for bit, word in UNUSABLE.items() if sample.status & bit), "")
-            if flaw:
-                self._board.counts.bad[flaw] += 1
-                continue
             self._board.counts.good(sample.t_host)
             instant, pan = sample.instant, self._angles.joint_angles(sample.angle)
             moving = bool(sample.status & MOVING)

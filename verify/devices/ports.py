@@ -210,7 +210,7 @@ def _connect(kind: str, where: tuple[str, int]) -> socket.socket:
     return datagram
 
 
-READ_TIMEOUT = 0.02  # s: the longest that a reading call waits on an open line
+READ_TIMEOUT = 0.02  # s, on an open line
 LINE_IN_USE = "before it said anything: another program may have the line"
 MIN_RETRY_DELAY, MAX_RETRY_DELAY = 0.25, 4.0  # s: doubled from the one to the other
 
@@ -242,6 +242,7 @@ class PortLink:
         self.now = now
         self.fault = "not opened yet"
         self.connections = 0  # drivers greet the device anew when this has risen
+        self._connection = 0  # the last one that `reopened` reported
         self._open_port = open_port
         self._port: Port | None = None
         self._retry = MIN_RETRY_DELAY
@@ -254,6 +255,11 @@ class PortLink:
     def connected(self) -> bool:
         """Whether the port is open."""
         return self._port is not None
+
+    def reopened(self) -> bool:
+        """Whether the port was opened since the last call."""
+        before, self._connection = self._connection, self.connections
+        return self._connection != before
 
     def receive(self, wait: float = READ_TIMEOUT) -> Chunk | None:
         """Take what has come, waiting for at most so long; opens the port where that is due."""

@@ -1,18 +1,27 @@
-"""What the chain needs from a device, and no more.
+"""The life cycle of every device (open, read, state, close), and its readings, settings and states.
 
-What the chain needs from a camera, and no more.
+Times are seconds on the host's monotonic clock unless a field names another one. Drivers name
+their limits alike, in s:
 
-Cameras: pictures with their time, settings asked for and read back, states in words.
-
-One module a driver. Times are seconds on the host's monotonic clock, mid-exposure as well as the
-platform tells. A camera that is gone is looked for again by its own driver.
+    CONNECT_TIMEOUT   until a connection is made
+    SEND_TIMEOUT      until bytes are sent
+    ANSWER_TIMEOUT    from a request to its answer
+    READ_TIMEOUT      that `Device.read` waits while nothing arrives
+    SILENCE_TIMEOUT   without a reading before an open device counts as silent
+    START_TIMEOUT     until a process is ready
+    JOIN_TIMEOUT      that a thread or process may take to end by itself
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from verify.core.records import Array, Image, StereoPair
+
+READ_TIMEOUT = 0.2  # s, of every camera; lines have the one of `devices.ports`
+
+Readings_co = TypeVar("Readings_co", covariant=True)
+State_co = TypeVar("State_co", covariant=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,43 +60,14 @@ class DeviceState:
     program_running: bool | None = None  # of the robot, where the device tells
 
 
-class EncoderDevice(Protocol):
-    """Joint readings as they arrive: controller's clock, host's clock, angles in radians."""
+@dataclass(frozen=True, slots=True)
+class CapturedImage:
+    """A picture as a camera's source gives it."""
 
-    def read(self) -> list[EncoderReading]:
-        """Give what has arrived since the last call, oldest first.
-
-        Waits for at most 20 ms, and for at most 1 s an address while it connects. Whatever goes
-        wrong on the line is told by `state` and never raised; connecting again is its own affair.
-        """
-        ...
-
-    def state(self) -> DeviceState:
-        """Say how the device is; asks nothing of it."""
-        ...
-
-    def close(self) -> None:
-        """Leave the device alone, in good order."""
-        ...
-
-
-class PanDevice(Protocol):
-    """Angles of both camera bases as they arrive."""
-
-    def read(self) -> list[PanReading]:
-        """Give what has arrived since the last call; the promises of `EncoderDevice.read` hold."""
-        ...
-
-    def state(self) -> DeviceState:
-        """Say how the device is; asks nothing of it."""
-        ...
-
-    def close(self) -> None:
-        """Leave the device alone, in good order."""
-        ...
-
-
-READ_TIMEOUT = 0.2  # s: `CameraDevice.read` comes back within it, with a picture or without
+    t: float  # s, mid-exposure as well as the platform tells
+    t_uncertainty: float  # s: half-width about t, within which it was taken
+    image: Image  # (h, w) grey or (h, w, 3) BGR
+    raw: bytes | None  # the picture as the camera encoded it (JPEG), where it did
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,32 +131,32 @@ class CameraState:
     ended: bool = False  # a file that is over: no picture will come
 
 
-class CameraDevice(Protocol):
-    """Pictures as they come."""
+class Device(Protocol[Readings_co, State_co]):
+    """A device that is read: a camera, encoders, turning camera bases.
 
-    def read(self) -> CameraFrame | None:
-        """Give the oldest picture that was not read yet; None after READ_TIMEOUT without one.
+    Its constructor takes the settings and returns at once. The driver opens the device by itself,
+    and again whenever it was lost. Neither `read` nor `state` raises for what goes wrong on the
+    line: `state` reports it.
+    """
 
-        Whatever goes wrong is told by `state` and never raised; finding a camera again is its own
-        affair.
+    def read(self) -> Readings_co:
+        """Give what has arrived since the last call; waits for at most the driver's READ_TIMEOUT.
+
+        Encoders and bases give a list of readings, oldest first, and may wait for CONNECT_TIMEOUT
+        an address while they connect. A camera gives its oldest picture that was not read yet, or
+        None.
         """
         ...
 
-    def state(self) -> CameraState:
-        """Say how the camera is; asks nothing of it."""
+    def state(self) -> State_co:
+        """Describe the state of the device; sends nothing to it."""
         ...
 
     def close(self) -> None:
-        """Let go of the camera."""
+        """Release the device; it is not opened again."""
         ...
 
 
-__all__ = [
-    "READ_TIMEOUT",
-    "CameraDevice",
-    "CameraFrame",
-    "CameraSettings",
-    "CameraState",
-    "CapturedPair",
-    "RefusedSetting",
-]
+CameraDevice = Device[CameraFrame | None, CameraState]
+EncoderDevice = Device[list[EncoderReading], DeviceState]
+PanDevice = Device[list[PanReading], DeviceState]

@@ -1,1 +1,1 @@
-"""A coloured object tracked, planned for, followed and grasped; the only room that can move anything."""
+"""Track, follow and grasp a coloured object: the only room that can move anything."""

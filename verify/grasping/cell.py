@@ -1,6 +1,6 @@
-"""grab.toml: the cell in which objects are grasped; millimetres in the file, a Cell in metres.
+"""Read grab.toml, the cell in which objects are grasped: millimetres in the file, metres in a Cell.
 
-The keys of grab.toml, as the file has them: millimetres, degrees; meanings in docs/grab.md.
+The meaning of every key is in docs/grab.md.
 """
 
 from dataclasses import dataclass
@@ -210,20 +210,24 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
     if upper[2] <= table.table.height_mm * _MM:
         expected = "the box reaches above the table"
         raise key_error(path, "workspace.upper_mm", f"has z = {upper[2] / _MM:g} mm", expected)
+    if table.accuracy.coverage >= 1:
+        found = f"is {table.accuracy.coverage:g}"
+        expected = "a probability below 1 is expected, such as 0.95"
+        raise key_error(path, "accuracy.coverage", found, expected)
+    surface, watch = table.table, table.watchdog
+    heights = (surface.height_mm, surface.clearance_mm, surface.finger_clearance_mm)
     cell = Cell(
-        table=TableSurface(
-            table.table.height_mm * _MM,
-            table.table.clearance_mm * _MM,
-            table.table.finger_clearance_mm * _MM,
-        ),
+        table=TableSurface(*(value * _MM for value in heights)),
         lower=lower,
         upper=upper,
         gripper=_gripper(path, table.gripper),
         approach=_approach(path, table.approach),
         moving=_moving(path, table.motion, joints),
-        accuracy=_accuracy(path, table.accuracy),
-        still=_still(table.still),
-        watch=_watch(table.watchdog),
+        accuracy=ArmAccuracy(
+            table.accuracy.robot_standard_uncertainty_mm * _MM, table.accuracy.coverage
+        ),
+        still=StillnessCriterion(table.still.speed_mm_s * _MM, table.still.for_s),
+        watch=WatchdogLimits(watch.stale_s, watch.lost_s, watch.joints_s, watch.moving_s),
     )
     return cell, warnings
 
@@ -297,18 +301,3 @@ def _moving(path: Path, table: MotionTable, joints: int) -> CellMotion:
         camera_clearance=table.camera_clearance_mm * _MM,
         home=home,
     )
-
-
-def _accuracy(path: Path, table: AccuracyTable) -> ArmAccuracy:
-    if table.coverage >= 1:
-        expected = "a probability below 1 is expected, such as 0.95"
-        raise key_error(path, "accuracy.coverage", f"is {table.coverage:g}", expected)
-    return ArmAccuracy(table.robot_standard_uncertainty_mm * _MM, table.coverage)
-
-
-def _still(table: StillTable) -> StillnessCriterion:
-    return StillnessCriterion(table.speed_mm_s * _MM, table.for_s)
-
-
-def _watch(table: WatchdogTable) -> WatchdogLimits:
-    return WatchdogLimits(table.stale_s, table.lost_s, table.joints_s, table.moving_s)

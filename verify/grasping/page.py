@@ -1,15 +1,13 @@
-"""What a grab has to show, units at the door: millimetres, degrees, pixels, seconds.
+"""Give the page of a grasp its content: millimetres, degrees, pixels, seconds.
 
-The loop shows each turn with `see`; the feed's thread reads what was shown last. Nothing here can
-order anything: no driver that moves is imported, and the loop is only looked at.
-
-What a grab's page is told, as JSON has it: millimetres, degrees, pixels, seconds.
+The loop shows each cycle with `show`; the page's thread reads the newest. Nothing here can order
+anything: no driver that moves is imported, and the loop is only read.
 """
 
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +15,8 @@ from robots.transforms import carry, invert
 from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.grasping.cell import WatchdogLimits
+from verify.grasping.control.aim import LoopCycle
+from verify.grasping.control.loop import GraspLoop
 from verify.grasping.control.states import (
     MOVING_STATES,
     TRANSITIONS_BY_EVENT,
@@ -24,31 +24,31 @@ from verify.grasping.control.states import (
     StateChange,
     StateMachine,
 )
-from verify.grasping.planning.facts import plan_facts
 from verify.grasping.planning.object import GraspRefusal
 from verify.grasping.planning.plan import GraspPlan, GraspPlanner
-from verify.grasping.tracking.target import Outline, TargetObservation
+from verify.grasping.tracking.camshift import Blob
+from verify.grasping.tracking.target import TargetObservation
 from verify.live.page.run import camera_poses
 from verify.live.page.scene import joint_origins, millimetres, small_jpeg
 
-if TYPE_CHECKING:  # types alone: what they come from can move an arm
-    from verify.grasping.control.aim import LoopCycle
-    from verify.grasping.control.loop import GraspLoop
-
 _MM = 1e3  # of a metre
+MAX_TEXT_LENGTH = 2000  # characters of a description
+MAX_STATE_CHANGES = 12  # shown, the newest
+N_PATH_POINTS = 24  # points of a planned motion
+SILENCE_TIMEOUT = 1.0  # s without a cycle of the loop, and the page says so
 
 
 def missing_conditions(machine: StateMachine) -> str | None:
-    """What the grab waits for; empty: it may be ordered; None: it is no order in this state."""
+    """Name what a grasp still needs; empty: it may be ordered; None: no order in this state."""
     if (machine.state, GraspEvent.GRAB) not in TRANSITIONS_BY_EVENT:
         return None
     return ", ".join(sorted(need.value for need in machine.lacks(GraspEvent.GRAB)))
 
 
 def device_status(
-    cycle: "LoopCycle", loop: "GraspLoop", watch: WatchdogLimits
+    cycle: LoopCycle, loop: GraspLoop, watch: WatchdogLimits
 ) -> tuple[tuple[str, bool, str], ...]:
-    """Say of each device its name, whether it is well, and how it is; the cameras come first."""
+    """List each device's name, whether it is well, and its status; the cameras come first."""
     arm, fingers = loop.arm, cycle.gripper
     lines = [
         _age_status("cameras", cycle.t, loop.pictures_t, watch.stale),
@@ -77,36 +77,36 @@ def _joined(*parts: str) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def target_fields(seen: TargetObservation | None, *, fresh: bool) -> dict[str, Any]:
-    """What the newest pictures say of the target, and how well it is seen."""
-    if seen is None:
+def target_fields(observation: TargetObservation | None, *, fresh: bool) -> dict[str, Any]:
+    """The target in the newest pictures, and the quality of its measurement."""
+    if observation is None:
         return {"status": None, "unseen_because": "", "quality": None}
     if not fresh:
         return {"status": "not seen", "unseen_because": "the pictures are old", "quality": None}
     return {
-        "status": seen.status,
-        "unseen_because": seen.reason,
-        "quality": round(float(seen.quality), 3) if np.isfinite(seen.quality) else None,
+        "status": observation.status,
+        "unseen_because": observation.reason,
+        "quality": round(observation.quality, 3) if np.isfinite(observation.quality) else None,
     }
 
 
-def object_fields(cycle: "LoopCycle") -> dict[str, Any]:
-    """Where the target is in the base, how well that is known, and how big it is."""
-    known = cycle.known
-    told: dict[str, Any] = {"position_mm": None}
-    if known is not None and np.isfinite(known.thing.covariance).all():
-        thing = known.thing
-        told["position_mm"] = _rounded(thing.position)
-        told["standard_uncertainty_mm"] = _rounded(np.sqrt(np.diag(thing.covariance)))
-        told["size_mm"] = [_finite(thing.width), _finite(thing.length)]
-        told["speed_mm_s"] = round(float(np.linalg.norm(known.velocity)) * _MM, 1)
-    return told
+def object_fields(cycle: LoopCycle) -> dict[str, Any]:
+    """The target's position in the base, with its uncertainty, and its size."""
+    target = cycle.target
+    fields: dict[str, Any] = {"position_mm": None}
+    if target is not None and np.isfinite(target.thing.covariance).all():
+        thing = target.thing
+        fields["position_mm"] = _rounded(_MM * thing.position, 2)
+        fields["standard_uncertainty_mm"] = _rounded(_MM * np.sqrt(np.diag(thing.covariance)), 2)
+        fields["size_mm"] = [_finite(thing.width), _finite(thing.length)]
+        fields["speed_mm_s"] = round(float(np.linalg.norm(target.velocity)) * _MM, 1)
+    return fields
 
 
-def picture_fields(cycle: "LoopCycle", side: int, rig: Rig) -> dict[str, Any]:
+def picture_fields(cycle: LoopCycle, side: int, rig: Rig) -> dict[str, Any]:
     """What is drawn into one picture; px, centres at whole numbers."""
     assert cycle.pair is not None
-    pair, seen = cycle.pair, cycle.seen
+    pair, seen = cycle.pair, cycle.observation
     height, width = (pair.left, pair.right)[side].shape[:2]
     found: dict[str, Any] = {"width": width, "height": height, "target": None}
     if seen is None:
@@ -125,37 +125,51 @@ def picture_fields(cycle: "LoopCycle", side: int, rig: Rig) -> dict[str, Any]:
     return found
 
 
-def _ellipse(outline: Outline | None) -> dict[str, Any] | None:
-    if outline is None:
+def _ellipse(blob: Blob | None) -> dict[str, Any] | None:
+    if blob is None:
         return None
+    *axes, angle = blob.ellipse
     return {
-        "centre": np.round(outline.centre, 1).tolist(),
-        "axes": [round(float(axis), 1) for axis in outline.axes],
-        "angle_deg": round(float(np.degrees(outline.angle)), 1),
+        "centre": np.round(blob.centre, 1).tolist(),
+        "axes": [round(axis, 1) for axis in axes],
+        "angle_deg": round(float(np.degrees(angle)), 1),
     }
 
 
-def _rounded(metres: Array) -> list[float]:
-    return [round(float(v) * _MM, 2) for v in metres]
+def plan_facts(plan: GraspPlan | GraspRefusal) -> dict[str, Any]:
+    """Write a plan, or why there is none, as JSON can hold it; millimetres, degrees, seconds."""
+    if isinstance(plan, GraspRefusal):
+        return {"refused": plan.kind, "reason": plan.reason, "branches": dict(plan.branches)}
+    posture, margin = plan.posture, plan.margin
+    return {
+        "posture": posture.name,
+        "score": round(posture.score, 4),
+        "scores": {
+            key: round(getattr(posture, key), 4)
+            for key in ("limits", "dexterity", "nearness", "clearance")
+        },
+        "above_deg": _rounded(np.degrees(posture.q_above), 3),
+        "grip_deg": _rounded(np.degrees(posture.q_grip), 3),
+        "grip_mm": _rounded(margin.grip * _MM, 3),
+        "raised_mm": round(margin.raised * _MM, 3),
+        "margin_across_mm": round(margin.across * _MM, 3),
+        "needed_across_mm": round(margin.across_needed * _MM, 3),
+        "margin_along_mm": round(margin.along * _MM, 3),
+        "needed_along_mm": round(margin.along_needed * _MM, 3),
+        "over_s": [round(part.duration, 3) for part in plan.over],
+        "down_s": round(plan.down.duration, 3),
+        "up_s": round(plan.up.duration, 3),
+        "slowed": round(plan.slowed, 3),
+        "not_taken": plan.rejected,
+    }
+
+
+def _rounded(values: Array, digits: int) -> list[float]:
+    return [round(float(value), digits) for value in values]
 
 
 def _finite(length: float) -> float | None:
     return round(length * _MM, 1) if np.isfinite(length) else None
-
-
-def degrees(q: Array | None) -> list[float] | None:
-    """Write joint angles (n,), rad."""
-    return None if q is None else [round(float(v), 2) for v in np.degrees(q)]
-
-
-if TYPE_CHECKING:  # types alone: what they come from can move an arm
-    from verify.grasping.control.aim import LoopCycle
-    from verify.grasping.control.loop import GraspLoop
-
-MAX_TEXT_LENGTH = 2000  # characters of a description
-MAX_STATE_CHANGES = 12  # shown, the newest
-N_PATH_POINTS = 24  # points of a planned way
-SILENCE_TIMEOUT = 1.0  # s without a turn of the loop, and the page says so
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +189,7 @@ class LoopSnapshot:
     """One turn of the loop, as it was when it ended."""
 
     at: float  # s, this computer's monotonic clock
-    cycle: "LoopCycle"
+    cycle: LoopCycle
     passages: tuple[StateChange, ...]
     planned: GraspPlan | GraspRefusal | None
     lacks: str | None  # for the grab; empty: it may be ordered; None: it is no order in this state
@@ -188,11 +202,11 @@ class GraspPageSource:
     """Keeps the newest turn; nothing waits for it.
 
     Args:
-        told: what never changes.
+        facts: what never changes.
     """
 
-    def __init__(self, told: GraspFacts) -> None:
-        self._told = told
+    def __init__(self, facts: GraspFacts) -> None:
+        self._facts = facts
         self._shown: LoopSnapshot | None = None
         self._pictured: LoopCycle | None = None  # the newest with pictures
         self._began: float | None = None
@@ -204,22 +218,20 @@ class GraspPageSource:
         self._frame: int | None = None
         self._drawn: tuple[GraspPlan, dict[str, Any]] | None = None
 
-    # by the loop
-
-    def see(self, cycle: "LoopCycle", loop: "GraspLoop", stops: int) -> None:
-        """Take in a turn of the loop; called between two of them.
+    def show(self, cycle: LoopCycle, loop: GraspLoop, stops: int) -> None:
+        """Take a cycle of the loop, before the next one.
 
         Args:
-            cycle: what it saw and ordered.
-            loop: looked at, no more.
-            stops: how many stops of the page's the loop has taken.
+            cycle: measured and ordered in it.
+            loop: only read.
+            stops: how many of the page's stops the loop has taken.
         """
         machine, planned = loop.machine, loop.aim.planned
         self._began = cycle.t if self._began is None else self._began
         self._stops = stops
         if cycle.pair is not None:
             self._pictured = cycle
-        said = device_status(cycle, loop, self._told.setup.cell.watch)
+        said = device_status(cycle, loop, self._facts.setup.cell.watch)
         self._shown = LoopSnapshot(
             time.monotonic(),
             cycle,
@@ -232,25 +244,23 @@ class GraspPageSource:
         )
 
     def answer(self, words: str) -> None:
-        """Say what became of a request."""
+        """Show what became of a request."""
         self._answer, self._answers = words, self._answers + 1
 
     def end(self, words: str) -> None:
-        """Say how it ended."""
+        """Show how it ended."""
         self._finished = words
-
-    # by the page
 
     def hello(self) -> dict[str, Any]:
         """What never changes."""
-        told = self._told
+        facts = self._facts
         return {
             "mode": "grab",
-            "title": told.robot,
-            "description": told.description[:MAX_TEXT_LENGTH],
-            "execute": told.execute,
-            "duration_s": told.duration,
-            "cameras": camera_poses(told.rig, None),
+            "title": facts.robot,
+            "description": facts.description[:MAX_TEXT_LENGTH],
+            "execute": facts.execute,
+            "duration_s": facts.duration,
+            "cameras": camera_poses(facts.rig, None),
         }
 
     def rows(self) -> list[dict[str, Any]]:
@@ -261,10 +271,10 @@ class GraspPageSource:
         row = {
             **self._of_state(shown),
             **target_fields(
-                None if self._pictured is None else self._pictured.seen, fresh=shown.fresh
+                None if self._pictured is None else self._pictured.observation, fresh=shown.fresh
             ),
             **object_fields(shown.cycle),
-            "q_deg": degrees(shown.cycle.q),
+            "q_deg": None if shown.cycle.q is None else _rounded(np.degrees(shown.cycle.q), 2),
             "scene": self._scene(shown.cycle),
             "stops": self._stops,
             "answers": self._answers,
@@ -301,7 +311,7 @@ class GraspPageSource:
         pair = cycle.pair
         self._frame = pair.frame
         return [
-            (side, picture_fields(cycle, side, self._told.rig), small_jpeg(image))
+            (side, picture_fields(cycle, side, self._facts.rig), small_jpeg(image))
             for side, image in enumerate((pair.left, pair.right))
         ]
 
@@ -310,7 +320,7 @@ class GraspPageSource:
         shown = self._shown
         if shown is None:
             return ""
-        seen = None if self._pictured is None else self._pictured.seen
+        seen = None if self._pictured is None else self._pictured.observation
         quality = 0.0 if seen is None else seen.quality
         return (
             "# TYPE verify_grab_state gauge\n"
@@ -339,14 +349,14 @@ class GraspPageSource:
             "reason": passage.reason,
         }
 
-    def _scene(self, cycle: "LoopCycle") -> dict[str, Any]:
+    def _scene(self, cycle: LoopCycle) -> dict[str, Any]:
         """Arm as read, the target, and the cameras as they stood for the pictures shown."""
         pair = None if self._pictured is None else self._pictured.pair
-        scene: dict[str, Any] = {"cameras": camera_poses(self._told.rig, pair)}
+        scene: dict[str, Any] = {"cameras": camera_poses(self._facts.rig, pair)}
         if cycle.q is not None:
-            scene["arm_mm"] = millimetres(joint_origins(self._told.setup.arm, cycle.q))
-        if cycle.known is not None:
-            scene["target_mm"] = millimetres(cycle.known.thing.position[None])[0]
+            scene["arm_mm"] = millimetres(joint_origins(self._facts.setup.arm, cycle.q))
+        if cycle.target is not None:
+            scene["target_mm"] = millimetres(cycle.target.thing.position[None])[0]
         return scene
 
     def _way(self, planned: GraspPlan | GraspRefusal | None) -> dict[str, Any] | None:
@@ -354,7 +364,7 @@ class GraspPageSource:
         if not isinstance(planned, GraspPlan):
             return None
         if self._drawn is None or self._drawn[0] is not planned:
-            setup = self._told.setup
+            setup = self._facts.setup
             turns = np.concatenate(
                 [
                     way.sampled(way.duration / N_PATH_POINTS)[1].q

@@ -1,6 +1,6 @@
-"""marker.toml: millimetres and degrees in the file, the Marker in metres and radians inside.
+"""Read, check and write marker.toml and board.toml: the LEDs of a robot, a calibration board.
 
-board.toml: millimetres in the file, the Board in metres inside.
+The files hold millimetres and degrees, `Marker` and `Board` metres and radians.
 """
 
 import math
@@ -17,18 +17,23 @@ from verify.errors import one_line
 from verify.io.files import write_whole
 from verify.io.toml import (
     FORMAT,
+    MM,
     decode,
     did_you_mean,
     encode_numbers,
     key_error,
     not_negative,
     one_of,
+    scaled,
 )
 from verify.io.toml import encode as encode_toml
 
 SOURCES = ("jig", "measured", "motion")
+# m and rad in a unit of the file: x, y, z in mm, rx, ry, rz in degrees
+BODY_UNITS = np.array([MM] * 3 + [np.pi / 180] * 3)
 
-_MM = 1e-3  # m
+MIN_CORNERS = 3  # inner corners a side: fewer tell a tilt from nothing
+MIN_SQUARE_MM = 1.0  # of a square: a smaller number was hardly meant in millimetres
 
 
 class BodyUncertaintyTable(msgspec.Struct, kw_only=True):
@@ -76,49 +81,46 @@ def read_marker(path: str | Path) -> tuple[Marker, tuple[str, ...]]:
     path = Path(path)
     table, warnings = decode(path, MarkerTable)
     if table.led_diameter_mm <= 0:
-        raise key_error(
-            path, "led_diameter_mm", f"is {table.led_diameter_mm}", "a diameter is positive"
-        )
+        found = f"is {table.led_diameter_mm}"
+        raise key_error(path, "led_diameter_mm", found, "a diameter is positive")
     for key in ("led_standard_uncertainty_mm", "centre_shift_standard_uncertainty_mm"):
         not_negative(path, key, getattr(table, key))
     if table.source is not None:
         one_of(path, "source", table.source, SOURCES)
     _check_leds(path, table)
+    body = body_uncertainty(path, "body_standard_uncertainty", table.body_standard_uncertainty)
     return Marker(
         names=tuple(led.name for led in table.led),
-        leds=np.array([led.position_mm for led in table.led]) * _MM,
+        leds=np.array([led.position_mm for led in table.led]) * MM,
         colours=tuple(led.colour for led in table.led),
-        led_diameter=table.led_diameter_mm * _MM,
+        led_diameter=table.led_diameter_mm * MM,
         source=table.source,
         datum=table.datum,
         registration=table.registration,
-        body_standard_uncertainty=_body(path, table.body_standard_uncertainty),
-        led_standard_uncertainty=_metres(table.led_standard_uncertainty_mm),
-        centre_shift_standard_uncertainty=_metres(table.centre_shift_standard_uncertainty_mm),
+        body_standard_uncertainty=body,
+        led_standard_uncertainty=scaled(table.led_standard_uncertainty_mm, MM),
+        centre_shift_standard_uncertainty=scaled(table.centre_shift_standard_uncertainty_mm, MM),
     ), warnings
 
 
 def encode_marker(marker: Marker) -> bytes:
     """Write a marker as the text of a marker.toml; what is None stays out."""
-    body = marker.body_standard_uncertainty
+    body = encode_numbers(marker.body_standard_uncertainty, BODY_UNITS)
     keys = BodyUncertaintyTable.__struct_fields__
+    shift = encode_numbers(marker.centre_shift_standard_uncertainty, MM)
     leds = zip(marker.names, marker.leds, marker.colours, strict=True)
     return encode_toml(
         {
             "format": FORMAT,
-            "led_diameter_mm": encode_numbers(marker.led_diameter / _MM),
+            "led_diameter_mm": encode_numbers(marker.led_diameter, MM),
             "source": marker.source,
             "datum": marker.datum,
             "registration": marker.registration,
-            "led_standard_uncertainty_mm": _millimetres(marker.led_standard_uncertainty),
-            "centre_shift_standard_uncertainty_mm": _millimetres(
-                marker.centre_shift_standard_uncertainty
-            ),
-            "body_standard_uncertainty": None
-            if body is None
-            else dict(zip(keys, encode_numbers(body / _body_units()), strict=True)),
+            "led_standard_uncertainty_mm": encode_numbers(marker.led_standard_uncertainty, MM),
+            "centre_shift_standard_uncertainty_mm": shift,
+            "body_standard_uncertainty": body and dict(zip(keys, body, strict=True)),
             "led": [
-                {"name": name, "position_mm": encode_numbers(position / _MM), "colour": colour}
+                {"name": name, "position_mm": encode_numbers(position, MM), "colour": colour}
                 for name, position, colour in leds
             ],
         }
@@ -143,9 +145,8 @@ def _check_leds(path: Path, table: MarkerTable) -> None:
         if not led.name:
             raise key_error(path, f"led[{index}].name", "is empty", "each LED has a name")
         if led.name in names[:index]:
-            raise key_error(
-                path, f"led[{index}].name", f'repeats "{led.name}"', "each LED has its own name"
-            )
+            found = f'repeats "{led.name}"'
+            raise key_error(path, f"led[{index}].name", found, "each LED has its own name")
         if led.colour is not None:
             one_of(path, f"led[{index}].colour", led.colour, COLOURS)
     for (first, a), (second, b) in combinations(enumerate(table.led), 2):
@@ -156,32 +157,18 @@ def _check_leds(path: Path, table: MarkerTable) -> None:
             raise key_error(path, f"led[{second}].position_mm", found, expected)
 
 
-def _body(path: Path, table: BodyUncertaintyTable | None) -> Array | None:
+def body_uncertainty(path: Path, key: str, table: BodyUncertaintyTable | None) -> Array | None:
+    """Check the uncertainty of a body's place on the flange: (6,), m and rad, or None.
+
+    Raises:
+        InputError: a number below 0.
+    """
     if table is None:
         return None
-    for key, value in msgspec.structs.asdict(table).items():
-        not_negative(path, f"body_standard_uncertainty.{key}", value)
-    vector: Array = np.array(msgspec.structs.astuple(table)) * _body_units()
+    for name, value in msgspec.structs.asdict(table).items():
+        not_negative(path, f"{key}.{name}", value)
+    vector: Array = np.array(msgspec.structs.astuple(table)) * BODY_UNITS
     return vector
-
-
-def _body_units() -> Array:
-    """Turn x, y, z in mm and rx, ry, rz in degrees into m and rad; (6,)."""
-    return np.array([_MM] * 3 + [np.pi / 180] * 3)
-
-
-def _metres(value_mm: float | None) -> float | None:
-    return None if value_mm is None else value_mm * _MM
-
-
-def _millimetres(value: float | None) -> float | None:
-    return None if value is None else float(encode_numbers(value / _MM))
-
-
-MIN_CORNERS = 3  # inner corners a side: fewer tell a tilt from nothing
-MIN_SQUARE_MM = 1.0  # of a square: a smaller number was hardly meant in millimetres
-
-# m
 
 
 class BoardTable(msgspec.Struct, kw_only=True):
@@ -200,7 +187,7 @@ def read_board(path: str | Path) -> tuple[Board, tuple[str, ...]]:
     """Read and check a board.toml.
 
     Returns:
-        The board, and what is worth a warning: unknown keys, a square too small to be true.
+        The board, and warnings: unknown keys, a square too small to be true.
 
     Raises:
         InputError: names the file, the key, what stands there, what should, and what to do.
@@ -209,16 +196,16 @@ def read_board(path: str | Path) -> tuple[Board, tuple[str, ...]]:
     table, warnings = decode(path, BoardTable)
     board = build_board(path, table)
     if table.square_mm < MIN_SQUARE_MM:
-        said = f"{path}, square_mm: is {table.square_mm} mm; is that in metres?"
-        warnings = (*warnings, one_line(said))
+        note = f"{path}, square_mm: is {table.square_mm} mm; is that in metres?"
+        warnings = (*warnings, one_line(note))
     return board, warnings
 
 
 def build_board(place: str | Path, table: BoardTable) -> Board:
-    """Make a board of what a file or the options of a command say.
+    """Build a board from the keys of a file or the options of a command.
 
     Args:
-        place: the file, or what else to call the board in a complaint.
+        place: the file, or the name of the board in a refusal.
         table: the keys of board.toml.
 
     Raises:
@@ -230,28 +217,14 @@ def build_board(place: str | Path, table: BoardTable) -> Board:
     board = Board(
         columns=columns,
         rows=rows,
-        square=table.square_mm * _MM,
-        square_standard_uncertainty=_metres(table.square_standard_uncertainty_mm),
+        square=table.square_mm * MM,
+        square_standard_uncertainty=scaled(table.square_standard_uncertainty_mm, MM),
         markers=table.markers,
-        marker=_metres(table.marker_mm),
+        marker=scaled(table.marker_mm, MM),
     )
     if table.markers is not None:
         _check_markers(path, table, board)
     return board
-
-
-def encode_board(board: Board) -> bytes:
-    """Write a board as the text of a board.toml; what is None stays out."""
-    return encode_toml(
-        {
-            "format": FORMAT,
-            "inner_corners": [board.columns, board.rows],
-            "square_mm": encode_numbers(board.square / _MM),
-            "square_standard_uncertainty_mm": _millimetres(board.square_standard_uncertainty),
-            "markers": board.markers,
-            "marker_mm": _millimetres(board.marker),
-        }
-    )
 
 
 def write_board(path: str | Path, board: Board) -> None:
@@ -260,19 +233,26 @@ def write_board(path: str | Path, board: Board) -> None:
     Raises:
         InputError: the disk or the system refuses it.
     """
-    write_whole(Path(path), encode_board(board))
+    tree = {
+        "format": FORMAT,
+        "inner_corners": [board.columns, board.rows],
+        "square_mm": encode_numbers(board.square, MM),
+        "square_standard_uncertainty_mm": encode_numbers(board.square_standard_uncertainty, MM),
+        "markers": board.markers,
+        "marker_mm": encode_numbers(board.marker, MM),
+    }
+    write_whole(Path(path), encode_toml(tree))
 
 
 def _corners(path: Path, table: BoardTable) -> tuple[int, int]:
-    """Find the inner corners; mend the usual mistake, squares counted in their place, in words."""
+    """Count the inner corners; a refusal corrects the usual mistake, squares in their place."""
     squares = table.squares
     if table.inner_corners is None:
         expected = "the format needs the corners where four squares meet, along x and along y"
         remedy = "Add it, e.g. [9, 7] for 10 x 8 squares."
         if squares is not None:
-            remedy = (
-                f"Write [{squares[0] - 1}, {squares[1] - 1}] for {_format_size(squares)} squares."
-            )
+            size = _format_size(squares)
+            remedy = f"Write [{squares[0] - 1}, {squares[1] - 1}] for {size} squares."
         raise key_error(path, "inner_corners", "is missing", expected, remedy)
     if min(table.inner_corners) < MIN_CORNERS:
         found = f"is {_format_size(table.inner_corners)}"
@@ -296,8 +276,8 @@ def _check_sizes(path: Path, table: BoardTable) -> None:
             raise key_error(path, key, f"is {size}", "a size is positive")
     not_negative(path, "square_standard_uncertainty_mm", table.square_standard_uncertainty_mm)
     if (table.markers is None) != (table.marker_mm is None):
-        missing, there = ("marker_mm", "markers") if table.markers else ("markers", "marker_mm")
-        expected = f"{there} is there, and a ChArUco board needs both"
+        missing, given = ("marker_mm", "markers") if table.markers else ("markers", "marker_mm")
+        expected = f"{given} is there, and a ChArUco board needs both"
         raise key_error(path, missing, "is missing", expected, "Add it, or delete the other.")
 
 
@@ -311,7 +291,8 @@ def _check_markers(path: Path, table: BoardTable, board: Board) -> None:
         found = f"is {marker_mm}"
         expected = f"a marker fits into a square of {table.square_mm} mm with white around it"
         raise key_error(path, "marker_mm", found, expected)
-    there, needed = fiducials.dictionary_size(markers), fiducials.count_white_squares(board)
-    if there < needed:
-        found = f'is "{markers}", which has {there} markers'
+    count = len(fiducials.dictionary(markers).bytesList)
+    needed = fiducials.count_white_squares(board)
+    if count < needed:
+        found = f'is "{markers}", which has {count} markers'
         raise key_error(path, "markers", found, f"the board needs {needed}", "Choose a larger one.")

@@ -1,8 +1,7 @@
-"""Files that a user gives us, read whole; what the system refuses is said in one line.
+"""Read files whole, write files and folders whole or not at all, and word what the system refuses.
 
-Files and folders that appear whole or not at all, whatever stops the program midway.
-
-Files that are written together: where one of them fails, none of them stays.
+A reader never sees half a file: what is written is built under another name on the same disk,
+flushed, and renamed.
 """
 
 import errno
@@ -34,8 +33,19 @@ def system_refusal(path: str | Path, error: OSError) -> InputError:
     return InputError(path, reason[:1].lower() + reason[1:], "", remedy)
 
 
+@contextmanager
+def refused_as_input_error(path: str | Path) -> Iterator[None]:
+    """Turn what the operating system refuses inside into an `InputError` about the path."""
+    try:
+        yield
+    except OSError as error:
+        raise system_refusal(path, error) from error
+    except ValueError as error:  # a zero byte in the name
+        raise system_refusal(path, OSError(str(error))) from error
+
+
 def output_refusal(path: str | Path, error: OSError) -> InputError:
-    """Word what the system refused of something that we make: nobody can put it there for us."""
+    """Word what the operating system refused of an output: the user cannot put it there."""
     refused = system_refusal(path, error)
     if error.errno in (errno.ENOENT, errno.ENOTDIR):
         what = f"cannot be made: {refused.found}"
@@ -52,15 +62,26 @@ def require_file(path: Path) -> None:
     Raises:
         InputError: the path leads nowhere, to a folder or a device, or to an empty file.
     """
-    try:
+    with refused_as_input_error(path):
         size = path.stat().st_size
-    except OSError as error:
-        raise system_refusal(path, error) from error
     if not path.is_file():
         kind = "a folder" if path.is_dir() else "not a plain file"
         raise InputError(path, f"is {kind}", "a file is expected", "Name the file itself.")
     if size == 0:
         raise InputError(path, "is empty", "", "Record or export it again.")
+
+
+def require_folder(folder: Path, expected: str, remedy: str) -> None:
+    """Refuse what is not a folder.
+
+    Raises:
+        InputError: the path leads nowhere or to a file, or the system refuses it.
+    """
+    with refused_as_input_error(folder):
+        if folder.is_dir():
+            return
+        found = "is a file" if folder.exists() else "does not exist"
+    raise InputError(folder, found, expected, remedy)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -70,10 +91,8 @@ def read_bytes(path: Path) -> bytes:
         InputError: there is none, it is empty, or the system refuses it.
     """
     require_file(path)
-    try:
+    with refused_as_input_error(path):
         return path.read_bytes()
-    except OSError as error:
-        raise system_refusal(path, error) from error
 
 
 def digest(path: Path) -> str:
@@ -99,7 +118,7 @@ def digest(path: Path) -> str:
     return f"sha256:{hashlib.sha256(lines.encode(errors='surrogateescape')).hexdigest()}"
 
 
-_PARTIAL = ".verify-partial-"  # begins the name of what is being built
+_PARTIAL = ".verify-partial-"  # first part of the name while a file or folder is built
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -161,7 +180,7 @@ def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
         yield partial
         _put_in_place(out, partial, target, exists)
     except OSError as error:
-        if error.errno in _FULL:  # whatever wrote in there; other refusals are the writer's to word
+        if error.errno in _FULL:  # other refusals are worded by the code that wrote
             raise output_refusal(out, error) from error
         raise
     finally:
@@ -169,7 +188,7 @@ def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
 
 
 def _check_vacant(out: Path, target: Path, force: bool) -> bool:
-    """Tell whether the folder exists; refuse it if it holds something and force is not given."""
+    """Whether the folder exists; one that holds something is refused without `force`."""
     try:
         holds = [entry for entry in target.iterdir() if not entry.name.startswith(_PARTIAL)]
     except FileNotFoundError:
@@ -204,7 +223,7 @@ def _put_in_place(out: Path, partial: Path, target: Path, exists: bool) -> None:
 
 
 def _fsync(path: Path) -> None:
-    """Have the disk hold a file's bytes, or a folder's names, before going on."""
+    """Flush a file's bytes, or a folder's names, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -214,15 +233,9 @@ def _fsync(path: Path) -> None:
 
 @contextmanager
 def written_together(*paths: Path) -> Iterator[None]:
-    """Put files back as they were if what is done inside fails.
+    """Restore files if the block inside fails; each may exist before.
 
-    For small files that stand beside a report folder: write them first, the folder last.
-
-    Args:
-        paths: files that are written inside; each may exist before.
-
-    Raises:
-        BaseException: whatever was raised inside, once the files are back.
+    For small files beside a report folder: they are written first, the folder last.
     """
     before = {path: path.read_bytes() if path.is_file() else None for path in paths}
     try:

@@ -1,6 +1,6 @@
-"""rig.toml: millimetres and degrees in the file, the Rig in metres and radians inside.
+"""Read, check and write rig.toml: both cameras, the robot's base, and their covariance.
 
-The [covariance] of rig.toml: what calibration knows of its own parameters' uncertainty.
+The file holds millimetres and degrees, the `Rig` metres and radians.
 """
 
 import re
@@ -15,11 +15,28 @@ from verify.core.records import Array
 from verify.core.rig import Camera, Covariance, Rig
 from verify.errors import InputError, one_line
 from verify.io.files import write_whole
-from verify.io.toml import FORMAT, decode, encode_numbers, key_error, not_negative, one_of
+from verify.io.toml import (
+    FORMAT,
+    MM,
+    decode,
+    encode_numbers,
+    key_error,
+    not_negative,
+    one_of,
+    scaled,
+)
 from verify.io.toml import encode as encode_toml
 
+SOURCES = ("fixture", "motion")
+TOL_ROTATION = 1e-6  # of R'R - I: seven decimals in the file; more is a wrong matrix, not rounding
 # of symmetry, unit diagonal and smallest eigenvalue: six decimals in the file; more is an error
 TOL_CORRELATION = 1e-6
+MAX_CENTRE_OFFSET = 0.2  # of the image's size: a principal point farther off is worth a warning
+# m or rad a radian in a unit of the file (mm or deg a degree), (12, 1)
+ABSORPTION_UNITS = np.tile([MM * 180 / np.pi] * 3 + [1.0] * 3, 2)[:, None]
+
+Triple = tuple[float, float, float]
+Matrix = tuple[Triple, Triple, Triple]
 
 _PARAMETER = re.compile(
     r"(left|right)\.[a-z][a-z0-9_]*"
@@ -53,27 +70,23 @@ def check_covariance(path: Path, table: CovarianceTable) -> Covariance:
             expected = "a name is like left.fx_px, robot_base.rz_deg or led.A.x_mm"
             raise key_error(path, f"covariance.parameters[{index}]", f'is "{name}"', expected)
         if name in names[:index]:
-            raise key_error(
-                path, f"covariance.parameters[{index}]", f'repeats "{name}"', "each stands once"
-            )
+            found = f'repeats "{name}"'
+            raise key_error(path, f"covariance.parameters[{index}]", found, "each stands once")
     for index, u in enumerate(table.standard_uncertainty):
         not_negative(path, f"covariance.standard_uncertainty[{index}]", u)
     count = len(names)
     if len(table.standard_uncertainty) != count:
         found = f"has {len(table.standard_uncertainty)} numbers"
-        raise key_error(
-            path, "covariance.standard_uncertainty", found, f"there are {count} parameters"
-        )
+        expected = f"there are {count} parameters"
+        raise key_error(path, "covariance.standard_uncertainty", found, expected)
     rows = table.correlation
     if len(rows) != count or any(len(row) != count for row in rows):
         expected = f"{count} rows of {count} are expected, one a parameter"
         raise key_error(path, "covariance.correlation", "has another size", expected)
     correlation = _correlation(path, np.array(rows).reshape(count, count))
     if table.degrees_of_freedom is not None and table.degrees_of_freedom <= 0:
-        found = f"is {table.degrees_of_freedom}"
-        raise key_error(
-            path, "covariance.degrees_of_freedom", found, "a positive number is expected"
-        )
+        found, expected = f"is {table.degrees_of_freedom}", "a positive number is expected"
+        raise key_error(path, "covariance.degrees_of_freedom", found, expected)
     return Covariance(
         parameters=tuple(names),
         standard_uncertainty=np.array(table.standard_uncertainty, dtype=float),
@@ -85,9 +98,8 @@ def check_covariance(path: Path, table: CovarianceTable) -> Covariance:
 
 def _correlation(path: Path, matrix: Array) -> Array:
     def refused(found: str, expected: str) -> InputError:
-        return key_error(
-            path, "covariance.correlation", found, expected, "Write it with more decimals."
-        )
+        remedy = "Write it with more decimals."
+        return key_error(path, "covariance.correlation", found, expected, remedy)
 
     if not len(matrix):
         return matrix
@@ -97,36 +109,13 @@ def _correlation(path: Path, matrix: Array) -> Array:
         found = f"has {pair} at [{row}][{column}] and [{column}][{row}]"
         raise refused(found, "a correlation is symmetric")
     if np.abs(np.diag(matrix) - 1).max() > TOL_CORRELATION:
-        raise refused(
-            "has a diagonal that is not 1", "each parameter's correlation with itself is 1"
-        )
+        expected = "each parameter's correlation with itself is 1"
+        raise refused("has a diagonal that is not 1", expected)
     least = float(np.linalg.eigvalsh(matrix)[0])
     if least < -TOL_CORRELATION:
         raise refused(f"has the eigenvalue {least:.2g}", "no variance is negative")
     symmetric: Array = (matrix + matrix.T) / 2
     return symmetric
-
-
-def covariance_table(covariance: Covariance) -> dict[str, Any]:
-    """Lay a covariance out as the keys of [covariance]."""
-    return {
-        "parameters": list(covariance.parameters),
-        "standard_uncertainty": encode_numbers(covariance.standard_uncertainty),
-        "correlation": encode_numbers(covariance.correlation),
-        "degrees_of_freedom": covariance.degrees_of_freedom,
-        "temperature_c": covariance.temperature_c,
-    }
-
-
-SOURCES = ("fixture", "motion")
-TOL_ROTATION = 1e-6  # of R'R - I: seven decimals in the file; more is a wrong matrix, not rounding
-MAX_CENTRE_OFFSET = (
-    0.2  # of the image's size: a principal point farther off its centre is worth a warning
-)
-
-_MM = 1e-3  # m
-Triple = tuple[float, float, float]
-Matrix = tuple[Triple, Triple, Triple]
 
 
 class CameraTable(msgspec.Struct, kw_only=True):
@@ -171,10 +160,10 @@ def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, 
 
     Args:
         path: the file.
-        registered: the robot's place is needed; without it one that has none will do.
+        registered: refuse a rig without the robot's base.
 
     Returns:
-        The rig, and what is worth a warning: unknown keys, a principal point far off the centre.
+        The rig, and warnings: unknown keys, a principal point far off the centre.
 
     Raises:
         InputError: names the file, the key, what stands there, what should, and what to do.
@@ -214,19 +203,28 @@ def encode(rig: Rig) -> bytes:
             "left": _camera_table(rig.left),
             "right": _camera_table(rig.right),
             "robot_base": _base_table(rig) if rig.registered else None,
-            "covariance": None if covariance is None else covariance_table(covariance),
+            "covariance": None if covariance is None else _covariance_table(covariance),
         }
     )
 
 
+def _covariance_table(covariance: Covariance) -> dict[str, Any]:
+    return {
+        "parameters": list(covariance.parameters),
+        "standard_uncertainty": encode_numbers(covariance.standard_uncertainty),
+        "correlation": encode_numbers(covariance.correlation),
+        "degrees_of_freedom": covariance.degrees_of_freedom,
+        "temperature_c": covariance.temperature_c,
+    }
+
+
 def _base_table(rig: Rig) -> dict[str, Any]:
-    absorption = None if rig.absorption is None else rig.absorption / _absorption_units()
     return {
         "rotation": encode_numbers(rig.rig_T_base[:3, :3]),
-        "position_mm": encode_numbers(rig.rig_T_base[:3, 3] / _MM),
+        "position_mm": encode_numbers(rig.rig_T_base[:3, 3], MM),
         "source": rig.base_source,
         "registration": rig.registration,
-        "absorption": None if absorption is None else encode_numbers(absorption),
+        "absorption": encode_numbers(rig.absorption, ABSORPTION_UNITS),
     }
 
 
@@ -240,7 +238,7 @@ def write(path: str | Path, rig: Rig) -> None:
 
 
 def read_base(path: Path, base: BaseTable | None) -> dict[str, Any]:
-    """Read where the robot stands, as a `Rig` has it; nan where it says nothing."""
+    """Convert [robot_base] to the fields of a `Rig`; nan where there is none."""
     if base is None:
         return {"rig_T_base": np.full((4, 4), np.nan), "base_source": ""}
     return {
@@ -265,18 +263,18 @@ def _camera(path: Path, side: str, table: CameraTable) -> Camera:
         raise key_error(path, f"{side}.pan_axis", "has no length", "a direction is expected")
     for key in ("pan_standard_uncertainty_deg", "line_time_s", "exposure_s"):
         not_negative(path, f"{side}.{key}", getattr(table, key))
-    u = table.pan_standard_uncertainty_deg
+    mount = nearest_pose(
+        path, f"{side}.mount_rotation", table.mount_rotation, table.mount_offset_mm
+    )
     return Camera(
         matrix=k,
         distortion=np.array(table.distortion),
-        pan_center=np.array(table.pan_center_mm) * _MM,
+        pan_center=np.array(table.pan_center_mm) * MM,
         pan_axis=np.array(table.pan_axis) / axis_length,
         pan_zero=float(np.deg2rad(table.pan_zero_deg)),
-        mount=nearest_pose(
-            path, f"{side}.mount_rotation", table.mount_rotation, table.mount_offset_mm
-        ),
+        mount=mount,
         pan=float(np.deg2rad(table.pan_deg)),
-        pan_standard_uncertainty=None if u is None else float(np.deg2rad(u)),
+        pan_standard_uncertainty=scaled(table.pan_standard_uncertainty_deg, np.pi / 180),
         line_time=table.line_time_s,
         exposure=table.exposure_s,
     )
@@ -287,20 +285,24 @@ def _camera_table(camera: Camera) -> dict[str, Any]:
     return {
         "camera_matrix": encode_numbers(camera.matrix),
         "distortion": encode_numbers(camera.distortion),
-        "pan_center_mm": encode_numbers(camera.pan_center / _MM),
+        "pan_center_mm": encode_numbers(camera.pan_center, MM),
         "pan_axis": encode_numbers(camera.pan_axis),
         "pan_deg": encode_numbers(np.rad2deg(camera.pan)),
         "pan_zero_deg": encode_numbers(np.rad2deg(camera.pan_zero)),
         "pan_standard_uncertainty_deg": None if u is None else encode_numbers(np.rad2deg(u)),
         "mount_rotation": encode_numbers(camera.mount[:3, :3]),
-        "mount_offset_mm": encode_numbers(camera.mount[:3, 3] / _MM),
+        "mount_offset_mm": encode_numbers(camera.mount[:3, 3], MM),
         "line_time_s": camera.line_time,
         "exposure_s": camera.exposure,
     }
 
 
 def nearest_pose(path: Path, key: str, rotation: Matrix, position_mm: Triple) -> Array:
-    """Build the (4, 4) motion from the orthonormal matrix that comes nearest to the rotation."""
+    """Build a motion, (4, 4), m, from the orthonormal matrix nearest to the file's rotation.
+
+    Raises:
+        InputError: the matrix is none to rounding, or a reflection.
+    """
     matrix = np.array(rotation)
     off = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
     if off > TOL_ROTATION:
@@ -312,7 +314,7 @@ def nearest_pose(path: Path, key: str, rotation: Matrix, position_mm: Triple) ->
         raise key_error(path, key, "is a reflection", expected, "Turn the sign of one axis.")
     placed = np.eye(4)
     placed[:3, :3] = polar(matrix)[0]
-    placed[:3, 3] = np.array(position_mm) * _MM
+    placed[:3, 3] = np.array(position_mm) * MM
     return placed
 
 
@@ -328,17 +330,10 @@ def _principal_point(path: Path, side: str, camera: Camera, size: tuple[int, int
             raise key_error(path, key, found, expected, "Compare it with image_size.")
         centre = (extent - 1) / 2
         if abs(at - centre) > MAX_CENTRE_OFFSET * extent:
-            said = (
-                f"{name} = {at} px is more than {MAX_CENTRE_OFFSET:.0%} of the image off its centre"
-            )
-            warnings.append(one_line(f"{path}, {key}: {said}, {centre} px. Is image_size right?"))
+            off = f"is more than {MAX_CENTRE_OFFSET:.0%} of the image off its centre, {centre} px"
+            note = f"{path}, {key}: {name} = {at} px {off}. Is image_size right?"
+            warnings.append(one_line(note))
     return warnings
-
-
-def _absorption_units() -> Array:
-    """Turn what the file holds (mm or deg a degree) into m or rad a radian; (12, 1)."""
-    metres = _MM * 180 / np.pi
-    return np.tile([metres] * 3 + [1.0] * 3, 2)[:, None]
 
 
 def _absorption(path: Path, rows: list[list[float]] | None) -> Array | None:
@@ -348,5 +343,5 @@ def _absorption(path: Path, rows: list[list[float]] | None) -> Array | None:
     if len(rows) != 12 or len(widths) != 1 or 0 in widths:
         expected = "12 rows are expected, six of the base and six of the LEDs, one column a joint"
         raise key_error(path, "robot_base.absorption", f"has {len(rows)} rows", expected)
-    scaled: Array = np.array(rows) * _absorption_units()
+    scaled: Array = np.array(rows) * ABSORPTION_UNITS
     return scaled

@@ -1,4 +1,4 @@
-"""TOML in and out: decoded into structs that mirror the file, with the key in each complaint."""
+"""Read TOML into structs that mirror the file, naming the key in each refusal, and write it."""
 
 import difflib
 import math
@@ -17,12 +17,13 @@ from verify.errors import InputError, one_line
 from verify.io.files import read_bytes
 
 FORMAT = 1  # the edition of session.toml, rig.toml and marker.toml that this code reads
+MM = 1e-3  # m
 
 S = TypeVar("S", bound=msgspec.Struct)
 
 _COMPLAINT = re.compile(r"^(?P<what>.*?)(, got .*?)?( - at `\$\.?(?P<key>.*)`)?$", re.DOTALL)
 _MISSING = re.compile(r"Object missing required field `(?P<field>.*)`")
-_WORDS = {  # msgspec speaks of JSON; the user wrote TOML
+_WORDS = {  # msgspec names JSON's types; the user wrote TOML
     "float": "a number",
     "int": "a whole number",
     "str": "a text in quotes",
@@ -89,9 +90,8 @@ def one_of(path: Path, key: str, value: str, options: tuple[str, ...]) -> str:
     if value in options:
         return value
     expected = "expected is " + " or ".join(f'"{option}"' for option in options)
-    raise key_error(
-        path, key, f'is "{value}"', expected, f"Write one of them.{did_you_mean(value, options)}"
-    )
+    remedy = f"Write one of them.{did_you_mean(value, options)}"
+    raise key_error(path, key, f'is "{value}"', expected, remedy)
 
 
 def did_you_mean(word: str, known: tuple[str, ...]) -> str:
@@ -103,22 +103,29 @@ def did_you_mean(word: str, known: tuple[str, ...]) -> str:
 def encode(tree: Mapping[str, Any]) -> bytes:
     """Write tables as TOML, each matrix one row after the other on one line.
 
-    tomli_w alone puts every number of a nested list on a line of its own, which nobody can read;
-    scalars and keys are its work here too. Values that are None are left out.
+    tomli_w alone puts every number of a nested list on a line of its own; here it encodes scalars.
+    Values that are None are left out.
     """
     return "".join(_table_lines(tree, "")).encode()
 
 
-def encode_numbers(values: Array | float) -> Any:
-    """Turn a number or an array into (nested lists of) floats for `encode`.
+def encode_numbers(values: Array | float | None, unit: Array | float = 1.0) -> Any:
+    """Turn a number or an array into (nested lists of) floats for `encode`, in a unit of the file.
 
     Rounded to 15 significant digits, which drops the noise that a change of units leaves in the
-    last bit: 7.5, not 7.500000000000001.
+    last bit: 7.5, not 7.500000000000001. None stays None.
     """
-    array = np.asarray(values, dtype=float)
+    if values is None:
+        return None
+    array = np.asarray(values, dtype=float) / unit
     if array.ndim:
         return [encode_numbers(item) for item in array]
     return float(f"{array.item():.15g}")
+
+
+def scaled(value: float | None, unit: float) -> float | None:
+    """Multiply a number by a unit; None stays None."""
+    return None if value is None else value * unit
 
 
 def not_negative(path: Path, key: str, value: float | None) -> None:
@@ -160,7 +167,7 @@ def _leaves(value: object, key: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _reword(path: Path, tree: dict[str, Any], complaint: str) -> InputError:
-    """Say msgspec's complaint in the words of the file: key, what stands there, what should."""
+    """Turn msgspec's message into key, what stands there and what is expected."""
     parts = _COMPLAINT.match(complaint)
     what, key = (parts["what"], parts["key"] or "") if parts else (complaint, "")
     missing = _MISSING.match(what)
@@ -169,11 +176,8 @@ def _reword(path: Path, tree: dict[str, Any], complaint: str) -> InputError:
         return key_error(path, inner, "is missing", "the format needs it", "Add it there.")
     wanted = re.search(r"`(.*?)`", what)
     kinds = [_WORDS.get(word, word) for word in wanted[1].split(" | ")] if wanted else []
-    expected = (
-        " or ".join(kind for kind in kinds if kind != "null") + what[wanted.end() :]
-        if wanted
-        else what
-    )
+    expected = " or ".join(kind for kind in kinds if kind != "null")
+    expected = expected + what[wanted.end() :] if wanted else what
     return key_error(path, key, f"is {shorten(_value_at(tree, key))}", f"{expected} is expected")
 
 
@@ -195,9 +199,8 @@ def _unknown_keys(
         inner = f"{key}.{name}" if key else name
         if name not in fields:
             hint = did_you_mean(name, tuple(fields))
-            yield one_line(
-                f"{path}, {inner}: the format does not know this key; it is left alone.{hint}"
-            )
+            note = f"{path}, {inner}: the format does not know this key; it is left alone.{hint}"
+            yield one_line(note)
             continue
         table = _struct_in(fields[name])
         if table is None:
@@ -240,8 +243,6 @@ def _inline(value: object) -> str:
     if not isinstance(value, list):
         return tomli_w.dumps({"v": value}).removeprefix("v = ").rstrip("\n")
     inner = [_inline(item) for item in value]
-    if len(value) > 3 and isinstance(
-        value[0], list
-    ):  # a rotation fits on a line, a covariance does not
+    if len(value) > 3 and isinstance(value[0], list):  # a rotation fits on one line
         return "[\n" + "".join(f"  {row},\n" for row in inner) + "]"
     return f"[{', '.join(inner)}]"

@@ -1,29 +1,72 @@
-"""pending.raw: pairs of an open session that are on the disk and not yet in its videos.
+"""pending.raw: the last pairs of a recording that was cut off, not yet encoded in its videos.
 
-A ring of slots. Encoding a picture takes longer than an alarm may wait, writing it as it is does
-not: so a pair goes into a slot before it is measured, and into the videos afterwards. Whoever
-opens a recording that was cut off finds the last pairs here. Little-endian throughout.
+Encoding a picture takes longer than an alarm may wait; writing its raw pixels does not. So each
+pair is written here before it is measured, and into the videos afterwards. Opening the session
+appends the pairs that the videos lack.
+
+The file is a ring of slots, little-endian, each part on a page of its own:
+
+    header                  magic, number of slots, shapes (h, w, channels) of left and right
+    slot 0, 1, …            pair's number in the session (-1: empty), t and pan, left and right
+                            left pixels, then right pixels
 """
 
 import itertools
 import os
 import struct
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
 from verify.core.records import Image, StereoPair
 from verify.errors import InputError
-from verify.io.files import system_refusal
+from verify.io.files import refused_as_input_error
+from verify.io.series import FrameSeries
+from verify.io.video import Images
 
 NAME = "pending.raw"
 MAGIC = b"verify pending 1"
-HEADER = struct.Struct("<16s Q 3Q 3Q")  # magic, slots, shape of left and right: h, w, channels
-SLOT = struct.Struct("<q 4d")  # pair's number in the session, t and pan, left and right
-PAGE = 4096  # bytes: where slots and pictures begin
+HEADER = struct.Struct("<16s Q 3Q 3Q")
+SLOT = struct.Struct("<q 4d")
+PAGE = 4096  # bytes
 EMPTY = -1
+
+Shape = tuple[int, ...]  # of a picture: (h, w) or (h, w, 3)
+Sides = tuple[Images, Images]
+
+
+@dataclass(frozen=True, slots=True)
+class _RingLayout:
+    """Offsets in the file, in bytes."""
+
+    left: Shape
+    right: Shape
+
+    @property
+    def right_at(self) -> int:
+        """From a slot's begin to its right picture."""
+        return PAGE + _full_pages(self.left)
+
+    @property
+    def size(self) -> int:
+        """Of a slot."""
+        return self.right_at + _full_pages(self.right)
+
+    def at(self, slot: int) -> int:
+        """Begin of a slot."""
+        return PAGE + slot * self.size
+
+
+def _full_pages(shape: Shape) -> int:
+    """Bytes of the pages that a picture fills."""
+    return -(-int(np.prod(shape)) // PAGE) * PAGE
+
+
+def ring_bytes(left: Shape, right: Shape, slots: int) -> int:
+    """Size of a ring's file, bytes."""
+    return _RingLayout(left, right).at(slots)
 
 
 class UnfinishedPairs:
@@ -39,20 +82,18 @@ class UnfinishedPairs:
         OSError: the system refuses it.
     """
 
-    def __init__(
-        self, path: Path, left: tuple[int, ...], right: tuple[int, ...], slots: int
-    ) -> None:
+    def __init__(self, path: Path, left: Shape, right: Shape, slots: int) -> None:
         self._path, self.slots = path, slots
         self._layout = _RingLayout(left, right)
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
-        head = HEADER.pack(MAGIC, slots, *_pack_shape(left), *_pack_shape(right))
-        os.pwrite(self._file, head, 0)
+        shapes = [(*shape, 1)[:3] for shape in (left, right)]
+        os.pwrite(self._file, HEADER.pack(MAGIC, slots, *shapes[0], *shapes[1]), 0)
         for slot in range(slots):
             os.pwrite(self._file, SLOT.pack(EMPTY, 0, 0, 0, 0), self._layout.at(slot))
         os.ftruncate(self._file, ring_bytes(left, right, slots))
 
     def put(self, number: int, pair: StereoPair) -> None:
-        """Write a pair into the slot that is its number's; what was there is gone.
+        """Write a pair into its number's slot, over the pair that was there.
 
         Args:
             number: of the pair in the session, from 0.
@@ -65,11 +106,11 @@ class UnfinishedPairs:
         self._write(SLOT.pack(EMPTY, 0, 0, 0, 0), at)
         self._write(np.ascontiguousarray(pair.left).data.cast("B"), at + PAGE)
         self._write(np.ascontiguousarray(pair.right).data.cast("B"), at + self._layout.right_at)
-        told = (pair.t_left, pair.t_right, pair.pan_left, pair.pan_right)
-        self._write(SLOT.pack(number, *told), at)  # last: a slot that has a number is whole
+        times_and_pans = (pair.t_left, pair.t_right, pair.pan_left, pair.pan_right)
+        self._write(SLOT.pack(number, *times_and_pans), at)  # last: a numbered slot is whole
 
     def close(self) -> None:
-        """Close the file and take it away."""
+        """Close and delete the file."""
         os.close(self._file)
         self._path.unlink(missing_ok=True)
 
@@ -81,122 +122,98 @@ class UnfinishedPairs:
 
 
 @dataclass(frozen=True, slots=True)
-class UnfinishedPair:
-    """A pair that the videos lack."""
-
-    number: int  # in the session, from 0
-    t: tuple[float, float]  # s, cameras' clock, left and right
-    pan: tuple[float, float]  # rad, as read
-    pictures: "tuple[UnfinishedPicture, UnfinishedPicture]"
-
-
-@dataclass(frozen=True, slots=True)
-class UnfinishedPicture:
+class _Picture:
     """Where a picture stands in the file."""
 
     path: Path
     at: int  # bytes
-    shape: tuple[int, ...]
+    shape: Shape
 
     def read(self) -> Image:
-        """Read it.
-
-        Raises:
-            InputError: the system refuses it.
-        """
         count = int(np.prod(self.shape))
-        try:
+        with refused_as_input_error(self.path):
             flat = np.fromfile(self.path, dtype=np.uint8, count=count, offset=self.at)
-        except OSError as error:
-            raise system_refusal(self.path, error) from error
         return flat.reshape(self.shape)
 
 
-def pending_pairs(path: Path, first: int) -> list[UnfinishedPair]:
-    """List what the videos of a recording that was cut off lack.
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """A pair in the file."""
+
+    times_and_pans: tuple[float, ...]  # t left, right, s, cameras' clock; pan left, right, rad
+    pictures: tuple[_Picture, _Picture]  # left, right
+
+
+class _ExtendedImages(Images):
+    """The first `count` images of a video, then some that were never encoded."""
+
+    def __init__(self, video: Images, count: int, rest: Sequence[_Picture]) -> None:
+        super().__init__(video.path)
+        self._video, self._count, self._rest = video, count, rest
+
+    def count(self, torn: bool = False) -> int:  # noqa: ARG002  # damaged ones are not in `count`
+        """Count the images."""
+        return self._count + len(self._rest)
+
+    def images(self) -> Generator[Image]:
+        """Decode the images one after the other."""
+        yield from itertools.islice(self._video.images(), self._count)
+        for picture in self._rest:
+            yield picture.read()
+
+
+def append_unfinished(
+    folder: Path, frames: FrameSeries, sides: Sides
+) -> tuple[FrameSeries, Sides, int]:
+    """Append the pairs of pending.raw to those of the videos.
 
     Args:
-        path: the file; where there is none, nothing is pending.
-        first: number of the pair that is looked for first.
+        folder: the session's; it may hold no pending.raw.
+        frames: the pairs that the videos hold, all of them whole.
+        sides: the videos.
 
     Returns:
-        Pairs whose numbers rise by one from `first` on, until one is missing.
+        Frames and sides with the others, and how many those are: as many as follow without a gap.
 
     Raises:
-        InputError: the file is no such file, or cannot be read.
+        InputError: pending.raw is no such file, or cannot be read.
     """
-    if not path.exists():
-        return []
-    try:
-        with path.open("rb") as file:
-            found = _read_slots(path, file)
-    except OSError as error:
-        raise system_refusal(path, error) from error
-    rising = itertools.takewhile(found.__contains__, itertools.count(first))
-    return [found[number] for number in rising]
+    if not (folder / NAME).exists():
+        return frames, sides, 0
+    count = len(frames)
+    by_number = _read_slots(folder / NAME)
+    numbers = itertools.takewhile(by_number.__contains__, itertools.count(count))
+    pairs = [by_number[number] for number in numbers]
+    if not pairs:
+        return frames, sides, 0
+    left, right = (
+        _ExtendedImages(video, count, [pair.pictures[side] for pair in pairs])
+        for side, video in enumerate(sides)
+    )
+    before = (frames.t_left, frames.t_right, frames.pan_left, frames.pan_right)
+    after = np.array([pair.times_and_pans for pair in pairs]).T
+    joined = FrameSeries(*map(np.append, before, after))
+    return joined, (left, right), len(pairs)
 
 
-def _read_slots(path: Path, file: BinaryIO) -> dict[int, UnfinishedPair]:
-    """Every pair in the file, by its number."""
-    head = file.read(HEADER.size)
-    if len(head) < HEADER.size or not head.startswith(MAGIC):
-        remedy = "Delete it: the pairs in the videos can be measured without it."
-        raise InputError(path, "holds no pending pairs", "a recording wrote it", remedy)
-    _, slots, *shapes = HEADER.unpack(head)
-    layout = _RingLayout(_shape(shapes[:3]), _shape(shapes[3:]))
-    length = os.fstat(file.fileno()).st_size
-    found = {}
-    for at in map(layout.at, range(slots)):
-        if at + layout.size > length:
-            break  # the file was copied in part
-        file.seek(at)
-        number, *told = SLOT.unpack(file.read(SLOT.size))
-        if number != EMPTY:
-            t_left, t_right, pan_left, pan_right = told
-            pictures = (
-                UnfinishedPicture(path, at + PAGE, layout.left),
-                UnfinishedPicture(path, at + layout.right_at, layout.right),
-            )
-            found[number] = UnfinishedPair(
-                number, (t_left, t_right), (pan_left, pan_right), pictures
-            )
-    return found
-
-
-@dataclass(frozen=True, slots=True)
-class _RingLayout:
-    """Where things stand in the file."""
-
-    left: tuple[int, ...]
-    right: tuple[int, ...]
-
-    @property
-    def right_at(self) -> int:
-        """From a slot's begin to its right picture, bytes."""
-        return PAGE + _pages(int(np.prod(self.left)))
-
-    @property
-    def size(self) -> int:
-        """Of a slot, bytes."""
-        return self.right_at + _pages(int(np.prod(self.right)))
-
-    def at(self, slot: int) -> int:
-        """Begin of a slot."""
-        return PAGE + slot * self.size
-
-
-def ring_bytes(left: tuple[int, ...], right: tuple[int, ...], slots: int) -> int:
-    """Size of a ring's file."""
-    return _RingLayout(left, right).at(slots)
-
-
-def _pages(size: int) -> int:
-    return -(-size // PAGE) * PAGE
-
-
-def _pack_shape(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    return shape[0], shape[1], shape[2] if len(shape) == 3 else 1
-
-
-def _shape(three: list[int]) -> tuple[int, ...]:
-    return tuple(three) if three[2] > 1 else tuple(three[:2])
+def _read_slots(path: Path) -> dict[int, _Pair]:
+    """Every pair in the file, by its number; the pixels stay on the disk."""
+    pairs = {}
+    with refused_as_input_error(path), path.open("rb") as file:
+        head = file.read(HEADER.size)
+        if len(head) < HEADER.size or not head.startswith(MAGIC):
+            remedy = "Delete it: the pairs in the videos can be measured without it."
+            raise InputError(path, "holds no pending pairs", "a recording wrote it", remedy)
+        _, slots, *sizes = HEADER.unpack(head)
+        left, right = (tuple(size if size[2] > 1 else size[:2]) for size in (sizes[:3], sizes[3:]))
+        layout = _RingLayout(left, right)
+        length = os.fstat(file.fileno()).st_size
+        for at in map(layout.at, range(slots)):
+            if at + layout.size > length:
+                break  # the file was copied in part
+            file.seek(at)
+            number, *times_and_pans = SLOT.unpack(file.read(SLOT.size))
+            pictures = _Picture(path, at + PAGE, left), _Picture(path, at + layout.right_at, right)
+            if number != EMPTY:
+                pairs[number] = _Pair(tuple(times_and_pans), pictures)
+    return pairs

@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from verify.core.processes import request_short_slice
 from verify.devices.protocols import CameraDevice, EncoderDevice, PanDevice
 from verify.live.buffers import PanBuffer, ReadingBuffer
 from verify.live.pairing import MAX_WAITING, FramePair, Pairing
@@ -103,7 +102,6 @@ class PollingThread:
         self._thread.join(seconds)
 
     def _run(self) -> None:
-        request_short_slice()
         while not self._stop.is_set():
             begin = time.monotonic()
             try:

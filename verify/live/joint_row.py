@@ -8,7 +8,13 @@ import numpy as np
 from scipy.linalg import block_diag
 
 import robots
-from verify.analysis.comparison import Comparison, JointComparison, compare, solve_joints
+from verify.analysis.comparison import (
+    Comparison,
+    JointComparison,
+    ReadingUncertainty,
+    compare,
+    solve_joints,
+)
 from verify.analysis.model import clock_effect
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings
@@ -136,10 +142,10 @@ class Comparer:
                 self.arm,
                 readings,
                 offset,
-                resolution=self._resolution,
-                time_uncertainty=time_doubts,
+                stated=ReadingUncertainty(
+                    self._resolution, time_doubts, readings.missed(track.t - offset)
+                ),
                 known=known,
-                missed=readings.missed(track.t - offset),
             )
             joints = solve_joints(comparison, self.arm)
             effects = clock_effect(comparison)[:, :, 0]

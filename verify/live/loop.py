@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 import robots
-from verify.core.processes import request_short_slice
 from verify.core.records import Array, Measurement, StereoPair
 from verify.devices.protocols import CameraDevice, CapturedPair, EncoderDevice, PanDevice
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
@@ -32,10 +31,10 @@ from verify.live.state import DeviceStatus, LiveState
 from verify.measurement.chain import Setup, measure
 
 DEVICE_CHECK_PERIOD = 0.1  # s from one look at the devices to the next
-JOIN_TIMEOUT = 3.0  # s that a thread is given to end
+JOIN_TIMEOUT = 3.0  # s
 BASE_TURNING = "a camera base was turning, or its angle is not known"
 ARRIVAL_OFFSETS = np.array([-0.1, -0.05, 0.0, 0.05, 0.1])  # s: an arrival's clock is known to that
-DEVICE_SILENCE_TIMEOUT = 1.0  # s; more for devices that give less than two a second
+SILENCE_TIMEOUT = 1.0  # s; longer for devices with less than two readings a second
 ExpectedPoses = Callable[[float], Sequence[Array]]
 MAX_PAIRS_IN_PROGRESS = 8  # pairs between the cameras and the comparison, at most
 
@@ -94,7 +93,7 @@ class LiveLoop:
         numbers = itertools.count(1)
         self._joints = JointAlarms(subject.arm.dof, plan.limits, numbers)
         self._target = TargetWatch(plan.limits.lost_after, numbers)
-        self._lost = DeviceWatch(DEVICE_SILENCE_TIMEOUT, numbers)
+        self._lost = DeviceWatch(SILENCE_TIMEOUT, numbers)
         self._measuring = self._here if measuring is None else measuring
         self._prepare = prepare
         self._arrivals: dict[float, tuple[float, float, StereoPair]] = {}
@@ -195,7 +194,6 @@ class LiveLoop:
     # measuring
 
     def _measure(self) -> None:
-        request_short_slice()
         try:
             pairs = self._noted(self._recorder.keep(self._taken(), self._prepare))
             for measurement in self._measuring(pairs, self._expected):
@@ -273,7 +271,6 @@ class LiveLoop:
     # comparing
 
     def _compare(self) -> None:
-        request_short_slice()
         while (item := self._next_measured()) is not None:
             try:
                 pairs = [self._bracketing.wait(*item, self._recorder.through)]
@@ -332,7 +329,7 @@ class LiveLoop:
         lines = [] if not final else list(self.state.snapshot().devices)
         for name, device in () if final else self._named():
             said = device.state()
-            silent = said.age is None or said.age > DEVICE_SILENCE_TIMEOUT
+            silent = said.age is None or said.age > SILENCE_TIMEOUT
             lines.append(DeviceStatus(name, said.connected and not silent, said.sentence))
             alarms += self._lost.take(name, said.age, said.sentence, t, now)
         if not final:

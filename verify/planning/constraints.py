@@ -1,6 +1,7 @@
-"""Which postures may be planned with, and what excludes the others, counted.
+"""Decide which postures may be planned with, and count what excludes the others.
 
-Which LEDs either camera would see well enough to tell one from the other.
+An LED counts where both cameras see it inside the picture, within its angle of view, and apart from
+the other LEDs' images.
 """
 
 from dataclasses import dataclass, field
@@ -9,86 +10,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+import robots
 from verify.core.records import Array
 from verify.core.rig import Camera
-from verify.planning.links import LinkChain, build_skeleton, dexterity
+from verify.planning.links import LinkChain, dexterity
 from verify.planning.request import PlanningSetup, PlanRequest
 
 Flags = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 MAX_CORNER_RATIO = 1.1  # of the picture's corner: farther out the lens' polynomial may fold back
 MIN_DEPTH = 0.1  # m: no camera of this kind focuses nearer
 MIN_SEPARATION = 1.5  # diameters between LED images that do not merge
-
-
-@dataclass(frozen=True, slots=True)
-class PredictedView:
-    """What one camera would see of m poses of n LEDs."""
-
-    pixels: Array  # (m, n, 2), px; nan behind the camera or far outside
-    inside: Flags  # (m, n), clear of the picture's rim
-    facing: Flags  # (m, n), the camera stands within the LEDs' angle of view
-    apart: Flags  # (m, n), no other LED's image touches
-
-    @property
-    def seen(self) -> Flags:
-        """All three, (m, n)."""
-        return self.inside & self.facing & self.apart
-
-
-def visible_leds(
-    bench: PlanningSetup, base_T_flange: Array, margin: float, angle: float
-) -> tuple[PredictedView, PredictedView]:
-    """Look at poses of the flange with both cameras.
-
-    Args:
-        bench: rig and marker; the bases stand at the rig's own pan.
-        base_T_flange: (m, 4, 4), m.
-        margin: px between an LED's centre and the picture's rim.
-        angle: rad from the flange's z within which LEDs are seen.
-    """
-    rig_T_flange = bench.rig.rig_T_base @ base_T_flange
-    points = bench.marker.leds @ np.swapaxes(rig_T_flange[:, :3, :3], 1, 2)
-    points += rig_T_flange[:, None, :3, 3]
-    left, right = (
-        _view(bench, camera, points, rig_T_flange[:, :3, 2], margin, angle)
-        for camera in (bench.rig.left, bench.rig.right)
-    )
-    return left, right
-
-
-def _view(
-    bench: PlanningSetup, camera: Camera, points: Array, normal: Array, margin: float, angle: float
-) -> PredictedView:
-    placed = camera.camera_T_rig(camera.pan)
-    local = points @ placed[:3, :3].T + placed[:3, 3]
-    depth = local[..., 2]
-    near = np.maximum(depth, MIN_DEPTH)[..., None]
-    size = np.array(bench.rig.image_size, dtype=float) - 1
-    corners = np.array([[0.0, 0.0], [size[0], 0.0], [0.0, size[1]], size])
-    widest = MAX_CORNER_RATIO * float(np.linalg.norm(camera.normalise(corners), axis=1).max())
-    known = (depth > MIN_DEPTH) & (np.linalg.norm(local[..., :2] / near, axis=-1) < widest)
-    pixels = camera.project(np.concatenate([local[..., :2], near], axis=-1))
-    pixels[~known] = np.nan
-    inside = np.all((pixels > margin) & (pixels < size - margin), axis=-1)  # nan is outside
-    toward = camera.rig_T_camera(camera.pan)[:3, 3] - points
-    toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
-    facing = np.einsum("mni,mi->mn", toward, normal) > np.cos(angle)
-    diameter = camera.matrix[0, 0] * bench.marker.led_diameter / near[..., 0]
-    gaps = np.linalg.norm(pixels[:, :, None] - pixels[:, None], axis=-1)
-    gaps[:, range(len(bench.marker)), range(len(bench.marker))] = np.inf
-    merged = gaps < MIN_SEPARATION * diameter[:, :, None]  # of one that is not in view, nan: none
-    return PredictedView(pixels, inside, facing, ~merged.any(axis=2))
-
-
-Rows = NDArray[np.int64]
-
 MIN_LEDS = 3  # in both cameras: fewer leave a turn open
-MARGIN_PX = 40.0  # at a pose; on the way half of it
-MIN_SINGULAR_VALUE = (
-    0.1  # least singular value of J, lengths over 143 mm: robots.coupling's own gate
-)
-MIN_SINGULAR_VALUE_PASSING = 0.03  # passed, not measured at
+MARGIN_PX = 40.0  # at a pose; between poses half of it
+MIN_SINGULAR_VALUE = 0.1  # least one of J, lengths over 143 mm: robots.coupling's own bound
+MIN_SINGULAR_VALUE_PASSING = 0.03  # between poses
 MIN_CAMERA_CLEARANCE = 0.15  # m of any link or LED from the cameras
 MIN_LINK_DISTANCE = 0.08  # m between the middles of two links that do not touch
 MIN_LINK_SEPARATION = 0.3  # m along the links: nearer points belong to one bend
@@ -106,28 +43,88 @@ REASONS = (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class PredictedView:
+    """Images of n LEDs at m poses in one camera."""
+
+    pixels: Array  # (m, n, 2), px; nan behind the camera or far outside
+    inside: Flags  # (m, n), clear of the picture's rim
+    facing: Flags  # (m, n), the camera stands within the LEDs' angle of view
+    apart: Flags  # (m, n), no other LED's image touches
+
+    @property
+    def seen(self) -> Flags:
+        """All three, (m, n)."""
+        return self.inside & self.facing & self.apart
+
+
+def visible_leds(
+    setup: PlanningSetup, base_T_flange: Array, margin: float, angle: float
+) -> tuple[PredictedView, PredictedView]:
+    """Predict the LED images of flange poses in both cameras.
+
+    Args:
+        setup: rig and marker; the bases stand at the rig's own pan.
+        base_T_flange: (m, 4, 4), m.
+        margin: px between an LED's centre and the picture's rim.
+        angle: rad from the flange's z within which LEDs are seen.
+    """
+    rig_T_flange = setup.rig.rig_T_base @ base_T_flange
+    points = setup.marker.leds @ np.swapaxes(rig_T_flange[:, :3, :3], 1, 2)
+    points += rig_T_flange[:, None, :3, 3]
+    left, right = (
+        _view(setup, camera, points, rig_T_flange[:, :3, 2], margin, angle)
+        for camera in (setup.rig.left, setup.rig.right)
+    )
+    return left, right
+
+
+def _view(
+    setup: PlanningSetup, camera: Camera, points: Array, normal: Array, margin: float, angle: float
+) -> PredictedView:
+    placed = camera.camera_T_rig(camera.pan)
+    local = points @ placed[:3, :3].T + placed[:3, 3]
+    depth = local[..., 2]
+    near = np.maximum(depth, MIN_DEPTH)[..., None]
+    size = np.array(setup.rig.image_size, dtype=float) - 1
+    corners = np.array([[0.0, 0.0], [size[0], 0.0], [0.0, size[1]], size])
+    widest = MAX_CORNER_RATIO * float(np.linalg.norm(camera.normalise(corners), axis=1).max())
+    known = (depth > MIN_DEPTH) & (np.linalg.norm(local[..., :2] / near, axis=-1) < widest)
+    pixels = camera.project(np.concatenate([local[..., :2], near], axis=-1))
+    pixels[~known] = np.nan
+    inside = np.all((pixels > margin) & (pixels < size - margin), axis=-1)  # nan is outside
+    toward = camera.rig_T_camera(camera.pan)[:3, 3] - points
+    toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
+    facing = np.einsum("mni,mi->mn", toward, normal) > np.cos(angle)
+    diameter = camera.matrix[0, 0] * setup.marker.led_diameter / near[..., 0]
+    gaps = np.linalg.norm(pixels[:, :, None] - pixels[:, None], axis=-1)
+    gaps[:, range(len(setup.marker)), range(len(setup.marker))] = np.inf
+    merged = gaps < MIN_SEPARATION * diameter[:, :, None]  # of one that is not in view, nan: none
+    return PredictedView(pixels, inside, facing, ~merged.any(axis=2))
+
+
 @dataclass(frozen=True)
 class PostureConstraints:
-    """What a posture must keep."""
+    """What a posture must satisfy."""
 
-    bench: PlanningSetup
-    wish: PlanRequest
+    setup: PlanningSetup
+    request: PlanRequest
     lower: Array = field(init=False)  # (j,), rad
     upper: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        arm, near = self.bench.arm, self.wish.near
+        arm, near = self.setup.arm, self.request.near
         lower, upper = arm.lower, arm.upper
         if near is not None:
-            lower = np.maximum(lower, near - self.wish.within)
-            upper = np.minimum(upper, near + self.wish.within)
+            lower = np.maximum(lower, near - self.request.within)
+            upper = np.minimum(upper, near + self.request.within)
         object.__setattr__(self, "lower", lower)
         object.__setattr__(self, "upper", upper)
 
     @cached_property
     def skeleton(self) -> LinkChain:
         """The arm's links."""
-        return build_skeleton(self.bench.arm)
+        return LinkChain(self.setup.arm)
 
     @cached_property
     def _apart(self) -> Flags:
@@ -136,39 +133,39 @@ class PostureConstraints:
         return np.abs(way[:, None] - way) > MIN_LINK_SEPARATION
 
     @cached_property
-    def _eyes(self) -> Array:
+    def _camera_centres(self) -> Array:
         """The cameras' optical centres in the base frame, (2, 3), m."""
-        rig = self.bench.rig
+        rig = self.setup.rig
         base_T_rig = np.linalg.inv(rig.rig_T_base)
         placed = [c.rig_T_camera(c.pan) for c in (rig.left, rig.right)]
         return np.array([(base_T_rig @ one)[:3, 3] for one in placed])
 
-    def reason(self, q: Array, *, on_the_way: bool = False) -> Rows:
-        """Say which constraint excludes each posture.
+    def reason(self, q: Array, *, passing: bool = False) -> Rows:
+        """Find the constraint that excludes each posture.
 
         Args:
             q: (m, j), rad, within the joints' limits.
-            on_the_way: between two poses the rim and singularities may come nearer.
+            passing: between two poses the rim and singularities may be nearer.
 
         Returns:
             (m,), the first of REASONS that does; -1 where none does.
         """
         parts = [
-            self._reason(q[i : i + CHUNK_POSTURES], on_the_way)
+            self._reason(q[i : i + CHUNK_POSTURES], passing)
             for i in range(0, len(q), CHUNK_POSTURES)
         ]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
-    def good(self, q: Array, *, on_the_way: bool = False) -> Flags:
-        """Say which postures (m, j) keep the joints' limits and everything else, (m,)."""
+    def good(self, q: Array, *, passing: bool = False) -> Flags:
+        """Whether each posture (m, j) keeps the joint limits and all constraints, (m,)."""
         inside = np.all((q >= self.lower - TOL_LIMIT) & (q <= self.upper + TOL_LIMIT), axis=1)
-        inside[inside] = self.reason(q[inside], on_the_way=on_the_way) < 0
+        inside[inside] = self.reason(q[inside], passing=passing) < 0
         return np.asarray(inside, dtype=bool)
 
-    def _reason(self, q: Array, on_the_way: bool) -> Rows:
-        margin = MARGIN_PX / 2 if on_the_way else MARGIN_PX
-        frames = self.skeleton.frames(q)
-        left, right = visible_leds(self.bench, frames[:, -1], margin, self.wish.view_angle)
+    def _reason(self, q: Array, passing: bool) -> Rows:
+        margin = MARGIN_PX / 2 if passing else MARGIN_PX
+        frames = robots.link_frames(self.setup.arm, q)
+        left, right = visible_leds(self.setup, frames[:, -1], margin, self.request.view_angle)
         inside = left.inside & right.inside
         facing = inside & left.facing & right.facing
         apart = facing & left.apart & right.apart
@@ -176,19 +173,19 @@ class PostureConstraints:
         for place, leds in reversed(list(enumerate((inside, facing, apart)))):
             reason[leds.sum(axis=1) < MIN_LEDS] = place
         left_over = np.flatnonzero(reason < 0)
-        reason[left_over] = self._crowded(frames[left_over], on_the_way)
+        reason[left_over] = self._arm_reason(frames[left_over], passing)
         return reason
 
-    def _crowded(self, frames: Array, on_the_way: bool) -> Rows:
-        """Look at the arm itself, where the LEDs are in view."""
+    def _arm_reason(self, frames: Array, passing: bool) -> Rows:
+        """Check the arm itself: floor, cameras, its own links, singularities."""
         points = self.skeleton.points(frames)
         raised = points[:, self.skeleton.moving]
-        away = np.linalg.norm(raised[:, :, None] - self._eyes, axis=-1).min(axis=(1, 2))
+        away = np.linalg.norm(raised[:, :, None] - self._camera_centres, axis=-1).min(axis=(1, 2))
         gaps = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
         gaps[:, ~self._apart] = np.inf
-        least = MIN_SINGULAR_VALUE_PASSING if on_the_way else MIN_SINGULAR_VALUE
+        least = MIN_SINGULAR_VALUE_PASSING if passing else MIN_SINGULAR_VALUE
         broken = (
-            (raised[:, :, 2] < self.wish.floor).any(axis=1),
+            (raised[:, :, 2] < self.request.floor).any(axis=1),
             away < MIN_CAMERA_CLEARANCE,
             gaps.min(axis=(1, 2)) < MIN_LINK_DISTANCE,
             dexterity(frames) < least,

@@ -1,14 +1,22 @@
-"""Which poses to visit: those that together tell most of what is asked, everything else held open.
+"""Choose the poses that together tell most of the requested faults, everything else held open.
 
-D-optimal for the parameters asked for, beside what is registered and stated (D_s): greedy, then
-exchanged one by one for better ones. Source: Fedorov, Theory of Optimal Experiments, 1972; for
+Model: rows of a pose are (A_i, B_i), whitened, A of the parameters requested, B of everything else
+that is fitted or held; Pi is the prior information. The D_s-optimal choice C maximises
+
+    ln det(Pi + sum_{i in C} (A_i B_i)'(A_i B_i)) - ln det(Pi_B + sum_{i in C} B_i'B_i)
+
+greedily, then exchanging pose by pose. Source: Fedorov, Theory of Optimal Experiments, 1972; for
 calibration Borm and Menq, 1991 (their O1 is this determinant).
 
-What each kind of fault would do to every pair of a session: columns of the judgement's model.
+Parameters requested, by kind, one column a joint:
+    offsets       constant error                  1°
+    gains         error in proportion to q        1 %
+    backlash      error by direction of travel    1°
+    eccentricity  error as cos q and sin q        1°
+    kinematics    DH parameters and offsets       1 mm, 1°
 
-The columns are the diagnosis's own. Its faults are not taken whole, as `joint_faults` leaves out
-those that the motion at hand does not show: here a kind has a column for every joint, so that one
-which a plan does not show yet is told to be missing, and single poses can be weighed for it.
+The columns are those of the diagnosis, but of every joint: one that a plan does not show yet is
+predicted as missing, and single poses can be weighed for it.
 """
 
 from dataclasses import dataclass
@@ -26,10 +34,13 @@ from verify.calibration.kinematics.chain import (
 )
 from verify.calibration.kinematics.model import predict_with_jacobian
 from verify.core.records import Array
-from verify.planning.constraints import Rows
 from verify.planning.request import PlanningSetup
 
 PERCENT = 0.01
+POSE_KINDS = ("offsets", "gains", "eccentricity", "kinematics")  # kinds that the poses decide
+PRIOR_SIGMA = 10.0  # units (1°, 1 %, 1 mm): prior of the requested, so that a gauge does no harm
+PRIOR_SHARE = 1e-6  # of the largest: prior of what is fitted with it
+MAX_ROUNDS = 3  # of exchanges
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,16 +54,15 @@ class FaultKind:
 
 
 def fault_kind(name: str, model: JointErrorModel) -> FaultKind:
-    """Lay out a kind's columns."""
+    """Build the columns of one kind."""
     q, degree = model.comparison.q, float(np.deg2rad(1.0))
     if name == "offsets":
         return FaultKind(name, "deg", degree, (model.offsets,))
     if name == "gains":
         return FaultKind(name, "percent", PERCENT, (_joint_columns(model, q),))
     if name == "backlash":
-        return FaultKind(
-            name, "deg", degree, (_joint_columns(model, model.comparison.direction / 2),)
-        )
+        direction = model.comparison.direction / 2
+        return FaultKind(name, "deg", degree, (_joint_columns(model, direction),))
     waves = _joint_columns(model, np.cos(q)), _joint_columns(model, np.sin(q))
     return FaultKind(name, "deg", degree, waves)
 
@@ -64,14 +74,14 @@ def _joint_columns(model: JointErrorModel, shapes: Array) -> Array:
 
 
 def geometry_columns(
-    bench: PlanningSetup, model: JointErrorModel
+    setup: PlanningSetup, model: JointErrorModel
 ) -> tuple[tuple[Parameter, ...], Array]:
     """The arm's parameters that may be identified, and their columns.
 
     Returns:
         L parameters, and (r, L), whitened, a unit of each parameter's tolerance (1 mm, 1°).
     """
-    chain = chain_of(bench.arm)
+    chain = chain_of(setup.arm)
     parameters = (*offset_parameters(chain), *geometry_parameters(chain))
     rows = np.zeros(len(model.comparison), dtype=np.int64)
     still = np.eye(4)[None]
@@ -81,17 +91,9 @@ def geometry_columns(
     return parameters, model.white.rows(columns * scale)
 
 
-POSE_KINDS = ("offsets", "gains", "eccentricity", "kinematics")  # kinds that the poses decide
-PRIOR_SIGMA = (
-    10.0  # units (1°, 1 %, 1 mm): prior of what is asked for, so that a gauge does no harm
-)
-PRIOR_SHARE = 1e-6  # of the largest: prior of what is fitted with it
-MAX_ROUNDS = 3  # of exchanges
-
-
 @dataclass(frozen=True, slots=True)
 class DesignInformation:
-    """Rows of n candidate poses, six each: of what is asked for, and of everything else."""
+    """Rows of n candidate poses, six each: of the requested parameters, and of everything else."""
 
     asked: Array  # (n, 6, a), in units
     others: Array  # (n, 6, o): fitted or held
@@ -99,12 +101,12 @@ class DesignInformation:
 
 
 def design_information(
-    bench: PlanningSetup, model: JointErrorModel, observe: tuple[str, ...], weight: float
+    setup: PlanningSetup, model: JointErrorModel, observe: tuple[str, ...], weight: float
 ) -> DesignInformation:
-    """Lay the judgement's model of single visits out pose by pose.
+    """Split the analysis' model of single visits by pose.
 
     Args:
-        bench: for the arm's geometry.
+        setup: for the arm's geometry.
         model: of one pair at each candidate pose.
         observe: kinds; of those that only the motion decides the offsets stand for.
         weight: pairs that will be taken about each pose.
@@ -113,14 +115,14 @@ def design_information(
     columns = []
     for name in names:
         if name == "kinematics":
-            columns.append(geometry_columns(bench, model)[1])
+            columns.append(geometry_columns(setup, model)[1])
         elif name != "offsets" or "kinematics" not in names:  # those hold the offsets
             one = fault_kind(name, model)
             columns += [part * one.scale for part in one.columns]
     asked = np.concatenate(columns, axis=1)
     size = np.linalg.norm(model.fitted, axis=0)
     fitted = model.fitted / np.where(size > 0, size, 1.0)
-    # what does not average out is no better known for many pairs about a pose
+    # systematic errors are no better known for many pairs about a pose
     rows = np.concatenate([asked, fitted, model.prior], axis=1) * np.sqrt(weight)
     laid = np.zeros((len(model.comparison), 6, rows.shape[1]))
     place = np.concatenate([np.arange(len(f)) for f in model.white.factors])
@@ -135,37 +137,32 @@ def design_information(
     return DesignInformation(laid[:, :, : asked.shape[1]], laid[:, :, asked.shape[1] :], prior)
 
 
-def select_poses(known: DesignInformation, poses: Rows) -> DesignInformation:
-    """Some of the candidates."""
-    return DesignInformation(known.asked[poses], known.others[poses], known.prior)
-
-
-def log_information(known: DesignInformation, chosen: list[int], times: float = 1.0) -> float:
-    """Ln det of the information on what is asked for, everything else held open.
+def log_information(information: DesignInformation, chosen: list[int], times: float = 1.0) -> float:
+    """Ln det of the information on the requested parameters, everything else held open.
 
     Args:
-        known: the candidates.
+        information: the candidates.
         chosen: which are visited.
-        times: by how many times more pairs each is seen than the rows were weighted for.
+        times: pairs of each pose, over those that the rows were weighted for.
     """
-    a = known.asked.shape[2]
-    rows = np.concatenate([known.asked[chosen], known.others[chosen]], axis=2)
+    a = information.asked.shape[2]
+    rows = np.concatenate([information.asked[chosen], information.others[chosen]], axis=2)
     flat = rows.reshape(-1, rows.shape[2])
-    whole = np.diag(known.prior) + times * flat.T @ flat
+    whole = np.diag(information.prior) + times * flat.T @ flat
     found = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(whole[a:, a:])[1]
     return float(found)
 
 
-def choose_poses(known: DesignInformation, count: int) -> list[int]:
+def choose_poses(information: DesignInformation, count: int) -> list[int]:
     """Choose so many poses; which ones, (count,)."""
     chosen: list[int] = []
-    for _ in range(min(count, len(known.asked))):
-        chosen.append(_best(known, chosen))
+    for _ in range(min(count, len(information.asked))):
+        chosen.append(_best(information, chosen))
     for _ in range(MAX_ROUNDS):
         changed = False
         for place in range(len(chosen)):
             rest = chosen[:place] + chosen[place + 1 :]
-            better = _best(known, rest, chosen[place])
+            better = _best(information, rest, chosen[place])
             changed |= better != chosen[place]
             chosen[place] = better
         if not changed:
@@ -173,20 +170,22 @@ def choose_poses(known: DesignInformation, count: int) -> list[int]:
     return chosen
 
 
-def _best(known: DesignInformation, chosen: list[int], standing: int | None = None) -> int:
+def _best(information: DesignInformation, chosen: list[int], standing: int | None = None) -> int:
     """The pose that adds most to the determinant; on a tie the one that stands there now."""
-    gain = _gain(known, chosen)
+    gain = _gain(information, chosen)
     gain[chosen] = -np.inf
     best = int(np.argmax(gain))
     return standing if standing is not None and gain[best] <= gain[standing] + 1e-9 else best
 
 
-def _gain(known: DesignInformation, chosen: list[int]) -> Array:
-    """What each pose adds to ln det of what is asked for, given everything else, (n,)."""
-    every = np.concatenate([known.asked, known.others], axis=2)
-    a = known.asked.shape[2]
-    whole = _added_information(every, every[chosen], known.prior)
-    alone = _added_information(known.others, known.others[chosen], known.prior[a:])
+def _gain(information: DesignInformation, chosen: list[int]) -> Array:
+    """What each pose adds to ln det of the requested, given everything else, (n,)."""
+    every = np.concatenate([information.asked, information.others], axis=2)
+    a = information.asked.shape[2]
+    whole = _added_information(every, every[chosen], information.prior)
+    alone = _added_information(
+        information.others, information.others[chosen], information.prior[a:]
+    )
     return whole - alone
 
 

@@ -1,13 +1,15 @@
-"""A session before it is recorded: what the chain and the judgement would make of a motion.
+"""Predict what the measuring chain and the analysis would state of a motion before it is recorded.
 
-The spots that the pictures would show are handed to the very code that measures sessions and judges
-robots, without noise but with its stated size; so what is predicted is what `verify run` will
-state, not a model of it.
+Model: the spots of both pictures are projected without noise,
 
-How well a motion would tell the encoders' clock, in worlds that are off as rig and LEDs state.
+    spot = project(camera, rig_T_base @ forward(arm, q(t + row delay)) @ led), covariance sigma^2 I
 
-What joint offsets alone do not explain counts against a clock that is found from the motion: a
-world without errors would flatter it. So worlds are drawn, and the clock is sought in each.
+and handed with readings q(t) + noise to the code that measures and analyses sessions: the
+prediction is what `verify run` will state, not a model of it.
+
+What joint offsets do not explain adds to the uncertainty of a clock that is found from the motion,
+and a world without errors has nothing of it. So N_WORLDS worlds are drawn about the stated errors,
+and the clock is estimated in each.
 """
 
 from collections.abc import Callable, Iterator
@@ -39,6 +41,11 @@ from verify.planning.constraints import PredictedView, visible_leds
 from verify.planning.request import PlanningSetup, SessionConditions
 
 N_WORLDS = 5
+MIN_BORDER_PX = 8.0  # a spot nearer to the rim is cut off
+READING_MARGIN = 0.5  # s of readings before the first pair and after the last
+BURST_TIME = 0.2  # s of readings either side of a single visit
+PEAK_DN = 200.0  # DN, of every LED: none is brighter than another
+Motion = Callable[[Array], Array]  # s (n,) to joint angles (n, j), rad
 
 
 def simulate_clock(
@@ -48,13 +55,13 @@ def simulate_clock(
     systematics: Systematics,
     rng: np.random.Generator,
 ) -> ClockEstimate:
-    """Find the clock in worlds drawn about what is stated.
+    """Estimate the clock in worlds drawn about the stated errors.
 
     Args:
         track: poses without noise.
         arm: the robot.
         readings: on the cameras' clock.
-        systematics: what rig and marker state.
+        systematics: stated by rig and marker.
         rng: draws the worlds.
 
     Returns:
@@ -92,16 +99,9 @@ def _move_poses(track: Track, twist: Array) -> Track:
     return replace(track, base_T_flange=poses)
 
 
-Motion = Callable[[Array], Array]  # s (n,) to joint angles (n, j), rad
-MIN_BORDER_PX = 8.0  # a spot nearer to the rim is cut off
-READING_MARGIN = 0.5  # s of readings before the first pair and after the last
-BURST_TIME = 0.2  # s of readings either side of a single visit
-PEAK_DN = 200.0  # DN, of every LED: none is brighter than another
-
-
 @dataclass(frozen=True, slots=True)
 class PredictedSession:
-    """What a session of n pairs, of which m are measured, would give."""
+    """The results of a session of n pairs, of which m are measured."""
 
     t: Array  # (n,), s
     q: Array  # (n, j), rad
@@ -115,7 +115,7 @@ class PredictedSession:
 
 @dataclass(frozen=True, slots=True)
 class PredictedAnalysis:
-    """What the judgement would state of it."""
+    """The analysis of a predicted session."""
 
     means: MeanErrors
     visibility: Observability
@@ -124,55 +124,55 @@ class PredictedAnalysis:
 
 
 def simulate_session(
-    bench: PlanningSetup,
+    setup: PlanningSetup,
     motion: Motion,
     t: Array,
     conditions: SessionConditions,
     view_angle: float,
     rng: np.random.Generator,
 ) -> PredictedSession | None:
-    """Play a session in which nothing is wrong.
+    """Simulate a session without errors.
 
     Args:
-        bench: arm, rig, marker.
+        setup: arm, rig, marker.
         motion: joint angles over time.
         t: (n,), s, when the left camera takes its pictures.
         conditions: of cameras and encoders.
         view_angle: rad from the flange's z within which LEDs are seen.
-        rng: for the readings' noise, whose size the judgement takes from the readings.
+        rng: for the readings' noise, whose size the analysis takes from the readings.
 
     Returns:
-        What would be found; None where no pair could be measured.
+        None where no pair could be measured.
     """
-    play = _SyntheticPairs(bench, motion, conditions, view_angle)
-    measurements = list(measure(play.pairs(t), play.setup()))
-    systematics = stated_systematics(bench.rig, bench.marker, turning=False)
+    pairs = _SyntheticPairs(setup, motion, conditions, view_angle)
+    measurements = list(measure(pairs.pairs(t), pairs.setup()))
+    systematics = stated_systematics(setup.rig, setup.marker, turning=False)
     effects = [
-        sensitivities(systematics, m, bench.rig, bench.marker)
+        sensitivities(systematics, m, setup.rig, setup.marker)
         for m in measurements
         if m.status == "measured"
     ]
-    track = collect_track(measurements, bench.rig, effects)
+    track = collect_track(measurements, setup.rig, effects)
     if not len(track):
         return None
-    readings = _readings(motion, t, conditions, bench.arm.dof, rng)
+    readings = _readings(motion, t, conditions, setup.arm.dof, rng)
     clock = (
-        simulate_clock(track, bench.arm, readings, systematics, rng)
+        simulate_clock(track, setup.arm, readings, systematics, rng)
         if conditions.clock_uncertainty is None
         else ClockEstimate(0.0, conditions.clock_uncertainty, "given", np.zeros((0, 2)))
     )
-    comparison = compare(track, bench.arm, readings, clock.offset)
+    comparison = compare(track, setup.arm, readings, clock.offset)
     comparison = add_pan_noise(comparison, track, systematics)
-    model = build_model(comparison, track, bench.rig, bench.marker, clock, systematics)
+    model = build_model(comparison, track, setup.rig, setup.marker, clock, systematics)
     return PredictedSession(
         t, motion(t), measurements, track, systematics, clock, comparison, model
     )
 
 
-def estimate_means(foreseen: PredictedSession, arm: robots.Arm) -> PredictedAnalysis:
-    """State means and their uncertainty as `verify run` does."""
-    model, clock = foreseen.model, foreseen.clock
-    comparison = foreseen.comparison
+def estimate_means(session: PredictedSession, arm: robots.Arm) -> PredictedAnalysis:
+    """Estimate mean errors and their uncertainty as `verify run` does."""
+    model, clock = session.model, session.clock
+    comparison = session.comparison
     joints = solve_joints(comparison, arm)
     inverse = joints.inverse
     errors = JointErrors(
@@ -182,7 +182,7 @@ def estimate_means(foreseen: PredictedSession, arm: robots.Arm) -> PredictedAnal
         clock=(inverse @ clock_effect(comparison))[:, :, 0],
     )
     estimated = clock.standard_uncertainty if clock.source == "estimated" else None
-    means = mean_errors(model, errors, resolve_errors(model), estimated, foreseen.systematics)
+    means = mean_errors(model, errors, resolve_errors(model), estimated, session.systematics)
     return PredictedAnalysis(means, visibility(model), errors, inverse)
 
 
@@ -193,24 +193,24 @@ class _SyntheticPairs:
     """
 
     def __init__(
-        self, bench: PlanningSetup, motion: Motion, conditions: SessionConditions, view_angle: float
+        self, setup: PlanningSetup, motion: Motion, conditions: SessionConditions, view_angle: float
     ) -> None:
-        self._bench, self._motion, self._conditions = bench, motion, conditions
+        self._setup, self._motion, self._conditions = setup, motion, conditions
         self._angle = view_angle
-        width, height = bench.rig.image_size
+        width, height = setup.rig.image_size
         self._blank: Image = np.broadcast_to(np.zeros(1, dtype=np.uint8), (height, width))
         self._now: tuple[Spots, Spots]
 
     def setup(self) -> Setup:
         return Setup(
-            self._bench.rig,
-            self._bench.marker,
-            expected=lambda t: list(self._bench.rig.rig_T_base @ self._flange(np.array([t]))),
+            self._setup.rig,
+            self._setup.marker,
+            expected=lambda t: list(self._setup.rig.rig_T_base @ self._flange(np.array([t]))),
             detect=lambda _left, _right, _in_left, _in_right: self._now,
         )
 
     def pairs(self, t: Array) -> Iterator[StereoPair]:
-        rig, skew = self._bench.rig, self._conditions.skew
+        rig, skew = self._setup.rig, self._conditions.skew
         sides = [self._spots(side, t + skew * side) for side in (0, 1)]
         for i, (left, right) in enumerate(zip(*sides, strict=True)):
             self._now = left, right
@@ -220,23 +220,23 @@ class _SyntheticPairs:
             )  # fmt: skip
 
     def _flange(self, t: Array) -> Array:
-        return robots.forward(self._bench.arm, self._motion(t))
+        return robots.forward(self._setup.arm, self._motion(t))
 
-    def _looked(self, side: int, t: Array) -> PredictedView:
-        return visible_leds(self._bench, self._flange(t), MIN_BORDER_PX, self._angle)[side]
+    def _view(self, side: int, t: Array) -> PredictedView:
+        return visible_leds(self._setup, self._flange(t), MIN_BORDER_PX, self._angle)[side]
 
     def _spots(self, side: int, t: Array) -> list[Spots]:
         """One camera's spots of all pairs; each LED at its own row's instant."""
-        rig, marker = self._bench.rig, self._bench.marker
+        rig, marker = self._setup.rig, self._setup.marker
         camera = rig.right if side else rig.left
-        view = self._looked(side, t)
+        view = self._view(side, t)
         pixels, seen = view.pixels, view.seen
         if camera.line_time:
             height = rig.image_size[1]
             for led in range(len(marker)):
                 own = np.nan_to_num(pixels[:, led])
                 late = spot_instants(0.0, own, camera, height)
-                pixels[:, led] = self._looked(side, t + late).pixels[:, led]
+                pixels[:, led] = self._view(side, t + late).pixels[:, led]
         return [self._found(p[s]) for p, s in zip(pixels, seen, strict=True)]
 
     def _found(self, centre: Array) -> Spots:

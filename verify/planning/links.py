@@ -6,43 +6,29 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from robots import Arm
+import robots
 from robots.coupling import LENGTH_SCALE
-from verify.calibration.kinematics.chain import KinematicChain, chain_of, link_transforms
 from verify.core.records import Array
 
 SPACING = 0.06  # m between the points that stand for a link
+TOL_SHARE = 1e-9  # of SPACING: a piece of rounding alone gets no point
 
 
 @dataclass(frozen=True, eq=False)
 class LinkChain:
-    """A chain of revolute joints; j of them."""
+    """An arm of j joints as straight pieces from the base to the flange.
 
-    chain: KinematicChain
+    Each link goes along its joint's axis, then across to the next joint, as d and a of a DH table.
+    """
 
-    @cached_property
-    def links(self) -> Array:
-        """What follows each joint's turn, (j, 4, 4)."""
-        return link_transforms(self.chain)
-
-    def frames(self, q: Array) -> Array:
-        """The frame in which each joint turns, and the flange's: (m, j) to (m, j + 1, 4, 4)."""
-        chain = self.chain
-        theta = chain.sign * q + chain.offset
-        frame = np.tile(chain.base_T_first, (len(q), 1, 1))
-        frames = np.empty((len(q), chain.dof + 1, 4, 4))
-        for j in range(chain.dof):
-            frames[:, j] = frame
-            frame = frame @ _turns(theta[:, j]) @ self.links[j]
-        frames[:, -1] = frame @ chain.last_T_flange
-        return frames
+    arm: robots.Arm
 
     def points(self, frames: Array) -> Array:
-        """Points along the links, from the base to the flange: (m, p, 3), m."""
+        """Points along the links of `robots.link_frames` (m, j + 1, 4, 4): (m, p, 3), m."""
         corners = [np.zeros((len(frames), 3)), frames[:, 0, :3, 3]]
-        for j in range(self.chain.dof):
+        for j, along in enumerate(self._along):
             origin, axis = frames[:, j, :3, 3], frames[:, j, :3, 2]
-            corners += [origin + self.chain.d[j] * axis, frames[:, j + 1, :3, 3]]
+            corners += [origin + along * axis, frames[:, j + 1, :3, 3]]
         whole = np.stack(corners, axis=1)
         share, before = self._shares
         points: Array = whole[:, before] * (1 - share)[:, None]
@@ -63,13 +49,26 @@ class LinkChain:
         return np.asarray(self.way > self._lengths[:2].sum() + SPACING / 10)
 
     @cached_property
+    def _rest(self) -> Array:
+        """Frames at q = 0, (j + 1, 4, 4), m."""
+        rest: Array = robots.link_frames(self.arm, np.zeros((1, self.arm.dof)))[0]
+        return rest
+
+    @cached_property
+    def _along(self) -> Array:
+        """How far each link goes along its joint's axis, (j,), m."""
+        steps = np.diff(self._rest[:, :3, 3], axis=0)
+        along: Array = np.sum(steps * self._rest[:-1, :3, 2], axis=1)
+        return along
+
+    @cached_property
     def _lengths(self) -> Array:
         """Lengths of the straight pieces between the corners, (2 j + 1,), m."""
-        frames = self.frames(np.zeros((1, self.chain.dof)))[0]
+        frames = self._rest
         lengths = [float(np.linalg.norm(frames[0, :3, 3]))]
-        for j in range(self.chain.dof):
-            after = frames[j + 1, :3, 3] - frames[j, :3, 3] - self.chain.d[j] * frames[j, :3, 2]
-            lengths += [abs(float(self.chain.d[j])), float(np.linalg.norm(after))]
+        for j, along in enumerate(self._along.tolist()):
+            across = frames[j + 1, :3, 3] - frames[j, :3, 3] - along * frames[j, :3, 2]
+            lengths += [abs(along), float(np.linalg.norm(across))]
         return np.array(lengths)
 
     @cached_property
@@ -77,15 +76,10 @@ class LinkChain:
         """Of each point: its share of a piece's length, and which piece."""
         shares, pieces = [], []
         for piece, length in enumerate(self._lengths.tolist()):
-            count = int(np.ceil(length / SPACING))
+            count = int(np.ceil(length / SPACING - TOL_SHARE))
             shares += [(k + 1) / count for k in range(count)]
             pieces += [piece] * count
         return np.array(shares), np.array(pieces, dtype=np.int64)
-
-
-def build_skeleton(arm: Arm) -> LinkChain:
-    """Lay an arm out as a chain."""
-    return LinkChain(chain_of(arm))
 
 
 def dexterity(frames: Array) -> Array:
@@ -94,12 +88,3 @@ def dexterity(frames: Array) -> Array:
     levers = flange[:, None] - frames[:, :-1, :3, 3]
     columns = np.concatenate([np.cross(axes, levers) / LENGTH_SCALE, axes], axis=2)
     return np.asarray(np.linalg.svd(columns, compute_uv=False)[:, -1])
-
-
-def _turns(angle: Array) -> Array:
-    """Turns about z, (m,) rad to (m, 4, 4)."""
-    turns = np.zeros((len(angle), 4, 4))
-    c, s = np.cos(angle), np.sin(angle)
-    turns[:, 0, 0], turns[:, 0, 1], turns[:, 1, 0], turns[:, 1, 1] = c, -s, s, c
-    turns[:, 2, 2] = turns[:, 3, 3] = 1.0
-    return turns

@@ -1,7 +1,4 @@
-"""What a session would show: uncertainty and detectable size of every fault that is asked for.
-
-What a foretold uncertainty is made of: which source is worth mending before the session.
-"""
+"""Predict the uncertainty and the detectable size of every requested fault, and its sources."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -24,17 +21,18 @@ from verify.planning.foresight import PredictedAnalysis, PredictedSession
 from verify.planning.request import FAULT_KINDS, PlanningSetup
 
 JOINT_KINDS = tuple(name for name in FAULT_KINDS if name not in ("kinematics", "clock"))
+RANDOM_SOURCE, CLOCK_SOURCE, PAN_SOURCE = "pixels, alignment, readings", "clock", "pan angle"
 TOL_COLUMN = 1e-6  # of a column's squared length: rounding
 
 
 @dataclass(frozen=True, slots=True)
 class FaultPrediction:
-    """One kind of fault, a joint each; nan where this session would not show it. SI units."""
+    """One kind of fault of each joint; nan where this session would not show it. SI units."""
 
     name: str
     unit: str
     scale: float  # SI units in one of `unit`
-    standard_uncertainty: Array  # (j,), all kinds that were asked for fitted together
+    standard_uncertainty: Array  # (j,), all requested kinds fitted together
     detectable: Array  # (j,), alone
 
 
@@ -49,7 +47,7 @@ class ClockPrediction:
 
 @dataclass(frozen=True, slots=True)
 class PredictedIdentifiability:
-    """Which of the arm's parameters could be identified, beside what rig and marker leave open."""
+    """The arm's parameters that could be identified, beside what rig and marker leave open."""
 
     parameters: tuple[Parameter, ...]  # those supported
     standard_uncertainty: Array  # m or rad
@@ -58,7 +56,7 @@ class PredictedIdentifiability:
 
 
 def predict_faults(model: JointErrorModel, observe: tuple[str, ...]) -> list[FaultPrediction]:
-    """Predict every kind of fault of single joints that is asked for."""
+    """Predict every requested kind of fault of single joints."""
     kinds = [fault_kind(name, model) for name in JOINT_KINDS if name in observe]
     if not kinds:
         return []
@@ -83,7 +81,7 @@ def predict_faults(model: JointErrorModel, observe: tuple[str, ...]) -> list[Fau
 
 
 def _detectable(model: JointErrorModel, one: FaultKind) -> Array:
-    """The smallest that would be noticed of a joint's fault alone, worst phase, (j,)."""
+    """Smallest detectable fault of each joint alone, at its worst phase, (j,)."""
     joints = model.joints.shape[1]
     smallest = np.full(joints, np.nan)
     for j in range(joints):
@@ -94,12 +92,12 @@ def _detectable(model: JointErrorModel, one: FaultKind) -> Array:
     return smallest
 
 
-def predict_clock(foreseen: PredictedSession) -> ClockPrediction:
+def predict_clock(session: PredictedSession) -> ClockPrediction:
     """Predict how well the motion tells the encoders' clock."""
-    clock, model = foreseen.clock, foreseen.model
+    clock, model = session.clock, session.model
     if clock.source != "given":
         return ClockPrediction(clock.standard_uncertainty, None, clock.source)
-    column = model.white.rows(clock_effect(foreseen.comparison))
+    column = model.white.rows(clock_effect(session.comparison))
     others = np.concatenate([model.offsets, model.fitted], axis=1)
     left = float(residual_products(others, column, model.prior)[0, 0])
     known = left > TOL_COLUMN * float(np.sum(column**2)) > 0
@@ -107,9 +105,9 @@ def predict_clock(foreseen: PredictedSession) -> ClockPrediction:
     return ClockPrediction(clock.standard_uncertainty, smallest, clock.source)
 
 
-def predict_geometry(bench: PlanningSetup, model: JointErrorModel) -> PredictedIdentifiability:
+def predict_geometry(setup: PlanningSetup, model: JointErrorModel) -> PredictedIdentifiability:
     """Predict which of the arm's parameters `verify identify` could find, and how well."""
-    parameters, columns = geometry_columns(bench, model)
+    parameters, columns = geometry_columns(setup, model)
     loose = _unit(model.fitted) / TOL_COLUMN  # found with them, as good as free
     known = information_root(columns, np.concatenate([model.prior, loose], axis=1))
     supported = identifiability(parameters, known)
@@ -127,9 +125,6 @@ def _unit(columns: Array) -> Array:
     return unit
 
 
-RANDOM_SOURCE, CLOCK_SOURCE, PAN_SOURCE = "pixels, alignment, readings", "clock", "pan angle"
-
-
 @dataclass(frozen=True, slots=True)
 class UncertaintyShare:
     """One source's part of the mean errors' standard uncertainty."""
@@ -139,43 +134,45 @@ class UncertaintyShare:
 
 
 def uncertainty_sources(
-    foreseen: PredictedSession, judged: PredictedAnalysis
+    session: PredictedSession, analysis: PredictedAnalysis
 ) -> list[UncertaintyShare]:
-    """Take the mean errors' uncertainties apart.
+    """Split the mean errors' uncertainties by source.
 
     Of plain means the squares add up. Where the means come from a fit, a share is what their
     variance loses when the source is exact, and what sources share need not add up.
 
     Args:
-        foreseen: the session.
-        judged: its means.
+        session: the session.
+        analysis: its means.
     """
-    fitted = is_fitted(foreseen.model, judged.errors)
-    found = [UncertaintyShare(RANDOM_SOURCE, judged.means.random)]
-    for name, columns, others in _columns(foreseen):
+    fitted = is_fitted(session.model, analysis.errors)
+    found = [UncertaintyShare(RANDOM_SOURCE, analysis.means.random)]
+    for name, columns, others in _columns(session):
         share = (
-            _fitted_uncertainty(foreseen, others) if fitted else _plain_uncertainty(judged, columns)
+            _fitted_uncertainty(session, others)
+            if fitted
+            else _plain_uncertainty(analysis, columns)
         )
         if np.any(share > 0):
             found.append(
-                UncertaintyShare(name, np.where(np.isnan(judged.means.mean), np.nan, share))
+                UncertaintyShare(name, np.where(np.isnan(analysis.means.mean), np.nan, share))
             )
     return found
 
 
-def _columns(foreseen: PredictedSession) -> Iterator[tuple[str, Array, Array]]:
+def _columns(session: PredictedSession) -> Iterator[tuple[str, Array, Array]]:
     """Each source's columns of unit variance (n, 6, p), and those of all others."""
-    comparison, clock = foreseen.comparison, foreseen.clock
+    comparison, clock = session.comparison, session.clock
     parts: dict[str, Array] = {}
-    stated, exact = foreseen.systematics, replace(clock, standard_uncertainty=None)
+    stated, exact = session.systematics, replace(clock, standard_uncertainty=None)
     still = replace(comparison, alignment_error=np.zeros_like(comparison.alignment_error))
     still_pan = np.full(2, np.nan)
     for source in dict.fromkeys(stated.sources):
         keep = np.array([one == source for one in stated.sources])
         own = replace(stated, covariance=stated.covariance * np.outer(keep, keep), pan=still_pan)
-        parts[source] = prior_columns(still, foreseen.track, exact, own)
+        parts[source] = prior_columns(still, session.track, exact, own)
     none = replace(stated, covariance=np.zeros_like(stated.covariance))
-    parts[PAN_SOURCE] = prior_columns(still, foreseen.track, exact, none)
+    parts[PAN_SOURCE] = prior_columns(still, session.track, exact, none)
     if clock.standard_uncertainty:
         parts[CLOCK_SOURCE] = clock_effect(comparison) * clock.standard_uncertainty
     for name, columns in parts.items():
@@ -183,18 +180,18 @@ def _columns(foreseen: PredictedSession) -> Iterator[tuple[str, Array, Array]]:
         yield name, columns, np.concatenate([*rest, np.zeros((len(comparison), 6, 0))], axis=2)
 
 
-def _plain_uncertainty(judged: PredictedAnalysis, columns: Array) -> Array:
+def _plain_uncertainty(analysis: PredictedAnalysis, columns: Array) -> Array:
     """Standard uncertainty carried through the plain mean, (j,)."""
-    known = ~np.isnan(judged.errors.error)
+    known = ~np.isnan(analysis.errors.error)
     weight = known / np.maximum(known.sum(axis=0), 1)
-    share = np.einsum("ni,nij,njp->ip", weight, judged.inverse, columns)
+    share = np.einsum("ni,nij,njp->ip", weight, analysis.inverse, columns)
     size: Array = np.linalg.norm(share, axis=1)
     return size
 
 
-def _fitted_uncertainty(foreseen: PredictedSession, others: Array) -> Array:
+def _fitted_uncertainty(session: PredictedSession, others: Array) -> Array:
     """What the fitted means' uncertainty loses when a source is exact, (j,)."""
-    model = foreseen.model
+    model = session.model
     design = np.concatenate([model.offsets, model.fitted], axis=1)
     joints = model.offsets.shape[1]
     without = np.diag(solve(design, model.xi, model.white.rows(others)).covariance)[:joints]

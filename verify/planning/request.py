@@ -1,4 +1,4 @@
-"""What a plan is asked for, what the next session is taken to be like, and with what."""
+"""Define what a plan is requested to show, the conditions of the next session, and its setup."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ DEFAULT_KINDS = ("offsets", "gains", "backlash", "clock")
 
 @dataclass(frozen=True, slots=True)
 class PlanningSetup:
-    """The arm, and what looks at it; the camera bases stand as the rig has them."""
+    """Arm, cameras and LEDs; the camera bases stand as the rig has them."""
 
     arm: Arm
     rig: Rig
@@ -24,7 +24,7 @@ class PlanningSetup:
 
 @dataclass(frozen=True, slots=True)
 class SessionConditions:
-    """What the next session is taken to be like."""
+    """Assumed conditions of the next session."""
 
     rate: float = 10.0  # stereo pairs a second
     skew: float = 0.0  # s, right picture after the left
@@ -51,5 +51,5 @@ class PlanRequest:
 
     @property
     def there_and_back(self) -> bool:
-        """Every pose is visited from either side: what shows backlash and nothing else."""
+        """Every pose is visited from either side: nothing else shows backlash."""
         return "backlash" in self.observe

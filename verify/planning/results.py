@@ -1,7 +1,4 @@
-"""A plan as results that `reports` words and keeps.
-
-A plan as tables: for a controller, and for the report's pictures.
-"""
+"""Write a plan as results for `reports`: summary, and tables for a controller and for figures."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -10,17 +7,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+import robots
 from reports import Results
 from verify.core.records import Array, Measurement
 from verify.core.version import __version__
-from verify.planning.links import build_skeleton
+from verify.planning.links import LinkChain
 from verify.planning.plan import SessionPlan, SessionPrediction
 from verify.planning.prediction import PredictedIdentifiability, uncertainty_sources
 from verify.planning.request import PlanningSetup, PlanRequest, SessionConditions
 from verify.planning.timing import PERIOD, TimedMotion
 
 MAX_DRAWN_ARMS = 6  # of the poses, in the picture of the path
-FLANGE_STEP = 0.25  # s between the points of the flange's way
+FLANGE_STEP = 0.25  # s between the points of the flange's path
+FROM_DEG, FROM_MM = float(np.deg2rad(1.0)), 1e-3
 
 
 def trajectory_table(timed: TimedMotion) -> pd.DataFrame:
@@ -48,8 +47,8 @@ def pose_table(timed: TimedMotion) -> pd.DataFrame:
 
 
 def pair_table(predicted: SessionPrediction) -> pd.DataFrame:
-    """What becomes of each pair."""
-    seen = predicted.foreseen
+    """Status and joint angles of each pair."""
+    seen = predicted.session
     columns: dict[str, Any] = {
         "frame": np.arange(len(seen.t)),
         "t_s": seen.t,
@@ -59,10 +58,10 @@ def pair_table(predicted: SessionPrediction) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def spot_table(measurements: list[Measurement], bench: PlanningSetup) -> pd.DataFrame:
+def spot_table(measurements: list[Measurement], setup: PlanningSetup) -> pd.DataFrame:
     """Every LED image of every pair that was measured."""
     rows = [
-        (m.frame, camera, bench.marker.names[led], x, y)
+        (m.frame, camera, setup.marker.names[led], x, y)
         for m in measurements
         for camera, sighting in (("left", m.left), ("right", m.right))
         if sighting is not None
@@ -71,25 +70,25 @@ def spot_table(measurements: list[Measurement], bench: PlanningSetup) -> pd.Data
     return pd.DataFrame(rows, columns=["frame", "camera", "led", "x_px", "y_px"])
 
 
-def arm_table(timed: TimedMotion, bench: PlanningSetup) -> pd.DataFrame:
-    """The flange's way, and the links at some of the poses; robot's base frame."""
-    bones = build_skeleton(bench.arm)
+def arm_table(timed: TimedMotion, setup: PlanningSetup) -> pd.DataFrame:
+    """The flange's path, and the links at some of the poses; robot's base frame."""
     t = np.append(np.arange(0.0, timed.duration, FLANGE_STEP), timed.duration)
-    flange = bones.frames(timed.q(t))[:, -1, :3, 3] * 1e3
+    flange = robots.forward(setup.arm, timed.q(t))[:, :3, 3] * 1e3
     rows = [("flange", 0, *place) for place in flange.tolist()]
     stops = [stop.q for stop in timed.stops if stop.pose is not None]
     some = np.unique(np.linspace(0, len(stops) // 2, MAX_DRAWN_ARMS).astype(int))
-    points = bones.points(bones.frames(np.array([stops[k] for k in some])))
+    frames = robots.link_frames(setup.arm, np.array([stops[k] for k in some]))
+    points = LinkChain(setup.arm).points(frames)
     for number, arm in enumerate(points * 1e3, start=1):
         rows += [("arm", number, *place) for place in arm.tolist()]
     return pd.DataFrame(rows, columns=["what", "number", "x_mm", "y_mm", "z_mm"])
 
 
-def camera_table(bench: PlanningSetup) -> pd.DataFrame:
-    """Where the cameras stand and look; robot's base frame."""
-    base_T_rig = np.linalg.inv(bench.rig.rig_T_base)
+def camera_table(setup: PlanningSetup) -> pd.DataFrame:
+    """Positions and optical axes of the cameras; robot's base frame."""
+    base_T_rig = np.linalg.inv(setup.rig.rig_T_base)
     rows = []
-    for name, camera in (("left", bench.rig.left), ("right", bench.rig.right)):
+    for name, camera in (("left", setup.rig.left), ("right", setup.rig.right)):
         placed = base_T_rig @ camera.rig_T_camera(camera.pan)
         rows.append((name, *(placed[:3, 3] * 1e3).tolist(), *placed[:3, 2].tolist()))
     return pd.DataFrame(
@@ -101,7 +100,7 @@ def fault_table(predicted: SessionPrediction) -> pd.DataFrame:
     """Every kind of fault of every joint."""
     rows = [
         (j + 1, one.name, one.unit, u, smallest)
-        for one in predicted.shown
+        for one in predicted.faults
         for j, (u, smallest) in enumerate(
             zip(
                 (one.standard_uncertainty / one.scale).tolist(),
@@ -116,10 +115,10 @@ def fault_table(predicted: SessionPrediction) -> pd.DataFrame:
 
 
 def source_table(predicted: SessionPrediction) -> pd.DataFrame:
-    """What each joint's uncertainty is made of."""
+    """Sources of each joint's uncertainty."""
     rows = [
         (j + 1, one.name, u)
-        for one in uncertainty_sources(predicted.foreseen, predicted.judged)
+        for one in uncertainty_sources(predicted.session, predicted.analysis)
         for j, u in enumerate(np.rad2deg(one.share).tolist())
     ]
     return pd.DataFrame(rows, columns=["joint", "source", "standard_uncertainty_deg"])
@@ -129,15 +128,12 @@ def _angles(q: Array) -> dict[str, Array]:
     return {f"q{j + 1}_deg": np.rad2deg(q[:, j]) for j in range(q.shape[1])}
 
 
-FROM_DEG, FROM_MM = float(np.deg2rad(1.0)), 1e-3
-
-
 @dataclass(frozen=True, slots=True)
 class PlanProvenance:
-    """What a plan was made for."""
+    """Inputs of a plan."""
 
-    bench: PlanningSetup
-    wish: PlanRequest
+    setup: PlanningSetup
+    request: PlanRequest
     conditions: SessionConditions
     inputs: dict[str, str]  # "sha256:…" by name
     warnings: tuple[str, ...]
@@ -151,25 +147,25 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         origin: what it was made for.
 
     Returns:
-        Summary as listed at the head of reports/plan/document.py; tables trajectory, poses, pairs, spots,
-        arm, cameras, shown, sources.
+        Summary as listed at the head of reports/plan/document.py; tables trajectory, poses, pairs,
+        spots, arm, cameras, shown, sources.
     """
     predicted, timed = made.prediction, made.timed
-    seen = predicted.foreseen
+    seen = predicted.session
     summary: dict[str, Any] = {
         "format": 1,
         "kind": "plan",
         "tool": {"name": "verify", "version": __version__},
-        "robot": origin.bench.arm.name,
-        "robot_fingerprint": f"sha256:{origin.bench.arm.fingerprint}",
-        "observe": list(origin.wish.observe),
+        "robot": origin.setup.arm.name,
+        "robot_fingerprint": f"sha256:{origin.setup.arm.fingerprint}",
+        "observe": list(origin.request.observe),
         "motion": _motion(timed, origin),
         "pairs": _pairs(seen.measurements),
-        "candidates": {"tried": made.known.tried, "excluded": made.known.excluded},
+        "candidates": {"tried": made.roadmap.tried, "excluded": made.roadmap.excluded},
         "conditions": _conditions(origin.conditions),
-        "image_size": list(origin.bench.rig.image_size),
+        "image_size": list(origin.setup.rig.image_size),
         "joints": _joints(predicted, timed),
-        "joint_error_correlation": _correlation(predicted.judged.means.covariance),
+        "joint_error_correlation": _correlation(predicted.analysis.means.covariance),
         "clock": _clock(predicted),
         "geometry": None if predicted.geometry is None else _geometry(predicted.geometry),
         "through_encoders": seen.model.through_encoders,
@@ -181,9 +177,9 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         "trajectory": trajectory_table(timed),
         "poses": pose_table(timed),
         "pairs": pair_table(predicted),
-        "spots": spot_table(seen.measurements, origin.bench),
-        "arm": arm_table(timed, origin.bench),
-        "cameras": camera_table(origin.bench),
+        "spots": spot_table(seen.measurements, origin.setup),
+        "arm": arm_table(timed, origin.setup),
+        "cameras": camera_table(origin.setup),
         "shown": fault_table(predicted),
         "sources": source_table(predicted),
     }
@@ -196,11 +192,11 @@ def _motion(timed: TimedMotion, origin: PlanProvenance) -> dict[str, Any]:
         "duration_s": timed.duration,
         "poses": len(set(visited)),
         "visits": len(visited),
-        "hold_s": origin.wish.hold,
-        "there_and_back": origin.wish.there_and_back,
-        "view_angle_deg": float(np.rad2deg(origin.wish.view_angle)),
-        "floor_mm": origin.wish.floor * 1e3,
-        "seed": origin.wish.seed,
+        "hold_s": origin.request.hold,
+        "there_and_back": origin.request.there_and_back,
+        "view_angle_deg": float(np.rad2deg(origin.request.view_angle)),
+        "floor_mm": origin.request.floor * 1e3,
+        "seed": origin.request.seed,
     }
 
 
@@ -228,8 +224,8 @@ def _conditions(conditions: SessionConditions) -> dict[str, Any]:
 
 
 def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, Any]]:
-    means, seen = predicted.judged.means, predicted.foreseen
-    visible = predicted.judged.visibility
+    means, seen = predicted.analysis.means, predicted.session
+    visible = predicted.analysis.visibility
     spread = np.sqrt(np.diag(means.covariance))
     t = np.append(np.arange(0.0, timed.duration, PERIOD), timed.duration)
     q, comparison = timed.q(t), seen.comparison
@@ -256,7 +252,7 @@ def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, 
                     "standard_uncertainty": _number(one.standard_uncertainty[j] / one.scale),
                     "minimum_detectable": _number(one.detectable[j] / one.scale),
                 }
-                for one in predicted.shown
+                for one in predicted.faults
             ],
         }
         for j in range(len(spread))

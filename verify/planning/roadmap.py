@@ -1,6 +1,15 @@
-"""Postures that may be planned with, and straight joint-space legs between them that may too.
+"""Find postures that keep the constraints, clear legs between them, and a short tour of poses.
 
-In which order the poses are visited, and over which ways: short, and clear all along.
+Model: a probabilistic roadmap (Kavraki et al., 1996). Nodes are postures that keep the constraints,
+drawn over the whole range and then about known ones (STRAY_SIGMA); edges are straight legs to the
+N_NEIGHBOURS nearest, checked every LEG_STEP. An edge's length is the turn of the slowest joint,
+max_j |dq_j|. The largest connected set is kept. The tour through the chosen poses is the nearest
+next, improved by reversing parts (2-opt).
+
+State of `Roadmap`:
+    q       (n, j) postures, rad
+    time    (n, n) length of the shortest path, rad
+    before  (n, n) the node before the column's on the path from the row's
 """
 
 from dataclasses import dataclass
@@ -21,9 +30,10 @@ MAX_DRAWN = 400_000
 MIN_POSTURES = 150  # postures from all over; the others are found about these
 MAX_NODES = 500
 N_NEIGHBOURS = 12
-LEG_STEP = np.deg2rad(5.0)  # between the postures that a leg is looked at
+LEG_STEP = np.deg2rad(5.0)  # between the postures at which a leg is checked
 STRAY_SIGMA = np.deg2rad(20.0)  # standard deviation about a known posture, each joint
-MAX_WALKS = 40  # rounds of straying
+MAX_WALKS = 40  # rounds of drawing about known postures
+MAX_ROUNDS = 20  # of improvements by reversing parts of the tour
 ROOM_REMEDY = "Give another --near or a wider --within-deg."
 REMEDIES = dict(
     zip(
@@ -44,24 +54,24 @@ REMEDIES = dict(
 
 @dataclass(frozen=True, slots=True)
 class Roadmap:
-    """n connected postures, and the ways between them."""
+    """n connected postures, and the paths between them."""
 
     q: Array  # (n, j), rad
-    time: Array  # (n, n), of the shortest way, in turns of the slowest joint, rad
-    before: Rows  # (n, n): on the way from the row's posture, what stands before the column's
+    time: Array  # (n, n), of the shortest path, in turns of the slowest joint, rad
+    before: Rows  # (n, n): the posture before the column's on the path from the row's
     tried: int  # postures drawn
     excluded: dict[str, int]  # of them, by what excludes them
 
-    def way(self, start: int, end: int) -> list[int]:
+    def path(self, start: int, end: int) -> list[int]:
         """The postures from one to another, the first left out."""
-        way = [end]
-        while (previous := int(self.before[start, way[-1]])) != start:
-            way.append(previous)
-        return way[::-1]
+        path = [end]
+        while (previous := int(self.before[start, path[-1]])) != start:
+            path.append(previous)
+        return path[::-1]
 
 
 def build_roadmap(constraints: PostureConstraints, rng: np.random.Generator) -> Roadmap:
-    """Draw postures that keep the constraints, and join them by legs that do.
+    """Draw postures that keep the constraints, and connect them by legs that do.
 
     Raises:
         InputError: no posture keeps them; says how many each constraint excludes.
@@ -79,8 +89,8 @@ def build_roadmap(constraints: PostureConstraints, rng: np.random.Generator) -> 
 
 
 def _reject_singular(constraints: PostureConstraints, q: Array) -> Array:
-    """Leave out what the judgement would: it takes no pair near a singularity into its means."""
-    arm = constraints.bench.arm
+    """Leave out postures near a singularity: the analysis takes no pair there into its means."""
+    arm = constraints.setup.arm
     if arm.dof != 6 or not len(q):  # more joints are always coupled
         return q
     kept: Array = q[np.array([found is None for found in robots.couplings(arm, q)], dtype=bool)]
@@ -105,7 +115,7 @@ def _draw_postures(
 
 
 def _draw_nearby(constraints: PostureConstraints, q: Array, rng: np.random.Generator) -> Array:
-    """Add postures about those that are known: where few are in view, they are neighbours."""
+    """Add postures about known ones: where few are in view, they are neighbours."""
     for _ in range(MAX_WALKS):
         if len(q) >= MAX_NODES:
             break
@@ -116,7 +126,7 @@ def _draw_nearby(constraints: PostureConstraints, q: Array, rng: np.random.Gener
 
 
 def _legs(constraints: PostureConstraints, q: Array) -> Array:
-    """Legs (e, 2) between near postures, along which everything is kept."""
+    """Find clear legs (e, 2) between near postures."""
     count = min(N_NEIGHBOURS + 1, len(q))
     near = KDTree(q).query(q, count, p=np.inf)[1].reshape(len(q), count)
     ends = np.stack([np.repeat(np.arange(len(q)), count), near.reshape(-1)], axis=1)
@@ -127,14 +137,14 @@ def _legs(constraints: PostureConstraints, q: Array) -> Array:
 
 
 def clear_legs(constraints: PostureConstraints, start: Array, end: Array) -> Array:
-    """Say along which straight legs (e, j) to (e, j) everything is kept, (e,)."""
+    """Whether all constraints are kept along straight legs (e, j) to (e, j), (e,)."""
     spans = np.abs(end - start).max(axis=1, initial=0.0)
     steps = np.maximum(np.ceil(spans / LEG_STEP).astype(int) - 1, 0)
     leg = np.repeat(np.arange(len(start)), steps)
     place = np.concatenate([np.arange(1, n + 1) / (n + 1) for n in steps.tolist()] or [np.zeros(0)])
     between = start[leg] + place[:, None] * (end - start)[leg]
     kept = np.ones(len(start), dtype=bool)
-    kept[leg[~constraints.good(between, on_the_way=True)]] = False
+    kept[leg[~constraints.good(between, passing=True)]] = False
     return kept
 
 
@@ -153,18 +163,15 @@ def _largest_component(q: Array, legs: Array, tried: int, excluded: dict[str, in
 def _no_posture_refusal(
     constraints: PostureConstraints, tried: int, excluded: dict[str, int]
 ) -> InputError:
-    """Say what excludes every posture; the last that does is what to mend."""
+    """Count what excludes the postures; the last constraint that does gives the remedy."""
     counts = {name: n for name, n in excluded.items() if n}
     said = ", ".join(f"{n:,} by {name}" for name, n in counts.items())
     return InputError(
         "plan",
-        f"none of {tried:,} postures of {constraints.bench.arm.name} can be used: excluded {said}",
+        f"none of {tried:,} postures of {constraints.setup.arm.name} can be used: excluded {said}",
         "poses are planned where both cameras see 3 LEDs and the arm is clear of everything",
         REMEDIES[list(counts)[-1]],
     )
-
-
-MAX_ROUNDS = 20  # of improvements by turning parts of the tour around
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,22 +183,22 @@ class MotionStop:
 
 
 def plan_tour(
-    constraints: PostureConstraints, known: Roadmap, chosen: list[int], *, back: bool
+    constraints: PostureConstraints, roadmap: Roadmap, chosen: list[int], *, back: bool
 ) -> list[MotionStop]:
-    """Order the chosen postures and join them.
+    """Order the chosen postures and connect them.
 
     Args:
-        constraints: that the direct ways must keep.
-        known: postures and ways between them.
+        constraints: kept by the direct legs.
+        roadmap: postures and paths between them.
         chosen: of its postures, the poses.
-        back: the same way back as well, so that every pose is come to from either side.
+        back: the same path back as well, so that every pose is approached from either side.
 
     Returns:
         The stops, the first pose first.
     """
     places = np.array(chosen, dtype=np.int64)
-    q = known.q[places]
-    length = known.time[np.ix_(places, places)].copy()
+    q = roadmap.q[places]
+    length = roadmap.time[np.ix_(places, places)].copy()
     direct = np.abs(q[:, None] - q).max(axis=2)
     one, other = np.triu_indices(len(q), 1)
     free = clear_legs(constraints, q[one], q[other])
@@ -202,16 +209,15 @@ def plan_tour(
     stops = [MotionStop(q[order[0]], 0)]
     for number, (a, b) in enumerate(pairwise(order), start=1):
         if not straight[a, b]:
-            way = known.way(int(places[a]), int(places[b]))[:-1]
-            stops += [
-                MotionStop(row, None) for row in _shortcut(constraints, q[a], known.q[way], q[b])
-            ]
+            between = roadmap.q[roadmap.path(int(places[a]), int(places[b]))[:-1]]
+            passed = _shortcut(constraints, q[a], between, q[b])
+            stops += [MotionStop(row, None) for row in passed]
         stops.append(MotionStop(q[b], number))
     return stops + stops[-2::-1] if back else stops
 
 
 def _short_tour(length: Array) -> Rows:
-    """A short open tour: the nearest next, then parts turned around while that shortens it."""
+    """Find a short open tour: the nearest next, then parts reversed while that shortens it."""
     n = len(length)
     tours = [_improve_tour(_nearest(length, start), length) for start in range(min(n, 5))]
     return min(tours, key=lambda one: _tour_length(one, length))
@@ -243,9 +249,11 @@ def _tour_length(order: Rows, length: Array) -> float:
     return float(length[order[:-1], order[1:]].sum())
 
 
-def _shortcut(constraints: PostureConstraints, start: Array, way: Array, end: Array) -> list[Array]:
-    """Leave out postures of a way where the leg past them is clear as well."""
-    whole = [start, *way, end]
+def _shortcut(
+    constraints: PostureConstraints, start: Array, between: Array, end: Array
+) -> list[Array]:
+    """Leave out postures of a path where the leg past them is clear as well."""
+    whole = [start, *between, end]
     kept, at = [], 0
     while at < len(whole) - 1:
         ahead = np.array(whole[at + 1 :])

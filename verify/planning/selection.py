@@ -1,4 +1,4 @@
-"""Which poses are visited in the time there is: far apart they tell more, near by they are many."""
+"""Choose how many poses, and how far apart, are visited in the given time."""
 
 from dataclasses import dataclass, replace
 
@@ -12,7 +12,6 @@ from verify.planning.design import (
     choose_poses,
     design_information,
     log_information,
-    select_poses,
 )
 from verify.planning.foresight import simulate_session
 from verify.planning.request import SessionConditions
@@ -27,28 +26,25 @@ NEAR_SHARES = (1.0, 0.5, 0.2)  # shares of the postures that are tried, those ne
 
 @dataclass(frozen=True)
 class PoseSelection:
-    """Candidate poses and what a visit to each would tell."""
+    """Candidate poses and the information of a visit to each."""
 
     constraints: PostureConstraints
-    known: Roadmap
+    roadmap: Roadmap
     conditions: SessionConditions
     rows: DesignInformation
     node: Rows  # of each candidate, its posture in the roadmap
 
     def motion(self) -> TimedMotion:
-        """Choose poses and time them: so many as asked for, or as fill the duration.
+        """Choose poses and time them: the requested number, or as many as the duration allows.
 
         Raises:
             InputError: the duration is too short for any plan.
         """
-        wish = self.constraints.wish
+        request = self.constraints.request
         every = np.arange(len(self.node), dtype=np.int64)
-        if wish.poses is not None:
-            return self._made(every, min(wish.poses, len(every)))[0]
-        return self._filling(wish.duration or 0.0)
-
-    def _filling(self, duration: float) -> TimedMotion:
-        """Fill the time with poses from all over, or from near by; what tells more is taken."""
+        if request.poses is not None:
+            return self._made(every, min(request.poses, len(every)))[0]
+        duration = request.duration or 0.0
         best, most, shortest = None, -np.inf, np.inf
         for among in self._reaches():
             timed, tells = self._fullest(among, duration)
@@ -63,14 +59,14 @@ class PoseSelection:
         return best
 
     def _reaches(self) -> list[Rows]:
-        """Candidates from all over, and ever fewer about the one that is nearest to the others."""
-        away = self.known.time[np.ix_(self.node, self.node)]
+        """All candidates, and shares of them about the one that is nearest to the others."""
+        away = self.roadmap.time[np.ix_(self.node, self.node)]
         near = np.argsort(away[int(np.argmin(away.mean(axis=1)))], kind="stable")
         sizes = [max(int(share * len(near)), min(MIN_POSES, len(near))) for share in NEAR_SHARES]
         return [near[:size].astype(np.int64) for size in sizes]
 
     def _fullest(self, among: Rows, duration: float) -> tuple[TimedMotion, float]:
-        """As many poses as the duration allows, by halving; MIN_POSES where even those take longer."""
+        """As many poses as the duration allows, by halving; at least MIN_POSES."""
         best = self._made(among, MIN_POSES)
         low, high = MIN_POSES, min(MAX_POSES, len(among)) + 1
         while high - low > 1 and best[0].duration <= duration:
@@ -84,48 +80,51 @@ class PoseSelection:
 
     def _made(self, among: Rows, count: int) -> tuple[TimedMotion, float]:
         """The motion through the best poses, and how much it tells: ln det of the information."""
-        bench, wish = self.constraints.bench, self.constraints.wish
-        chosen = among[choose_poses(select_poses(self.rows, among), count)]
+        setup, request = self.constraints.setup, self.constraints.request
+        rows = self.rows
+        part = DesignInformation(rows.asked[among], rows.others[among], rows.prior)
+        chosen = among[choose_poses(part, count)]
         stops = plan_tour(
-            self.constraints, self.known, self.node[chosen].tolist(), back=wish.there_and_back
+            self.constraints, self.roadmap, self.node[chosen].tolist(), back=request.there_and_back
         )
-        timed = schedule(stops, joint_limits(bench.arm, wish.speed), wish.hold)
+        timed = schedule(stops, joint_limits(setup.arm, request.speed), request.hold)
         # the pairs of the whole motion, shared out over its poses
         each = self.conditions.rate * timed.duration / len(chosen)
-        return timed, log_information(
-            self.rows, chosen.tolist(), each / _pairs(self.conditions, wish.hold)
-        )
+        times = each / _pairs(self.conditions, request.hold)
+        return timed, log_information(rows, chosen.tolist(), times)
 
 
-def foresee_visits(
+def predict_visits(
     constraints: PostureConstraints,
-    known: Roadmap,
+    roadmap: Roadmap,
     conditions: SessionConditions,
     rng: np.random.Generator,
 ) -> PoseSelection:
-    """Foresee a visit to every posture of a roadmap.
+    """Predict a visit to every posture of a roadmap.
 
     Raises:
         InputError: the LEDs cannot be told apart in any.
     """
-    bench, wish = constraints.bench, constraints.wish
-    visits = VISIT_INTERVAL * np.arange(len(known.q), dtype=np.float64)
+    setup, request = constraints.setup, constraints.request
+    visits = VISIT_INTERVAL * np.arange(len(roadmap.q), dtype=np.float64)
     still = replace(conditions, skew=0.0, clock_uncertainty=0.0)  # at rest neither counts
 
     def posture(t: Array) -> Array:
-        q: Array = known.q[np.clip(np.round(t / VISIT_INTERVAL).astype(int), 0, len(known.q) - 1)]
+        q: Array = roadmap.q[
+            np.clip(np.round(t / VISIT_INTERVAL).astype(int), 0, len(roadmap.q) - 1)
+        ]
         return q
 
-    seen = simulate_session(bench, posture, visits, still, wish.view_angle, rng)
+    seen = simulate_session(setup, posture, visits, still, request.view_angle, rng)
     if seen is None:
         raise InputError(
             "plan", f"the LEDs cannot be told apart in any of {len(visits)} postures",
             "an LED body without symmetry, or of several colours, can", "Change the marker.",
         )  # fmt: skip
-    weight = _pairs(conditions, wish.hold)
-    rows = design_information(bench, seen.model, wish.observe, weight)
+    weight = _pairs(conditions, request.hold)
+    rows = design_information(setup, seen.model, request.observe, weight)
     node = seen.track.frame[seen.comparison.index].astype(np.int64)
-    return PoseSelection(constraints, known, conditions, rows, node)
+    return PoseSelection(constraints, roadmap, conditions, rows, node)
 
 
 def _pairs(conditions: SessionConditions, hold: float) -> float:

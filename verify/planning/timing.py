@@ -1,7 +1,7 @@
-"""When the arm is where: legs from rest to rest, limited in jerk, each at a pace of its own."""
+"""Time a tour: jerk-limited legs from rest to rest, each at its own share of the greatest speed."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from verify.planning.roadmap import MotionStop
 # that varies (corr(latency, backlash) is -0.15 to -0.73 at one speed).
 PACES = (1.0, 0.5, 0.8, 0.4)
 SPEED_UP_TIME = 0.4  # s to full speed, where the arm's file states no acceleration
-ACCELERATION_TIME = 0.15  # s to full acceleration, likewise
+ACCELERATION_TIME = 0.15  # s to full acceleration, where it states no jerk
 PERIOD = 0.05  # s between the rows of plan.csv
 
 
@@ -27,10 +27,11 @@ class TimedMotion:
     leave: Array  # (k,), s
     legs: tuple[Trajectory, ...]  # (k - 1)
     pace: Array  # (k - 1,), share of the greatest speed
-    duration: float = field(init=False)  # s
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "duration", float(self.leave[-1]))
+    @property
+    def duration(self) -> float:
+        """In s."""
+        return float(self.leave[-1])
 
     def q(self, t: Array) -> Array:
         """Joint angles (n, j), rad, at times (n,), s; at rest before and after."""
@@ -38,13 +39,10 @@ class TimedMotion:
         found = np.tile(self.stops[0].q, (len(t), 1))
         for i in np.unique(leg[leg >= 0]).tolist():
             own = leg == i
-            found[own] = self._along(i, t[own] - self.leave[i])
+            part = self.legs[i]
+            since = np.clip(t[own] - self.leave[i], 0.0, part.duration).tolist()
+            found[own] = part.path.q(np.array([part.curve.at_time(s)[0][0] for s in since]))
         return found
-
-    def _along(self, leg: int, since: Array) -> Array:
-        trajectory = self.legs[leg]
-        place = np.array([_sample_leg(trajectory, s) for s in since.tolist()])
-        return trajectory.path.q(place)
 
     def resting(self, t: Array) -> list[int | None]:
         """Which pose the arm rests at, at times (n,)."""
@@ -57,7 +55,7 @@ class TimedMotion:
 
 
 def joint_limits(arm: Arm, speed: float) -> JointLimits:
-    """What the joints may do: the arm's file, and no joint faster than asked."""
+    """Limits of the joints: those of the arm's file, and no joint faster than requested."""
     most = np.full(arm.dof, speed)
     if arm.speed is not None:
         most = np.minimum(most, arm.speed)
@@ -70,7 +68,7 @@ def joint_limits(arm: Arm, speed: float) -> JointLimits:
 
 
 def schedule(stops: Sequence[MotionStop], greatest: JointLimits, hold: float) -> TimedMotion:
-    """Give each leg its pace and each pose its rest.
+    """Give each leg its speed and each pose its rest.
 
     Args:
         stops: in order.
@@ -81,7 +79,9 @@ def schedule(stops: Sequence[MotionStop], greatest: JointLimits, hold: float) ->
     for k, stop in enumerate(stops):
         if k:
             pace = PACES[(k - 1) % len(PACES)]
-            leg = time_path(joint_path(stops[k - 1].q, stop.q), _scale_limits(greatest, pace))
+            leg = time_path(
+                joint_path(stops[k - 1].q, stop.q), replace(greatest, speed=pace * greatest.speed)
+            )
             now += leg.duration
             legs.append(leg)
             paces.append(pace)
@@ -91,14 +91,3 @@ def schedule(stops: Sequence[MotionStop], greatest: JointLimits, hold: float) ->
     return TimedMotion(
         tuple(stops), np.array(arrive), np.array(leave), tuple(legs), np.array(paces)
     )
-
-
-def _scale_limits(greatest: JointLimits, pace: float) -> JointLimits:
-    return JointLimits(
-        greatest.lower, greatest.upper, pace * greatest.speed, greatest.acceleration, greatest.jerk
-    )
-
-
-def _sample_leg(trajectory: Trajectory, since: float) -> float:
-    inside = min(max(since, 0.0), trajectory.duration)
-    return float(trajectory.curve.at_time(inside)[0][0])

@@ -20,7 +20,7 @@ from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes
 from verify.analysis.joint_errors import resolve_errors
-from verify.analysis.model import add_pan_noise
+from verify.analysis.model import SessionComparison, add_pan_noise
 from verify.analysis.session import session_model
 from verify.core.readings import Readings
 from verify.core.records import Array
@@ -146,7 +146,8 @@ def diagnosed(watched: Watched, fault: Injected | None) -> Diagnosis:
     comparison = compare(track, session.arm, readings, clock.offset)
     comparison = add_pan_noise(comparison, track, watched.systematics)
     joints = solve_joints(comparison, session.arm)
-    model = session_model(session, track, clock, watched.systematics, comparison, joints)
+    compared = SessionComparison(session, track, watched.systematics, clock, comparison, joints)
+    model = session_model(compared)
     return find_causes(model, resolve_errors(model), session.arm, session.rig)
 
 

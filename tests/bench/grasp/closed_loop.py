@@ -39,7 +39,7 @@ def grasp(setup: CellSetup, seed: int, fault: float, *, closed: bool) -> Grasp:
     made = cell_grab(setup, scene, right=ExecutePermission("bench"), auto=True, closed=closed)
     ended = run(made.loop, made.source, ENDS, lambda _: None)
     world, planned = made.world, made.loop.aim.planned
-    plan, seen = made.loop.aim.plan, None if planned is None else planned.thing.seen
+    plan, seen = made.loop.aim.plan, None if planned is None else planned.thing.offset
     error = np.nan
     if world.closed_on is not None and world.closed_at is not None and plan is not None:
         off = world.closed_on - world.closed_at - [0.0, 0.0, plan.margin.raised]

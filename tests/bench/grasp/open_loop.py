@@ -72,7 +72,7 @@ def distances(setup: CellSetup, rows: int = 3, columns: int = 5) -> Array:
             for _ in range(PAIRS):
                 made.loop.cycle(made.source.pair())
                 made.source.wait()
-            known = made.loop.aim.known
+            known = made.loop.aim.target
             assert known is not None
             marks.append(mark)
             places.append(known.thing.position)

@@ -86,7 +86,7 @@ def calibration(seed: int = 3, count: int = 20, tilt_deg: float = 35.0) -> Calib
         camera=rows[:, 0].astype(np.int64),
         frame=rows[:, 1].astype(np.int64),
         corner=rows[:, 2].astype(np.int64),
-        seen=rows[:, 3:5],
+        observed=rows[:, 3:5],
         residual=rows[:, 5:7],
         uncertainty=np.full(len(rows), NOISE),
         used=np.ones(len(rows), dtype=bool),

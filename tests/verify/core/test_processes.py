@@ -1,24 +1,126 @@
-import ctypes
+"""Child processes: ready, asked, late, failed, lost, stopped; and their priority."""
+
 import os
-import platform
-import re
+import signal
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from verify.core.processes import (
-    ATTRIBUTES,
     NICENESS,
-    SCHED_SETATTR,
-    SHORT_SLICE_NS,
+    READY,
+    ChildFailedError,
+    ChildLateError,
+    ChildLostError,
+    ChildProcess,
+    ParentLine,
+    answer_requests,
     lower_priority,
-    request_short_slice,
-    split_processors,
+    wait_for_any,
 )
 
 pytestmark = pytest.mark.realtime
+
+LIMIT = 60.0  # s for a start on a busy machine
+STARTS_A_CHILD = """
+import sys
+from tests.verify.core.test_processes import sleeping
+if __name__ == "__main__":
+    child = sleeping()
+    print(child.pid, flush=True)
+    sys.stdin.read()
+"""
+
+
+def root(number: float) -> float:
+    if number < 0:
+        raise ValueError(f"{number:g} has none")
+    return float(number**0.5)
+
+
+def talk_before_ready(line: ParentLine, text: str) -> None:
+    line.send("note", text)
+    line.send(READY, len(text))
+    line.send("note", line.receive())
+
+
+def sleep_for_ever(line: ParentLine) -> None:
+    line.send(READY)
+    time.sleep(1000.0)
+
+
+def sleeping() -> ChildProcess[None, None]:
+    child: ChildProcess[None, None] = ChildProcess(sleep_for_ever, name="sleeps")
+    child.wait_until_ready(LIMIT)
+    return child
+
+
+@pytest.fixture
+def roots() -> Iterator[ChildProcess[float, float]]:
+    child: ChildProcess[float, float] = ChildProcess(answer_requests, root, name="roots")
+    yield child
+    child.stop()
+
+
+def test_requests_are_answered_and_a_failure_costs_only_its_own_request(
+    roots: ChildProcess[float, float],
+) -> None:
+    assert roots.ask(4.0, LIMIT) == 2.0
+    with pytest.raises(ChildFailedError, match="ValueError: -1 has none"):
+        roots.ask(-1.0, LIMIT)
+    assert roots.ask(9.0, LIMIT) == 3.0
+    assert roots.is_ready()
+
+
+def test_a_late_answer_is_not_taken_for_the_next_one(roots: ChildProcess[float, float]) -> None:
+    roots.wait_until_ready(LIMIT)
+    os.kill(roots.pid, signal.SIGSTOP)
+    for number in (4.0, 9.0):
+        with pytest.raises(ChildLateError, match="no answer within"):
+            roots.ask(number, 0.01)
+    os.kill(roots.pid, signal.SIGCONT)
+    assert wait_for_any([roots]) == [roots]
+    assert roots.answered()
+    assert roots.ask(16.0, LIMIT) == 4.0
+
+
+def test_a_child_process_that_is_killed_or_cannot_start_is_lost() -> None:
+    child = sleeping()
+    os.kill(child.pid, signal.SIGKILL)
+    with pytest.raises(ChildLostError, match="ended"):
+        child.receive(LIMIT)
+    child.stop()
+    broken: ChildProcess[float, float] = ChildProcess(answer_requests, root, root, name="broken")
+    with pytest.raises(ChildFailedError, match="TypeError"):
+        broken.wait_until_ready(LIMIT)
+    broken.stop()
+
+
+def test_messages_before_it_is_ready_are_kept() -> None:
+    child: ChildProcess[str, None] = ChildProcess(talk_before_ready, "early", name="talks")
+    assert child.wait_until_ready(LIMIT) == len("early")
+    child.send("late")
+    assert [child.receive(LIMIT), child.receive(LIMIT)] == [("note", "early"), ("note", "late")]
+    child.stop()
+
+
+def test_stopping_terminates_what_does_not_end_by_itself() -> None:
+    child = sleeping()
+    child.stop(0.1)
+    assert not running(child.pid)
+
+
+def running(pid: int) -> bool:
+    try:
+        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
+
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="a matter of Linux")
 
@@ -41,70 +143,22 @@ def test_one_thread_has_low_priority_and_the_others_do_not() -> None:
 
 
 @linux
-@pytest.mark.parametrize("processors", [1, None])
-def test_two_processes_share_no_processor_if_there_are_two(processors: int | None) -> None:
-    everything = os.sched_getaffinity(0)
-    usable = set(sorted(everything)[:processors])
-    os.sched_setaffinity(0, usable)  # the other one inherits it
-    with subprocess.Popen(["sleep", "60"]) as other:
-        try:
-            split_processors(other.pid)
-            mine, theirs = os.sched_getaffinity(0), os.sched_getaffinity(other.pid)
-            assert mine
-            assert theirs
-            assert mine | theirs == usable
-            assert bool(mine & theirs) == (len(usable) == 1)
-        finally:
-            os.sched_setaffinity(0, everything)
-            other.kill()
-    split_processors(other.pid)  # who is gone needs none
-    assert os.sched_getaffinity(0) == everything
-
-
-def turn_of_this_thread() -> tuple[int, int]:
-    """Niceness and length of a turn (ns), as the system tells them: sched_getattr."""
-    number = SCHED_SETATTR[os.uname().machine] + 1
-    output = ctypes.create_string_buffer(ATTRIBUTES.size)
-    assert ctypes.CDLL(None).syscall(number, 0, output, ATTRIBUTES.size, 0) == 0
-    _, _, _, niceness, _, turn, _, _ = ATTRIBUTES.unpack(output.raw)
-    return niceness, turn
-
-
-@linux
-def test_a_thread_gets_a_short_time_slice_from_linux_6_12_on() -> None:
-    seen: list[tuple[int, int]] = []
-    taken: list[bool] = []
-
-    def work() -> None:
-        request_short_slice(
-            wanted=False
-        )  # whoever started this thread may have had them, and hands them on
-        seen.append(turn_of_this_thread())
-        taken.append(request_short_slice())
-        seen.append(turn_of_this_thread())
-        taken.append(request_short_slice(wanted=False))
-        seen.append(turn_of_this_thread())
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    version = re.match(r"(\d+)\.(\d+)", platform.release())
-    assert version is not None
-    grants = (int(version[1]), int(version[2])) >= (6, 12)
-    usual, short, again = seen
-    assert taken == [True, True]
-    assert usual == again
-    assert short == (usual[0], SHORT_SLICE_NS if grants else usual[1])
-    assert short[1] < usual[1] or not grants
+def test_a_child_process_ends_with_the_process_that_started_it() -> None:
+    command = [sys.executable, "-c", STARTS_A_CHILD]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        parent.kill()
+    end = time.monotonic() + LIMIT
+    while running(child):
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def test_outside_linux_no_priority_is_changed(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = turn_of_this_thread() if sys.platform == "linux" else None
     monkeypatch.setattr(sys, "platform", "darwin")
-    for name in ("nice", "sched_setscheduler", "sched_setaffinity", "uname"):
+    for name in ("nice", "sched_setscheduler"):
         monkeypatch.delattr(os, name, raising=False)
     lower_priority()
-    split_processors(os.getpid())
-    assert not request_short_slice()
-    monkeypatch.undo()
-    assert before is None or turn_of_this_thread() == before

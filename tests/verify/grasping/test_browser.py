@@ -67,8 +67,8 @@ def drag(tab: Tab, side: str, box: tuple[int, int, int, int]) -> None:
 
 def tracks(cell: Cell, cap: int) -> None:
     """The cap that really is followed is this one, within 3 mm."""
-    cell.until(lambda: cell.grab.loop.aim.known is not None)
-    known = cell.grab.loop.aim.known
+    cell.until(lambda: cell.grab.loop.aim.target is not None)
+    known = cell.grab.loop.aim.target
     assert known is not None
     assert np.linalg.norm(known.thing.position - cell.place(cap)) < 3e-3
 
@@ -193,7 +193,7 @@ def test_the_grab_button_works_in_the_state_in_which_the_key_does(browser: Brows
 def test_a_lost_connection_and_an_unsent_stop_are_shown(browser: Browser) -> None:
     with grabbing(WANDERS) as cell, looking(browser, cell) as tab:
         cell.until(lambda: cell.state is GraspState.FOLLOWING)
-        cell.page._page._process.terminate()
+        cell.page._page._server._process.terminate()
         tab.until("document.querySelector('#banner').textContent.includes('stops nothing')")
         assert not tab.evaluate("document.querySelector('#banner').hidden")
         click(tab, "#stop")

@@ -89,7 +89,7 @@ def test_an_unknown_key_is_a_warning(tmp_path: Path) -> None:
 
 
 def test_an_arm_without_rates_is_refused_with_the_missing_key() -> None:
-    with pytest.raises(InputError, match="speed_deg_s") as caught:
+    with pytest.raises(robots.RobotError, match="speed_deg_s") as caught:
         joint_limits(robots.load("iust_6r"), 0.1)
     assert "iust_6r" in str(caught.value)
 

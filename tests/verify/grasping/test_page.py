@@ -163,7 +163,7 @@ def test_bad_messages_are_refused_and_change_nothing() -> None:
             line.send(text)
             cell.turns(2)
         assert cell.states == [GraspState.SEARCHING]
-        assert cell.grab.loop.aim.known is None
+        assert cell.grab.loop.aim.target is None
         row = latest(line, lambda row: row["answers"] >= 12)
         assert row["stops"] == 0
         line.send("select left {},{},{},{}".format(*cell.box()))  # and a good one counts

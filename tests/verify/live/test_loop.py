@@ -335,16 +335,16 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
             expected = detect(picture, where)
             np.testing.assert_array_equal(spots.centre, expected.centre)
             np.testing.assert_array_equal(spots.covariance, expected.covariance)
-    helper = detector._helper
-    assert helper is not None
-    os.kill(helper.pid, signal.SIGSTOP)
+    process = detector._process
+    assert process is not None
+    os.kill(process.pid, signal.SIGSTOP)
     for _ in range(3):  # waited for once
         assert len(detector(pictures[0], pictures[1], None, None)[1]) == 1
     assert len(message) == 1
     assert "now and then: no answer within 1 s" in message[0]
-    assert detector._helper is helper
-    helper._process.kill()
-    helper._process.join()
+    assert detector._process is process
+    process._process.kill()
+    process._process.join()
     found = detector(pictures[0], pictures[1], None, None)
     assert len(found[1]) == 1
     assert len(message) == 2

@@ -1,18 +1,13 @@
-"""A measurement in a process of its own gives what one here gives, and its loss costs no pair.
-
-A rehearsal is over when the next occasion comes, and never makes it wait twice.
-"""
+"""A measurement in a process of its own gives what one here gives, and its loss costs no pair."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from verify.core.processes import SharedPicture, location_of, picture_at
 from verify.core.records import Array, Measurement, StereoPair
-from verify.live.measuring_process import MeasuringProcess, _LastPair
-from verify.live.rehearsal import FEWEST, MARGIN, Rehearsal
+from verify.live.measuring_process import MeasuringProcess
 from verify.measurement.chain import Setup, measure
 from verify.simulation import library
 from verify.simulation.session.simulate import SimulatedSession, simulate_session
@@ -59,23 +54,7 @@ def test_it_gives_the_same_figures_and_ends(
     finally:
         process.close()
     assert not message
-    assert not process._process.is_alive()
-
-
-def test_a_rehearsal_between_pairs_changes_no_figure(
-    session: SimulatedSession, here: list[Measurement]
-) -> None:
-    setup, done = Setup(session.rig, session.marker), []
-    stage = _LastPair(replace(setup, detect=lambda *asked: done.append(1) or setup.detect(*asked)))
-
-    def rehearsed() -> Iterator[StereoPair]:
-        for pair in pairs(session):
-            stage.enter(pair)
-            yield pair
-            stage.rehearsal.run()
-
-    alike(list(measure(rehearsed(), setup, stage.carried)), here)
-    assert len(done) >= PAIRS - 3  # all but the first, for which nothing was known before
+    assert not process._process._process.is_alive()
 
 
 @pytest.mark.realtime
@@ -88,8 +67,8 @@ def test_a_lost_process_costs_no_pair_and_is_reported(
     def given() -> Iterator[StereoPair]:
         for pair in pairs(session):
             if pair.frame == LOST_AFTER:
-                process._process.kill()
-                process._process.join()
+                process._process._process.kill()
+                process._process._process.join()
             yield pair
 
     try:
@@ -152,56 +131,3 @@ def test_a_prepared_pair_is_the_one_that_is_measured(
         alike(list(process.measure(prepared(), nothing)), here)
     finally:
         process.close()
-
-
-INTERVAL = 1 / 30  # s
-
-
-class Hand:
-    """A clock that stands still until it is moved, and work that takes some of its time."""
-
-    def __init__(self, takes: float) -> None:
-        self.t, self.takes, self.done = 100.0, takes, 0
-
-    def now(self) -> float:
-        return self.t
-
-    def work(self) -> None:
-        self.t += self.takes
-        self.done += 1
-
-
-def noted(rehearsal: Rehearsal, hand: Hand, occasions: int) -> None:
-    for _ in range(occasions):
-        hand.t += INTERVAL
-        rehearsal.note()
-
-
-def test_it_ends_before_the_next_occasion_by_what_it_took_last() -> None:
-    hand = Hand(takes=0.006)
-    rehearsal = Rehearsal(hand.work, hand.now)
-    assert rehearsal.patience() is None
-    noted(rehearsal, hand, FEWEST - 1)
-    assert rehearsal.patience() is None  # how often it happens is not known yet
-    noted(rehearsal, hand, 1)
-    assert rehearsal.patience() == pytest.approx(INTERVAL - MARGIN)
-    rehearsal.run()
-    assert hand.done == 1
-    assert rehearsal.patience() is None  # once before each occasion
-    hand.t += INTERVAL - hand.takes
-    rehearsal.note()
-    assert rehearsal.patience() == pytest.approx(INTERVAL - MARGIN - hand.takes)
-    hand.t += INTERVAL  # the occasion is late: at once, not in the past
-    assert rehearsal.patience() == 0.0
-
-
-def test_without_room_for_it_there_is_none_until_there_is_again() -> None:
-    hand = Hand(takes=0.02)  # of 33 ms
-    rehearsal = Rehearsal(hand.work, hand.now)
-    noted(rehearsal, hand, FEWEST)
-    rehearsal.run()
-    hand.t += INTERVAL - hand.takes
-    rehearsal.note()
-    assert rehearsal.patience() is None
-    noted(rehearsal, hand, 1)
-    assert rehearsal.patience() is not None  # it is tried once more

@@ -10,7 +10,7 @@ from tests.support.planning import HOME_DEG, wish
 from tests.support.scene import project
 from verify.errors import InputError
 from verify.planning.constraints import MARGIN_PX, REASONS, PostureConstraints, visible_leds
-from verify.planning.links import SPACING, build_skeleton, dexterity
+from verify.planning.links import SPACING, LinkChain, dexterity
 from verify.planning.request import PlanningSetup, PlanRequest
 from verify.planning.roadmap import build_roadmap, clear_legs
 
@@ -22,19 +22,19 @@ def test_the_skeleton_is_the_arm(name: str) -> None:
     """Against robots' own kinematics, pinocchio's for a URDF."""
     arm = robots.load(name)
     q = np.random.default_rng(0).uniform(arm.lower, arm.upper, (30, arm.dof))
-    bones = build_skeleton(arm)
-    frames = bones.frames(q)
+    links = LinkChain(arm)
+    frames = robots.link_frames(arm, q)
     np.testing.assert_allclose(frames[:, -1], robots.forward(arm, q), atol=1e-12)
     moves = robots.jacobian(arm, q).copy()
     moves[:, :3] /= robots.coupling.LENGTH_SCALE
     least = np.linalg.svd(moves, compute_uv=False)[:, -1]
     np.testing.assert_allclose(dexterity(frames), least, atol=1e-12)
-    points = bones.points(frames)
+    points = links.points(frames)
     gaps = np.linalg.norm(np.diff(points, axis=1), axis=2)
     assert gaps.max() < SPACING * 1.0001
-    still = bones.points(bones.frames(q * 0))[0]
-    assert np.ptp(points[:, ~bones.moving], axis=0).max(initial=0.0) < 1e-9
-    assert len(bones.way) == len(still)
+    still = links.points(robots.link_frames(arm, q * 0))[0]
+    assert np.ptp(points[:, ~links.moving], axis=0).max(initial=0.0) < 1e-9
+    assert len(links.way) == len(still)
 
 
 def test_leds_are_where_opencv_projects_them(bench: PlanningSetup) -> None:
@@ -81,7 +81,7 @@ def test_every_posture_and_leg_of_the_roadmap_keeps_everything(bench: PlanningSe
     assert np.isfinite(known.time).all()
     for row in known.q[:50]:
         assert robots.coupled(bench.arm, row) is None
-    way = [0, *known.way(0, len(known.q) - 1)]
+    way = [0, *known.path(0, len(known.q) - 1)]
     assert way[-1] == len(known.q) - 1
     legs = known.q[way]
     assert clear_legs(constraints, legs[:-1], legs[1:]).all()

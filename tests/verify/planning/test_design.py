@@ -68,14 +68,14 @@ def test_the_whole_way_is_clear_and_in_view(bench: PlanningSetup, made: SessionP
     q = np.array([stop.q for stop in made.timed.stops])
     constraints = PostureConstraints(bench, wish())
     assert clear_legs(constraints, q[:-1], q[1:]).all()
-    assert {m.status for m in made.prediction.foreseen.measurements} == {"measured"}
+    assert {m.status for m in made.prediction.session.measurements} == {"measured"}
 
 
 def test_every_pose_is_visited_from_either_side_at_varied_speed(made: SessionPlan) -> None:
     visits = [stop.pose for stop in made.timed.stops if stop.pose is not None]
     assert visits == [0, 1, 2, 3, 4, 3, 2, 1, 0]
     assert len(set(made.timed.pace.tolist())) == len(PACES)
-    upward = np.mean(made.prediction.foreseen.comparison.direction > 0, axis=0)
+    upward = np.mean(made.prediction.session.comparison.direction > 0, axis=0)
     assert ((upward > 0.2) & (upward < 0.8)).all()
 
 

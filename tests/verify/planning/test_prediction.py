@@ -16,7 +16,7 @@ from tests.support import planning
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.joint_errors import resolve_errors
 from verify.analysis.least_squares import solve
-from verify.analysis.model import build_model
+from verify.analysis.model import SessionComparison, build_model
 from verify.analysis.session import analyse
 from verify.analysis.uncertainty.budget import budget
 from verify.core.readings import Readings
@@ -39,12 +39,12 @@ def test_a_recorded_session_agrees_with_the_prediction(
     session = planning.recorded(
         bench,
         made,
-        lambda plan: monkeypatch.setattr("verify.simulation.world.motion.plan_motion", plan),
+        lambda plan: monkeypatch.setattr("verify.simulation.session.simulate.plan_motion", plan),
     )
     np.testing.assert_allclose(session.rig.rig_T_base, bench.rig.rig_T_base, atol=1e-9)
     summary = analyse(session).summary
-    foretold = made.prediction.judged
-    assert summary["pairs"]["measured"] == len(made.prediction.foreseen.track)
+    foretold = made.prediction.analysis
+    assert summary["pairs"]["measured"] == len(made.prediction.session.track)
     for key, predicted in (
         ("standard_uncertainty_deg", np.sqrt(np.diag(foretold.means.covariance))),
         ("minimum_detectable_error_deg", foretold.visibility.detectable),
@@ -63,7 +63,7 @@ def test_a_recorded_sessions_clock_agrees_with_the_prediction(
     session = planning.recorded(
         bench,
         made,
-        lambda plan: monkeypatch.setattr("verify.simulation.world.motion.plan_motion", plan),
+        lambda plan: monkeypatch.setattr("verify.simulation.session.simulate.plan_motion", plan),
         msgspec.structs.replace(planning.SCENARIO, clock=None),
     )
     stated = analyse(session).summary["clock"]["standard_uncertainty_s"]
@@ -76,7 +76,7 @@ def test_a_recorded_sessions_clock_agrees_with_the_prediction(
 def test_much_less_is_noticed_than_by_turning_joint_1_alone(
     bench: PlanningSetup, made: SessionPlan
 ) -> None:
-    t = made.prediction.foreseen.t
+    t = made.prediction.session.t
     home, sweep = np.deg2rad(planning.HOME_DEG), np.deg2rad(20.0)
 
     def quarter(at: Array) -> Array:
@@ -86,8 +86,8 @@ def test_much_less_is_noticed_than_by_turning_joint_1_alone(
 
     usual = predict_session(
         bench, quarter, t, planning.wish(), planning.conditions(), np.random.default_rng(0)
-    ).judged.visibility
-    ours = made.prediction.judged.visibility
+    ).analysis.visibility
+    ours = made.prediction.analysis.visibility
     assert (ours.detectable < usual.detectable).all()
     assert (ours.detectable[1:5] < 0.5 * usual.detectable[1:5]).all()
     assert (ours.separable < usual.separable).all()
@@ -100,11 +100,11 @@ def test_a_registration_through_the_encoders_hides_joints_1_and_6(bench: Plannin
         marker=replace(bench.marker, source="motion"),
     )
     made = planning.planned(blind, planning.wish(), planning.conditions())
-    visible = made.prediction.judged.visibility
+    visible = made.prediction.analysis.visibility
     assert visible.fraction[[0, 5]].tolist() == [0.0, 0.0]
     assert np.isnan(visible.detectable[[0, 5]]).all()
     assert np.isfinite(visible.detectable[1:5]).all()
-    offsets, gains, backlash = made.prediction.shown
+    offsets, gains, backlash = made.prediction.faults
     assert np.isnan(offsets.standard_uncertainty[[0, 5]]).all()
     assert np.isfinite(backlash.standard_uncertainty).all()
     assert np.isfinite(gains.standard_uncertainty).all()
@@ -122,7 +122,7 @@ def test_a_kind_s_column_is_what_such_a_fault_does(
     bench: PlanningSetup, made: SessionPlan, name: str
 ) -> None:
     """Readings with the fault in, set against the same poses: the whitened twist they add."""
-    seen = made.prediction.foreseen
+    seen = made.prediction.session
     columns = fault_kind(name, seen.model).columns
     for j in (1, 4):
         size = 1e-4
@@ -158,10 +158,10 @@ def faulty(
 
 
 def test_offsets_alone_agree_with_the_analysis(made: SessionPlan) -> None:
-    model = made.prediction.foreseen.model
+    model = made.prediction.session.model
     alone = predict_faults(model, ("offsets",))[0]
     np.testing.assert_allclose(
-        alone.detectable, made.prediction.judged.visibility.detectable, rtol=1e-9
+        alone.detectable, made.prediction.analysis.visibility.detectable, rtol=1e-9
     )
     fit = solve(np.concatenate([model.offsets, model.fitted], axis=1), model.xi, model.prior)
     np.testing.assert_allclose(
@@ -181,24 +181,24 @@ def test_pictures_taken_one_after_the_other_give_the_same_poses(
         right=replace(rig.right, line_time=line_time),
     )
     foretold = predict_session(
-        replace(bench, rig=rolling), made.timed.q, made.prediction.foreseen.t, planning.wish(),
+        replace(bench, rig=rolling), made.timed.q, made.prediction.session.t, planning.wish(),
         replace(planning.conditions(), skew=skew), np.random.default_rng(0),
     )  # fmt: skip
-    seen = foretold.foreseen
+    seen = foretold.session
     assert len(seen.track) == len(seen.t)
     # readings alone are noisy here: a chi-squared with far fewer degrees of freedom than rows
     assert np.mean(seen.model.xi**2) < 1.2
     if skew:
-        u, before = (one.judged.means.random for one in (foretold, made.prediction))
+        u, before = (one.analysis.means.random for one in (foretold, made.prediction))
         assert (u > before).all()
 
 
 def test_the_sources_make_up_the_uncertainty(made: SessionPlan) -> None:
     foretold = made.prediction
-    parts = uncertainty_sources(foretold.foreseen, foretold.judged)
+    parts = uncertainty_sources(foretold.session, foretold.analysis)
     assert {part.name for part in parts} >= {RANDOM_SOURCE, "rig", "robot base", "LED body"}
     whole = sum(part.share**2 for part in parts)
-    np.testing.assert_allclose(whole, np.diag(foretold.judged.means.covariance), rtol=1e-9)
+    np.testing.assert_allclose(whole, np.diag(foretold.analysis.means.covariance), rtol=1e-9)
 
 
 def test_every_request_is_predicted(bench: PlanningSetup) -> None:
@@ -207,7 +207,7 @@ def test_every_request_is_predicted(bench: PlanningSetup) -> None:
     assert found is not None
     assert found.support.candidates == 6 + 6 + 2 + 6 + 6  # offsets, α, Hayati's β, a, d
     assert {h.parameter.name for h in found.support.held if h.redundant} == {"d_2", "d_3"}
-    assert [one.name for one in made.prediction.shown] == list(FAULT_KINDS[:4])
+    assert [one.name for one in made.prediction.faults] == list(FAULT_KINDS[:4])
 
 
 def test_a_duration_is_filled_and_not_exceeded(bench: PlanningSetup) -> None:
@@ -221,7 +221,7 @@ def test_a_plan_s_coverage_factor_is_the_budget_s(
     bench: PlanningSetup, made: SessionPlan, degrees: float
 ) -> None:
     """A calibration from few boards rules some joints and not others."""
-    seen = made.prediction.foreseen
+    seen = made.prediction.session
     assert bench.rig.covariance is not None
     rig = replace(bench.rig, covariance=replace(bench.rig.covariance, degrees_of_freedom=degrees))
     systematics = replace(seen.systematics, degrees_of_freedom=degrees)
@@ -231,10 +231,12 @@ def test_a_plan_s_coverage_factor_is_the_budget_s(
         arm=bench.arm, rig=rig, encoder_resolution=None, encoder_time_standard_uncertainty=None,
         instrument=None,
     )  # fmt: skip
+    compared = SessionComparison(
+        cast("Session", session), seen.track, systematics, seen.clock, seen.comparison,
+        solve_joints(seen.comparison, bench.arm),
+    )  # fmt: skip
     stated = budget(
-        model, seen.comparison, solve_joints(seen.comparison, bench.arm), judged.errors,
-        judged.means, resolve_errors(model), cast("Session", session), systematics, seen.track,
-        seen.clock,
-    ).coverage_factor  # fmt: skip
+        model, compared, judged.errors, judged.means, resolve_errors(model)
+    ).coverage_factor
     assert_allclose(judged.means.coverage_factor, stated, rtol=1e-9)
     assert np.all((stated > 2.0) & (stated < 2.65)) if degrees < 10 else np.any(stated == 2.0)

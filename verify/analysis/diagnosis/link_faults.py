@@ -81,21 +81,6 @@ def link_displacements(arm: robots.Arm, q: Array) -> Array:
     return np.stack(effects, axis=2)
 
 
-def link_frames(arm: robots.DhArm, q: Array) -> Array:
-    """DH frames 0 to n of joint angles (m, n): base_T_frame, (m, n + 1, 4, 4)."""
-    frames = np.tile(np.eye(4), (len(q), arm.dof + 1, 1, 1))
-    theta = arm.theta(q)
-    for i in range(arm.dof):
-        c, s = np.cos(theta[:, i]), np.sin(theta[:, i])
-        ca, sa = np.cos(arm.alpha[i]), np.sin(arm.alpha[i])
-        step = np.tile(np.eye(4), (len(q), 1, 1))
-        step[:, 0] = np.stack([c, -s * ca, s * sa, arm.a[i] * c], axis=1)
-        step[:, 1] = np.stack([s, c * ca, -c * sa, arm.a[i] * s], axis=1)
-        step[:, 2] = [0.0, sa, ca, arm.d[i]]
-        frames[:, i + 1] = frames[:, i] @ step
-    return frames
-
-
 def translation_twist(axis: Array) -> Array:
     """Twist of the flange (m, 6, 1) a metre along axes (m, 3)."""
     return np.concatenate([axis, np.zeros_like(axis)], axis=1)[:, :, None]
@@ -112,7 +97,7 @@ MAX_PARALLEL_SINE = np.sin(np.deg2rad(10.0))  # below, two axes count as paralle
 def link_faults(model: JointErrorModel, arm: robots.DhArm) -> list[Fault]:
     """One fault a link parameter; values are what has to be added to the robot file."""
     comparison = model.comparison
-    frames = link_frames(arm, comparison.q)
+    frames = robots.link_frames(arm, comparison.q)
     tip = frames[:, -1, :3, 3]
     parallel = np.append(np.abs(np.sin(arm.alpha[:-1])) < MAX_PARALLEL_SINE, False)
     effects: list[tuple[int, str, str, Array]] = []

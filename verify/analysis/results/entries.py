@@ -118,8 +118,7 @@ def monte_carlo_table(found: MonteCarlo | None, frame: Array) -> pd.DataFrame:
 
 def finite_number(value: Any) -> float | None:
     """A figure for JSON: null where it is not known or without bound."""
-    number = float(value)
-    return number if math.isfinite(number) else None
+    return float(value) if value is not None and math.isfinite(value) else None
 
 
 def cause_entry(cause: Cause) -> dict[str, Any]:
@@ -128,10 +127,10 @@ def cause_entry(cause: Cause) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "joint": cause.joint,
         "kind": cause.kind,
-        "value": _number(cause.value * scale),
+        "value": finite_number(cause.value * scale),
         "unit": cause.unit or None,
-        "standard_uncertainty": _number(cause.standard_uncertainty * scale),
-        "expanded_uncertainty": _number(2 * cause.standard_uncertainty * scale),
+        "standard_uncertainty": finite_number(cause.standard_uncertainty * scale),
+        "expanded_uncertainty": finite_number(2 * cause.standard_uncertainty * scale),
         "explains": cause.explains,
     }
     if cause.candidates:
@@ -152,14 +151,10 @@ def _candidate(candidate: CauseCandidate) -> dict[str, Any]:
         "joint": candidate.joint,
         "kind": candidate.kind,
         **_extra_fields(candidate.fault),
-        "value": _number(candidate.value * scale),
+        "value": finite_number(candidate.value * scale),
         "unit": candidate.fault.unit or None,
-        "expanded_uncertainty": _number(2 * candidate.standard_uncertainty * scale),
+        "expanded_uncertainty": finite_number(2 * candidate.standard_uncertainty * scale),
     }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _extra_fields(fault: Fault) -> dict[str, Any]:

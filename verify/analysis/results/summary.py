@@ -13,17 +13,18 @@ import scipy
 
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.combinations import Combination
-from verify.analysis.comparison import Comparison, JointComparison
 from verify.analysis.diagnosis.diagnose import Diagnosis
-from verify.analysis.joint_errors import MeanErrors, ResolvedErrors
-from verify.analysis.model import Observability
+from verify.analysis.joint_errors import JointErrors, MeanErrors, ResolvedErrors
+from verify.analysis.model import JointErrorModel, Observability, SessionComparison
 from verify.analysis.relative_motion import RelativeMotion
 from verify.analysis.results.entries import (
     budget_entry,
     cause_entry,
+    finite_number,
     monte_carlo_entry,
     sweep_entries,
 )
+from verify.analysis.results.warnings import unstated_sources
 from verify.analysis.sweeps.sweeps import JointSweep
 from verify.analysis.uncertainty.budget import Budget
 from verify.analysis.uncertainty.monte_carlo import MonteCarlo
@@ -39,7 +40,6 @@ from verify.analysis.verdict import (
 from verify.core.records import Array
 from verify.core.version import __version__
 from verify.io.session.keys import Tolerance
-from verify.io.session.session import Session
 
 MILLIMETRE = 1e3
 DEGREE = 180 / math.pi
@@ -47,34 +47,46 @@ DEGREE = 180 / math.pi
 
 @dataclass(frozen=True, slots=True)
 class SessionAnalysis:
-    """Everything that was found out about a session."""
+    """Everything that was found out about a session; n compared pairs, j joints."""
 
-    session: Session
+    compared: SessionComparison
+    model: JointErrorModel
     tolerance: Tolerance
     status: list[str]  # a pair each
     choices: dict[str, int]
-    clock: ClockEstimate
-    comparison: Comparison
-    joints: JointComparison
-    combinations: list[Combination]
+    errors: JointErrors
     means: MeanErrors
+    resolved: ResolvedErrors
+    combinations: list[Combination]
     sources: Budget
     drawn: MonteCarlo | None
     sweeps: list[JointSweep]
-    frame: Array  # (n,), number of each compared pair
     visibility: Observability
-    resolved: ResolvedErrors
     relative: RelativeMotion | None
     diagnosis: Diagnosis
     flange: tuple[Array, Array]  # (6,) mean error twist and (6, 6) its covariance
-    through_encoders: bool  # base or LEDs were fitted through the encoders: errors are residuals
-    uncounted: tuple[str, ...]
     warnings: list[str]
+
+    @property
+    def frame(self) -> Array:
+        """Number of each compared pair, (n,)."""
+        return self.compared.track.frame[self.model.comparison.index]
+
+    @property
+    def error_uncertainty(self) -> Array:
+        """Standard uncertainty of each pair's joint errors from all sources, (n, j), rad."""
+        covariance = self.compared.joints.covariance
+        variance = np.diagonal(covariance, axis1=1, axis2=2)
+        variance = variance + np.sum(self.errors.systematic**2, axis=2)
+        if self.compared.clock_uncertainty is not None:
+            drift = self.model.comparison.rate * self.compared.clock_uncertainty
+            variance = variance + drift**2
+        return np.asarray(np.sqrt(variance))
 
 
 def summarise(judged: SessionAnalysis) -> dict[str, Any]:
     """Word the judgement as summary.json."""
-    session = judged.session
+    session = judged.compared.session
     counts = Counter(judged.status)
     measured = counts.pop("measured", 0)
     per_joint = [_verdict(judged, j) for j in range(session.arm.dof)]
@@ -96,7 +108,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
             "measured": measured,
             "rejected": dict(sorted(counts.items())),
         },
-        "clock": _clock(judged.clock),
+        "clock": _clock(judged.compared.clock),
         "verdict": overall_verdict(verdicts),
         "decision_rule": RULE,
         "joints": [_joint(judged, j, per_joint[j]) for j in range(session.arm.dof)],
@@ -107,7 +119,10 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "diagnosis": [cause_entry(c) for c in judged.diagnosis.causes],
         "outlying_pairs": [int(f) for f in judged.frame[judged.diagnosis.outlying]],
         "budget": {
-            **budget_entry(judged.sources, judged.uncounted),
+            **budget_entry(
+                judged.sources,
+                unstated_sources(judged.compared.systematics, judged.compared.clock),
+            ),
             "monte_carlo": monte_carlo_entry(judged.drawn, judged.frame),
         },
         "sweeps": sweep_entries(judged.sweeps, judged.frame),
@@ -117,7 +132,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "warnings": judged.warnings,
         "combinations": [_combination(c) for c in judged.combinations],
         "choices": dict(sorted(judged.choices.items())),
-        "known_dof": max((b.shape[1] for b in judged.comparison.determined), default=0),
+        "known_dof": max((b.shape[1] for b in judged.model.comparison.determined), default=0),
     }
 
 
@@ -128,12 +143,12 @@ def _decision(judged: SessionAnalysis) -> dict[str, Any]:
         "guard": GUARD_FACTOR,
         "false_alarm": P_FALSE_ALARM,
         "fitted_terms": [list(terms) for terms in judged.resolved.terms],
-        "half_range_deg": [finite_or_none(s * DEGREE) for s in judged.resolved.swing],
+        "half_range_deg": [finite_number(s * DEGREE) for s in judged.resolved.swing],
         "half_range_standard_uncertainty_deg": [
-            finite_or_none(u * DEGREE) for u in judged.resolved.swing_uncertainty
+            finite_number(u * DEGREE) for u in judged.resolved.swing_uncertainty
         ],
         "lack_of_fit": judged.resolved.lack_of_fit,
-        "chi2": finite_or_none(fit.chi2),
+        "chi2": finite_number(fit.chi2),
         "degrees_of_freedom": fit.degrees_of_freedom,
         "tolerance_from": _tolerance_source(judged),
     }
@@ -141,7 +156,7 @@ def _decision(judged: SessionAnalysis) -> dict[str, Any]:
 
 def _tolerance_source(judged: SessionAnalysis) -> str | None:
     """Who asked for the tolerances: the session's file, or whoever had it judged."""
-    used, own = judged.tolerance, judged.session.tolerance
+    used, own = judged.tolerance, judged.compared.session.tolerance
     parts = used.joints, used.position, used.orientation
     if all(part is None for part in parts):
         return None
@@ -161,18 +176,11 @@ def _software() -> dict[str, str]:
     }
 
 
-def finite_or_none(value: float | None) -> float | None:
-    """A figure for JSON: null where it is not known, never 0 or NaN."""
-    if value is None or not math.isfinite(value):
-        return None
-    return float(value)
-
-
 def _clock(clock: ClockEstimate) -> dict[str, Any]:
     seen = clock.source != "not_observable"
     return {
-        "encoder_offset_s": finite_or_none(clock.offset) if seen else None,
-        "standard_uncertainty_s": finite_or_none(clock.standard_uncertainty),
+        "encoder_offset_s": finite_number(clock.offset) if seen else None,
+        "standard_uncertainty_s": finite_number(clock.standard_uncertainty),
         "source": clock.source,
         "observable": seen,
     }
@@ -186,35 +194,35 @@ def _verdict(judged: SessionAnalysis, j: int) -> Verdict:
 
 def _joint(judged: SessionAnalysis, j: int, verdict: Verdict) -> dict[str, Any]:
     means, seen = judged.means, judged.visibility
-    error = judged.joints.single[:, j]
+    error = judged.compared.joints.single[:, j]
     # residuals of a registration accuse the wrong joint: they are not summed up
-    plain = error[~np.isnan(error)] if not judged.through_encoders else np.zeros(0)
+    plain = error[~np.isnan(error)] if not judged.model.through_encoders else np.zeros(0)
     u = float(np.sqrt(means.covariance[j, j]))
     k = float(means.coverage_factor[j])
     given = judged.tolerance.joints
     return {
         "joint": j + 1,
-        "mean_error_deg": finite_or_none(means.mean[j] * DEGREE),
-        "rms_error_deg": finite_or_none(float(np.sqrt(np.mean(plain**2))) * DEGREE)
+        "mean_error_deg": finite_number(means.mean[j] * DEGREE),
+        "rms_error_deg": finite_number(float(np.sqrt(np.mean(plain**2))) * DEGREE)
         if len(plain)
         else None,
-        "max_abs_error_deg": finite_or_none(float(np.max(np.abs(plain))) * DEGREE)
+        "max_abs_error_deg": finite_number(float(np.max(np.abs(plain))) * DEGREE)
         if len(plain)
         else None,
-        "standard_uncertainty_deg": finite_or_none(u * DEGREE),
-        "expanded_uncertainty_deg": finite_or_none(k * u * DEGREE),
-        "coverage_factor": finite_or_none(k) if math.isfinite(u) else None,
-        "worst_error_deg": finite_or_none(verdict.worst * DEGREE),
-        "worst_error_standard_uncertainty_deg": finite_or_none(verdict.uncertainty * DEGREE),
-        "tolerance_deg": None if given is None else finite_or_none(given[j] * DEGREE),
-        "conformance_probability": finite_or_none(verdict.probability),
+        "standard_uncertainty_deg": finite_number(u * DEGREE),
+        "expanded_uncertainty_deg": finite_number(k * u * DEGREE),
+        "coverage_factor": finite_number(k) if math.isfinite(u) else None,
+        "worst_error_deg": finite_number(verdict.worst * DEGREE),
+        "worst_error_standard_uncertainty_deg": finite_number(verdict.uncertainty * DEGREE),
+        "tolerance_deg": None if given is None else finite_number(given[j] * DEGREE),
+        "conformance_probability": finite_number(verdict.probability),
         "verdict": verdict.verdict,
         "reason": verdict.reason,
         "pairs": int(means.pairs[j]),
-        "visible_fraction": finite_or_none(seen.fraction[j]),
-        "visible_fraction_since_registration": finite_or_none(seen.fraction_since[j]),
-        "minimum_detectable_error_deg": finite_or_none(seen.detectable[j] * DEGREE),
-        "minimum_separable_error_deg": finite_or_none(seen.separable[j] * DEGREE),
+        "visible_fraction": finite_number(seen.fraction[j]),
+        "visible_fraction_since_registration": finite_number(seen.fraction_since[j]),
+        "minimum_detectable_error_deg": finite_number(seen.detectable[j] * DEGREE),
+        "minimum_separable_error_deg": finite_number(seen.separable[j] * DEGREE),
     }
 
 
@@ -222,12 +230,12 @@ def _correlation(covariance: Array) -> list[list[float | None]]:
     sigma = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(sigma, sigma)
-    return [[finite_or_none(float(c)) for c in row] for row in correlation]
+    return [[finite_number(float(c)) for c in row] for row in correlation]
 
 
 def _flange_verdicts(judged: SessionAnalysis) -> tuple[Verdict, Verdict]:
     """The resolved joint errors carried through the arm, judged by the same rule."""
-    jacobian, resolved = judged.comparison.jacobian, judged.resolved
+    jacobian, resolved = judged.model.comparison.jacobian, judged.resolved
     twist = np.einsum("nij,nj->ni", jacobian, resolved.error)
     spread = jacobian @ resolved.covariance @ np.swapaxes(jacobian, 1, 2)
     terms = sum(len(t) for t in resolved.terms)
@@ -241,21 +249,21 @@ def _flange_verdicts(judged: SessionAnalysis) -> tuple[Verdict, Verdict]:
 def _flange(
     judged: SessionAnalysis, verdict: Verdict, part: slice, scale: float, unit: str
 ) -> dict[str, Any]:
-    whole = np.array([b.shape[1] == 6 for b in judged.comparison.determined], dtype=bool)
-    size = np.linalg.norm(judged.comparison.xi[:, part], axis=1)[whole]
+    whole = np.array([b.shape[1] == 6 for b in judged.model.comparison.determined], dtype=bool)
+    size = np.linalg.norm(judged.model.comparison.xi[:, part], axis=1)[whole]
     # where LEDs leave directions open, nothing is known of the error along them
     largest = float(np.linalg.eigvalsh(judged.flange[1][part, part])[-1]) if whole.all() else np.nan
     given = judged.tolerance.position if unit == "mm" else judged.tolerance.orientation
     return {
-        f"rms_error_{unit}": finite_or_none(float(np.sqrt(np.mean(size**2))) * scale)
+        f"rms_error_{unit}": finite_number(float(np.sqrt(np.mean(size**2))) * scale)
         if len(size)
         else None,
-        f"max_error_{unit}": finite_or_none(float(size.max()) * scale) if len(size) else None,
-        f"expanded_uncertainty_{unit}": finite_or_none(2 * math.sqrt(largest) * scale),
-        f"worst_error_{unit}": finite_or_none(verdict.worst * scale),
-        f"worst_error_standard_uncertainty_{unit}": finite_or_none(verdict.uncertainty * scale),
-        f"tolerance_{unit}": None if given is None else finite_or_none(given * scale),
-        "conformance_probability": finite_or_none(verdict.probability),
+        f"max_error_{unit}": finite_number(float(size.max()) * scale) if len(size) else None,
+        f"expanded_uncertainty_{unit}": finite_number(2 * math.sqrt(largest) * scale),
+        f"worst_error_{unit}": finite_number(verdict.worst * scale),
+        f"worst_error_standard_uncertainty_{unit}": finite_number(verdict.uncertainty * scale),
+        f"tolerance_{unit}": None if given is None else finite_number(given * scale),
+        "conformance_probability": finite_number(verdict.probability),
         "verdict": verdict.verdict,
         "reason": verdict.reason,
     }
@@ -267,12 +275,12 @@ def _relative(found: RelativeMotion | None) -> dict[str, Any] | None:
     turn, advance = np.sqrt(np.mean(found.error**2, axis=0))
     return {
         "motions": len(found.early),
-        "turn_rms_error_deg": finite_or_none(float(turn) * DEGREE),
-        "advance_rms_error_mm": finite_or_none(float(advance) * MILLIMETRE),
-        "chi2": finite_or_none(found.chi2),
+        "turn_rms_error_deg": finite_number(float(turn) * DEGREE),
+        "advance_rms_error_mm": finite_number(float(advance) * MILLIMETRE),
+        "chi2": finite_number(found.chi2),
         "degrees_of_freedom": found.degrees,
-        "p_value": finite_or_none(found.p_value),
-        "detectable_offset_deg": [finite_or_none(float(d) * DEGREE) for d in found.detectable],
+        "p_value": finite_number(found.p_value),
+        "detectable_offset_deg": [finite_number(float(d) * DEGREE) for d in found.detectable],
     }
 
 
@@ -281,8 +289,8 @@ def _combination(found: Combination) -> dict[str, Any]:
         "label": found.label,
         "joints": found.joints,
         "weights": [round(float(w), 6) for w in found.weights],
-        "mean_error_deg": finite_or_none(found.mean * DEGREE),
-        "standard_uncertainty_deg": finite_or_none(found.standard_uncertainty * DEGREE),
+        "mean_error_deg": finite_number(found.mean * DEGREE),
+        "standard_uncertainty_deg": finite_number(found.standard_uncertainty * DEGREE),
         "pairs": found.pairs,
         "why": found.why,
     }

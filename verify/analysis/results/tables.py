@@ -1,87 +1,72 @@
-"""Tables of a session: units at the door (mm, degrees), a row a pair, a spot, a joint.
-
-Rig, marker and robot table as the report shows them; millimetres and degrees at the door.
-"""
+"""Tables of a session, and its set-up as the report shows it; millimetres and degrees."""
 
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.analysis.comparison import Comparison, JointComparison
+from verify.analysis.comparison import Comparison
 from verify.analysis.instrument import instrument_setup
 from verify.analysis.joint_errors import ResolvedErrors
 from verify.analysis.model import vector_length
 from verify.analysis.relative_motion import RelativeMotion
+from verify.analysis.results.entries import finite_number
+from verify.analysis.results.summary import SessionAnalysis
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Measurement, Pose
+from verify.core.records import Array, Measurement
 from verify.core.rig import Camera, Rig
 from verify.io.session.session import Session
 
 POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+PLACE, TURN = slice(0, 3), slice(3, 6)  # of a twist
 
 
-def frames_table(
-    measurements: list[Measurement],
-    status: list[str],
-    comparison: Comparison,
-    rows: list[int],
-    joints: JointComparison,
-    error_uncertainty: Array,
-) -> pd.DataFrame:
+def frames_table(measurements: list[Measurement], found: SessionAnalysis) -> pd.DataFrame:
     """docs/results.md's frames.csv: one row a stereo pair, empty figures where it was not measured.
 
     Args:
         measurements: every pair's outcome, in order.
-        status: what is finally said of each.
-        comparison: the compared pairs.
-        rows: the place of each compared pair among the measurements.
-        joints: their joint angles.
-        error_uncertainty: (n, j), rad, of each pair's error from all sources.
+        found: what was estimated from them.
     """
+    status, comparison, joints = found.status, found.model.comparison, found.compared.joints
     table: dict[str, Any] = {
         "frame": [m.frame for m in measurements],
         "t_s": np.array([m.t for m in measurements]),
         "status": status,
         "leds_seen": [m.leds_seen for m in measurements],
         "known_dof": _known_dof(measurements, status),
-        "reprojection_rms_px": np.array(
-            [
-                _rms(m.pose) if s == "measured" else np.nan
-                for m, s in zip(measurements, status, strict=True)
-            ]
-        ),
+        "reprojection_rms_px": [
+            m.pose.reprojection_rms_px if s == "measured" and m.pose is not None else np.nan
+            for m, s in zip(measurements, status, strict=True)
+        ],
     }
-    place = np.array(rows, dtype=np.int64)
-    count = len(measurements)
+    # where LEDs leave directions open, a pose is partly the readings': it is not written
+    place = np.flatnonzero([m.status == "measured" for m in measurements])[comparison.index]
     whole = np.array([b.shape[1] == 6 for b in comparison.determined], dtype=bool)
-    measured = comparison.base_T_measured
-    _pose_columns(table, count, place[whole], measured[whole], POSE)  # else partly the readings'
-    encoder = tuple(n.replace("_", "_encoder_") for n in POSE)
-    _pose_columns(table, count, place, comparison.base_T_encoder, encoder)
-    uncertainty = np.sqrt(np.diagonal(joints.covariance_measured, axis1=1, axis2=2))
-    uncertainty = np.where(np.isnan(joints.q), np.nan, uncertainty)
+    columns = _pose_columns(comparison.base_T_measured, POSE)
+    columns = {name: np.where(whole, values, np.nan) for name, values in columns.items()}
+    encoder = tuple(name.replace("_", "_encoder_") for name in POSE)
+    columns |= _pose_columns(comparison.base_T_encoder, encoder)
+    undetermined = np.isnan(joints.q)
+    own = np.sqrt(np.diagonal(joints.covariance_measured, axis1=1, axis2=2))
     for suffix, values in (
         ("measured_deg", joints.q),
         ("encoder_deg", comparison.q),
         ("error_deg", joints.error),
-        ("u_deg", uncertainty),
-        ("error_u_deg", np.where(np.isnan(joints.q), np.nan, error_uncertainty)),
+        ("u_deg", np.where(undetermined, np.nan, own)),
+        ("error_u_deg", np.where(undetermined, np.nan, found.error_uncertainty)),
     ):
-        for j in range(values.shape[1]):
-            table[f"q{j + 1}_{suffix}"] = _scatter_to_frames(count, place, np.rad2deg(values[:, j]))
-    size = [np.linalg.norm(comparison.xi[:, part], axis=1) for part in (slice(0, 3), slice(3, 6))]
-    table["position_error_mm"] = _scatter_to_frames(
-        count, place, np.where(whole, size[0] * 1e3, np.nan)
-    )
-    table["orientation_error_deg"] = _scatter_to_frames(
-        count, place, np.where(whole, np.rad2deg(size[1]), np.nan)
-    )
-    labels = [""] * count
-    for row, coupling in zip(rows, joints.coupling, strict=True):
+        columns |= {f"q{j + 1}_{suffix}": np.rad2deg(one) for j, one in enumerate(values.T)}
+    position, orientation = (np.linalg.norm(comparison.xi[:, p], axis=1) for p in (PLACE, TURN))
+    columns["position_error_mm"] = np.where(whole, position * 1e3, np.nan)
+    columns["orientation_error_deg"] = np.where(whole, np.rad2deg(orientation), np.nan)
+    for name, values in columns.items():
+        table[name] = np.full(len(measurements), np.nan)
+        table[name][place] = values
+    labels = [""] * len(measurements)
+    for row, coupling in zip(place.tolist(), joints.coupling, strict=True):
         labels[row] = coupling.label if coupling is not None else ""
     table["ambiguous_joints"] = labels
     return pd.DataFrame(table)
@@ -95,27 +80,11 @@ def _known_dof(measurements: list[Measurement], status: list[str]) -> pd.Series:
     return pd.Series(known, dtype="Int64")  # empty, not 0, where nothing was measured
 
 
-def _rms(pose: Pose | None) -> float:
-    return pose.reprojection_rms_px if pose is not None else float("nan")
-
-
-def _scatter_to_frames(count: int, rows: NDArray[np.int64], values: Array) -> Array:
-    column = np.full(count, np.nan)
-    column[rows] = values
-    return column
-
-
-def _pose_columns(
-    table: dict[str, Any],
-    count: int,
-    rows: NDArray[np.int64],
-    poses: Array,
-    names: tuple[str, ...],
-) -> None:
-    turn = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec() if len(poses) else np.zeros((0, 3))
+def _pose_columns(poses: Array, names: tuple[str, ...]) -> dict[str, Array]:
+    """Places (mm) and rotation vectors (deg) of poses (n, 4, 4), a column (n,) a name."""
+    turn = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
     figures = np.concatenate([poses[:, :3, 3] * 1e3, np.rad2deg(turn)], axis=1)
-    for i, name in enumerate(names):
-        table[name] = _scatter_to_frames(count, rows, figures[:, i])
+    return dict(zip(names, figures.T, strict=True))
 
 
 def spots_table(measurements: list[Measurement], marker: Marker) -> pd.DataFrame:
@@ -147,8 +116,8 @@ def resolved_table(comparison: Comparison, resolved: ResolvedErrors, frame: Arra
     twist = np.einsum("nij,nj->ni", comparison.jacobian, resolved.error)
     spread = comparison.jacobian @ resolved.covariance @ np.swapaxes(comparison.jacobian, 1, 2)
     for name, part, unit in (
-        ("position_resolved{}_mm", slice(0, 3), 1e3),
-        ("orientation_resolved{}_deg", slice(3, 6), 180 / np.pi),
+        ("position_resolved{}_mm", PLACE, 1e3),
+        ("orientation_resolved{}_deg", TURN, 180 / np.pi),
     ):
         size, u = vector_length(twist[:, part], spread[:, part, part])  # as the verdict takes them
         table[name.format("")] = size * unit
@@ -253,8 +222,8 @@ def _robot(arm: robots.Arm) -> dict[str, Any]:
         elif isinstance(arm, robots.UrdfArm):
             joint["name"] = arm.joint_names[j]
         limits = {
-            "lower_deg": _finite(np.rad2deg(arm.lower[j])),
-            "upper_deg": _finite(np.rad2deg(arm.upper[j])),
+            "lower_deg": finite_number(np.rad2deg(arm.lower[j])),
+            "upper_deg": finite_number(np.rad2deg(arm.upper[j])),
         }
         joints.append({**joint, **table, **limits})
     return {
@@ -264,7 +233,3 @@ def _robot(arm: robots.Arm) -> dict[str, Any]:
         "fingerprint": arm.fingerprint,
         "joints": joints,
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

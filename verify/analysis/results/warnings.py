@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from verify.analysis.clock import ClockEstimate
-from verify.analysis.model import JointErrorModel
+from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.rig_check import consistency, moved_warning
 from verify.core.records import Measurement
 from verify.io.session.session import Session
@@ -23,13 +23,10 @@ def unstated_sources(systematics: Systematics, clock: ClockEstimate) -> tuple[st
 
 
 def result_warnings(
-    session: Session,
-    measurements: list[Measurement],
-    systematics: Systematics,
-    clock: ClockEstimate,
-    model: JointErrorModel,
+    compared: SessionComparison, measurements: list[Measurement], model: JointErrorModel
 ) -> list[str]:
     """Every warning of a session's result, in the order of the report."""
+    session, systematics, clock = compared.session, compared.systematics, compared.clock
     return [
         *session.warnings,
         *_input_warnings(session, measurements, systematics, clock),

@@ -1,26 +1,37 @@
-"""One joint's fixed axis and what its encoder makes of the turn about it, fitted together.
+"""One joint's fixed axis and its encoder's error, fitted together to the poses of a sweep.
 
-All points of the flange run on circles about one line. That line, the flange's pose at the start
-and a curve of the encoder's error over the angle are fitted to the measured poses; no base, no LED
-place and no table of the arm enters, as each only says in which frame the line lies.
+While joint j moves alone, all points of the flange run on circles about its axis (d, p):
 
-The encoder's error over a sweep: its terms, fitted together with the axis.
+    T_k = Rot(d, p; q_k - q_mid - sum_i c_i f_i(k)) T_0,    k = 1 ... n
+
+==========  =====  ==========================================================
+parameters  count  meaning
+==========  =====  ==========================================================
+d           2      tilt of the axis' direction, rad, across it
+p           2      shift of a point on the axis, m, across it
+T_0         6      pose at the middle of the readings: shift, then turn
+c           k      size of each term f of the encoder's error
+==========  =====  ==========================================================
+
+No base, LED position or table of the arm enters: each only says in which frame the axis lies.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robots.transforms import difference, rotation_exp, rotation_log
 from verify.analysis.joint_errors import MIN_PAIRS_PER_DIRECTION
-from verify.analysis.least_squares import RegressionFit, autocorrelation, solve
+from verify.analysis.least_squares import RegressionFit, autocorrelation, gauss_newton, solve
 from verify.core.records import Array
 from verify.core.statistics import chi2_sf
 
-N_FREE = 10  # a line's four parameters and a start pose's six
+N_FREE = 10  # parameters of the axis and of the start pose
+N_LINE = 4  # of the axis alone
 MAX_ITERATIONS = 12
 TOL_STEP = 1e-10  # m and rad: far below what poses are known to
+P_FALSE_ECCENTRICITY = 1e-3  # chance of an eccentricity where there is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +49,6 @@ class SweepData:
 class AxisFit:
     """A sweep fitted; k terms of the encoder's error."""
 
-    direction: Array  # (3,), unit vector along which the joint's angle grows
-    point: Array  # (3,), m, on the axis
     value: Array  # (k,), of the terms
     covariance: Array  # (k, k)
     estimable: NDArray[np.bool_]  # (k,)
@@ -51,170 +60,25 @@ class AxisFit:
     chi2_rest: float
 
 
-def fit_axis(swept: SweepData, terms: Array) -> AxisFit:
-    """Fit axis, start pose and the encoder's error together.
+@dataclass(frozen=True, slots=True)
+class AxisState:
+    """The parameters."""
 
-    Args:
-        swept: the pairs.
-        terms: (n, k), what a unit of each term adds to the reading.
-
-    Returns:
-        The fit; its covariance holds what is stated of the poses, and pairs that repeat each
-        other's errors count for fewer.
-    """
-    state = _start(swept)
-    value = np.zeros(terms.shape[1])
-    inflation = np.ones(6)
-    for last in (False, True):
-        state, value, fit, rows = _gauss_newton(swept, terms, state, value, inflation)
-        if not last:
-            inflation = autocorrelation(rows)
-    return _split_residuals(swept, terms, state, value, fit)
+    direction: Array  # (3,), unit vector along which the joint's angle grows
+    point: Array  # (3,), m, on the axis
+    start: Array  # (4, 4), the flange where the reading is at its middle
+    value: Array  # (k,), of the terms
 
 
 @dataclass(frozen=True, slots=True)
-class _AxisState:
-    direction: Array
-    point: Array
-    start: Array  # (4, 4), the flange where the reading is at its middle
+class CircleFit:
+    """The optimum, and the whitened linear problem there; r = 6 n rows."""
 
-
-def _start(swept: SweepData) -> _AxisState:
-    """The mean axis of the turns from pair to pair, and the line that they leave in place."""
-    order = np.argsort(swept.q, kind="stable")
-    poses, q = swept.poses[order], swept.q[order]
-    middle = (q[0] + q[-1]) / 2
-    half = len(q) // 2  # turns over half of the sweep: far above noise, below half a turn
-    late, early = np.arange(half, len(q)), np.arange(len(q) - half)
-    turn = rotation_log(poses[late, :3, :3] @ np.swapaxes(poses[early, :3, :3], 1, 2))
-    direction = (q[late] - q[early]) @ turn
-    direction = direction / np.linalg.norm(direction)
-    first = int(np.argmin(np.abs(q - middle)))
-    back = rotation_exp((q - q[first])[:, None] * direction)
-    left = (np.eye(3) - back).reshape(-1, 3)
-    shift = poses[:, :3, 3] - poses[first, :3, 3]
-    arm = np.linalg.lstsq(left, shift.reshape(-1), rcond=1e-6)[0]
-    point = poses[first, :3, 3] + arm - direction * (direction @ arm)
-    start = poses[first].copy()
-    home = rotation_exp(direction * (middle - q[first]))
-    start[:3, :3] = home @ start[:3, :3]
-    start[:3, 3] = point + home @ (start[:3, 3] - point)
-    return _AxisState(direction, point, start)
-
-
-def _gauss_newton(
-    swept: SweepData, terms: Array, state: _AxisState, value: Array, inflation: Array
-) -> tuple[_AxisState, Array, RegressionFit, Array]:
-    """Gauss-Newton from a state on; also the whitened residuals, (n, 6)."""
-    for _ in range(MAX_ITERATIONS):
-        fitted, motion = _predict_poses(swept, terms, state, value)
-        white = _whitening(swept, motion, inflation)
-        design = np.concatenate(
-            [_design(state, fitted, swept, terms, value), -motion[:, :, None] * terms[:, None, :]],
-            axis=2,
-        )
-        residual = difference(swept.poses, fitted)
-        rows = (white @ design).reshape(-1, design.shape[2])
-        wanted = (white @ residual[:, :, None]).reshape(-1)
-        held = (white @ swept.held).reshape(len(rows), -1)
-        fit = solve(rows, wanted, held)
-        state, value = _apply_step(state, fit.value[:N_FREE]), value + fit.value[N_FREE:]
-        if np.abs(fit.value).max() < TOL_STEP:
-            break
-    left = wanted - rows @ fit.value - held @ fit.held
-    return state, value, fit, left.reshape(-1, 6)
-
-
-def _angle(swept: SweepData, terms: Array, value: Array) -> Array:
-    """Turn about the axis from where the reading is at its middle, (n,), rad."""
-    middle = (swept.q.min() + swept.q.max()) / 2
-    angle: Array = swept.q - middle - terms @ value
-    return angle
-
-
-def _predict_poses(
-    swept: SweepData, terms: Array, state: _AxisState, value: Array
-) -> tuple[Array, Array]:
-    """Poses (n, 4, 4), and how each moves with a turn about the axis, (n, 6)."""
-    turn = rotation_exp(_angle(swept, terms, value)[:, None] * state.direction)
-    fitted = np.tile(np.eye(4), (len(turn), 1, 1))
-    fitted[:, :3, :3] = turn @ state.start[:3, :3]
-    fitted[:, :3, 3] = state.point + turn @ (state.start[:3, 3] - state.point)
-    arm = fitted[:, :3, 3] - state.point
-    direction = np.tile(state.direction, (len(turn), 1))
-    return fitted, np.concatenate([np.cross(state.direction, arm), direction], axis=1)
-
-
-def _whitening(swept: SweepData, motion: Array, inflation: Array) -> Array:
-    """Whitening of the poses and of the reading that says where they should be, (n, 6, 6)."""
-    moved = motion * np.sqrt(swept.reading_variance)[:, None]
-    lower = np.linalg.cholesky(swept.covariance + moved[:, :, None] * moved[:, None, :])
-    return np.linalg.inv(lower * np.sqrt(inflation))
-
-
-def _perpendiculars(direction: Array) -> Array:
-    """Two unit vectors at right angles to a direction and to each other, (2, 3)."""
-    return np.asarray(np.linalg.svd(direction[None])[2][1:], dtype=np.float64)
-
-
-def _design(
-    state: _AxisState, fitted: Array, swept: SweepData, terms: Array, value: Array
-) -> Array:
-    """Derivative of the poses by line and start pose, (n, 6, 10)."""
-    turn = rotation_exp(_angle(swept, terms, value)[:, None] * state.direction)
-    arm = fitted[:, :3, 3] - state.point
-    design = np.zeros((len(turn), 6, N_FREE))
-    for i, v in enumerate(_perpendiculars(state.direction)):
-        tilt = np.cross(state.direction, v)  # turns the direction towards v
-        moved = tilt - turn @ tilt
-        design[:, :3, i] = np.cross(moved, arm)
-        design[:, 3:, i] = moved
-        design[:, :3, 2 + i] = v - turn @ v
-    design[:, :3, 4:7] = turn
-    design[:, 3:, 7:10] = turn
-    return design
-
-
-def _apply_step(state: _AxisState, step: Array) -> _AxisState:
-    across = _perpendiculars(state.direction)
-    direction = state.direction + step[:2] @ across
-    start = state.start.copy()
-    start[:3, 3] += step[4:7]
-    start[:3, :3] = rotation_exp(step[7:10]) @ start[:3, :3]
-    return _AxisState(
-        direction / np.linalg.norm(direction), state.point + step[2:4] @ across, start
-    )
-
-
-def _split_residuals(
-    swept: SweepData, terms: Array, state: _AxisState, value: Array, fit: RegressionFit
-) -> AxisFit:
-    """Split what is left into turns about the axis and the rest."""
-    fitted, motion = _predict_poses(swept, terms, state, value)
-    left = difference(swept.poses, fitted) - swept.held @ fit.held
-    weighted = np.linalg.solve(swept.covariance, motion[:, :, None])[:, :, 0]
-    information = np.sum(motion * weighted, axis=1)
-    angle = np.sum(weighted * left, axis=1) / information
-    variance = 1 / information + swept.reading_variance
-    rest = left - motion * angle[:, None]
-    chi2_rest = np.sum(rest * np.linalg.solve(swept.covariance, rest[:, :, None])[:, :, 0])
-    middle = (swept.q.min() + swept.q.max()) / 2
-    return AxisFit(
-        direction=state.direction,
-        point=state.point,
-        value=value,
-        covariance=fit.covariance[N_FREE:, N_FREE:],
-        estimable=fit.estimable[N_FREE:],
-        turned=_angle(swept, terms, value) + middle,
-        angle_left=angle,
-        angle_variance=variance,
-        rest=rest,
-        chi2_angle=float(np.sum(angle**2 / variance)),
-        chi2_rest=float(chi2_rest),
-    )
-
-
-P_FALSE_ECCENTRICITY = 1e-3  # chance of an eccentricity where there is none
+    state: AxisState
+    solved: RegressionFit  # its covariance: axis, start pose, terms
+    rows: Array  # (r, 10 + k)
+    white: Array  # (n, 6, 6), whitening of each pose
+    residual: Array  # (n, 6), whitened
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,20 +102,70 @@ class EncoderTerms:
     clock: int
 
 
-def _terms(turned: Array, direction: Array, rate: Array | None, *, circular: bool) -> EncoderTerms:
-    middle = (turned.max() + turned.min()) / 2
-    columns, places = [turned - middle], {"hysteresis": -1, "circular": -1, "clock": -1}
-    if min(np.sum(direction > 0), np.sum(direction < 0)) >= MIN_PAIRS_PER_DIRECTION:
-        places["hysteresis"] = len(columns)
-        columns.append(direction / 2 - np.mean(direction / 2))
-    if circular:
-        places["circular"] = len(columns)
-        columns += [np.sin(turned) - np.mean(np.sin(turned))]
-        columns += [np.cos(turned) - np.mean(np.cos(turned))]
-    if rate is not None:
-        places["clock"] = len(columns)
-        columns.append(rate - np.mean(rate))
-    return EncoderTerms(np.stack(columns, axis=1), **places)
+def fit_axis(swept: SweepData, terms: Array) -> AxisFit:
+    """Fit axis, start pose and the encoder's error together.
+
+    Args:
+        swept: the pairs.
+        terms: (n, k), what a unit of each term adds to the reading.
+
+    Returns:
+        The fit; its covariance holds what is stated of the poses, and pairs that repeat each
+        other's errors count for fewer.
+    """
+    first = fit_circles(swept, terms)
+    inflation = autocorrelation(first.residual)
+    return _split_residuals(swept, terms, fit_circles(swept, terms, first.state, inflation))
+
+
+def fit_circles(
+    swept: SweepData, terms: Array, start: AxisState | None = None, inflation: Array | None = None
+) -> CircleFit:
+    """Fit axis, start pose and terms by weighted least squares.
+
+    Args:
+        swept: the pairs.
+        terms: (n, k), what a unit of each term adds to the reading.
+        start: where to begin; in closed form where not given.
+        inflation: (6,), by which the variance of each whitened direction grows; 1 where not given.
+    """
+    factor = np.ones(6) if inflation is None else np.sqrt(inflation)
+
+    def step(state: AxisState) -> tuple[Array, CircleFit]:
+        fitted, motion, by_state = _predict_poses(swept, terms, state)
+        white = _whitening(swept, motion, factor)
+        design = np.concatenate([by_state, -motion[:, :, None] * terms[:, None, :]], axis=2)
+        rows = (white @ design).reshape(-1, design.shape[2])
+        wanted = (white @ difference(swept.poses, fitted)[:, :, None]).reshape(-1)
+        held = (white @ swept.held).reshape(len(rows), -1)
+        fit = solve(rows, wanted, held)
+        left = wanted - rows @ fit.value - held @ fit.held
+        return fit.value, CircleFit(state, fit, rows, white, left.reshape(-1, 6))
+
+    state, found = gauss_newton(
+        start or _start(swept, terms),
+        step,
+        _apply_step,
+        max_iterations=MAX_ITERATIONS,
+        tol_step=TOL_STEP,
+    )
+    return replace(found, state=state)
+
+
+def sweep_angle(swept: SweepData, terms: Array, state: AxisState) -> Array:
+    """The fitted angle about the axis, zero as the reading's, (n,), rad."""
+    angle: Array = swept.q - terms @ state.value
+    return angle
+
+
+def perpendiculars(direction: Array) -> Array:
+    """Two unit vectors at right angles to a direction and to each other, (2, 3)."""
+    return np.asarray(np.linalg.svd(direction[None])[2][1:], dtype=np.float64)
+
+
+def predict_sweep(swept: SweepData, terms: Array, state: AxisState) -> Array:
+    """Poses (n, 4, 4) that the parameters give."""
+    return _predict_poses(swept, terms, state)[0]
 
 
 def fit_terms(
@@ -294,3 +208,108 @@ def find_eccentricity(
         doubt = float(np.sqrt(across @ spread @ across)) / size
         phase = UncertainValue(float(np.arctan2(part[0], part[1])), doubt)
     return UncertainValue(size, float(np.sqrt(variance))), phase, there
+
+
+def _start(swept: SweepData, terms: Array) -> AxisState:
+    """The mean axis of the turns from pair to pair, and the line that they leave in place."""
+    order = np.argsort(swept.q, kind="stable")
+    poses, q = swept.poses[order], swept.q[order]
+    middle = (q[0] + q[-1]) / 2
+    half = len(q) // 2  # turns over half of the sweep: far above noise, below half a turn
+    late, early = np.arange(half, len(q)), np.arange(len(q) - half)
+    turn = rotation_log(poses[late, :3, :3] @ np.swapaxes(poses[early, :3, :3], 1, 2))
+    direction = (q[late] - q[early]) @ turn
+    direction = direction / np.linalg.norm(direction)
+    first = int(np.argmin(np.abs(q - middle)))
+    back = rotation_exp((q - q[first])[:, None] * direction)
+    left = (np.eye(3) - back).reshape(-1, 3)
+    shift = poses[:, :3, 3] - poses[first, :3, 3]
+    arm = np.linalg.lstsq(left, shift.reshape(-1), rcond=1e-6)[0]
+    point = poses[first, :3, 3] + arm - direction * (direction @ arm)
+    start = poses[first].copy()
+    home = rotation_exp(direction * (middle - q[first]))
+    start[:3, :3] = home @ start[:3, :3]
+    start[:3, 3] = point + home @ (start[:3, 3] - point)
+    return AxisState(direction, point, start, np.zeros(terms.shape[1]))
+
+
+def _predict_poses(swept: SweepData, terms: Array, state: AxisState) -> tuple[Array, Array, Array]:
+    """Poses (n, 4, 4), how each moves with a turn about the axis (n, 6), and with it (n, 6, 10)."""
+    middle = (swept.q.min() + swept.q.max()) / 2
+    turn = rotation_exp((swept.q - middle - terms @ state.value)[:, None] * state.direction)
+    fitted = np.tile(np.eye(4), (len(turn), 1, 1))
+    fitted[:, :3, :3] = turn @ state.start[:3, :3]
+    fitted[:, :3, 3] = state.point + turn @ (state.start[:3, 3] - state.point)
+    arm = fitted[:, :3, 3] - state.point
+    direction = np.tile(state.direction, (len(turn), 1))
+    motion = np.concatenate([np.cross(state.direction, arm), direction], axis=1)
+    design = np.zeros((len(turn), 6, N_FREE))
+    for i, v in enumerate(perpendiculars(state.direction)):
+        tilt = np.cross(state.direction, v)  # turns the direction towards v
+        moved = tilt - turn @ tilt
+        design[:, :3, i] = np.cross(moved, arm)
+        design[:, 3:, i] = moved
+        design[:, :3, 2 + i] = v - turn @ v
+    design[:, :3, 4:7] = turn
+    design[:, 3:, 7:10] = turn
+    return fitted, motion, design
+
+
+def _whitening(swept: SweepData, motion: Array, factor: Array) -> Array:
+    """Whitening of the poses and of the reading that says where they should be, (n, 6, 6)."""
+    moved = motion * np.sqrt(swept.reading_variance)[:, None]
+    lower = np.linalg.cholesky(swept.covariance + moved[:, :, None] * moved[:, None, :])
+    return np.asarray(np.linalg.inv(lower * factor), dtype=np.float64)
+
+
+def _apply_step(state: AxisState, step: Array) -> AxisState:
+    across = perpendiculars(state.direction)
+    direction = state.direction + step[:2] @ across
+    start = state.start.copy()
+    start[:3, 3] += step[4:7]
+    start[:3, :3] = rotation_exp(step[7:10]) @ start[:3, :3]
+    return AxisState(
+        direction / np.linalg.norm(direction),
+        state.point + step[2:4] @ across,
+        start,
+        state.value + step[N_FREE:],
+    )
+
+
+def _split_residuals(swept: SweepData, terms: Array, found: CircleFit) -> AxisFit:
+    """Split what is left into turns about the axis and the rest."""
+    fitted, motion, _ = _predict_poses(swept, terms, found.state)
+    left = difference(swept.poses, fitted) - swept.held @ found.solved.held
+    weighted = np.linalg.solve(swept.covariance, motion[:, :, None])[:, :, 0]
+    information = np.sum(motion * weighted, axis=1)
+    angle = np.sum(weighted * left, axis=1) / information
+    variance = 1 / information + swept.reading_variance
+    rest = left - motion * angle[:, None]
+    chi2_rest = np.sum(rest * np.linalg.solve(swept.covariance, rest[:, :, None])[:, :, 0])
+    return AxisFit(
+        value=found.state.value,
+        covariance=found.solved.covariance[N_FREE:, N_FREE:],
+        estimable=found.solved.estimable[N_FREE:],
+        turned=sweep_angle(swept, terms, found.state),
+        angle_left=angle,
+        angle_variance=variance,
+        rest=rest,
+        chi2_angle=float(np.sum(angle**2 / variance)),
+        chi2_rest=float(chi2_rest),
+    )
+
+
+def _terms(turned: Array, direction: Array, rate: Array | None, *, circular: bool) -> EncoderTerms:
+    middle = (turned.max() + turned.min()) / 2
+    columns, places = [turned - middle], {"hysteresis": -1, "circular": -1, "clock": -1}
+    if min(np.sum(direction > 0), np.sum(direction < 0)) >= MIN_PAIRS_PER_DIRECTION:
+        places["hysteresis"] = len(columns)
+        columns.append(direction / 2 - np.mean(direction / 2))
+    if circular:
+        places["circular"] = len(columns)
+        columns += [np.sin(turned) - np.mean(np.sin(turned))]
+        columns += [np.cos(turned) - np.mean(np.cos(turned))]
+    if rate is not None:
+        places["clock"] = len(columns)
+        columns.append(rate - np.mean(rate))
+    return EncoderTerms(np.stack(columns, axis=1), **places)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from verify.analysis.comparison import alignment_scale
 from verify.analysis.joint_errors import MIN_SPAN_CIRCULAR, P_LACK_OF_FIT
-from verify.analysis.model import JointErrorModel
+from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.sweeps.axis import (
     NO_FIGURE,
     SweepData,
@@ -22,12 +22,10 @@ from verify.analysis.sweeps.axis import (
     fit_terms,
     term_figure,
 )
-from verify.analysis.sweeps.segments import SweepSegment, find_segments, reading_noise
+from verify.analysis.sweeps.segments import SweepSegment, comparison_segments
 from verify.analysis.uncertainty.sources import pan_reading_covariance
 from verify.core.records import Array
 from verify.core.statistics import chi2_isf, chi2_sf
-from verify.io.session.session import Session
-from verify.measurement.systematics import Systematics
 from verify.measurement.track import Track, subset
 
 MAX_PAIRS = 150  # of one sweep, evenly spread: more only cost time
@@ -65,74 +63,57 @@ class JointSweep:
         return float(np.ptp(self.q))
 
 
-def judge_sweeps(
-    model: JointErrorModel,
-    session: Session,
-    track: Track,
-    systematics: Systematics,
-    *,
-    clock_given: bool,
-) -> list[JointSweep]:
-    """Find the single-joint sweeps of a session and judge each.
+def judge_sweeps(model: JointErrorModel, compared: SessionComparison) -> list[JointSweep]:
+    """Find the single-joint sweeps of a session, the MAX_SWEEPS widest, and judge each.
 
-    Args:
-        model: the session.
-        session: for what is stated of the encoders.
-        track: the measured poses, for their pan readings.
-        systematics: for the pan readings' uncertainty.
-        clock_given: the clock's offset was stated; else each sweep fits what is left of it, as an
-            error of the clock looks like hysteresis.
+    Unless the clock's offset was stated, each sweep fits what is left of it: an error of the clock
+    resembles hysteresis.
     """
-    found = find_segments(model.comparison, session.encoder_resolution)
-    widest = sorted(found, key=lambda s: -np.ptp(model.comparison.q[s.rows, s.joint]))
-    kept = {id(s) for s in widest[:MAX_SWEEPS]}
-    return [
-        _sweep_data(model, session, track, systematics, stretch, clock_given=clock_given)
-        for stretch in found
-        if id(stretch) in kept
-    ]
+    found = comparison_segments(model.comparison, compared.session.encoder_resolution)
+    least = sorted((segment.span for segment, _ in found), reverse=True)[:MAX_SWEEPS]
+    judged = []
+    for segment, direction in found:
+        if segment.span >= least[-1]:
+            pairs = _sweep_pairs(model, compared, segment, direction)
+            outlying = _outliers(pairs)
+            judged.append(_judge_sweep(pairs.without(outlying), pairs.rows[outlying]))
+    return judged
 
 
-def _sweep_data(
-    model: JointErrorModel,
-    session: Session,
-    track: Track,
-    systematics: Systematics,
-    stretch: SweepSegment,
-    *,
-    clock_given: bool,
-) -> JointSweep:
-    comparison, joint = model.comparison, stretch.joint
-    count = min(len(stretch.rows), MAX_PAIRS)
-    chosen = np.linspace(0, len(stretch.rows) - 1, count).round().astype(int)
-    rows = stretch.rows[chosen]
-    q, rate = comparison.q[rows, joint], comparison.rate[rows, joint]
-    covariance = _own_noise(track, comparison.index[stretch.rows], comparison.index[rows])
-    for spread in pan_reading_covariance(comparison, track, systematics):
+def _sweep_pairs(
+    model: JointErrorModel, compared: SessionComparison, segment: SweepSegment, direction: Array
+) -> "_SweepPairs":
+    """Take a segment's pairs, MAX_PAIRS at most, with what is known of each."""
+    session, comparison, joint = compared.session, model.comparison, segment.joint
+    count = min(len(segment.rows), MAX_PAIRS)
+    chosen = np.linspace(0, len(segment.rows) - 1, count).round().astype(int)
+    rows = segment.rows[chosen]
+    rate = comparison.rate[rows, joint]
+    covariance = _own_noise(compared.track, comparison.index[segment.rows], comparison.index[rows])
+    for spread in pan_reading_covariance(comparison, compared):
         covariance = covariance + spread[rows]
-    variance = np.full(count, reading_noise(comparison)[joint] ** 2)
+    variance = np.full(count, comparison.reading_noise[joint] ** 2)
     variance += (session.encoder_resolution or 0.0) ** 2 / 12
     variance += (rate * (session.encoder_time_standard_uncertainty or 0.0)) ** 2
     swept = SweepData(
         poses=comparison.base_T_measured[rows],
         covariance=covariance,
         held=model.prior_columns[rows],
-        q=q,
+        q=comparison.q[rows, joint],
         reading_variance=variance,
     )
-    case = _SweepPairs(swept, rows, joint, stretch.direction[chosen], None if clock_given else rate)
-    outlying = _outliers(case)
-    return _judge_sweep(case.without(outlying), rows[outlying])
+    given = compared.clock.source == "given"
+    return _SweepPairs(swept, rows, joint, direction[chosen], None if given else rate)
 
 
-def _own_noise(track: Track, stretch: NDArray[np.int64], rows: NDArray[np.int64]) -> Array:
-    """Covariance of some of a stretch's poses, (n, 6, 6), by its own accelerations.
+def _own_noise(track: Track, segment: NDArray[np.int64], rows: NDArray[np.int64]) -> Array:
+    """Covariance of some of a segment's poses, (n, 6, 6), by its own accelerations.
 
     A shoulder swept alone accelerates the flange ten times as much as a wrist: the session's mean
     would be too little for one and too much for the other. And where a joint turns back it
     accelerates most: what the neighbours show there of alignment is counted pair by pair.
     """
-    scale = float(alignment_scale(subset(track, stretch)).mean())
+    scale = float(alignment_scale(subset(track, segment)).mean())
     left = track.alignment_error[rows]
     total: Array = track.covariance_pixels[rows] + scale * track.covariance_alignment[rows]
     return total + left[:, :, None] * left[:, None, :]

@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from verify.analysis.clock import ClockEstimate
-from verify.analysis.comparison import Comparison, JointComparison
+import robots
+from verify.analysis.comparison import Comparison
 from verify.analysis.joint_errors import (
     JointErrors,
     MeanErrors,
@@ -26,7 +26,7 @@ from verify.analysis.joint_errors import (
     is_fitted,
 )
 from verify.analysis.least_squares import solve
-from verify.analysis.model import JointErrorModel
+from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.uncertainty.sources import (
     ALIGNMENT,
     CLOCK,
@@ -40,9 +40,7 @@ from verify.analysis.uncertainty.sources import (
     systematic_sources,
 )
 from verify.core.records import Array
-from verify.io.session.session import Session
-from verify.measurement.systematics import Systematics, unit
-from verify.measurement.track import Track
+from verify.measurement.systematics import unit
 
 
 def mean_sensitivities(
@@ -149,36 +147,24 @@ class _BudgetLine:
 
 def budget(
     model: JointErrorModel,
-    plain: Comparison,
-    joints: JointComparison,
+    compared: SessionComparison,
     errors: JointErrors,
     means: MeanErrors,
     resolved: ResolvedErrors,
-    session: Session,
-    systematics: Systematics,
-    track: Track,
-    clock: ClockEstimate,
 ) -> Budget:
     """Take the mean errors' uncertainties apart.
 
     Args:
         model: the session's linear model.
-        plain: its comparison before pairs that repeat each other were counted for fewer.
-        joints: for how measured angles follow from measured poses.
+        compared: the session, before pairs that repeat each other were counted for fewer.
         errors: joint errors a pair.
         means: what the sources add up to.
         resolved: the fit that means come from where no pair tells some joint's error.
-        session: for the arm, the rig, and what is stated of the encoders.
-        systematics: stated parameters.
-        track: measured poses (pan readings).
-        clock: the offset and how it came about.
     """
-    by_pair = mean_sensitivities(model, errors, resolved, joints.inverse)
+    by_pair = mean_sensitivities(model, errors, resolved, compared.joints.inverse)
     fitted = is_fitted(model, errors)
-    varying = random_sources(model, plain, track, session, systematics)
-    held = systematic_sources(
-        model.comparison, track, session.rig, clock, systematics, clock_fitted=fitted
-    )
+    varying = random_sources(model, compared)
+    held = systematic_sources(model.comparison, compared, clock_fitted=fitted)
     own = _noise_dof(resolved, means, fitted=fitted)
     lines = [*_random_lines(varying, by_pair, own), *_systematic_lines(held, by_pair)]
     if fitted and not model.through_encoders and resolved.misfit > 1:
@@ -195,7 +181,7 @@ def budget(
     )
     return Budget(
         lines=_table(lines, random + systematic),
-        parameters=_parameters(held, session, model.comparison, by_pair),
+        parameters=_parameters(held, compared.session.arm, model.comparison, by_pair),
         random=np.sqrt(np.maximum(random, 0.0)),
         systematic=np.sqrt(np.maximum(systematic, 0.0)),
         degrees=degrees,
@@ -268,10 +254,10 @@ def _table(lines: list[_BudgetLine], total: Array) -> pd.DataFrame:
 
 
 def _parameters(
-    held: SystematicSources, session: Session, comparison: Comparison, by_pair: Array
+    held: SystematicSources, arm: robots.Arm, comparison: Comparison, by_pair: Array
 ) -> pd.DataFrame:
     """Every parameter with its sensitivity, those of the robot's table without an uncertainty."""
-    names, columns = robot_table_columns(session.arm, comparison)
+    names, columns = robot_table_columns(arm, comparison)
     everything = np.concatenate([held.columns, columns], axis=2)
     u = np.concatenate([np.sqrt(np.diag(held.covariance)), np.full(len(names), np.nan)])
     sources = [*held.sources, *[ROBOT_TABLE] * len(names)]

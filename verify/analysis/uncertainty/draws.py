@@ -14,14 +14,13 @@ from functools import cached_property
 import numpy as np
 
 from robots.transforms import invert, rotation_exp
-from verify.analysis.clock import ClockEstimate
 from verify.analysis.kernels import Drawn, fit_poses
+from verify.analysis.model import SessionComparison
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
 from verify.core.rig import Camera, Rig
-from verify.io.session.session import Session
 from verify.measurement.sensitivities import AXES, LENS
-from verify.measurement.systematics import Systematics, covariance_root
+from verify.measurement.systematics import covariance_root
 from verify.measurement.track import Track
 
 MAX_ITERATIONS = 8  # quadratic from a start that is off by a standard uncertainty: three suffice
@@ -200,15 +199,9 @@ def _by_pose(by_point: Array, arm: Array) -> Array:
 class WorldDraws:
     """What is drawn once and holds for all pairs, and the chance for the rest; d draws."""
 
-    def __init__(
-        self,
-        rng: np.random.Generator,
-        draws: int,
-        session: Session,
-        systematics: Systematics,
-        clock: ClockEstimate,
-    ) -> None:
-        self.rng, self.draws, self.session = rng, draws, session
+    def __init__(self, rng: np.random.Generator, draws: int, compared: SessionComparison) -> None:
+        systematics, clock = compared.systematics, compared.clock
+        self.rng, self.draws, self.session = rng, draws, compared.session
         spread = covariance_root(systematics.covariance)
         self.stated = rng.standard_normal((draws, spread.shape[1])) @ spread.T
         self.values = dict(zip(systematics.names, self.stated.T, strict=True))

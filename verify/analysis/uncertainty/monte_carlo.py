@@ -13,15 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
-from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import Comparison, JointComparison, alignment_scale
-from verify.analysis.model import prior_columns
+from verify.analysis.model import SessionComparison, prior_columns
 from verify.analysis.uncertainty.draws import WorldDraws
-from verify.core.readings import RATE_SPAN
 from verify.core.records import Array, Measurement
-from verify.io.session.session import Session
-from verify.measurement.systematics import Systematics
-from verify.measurement.track import Track
 
 N_PAIRS = 20  # spread over the session, beside the worst known ones
 N_DRAWS = 200
@@ -58,13 +53,8 @@ class MonteCarlo:
 
 
 def monte_carlo(
-    session: Session,
+    compared: SessionComparison,
     measurements: list[Measurement],
-    track: Track,
-    comparison: Comparison,
-    joints: JointComparison,
-    systematics: Systematics,
-    clock: ClockEstimate,
     *,
     pairs: int = N_PAIRS,
     draws: int = N_DRAWS,
@@ -73,13 +63,8 @@ def monte_carlo(
     """Draw the session's inputs and compare what comes out with linear propagation.
 
     Args:
-        session: for rig, marker, arm and what is stated of the encoders.
+        compared: the session, before pairs that repeat each other were counted for fewer.
         measurements: the measured pairs, one a row of the track.
-        track: their poses.
-        comparison: readings and measured poses, random parts before any that repeat are thinned.
-        joints: measured angles and d joints / d pose.
-        systematics: what files state.
-        clock: the offset and its uncertainty.
         pairs: how many to spread over the session.
         draws: how many worlds.
         seed: of the draws.
@@ -87,16 +72,18 @@ def monte_carlo(
     Returns:
         The comparison; None for an arm of other than six joints, or without a wholly known pose.
     """
+    session, track = compared.session, compared.track
+    comparison, joints = compared.comparison, compared.joints
     if session.arm.dof != N_JOINTS:
         return None
     chosen = _select_pairs(comparison, joints, pairs)
     if not len(chosen):
         return None
-    world = WorldDraws(np.random.default_rng(seed), draws, session, systematics, clock)
+    world = WorldDraws(np.random.default_rng(seed), draws, compared)
     scale = np.sqrt(alignment_scale(track))
     poses = np.empty((len(chosen), draws, 4, 4))
     read, straight = (np.empty((len(chosen), draws, N_JOINTS)) for _ in range(2))
-    noise = np.sqrt(2 * comparison.rate_variance) * RATE_SPAN
+    noise = comparison.reading_noise
     for m, i in enumerate(chosen.tolist()):
         row = int(comparison.index[i])
         drawn, twist = world.poses(measurements[row], track, row, float(scale[row]))
@@ -107,7 +94,7 @@ def monte_carlo(
         straight[m] = (by_reading - twist + by_alignment) @ joints.inverse[i].T
     q, _ = robots.nearest(session.arm, poses, read)
     bent = _wrap(read - q - joints.error[chosen, None])
-    linear = _linear(comparison, joints, track, clock, systematics)[chosen]
+    linear = _linear(compared)[chosen]
     return _compare_draws(chosen, bent, straight, linear, _coupled_joints(joints, chosen))
 
 
@@ -136,16 +123,12 @@ def _wrap(angle: Array) -> Array:
     return wrapped
 
 
-def _linear(
-    comparison: Comparison,
-    joints: JointComparison,
-    track: Track,
-    clock: ClockEstimate,
-    systematics: Systematics,
-) -> Array:
+def _linear(compared: SessionComparison) -> Array:
     """Standard uncertainty of every pair's joint errors by linear propagation, (n, j), rad."""
-    given = replace(clock, source="given")  # a clock that was estimated moves the readings alike
-    moved = joints.inverse @ prior_columns(comparison, track, given, systematics)
+    comparison, joints = compared.comparison, compared.joints
+    # a clock that was estimated moves the readings as a given one does
+    given = replace(compared.clock, source="given")
+    moved = joints.inverse @ prior_columns(comparison, compared.track, given, compared.systematics)
     own = joints.inverse @ comparison.covariance @ np.swapaxes(joints.inverse, 1, 2)
     total: Array = np.sqrt(np.diagonal(own, axis1=1, axis2=2) + np.sum(moved**2, axis=2))
     return total

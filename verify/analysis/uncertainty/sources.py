@@ -6,16 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 import robots
-from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import Comparison, alignment_scale
-from verify.analysis.diagnosis.link_faults import link_frames, rotation_twist, translation_twist
-from verify.analysis.model import JointErrorModel, clock_effect, pan_columns
-from verify.core.readings import RATE_SPAN
+from verify.analysis.diagnosis.link_faults import rotation_twist, translation_twist
+from verify.analysis.model import (
+    JointErrorModel,
+    SessionComparison,
+    clock_effect,
+    pan_columns,
+)
 from verify.core.records import Array
-from verify.core.rig import Rig
-from verify.io.session.session import Session
-from verify.measurement.systematics import Systematics
-from verify.measurement.track import Track
 
 PIXELS, INSTRUMENT, SKEW = "pixels", "instrument", "camera skew"
 NOISE, RESOLUTION, TIME_STAMPS = "readings' noise", "encoder resolution", "encoder time stamps"
@@ -47,27 +46,19 @@ class SystematicSources:
     covariance: Array  # (p, p), SI
 
 
-def random_sources(
-    model: JointErrorModel,
-    plain: Comparison,
-    track: Track,
-    session: Session,
-    systematics: Systematics,
-) -> list[RandomSource]:
+def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[RandomSource]:
     """Take apart what varies from pair to pair; the parts add up to the model's covariance.
 
     Args:
-        model: the session's linear model, pairs that repeat each other included.
-        plain: the comparison before that, its Jacobian taken at the readings.
-        track: the measured poses.
-        session: for what is stated of the encoders.
-        systematics: for pan readings too many to be shared by pairs.
+        model: the session's linear model, pairs that repeat each other's errors counted for fewer.
+        compared: the session before that, its Jacobian taken at the readings.
     """
+    session, track, plain = compared.session, compared.track, compared.comparison
     moved = plain.base_T_measured[:, :3, 3] - track.base_T_flange[plain.index, :3, 3]
     carry = _twist_transports(moved)
     turned = np.swapaxes(carry, 1, 2)
     scale = alignment_scale(track)[:, None, None]
-    noise = np.sqrt(2 * plain.rate_variance) * RATE_SPAN
+    noise = plain.reading_noise
     poses = PIXELS if session.instrument is None else INSTRUMENT
     found = [
         RandomSource(poses, "A", carry @ track.covariance_pixels[plain.index] @ turned),
@@ -81,7 +72,7 @@ def random_sources(
         speed = np.einsum("nij,nj->ni", plain.jacobian, plain.rate)
         speed = speed * session.encoder_time_standard_uncertainty
         found.append(RandomSource(TIME_STAMPS, "B", speed[:, :, None] * speed[:, None, :]))
-    found += [RandomSource(PAN, "B", c) for c in pan_reading_covariance(plain, track, systematics)]
+    found += [RandomSource(PAN, "B", c) for c in pan_reading_covariance(plain, compared)]
     grown = model.comparison.covariance - plain.covariance
     return [*found, RandomSource(AUTOCORRELATION, "A", grown)]
 
@@ -101,36 +92,28 @@ def _propagate(jacobian: Array, variance: Array) -> Array:
     return spread
 
 
-def pan_reading_covariance(
-    plain: Comparison, track: Track, systematics: Systematics
-) -> Iterator[Array]:
+def pan_reading_covariance(comparison: Comparison, compared: SessionComparison) -> Iterator[Array]:
     """Spread (n, 6, 6) of xi by pan readings that no two pairs share, a camera each."""
+    track, systematics = compared.track, compared.systematics
     for side in (0, 1):
         sigma = systematics.pan[side]
-        if sigma > 0 and not pan_columns(plain, track, systematics, side).shape[2]:
-            effect = plain.systematic[:, :, len(systematics.names) + side] * sigma
+        if sigma > 0 and not pan_columns(comparison, track, systematics, side).shape[2]:
+            effect = comparison.systematic[:, :, len(systematics.names) + side] * sigma
             yield effect[:, :, None] * effect[:, None, :]
 
 
 def systematic_sources(
-    comparison: Comparison,
-    track: Track,
-    rig: Rig,
-    clock: ClockEstimate,
-    systematics: Systematics,
-    *,
-    clock_fitted: bool,
+    comparison: Comparison, compared: SessionComparison, *, clock_fitted: bool
 ) -> SystematicSources:
-    """Everything stated or estimated once for the session, parameter by parameter.
+    """List everything stated or estimated once for the session, parameter by parameter.
 
     Args:
         comparison: of the model.
-        track: for its pan readings.
-        rig: says which parameters share the calibration's degrees of freedom.
-        clock: the offset and how it came about.
-        systematics: what files state.
+        compared: the session; its rig tells which parameters share the calibration's degrees of
+            freedom.
         clock_fitted: the clock is a free column of the fit that means come from.
     """
+    rig, clock, systematics = compared.session.rig, compared.clock, compared.systematics
     count = len(systematics.names)
     given = set(rig.covariance.parameters) if rig.covariance is not None else set()
     names, sources = list(systematics.names), list(systematics.sources)
@@ -151,7 +134,7 @@ def systematic_sources(
         columns.append(comparison.alignment_error[:, :, None])
         variances.append(np.ones(1))
     for side, camera in enumerate(("left", "right")):
-        group = pan_columns(comparison, track, systematics, side)  # of unit variance
+        group = pan_columns(comparison, compared.track, systematics, side)  # of unit variance
         sigma = systematics.pan[side]
         names += [f"{camera}.pan_deg"] * group.shape[2]  # one error a reading, all of one size
         sources += [PAN] * group.shape[2]
@@ -180,7 +163,7 @@ def robot_table_columns(arm: robots.Arm, comparison: Comparison) -> tuple[tuple[
     """
     if not isinstance(arm, robots.DhArm):
         return (), np.zeros((len(comparison), 6, 0))
-    frames = link_frames(arm, comparison.q)
+    frames = robots.link_frames(arm, comparison.q)
     tip, links = frames[:, -1, :3, 3], range(arm.dof)
     along = [translation_twist(frames[:, i + 1, :3, 0]) for i in links]
     down = [translation_twist(frames[:, i, :3, 2]) for i in links]

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 import robots
 from verify.analysis.rig_check import drop_registration
-from verify.analysis.sweeps.segments import MotionSegment
+from verify.analysis.sweeps.segments import SweepSegment
 from verify.calibration.axes.axis import SweepAxis, fit_axis
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement
@@ -151,7 +151,7 @@ class JointSweepResult:
 
 
 def fit_joint(
-    session: Session, measured: list[Measurement], readings: Readings, sweep: MotionSegment
+    session: Session, measured: list[Measurement], readings: Readings, sweep: SweepSegment
 ) -> JointSweepResult:
     """Fit the axis of one sweep and compare its turn with the encoder.
 
@@ -161,9 +161,9 @@ def fit_joint(
         readings: the encoders, for their noise.
         sweep: which joint moved, when.
     """
-    count = min(len(sweep.pairs), MAX_PAIRS)
-    chosen = np.linspace(0, len(sweep.pairs) - 1, count).astype(int)
-    seen = [measured[i] for i in sweep.pairs[chosen]]
+    count = min(len(sweep.rows), MAX_PAIRS)
+    chosen = np.linspace(0, len(sweep.rows) - 1, count).astype(int)
+    seen = [measured[i] for i in sweep.rows[chosen]]
     q = sweep.q[chosen]
     poses = [m.pose for m in seen if m.pose is not None]
     angle = q[:, sweep.joint]

@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 import robots
 from robots.transforms import difference, invert
 from verify.analysis.clock import estimate_clock
-from verify.analysis.sweeps.segments import MAX_REST_TRAVEL, MotionSegment, find_sweeps
+from verify.analysis.sweeps.segments import MAX_REST_TRAVEL, SweepSegment, find_sweeps
 from verify.calibration.axes.joint import (
     AxisLine,
     JointSweepResult,
@@ -227,7 +227,7 @@ def _clock(session: Session, measured: list[Measurement], readings: Readings) ->
     return float(estimate_clock(collect_track(measured, rig, empty), session.arm, readings).offset)
 
 
-def _wide_sweeps(sweeps: list[MotionSegment]) -> tuple[list[MotionSegment], list[str]]:
+def _wide_sweeps(sweeps: list[SweepSegment]) -> tuple[list[SweepSegment], list[str]]:
     """Sweeps wide enough, and what is said of the others."""
     useful, notes = [], []
     for sweep in sweeps:

@@ -3,7 +3,6 @@
 The keys of the summary and the tables are those that `reports.calibration.check` documents.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,38 +11,20 @@ import pandas as pd
 from reports import Results
 from verify.analysis.rig_check import FIGURES, RigConsistency
 from verify.calibration.check.check import P_CONFIDENCE, CheckResult, figure_limit
+from verify.calibration.origin import DEG, MM, ResultsOrigin
 from verify.core.records import Array
-from verify.core.version import __version__
 
-MM = 1e3
-UNITS = np.array([1e3, 1.0, 180 / np.pi])  # of the figures, in which they are told
+UNITS = np.array([1e3, 1.0, DEG])  # of the figures in the results
 NAMES = ("scale_permille", "vertical_px", "roll_deg")
 
 
-def check_results(
-    found: CheckResult,
-    *,
-    source: str = "",
-    description: str = "",
-    inputs: Mapping[str, str] | None = None,
-) -> Results:
-    """Lay an interim check out for the report.
-
-    Args:
-        found: what was checked, and whether it holds.
-        source: folder of the session or of the pictures.
-        description: a user's words on it.
-        inputs: files that were read, with their hashes.
-    """
+def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Results:
+    """Lay an interim check of a session or of pictures out for the report."""
     figures = found.found
     return Results(
         summary={
-            "format": 1,
-            "kind": "calibration",
+            **(origin or ResultsOrigin()).summary("calibration"),
             "method": "check",
-            "tool": {"name": "verify", "version": __version__},
-            "source": {"path": source, "description": description},
-            "inputs": dict(sorted((inputs or {}).items())),
             "warnings": list(found.warnings),
             "verdict": found.verdict,
             "confidence": P_CONFIDENCE,
@@ -59,26 +40,16 @@ def check_results(
             "decisions": list(found.decisions),
         },
         setup={},
-        tables={
-            "lengths": _lengths(found),
-            "pairs": _pairs(figures),
-            "sources": _sources(figures),
-        },
+        tables={"lengths": _lengths(found), "pairs": _pairs(figures), "sources": _sources(figures)},
     )
 
 
 def _figures(found: RigConsistency) -> list[dict[str, Any]]:
     return [
-        {
-            "figure": name,
-            key: value,
-            f"standard_uncertainty_{unit}": u,
-            "z": z,
-        }
-        for name, key, unit, value, u, z in zip(
+        {"figure": name, key: value, f"standard_uncertainty_{key.rpartition('_')[2]}": u, "z": z}
+        for name, key, value, u, z in zip(
             FIGURES,
             NAMES,
-            (name.rpartition("_")[2] for name in NAMES),
             (found.value * UNITS).tolist(),
             (found.uncertainty * UNITS).tolist(),
             found.z.tolist(),

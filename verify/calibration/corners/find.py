@@ -1,12 +1,14 @@
-"""A board in an image: its corners, each with its covariance.
+"""Find a board in an image and measure its corners with covariance.
 
-A corner's place as the crossing of two blurred edges, by least squares on its pixels.
+A corner is the crossing of two blurred edges; its parameters (13, see `kernels.model`) are fitted
+by least squares to the pixels I(x) of a window about it:
 
-What the picture of a corner is stands in corner_kernel_model.py, which pixels speak for it in
-corner_kernel_window.py, the fit in corner_kernel.py. All pixels weigh the same: on the recorded
-boards weights by a usual shot noise gained a hundredth of the error, weights from a noise line
-through the picture's own dark and bright squares lost two. How large the noise is, and how far it
-ties neighbouring pixels together, is seen in the residuals of all corners of a view.
+    minimise   sum of (I(x) - model(p; x))²       p: place, turns and bends of both edges,
+                                                  blur, brightness of the four quadrants
+    covariance of the place = s² (J'J)⁻¹ * found / expected scatter of its scores
+
+All pixels weigh the same. The noise s and the correlation of neighbouring pixels (the ratio of
+scatters) are estimated from the residuals of all corners of a view.
 """
 
 from dataclasses import dataclass
@@ -34,17 +36,21 @@ from verify.calibration.corners.search import (
     to_8_bits,
     undo_scale,
 )
-from verify.core.fiducials import Board, BoardView
+from verify.core.fiducials import Board, BoardView, charuco_board
 from verify.core.records import Array, Image
+
+MIN_CORNERS = 4  # corners that fix a homography
+N_PASSES = 2  # the second with the plane and lens that the first found
+MIN_CORNER_SHARE = 0.75  # of a plain board's corners: the others may be covered or in glare
 
 
 @dataclass(frozen=True, slots=True)
 class CornerPrediction:
-    """Where a corner is expected, and the board's plane about it."""
+    """Expected place of a corner, and the board's plane about it."""
 
     centre: Array  # (2,), px
     jacobian: Array  # (2, 2), d px / d squares, columns along the board's x and y
-    bend: Array  # (2, 2), d² px / d squares², columns likewise
+    bend: Array  # (2, 2), d² px / d squares², columns along the board's x and y
     markers: tuple[float, int] | None = None  # squares between a marker and its square's edge;
     # sign of u · v (from the corner, board's axes) where the white squares are
 
@@ -53,7 +59,7 @@ class CornerPrediction:
 class Corner:
     """A fitted corner."""
 
-    parameters: Array  # (13,), see corner_kernel_model.py
+    parameters: Array  # (13,)
     centre: Array  # (2,), px
     covariance: Array  # (2, 2), px², if its residuals were independent from pixel to pixel
     variance: float  # DN², of the residuals
@@ -75,26 +81,21 @@ def fit_corner(
         window.
     """
     found = np.zeros(N_PARAMETERS) if parameters is None else parameters.copy()
-    told = np.empty(N_COLUMNS)
+    result = np.empty(N_COLUMNS)
     at = (place.centre, place.jacobian, place.bend)
     margin, white = place.markers or (0.0, 0)
     if not fit_crossing(
-        grey, at, (float(margin), float(white)), parameters is not None, STEP_TABLE, found, told
+        grey, at, (float(margin), float(white)), parameters is not None, STEP_TABLE, found, result
     ):
         return None
-    variance = float(told[COL_VARIANCE])
+    variance = float(result[COL_VARIANCE])
     return Corner(
         parameters=found,
         centre=place.centre + found[[PAR_X, PAR_Y]],
-        covariance=variance * told[[[COL_XX, COL_XY], [COL_XY, COL_YY]]],
+        covariance=variance * result[[[COL_XX, COL_XY], [COL_XY, COL_YY]]],
         variance=variance,
-        scatter=(float(told[COL_FOUND]), float(told[COL_EXPECTED])),
+        scatter=(float(result[COL_FOUND]), float(result[COL_EXPECTED])),
     )
-
-
-MIN_CORNERS = 4  # corners that fix a homography
-N_PASSES = 2  # the second with the plane and lens that the first found
-MIN_CORNER_SHARE = 0.75  # of a plain board's corners: the others may be covered or in glare
 
 
 def find_board(image: Image, board: Board) -> BoardView | None:
@@ -129,25 +130,23 @@ def find_board(image: Image, board: Board) -> BoardView | None:
 
 
 def is_ambiguous(board: Board) -> bool:
-    """Whether half a turn leaves the pattern as it is, so that colours cannot settle the order.
+    """Whether half a turn leaves the pattern as it is, so that colours do not determine the order.
 
-    So it is with plain boards that have an even sum of inner corners along x and y: 9 by 7, 8 by
-    6, every square one (which, with even counts, a quarter turn leaves as it is too). Of 9 by 6 and
-    of ChArUco boards every corner is known in every view.
+    True of plain boards with an even sum of inner corners along x and y: 9 by 7, every square one.
     """
     return board.markers is None and (board.columns + board.rows) % 2 == 0
 
 
 def find_other_board(image: Image, board: Board) -> tuple[int, int] | None:
-    """Which chessboard an image shows when the stated one was not found in it.
+    """Find which chessboard an image shows when the stated one was not found in it.
 
     Args:
         image: (h, w) grey or (h, w, 3) BGR, uint8.
         board: the pattern that was expected.
 
     Returns:
-        Inner corners of the plain board that is there, the direction that runs more across the
-        image first; None where no chessboard is seen whole.
+        Inner corners of the plain board, the direction that runs more across the image first; None
+        where no whole chessboard is in view.
     """
     grey = to_grey(image)
     grid = find_by_growing(grey)
@@ -196,8 +195,7 @@ def refine_corners(
 def corner_covariances(corners: list[Corner]) -> Array:
     """Covariance of each corner (n, 2, 2), px².
 
-    The noise and its ties between pixels are those of all corners together; one that fits worse
-    than most is trusted less.
+    Noise and its correlation are those of all corners together, enlarged for one that fits worse.
     """
     found, expected = np.sum([c.scatter for c in corners], axis=0)
     variance = np.array([c.variance for c in corners])
@@ -208,7 +206,7 @@ def corner_covariances(corners: list[Corner]) -> Array:
 
 
 def marker_margins(board: Board, corner: NDArray[np.int64]) -> list[tuple[float, int] | None]:
-    """For each corner of a ChArUco board how far markers keep from edges, and where white is."""
+    """Distance of markers from edges, and where white is, for each corner; None: a plain board."""
     if board.marker is None:
         return [None] * len(corner)
     margin = (1 - board.marker / board.square) / 2
@@ -219,7 +217,7 @@ def marker_margins(board: Board, corner: NDArray[np.int64]) -> list[tuple[float,
 
 def find_charuco(grey: Image, board: Board) -> tuple[NDArray[np.int64], Array]:
     """Corners of a ChArUco board in view: index (n,), and place (n, 2), px, to a pixel or so."""
-    detector = cv2.aruco.CharucoDetector(draw_charuco_board(board))
+    detector = cv2.aruco.CharucoDetector(charuco_board(board))
     for picture, scale in ((grey, 1.0), *picture_variants(grey)):
         corners, identity, _, _ = detector.detectBoard(picture)
         if identity is not None and len(identity) >= MIN_CORNERS:
@@ -227,15 +225,6 @@ def find_charuco(grey: Image, board: Board) -> tuple[NDArray[np.int64], Array]:
             places = undo_scale(np.asarray(corners, dtype=float).reshape(-1, 2)[order], scale)
             return identity.ravel()[order].astype(np.int64), places
     return np.empty(0, dtype=np.int64), np.empty((0, 2))
-
-
-def draw_charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
-    """The board as OpenCV draws it: first square black, markers in the white ones."""
-    name, marker = str(board.markers), float(board.marker or 0.0)
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-    return cv2.aruco.CharucoBoard(
-        (board.columns + 1, board.rows + 1), board.square, marker, dictionary
-    )
 
 
 def is_degenerate(points: Array) -> bool:

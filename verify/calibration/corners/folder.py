@@ -1,6 +1,6 @@
-"""Pictures of a board to its corners: every pair of a folder, on all cores.
+"""Find the board in every pair of images of a folder, on all cores.
 
-Pictures in which the stated board was not found: which pattern they show instead.
+Where the stated board is not found, the refusal names the pattern that the images show.
 """
 
 import os
@@ -18,9 +18,9 @@ from verify.core.records import Image
 from verify.errors import InputError
 from verify.io.board_folder import BoardFolder, BoardImages
 
-MAX_PAIRS = 3  # pairs
-MIN_AGREEING = 2  # pictures that must show it
-MIN_MARKERS = 4  # in a picture: one or two are seen in anything
+MAX_PAIRS = 3  # searched before another pattern is looked for
+MIN_AGREEING = 2  # images that must show another pattern
+MIN_MARKERS = 4  # in an image: one or two are found in anything
 # One of each kind: the smaller ones of a kind are its first markers.
 MARKER_DICTIONARIES = (
     "DICT_4X4_250",
@@ -30,93 +30,6 @@ MARKER_DICTIONARIES = (
     "DICT_ARUCO_ORIGINAL",
     "DICT_APRILTAG_36H11",
 )
-
-
-def refuse_another_pattern(folder: BoardFolder) -> None:
-    """Refuse pictures of another board, once two of the first ones agree on which.
-
-    Raises:
-        InputError: the pictures show other corner counts, markers where a plain board is stated,
-            no markers or others where a ChArUco board is.
-    """
-    board = folder.board
-    pictures = [p for pair in islice(folder.pairs(), MAX_PAIRS) for p in (pair.left, pair.right)]
-    if board.markers is not None and not _shows(pictures, board.markers):
-        _refuse_without_its_markers(folder, pictures, board.markers)
-    # markers first: to search a picture of them for plain boards of any counts takes long
-    if board.markers is None and (kind := _agreed_dictionary(pictures)) is not None:
-        raise InputError(
-            folder.folder,
-            f"the pictures show a board with markers, as in {kind}",
-            f"a plain one of {board_text(board)} is asked for",
-            "Use the board.toml that `verify board --charuco` wrote, or add markers and marker_mm.",
-        )
-    counts = _counts(pictures, board)
-    if counts is not None and counts != (board.columns, board.rows):
-        found = f"the pictures show {_corners_text(counts)}"
-        remedy = "Mend inner_corners in board.toml, or give --corners."
-        raise InputError(folder.folder, found, f"{board_text(board)} are asked for", remedy)
-
-
-def board_text(board: Board) -> str:
-    """Say which board is looked for."""
-    corners = _corners_text((board.columns, board.rows))
-    return corners if board.markers is None else f"{corners} with markers of {board.markers}"
-
-
-def _corners_text(counts: tuple[int, int]) -> str:
-    return f"{counts[0]} x {counts[1]} inner corners"
-
-
-def _refuse_without_its_markers(
-    folder: BoardFolder, pictures: Sequence[Image], markers: str
-) -> None:
-    """Refuse where none of the stated markers is seen but another board is."""
-    kind = _agreed_dictionary(pictures)
-    expected = f"board.toml says ChArUco, with markers of {markers}"
-    if kind is not None:
-        found = f"the pictures show markers as in {kind}"
-        raise InputError(folder.folder, found, expected, "Mend markers in board.toml.")
-    counts = _counts(pictures, folder.board)
-    if counts is not None:
-        raise InputError(
-            folder.folder,
-            f"no marker was found in the pictures, which show a plain board of {_corners_text(counts)}",
-            expected,
-            "Delete markers and marker_mm from board.toml, or take pictures of the ChArUco board.",
-        )
-
-
-def _counts(pictures: Sequence[Image], board: Board) -> tuple[int, int] | None:
-    """Corner counts of a plain chessboard on which pictures agree."""
-    seen: Counter[tuple[int, int]] = Counter()
-    for picture in pictures:
-        counts = find_other_board(picture, board)
-        if counts is None:
-            continue
-        seen[counts] += 1
-        if seen[counts] >= MIN_AGREEING:
-            return counts
-    return None
-
-
-def _agreed_dictionary(pictures: Sequence[Image]) -> str | None:
-    """The kind of markers on which pictures agree."""
-    return next((kind for kind in MARKER_DICTIONARIES if _shows(pictures, kind)), None)
-
-
-def _shows(pictures: Sequence[Image], markers: str) -> bool:
-    """Whether pictures show markers of a dictionary."""
-    detector = cv2.aruco.ArucoDetector(dictionary(markers))
-    showing = 0
-    for picture in pictures:
-        _, numbers, _ = detector.detectMarkers(to_grey(picture))
-        showing += numbers is not None and len(set(numbers.ravel().tolist())) >= MIN_MARKERS
-        if showing >= MIN_AGREEING:
-            return True
-    return False
-
-
 QUEUE_PER_CORE = 2  # pairs a core that wait decoded: enough to keep it busy, few enough for memory
 
 Progress = Callable[[int, int], None]
@@ -149,6 +62,12 @@ def find_boards(folder: BoardFolder, progress: Progress) -> list[BoardPair]:
     return pairs
 
 
+def middle_pair(folder: BoardFolder, frames: Sequence[int]) -> BoardImages:
+    """Read the images of the middle one of some pairs again, for a report."""
+    wanted = sorted(frames)[len(frames) // 2]
+    return next(p for p in folder.pairs() if p.frame == wanted)
+
+
 def _any_found(pairs: Sequence[BoardPair]) -> bool:
     return any(pair.left is not None or pair.right is not None for pair in pairs)
 
@@ -176,7 +95,7 @@ def _in_order(folder: BoardFolder) -> Iterator[BoardPair]:
 
 
 def _refuse_sideways(folder: BoardFolder, pairs: Sequence[BoardPair]) -> None:
-    """Refuse a board held on its side whose colours do not tell which corner is the first.
+    """Refuse a board held on its side whose colours do not determine the first corner.
 
     Raises:
         InputError: its columns run down most of the pictures.
@@ -200,7 +119,85 @@ def _rows_run_down(view: BoardView, columns: int) -> bool:
     return bool(y > x)
 
 
-def middle_pair(folder: BoardFolder, frames: Sequence[int]) -> BoardImages:
-    """Take the middle one of some pairs' pictures again, for a report."""
-    wanted = sorted(frames)[len(frames) // 2]
-    return next(p for p in folder.pairs() if p.frame == wanted)
+def refuse_another_pattern(folder: BoardFolder) -> None:
+    """Refuse pictures of another board, once two of the first ones agree on which.
+
+    Raises:
+        InputError: the pictures show other corner counts, markers where a plain board is stated,
+            no markers or others where a ChArUco board is.
+    """
+    board = folder.board
+    pictures = [p for pair in islice(folder.pairs(), MAX_PAIRS) for p in (pair.left, pair.right)]
+    if board.markers is not None and not _shows(pictures, board.markers):
+        _refuse_without_its_markers(folder, pictures, board.markers)
+    # markers first: to search a picture of them for plain boards of any counts takes long
+    if board.markers is None and (kind := _agreed_dictionary(pictures)) is not None:
+        raise InputError(
+            folder.folder,
+            f"the pictures show a board with markers, as in {kind}",
+            f"a plain one of {board_text(board)} is asked for",
+            "Use the board.toml that `verify board --charuco` wrote, or add markers and marker_mm.",
+        )
+    counts = _counts(pictures, board)
+    if counts is not None and counts != (board.columns, board.rows):
+        found = f"the pictures show {_corners_text(counts)}"
+        remedy = "Mend inner_corners in board.toml, or give --corners."
+        raise InputError(folder.folder, found, f"{board_text(board)} are asked for", remedy)
+
+
+def board_text(board: Board) -> str:
+    """Describe the board that is searched for."""
+    corners = _corners_text((board.columns, board.rows))
+    return corners if board.markers is None else f"{corners} with markers of {board.markers}"
+
+
+def _corners_text(counts: tuple[int, int]) -> str:
+    return f"{counts[0]} x {counts[1]} inner corners"
+
+
+def _refuse_without_its_markers(
+    folder: BoardFolder, pictures: Sequence[Image], markers: str
+) -> None:
+    """Refuse where none of the stated markers is seen but another board is."""
+    kind = _agreed_dictionary(pictures)
+    expected = f"board.toml says ChArUco, with markers of {markers}"
+    if kind is not None:
+        found = f"the pictures show markers as in {kind}"
+        raise InputError(folder.folder, found, expected, "Mend markers in board.toml.")
+    counts = _counts(pictures, folder.board)
+    if counts is not None:
+        raise InputError(
+            folder.folder,
+            "no marker was found in the pictures, which show a plain board of "
+            f"{_corners_text(counts)}",
+            expected,
+            "Delete markers and marker_mm from board.toml, or take pictures of the ChArUco board.",
+        )
+
+
+def _counts(pictures: Sequence[Image], board: Board) -> tuple[int, int] | None:
+    """Corner counts of a plain chessboard on which pictures agree."""
+    votes: Counter[tuple[int, int]] = Counter()
+    for picture in pictures:
+        counts = find_other_board(picture, board)
+        votes[counts or (0, 0)] += 1
+        if counts is not None and votes[counts] >= MIN_AGREEING:
+            return counts
+    return None
+
+
+def _agreed_dictionary(pictures: Sequence[Image]) -> str | None:
+    """The kind of markers on which pictures agree."""
+    return next((kind for kind in MARKER_DICTIONARIES if _shows(pictures, kind)), None)
+
+
+def _shows(pictures: Sequence[Image], markers: str) -> bool:
+    """Whether pictures show markers of a dictionary."""
+    detector = cv2.aruco.ArucoDetector(dictionary(markers))
+    showing = 0
+    for picture in pictures:
+        _, numbers, _ = detector.detectMarkers(to_grey(picture))
+        showing += numbers is not None and len(set(numbers.ravel().tolist())) >= MIN_MARKERS
+        if showing >= MIN_AGREEING:
+            return True
+    return False

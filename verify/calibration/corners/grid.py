@@ -1,6 +1,13 @@
-"""Which corner of a grid is which: handedness, colours, and the right way up.
+"""Order of a grid of corners, and the smooth map from a board to one image of it.
 
-The smooth map from a board to one image of it: a homography and two radial terms.
+The map carries board coordinates s (2), in squares from the first corner, to pixels:
+
+    x = scale * w (1 + k_1 |w|² + k_2 |w|⁴) + middle,    w = homography(h; s)
+
+    0 - 7   h, homography without its last entry
+    8, 9    k_1, k_2, prior 0 ± PRIOR_RADIAL
+
+It serves the surroundings of corners, not the calibration.
 """
 
 from dataclasses import dataclass
@@ -15,11 +22,17 @@ from verify.core.records import Array, Image
 PRIOR_RADIAL = 0.3  # at half the image's width: a strongly distorting lens
 PRIOR_RESIDUAL = 0.5  # px: how well few corners would have to fit before they speak on the lens
 STEP = 0.05  # squares, of numerical derivatives
+# squares from a corner, diagonally, where its four squares' brightness is read
+SAMPLE_OFFSET = 0.25
+# white, white, white, black, as at a board's rim, makes 1.0; a crossing far more
+MIN_CROSSING_CONTRAST = 1.4
+MIN_LINE_SHARE = 0.6  # of a row's or column's corners: some may be covered or in glare
+Block = tuple[int, int, int, int]  # of corners: x and y of the first, columns, rows
 
 
 @dataclass(frozen=True, slots=True)
 class CornerMap:
-    """Squares to pixels; for the surroundings of corners, not for calibration."""
+    """The map from squares to pixels."""
 
     parameters: Array  # (10,), homography without its last entry, r² and r⁴ terms
     middle: Array  # (2,), px, of the image, which stands in for the lens's axis
@@ -53,15 +66,15 @@ def fit_map(squares: Array, pixels: Array, shape: tuple[int, ...]) -> CornerMap 
     """
     middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
     scale = max(shape[:2]) / 2
-    seen = (pixels - middle) / scale
-    homography, _ = cv2.findHomography(squares, seen)
+    normalised = (pixels - middle) / scale
+    homography, _ = cv2.findHomography(squares, normalised)
     if homography is None or abs(homography[2, 2]) < 1e-9:
         return None
     start = np.append(homography.ravel()[:8] / homography[2, 2], [0.0, 0.0])
 
     def misses(parameters: Array) -> Array:
         prior = parameters[8:] / PRIOR_RADIAL * PRIOR_RESIDUAL / scale
-        return np.append((_apply_map(parameters, squares) - seen).ravel(), prior)
+        return np.append((_apply_map(parameters, squares) - normalised).ravel(), prior)
 
     found = least_squares(misses, start, method="lm", x_scale="jac")
     return CornerMap(np.asarray(found.x), middle, scale)
@@ -76,30 +89,21 @@ def _apply_map(parameters: Array, squares: Array) -> Array:
     return bent
 
 
-SAMPLE_OFFSET = (
-    0.25  # squares from a corner, diagonally, where its four squares' brightness is read
-)
-MIN_CROSSING_CONTRAST = (
-    1.4  # white, white, white, black, as at a board's rim, makes 1.0; a crossing far more
-)
-MIN_LINE_SHARE = 0.6  # of a row's or column's corners: some may be covered or in glare
-
-
-def grid_points(columns: int, rows: int) -> Array:
-    """Board coordinates of the inner corners in squares, (columns * rows, 2), along x first."""
+def block_points(block: Block) -> Array:
+    """Board coordinates of a block of corners, (columns * rows, 2), squares, along x first."""
+    x0, y0, columns, rows = block
     y, x = np.mgrid[:rows, :columns]
-    return np.stack([x.ravel(), y.ravel()], axis=1).astype(float)
+    return np.stack([x.ravel() + x0, y.ravel() + y0], axis=1).astype(float)
 
 
-def block_points(x: int, y: int, columns: int, rows: int) -> Array:
-    """Board coordinates, in squares, of a block of corners from (x, y) on, along x first."""
-    start = np.array([x, y], dtype=float)
-    corners: Array = grid_points(columns, rows) + start
-    return corners
+def fit_grid_map(grey: Image, grid: Array) -> CornerMap | None:
+    """Fit the map to a grid (rows, columns, 2), px, that starts at the first corner."""
+    rows, columns = grid.shape[:2]
+    return fit_map(block_points((0, 0, columns, rows)), grid.reshape(-1, 2), grey.shape)
 
 
 def crossings(grey: Image, grid_map: CornerMap, squares: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Contrast of the crossings at given places of a board, and whether there is one.
+    """Contrast of the crossings at given places of a board, and whether each is one.
 
     Args:
         grey: (h, w).
@@ -136,29 +140,23 @@ def alternating_crossings(grey: Image, grid_map: CornerMap, squares: Array) -> N
 def is_whole(grey: Image, grid: Array) -> bool:
     """Whether a grid (rows, columns, 2) is a chessboard and no part of a larger one."""
     rows, columns = grid.shape[:2]
-    squares = grid_points(columns, rows)
-    grid_map = fit_map(squares, grid.reshape(-1, 2), grey.shape)
+    grid_map = fit_grid_map(grey, grid)
     if grid_map is None:
         return False
     return has_crossings(grey, grid_map, (0, 0, columns, rows)) and not any(
-        has_crossings(grey, grid_map, beyond) for beyond in neighbour_lines(0, 0, columns, rows)
+        has_crossings(grey, grid_map, line) for line in neighbour_lines(columns, rows)
     )
 
 
-def neighbour_lines(x: int, y: int, columns: int, rows: int) -> list[tuple[int, int, int, int]]:
-    """The four lines of corners next to a block (x, y, columns, rows), as blocks."""
-    return [
-        (x - 1, y, 1, rows),
-        (x + columns, y, 1, rows),
-        (x, y - 1, columns, 1),
-        (x, y + rows, columns, 1),
-    ]
+def neighbour_lines(columns: int, rows: int) -> list[Block]:
+    """The columns left and right of a grid, and the rows above and below it."""
+    return [(-1, 0, 1, rows), (columns, 0, 1, rows), (0, -1, columns, 1), (0, rows, columns, 1)]
 
 
-def has_crossings(grey: Image, grid_map: CornerMap, part: tuple[int, int, int, int]) -> bool:
-    """Whether crossings stand in every row and column of a block (x, y, columns, rows)."""
-    columns, rows = part[2:]
-    good = alternating_crossings(grey, grid_map, block_points(*part)).reshape(rows, columns)
+def has_crossings(grey: Image, grid_map: CornerMap, block: Block) -> bool:
+    """Whether crossings are in every row and column of a block."""
+    columns, rows = block[2:]
+    good = alternating_crossings(grey, grid_map, block_points(block)).reshape(rows, columns)
     if columns == 1 or rows == 1:
         return bool(good.mean() >= MIN_LINE_SHARE)
     return bool(min(good.mean(axis=0).min(), good.mean(axis=1).min()) >= MIN_LINE_SHARE)
@@ -206,11 +204,10 @@ def uprightness(grid: Array) -> float:
 
 def first_is_black(grey: Image, grid: Array) -> bool:
     """Whether the square before the first corner is black."""
-    rows, columns = grid.shape[:2]
-    squares = grid_points(columns, rows)
-    grid_map = fit_map(squares, grid.reshape(-1, 2), grey.shape)
+    grid_map = fit_grid_map(grey, grid)
     if grid_map is None:
         return False
+    squares = block_points((0, 0, grid.shape[1], grid.shape[0]))
     contrast, _ = crossings(grey, grid_map, squares)
     parity = np.where(squares.sum(axis=1) % 2 == 0, 1, -1)
     return bool(np.nansum(parity * contrast) < 0)

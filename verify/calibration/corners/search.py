@@ -1,6 +1,12 @@
-"""Where a chessboard's corners are, to a pixel or so: OpenCV's finders, asked in several ways."""
+"""Search for a chessboard's corners, to a pixel or so, by OpenCV's finders.
 
-from collections.abc import Callable, Iterator
+No model is fitted here: a finder's answer counts where the map of `grid` shows crossings of
+alternating colour in all of its rows and columns and in none of the lines around it. The finders
+are tried from the quickest to the one that withstands most, on the image and on variants of it
+(half the size, equalised, twice the size).
+"""
+
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -8,8 +14,7 @@ import numpy as np
 from verify.calibration.corners.grid import (
     CornerMap,
     block_points,
-    fit_map,
-    grid_points,
+    fit_grid_map,
     has_crossings,
     is_whole,
     neighbour_lines,
@@ -17,10 +22,11 @@ from verify.calibration.corners.grid import (
 from verify.core.records import Array, Image
 
 MIN_CORNERS = 3  # inner corners a side, OpenCV's least
-MAX_CORNERS = 60  # likewise, where growing stops
+MAX_CORNERS = 60  # inner corners a side at which growing stops
 SEED_CORNERS = (4, 3, 5)  # inner corners a side that a general search starts from
-PLAIN = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-Finder = Callable[[Image, tuple[int, int]], Array | None]
+QUAD_FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+# of the sector-based finder: noise, blur and steep views; dark or overexposed boards
+SECTOR_FLAGS = (cv2.CALIB_CB_EXHAUSTIVE, cv2.CALIB_CB_NORMALIZE_IMAGE)
 
 
 def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
@@ -37,32 +43,48 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
     if min(columns, rows) < MIN_CORNERS:
         return None
     counts = (columns, rows)
-    for finder in (sector_finder, normalised_sector_finder):
-        grid = try_finder(finder, grey, grey, 1.0, counts)
+    for flags in SECTOR_FLAGS:
+        grid = _find_whole(grey, grey, 1.0, counts, flags)
         if grid is not None:
             return grid
     other = find_by_growing(grey)
     if other is not None and sorted(other.shape[:2]) == sorted(counts):
         return other
-    grid = try_finder(quad_finder, grey, grey, 1.0, counts)
+    grid = _find_whole(grey, grey, 1.0, counts, None)
     if grid is not None or other is not None:
-        return grid  # where a board of other counts is in view, there is no need to look harder
+        return grid  # where a board of other counts is in view, there is no need to search harder
     for picture, scale in picture_variants(grey):
-        for finder in (sector_finder, normalised_sector_finder, quad_finder):
-            grid = try_finder(finder, grey, picture, scale, counts)
+        for variant in (*SECTOR_FLAGS, None):
+            grid = _find_whole(grey, picture, scale, counts, variant)
             if grid is not None:
                 return grid
     return None
 
 
-def try_finder(
-    finder: Finder, grey: Image, picture: Image, scale: float, counts: tuple[int, int]
+def _find_whole(
+    grey: Image, picture: Image, scale: float, counts: tuple[int, int], flags: int | None
 ) -> Array | None:
-    """A finder's answer in the image's own pixels, where it is the whole of a board."""
-    corners = finder(picture, counts)
-    if corners is None:
+    """Search a variant of an image for the whole of a board.
+
+    Args:
+        grey: (h, w), the image, in which the answer is checked.
+        picture: the variant.
+        scale: its size over the image's.
+        counts: inner corners, columns and rows.
+        flags: of OpenCV's sector-based finder; None: its older finder by black quadrangles, which
+            finds boards cut by the image's border.
+
+    Returns:
+        (rows, columns, 2), px of the image; None: not found.
+    """
+    if flags is None:
+        found, corners = cv2.findChessboardCorners(picture, counts, flags=QUAD_FLAGS)
+    else:
+        found, corners = cv2.findChessboardCornersSB(picture, counts, flags=flags)
+    if not found:
         return None
-    grid = undo_scale(corners, scale).reshape(counts[1], counts[0], 2)
+    places = undo_scale(np.asarray(corners, dtype=float).reshape(-1, 2), scale)
+    grid = places.reshape(counts[1], counts[0], 2)
     return grid if is_whole(grey, grid) else None
 
 
@@ -85,25 +107,6 @@ def undo_scale(corners: Array, scale: float) -> Array:
     """Carry places in a resized picture back; pixel centres are at whole numbers in both."""
     original: Array = (corners + 0.5) / scale - 0.5
     return original
-
-
-def sector_finder(picture: Image, counts: tuple[int, int]) -> Array | None:
-    """OpenCV's sector-based finder; it withstands noise, blur and steep views."""
-    found, corners = cv2.findChessboardCornersSB(picture, counts, flags=cv2.CALIB_CB_EXHAUSTIVE)
-    return np.asarray(corners, dtype=float).reshape(-1, 2) if found else None
-
-
-def normalised_sector_finder(picture: Image, counts: tuple[int, int]) -> Array | None:
-    """The same after equalising: dark or overexposed boards."""
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE
-    found, corners = cv2.findChessboardCornersSB(picture, counts, flags=flags)
-    return np.asarray(corners, dtype=float).reshape(-1, 2) if found else None
-
-
-def quad_finder(picture: Image, counts: tuple[int, int]) -> Array | None:
-    """OpenCV's older finder, by black quadrangles: boards cut by the image's border."""
-    found, corners = cv2.findChessboardCorners(picture, counts, flags=PLAIN)
-    return np.asarray(corners, dtype=float).reshape(-1, 2) if found else None
 
 
 def find_by_growing(grey: Image) -> Array | None:
@@ -129,66 +132,47 @@ def find_by_growing(grey: Image) -> Array | None:
 
 
 def grow_grid(grey: Image, grid: Array) -> Array | None:
-    """Drop lines that are none, then add lines as long as the pattern goes on."""
-    rows, columns = grid.shape[:2]
-    grid_map = fit_map(grid_points(columns, rows), grid.reshape(-1, 2), grey.shape)
-    while grid_map is not None and min(rows, columns) >= MIN_CORNERS:
-        bad = [
-            side
-            for side, line in enumerate(outer_lines(columns, rows))
-            if not has_crossings(grey, grid_map, line)
-        ]
-        if not bad:
-            break
-        keep = [slice(0 in bad, columns - (1 in bad)), slice(2 in bad, rows - (3 in bad))]
-        grid = grid[keep[1], keep[0]]
+    """Drop outer lines without crossings, then add lines as long as the pattern continues."""
+    grid_map = fit_grid_map(grey, grid)
+    while grid_map is not None and min(grid.shape[:2]) >= MIN_CORNERS:
         rows, columns = grid.shape[:2]
-        if min(rows, columns) >= MIN_CORNERS:
-            grid_map = fit_map(grid_points(columns, rows), grid.reshape(-1, 2), grey.shape)
-    if grid_map is None or min(rows, columns) < MIN_CORNERS:
+        outer = [(0, 0, 1, rows), (columns - 1, 0, 1, rows)]
+        outer += [(0, 0, columns, 1), (0, rows - 1, columns, 1)]
+        bad = [not has_crossings(grey, grid_map, line) for line in outer]
+        if not any(bad):
+            break
+        left, right, top, bottom = bad
+        grid = grid[top : rows - bottom, left : columns - right]
+        if min(grid.shape[:2]) >= MIN_CORNERS:
+            grid_map = fit_grid_map(grey, grid)
+    if grid_map is None or min(grid.shape[:2]) < MIN_CORNERS:
         return None
-    while max(grid.shape[:2]) < MAX_CORNERS:
+    while grid_map is not None and max(grid.shape[:2]) < MAX_CORNERS:
         longer = add_line(grey, grid, grid_map)
         if longer is None:
             return grid
-        grid = longer
-        rows, columns = grid.shape[:2]
-        grid_map = fit_map(grid_points(columns, rows), grid.reshape(-1, 2), grey.shape)
-        if grid_map is None:
-            return None
+        grid, grid_map = longer, fit_grid_map(grey, longer)
     return None
 
 
-def outer_lines(columns: int, rows: int) -> list[tuple[int, int, int, int]]:
-    """The first and last column and row of a grid, as blocks (x, y, columns, rows)."""
-    return [
-        (0, 0, 1, rows),
-        (columns - 1, 0, 1, rows),
-        (0, 0, columns, 1),
-        (0, rows - 1, columns, 1),
-    ]
-
-
 def add_line(grey: Image, grid: Array, grid_map: CornerMap) -> Array | None:
-    """A grid with one more line of corners, on the first side where the pattern goes on."""
+    """Add one line of corners on the first side where the pattern continues; None: nowhere."""
     rows, columns = grid.shape[:2]
-    for side, line in enumerate(neighbour_lines(0, 0, columns, rows)):
+    for side, line in enumerate(neighbour_lines(columns, rows)):
         if not has_crossings(grey, grid_map, line):
             continue
-        squares = block_points(*line)
+        squares = block_points(line)
         places = grid_map(squares)
         height, width = grey.shape
         if (places < 1).any() or (places > [width - 2, height - 2]).any():
             continue
         step = np.linalg.norm(grid_map.jacobian(squares), axis=1)
         half = max(int(0.35 * step.min()), 2)
-        sharper = cv2.cornerSubPix(
-            grey,
+        rough, stop = (
             places.astype(np.float32).reshape(-1, 1, 2),
-            (half, half),
-            (-1, -1),
             (cv2.TERM_CRITERIA_COUNT, 10, 0.0),
-        ).reshape(-1, 2)
+        )
+        sharper = cv2.cornerSubPix(grey, rough, (half, half), (-1, -1), stop).reshape(-1, 2)
         if np.linalg.norm(sharper - places, axis=1).max() > half:
             sharper = places.astype(np.float32)
         axis = 1 if side < 2 else 0

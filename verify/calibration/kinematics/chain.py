@@ -1,6 +1,15 @@
-"""Any serial arm of revolute joints as a table: standard DH, with Hayati's β at parallel axes.
+"""Kinematic chain of any serial arm of revolute joints, and its parameters that may be identified.
 
-What may be identified: named parameters of base, arm and tool, and how one order is kept.
+    base_T_flange = T_first Π_j [ RotZ(θ_j) TransZ(d_j) TransX(a_j) RotX(α_j) RotY(β_j) ] T_last
+    θ_j           = sign_j (q_j + correction_j) + offset_j
+
+Standard DH; where axes j and j + 1 are (nearly) parallel, β turns about y as α does about x:
+together they lean the next axis either way, which d cannot do there. Source: Hayati, "Robot arm
+geometric link parameter estimation", 22nd IEEE CDC, 1983.
+
+    correction, d, a, alpha, beta     of joint 1 … n            rad, m, m, rad, rad
+    base_x … base_rz                  of each placing (6)       m, rad, along its own axes
+    tool_x … tool_rz                  of each mounting (6)      m, rad, along the flange's axes
 """
 
 from dataclasses import dataclass, replace
@@ -13,17 +22,16 @@ from verify.core.records import Array
 
 MIN_AXIS_ANGLE = np.radians(10.0)  # below, DH's common normal is badly placed, and β takes over
 TOL_COAXIAL = 1e-9  # m
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+LINK_COLUMNS = ("correction", "d", "a", "alpha", "beta")  # columns of a chain, in this order
+# what a parameter is scaled by, so that millimetres and degrees can be set side by side
+LENGTH_UNIT = 1e-3  # m
+ANGLE_UNIT = float(np.radians(1.0))
 
 
 @dataclass(frozen=True, slots=True)
 class KinematicChain:
-    """n joints: base_T_first · Π RotZ(θ) TransZ(d) TransX(a) RotX(α) RotY(β) · last_T_flange.
-
-    θ = sign · (q + correction) + offset: a correction is what has to be added to the reading.
-    Where axes i and i + 1 are (nearly) parallel, β turns about y as α does about x: together they
-    lean the next axis either way, which d cannot do for parallel axes. Source: Hayati,
-    "Robot arm geometric link parameter estimation", 22nd IEEE CDC, 1983.
-    """
+    """A chain of n joints; a correction is what has to be added to a reading."""
 
     base_T_first: Array  # (4, 4), m
     last_T_flange: Array  # (4, 4), m
@@ -83,10 +91,8 @@ def chain_of(arm: robots.Arm) -> KinematicChain:
 
 def link_transforms(chain: KinematicChain) -> Array:
     """What follows each joint's turn: TransZ(d) TransX(a) RotX(α) RotY(β), (n, 4, 4)."""
-    steps = [
-        _link_transform(*row) for row in zip(chain.d, chain.a, chain.alpha, chain.beta, strict=True)
-    ]
-    return np.array(steps)
+    rows = zip(chain.d, chain.a, chain.alpha, chain.beta, strict=True)
+    return np.array([_link_transform(*row) for row in rows])
 
 
 def turn_z(angle: float) -> Array:
@@ -134,13 +140,6 @@ def _link_transform(d: float, a: float, alpha: float, beta: float) -> Array:
     )
 
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")
-LINK_COLUMNS = ("correction", "d", "a", "alpha", "beta")  # columns of a chain, in this order
-# what a parameter is scaled by, so that millimetres and degrees can be set side by side
-LENGTH_UNIT = 1e-3  # m
-ANGLE_UNIT = float(np.radians(1.0))
-
-
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """One number that may be identified."""
@@ -163,16 +162,14 @@ class Parameter:
     def name(self) -> str:
         """The name in tables: offset_3, d_4, base_rz, tool_2_x (the second tool)."""
         if self.axis:
-            return f"{self.kind}_{self.axis}" if not self.place else (
-                f"{self.kind}_{self.place + 1}_{self.axis}"
-            )  # fmt: skip
+            return "_".join([self.kind, *([f"{self.place + 1}"] if self.place else []), self.axis])
         kind = "offset" if self.kind == "correction" else self.kind
         return f"{kind}_{self.place + 1}"
 
 
 @dataclass(frozen=True, slots=True)
 class ArmState:
-    """An arm between what measures and what is measured."""
+    """An arm with its placings in the world and the targets mounted on its flange."""
 
     chain: KinematicChain
     base: Array  # (g, 4, 4): world_T_base of each placing
@@ -223,11 +220,11 @@ def change_state(state: ArmState, parameters: tuple[Parameter, ...], change: Arr
             steps[parameter.kind][parameter.place, AXES.index(parameter.axis)] = value
         else:
             columns[parameter.kind][parameter.place] += value
-    return ArmState(
-        replace(state.chain, **columns),
-        state.base @ _small_motion(steps["base"]),
-        _move_tools(state.tool, steps["tool"]),
-    )
+    tools, moved = state.tool.copy(), _small_motion(steps["tool"])
+    tools[:, :3, 3] += moved[:, :3, 3]
+    tools[:, :3, :3] = moved[:, :3, :3] @ state.tool[:, :3, :3]
+    base = state.base @ _small_motion(steps["base"])
+    return ArmState(replace(state.chain, **columns), base, tools)
 
 
 def _small_motion(steps: Array) -> Array:
@@ -238,11 +235,3 @@ def _small_motion(steps: Array) -> Array:
         turn = rotation_exp(np.eye(3)[axis] * steps[:, 3 + axis, None])
         step[:, :3, :3] = step[:, :3, :3] @ turn
     return step
-
-
-def _move_tools(tools: Array, steps: Array) -> Array:
-    step = _small_motion(steps)
-    mounted = tools.copy()
-    mounted[:, :3, 3] += step[:, :3, 3]
-    mounted[:, :3, :3] = step[:, :3, :3] @ tools[:, :3, :3]
-    return mounted

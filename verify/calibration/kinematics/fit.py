@@ -1,6 +1,15 @@
-"""Least squares over chosen parameters, robust to rows that do not belong.
+"""Fit of chosen parameters to measured poses, robust to outlying rows, with cross-validation.
 
-How a model carries over to rows that it has not seen.
+    minimise   sum over rows i of | W_i (ξ_i(p) - N_i z) |² + |z|²
+
+    ξ_i   (6,)     measured pose less the chain's, m and rad
+    W_i   (6, 6)   whitener of the row's noise
+    N_i   (6, e)   effects of unit variance that do not average out
+    p     (L,)     chosen parameters (`chain.Parameter`), in units of 1 mm or 1°
+    z     (e,)     nuisances, in standard deviations
+
+A row is outlying where its squared Mahalanobis distance exceeds what noise reaches once in a
+thousand data sets; such rows are left out and remain listed.
 """
 
 from dataclasses import dataclass
@@ -22,7 +31,7 @@ from verify.calibration.kinematics.poses import (
 from verify.core.records import Array
 from verify.core.statistics import chi2_isf
 
-P_FALSE_ALARM = 1e-3  # over all rows: a row beyond it does not belong
+P_FALSE_ALARM = 1e-3  # over all rows: a row beyond it is outlying
 MAX_ROUNDS = 12  # of fit and outlying rows; two or three suffice
 MAX_RESTARTS = 3  # times at most that a fit starts anew where it ended
 MIN_TURN = 1e-4  # rad, of a base or tool: its columns are those of no turn at all
@@ -41,11 +50,6 @@ class KinematicFit:
     scale: NoiseScale
     distance: Array  # (n,), squared Mahalanobis length of what is left in each row
     used: NDArray[np.bool_]  # (n,)
-
-    @property
-    def chi2(self) -> float:
-        """Sum over the rows used."""
-        return float(self.distance[self.used].sum())
 
 
 def pose_residuals(state: ArmState, poses: IdentificationPoses) -> Array:
@@ -71,15 +75,9 @@ def whitened_columns(
 
 
 def fit_parameters(
-    state: ArmState,
-    poses: IdentificationPoses,
-    parameters: tuple[Parameter, ...],
+    state: ArmState, poses: IdentificationPoses, parameters: tuple[Parameter, ...]
 ) -> KinematicFit:
-    """Fit parameters; rows that do not belong are left out and remain listed.
-
-    A row is outlying where its squared Mahalanobis distance exceeds what noise reaches once in a
-    thousand data sets. The noise is what was stated, or what is left, whichever is larger (by the
-    median, which outlying rows do not move).
+    """Fit parameters to the rows that are not outlying.
 
     Args:
         state: where to start.
@@ -95,7 +93,7 @@ def fit_parameters(
         change = change + step
         left = _residuals_without_nuisances(found, poses, used, known)
         before, known = known, noise_scale(left, poses, used, len(parameters))
-        distance = np.sum((known.of(poses) @ left[:, :, None])[:, :, 0] ** 2, axis=1)
+        distance = np.sum(known.whiten(poses, left) ** 2, axis=1)
         kept = distance <= limit
         if (kept == used).all() and known.near(before):
             break
@@ -114,7 +112,7 @@ def _least_squares(
     parameters: tuple[Parameter, ...],
     scale: NoiseScale,
 ) -> tuple[Array, ArmState]:
-    """One fit by scipy: parameters in units of tolerance, nuisances in standard deviations."""
+    """Fit once by scipy: parameters in units of tolerance, nuisances in standard deviations."""
     length, extra = len(parameters), poses.nuisance.shape[2]
     tolerance = np.array([parameter.tolerance for parameter in parameters])
     white = scale.of(poses)
@@ -136,16 +134,9 @@ def _least_squares(
 
     for _ in range(MAX_RESTARTS):
         solved = least_squares(
-            left,
-            np.zeros(length + extra),
-            slope,
-            args=(state,),
-            method="trf",
-            x_scale="jac",
-            xtol=TOL_FIT,
-            ftol=TOL_FIT,
-            gtol=TOL_FIT,
-        )
+            left, np.zeros(length + extra), slope, args=(state,), method="trf", x_scale="jac",
+            xtol=TOL_FIT, ftol=TOL_FIT, gtol=TOL_FIT,
+        )  # fmt: skip
         step = solved.x[:length] * tolerance
         total, state = total + step, change_state(state, parameters, step)
         turns = [abs(v) for v, p in zip(step, parameters, strict=True) if p.axis and p.angular]
@@ -155,12 +146,9 @@ def _least_squares(
 
 
 def _residuals_without_nuisances(
-    state: ArmState,
-    poses: IdentificationPoses,
-    used: NDArray[np.bool_],
-    scale: NoiseScale,
+    state: ArmState, poses: IdentificationPoses, used: NDArray[np.bool_], scale: NoiseScale
 ) -> Array:
-    """What is left in each row once the nuisances have taken their most likely part."""
+    """Residuals of each row less the most likely effect of the nuisances, (n, 6)."""
     left = pose_residuals(state, poses)
     extra = poses.nuisance.shape[2]
     if not extra:
@@ -188,13 +176,12 @@ def _rows(blocks: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class CrossValidation:
-    """What is left on rows held out, means over the splits; all of them count, outlying or not."""
+    """Residuals on rows held out, means over the splits, outlying rows included."""
 
     splits: int
     rows: int  # held out in each, about
     position: Array  # (3,), m: mean, rms, greatest
     orientation: Array  # (3,), rad; nan where only positions were measured
-    by_split: Array  # (splits,), m: mean position residual
 
 
 def split(
@@ -224,10 +211,10 @@ def hold_out(
     share: float,
     seed: int,
 ) -> CrossValidation | None:
-    """Fit on the one part, judge on the other, several times; None where there are too few rows.
+    """Fit on one part and evaluate on the other, several times; None: too few rows.
 
     Args:
-        state: where each fit starts; it shortens the way and does not move the minimum.
+        state: where each fit starts.
         poses: n rows.
         parameters: what is free.
         splits: how often.
@@ -254,5 +241,4 @@ def hold_out(
         rows=round(float(np.mean(counts))),
         position=np.mean(positions, axis=0),
         orientation=blind if poses.position_only else np.mean(turns, axis=0),
-        by_split=np.array(positions)[:, 0],
     )

@@ -1,4 +1,14 @@
-"""Which parameters the data support, and with what each of the others is confounded."""
+"""Identifiability of parameters: which the data support, and with what the others are confounded.
+
+With the whitened columns D (m, L) of the candidates, 1 mm or 1° a unit, nuisances N (m, p) taken
+out:
+
+    R' R = D' D - D' N (1 + N' N)⁻¹ N' D        information on the parameters p (L,)
+
+In the order given, a parameter is supported while its column is not a combination of the chosen
+ones and the smallest singular value of R over them stays 1 or more: then every combination is known
+better than 1 mm or 1°.
+"""
 
 from dataclasses import dataclass
 
@@ -8,10 +18,8 @@ from verify.calibration.kinematics.chain import Parameter
 from verify.core.records import Array
 
 TOL_REDUNDANT = 1e-6  # of a column: what rounding leaves of one that others make up
-MIN_SINGULAR_VALUE = 1.0  # smallest singular value: every combination known better than 1 mm or 1°
-MIN_CONFOUNDING = (
-    0.1  # of the column that a parameter is confounded with others: below, not worth a word
-)
+MIN_SINGULAR_VALUE = 1.0  # of R: every combination known better than 1 mm or 1°
+MIN_CONFOUNDING = 0.1  # share of a column in another's: smaller ones are not named
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,14 +27,14 @@ class UnidentifiableParameter:
     """A parameter that is held, and why."""
 
     parameter: Parameter
-    redundant: bool  # no motion tells it from the others: a gauge; else this motion does not
-    with_: tuple[tuple[Parameter, float], ...]  # share of each, largest first; tolerance units
-    alone: float  # standard uncertainty it would have beside the others, m or rad; inf: a gauge
+    redundant: bool  # a gauge: no motion separates it from the others; else this one does not
+    confounded_with: tuple[tuple[Parameter, float], ...]  # with the share of each, largest first
+    uncertainty_if_free: float  # standard, m or rad; inf: a gauge
 
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """What can be identified."""
+    """The parameters that can be identified, and those that cannot."""
 
     supported: tuple[Parameter, ...]
     held: tuple[UnidentifiableParameter, ...]
@@ -35,7 +43,7 @@ class Identifiability:
 
 
 def information_root(design: Array, nuisance: Array) -> Array:
-    """Whitened columns with the nuisances taken out: R with R'R the parameters' information.
+    """Find R with R'R the information on the parameters, nuisances taken out.
 
     Args:
         design: (m, L), whitened and scaled.
@@ -52,7 +60,7 @@ def information_root(design: Array, nuisance: Array) -> Array:
 
 
 def identifiability(candidates: tuple[Parameter, ...], information: Array) -> Identifiability:
-    """Choose parameters, in the order given, as long as the data tell each from those before.
+    """Choose the parameters that the data support.
 
     Args:
         candidates: L of them, those to keep first.
@@ -69,7 +77,9 @@ def identifiability(candidates: tuple[Parameter, ...], information: Array) -> Id
             held.append((k, redundant))
         else:
             chosen.append(k)
-    rank = int(np.linalg.matrix_rank(information / _column_norms(information), tol=TOL_REDUNDANT))
+    norm = np.linalg.norm(information, axis=0)
+    scaled = information / np.where(norm > 0, norm, 1.0)
+    rank = int(np.linalg.matrix_rank(scaled, tol=TOL_REDUNDANT))
     return Identifiability(
         supported=tuple(candidates[k] for k in chosen),
         held=tuple(
@@ -78,11 +88,6 @@ def identifiability(candidates: tuple[Parameter, ...], information: Array) -> Id
         rank=rank,
         candidates=len(candidates),
     )
-
-
-def _column_norms(columns: Array) -> Array:
-    length: Array = np.linalg.norm(columns, axis=0)
-    return np.where(length > 0, length, 1.0)
 
 
 def _column_remainder(columns: Array, column: Array) -> Array:

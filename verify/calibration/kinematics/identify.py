@@ -1,4 +1,12 @@
-"""Identify an arm: registration, offsets, geometry, and which of them the data call for."""
+"""Identify an arm: registration, joint offsets, geometry, and which of them the data call for.
+
+Three models are fitted, each within the next: base and tool alone; with the joints' offsets; with
+all of the arm's geometry. Which parameters are supported is decided at the arm's nominal numbers,
+where parallel axes are parallel. A larger model m is chosen where the Bayesian information
+criterion falls by 10 or more, all with the noise that the largest model leaves:
+
+    criterion(m) = sum of min(chi²_i, 25) + L_m ln(measured numbers)
+"""
 
 from dataclasses import dataclass, replace
 
@@ -32,15 +40,13 @@ from verify.core.records import Array
 
 LEVELS = ("registration", "offsets", "geometry")
 MAX_CHI2 = 25.0  # χ² that a row may bring: noise brings a full pose's beyond it in 3 of 10,000
-MIN_NUMBERS_PER_PARAMETER = (
-    2  # measured numbers a parameter: with fewer, what is left tells nothing of the model
-)
+MIN_NUMBERS_PER_PARAMETER = 2  # measured: with fewer, residuals do not judge a model
 MIN_CRITERION_DROP = 10.0  # by which the information criterion must fall for a larger model
 
 
 @dataclass(frozen=True, slots=True)
 class IdentificationOptions:
-    """What is asked for."""
+    """What is free, which model to take, and how it is cross-validated."""
 
     free_base: bool = True
     free_tool: bool = True
@@ -52,7 +58,7 @@ class IdentificationOptions:
 
 @dataclass(frozen=True, slots=True)
 class LevelResult:
-    """One model: what it frees, how it fits, how it carries over."""
+    """One model: its parameters, its fit, its residuals on rows held out."""
 
     name: str
     support: Identifiability
@@ -63,7 +69,7 @@ class LevelResult:
 
 @dataclass(frozen=True, slots=True)
 class IdentificationResult:
-    """Everything that was found."""
+    """All models and the chosen one."""
 
     levels: tuple[LevelResult, ...]  # smallest first
     chosen: LevelResult
@@ -84,66 +90,45 @@ class IdentificationResult:
 def identify_arm(
     chain: KinematicChain,
     poses: IdentificationPoses,
-    wish: IdentificationOptions | None = None,
+    options: IdentificationOptions | None = None,
     known: ArmState | None = None,
 ) -> IdentificationResult:
     """Identify the parameters that the data support.
 
-    Three models are fitted, each within the next: base and tool alone; with the joints' offsets;
-    with all of the arm's geometry. Which parameters are supported is settled at the arm's own
-    numbers, where parallel axes are parallel: in the order base, tool, offsets, twists, lengths,
-    each is taken that the others do not make up and that leaves every combination known better
-    than 1 mm or 1°. A larger model is chosen where the Bayesian information criterion falls by 10
-    or more; all are judged by the noise that the largest leaves.
-
     Args:
         chain: the arm as its file has it.
         poses: n rows.
-        wish: what is free, and what to choose.
+        options: what is free, and what to choose.
         known: bases and tools to start from, or to hold; found from the rows where not given.
 
     Raises:
         ValueError: too few rows for what is free.
     """
-    wish = wish or IdentificationOptions()
+    options = options or IdentificationOptions()
     begun = replace(known, chain=chain) if known is not None else start_state(chain, poses)
-    placed = _registration(begun, poses, wish)
+    placed = _registration(begun, poses, options)
     registered = fit_parameters(begun, poses, placed)
-    candidates = {
-        "registration": placed,
-        "offsets": (*placed, *offset_parameters(chain)),
-        "geometry": (*placed, *offset_parameters(chain), *geometry_parameters(chain)),
-    }
-    chosen_parameters = {
-        name: _identifiability(registered, poses, candidates[name]) for name in LEVELS
-    }
-    largest = fit_parameters(registered.state, poses, chosen_parameters["geometry"].supported)
-    fits = {
-        name: largest
-        if name == "geometry"
-        else fit_parameters(registered.state, poses, chosen_parameters[name].supported)
-        for name in LEVELS
-    }
-    criteria = {name: _criterion(found, poses, largest.scale) for name, found in fits.items()}
-    best = wish.level or _best(criteria)
+    with_offsets = (*placed, *offset_parameters(chain))
+    candidates = (placed, with_offsets, (*with_offsets, *geometry_parameters(chain)))
+    supports = [_identifiability(registered, poses, c) for c in candidates]
+    fits = [fit_parameters(registered.state, poses, s.supported) for s in supports]
     levels = tuple(
         LevelResult(
             name,
-            chosen_parameters[name],
-            fits[name],
-            criteria[name],
-            hold_out(
-                fits[name].state, poses, fits[name].parameters, wish.splits, wish.share, wish.seed
-            ),
+            support,
+            fit,
+            _criterion(fit, poses, fits[-1].scale),
+            hold_out(fit.state, poses, fit.parameters, options.splits, options.share, options.seed),
         )
-        for name in LEVELS
+        for name, support, fit in zip(LEVELS, supports, fits, strict=True)
     )
+    best = options.level or _best({level.name: level.criterion for level in levels})
     chosen = next(level for level in levels if level.name == best)
     return IdentificationResult(
         levels,
         chosen,
         observability_indices(chosen.fit.information, int(chosen.fit.used.sum())),
-        pose_residuals(fits["registration"].state, poses),
+        pose_residuals(levels[0].fit.state, poses),
         pose_residuals(chosen.fit.state, poses),
     )
 
@@ -151,7 +136,7 @@ def identify_arm(
 def register(
     chain: KinematicChain,
     poses: IdentificationPoses,
-    wish: IdentificationOptions | None = None,
+    options: IdentificationOptions | None = None,
     known: ArmState | None = None,
 ) -> KinematicFit:
     """Fit base and tool alone: how a given arm fits other data.
@@ -159,7 +144,7 @@ def register(
     Args:
         chain: the arm, corrected or not.
         poses: n rows.
-        wish: which of base and tool are free; both where not given.
+        options: which of base and tool are free; both where not given.
         known: bases and tools to start from, or to hold; found from the rows where not given.
 
     Raises:
@@ -167,17 +152,17 @@ def register(
     """
     begun = replace(known, chain=chain) if known is not None else start_state(chain, poses)
     return fit_parameters(
-        begun, poses, _registration(begun, poses, wish or IdentificationOptions())
+        begun, poses, _registration(begun, poses, options or IdentificationOptions())
     )
 
 
 def _registration(
-    state: ArmState, poses: IdentificationPoses, wish: IdentificationOptions
+    state: ArmState, poses: IdentificationPoses, options: IdentificationOptions
 ) -> tuple[Parameter, ...]:
     found: list[Parameter] = []
     for kind, count, free in (
-        ("base", len(state.base), wish.free_base),
-        ("tool", len(state.tool), wish.free_tool),
+        ("base", len(state.base), options.free_base),
+        ("tool", len(state.tool), options.free_tool),
     ):
         if free:
             found += registration_parameters(kind, count, position_only=poses.position_only)
@@ -187,7 +172,7 @@ def _registration(
 def _identifiability(
     registered: KinematicFit, poses: IdentificationPoses, candidates: tuple[Parameter, ...]
 ) -> Identifiability:
-    """What the rows support, at the arm's own numbers and the noise that was stated."""
+    """Choose what the rows support, at the arm's nominal numbers and the stated noise."""
     scale = registered.scale if not poses.stated else NoiseScale(1.0, 1.0)
     design, nuisance = whitened_columns(registered.state, poses, candidates, scale)
     return identifiability(candidates, information_root(design, nuisance))
@@ -195,8 +180,7 @@ def _identifiability(
 
 def _criterion(found: KinematicFit, poses: IdentificationPoses, scale: NoiseScale) -> float:
     """χ² at one noise for all models, plus ln(numbers) a parameter; inf: too few numbers."""
-    left = pose_residuals(found.state, poses)
-    by_row = np.sum((scale.of(poses) @ left[:, :, None])[:, :, 0] ** 2, axis=1)
+    by_row = np.sum(scale.whiten(poses, pose_residuals(found.state, poses)) ** 2, axis=1)
     numbers = int(poses.dimensions.sum())
     if numbers < MIN_NUMBERS_PER_PARAMETER * len(found.parameters):
         return float("inf")

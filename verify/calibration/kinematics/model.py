@@ -1,27 +1,34 @@
-"""Where a chain puts the target, and how that moves with every parameter: exact, for all rows.
+"""Forward model of a chain with its Jacobian by every parameter, and start values.
 
-Where to start: base and tool in closed form, from readings taken as true.
+    world_T_target = base T_first Π_j [ RotZ(θ_j) TransZ(d_j) TransX(a_j) RotX(α_j) RotY(β_j) ]
+                     T_last tool,           θ_j = sign_j (q_j + correction_j) + offset_j
+
+A frame is carried along the chain; every elementary shift leaves its direction, every turn its
+axis and the point that it passes: together the columns of the geometric Jacobian.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robots.transforms import invert
-from verify.calibration.handeye import solve_hand_eye
+from verify.calibration.handeye import nearest_rotation, solve_hand_eye
 from verify.calibration.kinematics.chain import AXES, ArmState, KinematicChain, Parameter
-from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
+from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.core.records import Array
 
 X, Y, Z = 0, 1, 2
+MAX_ITERATIONS = 100  # of base and tool in turn; the fit does the rest
+TOL_STEP = 1e-6  # m
 
 
 class _JacobianBuilder:
-    """A frame that is carried along the chain; every step leaves its column behind."""
+    """A frame carried along the chain, and the axis of every step."""
 
     def __init__(self, pose: Array) -> None:
         self.axes = [pose[:, :3, k].copy() for k in range(3)]
         self.origin = pose[:, :3, 3].copy()
-        self.steps: dict[Parameter, tuple[Array, Array | None]] = {}  # direction, and point if turn
+        # direction of each parameter; of a turn also a point of its axis
+        self.steps: dict[Parameter, tuple[Array, Array | None]] = {}
 
     def shift(self, axis: int, by: Array | float, parameter: Parameter) -> None:
         self.steps[parameter] = (self.axes[axis].copy(), None)
@@ -35,7 +42,7 @@ class _JacobianBuilder:
         self.axes[one], self.axes[other] = c * u + s * v, c * v - s * u
 
     def fixed(self, step: Array) -> None:
-        """Go on by (4, 4) or (n, 4, 4)."""
+        """Move on by (4, 4) or (n, 4, 4)."""
         step = np.broadcast_to(step, (len(self.origin), 4, 4))
         frame = np.stack(self.axes, axis=2)
         self.origin = self.origin + np.einsum("nij,nj->ni", frame, step[:, :3, 3])
@@ -73,7 +80,7 @@ def predict_with_jacobian(
     tool: NDArray[np.int64],
     parameters: tuple[Parameter, ...],
 ) -> tuple[Array, Array]:
-    """Place the target, and say how it moves with some parameters.
+    """Place the target and differentiate its pose by some parameters.
 
     Returns:
         world_T_target (n, 4, 4) and (n, 6, L): twist at the target's origin in world axes a unit of
@@ -122,22 +129,17 @@ def _walk(
 
 
 def _placement_columns(walk: _JacobianBuilder, kind: str) -> None:
-    """Six parameters at a place where nothing is shifted or turned yet."""
+    """Register the six parameters of a base or tool at the present frame."""
     for axis in range(3):
         walk.shift(axis, 0.0, Parameter(kind, 0, AXES[axis]))
     for axis in range(3):
         walk.turn(axis, 0.0, Parameter(kind, 0, AXES[3 + axis]))
 
 
-MAX_ITERATIONS = 100  # of the two steps below; the fit polishes what they leave
-TOL_STEP = 1e-6  # m
-
-
 def start_state(chain: KinematicChain, poses: IdentificationPoses) -> ArmState:
     """Place each base and mount each tool.
 
-    Rows of the first base and tool determine both; what other bases or tools share with them is
-    found again for each, and the fit brings them together.
+    Each combination of base and tool is solved by itself; the fit brings shared ones together.
 
     Raises:
         ValueError: fewer than three rows of a base or tool.
@@ -147,26 +149,24 @@ def start_state(chain: KinematicChain, poses: IdentificationPoses) -> ArmState:
     flange = predict_poses(state, poses.q, np.zeros_like(poses.base), np.zeros_like(poses.tool))
     for base, tool in sorted(set(zip(poses.base.tolist(), poses.tool.tolist(), strict=True))):
         own = (poses.base == base) & (poses.tool == tool)
-        placed = _by_points if poses.position_only else _by_poses
-        state.base[base], state.tool[tool] = placed(select_rows(poses, own), flange[own])
+        targets = poses.world_T_target[own]
+        if poses.position_only:
+            state.base[base], state.tool[tool] = _by_points(targets[:, :3, 3], flange[own])
+        else:
+            solved = solve_hand_eye(targets, flange[own])
+            state.base[base], state.tool[tool] = solved.y, invert(solved.x)
     return state
 
 
-def _by_poses(poses: IdentificationPoses, flange: Array) -> tuple[Array, Array]:
-    solved = solve_hand_eye(poses.world_T_target, flange)
-    return solved.y, invert(solved.x)
-
-
-def _by_points(poses: IdentificationPoses, flange: Array) -> tuple[Array, Array]:
-    """Base by fitting points to points, tool by least squares, in turn."""
+def _by_points(measured: Array, flange: Array) -> tuple[Array, Array]:
+    """Fit the base by a rigid motion of points, the tool by least squares, in turn."""
     if len(flange) < 3:
         raise ValueError("three positions or more are needed")
-    seen = poses.world_T_target[:, :3, 3]
     base, tool = np.eye(4), np.eye(4)
     for _ in range(MAX_ITERATIONS):
         points = flange[:, :3, :3] @ tool[:3, 3] + flange[:, :3, 3]
-        base[:3, :3], base[:3, 3] = _rigid(points, seen)
-        wanted = (seen - base[:3, 3]) @ base[:3, :3] - flange[:, :3, 3]
+        base[:3, :3], base[:3, 3] = _rigid(points, measured)
+        wanted = (measured - base[:3, 3]) @ base[:3, :3] - flange[:, :3, 3]
         found = np.einsum("nij,ni->j", flange[:, :3, :3], wanted) / len(flange)
         step = found - tool[:3, 3]
         tool[:3, 3] = found
@@ -175,9 +175,8 @@ def _by_points(poses: IdentificationPoses, flange: Array) -> tuple[Array, Array]
     return base, tool
 
 
-def _rigid(points: Array, seen: Array) -> tuple[Array, Array]:
-    """The motion that carries points nearest to where they were seen (Kabsch, 1976)."""
-    middle, centre = points.mean(axis=0), seen.mean(axis=0)
-    u, _, vt = np.linalg.svd((seen - centre).T @ (points - middle))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+def _rigid(points: Array, measured: Array) -> tuple[Array, Array]:
+    """Rotation and translation that carry points nearest to the measured ones (Kabsch, 1976)."""
+    middle, centre = points.mean(axis=0), measured.mean(axis=0)
+    turn = nearest_rotation((measured - centre).T @ (points - middle))
     return turn, centre - turn @ middle

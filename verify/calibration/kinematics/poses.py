@@ -1,9 +1,10 @@
-"""What an identification rests on: readings and measured poses or positions, as plain arrays.
+"""Measured poses with readings as arrays, and the noise of the poses.
 
-The noise of measured poses: what was stated, or what a fit leaves, whichever is larger.
+The noise is what was stated, or what a fit leaves, whichever is larger.
 """
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from scipy.stats import chi2
 from verify.core.records import Array
 
 Rows = NDArray[np.int64]
+MIN_EXCESS_SIGMA = 3.0  # standard deviations by which residuals must exceed what was stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,15 +93,10 @@ def build_poses(
 
 
 def select_rows(data: IdentificationPoses, rows: NDArray[np.bool_]) -> IdentificationPoses:
-    """Some of the rows."""
-    return replace(
-        data,
-        **{
-            f.name: getattr(data, f.name)[rows]
-            for f in fields(IdentificationPoses)
-            if isinstance(getattr(data, f.name), np.ndarray)
-        },
-    )
+    """Select some of the rows (n,)."""
+    values: dict[str, Any] = {f.name: getattr(data, f.name) for f in fields(data)}
+    selected: dict[str, Any] = {k: v[rows] for k, v in values.items() if isinstance(v, np.ndarray)}
+    return replace(data, **selected)
 
 
 def _whitener(
@@ -117,12 +114,9 @@ def _whitener(
     return whitener
 
 
-MIN_EXCESS_SIGMA = 3.0  # standard deviations by which what is left must exceed what was stated
-
-
 @dataclass(frozen=True, slots=True)
 class NoiseScale:
-    """By how much what is left exceeds the stated standard uncertainties."""
+    """Factors of the residuals over the stated standard uncertainties."""
 
     position: float
     orientation: float
@@ -132,6 +126,11 @@ class NoiseScale:
         factors = np.array([self.position] * 3 + [self.orientation] * 3)
         scaled: Array = poses.whitener / factors
         return scaled
+
+    def whiten(self, poses: IdentificationPoses, twists: Array) -> Array:
+        """Twists (n, 6) in units of their standard uncertainty, (n, 6)."""
+        white: Array = (self.of(poses) @ twists[:, :, None])[:, :, 0]
+        return white
 
     def near(self, other: "NoiseScale") -> bool:
         """Tell whether two differ by less than matters."""
@@ -144,13 +143,13 @@ class NoiseScale:
 def noise_scale(
     left: Array, poses: IdentificationPoses, used: NDArray[np.bool_], free: int
 ) -> NoiseScale:
-    """Find the noise by the median of what is left, which outlying rows do not move.
+    """Estimate the noise by the median of the residuals, which outlying rows do not move.
 
-    A stated uncertainty is never talked down, and up only where what is left exceeds it by more
-    than its own scatter.
+    A stated uncertainty is never reduced, and enlarged only where the residuals exceed it by more
+    than their own scatter.
 
     Args:
-        left: (n, 6), m and rad, what a fit leaves.
+        left: (n, 6), m and rad, residuals of a fit.
         poses: n rows.
         used: (n,), rows that belong.
         free: parameters of the fit.

@@ -1,4 +1,4 @@
-"""An identification as results: keys and tables that `reports.identification.document` documents."""
+"""An identification as results, with the keys that `reports.identification.document` documents."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,10 +14,8 @@ from verify.calibration.kinematics.chain import Parameter
 from verify.calibration.kinematics.fit import CrossValidation, statistics
 from verify.calibration.kinematics.identify import IdentificationResult, LevelResult
 from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.calibration.origin import DEG, MM, ResultsOrigin
 from verify.core.records import Array
-from verify.core.version import __version__
-
-MM, DEG = 1e3, 180 / np.pi
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +63,9 @@ def identification_results(
     outlying = np.flatnonzero(~fitted.used)
     parameters = _parameters(chosen, found)
     summary = {
-        "format": 1,
-        "kind": "identification",
-        "tool": {"name": "verify", "version": __version__},
-        "source": {"path": ", ".join(origin.names), "description": origin.description},
+        **ResultsOrigin(
+            ", ".join(origin.names), origin.description, origin.inputs, tuple(origin.warnings)
+        ).summary("identification"),
         "robot": origin.arm.name,
         "robot_fingerprint": f"sha256:{origin.arm.fingerprint}",
         "robot_file": robot_file,
@@ -93,13 +90,8 @@ def identification_results(
             "parameters": [parameter.name for parameter in fitted.parameters],
             "correlation": correlation(fitted.covariance).tolist(),
         },
-        "inputs": dict(sorted(origin.inputs.items())),
-        "warnings": list(origin.warnings),
     }
-    tables = {
-        "residuals": _residuals(found, poses, origin),
-        "parameters": pd.DataFrame(parameters),
-    }
+    tables = {"residuals": _residuals(found, poses, origin), "parameters": pd.DataFrame(parameters)}
     return Results(summary=summary, setup={}, tables=tables)
 
 
@@ -162,34 +154,38 @@ def _offset(level: LevelResult, joint: int) -> tuple[float | None, float | None]
 
 
 def _held(found: IdentificationResult) -> list[dict[str, Any]]:
-    """Every parameter that the chosen model leaves as it was, and why."""
-    rows = []
+    """List the parameters that the chosen model leaves as they were, and why."""
     largest = found.level("geometry")
-    for entry in largest.support.held:
-        scale, unit = _unit(entry.parameter)
-        rows.append(
-            {
-                "name": entry.parameter.name,
-                "unit": unit,
-                "reason": "gauge" if entry.redundant else "not_supported",
-                "confounded_with": [{"name": p.name, "share": share} for p, share in entry.with_],
-                "standard_uncertainty_if_free": None if entry.redundant else entry.alone * scale,
-            }
+    rows = [
+        _held_row(
+            entry.parameter,
+            "gauge" if entry.redundant else "not_supported",
+            None if entry.redundant else entry.uncertainty_if_free,
+            entry.confounded_with,
         )
+        for entry in largest.support.held
+    ]
     sigma = np.sqrt(np.diag(largest.fit.covariance))
     for parameter, u in zip(largest.fit.parameters, sigma.tolist(), strict=True):
         if parameter not in found.chosen.fit.parameters:
-            scale, unit = _unit(parameter)
-            rows.append(
-                {
-                    "name": parameter.name,
-                    "unit": unit,
-                    "reason": "not_called_for",
-                    "confounded_with": [],
-                    "standard_uncertainty_if_free": u * scale,
-                }
-            )
+            rows.append(_held_row(parameter, "not_called_for", u))
     return rows
+
+
+def _held_row(
+    parameter: Parameter,
+    reason: str,
+    uncertainty: float | None,
+    confounded: Sequence[tuple[Parameter, float]] = (),
+) -> dict[str, Any]:
+    scale, unit = _unit(parameter)
+    return {
+        "name": parameter.name,
+        "unit": unit,
+        "reason": reason,
+        "confounded_with": [{"name": p.name, "share": share} for p, share in confounded],
+        "standard_uncertainty_if_free": None if uncertainty is None else uncertainty * scale,
+    }
 
 
 def _level(level: LevelResult) -> dict[str, Any]:

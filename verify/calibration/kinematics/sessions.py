@@ -1,4 +1,4 @@
-"""Recorded sessions of one arm as poses to identify it from."""
+"""Turn recorded sessions of one arm into the rows of an identification."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.analysis.comparison import Comparison, compare
+from verify.analysis.comparison import Comparison, ReadingUncertainty, compare
 from verify.analysis.instrument import stated_noise
 from verify.analysis.least_squares import autocorrelation
 from verify.analysis.measured import Progress
 from verify.analysis.model import add_pan_noise, clock_effect, prior_columns
 from verify.analysis.session import measure_session
+from verify.calibration.handeye import rigid_columns
 from verify.calibration.kinematics.chain import ArmState, KinematicChain
 from verify.calibration.kinematics.identify import IdentificationResult
 from verify.calibration.kinematics.poses import IdentificationPoses, Rows, build_poses
@@ -27,13 +28,13 @@ CLOCK_PRIOR_SIGMA = 1.0  # s, prior of an offset that is found with everything e
 
 @dataclass(frozen=True, slots=True)
 class SessionPoses:
-    """What one session gives."""
+    """Compared poses of one session, and their systematic effects."""
 
     session: Session
     comparison: Comparison
     frame: NDArray[np.int64]  # (n,), number of each pair or pose
     stated: Array  # (n, 6, p), unit variance: what rig and marker state of themselves
-    own: Array  # (n, 6, r), likewise: clock, alignment, pan readings
+    own: Array  # (n, 6, r), unit variance: clock, alignment, pan readings
     uncounted: tuple[str, ...]
 
     @property
@@ -56,7 +57,7 @@ class CombinedPoses:
     """Several sessions as one set of rows, in their order."""
 
     poses: IdentificationPoses
-    seen: tuple[SessionPoses, ...]
+    sessions: tuple[SessionPoses, ...]
     source: NDArray[np.int64]  # (n,), which session
     frame: NDArray[np.int64]  # (n,), number of the pair or pose in its session
     tools: Array  # (h, 4, 4), flange_T_target as the sessions have them
@@ -91,7 +92,7 @@ def require_one_arm(sessions: Sequence[Session]) -> None:
 
 
 def session_to_poses(session: Session, progress: Progress) -> SessionPoses:
-    """Measure a session and set its readings beside the poses.
+    """Measure a session and compare its poses with the readings.
 
     Raises:
         InputError: no pair could be measured, or none has a reading.
@@ -100,8 +101,10 @@ def session_to_poses(session: Session, progress: Progress) -> SessionPoses:
     seen, clock = measure_session(session, readings, progress, measure)
     track, systematics = seen.track, seen.systematics
     compared = compare(
-        track, session.arm, readings, clock.offset, resolution=session.encoder_resolution,
-        time_uncertainty=session.encoder_time_standard_uncertainty,
+        track, session.arm, readings, clock.offset,
+        stated=ReadingUncertainty(
+            session.encoder_resolution, session.encoder_time_standard_uncertainty
+        ),
     )  # fmt: skip
     if not len(compared):
         raise InputError(
@@ -121,7 +124,7 @@ def session_to_poses(session: Session, progress: Progress) -> SessionPoses:
     return SessionPoses(session, compared, frame, held[:, :, :count], own, systematics.uncounted)
 
 
-def gather_sessions(seen: Sequence[SessionPoses]) -> CombinedPoses:
+def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
     """Lay sessions out as rows.
 
     A base is shared by sessions whose rig has it at the same place, LEDs by those whose marker has
@@ -130,62 +133,59 @@ def gather_sessions(seen: Sequence[SessionPoses]) -> CombinedPoses:
     Raises:
         InputError: some hold poses, others positions alone.
     """
-    sizes = [len(one.comparison) for one in seen]
-    bases = _groups(one.session.rig.rig_T_base.tobytes() for one in seen)
-    tools = _groups(_mounting(one) for one in seen)
-    source = np.repeat(np.arange(len(seen)), sizes)
-    nuisance = _nuisances(seen, bases, tools)
-    points = [one.point for one in seen if one.point is not None]
-    # what is not stated is better told by what the fit leaves than by how neighbours scatter
-    stated = all(one.noise_stated for one in seen)
+    sizes = [len(one.comparison) for one in sessions]
+    bases = _groups(one.session.rig.rig_T_base.tobytes() for one in sessions)
+    tools = _groups(_mounting(one) for one in sessions)
+    source = np.repeat(np.arange(len(sessions)), sizes)
+    nuisance = _nuisances(sessions, bases, tools)
+    points = [one.point for one in sessions if one.point is not None]
+    # what is not stated is estimated from the fit's residuals, not from how neighbours scatter
+    stated = all(one.noise_stated for one in sessions)
     mounted = np.tile(np.eye(4), (int(tools.max()) + 1, 1, 1))
-    if points and len(points) < len(seen):
-        alone = next(one.session.folder for one in seen if one.point is not None)
+    if points and len(points) < len(sessions):
+        alone = next(one.session.folder for one in sessions if one.point is not None)
         raise InputError(
             alone, "holds positions alone, another session poses",
             "one kind is identified from at a time", "Identify from each by itself.",
         )  # fmt: skip
     if points:
         mounted[tools, :3, 3] = points
-        rows = _point_rows(seen, points, nuisance, stated=stated)
+        rows = _point_rows(sessions, points, nuisance, stated=stated)
     else:
         rows = build_poses(
-            _join_poses(one.comparison.q for one in seen),
-            _join_poses(one.comparison.base_T_measured for one in seen),
-            _join_poses(one.comparison.covariance for one in seen) if stated else None,
+            _join_poses(one.comparison.q for one in sessions),
+            _join_poses(one.comparison.base_T_measured for one in sessions),
+            _join_poses(one.comparison.covariance for one in sessions) if stated else None,
             nuisance=nuisance,
-            determined=tuple(known for one in seen for known in one.comparison.determined),
+            determined=tuple(known for one in sessions for known in one.comparison.determined),
         )
     return CombinedPoses(
         poses=replace(rows, base=bases[source], tool=tools[source], block=_blocks(sizes)),
-        seen=tuple(seen),
+        sessions=tuple(sessions),
         source=source,
-        frame=np.concatenate([one.frame for one in seen]),
+        frame=np.concatenate([one.frame for one in sessions]),
         tools=mounted,
-        free_base=any(one.session.rig.base_source == "motion" for one in seen),
-        free_tool=any(one.session.marker.source == "motion" for one in seen),
+        free_base=any(one.session.rig.base_source == "motion" for one in sessions),
+        free_tool=any(one.session.marker.source == "motion" for one in sessions),
     )
 
 
 def _point_rows(
-    seen: Sequence[SessionPoses], points: Sequence[Array], nuisance: Array, *, stated: bool
+    sessions: Sequence[SessionPoses], points: Sequence[Array], nuisance: Array, *, stated: bool
 ) -> IdentificationPoses:
-    """Positions of a point: where the poses that stand for them put it, whatever their turn."""
+    """Gather positions of a point; the poses that stand for them have an arbitrary rotation."""
     measured, gains = [], []
-    for one, point in zip(seen, points, strict=True):
+    for one, point in zip(sessions, points, strict=True):
         pose = one.comparison.base_T_measured
         lever = pose[:, :3, :3] @ point
         measured.append(pose[:, :3, 3] + lever)
-        x, y, z = lever.T
-        zero = np.zeros_like(x)
-        across = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(-1, 3, 3)
-        gains.append(np.concatenate([np.tile(np.eye(3), (len(x), 1, 1)), across], axis=2))
+        gains.append(rigid_columns(lever))
     gain = np.concatenate(gains)
-    covariance = _join_poses(one.comparison.covariance for one in seen)
+    covariance = _join_poses(one.comparison.covariance for one in sessions)
     moved = np.zeros_like(nuisance)
     moved[:, :3] = gain @ nuisance
     return build_poses(
-        _join_poses(one.comparison.q for one in seen),
+        _join_poses(one.comparison.q for one in sessions),
         np.concatenate(measured),
         gain @ covariance @ np.swapaxes(gain, 1, 2) if stated else None,
         nuisance=moved,
@@ -210,12 +210,12 @@ def _mounting(seen: SessionPoses) -> bytes:
 
 
 def deflate_repetition(gathered: CombinedPoses, found: IdentificationResult) -> CombinedPoses:
-    """Let pairs that repeat each other's errors count for fewer, by what a first fit leaves."""
+    """Reduce the weight of pairs that repeat each other's errors, by a first fit's residuals."""
     rows = gathered.poses
-    white = (found.chosen.fit.scale.of(rows) @ found.after[:, :, None])[:, :, 0]
+    white = found.chosen.fit.scale.whiten(rows, found.after)
     white[np.all(rows.whitener == 0, axis=2) | ~found.chosen.fit.used[:, None]] = np.nan
     whitener = rows.whitener.copy()
-    for i in range(len(gathered.seen)):
+    for i in range(len(gathered.sessions)):
         own = gathered.source == i
         whitener[own] /= np.sqrt(autocorrelation(white[own]))[:, None]
     return replace(gathered, poses=replace(rows, whitener=whitener))

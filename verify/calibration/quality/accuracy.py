@@ -1,6 +1,12 @@
-"""What a point that both cameras see is worth: random part, and systematic part from the rig.
+"""Accuracy of a triangulated point: its random part, and the systematic part from the rig.
 
-How things change with each parameter of a rig, by finite differences through the rig itself.
+With the pixels u (4) of a point x (3) in both images, J = du/dx, and the rig's parameters p with
+covariance C, a point from least squares on its pixels has
+
+    random       s² J⁺ J⁺'              s: standard uncertainty of a spot's centre, px
+    systematic   D C D',  D = -J⁺ du/dp
+
+J and du/dp are central differences through the rig's own model.
 """
 
 from collections.abc import Callable, Sequence
@@ -8,34 +14,37 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from verify.calibration.origin import MM
 from verify.calibration.quality.coverage import view_frame
 from verify.calibration.stereo.parameters import PARAMETER_KEYS, step_camera
-from verify.calibration.stereo.records import covariance_in_si
+from verify.calibration.stereo.records import camera_covariance
 from verify.core.records import Array
-from verify.core.rig import Camera, Rig
+from verify.core.rig import Rig
 from verify.measurement.triangulation import rays
 
 STEP = 1e-6  # SI units and pixels: small against curvature, large against rounding
+SPOT_SIGMA = 0.02  # px, standard uncertainty of one LED's centre in one image, each way
+MAP_COLUMNS, MAP_ROWS = 9, 5  # points of a map; odd, so that one is in the middle
+TEST_LENGTH = 0.1  # m, of the distance whose uncertainty is stated
 
 
 def parameter_derivatives(
-    function: Callable[[Rig], Array], rig: Rig, names: Sequence[str], step: float = STEP
+    function: Callable[[Rig], Array], rig: Rig, names: Sequence[str]
 ) -> Array:
-    """Derivative of what a rig gives by its named parameters.
+    """Differentiate a function of a rig by the rig's named parameters.
 
     Args:
         function: a rig to an array of any shape.
         rig: where the derivative is taken.
-        names: (p) parameters as in rig.toml's [covariance], of the cameras.
-        step: SI units and pixels.
+        names: (p) parameters of the cameras, as in rig.toml's [covariance].
 
     Returns:
         (p, ...), a SI unit (or pixel, or one) of the parameter.
     """
     rows = [
-        (function(move_parameter(rig, name, step)) - function(move_parameter(rig, name, -step)))
+        (function(move_parameter(rig, name, STEP)) - function(move_parameter(rig, name, -STEP)))
         / 2
-        / step
+        / STEP
         for name in names
     ]
     return np.array(rows).reshape(len(names), *np.shape(function(rig)))
@@ -48,11 +57,6 @@ def move_parameter(rig: Rig, name: str, amount: float) -> Rig:
     if side == "left":
         return replace(rig, left=step_camera(rig.left, step))
     return replace(rig, right=step_camera(rig.right, step))
-
-
-SPOT_SIGMA = 0.02  # px, standard uncertainty of one LED's centre in one image, each way
-MAP_COLUMNS, MAP_ROWS = 9, 5  # points of a map; odd, so that one is in the middle
-TEST_LENGTH = 0.1  # m, of the distance whose uncertainty is stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,14 +77,14 @@ class AccuracyField:
 
 
 def uncertainty_parts(field: AccuracyField, covariance: Array) -> tuple[Array, Array, Array]:
-    """Standard uncertainties across the line of sight, along it (depth), and of the whole, m.
+    """Standard uncertainties across the line of sight, along it (depth), and in total, m.
 
     Args:
         field: the points.
         covariance: (r, c, 3, 3), m², one of the field's parts.
 
     Returns:
-        (r, c) each. Across: in the direction in which it is largest. Whole: the root of the sum
+        (r, c) each. Across: in the direction in which it is largest. Total: the root of the sum
         of the three squares.
     """
     x, y = np.meshgrid(field.x, field.y)
@@ -88,15 +92,28 @@ def uncertainty_parts(field: AccuracyField, covariance: Array) -> tuple[Array, A
     sights /= np.linalg.norm(sights, axis=-1, keepdims=True)
     depth = np.einsum("...i,...ij,...j->...", sights, covariance, sights)
     across = np.eye(3) - sights[..., :, None] * sights[..., None, :]
-    seen = ~np.isnan(depth)
+    visible = ~np.isnan(depth)
     lateral = np.full(depth.shape, np.nan)
-    lateral[seen] = np.linalg.eigvalsh((across @ covariance @ across)[seen])[:, -1]
+    lateral[visible] = np.linalg.eigvalsh((across @ covariance @ across)[visible])[:, -1]
     return (np.sqrt(lateral), np.sqrt(depth), np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)))
+
+
+def uncertainty_maps(field: AccuracyField) -> dict[str, Array]:
+    """All standard uncertainties, (r, c), mm, by their names in results: random_lateral_mm, …."""
+    return {
+        f"{kind}_{part}_mm": values * MM
+        for kind in ("random", "systematic", "total")
+        for part, values in zip(
+            ("lateral", "depth", "total"),
+            uncertainty_parts(field, getattr(field, kind)),
+            strict=True,
+        )
+    }
 
 
 @dataclass(frozen=True, slots=True)
 class PointDerivatives:
-    """How a point's place follows from its pixels, and those from the rig; n points."""
+    """Derivatives of n points by their pixels and by the rig's parameters."""
 
     by_pixels: Array  # (n, 3, 4), m/px, view axes: left x, y, right x, y
     by_rig: Array  # (p, n, 3), a SI unit of each parameter
@@ -112,9 +129,6 @@ def point_sensitivities(
         pan: (2,), rad.
         points: (n, 3), m, view frame.
         names: (p) parameters.
-
-    At fixed pixels a parameter moves the point by -(JᵀJ)⁻¹Jᵀ times what it does to the pixels;
-    both cameras' pixels count alike.
     """
     rig_T_view = view_frame(rig, pan)
     places = points @ rig_T_view[:3, :3].T + rig_T_view[:3, 3]
@@ -130,36 +144,29 @@ def point_sensitivities(
 
 
 def _pixels(rig: Rig, pan: Array, places: Array) -> Array:
-    """Both images of points in the rig, (n, 4), px."""
-    return np.concatenate(
-        [_image(rig.left, float(pan[0]), places), _image(rig.right, float(pan[1]), places)], axis=1
-    )
-
-
-def _image(camera: Camera, pan: float, places: Array) -> Array:
-    camera_T_rig = camera.camera_T_rig(pan)
-    return camera.project(places @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3])
+    """Project points (n, 3) of the rig into both images, (n, 4), px."""
+    images = []
+    for camera, angle in zip((rig.left, rig.right), pan.tolist(), strict=True):
+        camera_T_rig = camera.camera_T_rig(angle)
+        images.append(camera.project(places @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]))
+    return np.concatenate(images, axis=1)
 
 
 def systematic_parameters(rig: Rig, turning: bool) -> tuple[tuple[str, ...], Array]:
-    """Names and covariance of all that a point's systematic part comes from, SI units and pixels.
+    """Names and covariance of all sources of the systematic part, SI units and pixels.
 
     Where the bases turn, each pan reading's own uncertainty acts as one of its zero.
 
     Raises:
         ValueError: the rig states no covariance.
     """
-    if rig.covariance is None:
-        raise ValueError("what a rig's points are worth needs the rig's covariance")
-    names, full = list(rig.covariance.parameters), covariance_in_si(rig.covariance)
-    cameras = [i for i, name in enumerate(names) if name.startswith(("left.", "right."))]
-    names, full = [names[i] for i in cameras], full[np.ix_(cameras, cameras)]
+    names, full = camera_covariance(rig)
     for side, camera in (("left", rig.left), ("right", rig.right)):
         if turning and camera.pan_standard_uncertainty:
-            names.append(f"{side}.pan_zero_deg")  # once more: of the reading, not of the zero
+            names = (*names, f"{side}.pan_zero_deg")  # again: of the reading, not of the zero
             full = np.pad(full, (0, 1))
             full[-1, -1] = camera.pan_standard_uncertainty**2
-    return tuple(names), full
+    return names, full
 
 
 def uncertainty_field(rig: Rig, pan: Array, distance: float, turning: bool) -> AccuracyField:
@@ -175,17 +182,17 @@ def uncertainty_field(rig: Rig, pan: Array, distance: float, turning: bool) -> A
     x, y = _grid(rig, pan, distance)
     places = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), distance)], axis=-1)
     points = places.reshape(-1, 3)
-    seen = _in_both_images(rig, pan, points)
-    found = point_sensitivities(rig, pan, points[seen], names)
+    visible = _in_both_images(rig, pan, points)
+    found = point_sensitivities(rig, pan, points[visible], names)
     random, systematic = np.full((2, len(points), 3, 3), np.nan)
-    random[seen] = SPOT_SIGMA**2 * found.by_pixels @ found.by_pixels.transpose(0, 2, 1)
-    systematic[seen] = np.einsum("pni,pq,qnj->nij", found.by_rig, covariance, found.by_rig)
+    random[visible] = SPOT_SIGMA**2 * found.by_pixels @ found.by_pixels.transpose(0, 2, 1)
+    systematic[visible] = np.einsum("pni,pq,qnj->nij", found.by_rig, covariance, found.by_rig)
     shape = (len(y), len(x), 3, 3)
     return AccuracyField(distance, x, y, random.reshape(shape), systematic.reshape(shape))
 
 
 def _grid(rig: Rig, pan: Array, distance: float) -> tuple[Array, Array]:
-    """Cell centres over what both cameras see of the plane at one distance, m."""
+    """Cell centres over the part of the plane at one distance that both cameras cover, m."""
     width, height = rig.image_size
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]) * [width - 1, height - 1]
     view_T_rig = np.linalg.inv(view_frame(rig, pan))
@@ -213,16 +220,16 @@ def _in_both_images(rig: Rig, pan: Array, points: Array) -> Array:
 def length_uncertainty(
     rig: Rig, pan: Array, distance: float, axis: int, turning: bool
 ) -> tuple[float, float]:
-    """Standard uncertainty of a distance of TEST_LENGTH between two points, random and systematic, m.
+    """Standard uncertainty of a distance of TEST_LENGTH, m: random part, systematic part.
 
-    What moves or turns all points alike falls out of it, as it does of a registered robot's pose.
+    A motion common to all points cancels, as it does in a registered robot's pose.
 
     Args:
         rig: with its covariance.
         pan: (2,), rad.
         distance: m, of the middle of the two points, on the view's axis.
         axis: along which the points lie: 0 across, 1 down, 2 in depth.
-        turning: as for `uncertainty_field`.
+        turning: pan readings vary, and so their own uncertainty counts.
     """
     names, covariance = systematic_parameters(rig, turning)
     middle, half = np.array([0.0, 0.0, distance]), TEST_LENGTH / 2 * np.eye(3)[axis]

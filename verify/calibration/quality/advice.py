@@ -1,18 +1,18 @@
-"""What to do for a better calibration, in words."""
+"""Sentences on a calibration: doubts, gaps in the coverage, and what improves it most."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from verify.calibration.quality.coverage import BoardOrientation, ImageCoverage
+from verify.calibration.quality.coverage import ImageCoverage
 from verify.calibration.quality.quality import (
     NOISE_GROUP,
     READINGS_GROUP,
-    SIDES,
     CalibrationQuality,
     PrincipalPoint,
     ViewQuality,
 )
+from verify.calibration.stereo.parameters import SIDES
 from verify.calibration.stereo.records import Calibration
 
 MIN_REGION_SHARE = 0.15  # of the mean over the regions: fewer corners than that are hardly any
@@ -20,10 +20,8 @@ MIN_RADIUS_SHARE = 0.8  # of half the diagonal
 MAX_EDGE_GAP = 0.12  # of the image's size: an edge farther from every corner is not covered
 EDGES = ("left", "upper", "right", "lower")
 MIN_DEPTH_RATIO = 1.4  # farthest over nearest board
-MIN_TILT = np.deg2rad(
-    20
-)  # either axis; below it focal length and distance trade against each other
-MIN_TILT_OTHER_SIDE = np.deg2rad(8)  # the other way
+MIN_TILT = np.deg2rad(20)  # about either axis; below it focal length and distance are confounded
+MIN_TILT_OTHER_SIDE = np.deg2rad(8)  # in the other sense
 MIN_PAIRS = 10
 MAX_SQUARE_SIGMA = 3.0  # standard uncertainties between the triangulated and the stated square
 ROW_NAMES, COLUMN_NAMES = ("upper", "middle", "lower"), ("left", "middle", "right")
@@ -48,11 +46,11 @@ def main_advice(quality: CalibrationQuality) -> tuple[str, str]:
 def calibration_doubts(
     calibration: Calibration, quality: CalibrationQuality, names: Mapping[int, str] | None = None
 ) -> tuple[str, ...]:
-    """Say what speaks against the calibration, a sentence each; none where nothing does.
+    """List what speaks against the calibration, a sentence each.
 
     Args:
-        calibration: what was found.
-        quality: what `judge` made of it.
+        calibration: the calibration.
+        quality: its quality.
         names: of the pairs' pictures, by frame, as the user knows them.
     """
     return (
@@ -63,12 +61,15 @@ def calibration_doubts(
 
 
 def coverage_gaps(calibration: Calibration, quality: CalibrationQuality) -> tuple[str, ...]:
-    """Say which part of the image, which distance or tilt is missing, a sentence each."""
+    """List the parts of the image, distances and tilts that are missing, a sentence each."""
+    count, stances = len(calibration.frames), quality.stances
+    few = f"Only {count} pairs were used: take {2 * MIN_PAIRS} or more."
     return (
-        *_pairs(len(calibration.frames)),
+        *([few] if count < MIN_PAIRS else []),
         *(sentence for c in quality.coverage for sentence in _image(c)),
-        *_distance([s.distance for s in quality.stances]),
-        *_tilts(quality.stances),
+        *_distance([s.distance for s in stances]),
+        *_tilt("horizontal", [s.about_horizontal for s in stances], ("upper", "lower")),
+        *_tilt("vertical", [s.about_vertical for s in stances], ("right", "left")),
     )
 
 
@@ -86,12 +87,6 @@ def _views(views: Sequence[ViewQuality], names: Mapping[int, str]) -> list[str]:
     return sentences
 
 
-def _pairs(count: int) -> list[str]:
-    if count >= MIN_PAIRS:
-        return []
-    return [f"Only {count} pairs were used: take {2 * MIN_PAIRS} or more."]
-
-
 def _image(covered: ImageCoverage) -> list[str]:
     side = SIDES[covered.camera]
     sentences = []
@@ -103,17 +98,17 @@ def _image(covered: ImageCoverage) -> list[str]:
         if chosen.any():
             names = [_region(row, column) for row, column in np.argwhere(chosen).tolist()]
             sentences.append(
-                f"{word} lies in the {_join_words(names)} of the {side} image: hold the board there."
+                f"{word} lies in the {_join_words(names)} of the {side} image: hold the board "
+                "there."
             )
     bare = [
-        (edge, m)
-        for edge, m in zip(EDGES, covered.margins.tolist(), strict=True)
-        if m > MAX_EDGE_GAP
+        f"{edge} ({100 * margin:.0f} %)"
+        for edge, margin in zip(EDGES, covered.margins.tolist(), strict=True)
+        if margin > MAX_EDGE_GAP
     ]
     if bare and covered.regions.any():
-        names = [f"{edge} ({100 * margin:.0f} %)" for edge, margin in bare]
         sentences.append(
-            f"No corner comes near the {_join_words(names)} edge of the {side} image: the lens "
+            f"No corner comes near the {_join_words(bare)} edge of the {side} image: the lens "
             "distortion is a guess there; let the board reach into it."
         )
     elif 0 < covered.reach < MIN_RADIUS_SHARE:
@@ -143,15 +138,6 @@ def _distance(distances: Sequence[float]) -> list[str]:
             f"All boards stood between {near:.2f} m and {far:.2f} m: add some at "
             f"{0.75 * middle:.2f} m or nearer and some at {1.3 * middle:.2f} m or farther."
         )
-    ]
-
-
-def _tilts(stances: Sequence[BoardOrientation]) -> list[str]:
-    horizontal = [s.about_horizontal for s in stances]
-    vertical = [s.about_vertical for s in stances]
-    return [
-        *_tilt("horizontal", horizontal, ("upper", "lower")),
-        *_tilt("vertical", vertical, ("right", "left")),
     ]
 
 

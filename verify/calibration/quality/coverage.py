@@ -1,4 +1,4 @@
-"""What the boards covered: the images, the distances, the tilts."""
+"""Coverage by the boards: image areas, distances, tilts."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from verify.core.records import Array
 from verify.core.rig import Rig
 
 CELLS_ACROSS = 12  # of the coverage grid; as many down as keep them square
-REGIONS_PER_SIDE = 3  # a side: what words can name
+REGIONS_PER_SIDE = 3  # regions that sentences can name
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class ImageCoverage:
 
 @dataclass(frozen=True, slots=True)
 class BoardOrientation:
-    """How one board stood before the cameras.
+    """Pose of one board before the cameras.
 
     A positive tilt about the horizontal axis brings the upper edge nearer, one about the vertical
     axis the right edge.
@@ -46,7 +46,7 @@ class BoardOrientation:
 
 
 def view_frame(rig: Rig, pan: Array) -> Array:
-    """Place a frame midway between the cameras: x along the baseline, z the way they look.
+    """Place a frame midway between the cameras: x along the baseline, z along the mean axis.
 
     Args:
         rig: the rig.
@@ -75,28 +75,28 @@ def image_coverage(calibration: Calibration) -> tuple[ImageCoverage, ...]:
     half = np.hypot(width, height) / 2
     found = []
     for camera in (0, 1):
-        seen = residuals.seen[(residuals.camera == camera) & residuals.used]
-        offset = seen - np.array([width - 1, height - 1]) / 2
-        reach = float(np.linalg.norm(offset, axis=1).max() / half) if len(seen) else 0.0
+        pixels = residuals.observed[(residuals.camera == camera) & residuals.used]
+        offset = pixels - np.array([width - 1, height - 1]) / 2
+        reach = float(np.linalg.norm(offset, axis=1).max() / half) if len(pixels) else 0.0
         found.append(
             ImageCoverage(
                 camera,
                 _centres(width, CELLS_ACROSS),
                 _centres(height, down),
-                _cell_counts(seen, width, height, CELLS_ACROSS, down),
-                _cell_counts(seen, width, height, REGIONS_PER_SIDE, REGIONS_PER_SIDE),
-                _margins(seen, width, height),
+                _cell_counts(pixels, width, height, CELLS_ACROSS, down),
+                _cell_counts(pixels, width, height, REGIONS_PER_SIDE, REGIONS_PER_SIDE),
+                _margins(pixels, width, height),
                 reach,
             )
         )
     return tuple(found)
 
 
-def _margins(seen: Array, width: int, height: int) -> Array:
-    if not len(seen):
+def _margins(pixels: Array, width: int, height: int) -> Array:
+    if not len(pixels):
         return np.ones(4)
     size = np.array([width, height])
-    low, high = (seen.min(axis=0) + 0.5) / size, (seen.max(axis=0) + 0.5) / size
+    low, high = (pixels.min(axis=0) + 0.5) / size, (pixels.max(axis=0) + 0.5) / size
     return np.concatenate([low, 1 - high])
 
 
@@ -105,14 +105,14 @@ def _centres(extent: int, cells: int) -> Array:
     return centres
 
 
-def _cell_counts(seen: Array, width: int, height: int, across: int, down: int) -> Array:
+def _cell_counts(pixels: Array, width: int, height: int, across: int, down: int) -> Array:
     edges = (np.linspace(-0.5, height - 0.5, down + 1), np.linspace(-0.5, width - 0.5, across + 1))
-    counts: Array = np.histogram2d(seen[:, 1], seen[:, 0], bins=edges)[0]
+    counts: Array = np.histogram2d(pixels[:, 1], pixels[:, 0], bins=edges)[0]
     return counts
 
 
 def board_stances(calibration: Calibration, pan: Array) -> tuple[BoardOrientation, ...]:
-    """Tell how far and how tilted each board stood.
+    """Find distance and tilts of each board.
 
     Args:
         calibration: with b pairs.

@@ -1,8 +1,7 @@
-"""What a calibration from boards is worth: fit, coverage, accuracy of a point, what helps most.
+"""Quality of a calibration from boards: fit, coverage, accuracy, largest sources of uncertainty.
 
-How well each view of the board fits, and which views stand out.
-
-One pair rectified: the same corner must lie on the same line in both pictures.
+`judge_calibration` gathers it; `draw_rectified` shows one pair rectified, where a corner must lie
+on the same line of both images.
 """
 
 from dataclasses import dataclass
@@ -24,18 +23,48 @@ from verify.calibration.quality.coverage import (
     board_stances,
     image_coverage,
 )
-from verify.calibration.stereo.records import Calibration, Residuals, covariance_in_si
+from verify.calibration.stereo.parameters import (
+    PAR_AXIS,
+    PAR_CENTER,
+    PAR_FOCAL,
+    PAR_LENS,
+    PAR_OFFSET,
+    PAR_PRINCIPAL,
+    PAR_TURN,
+    PARAMETER_KEYS,
+    SIDES,
+)
+from verify.calibration.stereo.records import (
+    Calibration,
+    Residuals,
+    camera_covariance,
+    covariance_in_si,
+)
 from verify.core.records import Array, Image
 from verify.core.rig import Camera, Rig
 
 MAD_TO_SIGMA = 1.4826  # standard deviation of a normal law over its median absolute deviation
-MAX_ROBUST_SIGMA = (
-    3.5  # robust standard deviations above the median: Iglewicz and Hoaglin's own limit
-)
-MIN_EXCESS_RATIO = (
-    1.5  # times the median: a smaller excess does no harm, however regular the others are
-)
-MIN_VIEWS = 5  # views of a camera that can be said to agree
+MAX_ROBUST_SIGMA = 3.5  # robust standard deviations above the median: Iglewicz and Hoaglin's limit
+MIN_EXCESS_RATIO = 1.5  # times the median: a smaller excess does no harm
+MIN_VIEWS = 5  # views of a camera that have a usual rms
+MAX_CENTRE_OFFSET = 0.1  # of the image's size: a principal point farther off its centre is unusual
+MIN_CENTRE_SIGMA = 4.0  # standard uncertainties between the principal point and the centre
+DISTANCE_STEP = 0.05  # m, to which the distances of the maps are rounded
+NOISE_GROUP, READINGS_GROUP, PAN_GROUP = "spot noise", "pan readings", "pan axes and zeros"
+GROUPS = {  # of a camera's parameters, by key
+    "pan_zero_deg": PAN_GROUP,
+    **dict.fromkeys(PARAMETER_KEYS[PAR_FOCAL], "focal lengths"),
+    **dict.fromkeys(PARAMETER_KEYS[PAR_PRINCIPAL], "principal points"),
+    **dict.fromkeys(PARAMETER_KEYS[PAR_LENS], "lens distortion"),
+    **dict.fromkeys(PARAMETER_KEYS[PAR_TURN], "cameras' turns"),
+    **dict.fromkeys(PARAMETER_KEYS[PAR_OFFSET], "cameras' places"),
+    **dict.fromkeys(PARAMETER_KEYS[PAR_CENTER], "cameras' places"),
+    **dict.fromkeys(PARAMETER_KEYS[PAR_AXIS], PAN_GROUP),
+}
+PICTURE_WIDTH = 720  # px of either image in the report
+N_LINES = 12  # across both images
+LINE_COLOUR = (80, 200, 80)  # BGR
+GAP = 4  # px between the images
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,94 +81,30 @@ class ViewQuality:
     poor: bool  # stands out among its camera's views
 
 
-def rms(residual: Array) -> float:
-    """Root mean square length of residuals (n, 2), px; NaN where there are none."""
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if len(residual) else float("nan")
-
-
-def view_residuals(residuals: Residuals) -> tuple[ViewQuality, ...]:
-    """Sum the residuals up by camera and frame, in that order."""
-    found = []
-    for camera in np.unique(residuals.camera).tolist():
-        own = residuals.camera == camera
-        frames = np.unique(residuals.frame[own]).tolist()
-        parts = [residuals.residual[own & (residuals.frame == f) & residuals.used] for f in frames]
-        poor = outlying_views(np.array([rms(part) for part in parts]))
-        for frame, part, bad in zip(frames, parts, poor.tolist(), strict=True):
-            every = int(np.sum(own & (residuals.frame == frame)))
-            largest = float(np.linalg.norm(part, axis=1).max()) if len(part) else float("nan")
-            mean = part.mean(axis=0) if len(part) else np.full(2, np.nan)
-            found.append(
-                ViewQuality(
-                    camera, frame, len(part), every - len(part), rms(part), largest, mean, bad
-                )
-            )
-    return tuple(found)
-
-
-def outlying_views(values: Array) -> NDArray[np.bool_]:
-    """Tell which of some rms values (n,) are out of line with the others.
-
-    Median and median absolute deviation stand for what is usual, so nearly half of the views may
-    be bad without hiding themselves.
-
-    Source: the modified z-score of Iglewicz and Hoaglin, How to Detect and Handle Outliers, 1993.
-    """
-    known = np.isfinite(values) & (values > 0)
-    out = np.zeros(len(values), dtype=bool)
-    if known.sum() < MIN_VIEWS:
-        return out
-    usual = float(np.median(values[known]))
-    spread = MAD_TO_SIGMA * float(np.median(np.abs(values[known] - usual)))
-    out[known] = values[known] > max(usual + MAX_ROBUST_SIGMA * spread, MIN_EXCESS_RATIO * usual)
-    return out
-
-
-MAX_CENTRE_OFFSET = (
-    0.1  # of the image's size: a principal point farther off its centre wants an explanation
-)
-MIN_CENTRE_SIGMA = 4.0  # standard uncertainties between the principal point and the centre
-DISTANCE_STEP = 0.05  # m, to which the distances of the maps are rounded
-SIDES = ("left", "right")
-GROUPS = {  # key of a parameter, without its unit, to what it belongs to
-    "fx": "focal lengths",
-    "fy": "focal lengths",
-    "cx": "principal points",
-    "cy": "principal points",
-    **dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), "lens distortion"),
-    **dict.fromkeys(("mount_rx", "mount_ry", "mount_rz"), "cameras' turns"),
-    **dict.fromkeys((f"mount_{axis}" for axis in "xyz"), "cameras' places"),
-    **dict.fromkeys((f"pan_center_{axis}" for axis in "xyz"), "cameras' places"),
-    **dict.fromkeys((f"pan_axis_r{axis}" for axis in "xyz"), "pan axes and zeros"),
-    "pan_zero": "pan axes and zeros",
-}
-NOISE_GROUP, READINGS_GROUP = "spot noise", "pan readings"
-
-
 @dataclass(frozen=True, slots=True)
 class PrincipalPoint:
-    """Where a camera's optical axis meets the image, and whether to believe it."""
+    """Offset of a camera's principal point, and whether it is plausible."""
 
     camera: int
     offset: Array  # (2,), px, from the image's centre
     distance: float  # px
     uncertainty: float | None  # px, standard, along the offset; None: held, or not stated
-    odd: bool  # farther off the centre than a camera as it is sold
-    believed: bool  # the pictures give it: many times its own uncertainty away from the centre
+    odd: bool  # farther off the centre than in a camera as it is sold
+    believed: bool  # significant: many times its own uncertainty from the centre
 
 
 @dataclass(frozen=True, slots=True)
 class DepthContribution:
-    """What one group of parameters does to the depth of a point in the middle of the view."""
+    """Share of one group of parameters in the depth of a point in the middle of the view."""
 
     group: str
     alone: float  # m, standard uncertainty of the depth, were all else exact
-    without: float  # m, what would be left of it, were this group exact
+    without: float  # m, the standard uncertainty that is left, were this group exact
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationQuality:
-    """What the boards say of the rig they calibrated."""
+    """Everything that judges a calibration."""
 
     rms: tuple[float, float, float]  # px: both cameras, left, right
     views: tuple[ViewQuality, ...]
@@ -153,7 +118,7 @@ class CalibrationQuality:
 
 
 def judge_calibration(calibration: Calibration, pan: Array | None = None) -> CalibrationQuality:
-    """Say what a calibration is worth.
+    """Judge a calibration: fit, coverage, accuracy, sources of uncertainty.
 
     Args:
         calibration: with the rig's covariance.
@@ -168,19 +133,19 @@ def judge_calibration(calibration: Calibration, pan: Array | None = None) -> Cal
     if pan.shape != (len(calibration.frames), 2):
         raise ValueError(f"{len(calibration.frames)} pairs need as many pan readings")
     usual = np.median(pan, axis=0)
-    stood = board_stances(calibration, pan)
-    near, working, far = _distances([s.distance for s in stood])
-    used = calibration.residuals.used
-    left = calibration.residuals.camera == 0
+    stances = board_stances(calibration, pan)
+    near, working, far = _distances([s.distance for s in stances])
+    residuals = calibration.residuals
+    used, left = residuals.used, residuals.camera == 0
     return CalibrationQuality(
         rms=(
-            rms(calibration.residuals.residual[used]),
-            rms(calibration.residuals.residual[used & left]),
-            rms(calibration.residuals.residual[used & ~left]),
+            rms(residuals.residual[used]),
+            rms(residuals.residual[used & left]),
+            rms(residuals.residual[used & ~left]),
         ),
-        views=view_residuals(calibration.residuals),
+        views=view_residuals(residuals),
         coverage=image_coverage(calibration),
-        stances=stood,
+        stances=stances,
         principal_points=tuple(_principal_point(calibration, side) for side in (0, 1)),
         pan=usual,
         working_distance=working,
@@ -195,16 +160,13 @@ def judge_calibration(calibration: Calibration, pan: Array | None = None) -> Cal
 def _distances(boards: list[float]) -> tuple[float, float, float]:
     """Nearest, median and farthest distance of the boards, rounded; some may coincide."""
     wanted = np.quantile(boards, [0.0, 0.5, 1.0])
-    near, median, far = np.maximum(np.round(wanted / DISTANCE_STEP), 1).tolist()
-    return (
-        round(near * DISTANCE_STEP, 6),
-        round(median * DISTANCE_STEP, 6),
-        round(far * DISTANCE_STEP, 6),
-    )
+    steps = np.maximum(np.round(wanted / DISTANCE_STEP), 1).tolist()
+    near, median, far = (round(step * DISTANCE_STEP, 6) for step in steps)
+    return near, median, far
 
 
 def _principal_point(calibration: Calibration, side: int) -> PrincipalPoint:
-    camera: Camera = (calibration.rig.left, calibration.rig.right)[side]
+    camera = (calibration.rig.left, calibration.rig.right)[side]
     size = np.array(calibration.rig.image_size)
     offset = camera.matrix[:2, 2] - (size - 1) / 2  # pixel centres at whole numbers
     distance = float(np.linalg.norm(offset))
@@ -217,14 +179,14 @@ def _principal_point(calibration: Calibration, side: int) -> PrincipalPoint:
 
 
 def _directional_uncertainty(
-    calibration: Calibration, names: list[str], way: Array
+    calibration: Calibration, names: list[str], direction: Array
 ) -> float | None:
     """Standard uncertainty of some parameters in one direction; None where not all are stated."""
     given = calibration.rig.covariance
-    if given is None or not set(names) <= set(given.parameters) or not way.any():
+    if given is None or not set(names) <= set(given.parameters) or not direction.any():
         return None
     rows = [given.parameters.index(name) for name in names]
-    unit = way / np.linalg.norm(way)
+    unit = direction / np.linalg.norm(direction)
     return float(np.sqrt(unit @ covariance_in_si(given)[np.ix_(rows, rows)] @ unit))
 
 
@@ -233,7 +195,7 @@ def _contributions(
 ) -> tuple[DepthContribution, ...]:
     """Split the variance of a depth by what would be left of it, were a group exact.
 
-    The parts do not add up: parameters found from the same pictures hang together.
+    The parts do not add up: parameters found from the same pictures are correlated.
     """
     names, covariance = systematic_parameters(calibration.rig, calibration.turning)
     found = point_sensitivities(calibration.rig, pan, np.array([[0.0, 0.0, distance]]), names)
@@ -241,42 +203,69 @@ def _contributions(
     noise = float(SPOT_SIGMA**2 * np.sum(found.by_pixels[0, 2] ** 2))
     systematic = float(slope @ covariance @ slope)
     split = [DepthContribution(NOISE_GROUP, float(np.sqrt(noise)), float(np.sqrt(systematic)))]
-    groups = _groups(calibration, names)
+    stated = len(camera_covariance(calibration.rig)[0])  # parameters beyond them are pan readings
+    groups = [GROUPS[name.partition(".")[2]] for name in names[:stated]]
+    groups += [READINGS_GROUP] * (len(names) - stated)
     for group in dict.fromkeys(groups):
         own = np.array([g == group for g in groups])
         inner = covariance[np.ix_(own, own)]
         common = covariance[own] @ slope
-        gone = float(common @ np.linalg.pinv(inner, hermitian=True) @ common)
+        removed = float(common @ np.linalg.pinv(inner, hermitian=True) @ common)
         alone = float(slope[own] @ inner @ slope[own])
-        left = max(systematic + noise - gone, 0.0)
+        left = max(systematic + noise - removed, 0.0)
         split.append(DepthContribution(group, float(np.sqrt(alone)), float(np.sqrt(left))))
     return tuple(sorted(split, key=lambda c: (c.without, c.group)))
 
 
-def _groups(calibration: Calibration, names: tuple[str, ...]) -> list[str]:
-    """Name the group of each parameter; what stands beyond the rig's own is a pan reading."""
-    given = calibration.rig.covariance
-    cameras = sum(n.startswith(("left.", "right.")) for n in given.parameters) if given else 0
-    groups = []
-    for index, name in enumerate(names):
-        key = name.partition(".")[2].removesuffix("_px").removesuffix("_mm").removesuffix("_deg")
-        groups.append(READINGS_GROUP if index >= cameras else GROUPS[key])
-    return groups
+def rms(residual: Array) -> float:
+    """Root mean square length of residuals (n, 2), px; NaN where there are none."""
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if len(residual) else float("nan")
 
 
-PICTURE_WIDTH = 720  # px of either picture in the report
-N_LINES = 12  # across both pictures
-LINE_COLOUR = (80, 200, 80)  # BGR
-GAP = 4  # px between the pictures
+def view_residuals(residuals: Residuals) -> tuple[ViewQuality, ...]:
+    """Summarise the residuals by camera and frame, in that order."""
+    views = []
+    for camera in np.unique(residuals.camera).tolist():
+        own = residuals.camera == camera
+        frames = np.unique(residuals.frame[own]).tolist()
+        parts = [residuals.residual[own & (residuals.frame == f) & residuals.used] for f in frames]
+        poor = outlying_views(np.array([rms(part) for part in parts]))
+        for frame, part, bad in zip(frames, parts, poor.tolist(), strict=True):
+            every = int(np.sum(own & (residuals.frame == frame)))
+            largest = float(np.linalg.norm(part, axis=1).max()) if len(part) else float("nan")
+            mean = part.mean(axis=0) if len(part) else np.full(2, np.nan)
+            refused = every - len(part)
+            views.append(
+                ViewQuality(camera, frame, len(part), refused, rms(part), largest, mean, bad)
+            )
+    return tuple(views)
+
+
+def outlying_views(values: Array) -> NDArray[np.bool_]:
+    """Find the rms values (n,) that stand out among the others.
+
+    Location and scale are median and median absolute deviation, so nearly half of the views may be
+    bad without hiding each other.
+
+    Source: the modified z-score of Iglewicz and Hoaglin, How to Detect and Handle Outliers, 1993.
+    """
+    known = np.isfinite(values) & (values > 0)
+    out = np.zeros(len(values), dtype=bool)
+    if known.sum() < MIN_VIEWS:
+        return out
+    usual = float(np.median(values[known]))
+    spread = MAD_TO_SIGMA * float(np.median(np.abs(values[known] - usual)))
+    out[known] = values[known] > max(usual + MAX_ROBUST_SIGMA * spread, MIN_EXCESS_RATIO * usual)
+    return out
 
 
 def draw_rectified(rig: Rig, left: Image, right: Image, pan: Array | None = None) -> bytes:
-    """Turn both pictures to face alike and draw level lines across them.
+    """Rectify a pair and draw level lines across both images.
 
     Args:
         rig: the rig.
         left: (h, w) grey or (h, w, 3) BGR, as taken.
-        right: likewise.
+        right: (h, w) grey or (h, w, 3) BGR, as taken.
         pan: (2,), rad, readings of the bases at that pair; None: the rig's own fixed ones.
 
     Returns:

@@ -18,45 +18,41 @@ The summary's keys, units in their names; what is not known is null:
     accuracy              a distance each: distance_mm, {random,systematic,total}_{lateral,depth,
                           total}_mm in the middle of the view, worst_total_mm anywhere in it,
                           length_{across,depth}_{random,systematic}_um of length_mm
-    main_advice         group, help, depth_mm: standard uncertainty of the depth as it is
+    improve_first         group, help, depth_mm: standard uncertainty of the depth as it is
     doubts, gaps          sentences: what speaks against it; what the boards did not cover
     parameter_correlation parameters, correlation
 
 Tables: parameters, views, residuals, boards, coverage, accuracy, contributions, scene (lines in
 space: boards and cameras). Image: rectified, where a pair was given.
-
-How the two cameras stand to each other, with uncertainties carried over from the rig's.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from reports import Results
+from verify.calibration.origin import DEG, MM, UM, ResultsOrigin
 from verify.calibration.quality.accuracy import (
     SPOT_SIGMA,
     TEST_LENGTH,
     length_uncertainty,
     parameter_derivatives,
-    uncertainty_parts,
+    uncertainty_maps,
 )
 from verify.calibration.quality.advice import calibration_doubts, coverage_gaps, main_advice
 from verify.calibration.quality.quality import (
     NOISE_GROUP,
-    SIDES,
     CalibrationQuality,
     draw_rectified,
     judge_calibration,
 )
 from verify.calibration.quality.tables import tables
-from verify.calibration.stereo.records import Calibration, covariance_in_si
+from verify.calibration.stereo.parameters import SIDES
+from verify.calibration.stereo.records import Calibration, camera_covariance
 from verify.core.records import Array, Image
 from verify.core.rig import Rig
-from verify.core.version import __version__
-
-STEREO_MM, DEG = 1e3, 180 / np.pi
 
 
 def stereo_geometry(rig: Rig, pan: Array) -> dict[str, Any]:
@@ -70,16 +66,14 @@ def stereo_geometry(rig: Rig, pan: Array) -> dict[str, Any]:
         convergence = np.arctan2(-left_T_right[0, 2], left_T_right[2, 2])  # axes that meet: > 0
         return np.array([np.linalg.norm(position), convergence, *position, *turn])
 
-    value, u = _with_uncertainty(
-        rig, relation(rig), parameter_derivatives(relation, rig, _names(rig))
-    )
+    value, u = _with_uncertainty(relation, rig)
     return {
-        "baseline_mm": value[0] * STEREO_MM,
-        "baseline_standard_uncertainty_mm": u[0] * STEREO_MM,
+        "baseline_mm": value[0] * MM,
+        "baseline_standard_uncertainty_mm": u[0] * MM,
         "convergence_deg": value[1] * DEG,
         "convergence_standard_uncertainty_deg": u[1] * DEG,
-        "position_mm": (value[2:5] * STEREO_MM).tolist(),
-        "position_standard_uncertainty_mm": (u[2:5] * STEREO_MM).tolist(),
+        "position_mm": (value[2:5] * MM).tolist(),
+        "position_standard_uncertainty_mm": (u[2:5] * MM).tolist(),
         "rotation_vector_deg": (value[5:8] * DEG).tolist(),
         "rotation_vector_standard_uncertainty_deg": (u[5:8] * DEG).tolist(),
     }
@@ -92,29 +86,15 @@ def pan_axes_angle(rig: Rig) -> dict[str, Any]:
         across = np.linalg.norm(np.cross(moved.left.pan_axis, moved.right.pan_axis))
         return np.array([np.arctan2(across, abs(moved.left.pan_axis @ moved.right.pan_axis))])
 
-    value, u = _with_uncertainty(
-        rig, between(rig), parameter_derivatives(between, rig, _names(rig))
-    )
+    value, u = _with_uncertainty(between, rig)
     return {"axes_angle_deg": value[0] * DEG, "axes_angle_standard_uncertainty_deg": u[0] * DEG}
 
 
-def _names(rig: Rig) -> tuple[str, ...]:
-    given = () if rig.covariance is None else rig.covariance.parameters
-    return tuple(name for name in given if name.startswith(("left.", "right.")))
-
-
-def _with_uncertainty(rig: Rig, value: Array, slope: Array) -> tuple[Array, Array]:
-    """Standard uncertainty of values (m,) from their derivative (p, m) by the rig's parameters."""
-    if rig.covariance is None:
-        return value, np.full(len(value), np.nan)
-    cameras = [
-        i for i, n in enumerate(rig.covariance.parameters) if n.startswith(("left.", "right."))
-    ]
-    full = covariance_in_si(rig.covariance)[np.ix_(cameras, cameras)]
-    return value, np.sqrt(np.einsum("pm,pq,qm->m", slope, full, slope))
-
-
-MM, UM = 1e3, 1e6
+def _with_uncertainty(function: Callable[[Rig], Array], rig: Rig) -> tuple[Array, Array]:
+    """Values (m,) of a function of the rig and their standard uncertainties by its covariance."""
+    names, full = camera_covariance(rig)
+    slope = parameter_derivatives(function, rig, names)
+    return function(rig), np.sqrt(np.einsum("pm,pq,qm->m", slope, full, slope))
 
 
 def calibration_results(
@@ -124,10 +104,7 @@ def calibration_results(
     picture: tuple[Image, Image] | None = None,
     picture_pan: Array | None = None,
     names: Mapping[int, str] | None = None,
-    source: str = "",
-    description: str = "",
-    inputs: Mapping[str, str] | None = None,
-    warnings: tuple[str, ...] = (),
+    origin: ResultsOrigin | None = None,
 ) -> Results:
     """Judge a calibration and lay it out for the report.
 
@@ -135,12 +112,9 @@ def calibration_results(
         calibration: with the rig's covariance.
         pan: (b, 2), rad, readings of the bases at its pairs; None: the rig's own fixed ones.
         picture: one pair as taken, to show rectified; None: no preview.
-        picture_pan: (2,), rad, readings at that pair; None: as for `pan`.
+        picture_pan: (2,), rad, readings at that pair; None: the rig's own fixed ones.
         names: of the pairs' pictures, by frame, as the user knows them.
-        source: folder that the pictures came from.
-        description: a user's words on it.
-        inputs: files that were read, with their hashes.
-        warnings: sentences.
+        origin: the pictures.
 
     Raises:
         ValueError: the rig states no covariance, or `pan` does not fit the pairs.
@@ -151,12 +125,7 @@ def calibration_results(
         images["rectified"] = draw_rectified(calibration.rig, *picture, picture_pan)
     return Results(
         summary={
-            "format": 1,
-            "kind": "calibration",
-            "tool": {"name": "verify", "version": __version__},
-            "source": {"path": source, "description": description},
-            "inputs": dict(sorted((inputs or {}).items())),
-            "warnings": list(warnings),
+            **(origin or ResultsOrigin()).summary("calibration"),
             **_fit(calibration, quality),
             "stereo": stereo_geometry(calibration.rig, quality.pan),
             "turning": pan_axes_angle(calibration.rig) if calibration.turning else None,
@@ -223,13 +192,11 @@ def _accuracy(calibration: Calibration, quality: CalibrationQuality) -> dict[str
     entries = []
     for field in quality.fields:
         entry: dict[str, Any] = {"distance_mm": field.distance * MM}
-        middle = len(field.y) // 2, len(field.x) // 2
-        for name in ("random", "systematic", "total"):
-            values = uncertainty_parts(field, getattr(field, name))
-            for part, value in zip(("lateral", "depth", "total"), values, strict=True):
-                entry[f"{name}_{part}_mm"] = _known(float(value[middle]) * MM)
-        total = uncertainty_parts(field, field.total)[2]
-        entry["worst_total_mm"] = None if np.isnan(total).all() else float(np.nanmax(total)) * MM
+        maps = uncertainty_maps(field)
+        middle = {name: float(v[len(field.y) // 2, len(field.x) // 2]) for name, v in maps.items()}
+        entry |= {name: v if np.isfinite(v) else None for name, v in middle.items()}
+        total = maps["total_total_mm"]
+        entry["worst_total_mm"] = None if np.isnan(total).all() else float(np.nanmax(total))
         for name, axis in (("across", 0), ("depth", 2)):
             random, systematic = length_uncertainty(
                 calibration.rig, quality.pan, field.distance, axis, calibration.turning
@@ -247,10 +214,6 @@ def _accuracy(calibration: Calibration, quality: CalibrationQuality) -> dict[str
         "accuracy": entries,
         "improve_first": {"group": group, "help": help_, "depth_mm": depth * MM},
     }
-
-
-def _known(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _correlation(calibration: Calibration) -> dict[str, Any]:

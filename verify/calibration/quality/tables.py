@@ -6,18 +6,18 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from verify.calibration.quality.accuracy import uncertainty_parts
+from verify.calibration.origin import DEG, MM, POSE_UNITS
+from verify.calibration.quality.accuracy import uncertainty_maps
 from verify.calibration.quality.coverage import view_frame
-from verify.calibration.quality.quality import SIDES, CalibrationQuality
-from verify.calibration.stereo.parameters import PARAMETER_KEYS
+from verify.calibration.quality.quality import CalibrationQuality
+from verify.calibration.stereo.gauge import FOCAL_TIE, LENS_KEYS
+from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES
 from verify.calibration.stereo.records import Calibration
 from verify.core.records import Array
 from verify.core.rig import Camera
+from verify.measurement.systematics import BODY
 
-MM, DEG = 1e3, 180 / np.pi
-POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 UNIT = {"mm": "mm", "deg": "°", "px": "px"}
-LENS, MATRIX = ("k1", "k2", "p1", "p2", "k3"), ("fx_px", "fy_px")
 FRUSTUM = 0.15  # of the working distance: how far a camera's pyramid reaches into the picture
 
 
@@ -43,15 +43,15 @@ def tables(calibration: Calibration, quality: CalibrationQuality) -> dict[str, p
 def _parameters(calibration: Calibration) -> pd.DataFrame:
     """Every parameter of the rotating-base model; `state` says whether it was found, or held."""
     given = calibration.rig.covariance
-    known: dict[str, float] = {}
+    stated: dict[str, float] = {}
     if given is not None:
-        known = dict(zip(given.parameters, given.standard_uncertainty.tolist(), strict=True))
+        stated = dict(zip(given.parameters, given.standard_uncertainty.tolist(), strict=True))
     rows = []
     for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
         values = _values(camera)
         for key in PARAMETER_KEYS:
             name = f"{side}.{key}"
-            u = known.get(name, 0.0)
+            u = stated.get(name, 0.0)
             rows.append(
                 {
                     "camera": side,
@@ -67,9 +67,9 @@ def _parameters(calibration: Calibration) -> pd.DataFrame:
 
 def _state(name: str, uncertainty: float, calibration: Calibration) -> str:
     key = name.partition(".")[2]
-    if name in calibration.fixed and key in LENS:
-        return "zero"  # perhaps with what holding it at 0 leaves uncertain
-    if name in calibration.fixed and key in MATRIX:
+    if name in calibration.fixed and key in LENS_KEYS:
+        return "zero"  # it may keep an uncertainty
+    if name in calibration.fixed and key == FOCAL_TIE:
         return "tied"
     return "found" if uncertainty > 0 else "gauge"
 
@@ -81,7 +81,7 @@ def _values(camera: Camera) -> dict[str, float]:
     """
     k = camera.matrix
     values = {"fx_px": k[0, 0], "fy_px": k[1, 1], "cx_px": k[0, 2], "cy_px": k[1, 2]}
-    values |= dict(zip(LENS, camera.distortion.tolist(), strict=True))
+    values |= dict(zip(LENS_KEYS, camera.distortion.tolist(), strict=True))
     axis = np.cross([0.0, 1.0, 0.0], camera.pan_axis)
     sine = float(np.linalg.norm(axis))
     angle = np.arctan2(sine, camera.pan_axis[1])
@@ -123,8 +123,8 @@ def _residuals(calibration: Calibration) -> pd.DataFrame:
             "camera": [SIDES[c] for c in found.camera.tolist()],
             "frame": found.frame,
             "corner": found.corner,
-            "x_px": found.seen[:, 0],
-            "y_px": found.seen[:, 1],
+            "x_px": found.observed[:, 0],
+            "y_px": found.observed[:, 1],
             "residual_x_px": found.residual[:, 0],
             "residual_y_px": found.residual[:, 1],
             "u_px": found.uncertainty,
@@ -134,15 +134,14 @@ def _residuals(calibration: Calibration) -> pd.DataFrame:
 
 
 def _boards(calibration: Calibration, quality: CalibrationQuality) -> pd.DataFrame:
-    """Place of each board in the rig, standard uncertainty, and how it stood to the cameras."""
+    """Pose of each board in the rig, standard uncertainty, distance and tilts."""
     poses = calibration.rig_T_board
     turn = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
-    scale = np.array([MM] * 3 + [DEG] * 3)
-    values = np.concatenate([poses[:, :3, 3], turn], axis=1) * scale
-    u = np.sqrt(np.diagonal(calibration.board_covariance, axis1=1, axis2=2)) * scale
+    values = np.concatenate([poses[:, :3, 3], turn], axis=1) * POSE_UNITS
+    u = np.sqrt(np.diagonal(calibration.board_covariance, axis1=1, axis2=2)) * POSE_UNITS
     table: dict[str, Any] = {"frame": calibration.frames}
-    table |= {name: values[:, i] for i, name in enumerate(POSE)}
-    table |= {f"u_{name}": u[:, i] for i, name in enumerate(POSE)}
+    table |= {name: values[:, i] for i, name in enumerate(BODY)}
+    table |= {f"u_{name}": u[:, i] for i, name in enumerate(BODY)}
     table["distance_mm"] = [s.distance * MM for s in quality.stances]
     table["tilt_deg"] = [s.tilt * DEG for s in quality.stances]
     table["about_horizontal_deg"] = [s.about_horizontal * DEG for s in quality.stances]
@@ -161,7 +160,7 @@ def _coverage(quality: CalibrationQuality) -> pd.DataFrame:
 
 
 def _accuracy(quality: CalibrationQuality) -> pd.DataFrame:
-    """Standard uncertainty of a point, a row a point of each map; empty where it is not seen."""
+    """Standard uncertainty of a point, a row a point of each map; empty where it is not visible."""
     tables = []
     for field in quality.fields:
         x, y = np.meshgrid(field.x, field.y)
@@ -170,10 +169,7 @@ def _accuracy(quality: CalibrationQuality) -> pd.DataFrame:
             "x_mm": x.ravel() * MM,
             "y_mm": y.ravel() * MM,
         }
-        for name in ("random", "systematic", "total"):
-            values = uncertainty_parts(field, getattr(field, name))
-            for part, value in zip(("lateral", "depth", "total"), values, strict=True):
-                table[f"{name}_{part}_mm"] = value.ravel() * MM
+        table |= {name: values.ravel() for name, values in uncertainty_maps(field).items()}
         tables.append(pd.DataFrame(table))
     return pd.concat(tables, ignore_index=True)
 
@@ -207,10 +203,8 @@ def _scene(calibration: Calibration, quality: CalibrationQuality) -> pd.DataFram
 
 def _pyramid(camera: Camera, size: tuple[int, int]) -> Array:
     """One stroke along a pyramid from the optical centre to the image's corners, unit depth."""
-    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * [
-        size[0] - 1,
-        size[1] - 1,
-    ]
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    corners *= [size[0] - 1, size[1] - 1]
     rays = np.column_stack([camera.normalise(corners), np.ones(4)])
     a, b, c, d = rays
     tip = np.zeros(3)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
-from verify.analysis.least_squares import autocorrelation
+from verify.analysis.least_squares import autocorrelation, gauss_newton
 from verify.calibration.registration.model import (
     PredictedSpots,
     RegistrationParameters,
@@ -92,7 +92,7 @@ def adjust(
     """
     at = start
     for _ in range(MAX_ROUNDS):
-        at = _gauss_newton(spotted, setup, at, free)
+        at = _fit_parameters(spotted, setup, at, free)
         refused = _worst_spots(
             spotted, predict_spots(spotted, setup.rig, setup.arm, setup.readings, at)
         )
@@ -102,20 +102,25 @@ def adjust(
     return _estimate_covariance(spotted, setup, at, free)
 
 
-def _gauss_newton(
+def _fit_parameters(
     spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: NDArray[np.bool_]
 ) -> RegistrationParameters:
-    for _ in range(MAX_ITERATIONS):
-        seen = predict_spots(spotted, setup.rig, setup.arm, setup.readings, at)
-        rows = whiten_pairs(spotted, seen, setup)
-        design, residual = rows.design[:, free], rows.residual
-        design, residual = _append_stated_clock(design, residual, free, setup, at)
+    def solve_step(at: RegistrationParameters) -> tuple[Array, None]:
+        predicted = predict_spots(spotted, setup.rig, setup.arm, setup.readings, at)
+        rows = whiten_pairs(spotted, predicted, setup)
+        design = rows.design[:, free]
+        design, residual = _append_stated_clock(design, rows.residual, free, setup, at)
         step = np.zeros(at.size)
         step[free] = np.linalg.lstsq(design, residual, rcond=None)[0]
-        at = at.moved(step)
-        if np.abs(step).max(initial=0.0) < TOL_STEP:
-            break
-    return at
+        return step, None
+
+    return gauss_newton(
+        at,
+        solve_step,
+        RegistrationParameters.moved,
+        max_iterations=MAX_ITERATIONS,
+        tol_step=TOL_STEP,
+    )[0]
 
 
 def _append_stated_clock(

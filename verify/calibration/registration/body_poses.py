@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots.transforms import difference
+from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.led_tracks import PairSpots, max_motion_px
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Pose, Sighting, Spots
@@ -145,12 +146,7 @@ def _raw(now: PairSpots, side: int, found: Correspondence, camera: Camera) -> Ra
     return RawSighting(sighting, spot_instants(now.t[side], centre, camera, now.height), depth)
 
 
-def _pose(
-    i: int,
-    found: list[AssignedPair],
-    rig: Rig,
-    marker: Marker,
-) -> BodyPose | None:
+def _pose(i: int, found: list[AssignedPair], rig: Rig, marker: Marker) -> BodyPose | None:
     """Bring a pair's right image to the left one's instant and fit the body's pose."""
     now, identified, raw = found[i]
     near = [
@@ -189,10 +185,7 @@ def _refine_leds(leds: Array, seen: list[BodyPose]) -> Array:
         # what a motion of the whole body explains says nothing of its shape
         lever = pair.pose.rig_T_flange[:3, :3]
         offset = leds[led] @ lever.T
-        turn = np.cross(np.eye(3)[None], offset[:, None]).transpose(0, 2, 1)
-        by_pose = np.concatenate([pair.pose.sensitivity, pair.pose.sensitivity @ turn], axis=2)[
-            keep
-        ].reshape(-1, 6)
+        by_pose = (pair.pose.sensitivity @ rigid_columns(offset))[keep].reshape(-1, 6)
         basis = np.linalg.qr(by_pose)[0]
         rows = rows - basis @ (basis.T @ rows)
         information += rows.T @ rows

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
+from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.body_poses import BodyPose, used_spots
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import Array, Sighting
@@ -204,14 +205,13 @@ def predict_spots(
         mine = spotted.side == side
         pixels[mine], by_camera = project_points(camera, inside[mine])
         by_point[mine] = by_camera @ spotted.camera_T_rig[mine, :3, :3]
-    by_flange = np.concatenate([by_point, by_point @ -cross_matrices(offset)], axis=2)
+    by_flange = by_point @ rigid_columns(offset)
     twist = np.concatenate(
         [rig_R_base @ part for part in np.split(robots.jacobian(arm, q), 2, axis=1)], axis=1
     )
     by_joint = by_flange @ twist
     design = np.zeros((len(points), 2, at.size))
-    design[:, :, :3] = by_point
-    design[:, :, 3:6] = by_point @ -cross_matrices(points - at.rig_T_base[:3, 3])
+    design[:, :, :6] = by_point @ rigid_columns(points - at.rig_T_base[:3, 3])
     place = 6 + 3 * spotted.led[:, None] + np.arange(3)
     np.put_along_axis(design, np.repeat(place[:, None], 2, axis=1), by_point @ rotation, axis=2)
     moving = np.einsum("sij,sj->si", by_joint, rate)
@@ -238,11 +238,3 @@ def project_points(camera: Camera, points: Array) -> tuple[Array, Array]:
     perspective[:, :, 2] = -xy / points[:, 2:3]
     by_xy = camera.matrix[:2, :2] @ distortion_jacobian(xy, camera.distortion)
     return camera.to_pixels(distort(xy, camera.distortion)), by_xy @ perspective
-
-
-def cross_matrices(vectors: Array) -> Array:
-    """Matrices of v x ., (n, 3, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    matrix = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
-    return matrix.reshape(-1, 3, 3)

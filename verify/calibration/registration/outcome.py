@@ -97,7 +97,7 @@ def registration_outcome(
             frame=spotted.frame[spotted.pair],
             camera=spotted.side,
             led=spotted.led,
-            seen=spotted.centre,
+            observed=spotted.centre,
             residual=adjusted.predicted.residual,
             used=spotted.used,
         ),

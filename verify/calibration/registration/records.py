@@ -25,8 +25,8 @@ class SpotResiduals:
     frame: NDArray[np.int64]  # (r,)
     camera: NDArray[np.int64]  # (r,), 0 left, 1 right
     led: NDArray[np.int64]  # (r,), index into the marker's LEDs
-    seen: Array  # (r, 2), px
-    residual: Array  # (r, 2), px, seen less predicted
+    observed: Array  # (r, 2), px
+    residual: Array  # (r, 2), px, observed less predicted
     used: NDArray[np.bool_]  # (r,), false: the others contradict it
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 import robots
+from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.adjustment import AdjustedRegistration
-from verify.calibration.registration.model import cross_matrices
 from verify.calibration.registration.start import RegistrationStart
 from verify.core.records import Array
 from verify.errors import InputError
@@ -21,9 +21,8 @@ MAX_UNCERTAINTY = (5e-3, np.deg2rad(0.5))  # m, rad: known worse, base and LEDs 
 SWING_ANGLE = np.deg2rad(20.0)  # a movement that would be added, either way
 SWING_PAIRS = 5.0  # pairs seen at each end of it
 MIN_PARALLEL_COSINE = 0.999  # cosine between directions that are called one
-MIN_TURN_SHARE = (
-    0.2  # of an undetermined direction, in units of the limits: it is a turn, not a shift
-)
+# of an undetermined direction, in units of the limits: it is a turn, not a shift
+MIN_TURN_SHARE = 0.2
 
 
 def refuse_undetermined(arm: robots.Arm, q: Array, noise: tuple[float, float], place: str) -> None:
@@ -46,8 +45,8 @@ def refuse_undetermined(arm: robots.Arm, q: Array, noise: tuple[float, float], p
     more = " and ".join(f"joint {j + 1}" for j in joints)
     raise InputError(
         place,
-        f"the motion leaves {_open_motions_text(arm, q, open_ones)} undetermined, as the LEDs on the flange "
-        "could make up for it",
+        f"the motion leaves {_open_motions_text(arm, q, open_ones)} undetermined, as the LEDs on "
+        "the flange could make up for it",
         "base and LEDs together need turns about two axes that are not parallel",
         f"Add a movement of {more} by {np.rad2deg(SWING_ANGLE):.0f}° or more either way.",
     )
@@ -57,8 +56,8 @@ def _information(arm: robots.Arm, q: Array, noise: tuple[float, float]) -> Array
     """Of base (base axes) and body (flange axes) from poses at q, (12, 12)."""
     flange = robots.forward(arm, q)
     columns = np.zeros((len(q), 6, 12))
-    columns[:, :, :6] = np.eye(6)
-    columns[:, :3, 3:6] = -cross_matrices(flange[:, :3, 3])
+    columns[:, :3, :6] = rigid_columns(flange[:, :3, 3])
+    columns[:, 3:, 3:6] = np.eye(3)
     columns[:, :3, 6:9] = columns[:, 3:, 9:] = flange[:, :3, :3]
     rows = columns / np.repeat(noise, 3)[:, None]
     information: Array = np.einsum("nij,nik->jk", rows, rows)

@@ -54,9 +54,8 @@ __all__ = ["MotionRegistration", "SpotResiduals", "register_motion"]
 
 MIN_PAIRS = 6  # three poses determine base and LEDs, as many check them
 TYPICAL_DIAMETER = 5e-3  # m, of an LED, until its image has told
-MAX_MISFIT_RATIO = (
-    30.0  # times the session's own misfit: a pair whose readings belong to another moment
-)
+# times the session's own misfit: a pair whose readings belong to another moment
+MAX_MISFIT_RATIO = 30.0
 POSE_ROWS = 6
 
 

@@ -13,26 +13,20 @@ from scipy.spatial.transform import Rotation
 
 from reports import Results
 from verify.calibration.axes.table import SweepResult
+from verify.calibration.origin import DEG, MM, POSE_UNITS, ResultsOrigin
 from verify.calibration.registration.fixture import FixtureRegistration
 from verify.calibration.registration.records import MotionRegistration
+from verify.calibration.stereo.parameters import SIDES
 from verify.core.fiducials import Marker
 from verify.core.records import Array
-from verify.core.rig import Rig
-from verify.core.version import __version__
-
-MM, DEG = 1e3, 180 / np.pi
-SIDES = ("left", "right")
-POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
-POSE_UNITS = np.array([MM] * 3 + [DEG] * 3)
+from verify.measurement.systematics import BODY
 
 
 def motion_results(
     found: MotionRegistration,
     *,
     robot: str,
-    source: str = "",
-    description: str = "",
-    inputs: Mapping[str, str] | None = None,
+    origin: ResultsOrigin | None = None,
     sweeps: SweepResult | None = None,
     base_held: bool = False,
     leds_held: bool = False,
@@ -42,22 +36,27 @@ def motion_results(
     Args:
         found: the registration.
         robot: the arm's name.
-        source: folder of the session.
-        description: a user's words on it.
-        inputs: files that were read, with their hashes.
+        origin: the session.
         sweeps: axes of single joints, where the session has sweeps.
         base_held: the base was kept as the rig had it.
         leds_held: the LEDs were kept as the marker had them.
     """
+    given = found.rig.covariance
+    stated: dict[str, float] = {}  # standard uncertainties in the units of the names
+    if given is not None:
+        stated = dict(zip(given.parameters, given.standard_uncertainty.tolist(), strict=True))
+    base_u = np.array([stated.get(f"robot_base.{key}", np.nan) for key in BODY])
     summary = {
-        **_common_fields("motion", robot, source, description, inputs),
+        **(origin or ResultsOrigin()).summary("registration"),
+        "method": "motion",
+        "robot": robot,
         "registration": found.rig.registration,
         "pairs": {
             "used": found.pairs_used,
             "left_out": dict(sorted(Counter(found.left_out.values()).items())),
         },
-        "base": {**_base(found.rig.rig_T_base, _base_uncertainty(found.rig)), "held": base_held},
-        "leds": _led_entries(found.marker, found.rig),
+        "base": _base(found.rig.rig_T_base, base_u, held=base_held),
+        "leds": _led_entries(found.marker, stated),
         "leds_held": leds_held,
         "clock": _time(found.clock_offset, found.clock_standard_uncertainty),
         "skew": _time(found.skew, found.skew_standard_uncertainty),
@@ -71,47 +70,36 @@ def motion_results(
             "held_out_rms_px": found.held_out_rms_px,
             "misfit": found.misfit,
         },
-        "decisions": list(found.decisions),
-        "warnings": list(found.warnings),
+        "decisions": [*found.decisions, *(sweeps.decisions if sweeps else ())],
+        "warnings": [*found.warnings, *(sweeps.warnings if sweeps else ())],
     }
     return Results(
-        summary=_add_sweeps(summary, sweeps),
+        summary=summary,
         setup={"image_size_px": list(found.rig.image_size)},
         tables={"residuals": _residuals(found), **_sweep_tables(sweeps)},
     )
 
 
 def fixture_results(
-    found: FixtureRegistration,
-    *,
-    robot: str,
-    source: str = "",
-    description: str = "",
-    inputs: Mapping[str, str] | None = None,
+    found: FixtureRegistration, *, robot: str, origin: ResultsOrigin | None = None
 ) -> Results:
     """Lay a registration by a board on the robot's base out for the report.
 
     Args:
         found: the registration.
         robot: the arm's name.
-        source: folder of the pictures.
-        description: a user's words on it.
-        inputs: files that were read, with their hashes.
+        origin: the pictures.
     """
-    u = np.sqrt(np.diag(found.base_covariance))
-    difference = found.pair_difference * POSE_UNITS
-    pairs = pd.DataFrame(
-        {
-            "frame": found.frames,
-            **{name: difference[:, i] for i, name in enumerate(POSE)},
-            "chi2": found.pair_chi2,
-        }
-    )
+    u = np.sqrt(np.diag(found.base_covariance)) * POSE_UNITS
+    difference = dict(zip(BODY, (found.pair_difference * POSE_UNITS).T, strict=True))
+    pairs = pd.DataFrame({"frame": found.frames, **difference, "chi2": found.pair_chi2})
     summary = {
-        **_common_fields("fixture", robot, source, description, inputs),
+        **(origin or ResultsOrigin()).summary("registration"),
+        "method": "fixture",
+        "robot": robot,
         "registration": found.registration,
         "pairs": {"used": len(found.frames), "left_out": {}},
-        "base": {**_base(found.rig.rig_T_base, u), "held": False},
+        "base": _base(found.rig.rig_T_base, u, held=False),
         "leds": [],
         "joints": [],
         "fit": {"rms_px": found.residual_rms_px, "noise": found.noise},
@@ -125,55 +113,24 @@ def fixture_results(
     )
 
 
-def _common_fields(
-    method: str, robot: str, source: str, description: str, inputs: Mapping[str, str] | None
-) -> dict[str, Any]:
-    return {
-        "format": 1,
-        "kind": "registration",
-        "method": method,
-        "tool": {"name": "verify", "version": __version__},
-        "source": {"path": source, "description": description},
-        "robot": robot,
-        "inputs": dict(sorted((inputs or {}).items())),
-    }
-
-
-def _base(rig_T_base: Array, uncertainty: Array) -> dict[str, Any]:
+def _base(rig_T_base: Array, u: Array, *, held: bool) -> dict[str, Any]:
+    """The base's pose and its standard uncertainties (6,), mm and degrees."""
     turn = Rotation.from_matrix(rig_T_base[:3, :3]).as_rotvec(degrees=True)
-    u = uncertainty * POSE_UNITS
     return {
         "position_mm": (rig_T_base[:3, 3] * MM).tolist(),
         "rotation_vector_deg": turn.tolist(),
         "standard_uncertainty_mm": u[:3].tolist(),
         "standard_uncertainty_deg": u[3:].tolist(),
+        "held": held,
     }
 
 
-def _stated_uncertainties(rig: Rig, names: list[str]) -> list[float | None]:
-    """Standard uncertainties in the units of the names; None where none is stated."""
-    if rig.covariance is None:
-        return [None] * len(names)
-    known = dict(
-        zip(rig.covariance.parameters, rig.covariance.standard_uncertainty.tolist(), strict=True)
-    )
-    return [known.get(name) for name in names]
-
-
-def _base_uncertainty(rig: Rig) -> Array:
-    stated = _stated_uncertainties(rig, [f"robot_base.{key}" for key in POSE])
-    si: Array = np.array([np.nan if u is None else u for u in stated]) / POSE_UNITS
-    return si
-
-
-def _led_entries(marker: Marker, rig: Rig) -> list[dict[str, Any]]:
+def _led_entries(marker: Marker, stated: Mapping[str, float]) -> list[dict[str, Any]]:
     rows = []
     for name, place in zip(marker.names, (marker.leds * MM).tolist(), strict=True):
-        u = _stated_uncertainties(rig, [f"led.{name}.{axis}_mm" for axis in "xyz"])
-        row: dict[str, Any] = {"name": name}
-        row |= {f"{axis}_mm": value for axis, value in zip("xyz", place, strict=True)}
-        row |= {f"u_{axis}_mm": value for axis, value in zip("xyz", u, strict=True)}
-        rows.append(row)
+        keys = [f"{axis}_mm" for axis in "xyz"]
+        row: dict[str, Any] = {"name": name, **dict(zip(keys, place, strict=True))}
+        rows.append(row | {f"u_{key}": stated.get(f"led.{name}.{key}") for key in keys})
     return rows
 
 
@@ -188,22 +145,13 @@ def _residuals(found: MotionRegistration) -> pd.DataFrame:
             "frame": spots.frame,
             "camera": [SIDES[c] for c in spots.camera.tolist()],
             "led": [found.marker.names[i] for i in spots.led.tolist()],
-            "x_px": spots.seen[:, 0],
-            "y_px": spots.seen[:, 1],
+            "x_px": spots.observed[:, 0],
+            "y_px": spots.observed[:, 1],
             "residual_x_px": spots.residual[:, 0],
             "residual_y_px": spots.residual[:, 1],
             "used": spots.used,
         }
     )
-
-
-def _add_sweeps(summary: dict[str, Any], found: SweepResult | None) -> dict[str, Any]:
-    if found is None:
-        return summary
-    return summary | {
-        "decisions": [*summary["decisions"], *found.decisions],
-        "warnings": [*summary["warnings"], *found.warnings],
-    }
 
 
 def _sweep_tables(found: SweepResult | None) -> dict[str, pd.DataFrame]:

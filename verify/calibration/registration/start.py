@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import robots
 from robots.transforms import difference, invert
-from verify.calibration.handeye import MIN_POSES, HandEye, solve_robustly
+from verify.calibration.handeye import MIN_POSES, HandEye, nearest_rotation, solve_robustly
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import Array
 
@@ -105,8 +105,7 @@ def _solve_loop(a: Array, b: Array, x: Array | None, y: Array | None) -> HandEye
 def mean_motion(motions: Array) -> Array:
     """The mean of rigid motions (n, 4, 4): of the places, and the rotation nearest to the mean."""
     mean: Array = motions.mean(axis=0)
-    u, _, vt = np.linalg.svd(mean[:3, :3])
-    mean[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    mean[:3, :3] = nearest_rotation(mean[:3, :3])
     return mean
 
 

@@ -12,8 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.adjustment import AdjustedRegistration, block_diagonal
-from verify.calibration.registration.model import BASE_COLUMNS, cross_matrices
+from verify.calibration.registration.model import BASE_COLUMNS
 from verify.calibration.stereo.records import extend_covariance, state_covariance
 from verify.core.fiducials import Marker
 from verify.core.records import Array
@@ -85,19 +86,12 @@ def _add_marker(given: Covariance | None, marker: Marker) -> Covariance | None:
     body, each = marker.body_standard_uncertainty, marker.led_standard_uncertainty
     if (body is None and each is None) or (given and set(names) & set(given.parameters)):
         return given
-    motion = rigid_columns(marker.leds)
+    motion = rigid_columns(marker.leds).reshape(-1, 6)
     spread = motion * (np.zeros(6) if body is None else body)
     full = spread @ spread.T + (each or 0.0) ** 2 * np.eye(len(names))
     if given is None:
         return state_covariance(names, full)
     return extend_covariance(given, names, np.zeros((len(names), len(given.parameters))), full)
-
-
-def rigid_columns(leds: Array) -> Array:
-    """What a motion of the LED body (flange axes, m and rad) does to its LEDs, (3 n, 6)."""
-    turn = np.cross(np.eye(3)[None], leds[:, None]).transpose(0, 2, 1)
-    columns = np.concatenate([np.tile(np.eye(3), (len(leds), 1, 1)), turn], axis=2)
-    return columns.reshape(-1, 6)
 
 
 def _derivative_by(name: str, rig: Rig, marker: Marker, adjusted: AdjustedRegistration) -> Array:
@@ -182,14 +176,11 @@ def inherited_absorption(
     if kept is None:
         return rig.absorption[:6]
     return np.concatenate(
-        [np.zeros_like(rig.absorption[:6]), _body_columns(kept.leds) @ rig.absorption[6:]]
+        [
+            np.zeros_like(rig.absorption[:6]),
+            rigid_columns(kept.leds).reshape(-1, 6) @ rig.absorption[6:],
+        ]
     )
-
-
-def _body_columns(leds: Array) -> Array:
-    """What a motion of the LED body does to its LEDs, (3 n, 6)."""
-    motion = np.concatenate([np.tile(np.eye(3), (len(leds), 1, 1)), -cross_matrices(leds)], axis=2)
-    return motion.reshape(-1, 6)
 
 
 def absorbed_offsets(adjusted: AdjustedRegistration, held: Array | None = None) -> Array:
@@ -216,7 +207,8 @@ def absorption(adjusted: AdjustedRegistration, held: Array | None = None) -> Arr
     effect less that of these motions: they are the negative of what the offset really did.
     """
     taken = absorbed_offsets(adjusted, held)
-    body = np.linalg.lstsq(_body_columns(adjusted.at.leds), taken[6:-2], rcond=None)[0]
+    columns = rigid_columns(adjusted.at.leds).reshape(-1, 6)
+    body = np.linalg.lstsq(columns, taken[6:-2], rcond=None)[0]
     return np.concatenate([taken[BASE_COLUMNS], body])
 
 

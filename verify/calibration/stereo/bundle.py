@@ -1,8 +1,19 @@
-"""One adjustment over all pairs: rig and board poses that make the seen corners most likely.
+"""Bundle adjustment of both cameras, their bases and all board poses to the corners' pixels.
 
-Gauss-Newton with Levenberg's damping; analytic derivatives. Each board's pose (and how far the
-bases stood off their readings at that pair) is eliminated from its own corners alone, so that the
-system to solve has the rig's parameters only (Schur complement).
+Corner X of the board in pair b, in the camera of one side with pan reading p, is observed at
+
+    x = project(K, k; camera_T_rig(p + e_b) rig_T_board_b X) + noise
+    rig_T_camera(p) = Trans(pan_center) Rot(pan_axis, p + pan_zero) mount
+
+Unknowns: the rig's 44 parameters (table in `parameters`) and, behind them, each board's own:
+
+    0 - 2   position of the board             m     rig axes
+    3 - 5   rotation about its own origin     rad   rig axes, on the left
+    6, 7    pan errors e of left and right    rad   prior of variance 1 / pan_precision
+
+Minimised is the sum of squared residuals in the corners' stated covariance, by Gauss-Newton steps
+with Levenberg-Marquardt damping and analytic derivatives. Each board's own unknowns are eliminated
+from its own corners (Schur complement), so the system to solve has the rig's parameters only.
 """
 
 from dataclasses import dataclass
@@ -26,21 +37,20 @@ from verify.calibration.stereo.parameters import (
     BundleState,
     CornerStack,
     base_rotations,
+    camera_columns,
 )
 from verify.core.records import Array
 from verify.core.rig import Camera, distort_with_jacobian
 
 MAX_ITERATIONS = 60
-TOL_COST = 1e-4  # in chi²: a step promises no more, a hundredth of an uncertainty
+TOL_COST = 1e-4  # chi² that a step still gains: a hundredth of an uncertainty
 Index = NDArray[np.int64]
-N_LOCAL = 8  # a board's own unknowns: its pose (6), the two bases' departures from their readings
-LOCAL_COLUMNS = slice(
-    N_CAMERA_PARAMETERS, N_CAMERA_PARAMETERS + N_LOCAL
-)  # their columns, behind those of a camera's parameters
+N_LOCAL = 8  # a board's own unknowns: its pose (6), both pan errors
+LOCAL_COLUMNS = slice(N_CAMERA_PARAMETERS, N_CAMERA_PARAMETERS + N_LOCAL)  # behind a camera's
 
 
 def predict(state: BundleState, corners: CornerStack) -> Array:
-    """Where the corners should be seen, (n, 2), px; NaN behind a camera."""
+    """Predict the corners' pixels, (n, 2); NaN behind a camera."""
     pixels = np.full((len(corners), 2), np.nan)
     for side, camera in enumerate(state.cameras):
         own = np.flatnonzero(corners.camera == side)
@@ -58,7 +68,7 @@ def _project(camera: Camera, point: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _CameraCorners:
-    """The corners of one camera, and that camera at each of them."""
+    """The n corners of one camera, and that camera's pose at each of them."""
 
     point: Array  # (3, n), in the camera frame
     rig_R_camera: Array  # (3, 3, n)
@@ -66,7 +76,7 @@ class _CameraCorners:
     board: Index  # (n,)
     arm: Array  # (3, n), corner from the board's origin, rig axes
     from_camera: Array  # (3, n), corner from the optical centre, rig axes
-    from_pan_center: Array  # (3, n), likewise from the pan centre
+    from_pan_center: Array  # (3, n), corner from the pan centre, rig axes
 
 
 def _side_corners(
@@ -112,27 +122,24 @@ def _cross(vectors: Array, rows: Array) -> Array:
 
 
 def derivatives(state: BundleState, corners: CornerStack) -> tuple[Array, Array]:
-    """How the predicted pixels change with the rig's parameters and with each board's own.
+    """Differentiate the predicted pixels by the rig's parameters and by each board's own.
 
     Returns:
-        (n, 2, 44), a SI unit (or pixel) of each of `parameters.NAMES`; (n, 2, 8), a step of the
-        board's pose in rig axes (m, rad; a rotation about the board's origin) and of the two
-        bases' departures from their readings (rad).
+        (n, 2, 44), px a SI unit (or px) of the rig's parameters; (n, 2, 8), px a SI unit of the
+        board's own unknowns.
     """
     by_rig = np.zeros((len(corners), 2, 2 * N_CAMERA_PARAMETERS))
     by_board = np.zeros((len(corners), 2, N_LOCAL))
     for side, camera in enumerate(state.cameras):
         own = np.flatnonzero(corners.camera == side)
         columns = _columns(camera, side, _side_corners(camera, side, state, corners, own))
-        by_rig[own, :, side * N_CAMERA_PARAMETERS : (side + 1) * N_CAMERA_PARAMETERS] = columns[
-            :, :N_CAMERA_PARAMETERS
-        ].transpose(2, 0, 1)
+        by_rig[own, :, camera_columns(side)] = columns[:, :N_CAMERA_PARAMETERS].transpose(2, 0, 1)
         by_board[own] = columns[:, LOCAL_COLUMNS].transpose(2, 0, 1)
     return by_rig, by_board
 
 
 def _columns(camera: Camera, side: int, at: _CameraCorners) -> Array:
-    """Derivatives by a camera's parameters and by the boards' own, (2, 31, n); the last is free."""
+    """Derivatives by a camera's parameters and the boards' own, (2, 31, n); last column empty."""
     depth, xy = at.point[2], at.point[:2] / at.point[2]
     x, y = xy
     distorted, by_xy = distort_with_jacobian(xy.T, camera.distortion)
@@ -147,7 +154,7 @@ def _columns(camera: Camera, side: int, at: _CameraCorners) -> Array:
         columns[axis, PAR_PRINCIPAL.start + axis] = 1.0
     columns[:, PAR_LENS] = focal[:, None, None] * _lens_derivatives(x, y)
     turned = _per_corner(at.turned, at.board)
-    # the world moves against the camera: a turn u about o takes a point r off o by -(u × r)
+    # points move against the camera: a rotation u about o moves a point r from o by -(u × r)
     about_center = -_cross(at.from_pan_center, by_point)
     columns[:, PAR_CENTER] = -by_point
     columns[:, PAR_AXIS] = about_center - _rows_times_matrices(about_center, turned)
@@ -178,8 +185,8 @@ def _lens_derivatives(x: Array, y: Array) -> Array:
 class NormalEquations:
     """The normal equations with the boards' own unknowns eliminated."""
 
-    information: Array  # (b, 44, 44), what each board says of the rig's parameters
-    gradient: Array  # (b, 44), towards a better fit
+    information: Array  # (b, 44, 44), on the rig's parameters, from each board
+    gradient: Array  # (b, 44), negative half gradient of the cost
     own: Array  # (b, 8, 8), inverse of each board's own information
     own_gradient: Array  # (b, 8)
     shared: Array  # (b, 8, 44), how a board's own optimum moves with the parameters, negated
@@ -197,8 +204,8 @@ def normal_equations(
 
     Args:
         state: where to linearise.
-        corners: what was seen.
-        model: what is free; the boards' own unknowns are taken from it.
+        corners: of all views.
+        model: says which of the boards' own unknowns are free.
         weight: (n,), of each corner beside its stated covariance; 0 leaves it out.
         damping: Marquardt's factor on the diagonal of the boards' own information.
     """
@@ -210,13 +217,13 @@ def normal_equations(
     pull[:, 6:] = -prior[6:] * state.pan_error
     for side in range(2):
         products = _products(side, state, corners, weight)
-        mine = slice(side * N_CAMERA_PARAMETERS, (side + 1) * N_CAMERA_PARAMETERS)
+        mine = camera_columns(side)
         full[:, mine, mine] = products[:, :N_CAMERA_PARAMETERS, :N_CAMERA_PARAMETERS]
         across[:, :, mine] = products[:, LOCAL_COLUMNS, :N_CAMERA_PARAMETERS]
         block += products[:, LOCAL_COLUMNS, LOCAL_COLUMNS]
         gradient[:, mine] = products[:, :N_CAMERA_PARAMETERS, -1]
         pull += products[:, LOCAL_COLUMNS, -1]
-    own = _inverse(block, _free_local(model), damping)
+    own = _invert_local(block, model, damping)
     shared = own @ across
     toward: Array = shared.transpose(0, 2, 1)
     return NormalEquations(
@@ -235,33 +242,30 @@ def _products(side: int, state: BundleState, corners: CornerStack, weight: Array
     Columns: the camera's parameters (22), the board's own (8), the residual.
     """
     camera = state.cameras[side]
-    seen_by = np.flatnonzero(corners.camera == side)
-    at = _side_corners(camera, side, state, corners, seen_by)
+    rows = np.flatnonzero(corners.camera == side)
+    at = _side_corners(camera, side, state, corners, rows)
     columns = _columns(camera, side, at)
-    columns[:, -1] = (corners.seen[seen_by] - _project(camera, at.point)).T
-    root = (corners.root[seen_by] * np.sqrt(weight[seen_by])[:, None, None]).transpose(1, 2, 0)
+    columns[:, -1] = (corners.observed[rows] - _project(camera, at.point)).T
+    root = (corners.root[rows] * np.sqrt(weight[rows])[:, None, None]).transpose(1, 2, 0)
     first, second = (r[0] * columns[0] + r[1] * columns[1] for r in root)
-    ends = np.searchsorted(corners.board[seen_by], np.arange(len(state.boards) + 1))
+    ends = np.searchsorted(corners.board[rows], np.arange(len(state.boards) + 1))
     products = np.empty((len(state.boards), len(first), len(first)))
     for b in range(len(state.boards)):
-        x, y = (rows[:, ends[b] : ends[b + 1]] for rows in (first, second))
+        x, y = (whitened[:, ends[b] : ends[b + 1]] for whitened in (first, second))
         products[b] = x @ x.T + y @ y.T
     return products
 
 
-def _inverse(block: Array, free: Index, damping: float) -> Array:
-    """Inverse of what is free of each board's own information (b, 8, 8), damped; 0 elsewhere."""
+def _invert_local(block: Array, model: AdjustmentModel, damping: float) -> Array:
+    """Invert the free part of each board's own information (b, 8, 8), damped; 0 elsewhere."""
+    turns = [model.pan_errors and base != BASE_FIXED for base in model.bases]
+    free = np.flatnonzero(np.concatenate([np.ones(6, dtype=bool), turns]))
     inner = block[:, free[:, None], free]
     diagonal = np.arange(len(free))
     inner[:, diagonal, diagonal] *= 1 + damping
     inverse = np.zeros_like(block)
     inverse[:, free[:, None], free] = np.linalg.inv(inner)
     return inverse
-
-
-def _free_local(model: AdjustmentModel) -> Index:
-    turns = [model.pan_errors and base != BASE_FIXED for base in model.bases]
-    return np.flatnonzero(np.concatenate([np.ones(6, dtype=bool), turns]))
 
 
 def _local_prior(model: AdjustmentModel) -> Array:
@@ -272,9 +276,8 @@ def _local_prior(model: AdjustmentModel) -> Array:
 
 
 def cost(state: BundleState, corners: CornerStack, model: AdjustmentModel, weight: Array) -> float:
-    """Sum of squares that the adjustment makes small; infinite behind a camera."""
-    whitened = np.einsum("nij,nj->ni", corners.root, corners.seen - predict(state, corners))
-    squares = np.sum(whitened**2, axis=1)
+    """Sum the weighted squares that the adjustment minimises; infinite behind a camera."""
+    squares = _squares(state, corners)
     if np.isnan(squares[weight > 0]).any():
         return float("inf")
     total = float(weight @ np.nan_to_num(squares))
@@ -284,9 +287,13 @@ def cost(state: BundleState, corners: CornerStack, model: AdjustmentModel, weigh
 
 
 def squared_distances(state: BundleState, corners: CornerStack) -> Array:
-    """Squared distance of each corner from where it should be, in its stated covariance, (n,)."""
-    whitened = np.einsum("nij,nj->ni", corners.root, corners.seen - predict(state, corners))
-    squares: Array = np.nan_to_num(np.sum(whitened**2, axis=1), nan=1e12)
+    """Squared residual of each corner in its stated covariance, (n,); 1e12 behind a camera."""
+    return np.nan_to_num(_squares(state, corners), nan=1e12)
+
+
+def _squares(state: BundleState, corners: CornerStack) -> Array:
+    residual = corners.observed - predict(state, corners)
+    squares: Array = np.sum(np.einsum("nij,nj->ni", corners.root, residual) ** 2, axis=1)
     return squares
 
 
@@ -297,18 +304,26 @@ def adjust(
     weight: Array,
     iterations: int = MAX_ITERATIONS,
 ) -> BundleState:
-    """Find the state of least squares by damped Gauss-Newton steps, in the gauge throughout."""
+    """Find the state of least squares by damped Gauss-Newton steps, always in the gauge.
+
+    Args:
+        state: start.
+        corners: of all views.
+        model: what is free.
+        weight: (n,), of each corner beside its stated covariance; 0 leaves it out.
+        iterations: at most so many.
+    """
     pan = corners.pan[0]
     state = gauge.apply_gauge(state, model, pan)
-    here, damping = cost(state, corners, model, weight), 1e-4
+    before, damping = cost(state, corners, model, weight), 1e-4
     for _ in range(iterations):
         trial, promised = _damped_step(state, corners, model, weight, damping)
-        there = cost(trial, corners, model, weight)
-        if there <= here:
+        now = cost(trial, corners, model, weight)
+        if now <= before:
             state, damping = trial, damping / 10
-            if here - there < TOL_COST and promised < TOL_COST:
+            if before - now < TOL_COST and promised < TOL_COST:
                 break
-            here = there
+            before = now
         else:
             if promised < TOL_COST:
                 break
@@ -321,7 +336,7 @@ def adjust(
 def _damped_step(
     state: BundleState, corners: CornerStack, model: AdjustmentModel, weight: Array, damping: float
 ) -> tuple[BundleState, float]:
-    """One damped step, and by how much it should lower the cost."""
+    """Take one damped step; with it, by how much it should lower the cost to first order."""
     pan = corners.pan[0]
     system = normal_equations(state, corners, model, weight, damping)
     basis = gauge.free_directions(gauge.constraints(state, model, pan)[0])

@@ -1,4 +1,14 @@
-"""What an adjustment says of its parameters: noise, covariance, and whether views err together."""
+"""The estimate after an adjustment: noise, covariance of all parameters, boards, edge lengths.
+
+The parameters p are those of `parameters`, with free directions B (44, q) that span what the
+constraints leave; N_b is the information of the corners of pair b on p, as stated:
+
+    covariance(p) = noise² * effect * B (B' (sum of N_b) B)⁻¹ B'
+    noise²        = chi² / degrees of freedom          what the stated uncertainty is multiplied by
+    effect        = sum of g_b' N⁻¹ g_b / its expectation, where significant, else 1
+
+with each pair's gradient g_b: the corners of one pair may err together (see `design_effect`).
+"""
 
 from dataclasses import dataclass
 
@@ -9,12 +19,14 @@ from verify.calibration.stereo import bundle, gauge
 from verify.calibration.stereo.gauge import AdjustmentModel
 from verify.calibration.stereo.parameters import BundleState, CornerStack
 from verify.calibration.stereo.records import Residuals
+from verify.core.fiducials import Board
 from verify.core.records import Array
 from verify.core.statistics import chi2_ppf
+from verify.measurement.triangulation import ray_midpoints, rays
 
-P_FALSE_CLUSTERING = 0.01  # that pairs which err independently seem to err together
-MIN_SCATTER_PX = 1e-5  # corners that scatter by less were computed, and what is left is rounding
-MIN_PAIRS = 5  # fewer say nothing about how pairs differ
+P_FALSE_CLUSTERING = 0.01  # that independent corners seem to err together
+MIN_SCATTER_PX = 1e-5  # corners that scatter by less were computed: rounding is left
+MIN_PAIRS = 5  # fewer do not show how pairs differ
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,27 +38,27 @@ class Estimate:
     used: NDArray[np.bool_]  # (n,), corners that were not refused
     system: bundle.NormalEquations
     rows: Array  # (c, 44), constraints
-    place: dict[str, int]  # at which row each held coefficient stands
+    held_row: dict[str, int]  # the constraint of each held coefficient
     basis: Array  # (44, p), the free directions
-    noise: float  # what the corners' stated uncertainty has to be multiplied with
+    noise: float  # factor on the corners' stated uncertainty
     degrees_of_freedom: int
-    together: float  # by how much the covariance grows because a pair's corners err together, >= 1
-    together_degrees: float  # degrees of freedom of that factor
+    design_effect: float  # factor on variances, as a pair's corners err together, >= 1
+    design_effect_degrees: float  # degrees of freedom of that factor
 
     @property
     def information(self) -> Array:
-        """Of the free directions, (p, p), for corners as stated."""
+        """Information on the free directions, (p, p), for corners as stated."""
         full: Array = self.basis.T @ self.system.information.sum(axis=0) @ self.basis
         return full
 
     @property
     def variance(self) -> float:
         """Factor on the inverse information."""
-        return self.noise**2 * self.together
+        return self.noise**2 * self.design_effect
 
     @property
     def covariance(self) -> Array:
-        """Of all parameters, (44, 44), SI units and pixels; 0 for what is held."""
+        """Covariance of all parameters, (44, 44), SI units and pixels; 0 for what is held."""
         full: Array = self.variance * self.basis @ invert(self.information) @ self.basis.T
         return full
 
@@ -62,52 +74,55 @@ def invert(matrix: Array) -> Array:
 def estimate_state(
     state: BundleState, corners: CornerStack, model: AdjustmentModel, used: NDArray[np.bool_]
 ) -> Estimate:
-    """Take stock of an adjusted state."""
-    return estimate_constrained(
-        state, corners, model, used, gauge.constraints(state, model, corners.pan[0])
-    )
-
-
-def estimate_constrained(
-    state: BundleState,
-    corners: CornerStack,
-    model: AdjustmentModel,
-    used: NDArray[np.bool_],
-    constraints: tuple[Array, dict[str, int]],
-) -> Estimate:
-    """Take stock of an adjusted state with what was held given.
+    """Find noise and covariance of an adjusted state.
 
     Args:
         state: adjusted.
         corners: of all views.
         model: what was adjusted.
         used: (n,), corners that were not refused.
-        constraints: rows that hold the rest, and their place, as of `gauge.constraints`.
     """
     weight = used.astype(float)
     system = bundle.normal_equations(state, corners, model, weight)
-    rows, place = constraints
+    rows, held_row = gauge.constraints(state, model, corners.pan[0])
     basis = gauge.free_directions(rows)
     degrees = 2 * int(used.sum()) - basis.shape[1] - 6 * len(state.boards)
     squares = bundle.cost(state, corners, model, weight)
     finest = MIN_SCATTER_PX / float(np.median(corners.uncertainty))
     noise = max(float(np.sqrt(squares / max(degrees, 1))), finest)
-    together, own_degrees = design_effect(system, basis, noise)
-    return Estimate(
-        state, model, used, system, rows, place, basis, noise, degrees, together, own_degrees
-    )
+    effect = design_effect(system, basis, noise)
+    return Estimate(state, model, used, system, rows, held_row, basis, noise, degrees, *effect)
+
+
+def readjust(
+    found: Estimate,
+    corners: CornerStack,
+    model: AdjustmentModel | None = None,
+    iterations: int = bundle.MAX_ITERATIONS,
+) -> Estimate:
+    """Adjust again from an estimate's state with the corners that it used.
+
+    Args:
+        found: where to start.
+        corners: of all views.
+        model: what to adjust; None: the same as before.
+        iterations: at most so many.
+    """
+    model = model or found.model
+    state = bundle.adjust(found.state, corners, model, found.used.astype(float), iterations)
+    return estimate_state(state, corners, model, found.used)
 
 
 def collect_residuals(
     found: Estimate, corners: CornerStack, frames: NDArray[np.int64]
 ) -> Residuals:
-    """Residuals of all corners by their pictures' frames, each with what it was weighed by."""
+    """List the residuals of all corners with frame, uncertainty and whether each was used."""
     return Residuals(
         camera=corners.camera,
         frame=frames[corners.board],
         corner=corners.corner,
-        seen=corners.seen,
-        residual=corners.seen - bundle.predict(found.state, corners),
+        observed=corners.observed,
+        residual=corners.observed - bundle.predict(found.state, corners),
         uncertainty=corners.uncertainty * found.noise,
         used=found.used,
     )
@@ -116,21 +131,20 @@ def collect_residuals(
 def design_effect(
     system: bundle.NormalEquations, basis: Array, noise: float
 ) -> tuple[float, float]:
-    """By how much pairs pull at the parameters harder than independent corners would.
+    """Test whether the corners of a pair err together, and by what factor variances then grow.
 
-    A board that is not flat, or a blur that shifts all corners of a picture, makes the corners of
-    a pair err together, which the scatter of single residuals does not show. Each pair's pull at
-    the parameters does: its square, measured in the parameters' own information and summed over
-    pairs, against what independent corners give. The factor counts where chance exceeds it once
-    in a hundred.
+    A board that is not flat, or blur that shifts all corners of an image, makes the corners of a
+    pair err together, which single residuals do not show but each pair's gradient does: its square
+    in the metric of the parameters' information, summed over pairs, against its expectation for
+    independent corners. The factor counts where chance exceeds it once in a hundred.
 
     Args:
         system: the normal equations, a block a pair, at the adjusted state.
         basis: (44, p), the free directions.
-        noise: what the corners' stated uncertainty has to be multiplied with.
+        noise: factor on the corners' stated uncertainty.
 
     Returns:
-        Factor on the variances, 1 or more, and the degrees of freedom that it rests on.
+        Factor on the variances, 1 or more, and its degrees of freedom.
 
     Source: the cluster-robust covariance of Liang and Zeger, Biometrika 73, 1986, averaged over
     the parameters, as there are too few pairs to fill a matrix; Rao and Scott's design effect.
@@ -142,36 +156,65 @@ def design_effect(
     pull = system.gradient @ basis / noise
     inverse = invert(information.sum(axis=0))
     share = inverse @ information  # (b, p, p)
-    seen = float(np.einsum("bi,ij,bj->", pull, inverse, pull))
+    observed = float(np.einsum("bi,ij,bj->", pull, inverse, pull))
     squared = np.einsum("bij,bji->b", share, share)
     expected = len(inverse) - float(squared.sum())
-    # the pulls of two pairs are correlated through the parameters that both helped to find
+    # the gradients of two pairs are correlated through the parameters that both determine
     own = share - share @ share
     spread = 2 * float(np.einsum("bij,bji->", own, own))
     if expected <= 0 or spread <= 0:
         return 1.0, np.inf
     degrees = 2 * expected**2 / spread
-    factor = seen / expected
+    factor = observed / expected
     if factor <= 1 or factor * degrees <= chi2_ppf(1 - P_FALSE_CLUSTERING, degrees):
         return 1.0, np.inf
     return factor, float(degrees)
 
 
 def board_covariance(found: Estimate, covariance: Array) -> Array:
-    """Of each board's pose, (b, 6, 6), m and rad, with the rig's own share (44, 44)."""
+    """Covariance of each board's pose, (b, 6, 6), m and rad; `covariance` (44, 44) is the rig's."""
     shared = found.system.shared[:, :6]
     own = found.variance * found.system.own[:, :6, :6]
     full: Array = own + shared @ covariance @ shared.transpose(0, 2, 1)
     return full
 
 
-def held_response(found: Estimate, names: tuple[str, ...]) -> Array:
-    """How the estimate moves when held coefficients are held elsewhere, (44, h).
+def square_edges(found: Estimate, corners: CornerStack, board: Board) -> tuple[float, float, float]:
+    """Measure the squares' edges by triangulating corners that both cameras observed.
 
-    A unit of each named coefficient (which the model holds); the others stay held.
+    Returns:
+        Mean edge, its standard uncertainty from the scatter of the pairs' means, and the standard
+        deviation of single edges, m; NaN where no pair shows two neighbouring corners twice.
     """
-    full = found.system.information.sum(axis=0)
-    forced = np.linalg.pinv(found.rows)[:, [found.place[n] for n in names]]
-    pulled = found.basis.T @ full @ forced
-    moved: Array = forced - found.basis @ invert(found.information) @ pulled
-    return moved
+    edges = []
+    for pair in range(len(found.state.boards)):
+        points = _triangulate_corners(found, corners, pair, board)
+        grid = points.reshape(board.rows, board.columns, 3)
+        along = np.linalg.norm(np.diff(grid, axis=1), axis=-1).ravel()
+        down = np.linalg.norm(np.diff(grid, axis=0), axis=-1).ravel()
+        lengths = np.concatenate([along, down])
+        edges.append(lengths[np.isfinite(lengths)])
+    edges = [lengths for lengths in edges if len(lengths)]
+    if not edges:
+        return float("nan"), float("nan"), float("nan")
+    every = np.concatenate(edges)
+    means = np.array([lengths.mean() for lengths in edges])
+    scatter = float(means.std(ddof=1) / np.sqrt(len(means))) if len(means) > 1 else float("nan")
+    return float(every.mean()), scatter, float(every.std(ddof=1))
+
+
+def _triangulate_corners(found: Estimate, corners: CornerStack, pair: int, board: Board) -> Array:
+    """Triangulate one pair's corners, (corners of the board, 3), m, rig; NaN where not in both."""
+    rows = found.used & (corners.board == pair)
+    pixels = np.full((2, len(board), 2), np.nan)
+    pixels[corners.camera[rows], corners.corner[rows]] = corners.observed[rows]
+    both = np.flatnonzero(np.isfinite(pixels).all(axis=(0, 2)))
+    points = np.full((len(board), 3), np.nan)
+    if len(both):
+        pan = corners.pan[pair] + found.state.pan_error[pair]
+        left, right = (
+            rays(camera, angle, own[both])
+            for camera, angle, own in zip(found.state.cameras, pan, pixels, strict=True)
+        )
+        points[both] = ray_midpoints(*left, *right)[0]
+    return points

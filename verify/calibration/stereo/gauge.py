@@ -1,14 +1,19 @@
-"""What the pictures of boards cannot tell, and the choice that takes its place.
+"""The gauge: parameters that pictures of boards leave open, and the convention that fixes them.
 
-The rig's frame is ours to choose: its origin stands midway between the pan centres, x from the
-left one to the right one, and of the turns about x the one is taken at which the mean of the two
-upward directions has no z component. A camera's upward direction is its pan axis where its base
-was turned, the camera's own y axis where it was not.
+Any rigid motion of rig and boards together leaves every picture as it is. The rig frame is fixed by
 
-A base that never turned shows no axis: its pan centre is the optical centre, its axis +y, its
-zero 0, and the camera's orientation goes to the mount's rotation. A base that turned leaves the
-position along its axis open, held at 0 in the mount, and the turn about the axis, which goes to
-the pan zero.
+    (c_left + c_right) / 2 = 0,   (c_right - c_left) || x,   (u_left + u_right) . z = 0
+
+with the pan centres c and the upward directions u: of a base that turned its pan axis, of one that
+did not the camera's own y axis. Per kind of base (parameters of `parameters.PARAMETER_KEYS`):
+
+    fixed      axis +y, zero 0, mount's translation 0: the optical centre is the pan centre and the
+               mount holds the camera's orientation
+    centred    mount's translation 0, and its rotation about the axis 0 (it is in the pan zero)
+    turning    mount's translation along the axis 0, and its rotation about the axis 0
+
+A constraint is a row (44,) whose product with a parameter step must be 0; the adjustment moves in
+the null space of all rows.
 """
 
 from dataclasses import dataclass, replace
@@ -27,6 +32,7 @@ from verify.calibration.stereo.parameters import (
     PARAMETER_KEYS,
     SIDES,
     BundleState,
+    camera_columns,
     rotation_from_vector,
     rotation_vector,
 )
@@ -34,10 +40,10 @@ from verify.core.records import Array
 from verify.core.rig import Camera
 
 BASE_FIXED, BASE_TURNING, BASE_CENTRED = "fixed", "turning", "centred"
-# centred: turned, but too little to show where the axis passes: through the optical centre, then
+# centred: turned too little to show where the axis passes; it is put through the optical centre
 LENS_KEYS = ("k1", "k2", "p1", "p2", "k3")
 FOCAL_TIE = "fy_px"  # held: fy equals fx
-HELD_PARAMETERS: dict[str, tuple[str, ...]] = {  # what is held of each kind of base
+HELD_PARAMETERS: dict[str, tuple[str, ...]] = {  # held of each kind of base
     BASE_FIXED: (*PARAMETER_KEYS[PAR_AXIS], PARAMETER_KEYS[PAR_ZERO], *PARAMETER_KEYS[PAR_OFFSET]),
     BASE_CENTRED: (*PARAMETER_KEYS[PAR_OFFSET],),
     BASE_TURNING: (),
@@ -47,7 +53,7 @@ Y_AXIS = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True, slots=True)
 class AdjustmentModel:
-    """What is free in an adjustment."""
+    """Which parameters an adjustment holds, and how far it trusts pan readings."""
 
     bases: tuple[str, str]  # left and right: BASE_FIXED, BASE_TURNING or BASE_CENTRED
     held: tuple[str, ...] = ()  # left.k3: at 0; left.fy_px: fy equals fx
@@ -55,7 +61,7 @@ class AdjustmentModel:
 
     @property
     def pan_errors(self) -> bool:
-        """The bases may stand off their readings."""
+        """Pan errors are adjusted."""
         return bool(np.isfinite(self.pan_precision)) and any(b != BASE_FIXED for b in self.bases)
 
 
@@ -91,7 +97,7 @@ def _apply_held(camera: Camera, side: str, model: AdjustmentModel) -> Camera:
 
 
 def _choose_pan_centre(camera: Camera, base: str, pan: float) -> Camera:
-    """Put the pan centre where it may be seen, or chosen."""
+    """Move the pan centre along the axis, or to the optical centre, as the kind of base asks."""
     mount = camera.mount.copy()
     if base == BASE_TURNING:
         along = camera.pan_axis * (camera.pan_axis @ mount[:3, 3])
@@ -103,15 +109,11 @@ def _choose_pan_centre(camera: Camera, base: str, pan: float) -> Camera:
 
 
 def upward(camera: Camera, base: str, pan: float) -> Array:
-    """The direction that the turn of the rig about x goes by, (3,)."""
+    """A camera's upward direction in the rig, (3,), which the rotation about x goes by."""
     if base == BASE_FIXED:
         return np.asarray(camera.rig_T_camera(pan)[:3, 1], dtype=np.float64)
-    return camera.pan_axis * _axis_sign(camera.pan_axis)
-
-
-def _axis_sign(axis: Array) -> float:
-    """A base whose readings grow the other way has its axis along -y."""
-    return -1.0 if axis[1] < 0 else 1.0
+    # a base whose readings grow the other way has its axis along -y
+    return camera.pan_axis * (-1.0 if camera.pan_axis[1] < 0 else 1.0)
 
 
 def _rig_frame(cameras: list[Camera], bases: tuple[str, str], pan: Array) -> Array:
@@ -162,14 +164,14 @@ def _move_turn_to_zero(camera: Camera) -> Camera:
 def constraints(
     state: BundleState, model: AdjustmentModel, pan: Array
 ) -> tuple[Array, dict[str, int]]:
-    """The gauge and what is held, as rows on a step of the parameters that must stay 0.
+    """List the constraints on a parameter step: gauge, kinds of base, held coefficients.
 
     Returns:
-        Rows (c, 44), and at which row each held coefficient stands.
+        Rows (c, 44), and the row of each held coefficient.
     """
     rows: list[Array] = []
     unit = np.eye(2 * N_CAMERA_PARAMETERS)
-    ends = [unit[side * N_CAMERA_PARAMETERS : (side + 1) * N_CAMERA_PARAMETERS] for side in (0, 1)]
+    ends = [unit[camera_columns(side)] for side in (0, 1)]
     for axis in (1, 2):
         rows += [own[PAR_CENTER][axis] for own in ends]
     rows.append(ends[0][PAR_CENTER][0] + ends[1][PAR_CENTER][0])
@@ -234,17 +236,7 @@ def _log_derivative(w: Array) -> Array:
 
 
 def fixed_names(model: AdjustmentModel) -> tuple[str, ...]:
-    """What the pictures do not determine, named for the reader."""
-    names: list[str] = []
-    for side, base in zip(SIDES, model.bases, strict=True):
-        unseen = {
-            BASE_FIXED: (
-                *PARAMETER_KEYS[PAR_AXIS],
-                PARAMETER_KEYS[PAR_ZERO],
-                *PARAMETER_KEYS[PAR_OFFSET],
-            ),
-            BASE_CENTRED: (*PARAMETER_KEYS[PAR_OFFSET],),
-            BASE_TURNING: (),
-        }
-        names += [f"{side}.{key}" for key in unseen[base]]
-    return (*names, *model.held)
+    """Name the parameters that the pictures do not determine and those that the model holds."""
+    bases = zip(SIDES, model.bases, strict=True)
+    gauge = [f"{side}.{key}" for side, base in bases for key in HELD_PARAMETERS[base]]
+    return (*gauge, *model.held)

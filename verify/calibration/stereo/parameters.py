@@ -1,4 +1,19 @@
-"""The rig's parameters as the adjustment steps in them, named as rig.toml's [covariance] does."""
+"""Parameters of the adjustment: both cameras, the boards' poses, the bases' pan errors.
+
+Rig parameters, 22 a camera, left then right, named as in rig.toml's [covariance]:
+
+    columns   name in rig.toml            unit   step
+    0, 1      fx_px, fy_px                px     added
+    2, 3      cx_px, cy_px                px     added
+    4 - 8     k1, k2, p1, p2, k3          1      added
+    9 - 11    pan_center_{x,y,z}_mm       m      added, rig axes
+    12 - 14   pan_axis_r{x,y,z}_deg       rad    rotation of the axis, on the left, rig axes
+    15        pan_zero_deg                rad    added
+    16 - 18   mount_r{x,y,z}_deg          rad    rotation of the mount, on the left
+    19 - 21   mount_{x,y,z}_mm            m      added, turntable axes
+
+Each board adds its pose (6: m, rad, rig axes) and both bases' pan errors (2: rad).
+"""
 
 from dataclasses import dataclass, replace
 
@@ -27,12 +42,12 @@ PAR_TURN, PAR_OFFSET = slice(16, 19), slice(19, 22)
 
 @dataclass(frozen=True, slots=True)
 class BundleState:
-    """Where the adjustment stands."""
+    """Values of all unknowns of the adjustment."""
 
     left: Camera
     right: Camera
     boards: Array  # (b, 4, 4), rig_T_board
-    pan_error: Array  # (b, 2), rad, by which the bases stood off their readings
+    pan_error: Array  # (b, 2), rad, true pan angle less reading
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:
@@ -48,7 +63,7 @@ class CornerStack:
     board: NDArray[np.int64]  # (n,), which pair
     corner: NDArray[np.int64]  # (n,), index into board.points
     point: Array  # (n, 3), m, board frame
-    seen: Array  # (n, 2), px
+    observed: Array  # (n, 2), px
     root: Array  # (n, 2, 2), turns a residual into one of unit variance
     uncertainty: Array  # (n,), px a coordinate, as stated
     pan: Array  # (b, 2), rad, the readings
@@ -56,6 +71,11 @@ class CornerStack:
     def __len__(self) -> int:
         """Count the corners."""
         return len(self.camera)
+
+
+def camera_columns(side: int) -> slice:
+    """Columns of a camera (0 left, 1 right) among the rig's parameters."""
+    return slice(side * N_CAMERA_PARAMETERS, (side + 1) * N_CAMERA_PARAMETERS)
 
 
 def rotation_from_vector(vector: Array) -> Array:
@@ -71,10 +91,7 @@ def rotation_vector(matrix: Array) -> Array:
 
 
 def base_rotations(camera: Camera, pan: Array) -> Array:
-    """A base's rotation at readings (b,), rad: rig axes from turntable axes, (b, 3, 3).
-
-    Source: Rodrigues' formula.
-    """
+    """Rotations (b, 3, 3), rig axes from turntable axes, at pan angles (b,), rad (Rodrigues)."""
     angle = (pan + camera.pan_zero)[:, None, None]
     x, y, z = camera.pan_axis
     across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -113,9 +130,9 @@ def step_poses(boards: Array, step: Array) -> Array:
 
 def length_parameters(state: BundleState) -> Array:
     """The parameters (44,) that scale with the board's squares, m; the others are 0."""
-    found = np.zeros(2 * N_CAMERA_PARAMETERS)
+    lengths = np.zeros(2 * N_CAMERA_PARAMETERS)
     for side, camera in enumerate(state.cameras):
-        own = found[side * N_CAMERA_PARAMETERS : (side + 1) * N_CAMERA_PARAMETERS]
+        own = lengths[camera_columns(side)]
         own[PAR_CENTER] = camera.pan_center
         own[PAR_OFFSET] = camera.mount[:3, 3]
-    return found
+    return lengths

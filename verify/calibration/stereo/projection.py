@@ -1,18 +1,20 @@
-"""Steps in which the boards go with the cameras that see them.
+"""Parameter steps in which each board keeps its place before a camera.
 
-Turning the whole rig against its own baseline is what pictures of boards tell least of. In the
-rig's frame such a turn sweeps every board along an arc, and a straight step leaves the arc at
-once. A board that keeps its place before its camera stays in that camera's picture however far
-the camera is moved; only what the step wants beyond that is then added, straight.
+The parameters are those of `parameters`. Images of boards determine least of all a rotation of the
+rig against its own baseline; in the rig frame it carries every board along an arc that a straight
+step leaves at once. So a board moves with its camera, exactly,
+
+    rig_T_board' = exp(d - J D) (rig_T_camera' camera_T_rig) rig_T_board
+
+with the board's own step d, the step D of the camera's parameters and the first-order motion J D
+that carrying the board along already gives it.
 """
 
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.calibration.stereo.parameters import (
-    N_CAMERA_PARAMETERS,
     PAR_AXIS,
     PAR_CENTER,
     PAR_OFFSET,
@@ -21,6 +23,7 @@ from verify.calibration.stereo.parameters import (
     BundleState,
     CornerStack,
     base_rotations,
+    camera_columns,
     step_camera,
     step_poses,
 )
@@ -33,48 +36,41 @@ def step_state(state: BundleState, corners: CornerStack, change: Array, own: Arr
 
     Args:
         state: where to step from.
-        corners: what was seen; says by which camera.
+        corners: which camera saw each board, and the pan readings.
         change: (44,), of the rig's parameters.
-        own: (b, 8), of each board's pose in rig axes and of the bases' departures from their
-            readings, as a straight step has them.
+        own: (b, 8), of each board's pose in rig axes and of both pan errors.
 
     Returns:
-        The state a step on: to first order the straight one.
+        The new state; to first order that of a straight step.
     """
-    changes = (change[:N_CAMERA_PARAMETERS], change[N_CAMERA_PARAMETERS:])
+    changes = (change[camera_columns(0)], change[camera_columns(1)])
     errors = state.pan_error + own[:, 6:]
     cameras = _cameras(state, changes, corners.pan.mean(axis=0))
     boards, beyond = state.boards.copy(), own[:, :6].copy()
-    host = _hosts(corners, len(boards))
+    host = np.ones(len(boards), dtype=np.int64)  # the camera that each board moves with
+    host[corners.board[corners.camera == 0]] = 0  # the left one, where it saw the board
     for side, (old, new, d) in enumerate(zip(state.cameras, cameras, changes, strict=True)):
         mine = host == side
         before = corners.pan[mine, side] + state.pan_error[mine, side]
         after = corners.pan[mine, side] + errors[mine, side]
-        there = camera_poses(new, after) @ np.linalg.inv(camera_poses(old, before))
+        carried = camera_poses(new, after) @ np.linalg.inv(camera_poses(old, before))
         beyond[mine] -= _motion(old, before, after - before, d, boards[mine, :3, 3])
-        boards[mine] = there @ boards[mine]
+        boards[mine] = carried @ boards[mine]
     return BundleState(*cameras, step_poses(boards, beyond), errors)
 
 
 def _cameras(state: BundleState, changes: tuple[Array, Array], pan: Array) -> tuple[Camera, Camera]:
-    """Step both cameras; the right one goes with the left one, at their middle readings (2,)."""
+    """Step both cameras; the right one moves with the left one, at the mean readings (2,)."""
     left, right = (step_camera(c, d) for c, d in zip(state.cameras, changes, strict=True))
     at_left, at_right = pan[:1], pan[1:]
     before = camera_poses(state.right, at_right)
-    there = camera_poses(left, at_left) @ np.linalg.inv(camera_poses(state.left, at_left))
+    carried = camera_poses(left, at_left) @ np.linalg.inv(camera_poses(state.left, at_left))
     still = np.zeros(1)
     straight = _motion(state.right, at_right, still, changes[1], before[:, :3, 3])
     with_left = _motion(state.left, at_left, still, changes[0], before[:, :3, 3])
-    wanted = step_poses(there @ before, straight - with_left)
+    wanted = step_poses(carried @ before, straight - with_left)
     turntable = camera_poses(right, at_right) @ np.linalg.inv(right.mount)
     return left, replace(right, mount=(np.linalg.inv(turntable) @ wanted)[0])
-
-
-def _hosts(corners: CornerStack, count: int) -> NDArray[np.int64]:
-    """The camera that each board goes with: the left one, if it saw the board."""
-    host = np.ones(count, dtype=np.int64)
-    host[corners.board[corners.camera == 0]] = 0
-    return host
 
 
 def camera_poses(camera: Camera, pan: Array) -> Array:

@@ -1,7 +1,4 @@
-"""What a calibration from boards found, and all that its report says.
-
-The rig's covariance, and what a registration adds to it.
-"""
+"""The result of a calibration from boards, and the rig's covariance as rig.toml states it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,15 +19,15 @@ class Residuals:
     camera: NDArray[np.int64]  # (r,), 0 left, 1 right
     frame: NDArray[np.int64]  # (r,)
     corner: NDArray[np.int64]  # (r,), index into board.points
-    seen: Array  # (r, 2), px
-    residual: Array  # (r, 2), px, seen less predicted
-    uncertainty: Array  # (r,), px a coordinate: as the corner finder stated it, times `noise`
+    observed: Array  # (r, 2), px
+    residual: Array  # (r, 2), px, observed less predicted
+    uncertainty: Array  # (r,), px a coordinate: as the corner finder states it, times `noise`
     used: NDArray[np.bool_]  # (r,), false: refused as an outlier
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Two cameras and the boards they were calibrated with."""
+    """Two cameras, and the boards that they were calibrated with."""
 
     rig: Rig  # cameras and [covariance]; not registered: no robot base
     board: Board
@@ -38,13 +35,13 @@ class Calibration:
     rig_T_board: Array  # (b, 4, 4)
     board_covariance: Array  # (b, 6, 6), m and rad, perturbation on the left, rig axes
     residuals: Residuals
-    noise: float  # what the corners' stated uncertainty had to be multiplied with
+    noise: float  # factor on the corners' stated uncertainty
     degrees_of_freedom: int
-    fixed: tuple[str, ...]  # parameters that the data do not determine, held: gauge, or k3 = 0
-    decisions: tuple[str, ...]  # sentences: the model order chosen and why, pairs left out and why
+    fixed: tuple[str, ...]  # parameters that were held: gauge, or k3 = 0
+    decisions: tuple[str, ...]  # sentences: the model chosen and why, pairs left out and why
     square_found: tuple[float, float, float]  # m: mean triangulated edge, its standard
     # uncertainty, standard deviation of single edges
-    turning: bool  # the bases were turned between pairs: axes, centres and mounts are found
+    turning: bool  # the bases were turned between pairs
 
 
 def covariance_in_si(covariance: Covariance) -> Array:
@@ -54,13 +51,26 @@ def covariance_in_si(covariance: Covariance) -> Array:
     return full
 
 
+def camera_covariance(rig: Rig) -> tuple[tuple[str, ...], Array]:
+    """Names (p) and covariance (p, p), SI units and pixels, of the cameras' stated parameters.
+
+    Raises:
+        ValueError: the rig states no covariance.
+    """
+    given = rig.covariance
+    if given is None:
+        raise ValueError("the rig states no covariance")
+    own = [i for i, name in enumerate(given.parameters) if name.startswith(("left.", "right."))]
+    return tuple(given.parameters[i] for i in own), covariance_in_si(given)[np.ix_(own, own)]
+
+
 def state_covariance(
     names: Sequence[str],
     full: Array,
     degrees_of_freedom: float | None = None,
     temperature_c: float | None = None,
 ) -> Covariance:
-    """Lay a covariance matrix in SI units and pixels out as rig.toml states it.
+    """State a covariance matrix in SI units and pixels as rig.toml does.
 
     Args:
         names: (p) parameters, named as in rig.toml; the suffix is the unit.
@@ -84,16 +94,16 @@ def state_covariance(
 def extend_covariance(
     given: Covariance | None, names: Sequence[str], by_given: Array, own: Array
 ) -> Covariance:
-    """Add parameters that were found through those already there.
+    """Add parameters that were found through those already stated, with their correlation.
 
-    A base found through a rig shares the rig's errors: what it is correlated with cancels in part
-    when the rig measures again, which only the full matrix shows.
+    A base found through a rig shares the rig's errors, which cancel in part when the rig measures
+    again.
 
     Args:
         given: what rig.toml states; None: nothing.
         names: (m) new parameters, named as in rig.toml.
         by_given: (m, p), d new / d given, SI units and pixels.
-        own: (m, m), what the new ones' own data leave open, SI units.
+        own: (m, m), covariance from the new ones' own data, SI units.
     """
     if given is None:
         return state_covariance(names, own)

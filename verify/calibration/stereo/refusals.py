@@ -1,16 +1,11 @@
-"""Pictures that no rig can be found from: what is missing, and how to get it."""
+"""Refuse pictures that determine no rig: what is missing, and how to get it."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from verify.calibration.stereo.estimate import Estimate
-from verify.calibration.stereo.parameters import (
-    N_CAMERA_PARAMETERS,
-    PAR_FOCAL,
-    PAR_PRINCIPAL,
-    SIDES,
-)
+from verify.calibration.stereo.parameters import PAR_FOCAL, PAR_PRINCIPAL, SIDES, camera_columns
 from verify.calibration.stereo.start import CameraRelation
 from verify.core.records import Array
 from verify.errors import InputError
@@ -26,7 +21,7 @@ MORE_PICTURES = (
 
 
 def refuse_unseen(left: int, right: int, both: int, pairs: int) -> None:
-    """Refuse where a camera never saw the board, or the two too seldom together.
+    """Refuse where a camera never observed the board, or both too seldom at once.
 
     Args:
         left: pictures of the left camera that show the board.
@@ -61,8 +56,8 @@ def refuse_half_turned(
     """
     if not relation.half_turned:
         return
-    upset = [sum(_upside_down(own[i]) for i in relation.half_turned) for own in poses]
-    place = "pairs" if upset[0] == upset[1] else SIDES[int(upset[1] > upset[0])]
+    inverted = [sum(bool(own[i][0, 0] < 0) for i in relation.half_turned) for own in poses]
+    place = "pairs" if inverted[0] == inverted[1] else SIDES[int(inverted[1] > inverted[0])]
     which = list_pairs([frames[i] for i in relation.half_turned])
     found = f"sees the board turned by 180° in {which}, against the other camera"
     if place == "pairs":
@@ -72,10 +67,6 @@ def refuse_half_turned(
         "an odd and an even count of corners cannot be mistaken."
     )
     raise InputError(place, found, "both cameras must number its corners from the same end", remedy)
-
-
-def _upside_down(camera_T_board: Array) -> bool:
-    return bool(camera_T_board[0, 0] < 0)
 
 
 def refuse_swapped(relation: CameraRelation) -> None:
@@ -104,13 +95,11 @@ def refuse_inconsistent(
         four_fold: a quarter turn leaves the board's pattern as it is.
 
     Raises:
-        InputError: half of the pairs or more are strangers to the others.
+        InputError: half of the pairs or more disagree with the others.
     """
-    if 2 * len(relation.strangers) < pairs:
+    if 2 * len(relation.outliers) < pairs:
         return
-    found = (
-        f"do not agree how the cameras stand to each other: {len(relation.strangers)} of {pairs}"
-    )
+    found = f"do not agree how the cameras stand to each other: {len(relation.outliers)} of {pairs}"
     if turned:
         expected = "the pan angles must be those at which the pictures were taken"
         remedy = "Check the pan columns of frames.csv, their signs and their order."
@@ -142,7 +131,7 @@ def refuse_wrong_readings(scatter: float) -> None:
 def refuse_undetermined(found: Estimate) -> None:
     """Refuse boards that leave a focal length or a principal point open.
 
-    The information matrix decides; how the boards stand only words the remedy.
+    The covariance decides; the boards' poses only word the remedy.
 
     Args:
         found: an adjustment with the fewest lens coefficients.
@@ -152,57 +141,37 @@ def refuse_undetermined(found: Estimate) -> None:
     """
     u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for index, (side, camera) in enumerate(zip(SIDES, found.state.cameras, strict=True)):
-        own = (
-            u[index * N_CAMERA_PARAMETERS : (index + 1) * N_CAMERA_PARAMETERS] / camera.matrix[0, 0]
-        )
+        own = u[camera_columns(index)] / camera.matrix[0, 0]
         focal, principal = float(own[PAR_FOCAL].max()), float(own[PAR_PRINCIPAL].max())
         if max(focal, principal) < MAX_FOCAL_UNCERTAINTY:
             continue
-        what, share = (
-            ("focal length", focal)
-            if focal > MAX_FOCAL_UNCERTAINTY
-            else ("principal point", principal)
-        )
-        amount = f"± {share:.0%} of the focal length" if share < 1 else "not at all"
-        if what == "focal length":
-            amount = f"± {share:.0%}" if share < 1 else "not at all"
-            what = "focal length, and with it every distance,"
-        found_text = f"does not show the {what} well enough ({amount}): {_posture(found)}"
-        raise InputError(
-            side, found_text, f"± {MAX_FOCAL_UNCERTAINTY:.0%} would be the worst", _remedy(found)
-        )
+        if focal > MAX_FOCAL_UNCERTAINTY:
+            what, share, of_what = "focal length, and with it every distance,", focal, ""
+        else:
+            what, share, of_what = "principal point", principal, " of the focal length"
+        amount = f"± {share:.0%}{of_what}" if share < 1 else "not at all"
+        posture, remedy = _posture_and_remedy(found)
+        found_text = f"does not show the {what} well enough ({amount}): {posture}"
+        expected = f"± {MAX_FOCAL_UNCERTAINTY:.0%} would be the worst"
+        raise InputError(side, found_text, expected, remedy)
 
 
-def _normals(found: Estimate) -> Array:
-    return np.asarray(found.state.boards[:, :3, 2], dtype=np.float64)
-
-
-def _board_variety(found: Estimate) -> tuple[bool, bool]:
-    """The boards are all parallel; and all at one distance."""
-    normals = _normals(found)
+def _posture_and_remedy(found: Estimate) -> tuple[str, str]:
+    """Word how little the boards' poses vary, and which poses to add."""
+    normals = found.state.boards[:, :3, 2]
     mean = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
     spread = np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2))
     depth = found.state.boards[:, 2, 3]
-    return bool(spread < MIN_NORMAL_SPREAD), bool(np.ptp(depth) < 0.1 * abs(np.mean(depth)))
-
-
-def _posture(found: Estimate) -> str:
-    parallel, level = _board_variety(found)
-    if parallel and level:
-        return "all boards are parallel and at one distance"
-    if parallel:
-        return "all boards are parallel"
-    return "all boards are at one distance" if level else "the boards' tilts are too few"
-
-
-def _remedy(found: Estimate) -> str:
-    parallel, level = _board_variety(found)
-    if parallel:
-        return (
+    level = np.ptp(depth) < 0.1 * abs(np.mean(depth))
+    if spread < MIN_NORMAL_SPREAD:
+        posture = "all boards are parallel" + (" and at one distance" if level else "")
+        return posture, (
             "Add pairs with the board tilted 20 to 40° about its upright and about its level axis, "
             "both ways."
         )
-    return "Add pairs nearer and farther, tilted every way." if level else MORE_PICTURES
+    if level:
+        return "all boards are at one distance", "Add pairs nearer and farther, tilted every way."
+    return "the boards' tilts are too few", MORE_PICTURES
 
 
 def list_pairs(frames: Sequence[int]) -> str:

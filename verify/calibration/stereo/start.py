@@ -1,6 +1,14 @@
-"""Start values for the adjustment: rough lenses, boards' poses, the cameras' relation.
+"""Start values of the adjustment in closed form: lenses, camera relation, board poses.
 
-How the right camera stands to the left one, as most pairs agree.
+    lens       f and k1 of a camera (px, 1) by Zhang's closed form and a rough calibration; the
+               principal point is the image's centre, all other coefficients are 0
+    relation   left_T_right (4, 4), both bases at pan 0, on which most pairs i agree:
+               L(p_i) left_T_board_i H_i inv(R(q_i) right_T_board_i),  L, R: pan rotations
+    boards     rig_T_board (4, 4) by the left camera, else by the right one
+
+H_i is the identity, or half a turn of the board where one camera numbers it from its other end:
+a pattern that looks the same after half a turn does not tell. Of relations that agree within the
+tolerance the one with the fewest half turns is taken.
 """
 
 import itertools
@@ -12,157 +20,52 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from robots.transforms import rotation_exp
 from verify.calibration.stereo.gauge import BASE_FIXED
 from verify.calibration.stereo.parameters import BundleState
 from verify.core.fiducials import Board, BoardView
 from verify.core.records import Array
 from verify.core.rig import Camera
 
-MAX_RELATION_ANGLE = np.deg2rad(
-    10.0
-)  # two relations that agree, bases fixed: poses of one view err by 1°
-MAX_RELATION_ANGLE_TURNED = np.deg2rad(
-    20.0
-)  # bases turned: mounts and axes are still taken as ideal
-
-
-@dataclass(frozen=True, slots=True)
-class CameraRelation:
-    """How the right camera stands to the left one, both bases turned back to zero."""
-
-    left_T_right: Array  # (4, 4)
-    axes: Array  # (2, 3), left and right: ±y, the sense in which the readings grow
-    half_turned: tuple[int, ...]  # pairs that agree once one view is numbered from the far end
-    strangers: tuple[int, ...]  # pairs that agree neither way
-    quarter_turned: tuple[int, ...]  # of these, those that agree once one view is turned by 90°
-    scatter: float  # rad, median angle between the pairs' relations and this one
-
-
-def relate_cameras(
-    left: dict[int, Array], right: dict[int, Array], board: Board, pan: Array, bases: Sequence[str]
-) -> CameraRelation:
-    """Find the relation of the cameras on which most pairs agree.
-
-    A pattern that looks the same after half a turn may have been numbered from its other end in
-    one camera. Such a pair's relation is half a turn off, about an axis that changes with the
-    board; each pair may speak for a relation either way, and the relation is taken from those
-    that do, fewest half turns first.
-
-    Args:
-        left: camera_T_board by pair, (4, 4).
-        right: likewise.
-        board: the pattern.
-        pan: (b, 2), rad, readings.
-        bases: left and right; one that never turned counts as standing at zero.
-    """
-    both = sorted(set(left) & set(right))
-    lefts = np.array([left[i] for i in both])
-    rights = np.asarray(np.linalg.inv([right[i] for i in both]), dtype=np.float64)
-    senses = [(1.0,) if base == BASE_FIXED else (1.0, -1.0) for base in bases]
-    tolerance = (
-        MAX_RELATION_ANGLE if all(b == BASE_FIXED for b in bases) else MAX_RELATION_ANGLE_TURNED
-    )
-    found = []
-    for sense in itertools.product(*senses):
-        axes = np.array([0.0, 1.0, 0.0]) * np.array(sense)[:, None]
-        back = [
-            _turns(axis * (base != BASE_FIXED), angle)
-            for axis, base, angle in zip(axes, bases, pan[both].T, strict=True)
-        ]
-        straight, halved = (
-            back[0] @ lefts @ relabelled @ rights @ back[1].transpose(0, 2, 1)
-            for relabelled in (np.eye(4), _half_turn(board))
-        )
-        relation, price = _consensus(straight, halved, both, axes, tolerance)
-        if board.four_fold:
-            quarters = [back[0] @ lefts @ turn @ rights @ back[1].transpose(0, 2, 1)
-                        for turn in _quarter_turns(board)]  # fmt: skip
-            relation = _find_quarter_turns(relation, quarters, both, tolerance)
-        found.append((relation, price))
-    return min(found, key=lambda f: f[1])[0]
-
-
-def _half_turn(board: Board) -> Array:
-    """Number the corners from the far end: index i becomes n - 1 - i."""
-    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
-    turn[:3, 3] = board.points[-1]
-    return turn
-
-
-def _quarter_turns(board: Board) -> tuple[Array, Array]:
-    """Number the corners of a square board from the next corner, either way round."""
-    edge = board.points[-1, 0]
-    one = np.eye(4)
-    one[:3] = [[0.0, -1.0, 0.0, edge], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
-    return one, np.asarray(np.linalg.inv(one), dtype=np.float64)
-
-
-def _find_quarter_turns(
-    relation: CameraRelation, quarters: Sequence[Array], both: Sequence[int], tolerance: float
-) -> CameraRelation:
-    """Say which strangers agree once one view is numbered a quarter turn on."""
-    gaps = np.min([_angles(relation.left_T_right[None], turned)[0] for turned in quarters], axis=0)
-    agree = {i for i, gap in zip(both, gaps, strict=True) if gap < tolerance}
-    return replace(relation, quarter_turned=tuple(i for i in relation.strangers if i in agree))
-
-
-def _turns(axis: Array, angle: Array) -> Array:
-    """Motions (b, 4, 4) that turn about an axis through the origin by angles (b,)."""
-    turns = np.tile(np.eye(4), (len(angle), 1, 1))
-    turns[:, :3, :3] = Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
-    return turns
-
-
-def _consensus(
-    straight: Array, halved: Array, both: list[int], axes: Array, tolerance: float
-) -> tuple[CameraRelation, float]:
-    """The relation with the least sum of angles, each pair either way; and that sum."""
-    candidates = np.concatenate([straight, halved])
-    plain = _angles(candidates, straight)
-    other = _angles(candidates, halved)
-    nearest = np.minimum(np.minimum(plain, other), 2 * tolerance)  # one stranger outvotes nobody
-    flipped = other + tolerance < plain
-    # of relations that differ within the tolerance, the one that needs fewest half turns
-    price = nearest.sum(axis=1) + 0.5 * tolerance * flipped.sum(axis=1)
-    k = int(np.argmin(price))
-    turned, gap = flipped[k], np.minimum(plain[k], other[k])
-    agree = gap < tolerance
-    if not agree.any():
-        agree = gap <= gap.min()
-    chosen = np.where(turned[:, None, None], halved, straight)[agree]
-    left_T_right = np.eye(4)
-    left_T_right[:3, :3] = Rotation.from_matrix(chosen[:, :3, :3]).mean().as_matrix()
-    left_T_right[:3, 3] = np.median(chosen[:, :3, 3], axis=0)
-    half = tuple(i for i, t, a in zip(both, turned, agree, strict=True) if t and a)
-    strangers = tuple(i for i, a in zip(both, agree, strict=True) if not a)
-    return CameraRelation(left_T_right, axes, half, strangers, (), float(np.median(gap))), float(
-        price[k]
-    )
-
-
-def _angles(one: Array, other: Array) -> Array:
-    """Angle between every rotation of one (a) and of the other (b), (a, b), rad."""
-    trace = np.einsum("aij,bij->ab", one[:, :3, :3], other[:, :3, :3])
-    angles: Array = np.arccos(np.clip((trace - 1) / 2, -1, 1))
-    return angles
-
-
+MAX_RELATION_ANGLE = np.deg2rad(10.0)  # of two that agree, bases fixed: poses of a view err by 1°
+MAX_RELATION_ANGLE_TURNED = np.deg2rad(20.0)  # bases turned: mounts and axes are still ideal
 MAX_VIEWS = 15  # of a camera for its start value; the adjustment takes all
 FOCAL_RANGE = (0.25, 8.0)  # of the longer image side; beyond it the closed form has failed
-FOREIGN_MISFIT_PX, FOREIGN_MISFIT_RATIO = (
-    5.0,
-    8.0,
-)  # and times the usual miss: this view shows something else
-MIN_VIEWS = 5  # of a camera: with fewer none can be accused
+FOREIGN_MISFIT_PX = 5.0  # a view that misses a plane's image by more shows something else,
+FOREIGN_MISFIT_RATIO = 8.0  # and by more than so many times the usual miss
+MIN_VIEWS = 5  # of a camera: with fewer none can be called foreign
+
+
+def foreign_views(views: dict[int, BoardView], board: Board) -> tuple[int, ...]:
+    """Find the views whose corners are not the image of a plane, hence not of the board.
+
+    A lens distorts all views alike, so one is foreign that misses by far more than the others do.
+    Medians within a view, so that single bad corners do not count.
+    """
+    if len(views) < MIN_VIEWS:
+        return ()
+    miss = {}
+    for i, view in views.items():
+        flat = board.points[view.corner, :2]
+        plane, _ = cv2.findHomography(flat, view.centre, 0)
+        if plane is None:
+            miss[i] = float("inf")
+            continue
+        predicted = cv2.perspectiveTransform(flat[:, None], plane)[:, 0]
+        miss[i] = float(np.median(np.linalg.norm(predicted - view.centre, axis=1)))
+    usual = float(np.median(list(miss.values())))
+    return tuple(
+        i for i, m in miss.items() if m > max(FOREIGN_MISFIT_PX, FOREIGN_MISFIT_RATIO * usual)
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class InitialLens:
-    """A camera's rough lens and where it saw each board."""
+    """A camera's rough lens, and the boards' poses by it."""
 
     matrix: Array  # (3, 3), px
     distortion: Array  # (5,), k1 alone
-    poses: dict[int, Array]  # by place in the list of pairs: camera_T_board (4, 4)
+    poses: dict[int, Array]  # by index of the pair: camera_T_board (4, 4)
 
 
 def start_lens(
@@ -202,8 +105,8 @@ def start_lens(
 def _closed_form(views: dict[int, BoardView], board: Board, image_size: tuple[int, int]) -> Array:
     width, height = image_size
     points = [_points(board, v) for v in views.values()]
-    seen = [_image_points(v) for v in views.values()]
-    guess = np.asarray(cv2.initCameraMatrix2D(points, seen, image_size, 1.0), dtype=float)
+    pixels = [_image_points(v) for v in views.values()]
+    guess = np.asarray(cv2.initCameraMatrix2D(points, pixels, image_size, 1.0), dtype=float)
     focal = guess[0, 0] if _is_plausible_focal(guess[0, 0], image_size) else float(max(image_size))
     return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
 
@@ -222,7 +125,7 @@ def _image_points(view: BoardView) -> NDArray[np.float32]:
 
 
 def board_pose(view: BoardView, board: Board, matrix: Array, distortion: Array) -> Array:
-    """Place a board before a camera, camera_T_board (4, 4)."""
+    """Find a board's pose before a camera, camera_T_board (4, 4), by one view."""
     _, turn, shift = cv2.solvePnP(
         board.points[view.corner], view.centre.reshape(-1, 1, 2), matrix, distortion
     )
@@ -232,27 +135,115 @@ def board_pose(view: BoardView, board: Board, matrix: Array, distortion: Array) 
     return pose
 
 
-def foreign_views(views: dict[int, BoardView], board: Board) -> tuple[int, ...]:
-    """Tell the views whose corners lie on no board, by a plane's picture that they should be.
+@dataclass(frozen=True, slots=True)
+class CameraRelation:
+    """How the right camera stands to the left one, both bases turned back to zero."""
 
-    A lens bends all views alike, so one is foreign that misses by far more than the others do.
-    Medians within a view, so that a bad corner or two accuse nobody.
+    left_T_right: Array  # (4, 4)
+    axes: Array  # (2, 3), left and right: ±y, the sense in which the readings grow
+    half_turned: tuple[int, ...]  # pairs that agree once one view is numbered from the far end
+    outliers: tuple[int, ...]  # pairs that agree neither way
+    quarter_turned: tuple[int, ...]  # of these, those that agree once one view is turned by 90°
+
+
+def relate_cameras(
+    left: dict[int, Array], right: dict[int, Array], board: Board, pan: Array, bases: Sequence[str]
+) -> CameraRelation:
+    """Find the relation of the cameras on which most pairs agree.
+
+    Args:
+        left: left_T_board by pair, (4, 4).
+        right: right_T_board by pair, (4, 4).
+        board: the pattern.
+        pan: (b, 2), rad, readings.
+        bases: left and right; one that never turned counts as standing at zero.
     """
-    if len(views) < MIN_VIEWS:
-        return ()
-    miss = {}
-    for i, view in views.items():
-        flat = board.points[view.corner, :2]
-        plane, _ = cv2.findHomography(flat, view.centre, 0)
-        if plane is None:
-            miss[i] = float("inf")
-            continue
-        predicted = cv2.perspectiveTransform(flat[:, None], plane)[:, 0]
-        miss[i] = float(np.median(np.linalg.norm(predicted - view.centre, axis=1)))
-    usual = float(np.median(list(miss.values())))
-    return tuple(
-        i for i, m in miss.items() if m > max(FOREIGN_MISFIT_PX, FOREIGN_MISFIT_RATIO * usual)
-    )
+    both = sorted(set(left) & set(right))
+    lefts = np.array([left[i] for i in both])
+    rights = np.asarray(np.linalg.inv([right[i] for i in both]), dtype=np.float64)
+    senses = [(1.0,) if base == BASE_FIXED else (1.0, -1.0) for base in bases]
+    fixed = all(base == BASE_FIXED for base in bases)
+    tolerance = MAX_RELATION_ANGLE if fixed else MAX_RELATION_ANGLE_TURNED
+    found = []
+    for sense in itertools.product(*senses):
+        axes = np.array([0.0, 1.0, 0.0]) * np.array(sense)[:, None]
+        back = [
+            _turns(axis * (base != BASE_FIXED), angle)
+            for axis, base, angle in zip(axes, bases, pan[both].T, strict=True)
+        ]
+        straight, halved, *quarters = (
+            back[0] @ lefts @ renumbered @ rights @ back[1].transpose(0, 2, 1)
+            for renumbered in (np.eye(4), _half_turn(board), *_quarter_turns(board))
+        )
+        relation, price = _consensus(straight, halved, both, axes, tolerance)
+        if board.four_fold:
+            relation = _find_quarter_turns(relation, quarters, both, tolerance)
+        found.append((relation, price))
+    return min(found, key=lambda f: f[1])[0]
+
+
+def _half_turn(board: Board) -> Array:
+    """Number the corners from the far end: index i becomes n - 1 - i."""
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    turn[:3, 3] = board.points[-1]
+    return turn
+
+
+def _quarter_turns(board: Board) -> tuple[Array, Array]:
+    """Number the corners of a square board from the next corner, either way round."""
+    edge = board.points[-1, 0]
+    one = np.eye(4)
+    one[:3] = [[0.0, -1.0, 0.0, edge], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+    return one, np.asarray(np.linalg.inv(one), dtype=np.float64)
+
+
+def _find_quarter_turns(
+    relation: CameraRelation, quarters: Sequence[Array], both: Sequence[int], tolerance: float
+) -> CameraRelation:
+    """Find the outliers that agree once one view is numbered a quarter turn on."""
+    gaps = np.min([_angles(relation.left_T_right[None], turned)[0] for turned in quarters], axis=0)
+    agree = {i for i, gap in zip(both, gaps, strict=True) if gap < tolerance}
+    return replace(relation, quarter_turned=tuple(i for i in relation.outliers if i in agree))
+
+
+def _turns(axis: Array, angle: Array) -> Array:
+    """Motions (b, 4, 4) that turn about an axis through the origin by angles (b,)."""
+    turns = np.tile(np.eye(4), (len(angle), 1, 1))
+    turns[:, :3, :3] = rotation_exp(angle[:, None] * axis)
+    return turns
+
+
+def _consensus(
+    straight: Array, halved: Array, both: list[int], axes: Array, tolerance: float
+) -> tuple[CameraRelation, float]:
+    """Choose the relation with the least sum of angles, each pair either way; and that sum."""
+    candidates = np.concatenate([straight, halved])
+    plain = _angles(candidates, straight)
+    other = _angles(candidates, halved)
+    nearest = np.minimum(np.minimum(plain, other), 2 * tolerance)  # bounds an outlier's weight
+    flipped = other + tolerance < plain
+    # of relations that differ within the tolerance, the one that needs fewest half turns
+    price = nearest.sum(axis=1) + 0.5 * tolerance * flipped.sum(axis=1)
+    k = int(np.argmin(price))
+    turned, gap = flipped[k], np.minimum(plain[k], other[k])
+    agree = gap < tolerance
+    if not agree.any():
+        agree = gap <= gap.min()
+    chosen = np.where(turned[:, None, None], halved, straight)[agree]
+    left_T_right = np.eye(4)
+    left_T_right[:3, :3] = Rotation.from_matrix(chosen[:, :3, :3]).mean().as_matrix()
+    left_T_right[:3, 3] = np.median(chosen[:, :3, 3], axis=0)
+    half = tuple(i for i, t, a in zip(both, turned, agree, strict=True) if t and a)
+    outliers = tuple(i for i, a in zip(both, agree, strict=True) if not a)
+    relation = CameraRelation(left_T_right, axes, half, outliers, ())
+    return relation, float(price[k])
+
+
+def _angles(one: Array, other: Array) -> Array:
+    """Angle between every rotation of one (a) and of the other (b), (a, b), rad."""
+    trace = np.einsum("aij,bij->ab", one[:, :3, :3], other[:, :3, :3])
+    angles: Array = np.arccos(np.clip((trace - 1) / 2, -1, 1))
+    return angles
 
 
 def start_state(
@@ -262,14 +253,12 @@ def start_state(
     pairs: Sequence[int],
     bases: Sequence[str],
 ) -> BundleState:
-    """Compose the start values: ideal bases, boards as the left camera saw them where it did."""
+    """Compose the start values: ideal bases, boards by the left camera where it observed them."""
     cameras = []
     for side, (lens, axis) in enumerate(zip(lenses, relation.axes, strict=True)):
         mount = np.eye(4)
         place = relation.left_T_right if side else np.eye(4)
-        angle = (
-            pan[0, side] if bases[side] == BASE_FIXED else 0.0
-        )  # a fixed base stands at its reading
+        angle = pan[0, side] if bases[side] == BASE_FIXED else 0.0  # a fixed base is at its reading
         back = Rotation.from_rotvec(-axis * angle).as_matrix()
         mount[:3, :3] = back @ place[:3, :3]
         cameras.append(Camera(lens.matrix, lens.distortion, place[:3, 3].copy(), axis, 0.0, mount))

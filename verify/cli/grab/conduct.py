@@ -88,7 +88,7 @@ class GraspPage:
     def see(self, cycle: LoopCycle) -> None:
         """Show a turn of the loop."""
         self._pair = cycle.pair
-        self._source.see(cycle, self._loop, self._requests.stops)
+        self._source.show(cycle, self._loop, self._requests.stops)
         if self._page.trouble != self._trouble:
             self._trouble = self._page.trouble
             terminal.warn(f"{self._trouble}; this stops nothing, keys and Ctrl-C do")
@@ -260,7 +260,7 @@ def _run(
 
     def look(cycle: LoopCycle) -> None:
         nonlocal state
-        record.see(cycle)
+        record.add(cycle)
         if page is not None:
             page.see(cycle)
         if cycle.state is not state:

@@ -32,13 +32,13 @@ from verify.grasping.actuators.emulator_check import (
     is_emulated_melfa,
 )
 from verify.grasping.actuators.gripper import GripperDriver
-from verify.grasping.actuators.gripper_reader import GripperSettings
+from verify.grasping.actuators.gripper_modbus import GripperSettings
 from verify.grasping.actuators.melfa.mover import MelfaMover
 from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import SteppedArm
-from verify.grasping.control.closed_loop import ClosedLoopAim, MonitoredSource
+from verify.grasping.control.closed_loop import ClosedLoopAim
 from verify.grasping.control.loop import GraspLoop
 from verify.grasping.control.orders import Actuators
 from verify.grasping.planning.plan import GraspPlanner, planner_with_cameras
@@ -209,22 +209,21 @@ def grab_on_station(
         source = LivePairs(cameras, pan, rig, station.rate, began)
         stack.callback(source.close)
         watch = _open_flange_watch(station, setup, stack)
-        # nothing stands above the target that may not move: there is no hand to look at
+        # nothing stands above the target that may not move: there is no hand to measure
         aim = Aim(setup, rig) if hands is None else ClosedLoopAim(setup, rig, watch)
-        loop = GraspLoop(
-            setup, tracker, aim, hands, lambda: watch.read(joints()), now, auto=wish.auto
-        )
+        loop = GraspLoop(setup, tracker, aim, hands, joints, now, auto=wish.auto)
         started = datetime.now(UTC)
         told = GraspContext(station.robot, target_name(target), station.name, wish.execute, started)
         tables = {"description": f"a grab at {station.name}"}
         facts = replace(station.facts, tables=tables, turning=turning, time_stated=False)
-        seen = MonitoredSource(source, watch)
         page = (
             None
             if wish.page is None
             else PageContext(wish.page, setup, rig, selects=target is None)
         )
-        stage = GraspRun(loop, seen, setup.workspace, facts, told, station.rate, wish.execute, page)
+        stage = GraspRun(
+            loop, source, setup.workspace, facts, told, station.rate, wish.execute, page
+        )
         return conduct(stage, ends, out, force=force)
 
 

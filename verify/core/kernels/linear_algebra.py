@@ -6,6 +6,8 @@ arrays, and for so few numbers its library calls are no quicker.
 
 import math
 
+import numpy as np
+
 from verify.core.jit import compiled
 from verify.core.records import Array
 
@@ -134,3 +136,45 @@ def rotation_vectors(turns: Array, vectors: Array) -> None:
         factor = sign * (2.0 * math.atan2(size, sign * q[3]) / size if size > 0.0 else 0.0)
         for i in range(3):
             vectors[n, i] = factor * q[i]
+
+
+@compiled
+def copy_to(target: Array, source: Array) -> None:
+    """Copy (n,) entry by entry: numba compiles slice assignment ten times as long."""
+    for k in range(len(target)):
+        target[k] = source[k]
+
+
+@compiled
+def select(values: Array, rank: int) -> float:
+    """Find the entry of a rank, from 0, by Hoare's quickselect on a copy; (n,) in any order."""
+    rest = np.empty(len(values))
+    copy_to(rest, values)
+    low, high = 0, len(values) - 1
+    while low < high:
+        pivot, i, j = rest[(low + high) // 2], low, high
+        while i <= j:
+            while rest[i] < pivot:
+                i += 1
+            while pivot < rest[j]:
+                j -= 1
+            if i <= j:
+                rest[i], rest[j] = rest[j], rest[i]
+                i += 1
+                j -= 1
+        if rank <= j:
+            high = j
+        elif rank >= i:
+            low = i
+        else:
+            break
+    return float(rest[rank])
+
+
+@compiled
+def median(values: Array) -> float:
+    """Median of (n,), as numpy's."""
+    half = len(values) // 2
+    if len(values) % 2:
+        return select(values, half)
+    return (select(values, half - 1) + select(values, half)) / 2.0

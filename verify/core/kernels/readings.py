@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 from verify.core.jit import compiled
 from verify.core.records import Array
 
-MAD_TO_SIGMA = 1.4826  # of a Gaussian
 N_END_READINGS = 4  # through which a cubic tells the speed at an end
 
 
@@ -176,51 +175,6 @@ def in_burst(t: Array, longest: float, instant: float) -> bool:
     after = min(max(int(np.searchsorted(t, instant)), 1), len(t) - 1)
     early, late = float(t[after - 1]), float(t[after])
     return late - early <= longest or instant in (early, late)
-
-
-@compiled
-def reading_noise(t: Array, q: Array, longest: float, fewest: int, values: Array) -> None:
-    """Fill in the standard deviation of one reading of each joint, by its differences.
-
-    The smallest of the estimates from second to fourth ones: motion that a low order mistakes for
-    noise, a higher one removes. Those of white noise have 6, 20 and 70 times its variance.
-
-    Args:
-        t: (m,), s.
-        q: (m, j), rad.
-        longest: s; differences across a longer gap do not count.
-        fewest: differences that say something.
-        values: (j,), rad, filled.
-    """
-    variances = (6.0, 20.0, 70.0)
-    for j in range(q.shape[1]):
-        least = np.inf
-        for order in range(2, 5):
-            if len(t) > order + fewest:
-                size, count = median_difference(t, q[:, j].copy(), order, longest)
-                if count > fewest:
-                    least = min(least, MAD_TO_SIGMA * size / np.sqrt(variances[order - 2]))
-        values[j] = least if np.isfinite(least) else 0.0
-
-
-@compiled
-def median_difference(t: Array, column: Array, order: int, longest: float) -> tuple[float, int]:
-    """Give the median size of a joint's differences of an order, and how many there are.
-
-    Differences across a gap are motion and do not count.
-    """
-    differences, sizes, count = column.copy(), np.empty(len(column)), 0
-    for _ in range(order):
-        for i in range(len(column) - 1):
-            differences[i] = differences[i + 1] - differences[i]
-    for i in range(len(column) - order):
-        whole = True
-        for k in range(i, i + order):
-            whole = whole and t[k + 1] - t[k] <= longest
-        if whole:
-            sizes[count] = abs(differences[i])
-            count += 1
-    return (float(np.median(sizes[:count])) if count else 0.0), count
 
 
 @compiled

@@ -1,29 +1,51 @@
-"""A camera in a thread of its own: opened, read, lost, found again; nobody waits for it."""
+"""Open a camera by its settings, and read it in a thread that opens it again when it is lost."""
 
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
-from verify.core.records import Image
-from verify.devices.protocols import READ_TIMEOUT, CameraFrame, CameraState, RefusedSetting
+from verify.devices.cameras.opencv import OpenCvSource
+from verify.devices.cameras.replay import ReplaySource
+from verify.devices.cameras.stream import StreamSource
+from verify.devices.protocols import (
+    READ_TIMEOUT,
+    CameraDevice,
+    CameraFrame,
+    CameraSettings,
+    CameraState,
+    CapturedImage,
+    RefusedSetting,
+)
 
 MAX_QUEUED = 4  # pictures that wait for a slow reader; the oldest goes first
 MIN_RETRY_DELAY, MAX_RETRY_DELAY = 0.25, 4.0  # s: doubled from the one to the other
-SILENCE_TIMEOUT = 2.0  # s without a picture before an open camera is called silent
-JOIN_TIMEOUT = 1.0  # s: a driver that hangs is left behind
+SILENCE_TIMEOUT = 2.0  # s
+JOIN_TIMEOUT = 1.0  # s; a driver that hangs is left behind
 
 
-@dataclass(frozen=True, slots=True)
-class CapturedImage:
-    """A picture as a source gives it."""
+def open_camera(settings: CameraSettings) -> CameraDevice:
+    """Open a camera: index or device path through OpenCV, URL through ffmpeg, or a file.
 
-    t: float  # s, host's monotonic clock, mid-exposure
-    t_uncertainty: float  # s
-    image: Image
-    raw: bytes | None
+    A camera that is not there is looked for until it is.
+
+    Raises:
+        InputError: a file that does not exist.
+    """
+    source = settings.source
+    if is_file(source):
+        return ReplaySource(settings)
+    if isinstance(source, str) and "://" in source:
+        return CameraCapture(source, partial(StreamSource, settings), settings.size)
+    name = source if isinstance(source, str) else f"camera {source}"
+    return CameraCapture(name, partial(OpenCvSource, settings), settings.size)
+
+
+def is_file(source: int | str) -> bool:
+    """Whether a camera's source is a video file or a folder of pictures."""
+    return isinstance(source, str) and "://" not in source and not source.startswith("/dev/")
 
 
 class CameraSource(Protocol):

@@ -16,8 +16,7 @@ import cv2
 import numpy as np
 
 from verify.core.records import Image
-from verify.devices.cameras.capture import CapturedImage
-from verify.devices.protocols import CameraSettings, RefusedSetting
+from verify.devices.protocols import CameraSettings, CapturedImage, RefusedSetting
 
 JPEG_SIGNATURE = b"\xff\xd8"
 

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 
 from verify.core.records import Image
-from verify.devices.cameras.capture import CapturedImage
 from verify.devices.cameras.opencv import as_image
-from verify.devices.protocols import CameraSettings, RefusedSetting
+from verify.devices.protocols import CameraSettings, CapturedImage, RefusedSetting
 
-CONNECT_TIMEOUT, READ_TIMEOUT = 5.0, 3.0  # s: without an answer the camera counts as gone
+CONNECT_TIMEOUT = 5.0  # s
+SILENCE_TIMEOUT = 3.0  # s without data: the camera counts as lost
 FFMPEG_OPTIONS = {"rtsp_transport": "tcp", "fflags": "nobuffer"}  # UDP loses pieces of pictures
 MAX_CLOCK_DRIFT = 2e-4  # a camera's crystal is within 1e-4
 DEFAULT_PERIOD = 1.0 / 30.0  # s, before the second picture
@@ -54,7 +54,7 @@ class StreamSource:
         url = str(settings.source)
         try:
             self._container = av.open(
-                url, options=FFMPEG_OPTIONS, timeout=(CONNECT_TIMEOUT, READ_TIMEOUT)
+                url, options=FFMPEG_OPTIONS, timeout=(CONNECT_TIMEOUT, SILENCE_TIMEOUT)
             )
             self._stream = self._container.streams.video[0]
         except (av.FFmpegError, OSError, IndexError) as error:

@@ -48,15 +48,13 @@ class CsvEncoders:
         self._header = b""
         self._link = PortLink(str(settings.path), self._open, now)
         self._lines = LineBuffer()
-        self._connection = 0
         self._intake: TextIntake | None = None
         self._complaint = ""
 
     def read(self) -> list[EncoderReading]:
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
         chunk = self._link.receive()
-        if self._link.connections != self._connection:
-            self._connection = self._link.connections
+        if self._link.reopened():
             self._lines.clear()
             self._begin()
         if chunk is None or self._intake is None:

@@ -31,12 +31,9 @@ from verify.devices.protocols import DeviceState, EncoderReading
 
 READ_COMMANDS = frozenset({"Q", "S", "R", "D"})  # what a reader may ask: none of it moves anything
 GREETING_TIMEOUT = 2.0  # s: opening the port may reset the board
-REQUEST_PERIOD, N_REQUESTS = (
-    0.5,
-    3,
-)  # s; then it is said that nobody greets, and asked on at this pace:
-SLOW_REQUEST_PERIOD = 5.0  # s
-ANSWER_TIMEOUT = 1.0  # s: a greeting so soon after a question is its answer, else the board started
+REQUEST_PERIOD, N_REQUESTS = 0.5, 3  # s; then the missing greeting is reported
+SLOW_REQUEST_PERIOD = 5.0  # s, from then on
+ANSWER_TIMEOUT = 1.0  # s: a later greeting is no answer, the board has started
 COUNTER_MODULUS = 1 << 32  # the counters are unsigned 32-bit
 MAX_GAP = 1 << 20  # samples: hours at any rate; more is a number that was garbled
 
@@ -93,14 +90,13 @@ class LabencBoard:
         self._clock = ControllerClock(None)
         self._sequence: tuple[int, int] | None = None  # and its clock segment
         self._scale_wanted = False
-        self._connection = 0
         self._asked, self._ask_at, self._asked_at = 0, 0.0, float("-inf")
         self._note = ""
 
     def samples(self) -> list[LabencReading]:
         """Take the samples that have come; waits for at most 20 ms on an open line."""
         chunk = self.link.receive()
-        if self.link.connections != self._connection:
+        if self.link.reopened():
             self._connect()
         self._ask_for_greeting()
         if chunk is None:
@@ -129,7 +125,6 @@ class LabencBoard:
         self.link.close()
 
     def _connect(self) -> None:
-        self._connection = self.link.connections
         self._lines.clear()
         self.hello, self._sequence, self._note = None, None, ""
         self._scale.clear()
@@ -218,6 +213,9 @@ class LabencBoard:
             return self._dropped(instant)
         self._count_lost(sample.sequence, instant.segment)
         values, status = found
+        if flaws := [word for bit, word in UNUSABLE.items() if status & bit]:
+            self.link.steady()
+            return self._dropped(flaws[0])
         angle = self._turned(values) if counts else np.deg2rad(values)
         self.link.steady()
         return [LabencReading(instant, t_host, angle, status)]
@@ -267,10 +265,6 @@ class LabencEncoders:
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
         readings = []
         for sample in self._board.samples():
-            flaw = next((word for bit, word in UNUSABLE.items() if sample.status & bit), "")
-            if flaw:
-                self._board.counts.bad[flaw] += 1
-                continue
             readings += self._intake.take(
                 sample.instant, sample.t_host, self._half_width, sample.angle
             )

@@ -325,13 +325,11 @@ class TextEncoders:
         self._lines = LineBuffer()
         self._counts = IntakeCounts()
         self._intake = TextIntake(settings.fields, angles, settings.latency, self._counts)
-        self._connection = 0
 
     def read(self) -> list[EncoderReading]:
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
         chunk = self._link.receive()
-        if self._link.connections != self._connection:
-            self._connection = self._link.connections
+        if self._link.reopened():
             self._lines.clear()
             self._intake.restart()
             if self._settings.at_start:

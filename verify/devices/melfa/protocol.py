@@ -200,7 +200,7 @@ def parse_error(data: str) -> int | None:
     return int(match[1]) if match else None
 
 
-SILENCE_TIMEOUT = 0.05  # s without a byte: an answer that has no end mark is over
+MAX_GAP = 0.05  # s between bytes of an answer: one without an end mark is over
 _END = re.compile(rb"[\r\n\0]")
 
 
@@ -236,7 +236,7 @@ class AnswerBuffer:
         end = _END.search(self._data)
         if end is not None:
             answer, self._data = self._data[: end.start()], self._data[end.end() :]
-        elif self._data and now - self._t > SILENCE_TIMEOUT:
+        elif self._data and now - self._t > MAX_GAP:
             answer, self._data = self._data, b""
         else:
             return None

@@ -68,7 +68,7 @@ def parse_packet(data: bytes, joints: int) -> RealtimePacket | str:
 
 
 CYCLE_TIME = 64 / 9 * 1e-3  # s, on CR750 and CR751; about 3.5 ms on CR800
-ANSWER_TIMEOUT = 0.1  # s without an answer
+ANSWER_TIMEOUT = 0.1  # s
 COUNTER_MODULUS = 1 << 32
 MAX_PACKETS_PER_READ = 64  # packets a call: a flood must not hold the caller
 
@@ -107,7 +107,6 @@ class RealtimeEncoders:
         self._clock = ControllerClock(self._wrap)
         self._cycle: tuple[int, int] | None = None  # and its clock segment
         self._missed: int | None = None
-        self._connection = 0
         self._asked_at = float("-inf")
 
     def read(self) -> list[EncoderReading]:
@@ -115,8 +114,7 @@ class RealtimeEncoders:
         readings: list[EncoderReading] = []
         self._ask_if_silent()
         chunk = self._link.receive()
-        if self._link.connections != self._connection:
-            self._connection = self._link.connections
+        if self._link.reopened():
             self._clock.restart(self._wrap)
         for _ in range(MAX_PACKETS_PER_READ):
             if chunk is None:

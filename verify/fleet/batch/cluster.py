@@ -1,4 +1,4 @@
-"""A Dask cluster that runs already, somewhere: its workers are the crew."""
+"""A Dask cluster that runs already, somewhere: its workers are the pool."""
 
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ TASKS_PER_THREAD = 2  # tasks under way a thread: the next is there when one is 
 
 
 class Cluster:
-    """A crew behind a scheduler.
+    """Workers behind a scheduler.
 
     Args:
         address: of the scheduler, such as `tcp://10.0.0.1:8786`.
@@ -50,10 +50,10 @@ class Cluster:
         return str(self._client.dashboard_link) if serves else None
 
     def ready(self, tasks: int) -> None:
-        """Wait for nobody: a worker was there before this crew was."""
+        """Wait for nobody: a worker was there before this pool."""
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
-        """Have tasks done; see `Crew`. A worker that dies is the scheduler's to replace."""
+        """Perform tasks; see `WorkerPool`. A worker that dies is the scheduler's to replace."""
         distributed = _distributed()
         done = distributed.as_completed(loop=self._client.loop, raise_errors=False)
         under_way: dict[str, Task] = {}

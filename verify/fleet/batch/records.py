@@ -60,7 +60,7 @@ class SessionResults:
 
 @dataclass(frozen=True, slots=True)
 class WorkerDied:
-    """What a crew gives back for a task whose worker died each time."""
+    """The outcome of a task whose worker died each time."""
 
     times: int
 

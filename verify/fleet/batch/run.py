@@ -80,7 +80,7 @@ def measure_all(
     failures: Sequence[SessionFailure],
     out: Path,
     options: BatchOptions,
-    crew: WorkerPool,
+    pool: WorkerPool,
     watch: ProgressCallback,
 ) -> BatchResult:
     """Measure every session that is not done yet; each is kept in `out` as soon as it is done.
@@ -90,7 +90,7 @@ def measure_all(
         failures: what could not even be looked into.
         out: the batch's folder.
         options: what the figures depend on beside the inputs.
-        crew: who does it.
+        pool: performs the tasks.
         watch: told after every session.
 
     Raises:
@@ -102,9 +102,9 @@ def measure_all(
         work.begin(one)
     watch(work.progress)
     if work.waiting:
-        crew.ready(len(work.waiting))
+        pool.ready(len(work.waiting))
     work.progress.begin()
-    for task, outcome in crew.run(work.waiting):
+    for task, outcome in pool.run(work.waiting):
         work.take(task, outcome)
         watch(work.progress)
     sessions = sorted(work.done)
@@ -112,17 +112,17 @@ def measure_all(
     return BatchResult(kept, sorted(work.progress.failures), work.progress)
 
 
-def report_all(batch: BatchResult, crew: WorkerPool, watch: Callable[[int, int], None]) -> None:
+def report_all(batch: BatchResult, pool: WorkerPool, watch: Callable[[int, int], None]) -> None:
     """Write the own report of each session that has none yet.
 
     Args:
         batch: what was measured.
-        crew: on this machine.
+        pool: on this machine.
         watch: told how many of how many are written.
     """
     missing = [place for _, place in batch.kept if not (place / "report.pdf").exists()]
     waiting: deque[Task] = deque(ReportTask(str(place)) for place in missing)
-    for number, _ in enumerate(crew.run(waiting), start=1):
+    for number, _ in enumerate(pool.run(waiting), start=1):
         watch(number, len(missing))
 
 

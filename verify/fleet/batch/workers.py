@@ -1,207 +1,141 @@
-"""Processes on this machine, one a worker: a killed one costs its own task and nothing else.
-
-Where workers come from: copies of one process that has everything loaded, on Linux.
-
-Several workers load nothing twice, share what they do not change, and one that dies is replaced at
-once. The process is a fresh interpreter: threads and open videos of this one stay out of it.
-Elsewhere libraries of the system do not bear being copied: each worker is a fresh interpreter.
-"""
+"""Worker processes on this machine: a killed one costs its own task another attempt, no more."""
 
 import os
 import signal
 import sys
-import threading
-import time
 from collections import Counter, deque
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from multiprocessing import get_context, parent_process
-from multiprocessing.context import BaseContext
-from typing import Any, Protocol
+from functools import partial
+from typing import Any, NoReturn, Protocol
 
-import cv2
-
+from verify.core.processes import (
+    ChildFailedError,
+    ChildLostError,
+    ChildProcess,
+    answer_requests,
+    wait_for_any,
+)
 from verify.fleet.batch.records import Task, WorkerDied
 
-PRELOAD_MODULE = "verify.fleet.batch.preload"
-
-
-def worker_context() -> BaseContext:
-    """Give what starts workers."""
-    if sys.platform != "linux":
-        return get_context("spawn")
-    chosen = get_context("forkserver")
-    chosen.set_forkserver_preload(["__main__", PRELOAD_MODULE])
-    return chosen
-
-
-def prepare() -> None:
-    """Have everything loaded for workers to come, while this process does other things.
-
-    Of the main thread alone.
-    """
-    if sys.platform != "linux":
-        return
-    worker_context()
-    from multiprocessing import forkserver  # not everywhere
-
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who started it
-    try:
-        forkserver.ensure_running()
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-MAX_ATTEMPTS = 3  # of a task whose worker dies: the first, and twice again
-MAX_STARTS, RESTART_DELAY = 100, 0.1  # of a worker at most, and s in between
+MAX_ATTEMPTS = 3  # of a task whose worker dies
+Worker = ChildProcess[Task, Any]
 
 
 class WorkerPool(Protocol):
     """Workers, wherever they are."""
 
     def ready(self, tasks: int) -> None:
-        """Wait until somebody can begin with so many tasks, 1 at least."""
+        """Wait until a worker can begin; there are so many tasks, 1 at least."""
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
-        """Have tasks done, taking from the left, until none is left or under way.
+        """Perform tasks, taken from the left, until none is left or under way.
 
-        Whoever reads may append further ones meanwhile. As many are under way as there are
+        The caller may append further ones meanwhile. As many are under way as there are
         workers, or few more: memory follows the workers, not the tasks.
 
         Yields:
-            Each task with what came of it, as they finish; `WorkerDied` where its worker died each time.
+            Each task with its outcome, as they finish; `WorkerDied` where its worker died each
+            time.
         """
 
     def close(self) -> None:
-        """Send the workers home; what they were at is dropped."""
+        """End the workers; tasks under way are dropped."""
 
 
 class ProcessPool:
-    """A crew of processes on this machine.
+    """Worker processes on this machine; the first one starts at once.
 
     Args:
-        workers: how many.
+        workers: how many at most.
     """
 
     def __init__(self, workers: int) -> None:
-        self._crowded = workers >= available_cpus()
-        self._idle: list[_Worker] = [_Worker(self._crowded) for _ in range(workers)]
-        self._busy: dict[Future[Any], tuple[_Worker, Task]] = {}
+        self._workers = workers
+        self._idle: list[Worker] = [self._start()]
+        self._busy: dict[Worker, Task] = {}
 
     def ready(self, tasks: int) -> None:
-        """Start as many workers as there are tasks for; wait until the first one has loaded all."""
-        starting = self._idle[-tasks:]
-        for worker in starting:
-            worker.begin()
-        starting[-1].wait()
+        """Start as many workers as there are tasks for; wait until the first one is ready."""
+        while len(self._idle) < min(tasks, self._workers):
+            self._idle.insert(0, self._start())
+        with suppress(ChildLostError):  # it is replaced when it gets its first task
+            self._idle[-1].wait_until_ready()
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
-        """Have tasks done; see `WorkerPool`."""
+        """Perform tasks; see `WorkerPool`."""
         died: Counter[int] = Counter()
         while tasks or self._busy:
-            self._set_to_work(tasks)
+            self._hand_out(tasks)
             finished = []
-            for future in wait(self._busy, return_when=FIRST_COMPLETED).done:
-                worker, task = self._busy.pop(future)
+            for worker in wait_for_any(self._busy):
                 try:
-                    outcome = future.result()
-                except BrokenProcessPool:
-                    worker.close()
-                    worker = _Worker(self._crowded)
-                    died[id(task)] += 1
-                    if died[id(task)] < MAX_ATTEMPTS:
-                        tasks.appendleft(task)
-                        self._idle.append(worker)
+                    if not worker.answered():  # it has only become ready
+                        continue
+                    outcome = worker.finish(0.0)
+                    self._idle.append(worker)
+                except ChildFailedError:
+                    raise
+                except ChildLostError:
+                    worker.stop(0.0)
+                    died[id(self._busy[worker])] += 1
+                    if died[id(self._busy[worker])] < MAX_ATTEMPTS:
+                        tasks.appendleft(self._busy.pop(worker))
                         continue
                     outcome = WorkerDied(MAX_ATTEMPTS)
+                task = self._busy.pop(worker)
                 died.pop(id(task), None)
-                self._idle.append(worker)
                 finished.append((task, outcome))
-            self._set_to_work(tasks)  # nobody waits until what was done is put away
+            self._hand_out(tasks)  # workers go on while the caller stores what was done
             yield from finished
 
-    def _set_to_work(self, tasks: deque[Task]) -> None:
-        while tasks and self._idle:
-            worker, task = self._idle.pop(), tasks.popleft()
-            self._busy[worker.start(task)] = worker, task
+    def _hand_out(self, tasks: deque[Task]) -> None:
+        while tasks and len(self._busy) < self._workers:
+            worker = self._idle.pop() if self._idle else self._start()
+            try:
+                worker.begin(tasks[0])
+            except ChildLostError:  # it died while it had nothing to do
+                worker.stop(0.0)
+                continue
+            self._busy[worker] = tasks.popleft()
 
     def close(self) -> None:
-        """Send the workers home; what they were at is dropped."""
-        for worker in [*self._idle, *(worker for worker, _ in self._busy.values())]:
-            worker.close()
+        """End the workers; tasks under way are dropped."""
+        for worker in [*self._idle, *self._busy]:
+            worker.stop(0.0)
         self._idle, self._busy = [], {}
 
-
-class _Worker:
-    """One process, started when it is needed; crowded: there are as many as processors."""
-
-    def __init__(self, crowded: bool) -> None:
-        self._crowded = crowded
-        self._pool: ProcessPoolExecutor | None = None
-        self._process: Future[int] | None = None
-
-    def begin(self) -> ProcessPoolExecutor:
-        if self._pool is None:
-            self._pool, self._process = _start_worker(self._crowded)
-        return self._pool
-
-    def wait(self) -> None:
-        if self._process is not None:
-            with suppress(BrokenProcessPool):  # its first task will have another one
-                self._process.result()
-
-    def start(self, task: Task) -> Future[Any]:
-        try:
-            return self.begin().submit(task.perform)
-        except BrokenProcessPool:  # it died while there was nothing to do
-            self.close()
-            return self.begin().submit(task.perform)
-
-    def close(self) -> None:
-        if self._pool is None:
-            return
-        self._pool.shutdown(wait=False, cancel_futures=True)
-        if self._process is not None and self._process.done():
-            with suppress(ProcessLookupError, BrokenProcessPool):  # it died before
-                os.kill(self._process.result(), signal.SIGTERM)
-        self._pool = None
+    def _start(self) -> Worker:
+        threads = 1 if self._workers >= available_cpus() else available_cpus()
+        load = partial(_load, threads)
+        return ChildProcess(answer_requests, _perform, load, name="batch worker")
 
 
-def _start_worker(crowded: bool) -> tuple[ProcessPoolExecutor, Future[int]]:
-    """Start a process; it will tell its number."""
-    tries = 0
-    while True:
-        pool = ProcessPoolExecutor(1, worker_context(), _initialise_worker, (crowded,))
-        try:
-            return pool, pool.submit(os.getpid)
-        except (EOFError, ConnectionError):  # where workers come from is dying this moment
-            pool.shutdown(wait=False)
-            tries += 1
-            if tries == MAX_STARTS:
-                raise
-            time.sleep(RESTART_DELAY)
+def _perform(task: Task) -> Any:
+    return task.perform()
 
 
-def _initialise_worker(crowded: bool) -> None:
-    """Leave Ctrl-C to the one who started us, and go when that one is gone."""
-    # crowded: the others have the other processors; decoding heeds it too
-    cv2.setNumThreads(1 if crowded else available_cpus())
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _load(threads: int) -> None:
+    """Load all that measuring takes, in a worker.
+
+    Args:
+        threads: that decode; 1 where other workers have the other processors.
+    """
     signal.signal(signal.SIGTERM, _exit)
-    threading.Thread(target=_exit_with_parent, daemon=True).start()
+    import cv2
+
+    from verify.analysis.warm_up import warm_up, warm_up_comparison
+    from verify.fleet.batch import tasks  # noqa: F401  its libraries are loaded with it
+
+    cv2.setNumThreads(threads)
+    with suppress(Exception):  # whatever is wrong, the first session's failure says it better
+        warm_up()
+        warm_up_comparison()
 
 
-def _exit(_signal: int, _frame: object) -> None:
-    raise SystemExit(1)  # what was fetched to this machine is removed on the way out
-
-
-def _exit_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+def _exit(_signal: int, _frame: object) -> NoReturn:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(1)  # fetched sessions are removed on the way out
 
 
 def available_cpus() -> int:

@@ -1,9 +1,9 @@
-"""Is the other end an emulator of `verify emulate`? Only then nobody has to confirm a motion.
+"""Prove that the other end of a port is an emulator, whose motion nobody has to confirm.
 
-The controller is opened under a name drawn by chance; the emulator puts a digest of that name into
-its identity, which no maker's controller computes and no line's echo or stale answer can hold. The
-gripper is asked for its device identification (Modbus, function 43/14), which names its vendor.
-Whatever is silent, late, garbled or refused is no emulator.
+The controller is opened under a random name; the emulator puts a digest of that name into its
+identity, which no maker's controller computes and no echo or stale answer can hold. The gripper is
+asked for its device identification (Modbus, function 43/14), which names its vendor. Whatever is
+silent, late, garbled or refused is no emulator.
 """
 
 import hashlib

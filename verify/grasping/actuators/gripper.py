@@ -1,8 +1,8 @@
-"""A Robotiq 3-finger gripper that moves: activation, modes, opening, closing, and what came of it.
+"""Drive a Robotiq 3-finger gripper: activation, modes, opening, closing, and their outcome.
 
-Whether something is gripped is what the gripper's own object detection says, never a time that has
-passed. Every wait has a limit; past it, or at a fault, the fingers are stopped and the reason said.
-A write that failed is not repeated on another connection: whoever ordered it decides anew.
+Whether something is gripped is read from the gripper's own object detection, never concluded from a
+time. Every wait has a limit; past it, or at a fault, the fingers are stopped and the reason stated.
+A write that failed is not repeated on another connection: the caller decides anew.
 """
 
 import time
@@ -26,9 +26,10 @@ from verify.grasping.actuators.gripper_modbus import (
     FingerStatus,
     GripperCommand,
     GripperInputs,
+    GripperSettings,
     fault_text,
 )
-from verify.grasping.actuators.gripper_reader import READ_FUNCTIONS, GripperReader, GripperSettings
+from verify.grasping.actuators.gripper_reader import READ_FUNCTIONS, GripperReader
 from verify.grasping.actuators.protocols import (
     ExecutePermission,
     GripMode,
@@ -43,22 +44,16 @@ RESET_TIMEOUT, STOP_TIMEOUT, MODE_TIMEOUT = 2.0, 2.0, 15.0  # s
 CLOSE_TIMEOUT = 1.0  # s
 MAX_STATUS_AGE = 0.5  # s: what was read longer ago says nothing of now
 CLOSE_PERIOD = 0.005  # s, between the steps of `close`
-RESTING_STATES = frozenset(
-    {
-        GripperState.READY,
-        GripperState.REACHED,
-        GripperState.GRIPPED,
-        GripperState.UNSURE,
-        GripperState.LOST,
-    }
-)  # activated, and free to take an order
+# activated, and free to take an order
+HOLDING_STATES = {GripperState.GRIPPED, GripperState.UNSURE, GripperState.LOST}
+RESTING_STATES = frozenset({GripperState.READY, GripperState.REACHED, *HOLDING_STATES})
 MOVING_STATES = frozenset({GripperState.MOVING, GripperState.CHANGING_MODE})
 UNKNOWN_STATES = frozenset({GripperState.IDLE, GripperState.RESETTING, GripperState.FAILED})
 
 
 @dataclass(slots=True)
 class ActiveOrder:
-    """An order that is being carried out."""
+    """The order that is being carried out."""
 
     until: float = float("inf")  # s
     written: bool = False  # the gripper has acknowledged it
@@ -92,8 +87,8 @@ class GripperDriver(GripperReader):
         self._phase, self._reason = GripperState.IDLE, ""
         self._action = GripperCommand(speed=settings.speed, force=settings.force)
         self._to_write: list[int] | None = None
-        self._going = ActiveOrder()
-        self._seen_on = 0  # the connection on which it was last heard
+        self._active = ActiveOrder()
+        self._heard_on = 0  # the connection of the last answer
 
     def activate(self, reset: bool = False) -> None:
         """Make it ready: every finger moves over its full travel. See `Gripper.activate`."""
@@ -121,7 +116,7 @@ class GripperDriver(GripperReader):
 
     def step(self) -> GripperStatus:
         """Go on with what has arrived; never waits for the gripper."""
-        self._mind_the_limit()
+        self._check_deadline()
         return super().step()
 
     def stop(self) -> None:
@@ -134,7 +129,7 @@ class GripperDriver(GripperReader):
             return
         if self._phase in (GripperState.ACTIVATING, GripperState.RESETTING):
             self._begin(GripperState.STOPPING, list(RESET_OUTPUTS), STOP_TIMEOUT)
-            self._going.resets = True
+            self._active.resets = True
         elif self._phase is not GripperState.IDLE and inputs is not None and inputs.active:
             self._action = replace(self._action, go=False)
             self._begin(GripperState.STOPPING, self._action.registers(), STOP_TIMEOUT)
@@ -156,19 +151,19 @@ class GripperDriver(GripperReader):
         position = round(CLOSED_POSITION * (1.0 - opening / self._settings.stroke))
         self._action = replace(self._action, go=True, position=position)
         self._begin(GripperState.MOVING, self._action.registers(), self._settings.move_limit)
-        self._going.closing = closing
+        self._active.closing = closing
 
     def _require_rest(self, what: str) -> None:
         if self._phase not in RESTING_STATES:
-            said = f": {self._reason}" if self._reason else ""
+            why = f": {self._reason}" if self._reason else ""
             raise MotionRefusedError(
-                f"the gripper cannot {what} now, it is {self._phase.value}{said}"
+                f"the gripper cannot {what} now, it is {self._phase.value}{why}"
             )
 
     def _begin(self, state: GripperState, registers: list[int], limit: float) -> None:
         self._phase, self._reason = state, ""
         self._to_write = registers
-        self._going = ActiveOrder(self._now() + limit)
+        self._active = ActiveOrder(self._now() + limit)
 
     def _begin_activation(self) -> None:
         limit = self._settings.activation_limit
@@ -181,28 +176,28 @@ class GripperDriver(GripperReader):
         return WriteMultipleRegistersRequest(address=FIRST_OUTPUT, registers=registers)
 
     def _may_write(self, registers: list[int]) -> bool:
-        """Whether this write can activate nothing that has lost its activation unseen.
+        """Whether this write cannot activate a gripper that has lost its activation unnoticed.
 
         Every write but a reset carries the activation bit. A gripper that was without power would
         take it as an order to activate itself, and move.
         """
         if self._phase is GripperState.ACTIVATING or registers == list(RESET_OUTPUTS):
             return True
-        inputs, here = self._inputs, self._seen_on == self._line.link.connections
+        inputs, here = self._inputs, self._heard_on == self._line.link.connections
         fresh = self._t is not None and self._now() - self._t < MAX_STATUS_AGE
         return inputs is not None and inputs.active and here and fresh
 
     def _take(self, answer: ModbusPDU) -> None:
         if isinstance(answer, WriteMultipleRegistersResponse):
-            self._going.written = True
-        self._seen_on = self._line.link.connections
+            self._active.written = True
+        self._heard_on = self._line.link.connections
         super()._take(answer)
 
     def _state(self) -> tuple[GripperState, str]:
         return self._phase, self._reason
 
-    def _mind_the_limit(self) -> None:
-        if self._now() <= self._going.until:
+    def _check_deadline(self) -> None:
+        if self._now() <= self._active.until:
             return
         if not self._line.link.connected:
             why = self._line_words()
@@ -219,12 +214,12 @@ class GripperDriver(GripperReader):
             self._fail(words)
 
     def _judge(self, inputs: GripperInputs) -> None:
-        """Let the state follow what the gripper tells."""
+        """Change the state by a reading."""
         if self._phase is GripperState.IDLE:
-            self._look_around(inputs)
-        told_after = self._phase is GripperState.IDLE or self._going.written
-        if self._broken(inputs) or not told_after:
-            return  # what it tells is older than the order
+            self._adopt(inputs)
+        current = self._phase is GripperState.IDLE or self._active.written
+        if self._broken(inputs) or not current:
+            return  # the reading is older than the order
         match self._phase:
             case GripperState.RESETTING if not inputs.active:
                 self._begin_activation()
@@ -232,18 +227,18 @@ class GripperDriver(GripperReader):
                 self._rest(GripperState.READY)
             case GripperState.CHANGING_MODE:
                 changed = inputs.mode is self._action.mode
-                if self._agree(changed and inputs.activation is ActivationStatus.READY):
+                if self._confirmed(changed and inputs.activation is ActivationStatus.READY):
                     self._rest(GripperState.READY)
             case GripperState.STOPPING if not inputs.active:
                 self._rest(GripperState.IDLE)
-            case GripperState.STOPPING if not (inputs.go or self._going.resets):
+            case GripperState.STOPPING if not (inputs.go or self._active.resets):
                 self._rest(GripperState.READY)
             case GripperState.MOVING:
                 self._follow(inputs)
             case GripperState.GRIPPED if not self._holds(inputs):
                 self._phase, self._reason = GripperState.LOST, "what was gripped is gone"
 
-    def _look_around(self, inputs: GripperInputs) -> None:
+    def _adopt(self, inputs: GripperInputs) -> None:
         """Take over a gripper that was activated before."""
         ready = inputs.active and inputs.activation is ActivationStatus.READY
         if ready and inputs.fault < MIN_LASTING_FAULT:
@@ -261,15 +256,17 @@ class GripperDriver(GripperReader):
         return self._phase is GripperState.FAILED
 
     def _follow(self, inputs: GripperInputs) -> None:
-        """See whether the motion that was ordered is over, and how it ended."""
+        """End the motion that was ordered, once it is over."""
         ours = inputs.go and inputs.echo == self._action.position
-        if not self._agree(ours and not inputs.moving and FingerStatus.MOVING not in inputs.axes):
+        if not self._confirmed(
+            ours and not inputs.moving and FingerStatus.MOVING not in inputs.axes
+        ):
             return
         stopped = sum(axis is not FingerStatus.THERE for axis in inputs.axes)
         words = f"something stopped {stopped} of {len(inputs.axes)} fingers"
         if not stopped:
             self._rest(GripperState.REACHED)
-        elif not self._going.closing:
+        elif not self._active.closing:
             self._fail(f"{words} while opening")
         elif self._holds(inputs):
             self._rest(GripperState.GRIPPED)
@@ -281,22 +278,22 @@ class GripperDriver(GripperReader):
         """Whether something stopped as many fingers as a grip needs; the scissor axis is one."""
         return inputs.contacts >= min(self._settings.fingers_needed, len(inputs.axes))
 
-    def _agree(self, over: bool) -> bool:
-        """Count readings in a row that call an order carried out; say whether they are enough."""
-        self._going.agreed = self._going.agreed + 1 if over else 0
-        return self._going.agreed >= N_CONFIRMATIONS
+    def _confirmed(self, over: bool) -> bool:
+        """Count readings in a row that call an order carried out; whether they are enough."""
+        self._active.agreed = self._active.agreed + 1 if over else 0
+        return self._active.agreed >= N_CONFIRMATIONS
 
     def _rest(self, state: GripperState) -> None:
         self._phase, self._reason = state, ""
-        self._going = ActiveOrder(written=True)
+        self._active = ActiveOrder(written=True)
 
     def _fail(self, reason: str) -> None:
-        """Say what went wrong; stop the fingers if they were on their way."""
+        """Fail for a reason; stop the fingers if they were moving."""
         if self._phase is GripperState.FAILED:
             return
         under_way = self._phase in MOVING_STATES
-        self._phase, self._reason, self._going = GripperState.FAILED, reason, ActiveOrder()
+        self._phase, self._reason, self._active = GripperState.FAILED, reason, ActiveOrder()
         self._to_write = None
-        if under_way:  # with the line gone it must wait: the fingers go to where they were told
+        if under_way:  # with the line gone it must wait: the fingers go to where they were ordered
             self._action = replace(self._action, go=False)
             self._to_write = self._action.registers()

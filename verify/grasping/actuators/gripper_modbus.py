@@ -1,12 +1,8 @@
-"""One Modbus RTU request at a time over a port that opens itself; nobody waits.
+"""Exchange Modbus RTU requests with a Robotiq 3-finger gripper without waiting; its registers.
 
-Frames, checks and messages are pymodbus's; its clients wait for their answers, and a control loop
-cannot.
-
-The Robotiq 3-finger gripper's registers: what is ordered, what it tells; no port.
-
-Layout and meanings: Robotiq 3-Finger Adaptive Robot Gripper Instruction Manual, sections 4.4, 4.5.
-Two bytes a register, the first in the high half.
+Frames, checks and messages are pymodbus's; its clients wait for answers, which a control loop
+cannot. Registers: Robotiq 3-Finger Adaptive Robot Gripper Instruction Manual, sections 4.4 and 4.5;
+two bytes a register, the first in the high half.
 """
 
 from collections import Counter
@@ -20,13 +16,30 @@ from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
-from verify.devices.ports import ClockFunction, Port, PortLink
+from verify.devices.ports import DEFAULT_LINE, ClockFunction, Port, PortLink, SerialLine
 from verify.grasping.actuators.protocols import BackgroundOpener, GripMode
 
 REQUEST_PERIOD = 0.005  # s: the gripper's cycle; asked sooner it has nothing new to say
 MAX_BUFFER_BYTES = 512  # bytes: two of the longest frames; noise must not fill the memory
 # exception code -> meaning, by the Modbus specification
 EXCEPTION_MEANINGS: Final = {1: "unknown function", 2: "no such register", 3: "value not allowed"}
+
+
+@dataclass(frozen=True, slots=True)
+class GripperSettings:
+    """How a gripper is reached, and how fast and hard it moves."""
+
+    port: str  # tcp:HOST:PORT of a serial device server, or a serial device
+    line: SerialLine = DEFAULT_LINE
+    slave: int = 9
+    stroke: float = 0.155  # m between the fingers when open; the position is taken as linear in it
+    speed: int = 128  # 0 to 255, about 22 to 110 mm/s
+    force: int = 0  # 0 to 255, about 15 to 60 N
+    fingers_needed: int = 2  # stopped by something, before it counts as gripped
+    timeout: float = 0.2  # s for an answer
+    tries: int = 3
+    activation_limit: float = 30.0  # s; less was too little for some
+    move_limit: float = 15.0  # s; the whole stroke at the least speed takes 7 s
 
 
 class GripperRefusedError(Exception):
@@ -44,30 +57,23 @@ class ModbusLine:
     """Asks and takes the answer once it is there.
 
     Args:
-        name: the port as the user wrote it, for sentences.
-        open_port: opens it.
-        slave: whom to ask.
+        settings: port, slave, timeout and tries.
+        open_port: opens the port.
         allowed: function codes that may be sent; others cannot be.
-        timeout: s for an answer.
-        tries: how often a request is sent before it is given up.
         now: the host's monotonic clock, s.
     """
 
     def __init__(
         self,
-        name: str,
+        settings: GripperSettings,
         open_port: Callable[[], Port],
-        slave: int,
         allowed: frozenset[int],
-        timeout: float,
-        tries: int,
         now: ClockFunction,
     ) -> None:
         self.bad: Counter[str] = Counter()  # what was dropped: reason -> how often
         self._opening = BackgroundOpener(open_port)
-        self.link = PortLink(name, self._opening, now)
-        self._slave, self._allowed = slave, allowed
-        self._timeout, self._tries = timeout, tries
+        self.link = PortLink(settings.port, self._opening, now)
+        self._settings, self._allowed = settings, allowed
         self._framer = FramerRTU(DecodePDU(is_server=False))
         self._pending: ModbusPDU | None = None
         self._buffer = b""
@@ -89,8 +95,8 @@ class ModbusLine:
         """
         if request.function_code not in self._allowed:
             raise ValueError(f"this line may not send function {request.function_code}")
-        request.dev_id = self._slave
-        self._pending, self._left = request, self._tries
+        request.dev_id = self._settings.slave
+        self._pending, self._left = request, self._settings.tries
         self._send()
 
     def step(self) -> ModbusPDU | None:
@@ -107,13 +113,13 @@ class ModbusLine:
             self.bad["answer that nobody asked for"] += chunk is not None
             return None
         if not same:
-            self.forget()
+            self._pending, self._buffer = None, b""
             raise NoAnswerError
         if chunk is not None:
             self._buffer = (self._buffer + chunk.data)[-MAX_BUFFER_BYTES:]
         answer = self._answer()
         if answer is None:
-            if self.link.now() - self._sent_at > self._timeout:
+            if self.link.now() - self._sent_at > self._settings.timeout:
                 self._again()
             return None
         self._pending, self._buffer = None, b""
@@ -121,10 +127,6 @@ class ModbusLine:
         if isinstance(answer, ExceptionResponse):
             raise GripperRefusedError(answer.exception_code)
         return answer
-
-    def forget(self) -> None:
-        """Give up what was asked."""
-        self._pending, self._buffer = None, b""
 
     def close(self) -> None:
         """Close the port."""
@@ -144,7 +146,7 @@ class ModbusLine:
         if not self._buffer:
             return None
         try:
-            used, answer = self._framer.handleFrame(self._buffer, self._slave, 0)
+            used, answer = self._framer.handleFrame(self._buffer, self._settings.slave, 0)
         except (ModbusException, IndexError):
             self.bad["answer that is not understood"] += 1
             used, answer = len(self._buffer), None
@@ -159,7 +161,7 @@ class ModbusLine:
     def _again(self) -> None:
         self.bad["request without an answer"] += 1
         if not self._left:
-            self.forget()
+            self._pending, self._buffer = None, b""
             raise NoAnswerError
         self._send()
 

@@ -1,13 +1,11 @@
-"""A Robotiq 3-finger gripper on Modbus RTU, read and never moved.
+"""Read a Robotiq 3-finger gripper on Modbus RTU: this class can send nothing but function 3.
 
-`GripperReader` can send nothing but function 3. Moving is `gripper.GripperDriver`'s, which is not
-made without an `ExecuteRight`.
+`gripper.GripperDriver`, which moves it, is not made without an `ExecutePermission`.
 """
 
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
@@ -17,13 +15,14 @@ from pymodbus.pdu.register_message import (
     ReadHoldingRegistersResponse,
 )
 
-from verify.devices.ports import DEFAULT_LINE, ClockFunction, Port, SerialLine, open_port
+from verify.devices.ports import ClockFunction, Port, open_port
 from verify.grasping.actuators.gripper_modbus import (
     CLOSED_POSITION,
     FIRST_INPUT,
     N_INPUTS,
     GripperInputs,
     GripperRefusedError,
+    GripperSettings,
     ModbusLine,
     NoAnswerError,
     fault_text,
@@ -34,23 +33,6 @@ from verify.grasping.actuators.protocols import GripperState, GripperStatus
 READ_FUNCTIONS: Final = frozenset({ReadHoldingRegistersRequest.function_code})
 # what it complains of reaches the user through `step`, in other words
 logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
-
-
-@dataclass(frozen=True, slots=True)
-class GripperSettings:
-    """How a gripper is reached, and what it is told."""
-
-    port: str  # tcp:HOST:PORT of a serial device server, or a serial device
-    line: SerialLine = DEFAULT_LINE
-    slave: int = 9
-    stroke: float = 0.155  # m between the fingers when open; the position is taken as linear in it
-    speed: int = 128  # 0 to 255, about 22 to 110 mm/s
-    force: int = 0  # 0 to 255, about 15 to 60 N
-    fingers_needed: int = 2  # stopped by something, before it counts as gripped
-    timeout: float = 0.2  # s for an answer
-    tries: int = 3
-    activation_limit: float = 30.0  # s; less was too little for some
-    move_limit: float = 15.0  # s; the whole stroke at the least speed takes 7 s
 
 
 class GripperReader:
@@ -72,13 +54,7 @@ class GripperReader:
     ) -> None:
         self._settings, self._now = settings, now
         self._line = ModbusLine(
-            settings.port,
-            port or partial(open_port, settings.port, settings.line),
-            settings.slave,
-            self.functions,
-            settings.timeout,
-            settings.tries,
-            now,
+            settings, port or partial(open_port, settings.port, settings.line), self.functions, now
         )
         self._inputs: GripperInputs | None = None
         self._t: float | None = None

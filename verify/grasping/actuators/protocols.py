@@ -1,10 +1,8 @@
-"""What grabbing needs of what moves: an arm and a gripper, ordered, then asked, never waited for.
+"""Define what the control loop orders: an arm and a gripper that never make it wait.
 
-An order is a call that returns at once; `step`, called by a control loop, lets the device's state
-machine go on with what has arrived and says where it is. A device is made with an `ExecutePermission`,
+An order is a call that returns at once. `step`, called once a cycle, lets the device's state
+machine take what has arrived and returns its status. A device is made with an `ExecutePermission`,
 which the command line alone makes from the operator's order; without one there is no such device.
-
-Opening a port while a control loop goes on: in a thread of its own.
 """
 
 import contextlib
@@ -42,7 +40,7 @@ class MoverState(StrEnum):
     TAKING_CONTROLS = "taking controls"
     POWERING = "powering"  # the servo comes on
     READY = "ready"  # has the controls and stands; takes moves
-    ORDERING = "ordering"  # a move is being told
+    ORDERING = "ordering"  # a move is being sent
     MOVING = "moving"
     ARRIVED = "arrived"  # as `ready`, at the target of the last move
     STOPPING = "stopping"  # `hold` was ordered
@@ -59,10 +57,10 @@ FINAL_STATES = frozenset({MoverState.OFF, MoverState.RELEASED, MoverState.FAILED
 
 @dataclass(frozen=True, slots=True)
 class MoverStatus:
-    """How the arm is."""
+    """Status of the arm."""
 
     state: MoverState
-    reason: str  # what there is to say, in words; empty where all is well
+    reason: str  # of a failure or a warning, in words; else empty
     q: Array | None  # (joints,), rad, the robot file's own; None before the first position
     t: float | None  # s, host's monotonic clock, when that was so
     age: float | None  # s since then
@@ -141,10 +139,10 @@ class GripperState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class GripperStatus:
-    """How the gripper is."""
+    """Status of the gripper."""
 
     state: GripperState
-    reason: str  # what there is to say, in words; empty where all is well
+    reason: str  # of a failure or a warning, in words; else empty
     opening: float | None  # m between the fingers, of the widest; None before the first reading
     contacts: int  # fingers that something stopped while they closed
     t: float | None  # s, host's monotonic clock, of the last reading
@@ -152,7 +150,7 @@ class GripperStatus:
 
 
 class Gripper(Protocol):
-    """A gripper that tells by its own sensors whether it has something."""
+    """A gripper whose own sensors tell whether it holds something."""
 
     def activate(self, reset: bool = False) -> None:
         """Make it ready: every finger moves over its full travel, so nothing may be in between.
@@ -202,11 +200,11 @@ class Gripper(Protocol):
         ...
 
 
-OPEN_WAIT = 0.005  # s: a port in this room is open by then, and nobody has to ask again
+OPEN_WAIT = 0.005  # s: a port nearby is open by then, at the first call
 
 
 class BackgroundOpener:
-    """Opens a port without making anybody wait for a computer that does not answer.
+    """Opens a port in a thread of its own: a computer that does not answer delays no control loop.
 
     Args:
         open_port: opens it; may take a second.

@@ -1,6 +1,6 @@
-"""What the loop makes of the target: its place in the base, where to hover, and a plan.
+"""Keep the target's place in the base, the goal above it, and the grasp planned for it.
 
-What one cycle of the loop saw, ordered and read.
+`LoopCycle` is what one cycle of the loop measured, ordered and read.
 """
 
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ import numpy as np
 
 from verify.core.records import Array, StereoPair
 from verify.core.rig import Rig
+from verify.devices.protocols import EncoderReading
 from verify.grasping.actuators.protocols import GripperStatus
 from verify.grasping.control.states import GraspState
 from verify.grasping.planning.object import GraspObject, GraspRefusal, object_from_target
@@ -21,6 +22,10 @@ from verify.grasping.planning.plan import (
 )
 from verify.grasping.tracking.target import TargetObservation
 
+REPLAN_PERIOD = 0.5  # s between two attempts to plan
+MAX_TARGET_SHIFT = 1e-3  # m; a target that moved farther is planned for anew
+DEADBAND = 4e-3  # rad: a still target's noise moves no joint
+
 
 @dataclass(frozen=True, slots=True)
 class TargetState:
@@ -28,30 +33,23 @@ class TargetState:
 
     thing: GraspObject
     velocity: Array  # (3,), m/s
-    tracked: bool  # seen whole, now
+    tracked: bool  # wholly in view of both cameras, now
 
 
 @dataclass(frozen=True, slots=True)
 class LoopCycle:
-    """One turn of the loop; times on its clock, s."""
+    """One cycle of the loop; times on its clock, s."""
 
     t: float
     state: GraspState
     reason: str  # why it is in that state
     pair: StereoPair | None  # None: no new pictures
-    seen: TargetObservation | None
-    known: TargetState | None
+    observation: TargetObservation | None  # of that pair
+    target: TargetState | None
     q: Array | None  # (n,), rad, read
     q_ordered: Array | None  # (n,), rad
     gripper: GripperStatus | None
     took: float  # s that the cycle worked, by the computer's own clock
-
-
-REPLAN_PERIOD = 0.5  # s between two attempts to plan
-MAX_TARGET_SHIFT = (
-    1e-3  # m by which a planned target may be elsewhere by now, or it is planned anew
-)
-DEADBAND = 4e-3  # rad: a still target's noise moves no joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,47 +73,50 @@ class Aim:
         self._setup, self._rig = setup, rig
         self._hover = HoverPlanner(setup)
         self._goal: JointGoal | None = None
-        self._asked = -np.inf
-        self.known: TargetState | None = None
+        self._planned_at = -np.inf  # s, of the last goal
+        self.target: TargetState | None = None
         self.planned: PlanAttempt | None = None
         self.unreachable = ""
 
     @property
     def plan(self) -> GraspPlan | None:
         """The plan for where the target stands now."""
-        if self.planned is None or isinstance(self.planned.answer, GraspRefusal):
-            return None
-        return self.planned.answer
+        answer = None if self.planned is None else self.planned.answer
+        return answer if isinstance(answer, GraspPlan) else None
 
-    def see(self, seen: TargetObservation) -> None:
-        """Take in what a pair says."""
-        self.known = None
-        if np.isfinite(seen.centre).all():
-            thing = object_from_target(seen, self._rig, self._setup.cell.approach.direction)
-            velocity = self._rig.rig_T_base[:3, :3].T @ seen.velocity
-            self.known = TargetState(thing, velocity, seen.status == "tracked")
+    def update_target(self, observation: TargetObservation) -> None:
+        """Take the target's measurement of one pair."""
+        self.target = None
+        if np.isfinite(observation.centre).all():
+            direction = self._setup.cell.approach.direction
+            thing = object_from_target(observation, self._rig, direction)
+            velocity = self._rig.rig_T_base[:3, :3].T @ observation.velocity
+            self.target = TargetState(thing, velocity, observation.status == "tracked")
+
+    def update_hand(self, pair: StereoPair | None, reading: EncoderReading | None) -> None:
+        """Take the newest pictures and joint angles; this aim does not measure the hand."""
 
     def hover(self, now: float, q: Array, *, still: bool) -> JointGoal | None:
-        """Say where the joints should be to stand above the target; None where it cannot be told.
+        """Find where the joints should be to stand above the target; None where it is not known.
 
         Args:
             now: s.
             q: (n,), rad, ordered last.
             still: the target stands still.
         """
-        if self.known is None or (self.unreachable and now - self._asked < REPLAN_PERIOD):
+        if self.target is None or (self.unreachable and now - self._planned_at < REPLAN_PERIOD):
             return self._goal
-        self._asked = now
-        velocity = np.zeros(3) if still else self.known.velocity
-        goal = self._hover.goal(self.known.thing.position, velocity, q)
+        self._planned_at = now
+        velocity = np.zeros(3) if still else self.target.velocity
+        goal = self._hover.goal(self.target.thing.position, velocity, q)
         if isinstance(goal, GraspRefusal):
             self.unreachable, self._goal = goal.reason, None
             return None
-        if not self._refused:
+        if self.planned is None or self.plan is not None:
             self.unreachable = ""
-        stays = still and self._goal is not None and np.abs(goal.q - self._goal.q).max() < DEADBAND
-        if stays and self._goal is not None:
-            goal = JointGoal(self._goal.q, np.zeros_like(goal.q))
+        last = self._goal
+        if still and last is not None and np.abs(goal.q - last.q).max() < DEADBAND:
+            goal = JointGoal(last.q, np.zeros_like(goal.q))
         self._goal = goal
         return goal
 
@@ -126,34 +127,29 @@ class Aim:
             now: s.
             q: (n,), rad, where the arm stands, at rest.
         """
-        if self.known is None or not self.known.tracked:
+        if self.target is None or not self.target.tracked:
             return
+        thing = self.target.thing
         if self.planned is not None:
-            moved = np.linalg.norm(self.known.thing.position - self.planned.thing.position)
+            moved = np.linalg.norm(thing.position - self.planned.thing.position)
             if now - self.planned.t < REPLAN_PERIOD or (
                 self.plan is not None and moved < MAX_TARGET_SHIFT
             ):
                 return
-        answer = plan_grasp(self._setup, self.known.thing, q)
-        self.planned = PlanAttempt(now, self.known.thing, answer)
+        answer = plan_grasp(self._setup, thing, q)
+        self.planned = PlanAttempt(now, thing, answer)
         self.unreachable = answer.reason if isinstance(answer, GraspRefusal) else ""
 
     def forget(self) -> None:
-        """Let the plan go: the target, or the arm, is on its way."""
+        """Drop the plan: the target, or the arm, moves."""
         self.planned = None
 
-    def moved_off(self) -> str:
-        """Say whether the target has left the place that the grasp was planned for."""
-        if self.plan is None or self.planned is None or self.known is None:
+    def target_shift(self) -> str:
+        """Say that the target has left the place that the grasp was planned for; else ""."""
+        if self.plan is None or self.planned is None or self.target is None:
             return ""
-        if not self.known.tracked:
-            return ""
-        aside = self.known.thing.position - self.planned.thing.position
-        moved, room = float(np.linalg.norm(aside)), self.plan.margin.across / 2
-        if moved < room:
+        shift = self.target.thing.position - self.planned.thing.position
+        moved = float(np.linalg.norm(shift))
+        if not self.target.tracked or moved < self.plan.margin.across / 2:
             return ""
         return f"the target has moved {1e3 * moved:.0f} mm away from where it was to be grasped"
-
-    @property
-    def _refused(self) -> bool:
-        return self.planned is not None and isinstance(self.planned.answer, GraspRefusal)

@@ -1,7 +1,8 @@
-"""The end point under the cameras' own eyes: the arm is measured above the object, then corrected.
+"""Aim with the hand measured above the object by the flange's LEDs, and the end point corrected.
 
-Target and hand are seen by the same cameras: what the rig, the base's registration or the arm's
-joints are off moves both, or is seen. Without LEDs in sight it goes on as ever, and says so.
+Target and hand are measured by the same cameras: an error of the rig, of the base's registration or
+of the arm's joints moves both, or is measured. Without LEDs in view the plan is made uncorrected,
+and the reason is stated.
 """
 
 from dataclasses import replace
@@ -12,8 +13,8 @@ import robots
 from robots.transforms import carry
 from verify.core.records import Array, StereoPair
 from verify.core.rig import Rig
+from verify.devices.protocols import EncoderReading
 from verify.grasping.control.aim import Aim
-from verify.grasping.control.run import PairSource
 from verify.grasping.planning.object import GraspRefusal, base_covariance
 from verify.grasping.planning.plan import GraspPlanner
 from verify.grasping.tool_offset.offset import (
@@ -30,28 +31,8 @@ from verify.grasping.tracking.target import TargetObservation
 NO_CORRECTION = "; nothing was corrected"
 
 
-class MonitoredSource:
-    """Pictures that the flange's watch sees too.
-
-    Args:
-        source: of the pictures.
-        watch: sees each pair before the loop does.
-    """
-
-    def __init__(self, source: PairSource, watch: FlangeWatch) -> None:
-        self._source, self._watch = source, watch
-
-    def pair(self) -> StereoPair | None:
-        """Give the newest pictures. See `PairSource.pair`."""
-        return self._watch.see(self._source.pair())
-
-    def wait(self) -> None:
-        """Let time pass. See `PairSource.wait`."""
-        self._source.wait()
-
-
 class ClosedLoopAim(Aim):
-    """An aim that looks at the hand before it plans, and corrects where it sends it.
+    """An aim that measures the hand before it plans, and corrects its end point.
 
     Args:
         setup: arm and cell.
@@ -64,19 +45,23 @@ class ClosedLoopAim(Aim):
         self._watch = watch
         self._hand: OffsetMeasurement | None = None
 
-    def see(self, seen: TargetObservation) -> None:
-        """Take in what a pair says. See `Aim.see`."""
-        super().see(seen)
-        self._tell()
+    def update_target(self, observation: TargetObservation) -> None:
+        """Take the target's measurement of one pair."""
+        super().update_target(observation)
+        self._attach_offset()
+
+    def update_hand(self, pair: StereoPair | None, reading: EncoderReading | None) -> None:
+        """Take the newest pictures and joint angles, for measuring the hand."""
+        self._watch.update(pair, reading)
 
     def forget(self) -> None:
-        """Let the plan go, and what was seen of the hand. See `Aim.forget`."""
+        """Drop the plan, and what was measured of the hand."""
         super().forget()
         self._watch.forget()
         self._hand = None
 
     def plan_now(self, now: float, q: Array) -> None:
-        """Look at the hand first, then plan. See `Aim.plan_now`.
+        """Measure the hand first, then plan.
 
         Args:
             now: s.
@@ -86,43 +71,39 @@ class ClosedLoopAim(Aim):
             gathered = self._watch.gather(now, q)
             if gathered is None:
                 return
-            self._hand = self._concluded(q, *gathered)
-            self._tell()
+            self._hand = self._measured_offset(q, *gathered)
+            self._attach_offset()
         super().plan_now(now, q)
-        if self._hand.used and self.planned is not None and self._no_way(self.planned.answer):
-            said = "the way to the corrected place is not clear"
-            self._hand = replace(self._hand, hand=None, reason=said + NO_CORRECTION)
-            self._tell()
+        answer = None if self.planned is None else self.planned.answer
+        no_way = isinstance(answer, GraspRefusal) and answer.kind in ("way", "reach")
+        if self._hand.used and no_way:
+            reason = "the way to the corrected place is not clear" + NO_CORRECTION
+            self._hand = replace(self._hand, hand=None, reason=reason)
+            self._attach_offset()
             self.planned = None
             super().plan_now(now, q)
 
-    @staticmethod
-    def _no_way(answer: object) -> bool:
-        return isinstance(answer, GraspRefusal) and answer.kind in ("way", "reach")
+    def _attach_offset(self) -> None:
+        """State the hand's offset with the object, for the planner."""
+        if self.target is not None:
+            self.target = replace(self.target, thing=replace(self.target.thing, offset=self._hand))
 
-    def _tell(self) -> None:
-        """Let whoever plans know of the hand."""
-        if self.known is not None:
-            self.known = replace(self.known, thing=replace(self.known.thing, seen=self._hand))
-
-    def _concluded(
+    def _measured_offset(
         self, q: Array, sights: tuple[FlangeMeasurement, ...], read: Array | None
     ) -> OffsetMeasurement:
-        arm = self._setup.arm
-        told = robots.forward(arm, q)
-        stood = None if read is None else robots.forward(arm, read)
+        arm, rig_T_base = self._setup.arm, self._rig.rig_T_base
+        ordered = robots.forward(arm, q)
         if read is None:
-            return OffsetMeasurement(
-                "the arm did not stand" + NO_CORRECTION, sights, told, None, None, None
-            )
-        found = average_sights(sights, told)
+            return OffsetMeasurement("the arm did not stand" + NO_CORRECTION, sights, ordered)
+        stood = robots.forward(arm, read)
+        found = average_sights(sights, ordered)
         if isinstance(found, str):
-            return OffsetMeasurement(found + NO_CORRECTION, sights, told, stood, None, None)
-        rig_R_base = self._rig.rig_T_base[:3, :3]
-        place = carry(self._rig.rig_T_base, told[:3, 3])
+            return OffsetMeasurement(found + NO_CORRECTION, sights, ordered, stood)
+        rig_R_base = rig_T_base[:3, :3]
+        place = carry(rig_T_base, ordered[:3, 3])
         base = rig_R_base.T @ base_covariance(self._rig, place) @ rig_R_base
         hand = tool_offset(found, arm, self._setup.cell, base, q, self._end(q))
-        return OffsetMeasurement(tool_offset_text(hand), sights, told, stood, found.pose, hand)
+        return OffsetMeasurement(tool_offset_text(hand), sights, ordered, stood, found.pose, hand)
 
     def _end(self, q: Array) -> Array:
         """Where the line down from here ends, (n,), rad; where there is none, here."""
@@ -135,7 +116,7 @@ class ClosedLoopAim(Aim):
 
 
 def tool_offset_text(hand: ToolOffset) -> str:
-    """Word what was seen of the hand, and what came of it."""
+    """State the hand's offset, and whether it was corrected."""
     length = float(np.linalg.norm(hand.off))
     u = np.sqrt(hand.off @ hand.covariance @ hand.off) / length if length > 0 else 0.0
     stood = f"the LEDs show the hand {1e3 * length:.2f} mm ± {2e3 * u:.2f} mm (k = 2) off"

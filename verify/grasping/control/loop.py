@@ -1,4 +1,4 @@
-"""The control loop: two pictures in, one set point out, as far as the state machine allows."""
+"""Run the control loop: two pictures in, one set point out, as far as the state machine allows."""
 
 import time
 from collections.abc import Callable
@@ -22,9 +22,9 @@ from verify.grasping.planning.plan import GraspPlanner
 from verify.grasping.tracking.target import TargetObservation
 from verify.grasping.tracking.track import TargetTracker
 
-SELECTABLE_STATES = {  # where another target may be chosen
-    GraspState.IDLE, GraspState.SEARCHING, GraspState.TRACKING, GraspState.HOLDING_STALE, GraspState.HOLDING_LOST,
-    GraspState.HOLDING_UNREACHABLE, GraspState.HOLDING_OPERATOR,
+SELECTABLE_STATES = {  # in which another target may be chosen
+    GraspState.IDLE, GraspState.SEARCHING, GraspState.TRACKING, GraspState.HOLDING_STALE,
+    GraspState.HOLDING_LOST, GraspState.HOLDING_UNREACHABLE, GraspState.HOLDING_OPERATOR,
 }  # fmt: skip
 
 
@@ -96,13 +96,13 @@ class GraspLoop:
             raise ValueError(f"no other target while the state is {self.machine.state.value}")
         self._tracker, self._tracked_t = tracker, None
         self.aim.forget()
-        self.aim.known, self.aim.unreachable = None, ""
+        self.aim.target, self.aim.unreachable = None, ""
         self.machine.still = self.machine.planned = False
 
     def start(self) -> None:
         """Take the arm's controls and make the gripper ready, where they may be used."""
         if self._hands is not None:
-            self._try(self._hands.arm.take_controls)
+            self._try(self._hands.arm.mover.take_controls)
             self._try(self._hands.gripper.activate)
 
     def tell(self, event: GraspEvent) -> str:
@@ -127,8 +127,11 @@ class GraspLoop:
         """
         began = time.perf_counter()
         now = self._clock()
-        seen = self._see(pair)
-        self._read()
+        observation = self._track(pair)
+        reading = self._joints()
+        if reading is not None:
+            self._q, self.joints_t = reading.q, reading.t_host
+        self.aim.update_hand(pair, reading)
         arm = self._devices(now)
         self._watchdog.observe(now, self._observed(arm))
         self._act(now)
@@ -137,48 +140,38 @@ class GraspLoop:
             self.machine.state,
             self.machine.reason,
             pair,
-            seen,
-            self.aim.known,
+            observation,
+            self.aim.target,
             self._q,
             None if self._hands is None else self._hands.arm.q,
             self._fingers,
             time.perf_counter() - began,
         )
 
-    def _see(self, pair: StereoPair | None) -> TargetObservation | None:
+    def _track(self, pair: StereoPair | None) -> TargetObservation | None:
         if pair is None:
             return None
         self.pictures_t = pair.t_left
         if self._tracker is None:
             return None
-        seen = self._tracker.step(pair)
-        if seen.status == "tracked":
+        observation = self._tracker.step(pair)
+        if observation.status == "tracked":
             self._tracked_t = pair.t_left
-        self.aim.see(seen)
-        return seen
-
-    def _read(self) -> None:
-        reading = self._joints()
-        if reading is not None:
-            self._q, self.joints_t = reading.q, reading.t_host
+        self.aim.update_target(observation)
+        return observation
 
     def _devices(self, now: float) -> MoverStatus | None:
         """Let the devices go on; start once they are ready."""
-        if self._hands is None:
-            if self._sees(now):
-                self._begin()
-            return None
-        self.arm, self._fingers = self._hands.arm.step(), self._hands.gripper.step()
-        ready = self._hands.arm.takes_orders and self._fingers.state is GripperState.READY
-        if ready and self._sees(now):
-            self._begin()
+        ready = True
+        if self._hands is not None:
+            self.arm, self._fingers = self._hands.arm.step(), self._hands.gripper.step()
+            ready = self._hands.arm.takes_orders and self._fingers.state is GripperState.READY
+        started = ready and self._inputs_fresh(now) and self.machine.tell(GraspEvent.START)
+        if started and self._hold_first:
+            self.machine.tell(GraspEvent.HOLD)
         return self.arm
 
-    def _begin(self) -> None:
-        if self.machine.tell(GraspEvent.START) and self._hold_first:
-            self.machine.tell(GraspEvent.HOLD)
-
-    def _sees(self, now: float) -> bool:
+    def _inputs_fresh(self, now: float) -> bool:
         """Pictures and joint angles have come, and are fresh."""
         if self.pictures_t is None or self.joints_t is None:
             return False
@@ -191,16 +184,16 @@ class GraspLoop:
             error = f"the arm: {arm.reason}"
         if self._fingers is not None and self._fingers.state is GripperState.FAILED:
             error = f"the gripper: {self._fingers.reason}"
-        known, state = self.aim.known, self.machine.state
+        target = self.aim.target
         hidden = self._near_object()
         unreachable = self.aim.unreachable
-        if state is GraspState.APPROACHING:
-            unreachable = "" if hidden else self.aim.moved_off()
+        if self.machine.state is GraspState.APPROACHING:
+            unreachable = "" if hidden else self.aim.target_shift()
         return Observation(
             self.pictures_t,
             self.joints_t,
             self._tracked_t,
-            known.thing.position if known is not None and known.tracked else None,
+            target.thing.position if target is not None and target.tracked else None,
             unreachable,
             error,
             hidden,

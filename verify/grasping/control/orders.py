@@ -1,4 +1,4 @@
-"""What each state asks of arm and gripper; what they have done is told to the machine."""
+"""Order arm and gripper what the state asks for, and tell the state machine what they have done."""
 
 from dataclasses import dataclass
 
@@ -28,19 +28,20 @@ class Actuators:
 
 
 class OrderDispatcher:
-    """Gives the orders of a state, a turn at a time.
+    """Gives the orders of a state, one cycle at a time.
 
     Args:
         setup: arm and cell.
-        aim: where to.
-        hands: arm and gripper.
-        machine: whose state asks for them.
+        aim: the goal above the target, and the plan.
+        actuators: arm and gripper.
+        machine: its state asks for the orders.
     """
 
     def __init__(
-        self, setup: GraspPlanner, aim: Aim, hands: Actuators, machine: StateMachine
+        self, setup: GraspPlanner, aim: Aim, actuators: Actuators, machine: StateMachine
     ) -> None:
-        self._setup, self._aim, self._hands, self._machine = setup, aim, hands, machine
+        self._setup, self._aim, self._machine = setup, aim, machine
+        self._arm, self._gripper = actuators.arm, actuators.gripper
         self._q: Array | None = None
         self._fingers: GripperStatus | None = None
 
@@ -52,61 +53,68 @@ class OrderDispatcher:
         Args:
             now: s.
             q: (n,), rad, as read last; None: never yet.
-            fingers: what the gripper says.
+            fingers: the gripper's status.
             entered: the state is a new one.
 
         Raises:
             MotionRefusedError, ValueError: a device refuses it.
         """
         self._q, self._fingers = q, fingers
-        arm, order = self._hands.arm, self._machine.order
+        arm, order = self._arm, self._machine.order
         if self._machine.state in AIMING_STATES and arm.q is not None:
-            self._stand_above(now, arm)
+            self._stand_above(now, arm.q)
         elif order is DeviceOrder.DESCEND:
-            self._descend(arm, entered=entered)
+            self._descend(entered=entered)
         elif order in (DeviceOrder.LIFT, DeviceOrder.RETREAT):
-            self._go_up(arm)
+            self._go_up()
         elif order in (DeviceOrder.CLOSE, DeviceOrder.CHECK, DeviceOrder.OPEN):
             arm.hold()
-            self._grip(self._hands.gripper, order, entered=entered)
+            self._grip(order, entered=entered)
         elif order is DeviceOrder.RELEASE:
             arm.hold()
             if arm.resting:
-                arm.release()
+                arm.mover.release()
                 self._machine.tell(GraspEvent.STOPPED)
         elif order is DeviceOrder.HOLD and arm.takes_orders:
-            self._stand(arm, self._hands.gripper)
+            arm.hold()
+            if fingers is not None and fingers.state is GripperState.MOVING:
+                self._gripper.stop()
 
-    def _stand_above(self, now: float, arm: DrivenArm) -> None:
+    def _stand_above(self, now: float, q_ordered: Array) -> None:
         """Stand above the target; plan the grasp once both are at rest."""
-        machine = self._machine
-        assert arm.q is not None
-        goal = self._aim.hover(now, arm.q, still=machine.still)
-        above, said = True, ""
+        machine, arm = self._machine, self._arm
+        goal = self._aim.hover(now, q_ordered, still=machine.still)
+        above, obstacle = True, ""
         if machine.state is GraspState.FOLLOWING and goal is not None:
-            said = arm.follow(goal)
+            obstacle = arm.follow(goal)
+            assert arm.q is not None  # it was ordered before
             above = bool(np.abs(goal.q - arm.q).max() < TOL_SAME_GOAL)
         else:
             arm.hold()
-        # something may be in the way of standing there: then it is planned for from here
-        settled = (above or bool(said)) and self._q is not None and arm.arrived(self._q)
+        # an obstacle may keep it from standing there: then it is planned for from here
+        settled = (above or bool(obstacle)) and self._arrived()
         ready = machine.still and settled
         if ready:
+            assert arm.q is not None
             self._aim.plan_now(now, arm.q)
         elif machine.state is GraspState.FOLLOWING:
             self._aim.forget()
         machine.planned = ready and self._aim.plan is not None
 
-    def _descend(self, arm: DrivenArm, *, entered: bool) -> None:
+    def _arrived(self) -> bool:
+        return self._q is not None and self._arm.arrived(self._q)
+
+    def _descend(self, *, entered: bool) -> None:
         plan = self._aim.plan
         assert plan is not None  # the machine asks for one
         if entered:
-            arm.begin(plan.over, plan.down)
-        arm.go()
-        if self._q is not None and arm.arrived(self._q):
+            self._arm.begin(plan.over, plan.down)
+        self._arm.go()
+        if self._arrived():
             self._machine.tell(GraspEvent.AT_OBJECT)
 
-    def _go_up(self, arm: DrivenArm) -> None:
+    def _go_up(self) -> None:
+        arm = self._arm
         holds = self._fingers is not None and self._fingers.state is GripperState.GRIPPED
         if self._machine.state is GraspState.LIFTING and not holds:
             self._machine.tell(GraspEvent.NOTHING_HELD)
@@ -116,11 +124,11 @@ class OrderDispatcher:
                 return
             arm.begin_back()
         arm.go()
-        if self._q is not None and arm.arrived(self._q):
+        if self._arrived():
             self._machine.tell(GraspEvent.AT_TOP)
 
-    def _grip(self, gripper: Gripper, order: DeviceOrder, *, entered: bool) -> None:
-        fingers = self._fingers
+    def _grip(self, order: DeviceOrder, *, entered: bool) -> None:
+        gripper, fingers = self._gripper, self._fingers
         assert fingers is not None  # read before every order
         if order is DeviceOrder.CHECK:
             held = fingers.state is GripperState.GRIPPED
@@ -135,8 +143,3 @@ class OrderDispatcher:
             gripper.open_to(self._setup.cell.gripper.opening)
         elif order is DeviceOrder.OPEN and fingers.state is GripperState.REACHED:
             self._machine.tell(GraspEvent.OPENED)
-
-    def _stand(self, arm: DrivenArm, gripper: Gripper) -> None:
-        arm.hold()
-        if self._fingers is not None and self._fingers.state is GripperState.MOVING:
-            gripper.stop()

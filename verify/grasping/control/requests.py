@@ -1,7 +1,6 @@
-"""What the operator asks for from somewhere else: kept until the loop takes it between two turns.
+"""Keep the operator's requests of other threads until the loop takes them between two cycles.
 
-A request is words: nothing in here moves anything, and what becomes of an order is the state
-machine's to say, as with a key.
+Nothing here moves anything; whether an order counts, the state machine decides, as with a key.
 """
 
 import threading

@@ -1,4 +1,4 @@
-"""A grab from its start to a named end: the loop, turn by turn, and who looks on."""
+"""Run the control loop from the start of a grasp to a named end."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ RELEASE_TIMEOUT = 10.0  # s for coming to rest and giving the controls back
 
 
 class PairSource(Protocol):
-    """Where pictures come from, and when the next turn is due."""
+    """Where pictures come from, and when the next cycle is due."""
 
     def pair(self) -> StereoPair | None:
         """Give the newest pictures; None where there are no new ones."""
         ...
 
     def wait(self) -> None:
-        """Let time pass until the next turn."""
+        """Let time pass until the next cycle."""
         ...
 
 
@@ -69,12 +69,13 @@ def run(
         loop: not started yet.
         source: of pictures.
         ends: when it is over.
-        look: sees every cycle.
+        look: called with every cycle.
         orders: what the operator has ordered since it was last asked.
-        say: told why an order does not count.
+        say: called with the reason why an order does not count.
         stop: whether the operator wants it to end.
     """
     loop.start()
+    machine = loop.machine
     began: float | None = None
     count, over_since, stopped = 0, None, False
     while True:
@@ -86,36 +87,25 @@ def run(
             if said := loop.tell(event):
                 say(said)
         stopped = stop()
-        over = _is_finished(loop, ends)
-        if over and over_since is None:
-            over_since = cycle.t
-        elif not over:
+        if not _is_finished(loop, ends):
             over_since = None
+        elif over_since is None:
+            over_since = cycle.t
         lingered = over_since is not None and cycle.t - over_since >= END_DELAY
-        if (
-            lingered
-            or stopped
-            or cycle.t - began >= ends.duration
-            or _is_waiting(loop, cycle.t, ends)
-        ):
+        held = machine.state in HOLDING_STATES and cycle.t - machine.since > ends.patience
+        if lingered or stopped or held or cycle.t - began >= ends.duration:
             break
         source.wait()
-    state, reason = loop.machine.state, loop.machine.reason
+    state, reason = machine.state, machine.reason
     count += _release(loop, source, look)
-    passages = tuple(loop.machine.log)
-    released = loop.machine.state is GraspState.RELEASED
-    return GraspOutcome(state, reason, released, passages, count, stopped)
+    released = machine.state is GraspState.RELEASED
+    return GraspOutcome(state, reason, released, tuple(machine.log), count, stopped)
 
 
 def _is_finished(loop: GraspLoop, ends: StopConditions) -> bool:
     """It has ended, or nothing may move and the plan, or why there is none, is known."""
     planned = ends.planned and not loop.may_move and loop.aim.planned is not None
     return loop.machine.state in END_STATES or planned
-
-
-def _is_waiting(loop: GraspLoop, now: float, ends: StopConditions) -> bool:
-    machine = loop.machine
-    return machine.state in HOLDING_STATES and now - machine.since > ends.patience
 
 
 def _release(loop: GraspLoop, source: PairSource, look: CycleCallback) -> int:

@@ -1,11 +1,7 @@
-"""The states of a grab and every way from one to another, as data.
+"""Define the states of a grasp, every transition between them, and the machine that takes them.
 
-Nothing here moves anything: a state says what may be ordered while it lasts. Every transition
-stands in TRANSITIONS; what does not is no transition, and is ignored.
-
-The table of transitions: which event leads from where to where, what it needs, and why.
-
-The machine that walks the table: one state at a time, each passage kept with its reason.
+A state alone says what may be ordered while it lasts (ORDERS). Every transition stands in
+TRANSITIONS, with its event, its conditions and its reason; any other event is ignored.
 """
 
 from collections.abc import Callable
@@ -100,8 +96,8 @@ class Transition:
     source: GraspState
     event: GraspEvent
     target: GraspState
-    needs: frozenset[TransitionCondition]
     because: str
+    needs: frozenset[TransitionCondition] = frozenset()
 
 
 ORDERS: dict[GraspState, DeviceOrder] = {
@@ -132,10 +128,9 @@ FINGER_ORDERS = frozenset({DeviceOrder.CLOSE, DeviceOrder.OPEN})
 MOVING_STATES = frozenset(s for s, order in ORDERS.items() if order in ARM_ORDERS | FINGER_ORDERS)
 
 
-S, E = GraspState, GraspEvent
-NO_CONDITION: frozenset[TransitionCondition] = frozenset()
-HAND_HIGH = frozenset({TransitionCondition.HIGH})
-HAND_LOW = frozenset({TransitionCondition.LOW})
+S, E, C, T = GraspState, GraspEvent, TransitionCondition, Transition
+HAND_HIGH, HAND_LOW = frozenset({C.HIGH}), frozenset({C.LOW})
+LOW_REASON = "the hand is low: a person decides"
 
 # what needs pictures: a camera that dies holds all of them
 PICTURE_STATES = (
@@ -146,110 +141,81 @@ PICTURE_STATES = (
 TARGET_STATES = (S.FOLLOWING, S.APPROACHING, S.HOLDING_UNREACHABLE)
 # what takes a time that is known beforehand
 TIMED_STATES = (
-    S.APPROACHING,
-    S.CLOSING,
-    S.CHECKING,
-    S.LIFTING,
-    S.OPENING,
-    S.RETREATING,
-    S.RELEASING,
-)
+    S.APPROACHING, S.CLOSING, S.CHECKING, S.LIFTING, S.OPENING, S.RETREATING, S.RELEASING,
+)  # fmt: skip
 HOLDABLE_STATES = (*PICTURE_STATES, S.HOLDING_STALE)
 RUNNING_STATES = tuple(s for s in S if s not in (S.IDLE, S.FAULT, S.RELEASING, S.RELEASED))
 
 
-def _transition(
-    source: GraspState,
-    event: GraspEvent,
-    target: GraspState,
-    because: str,
-    needs: frozenset[TransitionCondition] = NO_CONDITION,
-) -> Transition:
-    return Transition(source, event, target, needs, because)
-
-
 _GRASP_TRANSITIONS = (
-    _transition(S.IDLE, E.START, S.SEARCHING, "cameras and target are there"),
-    _transition(S.SEARCHING, E.FOUND, S.TRACKING, "both cameras see the target"),
-    _transition(S.TRACKING, E.LOST, S.SEARCHING, "nothing moves yet: it is looked for again"),
-    _transition(
+    T(S.IDLE, E.START, S.SEARCHING, "cameras and target are there"),
+    T(S.SEARCHING, E.FOUND, S.TRACKING, "both cameras see the target"),
+    T(S.TRACKING, E.LOST, S.SEARCHING, "nothing moves yet: it is looked for again"),
+    T(
         S.TRACKING, E.FOLLOW, S.FOLLOWING, "the arm may move, and goes above the target",
-        frozenset({TransitionCondition.EXECUTE, TransitionCondition.HIGH}),
+        frozenset({C.EXECUTE, C.HIGH}),
     ),
-    _transition(
+    T(
         S.FOLLOWING, E.GRAB, S.APPROACHING, "the target stands still and the grasp is planned",
-        frozenset({TransitionCondition.EXECUTE, TransitionCondition.STILL, TransitionCondition.PLANNED}),
+        frozenset({C.EXECUTE, C.STILL, C.PLANNED}),
     ),
-    _transition(S.APPROACHING, E.AT_OBJECT, S.CLOSING, "the line down is done"),
-    _transition(S.CLOSING, E.CLOSED, S.CHECKING, "the fingers came to rest"),
-    _transition(S.CHECKING, E.HELD, S.LIFTING, "the gripper's status says so, not a timer"),
-    _transition(S.LIFTING, E.AT_TOP, S.LIFTED, "the object came along"),
-    _transition(S.CHECKING, E.NOTHING_HELD, S.OPENING, "the fingers met nothing"),
-    _transition(S.LIFTING, E.NOTHING_HELD, S.RETREATING, "the object slipped on the way up"),
-    _transition(S.OPENING, E.OPENED, S.RETREATING, "up the way it came"),
-    _transition(S.RETREATING, E.AT_TOP, S.MISSED, "empty, and out of the way"),
-    _transition(S.MISSED, E.RESUME, S.SEARCHING, "the operator wants another try", HAND_HIGH),
+    T(S.APPROACHING, E.AT_OBJECT, S.CLOSING, "the line down is done"),
+    T(S.CLOSING, E.CLOSED, S.CHECKING, "the fingers came to rest"),
+    T(S.CHECKING, E.HELD, S.LIFTING, "the gripper's status says so, not a timer"),
+    T(S.LIFTING, E.AT_TOP, S.LIFTED, "the object came along"),
+    T(S.CHECKING, E.NOTHING_HELD, S.OPENING, "the fingers met nothing"),
+    T(S.LIFTING, E.NOTHING_HELD, S.RETREATING, "the object slipped on the way up"),
+    T(S.OPENING, E.OPENED, S.RETREATING, "up the way it came"),
+    T(S.RETREATING, E.AT_TOP, S.MISSED, "empty, and out of the way"),
+    T(S.MISSED, E.RESUME, S.SEARCHING, "the operator wants another try", HAND_HIGH),
 )  # fmt: skip
 
 _RESUME_TRANSITIONS = (
-    _transition(S.HOLDING_STALE, E.FRESH, S.SEARCHING, "pictures and joints are fresh again", HAND_HIGH),
-    _transition(S.HOLDING_STALE, E.FRESH, S.HOLDING_OPERATOR, "the hand is low: a person decides", HAND_LOW),
-    _transition(S.HOLDING_LOST, E.FOUND, S.TRACKING, "the target was found again", HAND_HIGH),
-    _transition(S.HOLDING_LOST, E.FOUND, S.HOLDING_OPERATOR, "the hand is low: a person decides", HAND_LOW),
-    _transition(S.HOLDING_UNREACHABLE, E.REACHABLE, S.TRACKING, "the target can be reached again", HAND_HIGH),
-    _transition(
+    T(S.HOLDING_STALE, E.FRESH, S.SEARCHING, "pictures and joints are fresh again", HAND_HIGH),
+    T(S.HOLDING_STALE, E.FRESH, S.HOLDING_OPERATOR, LOW_REASON, HAND_LOW),
+    T(S.HOLDING_LOST, E.FOUND, S.TRACKING, "the target was found again", HAND_HIGH),
+    T(S.HOLDING_LOST, E.FOUND, S.HOLDING_OPERATOR, LOW_REASON, HAND_LOW),
+    T(S.HOLDING_UNREACHABLE, E.REACHABLE, S.TRACKING, "the target can be reached again", HAND_HIGH),
+    T(
         S.HOLDING_UNREACHABLE, E.REACHABLE, S.HOLDING_OPERATOR,
-        "the hand is low: a person decides", HAND_LOW,
+        LOW_REASON, HAND_LOW,
     ),
-    _transition(S.HOLDING_OPERATOR, E.RESUME, S.SEARCHING, "the operator lets it go on", HAND_HIGH),
-    _transition(
+    T(S.HOLDING_OPERATOR, E.RESUME, S.SEARCHING, "the operator lets it go on", HAND_HIGH),
+    T(
         S.HOLDING_OPERATOR, E.RESUME, S.LIFTING, "the operator lets it lift what it holds",
-        frozenset({TransitionCondition.EXECUTE, TransitionCondition.LOW, TransitionCondition.CARRYING}),
+        frozenset({C.EXECUTE, C.LOW, C.CARRYING}),
     ),
-    _transition(
+    T(
         S.HOLDING_OPERATOR, E.RETREAT, S.OPENING, "the operator sends the empty hand up",
-        frozenset({TransitionCondition.EXECUTE, TransitionCondition.LOW, TransitionCondition.EMPTY}),
+        frozenset({C.EXECUTE, C.LOW, C.EMPTY}),
     ),
 )  # fmt: skip
 
 _FAULT_TRANSITIONS = (
+    *(T(s, E.STALE, S.HOLDING_STALE, "nothing moves on old pictures") for s in PICTURE_STATES),
+    *(T(s, E.LOST, S.HOLDING_LOST, "the target is out of sight") for s in TARGET_STATES),
     *(
-        _transition(s, E.STALE, S.HOLDING_STALE, "nothing moves on old pictures")
-        for s in PICTURE_STATES
-    ),
-    *(_transition(s, E.LOST, S.HOLDING_LOST, "the target is out of sight") for s in TARGET_STATES),
-    *(
-        _transition(s, E.UNREACHABLE, S.HOLDING_UNREACHABLE, "no safe way leads to the target")
+        T(s, E.UNREACHABLE, S.HOLDING_UNREACHABLE, "no safe way leads to the target")
         for s in (S.TRACKING, S.FOLLOWING, S.APPROACHING)
     ),
-    *(_transition(s, E.TIME_OUT, S.FAULT, "it took longer than it may") for s in TIMED_STATES),
-    *(_transition(s, E.HOLD, S.HOLDING_OPERATOR, "the operator's order") for s in HOLDABLE_STATES),
+    *(T(s, E.TIME_OUT, S.FAULT, "it took longer than it may") for s in TIMED_STATES),
+    *(T(s, E.HOLD, S.HOLDING_OPERATOR, "the operator's order") for s in HOLDABLE_STATES),
     *(
-        _transition(s, E.DEVICE_ERROR, S.FAULT, "a device said so, or fell silent")
-        for s in RUNNING_STATES
+        T(s, E.DEVICE_ERROR, S.FAULT, "a device said so, or fell silent")
+        for s in (*RUNNING_STATES, S.RELEASING, S.IDLE)
     ),
 )
 
 _END_TRANSITIONS = (
-    *(
-        _transition(s, E.INTERRUPT, S.RELEASING, "hold, then give the controls back")
-        for s in RUNNING_STATES
-    ),
-    _transition(S.RELEASING, E.STOPPED, S.RELEASED, "the arm is at rest"),
-    _transition(S.RELEASING, E.DEVICE_ERROR, S.FAULT, "a device said so, or fell silent"),
-    _transition(S.IDLE, E.DEVICE_ERROR, S.FAULT, "a device said so, or fell silent"),
-    _transition(S.IDLE, E.INTERRUPT, S.RELEASED, "nothing was taken"),
-    _transition(S.FAULT, E.INTERRUPT, S.RELEASED, "the operator ends it"),
+    *(T(s, E.INTERRUPT, S.RELEASING, "hold, then give the controls back") for s in RUNNING_STATES),
+    T(S.RELEASING, E.STOPPED, S.RELEASED, "the arm is at rest"),
+    T(S.IDLE, E.INTERRUPT, S.RELEASED, "nothing was taken"),
+    T(S.FAULT, E.INTERRUPT, S.RELEASED, "the operator ends it"),
 )
 
 TRANSITIONS: tuple[Transition, ...] = (
-    *_GRASP_TRANSITIONS,
-    *_RESUME_TRANSITIONS,
-    *_FAULT_TRANSITIONS,
-    *_END_TRANSITIONS,
-)
-
-
+    *_GRASP_TRANSITIONS, *_RESUME_TRANSITIONS, *_FAULT_TRANSITIONS, *_END_TRANSITIONS,
+)  # fmt: skip
 TRANSITIONS_BY_EVENT = {
     (source, event): [t for t in TRANSITIONS if (t.source, t.event) == (source, event)]
     for source, event in {(t.source, t.event) for t in TRANSITIONS}
@@ -264,11 +230,11 @@ class StateChange:
     source: GraspState
     event: GraspEvent
     target: GraspState
-    reason: str  # what the one who told the event said, else the table's own words
+    reason: str  # given with the event, else the table's own
 
 
 class StateMachine:
-    """Where a grab stands; orders follow from the state and from nothing else.
+    """The state of a grasp; orders follow from the state and from nothing else.
 
     Args:
         execute: the right to move: without it no state that moves arm or fingers is ever reached.
@@ -282,8 +248,8 @@ class StateMachine:
         self.reason = ""
         self.low = False  # the hand is down at the object, or may be
         self.carrying = False  # the gripper said that it holds an object
-        self.still = False  # the target stands still; whoever watches it says so
-        self.planned = False  # there is a checked grasp of it; whoever plans says so
+        self.still = False  # the target stands still; set by the watchdog
+        self.planned = False  # there is a checked grasp of it; set by the loop
         self.log: list[StateChange] = []
 
     @property
@@ -301,10 +267,10 @@ class StateMachine:
         for way in TRANSITIONS_BY_EVENT.get((self.state, event), []):
             if all(self._has(need) for need in way.needs):
                 now = self._clock()
-                said = reason or way.because
-                self.log.append(StateChange(now, self.state, event, way.target, said))
-                self._take_note(event, way.target)
-                self.state, self.since, self.reason = way.target, now, said
+                reason = reason or way.because
+                self.log.append(StateChange(now, self.state, event, way.target, reason))
+                self._update_hand_state(event, way.target)
+                self.state, self.since, self.reason = way.target, now, reason
                 return True
         return False
 
@@ -325,7 +291,7 @@ class StateMachine:
             TransitionCondition.EMPTY: not self.carrying,
         }[need]
 
-    def _take_note(self, event: GraspEvent, target: GraspState) -> None:
+    def _update_hand_state(self, event: GraspEvent, target: GraspState) -> None:
         if target is GraspState.APPROACHING:
             self.low = True
         if event is GraspEvent.AT_TOP:

@@ -1,4 +1,4 @@
-"""The watchdog: what the machine is told of pictures, joints, target and devices, every cycle."""
+"""Tell the state machine every cycle of stale pictures or joints, a lost target, failed devices."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -12,26 +12,26 @@ from verify.grasping.control.states import TIMED_STATES, GraspEvent, GraspState,
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What is known at one cycle; times are on the machine's clock, s, None: never yet."""
+    """Inputs of one cycle; times are on the machine's clock, s, None: never yet."""
 
     pictures_t: float | None  # when the newest pair was taken
     joints_t: float | None  # when the newest joint angles were read
     tracked_t: float | None  # when the target was last tracked
     position: Array | None = None  # (3,), m, of the target in that pair; None: not tracked in it
-    unreachable: str = ""  # why the target cannot be reached; empty: it can, or nobody knows
-    device_error: str = ""  # what a device complains of; empty: nothing
+    unreachable: str = ""  # why the target cannot be reached; empty: it can, or is not known
+    device_error: str = ""  # of a device that failed; empty: none
     hidden: bool = False  # the hand is so near the object that it may hide it
 
 
 class StillWatch:
-    """Has the target stood still? All its places of the last while lie close together."""
+    """Whether the target stands still: all its recent places lie close together."""
 
     def __init__(self, wanted: StillnessCriterion) -> None:
         self._wanted = wanted
         self._places: deque[tuple[float, Array]] = deque()
 
     def see(self, t: float, position: Array | None) -> bool:
-        """Take in a place (3,), m, at t, s; None: not tracked, and the wait begins anew."""
+        """Take a place (3,), m, at t, s; None: not tracked, and the wait begins anew."""
         if position is None:
             self._places.clear()
             return False
@@ -48,10 +48,10 @@ class StillWatch:
 
 
 class Watchdog:
-    """Tells the machine what it must know; times out what takes too long.
+    """Sends the machine its events of time and of missing inputs.
 
     Args:
-        machine: told.
+        machine: receives them.
         limits: after how long nothing is trusted any more.
         still: when a target counts as still.
         auto: grab as soon as it does; else that is the operator's.
@@ -68,61 +68,56 @@ class Watchdog:
         self._machine, self._limits, self._auto = machine, limits, auto
         self._still = StillWatch(still)
 
-    def observe(self, now: float, seen: Observation) -> GraspState:
-        """Take in one cycle's observation: what is bad first, what is good only if nothing is.
+    def observe(self, now: float, inputs: Observation) -> GraspState:
+        """Take one cycle's inputs: bad events first, good ones only if there is no bad one.
 
         Args:
             now: s, the machine's clock.
-            seen: what is known.
+            inputs: pictures, joints, target and devices.
         """
         machine = self._machine
-        taken = now if seen.pictures_t is None else seen.pictures_t
-        machine.still = self._still.see(taken, seen.position)
-        broken, old, lost = (
-            self._broken(now, seen),
-            self._outdated(now, seen),
-            self._lost(now, seen),
-        )
+        taken = now if inputs.pictures_t is None else inputs.pictures_t
+        machine.still = self._still.see(taken, inputs.position)
+        limits = self._limits
+        broken, lost = self._broken(now, inputs), self._lost(now, inputs)
+        old = [
+            *_stale_reason("pictures", now, inputs.pictures_t, limits.stale),
+            *_stale_reason("joint angles", now, inputs.joints_t, limits.joints),
+        ]
         for event, reason in (
             *broken,
-            *((GraspEvent.STALE, said) for said in old),
-            *((GraspEvent.LOST, said) for said in lost),
-            *((GraspEvent.UNREACHABLE, said) for said in (seen.unreachable,) if said),
+            *((GraspEvent.STALE, reason) for reason in old),
+            *((GraspEvent.LOST, reason) for reason in lost),
         ):
             machine.tell(event, reason)
+        if inputs.unreachable:
+            machine.tell(GraspEvent.UNREACHABLE, inputs.unreachable)
         if broken or old:
             return machine.state
         machine.tell(GraspEvent.FRESH)
-        if lost or seen.position is None:
+        if lost or inputs.position is None:
             return machine.state
         machine.tell(GraspEvent.FOUND)
-        if not seen.unreachable:
+        if not inputs.unreachable:
             machine.tell(GraspEvent.REACHABLE)
             machine.tell(GraspEvent.FOLLOW)
             if self._auto:
                 machine.tell(GraspEvent.GRAB)
         return machine.state
 
-    def _broken(self, now: float, seen: Observation) -> list[tuple[GraspEvent, str]]:
+    def _broken(self, now: float, inputs: Observation) -> list[tuple[GraspEvent, str]]:
         machine, longest = self._machine, self._limits.moving
         broken = []
-        if seen.device_error:
-            broken.append((GraspEvent.DEVICE_ERROR, seen.device_error))
+        if inputs.device_error:
+            broken.append((GraspEvent.DEVICE_ERROR, inputs.device_error))
         if machine.state in TIMED_STATES and now - machine.since > longest:
             broken.append((GraspEvent.TIME_OUT, f"{machine.state} took over {longest:g} s"))
         return broken
 
-    def _outdated(self, now: float, seen: Observation) -> list[str]:
-        limits = self._limits
-        return [
-            *_stale_reason("pictures", now, seen.pictures_t, limits.stale),
-            *_stale_reason("joint angles", now, seen.joints_t, limits.joints),
-        ]
-
-    def _lost(self, now: float, seen: Observation) -> list[str]:
-        if seen.hidden and self._machine.state is GraspState.APPROACHING:
+    def _lost(self, now: float, inputs: Observation) -> list[str]:
+        if inputs.hidden and self._machine.state is GraspState.APPROACHING:
             return []
-        return _stale_reason("sight of the target", now, seen.tracked_t, self._limits.lost)
+        return _stale_reason("sight of the target", now, inputs.tracked_t, self._limits.lost)
 
 
 def _stale_reason(what: str, now: float, t: float | None, limit: float) -> list[str]:

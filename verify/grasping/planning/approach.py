@@ -1,4 +1,4 @@
-"""The straight line to an object: hand poses for a direction, and joint angles along the line."""
+"""Make the straight line to an object: hand poses of a direction, and joint angles along it."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,4 @@
-"""What is to be grasped: where it is in the robot's base, how well that is known, and how big.
-
-May the fingers go around it? Size and uncertainty of the object against the gripper.
-"""
+"""Carry the tracked object into the robot's base, and check that the gripper is sure to hold it."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -18,9 +15,7 @@ from verify.grasping.tracking.target import TargetObservation
 from verify.measurement.sensitivities import AXES
 from verify.measurement.systematics import BODY, unit
 
-MIN_UPRIGHT_COSINE = (
-    0.7  # |cosine| from which a picture's columns run along the approach: within 45°
-)
+MIN_UPRIGHT_COSINE = 0.7  # |cosine|: from there a picture's columns run along the approach
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +28,7 @@ class GraspObject:
     width_standard_uncertainty: float  # m
     length: float  # m, along the approach
     length_standard_uncertainty: float  # m
-    seen: OffsetMeasurement | None = None  # the hand, looked at above it; None: it was not
+    offset: OffsetMeasurement | None = None  # of the hand, measured above it; None: it was not
 
 
 def point_in_base(rig: Rig, point: Array, covariance: Array) -> tuple[Array, Array]:
@@ -57,20 +52,20 @@ def point_in_base(rig: Rig, point: Array, covariance: Array) -> tuple[Array, Arr
     return carry(base_T_rig, point), total
 
 
-def object_from_target(seen: TargetObservation, rig: Rig, direction: Array) -> GraspObject:
-    """Take a tracked target for the object to grasp.
+def object_from_target(target: TargetObservation, rig: Rig, direction: Array) -> GraspObject:
+    """Make the object to grasp of a tracked target.
 
-    Its size is seen across the line of sight. Where the pictures' columns (the rig's y) run within
-    45° of the approach, their extent is the length, and the rows' is the width; else both extents
-    are across it, and the greater one counts for both.
+    Its size is measured across the line of sight. Where the pictures' columns (the rig's y) run
+    within 45° of the approach, their extent is the length, and the rows' is the width; else both
+    extents are across it, and the greater one counts for both.
 
     Args:
-        seen: a target whose centre is known.
+        target: its centre is known.
         rig: with the robot's place.
         direction: (3,), unit vector of the approach, base frame.
     """
-    position, covariance = point_in_base(rig, seen.centre, seen.covariance)
-    size, u = seen.size, seen.size_standard_uncertainty
+    position, covariance = point_in_base(rig, target.centre, target.covariance)
+    size, u = target.size, target.size_standard_uncertainty
     down_rig = rig.rig_T_base[:3, :3] @ direction
     wide, long = (0, 1) if abs(down_rig[1]) > MIN_UPRIGHT_COSINE else (int(np.argmax(size)),) * 2
     return GraspObject(
@@ -84,7 +79,7 @@ def object_from_target(seen: TargetObservation, rig: Rig, direction: Array) -> G
 
 
 def base_covariance(rig: Rig, point: Array) -> Array:
-    """Covariance of a fixed point of the base, seen in the rig: what rig.toml states of the base.
+    """Covariance of a fixed point of the base in the rig, from what rig.toml states of the base.
 
     Args:
         rig: with the robot's place.
@@ -131,7 +126,7 @@ class GraspRefusal:
 class GripMargin:
     """What the gripper leaves and what is needed of it, m; expanded at the cell's coverage."""
 
-    grip: Array  # (3,), m, base frame: where the grip point is told to go
+    grip: Array  # (3,), m, base frame: the ordered grip point
     raised: float  # from the object's middle, against the approach, to keep the tips off the table
     across: float  # by which the object may be off sideways
     across_needed: float
@@ -182,9 +177,9 @@ def grip_margin(thing: GraspObject, cell: Cell) -> GripMargin | GraspRefusal:
     sideways = float(np.hypot(across, thing.width_standard_uncertainty / 2))
     grip, raised = _commanded_grip_point(thing, cell)
     if raised > hand.tips:
-        said = f"it lies too flat: its middle is {_mm(_height_above_table(thing, cell))} above the table, "
-        said += f"the finger tips must stay {_mm(cell.table.finger_clearance)} above it"
-        return GraspRefusal("table", said)
+        height = _mm(float(thing.position[2] - cell.table.height))
+        said = f"it lies too flat: its middle is {height} above the table, the finger tips must "
+        return GraspRefusal("table", said + f"stay {_mm(cell.table.finger_clearance)} above it")
     known_across, known_along = _known_offset(thing, cell)
     margin = GripMargin(
         grip, raised, (hand.opening - thing.width) / 2, two * sideways + known_across,
@@ -194,23 +189,23 @@ def grip_margin(thing: GraspObject, cell: Cell) -> GripMargin | GraspRefusal:
 
 
 def _commanded_grip_point(thing: GraspObject, cell: Cell) -> tuple[Array, float]:
-    """Where to tell the grip point to go, and how far behind the object's middle it will then be.
+    """The grip point to order, and how far behind the object's middle it will then be, m.
 
-    A hand that is seen elsewhere than told is told elsewhere. The tips keep off the table both by
-    what is told and by what is seen: where the arm is too high, the rest stays.
+    A measured offset of the hand is subtracted. The tips keep off the table both by the ordered and
+    by the measured place.
     """
     wanted, raised = grip_point(thing.position, cell)
-    if thing.seen is None or thing.seen.hand is None or not thing.seen.used:
+    if thing.offset is None or thing.offset.hand is None or not thing.offset.used:
         return wanted, raised
-    told, more = grip_point(wanted - thing.seen.hand.off, cell)
+    told, more = grip_point(wanted - thing.offset.hand.off, cell)
     return told, raised + more
 
 
 def _known_offset(thing: GraspObject, cell: Cell) -> tuple[float, float]:
-    """By how much the hand is known to be off sideways and along, m, without being corrected."""
-    if thing.seen is None or thing.seen.hand is None or thing.seen.used:
+    """The hand's known but uncorrected offset sideways and along the approach, m."""
+    if thing.offset is None or thing.offset.hand is None or thing.offset.used:
         return 0.0, 0.0
-    off, direction = thing.seen.hand.off, cell.approach.direction
+    off, direction = thing.offset.hand.off, cell.approach.direction
     along = float(off @ direction)
     return float(np.linalg.norm(off - along * direction)), abs(along)
 
@@ -247,15 +242,11 @@ def _grip_uncertainty(thing: GraspObject, cell: Cell) -> tuple[float, float]:
     """Standard uncertainty, the greatest sideways and that along the approach, with the robot's."""
     direction = cell.approach.direction
     total = thing.covariance + np.eye(3) * cell.accuracy.robot**2
-    if thing.seen is not None and thing.seen.hand is not None:
-        total = total + thing.seen.hand.covariance  # the arm need not repeat itself any better
+    if thing.offset is not None and thing.offset.hand is not None:
+        total = total + thing.offset.hand.covariance  # the arm need not repeat itself any better
     sideways = np.linalg.svd(direction[None])[2][1:]  # two unit vectors across the approach
     across = float(np.linalg.eigvalsh(sideways @ total @ sideways.T)[-1])
     return float(np.sqrt(across)), float(np.sqrt(direction @ total @ direction))
-
-
-def _height_above_table(thing: GraspObject, cell: Cell) -> float:
-    return float(thing.position[2] - cell.table.height)
 
 
 def _mm(length: float) -> str:

@@ -1,8 +1,6 @@
-"""From a target's place to a grasp: which posture, which ways, and when; or why not.
+"""Plan a grasp from a target's place: posture, paths and timing, or why there is none.
 
-An arm's planner among a rig's cameras, on fixed or on turning bases.
-
-Above a moving target: the joint angles that keep the hand there, target by target.
+`HoverPlanner` finds the joint angles that keep the hand above a moving target.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 import robots
-from robots import Arm, DhArm
+from robots import Arm, DhArm, RobotError
 from robots.inverse import near_within
 from robots.trajectory import (
     JointLimits,
@@ -44,16 +42,16 @@ from verify.grasping.planning.postures import (
     find_postures,
     smallest_singular_value,
 )
-from verify.grasping.planning.workspace import Workspace, camera_centres
+from verify.grasping.planning.workspace import Workspace
 
 MAX_SLOWDOWN = 4.0  # times slower than asked for: a line that needs more runs past a singularity
 TOL_SAME_POSTURE = 0.15  # rad: no other branch and no other turn of the hand is so near
-MAX_POSTURES = 40  # postures whose ways are looked at, best first: all branches, some turns of each
+MAX_POSTURES = 40  # postures whose paths are checked, best first: all branches, some turns of each
 
 
 @dataclass(frozen=True)
 class GraspPlanner:
-    """An arm in its cell; says how to grasp, and moves nothing."""
+    """An arm in its cell."""
 
     workspace: Workspace
     limits: JointLimits
@@ -78,7 +76,7 @@ class GraspPlan:
     over: tuple[Trajectory, ...]  # to above the object; several where the way leads through home
     down: Trajectory
     up: Trajectory
-    slowed: float  # by so much the line is slower than the cell asks, for the joints' sake
+    slowed: float  # how many times slower than the cell asks, for the joints' limits
     rejected: dict[str, str]  # each branch that is not taken, and why
 
 
@@ -96,7 +94,11 @@ def make_planner(arm: Arm, cell: Cell, cameras: Array) -> GraspPlanner:
     if not isinstance(arm, DhArm):
         expected = "an arm with a closed form is needed to grasp"
         raise InputError(f'robot "{arm.name}"', "is a URDF", expected, "Write its DH table.")
-    return GraspPlanner(Workspace(arm, cell, cameras), joint_limits(arm, cell.moving.share))
+    try:
+        limits = joint_limits(arm, cell.moving.share)
+    except RobotError as error:
+        raise InputError(error.place, error.found, error.expected, error.remedy) from error
+    return GraspPlanner(Workspace(arm, cell, cameras), limits)
 
 
 def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPlan | GraspRefusal:
@@ -115,7 +117,7 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
     ):
         return GraspRefusal("way", f"the arm cannot begin where it stands: {said}")
     good, reasons = find_postures(setup.workspace, setup.limits, margin.grip, q_now)
-    if thing.seen is not None and thing.seen.used:  # a correction holds where it was measured
+    if thing.offset is not None and thing.offset.used:  # a correction holds where it was measured
         good = [p for p in good if np.abs(p.q_above - q_now).max() < TOL_SAME_POSTURE]
     ways: dict[int, str] = {}  # why not, of branches that could stand there
     for posture in good[:MAX_POSTURES]:
@@ -135,7 +137,7 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
 def _grasp_motion(
     setup: GraspPlanner, posture: Posture, q_now: Array
 ) -> tuple[tuple[Trajectory, ...], Trajectory, float] | str:
-    """Both ways of a grasp in one posture; or what is wrong with them."""
+    """The transfer, the line down, and how much slower it is, in one posture; or why not."""
     approach = setup.cell.approach
     shift = approach.height * approach.direction
     found = straight_motion(setup, posture.branch, posture.q_above, shift, "on the line down")
@@ -148,7 +150,7 @@ def _grasp_motion(
 def straight_motion(
     setup: GraspPlanner, branch: int, q_start: Array, shift: Array, where: str = "on the line"
 ) -> tuple[Trajectory, float] | str:
-    """Move the hand straight, its orientation kept; looked at along its whole length.
+    """Move the hand straight, its orientation kept; checked along its whole length.
 
     Args:
         setup: arm and cell.
@@ -236,8 +238,8 @@ def planner_with_cameras(arm: Arm, cell: Cell, rig: Rig, *, turning: bool) -> Gr
     """
     cameras = (rig.left, rig.right)
     if not turning:
-        placed = [camera.rig_T_camera(camera.pan) for camera in cameras]
-        return make_planner(arm, cell, camera_centres(invert(rig.rig_T_base), placed))
+        centres = np.array([camera.rig_T_camera(camera.pan)[:3, 3] for camera in cameras])
+        return make_planner(arm, cell, carry(invert(rig.rig_T_base), centres))
     circles = [_camera_circle(camera) for camera in cameras]
     wider = cell.moving.camera_clearance + max(radius for _, radius in circles)
     kept = replace(cell, moving=replace(cell.moving, camera_clearance=wider))

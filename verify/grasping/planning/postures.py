@@ -1,4 +1,14 @@
-"""Every way the arm could stand for a grasp, scored; and why the others are not taken, in words."""
+"""List and score every posture in which the arm could grasp, and say why the others cannot.
+
+Model: of each branch of the inverse and each of N_TURNS turns of the hand about the approach,
+
+    score = limits * dexterity * nearness * clearance,   each from MIN_SCORE to 1
+
+    limits     least distance of a joint from its limits, in half ranges
+    dexterity  least singular value of the Jacobian / GOOD_SINGULAR_VALUE
+    nearness   1 / (1 + time from the present posture / HALF_SCORE_TIME)
+    clearance  least clearance of upper arm, elbow and forearm / GOOD_CLEARANCE
+"""
 
 from dataclasses import dataclass
 
@@ -34,10 +44,10 @@ class Posture:
     turn: float  # rad, of the hand about the approach
     q_above: Array  # (n,), rad, where the line begins
     q_grip: Array  # (n,), rad, where it ends; its branch, turns of joints near q_above
-    limits: float  # 0 to 1: least distance of a joint from its limits, in half ranges
-    dexterity: float  # 0 to 1: distance from singularities
-    nearness: float  # 0 to 1: of q_above to where the arm stands
-    clearance: float  # 0 to 1: of upper arm, elbow and forearm to table and cameras
+    limits: float  # the four scores, 0 to 1
+    dexterity: float
+    nearness: float
+    clearance: float
 
     @property
     def score(self) -> float:

@@ -1,9 +1,17 @@
-"""Where arm and hand may be: above the table, away from the cameras, the grip point in its box.
+"""Check where arm and hand may be: above the table, away from cameras, the grip point in its box.
 
-The arm is a chain of capsules between its joints, palm and fingers are a cylinder. A margin is how
-much nearer something could come than it may; below zero it is too near. Between two postures no
-point of the arm moves farther than each joint's turn times its reach: so a way is checked along its
-whole length, halving it until nothing can have slipped between two samples.
+Model: the arm is a chain of capsules between its joints, palm and fingers are a cylinder. A margin
+is how much nearer something could come than it may; below zero it is too near. Between two postures
+no point moves farther than travel = sum_j |dq_j| reach_j, so with margins m1 and m2 at the ends
+
+    least margin between them >= (m1 + m2 - travel) / 2
+
+A path is checked along its whole length by halving it until this bound is above -RESOLUTION.
+
+State of `Workspace`:
+    arm, cell   the DH arm; table, box, gripper and clearances of grab.toml, m
+    cameras     (k, 3) optical centres, m, base frame
+    reach       (n,) greatest distance of any point of arm and hand from each joint's axis, m
 """
 
 from dataclasses import dataclass, replace
@@ -15,13 +23,12 @@ import numpy as np
 import robots
 from robots import DhArm
 from robots.trajectory import JointPath
-from robots.transforms import carry
 from verify.core.records import Array
 from verify.grasping.cell import Cell
 
 RESOLUTION = 5e-4  # m: a way is certified to keep every clearance but for that much
-N_FIRST_POSTURES = 9  # postures that a way is first looked at
-MAX_HALVINGS = 14  # of a part of the way; then 2**-14 of it is not certified, and refused
+N_FIRST_POSTURES = 9  # postures at which a path is checked first
+MAX_HALVINGS = 14  # of a part of the path; a part of 2**-14 that is not certified is refused
 LINKS = ("upper arm", "elbow", "forearm", "wrist")
 BOX_NAME = "grip point in the workspace box"
 
@@ -150,11 +157,6 @@ class Workspace:
             kept = np.arange(6) < frame
             cut.append(replace(self.arm, a=self.arm.a * kept, d=self.arm.d * kept))
         return cut
-
-
-def camera_centres(base_T_rig: Array, rig_T_cameras: list[Array]) -> Array:
-    """Optical centres (k, 3), m, in the robot's base, of cameras placed in the rig."""
-    return carry(base_T_rig, np.array([rig_T_camera[:3, 3] for rig_T_camera in rig_T_cameras]))
 
 
 def _distance(point: Array, a: Array, b: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Keeps a grab: the cameras' session, the film, the tables and the report's results."""
+"""Record a grasp: the cameras' session, the film, the tables and the report's results."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -33,20 +33,16 @@ from verify.live.recording.session import SessionFacts, SessionWriter
 
 JPEG_QUALITY = 92  # of pictures that no camera has compressed: a third of what lossless takes
 READING_HALF_WIDTH = 5e-4  # s within which joints are read
-RAISED_STATES = frozenset(
-    {GraspState.LIFTING, GraspState.LIFTED}
-)  # in which the object should be with the hand
-PICTURED_STATES = (
-    GraspState.FOLLOWING,
-    GraspState.CLOSING,
-    GraspState.LIFTED,
-)  # of which the report shows a picture
+# states in which the object should be with the hand
+RAISED_STATES = frozenset({GraspState.LIFTING, GraspState.LIFTED})
+# states of which the report shows a picture
+PICTURED_STATES = (GraspState.FOLLOWING, GraspState.CLOSING, GraspState.LIFTED)
 VIDEO_FILE, SESSION_FOLDER = "grab.mp4", "session"
 
 
 @dataclass(frozen=True, slots=True)
 class GraspContext:
-    """What the report says beside what was seen."""
+    """What the report states beside the measurements."""
 
     robot: str
     target: str  # in the user's words
@@ -58,7 +54,7 @@ class GraspContext:
 
 @dataclass(frozen=True, slots=True)
 class _LiftCheck:
-    """The object, seen while the hand goes up with it: did it come along?"""
+    """The object measured while the hand goes up: did it come along?"""
 
     from_grip: float  # m, of its middle from the grip point
     expanded: float  # m, of that, k = 2, in the worst direction
@@ -66,13 +62,13 @@ class _LiftCheck:
 
 
 class GraspRecord:
-    """Sees every cycle of a grab, and keeps it.
+    """Records every cycle of a grasp.
 
     Args:
         folder: an empty one, for the film and the session.
-        facts: what the session's session.toml says.
-        workspace: for the grip point's way.
-        told: what else the report says.
+        facts: for the session's session.toml.
+        workspace: for the grip point's path.
+        context: what else the report states.
         rate: Hz, cycles.
     """
 
@@ -81,42 +77,49 @@ class GraspRecord:
         folder: Path,
         facts: SessionFacts,
         workspace: Workspace,
-        told: GraspContext,
+        context: GraspContext,
         rate: float,
     ) -> None:
-        self._folder, self._facts, self._workspace, self._told = folder, facts, workspace, told
+        self._folder, self._facts, self._workspace, self._context = (
+            folder,
+            facts,
+            workspace,
+            context,
+        )
         self._rows: list[dict[str, Any]] = []
         self._shown: dict[GraspState, Image] = {}
         self._last: Image | None = None
-        self._part: SessionWriter | None = None
+        self._session: SessionWriter | None = None
         self._gripped: Array | None = None  # (3,), m, the grip point when the lift began
-        self._sight: _LiftCheck | None = None  # the last since then
+        self._lift_check: _LiftCheck | None = None  # the last since then
         self._film = Mp4Writer(folder / VIDEO_FILE, rate)
 
-    def see(self, cycle: LoopCycle) -> None:
-        """Keep a cycle.
+    def add(self, cycle: LoopCycle) -> None:
+        """Record a cycle.
 
         Raises:
             OSError: the system refuses it.
         """
         self._rows.append(cycle_row(cycle, self._workspace))
-        self._look_whether_it_comes_along(cycle)
+        self._check_lift(cycle)
         picture = self._film.add(cycle)
         self._last = picture
         if cycle.state not in self._shown and cycle.pair is not None:
             self._shown[cycle.state] = picture
         if cycle.pair is not None:
             raws = (_jpeg(cycle.pair.left), _jpeg(cycle.pair.right))
-            if self._part is None:
+            if self._session is None:
                 kinds = (
                     picture_format(cycle.pair.left, raws[0]),
                     picture_format(cycle.pair.right, raws[1]),
                 )
                 place = self._folder / SESSION_FOLDER
-                self._part = SessionWriter(place, self._facts, self._told.started, kinds)
-            self._part.add_pair(cycle.pair, raws)
-        if cycle.q is not None and self._part is not None:
-            self._part.add_reading(EncoderReading(cycle.t, cycle.t, READING_HALF_WIDTH, 0, cycle.q))
+                self._session = SessionWriter(place, self._facts, self._context.started, kinds)
+            self._session.add_pair(cycle.pair, raws)
+        if cycle.q is not None and self._session is not None:
+            self._session.add_reading(
+                EncoderReading(cycle.t, cycle.t, READING_HALF_WIDTH, 0, cycle.q)
+            )
 
     def close(self) -> None:
         """Close film and session: whole from here on.
@@ -125,34 +128,34 @@ class GraspRecord:
             OSError, InputError: the system refuses it.
         """
         self._film.close()
-        if self._part is not None:
-            self._part.close()
+        if self._session is not None:
+            self._session.close()
 
     def results(self, outcome: GraspOutcome, aim: Aim) -> Results:
         """Make what the report is made of."""
         plan = None if aim.planned is None else aim.planned.answer
         good = plan if isinstance(plan, GraspPlan) else None
-        hand = None if aim.planned is None else aim.planned.thing.seen
+        hand = None if aim.planned is None else aim.planned.thing.offset
         summary: dict[str, Any] = {
             "kind": "grab",
             "tool": {"name": "verify", "version": __version__},
-            "robot": self._told.robot,
-            "cell": self._told.cell,
-            "target": self._told.target,
-            "execute": self._told.execute,
-            "started": self._told.started.isoformat(timespec="seconds"),
+            "robot": self._context.robot,
+            "cell": self._context.cell,
+            "target": self._context.target,
+            "execute": self._context.execute,
+            "started": self._context.started.isoformat(timespec="seconds"),
             "state": outcome.state.value,
             "reason": outcome.reason,
             "released": outcome.released,
             "stopped_by_operator": outcome.stopped,
             "cycles": outcome.cycles,
-            **_lift_check_fields(self._sight),
+            **_lift_check_fields(self._lift_check),
             "plan": None if good is None else _plan_fields(good),
             "refusal": _refusal_fields(plan) if isinstance(plan, GraspRefusal) else None,
             "hand": None if hand is None else tool_offset_fields(hand, self._workspace),
             "film": VIDEO_FILE,
             "session": SESSION_FOLDER,
-            "warnings": list(self._told.warnings),
+            "warnings": list(self._context.warnings),
         }
         tables = {
             "cycles": pd.DataFrame(self._rows),
@@ -162,18 +165,16 @@ class GraspRecord:
         }
         return Results(summary, {}, tables, self._images())
 
-    def _look_whether_it_comes_along(self, cycle: LoopCycle) -> None:
-        if (
-            cycle.state is GraspState.APPROACHING
-        ):  # another try: what was seen of the last one is past
-            self._gripped = self._sight = None
+    def _check_lift(self, cycle: LoopCycle) -> None:
+        if cycle.state is GraspState.APPROACHING:  # another try
+            self._gripped = self._lift_check = None
         if cycle.state not in RAISED_STATES or cycle.q is None:
             return
         grip = self._workspace.grip(cycle.q)[:3, 3]
         if self._gripped is None:
             self._gripped = grip
         raised = float(np.linalg.norm(grip - self._gripped))
-        self._sight = _lift_check(cycle, self._workspace, grip, raised) or self._sight
+        self._lift_check = _lift_check(cycle, self._workspace, grip, raised) or self._lift_check
 
     def _images(self) -> dict[str, bytes]:
         chosen = [self._shown[state] for state in PICTURED_STATES if state in self._shown]
@@ -187,13 +188,14 @@ class GraspRecord:
 def _lift_check(
     cycle: LoopCycle, workspace: Workspace, grip: Array, raised: float
 ) -> _LiftCheck | None:
-    """How far from the grip point both cameras see the object now; None where they do not."""
-    if cycle.known is None or cycle.seen is None or not np.isfinite(cycle.seen.measured).all():
+    """Measure the object against the grip point; None where both cameras do not see it."""
+    target, observation = cycle.target, cycle.observation
+    if target is None or observation is None or not np.isfinite(observation.measured).all():
         return None
-    thing = cycle.known.thing
+    thing = target.thing
     spread = thing.covariance
-    if thing.seen is not None and thing.seen.hand is not None:
-        hand = thing.seen.hand  # the hand is there, whatever its encoders say
+    if thing.offset is not None and thing.offset.hand is not None:
+        hand = thing.offset.hand  # the hand is there, whatever its encoders say
         grip, spread = grip + hand.off, spread + hand.covariance
     else:
         spread = spread + np.eye(3) * workspace.cell.accuracy.robot**2
@@ -201,11 +203,12 @@ def _lift_check(
     return _LiftCheck(float(np.linalg.norm(thing.position - grip)), 2 * worst, raised)
 
 
-def _lift_check_fields(sight: _LiftCheck | None) -> dict[str, float | None]:
+def _lift_check_fields(check: _LiftCheck | None) -> dict[str, float | None]:
+    values = (None,) * 3 if check is None else (check.from_grip, check.expanded, check.raised)
+    keys = ("from_grip", "from_grip_expanded_uncertainty", "raised")
     return {
-        "seen_from_grip_mm": None if sight is None else 1e3 * sight.from_grip,
-        "seen_from_grip_expanded_uncertainty_mm": None if sight is None else 1e3 * sight.expanded,
-        "seen_raised_mm": None if sight is None else 1e3 * sight.raised,
+        f"seen_{key}_mm": None if value is None else 1e3 * value
+        for key, value in zip(keys, values, strict=True)
     }
 
 

@@ -1,4 +1,4 @@
-"""A grab as tables: a row a cycle, the states' passages, the plan; units in the columns' names."""
+"""Write a grasp as tables: cycles, state changes, plan, hand offset; units in the column names."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from verify.grasping.planning.object import GripMargin
 from verify.grasping.planning.plan import GraspPlan
 from verify.grasping.planning.workspace import Workspace
 from verify.grasping.tool_offset.offset import OffsetMeasurement
-from verify.grasping.tracking.target import Outline
+from verify.grasping.tracking.camshift import Blob
 
 _MM = 1e3  # mm/m
 PLAN_PERIOD = 0.02  # s between two rows of a plan
@@ -22,29 +22,29 @@ PLAN_PARTS = ("over", "down", "up")
 
 def cycle_row(cycle: LoopCycle, workspace: Workspace) -> dict[str, Any]:
     """Write a cycle as one row."""
-    told: dict[str, Any] = {"t_s": cycle.t, "state": cycle.state.value}
-    seen, known = cycle.seen, cycle.known
-    told["status"] = None if seen is None else seen.status
-    told["lost_because"] = None if seen is None else seen.reason
-    told["quality"] = None if seen is None else seen.quality
-    if known is not None:
-        told |= _point("target", known.thing.position)
-        spread = np.sqrt(np.diag(known.thing.covariance))
-        told |= {f"u_{axis}_mm": _MM * u for axis, u in zip("xyz", spread, strict=True)}
-        told["width_mm"] = _MM * known.thing.width
+    row: dict[str, Any] = {"t_s": cycle.t, "state": cycle.state.value}
+    observation, target = cycle.observation, cycle.target
+    row["status"] = None if observation is None else observation.status
+    row["lost_because"] = None if observation is None else observation.reason
+    row["quality"] = None if observation is None else observation.quality
+    if target is not None:
+        row |= _point("target", target.thing.position)
+        spread = np.sqrt(np.diag(target.thing.covariance))
+        row |= {f"u_{axis}_mm": _MM * u for axis, u in zip("xyz", spread, strict=True)}
+        row["width_mm"] = _MM * target.thing.width
     for side in ("left", "right"):
-        told |= _outline(side, None if seen is None else getattr(seen, side))
+        row |= _outline(side, None if observation is None else getattr(observation, side))
     if cycle.q is not None:
-        told |= _joints("q{}_deg", cycle.q)
-        told |= _point("grip", workspace.grip(cycle.q)[:3, 3])
+        row |= _joints("q{}_deg", cycle.q)
+        row |= _point("grip", workspace.grip(cycle.q)[:3, 3])
     if cycle.q_ordered is not None:
-        told |= _joints("q{}_ordered_deg", cycle.q_ordered)
+        row |= _joints("q{}_ordered_deg", cycle.q_ordered)
     if cycle.gripper is not None:
         opening = cycle.gripper.opening
-        told["gripper"] = cycle.gripper.state.value
-        told["opening_mm"] = None if opening is None else _MM * opening
-    told["took_ms"] = 1e3 * cycle.took
-    return told
+        row["gripper"] = cycle.gripper.state.value
+        row["opening_mm"] = None if opening is None else _MM * opening
+    row["took_ms"] = 1e3 * cycle.took
+    return row
 
 
 def state_changes_table(passages: Sequence[StateChange]) -> pd.DataFrame:
@@ -73,27 +73,27 @@ def plan_table(plan: GraspPlan | None, workspace: Workspace) -> pd.DataFrame:
             times, motion = way.sampled(PLAN_PERIOD)
             grips = workspace.grip(motion.q)[:, :3, 3]
             for t, q, grip in zip(times, motion.q, grips, strict=True):
-                told: dict[str, Any] = {"t_s": began + float(t), "part": part}
-                rows.append(told | _joints("q{}_deg", q) | _point("grip", grip))
+                row: dict[str, Any] = {"t_s": began + float(t), "part": part}
+                rows.append(row | _joints("q{}_deg", q) | _point("grip", grip))
             began += way.duration
     return pd.DataFrame(rows)
 
 
 def tool_offset_table(seen: OffsetMeasurement | None, workspace: Workspace) -> pd.DataFrame:
-    """Write the pictures in which the hand was looked at, one a row; its grip point by its LEDs."""
+    """Write the pictures in which the hand was measured, one a row; its grip point by its LEDs."""
     rows: list[dict[str, Any]] = []
     for sight in seen.sights if seen is not None else ():
-        told: dict[str, Any] = {"t_s": sight.t, "status": sight.status}
+        row: dict[str, Any] = {"t_s": sight.t, "status": sight.status}
         if sight.base_T_flange is not None:
-            told |= _point("grip", _grip_position(sight.base_T_flange, workspace))
-        rows.append(told)
+            row |= _point("grip", _grip_position(sight.base_T_flange, workspace))
+        rows.append(row)
     columns = ["t_s", "status", "grip_x_mm", "grip_y_mm", "grip_z_mm"]
     return pd.DataFrame(rows, columns=columns)
 
 
 def tool_offset_fields(seen: OffsetMeasurement, workspace: Workspace) -> dict[str, Any]:
-    """Write where the hand was told to be, read and seen, and what came of it; mm, k = 2."""
-    hand, places = seen.hand, {"told": seen.told, "read": seen.read, "seen": seen.measured}
+    """Write where the hand was ordered, read and measured, and the offset; mm, k = 2."""
+    hand, places = seen.hand, {"told": seen.ordered, "read": seen.read, "seen": seen.measured}
     return {
         "used": seen.used,
         "reason": seen.reason,
@@ -127,7 +127,7 @@ def _grip_position(base_T_flange: Array, workspace: Workspace) -> Array:
     return found
 
 
-def _outline(side: str, outline: Outline | None) -> dict[str, float | None]:
+def _outline(side: str, outline: Blob | None) -> dict[str, float | None]:
     if outline is None:
         return {f"{side}_{what}_px": None for what in ("x", "y", "width", "height")}
     _, _, width, height = outline.box

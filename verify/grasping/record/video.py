@@ -1,4 +1,4 @@
-"""The film of a grab: both pictures side by side, what was searched and seen, and the state."""
+"""Write the film of a grasp: both pictures, the searched windows, the target, and the state."""
 
 from pathlib import Path
 
@@ -8,7 +8,6 @@ import numpy as np
 
 from verify.core.records import Image
 from verify.grasping.control.aim import LoopCycle
-from verify.grasping.tracking.target import Outline
 
 WIDTH, HEIGHT, STRIP_HEIGHT = 640, 360, 40  # px: of each picture, and of the line of text below
 WHITE, OUTLINE_COLOUR, WINDOW_COLOUR = (255, 255, 255), (60, 230, 255), (200, 200, 200)  # BGR
@@ -63,29 +62,25 @@ def _annotated_picture(cycle: LoopCycle, side: int) -> Image:
     scale = WIDTH / image.shape[1]
     small = cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
     picture = np.asarray(small, dtype=np.uint8)
-    if cycle.seen is not None:
-        window = cycle.seen.windows[side]
+    if cycle.observation is not None:
+        window = cycle.observation.windows[side]
         if window is not None:
             x, y, w, h = (round(scale * v) for v in window)
             cv2.rectangle(picture, (x, y), (x + w, y + h), WINDOW_COLOUR, 1, cv2.LINE_AA)
-        outline = (cycle.seen.left, cycle.seen.right)[side]
-        if outline is not None:
-            _draw_ellipse(picture, outline, scale)
+        blob = (cycle.observation.left, cycle.observation.right)[side]
+        if blob is not None:
+            long, short, angle = blob.ellipse
+            centre = (float(scale * blob.centre[0]), float(scale * blob.centre[1]))
+            ellipse = (centre, (scale * long, scale * short), float(np.degrees(angle)))
+            cv2.ellipse(picture, ellipse, OUTLINE_COLOUR, 1, cv2.LINE_AA)
     return picture
 
 
-def _draw_ellipse(picture: Image, outline: Outline, scale: float) -> None:
-    centre = (float(scale * outline.centre[0]), float(scale * outline.centre[1]))
-    axes = (scale * outline.axes[0], scale * outline.axes[1])
-    box = (centre, axes, float(np.degrees(outline.angle)))
-    cv2.ellipse(picture, box, OUTLINE_COLOUR, 1, cv2.LINE_AA)
-
-
 def _text_strip(cycle: LoopCycle) -> Image:
-    """Time, state, what the tracker says, in one line."""
+    """Time, state and the target's status in one line."""
     strip = np.full((STRIP_HEIGHT, 2 * WIDTH, 3), 30, np.uint8)
     tone = STATE_COLOURS.get(cycle.state.value, WHITE)
-    seen = "" if cycle.seen is None else cycle.seen.status
+    seen = "" if cycle.observation is None else cycle.observation.status
     pictures = seen if cycle.pair is not None else "no pictures"
     words = f"{cycle.t:6.2f} s   {cycle.state.value.upper()}   target: {pictures}"
     cv2.putText(strip, words, (12, 27), cv2.FONT_HERSHEY_SIMPLEX, 0.6, tone, 1, cv2.LINE_AA)

@@ -1,17 +1,19 @@
-"""By how much the hand is elsewhere than it was told to be: from LEDs seen while the arm stands.
+"""Measure by the flange's LEDs how far the hand is from where it was ordered, while the arm stands.
 
 Model: the arm errs by constant offsets of its joints, the registration of its base by a constant
-shift: z = J(q) δ + b + noise, z being the measured flange pose less the told one. Both have priors
-of zero mean (what `[accuracy]` claims of the arm, what rig.toml states of the base), so a
-measurement counts for as much as it is better than the claim; where it contradicts the claim beyond
-chance, the claim is widened by the root of χ² over its degrees of freedom (R. T. Birge, 1932).
-Offsets of joints carry the error from where it was measured to where the object is.
+shift,
 
-The flange of an arm that stands about where it was told to: measured in one pair of pictures.
+    z = J(q) delta + b + noise,   z: measured flange pose less the ordered one
 
-The chain of `verify run`, but for two things: nothing moves between the pictures, and where the
-arm was told to stand says where to look, and which of several LEDs a spot can be. That is a choice:
-its value enters no result.
+    delta  (n,)  joint offsets, rad   prior: zero mean, the claim of [accuracy] in grab.toml
+    b      (3,)  shift of the base, m prior: zero mean, what rig.toml states of the base
+
+So a measurement counts for as much as it is better than the claim; where it contradicts the claim
+beyond chance, the claim is widened by the root of chi² over its degrees of freedom (R. T. Birge,
+1932). Joint offsets carry the error from where it was measured to where the object is.
+
+The flange is measured as by `verify run`, but nothing moves between the two pictures, and the
+ordered pose restricts which LED a spot can be; its value enters no result.
 """
 
 from collections.abc import Sequence
@@ -36,10 +38,12 @@ from verify.measurement.systematics import spot_columns, stated_systematics
 
 MAX_OFFSET = 0.010  # m: an arm that is farther off needs a person, not a correction
 MIN_AGREEING = 6  # pictures that agree
-MAX_SQUARED_DISTANCE = float(
-    chi2_ppf(1 - 1e-6, 6)
-)  # squared Mahalanobis distance of a picture from the others
+# squared Mahalanobis distance of a picture from the others
+MAX_SQUARED_DISTANCE = float(chi2_ppf(1 - 1e-6, 6))
 MIN_AGREEING_SHARE = 0.75  # of the measured pictures that must agree
+SEARCH_RADIUS = 1.5 * MAX_OFFSET  # m from the ordered place: LEDs farther off are not searched
+MAX_ROTATION = 0.1  # rad: no offset that moves the hand by so little turns it so far
+SURROUNDINGS_PX = 14.0  # about an LED: the background that is fitted with it
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,30 +52,30 @@ class FlangeMeasurement:
 
     t: float  # s
     status: str  # of `verify.core.records.Measurement`; or why the pair was not measured
-    base_T_flange: Array | None  # (4, 4); None: not measured
-    covariance: Array | None  # (6, 6), m and rad, base axes, of a perturbation on the left
-    systematic: Array | None  # (6, 6), likewise: what rig and LEDs state of themselves
+    base_T_flange: Array | None = None  # (4, 4); None: not measured
+    covariance: Array | None = None  # (6, 6), m and rad, base axes, of a perturbation on the left
+    systematic: Array | None = None  # (6, 6), of what rig and LEDs state of themselves
 
 
 @dataclass(frozen=True, slots=True)
 class ToolOffset:
-    """What the LEDs say of the hand's place at the object."""
+    """The hand's offset at the object by its LEDs."""
 
-    off: Array  # (3,), m, base frame: where the grip point is less where it is told to be
+    off: Array  # (3,), m, base frame: the grip point less the ordered one
     covariance: Array  # (3, 3), m²
     used: bool  # the end point is corrected for it; else the margin must have room for it
 
 
 @dataclass(frozen=True, slots=True)
 class OffsetMeasurement:
-    """One look at the hand before a descent, whatever came of it."""
+    """One measurement of the hand before a descent, whatever its outcome."""
 
-    reason: str  # what came of it, in words
+    reason: str  # the outcome, in words
     sights: tuple[FlangeMeasurement, ...]
-    told: Array  # base_T_flange (4, 4), as ordered
-    read: Array | None  # likewise, by the encoders
-    measured: Array | None  # likewise, by the LEDs; None: no agreed measurement
-    hand: ToolOffset | None  # None: nothing is known beside the claim
+    ordered: Array  # base_T_flange (4, 4)
+    read: Array | None = None  # base_T_flange by the encoders
+    measured: Array | None = None  # base_T_flange by the LEDs; None: no agreed measurement
+    hand: ToolOffset | None = None  # None: nothing is known beside the claim
 
     @property
     def used(self) -> bool:
@@ -82,26 +86,26 @@ class OffsetMeasurement:
 @dataclass(frozen=True, slots=True)
 class _PooledPose:
     pose: Array  # base_T_flange (4, 4)
-    off: Array  # (6,), m and rad: less the told pose
+    off: Array  # (6,), m and rad: less the ordered pose
     covariance: Array  # (6, 6)
     count: int
 
 
-def average_sights(sights: Sequence[FlangeMeasurement], told: Array) -> _PooledPose | str:
-    """Average the pictures that agree, weighed by their covariances; or say why they cannot be.
+def average_sights(sights: Sequence[FlangeMeasurement], ordered: Array) -> _PooledPose | str:
+    """Average the pictures that agree, weighted by their covariances; or say why not.
 
-    A still scene errs alike in all its pictures (edges beside an LED, the pixels' raster): the mean
-    keeps the uncertainty of one picture, and grows where the pictures scatter by more than that.
+    Errors of a still scene are common to all its pictures (edges beside an LED, the pixel raster):
+    the mean keeps the uncertainty of one picture, increased where they scatter by more than that.
 
     Args:
         sights: of an arm that stands.
-        told: base_T_flange (4, 4), as ordered.
+        ordered: base_T_flange (4, 4).
     """
     good = [s for s in sights if s.base_T_flange is not None and s.covariance is not None]
     if len(good) < MIN_AGREEING:
         return f"its LEDs were measured in {len(good)} of {len(sights)} pictures"
     poses = np.array([s.base_T_flange for s in good])
-    z = difference(poses, told)
+    z = difference(poses, ordered)
     each = np.array([s.covariance for s in good])
     weights = np.linalg.inv(each)
     apart = z - np.median(z, axis=0)
@@ -119,22 +123,22 @@ def average_sights(sights: Sequence[FlangeMeasurement], told: Array) -> _PooledP
 
 
 def tool_offset(
-    found: _PooledPose, arm: DhArm, cell: Cell, base: Array, q_told: Array, q_end: Array
+    found: _PooledPose, arm: DhArm, cell: Cell, base: Array, q_ordered: Array, q_end: Array
 ) -> ToolOffset:
-    """Carry what was measured where the arm stands to where it will grip.
+    """Carry the offset from where it was measured to where the hand will grip.
 
     Args:
-        found: the LEDs' word.
-        arm: that was told.
-        cell: the gripper, and what is claimed of the arm.
-        base: (3, 3), m², what is stated of the base's place, at the hand.
-        q_told: (n,), rad, where it was told to stand.
-        q_end: (n,), rad, where it will be told to grip.
+        found: by the LEDs.
+        arm: that carries them.
+        cell: the gripper, and the arm's claimed accuracy.
+        base: (3, 3), m², stated covariance of the base's place, at the hand.
+        q_ordered: (n,), rad, where the arm was ordered to stand.
+        q_end: (n,), rad, where it will be ordered to grip.
     """
     grip = cell.gripper.flange_T_grip[:3, 3]
-    moves, end = robots.jacobian(arm, q_told), _grip_jacobian(arm, q_end, grip)
+    moves, end = robots.jacobian(arm, q_ordered), _grip_jacobian(arm, q_end, grip)
     # as likely for each joint, and so large that the grip point errs by what is claimed
-    joint = 3 * cell.accuracy.robot**2 / float((_grip_jacobian(arm, q_told, grip) ** 2).sum())
+    joint = 3 * cell.accuracy.robot**2 / float((_grip_jacobian(arm, q_ordered, grip) ** 2).sum())
     prior = np.zeros((arm.dof + 3, arm.dof + 3))
     prior[: arm.dof, : arm.dof] = np.eye(arm.dof) * joint
     prior[arm.dof :, arm.dof :] = base
@@ -151,38 +155,33 @@ def tool_offset(
 
 
 def _grip_jacobian(arm: DhArm, q: Array, grip: Array) -> Array:
-    """How the grip point moves with each joint, (3, n), m/rad."""
+    """Derivative of the grip point by the joint angles, (3, n), m/rad."""
     moves = robots.jacobian(arm, q)
     lever = robots.forward(arm, q)[:3, :3] @ grip
     found: Array = moves[:3] + np.cross(moves[3:].T, lever).T
     return found
 
 
-SEARCH_RADIUS = (
-    1.5 * MAX_OFFSET
-)  # m: LEDs that are farther from where they are told are not looked for
-MAX_ROTATION = 0.1  # rad: no offset that moves the hand by so little turns it so far
-SURROUNDINGS_PX = 14.0  # about an LED: the background that is fitted with it
-
-
-def measure_resting_flange(pair: StereoPair, rig: Rig, marker: Marker, told: Array) -> Measurement:
+def measure_resting_flange(
+    pair: StereoPair, rig: Rig, marker: Marker, ordered: Array
+) -> Measurement:
     """Measure where the flange stands.
 
     Args:
         pair: taken while it stood.
         rig: the cameras.
         marker: the LEDs.
-        told: rig_T_flange, (4, 4), within SEARCH_RADIUS and MAX_ROTATION.
+        ordered: rig_T_flange, (4, 4), within SEARCH_RADIUS and MAX_ROTATION.
 
     Returns:
         Its status is "measured", "too_few_leds", "ambiguous_leds" or "outlier".
     """
     pans = pair.pan_left, pair.pan_right
     spots = (
-        detect(pair.left, _search_window(told, marker, rig.left, pans[0], pair.left)),
-        detect(pair.right, _search_window(told, marker, rig.right, pans[1], pair.right)),
+        detect(pair.left, _search_window(ordered, marker, rig.left, pans[0], pair.left)),
+        detect(pair.right, _search_window(ordered, marker, rig.right, pans[1], pair.right)),
     )
-    near = PosePrediction(told, SEARCH_RADIUS, MAX_ROTATION)
+    near = PosePrediction(ordered, SEARCH_RADIUS, MAX_ROTATION)
     found = assign_leds(spots[0], spots[1], rig, pans[0], pans[1], marker, prediction=near)
     seen = len({*found.left_led.tolist(), *found.right_led.tolist()})
     if found.status != "measured" or found.rig_T_flange is None:
@@ -198,7 +197,7 @@ def measure_resting_flange(pair: StereoPair, rig: Rig, marker: Marker, told: Arr
 def _sighting(
     spots: Spots, led: NDArray[np.int64], spot: NDArray[np.int64], t: float, pan: float
 ) -> Sighting:
-    """LEDs that stand still: wherever in the picture they are, it is one instant."""
+    """Make a sighting of LEDs at rest: all rows of the picture count as one instant."""
     return Sighting(
         led=led,
         centre=spots.centre[spot],
@@ -214,16 +213,18 @@ def _sighting(
 def _systematic_columns(
     rig: Rig, marker: Marker, left: Sighting, right: Sighting, rig_T_flange: Array, by_point: Array
 ) -> Array:
-    """What rig and marker state of themselves, as the spots would show it."""
+    """Stated systematics of rig and marker, as changes of the spots."""
     parameters = stated_systematics(rig, marker, turning=True)
     return spot_columns(parameters, left, right, rig_T_flange, by_point, rig, marker)
 
 
-def _search_window(told: Array, marker: Marker, camera: Camera, pan: float, image: Image) -> Array:
+def _search_window(
+    ordered: Array, marker: Marker, camera: Camera, pan: float, image: Image
+) -> Array:
     """One box around all LEDs, (1, 4) px: x0, y0, x1, y1; pan is rad, as read."""
-    camera_T_flange = camera.camera_T_rig(pan) @ told
+    camera_T_flange = camera.camera_T_rig(pan) @ ordered
     points = marker.leds @ camera_T_flange[:3, :3].T + camera_T_flange[:3, 3]
-    points = points[points[:, 2] > 0]  # behind the camera there is nothing to look for
+    points = points[points[:, 2] > 0]  # behind the camera there is nothing to find
     if not len(points):
         return np.zeros((0, 4))
     wide = SEARCH_RADIUS + marker.led_diameter

@@ -1,4 +1,4 @@
-"""Looks at the flange's LEDs while the arm stands, picture by picture, beside the loop."""
+"""Measure the flange's LEDs while the arm stands, picture by picture, without delaying the loop."""
 
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -22,7 +22,7 @@ from verify.grasping.tool_offset.offset import (
 )
 from verify.measurement.systematics import sensitivities, stated_systematics
 
-MIN_PICTURES, MAX_PICTURES = 8, 16  # pictures of one look: measured ones, and those that are tried
+MIN_PICTURES, MAX_PICTURES = 8, 16  # of one measurement: measured ones, and tried ones
 SETTLING_TIME = 0.3  # s from the arm's arrival: it may lag behind its encoders, or swing
 TOL_REST = 3e-4  # rad by which encoders of an arm at rest may differ: two of MELFA's last digits
 TOL_SAME_ORDER = 1e-5  # rad: orders that differ by less are one
@@ -31,7 +31,7 @@ SubmitMeasurement = Callable[[Callable[[], FlangeMeasurement]], Future[FlangeMea
 
 
 def run_now(work: Callable[[], FlangeMeasurement]) -> Future[FlangeMeasurement]:
-    """Do it now; where time stands still meanwhile, as in the simulated cell."""
+    """Measure at once: for the simulated cell, where no time passes meanwhile."""
     done: Future[FlangeMeasurement] = Future()
     done.set_result(work())
     return done
@@ -39,7 +39,7 @@ def run_now(work: Callable[[], FlangeMeasurement]) -> Future[FlangeMeasurement]:
 
 @dataclass(slots=True)
 class _RestSightings:
-    """What was gathered since the arm has come to rest."""
+    """Measurements since the arm has come to rest."""
 
     q: Array  # (n,), rad, as ordered
     since: float  # s
@@ -49,13 +49,13 @@ class _RestSightings:
 
 
 class FlangeWatch:
-    """Measures where the flange is, picture by picture, and keeps nobody waiting.
+    """Measures where the flange is, picture by picture.
 
     Args:
         arm: that carries the LEDs.
         rig: the cameras, and the robot's place in the rig.
         marker: the LEDs.
-        submit: does the measuring; at once, or beside the loop.
+        submit: runs a measurement; at once, or in a thread.
     """
 
     def __init__(
@@ -64,86 +64,83 @@ class FlangeWatch:
         self._arm, self._rig, self._marker, self._submit = arm, rig, marker, submit
         self._pair: StereoPair | None = None
         self._reading: EncoderReading | None = None
-        self._look: _RestSightings | None = None
+        self._rest: _RestSightings | None = None
         self._working: Future[FlangeMeasurement] | None = None
 
-    def see(self, pair: StereoPair | None) -> StereoPair | None:
-        """Take note of the newest pictures, and pass them on."""
-        self._pair = pair if pair is not None else self._pair
-        return pair
-
-    def read(self, reading: EncoderReading | None) -> EncoderReading | None:
-        """Take note of the newest joint angles, and pass them on."""
-        self._reading = reading if reading is not None else self._reading
-        return reading
+    def update(self, pair: StereoPair | None, reading: EncoderReading | None) -> None:
+        """Take the newest pictures and joint angles; None where there are no new ones."""
+        self._pair = self._pair if pair is None else pair
+        self._reading = self._reading if reading is None else reading
 
     def forget(self) -> None:
-        """The arm moves: what was gathered counts no more."""
-        self._look = None
+        """Drop what was gathered: the arm moves."""
+        self._rest = None
 
     def gather(
         self, now: float, q: Array
     ) -> tuple[tuple[FlangeMeasurement, ...], Array | None] | None:
-        """Go on with a look at an arm that stands.
+        """Continue the measurement of an arm that stands.
 
         Args:
             now: s, on the pictures' clock.
             q: (n,), rad, where it was ordered to stand.
 
         Returns:
-            The sights, and the mean of the joint angles read meanwhile, (n,), rad, None where they
-            show that it did not stand; or None: there is more to gather.
+            The measurements, and the mean of the joint angles read meanwhile, (n,), rad, None where
+            they show that it did not stand; or None: there is more to gather.
         """
-        if self._look is None or np.abs(self._look.q - q).max() > TOL_SAME_ORDER:
-            self._look = _RestSightings(np.array(q), now)
-        look = self._look
-        if self._reading is not None and self._reading.t_host >= look.since + SETTLING_TIME:
-            look.read.append(self._reading.q)
+        if self._rest is None or np.abs(self._rest.q - q).max() > TOL_SAME_ORDER:
+            self._rest = _RestSightings(np.array(q), now)
+        rest = self._rest
+        if self._reading is not None and self._reading.t_host >= rest.since + SETTLING_TIME:
+            rest.read.append(self._reading.q)
         if self._working is not None:
             if not self._working.done():
                 return None
             sight, self._working = self._working.result(), None
-            if sight.t >= look.since + SETTLING_TIME:  # else of the look before this one
-                look.sights.append(sight)
-        measured = sum(sight.base_T_flange is not None for sight in look.sights)
-        if measured >= MIN_PICTURES or len(look.sights) >= MAX_PICTURES:
-            return tuple(look.sights), _resting_angles(look.read)
+            if sight.t >= rest.since + SETTLING_TIME:  # else of the rest before this one
+                rest.sights.append(sight)
+        measured = sum(sight.base_T_flange is not None for sight in rest.sights)
+        if measured >= MIN_PICTURES or len(rest.sights) >= MAX_PICTURES:
+            return tuple(rest.sights), _resting_angles(rest.read)
         pair = self._pair
         if (
             pair is not None
-            and pair.t_left >= look.since + SETTLING_TIME
-            and pair.t_left > look.taken
+            and pair.t_left >= rest.since + SETTLING_TIME
+            and pair.t_left > rest.taken
         ):
-            look.taken = pair.t_left
-            self._working = self._submit(partial(self._measured, pair, look.q))
+            rest.taken = pair.t_left
+            self._working = self._submit(partial(self._measured, pair, rest.q))
         return None
 
     def _measured(self, pair: StereoPair, q: Array) -> FlangeMeasurement:
-        """Measure a pair by itself, and say what came of it."""
-        told = self._rig.rig_T_base @ robots.forward(self._arm, q)
-        seen = measure_resting_flange(pair, self._rig, self._marker, told)
-        if seen.status != "measured" or seen.pose is None or seen.pose.known_dof < 6:
-            status = seen.status if seen.status != "measured" else "too_few_leds"
-            return FlangeMeasurement(pair.t_left, status, None, None, None)
-        away = np.abs(difference(seen.pose.rig_T_flange, told))
+        ordered = self._rig.rig_T_base @ robots.forward(self._arm, q)
+        measurement = measure_resting_flange(pair, self._rig, self._marker, ordered)
         if (
-            away[:3].max() > SEARCH_RADIUS or away[3:].max() > MAX_ROTATION
-        ):  # LEDs taken for one another
-            return FlangeMeasurement(pair.t_left, "implausible", None, None, None)
-        return self._sight(seen, seen.pose)
+            measurement.status != "measured"
+            or measurement.pose is None
+            or measurement.pose.known_dof < 6
+        ):
+            status = measurement.status if measurement.status != "measured" else "too_few_leds"
+            return FlangeMeasurement(pair.t_left, status)
+        away = np.abs(difference(measurement.pose.rig_T_flange, ordered))
+        # beyond these, LEDs were taken for one another
+        if away[:3].max() > SEARCH_RADIUS or away[3:].max() > MAX_ROTATION:
+            return FlangeMeasurement(pair.t_left, "implausible")
+        return self._sight(measurement, measurement.pose)
 
-    def _sight(self, seen: Measurement, pose: Pose) -> FlangeMeasurement:
+    def _sight(self, measurement: Measurement, pose: Pose) -> FlangeMeasurement:
         base_T_rig = invert(self._rig.rig_T_base)
         turn = np.kron(np.eye(2), base_T_rig[:3, :3])
         given = stated_systematics(self._rig, self._marker, turning=False)
-        columns = sensitivities(given, seen, self._rig, self._marker)
-        # the base's own place is a part of what is looked for
+        columns = sensitivities(given, measurement, self._rig, self._marker)
+        # the base's own place is part of what is measured
         chosen = [i for i, name in enumerate(given.names) if not name.startswith("robot_base.")]
         by, spread = columns[:, chosen], given.covariance[np.ix_(chosen, chosen)]
         pans = columns[:, len(given.names) :] * np.nan_to_num(given.pan)
         return FlangeMeasurement(
-            seen.t,
-            seen.status,
+            measurement.t,
+            measurement.status,
             base_T_rig @ pose.rig_T_flange,
             turn @ pose.covariance @ turn.T,
             by @ spread @ by.T + pans @ pans.T,

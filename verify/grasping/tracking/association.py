@@ -1,15 +1,20 @@
-"""Which candidate is which known object: the likeliest assignment, and how sure it is.
+"""Assign the objects in view to known tracks, and keep the target apart from others of its colour.
 
-A candidate costs an object its negative log likelihood, twice: how far it lies from the object's
-predicted place, and how much its size differs. An object may be out of sight, a candidate may be
-new; both have their price. What counts is the margin to the next best explanation: a target is
-taken for seen only where nothing else explains the candidate nearly as well.
+Model: candidate c is object k at minus twice the log likelihood
 
-Keeping a target apart from everything else of its colour.
+    cost(k, c) = d' S^-1 d + ln det(2 pi S) - 2 ln p + (ln(A_c / A_k) / SIGMA_LOG_AREA)^2
 
-The others are tracked as well: what another object explains is never the target. Where two
-explanations are about as good, nobody is updated; the target counts as out of sight until it is
-clear again.
+d is the distance of c from the predicted position of k, S their common covariance, p the prior
+probability of the motion hypothesis, A the areas. The assignment of least total cost is taken; an
+object out of sight costs HIDDEN_COST, a new object -2 ln(density). The margin to the next best
+assignment of the same candidate says how sure it is. Where two explanations are about as good,
+nothing is updated, and the target counts as out of sight until it is clear again.
+
+State of `TargetIdentity`:
+    target      the target's track, area and extent; None before the first find
+    others      confirmed objects of the same colour: what one of them explains is not the target
+    tentative   others in view too seldom to count
+    again       a lost target, in view but not confirmed
 """
 
 import math
@@ -20,38 +25,39 @@ from scipy.optimize import linear_sum_assignment
 
 from verify.core.records import Array
 from verify.grasping.tracking.kalman import KalmanTrack, begin_track
+from verify.grasping.tracking.pairing import StereoObject
 from verify.grasping.tracking.target import TrackingOptions, TrackingStatus
 
 HIDDEN_COST = -2 * math.log(0.1)  # price of an object out of sight: one picture in ten
 SIGMA_LOG_AREA = 0.2  # standard deviation of ln(area) from one view of an object to another
-RELOCATION_TIME = 10.0  # s after which a thing out of sight may well have been put somewhere else
-MIN_COST_MARGIN = 2 * math.log(1000)  # the next best explanation is a thousand times less likely
+RELOCATION_TIME = 10.0  # s after which an object out of sight may well have been put elsewhere
+MIN_COST_MARGIN = 2 * math.log(1000)  # the next best explanation is 1000 times less likely
 FORBIDDEN_COST = 1e9
+MEMORY_TIME = 30.0  # s for which another object is kept out of sight
+SHORT_MEMORY_TIME = 0.5  # s for which a tentative one is kept out of sight
+SIZE_AVERAGING_TIME = 1.0  # s over which the size of a whole target is averaged
+LEARNING_AREA_RANGE = (0.8, 1.25)  # of the expected area: the size is learned from such views only
+COMPLETE_AREA_RANGE = (0.88, 1.15)  # of it: with less or more the centre is not the target's
+CERTAIN_AREA_RANGE = 0.9, 1.1  # of it: no doubt about the centre
+MIN_MERGED_AREA_RATIO = 1.45  # of the expected area: two objects seen as one
+MAX_SINGLE_AREA_RATIO = 1.1  # of its area, with what is connected beyond its expected extent
+GROWTH_TIME = 0.5  # s; another object that looks too large after that was half hidden before
+MAX_SQUARED_DISTANCE = 25.0  # Mahalanobis, between measurements of an unconfirmed target
+MAX_SMOOTH_SQUARED_DISTANCE = 9.0  # Mahalanobis, of what keeps the velocity it had
+
+NOT_SEEN = "its colour is not seen"
+ONLY_OTHERS_SEEN = "only another of its colour is seen"
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectTrack:
     """An object of the target's colour: the target, or another."""
 
-    track: KalmanTrack  # as of the last sight
-    area: float  # m² or px², as it looks when it is whole
-    extent: Array  # (2,), m or px, width and height, likewise
-    seen: float  # s, when it was seen last
-    count: int  # how often
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectCandidate:
-    """What may be an object: a place and a size, with what they are known to."""
-
-    position: Array  # (d,), m or px
-    covariance: Array  # (d, d), of what varies from one instant to the next
-    systematic: Array  # (d, d), of what does not
-    area: float  # m² or px², the smaller of two pictures'
-    largest: float  # m² or px², the larger
-    reach: float  # m² or px², with what hangs together with it
-    extent: Array  # (2,), m or px, width and height
-    index: int  # the caller's
+    track: KalmanTrack  # at its last measurement
+    area: float  # m², when it is whole
+    extent: Array  # (2,), m, width and height, when it is whole
+    t: float  # s, of its last measurement
+    count: int  # measurements
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,27 +71,27 @@ class TrackHypothesis:
 
 @dataclass(frozen=True, slots=True)
 class ObjectAssignment:
-    """Who is who."""
+    """Which candidate each object is."""
 
-    choice: tuple[int, ...]  # for each object, its candidate's place in the list; -1: out of sight
+    choice: tuple[int, ...]  # for each object, the index of its candidate; -1: out of sight
     margin: tuple[float, ...]  # to the next best explanation of that candidate; inf without any
-    way: tuple[TrackHypothesis | None, ...]  # for each object, what it did if that candidate is it
+    way: tuple[TrackHypothesis | None, ...]  # for each object, its motion to that candidate
 
     def sure(self, known: int) -> bool:
-        """Whether an object is seen for certain."""
+        """Whether an object is in view for certain."""
         return self.choice[known] >= 0 and self.margin[known] >= MIN_COST_MARGIN
 
 
 def associate(
-    known: list[ObjectTrack], candidates: list[ObjectCandidate], t: float, density: float
+    known: list[ObjectTrack], candidates: list[StereoObject], t: float, density: float
 ) -> ObjectAssignment:
     """Assign candidates to objects.
 
     Args:
         known: objects.
-        candidates: what was seen at one instant.
+        candidates: in view at one instant.
         t: s, that instant.
-        density: how many new objects to expect a unit of space (m³ or px²).
+        density: new objects to expect, a m³.
 
     Source: the global nearest neighbour, Blackman and Popoli, Design and Analysis of Modern
     Tracking Systems, 1999, sec. 6.4.
@@ -104,21 +110,20 @@ def associate(
 
 
 def best_hypothesis(
-    known: ObjectTrack, candidate: ObjectCandidate, t: float, density: float
+    known: ObjectTrack, candidate: StereoObject, t: float, density: float
 ) -> TrackHypothesis:
     """Find the likeliest way in which a candidate may be an object.
 
     Besides what its track says, one that was out of sight for long may have been put anywhere.
     """
     grown = math.log(candidate.area / known.area) / SIGMA_LOG_AREA
-    spread = candidate.covariance + candidate.systematic
     ways = []
     for explanation in known.track.explanations(t):
-        squared, volume = explanation.track.distance(candidate.position, spread)
+        squared, volume = explanation.track.distance(candidate.place.point, candidate.spread)
         cost = squared + volume - 2 * math.log(explanation.prior)
         ways.append(TrackHypothesis(explanation.track, explanation.abrupt, cost + grown**2))
-    if t > known.seen:
-        gone = -math.expm1(-(t - known.seen) / RELOCATION_TIME)
+    if t > known.t:
+        gone = -math.expm1(-(t - known.t) / RELOCATION_TIME)
         cost = -2 * math.log(density) - 2 * math.log(gone)
         ways.append(TrackHypothesis(ways[-1].track, True, cost + grown**2))
     return min(ways, key=lambda way: way.cost)
@@ -150,38 +155,13 @@ def _forced_cost(cost: Array, k: int, c: int) -> float:
     return float(cost[k, c]) + _solve(rest)[1]
 
 
-MEMORY_TIME = 30.0  # s for which another object is kept in mind out of sight
-SHORT_MEMORY_TIME = 0.5  # s, likewise one that was hardly seen
-SIZE_AVERAGING_TIME = 1.0  # s over which the size of a whole target is averaged
-LEARNING_AREA_RANGE = (0.8, 1.25)  # of the expected area: the size is learned from such views only
-COMPLETE_AREA_RANGE = (
-    0.88,
-    1.15,
-)  # of it: with less in view, or more, the centre is not the target's
-CERTAIN_AREA_RANGE = 0.9, 1.1  # of it: no doubt about the centre
-MIN_MERGED_AREA_RATIO = 1.45  # of the expected area: two objects seen as one
-MAX_SINGLE_AREA_RATIO = (
-    1.1  # of its area: whatever hangs together with it beyond its expected extent
-)
-GROWTH_TIME = (
-    0.5  # s after which another object that looks too large has been met half hidden before
-)
-MAX_SQUARED_DISTANCE = (
-    25.0  # squared Mahalanobis distance between two sights of an unconfirmed target
-)
-MAX_SMOOTH_SQUARED_DISTANCE = 9.0  # likewise, of what goes on with the velocity it had
-
-NOT_SEEN = "its colour is not seen"
-ONLY_OTHERS_SEEN = "only another of its colour is seen"
-
-
 @dataclass(frozen=True, slots=True)
 class TargetDecision:
-    """What one instant's candidates say of the target."""
+    """Whether the target is among one instant's candidates."""
 
     status: TrackingStatus
     reason: str
-    chosen: int | None  # index of the candidate that is the target
+    chosen: StereoObject | None  # the candidate that is the target
 
 
 class TargetIdentity:
@@ -189,22 +169,16 @@ class TargetIdentity:
 
     Args:
         options: for how long, how sure.
-        density: new objects a unit of space (m³ or px²).
-        speed: m/s or px/s, standard deviation of velocities.
+        density: new objects, a m³.
     """
 
-    def __init__(self, options: TrackingOptions, density: float, speed: float) -> None:
-        self._options, self._density, self._speed = options, density, speed
+    def __init__(self, options: TrackingOptions, density: float) -> None:
+        self._options, self._density = options, density
         self.target: ObjectTrack | None = None
-        self._found = False
+        self.tracked = False  # at the last pair: a window around its prediction will do
         self._others: list[ObjectTrack] = []
-        self._tentative: list[ObjectTrack] = []  # others, seen too seldom to count
-        self._again: ObjectTrack | None = None  # a lost target, seen but not confirmed
-
-    @property
-    def tracked(self) -> bool:
-        """The target was seen last time: a window around its prediction will do."""
-        return self._found
+        self._tentative: list[ObjectTrack] = []
+        self._again: ObjectTrack | None = None
 
     @property
     def settled(self) -> bool:
@@ -219,25 +193,24 @@ class TargetIdentity:
         """Where the others should be."""
         return [other.track.at(t) for other in self._others]
 
-    def nearest(self, t: float, candidate: ObjectCandidate) -> KalmanTrack | None:
+    def nearest(self, t: float, candidate: StereoObject) -> KalmanTrack | None:
         """The track, predicted, that a candidate continues; None where there is none."""
         known = [k for k in (self.target, self._again, *self._others, *self._tentative) if k]
         tracks = [k.track.at(t) for k in known]
-        spread = candidate.covariance + candidate.systematic
-        distances = [track.distance(candidate.position, spread)[0] for track in tracks]
+        place, spread = candidate.place.point, candidate.spread
+        distances = [track.distance(place, spread)[0] for track in tracks]
         if not distances or min(distances) > MAX_SMOOTH_SQUARED_DISTANCE:
             return None
         return tracks[distances.index(min(distances))]
 
-    def choose(self, t: float, candidate: ObjectCandidate) -> None:
+    def choose(self, t: float, candidate: StereoObject) -> None:
         """Begin with a target that a person selected."""
-        self.target = self._new(t, candidate)
-        self._found = True
+        self.target, self.tracked = self._new(t, candidate), True
 
-    def step(self, t: float, candidates: list[ObjectCandidate]) -> TargetDecision:
-        """Take in what was seen at an instant."""
-        self._others = [o for o in self._others if t - o.seen < MEMORY_TIME]
-        self._tentative = [o for o in self._tentative if t - o.seen < SHORT_MEMORY_TIME]
+    def step(self, t: float, candidates: list[StereoObject]) -> TargetDecision:
+        """Take what is in view at an instant."""
+        self._others = [o for o in self._others if t - o.t < MEMORY_TIME]
+        self._tentative = [o for o in self._tentative if t - o.t < SHORT_MEMORY_TIME]
         if self.target is None:
             self._meet_others(t, candidates, associate(self._others, candidates, t, self._density))
             return self._search(t, candidates)
@@ -251,78 +224,75 @@ class TargetIdentity:
         if who.sure(0):
             return self._seen(t, candidates[own], who.way[0])
         self._again = None
-        self._found = False
+        self.tracked = False
         if own >= 0:
             return TargetDecision("occluded", "it cannot be told from another of its colour", None)
         another = any(choice >= 0 for choice in rest.choice)
         return TargetDecision("lost", ONLY_OTHERS_SEEN if another else NOT_SEEN, None)
 
     def _seen(
-        self, t: float, candidate: ObjectCandidate, way: TrackHypothesis | None
+        self, t: float, candidate: StereoObject, way: TrackHypothesis | None
     ) -> TargetDecision:
         assert self.target is not None
         assert way is not None  # it was assigned
-        hidden_for = t - self.target.seen
+        hidden_for = t - self.target.t
         if candidate.reach > MIN_MERGED_AREA_RATIO * self.target.area:
-            self._found = False
+            self.tracked = False
             return TargetDecision("occluded", "it is seen as one with another of its colour", None)
-        if way.abrupt or (not self._found and hidden_for > self._options.coast):
+        if way.abrupt or (not self.tracked and hidden_for > self._options.coast):
             return self._confirm(t, candidate)
         self._again = None
         self.target = self._updated(self.target, t, candidate, way.track)
-        self._found = True
-        if candidate.largest > COMPLETE_AREA_RANGE[1] * self.target.area:
-            return TargetDecision(
-                "occluded", "something of its colour is beside it", candidate.index
-            )
+        self.tracked = True
+        if candidate.areas.max() > COMPLETE_AREA_RANGE[1] * self.target.area:
+            return TargetDecision("occluded", "something of its colour is beside it", candidate)
         if candidate.area < COMPLETE_AREA_RANGE[0] * self.target.area:
-            return TargetDecision("occluded", "a part of it is hidden", candidate.index)
-        return TargetDecision("tracked", "", candidate.index)
+            return TargetDecision("occluded", "a part of it is hidden", candidate)
+        return TargetDecision("tracked", "", candidate)
 
-    def _confirm(self, t: float, candidate: ObjectCandidate) -> TargetDecision:
-        """See a lost target a few times at places that agree before it is believed."""
+    def _confirm(self, t: float, candidate: StereoObject) -> TargetDecision:
+        """Take a lost target for found after a few measurements that agree."""
         again = self._again
         if again is not None:
             there = again.track.at(t)
-            spread = candidate.covariance + candidate.systematic
-            near = there.distance(candidate.position, spread)[0] < MAX_SQUARED_DISTANCE
+            squared, _ = there.distance(candidate.place.point, candidate.spread)
+            near = squared < MAX_SQUARED_DISTANCE
             again = self._updated(again, t, candidate, there) if near else None
         assert self.target is not None
         new = replace(self._new(t, candidate), area=self.target.area, extent=self.target.extent)
         self._again = again if again is not None else new
         if self._again.count < self._options.confirm or not _is_whole(candidate, new):
-            self._found = False
+            self.tracked = False
             return TargetDecision("lost", "seen where it was not expected; to be confirmed", None)
         self.target = self._again
-        self._again, self._found = None, True
-        return TargetDecision("tracked", "", candidate.index)
+        self._again, self.tracked = None, True
+        return TargetDecision("tracked", "", candidate)
 
-    def _search(self, t: float, candidates: list[ObjectCandidate]) -> TargetDecision:
-        """Before the first find: one object of the colour, seen a few times, and no other."""
+    def _search(self, t: float, candidates: list[StereoObject]) -> TargetDecision:
+        """Find the target at first: one object of the colour, in view a few times, and no other."""
         if not candidates:
             return TargetDecision("searching", NOT_SEEN, None)
-        now = [other for other in self._others if other.seen == t]
+        now = [other for other in self._others if other.t == t]
         count = max(len(self._others), len(candidates))
         if count > 1:
-            return TargetDecision(
-                "searching", f"{count} objects have this colour: select one", None
-            )
+            reason = f"{count} objects have this colour: select one"
+            return TargetDecision("searching", reason, None)
         if not now:
             return TargetDecision("searching", "seen; to be confirmed", None)
-        self.target, self._found, self._others = now[0], True, []
-        return TargetDecision("tracked", "", candidates[0].index)
+        self.target, self.tracked, self._others = now[0], True, []
+        return TargetDecision("tracked", "", candidates[0])
 
     def _meet_others(
         self,
         t: float,
-        candidates: list[ObjectCandidate],
+        candidates: list[StereoObject],
         who: ObjectAssignment,
-        strange: list[ObjectCandidate] | None = None,
+        strange: list[StereoObject] | None = None,
     ) -> None:
-        """Update the others, and those not seen often enough yet to be called so."""
-        taken = {candidates[c].index for c in who.choice if c >= 0}
+        """Update the others and the tentative ones."""
+        taken = [candidates[c] for c in who.choice if c >= 0]
         self._others = self._renewed(t, self._others, candidates, who)
-        left = [c for c in (candidates if strange is None else strange) if c.index not in taken]
+        left = [c for c in (candidates if strange is None else strange) if c not in taken]
         new = associate(self._tentative, left, t, self._density)
         tentative = self._renewed(t, self._tentative, left, new)
         tentative += [self._new(t, c) for i, c in enumerate(left) if i not in new.choice]
@@ -333,7 +303,7 @@ class TargetIdentity:
         self,
         t: float,
         known: list[ObjectTrack],
-        candidates: list[ObjectCandidate],
+        candidates: list[StereoObject],
         who: ObjectAssignment,
     ) -> list[ObjectTrack]:
         renewed = list(known)
@@ -341,37 +311,40 @@ class TargetIdentity:
             if way is None or not who.sure(k):
                 continue
             one, seen = known[k], candidates[choice]
-            if one.count < self._options.confirm or t - one.seen > GROWTH_TIME:
-                one = replace(one, area=seen.area, extent=seen.extent)
+            if one.count < self._options.confirm or t - one.t > GROWTH_TIME:
+                one = replace(one, area=seen.area, extent=seen.size)
             if seen.reach < MIN_MERGED_AREA_RATIO * one.area:
                 renewed[k] = self._updated(one, t, seen, way.track)
         return renewed
 
-    def _may_be_a_piece(self, candidate: ObjectCandidate, t: float) -> bool:
+    def _may_be_a_piece(self, candidate: StereoObject, t: float) -> bool:
         """A target that is half hidden shows pieces, which are no others."""
         assert self.target is not None
         track = self.target.track
         away = [
-            np.linalg.norm(candidate.position - p) for p in (track.position, track.at(t).position)
+            np.linalg.norm(candidate.place.point - p)
+            for p in (track.position, track.at(t).position)
         ]
         return float(min(away)) < math.sqrt(self.target.area)
 
     def _updated(
-        self, known: ObjectTrack, t: float, candidate: ObjectCandidate, track: KalmanTrack
+        self, known: ObjectTrack, t: float, candidate: StereoObject, track: KalmanTrack
     ) -> ObjectTrack:
-        since = t - known.seen
+        since = t - known.t
         area, extent = known.area, known.extent
         alone = candidate.reach < MAX_SINGLE_AREA_RATIO * candidate.area
         if alone and LEARNING_AREA_RANGE[0] < candidate.area / area < LEARNING_AREA_RANGE[1]:
             share = 1 - math.exp(-since / SIZE_AVERAGING_TIME)
             area += share * (candidate.area - area)
-            extent = extent + share * (candidate.extent - extent)
-        track = track.updated(candidate.position, candidate.covariance).learned(since)
+            extent = extent + share * (candidate.size - extent)
+        track = track.updated(candidate.place.point, candidate.place.covariance).learned(since)
         return ObjectTrack(track, area, extent, t, known.count + 1)
 
-    def _new(self, t: float, candidate: ObjectCandidate) -> ObjectTrack:
-        track = begin_track(t, candidate.position, candidate.covariance, self._speed)
-        return ObjectTrack(track, candidate.area, candidate.extent, t, 1)
+    def _new(self, t: float, candidate: StereoObject) -> ObjectTrack:
+        track = begin_track(
+            t, candidate.place.point, candidate.place.covariance, self._options.speed
+        )
+        return ObjectTrack(track, candidate.area, candidate.size, t, 1)
 
 
 def centre_uncertainty_ratio(ratio: float) -> float:
@@ -383,6 +356,6 @@ def centre_uncertainty_ratio(ratio: float) -> float:
     return max(CERTAIN_AREA_RANGE[0] - ratio, ratio - CERTAIN_AREA_RANGE[1], 0.0)
 
 
-def _is_whole(candidate: ObjectCandidate, target: ObjectTrack) -> bool:
+def _is_whole(candidate: StereoObject, target: ObjectTrack) -> bool:
     least, most = COMPLETE_AREA_RANGE[0] * target.area, COMPLETE_AREA_RANGE[1] * target.area
-    return candidate.area >= least and candidate.largest <= most
+    return candidate.area >= least and candidate.areas.max() <= most

@@ -1,13 +1,16 @@
-"""CAMSHIFT in one picture: where the target's colour has its centre, how far it reaches.
+"""Find the target's colour in one picture by CAMSHIFT: centre, extent and share of each patch.
 
-The back projection is computed inside a search region only; CamShift finds the mode and adapts its
-window; the patch of colour that the window holds is then measured, so that a neighbour of the same
-colour a few pixels away does not pull at it.
+Model: each pixel i of the search region belongs to the target with probability p_i (the colour
+model's back projection / 255). Of the connected patch in CamShift's window
 
-Source: Bradski, Intel Technology Journal Q2, 1998; the moments are eqs. 13-16 of the grasping paper
-and the ellipse that belongs to them.
+    centre     c = sum p_i x_i / M,   M = sum p_i
+    spread     sum p_i (x_i - c) (x_i - c)' / M
+    covariance of c = sum p_i (1 - p_i) (x_i - c) (x_i - c)' / M^2 + MIN_NOISE^2
 
-Where in a whole picture the target's colour is: coarsely, then by CAMSHIFT around each place.
+Only the patch that the window holds is measured: a neighbour of the same colour a few pixels away
+does not shift it. A whole picture is searched coarsely, then by CAMSHIFT around each place.
+Source: Bradski, Intel Technology Journal Q2, 1998; the moments are eqs. 13-16 of the grasping
+paper.
 """
 
 from dataclasses import dataclass
@@ -23,13 +26,14 @@ from verify.grasping.tracking.colour import ColourModel, to_hsv
 MIN_WEIGHT = 127  # of 255: a pixel above it belongs to the target rather than not
 STOP_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 1.0)  # iterations, px
 MIN_PIXELS = 12  # pixels; less is noise
-CLOSING_KERNEL = np.ones(
-    (3, 3), dtype=np.uint8
-)  # px that lettering or a reflection may split a target by
-MAX_EXTENT_RATIO = (
-    1.2  # of the expected extent: how large a target may look and still be measured whole
-)
+CLOSING_KERNEL = np.ones((3, 3), dtype=np.uint8)  # px by which lettering may split a target
+MAX_EXTENT_RATIO = 1.2  # of the expected extent: a larger patch is cut to that size
 MIN_NOISE = 0.02  # px, standard: 8-bit colours and demosaicing leave no less
+COARSE_STEP = 4  # of the coarse search: every fourth pixel of every fourth row
+MIN_COARSE_PIXELS = 3  # coarse pixels
+MAX_PLACES = 8  # places that are searched closely, largest first
+MAX_RELATIVE_WIDTH = 0.4  # of the picture's width: a wall of that colour is no target
+SEARCH_MARGIN = 1.5  # search region over the coarse box
 
 Box = tuple[int, int, int, int]  # x, y, width, height, px
 
@@ -43,7 +47,7 @@ class Blob:
     spread: Array  # (2, 2), px², second central moments
     extent: Array  # (2,), px, width and height along the picture's rows and columns
     area: float  # px
-    reach: float  # px, likewise with what hangs together with it beyond the expected extent
+    reach: float  # px, with what is connected with it beyond the expected extent
     box: Box  # that holds the patch
     share: float  # of the back projection in the search region, 0 to 1: the rest is elsewhere
     similarity: float  # of its mixture of colours to the target's, 0 to 1
@@ -64,7 +68,7 @@ class Blob:
 def camshift(
     image: Image, start: Box, region: Box, model: ColourModel, expected: Array | None = None
 ) -> Blob | None:
-    """Find the target from a start window, looking nowhere but in the search region.
+    """Find the target from a start window, in the search region alone.
 
     Args:
         image: (h, w, 3) BGR.
@@ -181,9 +185,7 @@ def _measure_blob(
     bx, by, bw, bh = cv2.boundingRect(mask)
     part = np.s_[by : by + bh, bx : bx + bw]
     chosen = mask[part] > 0
-    hole = chosen & (
-        weights[part] <= MIN_WEIGHT
-    )  # inside the outline: the target's, not its colour
+    hole = chosen & (weights[part] <= MIN_WEIGHT)  # in the outline: the target's, not its colour
     belief = np.where(chosen, weights[part] / 255.0, 0.0)
     filled = np.where(hole, 1.0, belief)
     moments = cv2.moments(filled)
@@ -215,11 +217,7 @@ def _median(values: Image) -> float:
 
 
 def _centroid_covariance(belief: Array, middle: Array, total: float) -> Array:
-    """Covariance of a centroid whose pixels each belong with a probability p, (2, 2) px².
-
-    Each pixel is a trial of variance p (1 - p) that shifts the centroid by its offset over the
-    total: first order of eqs. 13-14.
-    """
+    """Covariance of the centroid, (2, 2) px²: each pixel is a trial of variance p (1 - p)."""
     x = np.arange(belief.shape[1]) - middle[0]
     y = np.arange(belief.shape[0]) - middle[1]
     variance = belief * (1.0 - belief) / total**2
@@ -227,14 +225,6 @@ def _centroid_covariance(belief: Array, middle: Array, total: float) -> Array:
     mixed = float(y @ variance @ x)
     found = np.array([[float(by_column @ x**2), mixed], [mixed, float(by_row @ y**2)]])
     return found + np.eye(2) * MIN_NOISE**2
-
-
-COARSE_STEP = 4  # of the coarse look: every fourth pixel of every fourth row
-# of 255
-MIN_COARSE_PIXELS = 3  # coarse pixels
-MAX_PLACES = 8  # places that are looked at closely, largest first
-MAX_RELATIVE_WIDTH = 0.4  # of the picture's width: no cap, but a wall of that colour
-SEARCH_MARGIN = 1.5  # search region over the coarse box
 
 
 def find_blobs(
@@ -245,7 +235,7 @@ def find_blobs(
     Args:
         image: (h, w, 3) BGR.
         model: the colours.
-        but: what need not be looked at again.
+        but: a box that need not be searched again.
         expected: (2,), px, the target's width and height, where they are known.
 
     Raises:
@@ -256,13 +246,13 @@ def find_blobs(
         if but is not None and boxes_overlap(box, but):
             continue
         blob = camshift(image, box, _widen(box), model, expected)
-        if blob is not None and not any(_may_be_one_target(blob, other) for other in found):
+        if blob is not None and not any(_centre_in_box(blob, other.box) for other in found):
             found.append(blob)
     return sorted(found, key=lambda blob: -blob.area)
 
 
 def coarse_boxes(image: Image, model: ColourModel) -> list[Box]:
-    """Look coarsely for patches of a colour: boxes in pixels of the picture, largest first."""
+    """Search coarsely for patches of a colour: boxes in pixels of the picture, largest first."""
     size = (image.shape[1] // COARSE_STEP, image.shape[0] // COARSE_STEP)
     coarse = to_hsv(np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST), np.uint8))
     likely = np.asarray(model.back_project(coarse) > MIN_WEIGHT, dtype=np.uint8)
@@ -291,8 +281,6 @@ def _widen(box: Box) -> Box:
     return x - dx, y - dy, width + 2 * dx, height + 2 * dy
 
 
-def _may_be_one_target(one: Blob, other: Blob) -> bool:
-    """Two coarse patches can be pieces of one target."""
-    x, y, width, height = other.box
-    inside = x <= one.centre[0] < x + width and y <= one.centre[1] < y + height
-    return bool(inside)
+def _centre_in_box(blob: Blob, box: Box) -> bool:
+    x, y, width, height = box
+    return bool(x <= blob.centre[0] < x + width and y <= blob.centre[1] < y + height)

@@ -1,9 +1,8 @@
-"""What colour a target has: a weight for every hue and saturation, gated by saturation and value.
+"""Model a target's colour by a weight of every hue and saturation, and a gate of the value.
 
-Hue is what light leaves alone; saturation tells a colour from grey. Value (brightness) changes with
-the light and is a gate only: pixels too dark to have a hue of their own count for nothing.
-
-Learning a target's colours from pixels that show it, against those around it.
+Hue hardly changes with the light; saturation tells a colour from grey. Value (brightness) changes
+with the light and is a gate only: pixels too dark to have a hue count for nothing. A model is made
+from a colour's name, or learned from pixels that show the target, against those around it.
 """
 
 from dataclasses import dataclass, replace
@@ -87,7 +86,7 @@ def named_colour(name: str) -> ColourModel:
     """Make the model of a colour that is known by name alone.
 
     Raises:
-        InputError: nobody here knows the name.
+        InputError: the name is not known.
     """
     if name not in NAMED_HUES_DEG:
         known = ", ".join(NAMED_HUES_DEG)
@@ -124,7 +123,7 @@ def learn_colour(hsv: Image, inside: Mask, outside: Mask) -> ColourModel:
     """Learn which colours tell a target from what is around it.
 
     The weight of a colour is the share of its pixels that are the target's: of those inside, those
-    outside, and as many of any colour, evenly, for what nobody has seen yet.
+    outside, and as many of any colour, evenly, for colours without a pixel.
 
     Args:
         hsv: (h, w, 3).
@@ -183,7 +182,7 @@ def _gate(value: Image, target: BoolMask, alike: BoolMask) -> tuple[float, float
 
 
 def blend(old: ColourModel, new: ColourModel, share: float) -> ColourModel:
-    """Move a model towards what was seen last by a share between 0 and 1."""
+    """Move a model towards a newer one by a share between 0 and 1."""
     if old.mixture is None or new.mixture is None:
         return old
     weight = ((1 - share) * old.weight + share * new.weight).astype(np.float32)

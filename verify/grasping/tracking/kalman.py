@@ -1,9 +1,17 @@
-"""A Kalman track: where the target is, how fast it goes, and where it will be.
+"""Track position and velocity of a target by a Kalman filter with an Ornstein-Uhlenbeck velocity.
 
-Between pictures it keeps its velocity, which wanders and forgets: an integrated Ornstein-Uhlenbeck
-process. Over a frame that is a constant velocity; over seconds out of sight it is one that nobody
-knows any more, while its size stays bounded. How much it wanders is learned from how the target
-moves. Works in m in the rig, or in px in one picture.
+Model, each coordinate by itself, tau = VELOCITY_TIME_CONSTANT, w white noise:
+
+    dx = v dt,   dv = -v / tau dt + sqrt(2 / tau) speed w dt;   measured: x + noise
+
+Over a frame that is a constant velocity; over seconds out of sight the velocity is unknown, and its
+size stays bounded.
+
+State of `KalmanTrack`:
+    mean        x (d,), v (d,)          m, m/s in the rig (d = 3)
+    covariance  (2 d, 2 d)              of the mean
+    speed       standard deviation of v, m/s, learned from the track's own velocity
+    fastest     standard deviation of v, m/s, of any target
 """
 
 import math
@@ -13,16 +21,11 @@ import numpy as np
 
 from verify.core.records import Array
 
-VELOCITY_TIME_CONSTANT = (
-    1.0  # s over which a velocity is forgotten, and over which its usual size is learned
-)
-MIN_SPEED_RATIO = 0.2  # of the speed that targets may have: what stands still may be moved any time
-STEADY_SPEED_RATIO = (
-    0.05  # of that speed: what goes on as it did, or stays where it stands, wanders by that
-)
-# what a target does next, as seldom as that, and by how much it may depart from the track
-P_STEADY, P_FREE, P_ABRUPT = 0.5, 0.49, 0.01
-ABRUPT_SPEED_RATIO = 2.0  # of that speed: pushed or snatched
+VELOCITY_TIME_CONSTANT = 1.0  # s over which a velocity is forgotten, and its size is learned
+MIN_SPEED_RATIO = 0.2  # of `fastest`: what stands still may be moved any time
+P_STEADY, P_FREE, P_ABRUPT = 0.5, 0.49, 0.01  # probabilities of what a target does next
+STEADY_SPEED_RATIO = 0.05  # of `fastest`: noise of a steady motion
+ABRUPT_SPEED_RATIO = 2.0  # of `fastest`: pushed or snatched
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +35,8 @@ class KalmanTrack:
     t: float  # s
     mean: Array  # (2 d,), position then velocity
     covariance: Array  # (2 d, 2 d)
-    speed: float  # standard deviation of the velocity, a coordinate, as this one moves
-    fastest: float  # likewise, of what may be expected of any target
+    speed: float  # standard deviation of the velocity, a coordinate, of this target
+    fastest: float  # standard deviation of the velocity, a coordinate, of any target
 
     @property
     def position(self) -> Array:
@@ -65,28 +68,16 @@ class KalmanTrack:
         dt = t - self.t
         if dt <= 0:
             return self
-        decay = math.exp(-dt / VELOCITY_TIME_CONSTANT)
-        power = 2 * self.speed**2 / VELOCITY_TIME_CONSTANT  # of the driving noise
-        xx = (
-            power
-            * VELOCITY_TIME_CONSTANT**2
-            * (
-                dt
-                - 2 * (1 - decay) * VELOCITY_TIME_CONSTANT
-                + (1 - decay**2) * VELOCITY_TIME_CONSTANT / 2
-            )
-        )
-        xv = power * VELOCITY_TIME_CONSTANT**2 / 2 * (1 - decay) ** 2
-        vv = power * VELOCITY_TIME_CONSTANT / 2 * (1 - decay**2)
-        return self._stepped(
-            t, [[1.0, VELOCITY_TIME_CONSTANT * (1 - decay)], [0.0, decay]], [[xx, xv], [xv, vv]]
-        )
+        tau = VELOCITY_TIME_CONSTANT
+        decay = math.exp(-dt / tau)
+        power = 2 * self.speed**2 / tau  # of the driving noise
+        xx = power * tau**2 * (dt - 2 * (1 - decay) * tau + (1 - decay**2) * tau / 2)
+        xv = power * tau**2 / 2 * (1 - decay) ** 2
+        vv = power * tau / 2 * (1 - decay**2)
+        return self._stepped(t, [[1.0, tau * (1 - decay)], [0.0, decay]], [[xx, xv], [xv, vv]])
 
     def explanations(self, t: float) -> list["MotionHypothesis"]:
-        """Say where it may be, in three ways, and how probable each is beforehand.
-
-        It goes on steadily, or as freely as it does, or was pushed since it was seen.
-        """
+        """Predict it by three hypotheses: steady motion, free motion, or a push since the last."""
         dt = max(t - self.t, 0.0)
         power = 2 * (STEADY_SPEED_RATIO * self.fastest) ** 2 / VELOCITY_TIME_CONSTANT
         noise = [[power * dt**3 / 3, power * dt**2 / 2], [power * dt**2 / 2, power * dt]]
@@ -103,7 +94,7 @@ class KalmanTrack:
         ]
 
     def updated(self, position: Array, covariance: Array) -> "KalmanTrack":
-        """Take in a measured position (d,) and its covariance (d, d), of the track's instant."""
+        """Take a measured position (d,) and its covariance (d, d), of the track's instant."""
         d = len(position)
         gain = np.linalg.solve(self.position_covariance + covariance, self.covariance[:d]).T
         mean = self.mean + gain @ (position - self.position)
@@ -113,13 +104,13 @@ class KalmanTrack:
         return KalmanTrack(self.t, mean, joseph, self.speed, self.fastest)
 
     def learned(self, since: float) -> "KalmanTrack":
-        """Learn from the velocity how much it wanders; `since` is s from one update to the next."""
+        """Learn `speed` from the velocity; `since` is s from one update to the next."""
         share = 1 - math.exp(-since / VELOCITY_TIME_CONSTANT)
         square = self.speed**2 + share * (float(np.mean(self.velocity**2)) - self.speed**2)
         return replace(self, speed=max(math.sqrt(square), MIN_SPEED_RATIO * self.fastest))
 
     def distance(self, position: Array, covariance: Array) -> tuple[float, float]:
-        """How far a measured position is from the predicted one.
+        """Distance of a measured position from the predicted one.
 
         Returns:
             The squared Mahalanobis distance, and ln det(2 pi S) of the innovation's covariance.

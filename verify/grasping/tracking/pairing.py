@@ -1,4 +1,4 @@
-"""Patches of colour in two pictures to objects in the rig: which belongs to which.
+"""Pair patches of colour in two pictures to objects in the rig.
 
 Two patches are one object where their rays meet, at a distance and of a size that a target may
 have, and where they are equally large in metres.
@@ -28,31 +28,45 @@ from verify.measurement.triangulation import triangulate
 
 MAX_RAY_DISTANCE = 4.0  # standard deviations between two rays that meet
 MAX_RAY_DISTANCE_PX = 8.0  # a first, generous look at the same
-MAX_LOG_AREA_RATIO = math.log(
-    1.8
-)  # of the two areas in m²: a side view, a part hidden in one picture
+# ln of the ratio of the two areas in m²: a side view, a part hidden in one picture
+MAX_LOG_AREA_RATIO = math.log(1.8)
 FORBIDDEN_COST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectMotion:
-    """How something moves, as far as is known; for pictures not taken at one instant."""
+    """How an object moves, as far as is known; for pictures not taken at one instant."""
 
     velocity: Array  # (3,), m/s
     covariance: Array  # (3, 3), (m/s)²
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class StereoObject:
-    """A coloured object seen by both cameras."""
+    """A coloured object in both pictures of a pair."""
 
     left: Blob
     right: Blob
     place: StereoPoint
     areas: Array  # (2,), m², as the left and the right picture have it
-    reaches: Array  # (2,), m², with what hangs together with it
+    reaches: Array  # (2,), m², with what is connected with it
     size: Array  # (2,), m, width and height
     size_uncertainty: Array  # (2,), m
+
+    @property
+    def area(self) -> float:
+        """The smaller of the two areas, m²."""
+        return float(self.areas.min())
+
+    @property
+    def reach(self) -> float:
+        """The larger of the two areas with what is connected, m²."""
+        return float(self.reaches.max())
+
+    @property
+    def spread(self) -> Array:
+        """Covariance of the position, random and systematic, (3, 3), m²."""
+        return self.place.covariance + self.place.systematic
 
 
 def pair_blobs(
@@ -60,8 +74,8 @@ def pair_blobs(
 ) -> list[StereoObject]:
     """Find the objects that two pictures' patches belong to, one patch for one object.
 
-    How fast they go is not known here; `join_blobs` them again where it is. Where two patches fit two
-    others either way, opaque objects beside each other stand in the same order in both pictures.
+    Their velocities are not known here: where they are, use `join_blobs` again. Where two patches
+    fit two others either way, opaque objects side by side have the same order in both pictures.
     """
     motion = ObjectMotion(np.zeros(3), np.eye(3) * options.speed**2)
     cost = np.full((len(lefts), len(rights)), FORBIDDEN_COST)
@@ -127,10 +141,7 @@ def join_blobs(
 
 
 def pixel_area(where: LineOfSight, depth: float) -> float:
-    """What a pixel is worth at a place, m², across its own line of sight.
-
-    Towards a picture's corner a ball looks larger: its pixels see it at a slant.
-    """
+    """Area that a pixel covers at a depth, m, across its own, maybe oblique, line of sight; m²."""
     slant = float(np.sqrt(1.0 + where.xy @ where.xy))
     return float(depth**2 / (np.linalg.det(where.lens) * slant))
 
@@ -138,11 +149,11 @@ def pixel_area(where: LineOfSight, depth: float) -> float:
 def is_plausible(
     thing: StereoObject, options: TrackingOptions, areas: float = MAX_LOG_AREA_RATIO
 ) -> bool:
-    """Whether two patches can be one object, and one that is looked for.
+    """Whether two patches can be one object, and one of a target's size and distance.
 
     Args:
         thing: made of the two.
-        options: how large and how far it may be.
+        options: least and greatest size and distance.
         areas: the greatest difference of ln(area) between the two pictures.
     """
     low, high = options.depths
@@ -181,15 +192,15 @@ def _meeting_pairs(
 
 
 def _shift_in_time(
-    seen: LineOfSight, point: Array, motion: ObjectMotion, late: float
+    sight: LineOfSight, point: Array, motion: ObjectMotion, late: float
 ) -> LineOfSight:
-    """Bring a patch seen `late` s after the instant back to it."""
+    """Bring a patch measured `late` s after the instant back to it."""
     if late == 0 or not np.isfinite(point).all():
-        return seen
-    slope = seen.placed.slope(seen.placed.inside(point))
+        return sight
+    slope = sight.placed.slope(sight.placed.inside(point))
     spread = slope @ motion.covariance @ slope.T * late**2
-    xy = seen.xy - slope @ motion.velocity * late
-    return replace(seen, xy=xy, covariance=seen.covariance + spread)
+    xy = sight.xy - slope @ motion.velocity * late
+    return replace(sight, xy=xy, covariance=sight.covariance + spread)
 
 
 def _put_in_order(

@@ -1,4 +1,4 @@
-"""Looking for a target in a pair of pictures: where it should be, or everywhere."""
+"""Search a pair of pictures for the target: where it is predicted, or everywhere."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,6 @@ from verify.core.records import Array, Image, StereoPair
 from verify.core.rig import Camera, Rig
 from verify.grasping.tracking.association import (
     COMPLETE_AREA_RANGE,
-    ObjectCandidate,
     TargetIdentity,
     centre_uncertainty_ratio,
 )
@@ -45,7 +44,7 @@ NO_WINDOWS: Windows = (None, None)
 
 @dataclass(frozen=True, slots=True)
 class TargetSearch:
-    """One pair, and what is known before it is looked at."""
+    """One pair, and what is known before it is searched."""
 
     pair: StereoPair
     rig: Rig
@@ -54,12 +53,12 @@ class TargetSearch:
     identity: TargetIdentity
 
 
-def search_pair(now: TargetSearch, around_too: bool) -> tuple[list[StereoObject], Windows]:
-    """See what is where: in the predicted windows alone, if that is enough.
+def search_pair(now: TargetSearch, all_objects: bool) -> tuple[list[StereoObject], Windows]:
+    """Find the objects of a pair: in the predicted windows alone, if that is enough.
 
     Args:
         now: the pair.
-        around_too: look for others of the colour as well.
+        all_objects: search for others of the colour as well.
 
     Returns:
         The objects, and the windows that were searched for the target.
@@ -71,7 +70,7 @@ def search_pair(now: TargetSearch, around_too: bool) -> tuple[list[StereoObject]
     thing, windows = _search_predicted(now, ahead)
     if thing is None:
         return _search_pictures(now, None), NO_WINDOWS
-    if identity.settled and not around_too:
+    if identity.settled and not all_objects:
         return [thing], windows
     return _search_pictures(now, thing), windows
 
@@ -91,22 +90,8 @@ def left_picture(now: TargetSearch, ahead: KalmanTrack) -> str:
     return ""
 
 
-def make_candidate(thing: StereoObject, index: int) -> ObjectCandidate:
-    """What an object is to the question who is who."""
-    return ObjectCandidate(
-        position=thing.place.point,
-        covariance=thing.place.covariance,
-        systematic=thing.place.systematic,
-        area=float(thing.areas.min()),
-        largest=float(thing.areas.max()),
-        reach=float(thing.reaches.max()),
-        extent=thing.size,
-        index=index,
-    )
-
-
 def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObject | None, Windows]:
-    """Look for the target where it should be."""
+    """Search for the target where it is predicted."""
     known = now.identity.target
     assert known is not None
     motion = ObjectMotion(ahead.velocity, ahead.velocity_covariance)
@@ -144,7 +129,7 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
 
 
 def _search_pictures(now: TargetSearch, target: StereoObject | None) -> list[StereoObject]:
-    """Look for everything of the colour; the target itself may have been seen already."""
+    """Search for everything of the colour; the target itself may be found already."""
     pair = now.pair
     own = (None, None) if target is None else (target.left.box, target.right.box)
     found = []
@@ -159,7 +144,7 @@ def _search_pictures(now: TargetSearch, target: StereoObject | None) -> list[Ste
 def _remeasure(now: TargetSearch, thing: StereoObject) -> StereoObject:
     """Measure an object again by what is known of its velocity, and of the target's size."""
     pair, known = now.pair, now.identity.target
-    moving = now.identity.nearest(pair.t_left, make_candidate(thing, 0))
+    moving = now.identity.nearest(pair.t_left, thing)
     if moving is None:
         motion = ObjectMotion(np.zeros(3), np.eye(3) * now.options.speed**2)
     else:

@@ -1,4 +1,4 @@
-"""How a person says what to follow: a colour's name, a box, or a shape drawn in one picture."""
+"""Parse the box that a person has drawn, learn its colour, and find it in the other picture."""
 
 import cv2
 import numpy as np
@@ -116,7 +116,7 @@ def counterpart(
     taken = [(thing.left, thing.right)[1 - own] for thing in things]
     chosen = next((thing for thing in things if (thing.left, thing.right)[own] is blob), None)
     free = [other for other in there if not any(other is one for one in taken)]
-    for other in free:  # what nothing else explains might be it as well
+    for other in free:  # unexplained otherwise: it might be the counterpart as well
         left, right = (blob, other) if own == 0 else (other, blob)
         if pair_blobs([left], [right], pair, rig, options):
             return (model, model), None

@@ -1,7 +1,4 @@
-"""Two patches of colour, one object: its place in the rig with uncertainty, and its size.
-
-A camera where it stands now, and one point as it sees it.
-"""
+"""Locate an object by its patches of colour in two pictures: place, uncertainty, and size."""
 
 from dataclasses import dataclass
 
@@ -100,9 +97,8 @@ def project(camera: PannedCamera, point: Array) -> tuple[Array, Array, LineOfSig
 # of a patch's extent, standard: by as much its centroid misses the object's middle, differently in
 # either picture: reflections, shading, the side a camera sees. It does not average out.
 U_COLOUR_CENTRE = 0.005
-RIM_WIDTH = (
-    1.0  # px by which a patch reaches beyond its object: pixels that show a quarter of it count
-)
+# px by which a patch reaches beyond its object: pixels that show a quarter of it count
+RIM_WIDTH = 1.0
 U_EXTENT = 1.0  # px, standard, of an extent: whole pixels, and a rim that depends on what is behind
 N_ITERATIONS = 2  # of Gauss-Newton: from the midpoint of the rays the first leaves a millionth
 

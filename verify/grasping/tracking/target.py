@@ -1,14 +1,14 @@
-"""What tracking tells of a target, and what it is told to look for."""
+"""Define a target, what may be set of its tracking, and what one pair of pictures shows of it."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 from verify.core.records import Array
-from verify.grasping.tracking.camshift import Box
+from verify.grasping.tracking.camshift import Blob, Box
 
-# searching: not found yet; tracked: seen whole, by both cameras, and told from all others;
-# occluded: seen in part, or as one with another of its colour, or not told from another;
-# lost: not seen. Both end by themselves: the whole pictures are searched.
+# searching: not found yet; tracked: wholly in view of both cameras, and told from all others;
+# occluded: in view in part, or merged with another of its colour, or not told from another;
+# lost: not in view. Both end by themselves: the whole pictures are searched.
 TrackingStatus = Literal["searching", "tracked", "occluded", "lost"]
 
 
@@ -43,37 +43,24 @@ class TrackingOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Outline:
-    """What CAMSHIFT saw in one picture; pixels, centres at whole numbers."""
-
-    centre: Array  # (2,), px
-    covariance: Array  # (2, 2), px²
-    axes: tuple[float, float]  # px, the ellipse's long and short axis
-    angle: float  # rad, of the long axis, from x towards y
-    box: Box  # x, y, width, height, px
-    share: float  # 0 to 1, of the back projection in the searched region that is in the target
-    similarity: float  # 0 to 1, of its mixture of colours (Bhattacharyya coefficient)
-    wholeness: float  # its area over the area expected of the target at that distance
-
-
-@dataclass(frozen=True, slots=True)
 class TargetObservation:
-    """What one pair says of the target; positions in the rig, at the left picture's instant."""
+    """The target by one pair; positions in the rig, at the left picture's instant."""
 
     frame: int
     t: float  # s
     status: TrackingStatus
     reason: str  # why it is not `tracked`; empty where it is
-    left: Outline | None  # None: not seen there
-    right: Outline | None
+    left: Blob | None  # None: not found in that picture
+    right: Blob | None
     windows: tuple[Box | None, Box | None]  # what was searched, left and right; None: all of it
     centre: Array  # (3,), m, filtered; predicted where it is out of sight; nan where lost
-    covariance: Array  # (3, 3), m²: of the track, of the colour's lie, and of the rig as it states
+    covariance: Array  # (3, 3), m²: of the track, the colour's centre, and the rig as stated
     velocity: Array  # (3,), m/s
     velocity_covariance: Array  # (3, 3), (m/s)²
     measured: Array  # (3,), m, from this pair alone; nan where it gave none
     measured_covariance: Array  # (3, 3), m², of that: everything that varies from pair to pair
     size: Array  # (2,), m, width and height along the pictures' rows and columns
     size_standard_uncertainty: Array  # (2,), m
-    epipolar: float  # the rays' mismatch in standard deviations; nan where not seen by both
-    quality: float  # 0 to 1: share, similarity and wholeness of the worse picture, multiplied
+    epipolar: float  # the rays' mismatch in standard deviations; nan where not in both
+    # 0 to 1, of the worse picture: share, similarity, and area over expected area, multiplied
+    quality: float

@@ -1,12 +1,11 @@
-"""From pictures to a 3D track of a coloured object: `track(pairs, rig, target)`.
+"""Track a coloured object in 3D through stereo pairs.
 
-CAMSHIFT looks in each picture where the Kalman track predicts the target; what both see must be one
-object, of the target's size, where the target can be. Otherwise, and once in a while for whatever
-else has its colour, the whole pictures are searched.
+CAMSHIFT searches each picture where the Kalman track predicts the target; what both cameras find
+must be one object, of the target's size, where the target can be. Otherwise, and regularly for
+others of its colour, the whole pictures are searched.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -22,14 +21,12 @@ from verify.grasping.tracking.search import (
     TargetSearch,
     Windows,
     left_picture,
-    make_candidate,
     search_pair,
 )
 from verify.grasping.tracking.selection import counterpart, model_from_box
 from verify.grasping.tracking.target import (
     BoxSelection,
     ColourSelection,
-    Outline,
     Target,
     TargetObservation,
     TrackingOptions,
@@ -77,7 +74,7 @@ class TargetTracker:
     def __init__(self, rig: Rig, target: Target, options: TrackingOptions) -> None:
         self._rig, self._options = rig, options
         self._target = target
-        self._identity = TargetIdentity(options, CLUTTER_DENSITY, options.speed)
+        self._identity = TargetIdentity(options, CLUTTER_DENSITY)
         self._models: tuple[ColourModel, ColourModel] | None = None  # left, right
         if isinstance(target, ColourSelection):
             self._models = (named_colour(target.colour), named_colour(target.colour))
@@ -86,7 +83,7 @@ class TargetTracker:
         self._size_uncertainty = np.full(2, np.nan)
 
     def step(self, pair: StereoPair) -> TargetObservation:
-        """Take in one pair.
+        """Take one pair.
 
         Raises:
             InputError: see `track`.
@@ -95,16 +92,14 @@ class TargetTracker:
         if self._models is None and isinstance(self._target, BoxSelection):
             self._models, selected = counterpart(pair, self._rig, self._target, self._options)
             if selected is not None:
-                self._identity.choose(pair.t_left, make_candidate(selected, 0))
+                self._identity.choose(pair.t_left, selected)
                 self._learn(pair, selected)
-                return self._told(pair, TargetDecision("tracked", "", 0), selected, NO_WINDOWS)
+                return self._observation(pair, TargetDecision("tracked", "", selected), NO_WINDOWS)
         things, windows = search_pair(self._now(pair), self._count % SEARCH_PERIOD == 0)
-        candidates = [make_candidate(thing, i) for i, thing in enumerate(things)]
-        verdict = self._identity.step(pair.t_left, candidates)
-        thing = None if verdict.chosen is None else things[verdict.chosen]
-        if thing is not None and verdict.status == "tracked":
-            self._learn(pair, thing)
-        return self._told(pair, verdict, thing, windows)
+        decision = self._identity.step(pair.t_left, things)
+        if decision.chosen is not None and decision.status == "tracked":
+            self._learn(pair, decision.chosen)
+        return self._observation(pair, decision, windows)
 
     def _now(self, pair: StereoPair) -> TargetSearch:
         assert self._models is not None  # known by name, or learned from the first pair
@@ -123,36 +118,25 @@ class TargetTracker:
             _update_model(right, pair.right, thing.right, share),
         )
 
-    def _told(
-        self,
-        pair: StereoPair,
-        verdict: TargetDecision,
-        thing: StereoObject | None,
-        windows: Windows,
+    def _observation(
+        self, pair: StereoPair, decision: TargetDecision, windows: Windows
     ) -> TargetObservation:
-        known = self._identity.target
+        known, thing, reason = self._identity.target, decision.chosen, decision.reason
         nothing, square = np.full(3, np.nan), np.full((3, 3), np.nan)
         centre, covariance, velocity, spread = nothing, square, nothing, square
-        if known is not None and pair.t_left - known.seen <= self._options.coast:
+        if known is not None and pair.t_left - known.t <= self._options.coast:
             now = known.track.at(pair.t_left)
             centre, covariance = now.position, now.position_covariance + self._systematic
             velocity, spread = now.velocity, now.velocity_covariance
-            if verdict.status == "lost" and (side := left_picture(self._now(pair), now)):
-                verdict = replace(verdict, reason=f"it has left the {side} picture")
-        outlines: list[Outline | None] = [None, None]
-        if thing is not None and known is not None:
-            whole = thing.areas / known.area
-            outlines = [
-                _outline(thing.left, float(whole[0])),
-                _outline(thing.right, float(whole[1])),
-            ]
+            if decision.status == "lost" and (side := left_picture(self._now(pair), now)):
+                reason = f"it has left the {side} picture"
         return TargetObservation(
             frame=pair.frame,
             t=pair.t_left,
-            status=verdict.status,
-            reason=verdict.reason,
-            left=outlines[0],
-            right=outlines[1],
+            status=decision.status,
+            reason=reason,
+            left=None if thing is None else thing.left,
+            right=None if thing is None else thing.right,
             windows=windows,
             centre=centre,
             covariance=covariance,
@@ -163,7 +147,7 @@ class TargetTracker:
             size=np.full(2, np.nan) if known is None else known.extent,
             size_standard_uncertainty=self._size_uncertainty,
             epipolar=float("nan") if thing is None else thing.place.mismatch,
-            quality=min((_quality(o) for o in outlines if o is not None), default=0.0),
+            quality=0.0 if thing is None or known is None else _quality(thing, known.area),
         )
 
 
@@ -176,20 +160,10 @@ def _update_model(model: ColourModel, image: Image, blob: Blob, share: float) ->
     return model.in_light(blob.value)
 
 
-def _outline(blob: Blob, wholeness: float) -> Outline:
-    long, short, angle = blob.ellipse
-    return Outline(
-        blob.centre,
-        blob.covariance,
-        (long, short),
-        angle,
-        blob.box,
-        blob.share,
-        blob.similarity,
-        wholeness,
+def _quality(thing: StereoObject, area: float) -> float:
+    """Share, similarity and completeness of the worse picture, multiplied; `area` m² expected."""
+    completeness: list[float] = [min(ratio, 1 / ratio) for ratio in (thing.areas / area).tolist()]
+    return min(
+        blob.share * blob.similarity * complete
+        for blob, complete in zip((thing.left, thing.right), completeness, strict=True)
     )
-
-
-def _quality(outline: Outline) -> float:
-    whole = min(outline.wholeness, 1 / outline.wholeness)
-    return outline.share * outline.similarity * whole

@@ -1,4 +1,4 @@
-"""The keys of session.toml, as the file has them: degrees, millimetres, paths."""
+"""The keys of session.toml: structs that mirror the file, their checks, and their SI values."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,11 +12,11 @@ from verify.core.records import Array
 from verify.io.fiducials import SOURCES as BODY_SOURCES
 from verify.io.fiducials import BodyUncertaintyTable
 from verify.io.rig import BaseTable, CovarianceTable, Matrix, Triple
-from verify.io.toml import decode, key_error, not_negative, one_of
+from verify.io.toml import MM, decode, key_error, not_negative, one_of, scaled
 
 RECORDING_STATES = ("open", "closed")
 POSE_FRAMES = ("robot_base", "instrument", "rig")  # that an instrument's poses may be in
-PICTURE_KEYS = ("left", "right", "frames", "marker")  # keys that poses stand in for
+PICTURE_KEYS = ("left", "right", "frames", "marker")  # keys that [poses] replaces
 
 
 class ClockTable(msgspec.Struct, kw_only=True):
@@ -112,7 +112,7 @@ class SessionTable(RecordingTable, kw_only=True):
 
 
 class PosesSessionTable(RunTable, kw_only=True):
-    """The keys of session.toml where an instrument's poses stand in for the pictures."""
+    """The keys of session.toml with an instrument's poses in place of pictures."""
 
     poses: PosesTable
     rig: str | None = None
@@ -138,7 +138,7 @@ T = TypeVar("T", bound=RunTable)
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """How the controller's clock stands to the cameras', where that was given."""
+    """The given offset between the controller's clock and the cameras'."""
 
     encoder_offset: float  # s, added to an encoder's time gives the cameras' clock
     standard_uncertainty: float | None  # s
@@ -146,7 +146,7 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """What the robot is allowed; None where nothing is asked."""
+    """Permissible errors of the robot; None where none is given."""
 
     joints: Array | None  # (n,), rad, bounds the error at every pose
     position: float | None  # m
@@ -155,15 +155,19 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class TimeInterval:
-    """A stretch of time that session.toml names: a visit of a pose, a passage of a path."""
+    """A named interval of session.toml: a visit of a pose, a passage of a path."""
 
     name: str
     start: float  # s, cameras' clock
     end: float
 
 
-def read(path: Path) -> tuple[SessionTable, tuple[str, ...]]:
+def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
     """Read session.toml and check what needs no other file.
+
+    Args:
+        path: the file.
+        kind: `SessionTable`, `RecordingTable` or `PosesSessionTable`.
 
     Returns:
         Its keys, and a warning for each that the format does not know.
@@ -171,16 +175,29 @@ def read(path: Path) -> tuple[SessionTable, tuple[str, ...]]:
     Raises:
         InputError: names the key, what stands there, what should, and what to do.
     """
-    return _decode_checked(path, SessionTable)
+    table, warnings = decode(path, kind)
+    one_of(path, "recording", table.recording, RECORDING_STATES)
+    if table.clock is not None:
+        key = "encoder_offset_standard_uncertainty_s"
+        not_negative(path, f"clock.{key}", table.clock.encoder_offset_standard_uncertainty_s)
+    for key in ("resolution_deg", "time_standard_uncertainty_s"):
+        not_negative(path, f"encoder_readings.{key}", getattr(table.encoder_readings, key))
+    for key, intervals in (("pose", table.pose), ("path", table.path)):
+        for index, interval in enumerate(intervals):
+            _check_interval(path, f"{key}[{index}]", interval)
+    return table, warnings
 
 
-def read_recording(path: Path) -> tuple[RecordingTable, tuple[str, ...]]:
-    """Read session.toml likewise, where rig and marker need not be named."""
-    return _decode_checked(path, RecordingTable)
+def _check_interval(path: Path, key: str, interval: IntervalTable) -> None:
+    if not interval.name.strip():
+        raise key_error(path, f"{key}.name", "is empty", "a name is expected")
+    if interval.t_end_s <= interval.t_start_s:
+        expected = f"a time after t_start_s, {interval.t_start_s}, is expected"
+        raise key_error(path, f"{key}.t_end_s", f"is {interval.t_end_s}", expected)
 
 
 def has_poses(path: Path) -> bool:
-    """Say whether session.toml speaks of an instrument's poses in place of pictures.
+    """Whether session.toml has a table [poses] in place of pictures.
 
     Raises:
         InputError: it is no session.toml, or its [poses] is none.
@@ -189,7 +206,7 @@ def has_poses(path: Path) -> bool:
 
 
 def read_stretches(path: Path) -> tuple[tuple[TimeInterval, ...], tuple[TimeInterval, ...]]:
-    """Read [[pose]] and [[path]] of a session.toml that is known to be one.
+    """Read [[pose]] and [[path]] of a session.toml that was checked before.
 
     Raises:
         InputError: it cannot be read.
@@ -203,14 +220,15 @@ def read_stretches(path: Path) -> tuple[tuple[TimeInterval, ...], tuple[TimeInte
 
 
 def read_poses(path: Path) -> tuple[PosesSessionTable, tuple[str, ...]]:
-    """Read session.toml likewise, where an instrument's poses stand in for the pictures."""
-    table, warnings = _decode_checked(path, PosesSessionTable)
+    """Read session.toml with an instrument's poses in place of pictures, as `read` does."""
+    table, warnings = read(path, PosesSessionTable)
     for key in PICTURE_KEYS:
         if getattr(table, key) is not None:
-            remedy = "Leave it out, or leave out [poses]."
-            raise key_error(
-                path, key, "stands beside [poses]", "a session has one or the other", remedy
+            expected, remedy = (
+                "a session has one or the other",
+                "Leave it out, or leave out [poses].",
             )
+            raise key_error(path, key, "stands beside [poses]", expected, remedy)
     poses = table.poses
     if not poses.instrument.strip():
         raise key_error(path, "poses.instrument", "is empty", "the instrument's name is expected")
@@ -224,15 +242,15 @@ def read_poses(path: Path) -> tuple[PosesSessionTable, tuple[str, ...]]:
 
 
 def _check_frame(path: Path, table: PosesSessionTable) -> None:
-    """Ask for what carries the poses to the robot's base, and for nothing beside it."""
+    """Require the key that carries the poses to the robot's base, and refuse others."""
     frame = table.poses.frame
     wanted = {"rig": "rig", "instrument": "robot_base"}.get(frame)
     for key in ("rig", "robot_base"):
-        there = getattr(table, key) is not None
-        if key == wanted and not there:
+        given = getattr(table, key) is not None
+        if key == wanted and not given:
             expected = "it says where the robot stands in the poses' frame"
             raise key_error(path, key, "is missing", expected, f'poses.frame is "{frame}".')
-        if there and key != wanted:
+        if given and key != wanted:
             expected = f'poses in the frame "{frame}" do not ask for it'
             raise key_error(path, key, "is given", expected, "Leave it out, or mend poses.frame.")
     if table.covariance is not None and frame == "rig":
@@ -240,37 +258,15 @@ def _check_frame(path: Path, table: PosesSessionTable) -> None:
         raise key_error(path, "covariance", "is given", expected, "Leave it out.")
 
 
-def _decode_checked(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
-    table, warnings = decode(path, kind)
-    one_of(path, "recording", table.recording, RECORDING_STATES)
-    if table.clock is not None:
-        key = "encoder_offset_standard_uncertainty_s"
-        not_negative(path, f"clock.{key}", table.clock.encoder_offset_standard_uncertainty_s)
-    for key in ("resolution_deg", "time_standard_uncertainty_s"):
-        not_negative(path, f"encoder_readings.{key}", getattr(table.encoder_readings, key))
-    for key in ("pose", "path"):
-        _check_stretches(path, key, getattr(table, key))
-    return table, warnings
-
-
-def _check_stretches(path: Path, key: str, named: list[IntervalTable]) -> None:
-    for index, one in enumerate(named):
-        if not one.name.strip():
-            raise key_error(path, f"{key}[{index}].name", "is empty", "a name is expected")
-        if one.t_end_s <= one.t_start_s:
-            expected = f"a time after t_start_s, {one.t_start_s}, is expected"
-            raise key_error(path, f"{key}[{index}].t_end_s", f"is {one.t_end_s}", expected)
-
-
 def clock(table: ClockTable | None) -> Clock | None:
-    """Turn [clock] into what the chain reads; None means: estimate it from the motion."""
+    """Convert [clock]; None means: the offset is estimated from the motion."""
     if table is None:
         return None
     return Clock(table.encoder_offset_s, table.encoder_offset_standard_uncertainty_s)
 
 
 def tolerance(path: Path, table: ToleranceTable | None, joints: int) -> Tolerance | None:
-    """Turn [tolerance] into radians and metres; one number holds for every joint.
+    """Convert [tolerance] to radians and metres; one number holds for every joint.
 
     Raises:
         InputError: a tolerance that is not positive, or a list of another length.
@@ -278,26 +274,26 @@ def tolerance(path: Path, table: ToleranceTable | None, joints: int) -> Toleranc
     if table is None or table == ToleranceTable():
         return None
     given = table.joints_deg
-    several = isinstance(given, list)
-    if isinstance(given, list) and len(given) != joints:
-        expected = f"one number, or one for each of the {joints} joints, is expected"
-        raise key_error(path, "tolerance.joints_deg", f"is a list of {len(given)}", expected)
+    if isinstance(given, list):
+        if len(given) != joints:
+            expected = f"one number, or one for each of the {joints} joints, is expected"
+            raise key_error(path, "tolerance.joints_deg", f"is a list of {len(given)}", expected)
+        for index, value in enumerate(given):
+            _positive(path, f"tolerance.joints_deg[{index}]", value)
+    else:
+        _positive(path, "tolerance.joints_deg", given)
     angles = given if isinstance(given, list) else [given] * joints
-    for index, value in enumerate([] if given is None else angles):
-        _positive(
-            path, f"tolerance.joints_deg[{index}]" if several else "tolerance.joints_deg", value
-        )
     _positive(path, "tolerance.position_mm", table.position_mm)
     _positive(path, "tolerance.orientation_deg", table.orientation_deg)
     return Tolerance(
         joints=None if given is None else np.deg2rad(np.array(angles, dtype=float)),
-        position=None if table.position_mm is None else table.position_mm * 1e-3,
+        position=scaled(table.position_mm, MM),
         orientation=to_radians(table.orientation_deg),
     )
 
 
 def format_start(moment: datetime | None) -> str | None:
-    """Write the moment as session.toml has it."""
+    """Format a moment as session.toml has it."""
     if moment is None:
         return None
     text = moment.isoformat()
@@ -305,8 +301,8 @@ def format_start(moment: datetime | None) -> str | None:
 
 
 def to_radians(degrees: float | None) -> float | None:
-    """Convert what may be missing."""
-    return None if degrees is None else float(np.deg2rad(degrees))
+    """Convert an angle; None stays None."""
+    return scaled(degrees, np.pi / 180)
 
 
 def _positive(path: Path, key: str, value: float | None, what: str = "a tolerance") -> None:

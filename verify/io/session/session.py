@@ -17,7 +17,6 @@ from verify.io.files import digest
 from verify.io.series import EncoderSeries, FrameSeries, read_encoders, read_frames
 from verify.io.session import keys as session_keys
 from verify.io.session.folder import (
-    append_unfinished,
     check_absorption,
     file_digests,
     find_session_file,
@@ -25,30 +24,19 @@ from verify.io.session.folder import (
     recording_fields,
     resolve_inside,
 )
-from verify.io.session.keys import Clock, RecordingTable, Tolerance
+from verify.io.session.keys import Clock, RecordingTable, SessionTable, Tolerance
 from verify.io.session.poses import Instrument, read_pose_streams
 from verify.io.toml import key_error
 from verify.io.unfinished import NAME as PENDING
+from verify.io.unfinished import append_unfinished
 from verify.io.video import Images, decode_in_step, open_images
-
-__all__ = [
-    "Clock",
-    "EncoderSeries",
-    "FrameSeries",
-    "Instrument",
-    "Recording",
-    "Session",
-    "Tolerance",
-    "open_recording",
-    "open_session",
-]
 
 _STREAMS = ("left", "right", "frames", "encoders")
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What one run recorded: every fact checked, every series in memory, the images on disk."""
+    """A recorded run: keys checked, time series in memory, images on the disk."""
 
     folder: Path
     name: str  # the folder's own
@@ -107,8 +95,8 @@ class Session(Recording):
     """A recording of a robot whose place and LEDs are known: all that measuring needs."""
 
     marker: Marker
-    tolerance: Tolerance | None  # None: no verdict is asked for
-    # None: the poses come from the pictures; else there are none, and no LEDs to look for
+    tolerance: Tolerance | None  # None: no verdict
+    # an instrument that measured the poses in place of cameras; None: they come from the pictures
     instrument: Instrument | None = field(default=None, kw_only=True)
 
 
@@ -129,16 +117,17 @@ def open_session(folder: str | Path) -> Session:
     folder = Path(folder)
     path = find_session_file(folder)
     if session_keys.has_poses(path):
-        return Session(**read_pose_streams(folder, path))
-    table, warnings = session_keys.read(path)
-    named = _resolve_paths(folder, path, table, ("rig", "marker", *_STREAMS))
-    arm = load_arm(folder, path, table)
+        return Session(**read_pose_streams(path))
+    table, warnings = session_keys.read(path, SessionTable)
+    named = _resolve_paths(path, table, ("rig", "marker", *_STREAMS))
+    arm = load_arm(path, table)
     rig, rig_warnings = io_rig.read(named["rig"])
     marker, marker_warnings = fiducials.read_marker(named["marker"])
     check_absorption(named["rig"], rig, arm.dof)
     tolerance = session_keys.tolerance(path, table.tolerance, arm.dof)
-    said = (*warnings, *rig_warnings, *marker_warnings, *_warn_mismatch(folder, rig, marker))
-    parts = _read_streams(folder, path, table, named, (arm, rig), said)
+    mismatches = _warn_mismatch(folder, rig, marker)
+    notes = (*warnings, *rig_warnings, *marker_warnings, *mismatches)
+    parts = _read_streams(path, table, named, arm, rig, notes)
     return Session(**parts, marker=marker, tolerance=tolerance)
 
 
@@ -161,25 +150,23 @@ def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Reco
         expected = "robot and LEDs are registered by pictures of the LEDs"
         remedy = "Register the instrument by its own means; docs/session.md says where that goes."
         raise key_error(path, "poses", "stands in place of pictures", expected, remedy)
-    table, warnings = session_keys.read_recording(path)
+    table, warnings = session_keys.read(path, RecordingTable)
     if rig is None and table.rig is None:
         expected = "the calibrated cameras are needed"
         raise key_error(path, "rig", "is missing", expected, "Name them there or with --rig.")
-    named = _resolve_paths(folder, path, table, _STREAMS if rig is not None else ("rig", *_STREAMS))
-    cameras = named["rig"] if rig is None else Path(rig)
-    arm = load_arm(folder, path, table)
-    seen, rig_warnings = io_rig.read(cameras, registered=False)
-    parts = _read_streams(folder, path, table, named, (arm, seen), (*warnings, *rig_warnings))
+    named = _resolve_paths(path, table, _STREAMS if rig is not None else ("rig", *_STREAMS))
+    rig_path = named["rig"] if rig is None else Path(rig)
+    arm = load_arm(path, table)
+    cameras, rig_warnings = io_rig.read(rig_path, registered=False)
+    parts = _read_streams(path, table, named, arm, cameras, (*warnings, *rig_warnings))
     if rig is not None:
-        parts["inputs"][str(rig)] = digest(cameras)
+        parts["inputs"][str(rig)] = digest(rig_path)
     return Recording(**parts)
 
 
-def _resolve_paths(
-    folder: Path, path: Path, table: RecordingTable, keys: tuple[str, ...]
-) -> dict[str, Path]:
-    """Find what session.toml names under each key."""
-    named = {key: resolve_inside(folder, path, key, getattr(table, key)) for key in keys}
+def _resolve_paths(path: Path, table: RecordingTable, keys: tuple[str, ...]) -> dict[str, Path]:
+    """Find the file that session.toml names under each key."""
+    named = {key: resolve_inside(path, key, getattr(table, key)) for key in keys}
     if named["left"].resolve() == named["right"].resolve():
         expected = "each camera has its own images"
         raise key_error(path, "right", f'names what left names, "{table.right}"', expected)
@@ -187,15 +174,14 @@ def _resolve_paths(
 
 
 def _read_streams(
-    folder: Path,
     path: Path,
     table: RecordingTable,
     named: dict[str, Path],
-    known: tuple[robots.Arm, Rig],
+    arm: robots.Arm,
+    rig: Rig,
     warnings: tuple[str, ...],
 ) -> dict[str, Any]:
     """Read and check the streams: every field of a Recording."""
-    arm, rig = known
     torn = table.recording == "open"
     pan = (rig.left.pan, rig.right.pan)
     frames, frames_warnings = read_frames(named["frames"], pan, torn)
@@ -203,14 +189,15 @@ def _read_streams(
     left, right = open_images(named["left"]), open_images(named["right"])
     frames, sides, length_warnings = _common_length(named["frames"], frames, (left, right), torn)
     files = {getattr(table, key): file for key, file in named.items()}
-    if torn and (folder / PENDING).exists():
-        files[PENDING] = folder / PENDING
+    pending = path.parent / PENDING
+    if torn and pending.exists():
+        files[PENDING] = pending
     return {
-        **recording_fields(folder, table, arm),
+        **recording_fields(path, table, arm),
         "rig": rig,
         "frames": frames,
         "encoders": encoders,
-        "inputs": file_digests(folder, path, table.robot, files),
+        "inputs": file_digests(path, table.robot, files),
         "warnings": (*warnings, *frames_warnings, *encoders_warnings, *length_warnings),
         "left": sides[0],
         "right": sides[1],
@@ -219,20 +206,20 @@ def _read_streams(
 
 def _warn_mismatch(folder: Path, rig: Rig, marker: Marker) -> list[str]:
     """Warn of a rig and a marker that do not belong together."""
-    misfits = []
+    notes = []
     if rig.registration != marker.registration:
-        misfits.append(
+        notes.append(
             f"{folder}: rig.toml and marker.toml carry different registrations, "
             f"{rig.registration or 'none'} and {marker.registration or 'none'}. "
             "Use the two files that one registration wrote."
         )
     stated = rig.covariance.parameters if rig.covariance else ()
     leds = {name.split(".", 1)[1].rsplit(".", 1)[0] for name in stated if name.startswith("led.")}
-    misfits += [
+    notes += [
         f'{folder}: marker.toml has no LED "{name}", of which the covariance in rig.toml speaks.'
         for name in sorted(leds.difference(marker.names))
     ]
-    return [one_line(misfit) for misfit in misfits]
+    return [one_line(note) for note in notes]
 
 
 def _common_length(

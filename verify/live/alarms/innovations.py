@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.analysis.least_squares import MAX_CORRELATION, autocorrelation
-from verify.core.kernels.readings import MAD_TO_SIGMA
+from verify.core.readings import MAD_TO_SIGMA
 from verify.core.records import Array
 from verify.live.joint_row import Evidence
 

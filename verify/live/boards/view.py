@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.calibration.corners.find import draw_charuco_board, is_degenerate, to_grey
+from verify.calibration.corners.find import is_degenerate, to_grey
 from verify.calibration.corners.grid import orient_grid
 from verify.calibration.corners.search import to_8_bits, undo_scale
-from verify.core.fiducials import Board, BoardView
+from verify.core.fiducials import Board, BoardView, charuco_board
 from verify.core.records import Array, Image
 
 MAX_SIDE_PX = 640  # px of the longer side: larger pictures are looked at in a smaller scale
@@ -59,9 +59,7 @@ def _checkerboard_corners(small: Image, board: Board) -> tuple[NDArray[np.int64]
 
 
 def _charuco_corners(small: Image, board: Board) -> tuple[NDArray[np.int64], Array]:
-    corners, identity, _, _ = cv2.aruco.CharucoDetector(draw_charuco_board(board)).detectBoard(
-        small
-    )
+    corners, identity, _, _ = cv2.aruco.CharucoDetector(charuco_board(board)).detectBoard(small)
     if identity is None:
         return np.empty(0, dtype=np.int64), np.empty((0, 2))
     order = np.argsort(identity.ravel())

@@ -1,19 +1,18 @@
-"""In the run's process: tells the page's server what there is to see, ten times a second.
+"""The page's feed: sends a run's state to the page's server process, ten times a second.
 
-What viewers say comes back on a line and a thread of its own: no picture that is under way, and no
-viewer who is slow, can make it wait.
+A thread of its own receives what viewers send: neither a picture that is being sent nor a slow
+viewer delays it.
 """
 
 import json
-import multiprocessing
-import queue
-import socket
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, Protocol
 
+from verify.core.processes import ChildLateError, ChildLostError, ChildProcess
 from verify.errors import InputError
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK, check_access
 from verify.live.page.server import ViewerMessages, serve
@@ -82,29 +81,19 @@ class Page:
     ) -> None:
         self._source, self._moment = source, moment
         self._asked, self._given = dict(asked or {}), dict(given or {})
-        self._access = check_access(address, port or _free_port(address), token)
-        context = multiprocessing.get_context("spawn")
-        their_news, self._news = context.Pipe(duplex=False)
-        self._back, their_back = context.Pipe(duplex=False)
-        words = ViewerMessages(frozenset(self._asked), frozenset(self._given))
-        self._process = context.Process(
-            target=serve,
-            args=(their_news, their_back, self._access, words),
-            name="page",
-            daemon=True,
+        self._access = check_access(address, port, token)
+        messages = ViewerMessages(frozenset(self._asked), frozenset(self._given))
+        self._server: ChildProcess[Any, Any] = ChildProcess(
+            serve, self._access, messages, name="page"
         )
-        self._process.start()
-        their_news.close()
-        their_back.close()
+        self._wait_until_ready()
         self._viewers = 0
         self.trouble = ""
-        self._began: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
-        self._ear = threading.Thread(target=self._listen, name="page-ear", daemon=True)
-        self._ear.start()
-        self._wait_until_ready()
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._feed, name="page", daemon=True)
-        self._thread.start()
+        self._receiver = threading.Thread(target=self._receive, name="page-receive", daemon=True)
+        self._sender = threading.Thread(target=self._feed, name="page", daemon=True)
+        self._receiver.start()
+        self._sender.start()
 
     @property
     def url(self) -> str:
@@ -122,32 +111,23 @@ class Page:
     def close(self) -> None:
         """Send what is left, and end the server."""
         self._stop.set()
-        self._thread.join(JOIN_TIMEOUT)
-        self._end()
-
-    def _end(self) -> None:
-        """Let go of the server: it ends once nothing can come any more, and then the ear does."""
-        self._news.close()
-        self._process.join(JOIN_TIMEOUT)
-        if self._process.is_alive():
-            self._process.terminate()
-        self._ear.join(JOIN_TIMEOUT)
-        self._back.close()
+        self._sender.join(JOIN_TIMEOUT)
+        self._server.stop(JOIN_TIMEOUT)
+        self._receiver.join(JOIN_TIMEOUT)
 
     def _wait_until_ready(self) -> None:
         try:
-            kind, value = self._began.get(timeout=START_TIMEOUT)
-        except queue.Empty:
-            kind, value = "failed", "it does not start"
-        if kind != "ready":
-            self._process.terminate()
-            self._end()
+            port = self._server.wait_until_ready(START_TIMEOUT)
+        except ChildLostError as error:
+            self._server.stop(0.0)
+            found = "it does not start" if isinstance(error, ChildLateError) else str(error)
             place = f"--page, {self._access.address}:{self._access.port}"
             remedy = "Choose another port, such as --page-port 8700."
-            raise InputError(place, f"the page cannot be served: {value}", "", remedy)
+            raise InputError(place, f"the page cannot be served: {found}", "", remedy) from error
+        self._access = replace(self._access, port=port)
 
     def _feed(self) -> None:
-        """Send until told to stop; a page that is gone costs the run nothing but a word."""
+        """Send until stopped; a page that is lost does not stop the run."""
         try:
             self._send("hello", _text("hello", self._source.hello()))
             due = 0.0
@@ -159,7 +139,7 @@ class Page:
                 if self._moment is not None and not self._stop.is_set():
                     self._moment(MAX_DELAY)
             self._send_news(full=True)
-        except OSError as error:
+        except ChildLostError as error:
             self.trouble = f"the page is gone: {error}"
 
     def _send_news(self, *, full: bool) -> None:
@@ -175,28 +155,26 @@ class Page:
                 self._send("picture", side, _picture_message(side, found, jpeg))
 
     def _send(self, *message: Any) -> None:
-        self._news.send(message)
+        self._server.send(message)
 
-    def _listen(self) -> None:
-        """Take what the server says, at once and to its end."""
-        with suppress(EOFError, OSError):
+    def _receive(self) -> None:
+        """Act on the server's messages until it ends."""
+        with suppress(ChildLostError):
             while True:
-                kind, *content = self._back.recv()
+                kind, value = self._server.receive(None)
                 try:
-                    self._take(kind, *content)
-                except Exception as error:  # the next word may be a stop
+                    self._act(kind, value)
+                except Exception as error:  # the next message may be a stop
                     self.trouble = f"the page asked for what could not be done: {error}"
-        self._began.put(("failed", "its process ended"))
 
-    def _take(self, kind: str, value: Any, more: str = "") -> None:
+    def _act(self, kind: str, value: Any) -> None:
         if kind == "viewers":
             self._viewers = value
         elif kind == "asked":
             self._asked[value]()
-        elif kind == "given":
-            self._given[value](more)
         else:
-            self._began.put((kind, value))
+            word, more = value
+            self._given[word](more)
 
 
 def _text(kind: str, fields: dict[str, Any]) -> str:
@@ -207,10 +185,3 @@ def _picture_message(side: int, found: dict[str, Any], jpeg: bytes) -> bytes:
     """One side's picture: its number, the length of what was found, that as JSON, the JPEG."""
     text = json.dumps(found, allow_nan=False).encode()
     return bytes([side]) + len(text).to_bytes(4, "big") + text + jpeg
-
-
-def _free_port(address: str) -> int:
-    family = socket.AF_INET6 if ":" in address else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.bind((address, 0))
-        return int(probe.getsockname()[1])

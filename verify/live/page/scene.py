@@ -1,39 +1,30 @@
-"""What the page's scene is drawn from: an arm as the chain of points from base to flange; mm.
-
-Pictures for the page: small, as JPEG, encoded once for all who look.
-"""
+"""Arms, poses and pictures as the page draws them: points in mm, small JPEG pictures."""
 
 from typing import Any
 
 import cv2
 import numpy as np
-import pinocchio
 
 import robots
-from robots.arm import DhArm, UrdfArm
 from verify.core.records import Array, Image
+
+PICTURE_WIDTH = 640  # px of a picture on the page
+JPEG_QUALITY = 72  # of JPEG
 
 
 def joint_origins(arm: robots.Arm, q: Array) -> Array:
-    """Points along the arm in its base frame, (n + 1, 3), m, for joint angles q (n,), rad."""
-    if isinstance(arm, UrdfArm):
-        return _of_urdf(arm, q)
-    assert isinstance(arm, DhArm)
-    frame = np.eye(4)
-    points = [np.zeros(3)]
-    for theta, (a, d, cosine, sine) in zip(arm.theta(q).tolist(), arm.links, strict=True):
-        c, s = np.cos(theta), np.sin(theta)
-        if d and a:  # the corner between the two, as the link is built
-            points.append(frame[:3, 3] + d * frame[:3, 2])
-        frame = frame @ np.array(
-            [
-                [c, -s * cosine, s * sine, a * c],
-                [s, c * cosine, -c * sine, a * s],
-                [0.0, sine, cosine, d],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
-        points.append(frame[:3, 3].copy())
+    """Place points along the arm in its base, (p, 3), m, at joint angles q (n,), rad.
+
+    The base, each joint and the flange; of a DH table also the corner between d and a.
+    """
+    frames = robots.link_frames(arm, q[None])[0]
+    if not isinstance(arm, robots.DhArm):
+        return np.concatenate([np.zeros((1, 3)), frames[:, :3, 3]])
+    points = [frames[0, :3, 3]]
+    for before, after, (a, d, _, _) in zip(frames[:-1], frames[1:], arm.links, strict=True):
+        if d and a:
+            points.append(before[:3, 3] + d * before[:3, 2])
+        points.append(after[:3, 3])
     return np.array(points)
 
 
@@ -49,22 +40,6 @@ def pose_fields(a_T_b: Array) -> dict[str, Any]:
         "rotation": np.round(a_T_b[:3, :3], 6).tolist(),
         "at_mm": millimetres(a_T_b[None, :3, 3])[0],
     }
-
-
-def _of_urdf(arm: UrdfArm, q: Array) -> Array:
-    data = arm.model.createData()  # the arm's own is the measurement's
-    pinocchio.framesForwardKinematics(arm.model, data, arm.configuration(q))
-    base = data.oMf[arm.base_frame]
-    points = [np.zeros(3)]
-    points += [
-        base.actInv(data.oMi[arm.model.getJointId(name)].translation) for name in arm.joint_names
-    ]
-    points.append(base.actInv(data.oMf[arm.tip_frame].translation))
-    return np.array(points)
-
-
-PICTURE_WIDTH = 640  # px of a picture on the page
-JPEG_QUALITY = 72  # of JPEG
 
 
 def small_jpeg(image: Image) -> bytes:

@@ -1,16 +1,15 @@
-"""The page's server: runs in a process of its own, and ends with the run that feeds it.
+"""The page's server, in a child process of the run: HTTP, web sockets, and a hub for all viewers.
 
-What goes from the run to every viewer: the newest of everything, never a queue that grows.
+Each viewer gets the newest of everything; no queue grows for a slow one.
 """
 
 import asyncio
-import signal
+import socket
 import threading
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from starlette.responses import FileResponse, PlainTextResponse, RedirectRespons
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from verify.core.processes import lower_priority
+from verify.core.processes import FAILED, READY, ParentLine, ParentLostError, lower_priority
 from verify.live.page.access import COOKIE, HEADERS, PageAccess
 
 MAX_HISTORY_ROWS = 1800  # rows for a viewer who comes later: a minute at 30 a second
@@ -256,42 +255,45 @@ class _Server(uvicorn.Server):
         yield
 
 
-def serve(news: Connection, back: Connection, access: PageAccess, words: ViewerMessages) -> None:
-    """Serve until the run ends; the body of the server's process.
+def serve(line: ParentLine, access: PageAccess, messages: ViewerMessages) -> None:
+    """Serve until the run ends; the target of the server's process.
 
     Args:
-        news: from the run, what there is to see.
-        back: to the run, which reads it at once: the number of viewers, and what they say.
-        access: where, and for whom.
-        words: what viewers may say.
+        line: to the run.
+        access: where, and for whom; port 0 takes a free one. READY's value is the port.
+        messages: what viewers may send.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the run, and the run ends this
-    if words == ViewerMessages():  # nobody can say "stop": nothing is urgent
+    if messages == ViewerMessages():  # nobody can send "stop": nothing is urgent
         lower_priority()
-    asyncio.run(_serve(news, back, access, words))
+    family = socket.AF_INET6 if ":" in access.address else socket.AF_INET
+    try:
+        listening = socket.create_server((access.address, access.port), family=family)
+    except OSError:
+        line.send(FAILED, f"port {access.port} is taken or not allowed")
+        return
+    access = replace(access, port=listening.getsockname()[1])
+    asyncio.run(_serve(line, access, messages, listening))
 
 
 async def _serve(
-    news: Connection, back: Connection, access: PageAccess, words: ViewerMessages
+    line: ParentLine, access: PageAccess, messages: ViewerMessages, listening: socket.socket
 ) -> None:
     loop = asyncio.get_running_loop()
 
-    def tell(*message: Any) -> None:
-        with suppress(OSError):
-            back.send(message)
+    def send(kind: str, value: Any) -> None:
+        with suppress(ParentLostError):
+            line.send(kind, value)
 
-    def asked(text: str) -> None:
+    def take(text: str) -> None:
         word, _, more = text.partition(" ")
-        if text in words.whole:
-            tell("asked", text)
-        elif word in words.leading:
-            tell("given", word, more)
+        if text in messages.whole:
+            send("asked", text)
+        elif word in messages.leading:
+            send("given", (word, more))
 
-    hub = ViewerHub(lambda viewers: tell("viewers", viewers))
+    hub = ViewerHub(lambda viewers: send("viewers", viewers))
     config = uvicorn.Config(
-        application(hub, access, asked),
-        host=access.address,
-        port=access.port,
+        application(hub, access, take),
         log_level="critical",
         access_log=False,
         lifespan="off",
@@ -303,27 +305,17 @@ async def _serve(
     )
     server = _Server(config)
 
-    def listen() -> None:
+    def receive() -> None:
         """Pass on what the run sends; end with it."""
-        with suppress(EOFError, OSError):
+        with suppress(ParentLostError):
             while True:
-                kind, *content = news.recv()
+                kind, *content = line.receive()
                 loop.call_soon_threadsafe(_deliver, hub, kind, content)
         server.should_exit = True
 
-    threading.Thread(target=listen, name="feed", daemon=True).start()
-    asyncio.get_running_loop().create_task(_ready(server, tell))
-    try:
-        await server.serve()
-    except SystemExit:  # uvicorn's way to say that it could not begin
-        tell("failed", f"port {access.port} is taken or not allowed")
-
-
-async def _ready(server: _Server, tell: Callable[..., None]) -> None:
-    while not server.started and not server.should_exit:
-        await asyncio.sleep(0.02)
-    if server.started:
-        tell("ready", server.servers[0].sockets[0].getsockname()[1])
+    line.send(READY, access.port)
+    threading.Thread(target=receive, name="feed", daemon=True).start()
+    await server.serve([listening])
 
 
 def _deliver(hub: ViewerHub, kind: str, content: list[Any]) -> None:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from verify.core.processes import request_short_slice
 from verify.core.records import StereoPair
 from verify.devices.protocols import CapturedPair, EncoderReading
 from verify.errors import InputError
@@ -33,7 +32,7 @@ WRITE_TIMEOUT = 0.02  # s: a pair is measured after it, on the disk or not
 MAX_ENCODING_DELAY = 0.1  # s from its coming
 MAX_LAG = 0.8  # s behind, and the recording ends: a kill must not cost a second
 READING_LEAD = 1.0  # s of readings before the first pair: they bracket it
-CLOSE_TIMEOUT = 10.0  # s: what is under way is given so long to reach the disk
+JOIN_TIMEOUT = 10.0  # s: files that are being written are finished
 
 RawImages = tuple[bytes | None, bytes | None]
 
@@ -177,7 +176,7 @@ class SessionRecorder:
         with self._wake:
             self._closing = True
             self._wake.notify()
-        self._thread.join(CLOSE_TIMEOUT)
+        self._thread.join(JOIN_TIMEOUT)
         if self._thread.is_alive():
             self._trouble = self._trouble or "the disk does not answer; the session stays open"
 
@@ -206,7 +205,6 @@ class SessionRecorder:
 
     def _write(self) -> None:
         """Write items until the end, then close; runs in its own thread."""
-        request_short_slice()
         while self._wait():
             if not self._items:
                 self._guarded(self._encode)

@@ -9,7 +9,7 @@ from typing import Protocol
 import msgspec
 
 from verify.core.fiducials import Board
-from verify.devices.cameras.opening import open_camera
+from verify.devices.cameras.capture import open_camera
 from verify.devices.protocols import CameraDevice, CameraSettings, PanDevice
 from verify.errors import InputError
 from verify.io.toml import decode, one_of

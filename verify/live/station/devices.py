@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from verify.devices.cameras.opening import is_file
+from verify.devices.cameras.capture import is_file
 from verify.devices.encoders.csv import CsvEncoders, CsvSettings
 from verify.devices.encoders.intake import AngleMap
 from verify.devices.encoders.labenc import LabencEncoders, LabencSettings

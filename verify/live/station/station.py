@@ -13,7 +13,7 @@ import numpy as np
 import robots
 from verify.core.fiducials import Marker
 from verify.core.rig import Rig
-from verify.devices.cameras.opening import is_file, open_camera
+from verify.devices.cameras.capture import is_file, open_camera
 from verify.devices.cameras.replay import DEFAULT_RATE
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
 from verify.errors import InputError

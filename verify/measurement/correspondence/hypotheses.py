@@ -22,8 +22,14 @@ from verify.measurement.correspondence.kernels import fit, seeds
 from verify.measurement.correspondence.kernels import points as kernels_points
 from verify.measurement.correspondence.kernels import seeds as kernels_seeds
 from verify.measurement.correspondence.kernels import spots as kernel_spots
-from verify.measurement.correspondence.kernels import spots as kernels_spots
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
+from verify.measurement.correspondence.refinement import (
+    HypothesisArrays,
+    SearchInputs,
+    best_of_each,
+    follow_all,
+    settle_all,
+)
 from verify.measurement.correspondence.views import SpotViews
 
 MAX_POINTS = 120  # best rays first; keeps a scene full of lamps on one line within bounds
@@ -71,9 +77,10 @@ def find_points(views: SpotViews) -> TriangulatedPoints:
 
 def build_graph(views: SpotViews, points: TriangulatedPoints) -> SeedGraph:
     """Join points that may be LEDs at the marker's distances, within noise and skew."""
-    point, led = np.empty((2, len(points.spot) * len(views.leds)), dtype=np.int64)
-    count = seeds.list_nodes(points.spot, views.allowed, point, led)
-    point, led, deviation = point[:count], led[:count], np.empty((count, count))
+    left, right = points.spot.T
+    possible = np.flatnonzero(views.allowed[0][:, left] & views.allowed[1][:, right])
+    led, point = np.divmod(possible, len(points.spot))
+    deviation = np.empty((len(point), len(point)))
     places = points.spot, points.rig, points.covariance
     seeds.join_nodes(places, point, led, views.leds, views.led_play, deviation)
     return SeedGraph(point, led, deviation)
@@ -81,8 +88,11 @@ def build_graph(views: SpotViews, points: TriangulatedPoints) -> SeedGraph:
 
 def find_edges(graph: SeedGraph) -> Index:
     """List pairs of nodes that agree, (e, 2), best first."""
-    edges = np.empty((MAX_EDGES, 2), dtype=np.int64)
-    return edges[: seeds.list_edges(graph.deviation, np.empty(MAX_EDGES), edges)]
+    agreeing = np.flatnonzero(graph.deviation <= MAX_DEVIATION)
+    one, other = np.divmod(agreeing, len(graph.deviation))
+    once = one < other
+    best = np.argsort(graph.deviation.ravel()[agreeing[once]], kind="stable")[:MAX_EDGES]
+    return np.column_stack([one[once][best], other[once][best]])
 
 
 def find_triangles(graph: SeedGraph, leds: Array) -> Index:
@@ -131,7 +141,7 @@ class Hypotheses:
         return len(self.position)
 
     @property
-    def laid(self) -> kernels_spots.HypothesisArrays:
+    def laid(self) -> HypothesisArrays:
         """All that they are, as the kernels take it."""
         return (
             self.rotation, self.position, self.shift, self.spot, self.hold, self.covariance,
@@ -234,9 +244,7 @@ def refine(views: SpotViews, hypotheses: Hypotheses) -> Hypotheses:
         return hypotheses
     steps = 2  # from a few mm off they leave 0.01 px
     own = hypotheses.copied()
-    count = kernels_spots.settle_all(
-        _kernel_inputs(views), own.laid, steps, settle_bounds(len(views.leds))
-    )
+    count = settle_all(_kernel_inputs(views), own.laid, steps, settle_bounds(len(views.leds)))
     return own.first(count)
 
 
@@ -260,14 +268,12 @@ def follow_pose(
     for mine, theirs in zip(own.laid, found.laid, strict=True):
         mine[1:] = theirs
     own.hold[:] = place**-2
-    count = kernels_spots.follow_all(
-        _kernel_inputs(views), own.laid, settle_bounds(len(views.leds)), settled
-    )
+    count = follow_all(_kernel_inputs(views), own.laid, settle_bounds(len(views.leds)), settled)
     return own.first(count)
 
 
-def _kernel_inputs(views: SpotViews) -> kernels_spots.SearchInputs:
-    """What the kernels that settle hypotheses are told of the images and the marker."""
+def _kernel_inputs(views: SpotViews) -> SearchInputs:
+    """Lay out the images and the marker for the refinement."""
     play = views.led_play * views.mean_focal
     return (
         views.cameras,
@@ -285,12 +291,12 @@ def unique(hypotheses: Hypotheses) -> Hypotheses:
     """Keep the best fit of each assignment: two poses of a flat marker may share one."""
     if len(hypotheses) < 2:
         return hypotheses
-    return hypotheses.take(kernels_spots.best_of_each(hypotheses.chi2, hypotheses.spot))
+    return hypotheses.take(best_of_each(hypotheses.chi2, hypotheses.spot))
 
 
 @lru_cache(maxsize=8)
 def settle_bounds(leds: int) -> tuple[Array, Index]:
-    """What `kernel_settle.likely` is to know, of a marker with so many LEDs."""
+    """Bounds of `select_likely` for a marker of so many LEDs: chi² by degrees of freedom, and those."""
     freedom = np.maximum(np.arange(4 * leds + 1), 1)
     return np.asarray(chdtri(freedom, P_REJECT), dtype=float), DOF_BY_LEDS
 
@@ -320,9 +326,10 @@ def _counts(hypotheses: Hypotheses) -> Index:
 
 def conflicts(hypotheses: Hypotheses, best: int) -> NDArray[np.bool_]:
     """Say which hypotheses contradict one: another spot for an LED, or another LED for a spot."""
-    marked = np.empty(len(hypotheses), dtype=np.bool_)
-    kernel_spots.mark_conflicts(hypotheses.spot, best, marked)
-    return marked
+    theirs, mine = hypotheses.spot[:, :, :, None], hypotheses.spot[best][:, None]
+    same_led = np.eye(mine.shape[-1], dtype=np.bool_)
+    contrary = (theirs >= 0) & (mine >= 0) & ((theirs == mine) != same_led)
+    return np.asarray(contrary.any(axis=(1, 2, 3)))
 
 
 def departure(

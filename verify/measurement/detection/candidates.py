@@ -18,7 +18,6 @@ from verify.measurement.detection.kernels.candidates import (
     MIN_WINDOW_SIDE,
     compact_blobs,
     find_blobs,
-    select_highest,
     top_hat,
 )
 from verify.measurement.detection.kernels.patches import read_grey
@@ -88,9 +87,22 @@ def find_candidates(
         ]
         found = np.concatenate([np.empty((0, 4)), *parts])
         halved = np.repeat(np.array(factor, np.intp), [len(part) for part in parts])
-    best = np.empty((MAX_CANDIDATES, 4))
-    best = best[: select_highest(found, halved, (float(smallest), float(largest)), best)]
+    best = select_highest(found, halved, (smallest, largest))
     return Candidates(best[:, :2], best[:, 2].copy(), best[:, 3])
+
+
+def select_highest(found: Array, doubt: NDArray[np.intp], across: tuple[float, float]) -> Array:
+    """List the blobs of a width, highest contrast first, at most MAX_CANDIDATES; (m, 4) as found.
+
+    Args:
+        found: (n, 4), as `compact_blobs` fills it.
+        doubt: (n,), px, by which a blob's width may be missed.
+        across: px, least and largest width.
+    """
+    width = 2.0 * found[:, 2]
+    chosen = found[(width + doubt >= across[0]) & (width - doubt <= across[1])]
+    highest: Array = chosen[np.argsort(-chosen[:, 3], kind="stable")[:MAX_CANDIDATES]]
+    return highest
 
 
 def find_in_small_windows(image: Image, windows: NDArray[np.int64], largest: float) -> Array:
@@ -164,6 +176,8 @@ def cut_first_look(image: Image, candidates: Candidates, noise: Noise) -> Locate
     column, row = disc_offsets(FIRST_LOOK_STEPS)
     spacing = (PATCH_REACH * candidates.radius + PATCH_MARGIN)[:, None] / FIRST_LOOK_STEPS
     offsets = [np.rint(spacing * axis).astype(np.intp) for axis in (column, row)]
+    for axis in offsets:
+        axis.flags.writeable = False  # as those of a disc: a function is compiled for one of both
     origin = np.rint(candidates.centre).astype(np.intp)
     return read_pixels(image, origin, candidates.radius, offsets[0], offsets[1], noise)
 

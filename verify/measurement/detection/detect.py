@@ -26,9 +26,7 @@ from verify.measurement.detection.fit import (
     first_look,
     fit_spots,
 )
-from verify.measurement.detection.kernels import candidates as kernels_candidates
 from verify.measurement.detection.kernels import noise as kernels_noise
-from verify.measurement.detection.kernels import quality
 from verify.measurement.detection.kernels.fit import MIN_NOISE_SHARE
 from verify.measurement.detection.kernels.pixels import (
     ROW_CORE,
@@ -44,7 +42,13 @@ from verify.measurement.detection.occlusion import (
     score_directions,
     unoccluded_centres,
 )
-from verify.measurement.detection.quality import N_FITTED, SpotQuality, assess_spots
+from verify.measurement.detection.quality import (
+    N_FITTED,
+    SpotQuality,
+    assess_spots,
+    choose_spots,
+    number_brightest,
+)
 
 __all__ = ["detect", "estimate_noise"]
 
@@ -112,10 +116,7 @@ def select_led_like(
     judgement: SpotQuality, diameter_px: tuple[float, float], limit: int
 ) -> NDArray[np.int64]:
     """Choose the most LED-like ones, no more than the limit, by falling peak."""
-    chosen = np.empty(len(judgement.told), dtype=np.int64)
-    least, most = map(float, diameter_px)
-    count = quality.choose_spots(judgement.told, (least, most), MIN_SEPARATION, limit, chosen)
-    return chosen[:count]
+    return choose_spots(judgement, diameter_px, MIN_SEPARATION, limit)
 
 
 def estimate_noise(image: Image) -> Noise:
@@ -150,9 +151,10 @@ def clip_windows(windows: Array | None, image: Image) -> NDArray[np.int64] | Non
     """Windows in whole pixels, cut at the image's border."""
     if windows is None:
         return None
-    whole = np.empty(np.shape(windows), dtype=np.int64)
-    kernels_candidates.cut_windows(np.asarray(windows, dtype=float), image.shape[:2], whole)
-    return whole
+    height, width = image.shape[:2]
+    cut = np.clip(np.asarray(windows, dtype=float), 0.0, (width, height, width, height))
+    cut[:, 2:] = np.ceil(cut[:, 2:])
+    return cut.astype(np.int64)
 
 
 def fit_candidates(
@@ -177,8 +179,7 @@ def spot_residuals(
     batches: list[Batch], judgement: SpotQuality
 ) -> tuple[Array, Array, NDArray[np.intp]]:
     """Squared residuals and signals on and around the brightest spots, for `refine_noise`."""
-    own, number = judgement.own.copy(), np.empty(len(judgement.told), dtype=np.int64)
-    quality.number_brightest(judgement.told, 2.0 * N_FITTED, MAX_SPOTS, number)
+    own, number = judgement.own.copy(), number_brightest(judgement, 2.0 * N_FITTED, MAX_SPOTS)
     room = sum(cut.patches.value.size for cut, _ in batches)
     gathered, begin, at = (np.empty(room), np.empty(room), np.empty(room, dtype=np.intp)), 0, 0
     for cut, state in batches:

@@ -119,3 +119,47 @@ def assess_spots(
         )
         begin = end
     return SpotQuality(told)
+
+
+def number_brightest(judgement: SpotQuality, fewest: float, most: int) -> NDArray[np.int64]:
+    """Number the brightest of n spots, brightest first, from 0; -1 are the others.
+
+    Args:
+        judgement: of the n spots.
+        fewest: pixels: a spot has more of its own that clipping leaves alone.
+        most: how many are numbered.
+    """
+    told = judgement.told
+    speaks = (told[:, kernel.COL_SOUND] > 0.0) & (told[:, kernel.COL_COUNT] > fewest)
+    spots = np.flatnonzero(speaks)
+    brightness = told[spots, kernel.COL_PEAK] / told[spots, kernel.COL_ELONGATION]
+    brightest = spots[np.argsort(-brightness, kind="stable")[:most]]
+    number = np.full(len(told), -1)
+    number[brightest] = np.arange(len(brightest))
+    return number
+
+
+def choose_spots(
+    judgement: SpotQuality, diameter: tuple[float, float], apart: float, limit: int
+) -> NDArray[np.int64]:
+    """Choose the most LED-like of n spots, listed by falling peak.
+
+    Args:
+        judgement: of the n spots.
+        diameter: px, least and largest.
+        apart: diameters: closer spots are one spot found twice.
+        limit: how many at most.
+    """
+    told = judgement.told
+    width = told[:, kernel.COL_DIAMETER]
+    fits = (diameter[0] <= width) & (width <= diameter[1])
+    sound = np.flatnonzero((told[:, kernel.COL_SOUND] > 0.0) & fits)
+    twin = np.empty(len(sound), np.bool_)
+    kernel.mark_duplicates(told[sound], apart, twin)
+    single = sound[~twin]
+    rows = told[single]
+    rank = -rows[:, kernel.COL_PEAK] / (1.0 + rows[:, kernel.COL_MISFIT])
+    rank /= rows[:, kernel.COL_ELONGATION]
+    best = single[np.argsort(rank, kind="stable")[:limit]]
+    chosen: NDArray[np.int64] = best[np.argsort(-told[best, kernel.COL_PEAK], kind="stable")]
+    return chosen

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.jit import compiled
-from verify.core.kernels.linear_algebra import dot
+from verify.core.kernels.linear_algebra import dot, median
 from verify.core.records import Array
 
 Index = NDArray[np.int64]
@@ -60,7 +60,7 @@ def carry_to_instant(
                 own, other = covariance[0][i, a, b], covariance[1][k, a, b]
                 spread[i, a, b] = (1.0 + share) ** 2 * own + share**2 * other
     scatter = velocity_scatter(velocity, known, mean)
-    typical = np.median(intervals)
+    typical = median(intervals)
     for i in range(len(match)):
         shift = t - taken[0][i]
         interval = taken[0][i] - taken[1][match[i]] if match[i] >= 0 else typical
@@ -169,7 +169,8 @@ def merge_boxes(boxes: Array, count: int) -> int:
                 for i in range(2):
                     a[i], a[i + 2] = min(a[i], b[i]), max(a[i + 2], b[i + 2])
                 count -= 1
-                boxes[other] = boxes[count]
+                for i in range(4):
+                    boxes[other, i] = boxes[count, i]
                 other = one  # it has grown: the others are looked at anew
             other += 1
         one += 1

@@ -197,8 +197,8 @@ def _cells(board: Board) -> NDArray[np.bool_]:
 def _on_board(camera: SimulatedCamera, camera_T_board: Array) -> tuple[Array, Array]:
     """Carry the picture's nodes' rays onto the board's plane: its x and y, m.
 
-    A node stands in the middle of its NODE_SPACING_PX x NODE_SPACING_PX pixels, which is where `_interpolate_nodes` wants
-    it; one row and column of nodes lie outside the picture on each side.
+    A node stands in the middle of its NODE_SPACING_PX x NODE_SPACING_PX pixels, as
+    `_interpolate_nodes` expects; one row and column of nodes lie outside the picture on each side.
     """
     px, py = (
         NODE_SPACING_PX * np.arange(-1, -(-extent // NODE_SPACING_PX) + 1)

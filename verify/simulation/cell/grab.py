@@ -12,7 +12,7 @@ from verify.devices.protocols import EncoderReading, PanReading
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import DrivenArm, SteppedArm, StreamedArm
-from verify.grasping.control.closed_loop import ClosedLoopAim, MonitoredSource
+from verify.grasping.control.closed_loop import ClosedLoopAim
 from verify.grasping.control.loop import GraspLoop
 from verify.grasping.control.orders import Actuators
 from verify.grasping.control.run import PairSource
@@ -137,17 +137,10 @@ def cell_grab(
     arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
     if stepped:
         arm = SteppedArm(setup.planner, mover)
-    watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker)
-    aim = (
-        ClosedLoopAim(setup.planner, setup.rig, watch) if closed else Aim(setup.planner, setup.rig)
-    )
-    loop = GraspLoop(
-        setup.planner,
-        tracker,
-        aim,
-        Actuators(arm, gripper),
-        lambda: watch.read(cell.joints()),
-        world.now,
-        auto=auto,
-    )
-    return CellRun(world, MonitoredSource(cell, watch), loop)
+    aim = Aim(setup.planner, setup.rig)
+    if closed:
+        watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker)
+        aim = ClosedLoopAim(setup.planner, setup.rig, watch)
+    actuators = Actuators(arm, gripper)
+    loop = GraspLoop(setup.planner, tracker, aim, actuators, cell.joints, world.now, auto=auto)
+    return CellRun(world, cell, loop)

@@ -14,10 +14,11 @@ from typing import Protocol
 import numpy as np
 
 from verify.core.processes import (
-    Helper,
-    HelperLateError,
-    HelperLostError,
+    ChildLateError,
+    ChildLostError,
+    ChildProcess,
     SharedPicture,
+    answer_requests,
     picture_at,
 )
 from verify.core.records import Array, Image
@@ -65,7 +66,7 @@ class PeriodicMotion:
 LAMP_DN = 200.0  # as bright as an LED
 LAMP_OFFSET_MM = (60.0, 40.0, 0.0)  # mm, rig axes, from the middle of the LEDs' way
 # s for a picture painted elsewhere, then it is painted here: less than a camera may be silent for
-TIMEOUT = 0.3
+ANSWER_TIMEOUT = 0.3
 LATE_NOTE = "painted by the main process while the other one is late"
 
 
@@ -79,6 +80,9 @@ class RenderRequest:
     lit: bool  # a lamp is on
     hidden: dict[int, float]  # covered LEDs by index, and by what share
     number: int  # chooses the noise
+
+
+PaintRequest = tuple[RenderRequest, str, tuple[int, ...]]  # where to: shared memory and shape
 
 
 class Painter(Protocol):
@@ -135,14 +139,14 @@ class RemotePainter:
     Args:
         scenario: as the station names it.
         near: paints the same here.
-        patience: s for a picture.
+        timeout: s for a picture.
     """
 
-    def __init__(self, scenario: str, near: LocalPainter, patience: float = TIMEOUT) -> None:
-        self._near, self._patience = near, patience
-        self._helper: Helper[tuple[RenderRequest, str, tuple[int, ...]], None] | None = Helper(
-            partial(_paint_remote, scenario), "simulated cameras",
-            aside=True, prepare=partial(_remote_painter, scenario),
+    def __init__(self, scenario: str, near: LocalPainter, timeout: float = ANSWER_TIMEOUT) -> None:
+        self._near, self._timeout = near, timeout
+        self._process: ChildProcess[PaintRequest, None] | None = ChildProcess(
+            answer_requests, partial(_paint_remote, scenario), partial(_remote_painter, scenario),
+            name="simulated cameras", background=True,
         )  # fmt: skip
         self._rooms = (SharedPicture(), SharedPicture())
         self._lock, self._closed = threading.Lock(), 0
@@ -150,16 +154,16 @@ class RemotePainter:
 
     def paint(self, sight: RenderRequest) -> Image:
         """Give the picture; the same as the one painted here."""
-        helper, room = self._helper, self._rooms[sight.side]
+        process, room = self._process, self._rooms[sight.side]
         try:
-            if helper is not None and helper.is_ready():
+            if process is not None and process.is_ready():
                 name, shape = room.room(self._near.renderers[sight.side].shape)
-                helper.ask((sight, name, shape), self._patience)
+                process.ask((sight, name, shape), self._timeout)
                 self.trouble = ""
                 return room.copy(shape)
-        except HelperLateError:
+        except ChildLateError:
             self.trouble = LATE_NOTE
-        except HelperLostError as error:
+        except ChildLostError as error:
             self.trouble = f"painted by the main process from now on: {error}"
             self._end()
         return self._near.paint(sight)
@@ -175,9 +179,9 @@ class RemotePainter:
                 room.close()
 
     def _end(self) -> None:
-        helper, self._helper = self._helper, None
-        if helper is not None:
-            helper.close()
+        process, self._process = self._process, None
+        if process is not None:
+            process.stop()
 
 
 @lru_cache(maxsize=1)
@@ -188,6 +192,6 @@ def _remote_painter(scenario: str) -> LocalPainter:
     return build_painter(simulate_session(loaded))
 
 
-def _paint_remote(scenario: str, question: tuple[RenderRequest, str, tuple[int, ...]]) -> None:
-    sight, name, shape = question
+def _paint_remote(scenario: str, request: PaintRequest) -> None:
+    sight, name, shape = request
     picture_at(name, shape)[...] = _remote_painter(scenario).paint(sight)

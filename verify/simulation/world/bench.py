@@ -1,9 +1,8 @@
-"""The hardware of a simulated session: two cameras on turning bases, an arm's base, LEDs.
+"""The hardware of a simulated session: two cameras on turning bases, the arm's base, LEDs.
 
-Written without verify.core.rig and verify.core.fiducials on purpose: poses are composed with 4x4 matrices
-here, and cv2.projectPoints projects. A mistake shared with the measurement would prove nothing.
-
-Where to stand the rig before the robot so that every LED is seen in every pair.
+The rig is placed so that every LED is in view in every pair. Written without verify.core.rig and
+verify.core.fiducials on purpose: poses are composed with 4x4 matrices and cv2.projectPoints
+projects. A mistake shared with the measurement would prove nothing.
 """
 
 from dataclasses import dataclass

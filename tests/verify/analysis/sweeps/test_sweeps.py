@@ -15,14 +15,17 @@ from scipy.stats import chi2, kstest
 import robots
 from tests.support.motions import ARM, ESTIMATED, GIVEN, HOME, make_track, model_of, swinging
 from tests.support.scene import make_marker, make_rig
-from verify.analysis.comparison import compare
-from verify.analysis.sweeps.axis import SweepData, fit_axis
-from verify.analysis.sweeps.segments import find_segments
+from verify.analysis.clock import ClockEstimate
+from verify.analysis.comparison import ReadingUncertainty, compare, solve_joints
+from verify.analysis.model import JointErrorModel, SessionComparison
+from verify.analysis.sweeps.axis import SweepData, fit_axis, fit_circles
+from verify.analysis.sweeps.segments import comparison_segments
 from verify.analysis.sweeps.sweeps import JointSweep, judge_sweeps
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.io.session.session import Session
 from verify.measurement.systematics import stated_systematics
+from verify.measurement.track import Track
 from verify.simulation.scenario import ScenarioFault
 from verify.simulation.session.simulate import reading_error
 from verify.simulation.world.motion import JointTurn, MotionProfile, SequentialSwings
@@ -62,7 +65,9 @@ def swept(
     read = q + reading_error(q, path.direction(log), faults)
     read = read + rng.normal(0, np.deg2rad(0.005), q.shape)
     read = read if grain is None else np.round(read / grain) * grain
-    comparison = compare(track, ARM, Readings(log, read), clock_off or 0.0, resolution=grain)
+    comparison = compare(
+        track, ARM, Readings(log, read), clock_off or 0.0, stated=ReadingUncertainty(grain)
+    )
     clock = GIVEN if clock_off is None else ESTIMATED
     model = model_of(track, comparison, "fixture", "jig", clock)
     session = (
@@ -73,8 +78,16 @@ def swept(
             SimpleNamespace(encoder_resolution=grain, encoder_time_standard_uncertainty=None),
         )
     )
-    parameters = stated_systematics(make_rig(), make_marker(), turning=False)
-    return judge_sweeps(model, session, track, parameters, clock_given=clock_off is None)
+    return judged(model, session, track, clock)
+
+
+def judged(
+    model: JointErrorModel, session: Session, track: Track, clock: ClockEstimate
+) -> list[JointSweep]:
+    systematics = stated_systematics(make_rig(), make_marker(), turning=False)
+    joints = solve_joints(model.comparison, ARM)
+    compared = SessionComparison(session, track, systematics, clock, model.comparison, joints)
+    return judge_sweeps(model, compared)
 
 
 @cache
@@ -99,7 +112,7 @@ def test_when_all_joints_move_there_is_no_sweep() -> None:
     track = make_track(t, swinging(t), rng)
     noise = rng.normal(0, np.deg2rad(0.005), (len(log), 6))
     comparison = compare(track, ARM, Readings(log, swinging(log) + noise), 0.0)
-    assert find_segments(comparison, None) == []
+    assert comparison_segments(comparison, None) == []
 
 
 def test_faults_come_back_with_the_uncertainty_that_is_stated() -> None:
@@ -199,13 +212,14 @@ def test_the_axis_is_where_pinocchio_has_it(joint: int) -> None:
         q=q[:, joint],
         reading_variance=np.full(30, 1e-12),
     )
-    fit = fit_axis(seen, (q[:, [joint]] - q[:, joint].mean()))
+    terms = q[:, [joint]] - q[:, joint].mean()
+    fit, line = fit_axis(seen, terms), fit_circles(seen, terms).state
     frame = data.oMi[joint + 1]
     # the axis that the joint's Jacobian column turns about, in the world
     column = pinocchio.computeJointJacobians(model, data, q[-1])[:, joint]
     axis = column[3:] / np.linalg.norm(column[3:])
-    assert_allclose(fit.direction, axis, atol=1e-8)
-    assert_allclose(np.cross(fit.point - frame.translation, axis), 0, atol=1e-8)
+    assert_allclose(line.direction, axis, atol=1e-8)
+    assert_allclose(np.cross(line.point - frame.translation, axis), 0, atol=1e-8)
     assert_allclose(fit.value, 0, atol=1e-8)
     assert fit.chi2_rest < 1e-3
 
@@ -221,10 +235,7 @@ def test_a_base_that_gives_way_is_no_fixed_axis() -> None:
     log = np.arange(0.0, 1.0 + 6 * SLOT, 0.02)
     noise = rng.normal(0, np.deg2rad(0.005), (len(log), 6))
     comparison = compare(track, ARM, Readings(log, motion.angles(log) + noise), 0.0)
-    parameters = stated_systematics(make_rig(), make_marker(), turning=False)
-    found = judge_sweeps(
-        model_of(track, comparison, "fixture", "jig"), SESSION, track, parameters, clock_given=True
-    )
+    found = judged(model_of(track, comparison, "fixture", "jig"), SESSION, track, GIVEN)
     assert found[1].wobble_p < 1e-6
     assert min(s.wobble_p for s in found if s.joint != 1) > 1e-3
 
@@ -233,7 +244,6 @@ def test_a_pair_off_the_circle_is_left_out_and_listed_and_a_tenth_of_them_are_no
     t = np.arange(0.5, 0.5 + 6 * SLOT, 0.1)
     log = np.arange(0.0, 1.0 + 6 * SLOT, 0.02)
     motion = one_by_one()
-    parameters = stated_systematics(make_rig(), make_marker(), turning=False)
     for wrong in ([85], list(range(66, 116, 4))):
         rng = np.random.default_rng(9)
         track = make_track(t, motion.angles(t), rng)
@@ -243,7 +253,7 @@ def test_a_pair_off_the_circle_is_left_out_and_listed_and_a_tenth_of_them_are_no
         noise = rng.normal(0, np.deg2rad(0.005), (len(log), 6))
         comparison = compare(track, ARM, Readings(log, motion.angles(log) + noise), 0.0)
         model = model_of(track, comparison, "fixture", "jig")
-        second = judge_sweeps(model, SESSION, track, parameters, clock_given=True)[1]
+        second = judged(model, SESSION, track, GIVEN)[1]
         assert second.joint == 1
         if len(wrong) == 1:
             assert second.outlying.tolist() == wrong

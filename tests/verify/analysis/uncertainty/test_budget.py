@@ -23,19 +23,25 @@ from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import (
     Comparison,
     JointComparison,
+    ReadingUncertainty,
     compare,
     inflate_covariance,
     solve_joints,
 )
 from verify.analysis.joint_errors import JointErrors, MeanErrors, mean_errors, resolve_errors
-from verify.analysis.model import JointErrorModel, add_pan_noise, build_model, clock_effect
+from verify.analysis.model import (
+    JointErrorModel,
+    SessionComparison,
+    add_pan_noise,
+    build_model,
+    clock_effect,
+)
 from verify.analysis.uncertainty.budget import Budget, budget
 from verify.analysis.uncertainty.sources import robot_table_columns
 from verify.core.records import Array
 from verify.core.rig import Covariance
 from verify.io.session.session import Session
 from verify.measurement.systematics import Systematics
-from verify.measurement.track import Track
 
 PAIRS = np.arange(1.0, 6.0, 1 / 10)
 LOG = np.arange(0.0, 8.0, 0.02)
@@ -96,7 +102,7 @@ def made(
     marker = replace(make_marker(), source=body)
     plain = add_pan_noise(
         compare(
-            track, ARM, read(swinging, LOG, 0.0, rng), 0.0, resolution=1e-4, time_uncertainty=1e-4
+            track, ARM, read(swinging, LOG, 0.0, rng), 0.0, stated=ReadingUncertainty(1e-4, 1e-4)
         ),
         track,
         systematics,
@@ -110,18 +116,14 @@ def made(
         arm=ARM, rig=rig, marker=marker, encoder_resolution=1e-4,
         encoder_time_standard_uncertainty=1e-4, instrument=None,
     )  # fmt: skip
-    return _judged(cast("Session", session), model, plain, joints, systematics, track, clock)
+    return _judged(
+        SessionComparison(cast("Session", session), track, systematics, clock, plain, joints), model
+    )
 
 
-def _judged(
-    session: Session,
-    model: JointErrorModel,
-    plain: Comparison,
-    joints: JointComparison,
-    systematics: Systematics,
-    track: Track,
-    clock: ClockEstimate,
-) -> Made:
+def _judged(compared: SessionComparison, model: JointErrorModel) -> Made:
+    plain, joints, clock = compared.comparison, compared.joints, compared.clock
+    systematics, session = compared.systematics, compared.session
     inverse, counted = joints.inverse, model.comparison
     errors = JointErrors(
         error=joints.single,
@@ -132,9 +134,7 @@ def _judged(
     resolved = resolve_errors(model)
     estimated = clock.standard_uncertainty if clock.source == "estimated" else None
     means = mean_errors(model, errors, resolved, estimated, systematics)
-    found = budget(
-        model, plain, joints, errors, means, resolved, session, systematics, track, clock
-    )
+    found = budget(model, compared, errors, means, resolved)
     return Made(session, model, plain, joints, errors, means, found, systematics)
 
 

@@ -163,8 +163,4 @@ def test_without_a_wholly_known_pose_there_is_no_check(both: dict[str, Spotted])
     part = replace(
         made.comparison, determined=tuple(np.eye(6)[:, :5] for _ in range(len(made.comparison)))
     )
-    found = monte_carlo(
-        made.session, made.measurements, made.track, part, made.joints, made.systematics,
-        made.clock,
-    )  # fmt: skip
-    assert found is None
+    assert monte_carlo(replace(made, comparison=part), made.measurements) is None

@@ -101,7 +101,7 @@ def test_sweeps_are_found_and_joints_that_move_together_are_named() -> None:
     sweeps, notes = find_sweeps(Readings(log, q), t, np.arange(100, 100 + len(t)))
     assert [s.joint for s in sweeps] == [0, 1, 5]
     for slot, sweep in zip((0, 1, 3), sweeps, strict=True):
-        assert np.all(np.abs(t[sweep.pairs] - (4 * slot + 2)) < 2.21)
+        assert np.all(np.abs(t[sweep.rows] - (4 * slot + 2)) < 2.21)
         assert 0.55 < sweep.span < 0.62
     assert any("in pairs 14" in note and "joints 3 and 4 move together" in note for note in notes)
 

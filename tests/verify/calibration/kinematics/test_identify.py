@@ -101,8 +101,8 @@ def test_what_base_and_tool_take_in_is_named() -> None:
     }  # fmt: skip
     assert all(h.redundant for h in held.values())
     alpha = held.pop("alpha_6")
-    assert all(parameter.kind == "tool" for parameter, _ in alpha.with_)
-    assert {name: entry.with_[0][0].name for name, entry in held.items()} == {
+    assert all(parameter.kind == "tool" for parameter, _ in alpha.confounded_with)
+    assert {name: entry.confounded_with[0][0].name for name, entry in held.items()} == {
         "offset_1": "base_rz", "d_1": "base_z", "offset_6": "tool_rz", "d_6": "tool_z",
         "a_6": "tool_x", "d_2": "d_4", "d_3": "d_4",
     }  # fmt: skip
@@ -167,7 +167,7 @@ def test_little_motion_supports_few_parameters() -> None:
     assert len(support.supported) < 20
     weak = [h for h in support.held if not h.redundant]
     assert weak
-    assert all(np.isfinite(h.alone) and h.with_ for h in weak)
+    assert all(np.isfinite(h.uncertainty_if_free) and h.confounded_with for h in weak)
 
 
 def test_two_placings_of_one_arm_share_its_parameters() -> None:

@@ -31,7 +31,7 @@ def seen() -> SessionPoses:
 
 
 def found(gathered: CombinedPoses, *, free: bool) -> IdentificationResult:
-    chain = chain_of(gathered.seen[0].session.arm)
+    chain = chain_of(gathered.sessions[0].session.arm)
     wish = IdentificationOptions(free_base=free, free_tool=free, splits=0)
     return identify_arm(chain, gathered.poses, wish, gathered.state(chain))
 
@@ -61,8 +61,8 @@ def test_through_its_own_encoders_joints_1_and_6_cannot_show(seen: SessionPoses)
     identified = found(gather_sessions([seen]), free=True)
     held = {h.parameter.name: h for h in identified.level("offsets").support.held}
     assert set(held) == {"offset_1", "offset_6"}
-    assert held["offset_1"].with_[0][0].name == "base_rz"
-    assert held["offset_6"].with_[0][0].name == "tool_rz"
+    assert held["offset_1"].confounded_with[0][0].name == "base_rz"
+    assert held["offset_6"].confounded_with[0][0].name == "tool_rz"
     error, u = offset_deg(identified, 3)
     assert abs(error - FAULT_DEG) < 3 * u
     assert u > 2 * offset_deg(found(gather_sessions([seen]), free=False), 3)[1]

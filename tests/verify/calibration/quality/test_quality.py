@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import reports
 from tests.support.recorded import require_shared
 from tests.support.reports import calibration as made
+from verify.calibration.origin import ResultsOrigin
 from verify.calibration.quality.advice import calibration_doubts, coverage_gaps
 from verify.calibration.quality.quality import (
     SIDES,
@@ -25,11 +26,12 @@ from verify.calibration.quality.quality import (
 from verify.calibration.quality.results import calibration_results
 from verify.calibration.registration.fixture import FixtureRegistration
 from verify.calibration.registration.records import MotionRegistration, SpotResiduals
-from verify.calibration.registration.results import POSE, fixture_results, motion_results
+from verify.calibration.registration.results import fixture_results, motion_results
 from verify.calibration.stereo.parameters import PARAMETER_KEYS
 from verify.calibration.stereo.records import Calibration, Residuals
 from verify.core.fiducials import Marker
 from verify.core.rig import Covariance, Rig
+from verify.measurement.systematics import BODY
 
 
 def test_rms_is_the_root_mean_square_distance() -> None:
@@ -149,7 +151,7 @@ def test_boards_at_one_distance_give_the_advice_to_move() -> None:
 def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, words: str) -> None:
     found = made.calibration(count=60)
     own = found.residuals
-    at = np.floor((own.seen + 0.5) / [1280 / 3, 720 / 3])
+    at = np.floor((own.observed + 0.5) / [1280 / 3, 720 / 3])
     away = (own.camera == 0) & (at == [column, row]).all(axis=1)
     cleared = replace(found, residuals=replace(own, used=own.used & ~away))
     message = coverage_gaps(cleared, judge_calibration(cleared))
@@ -159,7 +161,7 @@ def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, wor
 def test_corners_missing_at_an_edge_give_the_advice_to_reach_it() -> None:
     found = made.calibration(count=60)
     own = found.residuals
-    away = (own.camera == 1) & (own.seen[:, 0] > 1000)
+    away = (own.camera == 1) & (own.observed[:, 0] > 1000)
     cleared = replace(found, residuals=replace(own, used=own.used & ~away))
     message = coverage_gaps(cleared, judge_calibration(cleared))
     assert [s for s in message if re.search(r"near the right \(2\d %\) edge of the right image", s)]
@@ -201,9 +203,8 @@ def test_a_rectified_pair_has_its_corners_on_level_lines() -> None:
 
 
 def _results(found: Calibration) -> reports.Results:
-    return calibration_results(
-        found, picture=made.pictures(found), source="boards", inputs=made.INPUTS
-    )
+    origin = ResultsOrigin("boards", inputs=made.INPUTS)
+    return calibration_results(found, picture=made.pictures(found), origin=origin)
 
 
 def test_results_come_back_from_their_folder_and_are_the_same_each_time(tmp_path: Path) -> None:
@@ -247,7 +248,7 @@ def _registered() -> Rig:
     base = np.eye(4)
     base[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
     base[:3, 3] = [0.1, 0.2, 1.2]
-    names = (*(f"robot_base.{key}" for key in POSE), *(f"led.A.{a}_mm" for a in "xyz"))
+    names = (*(f"robot_base.{key}" for key in BODY), *(f"led.A.{a}_mm" for a in "xyz"))
     covariance = Covariance(names, np.arange(1.0, 10.0), np.eye(9))
     return replace(
         made.make_rig(), rig_T_base=base, base_source="motion", covariance=covariance,
@@ -260,7 +261,7 @@ def _moved_robot() -> MotionRegistration:
         frame=np.array([0, 1]),
         camera=np.array([0, 1]),
         led=np.array([0, 1]),
-        seen=np.array([[10.0, 20.0], [30.0, 40.0]]),
+        observed=np.array([[10.0, 20.0], [30.0, 40.0]]),
         residual=np.array([[0.1, 0.0], [0.0, -0.2]]),
         used=np.array([True, False]),
     )
@@ -275,7 +276,9 @@ def _moved_robot() -> MotionRegistration:
 
 
 def test_a_registration_from_motion_is_laid_out_in_the_file_s_units() -> None:
-    found = motion_results(_moved_robot(), robot="iust_6r", source="session", inputs=made.INPUTS)
+    found = motion_results(
+        _moved_robot(), robot="iust_6r", origin=ResultsOrigin("s", inputs=made.INPUTS)
+    )
     base = found.summary["base"]
     assert_allclose(base["position_mm"], [100.0, 200.0, 1200.0])
     assert_allclose(base["rotation_vector_deg"], [0, 0, np.rad2deg(0.5)], atol=1e-12)

@@ -50,27 +50,27 @@ class Mark:
 
 
 @pytest.fixture
-def crew() -> ProcessPool:
+def pool() -> ProcessPool:
     return ProcessPool(2)
 
 
-def test_every_task_is_done_once_and_tasks_may_be_added(crew: ProcessPool) -> None:
+def test_every_task_is_done_once_and_tasks_may_be_added(pool: ProcessPool) -> None:
     tasks: deque[Task] = deque(Square(n) for n in range(4))
     outcomes = []
     try:
-        for _task, outcome in crew.run(tasks):
+        for _task, outcome in pool.run(tasks):
             if outcome == 4:
                 tasks.append(Square(10))
             outcomes.append(outcome)
     finally:
-        crew.close()
+        pool.close()
     assert sorted(outcomes) == [0, 1, 4, 9, 100]
 
 
 def test_workers_continue_while_results_are_stored(tmp_path: Path) -> None:
-    crew = ProcessPool(1)
+    pool = ProcessPool(1)
     marks = [Mark(str(tmp_path / name)) for name in "ab"]
-    outcomes = crew.run(deque(marks))
+    outcomes = pool.run(deque(marks))
     try:
         assert next(outcomes) == (marks[0], marks[0].file)
         for _ in range(500):
@@ -80,7 +80,7 @@ def test_workers_continue_while_results_are_stored(tmp_path: Path) -> None:
         assert Path(marks[1].file).exists()  # though nobody has asked for it yet
         assert next(outcomes) == (marks[1], marks[1].file)
     finally:
-        crew.close()
+        pool.close()
 
 
 def test_a_worker_loads_nothing_that_it_may_never_need() -> None:
@@ -91,14 +91,14 @@ def test_a_worker_loads_nothing_that_it_may_never_need() -> None:
 
 
 def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
-    crew: ProcessPool, tmp_path: Path
+    pool: ProcessPool, tmp_path: Path
 ) -> None:
     twice, always = Dies(f"{tmp_path}/a", 2), Dies(f"{tmp_path}/b", 99)
     tasks: deque[Task] = deque([twice, always, *(Square(n) for n in range(3))])
     try:
-        outcomes = {task: outcome for task, outcome in crew.run(tasks)}  # noqa: C416
+        outcomes = {task: outcome for task, outcome in pool.run(tasks)}  # noqa: C416
     finally:
-        crew.close()
+        pool.close()
     assert outcomes[twice] == "alive after 2"
     assert outcomes[always] == WorkerDied(MAX_ATTEMPTS)
     assert [outcomes[Square(n)] for n in range(3)] == [0, 1, 4]
@@ -106,23 +106,23 @@ def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
 
 
 def test_a_process_that_is_killed_while_it_has_nothing_to_do_is_replaced() -> None:
-    crew = ProcessPool(1)
+    pool = ProcessPool(1)
     try:
-        crew.ready(3)
-        ((_, pid),) = crew.run(deque([Pid(0)]))
+        pool.ready(3)
+        ((_, pid),) = pool.run(deque([Pid(0)]))
         os.kill(pid, signal.SIGKILL)
         _await_end(pid)
-        signal.sigtimedwait([signal.SIGUSR2], 0.5)  # until the crew's own thread has noticed
-        ((_, other),) = crew.run(deque([Pid(1)]))
+        signal.sigtimedwait([signal.SIGUSR2], 0.5)  # until the pool's own thread has noticed
+        ((_, other),) = pool.run(deque([Pid(1)]))
     finally:
-        crew.close()
+        pool.close()
     assert other != pid
 
 
-def test_closing_sends_every_process_home(crew: ProcessPool) -> None:
+def test_closing_sends_every_process_home(pool: ProcessPool) -> None:
     tasks: deque[Task] = deque([Pid(0), Pid(1)])
-    pids = [outcome for _, outcome in crew.run(tasks)]
-    crew.close()
+    pids = [outcome for _, outcome in pool.run(tasks)]
+    pool.close()
     for pid in pids:
         _await_end(pid)
 

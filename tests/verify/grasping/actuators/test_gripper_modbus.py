@@ -12,6 +12,7 @@ from pymodbus.pdu.register_message import (
 from verify.grasping.actuators.gripper_modbus import (
     MAX_BUFFER_BYTES,
     GripperRefusedError,
+    GripperSettings,
     ModbusLine,
     NoAnswerError,
 )
@@ -53,7 +54,7 @@ class Clock:
 
 
 def line(port: Scripted, clock: Clock) -> ModbusLine:
-    made = ModbusLine("scripted", lambda: port, 9, frozenset({3}), 0.2, 3, clock)
+    made = ModbusLine(GripperSettings("scripted"), lambda: port, frozenset({3}), clock)
     while not made.free:  # the port is opened in a thread
         made.step()
         clock.t += 0.3

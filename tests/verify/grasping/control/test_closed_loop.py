@@ -47,7 +47,7 @@ def error(grab: CellRun) -> float:
 
 def hand(grab: CellRun) -> OffsetMeasurement:
     assert grab.loop.aim.planned is not None
-    found = grab.loop.aim.planned.thing.seen
+    found = grab.loop.aim.planned.thing.offset
     assert found is not None
     return found
 
@@ -150,11 +150,11 @@ def test_no_pairs_are_taken_before_rest_or_during_motion() -> None:
     q = SETUP.home
     for now in (0.0, 0.1, 0.2):
         world.t = now
-        watch.see(pair_of(world))
+        watch.update(pair_of(world), None)
         assert watch.gather(now, q) is None
     assert not waiting
     world.t = 0.4
-    watch.see(pair_of(world))
+    watch.update(pair_of(world), None)
     assert watch.gather(0.4, q) is None
     assert len(waiting) == 1
     assert watch.gather(0.5, q) is None  # nobody waits for what is being measured
@@ -168,9 +168,9 @@ def test_moving_encoders_end_the_measurement() -> None:
     gathered = None
     for turn in range(100):
         world.t = turn / 30
-        watch.see(pair_of(world))
+        watch.update(pair_of(world), None)
         reading = world.encoders()
-        watch.read(replace(reading, q=reading.q + 1e-4 * turn * FIRST))
+        watch.update(None, replace(reading, q=reading.q + 1e-4 * turn * FIRST))
         gathered = watch.gather(world.t, SETUP.home)
         if gathered is not None:
             break

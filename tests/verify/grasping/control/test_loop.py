@@ -169,7 +169,11 @@ def test_a_target_that_is_hidden_a_while_is_grasped_after_it() -> None:
 def test_a_target_that_leaves_both_pictures_and_returns_is_grasped_after_it() -> None:
     leaves = Cap("blue", (0.45, 0.0), (0.0, 1.2), 1.0, away=0.8)
     grab, ended, seen = grabbed(replace(STANDS, caps=(leaves,)))
-    gone = [cycle.seen.status for cycle in seen if cycle.seen is not None and 1.0 < cycle.t < 1.8]
+    gone = [
+        cycle.observation.status
+        for cycle in seen
+        if cycle.observation is not None and 1.0 < cycle.t < 1.8
+    ]
     assert gone
     assert set(gone) == {"lost"}
     away = [cycle for cycle in seen if 1.2 < cycle.t < 1.8]
@@ -276,7 +280,11 @@ def test_a_target_that_passes_behind_another_of_its_colour_is_the_one_that_is_li
     grab = cell_grab(quick_cell(), scene, target, right, auto=True, closed=False)
     seen: list[LoopCycle] = []
     ended = run(grab.loop, grab.source, ENDS, seen.append)
-    before = {cycle.seen.status for cycle in seen if cycle.seen is not None and cycle.t < 1.5}
+    before = {
+        cycle.observation.status
+        for cycle in seen
+        if cycle.observation is not None and cycle.t < 1.5
+    }
     assert before & {"lost", "occluded"}  # it was behind the other
     assert ended.state is GraspState.LIFTED
     assert grab.world.held is not None

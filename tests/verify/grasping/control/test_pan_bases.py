@@ -49,7 +49,7 @@ def seen(
 
 def where(cycles: list[LoopCycle]) -> np.ndarray:
     """The target's place in the base as it was last seen."""
-    known = next(c.known for c in reversed(cycles) if c.known is not None and c.known.tracked)
+    known = next(c.target for c in reversed(cycles) if c.target is not None and c.target.tracked)
     return known.thing.position
 
 
@@ -64,7 +64,7 @@ def test_a_target_stays_where_it_is_when_the_cameras_turn() -> None:
     pans = [c.pair.pan_left for c in cycles if c.pair is not None]
     assert np.ptp(pans) == pytest.approx(np.deg2rad(3.0), abs=3e-4)
     _, _, cycles = seen(PanTurn(0.6, np.deg2rad(3.0), 0.2), bases=Unturned())
-    known = [c.known.thing.position for c in cycles if c.known is not None]
+    known = [c.target.thing.position for c in cycles if c.target is not None]
     assert max(np.linalg.norm(p - place[:3, 3]) for p in known) > 0.02
 
 
@@ -78,8 +78,8 @@ def test_the_arm_waits_while_the_bases_turn_and_grasps_with_the_new_angles() -> 
     assert GraspState.HOLDING_STALE in {passage.target for passage in ended.passages}
     found = made.loop.aim.planned
     assert found is not None
-    assert found.thing.seen is not None
-    assert found.thing.seen.used  # the LEDs too were measured with the turned cameras
+    assert found.thing.offset is not None
+    assert found.thing.offset.used  # the LEDs too were measured with the turned cameras
     world, plan = made.world, made.loop.aim.plan
     assert world.closed_on is not None
     assert world.closed_at is not None

@@ -115,7 +115,7 @@ def test_without_a_target_no_search_begins_until_one_is_selected() -> None:
     grab.loop.look_for(None)
     turned(grab, GraspState.SEARCHING)
     for _ in range(10):
-        assert grab.loop.cycle(grab.source.pair()).seen is None
+        assert grab.loop.cycle(grab.source.pair()).observation is None
         grab.source.wait()
     assert grab.loop.machine.state is GraspState.SEARCHING
     assert chosen(grab, CAP) == ""
@@ -125,10 +125,10 @@ def test_without_a_target_no_search_begins_until_one_is_selected() -> None:
 def test_a_box_without_a_colour_keeps_the_last_target() -> None:
     grab = started(execute=False)
     turned(grab, GraspState.TRACKING)
-    known = grab.loop.aim.known
+    known = grab.loop.aim.target
     assert "no colour" in chosen(grab, BoxSelection((20, 20, 40, 40)))
     assert "out of the picture" in chosen(grab, BoxSelection((600, 300, 60, 90), "right"))
-    assert grab.loop.aim.known is known
+    assert grab.loop.aim.target is known
     assert grab.loop.cycle(grab.source.pair()).state is GraspState.TRACKING
 
 

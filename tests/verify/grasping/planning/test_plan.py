@@ -16,7 +16,7 @@ from robots.trajectory import TrajectoryFollower, limit_violation
 from tests.support.grasp.cells import DOCS, cap, home, melfa, setup
 from verify.core.rig import Camera, Covariance, Rig
 from verify.errors import InputError
-from verify.grasping.planning.facts import motion_table, plan_facts
+from verify.grasping.page import plan_facts
 from verify.grasping.planning.object import (
     GraspObject,
     GraspRefusal,
@@ -349,14 +349,6 @@ def test_a_plan_has_page_units_and_a_time_table(made: GraspPlanner) -> None:
     assert_allclose(output["grip_mm"], [450, 0, 30])
     assert_allclose(np.radians(output["grip_deg"]), found.posture.q_grip, atol=1e-5)
     assert len(output["not_taken"]) == 7
-    rows = motion_table(made, found, 0.05)
-    assert list(dict.fromkeys(rows["part"])) == ["over", "down", "up"]
-    assert (np.diff(rows["t_s"]) >= 0).all()
-    total = sum(part.duration for part in (*found.over, found.down, found.up))
-    assert rows["t_s"].iloc[-1] == pytest.approx(total)
-    bottom = rows[rows["part"] == "down"].iloc[-1]
-    assert_allclose(bottom[["x_mm", "y_mm", "z_mm"]].astype(float), [450, 0, 30], atol=0.05)
-    assert rows["clearance_mm"].min() >= -0.5
     none = json.loads(json.dumps(plan_facts(refused(made, cap(0.34)))))
     assert none["refused"] == "reach"
     assert len(none["branches"]) == 8

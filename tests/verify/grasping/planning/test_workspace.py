@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 
 import robots
 from robots.trajectory import joint_path
-from tests.support.grasp.cells import CAMERAS, cell, home, melfa, setup
+from tests.support.grasp.cells import CAMERAS, home, melfa, setup
 from verify.core.records import Array
-from verify.grasping.planning.workspace import BOX_NAME, RESOLUTION, Workspace, camera_centres
+from verify.grasping.planning.workspace import BOX_NAME, RESOLUTION, Workspace
 
 
 @pytest.fixture
@@ -160,12 +160,3 @@ def test_a_stream_of_postures_is_checked_in_between(workspace: Workspace) -> Non
     over = np.radians([[0.5, 0, 90, 0, 90, 0]])
     assert workspace.clear(np.concatenate([up, over])) == ""
     assert workspace.clear(np.concatenate([up, low])) != ""
-
-
-def test_cameras_come_from_the_rig_into_the_base(tmp_path: Path) -> None:
-    base_T_rig = np.array([[0, 0, -1.0, 1], [1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
-    rig_T_camera = np.eye(4)
-    rig_T_camera[:3, 3] = [-0.06, 0.0, 0.01]
-    places = camera_centres(base_T_rig, [rig_T_camera])
-    assert_allclose(places, [[0.99, -0.06, 0.5]])
-    assert cell(tmp_path).moving.camera_clearance == 0.1

@@ -66,7 +66,7 @@ def told(folder: Path, cycles: Sequence[LoopCycle]) -> list[Any]:
     message = GraspContext("arm", "blue object", "simulated", True, datetime.now(UTC))
     record = GraspRecord(folder, facts, SPACE, message, 30.0)
     for one in cycles:
-        record.see(one)
+        record.add(one)
     record.close()
     outcome = GraspOutcome(GraspState.LIFTED, "", True, (), len(cycles), False)
     summary = record.results(outcome, Aim(CELL.planner, CELL.rig)).summary

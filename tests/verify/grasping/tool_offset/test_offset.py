@@ -157,8 +157,8 @@ def seen(off_mm: list[float], *, used: bool, u: float = 0.1e-3) -> OffsetMeasure
 def test_a_corrected_target_moves_and_a_refused_one_needs_margin(tmp_path: Path) -> None:
     made, thing = cell(tmp_path), cap()
     plain = grip_margin(thing, made)
-    corrected = grip_margin(replace(thing, seen=seen([2.0, -1.0, -0.5], used=True)), made)
-    refused = grip_margin(replace(thing, seen=seen([12.0, 0.0, 3.0], used=False)), made)
+    corrected = grip_margin(replace(thing, offset=seen([2.0, -1.0, -0.5], used=True)), made)
+    refused = grip_margin(replace(thing, offset=seen([12.0, 0.0, 3.0], used=False)), made)
     for margin in (plain, corrected, refused):
         assert isinstance(margin, GripMargin)
     assert isinstance(plain, GripMargin)
@@ -168,7 +168,7 @@ def test_a_corrected_target_moves_and_a_refused_one_needs_margin(tmp_path: Path)
     assert corrected.across_needed > plain.across_needed  # its own uncertainty comes on top
     np.testing.assert_allclose(refused.grip, plain.grip)
     assert refused.across_needed == pytest.approx(plain.across_needed + 12e-3, abs=1e-4)
-    wide = replace(thing, width=0.095, seen=seen([12.0, 0.0, 0.0], used=False))
+    wide = replace(thing, width=0.095, offset=seen([12.0, 0.0, 0.0], used=False))
     answer = grip_margin(wide, made)
     assert isinstance(answer, GraspRefusal)
     assert answer.kind == "uncertainty"
@@ -177,7 +177,7 @@ def test_a_corrected_target_moves_and_a_refused_one_needs_margin(tmp_path: Path)
 def test_no_correction_leads_the_tips_into_the_table(tmp_path: Path) -> None:
     """An arm that is too high is told lower, but not below what the tips must keep."""
     made, low = cell(tmp_path), cap(z=0.018)
-    margin = grip_margin(replace(low, seen=seen([0.0, 0.0, 4.0], used=True)), made)
+    margin = grip_margin(replace(low, offset=seen([0.0, 0.0, 4.0], used=True)), made)
     assert isinstance(margin, GripMargin)
     least = made.table.height + made.table.finger_clearance + made.gripper.tips
     assert margin.grip[2] >= least - 1e-9
@@ -189,7 +189,7 @@ def test_a_corrected_plan_keeps_its_posture_and_passes_the_same_checks(tmp_path:
     first = plan_grasp(made, cap(), np.deg2rad([0.0, 0.0, 90.0, 0.0, 90.0, 0.0]))
     assert isinstance(first, GraspPlan)
     above = first.posture.q_above
-    found = plan_grasp(made, cap(seen=seen([3.0, -3.0, -1.0], used=True)), above)
+    found = plan_grasp(made, cap(offset=seen([3.0, -3.0, -1.0], used=True)), above)
     assert isinstance(found, GraspPlan)
     assert found.posture.branch == first.posture.branch
     assert np.abs(found.posture.q_above - above).max() < 0.1
@@ -201,6 +201,6 @@ def test_a_corrected_plan_keeps_its_posture_and_passes_the_same_checks(tmp_path:
     standing = plan_grasp(made, edge, above)
     assert isinstance(standing, GraspPlan)
     beyond = plan_grasp(
-        made, replace(edge, seen=seen([-5.0, 0.0, 0.0], used=True)), standing.posture.q_above
+        made, replace(edge, offset=seen([-5.0, 0.0, 0.0], used=True)), standing.posture.q_above
     )
     assert isinstance(beyond, GraspRefusal)  # told outside the box

@@ -4,28 +4,30 @@ import numpy as np
 import pytest
 
 from verify.grasping.tracking.association import (
-    ObjectCandidate,
     ObjectTrack,
     TargetDecision,
     TargetIdentity,
     associate,
 )
+from verify.grasping.tracking.camshift import Blob
 from verify.grasping.tracking.kalman import begin_track
+from verify.grasping.tracking.pairing import StereoObject
+from verify.grasping.tracking.stereo import StereoPoint
 from verify.grasping.tracking.target import TrackingOptions
 
 RATE, AREA = 30.0, 1.2e-3  # Hz, m²
 HERE, THERE = (0.0, 0.0, 0.7), (0.12, 0.0, 0.7)
-DENSITY, SPEED = 0.1, 0.5
+DENSITY = 0.1
+SQUARE = np.eye(2)
+BLOB = Blob(np.zeros(2), SQUARE, SQUARE, np.ones(2), 1.0, 1.0, (0, 0, 1, 1), 1.0, 1.0, 1.0, False)
 
 
-def seen(
-    *place: float, area: float = AREA, index: int = 0, reach: float | None = None
-) -> ObjectCandidate:
+def seen(*place: float, area: float = AREA, reach: float | None = None) -> StereoObject:
     noise = np.eye(3) * 0.0005**2
-    grown = area if reach is None else reach
-    return ObjectCandidate(
-        np.array(place), noise, noise, area, area, grown, np.full(2, 0.04), index
-    )
+    point = StereoPoint(np.array(place), noise, noise, 0.0, np.full(2, place[2]))
+    areas, reaches = np.full(2, area), np.full(2, area if reach is None else reach)
+    size = np.full(2, 0.04)
+    return StereoObject(BLOB, BLOB, point, areas, reaches, size, np.full(2, 1e-3))
 
 
 class Film:
@@ -34,7 +36,7 @@ class Film:
     def __init__(self, identity: TargetIdentity) -> None:
         self.identity, self.frame = identity, 0
 
-    def show(self, *candidates: ObjectCandidate, times: int = 1) -> TargetDecision:
+    def show(self, *candidates: StereoObject, times: int = 1) -> TargetDecision:
         for _ in range(times):
             self.frame += 1
             verdict = self.identity.step(self.frame / RATE, list(candidates))
@@ -42,13 +44,13 @@ class Film:
 
 
 def chosen(*place: float) -> Film:
-    identity = TargetIdentity(TrackingOptions(), DENSITY, SPEED)
+    identity = TargetIdentity(TrackingOptions(), DENSITY)
     identity.choose(0.0, seen(*place))
     return Film(identity)
 
 
 def test_one_object_of_the_colour_is_found_after_a_few_pairs() -> None:
-    film = Film(TargetIdentity(TrackingOptions(), DENSITY, SPEED))
+    film = Film(TargetIdentity(TrackingOptions(), DENSITY))
     assert [film.show(seen(*HERE)).status for _ in range(4)] == [
         "searching",
         "searching",
@@ -58,8 +60,8 @@ def test_one_object_of_the_colour_is_found_after_a_few_pairs() -> None:
 
 
 def test_of_two_objects_none_is_taken() -> None:
-    film = Film(TargetIdentity(TrackingOptions(), DENSITY, SPEED))
-    verdict = film.show(seen(*HERE), seen(*THERE, index=1), times=10)
+    film = Film(TargetIdentity(TrackingOptions(), DENSITY))
+    verdict = film.show(seen(*HERE), seen(*THERE), times=10)
     assert verdict.status == "searching"
     assert verdict.reason == "2 objects have this colour: select one"
 
@@ -77,7 +79,7 @@ def test_a_hidden_target_is_lost_and_found_at_its_place() -> None:
 
 def test_another_known_object_is_not_taken_for_a_lost_target() -> None:
     film = chosen(*HERE)
-    film.show(seen(*HERE), seen(*THERE, index=1), times=30)
+    film.show(seen(*HERE), seen(*THERE), times=30)
     verdict = film.show(seen(*THERE), times=90)
     assert (verdict.status, verdict.chosen) == ("lost", None)
     assert verdict.reason == "only another of its colour is seen"
@@ -85,10 +87,11 @@ def test_another_known_object_is_not_taken_for_a_lost_target() -> None:
 
 def test_it_comes_back_elsewhere_while_the_other_stays() -> None:
     film = chosen(*HERE)
-    film.show(seen(*HERE), seen(*THERE, index=1), times=30)
+    film.show(seen(*HERE), seen(*THERE), times=30)
     film.show(seen(*THERE), times=90)
-    verdict = film.show(seen(*THERE), seen(-0.2, 0.0, 0.7, index=1), times=5)
-    assert (verdict.status, verdict.chosen) == ("tracked", 1)
+    elsewhere = seen(-0.2, 0.0, 0.7)
+    verdict = film.show(seen(*THERE), elsewhere, times=5)
+    assert (verdict.status, verdict.chosen) == ("tracked", elsewhere)
 
 
 def test_after_a_long_absence_it_is_found_wherever_it_is() -> None:
@@ -100,9 +103,9 @@ def test_after_a_long_absence_it_is_found_wherever_it_is() -> None:
 
 def test_two_returning_targets_stay_ambiguous() -> None:
     film = chosen(*HERE)
-    film.show(seen(*HERE), seen(0.03, 0.0, 0.7, index=1), times=30)
+    film.show(seen(*HERE), seen(0.03, 0.0, 0.7), times=30)
     film.show(times=150)  # five seconds in which they may have changed places
-    verdict = film.show(seen(0.015, 0.02, 0.7), seen(0.015, -0.02, 0.7, index=1), times=10)
+    verdict = film.show(seen(0.015, 0.02, 0.7), seen(0.015, -0.02, 0.7), times=10)
     assert verdict.status == "occluded"
     assert verdict.reason == "it cannot be told from another of its colour"
 

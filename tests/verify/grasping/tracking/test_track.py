@@ -117,7 +117,7 @@ def test_a_target_half_hidden_in_one_camera_is_not_lost() -> None:
     finger = Slab(path, width=0.03)
     seen = list(track(pairs([cap, finger], RIG, 2.6), RIG, drawn(HERE)))
     assert spans(seen) == ["tracked", "occluded", "tracked"]
-    parts = [s.right.wholeness / s.left.wholeness for s in seen if s.left and s.right]
+    parts = [s.right.area / s.left.area for s in seen if s.left and s.right]
     assert min(parts) < 1 / 1.8  # patches as unequal are two things where nothing is known
     assert errors(seen, cap)[-5:].max() < 0.008  # the first whole sight still carries the parts'
     for one in seen:

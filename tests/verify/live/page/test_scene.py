@@ -79,7 +79,7 @@ def test_a_grab_draws_them_as_they_stand_after_a_turn() -> None:
     drawn: list[list[dict[str, Any]]] = []
 
     def see(cycle: Any) -> None:
-        source.see(cycle, made.loop, 0)
+        source.show(cycle, made.loop, 0)
         drawn.extend(row["scene"]["cameras"] for row in source.rows())
 
     run(made.loop, made.source, StopConditions(duration=1.3, patience=1.3, planned=False), see)

@@ -31,7 +31,7 @@ from tests.support.leds.scene import (
 from tests.support.scene import project
 from verify.measurement.correspondence.assign import PosePrediction
 from verify.measurement.correspondence.hypotheses import settle_bounds
-from verify.measurement.correspondence.kernels.spots import select_likely
+from verify.measurement.correspondence.refinement import select_likely
 
 SEES = 0.005  # m, the least difference between two triangles of LEDs that counts as asymmetric
 

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from verify.core.processes import Helper
+from verify.core.processes import ChildProcess
 from verify.simulation import library
 from verify.simulation.devices.painting import (
     LATE_NOTE,
@@ -28,13 +28,13 @@ SIGHTS = [
 ]
 
 
-def ready(distant: RemotePainter) -> Helper[object, None]:
-    helper, end = distant._helper, time.monotonic() + LIMIT
-    assert helper is not None
-    while not helper.is_ready():
+def ready(distant: RemotePainter) -> ChildProcess[object, None]:
+    process, end = distant._process, time.monotonic() + LIMIT
+    assert process is not None
+    while not process.is_ready():
         assert time.monotonic() < end
         time.sleep(0.05)
-    return helper
+    return process
 
 
 def test_both_processes_paint_the_same_and_one_replaces_the_other() -> None:
@@ -43,13 +43,13 @@ def test_both_processes_paint_the_same_and_one_replaces_the_other() -> None:
     assert not np.array_equal(wanted[0], wanted[1])
     distant = RemotePainter(SCENARIO, near, LIMIT)
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))  # while it starts
-    helper = ready(distant)
+    process = ready(distant)
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
-    assert distant._helper is helper  # it was asked, and answered
+    assert distant._process is process  # it was asked, and answered
     assert not distant.trouble
-    helper._process.kill()
+    process._process.kill()
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
-    assert distant._helper is None
+    assert distant._process is None
     assert "painted by the main process from now on" in distant.trouble
     distant.close()
     distant.close()
@@ -59,16 +59,16 @@ def test_a_late_process_is_skipped_until_it_answers() -> None:
     near = build_painter(simulate_session(library.load(SCENARIO)))
     wanted = [near.paint(sight) for sight in SIGHTS]
     distant = RemotePainter(SCENARIO, near, 0.01)
-    helper = ready(distant)
-    os.kill(helper.pid, signal.SIGSTOP)
+    process = ready(distant)
+    os.kill(process.pid, signal.SIGSTOP)
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
     assert distant.trouble == LATE_NOTE
-    os.kill(helper.pid, signal.SIGCONT)
-    distant._patience, end = LIMIT, time.monotonic() + LIMIT
+    os.kill(process.pid, signal.SIGCONT)
+    distant._timeout, end = LIMIT, time.monotonic() + LIMIT
     while distant.trouble:
         assert np.array_equal(distant.paint(SIGHTS[1]), wanted[1])
         assert time.monotonic() < end
-    assert distant._helper is helper
+    assert distant._process is process
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
     distant.close()
     distant.close()

@@ -27,7 +27,7 @@ from verify.calibration.corners.kernels.model import (
     window_pixels,
 )
 from verify.core.jit import compiled, compiled_sums
-from verify.core.kernels.linear_algebra import factor, invert, solve
+from verify.core.kernels.linear_algebra import factor, invert, median, solve
 from verify.core.records import Array
 
 START_BLUR = 0.06  # squares: wide enough to draw in a start that is some pixels off
@@ -108,9 +108,11 @@ def is_inside_window(jacobian: Array, p: Array) -> bool:
 @compiled
 def mark_strays(p: Array, rows: Array) -> NDArray[np.bool_]:
     """Which pixels (p,) are no part of the corner that was fitted."""
-    residual = np.abs(rows[ROW_RESIDUAL])
+    residual = np.empty(rows.shape[1])
+    for k in range(rows.shape[1]):
+        residual[k] = abs(rows[ROW_RESIDUAL, k])
     usual = max(
-        MAX_DEVIATION * abs(p[PAR_CONTRAST]), OUTLIER_SIGMA * np.median(residual) / MAD_OVER_SIGMA
+        MAX_DEVIATION * abs(p[PAR_CONTRAST]), OUTLIER_SIGMA * median(residual) / MAD_OVER_SIGMA
     )
     stray = np.empty(len(residual), np.bool_)
     for k in range(len(residual)):

@@ -1,4 +1,4 @@
-"""What a MELFA controller answers, and where that leads."""
+"""Parse what a MELFA controller answers, and change the state of its controls accordingly."""
 
 import numpy as np
 
@@ -23,140 +23,133 @@ OVERRIDE_RANGE = range(1, 101)  # that an override can be
 
 
 class AnswerParser:
-    """Understands what a controller answers; keeps the arm's angles as it told them last.
+    """Parses answers; keeps the arm's angles of the last one.
 
     Args:
         settings: how the controller is reached.
         angles: from the controller's angles to the robot file's own.
         limits: what no move may pass.
-        course: goes on, or ends, with what was answered.
+        controls: changed by what was answered.
     """
 
     def __init__(
-        self, settings: MotionSettings, angles: AngleMap, limits: MoveLimits, course: Controls
+        self, settings: MotionSettings, angles: AngleMap, limits: MoveLimits, controls: Controls
     ) -> None:
         self._settings, self._angles, self._limits = settings, angles, limits
-        self._course = course
+        self._controls = controls
         self._intake = ReadingIntake(angles, IntakeCounts())
         self.q: Array | None = None  # (joints,), rad
-        self.t: float | None = None  # s, when it stood there
+        self.t: float | None = None  # s, of these angles
         self.speed: float | None = None  # m/s, of the hand
 
-    def take(self, told: Exchange) -> None:
-        """Go on with an answer, or with there being none."""
-        course, answer = self._course, told.answer
-        giving_back = course.progress.giving_back
-        if answer is None and course.state is MoverState.CONNECTING:
-            course.progress.trouble = told.trouble  # the line may still be another's: tried again
+    def take(self, exchange: Exchange) -> None:
+        """Take an answer, or that there was none."""
+        controls, answer, name = self._controls, exchange.answer, exchange.request.name
+        if answer is None and controls.state is MoverState.CONNECTING:
+            controls.trouble = exchange.trouble  # another client may hold the line: tried again
         elif answer is None:
-            course.fail(f"{told.request.name}: {told.trouble}")
-        elif told.request.name == "OPEN":
+            controls.fail(f"{name}: {exchange.trouble}")
+        elif name == "OPEN":
             self._opened(answer)
-        elif giving_back is not None:
-            giving_back.take(told)
-            if giving_back.over:
-                course.given_back(giving_back)
+        elif controls.giving_back is not None:
+            controls.giving_back.take(exchange)
+            if not controls.giving_back.requests:
+                controls.end()
         elif answer.error is not None:
-            course.fail(refusal_text(told.request.name, answer.error))
-        elif answer.alarm and course.progress.right_asked:
-            course.fail("an alarm has come up")
+            controls.fail(refusal_text(name, answer.error))
+        elif answer.alarm and controls.right_requested:
+            controls.fail("an alarm has come up")
         else:
-            self._understand(told, answer)
+            self._accepted(exchange, answer)
 
     def _opened(self, answer: ControllerAnswer) -> None:
-        course, wanted = self._course, self._settings.robot_type
+        controls, wanted = self._controls, self._settings.robot_type
         if answer.error is not None:
-            course.fail(refusal_text("OPEN", answer.error))
+            controls.fail(refusal_text("OPEN", answer.error))
             return
-        course.progress.opened_on, course.progress.trouble = course.talk.connection, ""
-        told = answer.data.split(";")
-        if wanted not in told:
-            kinds = [part for part in told if part.startswith(("RV-", "RH-"))]
-            course.fail(f"the robot is {', '.join(kinds) or 'unknown'}; {wanted} is expected")
-        elif course.state is MoverState.CONNECTING:
-            course.enter(
-                MoverState.CHECKING, CHECK_TIMEOUT, STATE, ReadCommand("PAR", "MEJAR"), JPOSF
-            )
+        controls.opened_on, controls.trouble = controls.line.connection, ""
+        identity = answer.data.split(";")
+        if wanted not in identity:
+            kinds = [part for part in identity if part.startswith(("RV-", "RH-"))]
+            controls.fail(f"the robot is {', '.join(kinds) or 'unknown'}; {wanted} is expected")
+        elif controls.state is MoverState.CONNECTING:
+            limits = ReadCommand("PAR", "MEJAR")
+            controls.enter(MoverState.CHECKING, CHECK_TIMEOUT, STATE, limits, JPOSF)
 
-    def _understand(self, told: Exchange, answer: ControllerAnswer) -> None:
-        progress = self._course.progress
-        asked_for = bool(progress.to_say) and told.request == progress.to_say[0]
-        if asked_for:
-            progress.to_say.popleft()
-        match told.request.name:
+    def _accepted(self, exchange: Exchange, answer: ControllerAnswer) -> None:
+        requests = self._controls.requests
+        of_state = bool(requests) and exchange.request == requests[0]
+        if of_state:
+            requests.popleft()
+        match exchange.request.name:
             case "STATE":
                 self._run_state(answer)
             case "JPOSF":
-                self._position(told, answer)
+                self._position(exchange, answer)
             case "PAR":
-                progress.limits_deg = parse_limits(answer.data, self._angles.joints)
-                if progress.limits_deg is None:
-                    self._course.fail("its joint limits are not understood")
-        if asked_for and not progress.to_say:
-            self._said_all()
+                self._controls.limits_deg = parse_limits(answer.data, self._angles.joints)
+                if self._controls.limits_deg is None:
+                    self._controls.fail("its joint limits are not understood")
+        if of_state and not self._controls.requests:
+            self._enter_next()
 
-    def _said_all(self) -> None:
-        """Go to the next state, now that everything of this one was said and taken."""
-        match self._course.state:
+    def _enter_next(self) -> None:
+        """Go to the next state, now that every request of this one was answered."""
+        controls = self._controls
+        match controls.state:
             case MoverState.CHECKING:
-                self._course.progress.right_asked = True
-                self._course.enter(
-                    MoverState.TAKING_CONTROLS, CHECK_TIMEOUT, MotionCommand("CNTLON")
-                )
+                controls.right_requested = True
+                right = MotionCommand("CNTLON")
+                controls.enter(MoverState.TAKING_CONTROLS, CHECK_TIMEOUT, right)
             case MoverState.TAKING_CONTROLS:
                 override = MotionCommand("OVRD", f"={self._limits.override}")
-                self._course.progress.override_set = True
-                self._course.enter(
-                    MoverState.POWERING, POWER_TIMEOUT, override, MotionCommand("SRVON")
-                )
+                controls.override_set = True
+                power = MotionCommand("SRVON")
+                controls.enter(MoverState.POWERING, POWER_TIMEOUT, override, power)
             case MoverState.ORDERING:
-                self._course.enter(MoverState.MOVING, self._settings.move_limit)
+                controls.enter(MoverState.MOVING, self._settings.move_limit)
             case MoverState.STOPPING:
-                self._course.progress.state_due = 0.0
+                controls.state_due = 0.0
 
     def _run_state(self, answer: ControllerAnswer) -> None:
-        state, progress = r3.parse_state(answer.data), self._course.progress
+        state, controls = r3.parse_state(answer.data), self._controls
         if state is None:
-            self._course.fail("its state is not understood")
+            controls.fail("its state is not understood")
             return
-        progress.state_due, progress.still = self._course.now() + STATE_PERIOD, not state.running
-        wrong = progress.wrong(state, self._course.state)
-        if wrong:
-            self._course.fail(wrong)
-        elif self._course.state is MoverState.POWERING and state.servo_on and not progress.to_say:
-            self._course.enter(MoverState.READY, float("inf"))
-        elif progress.arrival is not None:
-            progress.arrival.running = state.running
+        controls.state_due, controls.still = controls.now() + STATE_PERIOD, not state.running
+        if problem := controls.state_problem(state):
+            controls.fail(problem)
+        elif controls.state is MoverState.POWERING and state.servo_on and not controls.requests:
+            controls.enter(MoverState.READY, float("inf"))
+        elif controls.arrival is not None:
+            controls.arrival.running = state.running
 
-    def _position(self, told: Exchange, answer: ControllerAnswer) -> None:
-        course, position = self._course, r3.parse_joints(answer.data, self._angles.joints)
+    def _position(self, exchange: Exchange, answer: ControllerAnswer) -> None:
+        controls, position = self._controls, r3.parse_joints(answer.data, self._angles.joints)
         if position is None:
-            course.fail("its position is not understood")
+            controls.fail("its position is not understood")
             return
-        angles = np.deg2rad(position.joints_deg)
-        readings = self._intake.take(
-            ControllerInstant(told.t, 0), course.now(), told.half_width, angles
-        )
+        instant, angles = ControllerInstant(exchange.t, 0), np.deg2rad(position.joints_deg)
+        readings = self._intake.take(instant, controls.now(), exchange.half_width, angles)
         if not readings:
             return  # a leap that no arm makes: a digit was disturbed
-        self.q, self.t, self.speed = readings[-1].q, told.t, position.speed
-        if not course.progress.right_asked and position.override in OVERRIDE_RANGE:
-            course.progress.override_found = position.override
-        if course.state not in FINAL_STATES and course.progress.right_asked:
+        self.q, self.t, self.speed = readings[-1].q, exchange.t, position.speed
+        if not controls.right_requested and position.override in OVERRIDE_RANGE:
+            controls.override_found = position.override
+        if controls.state not in FINAL_STATES and controls.right_requested:
             self._follow(position)
 
     def _follow(self, position: r3.JointPosition) -> None:
-        """See what a position means for what is being done."""
-        course, progress = self._course, self._course.progress
-        arrival = progress.arrival
+        """Check the speed; end a stop or a move that is over."""
+        controls, arrival = self._controls, self._controls.arrival
         if position.speed > self._limits.hand_speed:
-            course.fail(f"the hand goes at {position.speed:.3f} m/s")
-        elif course.state is MoverState.STOPPING:
-            if progress.still and position.speed == 0.0 and not progress.to_say:
-                course.enter(MoverState.HELD, float("inf"))
-        elif course.state is MoverState.MOVING and arrival is not None:
-            arrival.see(position, course.now())
+            controls.fail(f"the hand goes at {position.speed:.3f} m/s")
+        elif controls.state is MoverState.STOPPING:
+            if controls.still and position.speed == 0.0 and not controls.requests:
+                controls.enter(MoverState.HELD, float("inf"))
+        elif controls.state is MoverState.MOVING and arrival is not None:
+            arrival.update(position, controls.now())
             if arrival.arrived:
-                course.enter(MoverState.ARRIVED, float("inf"))
-            elif arrival.stalled(course.now()):
-                course.fail(f"the arm stands {arrival.off_deg:.2f} degrees from its target")
+                controls.enter(MoverState.ARRIVED, float("inf"))
+            elif arrival.stalled(controls.now()):
+                controls.fail(f"the arm stands {arrival.off_deg:.2f} degrees from its target")

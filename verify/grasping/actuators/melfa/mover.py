@@ -1,9 +1,9 @@
-"""A Mitsubishi MELFA controller that moves its arm: stop-and-go by EXEC over the R3 line protocol.
+"""Move the arm of a Mitsubishi MELFA controller, one move at a time, by EXEC over the R3 protocol.
 
 Sequence: BFP-A4288 section 4 (OPEN, CNTLON, SRVON, OVRD, EXEC moves, SRVOFF, CNTLOFF). Every answer
 is checked. At any refusal, alarm, silence or lost line the arm is stopped and the controller given
-back; no alarm is ever cleared here. The real-time control (MXT) is not used: it passes planner and
-override by.
+back; no alarm is ever cleared. The real-time control (MXT) is not used: it bypasses planner and
+override.
 """
 
 import time
@@ -64,8 +64,8 @@ class MelfaMover:
         if not isinstance(right, ExecutePermission):
             raise TypeError("an arm that moves needs the operator's right")
         self._settings, self._angles, self._limits, self._now = settings, angles, limits, now
-        self._opens = port or partial(open_port, settings.port, settings.line)
-        self._begin_anew()
+        self._open_port = port or partial(open_port, settings.port, settings.line)
+        self._reset()
 
     def __enter__(self) -> "MelfaMover":
         return self
@@ -80,11 +80,11 @@ class MelfaMover:
 
     def take_controls(self) -> None:
         """Connect, check, take the right and power the servo. See `Mover.take_controls`."""
-        if self._course.state not in FINAL_STATES:
-            raise MotionRefusedError(f"the arm is {self._course.state.value} already")
-        self._course.talk.close()
-        self._begin_anew()
-        self._course.enter(MoverState.CONNECTING, CONNECT_TIMEOUT)
+        if self._controls.state not in FINAL_STATES:
+            raise MotionRefusedError(f"the arm is {self._controls.state.value} already")
+        self._controls.line.close()
+        self._reset()
+        self._controls.enter(MoverState.CONNECTING, CONNECT_TIMEOUT)
 
     def move_joints(self, q: Array) -> None:
         """Go to joint angles by joint interpolation. See `Mover.move_joints`."""
@@ -96,55 +96,49 @@ class MelfaMover:
 
     def hold(self) -> None:
         """Stop where it is and keep the controls. See `Mover.hold`."""
-        course = self._course
-        if course.state in ACCEPTING_STATES | MOVING_STATES:
-            course.progress.still = False
-            course.enter(MoverState.STOPPING, STOP_TIMEOUT, MotionCommand("STOP"))
-            course.talk.urge()
+        controls = self._controls
+        if controls.state in ACCEPTING_STATES | MOVING_STATES:
+            controls.still = False
+            controls.enter(MoverState.STOPPING, STOP_TIMEOUT, MotionCommand("STOP"))
+            controls.line.urge()
 
     def release(self) -> None:
         """Stop, take the servo's power, give the controls back. See `Mover.release`."""
-        self._course.release()
+        self._controls.release()
 
     def step(self) -> MoverStatus:
         """Go on with what has arrived; never waits for the controller."""
-        course = self._course
-        if course.state not in FINAL_STATES:
-            told = course.talk.step()
-            if told is not None:
-                self._answers.take(told)
-            course.watch()
-            if course.talk.free and course.state not in FINAL_STATES:
-                course.talk.send(course.next())
+        controls = self._controls
+        if controls.state not in FINAL_STATES:
+            exchange = controls.line.step()
+            if exchange is not None:
+                self._answers.take(exchange)
+            controls.watch()
+            if controls.line.free and controls.state not in FINAL_STATES:
+                controls.line.send(controls.next())
         return self._status()
 
     def close(self) -> None:
-        """Release, waiting for at most GIVE_BACK_LIMIT, and close the line. Never raises."""
+        """Release, waiting for at most RELEASE_TIMEOUT, and close the line. Never raises."""
         self.release()
-        while self._course.state not in FINAL_STATES:
+        while self._controls.state not in FINAL_STATES:
             self.step()
             time.sleep(CLOSE_PERIOD)
-        self._course.talk.close()
+        self._controls.line.close()
 
-    def _begin_anew(self) -> None:
-        settings = self._settings
-        talk = Dialogue(
-            settings.port,
-            self._opens,
-            settings.terminator,
-            settings.pause,
-            settings.timeout,
-            self._now,
-        )
-        self._course = Controls(talk, settings.client, self._now)
-        self._answers = AnswerParser(settings, self._angles, self._limits, self._course)
+    def _reset(self) -> None:
+        settings, now = self._settings, self._now
+        self._controls = Controls(Dialogue(settings, self._open_port, now), settings.client, now)
+        self._answers = AnswerParser(settings, self._angles, self._limits, self._controls)
 
     def _move(self, worded: Callable[[Array, int], list[MotionCommand]], q: Array) -> None:
-        course, q_now = self._course, self._answers.q
-        if course.state not in ACCEPTING_STATES:
-            said = f": {course.reason}" if course.reason else ""
-            raise MotionRefusedError(f"the arm takes no move now, it is {course.state.value}{said}")
-        own = course.progress.limits_deg
+        controls, q_now = self._controls, self._answers.q
+        if controls.state not in ACCEPTING_STATES:
+            why = f": {controls.reason}" if controls.reason else ""
+            raise MotionRefusedError(
+                f"the arm takes no move now, it is {controls.state.value}{why}"
+            )
+        own = controls.limits_deg
         assert q_now is not None
         assert own is not None  # both were asked for before the controls were taken
         target_deg = np.rad2deg(self._angles.sign * (q - self._angles.offset))
@@ -152,14 +146,14 @@ class MelfaMover:
         if refusal:
             raise MotionRefusedError(refusal)
         orders = worded(target_deg, self._settings.slot)
-        course.progress.arrival = Arrival(target_deg)
-        course.enter(MoverState.ORDERING, self._settings.move_limit, *orders)
+        controls.arrival = Arrival(target_deg)
+        controls.enter(MoverState.ORDERING, self._settings.move_limit, *orders)
 
     def _status(self) -> MoverStatus:
-        course, read = self._course, self._answers
+        controls, read = self._controls, self._answers
         age = None if read.t is None else self._now() - read.t
-        reason = course.reason
-        if course.state is MoverState.CONNECTING and not course.talk.link.connected:
-            reason = course.talk.link.fault
+        reason = controls.reason
+        if controls.state is MoverState.CONNECTING and not controls.line.link.connected:
+            reason = controls.line.link.fault
         said = f"{self._settings.port}: {reason}" if reason else ""
-        return MoverStatus(course.state, said, read.q, read.t, age, read.speed)
+        return MoverStatus(controls.state, said, read.q, read.t, age, read.speed)

@@ -1,12 +1,9 @@
-"""MELFA's R3 line protocol, the commands that move a robot (BFP-A4288, section 3.3); no port.
+"""Encode the commands of MELFA's R3 line protocol that move a robot (BFP-A4288, section 3.3).
 
-What verification may send is `verify.devices.melfa.protocol.ReadCommand`; an `MotionCommand` is another type, from
-a list of its own. What neither list holds cannot be worded: the brakes, jogging, programs, hands,
-other people's variables, clearing an alarm, the real-time control.
-
-How a MELFA controller is reached for moving, and what no move may pass.
-
-What a MELFA controller's refusals and alarms mean to whoever wants to move the arm.
+What only reads is a `ReadCommand`; a `MotionCommand` is another type, from a list of its own. What
+neither list holds cannot be sent: the brakes, jogging, programs, hands, other variables, clearing
+an alarm, the real-time control. Beside the commands: what no move may pass, and what refusals and
+alarms mean.
 """
 
 import re
@@ -17,14 +14,17 @@ from typing import Final
 import numpy as np
 
 from verify.core.records import Array
-from verify.devices.melfa.protocol import ERROR_MEANINGS, ForbiddenCommandError, RunState
+from verify.devices.melfa.protocol import (
+    ERROR_MEANINGS,
+    ForbiddenCommandError,
+    ReadCommand,
+    RunState,
+)
 from verify.devices.melfa.reader import DEFAULT_MELFA_LINE
 from verify.devices.ports import SerialLine
 
-JOINT_VARIABLE, POSE_VARIABLE = (
-    "JVFY",
-    "PVFY",
-)  # this program's own variables on the controller; 8 letters at most
+# this program's own variables on the controller; 8 letters at most
+JOINT_VARIABLE, POSE_VARIABLE = "JVFY", "PVFY"
 _NUMBER = r"-?[0-9]{1,3}\.[0-9]{3}"
 # each with the grammar of its argument
 MOVE_COMMANDS: Final = MappingProxyType(
@@ -35,8 +35,8 @@ MOVE_COMMANDS: Final = MappingProxyType(
         "SRVOFF": "",
         "STOP": "",
         "OVRD": r"=(100|[1-9][0-9]?)",
-        "EXEC": rf"{JOINT_VARIABLE}=\({_NUMBER}(,{_NUMBER}){{0,7}}\)|{POSE_VARIABLE}=JTOP\({JOINT_VARIABLE}\)"
-        rf"|MOV {JOINT_VARIABLE}|MVS {POSE_VARIABLE}",
+        "EXEC": rf"{JOINT_VARIABLE}=\({_NUMBER}(,{_NUMBER}){{0,7}}\)"
+        rf"|{POSE_VARIABLE}=JTOP\({JOINT_VARIABLE}\)|MOV {JOINT_VARIABLE}|MVS {POSE_VARIABLE}",
     }
 )
 _PARAMETER = re.compile(r"[A-Za-z0-9]+;([-+0-9.,;]+)")
@@ -62,6 +62,9 @@ class MotionCommand:
     def encoded(self, terminator: bytes) -> bytes:
         """Word it for robot 1."""
         return f"1;{self.slot};{self.name}{self.argument}".encode("ascii") + terminator
+
+
+Request = ReadCommand | MotionCommand
 
 
 def joint_move(angle_deg: Array, slot: int) -> list[MotionCommand]:

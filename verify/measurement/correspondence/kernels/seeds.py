@@ -6,7 +6,6 @@ What is looked for, and why, is told in seeds.py and hypotheses.py.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.jit import compiled
 from verify.core.kernels.linear_algebra import cross, distance, dot, scale_to_one
@@ -16,18 +15,6 @@ from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Inde
 MIN_HEIGHT_RATIO = (
     0.01  # height over longest side: less, and gathering about a line finds the third LED
 )
-
-
-@compiled
-def list_nodes(spot: Index, allowed: NDArray[np.bool_], point: Index, led: Index) -> int:
-    """List which point (of spots (c, 2)) may be which LED, LED by LED; how many there are."""
-    count = 0
-    for n in range(allowed.shape[1]):
-        for c in range(len(spot)):
-            if allowed[0, n, spot[c, 0]] and allowed[1, n, spot[c, 1]]:
-                point[count], led[count] = c, n
-                count += 1
-    return count
 
 
 @compiled
@@ -85,20 +72,6 @@ def join_nodes(
             off = abs(apart[point[a], point[b]] - wanted[led[a], led[b]])
             off = math.inf if led[a] == led[b] else off / sigma[point[a], point[b]]
             deviation[a, b] = deviation[b, a] = off
-
-
-@compiled
-def list_edges(deviation: Array, costs: Array, edges: Index) -> int:
-    """List pairs of nodes that agree, (e, 2), best first; how many there are, e at most."""
-    count = 0
-    for a in range(len(deviation)):
-        for b in range(a + 1, len(deviation)):
-            if deviation[a, b] <= MAX_DEVIATION:
-                place = insert_cost(deviation[a, b], costs, edges, count)
-                if place >= 0:
-                    edges[place, 0], edges[place, 1] = a, b
-                    count = min(count + 1, len(costs))
-    return count
 
 
 @compiled

@@ -1,8 +1,7 @@
-"""Which spots an assignment explains, and how well, compiled.
+"""Costs and counts of the spots that assignments explain, compiled.
 
-What is weighed, and why, is told in hypotheses.py.
-
-Hypotheses settled on their spots, compiled: what `polish` and `follow` of hypotheses.py do.
+hypotheses.py has the model. In numpy, `gather_all` alone takes several times as long as the whole
+correspondence of a pair (`make bench`, detection and chain).
 """
 
 import math
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from verify.core.jit import compiled
 from verify.core.kernels.linear_algebra import dot
 from verify.core.records import Array
-from verify.measurement.correspondence.kernels.fit import fit_all, predict_all
 
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -142,25 +140,6 @@ def count_all(spot: Index, counts: Index) -> None:
 
 
 @compiled
-def mark_conflicts(spot: Index, best: int, conflict: Flags) -> None:
-    """Fill in which assignments (h, 2, n) contradict the one numbered `best`.
-
-    They do with another spot for an LED, or another LED for a spot.
-    """
-    for h in range(len(spot)):
-        conflict[h] = False
-        for side in range(2):
-            for a in range(spot.shape[2]):
-                theirs = spot[h, side, a]
-                if theirs < 0:
-                    continue
-                for b in range(spot.shape[2]):
-                    mine = spot[best, side, b]
-                    if mine >= 0 and (mine == theirs) != (a == b):
-                        conflict[h] = True
-
-
-@compiled
 def departures_of_all(
     leds: Array,
     spot: Index,
@@ -208,157 +187,3 @@ def departures_of_all(
             moved / (along + about * lever + coarse),
             math.sqrt(turned) / (about * math.sqrt(radius) + coarse),
         )
-
-
-Cameras = tuple[Array, Array, Array]
-# rotation, position, shift, spot, hold, covariance and chi² of hypotheses, as there
-HypothesisArrays = tuple[Array, Array, Array, Index, Array, Array, Array]
-Limits = tuple[tuple[float, float, float], tuple[float, float, float, float, float]]
-# cameras as `fit_all` takes them; spots (2, s, 2) px, their covariance (2, s, 2, 2) px², and which
-# are merged (2, s); which may be which LED (2, n, s); the limits of `fit_all` and of `gather_all`;
-# LEDs (n, 3), m, flange frame
-SearchInputs = tuple[Cameras, tuple[Array, Array, Flags], Flags, Limits, Array]
-
-
-@compiled
-def slice_hypotheses(laid: HypothesisArrays, begin: int, end: int) -> HypothesisArrays:
-    """Some of the hypotheses, not copied."""
-    rotation, position, shift, spot, hold, covariance, chi2 = laid
-    return (
-        rotation[begin:end], position[begin:end], shift[begin:end], spot[begin:end],
-        hold[begin:end], covariance[begin:end], chi2[begin:end],
-    )  # fmt: skip
-
-
-@compiled
-def fit_hypotheses(asked: SearchInputs, laid: HypothesisArrays, steps: int) -> None:
-    """Fit hypotheses in place, see `fit_all`."""
-    cameras, seen, _, limits, leds = asked
-    rotation, position, shift, spot, hold, covariance, chi2 = laid
-    fit_all(
-        cameras, (seen[0], seen[1]), limits[0], leds, rotation, position, shift, spot, hold,
-        steps, covariance, chi2,
-    )  # fmt: skip
-
-
-@compiled
-def explained_spots(asked: SearchInputs, laid: HypothesisArrays, largest: float) -> Index:
-    """Spots (h, 2, n) that the poses of hypotheses explain, see `gather_all`.
-
-    An LED whose place is known worse than `largest` (px) gets none.
-    """
-    cameras, seen, allowed, limits, leds = asked
-    nearest, play, gate, _, cost = limits[1]
-    bounds = nearest, play, gate, largest, cost
-    rotation, position, shift, covariance = laid[0], laid[1], laid[2], laid[5]
-    count, each = len(position), len(leds)
-    image, depth = np.empty((count, 2, each, 2)), np.empty((count, 2, each))
-    derivative = np.empty((count, 2, each, 2, covariance.shape[1]))
-    predict_all(cameras, nearest, leds, rotation, position, shift, image, derivative, depth)
-    spot = np.empty((count, 2, each), np.int64)
-    gather_all(seen, allowed, bounds, (image, derivative, depth), covariance, spot)
-    return spot
-
-
-@compiled
-def best_of_each(chi2: Array, spot: Index) -> Index:
-    """Number the best hypothesis of each assignment, by rising chi²."""
-    kept, count = np.arange(len(chi2)), 0
-    if len(chi2) < 2:
-        return kept
-    for index in np.argsort(chi2, kind="mergesort"):
-        known = False
-        for k in range(count):
-            known = known or bool(np.all(spot[index] == spot[kept[k]]))
-        if not known:
-            kept[count] = index
-            count += 1
-    return kept[:count]
-
-
-@compiled
-def select_likely(spot: Index, chi2: Array, greatest: Array, determined: Index) -> Index:
-    """Number the hypotheses that see an LED in both images and fit within their noise.
-
-    Args:
-        spot: (h, 2, n).
-        chi2: (h,).
-        greatest: chi² that is not improbable, by degrees of freedom.
-        determined: (4,), degrees of freedom that none, one, two or more LEDs determine.
-    """
-    counts, kept, count = np.empty((3, len(chi2)), np.int64), np.arange(len(chi2)), 0
-    count_all(spot, counts)
-    for h in range(len(chi2)):
-        freedom = max(2 * counts[0, h] - determined[min(counts[1, h], 3)], 1)
-        if counts[2, h] > 0 and chi2[h] <= greatest[freedom]:
-            kept[count] = h
-            count += 1
-    return kept[:count]
-
-
-@compiled
-def compact_hypotheses(laid: HypothesisArrays, kept: Index) -> HypothesisArrays:
-    """Bring the hypotheses of these numbers to the begin; gives them."""
-    rotation, position, shift, spot, hold, covariance, chi2 = laid
-    count = len(kept)
-    rotation[:count], position[:count], shift[:count] = rotation[kept], position[kept], shift[kept]
-    spot[:count], hold[:count] = spot[kept], hold[kept]
-    covariance[:count], chi2[:count] = covariance[kept], chi2[kept]
-    return slice_hypotheses(laid, 0, count)
-
-
-@compiled
-def settle_all(
-    asked: SearchInputs, laid: HypothesisArrays, steps: int, bounds: tuple[Array, Index]
-) -> int:
-    """Gather and fit until the spots are those of the poses; keep each good assignment once.
-
-    Args:
-        asked: the images and the marker.
-        laid: h hypotheses, changed.
-        steps: of a fit to begin with; below 0 there is none.
-        bounds: as for `select_likely`.
-
-    Returns:
-        How many are kept: the first of `laid`.
-    """
-    largest = asked[3][1][3]
-    if steps >= 0:
-        fit_hypotheses(asked, laid, steps)
-    laid[3][:] = explained_spots(asked, laid, largest)
-    laid = compact_hypotheses(laid, best_of_each(laid[6], laid[3]))
-    fit_hypotheses(asked, laid, 1)
-    again = explained_spots(asked, laid, largest)
-    if np.any(again != laid[3]):
-        laid[3][:] = again
-        fit_hypotheses(asked, laid, 2)
-    laid = compact_hypotheses(laid, select_likely(laid[3], laid[6], bounds[0], bounds[1]))
-    return len(compact_hypotheses(laid, best_of_each(laid[6], laid[3]))[6])
-
-
-@compiled
-def follow_all(
-    asked: SearchInputs, laid: HypothesisArrays, bounds: tuple[Array, Index], settled: bool
-) -> int:
-    """Take the spots nearest to a predicted pose, alone and from what a search found.
-
-    Args:
-        asked: the images and the marker.
-        laid: the prediction, then what the search found; changed.
-        bounds: as for `select_likely`.
-        settled: nothing is left to find, if the prediction's spots are those of the first found.
-
-    Returns:
-        How many are kept: the first of `laid`.
-    """
-    first, found = slice_hypotheses(laid, 0, 1), slice_hypotheses(laid, 1, len(laid[6]))
-    first[3][:] = explained_spots(asked, first, np.inf)
-    if settled and np.all(first[3][0] == found[3][0]):
-        fit_hypotheses(asked, laid, 2)
-        laid = compact_hypotheses(laid, best_of_each(laid[6], laid[3]))
-        fit_hypotheses(asked, laid, 1)
-        return len(laid[6])
-    fit_hypotheses(asked, found, 0)
-    found[3][:] = explained_spots(asked, found, np.inf)
-    fit_hypotheses(asked, laid, 2)
-    return settle_all(asked, laid, -1, bounds)

@@ -5,8 +5,6 @@ What is brighter than its surroundings, compiled: three steps a pixel, whatever 
 OpenCV's top hat takes as many as its window is wide. The same values.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -151,23 +149,6 @@ def find_blobs(
 
 
 @compiled
-def cut_windows(windows: Array, size: tuple[int, int], whole: NDArray[np.int64]) -> None:
-    """Cut windows (n, 4), px, at a picture's border and widen them to whole pixels.
-
-    Args:
-        windows: x0, y0, x1, y1.
-        size: height and width of the picture.
-        whole: (n, 4), filled; upper bounds exclusive.
-    """
-    height, width = size
-    for n in range(len(windows)):
-        for axis in range(4):
-            end = width if axis % 2 == 0 else height
-            edge = min(max(windows[n, axis], 0.0), float(end))
-            whole[n, axis] = int(edge if axis < 2 else math.ceil(edge))
-
-
-@compiled
 def compact_blobs(
     contrast: Image, levels: tuple[int, ...], shape: tuple[float, float, float], found: Array
 ) -> int:
@@ -210,37 +191,6 @@ def compact_blobs(
                     found[count, 1] += y0
                     seeds[count, 0], seeds[count, 1] = y, x
                     count += 1
-    return count
-
-
-@compiled
-def select_highest(
-    found: Array, doubt: NDArray[np.int64], across: tuple[float, float], best: Array
-) -> int:
-    """List the blobs that are as large as asked, highest contrast first.
-
-    Args:
-        found: (n, 4), as `compact_blobs` fills it.
-        doubt: (n,), px, by which a blob's width may be missed.
-        across: px, least and largest width.
-        best: (m, 4), filled from the begin with as many as it holds.
-
-    Returns:
-        How many.
-    """
-    chosen, count = np.empty(len(found), np.int64), 0
-    for n in range(len(found)):
-        width = 2.0 * found[n, 2]
-        if width + doubt[n] >= across[0] and width - doubt[n] <= across[1]:
-            chosen[count] = n
-            count += 1
-    rank = np.empty(count)
-    for k in range(count):
-        rank[k] = -found[chosen[k], 3]
-    count = min(count, len(best))
-    order = np.argsort(rank, kind="mergesort")
-    for k in range(count):
-        best[k] = found[chosen[order[k]]]
     return count
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.jit import compiled, compiled_sums
-from verify.core.kernels.linear_algebra import factor, solve
+from verify.core.kernels.linear_algebra import copy_to, factor, select, solve
 from verify.core.records import Array
 from verify.measurement.detection.kernels.pixels import (
     N_PARAMETERS,
@@ -79,7 +79,8 @@ def normal_equations(
     chi2 = products[ROW_RESIDUAL, ROW_RESIDUAL] + out
     for a in range(N_PARAMETERS):
         off = prior[0, a] - p[a]
-        information[a] = products[a, :N_PARAMETERS]
+        for b in range(N_PARAMETERS):
+            information[a, b] = products[a, b]
         information[a, a] += prior[1, a]
         gradient[a] = products[ROW_RESIDUAL, a] + prior[1, a] * off
         chi2 += prior[1, a] * off * off
@@ -189,7 +190,7 @@ def fit_patch(
         for a in range(N_PARAMETERS):
             damped[a, a] = damped[a, a] * (1.0 + damping) + MIN_INFORMATION
         factor(damped, 0.0, root)
-        step[:] = gradient
+        copy_to(step, gradient)
         solve(root, step)
         shortened = limit_step(step, p)
         gained = float(step @ gradient)  # what the step takes from chi²
@@ -207,9 +208,13 @@ def fit_patch(
         if refused:
             damping *= 30.0
             continue
-        p[:], chi2, damping = tried, trial, damping / 10.0
-        information[:], gradient[:] = tried_information, tried_gradient
-        variance[:], stands = known[ROW_VARIANCE], chi2
+        copy_to(p, tried)
+        chi2, damping = trial, damping / 10.0
+        for a in range(N_PARAMETERS):
+            copy_to(information[a], tried_information[a])
+        copy_to(gradient, tried_gradient)
+        copy_to(variance, known[ROW_VARIANCE])
+        stands = chi2
     if refused:
         weigh_pixels(p, pixels, scale, noise, table, known, rows)
     mark_core(p, pixels, known)
@@ -245,7 +250,8 @@ def fit_patches(
     own, held = np.empty(3), np.empty((2, N_PARAMETERS))
     for n in range(len(p)):
         own[0], own[1], own[2] = shares[0][n] * noise[0], shares[1][n] * noise[1], noise[2]
-        held[0], held[1] = prior[0][n], prior[1][n]
+        copy_to(held[0], prior[0][n])
+        copy_to(held[1], prior[1][n])
         chi2[n] = fit_patch(
             p[n], pixels[n], scale[n], own, table, held, limits[0], limits[1], known[n], rows[n],
             information[n], gradient[n],
@@ -312,7 +318,9 @@ def fill_priors(
     mean, weight = prior
     for n in range(len(pixels)):
         value, valid, column, row = pixels[n, 0], pixels[n, 1], pixels[n, 2], pixels[n, 3]
-        mean[n], weight[n], start[n] = usual[0], usual[1], usual[0]
+        copy_to(mean[n], usual[0])
+        copy_to(weight[n], usual[1])
+        copy_to(start[n], usual[0])
         floor = value_at_rank(value, len(value) * 3 // 10)
         top = floor_priors(value, valid, column, row, scale[n], floor, weight[n])
         mean[n, PAR_FLOOR] = floor
@@ -340,7 +348,7 @@ def value_at_rank(value: Array, rank: int) -> float:
     for one in value:
         whole = int(one)
         if whole != one:  # of combined colours
-            return float(np.partition(value, rank)[rank])
+            return select(value, rank)
         counts[whole] += 1
     level, below = 0, counts[0]
     while below <= rank:

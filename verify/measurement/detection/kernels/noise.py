@@ -204,8 +204,11 @@ def gather_residuals(
 @compiled
 def least_misfit(misfit: Array, count: Array) -> float:
     """Least misfit of n spots, those of few pixels left out unless there is no other."""
-    many = misfit[count >= MIN_PIXELS]
-    return float(many.min() if len(many) else misfit.min())
+    least, of_many = np.inf, np.inf
+    for n in range(len(misfit)):
+        least = min(least, misfit[n])
+        of_many = min(of_many, misfit[n] if count[n] >= MIN_PIXELS else np.inf)
+    return of_many if of_many < np.inf else least
 
 
 @compiled
@@ -230,13 +233,16 @@ def variance_line(
     """
     clean, darkest, lowest, highest = limits
     first0, first1 = line[0], line[1]
-    spots = spot.max() + 1
+    spots = 0
+    for one in spot:
+        spots = max(spots, one + 1)
     for _ in range(3):  # which spots are clean settles in two rounds
         misfit, count = np.zeros(spots), np.zeros(spots)
         for k in range(len(spot)):
             misfit[spot[k]] += residual2[k] / (line[0] + line[1] * signal[k])
             count[spot[k]] += 1.0
-        misfit /= count
+        for n in range(spots):
+            misfit[n] /= count[n]
         most = clean * least_misfit(misfit, count)
         a, b, d = usual[0] ** 2, 0.0, usual[1] ** 2
         u, v = a * first0, d * first1

@@ -157,7 +157,9 @@ def score_all(
         occlusion_change(parameters[n, PAR_PEAK], known[n], near, sides, width, sunk)
         cross_products(whitened[n], near, sunk, cross, whole)
         factor(information[n], 0.0, root)
-        follow[:] = cross[:N_PARAMETERS]
+        for a in range(N_PARAMETERS):
+            for b in range(follow.shape[1]):
+                follow[a, b] = cross[a, b]
         solve_each(root, follow)
         eliminate_parameters(cross, whole, follow, gradient[n], left, slope)
         worth = max(told[m, COL_MISFIT], 1.0)
@@ -184,7 +186,8 @@ def eliminate_parameters(
         left: filled.
         slope: filled.
     """
-    left[:], slope[:] = whole, cross[ROW_RESIDUAL]
+    for b in range(len(left)):
+        left[b], slope[b] = whole[b], cross[ROW_RESIDUAL, b]
     for a in range(N_PARAMETERS):
         for side in range(len(whole)):
             left[side] -= cross[a, side] * follow[a, side]

@@ -185,7 +185,8 @@ def expect_pixels(p: Array, pixels: Array, noise: Array, known: Array, rows: Arr
         signal = known[ROW_MEAN, k] - black
         signal = signal if signal > 0.0 else 0.0
         known[ROW_SIGNAL, k], known[ROW_VARIANCE, k] = signal, read + gain * signal
-    rows[ROW_RESIDUAL] = known[ROW_VARIANCE]
+    for k in range(count):
+        rows[ROW_RESIDUAL, k] = known[ROW_VARIANCE, k]
     clip(known[ROW_MEAN], known[ROW_VARIANCE], known[ROW_VISIBLE], rows[LATE_ROWS])
 
 

@@ -83,9 +83,9 @@ def assess_shape(counted: Array, peak: float, limits: tuple[float, ...], told: A
     rough = math.sqrt(square_dn / paid)
     merged = misfit > most and rough > rough_most * min(peak, SENSOR_LIMIT)
     excess = max(misfit - 1.0 - chance * math.sqrt(2.0 / paid), 0.0) if full == 0.0 else 0.0
-    told[COL_COVARIANCE_XX : COL_COVARIANCE_YY + 1] *= (
-        together * misfit if merged else 1.0 + together * excess
-    )
+    larger = together * misfit if merged else 1.0 + together * excess
+    for k in range(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1):
+        told[k] *= larger
     told[COL_MISFIT], told[COL_COUNT] = misfit, count
     told[COL_SATURATED], told[COL_MERGED] = 1.0 if full > 0.0 else 0.0, 1.0 if merged else 0.0
 
@@ -170,58 +170,3 @@ def mark_duplicates(told: Array, apart: float, twin: Flags) -> None:
             )
             if better and off < apart * min(one[COL_DIAMETER], other[COL_DIAMETER]):
                 twin[a] = True
-
-
-@compiled
-def number_brightest(told: Array, fewest: float, most: int, number: NDArray[np.int64]) -> None:
-    """Number the brightest of n spots, brightest first, from 0; -1 are the others.
-
-    Args:
-        told: (n, 14).
-        fewest: pixels: a spot has more of its own that clipping leaves alone.
-        most: how many are numbered.
-        number: (n,), filled.
-    """
-    brightness = np.empty(len(told))
-    for n in range(len(told)):
-        row, number[n] = told[n], -1
-        speaks = row[COL_SOUND] > 0.0 and row[COL_COUNT] > fewest
-        brightness[n] = row[COL_PEAK] / row[COL_ELONGATION] if speaks else -np.inf
-    rank = 0
-    for n in np.argsort(-brightness, kind="mergesort")[:most]:
-        if brightness[n] > -np.inf:
-            number[n] = rank
-            rank += 1
-
-
-@compiled
-def choose_spots(
-    told: Array, diameter: tuple[float, float], apart: float, limit: int, chosen: NDArray[np.int64]
-) -> int:
-    """Choose the most LED-like of n spots, and list them by falling peak.
-
-    Args:
-        told: (n, 14).
-        diameter: px, least and largest.
-        apart: as for `mark_duplicates`.
-        limit: how many at most.
-        chosen: (n,), filled from the begin with as many as are chosen.
-
-    Returns:
-        How many.
-    """
-    for n in range(len(told)):
-        fits = diameter[0] <= told[n, COL_DIAMETER] <= diameter[1]
-        chosen[n] = n if told[n, COL_SOUND] > 0.0 and fits else -1
-    sound = chosen[chosen >= 0]
-    twin = np.empty(len(sound), np.bool_)
-    mark_duplicates(told[sound], apart, twin)
-    single = sound[~twin]
-    rank = np.empty(len(single))
-    for k in range(len(single)):
-        row = told[single[k]]
-        rank[k] = -row[COL_PEAK] / (1.0 + row[COL_MISFIT]) / row[COL_ELONGATION]
-    best = single[np.argsort(rank, kind="mergesort")[:limit]]
-    falling = best[np.argsort(-told[best, COL_PEAK], kind="mergesort")]
-    chosen[: len(falling)] = falling
-    return len(falling)
