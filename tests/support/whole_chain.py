@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from robots.transforms import difference, invert
 from tests.bench.calibration import deviation
 from tests.support.boards.calibrated import squared_distance
+from tests.support.noisy_poses import measured_at_spots
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
-from tests.support.true_spots import measured_at_spots
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.joint_errors import JointErrors, mean_errors, resolve_errors
