@@ -50,11 +50,13 @@ def told(cache: Path) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 def test_where_the_package_cannot_be_written_the_user_s_cache_serves(tmp_path: Path) -> None:
     assert told(tmp_path) == ["True", "1.0"]
     assert list((tmp_path / "verify").rglob("*.nbi"))
 
 
+@pytest.mark.slow
 def test_what_cannot_be_kept_is_compiled_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("in the way")
     assert told(tmp_path / "cache") == ["False", "1.0"]
