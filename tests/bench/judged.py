@@ -16,20 +16,18 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 
 import msgspec
 import numpy as np
 
-import robots
 from reports.session.causes import cause_name
-from tests.bench.diagnosis.sessions import STATED, sighting, stated_doubt
+from tests.bench.diagnosis.sessions import STATED
 from tests.bench.memory import long_session
+from tests.support.noisy_poses import measured_at_spots
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
-from verify.core.records import Array, Measurement, StereoPair
+from verify.core.records import Measurement, StereoPair
 from verify.measurement.chain import Setup
-from verify.measurement.pose import fit_pose
 from verify.measurement.systematics import stated_systematics
 
 PAIRS = 2_000
@@ -43,25 +41,15 @@ def judged(session: InMemory) -> tuple[float, str]:
     spots = [session.simulated.spots(side) for side in (0, 1)]
 
     def measured(_pairs: Iterable[StereoPair], _setup: Setup) -> Iterator[Measurement]:
-        yield from _measured(session, spots)
+        systematics = stated_systematics(session.rig, session.marker, turning=False)
+        rng = np.random.default_rng(SEED)
+        yield from measured_at_spots(session, systematics, rng, spots=spots)
 
     start = time.perf_counter()
     summary = analyse(session, chain=measured).summary
     spent = time.perf_counter() - start
     causes = ", ".join(cause_name(one) for one in summary["diagnosis"])
     return spent, f"{summary['pairs']['measured']} pairs; found: {causes or 'nothing'}"
-
-
-def _measured(session: InMemory, spots: list[Array]) -> Iterator[Measurement]:
-    """Poses from true spots with white noise."""
-    rig, marker, played = session.rig, session.marker, session.simulated
-    systematics, rng = stated_systematics(rig, marker, turning=False), np.random.default_rng(SEED)
-    for i, q in enumerate(session.truth):
-        left, right = (sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
-        start = rig.rig_T_base @ robots.forward(session.arm, q)
-        doubt = partial(stated_doubt, session, systematics, left, right)
-        pose = fit_pose(left, right, rig, marker, start, doubt)
-        yield Measurement(i, left.t, "measured", len(marker), pose, left, right)
 
 
 def sessions(pairs: int) -> Iterator[tuple[str, InMemory]]:

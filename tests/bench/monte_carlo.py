@@ -1,4 +1,4 @@
-"""Does the budget agree with Monte Carlo within 5 % where it says that it holds? Both arms.
+"""Agreement of the budget with Monte Carlo where it states to hold within 5 %; both arms.
 
 Visits are drawn all over the joints' ranges, near singularities too. Of each session the check as
 `verify run` makes it (200 draws) says where linear propagation holds; then thousands of other draws

@@ -1,4 +1,4 @@
-"""What the documents say is true: commands run, files exist, options and keys are known."""
+"""The documents are true: commands run, files exist, options and keys are known."""
 
 import csv
 import json

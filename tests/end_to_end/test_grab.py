@@ -1,4 +1,4 @@
-"""`verify grab --sim` as a user runs it: exit status, what is left behind, what is said.
+"""`verify grab --sim` as a user runs it: exit status, files, messages.
 
 `verify grab STATION`: emulated devices on real ports, films of the simulated cell as cameras.
 

@@ -1,4 +1,4 @@
-"""`verify run` on the sample sessions, as a user types it: what it says, writes and returns."""
+"""`verify run` on the sample sessions as a user runs it: messages, files, exit status."""
 
 import json
 import shutil

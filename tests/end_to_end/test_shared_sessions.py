@@ -1,4 +1,4 @@
-"""Recorded sessions that other software rendered: what is promised of them, as a user sees it.
+"""Results on recorded sessions that other software rendered.
 
 The pixels of each are measured once, by `verify run`; what a registration hides is then asked of
 the same measurements, with other words in rig.toml and marker.toml.

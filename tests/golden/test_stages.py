@@ -1,4 +1,4 @@
-"""Accepted figures of the sample sessions, a stage each, so that a change says where it began.
+"""Accepted figures of the sample sessions, stage by stage.
 
 `make accept` writes them anew; the difference belongs in the commit that causes it.
 """

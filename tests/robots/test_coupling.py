@@ -1,4 +1,4 @@
-"""Near a singularity: which joints cannot be told apart, and which sum of them still can."""
+"""Near a singularity: which joints are coupled, and which sum of them is determined."""
 
 import numpy as np
 import pytest

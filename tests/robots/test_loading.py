@@ -1,4 +1,4 @@
-"""Robots by name and by path; what is wrong with a file is said in one line."""
+"""Robots by name and by path; errors of a file in one line."""
 
 import hashlib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What stands beside the clone in the CI and with its makers, and with no user: ../shared."""
+"""Data beside the clone (../shared), which the CI has and users have not."""
 
 from pathlib import Path
 

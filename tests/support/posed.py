@@ -1,4 +1,4 @@
-"""Sessions whose poses stand in a file, made from sessions of pictures or from plain arrays."""
+"""Sessions whose poses are read from a file, made from sessions of pictures or from arrays."""
 
 import shutil
 from collections.abc import Iterable, Iterator

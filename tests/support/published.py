@@ -36,11 +36,11 @@ def _read(path: Path, every: int) -> IdentificationPoses:
 
 
 def write_session(
-    folder: Path, rows: IdentificationPoses, *, positions_alone: bool = False
+    folder: Path, rows: IdentificationPoses, *, positions_alone: bool = False, period: float = 0.1
 ) -> Path:
-    """Write a series as a session of poses: nobody says where base or tracker target are."""
+    """Write a series as a session of poses, one each `period`, s; base and target not stated."""
     folder.mkdir()
-    t = [f"{0.1 * i:.3f}" for i in range(len(rows))]
+    t = [f"{period * i:.3f}" for i in range(len(rows))]
     places, turns = rows.world_T_target[:, :3, 3] * 1e3, rows.world_T_target[:, :3, :3]
     header, columns = "t_s,x_mm,y_mm,z_mm", places
     if not positions_alone:

@@ -1,4 +1,4 @@
-"""A disk that is soon full, where whoever runs the tests may mount one."""
+"""A small disk that fills up, where tests may mount one."""
 
 import subprocess
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The whole chain from one seed: boards, rig, fixture, session, each seen through the one before.
+"""The whole chain from one seed: boards, rig, fixture, session, each measured with the one before.
 
 Everything true is drawn: two cameras on turning bases, the printed square, where the fixture's
 board sits on the robot, where the LEDs sit on the flange, every pan angle, the clock. Handed on is
@@ -9,16 +9,15 @@ pictures they are rendered and found again.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import robots
 from robots.transforms import difference, invert
 from tests.bench.calibration import deviation
 from tests.support.boards.calibrated import squared_distance
+from tests.support.noisy_poses import measured_at_spots
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.clock import ClockEstimate
@@ -38,12 +37,12 @@ from verify.calibration.stereo.parameters import BundleState
 from verify.calibration.stereo.records import covariance_in_si
 from verify.core.fiducials import Board, BoardPair
 from verify.core.readings import Readings
-from verify.core.records import Array, Measurement, Sighting
+from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io.session.keys import Clock as ToldClock
-from verify.measurement.pose import fit_pose, perturb
-from verify.measurement.systematics import sensitivities, spot_columns, stated_systematics
+from verify.measurement.pose import perturb
+from verify.measurement.systematics import sensitivities, stated_systematics
 from verify.measurement.track import collect_track
 from verify.simulation.boards.simulate import board_pairs, simulate_boards
 from verify.simulation.scenario import (
@@ -67,7 +66,7 @@ ATTEMPTS = 50  # a posture or a board out of view is drawn again
 BOARD_PAIRS, FIXTURE_PAIRS, PAIRS = 20, 5, 12
 BOARD = Board(columns=9, rows=7, square=0.04, square_standard_uncertainty=8e-6)
 FIXTURE_BOARD = Board(columns=8, rows=5, square=0.03)
-CORNER_PX, SPOT_PX = 0.04, 0.03
+CORNER_PX = 0.04
 PAN_DEG = 0.01  # of each reading
 FINE_DEG = 1e-6  # no two readings are alike: registration takes like ones to err alike
 FIXTURE = np.array([1e-4] * 3 + [np.deg2rad(0.02)] * 3)  # m, rad: of the board on the base
@@ -322,19 +321,11 @@ def _through_pixels(session: InMemory) -> tuple[Array, Array]:
 
 def _at_spots(session: InMemory, noise_seed: int) -> tuple[Array, Array]:
     """The same from true spots with white noise instead of pictures."""
-    rng, played, rig = np.random.default_rng(noise_seed), session.simulated, session.rig
+    rng, rig = np.random.default_rng(noise_seed), session.rig
     marker, arm = session.marker, session.arm
     parameters = stated_systematics(rig, marker, turning=False)
-    measurements, effects = [], []
-    for i, q in enumerate(session.truth):
-        left, right = (_sighting(played, side, i, rng) for side in (0, 1))
-        doubt = partial(_doubt, session, left, right)
-        start: Array = rig.rig_T_base @ robots.forward(arm, q)
-        pose = fit_pose(left, right, rig, marker, start, doubt)
-        seen = Measurement(i, left.t, "measured", len(marker), pose, left, right)
-        measurements.append(seen)
-        effects.append(sensitivities(parameters, seen, rig, marker))
-    track = collect_track(measurements, rig, effects)
+    found = list(measured_at_spots(session, parameters, rng))
+    track = collect_track(found, rig, [sensitivities(parameters, m, rig, marker) for m in found])
     assert session.clock is not None
     output = session.clock.encoder_offset, session.clock.standard_uncertainty
     readings = Readings(session.encoders.t, session.encoders.q)
@@ -356,29 +347,3 @@ def _at_spots(session: InMemory, noise_seed: int) -> tuple[Array, Array]:
     )
     means = mean_errors(model, errors, resolve_errors(model), None, parameters)
     return means.mean, means.covariance
-
-
-def _doubt(
-    session: InMemory, left: Sighting, right: Sighting, rig_T_flange: Array, by_point: Array
-) -> Array:
-    parameters = stated_systematics(session.rig, session.marker, turning=False)
-    return spot_columns(
-        parameters, left, right, rig_T_flange, by_point, session.rig, session.marker
-    )
-
-
-def _sighting(
-    played: SimulatedSession, side: int, index: int, rng: np.random.Generator
-) -> Sighting:
-    centre = played.spots(side)[index]
-    count = len(centre)
-    return Sighting(
-        led=np.arange(count),
-        centre=centre + SPOT_PX * rng.standard_normal(centre.shape),
-        covariance=np.tile(SPOT_PX**2 * np.eye(2), (count, 1, 1)),
-        t=float(played.t[index, side]),
-        pan=float(played.pan[index, side]),
-        peak=np.full(count, 200.0),
-        velocity=np.zeros((count, 2)),
-        acceleration_lever=np.zeros(count),
-    )

@@ -65,6 +65,17 @@ def test_modules_are_neither_too_long_nor_too_many_nor_too_small() -> None:
     assert len(lengths) <= MAX_MODULES
 
 
+def test_processes_are_started_in_one_module() -> None:
+    importing = []
+    for path in modules():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            if any(name.split(".")[0] == "multiprocessing" for name in names):
+                importing.append(path.relative_to(PACKAGE).as_posix())
+    assert set(importing) == {"core/processes.py"}
+
+
 def test_test_modules_import_helpers_from_support_alone() -> None:
     tests = PACKAGE.parent / "tests"
     borrowed = []

@@ -6,7 +6,6 @@ base or the LED body changes what the poses show; one of the cameras is measured
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import msgspec
 import numpy as np
@@ -14,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import invert
+from tests.support.noisy_poses import measured_at_spots
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.clock import ClockEstimate
@@ -23,13 +23,11 @@ from verify.analysis.joint_errors import resolve_errors
 from verify.analysis.model import SessionComparison, add_pan_noise
 from verify.analysis.session import session_model
 from verify.core.readings import Readings
-from verify.core.records import Array, Measurement, Sighting
+from verify.core.records import Array
 from verify.errors import InputError
-from verify.measurement.pose import fit_pose
 from verify.measurement.systematics import (
     Systematics,
     sensitivities,
-    spot_columns,
     stated_systematics,
 )
 from verify.measurement.track import Track, collect_track
@@ -39,10 +37,9 @@ from verify.simulation.scenario import (
     ScenarioRecording,
     ScenarioUncertainty,
 )
-from verify.simulation.session.simulate import SimulatedSession, reading_error
+from verify.simulation.session.simulate import reading_error
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
-SPOT_PX = 0.03
 PAIRS = 60
 WIDE = 2.0  # times the swings of a plain session
 ATTEMPTS = 50
@@ -136,45 +133,9 @@ def measured(
         true_pan=played.true_pan + np.array([0.0, turned]),
     )
     spots = [late.spots(side) for side in (0, 1)]
-    measurements, effects = [], []
-    for i, q in enumerate(session.truth):
-        left, right = (sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
-        doubt = partial(stated_doubt, session, systematics, left, right)
-        start: Array = session.rig.rig_T_base @ robots.forward(session.arm, q)
-        pose = fit_pose(left, right, session.rig, session.marker, start, doubt)
-        seen = Measurement(i, left.t, "measured", len(session.marker), pose, left, right)
-        measurements.append(seen)
-        effects.append(sensitivities(systematics, seen, session.rig, session.marker))
-    return collect_track(measurements, session.rig, effects)
-
-
-def stated_doubt(
-    session: InMemory,
-    systematics: Systematics,
-    left: Sighting,
-    right: Sighting,
-    rig_T_flange: Array,
-    by_point: Array,
-) -> Array:
-    return spot_columns(
-        systematics, left, right, rig_T_flange, by_point, session.rig, session.marker
-    )
-
-
-def sighting(
-    played: SimulatedSession, centre: Array, side: int, index: int, rng: np.random.Generator
-) -> Sighting:
-    count = len(centre)
-    return Sighting(
-        led=np.arange(count),
-        centre=centre + SPOT_PX * rng.standard_normal(centre.shape),
-        covariance=np.tile(SPOT_PX**2 * np.eye(2), (count, 1, 1)),
-        t=float(played.t[index, side]),
-        pan=float(played.pan[index, side]),
-        peak=np.full(count, 200.0),
-        velocity=np.zeros((count, 2)),
-        acceleration_lever=np.zeros(count),
-    )
+    found = list(measured_at_spots(session, systematics, rng, spots=spots))
+    effects = [sensitivities(systematics, m, session.rig, session.marker) for m in found]
+    return collect_track(found, session.rig, effects)
 
 
 def diagnosed(watched: Watched, fault: Injected | None) -> Diagnosis:

@@ -1,4 +1,4 @@
-"""Does the diagnosis accuse nobody wrongly, and name what is there? At spot level, with truth.
+"""Shares of false and of correct findings of the diagnosis, at spot level, with truth.
 
 False accusations: of sessions without a fault, those with any cause listed. Detection, a kind of
 fault and a joint: the session itself states what it would notice (detectable) and what it would

@@ -1,4 +1,4 @@
-"""The report of an interim check: what it says, in both formats, and that it is built again."""
+"""The report of an interim check."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The reports of a calibration and of a registration: what they say, and that both formats do."""
+"""The reports of a calibration and of a registration."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""The fleet report: what it says first, that it is safe, and that its bytes are the same."""
+"""The fleet report: verdict, tables, charts, markup in names."""
 
 import json
 import re

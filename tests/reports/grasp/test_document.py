@@ -1,4 +1,4 @@
-"""The report of a grab says how it ended, and draws nothing where there is nothing."""
+"""The report of a grasp: verdict, figures, missing measurements."""
 
 from typing import Any
 

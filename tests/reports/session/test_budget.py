@@ -1,4 +1,4 @@
-"""What a report says of budget, Monte-Carlo check and single-joint sweeps."""
+"""Budget, Monte-Carlo check and single-joint sweeps in the report."""
 
 from reports import render_html
 from reports.document.blocks import Bullets, Figure, Paragraph, Section, Table

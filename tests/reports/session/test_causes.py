@@ -1,4 +1,4 @@
-"""What a report says of causes and of what could have been seen."""
+"""Causes and detectable faults in the report."""
 
 from dataclasses import replace
 from typing import Any

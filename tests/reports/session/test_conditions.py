@@ -1,4 +1,4 @@
-"""What could not show, and what nobody stated, in words: on the first page and in the setup."""
+"""Hidden offsets and missing statements on the first page and in the setup."""
 
 import shutil
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""How far a calibration lies from a known rig, and what linear theory allows; our own algebra."""
+"""Distance of a calibration from a known rig, and its linear covariance."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A camera on the network: MJPEG over HTTP, pictures that anybody can make again."""
+"""A network camera: MJPEG over HTTP, reproducible pictures."""
 
 import http.server
 import threading

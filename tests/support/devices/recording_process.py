@@ -1,4 +1,4 @@
-"""Records until it is killed; says on standard output which pairs it has handed on, of what time,
+"""A recording process to be killed: prints the pairs that it has handed on, of what time,
 and how many of them before they were on the disk.
 
 python -m tests.support.devices.recording_process FOLDER RATE    pairs of noise

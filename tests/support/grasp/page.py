@@ -1,4 +1,4 @@
-"""A grab in the simulated cell that goes on in a thread of its own, before its page."""
+"""A grasp in the simulated cell that runs in a thread, with its page."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""Results of grabs as the report gets them, with every word that a grab can say."""
+"""Results of grasps with every state, event and reason."""
 
 from typing import Any
 

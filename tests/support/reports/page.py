@@ -1,4 +1,4 @@
-"""A document's parts, as tests look them up."""
+"""Documents of every kind, rendered once, and their parts."""
 
 import shutil
 import subprocess

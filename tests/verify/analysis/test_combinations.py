@@ -1,4 +1,4 @@
-"""What is said of joints that no pose tells apart."""
+"""Sums of joints that a pose determines, where single joints are not determined."""
 
 import numpy as np
 import pytest

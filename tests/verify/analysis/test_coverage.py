@@ -9,7 +9,6 @@ import pytest
 from tests.bench import coverage
 from tests.bench.whole_chain import WITHIN, d2_ratio, holds
 from tests.support.whole_chain import ARMS, Checked, replicate
-from verify.core.records import Array
 
 pytestmark = pytest.mark.slow
 
@@ -21,30 +20,15 @@ SEED = 20260131
 LOW, HIGH = 0.905, 0.99
 
 
-@pytest.fixture(scope="module")
-def outcomes() -> dict[str, list[tuple[Array, float, float]]]:
-    found = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(coverage, "PAIRS", PAIRS)
-        for arm in coverage.ARMS:
-            seeds = np.random.SeedSequence(SEED).generate_state(SESSIONS).tolist()
-            found[arm] = [coverage.session_shares(arm, seed) for seed in seeds]
-    return found
-
-
-def test_joint_intervals_have_their_stated_coverage(
-    outcomes: dict[str, list[tuple[Array, float, float]]],
-) -> None:
-    shares = np.array([[o[0] for o in of_arm] for of_arm in outcomes.values()])
+def test_joint_intervals_have_their_stated_coverage(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coverage, "PAIRS", PAIRS)
+    seeds = np.random.SeedSequence(SEED).generate_state(SESSIONS).tolist()
+    found = [[coverage.session_shares(arm, seed) for seed in seeds] for arm in coverage.ARMS]
+    shares = np.array([[session[0] for session in of_arm] for of_arm in found])
     assert LOW < np.nanmean(shares) < HIGH
     # no joint of either arm is left out of that: five sessions know one to about 3 %
     assert np.nanmean(shares, axis=1).min() > 0.82
-
-
-def test_few_pairs_are_singular_or_lost(
-    outcomes: dict[str, list[tuple[Array, float, float]]],
-) -> None:
-    for of_arm in outcomes.values():
+    for of_arm in found:
         assert np.mean([singular for _, singular, _ in of_arm]) < 0.1
         assert np.mean([lost for _, _, lost in of_arm]) < 0.02
 

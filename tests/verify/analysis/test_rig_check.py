@@ -1,4 +1,4 @@
-"""A rig that has moved is noticed, a healthy one is not accused; LEDs by OpenCV."""
+"""A moved rig is detected and a healthy one passes; LEDs by OpenCV."""
 
 from dataclasses import replace
 from itertools import islice

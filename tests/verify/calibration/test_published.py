@@ -1,11 +1,6 @@
-"""Registration and clock on recordings of real arms that other people published.
+"""Registration, clock and identification on published recordings of real arms.
 
-Real poses of a real arm, by an instrument that is ten times better than the arm.
-
-The figures to meet are those of the data's own note: fits of base and tool alone, and of all 24 DH
-parameters, by other code.
-
-A real arm before a laser tracker, as a session of poses and of positions alone.
+The figures to meet are those of the data's own notes (SOURCE.md): fits by other code.
 """
 
 import re
@@ -22,10 +17,8 @@ from scipy.spatial.transform import Rotation
 import robots
 from reports import render_html
 from robots.transforms import difference, invert
-from tests.support.beside import shared
 from tests.support.motions import track_of
-from tests.support.posed import encoders_csv, poses_csv
-from tests.support.published import series
+from tests.support.published import series, write_session
 from tests.support.recorded import require_shared
 from verify.analysis.clock import estimate_clock
 from verify.analysis.session import analyse
@@ -388,7 +381,6 @@ WEIGHTS_MM = 0.03  # how positions weigh against turns is the fit's choice, and 
 IDENTIFIED_MM = 0.42
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize("name", ["A", "B"])
 def test_registered_alone_the_arm_is_as_far_off_as_is_known(name: str) -> None:
     rows = series(name)
@@ -397,7 +389,6 @@ def test_registered_alone_the_arm_is_as_far_off_as_is_known(name: str) -> None:
     assert mean == pytest.approx(REGISTERED_MM[name], abs=WEIGHTS_MM)
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize(("name", "every"), [("A", 10), ("B", 1)])
 def test_identified_on_70_percent_the_others_are_met(name: str, every: int) -> None:
     """All of series A takes a minute: `python -m tests.bench.identification`."""
@@ -411,7 +402,6 @@ def test_identified_on_70_percent_the_others_are_met(name: str, every: int) -> N
     assert held.position[0] * 1e3 <= IDENTIFIED_MM
 
 
-@pytest.mark.shared
 def test_a_model_of_series_a_serves_series_b() -> None:
     """Months later, elsewhere, the mounting anew: the arm's own errors stay with the arm."""
     arm = chain_of(robots.load("ur10"))
@@ -427,72 +417,28 @@ def test_a_model_of_series_a_serves_series_b() -> None:
     assert np.isfinite(after)
 
 
-@pytest.mark.shared
-@pytest.mark.parametrize("positions_alone", [False, True])
-def test_a_real_arm_before_a_laser_tracker(tmp_path: Path, *, positions_alone: bool) -> None:
-    path = shared("data", "robot_ur10_lasertracker", "Series_B")
-    text = (path / "measurements_joint_configurations.csv").read_text().replace(",", ".")
-    names = text.splitlines()[0].split(";")
-    rows = np.array([line.split(";") for line in text.splitlines()[1::10]], dtype=float)
-    column = dict(zip(names, rows.T, strict=True))
-    q = np.stack([column[n] for n in names if n.endswith("_joint")], axis=1)
-    tracker_T_body = np.tile(np.eye(4), (len(rows), 1, 1))
-    angles = np.stack([column[f"measurement_r{a}"] for a in "xyz"], axis=1)
-    tracker_T_body[:, :3, :3] = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
-    tracker_T_body[:, :3, 3] = np.stack([column[f"measurement_{a}"] for a in "xyz"], 1) * 1e-3
-    arm = robots.load("ur10")
-    tracker_T_base, body_T_flange = by_hand_eye(tracker_T_body, robots.forward(arm, q))
-    folder = write_ur10(
-        tmp_path / "ur10", q, tracker_T_body, tracker_T_base, body_T_flange,
-        {f"{a}_u_mm": column[f"measurement_std_{a}"] for a in "xyz"},
-        positions_alone=positions_alone,
-    )  # fmt: skip
-    results = analyse(open_session(folder))
+def test_a_real_arm_before_a_laser_tracker_is_a_session(tmp_path: Path) -> None:
+    rows, arm = series("B", 10), robots.load("ur10")
+    tracker_T_body, base_T_flange = rows.world_T_target, robots.forward(arm, rows.q)
+    solved = solve_hand_eye(tracker_T_body, base_T_flange)
+    assert np.abs(difference(tracker_T_body @ solved.x, solved.y @ base_T_flange)).max() < 0.02
+    session = write_session(tmp_path / "ur10", rows, period=10.0)
+    flange_T_body = invert(solved.x)
+    text = (session / "session.toml").read_text().replace('"robot_base"', '"instrument"')
+    (session / "session.toml").write_text(
+        f'{text}source = "motion"\n'
+        f"point_mm = {(flange_T_body[:3, 3] * 1e3).tolist()}\n"
+        f"rotation = {flange_T_body[:3, :3].tolist()}\n\n"
+        '[robot_base]\nsource = "motion"\n'
+        f"rotation = {solved.y[:3, :3].tolist()}\n"
+        f"position_mm = {(solved.y[:3, 3] * 1e3).tolist()}\n"
+    )
+    results = analyse(open_session(session))
     summary, frames = results.summary, results.tables["frames"]
     assert summary["pairs"]["measured"] >= 0.97 * len(rows)
-    assert summary["known_dof"] == (3 if positions_alone else 6)
     assert all(c["joint"] is None or 1 <= c["joint"] <= 6 for c in summary["diagnosis"])
-    assert "Leica" in render_html(results)
-    if not positions_alone:
-        # SOURCE.md: with registration alone 1.04 mm mean after least squares on positions; the
-        # linear solution here is near it, and not below it
-        assert 0.9 < frames["position_error_mm"].mean() < 1.6
-        assert frames["orientation_error_deg"].mean() < 0.12
-
-
-def by_hand_eye(a: Array, b: Array) -> tuple[Array, Array]:
-    """tracker_T_base and body_T_flange, linear."""
-    solved = solve_hand_eye(a, b)
-    assert np.abs(difference(a @ solved.x, solved.y @ b)).max() < 0.02
-    return solved.y, solved.x
-
-
-def write_ur10(
-    folder: Path,
-    q: Array,
-    poses: Array,
-    tracker_T_base: Array,
-    body_T_flange: Array,
-    uncertainty: dict[str, Array],
-    *,
-    positions_alone: bool,
-) -> Path:
-    """Lay single visits, ten seconds apart, out as a session."""
-    folder.mkdir()
-    t = np.arange(len(q), dtype=np.float64) * 10
-    (folder / "poses.csv").write_text(
-        poses_csv(t, poses, positions_alone=positions_alone, more=uncertainty)
-    )
-    (folder / "encoders.csv").write_text(encoders_csv(t, q))
-    flange_T_body = np.linalg.inv(body_T_flange)
-    rotation = "" if positions_alone else f"rotation = {flange_T_body[:3, :3].tolist()}\n"
-    (folder / "session.toml").write_text(
-        'format = 1\nrobot = "ur10"\nencoders = "encoders.csv"\n\n[poses]\nfile = "poses.csv"\n'
-        'instrument = "Leica laser tracker with T-Mac"\nframe = "instrument"\nsource = "motion"\n'
-        f"point_mm = {(flange_T_body[:3, 3] * 1e3).tolist()}\n{rotation}\n"
-        '[robot_base]\nsource = "motion"\n'
-        f"rotation = {tracker_T_base[:3, :3].tolist()}\n"
-        f"position_mm = {(tracker_T_base[:3, 3] * 1e3).tolist()}\n\n"
-        "[clock]\nencoder_offset_s = 0.0\n"
-    )
-    return folder
+    assert "a laser tracker" in render_html(results)
+    # SOURCE.md: with registration alone 1.04 mm mean after least squares on positions; the
+    # linear solution here is near it, and not below it
+    assert 0.9 < frames["position_error_mm"].mean() < 1.6
+    assert frames["orientation_error_deg"].mean() < 0.12

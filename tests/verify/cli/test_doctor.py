@@ -1,4 +1,4 @@
-"""`verify doctor` says what works, what is doubtful and what does not, each in words."""
+"""`verify doctor`: what works, what is doubtful, what does not work."""
 
 import json
 import threading

@@ -52,12 +52,14 @@ def cache_report(cache: Path) -> tuple[list[str], bool]:
     return done.stdout.split(), jit.COMPILING in done.stderr
 
 
+@pytest.mark.slow
 def test_where_the_package_cannot_be_written_the_user_s_cache_serves(tmp_path: Path) -> None:
     assert cache_report(tmp_path) == (["True", "1.0"], True)
     assert list((tmp_path / "verify").rglob("*.nbi"))
     assert cache_report(tmp_path) == (["True", "1.0"], False)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_kept_is_compiled_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("in the way")
     assert cache_report(tmp_path / "cache") == (["False", "1.0"], False)

@@ -1,4 +1,4 @@
-"""The page of a grab in a real browser: what is drawn, selected, ordered, and always to be seen."""
+"""The page of a grasp in a browser: drawing, selection, orders, STOP always visible."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""grab.toml: read into metres, and what is wrong with one said in one line."""
+"""grab.toml: units, defaults, refusals in one line."""
 
 from pathlib import Path
 

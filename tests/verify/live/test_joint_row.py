@@ -1,4 +1,4 @@
-"""Pairs that are compared together say what each says alone."""
+"""Pairs that are compared together give the figures of each alone."""
 
 import numpy as np
 from numpy.testing import assert_allclose

@@ -1,4 +1,4 @@
-"""The loop with devices that a test plays: what is measured, what is lost, what is said."""
+"""The loop with devices that a test plays: measurements, losses, messages."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Truth: cv2.projectPoints for what a camera sees, the laws of rigid motion, scipy's alignment."""
+"""Truth: cv2.projectPoints, the laws of rigid motion, scipy's alignment."""
 
 import numpy as np
 import pytest

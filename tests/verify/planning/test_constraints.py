@@ -1,4 +1,4 @@
-"""What a posture must keep: the arm's links, the cameras' view, and what is said of the others."""
+"""Constraints of a posture: the arm's links, the cameras' view, and refusals."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What is foretold against what the whole tool states of the recorded session, and brute force.
+"""Predictions against the results of the recorded session, and brute force.
 
 The coverage factor that a plan foretells is the one that a session's budget states.
 """

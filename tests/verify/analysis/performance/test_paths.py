@@ -1,4 +1,4 @@
-"""Passages of known curves: what lies across them is found, what lies along them is timing."""
+"""Passages of known curves: lateral errors are found, longitudinal ones are timing."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The interim check: what it says of healthy and of bumped rigs, by LEDs, a bar and a board."""
+"""The interim check of healthy and of moved rigs, by LEDs, a bar and a board."""
 
 from dataclasses import replace
 

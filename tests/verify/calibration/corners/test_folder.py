@@ -1,4 +1,4 @@
-"""Pictures of another board than the stated one: which one they show is said in words."""
+"""Pictures of another board than the stated one name the board they show."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -16,7 +16,6 @@ from tests.support.reports import calibration as made
 from verify.calibration.origin import ResultsOrigin
 from verify.calibration.quality.advice import calibration_doubts, coverage_gaps
 from verify.calibration.quality.quality import (
-    SIDES,
     draw_rectified,
     judge_calibration,
     outlying_views,
@@ -27,7 +26,7 @@ from verify.calibration.quality.results import calibration_results
 from verify.calibration.registration.fixture import FixtureRegistration
 from verify.calibration.registration.records import MotionRegistration, SpotResiduals
 from verify.calibration.registration.results import fixture_results, motion_results
-from verify.calibration.stereo.parameters import PARAMETER_KEYS
+from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES
 from verify.calibration.stereo.records import Calibration, Residuals
 from verify.core.fiducials import Marker
 from verify.core.rig import Covariance, Rig
@@ -107,7 +106,7 @@ def _webcam(folder: Path, count: int, size: tuple[int, int]) -> Residuals:
         camera=np.zeros(n * count, dtype=np.int64),
         frame=np.repeat(np.arange(count), n),
         corner=np.tile(np.arange(n), count),
-        seen=seen,
+        observed=seen,
         residual=seen - np.concatenate(put).reshape(-1, 2),
         uncertainty=np.full(n * count, 0.3),
         used=np.ones(n * count, dtype=bool),

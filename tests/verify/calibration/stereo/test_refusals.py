@@ -1,4 +1,4 @@
-"""Pictures that no rig can be found from are refused in one line that says what to do."""
+"""Pictures without a solution are refused in one line that names the remedy."""
 
 from collections.abc import Sequence
 from dataclasses import replace

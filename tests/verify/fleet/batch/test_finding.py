@@ -1,4 +1,4 @@
-"""Every session is found once, whatever lies around it; what cannot be looked into is said."""
+"""Every session is found once; unreadable folders are reported."""
 
 import csv
 import os

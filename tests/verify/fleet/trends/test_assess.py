@@ -1,4 +1,4 @@
-"""Steps and drifts are found, dated and told apart; a fleet without change is left in peace."""
+"""Steps and drifts are found, dated and distinguished; a fleet without change has none."""
 
 from datetime import date
 

@@ -1,4 +1,4 @@
-"""A port that is opened beside the loop: what is known of it is said while it is tried again."""
+"""A port that is opened beside the loop: its state while it is retried."""
 
 import threading
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Grabs in the simulated cell from start to a named end; the world says what really happened."""
+"""Grasps in the simulated cell from start to a named end, against the world's truth."""
 
 from collections.abc import Sequence
 from dataclasses import replace

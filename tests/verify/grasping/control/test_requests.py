@@ -1,4 +1,4 @@
-"""What a page may ask of a grab: which requests count, in which order, and what is refused."""
+"""Requests of a page: which count, in which order, and which are refused."""
 
 import threading
 from typing import Any

@@ -1,4 +1,4 @@
-"""Postures: every branch is either offered or told why not, and what is offered holds."""
+"""Postures: every branch is offered or has a reason, and offered ones hold."""
 
 import dataclasses
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Who is who: a target is never mixed up where another explains what is seen as well."""
+"""Association: targets are not confused where another explains the measurement."""
 
 import numpy as np
 import pytest

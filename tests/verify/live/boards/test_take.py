@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.support.boards.station import SMALL, STATION
 from tests.support.devices.chromium import Browser, launched
 from verify.calibration.corners.find import find_board
 from verify.calibration.corners.folder import find_boards
@@ -45,30 +46,6 @@ from verify.simulation.world.bench import rigid
 
 BOARD = Board(9, 7, 0.04)
 HOSTILE = "<img src=x onerror=document.title='taken'>"
-SMALL = """
-format = 1
-seed = 5
-[boards]
-pairs = 12
-distance_mm = [600.0, 1100.0]
-[rig]
-image_size = [640, 360]
-[rig.left]
-focal_px = [505.0, 505.0]
-principal_point_px = [321.0, 178.0]
-[rig.right]
-focal_px = [507.0, 507.0]
-principal_point_px = [318.0, 181.0]
-"""
-STATION = """
-format = 1
-[left]
-source = "sim"
-[right]
-source = "sim"
-[sim]
-scenario = "small.toml"
-"""
 
 
 @pytest.fixture

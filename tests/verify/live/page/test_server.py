@@ -1,4 +1,4 @@
-"""The page in a real browser, and who may not look."""
+"""The page over HTTP and in a browser, and access to it."""
 
 import http.client
 import json

@@ -1,4 +1,4 @@
-"""What is recorded is whole at any moment, says what was measured, and never holds up measuring."""
+"""Recordings are whole at any moment, equal to the measurement, and never delay it."""
 
 import os
 import random

@@ -177,20 +177,6 @@ def test_a_missing_device_is_reported_without_blocking(monkeypatch: pytest.Monke
 
 
 @pytest.mark.realtime
-def test_procedural_rs232_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("verify.grasping.actuators.melfa.mover.CONNECT_TIMEOUT", 1.0)
-
-    class Procedural(MelfaEngine):
-        def step(self, t: float, received: bytes) -> list[TimedMessage]:
-            return [TimedMessage(t, b"\x05")] if received else []
-
-    engine = Procedural(controller().arm, ControllerOptions())
-    with running(engine, "pty") as emulated, mover(emulated) as arm:
-        arm.take_controls()
-        assert "CPRC232" in settled(arm, MoverState.FAILED)[-1].reason
-
-
-@pytest.mark.realtime
 def test_a_line_that_another_program_has_is_waited_for() -> None:
     with running(controller()) as emulated, mover(emulated) as first, mover(emulated) as second:
         ready(first)

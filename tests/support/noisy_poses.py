@@ -1,0 +1,52 @@
+"""Measurements of a simulated session from its true spots with white noise, without pictures."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+import robots
+from tests.support.simulated import InMemory
+from verify.core.records import Array, Measurement, Sighting
+from verify.measurement.pose import fit_pose
+from verify.measurement.systematics import Systematics, spot_columns
+from verify.simulation.session.simulate import SimulatedSession
+
+SPOT_PX = 0.03
+
+
+def measured_at_spots(
+    session: InMemory,
+    systematics: Systematics,
+    rng: np.random.Generator,
+    spots: list[Array] | None = None,
+) -> Iterator[Measurement]:
+    """Fit a pose to the spots of each pair; `spots`, px, (n, LEDs, 2) a side, replace true ones."""
+    rig, marker, played = session.rig, session.marker, session.simulated
+    spots = spots or [played.spots(side) for side in (0, 1)]
+    for i, q in enumerate(session.truth):
+        left, right = (_sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
+
+        def columns(
+            pose: Array, by_point: Array, pair: tuple[Sighting, Sighting] = (left, right)
+        ) -> Array:
+            return spot_columns(systematics, *pair, pose, by_point, rig, marker)
+
+        start: Array = rig.rig_T_base @ robots.forward(session.arm, q)
+        pose = fit_pose(left, right, rig, marker, start, columns)
+        yield Measurement(i, left.t, "measured", len(marker), pose, left, right)
+
+
+def _sighting(
+    played: SimulatedSession, centre: Array, side: int, index: int, rng: np.random.Generator
+) -> Sighting:
+    count = len(centre)
+    return Sighting(
+        led=np.arange(count),
+        centre=centre + SPOT_PX * rng.standard_normal(centre.shape),
+        covariance=np.tile(SPOT_PX**2 * np.eye(2), (count, 1, 1)),
+        t=float(played.t[index, side]),
+        pan=float(played.pan[index, side]),
+        peak=np.full(count, 200.0),
+        velocity=np.zeros((count, 2)),
+        acceleration_lever=np.zeros(count),
+    )
