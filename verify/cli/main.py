@@ -24,7 +24,7 @@ from verify.cli.report import report
 from verify.cli.robots import robots
 from verify.cli.run import run
 from verify.cli.simulate import simulate
-from verify.cli.terminal import terminal
+from verify.cli.terminal import show_log, terminal
 from verify.errors import InputError, one_line
 
 # typer brings its own copy of click or uses the installed one, depending on its version; either
@@ -61,6 +61,7 @@ def _verify() -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with docs/results.md's status."""
     words = _global_flags(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    show_log()
     signal.signal(signal.SIGTERM, _interrupt)  # a polite kill leaves nothing half-written either
     sys.exit(_status(words))
 

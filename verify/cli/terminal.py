@@ -120,6 +120,11 @@ class _LogHandler(logging.Handler):
             sys.stderr.write(f"{record.getMessage()}\n")
 
 
+def show_log() -> None:
+    """Show the package's log; not called in child processes, which know no --quiet."""
+    log = logging.getLogger("verify")
+    log.handlers[:] = [_LogHandler()]
+    log.setLevel(logging.INFO)
+
+
 terminal = Terminal()
-logging.getLogger("verify").addHandler(_LogHandler())
-logging.getLogger("verify").setLevel(logging.INFO)
