@@ -3,7 +3,6 @@
 python -m verify.compile_ahead     after an installation; two processes share it where they can
 """
 
-import multiprocessing
 import os
 import sys
 import time
@@ -18,10 +17,12 @@ from verify.analysis.warm_up import (
     warm_up_detection,
 )
 from verify.calibration.corners.find import CornerPrediction, fit_corner
+from verify.core.processes import READY, ChildProcess, ParentLine
 from verify.core.rig import Camera
 
 SQUARE_PX = 20.0  # px
 N_SPOTS = 4  # an image
+COMPILE_TIMEOUT = 600.0  # s: a slow machine
 
 
 def compile_ahead() -> None:
@@ -40,11 +41,13 @@ def compile_in_parallel() -> None:
         "detection and calibration; correspondence, pose and analysis.\n"
     )
     sys.stdout.flush()
-    parts = [multiprocessing.get_context("spawn").Process(target=part) for part in PARTS]
-    for part in parts if processes > 1 else []:
-        part.start()
-    for part in parts if processes > 1 else []:
-        part.join()
+    parts: list[ChildProcess[None, None]] = [
+        ChildProcess(_compile_part, part, name=f"compile {part}")
+        for part in range(len(PARTS) if processes > 1 else 0)
+    ]
+    for part in parts:
+        part.wait_until_ready(COMPILE_TIMEOUT)
+        part.stop()
     compile_ahead()
     sys.stdout.write(f"Compiled in {time.monotonic() - begin:.0f} s.\n")
 
@@ -61,6 +64,12 @@ def _compile_fits() -> None:
 
 
 PARTS = (_compile_detection, _compile_fits)
+
+
+def _compile_part(line: ParentLine, part: int) -> None:
+    """Compile a part in a child process, which is ready once that is done."""
+    PARTS[part]()
+    line.send(READY)
 
 
 def _refit() -> None:
