@@ -1,6 +1,7 @@
-"""The chain composed: stereo pairs in, one measurement a pair out. Every mode drives this.
+"""Measure the flange's pose in a stream of stereo pairs: one measurement a pair.
 
-Where to look for the LEDs of a marker whose pose is predicted.
+Every mode of the program runs this chain: detection, correspondence, alignment, pose fit. Where the
+pose is predicted from the pair before, spots are searched in windows round the predicted LEDs.
 """
 
 import math
@@ -28,14 +29,14 @@ MARGIN_PX = 14.0
 def led_windows(
     marker: Marker, camera: Camera, pan: float, prediction: PosePrediction, image: Image
 ) -> Array:
-    """Where to look for each LED, (n, 4) px: x0, y0, x1, y1, overlapping ones merged.
+    """Windows round the predicted LEDs, (n, 4) px: x0, y0, x1, y1, overlapping ones merged.
 
     Args:
         marker: the LEDs.
-        camera: who sees them.
+        camera: the camera.
         pan: rad, reading of its base.
         prediction: of the flange's pose in the rig.
-        image: the picture that is to be searched.
+        image: the picture to be searched.
     """
     doubt = 2 * prediction.position_uncertainty, 2 * prediction.rotation_uncertainty
     boxes = np.empty((len(marker), 4))
@@ -50,7 +51,6 @@ def led_windows(
     return boxes[:count]
 
 
-NO_POSES: tuple[Array, ...] = ()
 MIN_MOTION_PX = 0.3  # what clocks and lenses leave between two pictures of one instant
 UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
@@ -67,20 +67,20 @@ def detect_in_turn(
 
 
 def no_expected_poses(_t: float) -> Sequence[Array]:
-    """Stand in for encoders where there are none: no candidate poses."""
-    return NO_POSES
+    """Candidate poses where there are no encoders: none."""
+    return ()
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What a measurement needs to know beside the pictures."""
+    """Constants of a measurement: rig, marker, and two functions that a mode may replace."""
 
     rig: Rig
     marker: Marker
     # candidates for rig_T_flange at a time (s), from the encoders: settles which LED is which
     # where nothing else does; a choice, never a value
     expected: Callable[[float], Sequence[Array]] = field(default=no_expected_poses)
-    # who looks for spots: another one that is quicker must find the same
+    # finds the spots of both pictures; a faster replacement must find the same
     detect: Detector = field(default=detect_in_turn)
 
     @cached_property
@@ -108,7 +108,7 @@ class _AssignedPair:
 
 @dataclass(frozen=True, slots=True)
 class _PreviousPair:
-    """What is carried from one pair to the next: one pair, no more."""
+    """The last measured pair: the prediction and the motion of the next one rest on it."""
 
     seen: _AssignedPair
     pose: Pose
@@ -116,7 +116,7 @@ class _PreviousPair:
 
 @dataclass(slots=True)
 class ChainState:
-    """What the chain carries from one pair to the next: all that a later pair depends on."""
+    """State of the chain between two pairs: all that a later measurement depends on."""
 
     memory: _PreviousPair | None = None
     previous: _AssignedPair | None = None
@@ -160,17 +160,17 @@ def _beyond_gap(one: _AssignedPair, other: _AssignedPair) -> bool:
 
 
 def _find_leds(pair: StereoPair, setup: Setup, memory: _PreviousPair | None) -> _AssignedPair:
-    """Find the spots and say which LED each is; the whole frame where prediction fails."""
+    """Find the spots and assign them to LEDs; in the whole frame where prediction fails."""
     prediction = _predict(memory, pair.t_left) if memory is not None else None
     if prediction is not None:
-        looked_at = [
+        windows = [
             led_windows(setup.marker, camera, pan, prediction, image)
             for camera, pan, image in (
                 (setup.rig.left, pair.pan_left, pair.left),
                 (setup.rig.right, pair.pan_right, pair.right),
             )
         ]
-        spots = setup.detect(pair.left, pair.right, *looked_at)
+        spots = setup.detect(pair.left, pair.right, *windows)
         seen = _assign(pair, spots, setup, memory, prediction, whole_frame=False)
         if _shows_all_leds(seen, setup):
             return seen
@@ -208,15 +208,8 @@ def _assign(
         expected=partial(setup.expected, pair.t_left),
         motion_tolerance_px=_motion_px(pair, setup, memory),
     )
-    sides = []
-    for camera, image_spots, led, spot, t, pan, image in (
-        (setup.rig.left, spots[0], found.left_led, found.left_spot, pair.t_left, pair.pan_left,
-         pair.left),
-        (setup.rig.right, spots[1], found.right_led, found.right_spot, pair.t_right,
-         pair.pan_right, pair.right),
-    ):  # fmt: skip
-        sides.append(_raw(image_spots, led, spot, t, pan, camera, setup, found, image))
-    return _AssignedPair(pair.t_left, pair.frame, found, sides[0], sides[1], whole_frame)
+    left, right = (_raw_sighting(pair, spots, setup, found, side) for side in ("left", "right"))
+    return _AssignedPair(pair.t_left, pair.frame, found, left, right, whole_frame)
 
 
 def _motion_px(pair: StereoPair, setup: Setup, memory: _PreviousPair | None) -> float:
@@ -232,25 +225,23 @@ def _motion_px(pair: StereoPair, setup: Setup, memory: _PreviousPair | None) -> 
     return MIN_MOTION_PX + 2 * skew * focal * speed / depth
 
 
-def _raw(
-    spots: Spots,
-    led: NDArray[np.int64],
-    spot: NDArray[np.int64],
-    t: float,
-    pan: float,
-    camera: Camera,
-    setup: Setup,
-    found: Correspondence,
-    image: Image,
+def _raw_sighting(
+    pair: StereoPair, spots: tuple[Spots, Spots], setup: Setup, found: Correspondence, side: str
 ) -> RawSighting:
-    index = np.asarray(spot, dtype=np.int64)
+    """One camera's assigned spots, each at its own instant."""
+    if side == "left":
+        camera, own, index, led = setup.rig.left, spots[0], found.left_spot, found.left_led
+        t, pan, image = pair.t_left, pair.pan_left, pair.left
+    else:
+        camera, own, index, led = setup.rig.right, spots[1], found.right_spot, found.right_led
+        t, pan, image = pair.t_right, pair.pan_right, pair.right
     sighting = Sighting(
-        led=np.asarray(led, dtype=np.int64),
-        centre=spots.centre[index],
-        covariance=spots.covariance[index],
+        led=led,
+        centre=own.centre[index],
+        covariance=own.covariance[index],
         t=t,
         pan=pan,
-        peak=spots.peak[index],
+        peak=own.peak[index],
         velocity=np.zeros((len(index), 2)),
         acceleration_lever=np.zeros(len(index)),
     )
@@ -265,7 +256,7 @@ def _raw(
 def _finish(
     seen: _AssignedPair, neighbour: _AssignedPair | None, setup: Setup
 ) -> tuple[Measurement, _PreviousPair | None, _AssignedPair]:
-    """Align, fit the pose, and say what came of the pair and what the next may lean on."""
+    """Align and fit the pose; return the measurement and the state for the next pair."""
     found = seen.found
     leds = len(set(found.left_led.tolist()) | set(found.right_led.tolist()))
     outcome = Measurement(
@@ -297,13 +288,13 @@ def _finish(
 def _parameter_columns(
     setup: Setup, left: Sighting, right: Sighting, rig_T_flange: Array, by_point: Array
 ) -> Array:
-    """What rig and marker state of themselves, as the spots would show it."""
-    known = setup.parameters
-    return spot_columns(known, left, right, rig_T_flange, by_point, setup.rig, setup.marker)
+    """Predicted spots by the stated uncertainties of rig and marker, columns of unit variance."""
+    stated = setup.parameters
+    return spot_columns(stated, left, right, rig_T_flange, by_point, setup.rig, setup.marker)
 
 
 def _without_rejected(seen: _AssignedPair, pose: Pose) -> _AssignedPair:
-    """Leave out spots that the pose rejected: the next pair leans on the others."""
+    """Leave out spots that the pose fit rejected: the next pair must not rest on them."""
     good = ~pose.rejected
     m = len(seen.left.sighting)
     return replace(
@@ -328,7 +319,7 @@ def _select_spots(raw: RawSighting, keep: NDArray[np.bool_]) -> RawSighting:
 
 
 def _predict(memory: _PreviousPair, t: float) -> PosePrediction | None:
-    """Where the flange should be now, from where it was and how it moved; None after a gap."""
+    """Predict the flange's pose from the last pose and its twist; None after a gap."""
     interval = t - memory.seen.pair_t
     if interval > MAX_GAP:
         return None

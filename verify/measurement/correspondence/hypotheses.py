@@ -1,13 +1,10 @@
-"""Many assignments at once: each one's pose, the spots that it explains, and how well.
-
-Besides the flange's pose each hypothesis has one shift of the whole right image. It stands for the
-motion between exposures that are not simultaneous: the marker moves as a whole, so its shape stays
-a sharp test even where its place does not.
-
-Where a search starts: spot pairs that may be one LED, and sets of them that fit the marker.
+"""Build, fit and score hypotheses: assignments of spots to LEDs, each with its pose, many at once.
 
 A pair of spots is a point in the rig if their rays nearly meet. Two points may be two LEDs if they
-are as far apart as the marker says; three such points, every two of which agree, are a seed.
+are as far apart as in the marker; three such points, every two of which agree, are a seed.
+
+Besides the flange's pose a hypothesis has a shift of the whole right image, px: the motion between
+exposures that are not simultaneous. The marker moves as a whole, so its shape stays a sharp test.
 """
 
 from dataclasses import dataclass
@@ -20,8 +17,7 @@ from scipy.special import chdtri
 from verify.core.records import Array
 from verify.measurement.correspondence.kernels import fit, seeds
 from verify.measurement.correspondence.kernels import points as kernels_points
-from verify.measurement.correspondence.kernels import seeds as kernels_seeds
-from verify.measurement.correspondence.kernels import spots as kernel_spots
+from verify.measurement.correspondence.kernels import spots as kernels_spots
 from verify.measurement.correspondence.kernels.fit import HypothesisArrays
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
 from verify.measurement.correspondence.refinement import (
@@ -104,21 +100,14 @@ def find_triangles(graph: SeedGraph, leds: Array) -> Index:
 
 MIN_SKEW = 1e-3  # px: simultaneous for every purpose, and nothing is divided by zero
 MIN_DEPTH = 0.02  # m, depth below which a point cannot be imaged
-FREE_SIGMA = np.repeat(
-    [10.0, 3.0], 3
-)  # m, rad: standard deviations that leave a pose to the images
+FREE_SIGMA = np.repeat([10.0, 3.0], 3)  # m, rad: so large that the images alone decide the pose
 MAX_GATE = 10.0  # px, an LED predicted worse than this could be any spot
-SPOT_REWARD = (
-    20.0  # 2 ln of how much denser spots are at an LED (half a px) than clutter (20 an image)
-)
+# 2 ln of how much denser spots are at an LED (half a px) than clutter (20 an image)
+SPOT_REWARD = 20.0
 MERGED_COST = 9.0  # of the same kind: a clean spot is taken unless it lies 3 sigma farther off
 P_REJECT = 1e-4  # chi² beyond this probability is not this marker
-UNPAIRED_COST = (
-    7.0  # likewise: an LED in view of one camera is hidden from the other once in 30 times
-)
-COARSE_SIGMA = (
-    4e-3  # m, how well a coarse pose places an LED: depth, with the images a few ms apart
-)
+UNPAIRED_COST = 7.0  # 2 ln 30: an LED in one camera's view is hidden from the other once in 30
+COARSE_SIGMA = 4e-3  # m, of an LED by a coarse pose: depth, with the images a few ms apart
 DOF_BY_LEDS = np.array([0, 3, 5, 6])  # degrees of freedom, by LEDs seen: three determine all
 POSE_SLICE, SHIFT_SLICE = np.arange(6), np.arange(6, 8)  # of a covariance
 SIDES = np.array([[0], [1]])
@@ -211,7 +200,7 @@ def seed_hypotheses(
         line = (led[:, 1] - led[:, 0]) @ rig_R_flange.T
         rotation = np.ascontiguousarray(_minimal_rotations(line, rig[:, 1] - rig[:, 0]) @ rotation)
     spot = np.empty((count, 2, len(views.leds)), dtype=np.int64)
-    kernels_seeds.begin_poses(
+    seeds.begin_poses(
         (points.spot, points.rig),
         (graph.point, graph.led),
         nodes,
@@ -320,7 +309,7 @@ def is_single_led(hypotheses: Hypotheses) -> NDArray[np.bool_]:
 def _counts(hypotheses: Hypotheses) -> Index:
     """Count spots in use, LEDs seen, and LEDs seen by both cameras, (3, h)."""
     counts = np.empty((3, len(hypotheses)), dtype=np.int64)
-    kernel_spots.count_all(hypotheses.spot, counts)
+    kernels_spots.count_all(hypotheses.spot, counts)
     return counts
 
 
@@ -342,7 +331,7 @@ def departure(
     the LEDs seen do not determine plays no part.
     """
     off = np.empty(len(hypotheses))
-    kernel_spots.departures_of_all(
+    kernels_spots.departures_of_all(
         views.leds,
         hypotheses.spot,
         (hypotheses.rotation, hypotheses.position),

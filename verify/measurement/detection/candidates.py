@@ -1,6 +1,7 @@
-"""Where LEDs may be: compact bright things above their own surroundings, roughly placed.
+"""Find compact bright blobs that may be LEDs, and cut out the pixels around each for the fit.
 
-The pixels around each candidate, colours combined into one value of known noise.
+A blob stands above its own surroundings (top hat) at one of a few levels of contrast. The colours
+of a pixel are combined into one value of known noise.
 """
 
 from bisect import bisect_left
@@ -22,27 +23,16 @@ from verify.measurement.detection.kernels.candidates import (
 )
 from verify.measurement.detection.kernels.patches import read_grey
 
-LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright thing must not hide a dim neighbour
+LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright blob must not hide a dim neighbour
 # 18 DN: a dim LED of peak 60 keeps twice this after halving; noise of 2.5 DN, halved, 14 sigma.
-MAX_FULL_SIZE_AREA = (
-    200_000  # px; larger pictures are searched at half size, which keeps any LED >= 3 px
-)
-MAX_AXIS_RATIO = (
-    2.5  # axis ratio at half height; an LED seen through a blur of its own length stays below
-)
-MIN_FILL = 0.6  # blob area over its ellipse's: an LED fills it, a bent or branched thing does not
-DEFAULT_DIAMETER = (
-    2.0,
-    40.0,
-)  # px; 2 is the least that the sampling supports, 40 a 5 mm LED at 13 cm
-BACKGROUND_FACTOR = (
-    1.5  # background window over the largest diameter: nothing of an LED survives in it
-)
+MAX_FULL_SIZE_AREA = 200_000  # px; larger: searched at half size, which keeps any LED >= 3 px
+MAX_AXIS_RATIO = 2.5  # at half height; an LED blurred by motion over its own length stays below
+MIN_FILL = 0.6  # blob area over its ellipse's: an LED fills it, a bent or branched blob does not
+DEFAULT_DIAMETER = (2.0, 40.0)  # px; least that sampling supports, and a 5 mm LED at 13 cm
+BACKGROUND_FACTOR = 1.5  # background window over the largest diameter: no LED survives in it
 MAX_COMPILED_PIXELS = 40_000  # of a window: above, OpenCV is as quick, whatever an LED measures
 MAX_BLOBS = 1024  # blobs told apart in one window, those of higher levels first
-MAX_CANDIDATES = (
-    64  # blobs fitted at most, best contrast first: bounds the time in a cluttered room
-)
+MAX_CANDIDATES = 64  # blobs fitted, best contrast first: bounds the time in a cluttered room
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,8 @@
-"""LED images to spots: sub-pixel centres at the Cramér-Rao bound, with covariance and flags.
+"""Detect LED spots in an image: sub-pixel centres at the Cramér-Rao bound, with covariance.
 
-Candidates are compact bright things (candidates.py). Each is fitted by a profile between a halo,
-a Gaussian and a blurred disc, under the image's own noise (fit.py, profile.py, noise.py), and
-judged by what the fit leaves (judgement.py). A rim with a hidden sliver has its own say on where
-the whole LED is centred (bite.py).
+Candidates are compact bright blobs (candidates.py). Each is fitted by a profile between a halo, a
+Gaussian and a blurred disc (fit.py, profile.py) under the image's own noise (noise.py), and judged
+by the residuals (quality.py). A hidden sliver of the rim is corrected for (occlusion.py).
 """
 
 import numpy as np
@@ -205,15 +204,5 @@ def score_rims(batches: list[Batch], kept: SpotQuality, keep: NDArray[np.int64])
 def no_spots(noise: Noise) -> Spots:
     """No spots."""
     none, no = np.empty(0), np.empty(0, dtype=bool)
-    return Spots(
-        np.empty((0, 2)),
-        np.empty((0, 2, 2)),
-        none,
-        none,
-        none,
-        none,
-        no,
-        no,
-        np.empty((0, 3)),
-        noise,
-    )
+    shapes = np.empty((0, 2)), np.empty((0, 2, 2))
+    return Spots(*shapes, none, none, none, none, no, no, np.empty((0, 3)), noise)

@@ -29,7 +29,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.records import Array, Noise
-from verify.measurement.detection.kernels import fit as kernel_priors
 from verify.measurement.detection.kernels import fit as kernels_fit
 from verify.measurement.detection.kernels import pixels as kernels_pixels
 from verify.measurement.detection.kernels.pixels import (
@@ -140,7 +139,7 @@ def expected_priors(patches: Patches) -> Priors:
     n = len(patches.scale)
     mean, weight, start = np.empty((3, n, N_PARAMETERS))
     full = np.empty(n, dtype=np.bool_)
-    kernel_priors.fill_priors(
+    kernels_fit.fill_priors(
         patches.pixels,
         patches.scale,
         patches.noise.read,

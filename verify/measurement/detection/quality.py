@@ -1,4 +1,4 @@
-"""What a fit says about its spot: place, covariance, size, and whether it is one clean LED."""
+"""Judge fitted spots: centre, covariance, size, and whether each is one clean LED."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,9 +15,7 @@ from verify.measurement.detection.kernels import quality as kernel
 # left, of a spot far over the limit, its foot pays for them
 N_FITTED = 8
 MAX_REDUCED_CHI2 = 6.0  # reduced chi² of a shape that no clean LED has
-MAX_RESIDUAL_RATIO = (
-    0.035  # rms residual over peak, likewise; both must hold: a bright LED shows every flaw
-)
+MAX_RESIDUAL_RATIO = 0.035  # rms residual over peak; both must hold: a bright LED shows any flaw
 MIN_PEAK = 8.0  # sigma of the peak: chance does not reach it in a picture
 MAX_SHIFT = 1.5  # half-widths: a fit that left its candidate has found something else
 MAX_AXIS_RATIO = 2.0  # axis ratio of the fitted profile; a blurred LED stays below, streaks do not
