@@ -45,9 +45,7 @@ def one_line(text: str) -> str:
 
 
 def _is_printable(character: str) -> bool:
-    return (
-        character.isprintable() or unicodedata.category(character) == "Zs"
-    )  # spaces of all widths
+    return character.isprintable() or unicodedata.category(character) == "Zs"  # any space
 
 
 FORMAT_VERSION = 1  # of results.json; a change that older readers cannot follow raises it
@@ -63,9 +61,10 @@ REBUILD_COMMANDS = {  # what wrote a results folder, by the kind and the method 
     ("identification", None): "`verify identify` on the sessions",
     ("plan", None): "`verify plan` on the robot and the rig",
 }
-NAME_PATTERN = re.compile(
-    r"[a-z0-9_]+"
-)  # of a table or image: it becomes a file name, so no dots or slashes
+# of a table or image: it becomes a file name, so no dots or slashes
+NAME_PATTERN = re.compile(r"[a-z0-9_]+")
+NO_NAME = "is no name for a table or an image"
+NAME_RULE = "lower-case letters, digits and underscores make one"
 PNG = b"\x89PNG\r\n\x1a\n"  # the signature every PNG file starts with
 
 
@@ -187,12 +186,7 @@ def _add_file(
     files: dict[str, bytes], folder: Path, name: str, ending: str, content: bytes
 ) -> dict[str, str]:
     if not NAME_PATTERN.fullmatch(name):
-        raise ReportError(
-            folder,
-            f"{name!r} is no name for a table or an image",
-            "lower-case letters, digits and underscores make one",
-            "Rename it.",
-        )
+        raise ReportError(folder, f"{name!r} {NO_NAME}", NAME_RULE, "Rename it.")
     files[name + ending] = content
     return {"sha256": hashlib.sha256(content).hexdigest()}
 
@@ -235,16 +229,11 @@ def _manifest(folder: Path) -> dict[str, Any]:
             "Name the folder of its report.",
         ) from problem
     except OSError as problem:
-        raise ReportError(
-            place,
-            f"cannot be read ({problem.strerror})",
-            "a readable file is needed",
-            rebuild_command(folder),
-        ) from problem
+        found = f"cannot be read ({problem.strerror})"
+        raise _damaged(folder, MANIFEST, found, "a readable file is needed") from problem
     except ValueError as problem:
-        raise ReportError(
-            place, "it is not JSON", "it is damaged or cut short", rebuild_command(folder)
-        ) from problem
+        expected = "it is damaged or cut short"
+        raise _damaged(folder, MANIFEST, "it is not JSON", expected) from problem
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT_VERSION:
         found = manifest.get("format") if isinstance(manifest, dict) else None
         raise ReportError(
@@ -255,37 +244,25 @@ def _manifest(folder: Path) -> dict[str, Any]:
         )
     for key in ("summary", "setup", "tables", "images"):
         if not isinstance(manifest.get(key), dict):
-            raise ReportError(
-                place, f"{key} is missing", "it must be an object", rebuild_command(folder)
-            )
+            raise _damaged(folder, MANIFEST, f"{key} is missing", "it must be an object")
     return manifest
+
+
+def _damaged(folder: Path, file: str, found: str, expected: str) -> ReportError:
+    return ReportError(folder / file, found, expected, rebuild_command(folder))
 
 
 def _read_entry(folder: Path, name: str, ending: str, entry: object) -> bytes:
     if not NAME_PATTERN.fullmatch(name) or not isinstance(entry, dict):
-        raise ReportError(
-            folder / MANIFEST,
-            f"{name!r} is no name for a table or an image",
-            "lower-case letters, digits and underscores make one",
-            rebuild_command(folder),
-        )
-    place = folder / (name + ending)
+        raise _damaged(folder, MANIFEST, f"{name!r} {NO_NAME}", NAME_RULE)
     try:
-        content = place.read_bytes()
+        content = (folder / (name + ending)).read_bytes()
     except OSError as problem:
-        raise ReportError(
-            place,
-            f"cannot be read ({problem.strerror})",
-            f"{MANIFEST} lists it as part of the results",
-            rebuild_command(folder),
-        ) from problem
+        found, expected = f"cannot be read ({problem.strerror})", f"{MANIFEST} lists it as part"
+        raise _damaged(folder, name + ending, found, f"{expected} of the results") from problem
     if hashlib.sha256(content).hexdigest() != entry.get("sha256"):
-        raise ReportError(
-            place,
-            "its content is not what was written",
-            f"{MANIFEST} holds another hash",
-            rebuild_command(folder),
-        )
+        expected = f"{MANIFEST} holds another hash"
+        raise _damaged(folder, name + ending, "its content is not what was written", expected)
     return content
 
 
@@ -294,18 +271,13 @@ def _table(folder: Path, name: str, entry: object) -> pd.DataFrame:
     try:
         table: pd.DataFrame = pq.read_table(io.BytesIO(content)).to_pandas()
     except pa.ArrowInvalid as problem:
-        place = folder / f"{name}.parquet"
-        raise ReportError(
-            place, "it is not a Parquet file", "a table is expected", rebuild_command(folder)
-        ) from problem
+        found, expected = "it is not a Parquet file", "a table is expected"
+        raise _damaged(folder, f"{name}.parquet", found, expected) from problem
     return table
 
 
 def _image(folder: Path, name: str, entry: object) -> bytes:
     content = _read_entry(folder, name, ".png", entry)
     if not content.startswith(PNG):
-        place = folder / f"{name}.png"
-        raise ReportError(
-            place, "it is not a PNG file", "an image is expected", rebuild_command(folder)
-        )
+        raise _damaged(folder, f"{name}.png", "it is not a PNG file", "an image is expected")
     return content

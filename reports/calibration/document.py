@@ -25,7 +25,7 @@ from reports.document.blocks import (
     Table,
     Verdict,
     described,
-    number_figures,
+    lay_out,
     provenance,
     row,
     software,
@@ -51,13 +51,11 @@ def document(results: Results) -> Document:
     summary = results.summary
     if summary.get("method") == "check":
         return check_document.document(results)
-    return number_figures(
-        Document(
-            title="Calibration of two cameras from boards",
-            subtitle=described(summary, "a set of pictures"),
-            footer=f"{software(summary)} · calibration",
-            sections=tuple(section(results) for section in SECTIONS),
-        )
+    return lay_out(
+        title="Calibration of two cameras from boards",
+        subtitle=described(summary, "a set of pictures"),
+        footer=f"{software(summary)} · calibration",
+        sections=(section(results) for section in SECTIONS),
     )
 
 

@@ -38,7 +38,7 @@ from reports.document.blocks import (
     described,
     figure_or_text,
     files_and_software,
-    number_figures,
+    lay_out,
     row,
     software,
 )
@@ -113,13 +113,11 @@ _figure_block = partial(figure_or_text, CHECK_FIGURES, FIGURES)
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
-    return number_figures(
-        Document(
-            title="Interim check of a calibration",
-            subtitle=described(summary, "a set of pictures"),
-            footer=f"{software(results.summary)} · interim check",
-            sections=tuple(section(results) for section in SECTIONS),
-        )
+    return lay_out(
+        title="Interim check of a calibration",
+        subtitle=described(summary, "a set of pictures"),
+        footer=f"{software(results.summary)} · interim check",
+        sections=(section(results) for section in SECTIONS),
     )
 
 

@@ -1,7 +1,7 @@
 """The parts of a report in any format: sections, paragraphs, tables, figures; provenance."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar
 
 from reports.document.charts import Chart, Path
@@ -110,15 +110,17 @@ class Document:
     title: str
     subtitle: str
     footer: str  # what identifies the evidence on every page
-    sections: tuple[Section, ...] = field(default=())
+    sections: tuple[Section, ...] = ()
     sortable: bool = False  # tables sort and filter on the screen
 
 
-def number_figures(document: Document) -> Document:
-    """Number tables and figures through the document, so that both formats agree."""
+def lay_out(
+    title: str, subtitle: str, footer: str, sections: Iterable[Section], sortable: bool = False
+) -> Document:
+    """Make a report; tables and figures are numbered through it, so that both formats agree."""
     counts = {"table": 0, "figure": 0}
-    sections = []
-    for section in document.sections:
+    numbered = []
+    for section in sections:
         blocks: list[Block] = []
         for block in section.blocks:
             if isinstance(block, Table | Figure):
@@ -126,8 +128,8 @@ def number_figures(document: Document) -> Document:
                 blocks.append(replace(block, number=counts[block.kind]))
             else:
                 blocks.append(block)
-        sections.append(replace(section, blocks=tuple(blocks)))
-    return replace(document, sections=tuple(sections))
+        numbered.append(replace(section, blocks=tuple(blocks)))
+    return Document(title, subtitle, footer, tuple(numbered), sortable)
 
 
 def collect_figures(document: Document) -> dict[str, Chart | Path | bytes]:

@@ -12,7 +12,7 @@ from reports.document.blocks import (
     Section,
     Table,
     Verdict,
-    number_figures,
+    lay_out,
     row,
     software,
 )
@@ -59,14 +59,12 @@ def document(results: Results) -> Document:
         evidence.method,
     )
     held = results.summary.get("sessions") or {}
-    return number_figures(
-        Document(
-            title=f"Fleet report: {_arm_count(results)}",
-            subtitle=f"{count(held.get('measured'))} sessions{fleet_charts.format_period(held)}",
-            footer=f"{software(results.summary)} · fleet report",
-            sections=tuple(s for make in sections if (s := make(results)) is not None),
-            sortable=True,
-        )
+    return lay_out(
+        title=f"Fleet report: {_arm_count(results)}",
+        subtitle=f"{count(held.get('measured'))} sessions{fleet_charts.format_period(held)}",
+        footer=f"{software(results.summary)} · fleet report",
+        sections=(s for make in sections if (s := make(results)) is not None),
+        sortable=True,
     )
 
 

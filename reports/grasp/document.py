@@ -41,7 +41,7 @@ from reports.document.blocks import (
     Table,
     Verdict,
     block_or_paragraph,
-    number_figures,
+    lay_out,
     row,
     software,
 )
@@ -84,13 +84,11 @@ def document(results: Results) -> Document:
         _plan,
     )
     cell = text_or_dash(summary.get("cell"))
-    return number_figures(
-        Document(
-            title=f"Grab with {text_or_dash(summary.get('robot'))}",
-            subtitle=f"{text_or_dash(summary.get('target'))}, {cell} cell",
-            footer=f"{software(summary)} · grab",
-            sections=tuple(section(results) for section in sections),
-        )
+    return lay_out(
+        title=f"Grab with {text_or_dash(summary.get('robot'))}",
+        subtitle=f"{text_or_dash(summary.get('target'))}, {cell} cell",
+        footer=f"{software(summary)} · grab",
+        sections=(section(results) for section in sections),
     )
 
 

@@ -46,7 +46,7 @@ from reports.document.blocks import (
     described,
     figure_or_text,
     files_and_software,
-    number_figures,
+    lay_out,
     row,
     software,
 )
@@ -148,13 +148,11 @@ def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
     fingerprint = text_or_dash(summary.get("robot_fingerprint"))[:23]
-    return number_figures(
-        Document(
-            title=f"Identification of {text_or_dash(summary.get('robot'))}",
-            subtitle=described(summary, "a recorded session"),
-            footer=f"{software(summary)} · robot {fingerprint}",
-            sections=tuple(section(results) for section in SECTIONS),
-        )
+    return lay_out(
+        title=f"Identification of {text_or_dash(summary.get('robot'))}",
+        subtitle=described(summary, "a recorded session"),
+        footer=f"{software(summary)} · robot {fingerprint}",
+        sections=(section(results) for section in SECTIONS),
     )
 
 

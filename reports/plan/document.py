@@ -41,7 +41,7 @@ from reports.document.blocks import (
     Table,
     Verdict,
     figure_or_text,
-    number_figures,
+    lay_out,
     provenance,
     row,
     software,
@@ -161,13 +161,11 @@ def document(results: Results) -> Document:
     if not summary.get("geometry"):
         sections.remove(identifiable_parameters)
     fingerprint = text_or_dash(summary.get("robot_fingerprint"))[:23]
-    return number_figures(
-        Document(
-            title=f"Planned session of {text_or_dash(summary.get('robot'))}",
-            subtitle="what the next session would show",
-            footer=f"{software(summary)} · robot {fingerprint}",
-            sections=tuple(section(results) for section in sections),
-        )
+    return lay_out(
+        title=f"Planned session of {text_or_dash(summary.get('robot'))}",
+        subtitle="what the next session would show",
+        footer=f"{software(summary)} · robot {fingerprint}",
+        sections=(section(results) for section in sections),
     )
 
 

@@ -36,7 +36,7 @@ from reports.document.blocks import (
     Verdict,
     described,
     files_and_software,
-    number_figures,
+    lay_out,
     row,
     software,
 )
@@ -69,13 +69,11 @@ def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
     registration = text_or_dash(summary.get("registration"))
-    return number_figures(
-        Document(
-            title=f"Registration of {text_or_dash(summary.get('robot'))}",
-            subtitle=described(summary, "a recorded session"),
-            footer=f"{software(summary)} · registration {registration[:23]}",
-            sections=tuple(section(results) for section in SECTIONS),
-        )
+    return lay_out(
+        title=f"Registration of {text_or_dash(summary.get('robot'))}",
+        subtitle=described(summary, "a recorded session"),
+        footer=f"{software(summary)} · registration {registration[:23]}",
+        sections=(section(results) for section in SECTIONS),
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from reports.document.blocks import Document, Section, number_figures, software
+from reports.document.blocks import Document, Section, lay_out, software
 from reports.document.formatting import DASH, text_or_dash
 from reports.results import Results
 from reports.session import (
@@ -44,11 +44,9 @@ def document(results: Results) -> Document:
     if "performance" not in results.summary:  # results of before it was sought
         left_out.add(performance.performance)
     footer = f"{software(results.summary)} · robot {fingerprint[:23]}"
-    return number_figures(
-        Document(
-            title=f"Encoder verification of {robot}",
-            subtitle=text_or_dash(description),
-            footer=footer,
-            sections=tuple(s(results) for s in SECTIONS if s not in left_out),
-        )
+    return lay_out(
+        title=f"Encoder verification of {robot}",
+        subtitle=text_or_dash(description),
+        footer=footer,
+        sections=(s(results) for s in SECTIONS if s not in left_out),
     )

@@ -1,41 +1,8 @@
-"""Sentences from machine words: verdicts, reasons, statuses; with them causes and units."""
+"""Sentences for machine words: verdicts, reasons, statuses, sources."""
 
 from typing import Any
 
-from reports.document.formatting import DASH, UNITS, finite, lookup_label, percent
-from reports.session.causes import (
-    MOTIONS,
-    cause_name,
-    finding,
-    format_value,
-    remedy,
-    rivals,
-    runner_up,
-    unit_sign,
-)
-
-__all__ = [
-    "CHOICES",
-    "CLOCK_SOURCES",
-    "COUPLINGS",
-    "MOTIONS",
-    "REASONS",
-    "SOURCES",
-    "STATUSES",
-    "UNITS",
-    "VERDICTS",
-    "cause_name",
-    "finding",
-    "format_value",
-    "lookup_label",
-    "remedy",
-    "rivals",
-    "runner_up",
-    "tone",
-    "unit_sign",
-    "verdict_text",
-    "visibility",
-]
+from reports.document.formatting import DASH, finite, lookup_label, percent
 
 VERDICTS = {
     "conform": "conforms",

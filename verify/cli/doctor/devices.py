@@ -15,7 +15,6 @@ from verify.live.station.station import Station
 
 START_TIMEOUT = 5.0  # s that a device is given for its first word
 WATCH_TIME = 1.0  # s from then on
-MIN_RATE_RATIO = 0.9  # share of the rate asked for below which it is doubtful
 
 
 def check_devices(station: Station) -> list[Finding]:
