@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from reports.calibration import document, registration
+from reports.calibration import document
 from reports.document.blocks import Document
 from reports.fleet import document as fleet_document
 from reports.format import branding, html, pdf
@@ -11,13 +11,14 @@ from reports.format.branding import DEFAULT_BRANDING, Look
 from reports.grasp import document as grasp_document
 from reports.identification import document as identification_document
 from reports.plan import document as plan_document
+from reports.registration import document as registration_document
 from reports.results import ReportError, Results
 from reports.session import document as session_document
 
 DOCUMENTS: dict[str, Callable[[Results], Document]] = {
     "run": session_document.document,
     "calibration": document.document,
-    "registration": registration.document,
+    "registration": registration_document.document,
     "fleet": fleet_document.document,
     "grab": grasp_document.document,
     "identification": identification_document.document,

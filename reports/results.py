@@ -2,8 +2,6 @@
 
 A results folder holds `results.json` (summary, setup and a list of the other files with their
 hashes), one Parquet file a table and one PNG an image. The same results give the same bytes.
-
-A results folder that cannot be used: place, found, expected, what to do.
 """
 
 import hashlib

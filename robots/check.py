@@ -12,9 +12,8 @@ from robots.nearest import nearest
 from robots.pinocchio_model import pinocchio_model
 from robots.transforms import Array, difference
 
-MAX_JOINT_DIFFERENCE = (
-    1e-6  # rad: an answer this near to the joints that made the pose is taken for them
-)
+# rad: an answer this near to the joints that made the pose is taken for them
+MAX_JOINT_DIFFERENCE = 1e-6
 MIN_DETERMINANT = 1e-3  # of the greatest |det J|: below, the joints lose digits, not the pose
 START_SIGMA = 0.05  # rad a joint, standard deviation: where an iteration for a URDF starts
 DIFFERENCE_STEP = 1e-6  # rad, of central differences: truncation and rounding are both near 1e-10

@@ -24,9 +24,8 @@ Misfit = tuple[int, str, float, str]  # joint (1 to 6), key, value found, what i
 
 WRIST, SHOULDER, ELBOW = 1, 2, 4  # bits of Branches.degenerate
 
-TOL_WRIST = (
-    5e-10  # |sin θ5| taken as 0: a free joint held turns the flange by less, half of 1e-9 rad
-)
+# |sin θ5| taken as 0: a free joint held turns the flange by less, half of 1e-9 rad
+TOL_WRIST = 5e-10
 TOL_SHOULDER = 1e-12  # m, the wrist's distance from axis 1 taken as 0; as 1e-9 mm
 TOL_ELBOW = 1.5e-8  # |sin of the elbow|: below √rounding the elbow's two branches are one
 TOL_COSINE = 1e-10  # a cosine may pass 1 by rounding: less than 2e-10 m of reach, even folded

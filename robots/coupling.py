@@ -22,16 +22,14 @@ WRIST_GATE = 0.2  # |sin θ5|
 ELBOW_GATE = 0.2  # |sin| of the angle between the links' lines
 LENGTH_SCALE = 0.143  # m a rad: what a stereo pose's 0.25 mm is to its 0.10°
 SHOULDER_GATE = 0.2 * LENGTH_SCALE  # m, the wrist's distance from axis 1
-URDF_GATE = (
-    0.1  # least singular value of J, lengths over LENGTH_SCALE; a 6R's is this at WRIST_GATE
-)
+# least singular value of J, lengths over LENGTH_SCALE; a 6R's is this at WRIST_GATE
+URDF_GATE = 0.1
 GATE_MARGIN = 1.001  # of a gate: above, rounding cannot bring a factor below it
 MIN_SHARE = 0.1  # of the largest share: a joint below moves too little to be in doubt
 TOL_ON_AXIS = 1e-9  # m: Newton has put the wrist on axis 1
 MAX_SUM_JOINTS = 4  # joints: the 6R's straight wrist; among more signs one fits by chance
-TOL_ORTHOGONAL = (
-    1e-6  # a sum that the singular direction leaves alone, at the singular posture itself
-)
+# a sum that the singular direction leaves alone, at the singular posture itself
+TOL_ORTHOGONAL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +40,8 @@ class Coupling:
     combination: (
         Array | None
     )  # (n,) of 1, -1 and 0: this sum of q stays determined; None if no such
-    factor: (
-        str  # what is near zero: wrist, elbow, shoulder, several joined by "+"; or singular value
-    )
+    # what is near zero: wrist, elbow, shoulder, several joined by "+"; or singular value
+    factor: str
     value: float  # of the first factor: |sin|, or m for the shoulder, or the singular value
 
     @property

@@ -1,8 +1,6 @@
-"""All joint angles that bring the flange to a pose: the closed form of the arm's family.
+"""All joint angles that bring the flange to a pose, by the closed form of the arm's family.
 
-The kinds of arm that have a closed form; a new one is a module and a line here.
-
-Joint limits, and joints that turn more than once.
+A new family is a module and a line in FAMILIES.
 """
 
 import itertools
@@ -25,6 +23,8 @@ FAMILIES: dict[str, Family] = {
 CHUNK_POSES = 2048  # poses at a time: their rows stay in the processor's second cache
 # where a free joint looks for an angle at which the elbow closes: either way, ever wider, rad
 POSE_SHIFTS = [sign * 0.001 * 1.5**k for k in range(20) for sign in (1, -1)]  # up to 2.2
+FULL_TURN = 2 * np.pi
+TOL_LIMIT = 1e-9  # rad: rounding must not put an arm standing at its limit outside
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +90,6 @@ def _solve_chunk(arm: DhArm, poses: Array, held: Array) -> tuple[Array, Flags]:
         np.copyto(theta, np.nan, where=~exists)
     flags = np.broadcast_to(flags, theta.shape[1:])
     return theta.reshape(6, 8, -1).T, flags.reshape(8, -1).T
-
-
-FULL_TURN = 2 * np.pi
-TOL_LIMIT = 1e-9  # rad: rounding must not put an arm standing at its limit outside
 
 
 def within_limits(arm: Arm, q: Array) -> NDArray[np.bool_]:

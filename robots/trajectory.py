@@ -28,6 +28,13 @@ from robots.errors import RobotError
 from robots.transforms import Array
 
 TOL_LIMIT = 1e-6  # of each limit: rounding of a trajectory that runs at its limit
+MIN_PATH_LENGTH = 1e-9  # rad: a way this short is none
+ObstacleCheck = Callable[
+    [Array], str
+]  # postures (m, n) in order: what stands in the way; "": nothing
+TOL_REST = 1e-9  # rad/s and rad/s²: rounding of an arm at rest
+N_STOP_SAMPLES = 9  # of a stop, handed to `clear`
+MAX_GOAL_SPEED_RATIO = 0.95  # of the limit: a goal may be as fast as that; ruckig wants it below
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +98,6 @@ def limit_violation(limits: JointLimits, motion: JointMotion) -> str:
             allowed = f"allowed is {low:g} to {high:g}{unit}"
             return f"joint {joint + 1} {what} {value:.1f}{unit}, {allowed}"
     return ""
-
-
-MIN_PATH_LENGTH = 1e-9  # rad: a way this short is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,13 +277,6 @@ def _state_at(curve: Any, t: float) -> tuple[float, float, float]:
     return float(s[0]), float(speed[0]), float(acceleration[0])
 
 
-# postures (m, n), rad, in order -> what stands in the way, in words; "": nothing
-ObstacleCheck = Callable[[Array], str]
-TOL_REST = 1e-9  # rad/s and rad/s²: rounding of an arm at rest
-N_STOP_SAMPLES = 9  # of a stop, handed to `clear`
-MAX_GOAL_SPEED_RATIO = 0.95  # of the limit: a goal may be as fast as that; ruckig wants it below
-
-
 @dataclass(frozen=True, slots=True)
 class MotionStep:
     """What the joints are ordered next, and why it is not the way to the goal, where it is not."""
@@ -352,12 +349,12 @@ class TrajectoryFollower:
         )
 
     def _trouble(self, motion: JointMotion, stop: Any) -> str:
-        """What speaks against standing at `motion` with that stop before one, in words."""
+        """Why the arm may not go to `motion` and that stop, in words; empty where it may."""
         extrema = stop.position_extrema
         for value in ([e.min for e in extrema], [e.max for e in extrema]):
-            said = limit_violation(self._limits, rest_motion(np.array(value)))
-            if said:
-                return said
+            problem = limit_violation(self._limits, rest_motion(np.array(value)))
+            if problem:
+                return problem
         times = np.linspace(0.0, stop.duration, N_STOP_SAMPLES)
         stops = np.array([stop.at_time(t)[0] for t in times.tolist()])
         return limit_violation(self._limits, motion) or self._clear(

@@ -29,6 +29,14 @@ def carry(a_T_b: Array, points_b: Array) -> Array:
     return points_a
 
 
+def cross_matrix(vectors: Array) -> Array:
+    """Matrices (..., 3, 3) of v x . for vectors (..., 3)."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    matrix = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
+    return matrix.reshape(*vectors.shape, 3)
+
+
 def rotation_log(rotation: Array) -> Array:
     """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3); lengths in [0, pi]."""
     vectors = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()

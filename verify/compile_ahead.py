@@ -1,12 +1,22 @@
-"""Have everything that numba compiles compiled, so that no first run waits for it.
+"""Compile everything that numba compiles, so that no first run waits for it.
 
-python -m verify.compile_ahead     after an installation
+python -m verify.compile_ahead     after an installation; two processes share it where they can
 """
+
+import multiprocessing
+import os
+import sys
+import time
 
 import numpy as np
 
 from verify.analysis.uncertainty.draws import ViewDraws, camera_draws, refit_pose
-from verify.analysis.warm_up import warm_up, warm_up_comparison
+from verify.analysis.warm_up import (
+    projected_spots,
+    warm_up,
+    warm_up_comparison,
+    warm_up_detection,
+)
 from verify.calibration.corners.find import CornerPrediction, fit_corner
 from verify.core.rig import Camera
 
@@ -17,9 +27,40 @@ N_SPOTS = 4  # an image
 def compile_ahead() -> None:
     """Compile what watching a robot takes, and what a first report and calibration would."""
     warm_up()
+    _compile_detection()
+    _compile_fits()
+
+
+def compile_in_parallel() -> None:
+    """Compile in two processes, then, from their files, whatever is left in this one."""
+    begin = time.monotonic()
+    processes = min(len(os.sched_getaffinity(0)), 2)
+    sys.stdout.write(
+        f"Compiling inner loops, {processes} process{'es' if processes > 1 else ''}: "
+        "detection and calibration; correspondence, pose and analysis.\n"
+    )
+    sys.stdout.flush()
+    parts = [multiprocessing.get_context("spawn").Process(target=part) for part in PARTS]
+    for part in parts if processes > 1 else []:
+        part.start()
+    for part in parts if processes > 1 else []:
+        part.join()
+    compile_ahead()
+    sys.stdout.write(f"Compiled in {time.monotonic() - begin:.0f} s.\n")
+
+
+def _compile_detection() -> None:
+    warm_up_detection()
+    _compile_corner_fit()
+
+
+def _compile_fits() -> None:
+    warm_up(projected_spots)
     warm_up_comparison()
     _refit()
-    _compile_corner_fit()
+
+
+PARTS = (_compile_detection, _compile_fits)
 
 
 def _refit() -> None:
@@ -38,4 +79,4 @@ def _compile_corner_fit() -> None:
 
 
 if __name__ == "__main__":
-    compile_ahead()
+    compile_in_parallel()

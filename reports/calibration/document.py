@@ -2,7 +2,6 @@
 
 from typing import Any
 
-from reports.calibration import check
 from reports.calibration.rig import (
     accuracy,
     figure_block,
@@ -14,6 +13,7 @@ from reports.calibration.rig import (
     working_distance_entry,
 )
 from reports.calibration.words import CalibrationNotes
+from reports.check import document as check_document
 from reports.document.blocks import (
     Block,
     Bullets,
@@ -50,7 +50,7 @@ def document(results: Results) -> Document:
     """Lay out the whole report; that of an interim check where the results are one's."""
     summary = results.summary
     if summary.get("method") == "check":
-        return check.document(results)
+        return check_document.document(results)
     return number_figures(
         Document(
             title="Calibration of two cameras from boards",

@@ -1,7 +1,4 @@
-"""The rig in the report of a calibration: its parameters, the stereo relation, the scale.
-
-What a point is worth in the report of a calibration, and what would help most.
-"""
+"""The rig in a calibration's report: parameters, stereo relation, scale, accuracy of a point."""
 
 from functools import partial
 from typing import Any

@@ -1,7 +1,4 @@
-"""What a report is made of, whatever its format: sections of paragraphs, tables and figures.
-
-What a result was made from, in its report.
-"""
+"""The parts of a report in any format: sections, paragraphs, tables, figures; provenance."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace

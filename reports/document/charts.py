@@ -1,9 +1,8 @@
-"""What is drawn, whatever draws it: panels of lines, bands, points, cells and bars.
+"""Charts in any format: panels of lines, bands, points, cells and bars; columns ready to draw.
 
-`figures.py` turns tables into charts; `drawing.py` draws them with matplotlib for paper,
-`plotting.py` with plotly for the screen. A role stands for a colour and a line style.
-
-Columns made ready to draw: broken where pairs are missing, thinned without hiding extremes.
+A chart is drawn by `reports.format.matplotlib` on paper and by `reports.format.plotly` on the
+screen. A role stands for a colour and a line style. Lines break where pairs are missing; long ones
+are thinned and keep their extremes.
 """
 
 from collections.abc import Iterable
@@ -18,15 +17,12 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Box = tuple[tuple[float, float], ...]
 
-MAX_LINE_POINTS = (
-    5_000  # points a line may have; a page is some 2,000 dots wide, so more cannot be told apart
-)
-N_BINS = (
-    1_000  # stretches that a longer line is cut into; each keeps its smallest and largest value
-)
-MAX_GAP_RATIO = (
-    2.5  # times the usual step: one dropped pair (2) is bridged, two are a break in the line
-)
+# points a line may have; a page is some 2,000 dots wide, so more cannot be told apart
+MAX_LINE_POINTS = 5_000
+# stretches that a longer line is cut into; each keeps its smallest and largest value
+N_BINS = 1_000
+# times the usual step: one dropped pair (2) is bridged, two are a break in the line
+MAX_GAP_RATIO = 2.5
 
 
 def column(table: pd.DataFrame, name: str) -> Array:

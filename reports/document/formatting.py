@@ -1,7 +1,4 @@
-"""Numbers as a reader of a certificate expects them: rounded to what is known, a dash for none.
-
-A machine word in words, and units as signs.
-"""
+"""Format numbers to the digits that are known, a dash for none; words and units as text."""
 
 import math
 from numbers import Real

@@ -1,7 +1,4 @@
-"""Control charts: each joint's mean error over time, with limits, course and changes.
-
-Words of a fleet report: states, kinds, dates, sentences.
-"""
+"""Control charts of a fleet: each joint's mean error over time, with limits and changes."""
 
 from datetime import UTC, datetime, timedelta
 from typing import Any

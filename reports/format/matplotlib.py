@@ -27,9 +27,8 @@ LEGEND_IN = 0.2  # height of a row of the legend
 LEGEND_LINE_LETTERS = 118  # letters of the legend's size in a line
 LEGEND_SIGN_LETTERS = 7  # what the sign before a legend's word and the gap behind it take
 STYLE = File(__file__).with_name("style.mplstyle")
-MAX_DARK_LUMINANCE = (
-    0.36  # luminance of a cell below which white letters are read better than black ones
-)
+# luminance of a cell below which white letters are read better than black ones
+MAX_DARK_LUMINANCE = 0.36
 LINE_STYLES: dict[str, tuple[float, tuple[float, ...]]] = {
     "dash": (0, (4, 2)),
     "dot": (0, (1.2, 1.6)),
@@ -37,9 +36,8 @@ LINE_STYLES: dict[str, tuple[float, tuple[float, ...]]] = {
 VIEW_DEG = (24.0, -58.0)  # elevation and azimuth from which a path in space is seen
 MAX_AXIS_STEPS = 5  # between the numbers of the longest axis
 MAX_ZOOM = 1.0  # zoom: beyond it the labels on both sides are cut
-MAX_BOX_HEIGHT = (
-    0.78  # of a box's diagonal, upwards in the picture at zoom 1: more cuts those below
-)
+# of a box's diagonal, upwards in the picture at zoom 1: more cuts those below
+MAX_BOX_HEIGHT = 0.78
 LINE_WIDTHS = {"error": 0.6, "resolved": 1.1, "encoder": 0.9, "vector": 0.35}
 
 

@@ -24,7 +24,7 @@ from reports.document.charts import (
 )
 from reports.document.formatting import finite
 from reports.results import Results
-from reports.session.evidence_figures import correlation
+from reports.session.figures.evidence import correlation
 
 AXIS_MARGIN = 1.12
 BAR_OFFSET = 0.2  # of a joint's room: two bars stand beside each other

@@ -1,7 +1,4 @@
-"""The uncertainty budget: what each joint's uncertainty is made of, and whether that holds.
-
-The Monte-Carlo check of the budget: where linear propagation holds, and where it does not.
-"""
+"""The uncertainty budget of each joint, and its check by Monte Carlo."""
 
 from typing import Any
 

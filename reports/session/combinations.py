@@ -1,7 +1,4 @@
-"""What of the joints is known well, and what badly: errors trade against each other.
-
-What this session could have seen: the smallest fault of each kind, a joint and a kind.
-"""
+"""Sums of joint errors known well and badly; the smallest fault of each kind that shows."""
 
 import math
 from typing import Any

@@ -1,7 +1,4 @@
-"""The second half of a report: what the figures rest on.
-
-What shows without any registration: relative motions, measured against the encoders'.
-"""
+"""What the figures of a session rest on: spots, clock, pairs, registration-free tests."""
 
 from typing import Any
 

@@ -7,6 +7,7 @@ from reports.document import formatting
 from reports.document.blocks import (
     Block,
     Cell,
+    Charts,
     Facts,
     Figure,
     Paragraph,
@@ -32,7 +33,7 @@ from reports.document.formatting import (
 from reports.document.formatting import joint_names as name_joints
 from reports.results import Results
 from reports.session import causes, phrases
-from reports.session.figures import FIGURES
+from reports.session.figures import evidence, motion
 from reports.session.headline import headline, is_hidden
 
 ERROR_NOTE = (
@@ -51,6 +52,18 @@ CAUSE_NOTE = (
     "parameters: BIC by 10). Explains: share of the weighted errors that goes with it. Runner-up: "
     "the rival that fits best in its place, and by how much worse."
 )
+FIGURES: Charts = {
+    "correlation": evidence.correlation,
+    "joint_errors": motion.joint_errors,
+    "pose": motion.pose,
+    "pose_errors": motion.pose_errors,
+    "path": motion.flange_path,
+    "residuals": evidence.residuals,
+    "reprojection": evidence.reprojection,
+    "clock": evidence.clock,
+    "timeline": evidence.timeline,
+    "budget": evidence.budget,
+}
 MAX_LISTED_PAIRS = 30  # listed by their numbers; summary.json lists all
 
 

@@ -1,7 +1,4 @@
-"""Repeated poses and paths, by the indices of ISO 9283: what they are and how sure.
-
-Sentences for repeated poses: why there are none, and how a test differs from the standard's.
-"""
+"""Repeated poses and paths by the indices of ISO 9283, with intervals and deviations."""
 
 from collections.abc import Callable
 from typing import Any
@@ -27,7 +24,7 @@ from reports.document.formatting import (
     with_uncertainty,
 )
 from reports.results import Results
-from reports.session.performance_figures import path_band, pose_clusters
+from reports.session.figures.performance import path_band, pose_clusters
 
 REASONS = {
     "no_holds": (

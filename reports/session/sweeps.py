@@ -28,9 +28,8 @@ from reports.document.formatting import (
 from reports.results import Results
 from reports.session.evidence import relative_motions
 
-MIN_SIGNIFICANT_RATIO = (
-    3.49  # standard uncertainties: a false one in a dozen sessions of seven figures
-)
+# standard uncertainties: a false one in a dozen sessions of seven figures
+MIN_SIGNIFICANT_RATIO = 3.49
 P_SIGNIFICANT = 0.001  # p-value: below it noise is no explanation
 COVERAGE_FACTOR = 2.0
 PANEL_MARGIN = 0.05  # of the span, free on either side

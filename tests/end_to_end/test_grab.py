@@ -50,10 +50,10 @@ from verify.simulation.cell.cell import CellWorld
 from verify.simulation.cell.scene import Cap, CellScene, draw_scene
 from verify.simulation.cell.setup import ROBOT, SMALL_SIZE, cell_setup
 from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
-from verify.simulation.emulators.gripper_hand import contact_positions
+from verify.simulation.emulators.hand import contact_positions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 
 APP = typer.Typer()
 APP.command()(grab)
@@ -196,8 +196,8 @@ port = "{port}"
 robot_type = "RV-3SD"
 pause_ms = 20.0
 """
-PLANS = GraspOptions("blue", None, execute=False, auto=False, duration="20s")
-GRABS = GraspOptions("blue", None, execute=True, auto=True, duration="40s")
+PLANS = GraspOptions("blue", None, execute=False, auto=False, duration=20.0)
+GRABS = GraspOptions("blue", None, execute=True, auto=True, duration=40.0)
 
 
 def film(folder: Path, seconds: float) -> None:
@@ -308,7 +308,7 @@ def test_without_execute_a_station_is_planned_for(tmp_path: Path) -> None:
     assert summary["state"] == "tracking"
 
 
-SHORT = replace(GRABS, duration="1s")
+SHORT = replace(GRABS, duration=1.0)
 
 
 def refused(folder: Path, station: str, cell: str) -> str:

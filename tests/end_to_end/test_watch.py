@@ -19,8 +19,8 @@ import pytest
 from tests.support.command import SAMPLES, verify
 from tests.support.devices.emulated_station import emulator
 from tests.support.small_disk import mounted
-from verify.cli.options import Asked
-from verify.cli.run import measure_and_report_all
+from verify.cli.measure import measure_and_report_all
+from verify.cli.options import ToleranceOptions
 from verify.errors import InputError
 from verify.io.session.session import open_session
 from verify.live.station.file import template
@@ -307,7 +307,7 @@ def test_an_unmeasurable_part_does_not_affect_the_others(tmp_path: Path) -> None
     broken = tmp_path / "broken"
     shutil.copytree(good, broken)
     (broken / "encoders.csv").write_text("t_s,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n")
-    asked = Asked(None, None, None)
+    asked = ToleranceOptions(None, None, None)
     verdicts = measure_and_report_all([broken, good], tmp_path / "out", asked, force=False)
     assert verdicts == {tmp_path / "out-2": "conform"}
     assert (tmp_path / "out-2" / "report.pdf").exists()

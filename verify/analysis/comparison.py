@@ -1,10 +1,9 @@
-"""The encoders' pose less the measured one, pair by pair: what every judgement rests on.
+"""Compare the encoders' poses with the measured ones, as twists and as joint angles.
 
-All statistics start from the twist `xi` between the two poses (translation, rotation vector; base
-axes at the flange; m and rad) and the Jacobian that carries joint errors to it. No joint angle is
-inverted for them, so a pair near a singularity does no harm.
-
-Measured pose to joint angles: closed-form inverse, the branch nearest the readings.
+All statistics start from the twist xi of the readings' pose less the measured one (translation,
+rotation vector; base axes at the flange; m and rad) and the Jacobian J with xi = J e for joint
+errors e. No joint angle is inverted for them, so a pair near a singularity does no harm. Joint
+angles of measured poses come from the inverse, the branch nearest the readings.
 """
 
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
+from robots.transforms import cross_matrix
 from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import RATE_SPAN, Readings
 from verify.core.records import Array
@@ -23,6 +23,8 @@ from verify.measurement.track import Track
 MIN_ACCELERATIONS = 5  # second differences that make a session's mean square
 MAX_GAUGE_STEPS = 12  # Newton on a turn: from half a turn away it takes six
 TOL_GAUGE = 1e-9  # rad
+# A direction that moves a joint less than this share of the most moved one is rounding.
+MIN_MOTION = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +208,7 @@ def _complete_poses(
             xi = twist_difference(encoder[i : i + 1], filled[i : i + 1])[0]
             step = hidden @ np.linalg.lstsq(hidden[3:], xi[3:], rcond=None)[0]
             _apply_screw(filled[i], step)
-            carry[i] = _twist_transport(filled[i, :3, 3] - measured[i, :3, 3])
+            carry[i] = twist_transport(filled[i, :3, 3] - measured[i, :3, 3])
             known[i] = np.linalg.inv(carry[i]).T @ functionals
             if np.linalg.norm(step[3:]) < TOL_GAUGE:
                 break
@@ -225,11 +227,10 @@ def _apply_screw(pose: Array, step: Array) -> None:
     pose[:3, 3] += (np.eye(3) - turn) @ -arm
 
 
-def _twist_transport(shift: Array) -> Array:
-    """Carry a twist to an origin that lies `shift` further on, (6, 6)."""
-    carry = np.eye(6)
-    x, y, z = shift
-    carry[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # rho + phi x shift
+def twist_transport(shift: Array) -> Array:
+    """Carry twists to an origin that lies `shift` (..., 3), m, further on, (..., 6, 6)."""
+    carry = np.broadcast_to(np.eye(6), (*shift.shape[:-1], 6, 6)).copy()
+    carry[..., :3, 3:] = -cross_matrix(shift)  # rho + phi x shift
     return carry
 
 
@@ -275,10 +276,6 @@ def _second_difference_variance(
     return total
 
 
-# A direction that moves a joint less than this share of the most moved one is rounding.
-MIN_MOTION = 1e-6
-
-
 @dataclass(frozen=True, slots=True)
 class JointComparison:
     """n pairs, j joints. Angles in rad, the robot file's own."""
@@ -292,13 +289,18 @@ class JointComparison:
     coupling: tuple[robots.Coupling | None, ...]  # joints that a singularity near by couples
 
     @property
-    def single(self) -> Array:
-        """Errors that may enter a single joint's statistics: coupled ones are nan; (n, j)."""
-        error = self.error.copy()
+    def coupled(self) -> NDArray[np.bool_]:
+        """Joints that a singularity near by couples, (n, j)."""
+        coupled = np.zeros(self.error.shape, dtype=bool)
         for i, coupling in enumerate(self.coupling):
             if coupling is not None:
-                error[i, list(coupling.joints)] = np.nan
-        return error
+                coupled[i, list(coupling.joints)] = True
+        return coupled
+
+    @property
+    def single(self) -> Array:
+        """Errors that may enter a single joint's statistics: coupled ones are nan; (n, j)."""
+        return np.where(self.coupled, np.nan, self.error)
 
 
 def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:

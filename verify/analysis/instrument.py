@@ -1,9 +1,8 @@
-"""Poses that another instrument measured, as measurements: all that follows is the cameras' own.
+"""Turn poses that another instrument measured into measurements with covariance.
 
-A pose from a file has no spots, so it carries its covariance ready made, and the stated doubts
-that move it are those of the robot's base and of the body on the flange.
-
-The noise of an instrument that does not state it, from the data's own scatter.
+A pose from a file has no spots: its covariance comes from the file, from session.toml, or from the
+poses' own scatter, and the systematic parameters are those of the robot's base and of the body on
+the flange.
 """
 
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
+from robots.transforms import cross_matrix
 from verify.analysis.comparison import ReadingUncertainty, compare
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, Pose
@@ -28,6 +28,12 @@ from verify.measurement.track import Track, collect_track
 NOISE = "the instrument's noise"
 CALIBRATION_SOURCE = "the instrument's own calibration"
 BODY_SOURCE = "the body on the flange"
+WINDOW = 5  # poses in a row that a parabola is laid through: two are left over
+MIN_WINDOWS = 12  # for a scatter that is worth the name
+MEDIAN_CHI2 = 5.348  # of six degrees of freedom: two that are left over, of three coordinates
+# a variance from a median of squares is less certain than one from their mean
+MEDIAN_VARIANCE_FACTOR = 1.3
+PARTS = (slice(0, 3), slice(3, 6))  # translation and rotation of a twist
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +52,13 @@ class InstrumentNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredPoses:
-    """What an instrument's file gives, as the chain gives it from pictures."""
+class MeasuredSession:
+    """What the pictures, or the instrument, gave."""
 
     measurements: list[Measurement]
     track: Track
     systematics: Systematics
+    preview: bytes | None = None  # PNG of a pair; an instrument's poses have none
 
 
 def instrument_setup(session: Session, instrument: Instrument) -> dict[str, Any]:
@@ -104,7 +111,7 @@ def measure_poses(
     readings: Readings,
     noise: InstrumentNoise,
     offset: float | None = None,
-) -> MeasuredPoses:
+) -> MeasuredSession:
     """Take an instrument's poses as measured; each carries this noise.
 
     Args:
@@ -125,7 +132,9 @@ def measure_poses(
         for m in measurements
         if m.pose is not None
     ]
-    return MeasuredPoses(measurements, collect_track(measurements, session.rig, moved), systematics)
+    return MeasuredSession(
+        measurements, collect_track(measurements, session.rig, moved), systematics
+    )
 
 
 def _measurements(
@@ -165,8 +174,7 @@ def _point_to_flange(lever: Array, *, alone: bool) -> tuple[Array, Array]:
         (6, 3 or 6), the flange's twist by the point's shift (and the body's turn); and (6, d),
         orthonormal.
     """
-    x, y, z = lever
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # lever x .
+    across = cross_matrix(lever)
     if not alone:
         gain = np.eye(6)
         gain[:3, 3:] = across
@@ -239,15 +247,6 @@ def _sensitivities(parameters: Systematics, rig_T_flange: Array, rig_T_base: Arr
     base_R_rig = rig_T_base[:3, :3].T
     columns[:3], columns[3:] = base_R_rig @ columns[:3], base_R_rig @ columns[3:]
     return columns
-
-
-WINDOW = 5  # poses in a row that a parabola is laid through: two are left over
-MIN_WINDOWS = 12  # for a scatter that is worth the name
-MEDIAN_CHI2 = 5.348  # of six degrees of freedom: two that are left over, of three coordinates
-MEDIAN_VARIANCE_FACTOR = (
-    1.3  # a variance from a median of squares is less certain than one from their mean
-)
-PARTS = (slice(0, 3), slice(3, 6))  # translation and rotation of a twist
 
 
 def noise_from_scatter(

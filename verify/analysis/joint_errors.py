@@ -1,10 +1,12 @@
-"""Each joint's mean error and how well it is known.
+"""Each joint's mean error, and its error resolved by angle and direction of travel.
 
-The resolved error: what of each joint's error is a function of its angle and direction.
+A tolerance bounds the error at every pose. The largest single pair is noise, and the mean hides
+what changes with the angle; so the errors of all joints j are fitted at once,
 
-A tolerance bounds the error at every pose. The largest single pair is noise, the mean hides what
-changes with the angle; so the errors of all joints are fitted at once, each by a constant, its
-angle, its direction of travel, and sine and cosine where it turns far enough to tell them apart.
+    e_j(q, s) = c0 + c1 (q - q_mid) / (span / 2) + c2 s + c3 sin(q - q_mid) + c4 cos(q - q_mid),
+
+with the terms that the motion can tell apart: angle q beyond MIN_SPAN, direction of travel s where
+both occur, sine and cosine beyond MIN_SPAN_CIRCULAR.
 """
 
 from dataclasses import dataclass
@@ -26,6 +28,8 @@ MIN_PAIRS = 4  # fewer visits leave nothing to tell a slope from chance by
 MIN_PAIRS_CIRCULAR = 8  # likewise with five terms a joint
 MIN_SIGNIFICANCE = 4.0  # standard uncertainties: one false term in a thousand sessions
 P_LACK_OF_FIT = 1e-3  # chance of calling a sound fit bad
+P_TWO_SIGMA = 0.97725  # coverage of k = 2, one-sided
+MIN_LARGE_DOF = 50  # effective degrees of freedom above which k = 2 stands for 95 %
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,16 +75,15 @@ def error_terms(comparison: Comparison) -> tuple[list[tuple[str, ...]], list[Arr
 def resolve_errors(model: JointErrorModel) -> ResolvedErrors:
     """Fit the resolved errors of all joints together, with what was registered."""
     names, columns = error_terms(model.comparison)
-    parts = [_column(model, j, columns[j]) for j in range(len(columns))]
-    count = sum(p.shape[1] for p in parts)
-    fit = solve(np.concatenate([*parts, model.fitted], axis=1), model.xi, model.prior)
+    design, carried = resolved_design(model)
+    count = carried.shape[2]
+    fit = solve(design, model.xi, model.prior)
     limit = chi2_isf(P_LACK_OF_FIT, max(fit.degrees_of_freedom, 1))
     lacking = bool(fit.chi2 > limit and fit.degrees_of_freedom > 0)
     # a fit that lacks knows its figures no better than it describes the pairs (Birge)
     misfit = fit.chi2 / fit.degrees_of_freedom if lacking else 1.0
     values, spread = fit.value[:count], fit.covariance[:count, :count] * misfit
     known = fit.estimable[:count]
-    carried = _term_columns(columns, count)
     error, covariance = _errors_at(carried, values, spread, known)
     mean, mean_covariance = _errors_at(carried.mean(axis=0)[None], values, spread, known)
     swing, doubt = _half_range(columns, values, spread, known)
@@ -93,7 +96,7 @@ def resolve_errors(model: JointErrorModel) -> ResolvedErrors:
         swing=swing,
         swing_uncertainty=doubt,
         terms=tuple(names),
-        significant=_significant(parts, values, spread, known),
+        significant=_significant(design[:, :count], columns, fit, misfit),
         lack_of_fit=lacking,
         misfit=misfit,
         fit=fit,
@@ -102,31 +105,32 @@ def resolve_errors(model: JointErrorModel) -> ResolvedErrors:
 
 def predict_errors(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
     """The whitened errors that the fit describes, held columns included, (r,)."""
-    _, columns = error_terms(model.comparison)
-    parts = [_column(model, j, columns[j]) for j in range(len(columns))]
-    free = np.concatenate([*parts, model.fitted], axis=1) @ resolved.fit.value
+    free = resolved_design(model)[0] @ resolved.fit.value
     described: Array = free + model.prior @ resolved.fit.held
     return described
 
 
-def _column(model: JointErrorModel, j: int, terms: Array) -> Array:
-    """Whitened columns of one joint's terms; the constant is what registration left of it."""
-    varying = model.joints[:, [j]] * terms[model.white.pair]
-    varying[:, 0] = model.offsets[:, j]
-    return varying
+def resolved_design(model: JointErrorModel) -> tuple[Array, Array]:
+    """Lay out the regression of the resolved errors.
+
+    Returns:
+        The whitened columns of all joints' terms and of what was fitted beside them, (r, k + f);
+        and what a unit of each term is to each joint's error at each pair, (n, j, k).
+    """
+    _, columns = error_terms(model.comparison)
+    places = _column_offsets(columns)
+    carried = np.zeros((len(columns[0]), len(columns), places[-1]))
+    parts = []
+    for j, terms in enumerate(columns):
+        carried[:, j, places[j] : places[j + 1]] = terms
+        varying = model.joints[:, [j]] * terms[model.white.pair]
+        varying[:, 0] = model.offsets[:, j]  # the constant is what registration left of it
+        parts.append(varying)
+    return np.concatenate([*parts, model.fitted], axis=1), carried
 
 
 def _column_offsets(columns: list[Array]) -> list[int]:
     return [0, *np.cumsum([c.shape[1] for c in columns]).tolist()]
-
-
-def _term_columns(columns: list[Array], count: int) -> Array:
-    """What a unit of each term is to each joint's error at each pair, (n, j, terms)."""
-    places = _column_offsets(columns)
-    carried = np.zeros((len(columns[0]), len(columns), count))
-    for j, terms in enumerate(columns):
-        carried[:, j, places[j] : places[j + 1]] = terms
-    return carried
 
 
 def _errors_at(
@@ -157,19 +161,14 @@ def _half_range(
     return swing, doubt
 
 
-def _significant(
-    parts: list[Array], values: Array, spread: Array, known: NDArray[np.bool_]
-) -> Array:
+def _significant(design: Array, columns: list[Array], fit: RegressionFit, misfit: float) -> Array:
     """Columns of the terms, constants apart, that differ from 0 beyond doubt."""
-    columns = np.concatenate(parts, axis=1)
-    constant = np.concatenate([np.arange(p.shape[1]) == 0 for p in parts])
-    size = np.abs(values) / np.sqrt(np.maximum(np.diag(spread), 1e-300))
-    there = known & ~constant & (size > MIN_SIGNIFICANCE)
-    return columns[:, there]
-
-
-P_TWO_SIGMA = 0.97725  # coverage of k = 2, one-sided
-MIN_LARGE_DOF = 50  # effective degrees of freedom above which k = 2 stands for 95 %
+    count = design.shape[1]
+    varying = np.ones(count, dtype=bool)
+    varying[_column_offsets(columns)[:-1]] = False
+    variance = np.diag(fit.covariance)[:count] * misfit
+    size = np.abs(fit.value[:count]) / np.sqrt(np.maximum(variance, 1e-300))
+    return design[:, fit.estimable[:count] & varying & (size > MIN_SIGNIFICANCE)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,13 @@
-"""What tells a clock's offset coarsely, compiled: motions seen and read, at every offset.
+"""Compare motions at many clock offsets, and fit the pose of every Monte Carlo draw.
 
-The pose that drawn spots ask for, in every draw: Gauss-Newton, compiled.
+The misfit of an offset is the mean over motions of (read - measured)² / variance, angle and
+distance alike, each bounded. A draw's pose T minimises, by Gauss-Newton, with u the predicted and z
+the drawn spots and W their inverse covariance,
+
+    (z - u(T))' W (z - u(T))
+
+An analysis compares hundreds of motions at hundreds of offsets, and fits hundreds of draws of
+several poses: in numpy either takes longer than the rest of a short session's analysis.
 """
 
 import math
@@ -14,6 +21,9 @@ from verify.core.records import Array
 from verify.measurement.kernels.pose import move_pose, predict_spots
 
 Flags = NDArray[np.bool_]
+N_FREE = 6
+# focal (d, 2, 2) and middle (d, 2), px; lens (d, 5); camera_R_rig (d, 3, 3); origin (d, 3), m
+Drawn = tuple[Array, Array, Array, Array, Array]
 
 
 @compiled
@@ -22,23 +32,23 @@ def motion_misfits(
     known: Flags,
     grid: tuple[Array, Array],
     step: float,
-    seen: tuple[Array, Array],
+    measured: tuple[Array, Array],
     most: float,
     cost: Array,
 ) -> None:
-    """Fill in how badly the motions that were read fit those that were seen, at some offsets.
+    """Fill in how badly the motions that were read fit the measured ones, at some offsets.
 
     Args:
         instants: (o, 2, n), s, beginning and end of each of n motions, on the readings' clock.
         known: (o, n), which of them have readings.
-        grid: instants in order (g,), s, a step apart, and the flange there (g, 4, 4).
+        grid: instants in order (g,), s, a step apart, and the flange then (g, 4, 4).
         step: s.
-        seen: the motions' angle and distance, and the variance of each, (n, 2) both.
+        measured: the motions' angle and distance, and the variance of each, (n, 2) both.
         most: of a squared misfit: a wild pair has one vote.
         cost: (o,), filled: mean squared misfit of the known ones.
     """
     times, poses = grid
-    figures, variance = seen
+    figures, variance = measured
     for o in range(len(instants)):
         total, count = 0.0, 0
         for n in range(len(figures)):
@@ -72,11 +82,6 @@ def motion_sizes(one: Array, other: Array, figures: Array) -> None:
         figures[n, 0], figures[n, 1] = motion_between(one[n], other[n])
 
 
-N_FREE = 6
-# focal (d, 2, 2) and middle (d, 2), px; lens (d, 5); camera_R_rig (d, 3, 3); origin (d, 3), m
-Drawn = tuple[Array, Array, Array, Array, Array]
-
-
 @compiled
 def fit_poses(
     poses: Array,
@@ -86,17 +91,17 @@ def fit_poses(
     weight: Array,
     limits: tuple[int, float],
 ) -> None:
-    """Move poses to where the spots ask for, until each has settled.
+    """Fit each draw's pose to its spots, until it has settled.
 
     Args:
         poses: (d, 4, 4), rig_T_flange, where to start; moved in place.
-        spots: LEDs on the flange (d, s, 3), m, and where they are seen (d, s, 2), px.
+        spots: LEDs on the flange (d, s, 3), m, and their spots (d, s, 2), px.
         cameras: the left one and the right one.
         lefts: how many of the spots are the left camera's; they come first.
         weight: (2 s, 2 s), 1/px², symmetric.
         limits: steps at most, and the step (m and rad) that ends them.
     """
-    points, seen = spots
+    points, centre = spots
     count = points.shape[1]
     focal, middle, lens = np.empty((count, 2, 2)), np.empty((count, 2)), np.empty((5, count))
     turn, origin = np.empty((count, 3, 3)), np.empty((count, 3))
@@ -106,15 +111,25 @@ def fit_poses(
     normal, root = np.empty((N_FREE + 1, N_FREE)), np.empty((N_FREE, N_FREE))
     step = normal[N_FREE]
     for d in range(len(poses)):
-        fill_camera(cameras[0], d, 0, lefts, (focal, middle, lens, turn, origin))
-        fill_camera(cameras[1], d, lefts, count, (focal, middle, lens, turn, origin))
+        for s in range(count):
+            camera = cameras[0] if s < lefts else cameras[1]
+            for i in range(2):
+                middle[s, i] = camera[1][d, i]
+                for j in range(2):
+                    focal[s, i, j] = camera[0][d, i, j]
+            for i in range(5):
+                lens[i, s] = camera[2][d, i]
+            for i in range(3):
+                origin[s, i] = camera[4][d, i]
+                for j in range(3):
+                    turn[s, i, j] = camera[3][d, i, j]
         for _ in range(limits[0]):
             predict_spots(
                 poses[d], points[d], turn, origin, lens, focal, middle, pixels, by_point, by_pose
             )
             for s in range(count):
                 for i in range(2):
-                    off[2 * s + i] = seen[d, s, i] - pixels[s, i]
+                    off[2 * s + i] = centre[d, s, i] - pixels[s, i]
                     for k in range(N_FREE):
                         design[k, 2 * s + i] = by_pose[s, i, k]
             normal_equations(design, off, weight, weighted, normal)
@@ -128,34 +143,18 @@ def fit_poses(
                 break
 
 
-@compiled
-def fill_camera(camera: Drawn, d: int, first: int, last: int, laid: Drawn) -> None:
-    """Give spots `first` to `last` - 1 what draw d makes of their camera; the lens as (5, s)."""
-    for s in range(first, last):
-        for i in range(2):
-            laid[1][s, i] = camera[1][d, i]
-            for j in range(2):
-                laid[0][s, i, j] = camera[0][d, i, j]
-        for i in range(5):
-            laid[2][i, s] = camera[2][d, i]
-        for i in range(3):
-            laid[4][s, i] = camera[4][d, i]
-            for j in range(3):
-                laid[3][s, i, j] = camera[3][d, i, j]
-
-
 @compiled_sums
 def normal_equations(
     design: Array, off: Array, weight: Array, weighted: Array, normal: Array
 ) -> None:
-    """Fill in normal equations: what spots say of the pose, and what they ask for.
+    """Fill in the normal equations of a pose's step.
 
     Args:
         design: (6, 2 s), derivative of the spots by the pose.
-        off: (2 s,), px, seen less predicted.
+        off: (2 s,), px, spots less their prediction.
         weight: (2 s, 2 s), 1/px², symmetric.
         weighted: (6, 2 s), filled: the design times the weight.
-        normal: (7, 6), filled: the lower half of the information (6, 6), what is asked for below.
+        normal: (7, 6), filled: the lower half of the information (6, 6), the right side below.
     """
     count = len(off)
     weighted[:] = 0.0

@@ -1,18 +1,22 @@
-"""What was measured in a session, through its pictures or by another instrument, and its clock.
+"""Measure a session, through its pictures or by another instrument, and find its clock.
 
-One pair of pictures with the LEDs marked: what the report shows of the raw evidence.
+One pair of pictures is kept with its LEDs marked, for the report.
 """
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 import robots
 from verify.analysis.clock import ClockEstimate, estimate_clock
-from verify.analysis.instrument import measure_poses, noise_from_scatter, stated_noise
+from verify.analysis.instrument import (
+    MeasuredSession,
+    measure_poses,
+    noise_from_scatter,
+    stated_noise,
+)
 from verify.analysis.results.warnings import rig_moved
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings
@@ -21,7 +25,7 @@ from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.chain import Setup
-from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
+from verify.measurement.systematics import sensitivities, stated_systematics
 from verify.measurement.track import Track, collect_track
 
 WIDTH, HEIGHT = 720, 450  # px of one picture in the report
@@ -35,6 +39,11 @@ PNG_FLAGS = (
 )  # of a dark room: smaller too
 RING_COLOUR = (80, 200, 80)  # BGR
 TEXT_COLOUR = (60, 220, 255)
+SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
+SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
+MAX_CANDIDATES = 200
+Progress = Callable[[int, int], None]
+Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
 
 
 def draw_pair(pair: StereoPair, measurement: Measurement, marker: Marker) -> bytes:
@@ -74,24 +83,6 @@ def _crop(sighting: Sighting, width: int, height: int) -> tuple[float, float, fl
     left = np.clip(middle[0] - WIDTH / scale / 2, 0, width - WIDTH / scale)
     top = np.clip(middle[1] - HEIGHT / scale / 2, 0, height - HEIGHT / scale)
     return float(left), float(top), scale
-
-
-SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
-SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
-MAX_CANDIDATES = 200
-
-Progress = Callable[[int, int], None]
-Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
-
-
-@dataclass(frozen=True, slots=True)
-class MeasuredSession:
-    """What the pictures, or the instrument, gave."""
-
-    measurements: list[Measurement]
-    track: Track
-    systematics: Systematics
-    preview: bytes | None  # of a pair; an instrument's poses have none
 
 
 def setup_of(session: Session) -> Setup:
@@ -151,7 +142,7 @@ def measure_instrument(
         seen = measure_poses(session, instrument, readings, found, clock.offset)
         if not instrument.positions_alone:  # places and turns now weigh as much as they are worth
             clock = session_clock(session, seen.track, readings)
-    return MeasuredSession(seen.measurements, seen.track, seen.systematics, None), clock
+    return seen, clock
 
 
 def _remember_pairs(pairs: Iterator[StereoPair], recent: deque[StereoPair]) -> Iterator[StereoPair]:

@@ -1,14 +1,21 @@
-"""A session as a linear model: what joint errors, a registration and stated doubts move.
+"""A session as a whitened linear model, and which joint errors it can show.
 
-The length of an error vector, and how well it is known.
+    W xi = W J e + W F f + W P p + noise of unit variance,    p ~ N(0, 1)
 
-What the session could have shown: visible share, detectable and separable error a joint.
+==========  =====================================================================
+columns     meaning
+==========  =====================================================================
+J e         joint errors e, less what the registration took in of them
+F f         what was fitted with them: clock, and base and LEDs from this motion
+P p         stated uncertainties that do not average out, in standard deviations
+==========  =====================================================================
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robots.transforms import cross_matrix
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.comparison import Comparison, JointComparison
 from verify.analysis.least_squares import Whitener, residual_products, whiten
@@ -21,10 +28,12 @@ from verify.measurement.track import Track
 
 # More distinct pan readings than this are taken as errors of single pairs, which average out.
 MAX_PAN_GROUPS = 60
-MIN_VISIBLE_SHARE = (
-    1e-3  # of a joint's column: a share below this is what rounding leaves of nothing
-)
+# of a joint's column: a share below this is what rounding leaves of nothing
+MIN_VISIBLE_SHARE = 1e-3
 MIN_SPEED_SIGMA = 5.0  # standard deviations of a mean speed that readings at rest do not reach
+MIN_PAIRS = 10  # fewer say nothing of a session's shares
+# False alarm 0.1 % (two-sided, 3.29) and power 80 % (0.84).
+DETECTION_SIGMA = 4.13
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +72,8 @@ class JointErrorModel:
     xi: Array  # (r,)
     joints: Array  # (r, j), of a constant offset that arose after registration, 1 rad
     hidden: Array  # (r, j), the same for one that was there at registration
-    fitted: (
-        Array  # (r, f), free columns: clock, and base and LED body where this session's stand in
-    )
+    # (r, f), free columns: clock, and base and LED body where this session's stand in
+    fitted: Array
     seen: "WhitenedColumns"  # the same columns as the pictures alone weigh them
     prior: Array  # (r, p), columns of unit variance: everything stated that does not average out
     prior_columns: Array  # (n, 6, p), the same before whitening
@@ -89,7 +97,7 @@ def build_model(
 ) -> JointErrorModel:
     """Lay a comparison out as a whitened linear model."""
     white = whiten(comparison)
-    jacobian = comparison.jacobian
+    jacobian, flange = comparison.jacobian, comparison.base_T_jacobian
     latency = clock_effect(comparison, steady=clock.source == "not_observable")
     open_clock = clock.source != "given" and bool(latency.any())
     clock_columns = latency if open_clock else latency[:, :, :0]
@@ -97,11 +105,11 @@ def build_model(
     base, body = rig.base_source == "motion", marker.source == "motion"
     hidden, fitted = jacobian, clock_columns
     if rig.absorption is not None and (base or body):
-        full = _registration_columns(comparison, base=True, body=True)
+        full = np.concatenate([base_motion(flange), body_motion(flange)], axis=2)
         hidden = jacobian - full @ _in_base_axes(rig) @ rig.absorption
     elif base or body:
-        registered = _registration_columns(comparison, base=base, body=body)
-        fitted = np.concatenate([clock_columns, registered], axis=2)
+        parts = [*([base_motion(flange)] * base), *([body_motion(flange)] * body)]
+        fitted = np.concatenate([clock_columns, *parts], axis=2)
     hidden = _zero_rounding(hidden, jacobian, white)
     # shares are of what the pictures show, whatever the readings' noise
     pictures = whiten(comparison, comparison.covariance_measured)
@@ -148,29 +156,18 @@ def _zero_rounding(hidden: Array, jacobian: Array, white: Whitener) -> Array:
     return np.where(left > MIN_VISIBLE_SHARE * whole, hidden, 0.0)
 
 
-def _registration_columns(comparison: Comparison, *, base: bool, body: bool) -> Array:
-    """What a motion of the registered base (base axes) or LED body (flange axes) does to xi."""
-    n = len(comparison)
-    columns = np.zeros((n, 6, 0))
-    flange = comparison.base_T_jacobian
-    if base:
-        arm = flange[:, :3, 3]
-        motion = np.tile(np.eye(6), (n, 1, 1))
-        motion[:, :3, 3:] = -_cross(arm)
-        columns = np.concatenate([columns, motion], axis=2)
-    if body:
-        turn = np.zeros((n, 6, 6))
-        turn[:, :3, :3] = turn[:, 3:, 3:] = flange[:, :3, :3]
-        columns = np.concatenate([columns, turn], axis=2)
-    return columns
+def base_motion(base_T_flange: Array) -> Array:
+    """Twist (n, 6, 6) of the flange for a motion of what it stands on, base axes."""
+    motion = np.tile(np.eye(6), (len(base_T_flange), 1, 1))
+    motion[:, :3, 3:] = -cross_matrix(base_T_flange[:, :3, 3])
+    return motion
 
 
-def _cross(vectors: Array) -> Array:
-    """Matrices of v x ., (n, 3, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    matrix = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
-    return matrix.reshape(-1, 3, 3)
+def body_motion(base_T_flange: Array) -> Array:
+    """Twist (n, 6, 6) of the flange for a motion of itself in its own axes."""
+    motion = np.zeros((len(base_T_flange), 6, 6))
+    motion[:, :3, :3] = motion[:, 3:, 3:] = base_T_flange[:, :3, :3]
+    return motion
 
 
 def _in_base_axes(rig: Rig) -> Array:
@@ -234,11 +231,6 @@ def vector_length(vectors: Array, covariance: Array) -> tuple[Array, Array]:
     variance = np.where(size**2 > largest, variance, largest)
     uncertainty: Array = np.sqrt(np.where(np.isnan(size), np.nan, variance))
     return size, uncertainty
-
-
-MIN_PAIRS = 10  # fewer say nothing of a session's shares
-# False alarm 0.1 % (two-sided, 3.29) and power 80 % (0.84).
-DETECTION_SIGMA = 4.13
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
-"""Readings that cannot be what the file says: degrees that are radians.
+"""Refuse readings and poses in other units or another order than their file states.
 
-Poses that cannot be what the file says: metres for millimetres, a scalar that comes last.
+Radians for degrees, metres for millimetres, a quaternion's scalar last: what is wrong as written
+and agrees once it is converted is refused, with the remedy.
 """
 
 from dataclasses import replace
@@ -12,7 +13,6 @@ import robots
 from verify.analysis.clock import ClockEstimate, estimate_clock
 from verify.analysis.instrument import measure_poses, stated_noise
 from verify.core.readings import Readings
-from verify.core.records import Array
 from verify.errors import InputError
 from verify.io.poses import Poses
 from verify.io.session.poses import Instrument
@@ -20,9 +20,10 @@ from verify.io.session.session import Session
 from verify.measurement.track import Track
 
 FULL_TURN = 2 * np.pi
-# Two poses are called the same arm in the same place within this; a gross fault stays below it,
-# angles in the wrong unit do not.
+# Two poses count as the same arm in the same place within this; a gross fault stays below it,
+# angles in the wrong unit or coordinates in the wrong unit or order do not.
 MAX_POSE_DIFFERENCE = (0.05, np.deg2rad(8.0))  # m, rad
+MAX_POINT_DIFFERENCE = 0.1  # m: of a position alone the readings' own turn moves the point, too
 
 
 def refuse_radians(
@@ -36,40 +37,19 @@ def refuse_radians(
     as_written = np.rad2deg(readings.q)  # the numbers in the file
     if float(np.abs(as_written).max()) > FULL_TURN:
         return
-    if _readings_agree(track, session.arm, readings, clock.offset):
+    if _poses_agree(session.arm, track, readings, clock.offset):
         return
     radians = Readings(readings.t, as_written)
     offset = clock.offset
     if session.clock is None:
         offset = estimate_clock(track, session.arm, radians).offset
-    if _readings_agree(track, session.arm, radians, offset):
+    if _poses_agree(session.arm, track, radians, offset):
         raise InputError(
             session.folder / "encoders.csv",
             "the q columns agree with what was measured as radians and not as degrees",
             "degrees are asked for (q1_deg, …)",
             "Multiply them by 180/π, or export again in degrees.",
         )
-
-
-def _readings_agree(track: Track, arm: robots.Arm, readings: Readings, offset: float) -> bool:
-    """Whether half the pairs lie close to where the readings put them."""
-    known = readings.known(track.t - offset)
-    if not known.any():
-        return False
-    poses = robots.forward(arm, readings.at((track.t - offset)[known]))
-    measured: Array = track.base_T_flange[known]
-    distance = np.linalg.norm(poses[:, :3, 3] - measured[:, :3, 3], axis=1)
-    turn = poses[:, :3, :3] @ np.swapaxes(measured[:, :3, :3], 1, 2)
-    angle = Rotation.from_matrix(turn).magnitude()
-    return bool(
-        np.mean((distance < MAX_POSE_DIFFERENCE[0]) & (angle < MAX_POSE_DIFFERENCE[1])) >= 0.5
-    )
-
-
-# Two poses are called the same arm in the same place within this; a gross fault stays below it,
-# a wrong unit or order does not.
-# m, rad
-MAX_POINT_DIFFERENCE = 0.1  # m: of a position alone the readings' own turn moves the point, too
 
 
 def refuse_misread(
@@ -91,7 +71,8 @@ def refuse_misread(
     Raises:
         InputError: positions in metres, or quaternions whose scalar comes last.
     """
-    if _poses_agree(session, track, readings, clock.offset):
+    places_alone = bool(track.known_dof.min() < 6)
+    if _poses_agree(session.arm, track, readings, clock.offset, places_alone=places_alone):
         return
     for poses, found, expected, remedy in _usual_mistakes(instrument.poses):
         other = replace(instrument, poses=poses)
@@ -99,7 +80,7 @@ def refuse_misread(
         offset = clock.offset
         if session.clock is None:
             offset = estimate_clock(tried, session.arm, readings).offset
-        if _poses_agree(session, tried, readings, offset):
+        if _poses_agree(session.arm, tried, readings, offset, places_alone=places_alone):
             raise InputError(session.left.path, found, expected, remedy)
 
 
@@ -126,15 +107,17 @@ def _usual_mistakes(poses: Poses) -> list[tuple[Poses, str, str, str]]:
     return found
 
 
-def _poses_agree(session: Session, track: Track, readings: Readings, offset: float) -> bool:
-    """Whether half the poses lie close to where the readings put them."""
+def _poses_agree(
+    arm: robots.Arm, track: Track, readings: Readings, offset: float, *, places_alone: bool = False
+) -> bool:
+    """Whether half the poses, or their places alone, lie close to where the readings put them."""
     known = readings.known(track.t - offset)
     if not known.any():
         return False
-    poses = robots.forward(session.arm, readings.at((track.t - offset)[known]))
+    poses = robots.forward(arm, readings.at((track.t - offset)[known]))
     measured = track.base_T_flange[known]
     distance = np.linalg.norm(poses[:, :3, 3] - measured[:, :3, 3], axis=1)
-    if track.known_dof.min() < 6:
+    if places_alone:
         return bool(np.mean(distance < MAX_POINT_DIFFERENCE) >= 0.5)
     turn = poses[:, :3, :3] @ np.swapaxes(measured[:, :3, :3], 1, 2)
     near = (distance < MAX_POSE_DIFFERENCE[0]) & (

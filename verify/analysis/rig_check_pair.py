@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robots.transforms import cross_matrix
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
 
 TOL_RANK = 1e-9  # singular values of a whitened pose design below this are rounding
-MIN_EFFECT = (
-    1e-6  # of a figure's effect left beside the pose's: less, and the pair does not show it
-)
+# of a figure's effect left beside the pose's: less, and the pair does not show it
+MIN_EFFECT = 1e-6
 
 PosedPair = tuple[Measurement, Pose, Sighting, Sighting]  # a pair, its pose, left and right
 
@@ -108,13 +108,8 @@ def _figures(sensitivity: Array, offset: Array, centre: Array, lefts: int) -> Ar
 
 def _rigid(offset: Array) -> Array:
     """Motion of points for a translation and a small turn of their body, (n, s, 3, 6)."""
-    x, y, z = np.moveaxis(offset, 2, 0)
-    motion = np.zeros((*offset.shape, 6))
-    for axis in range(3):
-        motion[:, :, axis, axis] = 1.0
-    motion[:, :, 0, 4], motion[:, :, 0, 5] = z, -y
-    motion[:, :, 1, 3], motion[:, :, 1, 5] = -z, x
-    motion[:, :, 2, 3], motion[:, :, 2, 4] = y, -x
+    motion = np.empty((*offset.shape, 6))
+    motion[..., :3], motion[..., 3:] = np.eye(3), -cross_matrix(offset)
     return motion
 
 

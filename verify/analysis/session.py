@@ -19,11 +19,11 @@ from verify.analysis.comparison import (
 )
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import find_causes
+from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import JointErrors, mean_errors, predict_errors, resolve_errors
 from verify.analysis.least_squares import autocorrelation
 from verify.analysis.measured import (
     Chain,
-    MeasuredSession,
     Progress,
     measure_instrument,
     measure_pictures,

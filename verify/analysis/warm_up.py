@@ -1,4 +1,4 @@
-"""Have everything that numba compiles compiled, and in memory, before pictures come."""
+"""Compile and load what numba compiles before pictures come, by measuring a few small ones."""
 
 import numpy as np
 
@@ -6,10 +6,11 @@ from verify.analysis.kernels import motion_misfits, motion_sizes
 from verify.core.fiducials import Marker
 from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import Readings
-from verify.core.records import Array, Image, Sighting, StereoPair
+from verify.core.records import Array, Image, Noise, Sighting, Spots, StereoPair
 from verify.core.rig import Camera, Rig
 from verify.io.video import ffv1_intact
 from verify.measurement.chain import Detector, Setup, detect_in_turn, measure
+from verify.measurement.detection.detect import detect
 from verify.measurement.sensitivities import prepare_views, spot_derivatives
 
 SIZE = (320, 240)  # px
@@ -23,23 +24,38 @@ N_PAIRS, RATE = 4, 30.0
 N_READINGS = 20
 
 
-def warm_up(detect: Detector = detect_in_turn) -> None:
+def warm_up(detector: Detector = detect_in_turn) -> None:
     """Measure a few small pictures of four LEDs; takes a moment, after an installation longer.
 
     Args:
-        detect: what will look for spots; in another process too.
+        detector: what will look for spots; in another process too.
     """
     rig, marker = _rig(), _marker()
     pictures = [_render(camera) for camera in (rig.left, rig.right)]
     times = (number / RATE for number in range(N_PAIRS))
     pairs = (StereoPair(n, t, t + 1e-3, 0.0, 0.0, *pictures) for n, t in enumerate(times))
-    for _ in measure(pairs, Setup(rig, marker, detect=detect)):
+    for _ in measure(pairs, Setup(rig, marker, detect=detector)):
         pass
     ffv1_intact(b"")  # what a recording is opened with
 
 
+def warm_up_detection() -> None:
+    """Look for spots in a small picture, whole and in a window."""
+    picture = _render(_rig().left)
+    detect(picture)
+    detect(picture, np.array([[0.0, 0.0, *SIZE]]))
+
+
+def projected_spots(*_images: object) -> tuple[Spots, Spots]:
+    """Stand in for detection in `warm_up`: the LEDs' true places in both images."""
+    one, colour = np.ones(len(LEDS)), np.full((len(LEDS), 3), 200.0)
+    spread, clear = 1e-3 * np.array([np.eye(2)] * len(LEDS)), np.zeros(len(LEDS), dtype=np.bool_)
+    light = spread, 200.0 * one, 5.0 * one, one, one, clear, clear, colour, Noise(1.5, 0.1, 8.0)
+    return Spots(_pixels(_rig().left), *light), Spots(_pixels(_rig().right), *light)
+
+
 def warm_up_comparison() -> None:
-    """Have compiled, and in memory, what sets readings against measured poses."""
+    """Compile and load what compares readings with measured poses."""
     t = np.arange(N_READINGS) / RATE
     readings = Readings(t, np.sin(t)[:, None])
     readings.at(t)
@@ -56,10 +72,12 @@ def warm_up_comparison() -> None:
     )
     led, none = np.arange(len(LEDS)), np.zeros((len(LEDS), 2))
     spread, still = np.zeros((len(LEDS), 2, 2)), np.zeros(len(LEDS))
-    seen = Sighting(led, none, spread, 0.0, 0.0, still, none, still)
+    sighting = Sighting(led, none, spread, 0.0, 0.0, still, none, still)
     pose = np.eye(4)
     pose[:3, 3] = CORNER
-    views = prepare_views(pose, seen, seen, np.zeros((2 * len(LEDS), 2, 3)), _rig(), _marker())
+    views = prepare_views(
+        pose, sighting, sighting, np.zeros((2 * len(LEDS), 2, 3)), _rig(), _marker()
+    )
     spot_derivatives(views, ("left.fx_px", "body.rx_deg"))
 
 
@@ -81,10 +99,15 @@ def _camera(x: float) -> Camera:
     return Camera(matrix, np.full(5, 1e-3), place, axis, 0.0, mount)
 
 
+def _pixels(camera: Camera) -> Array:
+    """Where the LEDs are in a camera's image, (4, 2), px."""
+    points = np.column_stack([LEDS + CORNER, np.ones(len(LEDS))])
+    return camera.project((points @ camera.camera_T_rig(0.0).T)[:, :3])
+
+
 def _render(camera: Camera) -> Image:
     """Four Gaussian spots in faint noise."""
-    points = np.column_stack([LEDS + CORNER, np.ones(len(LEDS))])
-    pixels: Array = camera.project((points @ camera.camera_T_rig(0.0).T)[:, :3])
+    pixels = _pixels(camera)
     column, row = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
     light = np.random.default_rng(0).normal(8.0, 1.5, (SIZE[1], SIZE[0]))
     for x, y in pixels.tolist():

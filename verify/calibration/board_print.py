@@ -1,9 +1,7 @@
-"""How a board lies on paper: where the pattern stands, its black areas, the rulers beside it.
+"""Print a board: its layout on paper, its black areas and rulers, and the sheet as PDF and PNG.
 
-Millimetres throughout, x to the right and y down from the sheet's top left corner: this is a
-door, to paper.
-
-A board's sheet as PDF and PNG, set by typst; every coordinate is the layout's own.
+Millimetres throughout, x to the right and y down from the sheet's top left corner. The sheet is set
+by typst; every coordinate is the layout's own.
 """
 
 import json
@@ -35,7 +33,9 @@ RULER_MM = 8.0  # width of the strip that holds a ruler
 TEXT_MM = 17.0  # height of the block of text
 ARROW_MM = 16.0  # length of the strip that holds the mark for "up"
 QUIET_ZONE_MM = 5.0  # around the pattern at least; corner finders like a whole square
-
+# px/mm of the PNG: whole, so that pHYs states it exactly; 36 megapixels at most
+PX_PER_MM = {"A4": 12, "A3": 12, "A2": 12, "A1": 8, "A0": 6}
+MM_PER_INCH = 25.4
 _MM = 1e-3  # m
 
 
@@ -48,7 +48,7 @@ class PageLayout:
     pattern: tuple[float, float, float, float]  # x, y, width, height
     white: float  # around the pattern, at the narrowest side
     across: tuple[float, float, float]  # ruler to the right: where its 0 is, and its length
-    up: tuple[float, float, float]  # ruler upwards, likewise
+    up: tuple[float, float, float]  # ruler upwards: where its 0 is, and its length
     arrow: tuple[float, float]  # tip of the mark for "up"
     text: tuple[float, float, float]  # corner of the text block, and its length
     text_upwards: bool  # the text runs up the right side instead of along the bottom
@@ -72,7 +72,7 @@ def lay_out(board: Board, paper: str | None = None) -> PageLayout:
         remedy = f"Choose one of them.{did_you_mean(paper.upper(), tuple(PAPERS_MM))}"
         raise InputError("--paper", f'"{paper}" is not known', expected, remedy)
     for name in PAPERS_MM if paper is None else (paper.upper(),):
-        fitting = [layout for layout in _layouts(board, name) if layout.white >= QUIET_ZONE_MM]
+        fitting = _fitting_layouts(board, name)
         if fitting:
             return max(fitting, key=lambda layout: layout.white)
     raise _size_refusal(board, (paper or "A0").upper())
@@ -100,7 +100,7 @@ def ticks(length: float) -> list[tuple[float, float]]:
 
 
 def print_instructions(board: Board, layout: PageLayout) -> list[str]:
-    """Say what the board is, how to print it and how to check the print."""
+    """Describe the board, how to print it and how to check the print."""
     columns, rows, square = board.columns, board.rows, board.square / _MM
     kind = "Checkerboard"
     if board.markers is not None and board.marker is not None:
@@ -120,24 +120,29 @@ def print_instructions(board: Board, layout: PageLayout) -> list[str]:
     ]
 
 
-def _layouts(board: Board, paper: str) -> Iterator[PageLayout]:
-    """Try the sheet upright and sideways, the text at the bottom and at the side."""
-    short, long = PAPERS_MM[paper]
-    for page in ((short, long), (long, short)):
-        for text_upwards in (False, True):
-            yield _layout(board, paper, page, text_upwards)
+def _fitting_layouts(board: Board, paper: str) -> list[PageLayout]:
+    """Lay the sheet out upright and sideways, the text at the bottom and at the side."""
+    pages = PAPERS_MM[paper], PAPERS_MM[paper][::-1]
+    layouts = [_layout(board, paper, page, upwards) for page in pages for upwards in (False, True)]
+    return [layout for layout in layouts if layout.white >= QUIET_ZONE_MM]
+
+
+def _strips(text_upwards: bool) -> tuple[float, float, float]:
+    """Widths of the strips left of the pattern, right of it and below it, mm."""
+    ruler = PAGE_MARGIN_MM + RULER_MM
+    if text_upwards:
+        return ruler, PAGE_MARGIN_MM + TEXT_MM, ruler
+    return ruler, 0.0, ruler + TEXT_MM
 
 
 def _layout(board: Board, paper: str, page: tuple[float, float], text_upwards: bool) -> PageLayout:
     square = board.square / _MM
     width, height = (board.columns + 1) * square, (board.rows + 1) * square
-    left, bottom = PAGE_MARGIN_MM + RULER_MM, PAGE_MARGIN_MM + RULER_MM
-    right = PAGE_MARGIN_MM + TEXT_MM if text_upwards else 0.0
-    bottom += 0.0 if text_upwards else TEXT_MM
+    left, right, bottom = _strips(text_upwards)
     white = (page[0] - left - right - width) / 2, (page[1] - bottom - height) / 2
     ruler_y = page[1] - bottom
-    across = _floor_to_ten(page[0] - right - left - PAGE_MARGIN_MM)
-    up = _floor_to_ten(ruler_y - PAGE_MARGIN_MM - ARROW_MM)
+    across = 10.0 * ((page[0] - right - left - PAGE_MARGIN_MM) // 10)
+    up = 10.0 * ((ruler_y - PAGE_MARGIN_MM - ARROW_MM) // 10)
     return PageLayout(
         paper=paper,
         page=page,
@@ -151,10 +156,6 @@ def _layout(board: Board, paper: str, page: tuple[float, float], text_upwards: b
         else (PAGE_MARGIN_MM, page[1] - PAGE_MARGIN_MM - TEXT_MM, page[0] - 2 * PAGE_MARGIN_MM),
         text_upwards=text_upwards,
     )
-
-
-def _floor_to_ten(length: float) -> float:
-    return 10.0 * (length // 10)
 
 
 def _marker_cells(board: Board) -> Iterator[tuple[float, float, float, float]]:
@@ -174,40 +175,22 @@ def _marker_cells(board: Board) -> Iterator[tuple[float, float, float, float]]:
 
 
 def _size_refusal(board: Board, paper: str) -> InputError:
-    """Say what would fit instead."""
+    """Refuse a board that does not fit, naming the squares and the paper that would."""
     columns, rows, square = board.columns, board.rows, board.square / _MM
     found = f"{columns} x {rows} corners of {square:g} mm do not fit on {paper}"
-    largest = max(
-        min((page[0] - strips[0]) / (columns + 1), (page[1] - strips[1]) / (rows + 1))
-        for page in (PAPERS_MM[paper], PAPERS_MM[paper][::-1])
-        for strips in (_reserved_mm(False), _reserved_mm(True))
-    )
+    largest = 0.0
+    for text_upwards in (False, True):
+        left, right, bottom = _strips(text_upwards)
+        for width, height in (PAPERS_MM[paper], PAPERS_MM[paper][::-1]):
+            across = (width - (left + right + 2 * QUIET_ZONE_MM)) / (columns + 1)
+            largest = max(
+                largest, min(across, (height - (bottom + 2 * QUIET_ZONE_MM)) / (rows + 1))
+            )
     expected = f"the largest squares that would are {np.floor(largest * 10) / 10:g} mm"
-    larger = [
-        name
-        for name in PAPERS_MM
-        if any(layout.white >= QUIET_ZONE_MM for layout in _layouts(board, name))
-    ]
-    remedy = f"Choose smaller squares or --paper {larger[0]}." if larger else ""
-    return InputError("--paper", found, expected, remedy or "Choose smaller squares.")
+    larger = [name for name in PAPERS_MM if _fitting_layouts(board, name)]
+    remedy = f" or --paper {larger[0]}" if larger else ""
+    return InputError("--paper", found, expected, f"Choose smaller squares{remedy}.")
 
-
-def _reserved_mm(text_upwards: bool) -> tuple[float, float]:
-    """Add up what the pattern cannot have of the sheet's width and height, mm."""
-    beside = PAGE_MARGIN_MM + RULER_MM + 2 * QUIET_ZONE_MM
-    if text_upwards:
-        return beside + PAGE_MARGIN_MM + TEXT_MM, beside
-    return beside, beside + TEXT_MM
-
-
-PX_PER_MM = {  # px/mm of the PNG: whole, so that pHYs states it exactly; 36 megapixels at most
-    "A4": 12,
-    "A3": 12,
-    "A2": 12,
-    "A1": 8,
-    "A0": 6,
-}
-MM_PER_INCH = 25.4
 
 _SHEET = """
 #let data = json("sheet.json")

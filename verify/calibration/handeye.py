@@ -33,7 +33,7 @@ class HandEye:
     x: Array  # (4, 4)
     y: Array  # (4, 4)
     residual: Array  # (n, 6), A X less Y B: m and rad, in the axes of A and Y
-    mirrored: bool  # the poses fit a mirror image: A was seen in a mirror
+    mirrored: bool  # the poses fit a mirror image: A was observed in a mirror
     open: bool  # all turns are about one axis, or there are none: x and y are not determined
 
 

@@ -5,8 +5,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from verify.cli.options import JointTolerance, OrientationTolerance, PositionTolerance
+from verify.cli.options import (
+    JointTolerance,
+    OrientationTolerance,
+    PositionTolerance,
+    ToleranceOptions,
+)
 from verify.cli.terminal import terminal
+from verify.core.version import __version__
+from verify.errors import InputError
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
     from verify.fleet.batch.run import BatchProgress, BatchResult
@@ -52,14 +59,13 @@ def batch(
 
     Example: verify batch sample_sessions -o fleet-report
     """
-    from verify.cli.options import Asked
     from verify.fleet.batch.finding import find_sessions
     from verify.fleet.batch.records import BatchOptions
     from verify.fleet.batch.run import measure_all
     from verify.fleet.batch.store import require_writable
     from verify.fleet.trends.assess import require_folders
 
-    asked = Asked(tolerance, position_tolerance, orientation_tolerance)
+    tolerances = ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
     questions = _trend_request(by, since, compare)
     pool = _worker_pool(workers, scheduler)  # the first worker loads meanwhile
     try:
@@ -67,7 +73,9 @@ def batch(
         require_folders([one.session for one in found], questions)
         require_writable(out)
         with _ProgressDisplay() as watch:
-            done = measure_all(found, failures, out, BatchOptions(asked, _version()), pool, watch)
+            done = measure_all(
+                found, failures, out, BatchOptions(tolerances, __version__), pool, watch
+            )
     finally:
         pool.close()
     if reports:
@@ -75,16 +83,9 @@ def batch(
     return _finish(done, out, questions)
 
 
-def _version() -> str:
-    from verify.core.version import __version__
-
-    return __version__
-
-
 def _trend_request(by: str, since: str | None, compare: tuple[str, str] | None) -> "TrendRequest":
     from datetime import date
 
-    from verify.errors import InputError
     from verify.fleet.trends.assess import ARM_GROUPINGS, TrendRequest
 
     if by not in ARM_GROUPINGS:
@@ -100,7 +101,6 @@ def _trend_request(by: str, since: str | None, compare: tuple[str, str] | None) 
 
 
 def _worker_pool(workers: int | None, scheduler: str | None) -> "WorkerPool":
-    from verify.errors import InputError
     from verify.fleet.batch.cluster import Cluster
     from verify.fleet.batch.workers import ProcessPool, available_cpus
 
@@ -175,7 +175,6 @@ def _finish(done: "BatchResult", out: Path, questions: "TrendRequest") -> int:
     import pandas as pd
 
     import reports
-    from verify.errors import InputError
     from verify.fleet.batch.run import write_tables
     from verify.fleet.trends.assess import assess
     from verify.io.files import write_folder_whole

@@ -1,26 +1,28 @@
-"""Draw a checkerboard to print, true to scale.
+"""Draw a checkerboard to print, true to scale."""
 
-Example: verify board --corners 9x7 --square-mm 25 --paper A3
-"""
-
-import re
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from verify.cli.options import CornerCounts, ReplaceInFolder, parse_corners
 from verify.cli.terminal import terminal
 
-DEFAULT_CORNERS = "9x7"
+DEFAULT_CORNERS = CornerCounts(9, 7)
 DEFAULT_SQUARE_MM = 40.0
 MARKER_SHARE = 0.75  # of a square's edge: white of an eighth on each side
-OPTIONS_PLACE = "the board asked for"  # how complaints call what the options say
+OPTIONS_PLACE = "the board asked for"  # names the options in a refusal
 
 
 def board(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the files.")] = Path("board"),
     corners: Annotated[
-        str, typer.Option(help="Inner corners along and across, one fewer than squares.")
+        CornerCounts,
+        typer.Option(
+            parser=parse_corners,
+            metavar="<str>",
+            help="Inner corners along and across, one fewer than squares.",
+        ),
     ] = DEFAULT_CORNERS,
     square_mm: Annotated[float, typer.Option(help="Edge of a square, mm.")] = DEFAULT_SQUARE_MM,
     paper: Annotated[
@@ -33,9 +35,7 @@ def board(
     marker_mm: Annotated[
         float | None, typer.Option(help="Edge of a marker, mm; three quarters of a square's.")
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace files in a folder that is not empty.")
-    ] = False,
+    force: ReplaceInFolder = False,
 ) -> None:
     """Draw a checkerboard to print, true to scale: board.pdf, board.png and board.toml.
 
@@ -57,38 +57,23 @@ def board(
         marker_mm = MARKER_SHARE * square_mm
     table = BoardTable(
         format=FORMAT,
-        inner_corners=parse_corners(corners),
+        inner_corners=(corners.columns, corners.rows),
         square_mm=square_mm,
         markers=charuco,
         marker_mm=marker_mm,
     )
-    asked = build_board(OPTIONS_PLACE, table)
-    if asked.four_fold:
+    drawn = build_board(OPTIONS_PLACE, table)
+    if drawn.four_fold:
         terminal.warn(
             f"--corners: {corners}: this board looks the same after a quarter turn, so nothing "
             "tells which corner is the first; hold it with the arrow up in every picture. "
-            f"{asked.columns + 1}x{asked.rows} cannot be mistaken."
+            f"{drawn.columns + 1}x{drawn.rows} cannot be mistaken."
         )
-    layout = lay_out(asked, paper)
+    layout = lay_out(drawn, paper)
     with write_folder_whole(out, force) as folder:
-        (folder / "board.pdf").write_bytes(board_print.pdf(asked, layout))
-        (folder / "board.png").write_bytes(board_print.png(asked, layout))
-        fiducials.write_board(folder / "board.toml", asked)
-    said = f"{asked.columns} x {asked.rows} inner corners of {square_mm:g} mm on {layout.paper}"
+        (folder / "board.pdf").write_bytes(board_print.pdf(drawn, layout))
+        (folder / "board.png").write_bytes(board_print.png(drawn, layout))
+        fiducials.write_board(folder / "board.toml", drawn)
+    said = f"{drawn.columns} x {drawn.rows} inner corners of {square_mm:g} mm on {layout.paper}"
     terminal.say(f"{said}, in {out}. Print board.pdf at 100 %, then check the rulers.")
     terminal.record({"type": "result", "out": str(out), "paper": layout.paper})
-
-
-def parse_corners(text: str) -> tuple[int, int]:
-    """Read two counts, like 9x7.
-
-    Raises:
-        InputError: it is something else.
-    """
-    from verify.errors import InputError
-
-    counts = re.fullmatch(r"(\d{1,3})\s*[xX×,]\s*(\d{1,3})", text.strip())
-    if counts is None:
-        expected = "two counts are expected, like 9x7"
-        raise InputError("--corners", f'is "{text}"', expected, "Count where four squares meet.")
-    return int(counts[1]), int(counts[2])

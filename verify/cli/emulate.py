@@ -116,7 +116,7 @@ def emulate(
 
 def _gripper(object_mm: float | None) -> "EmulatorEngine":
     from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
-    from verify.simulation.emulators.gripper_hand import contact_positions
+    from verify.simulation.emulators.hand import contact_positions
 
     contacts = None if object_mm is None else contact_positions(object_mm)
     return GripperEngine(GripperOptions(contacts=contacts))
@@ -126,8 +126,8 @@ def _melfa(motion: str, joints: int, idle: bool, seed: int) -> "EmulatorEngine":
     import numpy as np
 
     import robots
+    from verify.simulation.emulators.arm import MelfaArm
     from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-    from verify.simulation.emulators.melfa_arm import MelfaArm
     from verify.simulation.emulators.trajectory import load
 
     known = robots.load(MELFA_ROBOT)

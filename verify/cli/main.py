@@ -14,12 +14,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from verify.cli.batch import batch
 from verify.cli.board import board
-from verify.cli.calibrate import calibrate
-from verify.cli.doctor import doctor
+from verify.cli.calibrate.calibrate import calibrate
+from verify.cli.doctor.doctor import doctor
 from verify.cli.emulate import emulate
 from verify.cli.grab.grab import grab
-from verify.cli.identify import identify
-from verify.cli.plan import plan
+from verify.cli.identify.identify import identify
+from verify.cli.plan.plan import plan
 from verify.cli.report import report
 from verify.cli.robots import robots
 from verify.cli.run import run

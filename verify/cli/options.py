@@ -1,18 +1,112 @@
-"""Options that several commands share, worded once.
-
-What a run is asked for beside its source: tolerances and durations, in users' units.
-"""
+"""Options that several commands share, each declared once, and the parsers of their values."""
 
 import math
 import re
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from verify.errors import InputError
-from verify.io.session.keys import Tolerance
+
+if TYPE_CHECKING:  # imported when a command runs: `--help` answers at once
+    from verify.io.session.keys import Tolerance
+
+_SECONDS_PER_UNIT = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+
+
+def parse_duration(text: str | float) -> float:
+    """Read a duration such as 60s, 10m, 1.5h, or a number of seconds; s.
+
+    Raises:
+        InputError: it is none.
+    """
+    found = re.fullmatch(r"\s*([0-9.]+)\s*([a-z]*)\s*", str(text))
+    try:
+        if found is None:
+            raise ValueError
+        value = float(found[1]) * _SECONDS_PER_UNIT[found[2]]
+    except (ValueError, KeyError):
+        raise InputError(
+            "--for", f'"{text}" is no duration', "seconds, minutes or hours", "Example: 10m"
+        ) from None
+    _require_positive("--for", value, "a duration")
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class CornerCounts:
+    """Inner corners of a board, one fewer than squares."""
+
+    columns: int
+    rows: int
+
+    def __str__(self) -> str:
+        return f"{self.columns}x{self.rows}"
+
+
+def parse_corners(text: str | CornerCounts) -> CornerCounts:
+    """Read two counts, like 9x7.
+
+    Raises:
+        InputError: it is something else.
+    """
+    counts = re.fullmatch(r"(\d{1,3})\s*[xX×,]\s*(\d{1,3})", str(text).strip())
+    if counts is None:
+        expected = "two counts are expected, like 9x7"
+        raise InputError("--corners", f'is "{text}"', expected, "Count where four squares meet.")
+    return CornerCounts(int(counts[1]), int(counts[2]))
+
+
+@dataclass(frozen=True, slots=True)
+class ToleranceOptions:
+    """Tolerances as they were typed; None where nothing was."""
+
+    joints_deg: str | None
+    position_mm: float | None
+    orientation_deg: float | None
+
+    def __repr__(self) -> str:
+        """Describe them as stored batch entries do; another text has all measured again."""
+        return (
+            f"Asked(joints_deg={self.joints_deg!r}, position_mm={self.position_mm!r}, "
+            f"orientation_deg={self.orientation_deg!r})"
+        )
+
+    def tolerance(self, joints: int) -> "Tolerance":
+        """Turn them into metres and radians for an arm with so many joints.
+
+        Raises:
+            InputError: not a positive number, or too few of them.
+        """
+        import numpy as np
+
+        from verify.io.session.keys import Tolerance
+
+        values = None if self.joints_deg is None else _parse_angles(self.joints_deg, joints)
+        position, orientation = self.position_mm, self.orientation_deg
+        for name, value in (
+            ("--position-tolerance", position),
+            ("--orientation-tolerance", orientation),
+        ):
+            if value is not None:
+                _require_positive(name, value, "a tolerance")
+        return Tolerance(
+            joints=None if values is None else np.deg2rad(values),
+            position=None if position is None else position * 1e-3,
+            orientation=None if orientation is None else float(np.deg2rad(orientation)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """Where the page is served."""
+
+    port: int
+    address: str
+    token: str | None
+
 
 JointTolerance = Annotated[
     str | None,
@@ -37,62 +131,27 @@ PageAddress = Annotated[
 PageToken = Annotated[
     str | None, typer.Option(help="What viewers must show; 16 characters or more.")
 ]
+Corners = Annotated[
+    CornerCounts | None,
+    typer.Option(
+        parser=parse_corners,
+        metavar="<str>",
+        help="Inner corners of the board, instead of board.toml: 9x7.",
+    ),
+]
+SquareMm = Annotated[
+    float | None, typer.Option(help="Edge of a square, mm, instead of board.toml.")
+]
+RigOut = Annotated[Path, typer.Option("-o", "--out", help="The rig file to write.")]
+ReportOut = Annotated[Path | None, typer.Option("--report", help="Folder of the report.")]
+ReplaceFiles = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
+ReplaceInFolder = Annotated[
+    bool, typer.Option("--force", help="Replace files in a folder that is not empty.")
+]
+WriteIntoFolder = Annotated[bool, typer.Option("--force", help="Write into a folder that exists.")]
 
 
-_SECONDS_PER_UNIT = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """Tolerances as they were typed; None where nothing was."""
-
-    joints_deg: str | None
-    position_mm: float | None
-    orientation_deg: float | None
-
-    def tolerance(self, joints: int) -> Tolerance:
-        """Turn them into metres and radians for an arm with so many joints.
-
-        Raises:
-            InputError: not a positive number, or too few of them.
-        """
-        given = (
-            None if self.joints_deg is None else np.deg2rad(_parse_numbers(self.joints_deg, joints))
-        )
-        for name, value in (
-            ("--position-tolerance", self.position_mm),
-            ("--orientation-tolerance", self.orientation_deg),
-        ):
-            if value is not None:
-                _require_positive(name, value, "a tolerance")
-        position, orientation = self.position_mm, self.orientation_deg
-        return Tolerance(
-            joints=given,
-            position=None if position is None else position * 1e-3,
-            orientation=None if orientation is None else float(np.deg2rad(orientation)),
-        )
-
-
-def parse_duration(option: str, text: str) -> float:
-    """Read a duration such as 60s, 10m, 1.5h, or a number of seconds.
-
-    Raises:
-        InputError: it is none.
-    """
-    found = re.fullmatch(r"\s*([0-9.]+)\s*([a-z]*)\s*", text)
-    try:
-        if found is None:
-            raise ValueError
-        value = float(found[1]) * _SECONDS_PER_UNIT[found[2]]
-    except (ValueError, KeyError):
-        raise InputError(
-            option, f'"{text}" is no duration', "seconds, minutes or hours", "Example: 10m"
-        ) from None
-    _require_positive(option, value, "a duration")
-    return value
-
-
-def _parse_numbers(text: str, joints: int) -> list[float]:
+def _parse_angles(text: str, joints: int) -> list[float]:
     try:
         values = [float(word) for word in text.split(",")]
     except ValueError:

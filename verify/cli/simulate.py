@@ -1,7 +1,4 @@
-"""Make a session with known truth and chosen faults, or board pictures for a calibration.
-
-Example: verify simulate multi_joint_fault_6r -o my_session
-"""
+"""Make a session with known truth and chosen faults, or board pictures for a calibration."""
 
 from functools import partial
 from pathlib import Path
@@ -9,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from verify.cli.options import ReplaceInFolder
 from verify.cli.terminal import terminal
 
 
@@ -20,9 +18,7 @@ def simulate(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Draw other numbers than the scenario's own seed.")
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace files in a folder that is not empty.")
-    ] = False,
+    force: ReplaceInFolder = False,
 ) -> None:
     """Make a session with known truth and chosen faults, or board pictures for a calibration.
 

@@ -1,6 +1,7 @@
 """What the user sees while a command works: progress, lines, or JSON; colour honours NO_COLOR."""
 
 import json
+import logging
 import os
 import sys
 from collections.abc import Iterator
@@ -110,4 +111,15 @@ class ProgressCounter:
             sys.stderr.write(f"{self._what}: {done} of {total}{f', {note}' if note else ''}\n")
 
 
+class _LogHandler(logging.Handler):
+    """Show what the package logs on standard error; nothing with --quiet or --json."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line."""
+        if not (terminal.quiet or terminal.as_json):
+            sys.stderr.write(f"{record.getMessage()}\n")
+
+
 terminal = Terminal()
+logging.getLogger("verify").addHandler(_LogHandler())
+logging.getLogger("verify").setLevel(logging.INFO)

@@ -17,13 +17,14 @@ from rich.console import Console
 
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.warm_up import warm_up_comparison
+from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
 from verify.core.processes import ChildProcess, answer_requests
 from verify.errors import InputError
 from verify.io.session.keys import Tolerance
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import ESTIMATE_TIMEOUT, ClockRequest, estimate_offset
-from verify.live.loop import LiveLoop, LoopSettings
+from verify.live.loop import LiveLoop, LoopComputation, LoopSettings
 from verify.live.measuring_process import MeasuringProcess
 from verify.live.outputs.listeners import (
     AlarmCommand,
@@ -40,18 +41,8 @@ from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot
 from verify.live.state import LiveState
 from verify.live.station.station import PanDrive, Station
 
-SWITCH_INTERVAL = (
-    0.0005  # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
-)
-
-
-@dataclass(frozen=True, slots=True)
-class PageOptions:
-    """Where the page is wanted."""
-
-    port: int
-    address: str
-    token: str | None
+# s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
+SWITCH_INTERVAL = 0.0005
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +106,11 @@ def watch(station: Station, wish: RunOptions) -> RunResult:
             _open_devices(station),
             recorder,
             LoopSettings(limits, wish.duration),
-            lambda question: clock.ask(question, ESTIMATE_TIMEOUT),
+            LoopComputation(
+                lambda request: clock.ask(request, ESTIMATE_TIMEOUT), chain.measure, chain.prepare
+            ),
             listeners,
-            measuring=chain.measure,
-            state=state,
-            prepare=chain.prepare,
+            state,
         )
         stack.enter_context(_frozen_garbage_collector())
         look = stack.enter_context(

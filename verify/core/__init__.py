@@ -1,4 +1,1 @@
-"""What every other room speaks.
-
-Value types, the rig model, encoder readings as functions of time, compiled linear algebra, helper processes. No file, no device.
-"""
+"""Value types, rig model, readings, compiled linear algebra and processes that every room uses."""

@@ -1,7 +1,4 @@
-"""The bodies that cameras measure: the LEDs on the flange and the calibration board.
-
-A ChArUco board's markers are named as OpenCV names their dictionaries.
-"""
+"""The LEDs on the flange, calibration boards with their markers, and board corners in pictures."""
 
 from dataclasses import dataclass
 

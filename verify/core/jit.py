@@ -1,13 +1,19 @@
-"""Functions compiled to machine code, for loops over pixels that arrays are too slow for."""
+"""Compile functions to machine code, for loops that are too slow in numpy; keep that code on disk.
+
+Whoever uses the package hears of the first compilation by the log, at level INFO: it takes a while.
+"""
 
 import hashlib
+import logging
 import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import event
 
+COMPILING = "Compiling inner loops, once after an installation: up to a minute."
 Function = TypeVar("Function", bound=Callable[..., object])
 FASTMATH_FLAGS = {"reassoc", "contract", "nsz"}
 
@@ -53,7 +59,27 @@ def _source_fingerprint(package: Path) -> str:
     return hashlib.sha256(repr(key).encode()).hexdigest()[:12]
 
 
+class _FirstCompilation(event.Listener):
+    """Log that functions are compiled, before the first one is."""
+
+    def on_start(self, _event: object) -> None:
+        """Log it, once."""
+        event.unregister("numba:compile", self)  # type: ignore[no-untyped-call]
+        logging.getLogger(__name__).info(COMPILING)
+
+    def on_end(self, _event: object) -> None:
+        """Nothing is left to say."""
+
+
+def _cache_is_empty() -> bool:
+    """Whether no machine code was kept yet for this state of the sources."""
+    folder = Path(vars(numba.config)["CACHE_DIR"])
+    return not (folder.is_dir() and any(folder.iterdir()))
+
+
 CACHE = _cache_available()
+if CACHE and _cache_is_empty():
+    event.register("numba:compile", _FirstCompilation())  # type: ignore[no-untyped-call]
 # level 3 takes a fifth longer to compile and is no quicker here; nothing calls from C
 vars(numba.config)["OPT"] = type(vars(numba.config)["OPT"])(2)
 OPTIONS: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""The robot's own joint readings as functions of time."""
+"""A robot's joint readings as functions of time: value, speed, direction, uncertainty."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +22,7 @@ MAD_TO_SIGMA = 1.4826  # of a Gaussian
 DIFFERENCE_VARIANCES = (6.0, 20.0, 70.0)  # of white noise's second to fourth ones, over its own
 MIN_DIFFERENCES = 8  # fewer say nothing about their spread
 HOLD_TIME = 0.5  # s: at the edge of a burst at rest the arm is taken as standing still for so long
+MIN_TRAVEL = np.deg2rad(0.02)  # the last digit or two of a common read-out
 
 
 @dataclass(frozen=True)
@@ -36,32 +37,32 @@ class Readings:
     q: Array  # (m, joints), rad
 
     def known(self, t: Array) -> NDArray[np.bool_]:
-        """Whether there is a reading for each instant (n,).
+        """Whether the joints are known at the instants t (n,): between readings, or held at rest.
 
-        In a gap there is one beside a burst whose readings show the arm at rest (or a single
-        reading: a visit). Where the arm moves and its line falls silent, nothing is known.
+        In a gap they are known within HOLD_TIME of a burst whose readings show the arm at rest (or
+        of a single reading: a visit). Where the arm moves and the readings stop, nothing is known.
         """
         known: NDArray[np.bool_] = np.zeros(len(t), dtype=np.bool_)
-        mark_bracketed(self._plain[0], MAX_GAP, _as_contiguous(t), known)
+        mark_bracketed(self._contiguous[0], MAX_GAP, _as_contiguous(t), known)
         gaps = np.flatnonzero(~known & (t >= self.t[0]) & (t <= self.t[-1]))
         if len(gaps):
             after = np.searchsorted(self.t, t[gaps])
-            past, left = t[gaps] - self.t[after - 1], self.t[after] - t[gaps]
-            nearest = np.where(past < left, after - 1, after)
-            known[gaps] = (np.minimum(past, left) <= HOLD_TIME) & self._at_rest[nearest]
+            since, until = t[gaps] - self.t[after - 1], self.t[after] - t[gaps]
+            nearest = np.where(since < until, after - 1, after)
+            known[gaps] = (np.minimum(since, until) <= HOLD_TIME) & self._at_rest[nearest]
         return known
 
     @cached_property
     def _at_rest(self) -> NDArray[np.bool_]:
-        """Whether the arm stood at a reading beside a gap, as its burst shows, (m,)."""
-        most = np.maximum(5 * self.noise, MIN_TRAVEL)
+        """Whether the arm stood still at a reading beside a gap, as its burst shows, (m,)."""
+        tolerance = np.maximum(5 * self.noise, MIN_TRAVEL)
         gaps = np.flatnonzero(np.diff(self.t) > MAX_GAP)
         rests: NDArray[np.bool_] = np.zeros(len(self.t), dtype=np.bool_)
         for first, last in zip([0, *(gaps + 1)], [*gaps, len(self.t) - 1], strict=True):
             burst = slice(first, last + 1)
             for edge in (first, last):
-                beside = np.abs(self.t[burst] - self.t[edge]) <= HOLD_TIME
-                rests[edge] = np.all(np.abs(self.q[burst][beside] - self.q[edge]) <= most)
+                near = np.abs(self.t[burst] - self.t[edge]) <= HOLD_TIME
+                rests[edge] = np.all(np.abs(self.q[burst][near] - self.q[edge]) <= tolerance)
         return rests
 
     def at(self, t: Array) -> Array:
@@ -69,20 +70,19 @@ class Readings:
         if len(self.t) < 2:
             return np.repeat(self.q, len(t), axis=0)
         value: Array = np.empty((len(t), self.q.shape[1]))
-        interpolate(*self._plain, MAX_GAP, _as_contiguous(t), value)
+        interpolate(*self._contiguous, MAX_GAP, _as_contiguous(t), value)
         return value
 
     def rate(self, t: Array) -> Array:
         """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN."""
         value: Array = np.zeros((len(t), self.q.shape[1]))
         if len(self.t) > 1:
-            there = _as_contiguous(t)
-            rates(*self._plain, MAX_GAP, RATE_SPAN, there, value)
+            rates(*self._contiguous, MAX_GAP, RATE_SPAN, _as_contiguous(t), value)
         return value
 
     @cached_property
-    def _plain(self) -> tuple[Array, Array]:
-        """Times and readings as compiled functions take them."""
+    def _contiguous(self) -> tuple[Array, Array]:
+        """Times and readings for the kernels."""
         return _as_contiguous(self.t), _as_contiguous(self.q)
 
     @cached_property
@@ -102,13 +102,13 @@ class Readings:
         return np.where(np.isfinite(smallest), smallest, 0.0)
 
     def missed(self, t: Array) -> Array:
-        """What the curve between readings may miss at the instants t (n,), rad, (n, joints).
+        """Standard uncertainty of the interpolation at the instants t (n,), rad, (n, joints).
 
-        A standard uncertainty: how much two ways to tell the speeds at its ends differ there.
+        The difference that two estimates of the speeds at the ends of the curve make there.
         """
         value: Array = np.zeros((len(t), self.q.shape[1]))
         if len(self.t) > 1:
-            interpolation_error(*self._plain, MAX_GAP, _as_contiguous(t), value)
+            interpolation_error(*self._contiguous, MAX_GAP, _as_contiguous(t), value)
         return value
 
     def direction(self, t: Array) -> Array:
@@ -120,14 +120,11 @@ class Readings:
         held = np.searchsorted(self.t, t, side="right") - 1
         held = np.clip(held, 0, len(self.t) - 1)
         directions = np.zeros(self.q.shape, dtype=np.int8)
-        travel_directions(self._plain[1], np.maximum(5 * self.noise, MIN_TRAVEL), directions)
+        travel_directions(self._contiguous[1], np.maximum(5 * self.noise, MIN_TRAVEL), directions)
         last: Array = directions[held].astype(np.float64)
         return last
 
 
-MIN_TRAVEL = np.deg2rad(0.02)  # the last digit or two of a common read-out
-
-
 def _as_contiguous(values: Array) -> Array:
-    """Copy to the one kind of array that functions are compiled for; some are read-only."""
+    """Copy to the kind of array that the kernels are compiled for: contiguous, writable."""
     return np.array(values, dtype=np.float64, order="C")

@@ -1,4 +1,4 @@
-"""What flows through the chain, in order: StereoPair, Spots, Sighting, Pose, Measurement.
+"""Values passed along the measuring chain: StereoPair, Spots, Sighting, Pose, Measurement.
 
 Metres, radians and seconds throughout; image coordinates in pixels, (x, y), pixel centres at
 whole numbers. `a_T_b` carries coordinates in b to coordinates in a.
@@ -15,7 +15,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class StereoPair:
-    """Two pictures and what is known of when and how they were taken."""
+    """Two pictures with their instants and the pan readings of their bases."""
 
     frame: int
     t_left: float  # s, cameras' clock, mid-exposure
@@ -46,7 +46,7 @@ class Spots:
     elongation: Array  # (n,), long axis over short axis, >= 1
     misfit: Array  # (n,), reduced chi² of the profile fit: near 1 for one clean LED
     saturated: NDArray[np.bool_]  # (n,), some pixels are at the sensor's limit
-    merged: NDArray[np.bool_]  # (n,), shape or misfit says: not one clean spot
+    merged: NDArray[np.bool_]  # (n,), shape or misfit show that it is not one clean spot
     colour: Array  # (n, 3), mean B, G, R above background; equal for a grey image
     noise: Noise
 
@@ -60,7 +60,7 @@ class Sighting:
     """LEDs found in one camera's image, by their index in the marker."""
 
     led: NDArray[np.int64]  # (m,), index into marker.leds
-    centre: Array  # (m, 2), px, distorted, as seen in the image, brought to the instant t
+    centre: Array  # (m, 2), px, distorted, carried to the instant t
     covariance: Array  # (m, 2, 2), px²
     t: float  # s, the instant that `centre` belongs to
     pan: float  # rad, camera base angle as read
@@ -69,13 +69,13 @@ class Sighting:
     acceleration_lever: Array  # (m,), s²: px by which one px/s² of acceleration displaces `centre`
 
     def __len__(self) -> int:
-        """Count the LEDs seen."""
+        """Count the LEDs."""
         return len(self.led)
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the flange was at one instant, and how well that is known.
+    """The flange's pose in the rig at one instant, with its covariance.
 
     A perturbation is a translation and a small rotation vector, both in rig axes, applied on the
     left: R' = exp(phi) R, p' = p + rho.
@@ -89,35 +89,35 @@ class Pose:
     determined: Array  # (6, known_dof), orthonormal: functionals that the visible LEDs determine
     gain: Array  # (6, 2 s): d pose / d spot centre, left sightings then right; 0 for rejected ones
     sensitivity: Array  # (s, 2, 3): d px / d point in the rig, the same order
-    curvature: Array  # (s, 2), px/s²: image acceleration of a steady twist, which was allowed for
-    residual: Array  # (s, 2), px, seen less predicted
+    curvature: Array  # (s, 2), px/s²: image acceleration of a steady twist, already corrected for
+    residual: Array  # (s, 2), px, measured less predicted
     spot_uncertainty: Array  # (s,), px a coordinate: noise, and what alignment adds to it
-    rejected: NDArray[np.bool_]  # (s,), sightings that the fit refused as outliers
-    consistent: bool  # no spot is left that the others contradict
+    rejected: NDArray[np.bool_]  # (s,), sightings that the fit rejected as outliers
+    consistent: bool  # no spot left contradicts the others
     chi2: float  # whitened residual sum of squares
     degrees_of_freedom: int
 
     @property
     def known_dof(self) -> int:
-        """Degrees of freedom that the visible LEDs determine: 0, 3, 5 or 6."""
+        """Count the degrees of freedom that the visible LEDs determine: 0, 3, 5 or 6."""
         return int(self.determined.shape[1])
 
     @property
     def covariance(self) -> Array:
-        """Everything that varies from pair to pair, (6, 6), m and rad."""
+        """Covariance of what varies from pair to pair, (6, 6), m and rad."""
         total: Array = self.covariance_pixels + self.covariance_alignment
         return total
 
     @property
     def reprojection_rms_px(self) -> float:
-        """Root mean square distance of the used spots from where the pose puts them."""
+        """Root mean square distance of the used spots from those that the pose predicts."""
         used = self.residual[~self.rejected]
         return float(np.sqrt(np.mean(np.sum(used**2, axis=1)))) if len(used) else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """One stereo pair's outcome; a bad frame is a measurement whose status says why."""
+    """The result of one stereo pair; the status of an unusable pair gives the reason."""
 
     frame: int
     t: float  # s, the left camera's instant

@@ -25,23 +25,23 @@ class Camera:
     pan_standard_uncertainty: float | None = None  # rad, of each pan reading
     line_time: float = 0.0  # s a row, rolling shutter
     exposure: float | None = None  # s
-    # the last reading's place: asked for a dozen times a pair
+    # the pose of the last pan reading: needed a dozen times a pair
     _placed: dict[float, tuple[Array, Array]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
     def rig_T_camera(self, pan: float) -> Array:
-        """Place the camera for one pan reading (rad); (4, 4), not to be written to."""
+        """Place the camera in the rig for one pan reading (rad); read-only (4, 4)."""
         return self._place(pan)[0]
 
     def camera_T_rig(self, pan: float) -> Array:
-        """Carry points of the rig into the camera, for one pan reading (rad); (4, 4), likewise."""
+        """Carry points of the rig into the camera, for one pan reading (rad); read-only (4, 4)."""
         return self._place(pan)[1]
 
     def _place(self, pan: float) -> tuple[Array, Array]:
-        known = self._placed.get(pan)
-        if known is not None:
-            return known
+        cached = self._placed.get(pan)
+        if cached is not None:
+            return cached
         turn = np.eye(4)
         turn[:3, :3] = cv2.Rodrigues(self.pan_axis * (pan + self.pan_zero))[0]
         turn[:3, 3] = self.pan_center
@@ -70,7 +70,7 @@ class Camera:
     def normalise(self, pixels: Array) -> Array:
         """Invert lens and matrix: (..., 2) px to undistorted normalised coordinates (x/z, y/z).
 
-        Newton on the distortion to rounding; far below the 1e-6 px that a spot's centre asks for
+        Newton's method on the distortion, to rounding; a spot's centre needs 1e-6 px
         (cv2.undistortPoints stops 0.06 px short by default).
         """
         k = self.matrix
@@ -99,7 +99,7 @@ def distortion_jacobian(xy: Array, coefficients: Coefficients) -> Array:
 
 
 def distort_with_jacobian(xy: Array, coefficients: Coefficients) -> tuple[Array, Array]:
-    """Apply `distort` and say how it changes with the coordinates: (..., 2) and (..., 2, 2).
+    """Apply `distort` and take its derivative by the coordinates: (..., 2) and (..., 2, 2).
 
     The derivative is symmetric. Coefficients may differ from point to point, (...,) each.
     """
@@ -127,11 +127,11 @@ def undistort(distorted: Array, coefficients: Array) -> Array:
     xy = np.array(distorted, dtype=float)
     if not np.any(coefficients):
         return xy
-    plain = coefficients.tolist()  # arrays multiply by them more quickly than by numpy's own
-    for _ in range(30):  # quadratic convergence: three or four suffice for any sane lens
-        seen, slope = distort_with_jacobian(xy, plain)
+    scalars = coefficients.tolist()  # arrays multiply by floats faster than by numpy's scalars
+    for _ in range(30):  # quadratic convergence: three or four suffice for a usual lens
+        predicted, slope = distort_with_jacobian(xy, scalars)
         a, b, d = slope[..., 0, 0], slope[..., 0, 1], slope[..., 1, 1]
-        off = seen - distorted
+        off = predicted - distorted
         across = off[..., ::-1] * b[..., None]
         step = (off * np.stack([d, a], axis=-1) - across) / (a * d - b * b)[..., None]
         xy -= step
@@ -143,11 +143,10 @@ def undistort(distorted: Array, coefficients: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Covariance:
-    """Standard uncertainties and correlation of named parameters, as calibration wrote them."""
+    """Standard uncertainties and correlation of a calibration's named parameters."""
 
-    parameters: tuple[
-        str, ...
-    ]  # e.g. left.fx_px, right.mount_ry_deg, robot_base.rz_deg, led.A.x_mm
+    # such as left.fx_px, right.mount_ry_deg, robot_base.rz_deg, led.A.x_mm
+    parameters: tuple[str, ...]
     standard_uncertainty: Array  # (p,), in each parameter's own unit (its name's suffix)
     correlation: Array  # (p, p)
     degrees_of_freedom: float | None = None
@@ -156,7 +155,7 @@ class Covariance:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """Two cameras, and where the robot stands between them."""
+    """Two cameras and the robot's base, in one frame."""
 
     image_size: tuple[int, int]  # width, height, px
     left: Camera
@@ -164,12 +163,11 @@ class Rig:
     rig_T_base: Array  # (4, 4); nan where no robot was registered
     base_source: str = "fixture"  # "motion": fitted through the robot's own encoders; "": none
     registration: str | None = None
-    absorption: Array | None = (
-        None  # (12, joints): base and LED-body motion a rad of offset; m, rad
-    )
+    # (12, joints): motion of base and LED body a radian of joint offset; m, rad
+    absorption: Array | None = None
     covariance: Covariance | None = None
 
     @property
     def registered(self) -> bool:
-        """A robot's place in the rig is known."""
+        """Whether the robot's base is known in the rig."""
         return bool(self.base_source)

@@ -1,7 +1,6 @@
-"""Tails and quantiles of the laws that verdicts rest on, named as scipy.stats names them.
+"""Tail probabilities and quantiles of the chi², Student and normal laws, named as in scipy.stats.
 
-The same values out of scipy.special, which has them element by element: importing scipy.stats takes
-a third of a second, in every process of a batch.
+Taken from scipy.special: importing scipy.stats takes a third of a second, in every process.
 """
 
 from collections.abc import Callable
@@ -13,51 +12,44 @@ from scipy import special
 
 from verify.core.records import Array
 
-Function = Callable[..., Any]  # its stubs know no numbers in general
-_chi2_isf: Function = special.chdtri
-_chi2_sf: Function = special.chdtrc
-_gamma_ppf: Function = special.gammaincinv
-_t_ppf: Function = special.stdtrit
-_norm_ppf: Function = special.ndtri
-_norm_cdf: Function = special.ndtr
+_special: Any = special  # its type stubs accept no general arrays
+_Ufunc = Callable[..., Array]
+_chdtri: _Ufunc = _special.chdtri
+_chdtrc: _Ufunc = _special.chdtrc
+_gammaincinv: _Ufunc = _special.gammaincinv
+_stdtrit: _Ufunc = _special.stdtrit
+_ndtri: _Ufunc = _special.ndtri
+_ndtr: _Ufunc = _special.ndtr
 
 
 def chi2_isf(share: ArrayLike, degrees: ArrayLike) -> Array:
     """Value that a chi² variable exceeds with a given probability."""
-    value: Array = _chi2_isf(degrees, share)
-    return value
+    return _chdtri(degrees, share)
 
 
 def chi2_sf(value: ArrayLike, degrees: ArrayLike) -> Array:
     """Probability that a chi² variable exceeds a value."""
-    share: Array = _chi2_sf(degrees, value)
-    return share
+    return _chdtrc(degrees, value)
 
 
 def chi2_ppf(share: ArrayLike, degrees: ArrayLike) -> Array:
-    """Value below which a chi² variable is with a given probability."""
-    value: Array = 2.0 * _gamma_ppf(np.asarray(degrees) / 2, share)
-    return value
+    """Value that a chi² variable stays below with a given probability."""
+    return 2.0 * _gammaincinv(np.asarray(degrees) / 2, share)
 
 
 def t_ppf(share: ArrayLike, degrees: ArrayLike) -> Array:
-    """Value below which a variable of Student's law is with a given probability.
-
-    Degrees of freedom may be infinite.
-    """
-    value: Array = _t_ppf(degrees, share)
-    return value
+    """Value that Student's t stays below with a given probability; degrees may be infinite."""
+    return _stdtrit(degrees, share)
 
 
 def t_isf(share: ArrayLike, degrees: ArrayLike) -> Array:
-    """Value that a variable of Student's law exceeds with a given probability; likewise."""
+    """Value that Student's t exceeds with a given probability; degrees may be infinite."""
     return -t_ppf(share, degrees)
 
 
 def norm_ppf(share: ArrayLike) -> Array:
-    """Value below which a standard normal variable is with a given probability."""
-    value: Array = _norm_ppf(share)
-    return value
+    """Value that a standard normal variable stays below with a given probability."""
+    return _ndtri(share)
 
 
 def norm_isf(share: ArrayLike) -> Array:
@@ -67,5 +59,4 @@ def norm_isf(share: ArrayLike) -> Array:
 
 def norm_cdf(value: ArrayLike) -> Array:
     """Probability that a standard normal variable is below a value."""
-    share: Array = _norm_cdf(value)
-    return share
+    return _ndtr(value)

@@ -15,14 +15,14 @@ from verify.devices.encoders.intake import AngleMap
 from verify.devices.encoders.labenc import READ_COMMANDS, LabencBoard, LabencSettings
 from verify.devices.encoders.labenc_protocol import MOVING
 from verify.devices.ports import ClockFunction, Port
-from verify.devices.protocols import DeviceState, PanReading
+from verify.devices.protocols import PanReading
 
 TURN_COMMANDS = READ_COMMANDS | {"G"}
 N_SIDES = 2
 MAX_PAN_ANGLE = math.radians(180.0)  # rad: a base never needs to look behind itself
 
 
-class PanReader:
+class PanReader(LabencBoard):
     """Reads the angles of both bases; cannot turn them.
 
     Args:
@@ -41,29 +41,21 @@ class PanReader:
         port: Callable[[], Port] | None = None,
         now: ClockFunction = time.monotonic,
     ) -> None:
-        self._board = LabencBoard(settings, N_SIDES, self.orders, port, now)
+        super().__init__(settings, N_SIDES, self.orders, port, now)
         self._angles = angles
         self._half_width = settings.latch_span / 2
 
     def read(self) -> list[PanReading]:
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
         readings = []
-        for sample in self._board.samples():
-            self._board.counts.good(sample.t_host)
+        for sample in self.samples():
+            self.counts.good(sample.t_host)
             instant, pan = sample.instant, self._angles.joint_angles(sample.angle)
             moving = bool(sample.status & MOVING)
             readings.append(
                 PanReading(instant.t, sample.t_host, self._half_width, instant.segment, pan, moving)
             )
         return readings
-
-    def state(self) -> DeviceState:
-        """Say how the board is."""
-        return self._board.state()
-
-    def close(self) -> None:
-        """Close the port; the bases stay as they stand."""
-        self._board.close()
 
 
 class PanServo(PanReader):
@@ -84,6 +76,5 @@ class PanServo(PanReader):
             raise ValueError(f"a base cannot be turned to {np.rad2deg(wanted)} degrees")
         board = np.rad2deg(self._angles.sign * (wanted - self._angles.offset))
         return all(
-            self._board.send("G", str(axis), f"{angle:.4f}")
-            for axis, angle in enumerate(board, start=1)
+            self.send("G", str(axis), f"{angle:.4f}") for axis, angle in enumerate(board, start=1)
         )

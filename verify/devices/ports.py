@@ -1,9 +1,4 @@
-"""Ports: TCP, UDP, and whatever pyserial opens (serial device, pty, rfc2217://, loop://, spy://).
-
-A port that opens itself, says in words why it cannot, and tries again.
-
-Bytes to lines, and the checksums that lines carry.
-"""
+"""Open a port (TCP, UDP, or by pyserial), keep it open, and split its bytes into lines."""
 
 import contextlib
 import os
@@ -31,19 +26,15 @@ class Port(Protocol):
 
     def wait(self, seconds: float) -> bool:
         """Wait until there is something to take, for at most so long."""
-        ...
 
     def take(self) -> bytes:
         """Take what is there; a datagram port gives one datagram."""
-        ...
 
     def send(self, data: bytes) -> None:
         """Send all of it."""
-        ...
 
     def close(self) -> None:
         """Close the line; never raises."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

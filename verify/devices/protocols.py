@@ -146,15 +146,12 @@ class Device(Protocol[Readings_co, State_co]):
         an address while they connect. A camera gives its oldest picture that was not read yet, or
         None.
         """
-        ...
 
     def state(self) -> State_co:
         """Describe the state of the device; sends nothing to it."""
-        ...
 
     def close(self) -> None:
         """Release the device; it is not opened again."""
-        ...
 
 
 CameraDevice = Device[CameraFrame | None, CameraState]

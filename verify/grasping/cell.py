@@ -76,13 +76,13 @@ class StillTable(msgspec.Struct, kw_only=True):
     for_s: float = 0.5
 
 
-class WatchdogTable(msgspec.Struct, kw_only=True):
-    """The keys of [watchdog]."""
+class WatchdogLimits(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_s"):
+    """The keys of [watchdog]: after how long nothing is trusted any more, s."""
 
-    stale_s: float = 0.3
-    lost_s: float = 1.0
-    joints_s: float = 0.5
-    moving_s: float = 60.0
+    stale: float = 0.3  # since the newest pair of pictures was taken
+    lost: float = 1.0  # since the target was last tracked
+    joints: float = 0.5  # since the newest reading of the joints
+    moving: float = 60.0  # in one state that moves arm or fingers, following left aside
 
 
 class CellTable(msgspec.Struct, kw_only=True):
@@ -96,7 +96,7 @@ class CellTable(msgspec.Struct, kw_only=True):
     motion: MotionTable = msgspec.field(default_factory=MotionTable)
     accuracy: AccuracyTable
     still: StillTable = msgspec.field(default_factory=StillTable)
-    watchdog: WatchdogTable = msgspec.field(default_factory=WatchdogTable)
+    watchdog: WatchdogLimits = WatchdogLimits()
 
 
 _MM = 1e-3  # m
@@ -147,7 +147,7 @@ class CellMotion:
 
 @dataclass(frozen=True, slots=True)
 class ArmAccuracy:
-    """How well the arm goes where it is told."""
+    """Accuracy of the arm, and the probability required."""
 
     robot: float  # m, standard uncertainty of the grip point's place, a coordinate
     coverage: float  # probability with which the object must be between the fingers
@@ -159,16 +159,6 @@ class StillnessCriterion:
 
     speed: float  # m/s
     duration: float  # s
-
-
-@dataclass(frozen=True, slots=True)
-class WatchdogLimits:
-    """After how long nothing is trusted any more, s."""
-
-    stale: float  # since the newest pair of pictures was taken
-    lost: float  # since the target was last tracked
-    joints: float  # since the newest reading of the joints
-    moving: float  # in one state that moves arm or fingers, following left aside
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +204,7 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
         found = f"is {table.accuracy.coverage:g}"
         expected = "a probability below 1 is expected, such as 0.95"
         raise key_error(path, "accuracy.coverage", found, expected)
-    surface, watch = table.table, table.watchdog
+    surface = table.table
     heights = (surface.height_mm, surface.clearance_mm, surface.finger_clearance_mm)
     cell = Cell(
         table=TableSurface(*(value * _MM for value in heights)),
@@ -227,7 +217,7 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
             table.accuracy.robot_standard_uncertainty_mm * _MM, table.accuracy.coverage
         ),
         still=StillnessCriterion(table.still.speed_mm_s * _MM, table.still.for_s),
-        watch=WatchdogLimits(watch.stale_s, watch.lost_s, watch.joints_s, watch.moving_s),
+        watch=table.watchdog,
     )
     return cell, warnings
 
@@ -236,8 +226,8 @@ def _check_signs(path: Path, table: CellTable) -> None:
     """Refuse numbers that only make sense from 0, or above 0."""
     for name in ("table", "gripper", "approach", "motion", "accuracy", "still", "watchdog"):
         part = getattr(table, name)
-        for key in part.__struct_fields__:
-            value = getattr(part, key)
+        for field, key in zip(part.__struct_fields__, part.__struct_encode_fields__, strict=True):
+            value = getattr(part, field)
             if not isinstance(value, float) or (key == "height_mm" and name == "table"):
                 continue
             not_negative(path, f"{name}.{key}", value)

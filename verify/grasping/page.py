@@ -61,8 +61,8 @@ def device_status(
         lines.append(("arm", arm.state != "failed", _joined(arm.state.value, speed, arm.reason)))
     if fingers is not None:
         opening = "" if fingers.opening is None else f"{_MM * fingers.opening:.0f} mm open"
-        words = _joined(fingers.state.value, opening, fingers.reason)
-        lines.append(("gripper", fingers.state not in ("failed", "lost"), words))
+        text = _joined(fingers.state.value, opening, fingers.reason)
+        lines.append(("gripper", fingers.state not in ("failed", "lost"), text))
     return tuple(lines)
 
 
@@ -106,20 +106,20 @@ def object_fields(cycle: LoopCycle) -> dict[str, Any]:
 def picture_fields(cycle: LoopCycle, side: int, rig: Rig) -> dict[str, Any]:
     """What is drawn into one picture; px, centres at whole numbers."""
     assert cycle.pair is not None
-    pair, seen = cycle.pair, cycle.observation
+    pair, observation = cycle.pair, cycle.observation
     height, width = (pair.left, pair.right)[side].shape[:2]
     found: dict[str, Any] = {"width": width, "height": height, "target": None}
-    if seen is None:
+    if observation is None:
         return found
     camera, pan = ((rig.left, pair.pan_left), (rig.right, pair.pan_right))[side]
     found["target"] = {
-        "status": seen.status,
-        "window": seen.windows[side],
-        "outline": _ellipse((seen.left, seen.right)[side]),
+        "status": observation.status,
+        "window": observation.windows[side],
+        "outline": _ellipse((observation.left, observation.right)[side]),
         "place": None,
     }
-    if np.isfinite(seen.centre).all():
-        before = carry(invert(camera.rig_T_camera(pan)), seen.centre)
+    if np.isfinite(observation.centre).all():
+        before = carry(invert(camera.rig_T_camera(pan)), observation.centre)
         if before[2] > 0:
             found["target"]["place"] = np.round(camera.project(before), 1).tolist()
     return found
@@ -231,7 +231,7 @@ class GraspPageSource:
         self._stops = stops
         if cycle.pair is not None:
             self._pictured = cycle
-        said = device_status(cycle, loop, self._facts.setup.cell.watch)
+        devices = device_status(cycle, loop, self._facts.setup.cell.watch)
         self._shown = LoopSnapshot(
             time.monotonic(),
             cycle,
@@ -239,17 +239,17 @@ class GraspPageSource:
             None if planned is None else planned.answer,
             missing_conditions(machine),
             loop.may_choose,
-            said[0][1],
-            said,
+            devices[0][1],
+            devices,
         )
 
-    def answer(self, words: str) -> None:
+    def answer(self, text: str) -> None:
         """Show what became of a request."""
-        self._answer, self._answers = words, self._answers + 1
+        self._answer, self._answers = text, self._answers + 1
 
-    def end(self, words: str) -> None:
+    def end(self, text: str) -> None:
         """Show how it ended."""
-        self._finished = words
+        self._finished = text
 
     def hello(self) -> dict[str, Any]:
         """What never changes."""
@@ -320,8 +320,8 @@ class GraspPageSource:
         shown = self._shown
         if shown is None:
             return ""
-        seen = None if self._pictured is None else self._pictured.observation
-        quality = 0.0 if seen is None else seen.quality
+        observation = None if self._pictured is None else self._pictured.observation
+        quality = 0.0 if observation is None else observation.quality
         return (
             "# TYPE verify_grab_state gauge\n"
             f'verify_grab_state{{state="{shown.cycle.state.value}"}} 1\n'

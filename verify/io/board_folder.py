@@ -13,7 +13,7 @@ from verify.core.records import Array, Image
 from verify.errors import InputError, one_line
 from verify.io import fiducials, series
 from verify.io.board_pictures import PICTURE_SUFFIXES, PictureFiles, list_pictures, match_pictures
-from verify.io.files import digest, system_refusal
+from verify.io.files import digest, require_folder
 from verify.io.toml import did_you_mean
 from verify.io.video import Images, Video, decode_in_step
 
@@ -28,7 +28,7 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class BoardImages:
-    """Two pictures of one board, taken at once, and how the bases were turned."""
+    """Two simultaneous pictures of one board, and the pan angles of the bases."""
 
     frame: int
     pan_left: float  # rad, as read
@@ -39,7 +39,7 @@ class BoardImages:
 
 @dataclass(frozen=True, slots=True)
 class BoardFolder:
-    """Pictures for a calibration: the board known, partners found, pixels on disk."""
+    """A folder of board pictures, checked; the pixels stay on the disk."""
 
     folder: Path
     board: Board
@@ -62,12 +62,10 @@ class BoardFolder:
 
     @property
     def doubtful_pan(self) -> str:
-        """Say that the pan angles look like radians; "" where they do not."""
-        said = [
-            f"{name} spans {span:.2g}°"
-            for name, span in _small_angles((self.pan_left, self.pan_right))
-        ]
-        return f"{' and '.join(said)}, as if in radians" if said else ""
+        """A note that the pan angles look like radians; "" where they do not."""
+        small = _small_angles((self.pan_left, self.pan_right))
+        spans = [f"{name} spans {span:.2g}°" for name, span in small]
+        return f"{' and '.join(spans)}, as if in radians" if spans else ""
 
     @property
     def frames(self) -> NDArray[np.int64]:
@@ -75,7 +73,7 @@ class BoardFolder:
         return np.arange(len(self))
 
     def name(self, frame: int) -> str:
-        """Say which pictures a pair consists of, as the user knows them."""
+        """Name a pair by its picture files, or by its number in the videos."""
         if isinstance(self.left, PictureFiles) and isinstance(self.right, PictureFiles):
             left, right = self.left.files[frame].name, self.right.files[frame].name
             return left if left == right else f"{left} and {right}"
@@ -101,15 +99,15 @@ class BoardFolder:
 
 
 def open_board_folder(folder: str | Path, board: Board | None = None) -> BoardFolder:
-    """Open a folder of board pictures and check all of it but what most pictures show.
+    """Open a folder of board pictures and check all but the pictures after the first.
 
-    A rig.toml that lies there is never read.
+    A rig.toml in the folder is never read.
 
     Args:
         folder: holds left/ and right/ with pictures (or left01.jpg, right01.jpg, … side by side,
             or two videos left.* and right.*); optionally frames.csv, whose pan columns are read,
             and board.toml.
-        board: goes before board.toml.
+        board: used in place of board.toml.
 
     Returns:
         The folder. Its warnings name unknown keys of board.toml, a contradiction between it and
@@ -119,14 +117,14 @@ def open_board_folder(folder: str | Path, board: Board | None = None) -> BoardFo
         InputError: one line that names the file, what stands there, what should, and what to do.
     """
     folder = Path(folder)
-    _require_folder(folder)
-    known, board_warnings = _board(folder, board)
+    require_folder(folder, EXPECTED_LAYOUT, "Give the folder of the board pictures.")
+    board, board_warnings = _choose_board(folder, board)
     left, right = _sides(folder)
     count = _count(left, right)
     pan, pan_warnings = _pan(folder / "frames.csv", count)
     return BoardFolder(
         folder=folder,
-        board=known,
+        board=board,
         image_size=_image_size(left, right),
         pan_left=pan[0],
         pan_right=pan[1],
@@ -137,19 +135,8 @@ def open_board_folder(folder: str | Path, board: Board | None = None) -> BoardFo
     )
 
 
-def _require_folder(folder: Path) -> None:
-    try:
-        if folder.is_dir():
-            return
-        found = "is a file" if folder.exists() else "does not exist"
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        refused = error if isinstance(error, OSError) else OSError(str(error))
-        raise system_refusal(folder, refused) from error
-    raise InputError(folder, found, EXPECTED_LAYOUT, "Give the folder of the board pictures.")
-
-
-def _board(folder: Path, given: Board | None) -> tuple[Board, tuple[str, ...]]:
-    """Take the board that was given, else board.toml's; warn where both are and differ."""
+def _choose_board(folder: Path, given: Board | None) -> tuple[Board, tuple[str, ...]]:
+    """Take the given board, else board.toml's; warn where the two differ."""
     path = folder / "board.toml"
     if not path.exists():
         if given is not None:
@@ -165,8 +152,8 @@ def _board(folder: Path, given: Board | None) -> tuple[Board, tuple[str, ...]]:
         return given, (one_line(f"{error} The board given by option is used."),)
     if written == given:
         return given, warnings
-    said = f"{path}: says {_describe_board(written)}; {_describe_board(given)}, given by option, is used."
-    return given, (*warnings, one_line(said))
+    both = f"{_describe_board(written)}; {_describe_board(given)}, given by option, is used."
+    return given, (*warnings, one_line(f"{path}: says {both}"))
 
 
 def _describe_board(board: Board) -> str:
@@ -179,7 +166,7 @@ def _describe_board(board: Board) -> str:
 
 
 def _sides(folder: Path) -> tuple[Images, Images]:
-    """Find both sides' pictures or videos, pictures in step."""
+    """Find both sides' pictures or videos; the n-th of both belong together."""
     found = [_find_images(folder, side) for side in ("left", "right")]
     for side, images in zip(("left", "right"), found, strict=True):
         if images is None:
@@ -190,11 +177,11 @@ def _sides(folder: Path) -> tuple[Images, Images]:
     if isinstance(left, PictureFiles) and isinstance(right, PictureFiles):
         left.files, right.files = match_pictures(left.files, right.files)
     elif isinstance(left, PictureFiles) or isinstance(right, PictureFiles):
-        kinds = (
-            ("pictures", "a video") if isinstance(left, PictureFiles) else ("a video", "pictures")
-        )
-        found_both = f"has {kinds[0]} on the left and {kinds[1]} on the right"
-        raise InputError(folder, found_both, EXPECTED_LAYOUT, "Bring both into one form.")
+        kinds = [
+            "pictures" if isinstance(side, PictureFiles) else "a video" for side in (left, right)
+        ]
+        differ = f"has {kinds[0]} on the left and {kinds[1]} on the right"
+        raise InputError(folder, differ, EXPECTED_LAYOUT, "Bring both into one form.")
     return left, right
 
 
@@ -231,49 +218,41 @@ def _count(left: Images, right: Images) -> int:
 
 
 def _pan(path: Path, count: int) -> tuple[tuple[Array, Array], tuple[str, ...]]:
-    """Read the pan columns, rad; what frames.csv does not give is 0."""
+    """Read the pan columns of frames.csv, rad, 0 where it gives none, and warnings."""
     still = np.zeros(count)
     if not path.exists():
         return (still, still), ()
     table, _ = series.open_table(path, torn=False)
-    there = [name for name in PAN_COLUMNS if name in table.header]
-    columns = table.columns(("frame", *there))
-    wrong = np.flatnonzero(columns["frame"] != np.arange(len(columns["frame"])))
-    if len(wrong):
-        row = int(wrong[0])
-        expected = f"{row} is expected, counted from 0 in step with the pictures"
-        raise table.fault(row, f"frame is {columns['frame'][row]:g}", expected)
+    present = [name for name in PAN_COLUMNS if name in table.header]
+    columns = table.columns(("frame", *present))
+    table.require_counting(columns["frame"], "pictures")
     if len(columns["frame"]) != count:
         found = f"has {len(columns['frame'])} rows"
         raise InputError(path, found, f"there are {count} pairs", "Write one row a pair.")
     left, right = (np.deg2rad(columns[name]) if name in columns else still for name in PAN_COLUMNS)
-    notes = (*_warn_misnamed(path, table.header, there), *_warn_small_angles(path, (left, right)))
-    return (left, right), notes
-
-
-def _warn_small_angles(path: Path, pan: tuple[Array, Array]) -> Iterator[str]:
-    """Warn of angles that are varied but tiny."""
-    for name, span in _small_angles(pan):
-        yield one_line(f"{path}: {name} spans {span:.2g}°; are these radians?")
+    small = [
+        one_line(f"{path}: {name} spans {span:.2g}°; are these radians?")
+        for name, span in _small_angles((left, right))
+    ]
+    return (left, right), (*_warn_misnamed(path, table.header, present), *small)
 
 
 def _small_angles(pan: tuple[Array, Array]) -> Iterator[tuple[str, float]]:
-    """Columns that are varied by too little to be degrees, and their spans, deg."""
+    """Columns whose span is above 0 and too small for degrees, and the spans, deg."""
     for name, angles in zip(PAN_COLUMNS, pan, strict=True):
         if 0 < np.ptp(angles) < MIN_PAN_SPAN:
             yield name, float(np.rad2deg(np.ptp(angles)))
 
 
-def _warn_misnamed(path: Path, header: list[str], there: list[str]) -> Iterator[str]:
-    """Warn of a pan column that is missing or whose name is not quite right."""
+def _warn_misnamed(path: Path, header: list[str], present: list[str]) -> Iterator[str]:
+    """Warn of a pan column that is missing or misnamed."""
     for name in header:
         if "pan" in name.lower() and name not in PAN_COLUMNS:
             yield one_line(f"{path}: column {name} is left alone.{did_you_mean(name, PAN_COLUMNS)}")
-    if len(there) == 1:
-        missing = PAN_COLUMNS[1 - PAN_COLUMNS.index(there[0])]
-        yield one_line(
-            f"{path}: has {there[0]} but no {missing}; that base is taken to stand at 0."
-        )
+    if len(present) == 1:
+        missing = PAN_COLUMNS[1 - PAN_COLUMNS.index(present[0])]
+        note = f"{path}: has {present[0]} but no {missing}; that base is taken to stand at 0."
+        yield one_line(note)
 
 
 def _image_size(left: Images, right: Images) -> Size:

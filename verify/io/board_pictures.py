@@ -1,24 +1,16 @@
-"""Board pictures as users keep them: any names, several formats, partners found by their names."""
+"""Picture files of a board: listed in natural order, matched left to right by name, decoded."""
 
 import re
 from collections.abc import Callable, Generator
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from verify.core.records import Image
 from verify.errors import InputError
-from verify.io.files import read_bytes, system_refusal
-from verify.io.video import Images, png_intact
+from verify.io.files import refused_as_input_error
+from verify.io.video import Images, decode_picture
 
 PICTURE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 
-_FLAGS = (
-    cv2.IMREAD_ANYCOLOR
-    | cv2.IMREAD_ANYDEPTH
-    | cv2.IMREAD_IGNORE_ORIENTATION  # a calibration holds for the sensor's own rows and columns
-)
 _REMEDY = "Take or copy it again, or delete it together with its partner."
 _SIDE = re.compile(r"left|right", re.IGNORECASE)
 
@@ -41,25 +33,7 @@ class PictureFiles(Images):
             InputError: one is damaged, no picture, or deeper than 8 bits.
         """
         for file in self.files:
-            yield decode(file)
-
-
-def decode(file: Path) -> Image:
-    """Decode one picture: (h, w) grey where the file is grey, else (h, w, 3) BGR.
-
-    Raises:
-        InputError: it cannot be read, is damaged, no picture, or deeper than 8 bits.
-    """
-    data = read_bytes(file)
-    image = None
-    if file.suffix.lower() != ".png" or png_intact(data):  # libpng fills a hole without a word
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
-    if image is None:
-        raise InputError(file, "is damaged or no picture", "", _REMEDY)
-    if image.dtype != np.uint8:
-        found = f"has {8 * image.dtype.itemsize} bits a sample"
-        raise InputError(file, found, "8 are expected", "Convert it, or set the camera to 8 bits.")
-    return np.asarray(image, dtype=np.uint8)
+            yield decode_picture(file, "picture", _REMEDY)
 
 
 def list_pictures(folder: Path, start: str = "") -> list[Path]:
@@ -68,7 +42,7 @@ def list_pictures(folder: Path, start: str = "") -> list[Path]:
     Raises:
         InputError: the system refuses the folder.
     """
-    try:
+    with refused_as_input_error(folder):
         files = [
             file
             for file in folder.iterdir()
@@ -77,17 +51,15 @@ def list_pictures(folder: Path, start: str = "") -> list[Path]:
             and not file.name.startswith(".")
             and file.is_file()
         ]
-    except OSError as error:
-        raise system_refusal(folder, error) from error
     return sorted(files, key=_natural)
 
 
 def match_pictures(left: list[Path], right: list[Path]) -> tuple[list[Path], list[Path]]:
-    """Bring the pictures of both sides into step.
+    """Order the pictures of both sides so that the n-th of both belong together.
 
     Partners have equal names, or names that are equal without the words left and right, or the
-    same last number; the first of these rules that fits any names is held to. Where none does,
-    the n-th left one belongs to the n-th right one.
+    same last number; the first rule that fits any names is used for all. Where none fits, the
+    given order counts.
 
     Raises:
         InputError: a picture without a partner; names it.
@@ -96,12 +68,14 @@ def match_pictures(left: list[Path], right: list[Path]) -> tuple[list[Path], lis
         lefts, rights = _index_by(left, rule), _index_by(right, rule)
         if lefts is None or rights is None or not lefts.keys() & rights.keys():
             continue
-        for ours, theirs, others in ((lefts, rights, right), (rights, lefts, left)):
-            alone = [file for key, file in ours.items() if key not in theirs]
+        for side, other in ((lefts, rights), (rights, lefts)):
+            alone = [file for key, file in side.items() if key not in other]
             if alone:
                 more = f" (nor have {len(alone) - 1} more)" if len(alone) > 1 else ""
-                found = f"has no partner among {len(others)} pictures of the other side{more}"
-                expected = f"partners bear one name or number, like {_example(lefts, rights)}"
+                found = f"has no partner among {len(other)} pictures of the other side{more}"
+                key = next(key for key in lefts if key in rights)
+                example = f"{lefts[key].name} and {rights[key].name}"
+                expected = f"partners bear one name or number, like {example}"
                 raise InputError(alone[0], found, expected, "Add the missing one or delete it.")
         return left, [rights[rule(file)] for file in left]
     if len(left) != len(right):
@@ -113,14 +87,9 @@ def match_pictures(left: list[Path], right: list[Path]) -> tuple[list[Path], lis
 
 
 def _index_by(files: list[Path], rule: Callable[[Path], str]) -> dict[str, Path] | None:
-    """Look files up by what a rule makes of their names; None where that does not tell them."""
+    """Files by the key that a rule makes of their names; None where keys are equal or empty."""
     keyed = {rule(file): file for file in files}
     return keyed if len(keyed) == len(files) and "" not in keyed else None
-
-
-def _example(lefts: dict[str, Path], rights: dict[str, Path]) -> str:
-    key = next(key for key in lefts if key in rights)
-    return f"{lefts[key].name} and {rights[key].name}"
 
 
 def _stem(file: Path) -> str:

@@ -1,4 +1,4 @@
-"""OUT of `verify run`: reports, summary, table a pair, and all that is needed to report again."""
+"""Write and read a report folder: reports, summary.json, and the tables they are rendered from."""
 
 import json
 from pathlib import Path
@@ -38,38 +38,36 @@ def refuse_file(path: Path, *, force: bool) -> None:
 
 
 def write_results(results: Results, out: Path, *, force: bool) -> None:
-    """Write everything that `verify run` promises; whole or not at all.
+    """Write the output of `verify run`: a report folder, and frames.csv with a row a pair.
 
     Raises:
-        InputError: the folder cannot be written.
+        InputError: the folder cannot be written; nothing is left of it then.
     """
-    with write_folder_whole(out, force) as folder:
-        _write_report_folder(results, folder)
-        results.tables["frames"].to_csv(
-            folder / "frames.csv", index=False, float_format="%.6f", lineterminator="\n"
-        )
+    write_report_folder(results, out, force=force, frames=True)
 
 
-def write_report_folder(results: Results, out: Path, *, force: bool) -> None:
-    """Write reports, summary.json and what they are made of; whole or not at all.
+def write_report_folder(results: Results, out: Path, *, force: bool, frames: bool = False) -> None:
+    """Write reports, summary.json and what they are rendered from; frames.csv with `frames`.
 
     Raises:
-        InputError: the folder cannot be written.
+        InputError: the folder cannot be written; nothing is left of it then.
     """
     with write_folder_whole(out, force) as folder:
-        _write_report_folder(results, folder)
-
-
-def _write_report_folder(results: Results, folder: Path) -> None:
-    try:
-        reports.write(results, folder / RESULTS)
-    except ReportError as problem:
-        if isinstance(problem.__cause__, OSError):  # a full disk, say: worded where files are
-            raise problem.__cause__ from None
-        raise
-    text = json.dumps(to_json_value(results.summary), indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    write_reports(results, folder)
+        try:
+            reports.write(results, folder / RESULTS)
+        except ReportError as error:
+            if isinstance(error.__cause__, OSError):  # such as a full disk: `files` words it
+                raise error.__cause__ from None
+            raise
+        summary = to_json_value(results.summary)
+        text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
+        (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+        write_reports(results, folder)
+        if frames:
+            table = results.tables["frames"]
+            table.to_csv(
+                folder / "frames.csv", index=False, float_format="%.6f", lineterminator="\n"
+            )
 
 
 def write_reports(results: Results, folder: Path) -> None:
@@ -86,7 +84,5 @@ def read_results(out: Path) -> Results:
     """
     try:
         return reports.read(out / RESULTS)
-    except ReportError as problem:
-        raise InputError(
-            problem.place, problem.found, problem.expected, problem.remedy
-        ) from problem
+    except ReportError as error:
+        raise InputError(error.place, error.found, error.expected, error.remedy) from error

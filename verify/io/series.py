@@ -1,4 +1,4 @@
-"""frames.csv and encoders.csv: degrees in the file, checked arrays in s and rad inside."""
+"""Read frames.csv and encoders.csv: checked arrays in s and rad; the files hold degrees."""
 
 import codecs
 import csv
@@ -24,7 +24,7 @@ _REMEDY = "Delete the row or export again."
 
 @dataclass(frozen=True, slots=True)
 class FrameSeries:
-    """When each stereo pair was taken, and how the bases were turned."""
+    """Instants of the stereo pairs, and the pan angles of both bases."""
 
     t_left: Array  # (n,), s, cameras' clock, mid-exposure, strictly increasing
     t_right: Array  # (n,), s
@@ -37,12 +37,8 @@ class FrameSeries:
 
     def first(self, count: int) -> "FrameSeries":
         """Keep the first pairs alone."""
-        return FrameSeries(
-            self.t_left[:count],
-            self.t_right[:count],
-            self.pan_left[:count],
-            self.pan_right[:count],
-        )
+        series = (self.t_left, self.t_right, self.pan_left, self.pan_right)
+        return FrameSeries(*(values[:count] for values in series))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +74,7 @@ def read_frames(
     optional = tuple(name for name in ("pan_left_deg", "pan_right_deg") if name in table.header)
     columns = table.columns(required + optional)
     count = len(columns["frame"])
-    wrong = np.flatnonzero(columns["frame"] != np.arange(count))
-    if len(wrong):
-        row = int(wrong[0])
-        found = f"frame is {columns['frame'][row]:g}"
-        raise table.fault(row, found, f"{row} is expected, counted from 0 in step with the images")
+    table.require_counting(columns["frame"], "images")
     for name in ("t_left_s", "t_right_s"):
         table.require_rising(name, columns[name])
     turned = [
@@ -110,21 +102,20 @@ def read_encoders(
     """
     table, warnings = open_table(Path(path), torn)
     wanted = tuple(f"q{joint}_deg" for joint in range(1, joints + 1))
-    there = [name for name in table.header if _JOINT.fullmatch(name)]
-    if there and (len(there) < joints or set(there) - set(wanted)):
-        found = f"has {len(there)} joint columns, {there[0]} to {there[-1]}"
+    present = [name for name in table.header if _JOINT.fullmatch(name)]
+    if present and (len(present) < joints or set(present) - set(wanted)):
+        found = f"has {len(present)} joint columns, {present[0]} to {present[-1]}"
         remedy = "Export every joint, or name the right robot in session.toml."
         raise InputError(f"{path}, line 1", found, f"the robot has {joints} joints", remedy)
     columns = table.columns(("t_s", *wanted))
     table.require_rising("t_s", columns["t_s"])
-    return EncoderSeries(
-        columns["t_s"], np.deg2rad(np.stack([columns[n] for n in wanted], -1))
-    ), warnings
+    q = np.deg2rad(np.stack([columns[name] for name in wanted], axis=-1))
+    return EncoderSeries(columns["t_s"], q), warnings
 
 
 @dataclass(frozen=True, slots=True)
-class _CsvTable:
-    """A CSV file's bytes and header, and where to point when something in it is wrong."""
+class CsvTable:
+    """A CSV file's bytes and header; its refusals name the line."""
 
     path: Path
     data: bytes
@@ -139,21 +130,30 @@ class _CsvTable:
         for name in names:
             if self.header.count(name) != 1:
                 found = f"has {'two columns' if name in self.header else 'no column'} {name}"
-                raise InputError(
-                    f"{self.path}, line 1",
-                    found,
-                    f"expected are {', '.join(names)}",
-                    f"Name the column in the first line.{did_you_mean(name, tuple(self.header))}",
-                )
+                expected = f"expected are {', '.join(names)}"
+                hint = did_you_mean(name, tuple(self.header))
+                remedy = f"Name the column in the first line.{hint}"
+                raise InputError(f"{self.path}, line 1", found, expected, remedy)
         places = {name: self.header.index(name) for name in names}
         parsed = self._parsed_fast(places)
         if parsed is None:
-            parsed = self._parsed_with_care(places)
+            parsed = self._parsed_by_row(places)
         if not len(parsed[names[0]]):
-            raise InputError(
-                self.path, "has no rows below its header", "", "Record or export it again."
-            )
+            remedy = "Record or export it again."
+            raise InputError(self.path, "has no rows below its header", "", remedy)
         return parsed
+
+    def require_counting(self, frame: Array, streams: str) -> None:
+        """Refuse frame numbers that do not count the `streams` (images, pictures) from 0.
+
+        Raises:
+            InputError: names the first line with another number.
+        """
+        wrong = np.flatnonzero(frame != np.arange(len(frame)))
+        if len(wrong):
+            row = int(wrong[0])
+            expected = f"{row} is expected, counted from 0 in step with the {streams}"
+            raise self.fault(row, f"frame is {frame[row]:g}", expected)
 
     def require_rising(self, name: str, times: Array) -> None:
         """Refuse times that do not rise strictly.
@@ -168,12 +168,12 @@ class _CsvTable:
             raise self.fault(row, found, "times rise strictly", "Sort the rows and delete repeats.")
 
     def fault(self, row: int, found: str, expected: str, remedy: str = _REMEDY) -> InputError:
-        """Word a complaint about a row, counted from 0, by the line that an editor shows."""
+        """Word a refusal of a row, counted from 0, by its line number in the file."""
         line = next(line for index, (line, _) in enumerate(self._rows()) if index == row)
         return InputError(f"{self.path}, line {line}", found, expected, remedy)
 
     def _parsed_fast(self, places: dict[str, int]) -> dict[str, Array] | None:
-        """Let Arrow parse a clean file; None if anything in it wants a closer look."""
+        """Parse a clean file by Arrow; None if any cell or row is irregular."""
         numbered = [str(place) for place in range(len(self.header))]  # its own names may repeat
         wanted = [str(place) for place in places.values()]
         try:
@@ -191,8 +191,8 @@ class _CsvTable:
         parsed = {name: table[str(place)].to_numpy() for name, place in places.items()}
         return parsed if all(np.isfinite(column).all() for column in parsed.values()) else None
 
-    def _parsed_with_care(self, places: dict[str, int]) -> dict[str, Array]:
-        """Parse row by row, to point at the first cell that is no number."""
+    def _parsed_by_row(self, places: dict[str, int]) -> dict[str, Array]:
+        """Parse row by row; a refusal names the first cell that is no number."""
         rows = []
         for line, cells in self._rows():
             if len(cells) != len(self.header):
@@ -227,7 +227,7 @@ class _CsvTable:
             raise InputError(place, f"is not CSV: {error}", "", "Export it again.") from error
 
 
-def open_table(path: Path, torn: bool) -> tuple[_CsvTable, tuple[str, ...]]:
+def open_table(path: Path, torn: bool) -> tuple[CsvTable, tuple[str, ...]]:
     """Read a CSV file's header and rows; the warnings name a last row that was cut off."""
     data = read_bytes(path)
     warnings: tuple[str, ...] = ()
@@ -239,17 +239,17 @@ def open_table(path: Path, torn: bool) -> tuple[_CsvTable, tuple[str, ...]]:
         if whole != data:
             warnings = (one_line(f"{path}: the last line was cut off and is left out."),)
         data = whole
-    return _CsvTable(path, data, _header(path, data)), warnings
+    return CsvTable(path, data, _header(path, data)), warnings
 
 
 def _header(path: Path, data: bytes) -> list[str]:
-    """Name the columns that the first line names."""
+    """Read the column names in the first line."""
     first = re.split(rb"[\r\n]", data, maxsplit=1)[0].decode(errors="replace")
     place = f"{path}, line 1"
-    for separator, said in ((";", "semicolons"), ("\t", "tabs")):
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if separator in first and "," not in first:
             expected = "commas between cells and decimal points are expected"
-            raise InputError(place, f"separates by {said}", expected, "Export it again that way.")
+            raise InputError(place, f"separates by {name}", expected, "Export it again that way.")
     names = [name.strip() for name in next(csv.reader([first]), [])]
     if all(math.isfinite(_number(name)) for name in names):
         found = "holds numbers" if names else "is empty"
@@ -258,7 +258,7 @@ def _header(path: Path, data: bytes) -> list[str]:
 
 
 def _number(cell: str) -> float:
-    """Parse a cell; NaN for what is no number (Python alone takes `1_000` for one)."""
+    """Parse a cell; NaN for what is no number, `1_000` included, which Python takes for one."""
     try:
         return float(cell) if "_" not in cell else math.nan
     except ValueError:

@@ -1,9 +1,8 @@
-"""One camera's images in their order, out of a video or a folder of numbered PNGs.
+"""Decode one camera's images in order, from a video or a folder of numbered PNGs, and check them.
 
-Is an image as it was recorded? The checksums that PNG and FFV1 carry, which decoders ignore.
-
-OpenCV hands out a damaged FFV1 picture without a word (the decoder fills the hole with what the
-picture before showed there), so an LED would stand where it no longer is.
+PNG and FFV1 carry checksums, which decoders ignore: OpenCV returns a damaged FFV1 picture without
+an error, its hole filled from the picture before, so an LED would appear where it no longer is.
+They are checked here.
 """
 
 import os
@@ -22,7 +21,7 @@ import numpy as np
 
 from verify.core.records import Image
 from verify.errors import InputError
-from verify.io.files import read_bytes, require_file, system_refusal
+from verify.io.files import read_bytes, refused_as_input_error, require_file
 
 _SLICE_FOOTER = 8  # bytes: slice size (3), error status (1), CRC-32 (4)
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -68,19 +67,22 @@ def png_intact(data: bytes) -> bool:
     return False
 
 
-# a bad file gets our one line, not a dozen of ffmpeg's; read when OpenCV opens its first video
+# a bad file is refused in one line, without ffmpeg's own; read when OpenCV opens its first video
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
-BATCH_IMAGES = 8  # images decoded at once on either side where no thread does it; 1280 x 720: 15 MB
-PREFETCH_IMAGES = (
-    4  # images decoded in advance on either side: hides a slow one, holds a few megabytes
-)
+BATCH_IMAGES = 8  # a side, decoded at once where no thread does it; 1280 x 720: 15 MB
+PREFETCH_IMAGES = 4  # a side, decoded in advance by a thread: hides a slow one
 
 _NUMBERED = re.compile(r"\d+\.png")
 _GREY = b"Y800"  # ffmpeg's names of pixel formats, as OpenCV hands them out
 _DEEP_GREY = b"Y1\0"  # followed by the number of bits
 _REMEDY = "Record or copy it again."
+_FLAGS = (
+    cv2.IMREAD_ANYCOLOR
+    | cv2.IMREAD_ANYDEPTH
+    | cv2.IMREAD_IGNORE_ORIENTATION  # a calibration holds for the sensor's own rows and columns
+)
 
 
 class Images(ABC):
@@ -95,7 +97,7 @@ class Images(ABC):
 
         Args:
             torn: the recording was cut off: count those before the first that is missing or
-                damaged, instead of complaining of it. Decodes them all.
+                damaged, instead of refusing it. Decodes them all.
 
         Raises:
             InputError: it cannot be opened; unless `torn`, an image is missing or damaged.
@@ -162,32 +164,28 @@ class NumberedImages(Images):
 
     def count(self, torn: bool = False) -> int:
         """Count the images; none may be missing in between."""
-        try:
+        with refused_as_input_error(self.path):
             names = sorted(e.name for e in self.path.iterdir() if _NUMBERED.fullmatch(e.name))
-        except OSError as error:
-            raise system_refusal(self.path, error) from error
         if torn:
-            return sum(1 for _ in self._readable())
+            count = 0
+            with suppress(InputError):
+                for _ in self.images():
+                    count += 1
+            return count
         for number in range(max(len(names), 1)):
             if _name(number) not in names:
-                found = f"has no {_name(number)}"
-                expected = f"it holds {len(names)} numbered images" + (
-                    f" up to {names[-1]}" if names else ""
-                )
+                last = f" up to {names[-1]}" if names else ""
+                expected = f"it holds {len(names)} numbered images{last}"
                 remedy = "Number them from 000000.png on, without a gap."
-                raise InputError(self.path, found, expected, remedy)
+                raise InputError(self.path, f"has no {_name(number)}", expected, remedy)
         return len(names)
 
     def images(self) -> Generator[Image]:
         """Decode the images; grey where the file is grey, else BGR without alpha."""
         number = 0
         while (file := self.path / _name(number)).exists():
-            yield _decode(file)
+            yield decode_picture(file, "PNG", _REMEDY)
             number += 1
-
-    def _readable(self) -> Iterator[Image]:
-        with suppress(InputError):
-            yield from self.images()
 
 
 def open_images(path: Path) -> Images:
@@ -196,72 +194,80 @@ def open_images(path: Path) -> Images:
 
 
 def decode_in_step(left: Images, right: Images, count: int) -> Generator[tuple[Image, Image]]:
-    """Decode both sides in step, either in a thread of its own and a few images ahead.
+    """Decode both sides in step, each in a thread of its own, a few images ahead.
 
-    Where this process has but one processor's time, threads would only take it from each other;
-    but several images after each other, and then what is done with them, take less time than turn
-    and turn about, for each finds its own code and tables in the processor's cache.
+    In a process of one thread a few images of a side are decoded at once instead: code and tables
+    of the decoder then stay in the processor's cache.
 
     Args:
         left: one side.
         right: the other.
-        count: how many images are asked of both.
+        count: how many images of each.
 
     Raises:
         InputError: a side ends early or an image of it cannot be decoded.
     """
-    draw = _in_batches if cv2.getNumThreads() == 1 else _prefetched
-    with closing(draw(left, count)) as lefts, closing(draw(right, count)) as rights:
+    decode = _in_batches if cv2.getNumThreads() == 1 else _prefetched
+    with closing(decode(left, count)) as lefts, closing(decode(right, count)) as rights:
         yield from zip(lefts, rights, strict=True)
 
 
 def _in_batches(side: Images, count: int) -> Generator[Image]:
-    """Draw images when they are asked for, `BATCH_IMAGES` at once."""
+    """Decode `BATCH_IMAGES` at once, when the first of them is needed."""
     with closing(side.images()) as images:
         for number in range(0, count, BATCH_IMAGES):
-            wanted = min(BATCH_IMAGES, count - number)
-            drawn = deque(islice(images, wanted))
-            got = len(drawn)
-            while drawn:
-                yield drawn.popleft()  # not held here any longer
-            if got < wanted:
-                raise _length_refusal(side, number + got, count)
-
-
-def _length_refusal(side: Images, number: int, count: int) -> InputError:
-    return InputError(side.path, f"only {number} of {count} images can be decoded", "", _REMEDY)
+            size = min(BATCH_IMAGES, count - number)
+            batch = deque(islice(images, size))
+            decoded = len(batch)
+            while batch:
+                yield batch.popleft()  # no longer referenced here
+            if decoded < size:
+                raise _length_refusal(side, number + decoded, count)
 
 
 def _prefetched(side: Images, count: int) -> Generator[Image]:
-    """Draw images in a thread (OpenCV releases the interpreter's lock), `PREFETCH_IMAGES` of the caller."""
+    """Decode in a thread, `PREFETCH_IMAGES` ahead; OpenCV releases the interpreter's lock."""
     images = side.images()
     pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="decode")
     try:
-        drawn = deque(pool.submit(next, images, None) for _ in range(min(PREFETCH_IMAGES, count)))
+        ahead = deque(pool.submit(next, images, None) for _ in range(min(PREFETCH_IMAGES, count)))
         for number in range(count):
-            image = drawn.popleft().result()
+            image = ahead.popleft().result()
             if image is None:
                 raise _length_refusal(side, number, count)
             if number + PREFETCH_IMAGES < count:
-                drawn.append(pool.submit(next, images, None))
+                ahead.append(pool.submit(next, images, None))
             yield image
     finally:  # also when the caller stops early: no thread and no open file outlives the loop
         pool.shutdown(wait=True, cancel_futures=True)
         images.close()
 
 
+def _length_refusal(side: Images, number: int, count: int) -> InputError:
+    return InputError(side.path, f"only {number} of {count} images can be decoded", "", _REMEDY)
+
+
 def _name(number: int) -> str:
     return f"{number:06d}.png"
 
 
-def _decode(file: Path) -> Image:
+def decode_picture(file: Path, kind: str, remedy: str) -> Image:
+    """Decode a picture file: (h, w) grey where the file is grey, else (h, w, 3) BGR.
+
+    Args:
+        file: of any format that OpenCV reads.
+        kind: its name in a refusal.
+        remedy: what to do about a damaged one.
+
+    Raises:
+        InputError: it cannot be read, is damaged, no picture, or deeper than 8 bits.
+    """
     data = read_bytes(file)
     image = None
-    if png_intact(data):  # else libpng would print a line of its own
-        flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    if file.suffix.lower() != ".png" or png_intact(data):  # libpng fills a hole without an error
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
     if image is None:
-        raise InputError(file, "is damaged or no PNG", "", _REMEDY)
+        raise InputError(file, f"is damaged or no {kind}", "", remedy)
     if image.dtype != np.uint8:
         raise _depth_refusal(file, 8 * image.dtype.itemsize)
     return np.asarray(image, dtype=np.uint8)

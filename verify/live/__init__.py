@@ -1,1 +1,1 @@
-"""A moving robot watched: station, intake, alarms, recording, the web page."""
+"""Live monitoring of a moving robot: station, intake, alarms, recording, web page."""

@@ -1,9 +1,4 @@
-"""The latest encoder readings: kept, looked up, waited for.
-
-Readings as arrays while more come: the latest are had without going through them one by one.
-
-How the camera bases stand at an instant.
-"""
+"""Buffers of the latest encoder readings and base angles: look up an instant, or wait for it."""
 
 import threading
 import time
@@ -71,12 +66,8 @@ class ReadingSeries:
 
 
 READING_SPAN = 90.0  # s of readings: the clock's window and its margins
-INTERPOLATION_SPAN = (
-    0.7  # s before an instant that its reading is interpolated from, with room for its speed
-)
-MIN_INTERPOLATION_READINGS = (
-    6  # readings, however slow: what a curve misses shows by those beside it
-)
+INTERPOLATION_SPAN = 0.7  # s before an instant that interpolation and speed need
+MIN_INTERPOLATION_READINGS = 6  # readings, however slow: neighbours show what a curve misses
 ARRIVAL_SPAN = 30.0  # s over which the quickest delivery is looked for
 
 

@@ -1,10 +1,8 @@
-"""Keeps the controller's clock while the robot moves: a window of pairs every few seconds.
+"""The controller's clock against the cameras', estimated from windows of pairs during the run.
 
-The controller's clock against the cameras', estimated while the robot moves.
-
-Offsets come from the motion, a window at a time (verify.analysis.clock); a line through them, whose slope
-no crystal exceeds, carries them to now. Until the motion has shown an offset, readings are taken
-to be as old as the quickest delivery makes them.
+Each window gives an offset (verify.analysis.clock); a line through the offsets, whose slope no
+crystal exceeds, extrapolates them to now. Until the motion has determined an offset, readings are
+taken to be as old as the quickest delivery makes them.
 """
 
 import math
@@ -146,15 +144,9 @@ ESTIMATE_PERIOD = 3.0  # s from one estimate to the next
 MIN_PAIRS = 40  # pairs, and
 MIN_SPAN = 3.0  # s, below which a motion shows little
 READING_MARGIN = 6.0  # s of readings on either side: half a window of offsets is searched
-MAX_CAMERA_DELAY = (
-    0.5  # s: pictures may be stamped so much late; a reading is never older than that
-)
-MAX_DELIVERY_DELAY = (
-    5.0  # s: no line, and no program that writes in lumps, is always later than that
-)
-MAX_OFFSET_DIFFERENCE = (
-    0.05  # s: of several offsets that fit a periodic motion, one this near the known one
-)
+MAX_CAMERA_DELAY = 0.5  # s by which pictures may be stamped late; no reading is older
+MAX_DELIVERY_DELAY = 5.0  # s: no line, and no program that writes in lumps, is always later
+MAX_OFFSET_DIFFERENCE = 0.05  # s: of several offsets of a periodic motion, one near the known one
 ESTIMATE_TIMEOUT = 20.0  # s for an estimate; a machine that is so busy gets none
 
 ClockRequest = tuple[Track, robots.Arm, Readings]

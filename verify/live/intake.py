@@ -1,4 +1,4 @@
-"""Threads that take what devices give: one a device, so that none can stall another."""
+"""One polling thread for each device, so that none can stall another, and the queue of pairs."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""Measured pairs set against the encoders: the recorded session's own steps, each row by itself."""
+"""Compare measured pairs with the encoders, each by itself, by the steps of `verify.analysis`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

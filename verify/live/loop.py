@@ -11,7 +11,7 @@ import numpy as np
 
 import robots
 from verify.core.records import Array, Measurement, StereoPair
-from verify.devices.protocols import CameraDevice, CapturedPair, EncoderDevice, PanDevice
+from verify.devices.protocols import CameraState, CapturedPair, Device, DeviceState
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
 from verify.live.alarms.loss import DeviceWatch, TargetWatch
 from verify.live.bracketing import (
@@ -39,10 +39,6 @@ ExpectedPoses = Callable[[float], Sequence[Array]]
 MAX_PAIRS_IN_PROGRESS = 8  # pairs between the cameras and the comparison, at most
 
 
-def _no_preparation(_pair: StereoPair) -> None:
-    """Prepare nothing."""
-
-
 @dataclass(frozen=True, slots=True)
 class LoopSettings:
     """How a run goes."""
@@ -52,19 +48,32 @@ class LoopSettings:
     until_program_ends: bool = True  # of the robot, where its controller tells
 
 
+def _no_preparation(_pair: StereoPair) -> None:
+    """Prepare nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopComputation:
+    """What other processes compute for the loop."""
+
+    estimate_clock: Estimator
+    measure: Callable[[Iterator[StereoPair], ExpectedPoses], Iterator[Measurement]] | None = None
+    prepare: Callable[[StereoPair], None] = (
+        _no_preparation  # called with a pair that is being recorded
+    )
+
+
 class LiveLoop:
     """Watches a robot.
 
     Args:
-        subject: what is known of it.
-        devices: what looks at it. They are closed at the end.
-        recorder: keeps the evidence. It is closed at the end.
-        plan: how the run goes.
-        estimator: estimates the clock; in another process, as it takes longer than a picture.
-        listeners: are told every row and alarm, in this loop's threads: they must not wait.
-        measuring: the chain, where it runs elsewhere: pairs, and what the readings suggest.
-        state: where it is told how things are; made here unless lookers-on have it already.
-        prepare: is shown each pair while it is being recorded, before it is to be measured.
+        subject: the robot and the cameras.
+        devices: open; the loop closes them.
+        recorder: open; the loop closes it.
+        plan: duration and alarm limits.
+        computation: None for `measure`: pairs are measured in a thread of the loop.
+        listeners: called with every row and alarm in the loop's threads: they must not wait.
+        state: where the loop writes its state; None makes one.
     """
 
     def __init__(
@@ -73,18 +82,17 @@ class LiveLoop:
         devices: LiveDevices,
         recorder: Recorder,
         plan: LoopSettings,
-        estimator: Estimator,
+        computation: LoopComputation,
         listeners: Sequence[Listener] = (),
-        measuring: Callable[[Iterator[StereoPair], ExpectedPoses], Iterator[Measurement]]
-        | None = None,
         state: LiveState | None = None,
-        prepare: Callable[[StereoPair], None] = _no_preparation,
     ) -> None:
         self.state = LiveState() if state is None else state
         self._subject, self._devices, self._recorder = subject, devices, recorder
         self._plan, self._listeners = plan, listeners
         self._book, self._pan = ReadingBuffer(), PanBuffer()
-        self._keeper = ClockKeeper(subject.arm, subject.rig, self._book, subject.clock, estimator)
+        self._keeper = ClockKeeper(
+            subject.arm, subject.rig, self._book, subject.clock, computation.estimate_clock
+        )
         self._queue = PairQueue(Pairing())
         follows = devices.turn is not None
         self._follower = PanFollower(subject.rig, subject.marker) if follows else None
@@ -94,8 +102,8 @@ class LiveLoop:
         self._joints = JointAlarms(subject.arm.dof, plan.limits, numbers)
         self._target = TargetWatch(plan.limits.lost_after, numbers)
         self._lost = DeviceWatch(SILENCE_TIMEOUT, numbers)
-        self._measuring = self._here if measuring is None else measuring
-        self._prepare = prepare
+        self._measuring = computation.measure or self._here
+        self._prepare = computation.prepare
         self._arrivals: dict[float, tuple[float, float, StereoPair]] = {}
         self._measured: deque[MeasuredPair] = deque()
         self._wake = threading.Condition()
@@ -184,10 +192,8 @@ class LiveLoop:
             pump.stop()
             pump.join(JOIN_TIMEOUT)
         self._recorder.close()
-        for device in (self._devices.left, self._devices.right, self._devices.encoders):
+        for device in self._named().values():
             device.close()
-        if self._devices.pan is not None:
-            self._devices.pan.close()
         for listener in self._listeners:
             listener.close()
 
@@ -327,7 +333,7 @@ class LiveLoop:
         t, now = time.monotonic(), time.time()
         alarms: list[Alarm] = []
         lines = [] if not final else list(self.state.snapshot().devices)
-        for name, device in () if final else self._named():
+        for name, device in () if final else self._named().items():
             said = device.state()
             silent = said.age is None or said.age > SILENCE_TIMEOUT
             lines.append(DeviceStatus(name, said.connected and not silent, said.sentence))
@@ -342,11 +348,11 @@ class LiveLoop:
         for alarm in alarms:
             self._raise(alarm)
 
-    def _named(self) -> list[tuple[str, CameraDevice | EncoderDevice | PanDevice]]:
+    def _named(self) -> dict[str, Device[object, DeviceState | CameraState]]:
         devices = self._devices
-        named: list[tuple[str, CameraDevice | EncoderDevice | PanDevice]] = [
-            ("left camera", devices.left),
-            ("right camera", devices.right),
-            ("encoders", devices.encoders),
-        ]
-        return named + ([("pan bases", devices.pan)] if devices.pan is not None else [])
+        named: dict[str, Device[object, DeviceState | CameraState]] = {
+            "left camera": devices.left,
+            "right camera": devices.right,
+            "encoders": devices.encoders,
+        }
+        return named if devices.pan is None else named | {"pan bases": devices.pan}

@@ -1,4 +1,4 @@
-"""Pictures of two cameras that run freely, brought together by time."""
+"""Pair the pictures of two free-running cameras by time."""
 
 from collections import Counter, deque
 from collections.abc import Iterable

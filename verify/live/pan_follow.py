@@ -1,4 +1,4 @@
-"""Where turning bases should look, so that the LEDs stay in view."""
+"""Angles for turning camera bases that keep the LEDs in view."""
 
 import math
 import threading

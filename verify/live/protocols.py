@@ -1,9 +1,5 @@
-"""What the loop needs of others, and no more.
+"""Protocols and records that the live loop shares with recorder, listeners and devices; alarms."""
 
-One alarm: what it is, whom it names, how it is told.
-"""
-
-import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -62,21 +58,16 @@ class Alarm:
         }
 
 
-AlarmNumbers = itertools.count  # alarms are numbered through, whoever raises them
-
-
 class RecorderState(Protocol):
     """How a recording is."""
 
     @property
     def recording(self) -> bool:
         """It goes on."""
-        ...
 
     @property
     def sentence(self) -> str:
         """What there is to say."""
-        ...
 
 
 class Recorder(Protocol):
@@ -86,23 +77,18 @@ class Recorder(Protocol):
         self, pairs: Iterator[StereoPair], meanwhile: Callable[[StereoPair], None]
     ) -> Iterator[StereoPair]:
         """Record pairs as they pass; the other is called while each is being written."""
-        ...
 
     def through(self, frame: int) -> None:
         """Note that the pair of that number is measured and compared."""
-        ...
 
     def reading(self, reading: EncoderReading) -> EncoderReading:
         """Record a reading; gives it as the recording has it."""
-        ...
 
     def state(self) -> RecorderState:
         """Say how the recording is."""
-        ...
 
     def close(self) -> None:
         """Write what is under way and close the session."""
-        ...
 
 
 class Listener(Protocol):
@@ -110,15 +96,12 @@ class Listener(Protocol):
 
     def row(self, row: JointRow, statistic: Array) -> None:
         """Take a pair's outcome; some may be left out when there are too many."""
-        ...
 
     def alarm(self, alarm: Alarm) -> None:
         """Take an alarm that is new, revised, or over."""
-        ...
 
     def close(self) -> None:
         """Nothing more will come."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,4 @@
-"""What is known right now, for whoever looks: terminal, page, metrics. Looking costs no pair.
-
-How long results take, as percentiles: of the last while, and of the whole run.
-"""
+"""The current state of a run for terminal, page and metrics, with percentiles of the latency."""
 
 import threading
 import time

@@ -1,9 +1,18 @@
-"""Left and right sightings, brought to the left camera's instant.
+"""Carry the spots of both cameras to one instant along their image velocities.
 
-The two pictures of a pair are not taken together, and with a rolling shutter not even one
-picture is: each spot has its own instant. It is carried to the pair's along its own image
-velocity, taken between this pair and its neighbour in time; what an acceleration would add is
-not known from two pairs and goes into the uncertainty (see pose.py).
+The pictures of a pair are not simultaneous, and with a rolling shutter each row has its own
+instant: t_i = t + (row - (height - 1) / 2) line_time. Model of spot i, with the neighbouring pair
+(instant t_i', centre z_i'):
+
+    v_i = (z_i - z_i') / (t_i - t_i')
+    z_i(t) = z_i + (t - t_i) v_i + h_i a_i
+
+    symbol  meaning                                                     unit
+    z_i     centre, (2,)                                                px
+    v_i     image velocity, (2,)                                        px/s
+    h_i     acceleration lever: error by one unit of acceleration       s²
+    a_i     image acceleration, unknown from two pairs; the pose fit
+            takes it as a rigid-body acceleration with a prior          px/s²
 """
 
 from dataclasses import dataclass, replace
@@ -21,7 +30,7 @@ TOL_INSTANT = 1e-9  # s, closer than any camera's clock
 
 @dataclass(frozen=True, slots=True)
 class RawSighting:
-    """One camera's LEDs as seen, each at its own instant."""
+    """One camera's LEDs, each at its own instant."""
 
     sighting: Sighting
     taken: Array  # (m,), s, the instant of each spot (differs by row with a rolling shutter)
@@ -29,7 +38,7 @@ class RawSighting:
 
 
 def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array:
-    """When each spot was taken, (m,) s: `t` is the middle row's instant."""
+    """Instants of the spots, (m,), s, by their rows; `t` is the middle row's instant."""
     rows: Array = centre[:, 1] - (height - 1) / 2
     return t + rows * camera.line_time
 
@@ -91,7 +100,7 @@ def _along_image_velocity(
 
 
 def _pan_compensated(raw: RawSighting, pan: float, camera: Camera) -> Array:
-    """Where the neighbour's spots would have been, had the base stood as it does now; (m, 2) px."""
+    """The neighbour's spots as the present pan angle would show them, (m, 2), px."""
     seen = raw.sighting
     if seen.pan == pan:
         return seen.centre

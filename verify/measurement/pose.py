@@ -1,12 +1,20 @@
-"""Sightings and marker to the flange's pose in the rig, by maximum likelihood on reprojection.
+"""Fit the flange's pose in the rig to the LED spots of both images by maximum likelihood.
 
-Triangulating each LED and fitting a rigid motion throws away most of what the pixels know about
-rotation; here all spots of both images are predicted from one pose, and the pose that makes them
-most likely is found by Gauss-Newton. An LED seen by one camera counts.
+Model of spot i of camera c, at the pair's instant:
 
-What alignment could not know, the acceleration between two pairs, is a rigid-body quantity: all
-spots that were moved share it. It is marginalised, so it correlates their errors instead of
-pretending to average out over LEDs.
+    z_i = project_c(camera_T_rig (R p_i + p)) + h_i J_i a + e_i,   e_i ~ N(0, S_i), px
+    step: R' = exp(phi) R,   p' = p + rho,   both in rig axes
+
+p_i is the LED in the flange frame, S_i the spot's covariance, J_i the derivative by the pose (2, 6)
+and h_i the acceleration lever, s², of alignment. Parameter vector of a step:
+
+    index  symbol  meaning                              unit
+    0-2    rho     translation of the flange, rig axes  m
+    3-5    phi     rotation vector, rig axes            rad
+
+The acceleration a, (6,) m/s² and rad/s², is unknown between two pairs and common to all spots of
+the rigid body: with a prior N(0, diag(sigma²)) it is marginalised, which correlates the spots'
+errors. An LED in one image alone counts. Spots that contradict the others are rejected one by one.
 """
 
 from collections.abc import Callable
@@ -42,9 +50,8 @@ class SightingStack:
     covariance: Array  # (s, 2, 2), px²
     velocity: Array  # (s, 2), px/s
     lever: Array  # (s,), s²
-    cameras: tuple[
-        tuple[Camera, Array, "slice[int, int | None, None]"], ...
-    ]  # camera, camera_T_rig, its spots
+    # camera, camera_T_rig, its spots
+    cameras: tuple[tuple[Camera, Array, "slice[int, int | None, None]"], ...]
     # each spot's camera, so that one pass serves both
     camera_R_rig: Array = field(init=False)  # (s, 3, 3)
     origin: Array = field(init=False)  # (s, 3), m, of the rig in the camera
@@ -72,7 +79,7 @@ class SightingStack:
 
     @property
     def places(self) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """What a prediction needs beside the pose."""
+        """Arguments of a prediction beside the pose."""
         return self.points, self.camera_R_rig, self.origin, self.lens, self.focal, self.middle
 
 
@@ -98,8 +105,8 @@ def fit_pose(
         marker: the LEDs in the flange frame.
         start: rig_T_flange to begin with, (4, 4). Directions that the LEDs do not determine
             keep its value.
-        doubt: how far rig and marker themselves may be off, which must not make an outlier of a
-            healthy spot; asked for where a spot looks like one. None: by a rough bound.
+        doubt: stated uncertainty of rig and marker as columns of the spots, which must not make an
+            outlier of a good spot; called where a spot looks like one. None: a rough bound alone.
 
     Returns:
         The pose with its covariance; spots that no pose explains with the rest are rejected.
@@ -149,7 +156,7 @@ def _concatenate(left: Array, right: Array) -> Array:
 
 
 def predict(views: SightingStack, rig_T_flange: Array) -> tuple[Array, Array, Array]:
-    """Where the spots should be, and how that changes with the pose.
+    """Predict the spots from a pose, with the derivatives.
 
     Returns:
         pixels (s, 2); their derivative by the point in the rig (s, 2, 3), px/m; and by the pose

@@ -1,9 +1,24 @@
-"""What does not average out: the stated uncertainties of rig, base and LEDs, and what they move.
+"""Systematic errors: stated uncertainties of rig, base and LEDs, carried to the measured pose.
 
-A parameter's sensitivity is the derivative of the measured pose by the value in the file, at
-fixed pictures. A small rotation acts on the left, in the axes of the frame that holds it
-(docs/session.md): the rig's for the robot base and pan axis, the turntable's for a mount, the
-flange's for the LED body.
+Model, first order, at fixed pictures, with a parameter's error d and the pose fit's gain G:
+
+    error of base_T_flange = C d,   C = -G dz/dd   (cameras, LEDs: z are the predicted spots)
+                                    C = -d(pose in base) / d(base in rig)   (robot base)
+    covariance = C V C^T,   V from rig.toml and marker.toml
+
+Parameter vector d, as named in the files, in SI units inside:
+
+    name                                            meaning                         unit
+    left|right.fx_px, fy_px, cx_px, cy_px           camera matrix                   px
+    left|right.k1, k2, p1, p2, k3                   lens                            1
+    left|right.pan_zero_deg                         zero of the pan scale           rad
+    left|right.pan_axis_r[xyz]_deg, pan_center_*    axis of the base, rig axes      rad, m
+    left|right.mount_[xyz]_mm, mount_r[xyz]_deg     camera on its turntable         m, rad
+    robot_base.[xyz]_mm, r[xyz]_deg                 robot base, rig axes            m, rad
+    body.[xyz]_mm, r[xyz]_deg                       LED body, flange axes           m, rad
+    led.NAME.[xyz]_mm, centre.NAME.[xyz]_mm         LED, its apparent centre        m
+
+A small rotation acts on the left, in the axes of the frame that holds it.
 """
 
 import re
@@ -37,11 +52,11 @@ class Systematics:
     pan: Array  # (2,), rad, standard uncertainty of each pan reading; nan where not stated
     uncounted: tuple[str, ...]  # sources that state no uncertainty and are taken as exact
     degrees_of_freedom: float = float("inf")
-    unknown: tuple[str, ...] = field(default=())  # parameter names that nobody here understands
+    unknown: tuple[str, ...] = field(default=())  # parameter names of no known form
 
 
 def stated_systematics(rig: Rig, marker: Marker, turning: bool) -> Systematics:
-    """Collect what rig.toml and marker.toml say of their own uncertainty.
+    """Collect the uncertainties that rig.toml and marker.toml state.
 
     Args:
         rig: the rig with its optional covariance.
@@ -188,7 +203,7 @@ def spot_columns(
     rig: Rig,
     marker: Marker,
 ) -> Array:
-    """Columns of unit variance: how what is stated moves the spots that a pose predicts.
+    """Columns of unit variance: predicted spots by the stated uncertainties.
 
     Args:
         parameters: stated; a robot base moves no spot.

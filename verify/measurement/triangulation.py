@@ -1,7 +1,16 @@
-"""Two sightings of one point: where it is in the rig.
+"""Triangulate points from two cameras' rays, and fit a rigid motion to point pairs.
 
-The start value of the pose fit and a cross-check of it, never the measurement: the point nearest
-both rays is not the one of least error in the images.
+Model, with optical centres a, b and ray directions u, w in the rig (m):
+
+    point = ((a + s u) + (b + t w)) / 2,   n = u × w
+    s = ((b - a) × w) · n / n²,   t = ((b - a) × u) · n / n²
+
+    symbol  meaning                               unit
+    s, t    depth of the nearest points on a ray  m (rays of unit depth)
+    gap     distance of the two nearest points    m
+
+It starts and checks the pose fit and is not the measurement: the midpoint does not minimise the
+error in the images.
 """
 
 import numpy as np
@@ -10,9 +19,7 @@ from verify.core.records import Array
 from verify.core.rig import Camera
 
 MIN_SIN2 = 1e-18  # squared sine of the angle between rays; 1e-9 rad puts a point 1e8 m away
-TOL_COLLINEAR = (
-    1e-6  # second over first singular value: below it points lie on a line but for rounding
-)
+TOL_COLLINEAR = 1e-6  # second over first singular value: below, points lie on one line
 
 
 def triangulate(

@@ -53,7 +53,7 @@ class PredictedView:
     apart: Flags  # (m, n), no other LED's image touches
 
     @property
-    def seen(self) -> Flags:
+    def visible(self) -> Flags:
         """All three, (m, n)."""
         return self.inside & self.facing & self.apart
 

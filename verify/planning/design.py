@@ -95,7 +95,7 @@ def geometry_columns(
 class DesignInformation:
     """Rows of n candidate poses, six each: of the requested parameters, and of everything else."""
 
-    asked: Array  # (n, 6, a), in units
+    requested: Array  # (n, 6, a), in units
     others: Array  # (n, 6, o): fitted or held
     prior: Array  # (a + o,), information that there is beforehand
 
@@ -119,22 +119,24 @@ def design_information(
         elif name != "offsets" or "kinematics" not in names:  # those hold the offsets
             one = fault_kind(name, model)
             columns += [part * one.scale for part in one.columns]
-    asked = np.concatenate(columns, axis=1)
+    requested = np.concatenate(columns, axis=1)
     size = np.linalg.norm(model.fitted, axis=0)
     fitted = model.fitted / np.where(size > 0, size, 1.0)
     # systematic errors are no better known for many pairs about a pose
-    rows = np.concatenate([asked, fitted, model.prior], axis=1) * np.sqrt(weight)
+    rows = np.concatenate([requested, fitted, model.prior], axis=1) * np.sqrt(weight)
     laid = np.zeros((len(model.comparison), 6, rows.shape[1]))
     place = np.concatenate([np.arange(len(f)) for f in model.white.factors])
     laid[model.white.pair, place] = rows
     prior = np.concatenate(
         [
-            np.full(asked.shape[1], PRIOR_SIGMA**-2),
+            np.full(requested.shape[1], PRIOR_SIGMA**-2),
             np.full(fitted.shape[1], PRIOR_SHARE),
             np.ones(model.prior.shape[1]),
         ]
     )
-    return DesignInformation(laid[:, :, : asked.shape[1]], laid[:, :, asked.shape[1] :], prior)
+    return DesignInformation(
+        laid[:, :, : requested.shape[1]], laid[:, :, requested.shape[1] :], prior
+    )
 
 
 def log_information(information: DesignInformation, chosen: list[int], times: float = 1.0) -> float:
@@ -145,8 +147,8 @@ def log_information(information: DesignInformation, chosen: list[int], times: fl
         chosen: which are visited.
         times: pairs of each pose, over those that the rows were weighted for.
     """
-    a = information.asked.shape[2]
-    rows = np.concatenate([information.asked[chosen], information.others[chosen]], axis=2)
+    a = information.requested.shape[2]
+    rows = np.concatenate([information.requested[chosen], information.others[chosen]], axis=2)
     flat = rows.reshape(-1, rows.shape[2])
     whole = np.diag(information.prior) + times * flat.T @ flat
     found = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(whole[a:, a:])[1]
@@ -156,7 +158,7 @@ def log_information(information: DesignInformation, chosen: list[int], times: fl
 def choose_poses(information: DesignInformation, count: int) -> list[int]:
     """Choose so many poses; which ones, (count,)."""
     chosen: list[int] = []
-    for _ in range(min(count, len(information.asked))):
+    for _ in range(min(count, len(information.requested))):
         chosen.append(_best(information, chosen))
     for _ in range(MAX_ROUNDS):
         changed = False
@@ -180,8 +182,8 @@ def _best(information: DesignInformation, chosen: list[int], standing: int | Non
 
 def _gain(information: DesignInformation, chosen: list[int]) -> Array:
     """What each pose adds to ln det of the requested, given everything else, (n,)."""
-    every = np.concatenate([information.asked, information.others], axis=2)
-    a = information.asked.shape[2]
+    every = np.concatenate([information.requested, information.others], axis=2)
+    a = information.requested.shape[2]
     whole = _added_information(every, every[chosen], information.prior)
     alone = _added_information(
         information.others, information.others[chosen], information.prior[a:]
@@ -195,5 +197,5 @@ def _added_information(rows: Array, chosen: Array, prior: Array) -> Array:
         return np.zeros(len(rows))
     flat = chosen.reshape(-1, rows.shape[2])
     inverse = np.linalg.inv(np.diag(prior) + flat.T @ flat)
-    seen = rows @ inverse @ np.swapaxes(rows, 1, 2)
-    return np.asarray(np.linalg.slogdet(np.eye(6) + seen)[1])
+    added = rows @ inverse @ np.swapaxes(rows, 1, 2)
+    return np.asarray(np.linalg.slogdet(np.eye(6) + added)[1])

@@ -230,14 +230,14 @@ class _SyntheticPairs:
         rig, marker = self._setup.rig, self._setup.marker
         camera = rig.right if side else rig.left
         view = self._view(side, t)
-        pixels, seen = view.pixels, view.seen
+        pixels, visible = view.pixels, view.visible
         if camera.line_time:
             height = rig.image_size[1]
             for led in range(len(marker)):
                 own = np.nan_to_num(pixels[:, led])
                 late = spot_instants(0.0, own, camera, height)
                 pixels[:, led] = self._view(side, t + late).pixels[:, led]
-        return [self._found(p[s]) for p, s in zip(pixels, seen, strict=True)]
+        return [self._found(p[s]) for p, s in zip(pixels, visible, strict=True)]
 
     def _found(self, centre: Array) -> Spots:
         n, sigma = len(centre), self._conditions.spot_noise

@@ -112,11 +112,11 @@ def predict_session(
             "the LEDs must be in both pictures and told apart",
             "Look at marker.toml: LEDs of different distances or colours are told apart.",
         )  # fmt: skip
-    asked = "kinematics" in request.observe
+    geometry = "kinematics" in request.observe
     return SessionPrediction(
         session,
         estimate_means(session, setup.arm),
         predict_faults(session.model, request.observe),
         predict_clock(session),
-        predict_geometry(setup, session.model) if asked else None,
+        predict_geometry(setup, session.model) if geometry else None,
     )

@@ -48,12 +48,12 @@ def pose_table(timed: TimedMotion) -> pd.DataFrame:
 
 def pair_table(predicted: SessionPrediction) -> pd.DataFrame:
     """Status and joint angles of each pair."""
-    seen = predicted.session
+    session = predicted.session
     columns: dict[str, Any] = {
-        "frame": np.arange(len(seen.t)),
-        "t_s": seen.t,
-        "status": [m.status for m in seen.measurements],
-        **_angles(seen.q),
+        "frame": np.arange(len(session.t)),
+        "t_s": session.t,
+        "status": [m.status for m in session.measurements],
+        **_angles(session.q),
     }
     return pd.DataFrame(columns)
 
@@ -151,7 +151,7 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         spots, arm, cameras, shown, sources.
     """
     predicted, timed = made.prediction, made.timed
-    seen = predicted.session
+    session = predicted.session
     summary: dict[str, Any] = {
         "format": 1,
         "kind": "plan",
@@ -160,7 +160,7 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         "robot_fingerprint": f"sha256:{origin.setup.arm.fingerprint}",
         "observe": list(origin.request.observe),
         "motion": _motion(timed, origin),
-        "pairs": _pairs(seen.measurements),
+        "pairs": _pairs(session.measurements),
         "candidates": {"tried": made.roadmap.tried, "excluded": made.roadmap.excluded},
         "conditions": _conditions(origin.conditions),
         "image_size": list(origin.setup.rig.image_size),
@@ -168,8 +168,8 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         "joint_error_correlation": _correlation(predicted.analysis.means.covariance),
         "clock": _clock(predicted),
         "geometry": None if predicted.geometry is None else _geometry(predicted.geometry),
-        "through_encoders": seen.model.through_encoders,
-        "uncounted": list(seen.systematics.uncounted),
+        "through_encoders": session.model.through_encoders,
+        "uncounted": list(session.systematics.uncounted),
         "inputs": dict(sorted(origin.inputs.items())),
         "warnings": list(origin.warnings),
     }
@@ -177,7 +177,7 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         "trajectory": trajectory_table(timed),
         "poses": pose_table(timed),
         "pairs": pair_table(predicted),
-        "spots": spot_table(seen.measurements, origin.setup),
+        "spots": spot_table(session.measurements, origin.setup),
         "arm": arm_table(timed, origin.setup),
         "cameras": camera_table(origin.setup),
         "shown": fault_table(predicted),
@@ -224,11 +224,11 @@ def _conditions(conditions: SessionConditions) -> dict[str, Any]:
 
 
 def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, Any]]:
-    means, seen = predicted.analysis.means, predicted.session
+    means, session = predicted.analysis.means, predicted.session
     visible = predicted.analysis.visibility
     spread = np.sqrt(np.diag(means.covariance))
     t = np.append(np.arange(0.0, timed.duration, PERIOD), timed.duration)
-    q, comparison = timed.q(t), seen.comparison
+    q, comparison = timed.q(t), session.comparison
     speed = np.abs(np.gradient(q, t, axis=0)).max(axis=0)
     upward = np.mean(comparison.direction > 0, axis=0)
     return [

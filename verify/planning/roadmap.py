@@ -165,10 +165,11 @@ def _no_posture_refusal(
 ) -> InputError:
     """Count what excludes the postures; the last constraint that does gives the remedy."""
     counts = {name: n for name, n in excluded.items() if n}
-    said = ", ".join(f"{n:,} by {name}" for name, n in counts.items())
+    excluded_by = ", ".join(f"{n:,} by {name}" for name, n in counts.items())
+    arm = constraints.setup.arm
     return InputError(
         "plan",
-        f"none of {tried:,} postures of {constraints.setup.arm.name} can be used: excluded {said}",
+        f"none of {tried:,} postures of {arm.name} can be used: excluded {excluded_by}",
         "poses are planned where both cameras see 3 LEDs and the arm is clear of everything",
         REMEDIES[list(counts)[-1]],
     )

@@ -82,7 +82,7 @@ class PoseSelection:
         """The motion through the best poses, and how much it tells: ln det of the information."""
         setup, request = self.constraints.setup, self.constraints.request
         rows = self.rows
-        part = DesignInformation(rows.asked[among], rows.others[among], rows.prior)
+        part = DesignInformation(rows.requested[among], rows.others[among], rows.prior)
         chosen = among[choose_poses(part, count)]
         stops = plan_tour(
             self.constraints, self.roadmap, self.node[chosen].tolist(), back=request.there_and_back
@@ -115,15 +115,15 @@ def predict_visits(
         ]
         return q
 
-    seen = simulate_session(setup, posture, visits, still, request.view_angle, rng)
-    if seen is None:
+    session = simulate_session(setup, posture, visits, still, request.view_angle, rng)
+    if session is None:
         raise InputError(
             "plan", f"the LEDs cannot be told apart in any of {len(visits)} postures",
             "an LED body without symmetry, or of several colours, can", "Change the marker.",
         )  # fmt: skip
     weight = _pairs(conditions, request.hold)
-    rows = design_information(setup, seen.model, request.observe, weight)
-    node = seen.track.frame[seen.comparison.index].astype(np.int64)
+    rows = design_information(setup, session.model, request.observe, weight)
+    node = session.track.frame[session.comparison.index].astype(np.int64)
     return PoseSelection(constraints, roadmap, conditions, rows, node)
 
 

@@ -1,8 +1,7 @@
-"""What a scenario file may say: one table of the file a class, every key with its unit.
+"""The tables of a scenario file, one a class, every key with its unit.
 
-`scenarios/example.toml` shows every key with its meaning; `library.py` reads files into these.
-
-What a scenario file with `[boards]` may say; `scenarios/boards_turning.toml` shows every key.
+`scenarios/example.toml` shows every key of a session, `scenarios/boards_turning.toml` of board
+pictures; `library.py` reads files into these classes.
 """
 
 from typing import Annotated, Literal

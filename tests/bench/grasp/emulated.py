@@ -31,10 +31,10 @@ from verify.simulation.cell.cell import RATE, CellWorld
 from verify.simulation.cell.scene import draw_scene
 from verify.simulation.cell.setup import ROBOT, SMALL_SIZE, cell_setup
 from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
-from verify.simulation.emulators.gripper_hand import NO_CONTACT, contact_positions
+from verify.simulation.emulators.hand import NO_CONTACT, contact_positions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 
 RIGHT = ExecutePermission("bench")
 ENDS = StopConditions(duration=90.0, patience=5.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from reports.calibration.check_figures import CHECK_FIGURES
+from reports.check.figures import CHECK_FIGURES
 from reports.format import matplotlib
 from tests.support.reports.page import Page, html_of, made_of
 

@@ -9,13 +9,13 @@ from matplotlib.colors import to_hex, to_rgb
 
 import reports
 from reports.calibration import document as calibration_document
-from reports.calibration import registration
 from reports.calibration.figures import CALIBRATION_FIGURES, arrows
-from reports.calibration.registration_evidence import REGISTRATION_FIGURES
 from reports.document import charts
 from reports.document.blocks import Bullets, Figure, Table, to_template_data
 from reports.document.charts import Chart, Line
 from reports.format import matplotlib, plotly
+from reports.registration import document as registration
+from reports.registration.evidence import REGISTRATION_FIGURES
 from reports.results import Results
 from tests.support.reports import calibration as made
 from tests.support.reports.page import coloured, document_of, luminance, made_of, strings

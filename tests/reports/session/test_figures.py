@@ -13,7 +13,7 @@ from reports.document import charts
 from reports.document.charts import Band, Chart, Line, Path
 from reports.format import matplotlib as format_matplotlib
 from reports.format import pdf, plotly
-from reports.session.figures import FIGURES
+from reports.session.findings import FIGURES
 from tests.support.reports import session as made
 from tests.support.reports.page import coloured
 

@@ -19,9 +19,9 @@ from verify.devices.ports import SerialLine
 from verify.live.station.keys import SimSettings
 from verify.simulation.devices.scene import SimClock
 from verify.simulation.devices.station import SimulatedStation
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 from verify.simulation.emulators.server import (
     EmulatorEngine,
     EmulatorFaults,
@@ -95,15 +95,15 @@ def emulator(
 
 def watch(path: str, began: float, seconds: float) -> None:
     """`verify run PATH --for … --page --json`, in a world that began at a given instant."""
-    from verify.cli.options import Asked
+    from verify.cli.options import PageOptions, ToleranceOptions
     from verify.cli.terminal import terminal
-    from verify.cli.watch import PageOptions, RunOptions
+    from verify.cli.watch import RunOptions
     from verify.cli.watch import watch as run
     from verify.live.station.station import open_station
 
     terminal.as_json = True
     station = open_station(path, lambda s: SimulatedStation(s, _clock(began), apart=True))
-    nothing = Asked(None, None, None).tolerance(6)
+    nothing = ToleranceOptions(None, None, None).tolerance(6)
     run(station, RunOptions(seconds, nothing, None, PageOptions(0, "127.0.0.1", None)))
 
 

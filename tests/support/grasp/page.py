@@ -11,7 +11,7 @@ from websockets.sync.client import connect
 
 from robots.transforms import carry, invert
 from verify.cli.grab.conduct import GraspPage, PageContext
-from verify.cli.watch import PageOptions
+from verify.cli.options import PageOptions
 from verify.core.records import Array
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import LoopCycle

@@ -9,8 +9,8 @@ import pytest
 
 from tests.support.devices.camera_server import CameraServer
 from tests.support.recorded import MARKER, RIG
-from verify.cli import doctor as cli_doctor
-from verify.cli.doctor import doctor
+from verify.cli.doctor import machine
+from verify.cli.doctor.doctor import doctor
 from verify.cli.terminal import terminal
 from verify.devices.ports import SerialLine
 from verify.errors import InputError
@@ -23,8 +23,8 @@ from verify.simulation.emulators.trajectory import load
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A small file tells the disk's speed well enough here; JSON can be read."""
-    monkeypatch.setattr(cli_doctor, "TEST_FILE_SIZE", 2)
-    monkeypatch.setattr("verify.cli.doctor.START_TIMEOUT", 2.0)
+    monkeypatch.setattr(machine, "TEST_FILE_SIZE", 2)
+    monkeypatch.setattr("verify.cli.doctor.devices.START_TIMEOUT", 2.0)
     terminal.as_json = True
     yield
     terminal.as_json = False

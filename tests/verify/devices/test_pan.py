@@ -35,7 +35,7 @@ def test_the_reader_cannot_turn_anything() -> None:
         gather(reader, lambda found: len(found) >= 3)
         assert not hasattr(reader, "turn_to")
         with pytest.raises(ValueError, match="may send"):
-            reader._board.send("G", "1", "5.0")
+            reader.send("G", "1", "5.0")
     assert not any(order.startswith("G") for order in engine.log)
 
 

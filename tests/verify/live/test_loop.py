@@ -18,7 +18,7 @@ from verify.devices.protocols import CameraFrame, CameraState, DeviceState, Enco
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import estimate_offset
 from verify.live.joint_row import JointRow
-from verify.live.loop import LiveLoop, LoopSettings
+from verify.live.loop import LiveLoop, LoopComputation, LoopSettings
 from verify.live.outputs.listeners import AlarmCommand, JsonLines, ListenerThread
 from verify.live.protocols import Alarm, LiveDevices, MonitoredRobot
 from verify.measurement.chain import Setup, measure
@@ -164,7 +164,7 @@ def watched(seconds: float, stage: Stage) -> tuple[LiveLoop, Memory, Heard]:
     recorder, heard = Memory(), Heard()
     subject = MonitoredRobot(run.arm, run.rig, run.marker, None)
     plan = LoopSettings(AlarmLimits(0.1, RATE, None), duration=seconds)
-    live = LiveLoop(subject, devices, recorder, plan, estimate_offset, [heard])
+    live = LiveLoop(subject, devices, recorder, plan, LoopComputation(estimate_offset), [heard])
     with without_pictures():
         live.run(threading.Event())
     assert not live._troubles, "a defect is told and outlived by a run, but not by its test"

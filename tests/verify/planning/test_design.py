@@ -24,7 +24,7 @@ def drawn(seed: int, poses: int = 9) -> DesignInformation:
 
 def plainly(known: DesignInformation, chosen: tuple[int, ...]) -> float:
     """Ln det of what is asked for, everything else taken out, written down plainly."""
-    rows = np.concatenate([known.asked, known.others], axis=2)[list(chosen)].reshape(-1, 7)
+    rows = np.concatenate([known.requested, known.others], axis=2)[list(chosen)].reshape(-1, 7)
     covariance = np.linalg.inv(rows.T @ rows + np.diag(known.prior))
     return -float(np.linalg.slogdet(covariance[:4, :4])[1])
 

@@ -20,10 +20,10 @@ from verify.core.statistics import chi2_isf
 MAX_RIVAL_RATIO = 100.0  # the listed size: a rival that leaves less of a fault is the same as it
 POWER_SIGMA = 0.84  # standard deviations beyond a threshold: it is passed four times in five
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-
-
-DETECTABILITY_COLUMNS = ["joint", "kind", "parameter", "per_turn", "unit", "detectable", "separable",
-           "rival_joint", "rival_kind"]  # fmt: skip
+DETECTABILITY_COLUMNS = [
+    "joint", "kind", "parameter", "per_turn", "unit", "detectable", "separable", "rival_joint",
+    "rival_kind",
+]  # fmt: skip
 
 
 def detectable(products: FaultProducts) -> pd.DataFrame:

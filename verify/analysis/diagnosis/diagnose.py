@@ -1,12 +1,9 @@
-"""Which causes explain the errors, and which the data cannot tell apart.
+"""Find the causes of a session's errors, and name those that the data cannot tell apart.
 
 A dictionary of faults is fitted to the whitened errors beside everything that was fitted or stated;
-the set of least cost is taken, and each of its members is named only if no rival can stand in its
-place. Pairs that follow no cause are listed and left out of the fit.
-
-A long session in fewer pairs: a diagnosis tries hundreds of columns, each as long as a session.
-
-More pairs would tell it little: what explains less than a share of the misfit is listed in no case.
+the set of least cost is taken, and each of its members is named only if no rival explains as much
+in its place. Pairs that follow no cause are listed and left out of the fit. A long session is
+thinned: what explains less than a share of the misfit is not listed in any case.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -29,6 +26,12 @@ from verify.core.rig import Rig
 from verify.core.statistics import chi2_isf, chi2_ppf
 
 PER_JOINT_FIELDS = ("rate_variance",)  # of a comparison: one number a joint, not a pair
+P_OUTLIER = 1e-3  # chance of listing any pair of a session without outliers
+MAX_OUTLIER_SHARE = 0.1  # of the pairs: more of them are no outliers, the fit lacks something
+P_LACK_OF_FIT = 1e-3  # chance of doubting sound figures
+MAX_ROUNDS = 6
+MAX_PAIRS = 2000  # of a session; of longer ones so many, evenly spread
+TOL_MISFIT = 0.01  # of the misfit
 
 
 def thin_model(model: JointErrorModel, chosen: NDArray[np.int64]) -> JointErrorModel:
@@ -67,13 +70,6 @@ def _select_pairs(comparison: Comparison, chosen: NDArray[np.int64]) -> Comparis
 
 
 __all__ = ["Cause", "Diagnosis", "find_causes"]
-
-P_OUTLIER = 1e-3  # chance of listing any pair of a session without outliers
-MAX_OUTLIER_SHARE = 0.1  # of the pairs: more of them are no outliers, the fit lacks something
-P_LACK_OF_FIT = 1e-3  # chance of doubting sound figures
-MAX_ROUNDS = 6
-MAX_PAIRS = 2000  # of a session; of longer ones so many, evenly spread
-TOL_MISFIT = 0.01  # of the misfit
 
 
 @dataclass(frozen=True, slots=True)

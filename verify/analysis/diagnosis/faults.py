@@ -1,14 +1,9 @@
-"""One fault that might be, and how its figures are told.
-
-Faults of single joints: what a unit of each would do to every pair.
+"""Fault models of single joints and of the set-up: what a unit of each does to every pair.
 
 Signs and zeros are those of docs/results.md: error = reading less true angle. A column is whitened
 as the session's rows are, and holds what the registration left of a fault that was already there.
-
-Faults that belong to no joint: the clock, the cameras' instants, what moved since registration.
-
-The cameras' columns are made of what a turn about its pan axis does to a pose: the widest part of
-what a camera that is late, or was knocked, does to depth.
+Columns of a camera that is late or was moved are made of what a turn about its pan axis does to a
+pose, the largest part of its effect on depth.
 """
 
 from collections.abc import Iterator
@@ -16,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from verify.analysis.model import JointErrorModel, clock_effect
+from verify.analysis.model import JointErrorModel, base_motion, body_motion, clock_effect
 from verify.core.records import Array
 from verify.core.rig import Rig
 
@@ -34,6 +29,27 @@ UNIT_SCALES = {
     "ratio": 1.0,
     "": 1.0,  # of what no single figure tells
 }
+MIN_SPAN = np.deg2rad(2.0)  # a joint that turns less shows its offset and nothing else
+MIN_PAIRS_PER_DIRECTION = 3
+MIN_LEVER = 1e-3  # m: shorter ones are rounding
+MIN_LEVER_RATIO = 0.5  # of the longest: a lever that varies less pulls like an offset
+# Below this much of a wave, sine and cosine are a parabola: an offset and a gain in disguise.
+MIN_SPAN_ONE_WAVE = np.deg2rad(60.0)  # of one wave a turn, as the resolved error has it
+MIN_SPAN_WAVES = np.deg2rad(270.0)  # of several a turn, which must show that they come back
+MIN_PAIRS_PER_WAVE = 4  # fewer take one number of waves for another
+WAVES_PER_TURN = (
+    *range(1, 9),
+    10,
+    12,
+    16,
+    20,
+    24,
+    30,
+    36,
+    48,
+    60,
+    72,
+)  # a turn: encoders, cycloids, teeth
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,29 +110,6 @@ def _size_uncertainty(values: Array, covariance: Array) -> tuple[float, float]:
     size = float(np.linalg.norm(values))
     along = values / size if size > 0 else np.zeros_like(values)
     return size, float(np.sqrt(along @ covariance @ along))
-
-
-MIN_SPAN = np.deg2rad(2.0)  # a joint that turns less shows its offset and nothing else
-MIN_PAIRS_PER_DIRECTION = 3
-MIN_LEVER = 1e-3  # m: shorter ones are rounding
-MIN_LEVER_RATIO = 0.5  # of the longest: a lever that varies less pulls like an offset
-# Below this much of a wave, sine and cosine are a parabola: an offset and a gain in disguise.
-MIN_SPAN_ONE_WAVE = np.deg2rad(60.0)  # of one wave a turn, as the resolved error has it
-MIN_SPAN_WAVES = np.deg2rad(270.0)  # of several a turn, which must show that they come back
-MIN_PAIRS_PER_WAVE = 4  # fewer take one number of waves for another
-WAVES_PER_TURN = (
-    *range(1, 9),
-    10,
-    12,
-    16,
-    20,
-    24,
-    30,
-    36,
-    48,
-    60,
-    72,
-)  # a turn: encoders, cycloids, teeth
 
 
 def joint_faults(model: JointErrorModel, j: int) -> Iterator[Fault]:
@@ -188,21 +181,6 @@ def common_faults(model: JointErrorModel, rig: Rig | None) -> list[Fault]:
     if rig is not None:
         columns.append(("camera_skew", "s", skew_effect(model, rig)))
     return [Fault(kind, None, unit, model.white.rows(c)) for kind, unit, c in columns]
-
-
-def base_motion(base_T_flange: Array) -> Array:
-    """Twist (n, 6, 6) of the flange for a motion of what it stands on, base axes."""
-    motion = np.tile(np.eye(6), (len(base_T_flange), 1, 1))
-    for k in range(3):
-        motion[:, :3, 3 + k] = np.cross(np.eye(3)[k], base_T_flange[:, :3, 3])
-    return motion
-
-
-def body_motion(base_T_flange: Array) -> Array:
-    """Twist (n, 6, 6) of the flange for a motion of itself in its own axes."""
-    motion = np.zeros((len(base_T_flange), 6, 6))
-    motion[:, :3, :3] = motion[:, 3:, 3:] = base_T_flange[:, :3, :3]
-    return motion
 
 
 def skew_effect(model: JointErrorModel, rig: Rig) -> Array:

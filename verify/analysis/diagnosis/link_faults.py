@@ -1,18 +1,13 @@
-"""What a wrong link parameter does to every pair: the arm is not quite what its table says.
+"""Fault models of an arm's links, and the dictionary of all faults that a diagnosis tries.
 
-Standard DH, RotZ(θ) TransZ(d) TransX(a) RotX(α), with Hayati's RotY(β) behind it where the next
-axis is parallel: there the common normal is nowhere in particular, and d slides along with the d of
-the next joint. Source: Hayati, Robot arm geometric link parameter estimation, 22nd IEEE CDC, 1983.
+A single link parameter: standard DH, RotZ(θ) TransZ(d) TransX(a) RotX(α), with Hayati's RotY(β)
+behind it where the next axis is parallel, as the common normal is not determined there and d is
+redundant with the next joint's. Source: Hayati, Robot arm geometric link parameter estimation,
+22nd IEEE CDC, 1983.
 
-An arm whose links are off all over: one fault of many coefficients, for any arm.
-
-A real arm is seldom built as its table says, and no single length or twist then explains it. What
-many of them do together would pass for offsets, waves and drifts of the joints, so it is tried as
-a whole: every link may be displaced against the next axis in the four ways that matter.
-
-Where an arm's links are, and how the flange moves when one of them is not what it should be.
-
-Everything that a diagnosis tries.
+The geometry as a whole: every link displaced against the next axis in the four ways that matter,
+one fault of many coefficients, for any arm. Small errors of many links together would otherwise be
+taken for offsets, waves and drifts of joints.
 """
 
 import numpy as np
@@ -21,18 +16,16 @@ from scipy.spatial.transform import Rotation
 import robots
 from verify.analysis.diagnosis.faults import (
     Fault,
-    base_motion,
-    body_motion,
     common_faults,
     joint_faults,
 )
-from verify.analysis.model import JointErrorModel
+from verify.analysis.model import JointErrorModel, base_motion, body_motion
 from verify.core.records import Array
 from verify.core.rig import Rig
 
-MIN_SINGULAR_VALUE = (
-    1e-3  # of the largest singular value: what registration leaves of a gauge is rounding
-)
+# of the largest singular value: what registration leaves of a gauge is rounding
+MIN_SINGULAR_VALUE = 1e-3
+MAX_PARALLEL_SINE = np.sin(np.deg2rad(10.0))  # below, two axes count as parallel
 
 
 def geometry_fault(model: JointErrorModel, arm: robots.Arm) -> Fault:
@@ -41,10 +34,7 @@ def geometry_fault(model: JointErrorModel, arm: robots.Arm) -> Fault:
     rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     taken = [model.fitted]
     if model.through_encoders:  # registered by another motion: as if it had been this one
-        pose = model.comparison.base_T_jacobian
-        body = np.zeros((len(pose), 6, 6))
-        body[:, :3, :3] = body[:, 3:, 3:] = pose[:, :3, :3]
-        taken.append(model.white.rows(np.concatenate([base_motion(pose), body], axis=2)))
+        taken.append(_registration_rows(model))
     beside = np.concatenate(taken, axis=1)
     basis, size, _ = np.linalg.svd(
         beside / np.maximum(np.linalg.norm(beside, axis=0), 1e-300), full_matrices=False
@@ -87,11 +77,8 @@ def translation_twist(axis: Array) -> Array:
 
 
 def rotation_twist(axis: Array, lever: Array) -> Array:
-    """Likewise a radian about axes (m, 3) that the flange is a lever (m, 3), m, away from."""
+    """Twist of the flange (m, 6, 1) a radian about axes (m, 3), at a lever (m, 3), m, from them."""
     return np.concatenate([np.cross(axis, lever), axis], axis=1)[:, :, None]
-
-
-MAX_PARALLEL_SINE = np.sin(np.deg2rad(10.0))  # below, two axes count as parallel
 
 
 def link_faults(model: JointErrorModel, arm: robots.DhArm) -> list[Fault]:
@@ -124,11 +111,15 @@ def _minus_registration(model: JointErrorModel, rows: list[Array]) -> list[Array
 
     They were registered by another one, which is not known here; a length was as wrong then.
     """
-    pose = model.comparison.base_T_jacobian
-    taken = model.white.rows(np.concatenate([base_motion(pose), body_motion(pose)], axis=2))
-    basis, size, _ = np.linalg.svd(taken, full_matrices=False)
+    basis, size, _ = np.linalg.svd(_registration_rows(model), full_matrices=False)
     basis = basis[:, size > 1e-9 * size[0]]
     return [columns - basis @ (basis.T @ columns) for columns in rows]
+
+
+def _registration_rows(model: JointErrorModel) -> Array:
+    """Whitened columns of a motion of base and LED body, (r, 12)."""
+    pose = model.comparison.base_T_jacobian
+    return model.white.rows(np.concatenate([base_motion(pose), body_motion(pose)], axis=2))
 
 
 def fault_dictionary(

@@ -179,10 +179,10 @@ def _penalties(faults: list[Fault], visible: NDArray[np.bool_], rows: int) -> Ar
 
 
 def search_faults(products: FaultProducts) -> FaultSet:
-    """The set of faults of least cost.
+    """Find the set of faults of least cost.
 
-    Sets grow a fault at a time, the best BEAM_WIDTH of every size carried on, so that two faults that
-    together pass for a third one are still found; then members are exchanged while that helps.
+    A beam search: sets grow by one fault, the best BEAM_WIDTH of each size are kept, so that two
+    faults that together resemble a third one are still found; then members are exchanged.
     """
     best: FaultSet = ()
     least = products.cost(best)

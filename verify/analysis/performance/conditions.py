@@ -1,7 +1,4 @@
-"""How a session's conditions differ from those that ISO 9283 sets: a list, never silence.
-
-The repeated poses and paths of a session as it is judged, worded for its results.
-"""
+"""Performance of a session for its results, with its deviations from ISO 9283's conditions."""
 
 from typing import Any
 

@@ -1,7 +1,4 @@
-"""Where the arm stood still, and which of these stands are visits of one pose.
-
-What the instrument alone scatters: measured positions while the arm stands still.
-"""
+"""Find where the arm stood still, which of these holds visit one pose, and the noise in them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +21,7 @@ MIN_HOLD_TIME = 0.2  # s: shorter is turning back, not standing
 MAX_POSE_DISTANCE = np.deg2rad(0.5)  # rad of any joint: commanded poses of a test lie further apart
 
 Rows = NDArray[np.int64]
+MIN_DOF = 20  # of the scatter within holds: fewer know it worse than what is stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,9 +124,6 @@ def named_visits(
         found.append(Visit(pose, np.flatnonzero(inside), came))
         came = pose
     return found, names, empty
-
-
-MIN_DOF = 20  # of the scatter within holds: fewer know it worse than what is stated
 
 
 @dataclass(frozen=True, slots=True)

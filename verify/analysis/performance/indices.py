@@ -1,11 +1,8 @@
-"""The indices of ISO 9283 as functions of arrays: positions in m, angles in rad.
+"""Indices of ISO 9283 as functions of arrays (m, rad), and their 95 % intervals.
 
-Attained poses are n visits of one commanded pose; m stations of a path have n visits each.
-
-How sure the indices are: 95 % intervals, what noise alone gives, and what a law would give.
-
-The standard has none of it. Scatter is taken as normal with a covariance that the visits show:
-cameras see depth worse than the rest, so no isotropy is assumed. Draws are the same every time.
+Attained poses are n visits of one commanded pose; m stations of a path have n visits each. The
+standard states no uncertainty: here scatter is taken as normal with the covariance that the visits
+show, as depth is known worse than the rest. Draws are the same every time.
 """
 
 from dataclasses import dataclass
@@ -19,6 +16,13 @@ from verify.core.records import Array
 from verify.core.statistics import chi2_ppf, t_ppf
 
 REPEATABILITY_SIGMAS = 3.0  # standard deviations that repeatability counts
+P_TAIL = 0.025  # of the probability, beyond either end of an interval
+N_DRAWS = 2000
+SEED = 9283
+INFINITE_DOF = 1e9  # degrees of freedom, as good as known
+TOL_VARIANCE = 1e-10  # of the widest variance: a direction without scatter
+NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(64))  # of (-1, 1)
+NODES = NODES + 0.5  # of (0, 1)
 
 
 def accuracy(attained: Array, commanded: Array) -> float:
@@ -112,16 +116,6 @@ def drift(attained: Array, commanded: Array, starts: NDArray[np.int64]) -> Array
     )
     change: Array = np.moveaxis(np.abs(found - found[0]).max(axis=0), 0, -1)
     return change
-
-
-P_TAIL = 0.025  # of the probability, beyond either end of an interval
-N_DRAWS = 2000
-SEED = 9283
-INFINITE_DOF = 1e9  # degrees of freedom, as good as known
-TOL_VARIANCE = 1e-10  # of the widest variance: a direction without scatter
-
-NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(64))  # of (-1, 1)
-NODES = NODES + 0.5  # of (0, 1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,14 +63,18 @@ class Performance:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredPoints:
-    """A session's pairs at the measured point."""
+    """A session's pairs at the measured point, and the readings between them."""
 
     comparison: Comparison
+    arm: robots.Arm
+    readings: Readings
+    offset: float  # s, added to the readings' time to get the cameras' clock
     attained: Array  # (n, 4, 4)
     read: Array  # (n, 4, 4)
     systematic: Array  # (n, 6, p), d pose at the point / d unit of what does not average out
     off: Array  # (n, 6), attained less read, m and rad
     whole: NDArray[np.bool_]  # (n,), pairs whose pose (or point) is wholly determined
+    oriented: bool  # whether the orientation was measured
 
 
 def performance(
@@ -90,30 +94,20 @@ def performance(
         arm: the robot.
         readings: its joint readings.
         offset: s, added to the readings' time to get the cameras' clock.
-        named_poses: stretches of time that are visits of poses; where there are any, they alone
-            count.
-        named_paths: passages of paths, likewise.
+        named_poses: visits of poses; where any are named, others do not count.
+        named_paths: passages of paths; where any are named, others do not count.
         point: (3,), m, in the flange frame, where positions alone were measured, of this point.
 
     Returns:
         The indices, or why there are none: `no_holds`, `no_repeats`, `poses_not_determined`.
     """
     comparison = model.comparison
-    least = 6 if point is None else 3
-    whole = np.array([known.shape[1] >= least for known in comparison.determined], dtype=bool)
-    if not whole.any():
+    measured = _at_point(model, arm, readings, offset, point)
+    if not measured.whole.any():
         return OPEN_POSES
-    measured = _at_point(model, np.zeros(3) if point is None else point, whole)
-    empty: list[TimeInterval] = []
-    if named_poses:
-        stays, names, empty = named_visits(comparison, named_poses)
-    else:
-        stays = number_visits(comparison, find_holds(comparison, readings, offset))
-        names = tuple(f"P{i + 1}" for i in range(1 + max((v.pose for v in stays), default=-1)))
-    stays = [replace(v, rows=v.rows[whole[v.rows]]) for v in stays if whole[v.rows].any()]
+    stays, names, empty = _visits(measured, named_poses)
     if not stays and not named_paths:
         return NO_HOLDS
-    oriented = point is None
     noise = _noise(measured, stays)
     counts = [sum(v.pose == i for v in stays) for i in range(len(names))]
     stands = [
@@ -121,32 +115,61 @@ def performance(
         for i, count in enumerate(counts)
         if count >= MIN_VISITS
     ]
-    paths = _paths(measured, arm, readings, offset, stays, names, named_paths, noise, oriented)
+    runs = _named_runs(measured, named_paths) or _runs_between(stays, names)
+    paths = _paths(measured, runs, repeatability_of(noise.position))
     if not stands and not paths:
         return NO_REPEATS
     return Performance(
         named=bool(named_poses or named_paths),
-        poses=tuple(assess_pose(one, noise, oriented=oriented) for one in stands),
+        poses=tuple(assess_pose(one, noise, oriented=measured.oriented) for one in stands),
         distances=_distances(stands),
         paths=paths,
         noise=noise,
         point=np.zeros(3) if point is None else point,
-        oriented=oriented,
+        oriented=measured.oriented,
         seldom=sum(1 < count < MIN_VISITS for count in counts),
         empty=tuple(empty),
         duration=float(comparison.t[-1] - comparison.t[0]),
     )
 
 
-def _at_point(model: JointErrorModel, point: Array, whole: NDArray[np.bool_]) -> MeasuredPoints:
+def _visits(
+    measured: MeasuredPoints, named: Sequence[TimeInterval]
+) -> tuple[list[Visit], tuple[str, ...], list[TimeInterval]]:
+    """Find the visits of poses, their names, and what was named without a measured pair."""
+    comparison, whole = measured.comparison, measured.whole
+    empty: list[TimeInterval] = []
+    if named:
+        stays, names, empty = named_visits(comparison, named)
+    else:
+        holds = find_holds(comparison, measured.readings, measured.offset)
+        stays = number_visits(comparison, holds)
+        names = tuple(f"P{i + 1}" for i in range(1 + max((v.pose for v in stays), default=-1)))
+    stays = [replace(v, rows=v.rows[whole[v.rows]]) for v in stays if whole[v.rows].any()]
+    return stays, names, empty
+
+
+def _at_point(
+    model: JointErrorModel,
+    arm: robots.Arm,
+    readings: Readings,
+    offset: float,
+    measured_point: Array | None,
+) -> MeasuredPoints:
     comparison = model.comparison
+    least = 6 if measured_point is None else 3
+    whole = np.array([known.shape[1] >= least for known in comparison.determined], dtype=bool)
+    point = np.zeros(3) if measured_point is None else measured_point
     attained, read = comparison.base_T_measured.copy(), comparison.base_T_encoder.copy()
     lever = attained[:, :3, :3] @ point
     for poses in (attained, read):
         poses[:, :3, 3] += poses[:, :3, :3] @ point
     systematic = model.prior_columns.copy()
     systematic[:, :3] += np.cross(systematic[:, 3:], lever[:, :, None], axis=1)
-    return MeasuredPoints(comparison, attained, read, systematic, difference(attained, read), whole)
+    return MeasuredPoints(
+        comparison, arm, readings, offset, attained, read, systematic, difference(attained, read),
+        whole, measured_point is None,
+    )  # fmt: skip
 
 
 def _noise(measured: MeasuredPoints, stays: Sequence[Visit]) -> HoldNoise:
@@ -180,40 +203,41 @@ def _distances(stands: Sequence[PoseVisits]) -> tuple[DistanceIndices, ...]:
     return tuple(islice((one for one in judged if one is not None), MAX_DISTANCES))
 
 
-def _paths(
-    measured: MeasuredPoints,
-    arm: robots.Arm,
-    readings: Readings,
-    offset: float,
-    stays: Sequence[Visit],
-    names: Sequence[str],
-    named: Sequence[TimeInterval],
-    noise: HoldNoise,
-    oriented: bool,
-) -> tuple[PathIndices, ...]:
-    """Judge every path with five passages or more."""
+def _named_runs(measured: MeasuredPoints, named: Sequence[TimeInterval]) -> dict[str, list[Rows]]:
+    """Rows of each passage that is named, by the path's name."""
     t = measured.comparison.t
-    groups: dict[str, list[Rows]] = {}
+    runs: dict[str, list[Rows]] = {}
     for one in named:
-        rows = np.flatnonzero((t >= one.start) & (t <= one.end))
-        groups.setdefault(one.name, []).append(rows)
-    if not named:
-        for before, after in pairwise(stays):
-            if before.pose != after.pose:
-                rows = np.arange(before.rows[-1], after.rows[0] + 1)
-                name = f"{names[before.pose]} → {names[after.pose]}"
-                groups.setdefault(name, []).append(rows)
-    floor = repeatability_of(noise.position)
+        runs.setdefault(one.name, []).append(np.flatnonzero((t >= one.start) & (t <= one.end)))
+    return runs
+
+
+def _runs_between(stays: Sequence[Visit], names: Sequence[str]) -> dict[str, list[Rows]]:
+    """Rows of each passage from one pose to another, by a name that both poses give."""
+    runs: dict[str, list[Rows]] = {}
+    for before, after in pairwise(stays):
+        if before.pose != after.pose:
+            name = f"{names[before.pose]} → {names[after.pose]}"
+            rows = np.arange(before.rows[-1], after.rows[0] + 1)
+            runs.setdefault(name, []).append(rows)
+    return runs
+
+
+def _paths(
+    measured: MeasuredPoints, paths: dict[str, list[Rows]], floor: float
+) -> tuple[PathIndices, ...]:
+    """Judge every path with five passages or more; `floor`: m, what noise alone repeats to."""
+    t = measured.comparison.t
     found = []
-    for name, runs in groups.items():
+    for name, runs in paths.items():
         runs = [rows[measured.whole[rows]] for rows in runs]
         runs = _same_way(measured.comparison, [rows for rows in runs if _covers_path(t, rows)])
         if len(runs) < MIN_VISITS:
             continue
-        met = crossings([_passage(measured, arm, readings, offset, rows) for rows in runs])
+        met = crossings([_passage(measured, rows) for rows in runs])
         if met is not None:
             doubt = _systematic_along(measured, runs, met.t)
-            found.append(assess_path(name, met, floor, doubt, oriented=oriented))
+            found.append(assess_path(name, met, floor, doubt, oriented=measured.oriented))
     return tuple(found)
 
 
@@ -241,18 +265,17 @@ def _same_way(comparison: Comparison, runs: Sequence[Rows]) -> list[Rows]:
     ]
 
 
-def _passage(
-    measured: MeasuredPoints, arm: robots.Arm, readings: Readings, offset: float, rows: Rows
-) -> PathRun:
+def _passage(measured: MeasuredPoints, rows: Rows) -> PathRun:
     """Follow the readings' path closely, with what the pairs are off it taken in between."""
     t = measured.comparison.t[rows]
     fine = np.arange(t[0], t[-1] + PATH_STEP / 2, PATH_STEP)
-    read = robots.forward(arm, readings.at(fine - offset))
+    q = measured.readings.at(fine - measured.offset)
+    read = robots.forward(measured.arm, q)
     point = measured.read[rows[0]]
     local = np.linalg.inv(measured.comparison.base_T_encoder[rows[0]]) @ point
     places = read @ local
     off = np.stack([np.interp(fine, t, c) for c in measured.off[rows].T], axis=1)
-    moving = _motion_range(readings.at(fine - offset))
+    moving = _motion_range(q)
     return PathRun(
         fine[moving],
         (places[:, :3, 3] + off[:, :3])[moving],

@@ -1,8 +1,6 @@
-"""A budget and its Monte-Carlo check as summary.json and tables have them, in degrees.
+"""Budget, Monte-Carlo check, causes and sweeps as summary.json and tables have them.
 
-Causes as entries of summary.json, in the units of docs/results.md.
-
-Single-joint sweeps as summary.json and tables have them: degrees, null for what is not known.
+Degrees, and the units of docs/results.md; null for what is not known.
 """
 
 import math
@@ -22,6 +20,9 @@ from verify.core.records import Array
 MONTE_CARLO_COLUMNS = [
     "frame", "joint", "linear_u_deg", "monte_carlo_u_deg", "ratio", "shift", "coupled",
     "unreachable", "holds",
+]  # fmt: skip
+SWEEP_COLUMNS = [
+    "sweep", "joint", "frame", "angle_deg", "direction", "error_deg", "u_deg", "curve_deg",
 ]  # fmt: skip
 
 
@@ -164,11 +165,6 @@ def _extra_fields(fault: Fault) -> dict[str, Any]:
     if fault.per_turn is not None:
         more["per_turn"] = fault.per_turn
     return more
-
-
-SWEEP_COLUMNS = [
-    "sweep", "joint", "frame", "angle_deg", "direction", "error_deg", "u_deg", "curve_deg",
-]  # fmt: skip
 
 
 def sweep_entries(found: list[JointSweep], frame: Array) -> list[dict[str, Any]]:

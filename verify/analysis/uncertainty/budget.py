@@ -1,10 +1,8 @@
-"""Each joint's mean error taken apart: how much of its uncertainty comes from which source.
+"""Uncertainty budget (GUM) of each joint's mean error, source by source.
 
-A GUM budget: every source with its kind (does it average out?), type (A or B), sensitivity, degrees
-of freedom and contribution. All contributions go through one set of sensitivities, those by which
-the means follow from the pairs, so they add up to the stated uncertainty.
-
-How each joint's mean error follows from the pairs: sensitivities that a budget starts from.
+Each source has its kind (does it average out?), type (A or B), degrees of freedom, sensitivity and
+contribution. All contributions go through one set of sensitivities, those by which the means follow
+from the pairs, so they add up to the stated uncertainty.
 """
 
 from collections.abc import Iterator
@@ -22,8 +20,8 @@ from verify.analysis.joint_errors import (
     ResolvedErrors,
     coverage_factor,
     effective_degrees,
-    error_terms,
     is_fitted,
+    resolved_design,
 )
 from verify.analysis.least_squares import solve
 from verify.analysis.model import JointErrorModel, SessionComparison
@@ -41,75 +39,6 @@ from verify.analysis.uncertainty.sources import (
 )
 from verify.core.records import Array
 from verify.measurement.systematics import unit
-
-
-def mean_sensitivities(
-    model: JointErrorModel, errors: JointErrors, resolved: ResolvedErrors, inverse: Array
-) -> Array:
-    """Derivative of the mean errors by each pair's twist xi, (n, j, 6); nan where not determined.
-
-    Whatever moves the twists moves the means by these, so every source's share of a mean's variance
-    is its own variance carried through them, and the shares add up.
-
-    Args:
-        model: the session's linear model.
-        errors: joint errors a pair.
-        resolved: the fit that means come from where no pair tells some joint's error.
-        inverse: (n, j, 6), d joints / d pose.
-
-    Source: GUM 5.1.3, sensitivity coefficients; means by generalised least squares.
-    """
-    if not is_fitted(model, errors):
-        known: NDArray[np.bool_] = ~np.isnan(errors.error)
-        weight = known / known.sum(axis=0)  # every joint is told by some pair
-        plain: Array = weight[:, :, None] * inverse
-        return plain
-    return _by_pair(model, _fitted_sensitivities(model, resolved))
-
-
-def _fitted_sensitivities(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
-    """Derivative of the fitted means by the whitened rows, (j, r)."""
-    joints = model.joints.shape[1]
-    if model.through_encoders:
-        design, chosen = np.concatenate([model.offsets, model.fitted], axis=1), np.eye(joints)
-    else:
-        design, chosen = _resolved_design(model)
-    free = np.zeros((joints, design.shape[1]))
-    free[:, : chosen.shape[1]] = chosen
-    fit = solve(design, model.xi, model.prior)
-    held = model.prior
-    # W = (1 + H H')⁻¹ weighs rows by noise and held columns together
-    inner = np.linalg.solve(np.eye(held.shape[1]) + held.T @ held, held.T)
-    weighted = design.T - (design.T @ held) @ inner
-    found: Array = free @ fit.covariance @ weighted
-    known = fit.estimable if model.through_encoders else fit.estimable | (free == 0).all(axis=0)
-    hidden = np.any(free[:, ~known] != 0, axis=1)
-    if not model.through_encoders:
-        hidden |= np.isnan(resolved.mean)
-    return np.where(hidden[:, None], np.nan, found)
-
-
-def _resolved_design(model: JointErrorModel) -> tuple[Array, Array]:
-    """Columns of the resolved errors' terms with what was fitted, and their means, (j, terms)."""
-    _, columns = error_terms(model.comparison)
-    count = sum(c.shape[1] for c in columns)
-    parts, chosen, start = [], np.zeros((len(columns), count)), 0
-    for j, terms in enumerate(columns):
-        varying = model.joints[:, [j]] * terms[model.white.pair]
-        varying[:, 0] = model.offsets[:, j]
-        parts.append(varying)
-        chosen[j, start : start + terms.shape[1]] = terms.mean(axis=0)
-        start += terms.shape[1]
-    return np.concatenate([*parts, model.fitted], axis=1), chosen
-
-
-def _by_pair(model: JointErrorModel, by_row: Array) -> Array:
-    """Take derivatives by whitened rows (j, r) to those by the pairs' twists, (n, j, 6)."""
-    factors = model.white.factors
-    ends = np.cumsum([len(f) for f in factors])
-    parts = np.split(by_row, ends[:-1], axis=1)
-    return np.array([part @ factor for part, factor in zip(parts, factors, strict=True)])
-
 
 __all__ = ["ALIGNMENT", "BUDGET_COLUMNS", "CLOCK", "PAN", "Budget", "budget"]
 
@@ -187,6 +116,61 @@ def budget(
         degrees=degrees,
         coverage_factor=coverage_factor(degrees),
     )
+
+
+def mean_sensitivities(
+    model: JointErrorModel, errors: JointErrors, resolved: ResolvedErrors, inverse: Array
+) -> Array:
+    """Derivative of the mean errors by each pair's twist xi, (n, j, 6); nan where not determined.
+
+    Whatever moves the twists moves the means by these, so every source's share of a mean's variance
+    is its own variance carried through them, and the shares add up.
+
+    Args:
+        model: the session's linear model.
+        errors: joint errors a pair.
+        resolved: the fit that means come from where no pair tells some joint's error.
+        inverse: (n, j, 6), d joints / d pose.
+
+    Source: GUM 5.1.3, sensitivity coefficients; means by generalised least squares.
+    """
+    if not is_fitted(model, errors):
+        known: NDArray[np.bool_] = ~np.isnan(errors.error)
+        weight = known / known.sum(axis=0)  # every joint is told by some pair
+        plain: Array = weight[:, :, None] * inverse
+        return plain
+    return _by_pair(model, _fitted_sensitivities(model, resolved))
+
+
+def _fitted_sensitivities(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
+    """Derivative of the fitted means by the whitened rows, (j, r)."""
+    joints = model.joints.shape[1]
+    if model.through_encoders:
+        design, chosen = np.concatenate([model.offsets, model.fitted], axis=1), np.eye(joints)
+    else:
+        design, carried = resolved_design(model)
+        chosen = carried.mean(axis=0)
+    free = np.zeros((joints, design.shape[1]))
+    free[:, : chosen.shape[1]] = chosen
+    fit = solve(design, model.xi, model.prior)
+    held = model.prior
+    # W = (1 + H H')⁻¹ weighs rows by noise and held columns together
+    inner = np.linalg.solve(np.eye(held.shape[1]) + held.T @ held, held.T)
+    weighted = design.T - (design.T @ held) @ inner
+    found: Array = free @ fit.covariance @ weighted
+    known = fit.estimable if model.through_encoders else fit.estimable | (free == 0).all(axis=0)
+    hidden = np.any(free[:, ~known] != 0, axis=1)
+    if not model.through_encoders:
+        hidden |= np.isnan(resolved.mean)
+    return np.where(hidden[:, None], np.nan, found)
+
+
+def _by_pair(model: JointErrorModel, by_row: Array) -> Array:
+    """Take derivatives by whitened rows (j, r) to those by the pairs' twists, (n, j, 6)."""
+    factors = model.white.factors
+    ends = np.cumsum([len(f) for f in factors])
+    parts = np.split(by_row, ends[:-1], axis=1)
+    return np.array([part @ factor for part, factor in zip(parts, factors, strict=True)])
 
 
 def _noise_dof(resolved: ResolvedErrors, means: MeanErrors, *, fitted: bool) -> Array:

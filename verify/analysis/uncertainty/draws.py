@@ -1,10 +1,7 @@
-"""The worlds of a Monte-Carlo check: what is drawn of the inputs, and the poses that follow.
+"""Draws of a Monte-Carlo check: inputs drawn by their uncertainties, and the poses that follow.
 
-Many drawn worlds of one pair at once: its pose fitted anew in each, without any derivative kept.
-
-What a file states is drawn and taken at its word: cameras, bases, LEDs are moved by whole amounts,
-and the pose that the drawn spots ask for is found by Gauss-Newton in every draw. Shapes: d draws,
-s spots.
+Cameras, bases and LEDs are moved by whole amounts, and the pose of the drawn spots is found by
+Gauss-Newton in every draw, without linear propagation. Shapes: d draws, s spots.
 """
 
 from collections.abc import Mapping

@@ -95,7 +95,7 @@ def monte_carlo(
     q, _ = robots.nearest(session.arm, poses, read)
     bent = _wrap(read - q - joints.error[chosen, None])
     linear = _linear(compared)[chosen]
-    return _compare_draws(chosen, bent, straight, linear, _coupled_joints(joints, chosen))
+    return _compare_draws(chosen, bent, straight, linear, joints.coupled[chosen])
 
 
 def _select_pairs(comparison: Comparison, joints: JointComparison, pairs: int) -> NDArray[np.int64]:
@@ -107,15 +107,6 @@ def _select_pairs(comparison: Comparison, joints: JointComparison, pairs: int) -
     even = usable[np.linspace(0, len(usable) - 1, min(pairs, len(usable))).round().astype(int)]
     variance = np.diagonal(joints.covariance[usable], axis1=1, axis2=2)
     return np.unique(np.concatenate([even, usable[np.argmax(variance, axis=0)]]))
-
-
-def _coupled_joints(joints: JointComparison, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
-    flagged = np.zeros((len(chosen), N_JOINTS), dtype=bool)
-    for m, i in enumerate(chosen.tolist()):
-        coupling = joints.coupling[i]
-        if coupling is not None:
-            flagged[m, list(coupling.joints)] = True
-    return flagged
 
 
 def _wrap(angle: Array) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import robots
-from verify.analysis.comparison import Comparison, alignment_scale
+from verify.analysis.comparison import Comparison, alignment_scale, twist_transport
 from verify.analysis.diagnosis.link_faults import rotation_twist, translation_twist
 from verify.analysis.model import (
     JointErrorModel,
@@ -55,7 +55,7 @@ def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[
     """
     session, track, plain = compared.session, compared.track, compared.comparison
     moved = plain.base_T_measured[:, :3, 3] - track.base_T_flange[plain.index, :3, 3]
-    carry = _twist_transports(moved)
+    carry = twist_transport(moved)
     turned = np.swapaxes(carry, 1, 2)
     scale = alignment_scale(track)[:, None, None]
     noise = plain.reading_noise
@@ -75,16 +75,6 @@ def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[
     found += [RandomSource(PAN, "B", c) for c in pan_reading_covariance(plain, compared)]
     grown = model.comparison.covariance - plain.covariance
     return [*found, RandomSource(AUTOCORRELATION, "A", grown)]
-
-
-def _twist_transports(shift: Array) -> Array:
-    """Carry twists to an origin that lies `shift` (n, 3) further on, (n, 6, 6)."""
-    carry = np.tile(np.eye(6), (len(shift), 1, 1))
-    x, y, z = shift.T
-    carry[:, 0, 4], carry[:, 0, 5] = z, -y
-    carry[:, 1, 3], carry[:, 1, 5] = -z, x
-    carry[:, 2, 3], carry[:, 2, 4] = y, -x
-    return carry
 
 
 def _propagate(jacobian: Array, variance: Array) -> Array:

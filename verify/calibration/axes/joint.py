@@ -1,7 +1,4 @@
-"""One sweep measured: the joint's axis, and how far it turned against its encoder.
-
-Relations between two axes: as a DH table gives them, and as they were measured.
-"""
+"""Fit one joint's sweep: its axis, its turn against the encoder; and relations of two axes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,6 +18,7 @@ from verify.measurement.systematics import sensitivities, stated_systematics
 
 MAX_PARALLEL_ANGLE = np.deg2rad(5.0)  # axes nearer to parallel have no common normal to speak of
 STEP = 1e-6  # rad and m, of numerical derivatives: small against curvature, large against rounding
+MAX_PAIRS = 150  # of one sweep, evenly spread: more only cost time
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,9 +112,6 @@ def line_derivative(
 
     columns = [(at(row) - at(-row)) / (2 * STEP) for row in STEP * np.eye(8)]
     return np.stack(columns, axis=-1)
-
-
-MAX_PAIRS = 150  # of one sweep, evenly spread: more only cost time
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,8 @@
-"""Swept axes against the arm's table: twists, link lengths, and the base by the first two.
+"""Joint axes from one-joint sweeps, compared with the arm's table: twists, lengths, and the base.
 
-Axes from one-joint sweeps: what the arm is, seen without its DH table, and how well they agree.
-
-Each sweep shows one joint by itself: where its axis lies in the rig, and how far it turned against
-what its encoder says. No base, no LED place and no table enters; then the table is compared.
+Each sweep gives one joint's axis in the rig and its turn against its encoder, without base, LED
+positions or table; then twists and link lengths of neighbouring axes are compared with the table,
+and axes 1 and 2 give the base.
 """
 
 from collections.abc import Sequence
@@ -36,6 +35,8 @@ from verify.io.session.session import Session
 from verify.measurement.track import collect_track
 
 P_FALSE_ALARM = 1e-3  # over all comparisons with the table
+MIN_SPAN = np.deg2rad(5.0)  # below it the circle is too short an arc to find its centre
+MIN_GOOD_SPAN = np.deg2rad(15.0)  # below it an axis is known, but poorly
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,10 +162,6 @@ def base_from_axes(
         covariance=by_lines @ _joint_covariance(first, second) @ by_lines.T,
         difference=None if registered is None else difference(base, registered),
     )
-
-
-MIN_SPAN = np.deg2rad(5.0)  # below it the circle is too short an arc to find its centre
-MIN_GOOD_SPAN = np.deg2rad(15.0)  # below it an axis is known, but poorly
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,14 @@
-"""Does the calibration still hold? Known lengths, measured anywhere in the volume.
+"""Check whether a calibration still holds, by known lengths anywhere in the volume.
 
-Every morning, before anything is judged: the marker's own LED distances, a bar of two LEDs, or a
-board. What the check could have seen and what it could not is part of the answer.
+Every session, or a board, gives three figures with covariance U (stated sources and scatter):
+
+    0   scale                    relative error of known lengths        1
+    1   vertical disagreement    of the two images of one point         px
+    2   roll                     of the images against each other       rad
+
+The calibration holds where |figure_k| <= z u_k for all of them, u_k² = U_kk, z such that noise
+exceeds it in one check in twenty. A change of which the figures move by g_k a unit would have been
+found with 80 % probability from the size (z + 0.84) u_k / |g_k| on, the least over k.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +27,7 @@ from verify.analysis.rig_check import (
 )
 from verify.calibration.board_pose import board_marker, board_poses
 from verify.calibration.check.lengths import BarTracker, Lengths, measured_lengths
+from verify.calibration.stereo.records import rms
 from verify.core.fiducials import Board, BoardPair, Marker
 from verify.core.records import Measurement, StereoPair
 from verify.core.rig import Rig
@@ -29,9 +37,9 @@ from verify.io.session.session import Session
 from verify.measurement.chain import Setup, measure
 from verify.measurement.systematics import UNITS, stated_systematics
 
-P_CONFIDENCE = 0.95  # two-sided, shared by the three figures: each is tested at a third of the rest
+P_CONFIDENCE = 0.95  # two-sided, of all figures together
 MIN_SHARE = 0.25  # of the pairs; the few that a badly moved rig leaves fit it by chance
-P_DETECTION = 0.80  # with which a change of the smallest size named would be seen
+P_DETECTION = 0.80  # of the smallest change that is named
 REQUIRED_SOURCES = ("rig", "LED positions", "apparent LED centre", "pan angle", "square size")
 HIDDEN_CHANGES = (
     "A turn or shift of both cameras together leaves every length as it is and is not seen here; "
@@ -41,10 +49,10 @@ HIDDEN_CHANGES = (
 
 @dataclass(frozen=True, slots=True)
 class DetectableChange:
-    """The smallest change of one kind that this check would have seen."""
+    """The smallest change of one kind that this check would have found."""
 
     change: str
-    smallest: float | None  # in `unit`; None: however large, not by these figures
+    smallest: float | None  # in `unit`; None: these figures do not respond to it
     unit: str
 
 
@@ -56,7 +64,7 @@ class CheckResult:
     found: RigConsistency  # scale, vertical disagreement and roll with their uncertainty
     lengths: Lengths  # each known length by itself; empty for a board
     square: tuple[float, float, float] | None  # m: known, measured, its standard uncertainty
-    reprojection_rms_px: float  # distance of the spots used from where the body's pose puts them
+    reprojection_rms_px: float  # of the spots used against the body's pose
     visible: tuple[DetectableChange, ...]
     uncounted: tuple[str, ...]  # sources that state no uncertainty: taken as exact
     decisions: tuple[str, ...]
@@ -94,12 +102,12 @@ def check_session(
     if len(marker) == 2:  # nothing but its place tells the ends of a bar apart
         ends = BarTracker(session.rig, marker)
         pairs, setup = ends.watch(pairs), Setup(session.rig, marker, ends.expected)
-    seen = []
-    for m in measure(pairs, setup):
-        seen.append(m)
+    measurements = []
+    for measurement in measure(pairs, setup):
+        measurements.append(measurement)
         if progress is not None:
-            progress(len(seen), len(session))
-    return check_rig(seen, session.rig, marker)
+            progress(len(measurements), len(session))
+    return check_rig(measurements, session.rig, marker)
 
 
 def bar_marker(marker: Marker, length: float, standard_uncertainty: float | None = None) -> Marker:
@@ -149,9 +157,10 @@ def check_rig(measurements: Sequence[Measurement], rig: Rig, marker: Marker) -> 
             "checked: calibrate again.",
         )
     each = measured_lengths(posed, rig, marker, drop_registration(parameters))
-    unseen = len(measurements) - len(posed)
-    notes = [f"{unseen} of {len(measurements)} pairs could not be measured."] if unseen else []
-    return _result(found, each, None, posed, parameters.uncounted, notes)
+    result = _result(found, each, None, posed, parameters.uncounted)
+    lost = len(measurements) - len(posed)
+    note = f"{lost} of {len(measurements)} pairs could not be measured."
+    return replace(result, warnings=(note, *result.warnings)) if lost else result
 
 
 def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResult:
@@ -159,17 +168,17 @@ def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResu
 
     Args:
         rig: the cameras as calibrated.
-        pairs: what was seen of the board, wherever it was held.
-        board: the pattern, with what is stated of its squares.
+        pairs: the board's corners, wherever it was held.
+        board: the pattern, with the stated uncertainty of its squares.
 
     Raises:
         InputError: no pair shows the board in both images.
     """
     both = [p for p in pairs if p.left is not None and p.right is not None]
-    seen = board_poses(rig, both, board, reject=False)
+    poses = board_poses(rig, both, board, reject=False)
     marker = board_marker(board)
-    parameters = stated_systematics(rig, marker, _turning(seen))
-    found = consistency(seen, rig, marker, parameters)
+    parameters = stated_systematics(rig, marker, _turning(poses))
+    found = consistency(poses, rig, marker, parameters)
     if found is None or np.isnan(found.value[0]):
         expected = "both cameras must see it"
         raise InputError("pictures", "no pair shows the board in both images", expected)
@@ -177,20 +186,21 @@ def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResu
     sigma = board.square_standard_uncertainty
     if sigma is None:
         exact.append("square size")
-    else:
-        found = _with_scale(found, sigma / board.square)
-    square = (
-        board.square,
-        board.square * float(1 + found.value[0]),
-        board.square * float(found.uncertainty[0]),
-    )
+    else:  # the known length's own uncertainty
+        share = sigma / board.square
+        systematic = found.systematic.copy()
+        systematic[0, 0] += share**2
+        by_source = {**found.by_source, "square size": np.array([share, 0.0, 0.0])}
+        found = replace(found, systematic=systematic, by_source=by_source)
+    scale, u = float(1 + found.value[0]), float(found.uncertainty[0])
+    square = (board.square, board.square * scale, board.square * u)
     none = np.zeros(0)
     nothing = Lengths((), none, none, none, np.zeros(0, dtype=np.int64))
-    return _result(found, nothing, square, seen, exact, [])
+    return _result(found, nothing, square, poses, exact)
 
 
 def figure_limit(found: RigConsistency) -> float:
-    """How many standard uncertainties one of the figures may be off, all of them being tested."""
+    """Limit of each figure, in standard uncertainties, when all of them are tested."""
     return float(norm_isf((1 - P_CONFIDENCE) / 2 / int((~np.isnan(found.value)).sum())))
 
 
@@ -199,27 +209,16 @@ def _turning(measurements: Sequence[Measurement]) -> bool:
     return len(pans) > 1
 
 
-def _with_scale(found: RigConsistency, sigma: float) -> RigConsistency:
-    """Add the uncertainty of the known length itself."""
-    systematic = found.systematic.copy()
-    systematic[0, 0] += sigma**2
-    return replace(
-        found,
-        systematic=systematic,
-        by_source={**found.by_source, "square size": np.array([sigma, 0.0, 0.0])},
-    )
-
-
 def _result(
     found: RigConsistency,
     each: Lengths,
     square: tuple[float, float, float] | None,
-    seen: Sequence[Measurement],
+    poses: Sequence[Measurement],
     uncounted: Sequence[str],
-    notes: list[str],
 ) -> CheckResult:
     limit = figure_limit(found)
     beyond = np.abs(np.nan_to_num(found.z)) > limit
+    residuals = [m.pose.residual[~m.pose.rejected] for m in poses if m.pose]
     holds = not bool(beyond.any())
     exact = tuple(s for s in uncounted if s in REQUIRED_SOURCES)
     return CheckResult(
@@ -227,21 +226,16 @@ def _result(
         found=found,
         lengths=each,
         square=square,
-        reprojection_rms_px=_rms_residual(seen),
+        reprojection_rms_px=rms(np.concatenate(residuals)),
         visible=_visible(found, limit),
         uncounted=exact,
         decisions=tuple(_decisions(found, beyond, limit)),
-        warnings=(*notes, *_conditions(holds, exact)),
+        warnings=tuple(_conditions(holds, exact)),
     )
 
 
-def _rms_residual(seen: Sequence[Measurement]) -> float:
-    squares = [np.sum(m.pose.residual[~m.pose.rejected] ** 2, axis=1) for m in seen if m.pose]
-    return float(np.sqrt(np.mean(np.concatenate(squares))))
-
-
 def _visible(found: RigConsistency, limit: float) -> tuple[DetectableChange, ...]:
-    """The smallest size of each change at which one of the figures would go beyond its limit."""
+    """Find the smallest size of each change at which a figure would exceed its limit."""
     needed = (limit + norm_ppf(P_DETECTION)) * found.uncertainty
     rows = []
     for change, (_, unit) in CHANGES.items():
@@ -252,36 +246,32 @@ def _visible(found: RigConsistency, limit: float) -> tuple[DetectableChange, ...
     return tuple(rows)
 
 
-def _decisions(found: RigConsistency, beyond: NDArray[np.bool_], limit: float) -> list[str]:
-    said = figures_text(found)
-    words = [
-        f"{said[i][0].upper()}{said[i][1:]}: {'beyond' if beyond[i] else 'within'} {limit:.2f} u."
-        for i in range(len(FIGURES))
-        if not np.isnan(found.value[i])
-    ]
-    words.append(
+def _decisions(found: RigConsistency, beyond: NDArray[np.bool_], limit: float) -> Iterator[str]:
+    for text, exceeded, value in zip(figures_text(found), beyond, found.value, strict=True):
+        if not np.isnan(value):
+            verdict = "beyond" if exceeded else "within"
+            yield f"{text[0].upper()}{text[1:]}: {verdict} {limit:.2f} u."
+    yield (
         f"Each figure is tested two-sided, {P_CONFIDENCE:.0%} for all together, over "
         f"{len(found.frame)} pairs."
     )
     missing = [name for name, v in zip(FIGURES, found.value, strict=True) if np.isnan(v)]
     if missing:
-        words.append(f"Not tested, as nothing in the pictures shows it: {', '.join(missing)}.")
+        yield f"Not tested, as nothing in the pictures shows it: {', '.join(missing)}."
     if found.left_out:
         frames = ", ".join(map(str, found.left_out))
-        words.append(f"Left out, far from what all others show: pair {frames}.")
-    words.append(HIDDEN_CHANGES)
-    return words
+        yield f"Left out, far from what all others show: pair {frames}."
+    yield HIDDEN_CHANGES
 
 
-def _conditions(holds: bool, exact: tuple[str, ...]) -> list[str]:
-    """What the verdict rests on, and what could not be tested."""
+def _conditions(holds: bool, exact: tuple[str, ...]) -> Iterator[str]:
+    """State what the verdict rests on, and what could not be tested."""
     if not exact:
-        return []
+        return
     sources = ", ".join(exact)
-    words = [f"No uncertainty is stated for {sources}: taken as exact; the verdict rests on that."]
+    yield f"No uncertainty is stated for {sources}: taken as exact; the verdict rests on that."
     if not holds:
-        words.append(
+        yield (
             "Whether the rig has changed, or these never were as good as taken, could not be "
             "tested."
         )
-    return words

@@ -1,6 +1,6 @@
-"""Known distances between LEDs, as triangulated through the rig over a session.
+"""Measure known distances between LEDs through the rig, over a session.
 
-A bar of two LEDs: which of two like lights is which does not matter, but one must be chosen.
+`BarTracker` keeps the two like ends of a bar apart by continuity.
 """
 
 from collections import defaultdict
@@ -90,10 +90,10 @@ def _length_uncertainty(shown: list[_PairLength], parameters: Systematics) -> fl
 
 
 def _pair_lengths(
-    seen: Measurement, rig: Rig, marker: Marker, parameters: Systematics
+    measurement: Measurement, rig: Rig, marker: Marker, parameters: Systematics
 ) -> list[_PairLength]:
     """Each distance that one pair shows."""
-    pose, left, right = seen.pose, seen.left, seen.right
+    pose, left, right = measurement.pose, measurement.left, measurement.right
     if pose is None or left is None or right is None:
         return []
     good = ~pose.rejected if pose.consistent else np.ones_like(pose.rejected)
@@ -118,7 +118,7 @@ def _pair_lengths(
     functionals = np.zeros((len(found), 2 * len(good)))
     for i, (_, _, where, by_pixels) in enumerate(found):
         functionals[i, (2 * where.reshape(-1, 1) + [0, 1]).reshape(-1)] = by_pixels
-    columns = _parameter_derivatives(seen, pose, functionals, rig, marker, parameters)
+    columns = _parameter_derivatives(measurement, pose, functionals, rig, marker, parameters)
     return [
         _PairLength(ends, length, by_pixels, column, (left.pan, right.pan))
         for (ends, length, _, by_pixels), column in zip(found, columns, strict=True)
@@ -133,7 +133,7 @@ def _point_by_pixels(pose: Pose, spots: Array) -> Array:
 
 
 def _parameter_derivatives(
-    seen: Measurement,
+    measurement: Measurement,
     pose: Pose,
     functionals: Array,
     rig: Rig,
@@ -147,17 +147,14 @@ def _parameter_derivatives(
         some = functionals[start : start + CHUNK_ROWS]
         gain = np.zeros((CHUNK_ROWS, functionals.shape[1]))
         gain[: len(some)] = some
-        probe = replace(seen, pose=replace(pose, gain=gain))
+        probe = replace(measurement, pose=replace(pose, gain=gain))
         columns += list(sensitivities(parameters, probe, at_origin, marker)[: len(some)])
     return columns
 
 
 @dataclass
 class BarTracker:
-    """Watches pairs go by and proposes where the bar is, ends kept apart by continuity.
-
-    A choice, never a value: identification takes the nearest of its own hypotheses.
-    """
+    """Proposes the bar's pose in each pair; correspondence takes its own nearest hypothesis."""
 
     rig: Rig
     marker: Marker  # two LEDs
@@ -165,9 +162,9 @@ class BarTracker:
     _proposed: dict[float, Array] = field(default_factory=dict)  # the last pair's, by its t_left
 
     def watch(self, pairs: Iterable[StereoPair]) -> Iterator[StereoPair]:
-        """Pass pairs on, each looked at first."""
+        """Pass pairs on, after locating the bar in each."""
         for pair in pairs:
-            ends = self._look(pair)
+            ends = self._locate(pair)
             self._proposed = {}
             if ends is not None:
                 self._ends = ends
@@ -175,24 +172,20 @@ class BarTracker:
             yield pair
 
     def expected(self, t: float) -> Sequence[Array]:
-        """What `Setup.expected` asks for."""
+        """Expected poses at an instant, as `Setup.expected` takes them."""
         return [self._proposed[t]] if t in self._proposed else []
 
-    def _look(self, pair: StereoPair) -> Array | None:
-        """Both ends by the two brightest spots of either image, (2, 3); None: not seen."""
+    def _locate(self, pair: StereoPair) -> Array | None:
+        """Triangulate the two brightest spots of either image, (2, 3); None: not visible."""
         left, right = detect(pair.left), detect(pair.right)
         if min(len(left), len(right)) < 2:
             return None
         ways = []
         for order in ([0, 1], [1, 0]):
             points, gap = triangulate(
-                self.rig.left,
-                self.rig.right,
-                pair.pan_left,
-                pair.pan_right,
-                left.centre[:2],
-                right.centre[order],
-            )
+                self.rig.left, self.rig.right, pair.pan_left, pair.pan_right,
+                left.centre[:2], right.centre[order],
+            )  # fmt: skip
             if np.isfinite(points).all():
                 ways.append((float(np.sum(gap)), points))
         if not ways:

@@ -158,7 +158,7 @@ def _corners_text(counts: tuple[int, int]) -> str:
 def _refuse_without_its_markers(
     folder: BoardFolder, pictures: Sequence[Image], markers: str
 ) -> None:
-    """Refuse where none of the stated markers is seen but another board is."""
+    """Refuse where no stated marker is found but another board is."""
     kind = _agreed_dictionary(pictures)
     expected = f"board.toml says ChArUco, with markers of {markers}"
     if kind is not None:

@@ -51,6 +51,11 @@ class KinematicFit:
     distance: Array  # (n,), squared Mahalanobis length of what is left in each row
     used: NDArray[np.bool_]  # (n,)
 
+    @property
+    def standard_uncertainty(self) -> Array:
+        """Of the parameters, (L,), m and rad."""
+        return np.sqrt(np.diag(self.covariance))
+
 
 def pose_residuals(state: ArmState, poses: IdentificationPoses) -> Array:
     """Measured pose less the model's, (n, 6), m and rad."""

@@ -47,8 +47,6 @@ def build_poses(
     covariance: Array | None = None,
     *,
     base: Rows | None = None,
-    tool: Rows | None = None,
-    block: Rows | None = None,
     nuisance: Array | None = None,
     determined: tuple[Array, ...] | None = None,
 ) -> IdentificationPoses:
@@ -60,8 +58,6 @@ def build_poses(
         covariance: (n, 6, 6), or (n, 3, 3) of positions, m and rad; None: not known, and estimated
             from what is left, one variance for positions and one for turns.
         base: (n,), which placing of the robot each row belongs to; all the same where not given.
-        tool: (n,), which mounting of the target.
-        block: (n,), rows that repeat each other; each by itself where not given.
         nuisance: (n, 6, p), effects of unit variance that all rows share.
         determined: n of (6, d), functionals of a pose that were measured; all where not given.
 
@@ -85,8 +81,8 @@ def build_poses(
         whitener=_whitener(n, size, covariance, determined),
         stated=covariance is not None,
         base=none if base is None else base,
-        tool=none if tool is None else tool,
-        block=np.arange(n) if block is None else block,
+        tool=none,
+        block=np.arange(n),
         nuisance=np.zeros((n, 6, 0)) if nuisance is None else nuisance,
         position_only=position_only,
     )

@@ -52,11 +52,11 @@ def identification_results(
     """Lay an identification out for the report.
 
     Args:
-        found: what was found.
-        poses: what it rests on, n rows.
-        origin: where that comes from.
+        found: the identification.
+        poses: its n rows.
+        origin: sessions and options.
         robot_file: name of the corrected arm's file.
-        judged: other sessions, where the arm was judged by some.
+        judged: other sessions that judge the arm.
     """
     chosen = found.chosen
     fitted = chosen.fit
@@ -109,9 +109,10 @@ def _unit(parameter: Parameter) -> tuple[float, str]:
 def _parameters(level: LevelResult, found: IdentificationResult) -> list[dict[str, Any]]:
     """Every identified number: as the arm's file has it, corrected, and how sure."""
     rows = []
-    sigma = np.sqrt(np.diag(level.fit.covariance))
-    chain = found.chain
-    for parameter, change, u in zip(level.fit.parameters, level.fit.change, sigma, strict=True):
+    fit, chain = level.fit, found.chain
+    for parameter, change, u in zip(
+        fit.parameters, fit.change, fit.standard_uncertainty, strict=True
+    ):
         scale, unit = _unit(parameter)
         now = None if parameter.axis else float(getattr(chain, parameter.kind)[parameter.place])
         rows.append(
@@ -137,20 +138,15 @@ def _offsets(found: IdentificationResult, joints: int) -> list[dict[str, Any]]:
     for j in range(joints):
         row: dict[str, Any] = {"joint": j + 1}
         for head, level in (("", found.chosen), ("alone_", found.level("offsets"))):
-            value, u = _offset(level, j)
-            row[f"{head}error_deg"] = None if value is None else -value * DEG
-            row[f"{head}add_to_reading_deg"] = None if value is None else value * DEG
-            row[f"{head}standard_uncertainty_deg"] = None if u is None else u * DEG
+            fit, wanted, value, u = level.fit, Parameter("correction", j), None, None
+            if wanted in fit.parameters:
+                k = fit.parameters.index(wanted)
+                value, u = float(fit.change[k]) * DEG, float(fit.standard_uncertainty[k]) * DEG
+            row[f"{head}error_deg"] = None if value is None else -value
+            row[f"{head}add_to_reading_deg"] = value
+            row[f"{head}standard_uncertainty_deg"] = u
         rows.append(row)
     return rows
-
-
-def _offset(level: LevelResult, joint: int) -> tuple[float | None, float | None]:
-    wanted = Parameter("correction", joint)
-    if wanted not in level.fit.parameters:
-        return None, None
-    k = level.fit.parameters.index(wanted)
-    return float(level.fit.change[k]), float(np.sqrt(level.fit.covariance[k, k]))
 
 
 def _held(found: IdentificationResult) -> list[dict[str, Any]]:
@@ -165,8 +161,8 @@ def _held(found: IdentificationResult) -> list[dict[str, Any]]:
         )
         for entry in largest.support.held
     ]
-    sigma = np.sqrt(np.diag(largest.fit.covariance))
-    for parameter, u in zip(largest.fit.parameters, sigma.tolist(), strict=True):
+    sigma = largest.fit.standard_uncertainty.tolist()
+    for parameter, u in zip(largest.fit.parameters, sigma, strict=True):
         if parameter not in found.chosen.fit.parameters:
             rows.append(_held_row(parameter, "not_called_for", u))
     return rows

@@ -54,28 +54,28 @@ def encode_robot(
 def _table(
     arm: robots.DhArm, name: str, chain: KinematicChain, provenance: CorrectionProvenance
 ) -> bytes:
-    offsets = arm.offset + arm.sign * chain.correction
-    rates = (
+    columns = {
+        "a_mm": arm.a * 1e3,
+        "d_mm": arm.d * 1e3,
+        "alpha_deg": np.degrees(arm.alpha),
+        "offset_deg": np.degrees(arm.offset + arm.sign * chain.correction),
+        "sign": arm.sign,
+        "limits_deg": np.degrees(np.stack([arm.lower, arm.upper], axis=1)),
+    }
+    for key, rate in (
         ("speed_deg_s", arm.speed),
         ("acceleration_deg_s2", arm.acceleration),
         ("jerk_deg_s3", arm.jerk),
-    )
-    joints = []
-    for j in range(arm.dof):
-        row = {
-            "a_mm": encode_numbers(float(arm.a[j] * 1e3)),
-            "d_mm": encode_numbers(float(arm.d[j] * 1e3)),
-            "alpha_deg": encode_numbers(float(np.degrees(arm.alpha[j]))),
-            "offset_deg": encode_numbers(float(np.degrees(offsets[j]))),
-            "sign": encode_numbers(float(arm.sign[j])),
-            "limits_deg": encode_numbers(np.degrees([arm.lower[j], arm.upper[j]])),
+    ):
+        if rate is not None:
+            columns[key] = np.degrees(rate)
+    joints = [
+        {
+            key: encode_numbers(column[j] if column.ndim > 1 else float(column[j]))
+            for key, column in columns.items()
         }
-        row |= {
-            key: encode_numbers(float(np.degrees(rate[j])))
-            for key, rate in rates
-            if rate is not None
-        }
-        joints.append(row)
+        for j in range(arm.dof)
+    ]
     comments = "".join(f"# {one_line(line)}\n" for line in provenance.lines())
     return comments.encode() + encode(
         {
@@ -94,11 +94,9 @@ def _urdf(
 ) -> bytes:
     """One link a joint; a joint's origin holds the link before it and the angle at reading 0."""
     steps = link_transforms(chain)
-    names = (
-        arm.joint_names
-        if isinstance(arm, robots.UrdfArm)
-        else tuple(f"joint_{j + 1}" for j in range(arm.dof))
-    )
+    names = tuple(f"joint_{j + 1}" for j in range(arm.dof))
+    if isinstance(arm, robots.UrdfArm):
+        names = arm.joint_names
     links = ["base_link", *(f"link_{j + 1}" for j in range(arm.dof)), "tool0"]
     lines = ['<?xml version="1.0" encoding="utf-8"?>']
     lines += [f"<!-- {_comment(sentence)} -->" for sentence in provenance.lines()]

@@ -15,7 +15,7 @@ from verify.analysis.session import measure_session
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.kinematics.chain import ArmState, KinematicChain
 from verify.calibration.kinematics.identify import IdentificationResult
-from verify.calibration.kinematics.poses import IdentificationPoses, Rows, build_poses
+from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
@@ -98,8 +98,8 @@ def session_to_poses(session: Session, progress: Progress) -> SessionPoses:
         InputError: no pair could be measured, or none has a reading.
     """
     readings = Readings(session.encoders.t, session.encoders.q)
-    seen, clock = measure_session(session, readings, progress, measure)
-    track, systematics = seen.track, seen.systematics
+    measured, clock = measure_session(session, readings, progress, measure)
+    track, systematics = measured.track, measured.systematics
     compared = compare(
         track, session.arm, readings, clock.offset,
         stated=ReadingUncertainty(
@@ -137,6 +137,9 @@ def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
     bases = _groups(one.session.rig.rig_T_base.tobytes() for one in sessions)
     tools = _groups(_mounting(one) for one in sessions)
     source = np.repeat(np.arange(len(sessions)), sizes)
+    # parts of each session that are held out together
+    parts = [np.arange(n) * min(N_BLOCKS, n) // n + N_BLOCKS * i for i, n in enumerate(sizes)]
+    block = np.concatenate(parts)
     nuisance = _nuisances(sessions, bases, tools)
     points = [one.point for one in sessions if one.point is not None]
     # what is not stated is estimated from the fit's residuals, not from how neighbours scatter
@@ -153,14 +156,14 @@ def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
         rows = _point_rows(sessions, points, nuisance, stated=stated)
     else:
         rows = build_poses(
-            _join_poses(one.comparison.q for one in sessions),
-            _join_poses(one.comparison.base_T_measured for one in sessions),
-            _join_poses(one.comparison.covariance for one in sessions) if stated else None,
+            np.concatenate([one.comparison.q for one in sessions]),
+            np.concatenate([one.comparison.base_T_measured for one in sessions]),
+            np.concatenate([one.comparison.covariance for one in sessions]) if stated else None,
             nuisance=nuisance,
             determined=tuple(known for one in sessions for known in one.comparison.determined),
         )
     return CombinedPoses(
-        poses=replace(rows, base=bases[source], tool=tools[source], block=_blocks(sizes)),
+        poses=replace(rows, base=bases[source], tool=tools[source], block=block),
         sessions=tuple(sessions),
         source=source,
         frame=np.concatenate([one.frame for one in sessions]),
@@ -181,32 +184,22 @@ def _point_rows(
         measured.append(pose[:, :3, 3] + lever)
         gains.append(rigid_columns(lever))
     gain = np.concatenate(gains)
-    covariance = _join_poses(one.comparison.covariance for one in sessions)
+    covariance = np.concatenate([one.comparison.covariance for one in sessions])
     moved = np.zeros_like(nuisance)
     moved[:, :3] = gain @ nuisance
     return build_poses(
-        _join_poses(one.comparison.q for one in sessions),
+        np.concatenate([one.comparison.q for one in sessions]),
         np.concatenate(measured),
         gain @ covariance @ np.swapaxes(gain, 1, 2) if stated else None,
         nuisance=moved,
     )
 
 
-def _join_poses(parts: Iterable[Array]) -> Array:
-    return np.concatenate(list(parts))
-
-
-def _blocks(sizes: Sequence[int]) -> Rows:
-    """Number the parts of each session that are held out together."""
-    parts = [np.arange(n) * min(N_BLOCKS, n) // n + N_BLOCKS * i for i, n in enumerate(sizes)]
-    return np.concatenate(parts)
-
-
-def _mounting(seen: SessionPoses) -> bytes:
-    """What tells one mounting on the flange from another."""
-    instrument = seen.session.instrument
+def _mounting(one: SessionPoses) -> bytes:
+    """Identify a mounting on the flange."""
+    instrument = one.session.instrument
     body = b"" if instrument is None else instrument.flange_T_body.tobytes()
-    return seen.session.marker.leds.tobytes() + body
+    return one.session.marker.leds.tobytes() + body
 
 
 def deflate_repetition(gathered: CombinedPoses, found: IdentificationResult) -> CombinedPoses:
@@ -227,12 +220,12 @@ def _groups(keys: Iterable[bytes]) -> NDArray[np.int64]:
 
 
 def _nuisances(
-    seen: Sequence[SessionPoses], bases: NDArray[np.int64], tools: NDArray[np.int64]
+    sessions: Sequence[SessionPoses], bases: NDArray[np.int64], tools: NDArray[np.int64]
 ) -> Array:
     """Place every session's columns: shared ones above each other, its own to the right."""
     shared: dict[tuple[int, int, int], int] = {}
     places, width = [], 0
-    for one, base, tool in zip(seen, bases.tolist(), tools.tolist(), strict=True):
+    for one, base, tool in zip(sessions, bases.tolist(), tools.tolist(), strict=True):
         key = (base, tool, one.stated.shape[2])
         if key not in shared:
             shared[key] = width
@@ -240,7 +233,7 @@ def _nuisances(
         places.append((shared[key], width))
         width += one.own.shape[2]
     blocks = []
-    for one, (first, second) in zip(seen, places, strict=True):
+    for one, (first, second) in zip(sessions, places, strict=True):
         block = np.zeros((len(one.comparison), 6, width))
         block[:, :, first : first + one.stated.shape[2]] = one.stated
         block[:, :, second : second + one.own.shape[2]] = one.own

@@ -1,6 +1,6 @@
 """Sentences on a calibration: doubts, gaps in the coverage, and what improves it most."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -73,23 +73,20 @@ def coverage_gaps(calibration: Calibration, quality: CalibrationQuality) -> tupl
     )
 
 
-def _views(views: Sequence[ViewQuality], names: Mapping[int, str]) -> list[str]:
-    sentences = []
+def _views(views: Sequence[ViewQuality], names: Mapping[int, str]) -> Iterator[str]:
     for view in views:
         if view.poor:
             name = f" ({names[view.frame]})" if view.frame in names else ""
             usual = np.median([v.rms for v in views if v.camera == view.camera])
-            sentences.append(
+            yield (
                 f"Pair {view.frame}{name} hurts in the {SIDES[view.camera]} camera: rms "
                 f"{view.rms:.2f} px, where {usual:.2f} px is usual. Look at its picture "
                 "for blur or a covered board; leave it out or take it again."
             )
-    return sentences
 
 
-def _image(covered: ImageCoverage) -> list[str]:
+def _image(covered: ImageCoverage) -> Iterator[str]:
     side = SIDES[covered.camera]
-    sentences = []
     few = MIN_REGION_SHARE * covered.regions.mean()
     for word, chosen in (
         ("No corner", covered.regions == 0),
@@ -97,7 +94,7 @@ def _image(covered: ImageCoverage) -> list[str]:
     ):
         if chosen.any():
             names = [_region(row, column) for row, column in np.argwhere(chosen).tolist()]
-            sentences.append(
+            yield (
                 f"{word} lies in the {_join_words(names)} of the {side} image: hold the board "
                 "there."
             )
@@ -107,17 +104,16 @@ def _image(covered: ImageCoverage) -> list[str]:
         if margin > MAX_EDGE_GAP
     ]
     if bare and covered.regions.any():
-        sentences.append(
+        yield (
             f"No corner comes near the {_join_words(bare)} edge of the {side} image: the lens "
             "distortion is a guess there; let the board reach into it."
         )
     elif 0 < covered.reach < MIN_RADIUS_SHARE:
-        sentences.append(
+        yield (
             f"In the {side} image no corner lies farther than {100 * covered.reach:.0f} % of the "
             "way to the image's corners: the lens distortion is a guess beyond; let the board "
             "reach into them."
         )
-    return sentences
 
 
 def _region(row: int, column: int) -> str:
@@ -128,68 +124,59 @@ def _region(row: int, column: int) -> str:
     return f"{ROW_NAMES[row]} {COLUMN_NAMES[column]}"
 
 
-def _distance(distances: Sequence[float]) -> list[str]:
+def _distance(distances: Sequence[float]) -> Iterator[str]:
     near, far = min(distances), max(distances)
     if far >= MIN_DEPTH_RATIO * near:
-        return []
+        return
     middle = (near + far) / 2
-    return [
-        (
-            f"All boards stood between {near:.2f} m and {far:.2f} m: add some at "
-            f"{0.75 * middle:.2f} m or nearer and some at {1.3 * middle:.2f} m or farther."
-        )
-    ]
+    yield (
+        f"All boards stood between {near:.2f} m and {far:.2f} m: add some at "
+        f"{0.75 * middle:.2f} m or nearer and some at {1.3 * middle:.2f} m or farther."
+    )
 
 
-def _tilt(axis: str, angles: Sequence[float], edges: tuple[str, str]) -> list[str]:
+def _tilt(axis: str, angles: Sequence[float], edges: tuple[str, str]) -> Iterator[str]:
     """Judge the tilts about one axis; a positive one brings the first edge nearer."""
     most = max(abs(a) for a in angles)
     if most < MIN_TILT:
-        return [
-            (
-                f"Boards were never tilted about the {axis} axis by more than "
-                f"{np.rad2deg(most):.0f}°: tilt some by 30° to 45°, either way."
-            )
-        ]
+        yield (
+            f"Boards were never tilted about the {axis} axis by more than "
+            f"{np.rad2deg(most):.0f}°: tilt some by 30° to 45°, either way."
+        )
+        return
     for sign, edge in ((1, edges[0]), (-1, edges[1])):
         if max(sign * a for a in angles) < MIN_TILT_OTHER_SIDE:
-            return [
-                (
-                    f"No board was tilted about the {axis} axis with its {edge} edge nearer: "
-                    "tilt some that way by 30° to 45°."
-                )
-            ]
-    return []
+            yield (
+                f"No board was tilted about the {axis} axis with its {edge} edge nearer: "
+                "tilt some that way by 30° to 45°."
+            )
 
 
-def _principal_point(point: PrincipalPoint) -> list[str]:
+def _principal_point(point: PrincipalPoint) -> Iterator[str]:
     if not point.odd or point.believed:
-        return []
+        return
     where = f"The {SIDES[point.camera]} camera's principal point lies {point.distance:.0f} px off"
     if point.uncertainty is None:
-        return [f"{where} the image's centre, and its uncertainty is not known: do not rely on it."]
+        yield f"{where} the image's centre, and its uncertainty is not known: do not rely on it."
+        return
     times = point.distance / point.uncertainty
-    return [
-        (
-            f"{where} the image's centre, but only {times:.1f} times its standard uncertainty of "
-            f"{point.uncertainty:.1f} px: do not believe it. Add boards tilted both ways."
-        )
-    ]
+    yield (
+        f"{where} the image's centre, but only {times:.1f} times its standard uncertainty of "
+        f"{point.uncertainty:.1f} px: do not believe it. Add boards tilted both ways."
+    )
 
 
-def _square(calibration: Calibration) -> list[str]:
+def _square(calibration: Calibration) -> Iterator[str]:
     found, u, _ = calibration.square_found
     stated = calibration.board.square
     both = float(np.hypot(u, calibration.board.square_standard_uncertainty or 0.0))
     if both == 0 or abs(found - stated) <= MAX_SQUARE_SIGMA * both:
-        return []
-    return [
-        (
-            f"Squares come out as {found * 1e3:.3f} mm where {stated * 1e3:.3f} mm are stated, "
-            f"{abs(found - stated) / both:.0f} times the uncertainty: the pairs contradict each "
-            "other. Check that left and right were taken at one instant, and that no camera moved."
-        )
-    ]
+        return
+    yield (
+        f"Squares come out as {found * 1e3:.3f} mm where {stated * 1e3:.3f} mm are stated, "
+        f"{abs(found - stated) / both:.0f} times the uncertainty: the pairs contradict each "
+        "other. Check that left and right were taken at one instant, and that no camera moved."
+    )
 
 
 def _join_words(words: list[str]) -> str:

@@ -19,8 +19,8 @@ class ImageCoverage:
     camera: int  # 0 left, 1 right
     x: Array  # (columns,), px, centres of the cells
     y: Array  # (rows,), px
-    counts: Array  # (rows, columns), corners seen
-    regions: Array  # (3, 3), corners seen, upper left first
+    counts: Array  # (rows, columns), corners used
+    regions: Array  # (3, 3), corners used, upper left first
     margins: Array  # (4,), share of the width or height left, above, right and below all corners
     reach: float  # farthest corner from the image's centre, as a share of half the diagonal
 

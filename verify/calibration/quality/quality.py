@@ -39,6 +39,7 @@ from verify.calibration.stereo.records import (
     Residuals,
     camera_covariance,
     covariance_in_si,
+    rms,
 )
 from verify.core.records import Array, Image
 from verify.core.rig import Camera, Rig
@@ -215,11 +216,6 @@ def _contributions(
         left = max(systematic + noise - removed, 0.0)
         split.append(DepthContribution(group, float(np.sqrt(alone)), float(np.sqrt(left))))
     return tuple(sorted(split, key=lambda c: (c.without, c.group)))
-
-
-def rms(residual: Array) -> float:
-    """Root mean square length of residuals (n, 2), px; NaN where there are none."""
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if len(residual) else float("nan")
 
 
 def view_residuals(residuals: Residuals) -> tuple[ViewQuality, ...]:

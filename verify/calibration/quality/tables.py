@@ -1,4 +1,4 @@
-"""Tables of a calibration: units at the door (mm, degrees, px), a row a parameter or a view."""
+"""Tables of a calibration's results, in mm, degrees and px."""
 
 from typing import Any
 
@@ -99,21 +99,13 @@ def _values(camera: Camera) -> dict[str, float]:
 
 
 def _views(quality: CalibrationQuality) -> pd.DataFrame:
+    columns = ["camera", "frame", "corners", "refused", "rms_px", "largest_px"]
+    columns += ["mean_x_px", "mean_y_px", "poor"]
     rows = [
-        {
-            "camera": SIDES[view.camera],
-            "frame": view.frame,
-            "corners": view.corners,
-            "refused": view.refused,
-            "rms_px": view.rms,
-            "largest_px": view.largest,
-            "mean_x_px": view.mean[0],
-            "mean_y_px": view.mean[1],
-            "poor": view.poor,
-        }
-        for view in quality.views
+        (SIDES[v.camera], v.frame, v.corners, v.refused, v.rms, v.largest, *v.mean, v.poor)
+        for v in quality.views
     ]
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=columns)
 
 
 def _residuals(calibration: Calibration) -> pd.DataFrame:

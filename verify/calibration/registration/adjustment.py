@@ -24,9 +24,8 @@ from verify.core.rig import Rig
 
 MAX_ITERATIONS = 40
 TOL_STEP = 1e-9  # of a step in units of m, rad and s: a hundredth of any uncertainty here
-MAX_SPOT_CHI2 = (
-    20.0  # chi² of one spot given the others, 2 degrees of freedom: 5e-5 false rejections
-)
+# chi² of one spot given the others, 2 degrees of freedom: 5e-5 false rejections
+MAX_SPOT_CHI2 = 20.0
 MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
 JOINT_PRIOR_SIGMA = np.deg2rad(
     1.0

@@ -1,10 +1,9 @@
-"""The LED body's pose in the rig, pair by pair, before anything is known of the robot."""
+"""Fit the LED body's pose in the rig, pair by pair, before anything is known of the robot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots.transforms import difference
 from verify.calibration.handeye import rigid_columns
@@ -28,9 +27,9 @@ REFINED_LED_SIGMA = 3e-4  # m, and once it is refined
 
 @dataclass(frozen=True, slots=True)
 class BodyPose:
-    """One pair with its LEDs told apart."""
+    """One pair with its LEDs assigned."""
 
-    look: PairSpots
+    spots: PairSpots
     raw: tuple[RawSighting, RawSighting]  # left and right, every spot at its own instant
     aligned: tuple[Sighting, Sighting]  # at the left camera's instant
     pose: Pose  # of the body, "flange" meaning the body's own frame
@@ -50,41 +49,41 @@ def body_marker(leds: Array, diameter: float, play: float) -> Marker:
 
 
 def body_poses(
-    looks: Sequence[PairSpots], rig: Rig, leds: Array, diameter: float
+    pairs: Sequence[PairSpots], rig: Rig, leds: Array, diameter: float
 ) -> tuple[Array, list[BodyPose]]:
-    """Tell the LEDs apart in every pair, and refine where they sit in the body.
+    """Assign spots to LEDs in every pair, and refine the LEDs' places in the body.
 
     Args:
-        looks: the spots of every pair.
+        pairs: the spots of every pair.
         rig: the cameras.
         leds: (n, 3), m, the body's LEDs to about a millimetre.
         diameter: m, of an LED.
 
     Returns:
-        The LEDs, refined, and the pairs in which three or more are told apart with a pose.
+        The LEDs, refined, and the pairs in which three or more are assigned and give a pose.
     """
     rough = leds
-    told = _assign_leds(looks, rig, body_marker(leds, diameter, START_LED_SIGMA))
+    assigned = _assign_leds(pairs, rig, body_marker(leds, diameter, START_LED_SIGMA))
     for _ in range(MAX_ROUNDS):
-        seen = _fit_poses(told, rig, body_marker(leds, diameter, REFINED_LED_SIGMA))
-        better = _refine_leds(leds, seen)
+        poses = _fit_poses(assigned, rig, body_marker(leds, diameter, REFINED_LED_SIGMA))
+        better = _refine_leds(leds, poses)
         moved, leds = float(np.abs(better - leds).max()), better
         if moved < TOL_BODY:
             break
     marker = body_marker(leds, diameter, REFINED_LED_SIGMA)
     if np.abs(leds - rough).max() > START_LED_SIGMA:  # LEDs may have been overlooked
-        told = _assign_leds(looks, rig, marker)
-    return leds, _fit_poses(told, rig, marker)
+        assigned = _assign_leds(pairs, rig, marker)
+    return leds, _fit_poses(assigned, rig, marker)
 
 
 AssignedPair = tuple[PairSpots, Correspondence, tuple[RawSighting, RawSighting]]
 
 
-def _assign_leds(looks: Sequence[PairSpots], rig: Rig, marker: Marker) -> list[AssignedPair]:
-    """Say which spot is which LED in every pair, each leaning on the one before."""
+def _assign_leds(pairs: Sequence[PairSpots], rig: Rig, marker: Marker) -> list[AssignedPair]:
+    """Assign spots to LEDs in every pair, with the one before as a prediction."""
     found: list[AssignedPair] = []
     memory: tuple[float, Array, Array] | None = None  # t, pose, twist
-    for now in looks:
+    for now in pairs:
         prediction = None if memory is None else _predict(memory, now.t[0])
         identified = assign_leds(
             *now.spots, rig, *now.pan, marker,
@@ -96,15 +95,15 @@ def _assign_leds(looks: Sequence[PairSpots], rig: Rig, marker: Marker) -> list[A
         raw = _raw(now, 0, identified, rig.left), _raw(now, 1, identified, rig.right)
         pose, twist = identified.rig_T_flange, np.zeros(6)
         if memory is not None and now.t[0] - memory[0] <= MAX_GAP:
-            twist = _twist(memory[1], pose, now.t[0] - memory[0])
+            twist = difference(pose, memory[1]) / (now.t[0] - memory[0])
         memory = (now.t[0], pose, twist)
         found.append((now, identified, raw))
     return found
 
 
-def _fit_poses(told: list[AssignedPair], rig: Rig, marker: Marker) -> list[BodyPose]:
+def _fit_poses(assigned: list[AssignedPair], rig: Rig, marker: Marker) -> list[BodyPose]:
     """Align every pair and fit its pose; pairs that leave one open stay out."""
-    fits = (_pose(i, told, rig, marker) for i in range(len(told)))
+    fits = (_pose(i, assigned, rig, marker) for i in range(len(assigned)))
     return [fit for fit in fits if fit is not None]
 
 
@@ -117,11 +116,6 @@ def _predict(memory: tuple[float, Array, Array], t: float) -> PosePrediction | N
         position_uncertainty=PRIOR_ACCELERATION[0] * interval**2 + MIN_PREDICTION_SIGMA[0],
         rotation_uncertainty=PRIOR_ACCELERATION[1] * interval**2 + MIN_PREDICTION_SIGMA[1],
     )
-
-
-def _twist(before: Array, now: Array, interval: float) -> Array:
-    twist: Array = difference(now, before) / interval
-    return twist
 
 
 def _raw(now: PairSpots, side: int, found: Correspondence, camera: Camera) -> RawSighting:
@@ -170,11 +164,11 @@ def _pose(i: int, found: list[AssignedPair], rig: Rig, marker: Marker) -> BodyPo
     return BodyPose(now, raw, (left, right), pose, diameter)
 
 
-def _refine_leds(leds: Array, seen: list[BodyPose]) -> Array:
-    """Move the LEDs to where the pairs have them on average, by the pixels' own residuals."""
+def _refine_leds(leds: Array, poses: list[BodyPose]) -> Array:
+    """Move the LEDs to their mean places over the pairs, by the pixels' own residuals."""
     n = len(leds)
     information, wanted = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
-    for pair in seen:
+    for pair in poses:
         led = np.concatenate([pair.aligned[0].led, pair.aligned[1].led])
         keep = ~pair.pose.rejected
         by_led = np.zeros((len(led), 2, 3 * n))
@@ -182,9 +176,8 @@ def _refine_leds(leds: Array, seen: list[BodyPose]) -> Array:
         for s, k in enumerate(led.tolist()):
             by_led[s, :, 3 * k : 3 * k + 3] = turned[s]
         rows, residual = by_led[keep].reshape(-1, 3 * n), pair.pose.residual[keep].reshape(-1)
-        # what a motion of the whole body explains says nothing of its shape
-        lever = pair.pose.rig_T_flange[:3, :3]
-        offset = leds[led] @ lever.T
+        # a motion of the whole body does not change its shape
+        offset = leds[led] @ pair.pose.rig_T_flange[:3, :3].T
         by_pose = (pair.pose.sensitivity @ rigid_columns(offset))[keep].reshape(-1, 6)
         basis = np.linalg.qr(by_pose)[0]
         rows = rows - basis @ (basis.T @ rows)
@@ -195,9 +188,3 @@ def _refine_leds(leds: Array, seen: list[BodyPose]) -> Array:
     step = vectors[:, known] @ ((vectors[:, known].T @ wanted) / values[known])
     better: Array = leds + step.reshape(n, 3)
     return better
-
-
-def used_spots(seen: BodyPose) -> NDArray[np.bool_]:
-    """Which of a pair's spots the pose did not refuse, left then right."""
-    kept: NDArray[np.bool_] = ~seen.pose.rejected
-    return kept

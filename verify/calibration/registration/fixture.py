@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from robots.transforms import difference, invert
+from robots.transforms import cross_matrix, difference, invert
 from verify.calibration.board_pose import board_marker, board_poses
 from verify.calibration.stereo.records import extend_covariance
 from verify.core.fiducials import Board, BoardPair, Marker
@@ -108,20 +108,12 @@ def register_fixture(
     size = by_board @ _square_effect(rig, pairs, board, common.pose)
     fixture = fixture + np.outer(size, size)
     own = by_board @ common.own @ by_board.T + fixture
-    covariance = extend_covariance(
-        rig.covariance,
-        BASE_NAMES,
-        by_board @ _parameter_columns(rig, parameters, common.by_rig),
-        own,
-    )
+    columns = by_board @ _parameter_columns(rig, parameters, common.by_rig)
+    covariance = extend_covariance(rig.covariance, BASE_NAMES, columns, own)
     placed = replace(
-        rig,
-        rig_T_base=base,
-        base_source="fixture",
-        registration=None,
-        absorption=None,
+        rig, rig_T_base=base, base_source="fixture", registration=None, absorption=None,
         covariance=covariance,
-    )
+    )  # fmt: skip
     registration = f"sha256:{sha256(io_rig.encode(placed)).hexdigest()}"
     return FixtureRegistration(
         rig=replace(placed, registration=registration),
@@ -295,15 +287,11 @@ def _base(rig_T_board: Array, base_T_board: Array) -> tuple[Array, Array, Array]
     base: Array = rig_T_board @ invert(base_T_board)
     arm = base[:3, 3] - rig_T_board[:3, 3]
     by_board = np.eye(6)
-    by_board[:3, 3:] = -_cross(arm)
+    by_board[:3, 3:] = -cross_matrix(arm)
     by_fixture = np.zeros((6, 6))
     by_fixture[:3, :3] = by_fixture[3:, 3:] = -base[:3, :3]
-    by_fixture[:3, 3:] = _cross(arm) @ base[:3, :3]
+    by_fixture[:3, 3:] = cross_matrix(arm) @ base[:3, :3]
     return base, by_board, by_fixture
-
-
-def _cross(v: Array) -> Array:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
 def _parameter_columns(rig: Rig, parameters: Systematics, by_known: Array) -> Array:

@@ -62,8 +62,8 @@ def read(path: str | Path) -> tuple[Fixture, tuple[str, ...]]:
         not_negative(path, key, float(values.min()))
         sigma.append(values * unit)
     if missing:
-        said = f"{path}: {' and '.join(missing)} not stated; taken as exact."
-        warnings = (*warnings, one_line(said))
+        warning = f"{path}: {' and '.join(missing)} not stated; taken as exact."
+        warnings = (*warnings, one_line(warning))
     return Fixture(base_T_board, np.diag(np.square(np.concatenate(sigma)))), warnings
 
 

@@ -1,14 +1,15 @@
-"""The LEDs of an arm without a marker file: bright points that move together as one rigid body.
+"""Find the LEDs of an arm without a marker file: bright points that move as one rigid body.
 
-Lamps, highlights and reflections are bright too. What tells LEDs from them is that the arm carries
-them: they do not stand still, and their mutual distances stay. No two pairs need to be near in
-time, so single visits serve as well as a motion.
+Lamps, highlights and reflections are bright too; LEDs move, and their mutual distances stay:
 
-Which of many points, seen again and again, are one rigid body.
+    | x_i(t) - x_j(t) | = d_ij     for all pairs of images t in which points i and j are visible
+
+Triangles of points that recur in most pairs are extended by the points that keep their place beside
+them. No two pairs need to be near in time, so single visits serve as well as a motion.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 
 import numpy as np
@@ -22,40 +23,161 @@ from verify.measurement.chain import MIN_DEPTH, MIN_MOTION_PX, UNKNOWN_SPEED_PX
 from verify.measurement.detection.detect import detect
 from verify.measurement.triangulation import fit_rigid, rays, triangulate
 
-N_REFERENCES = 8  # views that triangles are taken from
-N_TESTS = 16  # views that they are looked for in
-MAX_POINTS = 16  # of a view: bounds the work; views with fewer are taken first
-N_TRIANGLES = 6  # best ones that are grown
+MAX_LEDS = 6  # that correspondence can assign
+MAX_EPIPOLAR_PX = 1.0  # of two rays that should meet: calibration and merged spots leave so much
+MAX_DEPTH = 5.0  # m: beyond it no LED of 5 mm fills two pixels
+MAX_STILL_PX = 1.5  # a lamp's image moves less, an LED's on a moving arm more
+MIN_STILL_SHARE = 0.5  # of the pairs with a spot at one place: then it is none of the arm's
+MIN_PAIRS = 5  # with one pan reading, to find spots that stand still
+# Between the exposures an LED moves; how differently two LEDs of one body do changes the distance
+# between them: 1 rad/s at 50 mm, in depth four times enlarged.
+SPEED_SPREAD = 0.2  # m/s
+MIN_POINT_SIGMA = 1.5e-3  # m: depth of a spot that is half a pixel off
+N_REFERENCES = 8  # pairs that triangles are taken from
+N_TESTS = 16  # pairs in which they are searched for
+MAX_POINTS = 16  # of a pair: bounds the work; pairs with fewer are taken first
+N_TRIANGLES = 6  # best ones that are extended
 MIN_SIDE, MAX_SIDE = 0.012, 0.6  # m, sides of a triangle of LEDs on one flange
 MIN_HEIGHT_RATIO = 0.15  # height over longest side: flatter ones do not define a frame
-MIN_VIEW_SHARE = 0.5  # share of the views in which a body's part is seen
+MIN_VIEW_SHARE = 0.5  # of the pairs in which a part of the body is found
 MIN_TURN = np.deg2rad(1.0)  # of the body over the session: less, and it stands still
-MIN_MOVE = 5e-3  # m, likewise
+MIN_MOVE = 5e-3  # m, of the body over the session
 MAX_ROUNDS = 4
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class PairSpots:
+    """The bright spots of one stereo pair."""
+
+    frame: int
+    t: tuple[float, float]  # s, left and right
+    pan: tuple[float, float]  # rad
+    spots: tuple[Spots, Spots]
+    height: int  # px, of the image
 
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """The candidate points of one view."""
+    """The candidate points of one pair."""
 
     points: Array  # (m, 3), m
     spots: NDArray[np.int64]  # (m, 2), the left and the right spot behind each
     play: float  # m, how far a distance between two of them may be off
 
 
-@dataclass(frozen=True, slots=True)
-class _GrownBody:
-    leds: Array  # (n, 3)
-    seen: float  # LEDs a view, on average
-    misfit: float  # m, rms
+def find_spots(recording: Recording, progress: Progress) -> list[PairSpots]:
+    """Find the spots of every pair.
+
+    Raises:
+        InputError: an image cannot be decoded.
+    """
+    pairs = []
+    for pair in recording.pairs():
+        pairs.append(
+            PairSpots(
+                frame=pair.frame,
+                t=(pair.t_left, pair.t_right),
+                pan=(pair.pan_left, pair.pan_right),
+                spots=(detect(pair.left), detect(pair.right)),
+                height=pair.left.shape[0],
+            )
+        )
+        progress(len(pairs), len(recording))
+    return pairs
+
+
+def drop_still_spots(pairs: Sequence[PairSpots]) -> list[PairSpots]:
+    """Leave out spots that are at one place of an image in most pairs: lamps, highlights."""
+    sides = []
+    for side in (0, 1):
+        found = [pair.spots[side].centre for pair in pairs]
+        pan = np.array([pair.pan[side] for pair in pairs])
+        moving = [~_still_spots(i, found, pan) for i in range(len(pairs))]
+        sides.append([_select_spots(p.spots[side], m) for p, m in zip(pairs, moving, strict=True)])
+    each = zip(pairs, *sides, strict=True)
+    return [replace(pair, spots=(left, right)) for pair, left, right in each]
+
+
+def _still_spots(i: int, found: list[Array], pan: Array) -> NDArray[np.bool_]:
+    """Which spots of pair i are where others with the same pan reading have one, too."""
+    alike = [j for j in np.flatnonzero(pan == pan[i]).tolist() if j != i]
+    if len(alike) + 1 < MIN_PAIRS or not len(found[i]):
+        return np.zeros(len(found[i]), dtype=bool)
+    again = np.zeros(len(found[i]))
+    for j in alike:
+        if len(found[j]):
+            apart = np.linalg.norm(found[i][:, None] - found[j][None], axis=2)
+            again += apart.min(axis=1) < MAX_STILL_PX
+    still: NDArray[np.bool_] = again > MIN_STILL_SHARE * len(alike)
+    return still
+
+
+def _select_spots(spots: Spots, keep: NDArray[np.bool_]) -> Spots:
+    each = [f.name for f in fields(spots) if f.name != "noise"]
+    return replace(spots, **{name: getattr(spots, name)[keep] for name in each})
+
+
+def find_leds(pairs: Sequence[PairSpots], rig: Rig, leds: int | None, place: str) -> Array:
+    """Find the LEDs as the rigid body that moves.
+
+    Args:
+        pairs: the spots of every pair, those that stand still left out.
+        rig: the cameras.
+        leds: how many there are; None: as many as move together.
+        place: the recording, for complaints.
+
+    Returns:
+        (n, 3), m, in a frame of their own, about their centroid; good to about a millimetre.
+
+    Raises:
+        InputError: nothing moves as one rigid body, or another number of LEDs does.
+    """
+    clouds = [candidate_points(pair, rig) for pair in pairs]
+    body = find_rigid_body([c for c in clouds if len(c.points) >= 3], leds or MAX_LEDS)
+    if body is None:
+        most = max((len(c.points) for c in clouds), default=0)
+        raise InputError(
+            place,
+            f"no three bright points move together as one rigid body (at most {most} in a pair)",
+            "three LEDs or more, off one line, in view of both cameras while the arm moves",
+            "Light the LEDs, darken the room, and move several joints by 20° or more.",
+        )
+    if leds is not None and len(body) != leds:
+        remedy = "Check that every LED is lit and in view of both cameras, or give the number seen."
+        raise InputError(place, f"{len(body)} LEDs move together", f"{leds} are asked for", remedy)
+    return body
+
+
+def max_motion_px(pair: PairSpots) -> float:
+    """How far LEDs may move in the image between the two exposures, px."""
+    return MIN_MOTION_PX + UNKNOWN_SPEED_PX * abs(pair.t[1] - pair.t[0])
+
+
+def candidate_points(pair: PairSpots, rig: Rig) -> PointCloud:
+    """Triangulate every left spot with every right one whose rays meet."""
+    left, right = (spots.centre for spots in pair.spots)
+    if not len(left) or not len(right):
+        return PointCloud(np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64), 0.0)
+    at, gap = triangulate(rig.left, rig.right, *pair.pan, left[:, None], right[None])
+    centre, _ = rays(rig.left, pair.pan[0], left[:1])
+    distance = np.linalg.norm(at - centre, axis=2)
+    gap_px = gap / np.where(distance > 0, distance, np.inf) * rig.left.matrix[0, 0]
+    with np.errstate(invalid="ignore"):  # nan where the rays do not meet
+        meets = (gap_px < MAX_EPIPOLAR_PX + max_motion_px(pair)) & (distance > MIN_DEPTH)
+        meets &= distance < MAX_DEPTH
+    index = np.argwhere(meets)
+    play = MIN_POINT_SIGMA + SPEED_SPREAD * abs(pair.t[1] - pair.t[0])
+    return PointCloud(at[meets], index.astype(np.int64), play)
 
 
 def find_rigid_body(clouds: Sequence[PointCloud], most: int) -> Array | None:
-    """The moving points whose mutual distances stay: (n, 3) about their centroid, or None.
+    """Find the moving points whose mutual distances stay: (n, 3) about their centroid, or None.
 
     Args:
-        clouds: the points of each view.
-        most: how many of them to take, those seen most often.
+        clouds: the points of each pair.
+        most: how many of them to take, the most frequent ones.
     """
     if len(clouds) < 3:
         return None
@@ -67,9 +189,16 @@ def find_rigid_body(clouds: Sequence[PointCloud], most: int) -> Array | None:
     grown = [g for g in (_grow(t, clouds, most) for t in triangles) if g is not None]
     if not grown:
         return None
-    best = max(grown, key=lambda g: (round(g.seen, 1), -g.misfit))
+    best = max(grown, key=lambda g: (round(g.visible, 1), -g.misfit))
     centred: Array = best.leds - best.leds.mean(axis=0)
     return centred
+
+
+@dataclass(frozen=True, slots=True)
+class _GrownBody:
+    leds: Array  # (n, 3)
+    visible: float  # LEDs a pair, on average
+    misfit: float  # m, rms
 
 
 def _spread(clouds: Sequence[PointCloud], count: int) -> list[PointCloud]:
@@ -79,7 +208,7 @@ def _spread(clouds: Sequence[PointCloud], count: int) -> list[PointCloud]:
 
 
 def _triangles(references: list[PointCloud], tests: list[PointCloud]) -> list[Array]:
-    """The triangles of points that come back in most views, each (3, 3), best first."""
+    """Find the triangles of points that recur in most pairs, each (3, 3), best first."""
     scored = []
     for cloud in references:
         for trio in combinations(range(len(cloud.points)), 3):
@@ -87,7 +216,7 @@ def _triangles(references: list[PointCloud], tests: list[PointCloud]) -> list[Ar
                 continue
             corners = cloud.points[list(trio)]
             if _usable(corners):
-                scored.append(([_contains(test, corners) for test in tests], corners))
+                scored.append(([_match(test, corners) is not None for test in tests], corners))
     scored.sort(key=lambda s: -sum(s[0]))
     kept: list[Array] = []
     for found, corners in scored:
@@ -112,12 +241,8 @@ def _usable(corners: Array) -> bool:
     )
 
 
-def _contains(cloud: PointCloud, corners: Array) -> bool:
-    return _match(cloud, corners) is not None
-
-
 def _match(cloud: PointCloud, corners: Array) -> NDArray[np.int64] | None:
-    """The three points of a view that form the triangle best, (3,), or None."""
+    """Find the three points of a pair that form the triangle best, (3,), or None."""
     wanted = [np.linalg.norm(corners[i] - corners[j]) for i, j in ((0, 1), (0, 2), (1, 2))]
     apart = np.linalg.norm(cloud.points[:, None] - cloud.points[None], axis=2)
     first, second, third = (np.abs(apart - w) for w in wanted)
@@ -135,14 +260,21 @@ def _match(cloud: PointCloud, corners: Array) -> NDArray[np.int64] | None:
 
 
 def _grow(corners: Array, clouds: Sequence[PointCloud], most: int) -> _GrownBody | None:
-    """Add to a triangle what keeps its place beside it."""
-    poses, in_body, spread = _place_triangle(corners, clouds)
-    if len(poses) < MIN_VIEW_SHARE * len(clouds) or not _is_moving(poses):
+    """Add to a triangle the points that keep their place beside it."""
+    placed = [
+        (cloud.play, *_in_body(cloud, trio, corners))
+        for cloud in clouds
+        if (trio := _match(cloud, corners)) is not None
+    ]
+    if len(placed) < MIN_VIEW_SHARE * len(clouds):
+        return None
+    plays, poses, in_body = zip(*placed, strict=True)
+    if not _is_moving(np.array(poses)):
         return None
     leds = list(corners)
     everything = np.concatenate(in_body)
-    reach = 2 * spread
-    limit = MIN_VIEW_SHARE * len(in_body)
+    reach = 2 * float(np.median(plays))
+    limit = MIN_VIEW_SHARE * len(placed)
     while len(leds) < most:
         near = np.linalg.norm(everything[:, None] - np.array(leds)[None], axis=2).min(axis=1)
         free = everything[near > max(MIN_SIDE, 2 * reach)]
@@ -157,20 +289,10 @@ def _grow(corners: Array, clouds: Sequence[PointCloud], most: int) -> _GrownBody
     return _refine_body(np.array(leds), clouds)
 
 
-def _place_triangle(
-    corners: Array, clouds: Sequence[PointCloud]
-) -> tuple[Array, list[Array], float]:
-    """Where the triangle stands in each view that has it, and the view's points from there."""
-    poses, in_body, plays = [], [], []
-    for cloud in clouds:
-        trio = _match(cloud, corners)
-        if trio is None:
-            continue
-        pose = fit_rigid(cloud.points[trio], corners)
-        poses.append(pose)
-        in_body.append((cloud.points - pose[:3, 3]) @ pose[:3, :3])
-        plays.append(cloud.play)
-    return np.array(poses).reshape(-1, 4, 4), in_body, float(np.median(plays or [0.0]))
+def _in_body(cloud: PointCloud, index: NDArray[np.int64], leds: Array) -> tuple[Array, Array]:
+    """Fit the body by some points of a pair: its pose (4, 4), all points in its frame (m, 3)."""
+    pose = fit_rigid(cloud.points[index], leds)
+    return pose, (cloud.points - pose[:3, 3]) @ pose[:3, :3]
 
 
 def _is_moving(poses: Array) -> bool:
@@ -180,176 +302,31 @@ def _is_moving(poses: Array) -> bool:
 
 
 def _refine_body(leds: Array, clouds: Sequence[PointCloud]) -> _GrownBody | None:
-    """Move the LEDs to their mean places over the views, and see how well they hold."""
+    """Move the LEDs to their mean places over the pairs; with it, how well they fit."""
     for _ in range(MAX_ROUNDS):
         found = [f for f in (_match_leds(leds, cloud) for cloud in clouds) if f is not None]
         if len(found) < MIN_VIEW_SHARE * len(clouds):
             return None
-        stack = np.array(found)  # (views, n, 3), in the body; nan where not seen
+        stack = np.array(found)  # (views, n, 3), in the body; nan where not visible
         mean = np.nanmean(stack, axis=0)
         off = float(np.sqrt(np.nanmean((stack - mean) ** 2)))
         leds = mean
-    seen = float(np.mean(np.isfinite(stack[:, :, 0]).sum(axis=1)) * len(found) / len(clouds))
-    return _GrownBody(leds, seen, off)
+    visible = float(np.mean(np.isfinite(stack[:, :, 0]).sum(axis=1)) * len(found) / len(clouds))
+    return _GrownBody(leds, visible, off)
 
 
 def _match_leds(leds: Array, cloud: PointCloud) -> Array | None:
-    """The LEDs as one view has them, brought to the body's frame, (n, 3); nan where unseen."""
+    """Find the LEDs in one pair, in the body's frame, (n, 3); nan where not visible."""
     trio = _match(cloud, leds[:3])
     if trio is None:
         return None
-    pose = fit_rigid(cloud.points[trio], leds[:3])
-    local = (cloud.points - pose[:3, 3]) @ pose[:3, :3]
+    _, local = _in_body(cloud, trio, leds[:3])
     apart = np.linalg.norm(local[:, None] - leds[None], axis=2)
     nearest = apart.argmin(axis=0)
     there = apart.min(axis=0) < 3 * cloud.play
     if there.sum() < 3:
         return None
-    pose = fit_rigid(cloud.points[nearest[there]], leds[there])
-    seen = (cloud.points[nearest] - pose[:3, 3]) @ pose[:3, :3]
-    seen[~there] = np.nan
-    found: Array = seen
+    _, local = _in_body(cloud, nearest[there], leds[there])
+    found: Array = local[nearest]
+    found[~there] = np.nan
     return found
-
-
-Progress = Callable[[int, int], None]
-
-MAX_LEDS = 6  # as identification takes them
-MAX_EPIPOLAR_PX = 1.0  # what calibration and merged spots leave of two rays that should meet
-MAX_DEPTH = 5.0  # m: beyond it no LED of 5 mm fills two pixels
-MAX_STILL_PX = 1.5  # a lamp's image wanders less, an LED's on a moving arm more
-MIN_STILL_SHARE = 0.5  # share of the pairs in which a spot at one place is none of the arm's
-# Between the exposures an LED moves; how differently two LEDs of one body do spoils the distance
-# between them. 1 rad/s at 50 mm, seen in depth four times enlarged.
-SPEED_SPREAD = 0.2  # m/s
-MIN_POINT_SIGMA = 1.5e-3  # m: depth of a spot that is half a pixel off
-MIN_PAIRS = 5  # alike enough to say that a spot stands still
-
-
-@dataclass(frozen=True, slots=True)
-class PairSpots:
-    """The bright spots of one stereo pair."""
-
-    frame: int
-    t: tuple[float, float]  # s, left and right
-    pan: tuple[float, float]  # rad
-    spots: tuple[Spots, Spots]
-    height: int  # px, of the image
-
-
-def find_spots(recording: Recording, progress: Progress) -> list[PairSpots]:
-    """Find the spots of every pair.
-
-    Raises:
-        InputError: an image cannot be decoded.
-    """
-    looks = []
-    for pair in recording.pairs():
-        looks.append(
-            PairSpots(
-                frame=pair.frame,
-                t=(pair.t_left, pair.t_right),
-                pan=(pair.pan_left, pair.pan_right),
-                spots=(detect(pair.left), detect(pair.right)),
-                height=pair.left.shape[0],
-            )
-        )
-        progress(len(looks), len(recording))
-    return looks
-
-
-def drop_still_spots(looks: Sequence[PairSpots]) -> list[PairSpots]:
-    """Leave out spots that are at one place of an image in most pairs: lamps, highlights."""
-    sides = []
-    for side in (0, 1):
-        found = [seen.spots[side].centre for seen in looks]
-        pan = np.array([seen.pan[side] for seen in looks])
-        sides.append([~_still_spots(i, found, pan) for i in range(len(looks))])
-    return [
-        replace(
-            seen, spots=(_select_spots(seen.spots[0], left), _select_spots(seen.spots[1], right))
-        )
-        for seen, left, right in zip(looks, *sides, strict=True)
-    ]
-
-
-def _still_spots(i: int, found: list[Array], pan: Array) -> NDArray[np.bool_]:
-    """Which spots of pair i are where others with the same pan reading have one, too."""
-    alike = [j for j in np.flatnonzero(pan == pan[i]).tolist() if j != i]
-    if len(alike) + 1 < MIN_PAIRS or not len(found[i]):
-        return np.zeros(len(found[i]), dtype=bool)
-    again = np.zeros(len(found[i]))
-    for j in alike:
-        if len(found[j]):
-            apart = np.linalg.norm(found[i][:, None] - found[j][None], axis=2)
-            again += apart.min(axis=1) < MAX_STILL_PX
-    stands: NDArray[np.bool_] = again > MIN_STILL_SHARE * len(alike)
-    return stands
-
-
-def _select_spots(spots: Spots, keep: NDArray[np.bool_]) -> Spots:
-    return Spots(
-        centre=spots.centre[keep],
-        covariance=spots.covariance[keep],
-        peak=spots.peak[keep],
-        diameter=spots.diameter[keep],
-        elongation=spots.elongation[keep],
-        misfit=spots.misfit[keep],
-        saturated=spots.saturated[keep],
-        merged=spots.merged[keep],
-        colour=spots.colour[keep],
-        noise=spots.noise,
-    )
-
-
-def max_motion_px(seen: PairSpots) -> float:
-    """How far LEDs may move in the image between the two exposures, px."""
-    return MIN_MOTION_PX + UNKNOWN_SPEED_PX * abs(seen.t[1] - seen.t[0])
-
-
-def candidate_points(seen: PairSpots, rig: Rig) -> PointCloud:
-    """Every point in the rig at which a left and a right spot may have met."""
-    left, right = (spots.centre for spots in seen.spots)
-    if not len(left) or not len(right):
-        return PointCloud(np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64), 0.0)
-    at, gap = triangulate(rig.left, rig.right, *seen.pan, left[:, None], right[None])
-    centre, _ = rays(rig.left, seen.pan[0], left[:1])
-    distance = np.linalg.norm(at - centre, axis=2)
-    gap_px = gap / np.where(distance > 0, distance, np.inf) * rig.left.matrix[0, 0]
-    with np.errstate(invalid="ignore"):  # nan where the rays do not meet
-        meets = (gap_px < MAX_EPIPOLAR_PX + max_motion_px(seen)) & (distance > MIN_DEPTH)
-        meets &= distance < MAX_DEPTH
-    index = np.argwhere(meets)
-    play = MIN_POINT_SIGMA + SPEED_SPREAD * abs(seen.t[1] - seen.t[0])
-    return PointCloud(at[meets], index.astype(np.int64), play)
-
-
-def find_leds(looks: Sequence[PairSpots], rig: Rig, leds: int | None, place: str) -> Array:
-    """Find the LEDs as the rigid body that moves.
-
-    Args:
-        looks: the spots of every pair, those that stand still left out.
-        rig: the cameras.
-        leds: how many there are; None: as many as move together.
-        place: the recording, for complaints.
-
-    Returns:
-        (n, 3), m, in a frame of their own, about their centroid; good to about a millimetre.
-
-    Raises:
-        InputError: nothing moves as one rigid body, or another number of LEDs does.
-    """
-    clouds = [candidate_points(seen, rig) for seen in looks]
-    body = find_rigid_body([c for c in clouds if len(c.points) >= 3], leds or MAX_LEDS)
-    if body is None:
-        most = max((len(c.points) for c in clouds), default=0)
-        raise InputError(
-            place,
-            f"no three bright points move together as one rigid body (at most {most} in a pair)",
-            "three LEDs or more, off one line, in view of both cameras while the arm moves",
-            "Light the LEDs, darken the room, and move several joints by 20° or more.",
-        )
-    if leds is not None and len(body) != leds:
-        remedy = "Check that every LED is lit and in view of both cameras, or give the number seen."
-        raise InputError(place, f"{len(body)} LEDs move together", f"{leds} are asked for", remedy)
-    return body

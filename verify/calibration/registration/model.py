@@ -1,9 +1,18 @@
-"""What both images should show of LEDs on a moving flange, and how that changes with everything.
+"""Predicted pixels of LEDs on a moving flange, with derivatives by everything a registration finds.
 
-Every spot is predicted at its own instant: the right camera's at its own time stamp and, with a
-rolling shutter, each row at its own time. Nothing has to be aligned.
+Spot s of LED l, taken at the stamped time t by a camera with its pan reading:
 
-Which readings an interpolated one is made of: what two instants share of the readings' noise.
+    x_s = project(K, k; camera_T_rig rig_T_base base_T_flange(q(t - clock + skew_s)) led_l) + noise
+
+with skew_s the skew for spots of the right camera, else 0. Parameters (8 + 3 LEDs):
+
+    0 - 5     rig_T_base: position, rotation about its own origin on the left     m, rad
+    6 …       LED positions in the flange frame                                   m
+    -2        clock, added to the readings' time gives the cameras'               s
+    -1        skew, by how much the right camera's stamps are early               s
+
+Every spot is predicted at its own instant (time stamp, and row of a rolling shutter). The noise of
+interpolated readings is a weighted sum of single readings' noise, which two instants may share.
 """
 
 from collections.abc import Sequence
@@ -14,11 +23,14 @@ from numpy.typing import NDArray
 
 import robots
 from verify.calibration.handeye import rigid_columns
-from verify.calibration.registration.body_poses import BodyPose, used_spots
+from verify.calibration.registration.body_poses import BodyPose
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import Array, Sighting
 from verify.core.rig import Camera, Rig, distort, distortion_jacobian
 from verify.measurement.pose import perturb
+
+BASE_COLUMNS = slice(0, 6)  # of the design: base, LEDs, clock, skew
+RIGHT = 1
 
 
 def reading_variance(readings: Readings, resolution: float | None) -> Array:
@@ -28,7 +40,7 @@ def reading_variance(readings: Readings, resolution: float | None) -> Array:
 
 
 def interpolation_weights(readings: Readings, t: Array) -> tuple[NDArray[np.int64], Array]:
-    """Write interpolated readings as sums of readings.
+    """Express interpolated readings as weighted sums of readings.
 
     Args:
         readings: on the controller's clock.
@@ -77,19 +89,15 @@ def _slope(before: Array, after: Array) -> Array:
 
 
 def shared_noise(index: NDArray[np.int64], weight: Array) -> Array:
-    """What instants (m) share of white reading noise of unit variance, (m, m)."""
+    """Covariance (m, m) of interpolated readings at instants (m) by noise of unit variance."""
     same = index[:, None, :, None] == index[None, :, None, :]
     shared: Array = np.einsum("abkl,ak,bl->ab", same, weight, weight)
     return shared
 
 
-BASE_COLUMNS = slice(0, 6)  # columns of the design: base, LEDs, clock, skew
-RIGHT = 1
-
-
 @dataclass(frozen=True, slots=True)
 class RegistrationParameters:
-    """What a registration looks for."""
+    """The parameters of a registration."""
 
     rig_T_base: Array  # (4, 4)
     leds: Array  # (n, 3), m, flange frame
@@ -113,7 +121,7 @@ class RegistrationParameters:
 
 @dataclass(frozen=True, slots=True)
 class SpotStack:
-    """The spots of a session in one stack, pair by pair (s spots, n pairs)."""
+    """The spots of a session, pair by pair (s spots, n pairs)."""
 
     pair: NDArray[np.int64]  # (s,), 0 … n - 1, rising
     frame: NDArray[np.int64]  # (n,)
@@ -132,12 +140,12 @@ class SpotStack:
         return len(self.frame)
 
 
-def stack_spots(seen: Sequence[BodyPose], rig: Rig) -> SpotStack:
-    """Lay the spots of all pairs out in one stack."""
+def stack_spots(poses: Sequence[BodyPose], rig: Rig) -> SpotStack:
+    """Stack the spots of all pairs."""
     parts: dict[str, list[Array]] = {k: [] for k in ("centre", "cov", "t", "pan", "T", "led")}
     pair, side, used = [], [], []
-    for i, one in enumerate(seen):
-        used.append(used_spots(one))
+    for i, one in enumerate(poses):
+        used.append(~one.pose.rejected)
         for which, (raw, camera) in enumerate(zip(one.raw, (rig.left, rig.right), strict=True)):
             m = len(raw.sighting)
             pair += [i] * m
@@ -151,7 +159,7 @@ def stack_spots(seen: Sequence[BodyPose], rig: Rig) -> SpotStack:
             parts["led"].append(raw.sighting.led.astype(float))
     return SpotStack(
         pair=np.array(pair, dtype=np.int64),
-        frame=np.array([one.look.frame for one in seen], dtype=np.int64),
+        frame=np.array([one.spots.frame for one in poses], dtype=np.int64),
         side=np.array(side, dtype=np.int64),
         led=np.concatenate(parts["led"]).astype(np.int64),
         centre=np.concatenate(parts["centre"]),
@@ -160,7 +168,7 @@ def stack_spots(seen: Sequence[BodyPose], rig: Rig) -> SpotStack:
         pan=np.concatenate(parts["pan"]),
         camera_T_rig=np.concatenate(parts["T"]),
         used=np.concatenate(used),
-        sightings=tuple((one.raw[0].sighting, one.raw[1].sighting) for one in seen),
+        sightings=tuple((one.raw[0].sighting, one.raw[1].sighting) for one in poses),
     )
 
 
@@ -168,7 +176,7 @@ def stack_spots(seen: Sequence[BodyPose], rig: Rig) -> SpotStack:
 class PredictedSpots:
     """The spots' predictions at one set of parameters, and their derivatives, px a unit."""
 
-    residual: Array  # (s, 2), px, seen less predicted
+    residual: Array  # (s, 2), px, observed less predicted
     points_rig: Array  # (s, 3), m
     points_camera: Array  # (s, 3), m
     by_point: Array  # (s, 2, 3), a point's motion in the rig
@@ -180,7 +188,7 @@ class PredictedSpots:
 
 
 def spot_instants(spotted: SpotStack, at: RegistrationParameters) -> Array:
-    """When each spot was taken, on the readings' clock, (s,) s."""
+    """Instants of the spots on the readings' clock, (s,) s."""
     taken: Array = spotted.t + at.skew * (spotted.side == RIGHT) - at.clock
     return taken
 
@@ -188,7 +196,7 @@ def spot_instants(spotted: SpotStack, at: RegistrationParameters) -> Array:
 def predict_spots(
     spotted: SpotStack, rig: Rig, arm: robots.Arm, readings: Readings, at: RegistrationParameters
 ) -> PredictedSpots:
-    """Predict every spot and differentiate it by all that a registration looks for."""
+    """Predict every spot and differentiate it by all parameters."""
     t = spot_instants(spotted, at)
     q, rate = readings.at(t), readings.rate(t)
     base_T_flange = robots.forward(arm, q)

@@ -1,6 +1,7 @@
-"""A registration's two files and its words: covariance, id, hold-out, decisions, warnings."""
+"""Outcome of a registration: contents of rig and marker file, hold-out, decisions, warnings."""
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +16,8 @@ from verify.calibration.registration.uncertainty import (
     rig_covariance,
     visible_fractions,
 )
+from verify.calibration.stereo.records import rms
 from verify.core.fiducials import Marker
-from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.errors import one_line
 from verify.io import fiducials
@@ -31,10 +32,10 @@ MIN_SKEW_SIGMA = 4.0  # standard uncertainties by which the stamps must differ t
 
 @dataclass(frozen=True, slots=True)
 class FixedParameters:
-    """What is not fitted."""
+    """What is held, not adjusted."""
 
     base: bool
-    leds: bool
+    leds: Marker | None  # the marker with these LEDs; None: they are adjusted
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,22 +52,20 @@ class AdjustmentOutcome:
 def registration_outcome(
     recording: Recording, named: Marker | None, held: FixedParameters, found: AdjustmentOutcome
 ) -> MotionRegistration:
-    """Turn an adjustment into the two files' contents and what a report says.
+    """Turn an adjustment into the contents of rig and marker file and of the report.
 
     Args:
         recording: what was registered.
-        named: the marker that gives names, or positions that were held.
-        held: what was not fitted.
+        named: the marker that gives the LEDs' names.
+        held: what was not adjusted.
         found: the adjustment.
     """
     adjusted, setup, diameter = found.adjusted, found.setup, found.diameter
     spotted, at = adjusted.spotted, adjusted.at
-    marker = build_marker(at.leds, diameter, named)
-    if held.leds and named is not None:
-        marker = named
-    before = inherited_absorption(recording.rig, marker, base=held.base, leds=held.leds)
-    covariance = rig_covariance(recording.rig, marker, adjusted, held_marker=held.leds)
-    if held.leds:  # stated in the rig's covariance now, where its correlation with the base is
+    marker = held.leds or build_marker(at.leds, diameter, named)
+    before = inherited_absorption(recording.rig, base=held.base, leds=held.leds)
+    covariance = rig_covariance(recording.rig, marker, adjusted, held_marker=held.leds is not None)
+    if held.leds is not None:  # stated in the rig's covariance, with its correlation with the base
         marker = replace(marker, body_standard_uncertainty=None, led_standard_uncertainty=None)
     rig = replace(
         recording.rig,
@@ -87,7 +86,7 @@ def registration_outcome(
         skew=at.skew,
         skew_standard_uncertainty=shown[1],
         visible_fractions=visible_fractions(adjusted, before),
-        rms_px=_rms(adjusted.predicted.residual[spotted.used]),
+        rms_px=rms(adjusted.predicted.residual[spotted.used]),
         fit_rms_px=fit_rms,
         held_out_rms_px=held_out,
         misfit=adjusted.chi2 / max(adjusted.degrees_of_freedom, 1),
@@ -126,13 +125,9 @@ def _hold_out_rms(
         return None, None
     on_rest = judged[spotted.pair]
     part = adjust(replace(spotted, used=spotted.used & ~on_rest), setup, adjusted.at, adjusted.free)
-    seen = predict_spots(spotted, setup.rig, setup.arm, setup.readings, part.at)
-    return _rms(seen.residual[spotted.used & ~on_rest]), _rms(seen.residual[spotted.used & on_rest])
-
-
-def _rms(residual: Array) -> float:
-    """Root mean square distance, px."""
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+    predicted = predict_spots(spotted, setup.rig, setup.arm, setup.readings, part.at)
+    fitted, held_out = (spotted.used & ~on_rest, spotted.used & on_rest)
+    return rms(predicted.residual[fitted]), rms(predicted.residual[held_out])
 
 
 def _decisions(
@@ -141,56 +136,51 @@ def _decisions(
     held: FixedParameters,
     adjusted: AdjustedRegistration,
     diameter: float,
-) -> list[str]:
-    said = [f"{len(adjusted.at.leds)} LEDs move together as one rigid body."]
+) -> Iterator[str]:
+    yield f"{len(adjusted.at.leds)} LEDs move together as one rigid body."
     if named is None:
-        said.append(f"LED diameter {diameter * 1e3:.1f} mm, from its image.")
+        yield f"LED diameter {diameter * 1e3:.1f} mm, from its image."
     if held.base:
-        said.append("The robot base stands as rig.toml has it; the LEDs are fitted.")
-    if held.leds:
-        said.append(
+        yield "The robot base stands as rig.toml has it; the LEDs are fitted."
+    if held.leds is not None:
+        yield (
             "The LEDs stand as marker.toml has them; the base is fitted. What marker.toml states "
             "of their uncertainty moves to rig.toml, where its correlation with the base is kept."
         )
     if recording.clock is not None and not adjusted.free[-2]:
-        said.append("The clock offset stands as session.toml has it.")
+        yield "The clock offset stands as session.toml has it."
     elif not adjusted.free[-2]:
-        said.append("The motion does not show the clock offset: held.")
+        yield "The motion does not show the clock offset: held."
     if not adjusted.free[-1]:
-        said.append(
-            "The motion does not show a skew of the cameras beside their stamps: held at 0."
-        )
+        yield ("The motion does not show a skew of the cameras beside their stamps: held at 0.")
     refused = int((~adjusted.spotted.used).sum())
     if refused:
-        said.append(f"{refused} of {len(adjusted.spotted.used)} spots were refused.")
+        yield f"{refused} of {len(adjusted.spotted.used)} spots were refused."
     if adjusted.inflation > 1:
-        said.append(
+        yield (
             f"Residuals are larger or last longer than noise: variances multiplied by "
             f"{adjusted.inflation:.1f}."
         )
-    return said
 
 
 def _warnings(
     adjusted: AdjustedRegistration, start: RegistrationStart, shown: list[float | None]
-) -> list[str]:
-    said = []
+) -> Iterator[str]:
     if start.rivals:
         others = ", ".join(f"{o:+.3f}" for o in start.rivals[:4])
-        said.append(
+        yield (
             f"The motion repeats itself: the readings' clock could as well be off by {others} s. "
             "State [clock] encoder_offset_s, or add a movement that does not repeat."
         )
     skew, u = adjusted.at.skew, shown[1]
     if u is not None and abs(skew) > MIN_SKEW_SIGMA * u:
-        said.append(
+        yield (
             f"The right camera's stamps are {skew * 1e3:+.2f} ms ± {u * 1e3:.2f} ms early against "
             "the left one's: add that to t_right_s in frames.csv."
         )
     misfit = adjusted.chi2 / max(adjusted.degrees_of_freedom, 1)
     if misfit > MIN_REPORTED_MISFIT:
-        said.append(
+        yield (
             f"The residuals are {np.sqrt(misfit):.1f} times what noise explains: the robot's "
             "joints or its table are off, or the rig is; uncertainties are enlarged by it."
         )
-    return said

@@ -1,7 +1,4 @@
-"""What a registration from motion found, and all that its report says.
-
-LEDs found without a marker, under the names that a marker gives them.
-"""
+"""The result of a registration from motion, and the marker of LEDs that were found without one."""
 
 from dataclasses import dataclass
 from itertools import permutations
@@ -17,10 +14,13 @@ from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.measurement.triangulation import fit_rigid
 
+MAX_MATCH_RMS = 4e-3  # m, rms: LEDs found to a millimetre or two, a marker measured with a ruler
+LED_NAMES = "ABCDEF"
+
 
 @dataclass(frozen=True, slots=True)
 class SpotResiduals:
-    """Every spot that was taken for an LED's, one row each."""
+    """Every spot that was assigned to an LED, one row each."""
 
     frame: NDArray[np.int64]  # (r,)
     camera: NDArray[np.int64]  # (r,), 0 left, 1 right
@@ -32,7 +32,7 @@ class SpotResiduals:
 
 @dataclass(frozen=True, slots=True)
 class MotionRegistration:
-    """Base and LEDs from a motion, with what that hides."""
+    """Base and LEDs from a motion, and the joint errors that this hides."""
 
     rig: Rig  # with robot base, absorption and the covariance of all that was found
     marker: Marker
@@ -50,10 +50,6 @@ class MotionRegistration:
     residuals: SpotResiduals
     decisions: tuple[str, ...]
     warnings: tuple[str, ...]
-
-
-MAX_MATCH_RMS = 4e-3  # m, rms: LEDs found to a millimetre or two, a marker measured with a ruler
-LED_NAMES = "ABCDEF"
 
 
 def order_like_marker(marker: Marker, leds: Array, place: str | Path) -> Array:
@@ -82,14 +78,10 @@ def order_like_marker(marker: Marker, leds: Array, place: str | Path) -> Array:
 
 def build_marker(leds: Array, diameter: float, named: Marker | None) -> Marker:
     """The marker of a registration: positions found, names and colours given, or A, B, C."""
-    n = len(leds)
+    if named is None:
+        names, colours = tuple(LED_NAMES[: len(leds)]), (None,) * len(leds)
+        return Marker(names, leds, colours, diameter, source="motion")
     return Marker(
-        names=tuple(LED_NAMES[:n]) if named is None else named.names,
-        leds=leds,
-        colours=(None,) * n if named is None else named.colours,
-        led_diameter=diameter if named is None else named.led_diameter,
-        source="motion",
-        centre_shift_standard_uncertainty=None
-        if named is None
-        else named.centre_shift_standard_uncertainty,
-    )
+        named.names, leds, named.colours, named.led_diameter, source="motion",
+        centre_shift_standard_uncertainty=named.centre_shift_standard_uncertainty,
+    )  # fmt: skip

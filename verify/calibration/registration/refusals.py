@@ -1,9 +1,7 @@
-"""Motions that leave base or LEDs open: what they leave open, and which movement would show it.
+"""Refuse motions that leave base or LEDs open, and readings of another robot.
 
-With the DH table held, what a motion cannot tell is a motion of the base that an opposite one of
+With the DH table held, what a motion leaves open is a motion of the base that an opposite one of
 the LED body makes up for: a turn about, or a shift along, the only axis that turned.
-
-Readings that are not those of the robot in the pictures: refused, with what may be wrong.
 """
 
 from pathlib import Path
@@ -14,15 +12,18 @@ import robots
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.adjustment import AdjustedRegistration
 from verify.calibration.registration.start import RegistrationStart
+from verify.calibration.stereo.records import rms
 from verify.core.records import Array
 from verify.errors import InputError
 
-MAX_UNCERTAINTY = (5e-3, np.deg2rad(0.5))  # m, rad: known worse, base and LEDs are as good as open
+MAX_UNCERTAINTY = (5e-3, np.deg2rad(0.5))  # m, rad: known worse, base and LEDs count as open
 SWING_ANGLE = np.deg2rad(20.0)  # a movement that would be added, either way
-SWING_PAIRS = 5.0  # pairs seen at each end of it
+SWING_PAIRS = 5.0  # pairs at each end of it
 MIN_PARALLEL_COSINE = 0.999  # cosine between directions that are called one
 # of an undetermined direction, in units of the limits: it is a turn, not a shift
 MIN_TURN_SHARE = 0.2
+MAX_TURN_DIFFERENCE = np.deg2rad(5.0)  # median; a degree of joint error makes one
+MAX_RMS_PX = 10.0  # a degree of joint error makes a few; these are another robot's readings
 
 
 def refuse_undetermined(arm: robots.Arm, q: Array, noise: tuple[float, float], place: str) -> None:
@@ -53,25 +54,23 @@ def refuse_undetermined(arm: robots.Arm, q: Array, noise: tuple[float, float], p
 
 
 def _information(arm: robots.Arm, q: Array, noise: tuple[float, float]) -> Array:
-    """Of base (base axes) and body (flange axes) from poses at q, (12, 12)."""
+    """Information on base (base axes) and body (flange axes) by poses at q, (12, 12).
+
+    In units of MAX_UNCERTAINTY: directions of eigenvalues below 1 are open.
+    """
     flange = robots.forward(arm, q)
     columns = np.zeros((len(q), 6, 12))
     columns[:, :3, :6] = rigid_columns(flange[:, :3, 3])
     columns[:, 3:, 3:6] = np.eye(3)
     columns[:, :3, 6:9] = columns[:, 3:, 9:] = flange[:, :3, :3]
-    rows = columns / np.repeat(noise, 3)[:, None]
+    rows = columns / np.repeat(noise, 3)[:, None] * np.tile(np.repeat(MAX_UNCERTAINTY, 3), 2)
     information: Array = np.einsum("nij,nik->jk", rows, rows)
     return information
 
 
-def _limits() -> Array:
-    return np.tile(np.repeat(MAX_UNCERTAINTY, 3), 2)
-
-
 def _open_directions(information: Array) -> Array:
     """Directions known worse than the limits, (12, k), in units of them."""
-    scale = _limits()
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(information)
     return np.asarray(vectors[:, values < 1.0], dtype=np.float64)
 
 
@@ -88,8 +87,7 @@ def _joints_to_move(
             ends[:, j] += [-SWING_ANGLE, SWING_ANGLE]
             ends = np.clip(ends, arm.lower, arm.upper)
             more = information + SWING_PAIRS * _information(arm, ends, noise)
-            scale = _limits()
-            least = np.linalg.eigvalsh(more * np.outer(scale, scale))
+            least = np.linalg.eigvalsh(more)
             options.append((int((least < 1.0).sum()), -float(least[0]), j, more))
         _, _, best, information = min(options, key=lambda o: o[:3])
         added.append(best)
@@ -97,22 +95,18 @@ def _joints_to_move(
 
 
 def _open_motions_text(arm: robots.Arm, q: Array, open_ones: Array) -> str:
-    """Say in words which motions of the base are open."""
+    """Describe which motions of the base are open."""
     base = open_ones[:6]
     turning, size, mixing = np.linalg.svd(base[3:], full_matrices=True)
     turns = [turning[:, k] for k in range(len(size)) if size[k] > MIN_TURN_SHARE]
     still = mixing[len(turns) :].T  # combinations that do not turn
     shifting, length, _ = np.linalg.svd(base[:3] @ still, full_matrices=True)
     shifts = [shifting[:, k] for k in range(len(length)) if length[k] > MIN_TURN_SHARE]
-    words = []
+    words = [f"the base's position along {_axis(arm, q, d)}" for d in shifts]
     if len(shifts) == 3:
-        words.append("the base's position")
-    else:
-        words += [f"the base's position along {_axis(arm, q, d)}" for d in shifts]
-    if len(turns) == 3:
-        words.append("its orientation")
-    else:
-        words += [f"its turn about {_axis(arm, q, d)}" for d in turns]
+        words = ["the base's position"]
+    about = [f"its turn about {_axis(arm, q, d)}" for d in turns]
+    words += ["its orientation"] if len(turns) == 3 else about
     return " and ".join(words) or "base and LEDs"
 
 
@@ -127,12 +121,8 @@ def _axis(arm: robots.Arm, q: Array, direction: Array) -> str:
     return f"({x:.2f}, {y:.2f}, {z:.2f}) in the robot's base"
 
 
-MAX_TURN_DIFFERENCE = np.deg2rad(5.0)  # median; a degree of joint error makes one
-MAX_RMS_PX = 10.0  # rms: a degree of joint error makes a few; these are another robot's readings
-
-
 def refuse_other_robot(start: RegistrationStart, folder: Path, robot: str) -> None:
-    """Refuse readings that turn the flange otherwise than the LEDs on it turn, or mirrored.
+    """Refuse readings by which the flange turns otherwise than its LEDs, or mirrored.
 
     Args:
         start: base and LEDs in closed form, neither of them held.
@@ -167,17 +157,16 @@ def refuse_other_robot(start: RegistrationStart, folder: Path, robot: str) -> No
 
 
 def refuse_misfit(adjusted: AdjustedRegistration, place: str) -> None:
-    """Refuse readings that do not belong to what the pictures show.
+    """Refuse readings that do not belong to the images.
 
     Raises:
-        InputError: the LEDs are seen farther from where the readings put them than joint errors
-            explain.
+        InputError: the LEDs are farther from their predicted pixels than joint errors explain.
     """
     left = adjusted.predicted.residual[adjusted.spotted.used]
-    rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1)))) if len(left) else np.inf
-    if rms > MAX_RMS_PX:
+    distance = rms(left) if len(left) else np.inf
+    if distance > MAX_RMS_PX:
         raise InputError(
-            place, f"the readings put the LEDs {rms:.0f} px (rms) from where they are seen",
+            place, f"the readings put the LEDs {distance:.0f} px (rms) from where they are seen",
             f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain",
             "Check the robot's name, the readings' unit (degrees) and order, and the rig.",
         )  # fmt: skip

@@ -1,8 +1,7 @@
-"""Where the robot stands in the rig and where its LEDs sit, from a session with enough movement.
+"""Register a robot from its own motion: its base in the rig, and its LEDs on the flange.
 
-The DH table and the rig are held; base, LEDs, clock offset and the cameras' skew are fitted
-together to the pixels. What the robot's own joint errors do to that is told beside it: some of
-them are taken in altogether (see `absorption`).
+DH table and rig are held; base, LEDs, clock offset and the cameras' skew are adjusted together to
+the pixels. What that hides of the robot's own joint errors is computed too (see `uncertainty`).
 """
 
 from dataclasses import replace
@@ -53,7 +52,7 @@ from verify.measurement.triangulation import fit_rigid
 __all__ = ["MotionRegistration", "SpotResiduals", "register_motion"]
 
 MIN_PAIRS = 6  # three poses determine base and LEDs, as many check them
-TYPICAL_DIAMETER = 5e-3  # m, of an LED, until its image has told
+TYPICAL_DIAMETER = 5e-3  # m, of an LED, before its image is measured
 # times the session's own misfit: a pair whose readings belong to another moment
 MAX_MISFIT_RATIO = 30.0
 POSE_ROWS = 6
@@ -92,25 +91,25 @@ def register_motion(
     """
     place = str(recording.folder)
     held = _check_held(recording, marker, keep_base, keep_leds)
-    looks = find_spots(recording, progress)
-    some = drop_still_spots(looks)
-    wanted = leds if marker is None else len(marker)
-    body = find_leds(some, recording.rig, wanted, place)
+    pairs = find_spots(recording, progress)
+    moving = drop_still_spots(pairs)
+    body = find_leds(moving, recording.rig, leds if marker is None else len(marker), place)
     if marker is not None:
         body = order_like_marker(marker, body, place)
-    body, seen = body_poses(some, recording.rig, body, TYPICAL_DIAMETER)
-    readings = Readings(recording.encoders.t, recording.encoders.q)
-    start, at, seen, left_out = _start_values(recording, looks, seen, body, marker, readings, held)
-    setup = _setup(recording, readings)
+    body, poses = body_poses(moving, recording.rig, body, TYPICAL_DIAMETER)
+    setup = _setup(recording)
+    start, at = _start_values(recording, poses, body, setup, held)
+    left_out = _left_out(pairs, poses, start, setup.readings)
+    poses = [pose for pose, good in zip(poses, start.good, strict=True) if good]
     free = np.ones(at.size, dtype=bool)
-    free[:6], free[6:-2] = not held.base, not held.leds
+    free[:6], free[6:-2] = not held.base, held.leds is None
     free[-2] = setup.clock is not None or recording.clock is None
-    spotted = stack_spots(seen, recording.rig)
+    spotted = stack_spots(poses, recording.rig)
     adjusted = _adjust_observable(spotted, setup, at, free)
     adjusted, wild = _reject_pairs(adjusted, setup)
     refuse_misfit(adjusted, place)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
-    diameter = round(float(np.median([s.diameter for s in seen])), 4)
+    diameter = round(float(np.median([pose.diameter for pose in poses])), 4)
     found = AdjustmentOutcome(adjusted, setup, start, diameter, dict(sorted(left_out.items())))
     return registration_outcome(recording, marker, held, found)
 
@@ -129,11 +128,11 @@ def _check_held(
         raise InputError(
             "--keep-leds", "no marker.toml is given", "", "Give it with --known-marker."
         )
-    return FixedParameters(keep_base, keep_leds)
+    return FixedParameters(keep_base, marker if keep_leds else None)
 
 
-def _setup(recording: Recording, readings: Readings) -> AdjustmentSetup:
-    clock = recording.clock
+def _setup(recording: Recording) -> AdjustmentSetup:
+    readings, clock = Readings(recording.encoders.t, recording.encoders.q), recording.clock
     stated = None
     if clock is not None and clock.standard_uncertainty:
         stated = (clock.encoder_offset, clock.standard_uncertainty)
@@ -149,66 +148,61 @@ def _setup(recording: Recording, readings: Readings) -> AdjustmentSetup:
 
 def _start_values(
     recording: Recording,
-    looks: list[PairSpots],
-    seen: list[BodyPose],
+    poses: list[BodyPose],
     body: Array,
-    marker: Marker | None,
-    readings: Readings,
+    setup: AdjustmentSetup,
     held: FixedParameters,
-) -> tuple[RegistrationStart, RegistrationParameters, list[BodyPose], dict[int, str]]:
-    """Start values, the pairs that have both pose and reading, and why others have not."""
-    place = str(recording.folder)
-    frames = {one.look.frame for one in seen}
-    left_out = {o.frame: "too few LEDs told apart" for o in looks if o.frame not in frames}
-    if len(seen) < MIN_PAIRS:
-        found = f"{len(seen)} pairs show three LEDs or more in both images"
+) -> tuple[RegistrationStart, RegistrationParameters]:
+    """Find start values by the pairs that have both pose and reading."""
+    place, readings = str(recording.folder), setup.readings
+    if len(poses) < MIN_PAIRS:
+        found = f"{len(poses)} pairs show three LEDs or more in both images"
         raise InputError(place, found, f"{MIN_PAIRS} at least", "Record more of them.")
-    t = np.array([one.look.t[0] for one in seen])
-    poses = np.array([one.pose.rig_T_flange for one in seen])
+    t = np.array([one.spots.t[0] for one in poses])
     given = None if recording.clock is None else recording.clock.encoder_offset
     known = {
-        "x": _marker_in_body(body, marker) if held.leds and marker is not None else None,
+        "x": None if held.leds is None else fit_rigid(body, held.leds.leds),  # body_T_flange
         "y": recording.rig.rig_T_base if held.base else None,
     }
+    measured = np.array([one.pose.rig_T_flange for one in poses])
     try:
-        start = start_registration(t, poses, recording.arm, readings, given, **known)
+        start = start_registration(t, measured, recording.arm, readings, given, **known)
     except ValueError as error:
         raise InputError(
             recording.folder / "encoders.csv",
-            f"too few of the {len(seen)} pairs with LEDs have a reading",
+            f"too few of the {len(poses)} pairs with LEDs have a reading",
             f"{MIN_PAIRS} at least",
             "Check that clock and recording belong together.",
         ) from error
-    if not held.base and not held.leds:
+    if not held.base and held.leds is None:
         refuse_other_robot(start, recording.folder, recording.robot)
-        there = readings.at(t[start.good] - start.clock)
-        refuse_undetermined(recording.arm, there, _noise(recording, seen, there, readings), place)
+        q = readings.at(t[start.good] - start.clock)
+        refuse_undetermined(recording.arm, q, _noise(poses, q, setup), place)
     flange_T_body = np.linalg.inv(start.solved.x)
     leds = body @ flange_T_body[:3, :3].T + flange_T_body[:3, 3]
-    if held.leds and marker is not None:
-        leds = marker.leds
-    at = RegistrationParameters(start.solved.y, leds, start.clock, 0.0)
-    kept = [one for one, good in zip(seen, start.good, strict=True) if good]
-    has = readings.known(t - start.clock)
-    for one, good, reading in zip(seen, start.good, has, strict=True):
+    if held.leds is not None:
+        leds = held.leds.leds
+    return start, RegistrationParameters(start.solved.y, leds, start.clock, 0.0)
+
+
+def _left_out(
+    pairs: list[PairSpots], poses: list[BodyPose], start: RegistrationStart, readings: Readings
+) -> dict[int, str]:
+    """Why pairs do not count, by frame."""
+    frames = {one.spots.frame for one in poses}
+    reasons = {p.frame: "too few LEDs told apart" for p in pairs if p.frame not in frames}
+    for one, good in zip(poses, start.good, strict=True):
         if not good:
-            left_out[one.look.frame] = "its pose is wrong" if reading else "no reading"
-    return start, at, kept, left_out
+            read = readings.known(np.array([one.spots.t[0] - start.clock]))[0]
+            reasons[one.spots.frame] = "its pose is wrong" if read else "no reading"
+    return reasons
 
 
-def _marker_in_body(body: Array, marker: Marker) -> Array:
-    """body_T_flange of LEDs whose places on the flange are known, (4, 4)."""
-    return fit_rigid(body, marker.leds)
-
-
-def _noise(
-    recording: Recording, seen: list[BodyPose], q: Array, readings: Readings
-) -> tuple[float, float]:
+def _noise(poses: list[BodyPose], q: Array, setup: AdjustmentSetup) -> tuple[float, float]:
     """Standard uncertainty of a pair's pose from pixels and readings: m, rad."""
-    pixels = np.median([np.diag(one.pose.covariance) for one in seen], axis=0)
-    variance = reading_variance(readings, recording.encoder_resolution)
-    jacobian = robots.jacobian(recording.arm, q)
-    moved = np.median(np.einsum("nij,j->ni", jacobian**2, variance), axis=0)
+    pixels = np.median([np.diag(one.pose.covariance) for one in poses], axis=0)
+    jacobian = robots.jacobian(setup.arm, q)
+    moved = np.median(np.einsum("nij,j->ni", jacobian**2, setup.variance), axis=0)
     total = pixels + moved
     return float(np.sqrt(total[:3].mean())), float(np.sqrt(total[3:].mean()))
 
@@ -216,7 +210,7 @@ def _noise(
 def _adjust_observable(
     spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: NDArray[np.bool_]
 ) -> AdjustedRegistration:
-    """Adjust with clock and skew free, then hold those that the motion does not show."""
+    """Adjust with clock and skew free, then hold those that the motion does not determine."""
     adjusted = adjust(spotted, setup, at, free)
     still = free.copy()
     rate = setup.variance / (2 * RATE_SPAN**2)  # what the readings' noise does to speeds
@@ -240,7 +234,7 @@ def _adjust_observable(
 def _reject_pairs(
     adjusted: AdjustedRegistration, setup: AdjustmentSetup
 ) -> tuple[AdjustedRegistration, list[int]]:
-    """Leave out pairs whose pose no noise puts so far from where the readings have it."""
+    """Leave out pairs whose pose is farther from the readings' than noise explains."""
     rows, spotted = adjusted.rows, adjusted.spotted
     size = np.zeros(len(spotted))
     np.add.at(size, rows.pair[rows.pose], rows.residual[rows.pose] ** 2)

@@ -1,7 +1,10 @@
-"""Start values in closed form: the clock from how far the body turns, base and LEDs from A X = Y B.
+"""Start values of a registration in closed form: the clock offset, then base and LED body.
 
-The angle between two poses of one body is the same in whatever frame it is seen and wherever the
-body's own frame sits, so the clock can be found before anything is registered.
+    angle(R_body(t_i), R_body(t_j)) = angle(R_flange(t_i - c), R_flange(t_j - c))    c: clock, s
+    rig_T_body_i X = Y base_T_flange_i         X: body_T_flange, Y: rig_T_base (each 3 m + 3 rad)
+
+The angle between two poses of one body is the same in every frame, so c is found before anything is
+registered, on a grid, by the least mean squared angle. Base and body follow by `handeye`.
 """
 
 from collections.abc import Callable
@@ -24,7 +27,7 @@ MAX_SQUARED_MISFIT = 100.0  # a wild pair has one vote
 MIN_OVERLAP = 0.5  # of the pairs must have a reading at an offset that is tried
 MIN_SEPARATION = 10 * TIME_STEP  # nearer minima are one, roughened by noise
 MAX_OFFSETS = 8  # offsets that are compared by the whole registration
-MAX_MISFIT_RATIO = 1.3  # of the best misfit: an offset that cannot be told from it
+MAX_MISFIT_RATIO = 1.3  # of the best misfit: within it offsets fit equally well
 MAX_RESIDUAL_RATIO = 6.0  # times the median residual: a pose of spots confused
 
 Rotations = Callable[[Array], Array]  # instants (m,) to rotations (m, 3, 3)
@@ -64,12 +67,14 @@ def start_registration(
     Raises:
         ValueError: fewer than three poses have a reading.
     """
+    tried = [] if given is None else [given]
     if given is None:
         tried = clock_candidates(
-            t, rig_T_body[:, :3, :3], readings, _flange_rotations(arm, readings)
+            t,
+            rig_T_body[:, :3, :3],
+            readings,
+            lambda instants: robots.forward(arm, readings.at(instants))[:, :3, :3],
         )
-    else:
-        tried = [given]
     starts = []
     for offset in tried or [0.0]:
         known = readings.known(t - offset)
@@ -90,7 +95,7 @@ def start_registration(
 
 
 def _solve_loop(a: Array, b: Array, x: Array | None, y: Array | None) -> HandEye:
-    """Solve A X = Y B for the one that is not known, each pose having its say."""
+    """Solve A X = Y B for the one that is not known, by the mean over the poses."""
     if len(a) < MIN_POSES:
         raise ValueError(f"needs {MIN_POSES} poses or more; got {len(a)}")
     if x is not None:
@@ -115,21 +120,15 @@ def _misfit(solved: HandEye) -> float:
     return float(np.median(place) + 0.1 * np.median(turn))
 
 
-def _flange_rotations(arm: robots.Arm, readings: Readings) -> Rotations:
-    def turns(t: Array) -> Array:
-        rotation: Array = robots.forward(arm, readings.at(t))[:, :3, :3]
-        return rotation
-
-    return turns
-
-
-def clock_candidates(t: Array, seen: Array, readings: Readings, turns: Rotations) -> list[float]:
-    """Clock offsets at which the readings turn by the angles that the pictures show.
+def clock_candidates(
+    t: Array, measured: Array, readings: Readings, turns: Rotations
+) -> list[float]:
+    """Find clock offsets at which the readings turn by the angles that the images show.
 
     Args:
         t: (n,), s, cameras' clock.
-        seen: (n, 3, 3), rotations in any one frame.
-        readings: on the controller's clock; say when there is a reading.
+        measured: (n, 3, 3), rotations in any one frame.
+        readings: on the controller's clock.
         turns: the same rotations by the readings, in any other frame.
 
     Returns:
@@ -137,7 +136,7 @@ def clock_candidates(t: Array, seen: Array, readings: Readings, turns: Rotations
         the pairs a reading.
     """
     early, late = _angle_pairs(len(t))
-    angle = _angles(seen[early], seen[late])
+    angle = _angles(measured[early], measured[late])
     grid = _grid(readings)
     read = turns(grid)
     half = 0.5 * float(t[-1] - t[0])

@@ -1,11 +1,14 @@
-"""What a registration inherits from the rig it was made with: derivatives by the rig's parameters.
+"""Uncertainty of a registration: its share of the rig's errors, and the joint errors it hides.
 
-What is not stated of the rig is taken as exact, here as everywhere.
+With H (rows, size) the derivatives of the predicted spots by base, LEDs, clock and skew, J
+(rows, j) those by the readings, c (rows,) those by a stated rig parameter, all whitened by S⁻½:
 
-What a registration through the robot's own encoders hides: joint offsets that it took in.
+    found by rig    d p / d r = -(H'H)⁻¹ H' c            covariance: D C_rig D' + own
+    absorption      G = (H'H)⁺ H' J                      a joint that reads too high by d
+                                                         moved what was fitted by -G d
+    visible share   |J - H G| / |J|, joint by joint
 
-An offset that was there while base and LEDs were fitted displaced them. How, is linear algebra:
-no fault has to be known for it.
+What is not stated of the rig is taken as exact.
 """
 
 from dataclasses import replace
@@ -23,6 +26,7 @@ from verify.errors import InputError
 from verify.measurement.sensitivities import AXES, camera_derivatives
 from verify.measurement.systematics import BODY, CAMERA_KEYS
 
+MIN_VISIBLE_SHARE = 1e-3  # smaller shares are rounding
 BASE_NAMES = tuple(f"robot_base.{key}" for key in BODY)
 
 
@@ -61,7 +65,7 @@ def rig_covariance(
 def _retained_covariance(
     given: Covariance | None, fitted: list[str], marker: Marker
 ) -> Covariance | None:
-    """What stays of a covariance when parameters are found anew and others' LEDs are gone."""
+    """Drop from a covariance the parameters that are found anew and the LEDs of other markers."""
     if given is None:
         return None
     known = set(led_names(marker.names))
@@ -106,23 +110,23 @@ def _derivative_by(name: str, rig: Rig, marker: Marker, adjusted: AdjustedRegist
 
 
 def _camera_change(rig: Rig, side: str, key: str, adjusted: AdjustedRegistration) -> Array:
-    """How the predicted spots change with a parameter of one camera, (s, 2)."""
-    spotted, seen = adjusted.spotted, adjusted.predicted
+    """Derivative of the predicted spots by a parameter of one camera, (s, 2)."""
+    spotted, predicted = adjusted.spotted, adjusted.predicted
     which = ("left", "right").index(side)
     camera = (rig.left, rig.right)[which]
-    pixels = np.zeros_like(seen.residual)
+    pixels = np.zeros_like(predicted.residual)
     for i, sightings in enumerate(spotted.sightings):
         mine = (spotted.pair == i) & (spotted.side == which)
         if mine.any():
             pixels[mine] = camera_derivatives(
-                (key,), camera, sightings[which].pan, seen.points_camera[mine],
-                seen.points_rig[mine], seen.by_point[mine],
+                (key,), camera, sightings[which].pan, predicted.points_camera[mine],
+                predicted.points_rig[mine], predicted.by_point[mine],
             )[0]  # fmt: skip
     return pixels
 
 
 def _response(adjusted: AdjustedRegistration, pixels: Array) -> Array:
-    """How base and LEDs answer to a change of the predicted spots (s, 2), (size - 2,)."""
+    """Change of base and LEDs, (size - 2,), by a change of the predicted spots (s, 2)."""
     change: Array = -(adjusted.gain @ pixels.reshape(-1))[:-2]
     return change
 
@@ -143,25 +147,19 @@ def _pan_covariance(rig: Rig, adjusted: AdjustedRegistration) -> Array:
     return total
 
 
-MIN_VISIBLE_SHARE = 1e-3  # a share below this is what rounding leaves of nothing
-
-
-def inherited_absorption(
-    rig: Rig, marker: Marker | None, *, base: bool, leds: bool
-) -> Array | None:
-    """What was held had taken in already, by its own registration, (6 + 3 n, j); None: nothing.
+def inherited_absorption(rig: Rig, *, base: bool, leds: Marker | None) -> Array | None:
+    """Joint errors that held parts absorbed in their own registration, (6 + 3 n, j); None: none.
 
     Args:
         rig: the rig that was registered in.
-        marker: the marker whose LEDs were held, if they were.
         base: the base was held.
-        leds: the LEDs were held.
+        leds: the marker whose LEDs were held; None: they were adjusted.
 
     Raises:
         InputError: what is held was fitted through the encoders, and how is not known.
     """
     base = base and rig.base_source == "motion"
-    kept = marker if leds and marker is not None and marker.source == "motion" else None
+    kept = leds if leds is not None and leds.source == "motion" else None
     if not base and kept is None:
         return None
     strange = kept is not None and kept.registration != rig.registration
@@ -184,11 +182,7 @@ def inherited_absorption(
 
 
 def absorbed_offsets(adjusted: AdjustedRegistration, held: Array | None = None) -> Array:
-    """By how much each parameter would make up for a radian of joint offset, (size, j).
-
-    G = (H'S⁻¹H)⁺ H'S⁻¹ J with H the derivatives of the predicted spots by the parameters, J those
-    by the readings. A joint that reads too high by d moved what was fitted by -G d.
-    """
+    """Find G: how far each parameter makes up for a radian of joint offset, (size, j)."""
     design = np.where(adjusted.free, adjusted.rows.design, 0.0)
     before = np.zeros((adjusted.at.size, adjusted.rows.joints.shape[1]))
     if held is not None:
@@ -203,8 +197,7 @@ def absorption(adjusted: AdjustedRegistration, held: Array | None = None) -> Arr
 
     Rows 0 to 5: the base in rig axes (m, then rad), its turns about its own origin. Rows 6 to 11:
     the rigid part of the LEDs' change, in flange axes about the flange's origin. Rows of what was
-    held are 0. As `judgement.model` reads it, what an offset does to a later session is its own
-    effect less that of these motions: they are the negative of what the offset really did.
+    held are 0. A later session shows an offset's own effect less that of these motions.
     """
     taken = absorbed_offsets(adjusted, held)
     columns = rigid_columns(adjusted.at.leds).reshape(-1, 6)
@@ -213,17 +206,18 @@ def absorption(adjusted: AdjustedRegistration, held: Array | None = None) -> Arr
 
 
 def visible_fractions(adjusted: AdjustedRegistration, held: Array | None = None) -> Array:
-    """Share of a constant offset of each joint that its own registration leaves in the pictures.
-
-    ||S^-½ (J - H G)|| / ||S^-½ J||, S the spots' own noise, (j,): 0 for what is hidden altogether.
-    """
-    taken, seen, spotted = absorbed_offsets(adjusted, held), adjusted.predicted, adjusted.spotted
-    design = seen.design
+    """Share of a constant offset of each joint that stays visible in the pixels, (j,)."""
+    taken, predicted, spotted = (
+        absorbed_offsets(adjusted, held),
+        adjusted.predicted,
+        adjusted.spotted,
+    )
+    design = predicted.design
     left, whole = np.zeros(taken.shape[1]), np.zeros(taken.shape[1])
     for i in range(len(spotted)):
         mine = (spotted.pair == i) & spotted.used
         lower = np.linalg.cholesky(block_diagonal(spotted.covariance[mine]))
-        joints = seen.by_joint[mine].reshape(len(lower), -1)
+        joints = predicted.by_joint[mine].reshape(len(lower), -1)
         hidden = joints - design[mine].reshape(len(lower), -1) @ taken
         left += np.sum(np.linalg.solve(lower, hidden) ** 2, axis=0)
         whole += np.sum(np.linalg.solve(lower, joints) ** 2, axis=0)

@@ -211,7 +211,9 @@ def normal_equations(
     """
     count, width = len(state.boards), 2 * N_CAMERA_PARAMETERS
     full, gradient = np.zeros((count, width, width)), np.zeros((count, width))
-    prior, across = _local_prior(model), np.zeros((count, N_LOCAL, width))
+    prior, across = np.zeros(N_LOCAL), np.zeros((count, N_LOCAL, width))
+    if model.pan_errors:
+        prior[6:] = model.pan_precision
     block = np.tile(np.diag(prior), (count, 1, 1))
     pull = np.zeros((count, N_LOCAL))
     pull[:, 6:] = -prior[6:] * state.pan_error
@@ -266,13 +268,6 @@ def _invert_local(block: Array, model: AdjustmentModel, damping: float) -> Array
     inverse = np.zeros_like(block)
     inverse[:, free[:, None], free] = np.linalg.inv(inner)
     return inverse
-
-
-def _local_prior(model: AdjustmentModel) -> Array:
-    prior = np.zeros(N_LOCAL)
-    if model.pan_errors:
-        prior[6:] = model.pan_precision
-    return prior
 
 
 def cost(state: BundleState, corners: CornerStack, model: AdjustmentModel, weight: Array) -> float:

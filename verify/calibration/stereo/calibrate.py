@@ -5,7 +5,7 @@ coefficients, one with all of them, the board's bow, the bases' axes and the rea
 lens coefficients that the pictures support, the final adjustment.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -79,9 +79,8 @@ def calibrate(
     """Find both cameras, their relation and how their bases turn.
 
     All parameters are adjusted at once to the corners of all pairs, weighted by their stated
-    covariance. A view that one camera alone has counts for that camera. Bases that turned between
-    pairs are found with axis, centre, zero and mount, as far as the readings' range determines
-    them; those that did not are fixed by convention (see `gauge`).
+    covariance. Bases that turned between pairs are found with axis, centre, zero and mount, as far
+    as the readings' range determines them; the others are fixed by convention (see `gauge`).
 
     Args:
         pairs: the corners in both cameras, and the readings of their bases.
@@ -90,9 +89,6 @@ def calibrate(
         lens: "supported": the distortion coefficients and the difference of focal lengths that
             the pictures support; "full": fx, fy and all five coefficients in any case.
         progress: called with stages done and stages in all.
-
-    Returns:
-        The rig with the full covariance of its parameters, the boards' poses, every residual.
 
     Raises:
         InputError: no board found, fewer than three pairs, a board turned by 180° in one camera,
@@ -105,14 +101,11 @@ def calibrate(
     adjusted = _adjust(begin, board, lens, progress)
     found, corners = adjusted.found, adjusted.corners
     full, boards = _covariances(adjusted, board)
-    left, right = (
-        _with_reading(camera, base, readings, adjusted.scatter)
-        for camera, base, readings in zip(
-            found.state.cameras, found.model.bases, corners.pan.T, strict=True
-        )
-    )
+    sides = zip(found.state.cameras, found.model.bases, corners.pan.T, strict=True)
+    left, right = (_with_reading(*side, adjusted.scatter) for side in sides)
     frames = np.array([p.frame for p in begin.pairs])
-    calibration = Calibration(
+    progress(N_STAGES, N_STAGES)
+    return Calibration(
         rig=Rig(
             image_size=image_size,
             left=left,
@@ -133,8 +126,6 @@ def calibrate(
         square_found=square_edges(found, corners, board),
         turning=begin.bases != (BASE_FIXED, BASE_FIXED),
     )
-    progress(N_STAGES, N_STAGES)
-    return calibration
 
 
 def gather_pairs(
@@ -149,7 +140,7 @@ def gather_pairs(
     views = [(usable_view(p.left, board), usable_view(p.right, board)) for p in pairs]
     usable = [replace(p, left=v[0], right=v[1]) for p, v in zip(pairs, views, strict=True)]
     usable, notes = _drop_foreign(usable, board)
-    _count_pairs(usable)
+    refusals.refuse_unseen(usable)
     lenses = [start.start_lens(_views(usable, side), board, image_size) for side in (0, 1)]
     readings = np.array([[p.pan_left, p.pan_right] for p in usable])
     kinds = pan_bases.base_kinds(readings)
@@ -177,7 +168,7 @@ def gather_pairs(
         if i not in relation.outliers and not (pair.left is None and pair.right is None)
     ]
     kept = tuple(usable[i] for i in chosen)
-    _count_pairs(kept)
+    refusals.refuse_unseen(kept)
     state = start.start_state(lenses, relation, readings, chosen, kinds)
     return BundleStart(kept, state, kinds, tuple(notes))
 
@@ -211,17 +202,8 @@ def usable_view(view: BoardView | None, board: Board) -> BoardView | None:
     return view if extent[1] > MIN_EXTENT * board.square else None
 
 
-def _count_pairs(pairs: Sequence[BoardPair]) -> None:
-    refusals.refuse_unseen(
-        left=sum(p.left is not None for p in pairs),
-        right=sum(p.right is not None for p in pairs),
-        both=sum(p.left is not None and p.right is not None for p in pairs),
-        pairs=len(pairs),
-    )
-
-
 def stack_corners(pairs: Sequence[BoardPair], board: Board) -> CornerStack:
-    """Lay the corners of all views end to end, sorted by pair, left before right."""
+    """Stack the corners of all views, sorted by pair, left before right."""
     views = [
         (i, side, view)
         for i, pair in enumerate(pairs)
@@ -316,27 +298,27 @@ def _with_reading(camera: Camera, base: str, readings: Array, scatter: PanScatte
     return replace(camera, pan=float(np.median(readings)), pan_standard_uncertainty=deviation)
 
 
-def _decisions(adjusted: _AdjustedBundle, board: Board) -> list[str]:
+def _decisions(adjusted: _AdjustedBundle, board: Board) -> Iterator[str]:
     """Describe what was chosen of bases, lens and board, and what was refused."""
     found = adjusted.found
-    sentences = [*adjusted.notes, *(d.sentence for d in adjusted.dropped)]
-    sentences += pan_bases.base_sentences(found, adjusted.scatter, adjusted.corners.pan)
+    yield from adjusted.notes
+    yield from (d.sentence for d in adjusted.dropped)
+    yield from pan_bases.base_sentences(found, adjusted.scatter, adjusted.corners.pan)
     if adjusted.bow is not None:
-        sentences.append(adjusted.bow.sentence)
+        yield adjusted.bow.sentence
     refused = int(np.sum(~found.used))
     if refused:
-        sentences.append(
+        yield (
             f"{refused} of {len(found.used)} corners refused, as the others of their views "
             "contradict them."
         )
     if found.design_effect > 1:
-        sentences.append(
+        yield (
             "corners of a pair err together (a board that bends in the hand, blur): every standard "
             f"uncertainty is {np.sqrt(found.design_effect):.2f} times what single residuals say."
         )
     if board.square_standard_uncertainty is None:
-        sentences.append(
+        yield (
             "The square's size carries no uncertainty: it is taken as exact, and with it every "
             "length."
         )
-    return sentences

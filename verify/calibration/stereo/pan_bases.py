@@ -11,6 +11,7 @@ distribution is wider than the normal one. Where s is not significant the readin
 adjustment, and the s that could remain unnoticed is stated.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -125,31 +126,29 @@ def adjust_with_scatter(
     return found, scatter
 
 
-def base_sentences(found: Estimate, scatter: PanScatter | None, readings: Array) -> list[str]:
+def base_sentences(found: Estimate, scatter: PanScatter | None, readings: Array) -> Iterator[str]:
     """Describe what was found and chosen of each base, and the readings' scatter."""
-    sentences = []
     for side, base, values in zip(SIDES, found.model.bases, readings.T, strict=True):
         if base == BASE_FIXED and np.ptp(values) <= MIN_TURN:
-            sentences.append(
+            yield (
                 f"{side} base: not turned, so its axis cannot be seen: pan centre at the optical "
                 "centre, axis +y, zero 0; the camera's orientation is its mount's."
             )
         elif base != BASE_FIXED:
-            sentences.append(
+            yield (
                 f"{side} base: turned over {np.rad2deg(np.ptp(values)):.1f}°; its place along its "
                 "axis is chosen (mount offset 0 along the axis), and so is the mount's turn about "
                 "it (0, in the pan zero instead)."
             )
     if scatter is not None and scatter.visible:
-        sentences.append(
+        yield (
             f"pan readings: scatter by {np.rad2deg(scatter.deviation):.2g}°, which was allowed for."
         )
     elif scatter is not None:
-        sentences.append(
+        yield (
             "pan readings: no scatter is visible, taken as exact; "
             f"{np.rad2deg(scatter.deviation):.1g}° could hide and is stated."
         )
-    return sentences
 
 
 def reading_scatter(found: Estimate) -> PanScatter:

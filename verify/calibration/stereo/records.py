@@ -44,6 +44,11 @@ class Calibration:
     turning: bool  # the bases were turned between pairs
 
 
+def rms(residual: Array) -> float:
+    """Root mean square length of residuals (n, 2), px; NaN where there are none."""
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if len(residual) else float("nan")
+
+
 def covariance_in_si(covariance: Covariance) -> Array:
     """Full covariance matrix of the named parameters, (p, p), in SI units and pixels."""
     sigma = covariance.standard_uncertainty * np.array([unit(n) for n in covariance.parameters])

@@ -7,6 +7,7 @@ import numpy as np
 from verify.calibration.stereo.estimate import Estimate
 from verify.calibration.stereo.parameters import PAR_FOCAL, PAR_PRINCIPAL, SIDES, camera_columns
 from verify.calibration.stereo.start import CameraRelation
+from verify.core.fiducials import BoardPair
 from verify.core.records import Array
 from verify.errors import InputError
 
@@ -20,25 +21,22 @@ MORE_PICTURES = (
 )
 
 
-def refuse_unseen(left: int, right: int, both: int, pairs: int) -> None:
+def refuse_unseen(pairs: Sequence[BoardPair]) -> None:
     """Refuse where a camera never observed the board, or both too seldom at once.
-
-    Args:
-        left: pictures of the left camera that show the board.
-        right: of the right camera.
-        both: pairs in which both do.
-        pairs: how many there are.
 
     Raises:
         InputError: no board in one camera or in both; fewer than three pairs.
     """
+    views = [[p.left is not None for p in pairs], [p.right is not None for p in pairs]]
+    counts, both = [sum(own) for own in views], sum(map(all, zip(*views, strict=True)))
     expected = "the board's inner corners are looked for"
     remedy = "Check the pattern's columns and rows, and that the whole board is in view and sharp."
-    if not left and not right and pairs:
-        raise InputError("pairs", f"show no board in any of {pairs}", expected, remedy)
-    for side, count in zip(SIDES, (left, right), strict=True):
-        if not count and pairs:
-            raise InputError(side, f"shows no board in any of {pairs} pictures", expected, remedy)
+    if pairs and not any(counts):
+        raise InputError("pairs", f"show no board in any of {len(pairs)}", expected, remedy)
+    for side, count in zip(SIDES, counts, strict=True):
+        if pairs and not count:
+            found = f"shows no board in any of {len(pairs)} pictures"
+            raise InputError(side, found, expected, remedy)
     if both < MIN_PAIRS:
         found = f"show the board in both cameras {both} time{'' if both == 1 else 's'}"
         raise InputError(

@@ -7,7 +7,7 @@
     boards     rig_T_board (4, 4) by the left camera, else by the right one
 
 H_i is the identity, or half a turn of the board where one camera numbers it from its other end:
-a pattern that looks the same after half a turn does not tell. Of relations that agree within the
+a pattern that half a turn leaves as it is does not decide it. Of relations that agree within the
 tolerance the one with the fewest half turns is taken.
 """
 

@@ -1,7 +1,4 @@
-"""`verify grab` at work: the loop, who looks on, the operator's keys, and what is left behind.
-
-The page of `verify grab`: what it shows, and what becomes of what is asked for there.
-"""
+"""Run a grasp: loop, page, operator's keys, recording and report."""
 
 import json
 import os
@@ -17,9 +14,9 @@ from reports import Results
 from reports.format import html, pdf
 from reports.grasp.document import document, outcome
 from reports.results import to_json_value
-from verify.cli.options import parse_duration
+from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
-from verify.cli.watch import PageOptions, stop_on_signal
+from verify.cli.watch import stop_on_signal
 from verify.core.records import StereoPair
 from verify.core.rig import Rig
 from verify.grasping.control.aim import LoopCycle
@@ -158,7 +155,7 @@ class GraspOptions:
     roi: str | None
     execute: bool
     auto: bool
-    duration: str
+    duration: float  # s
     page: PageOptions | None = None
 
     @property
@@ -174,15 +171,9 @@ class GraspOptions:
 
     @property
     def ends(self) -> StopConditions:
-        """When it is over.
-
-        Raises:
-            InputError: the duration is none.
-        """
+        """When it is over."""
         patience = HOLDING_TIMEOUT if self.page is None else HOLDING_TIMEOUT_PAGE
-        return StopConditions(
-            parse_duration("--for", self.duration), patience, planned=self.page is None
-        )
+        return StopConditions(self.duration, patience, planned=self.page is None)
 
 
 @dataclass(frozen=True, slots=True)

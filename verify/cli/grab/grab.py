@@ -5,7 +5,14 @@ from typing import Annotated
 
 import typer
 
-from verify.cli.options import PageAddress, PagePort, PageToken
+from verify.cli.options import (
+    PageAddress,
+    PageOptions,
+    PagePort,
+    PageToken,
+    WriteIntoFolder,
+    parse_duration,
+)
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
 
 EXIT_NOT_GRASPED = 1
@@ -49,8 +56,15 @@ def grab(
     page_address: PageAddress = LOOPBACK,
     page_token: PageToken = None,
     duration: Annotated[
-        str, typer.Option("--for", help="The longest it may take: 60s, 10m.")
-    ] = "60s",
+        float,
+        typer.Option(
+            "--for",
+            parser=parse_duration,
+            metavar="<str>",
+            show_default=False,  # would be in seconds, as a number
+            help="The longest it may take: 60s, 10m.  [default: 60s]",
+        ),
+    ] = 60.0,
     cell: Annotated[
         Path | None,
         typer.Option(help="Station: the cell's grab.toml; default: beside the station file."),
@@ -67,9 +81,7 @@ def grab(
     out: Annotated[
         Path, typer.Option("-o", "--out", help="Where film, session and report go.")
     ] = Path("grab-report"),
-    force: Annotated[
-        bool, typer.Option("--force", help="Write into a folder that exists.")
-    ] = False,
+    force: WriteIntoFolder = False,
 ) -> int:
     """Track a coloured object with both cameras, follow it with the arm, and pick it up.
 
@@ -94,7 +106,6 @@ def grab(
     if target is not None and roi is not None:
         raise typer.BadParameter("give --target or --roi, not both")
     from verify.cli.grab.conduct import GraspOptions
-    from verify.cli.watch import PageOptions
 
     colour = target if target is not None or roi is not None or page else DEFAULT_COLOUR
     shown = PageOptions(page_port, page_address, page_token) if page else None

@@ -1,7 +1,4 @@
-"""`verify grab STATION`: real cameras, a MELFA controller and a gripper as the stage of a grab.
-
-Pairs of a station's cameras for a grab: the newest, with the angles of their bases.
-"""
+"""Grasp with a station's real cameras, a MELFA controller and a gripper."""
 
 import os
 import threading
@@ -38,13 +35,11 @@ from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import SteppedArm
-from verify.grasping.control.closed_loop import ClosedLoopAim
 from verify.grasping.control.loop import GraspLoop
 from verify.grasping.control.orders import Actuators
 from verify.grasping.planning.plan import GraspPlanner, planner_with_cameras
 from verify.grasping.record.record import GraspContext
 from verify.grasping.tool_offset.watch import FlangeWatch
-from verify.grasping.tracking.target import TrackingOptions
 from verify.grasping.tracking.track import TargetTracker
 from verify.io.results import refuse_existing
 from verify.io.toml import key_error
@@ -196,7 +191,7 @@ def grab_on_station(
         terminal.warn(warning)
     rig, turning = station.rig, station.facts.turning
     setup = planner_with_cameras(station.arm, cell, rig, turning=turning)
-    tracker = None if target is None else TargetTracker(rig, target, TrackingOptions())
+    tracker = None if target is None else TargetTracker(rig, target)
     warm_up()  # compiling while the arm waits would look like stale pictures
     with ExitStack() as stack:
         began = time.monotonic()
@@ -210,7 +205,7 @@ def grab_on_station(
         stack.callback(source.close)
         watch = _open_flange_watch(station, setup, stack)
         # nothing stands above the target that may not move: there is no hand to measure
-        aim = Aim(setup, rig) if hands is None else ClosedLoopAim(setup, rig, watch)
+        aim = Aim(setup, rig, None if hands is None else watch)
         loop = GraspLoop(setup, tracker, aim, hands, joints, now, auto=wish.auto)
         started = datetime.now(UTC)
         told = GraspContext(station.robot, target_name(target), station.name, wish.execute, started)

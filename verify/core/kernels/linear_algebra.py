@@ -1,7 +1,8 @@
-"""Vectors of three numbers and small matrices, compiled.
+"""Small vectors and matrices for compiled loops: products, Cholesky's factor, medians, rotations.
 
-Everything is filled in place, by plain loops: numba takes seconds to compile what assigns whole
-arrays, and for so few numbers its library calls are no quicker.
+With A = L L', `factor` fills in L, `solve` A⁻¹ b and `invert` A⁻¹. All is filled in place, by plain
+loops: numba compiles assignments of whole arrays ten times as long, and for so few numbers its
+library calls are no quicker.
 """
 
 import math

@@ -1,4 +1,13 @@
-"""Joint readings between readings, compiled: a live row asks for one instant of a few dozen."""
+"""Interpolate joint readings: values, speeds, interpolation errors, directions of travel.
+
+Between readings h apart, s the share of h passed, values follow the cubic with the speeds v0, v1
+of second-order differences at both ends (Catmull-Rom); an error e0, e1 of these speeds makes
+
+    h s (1 - s) (e0 (1 - s) + e1 s)
+
+A live row asks for one instant of a few dozen readings: in numpy each call's start costs more
+than its arithmetic, and a session asks for thousands.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,7 +15,7 @@ from numpy.typing import NDArray
 from verify.core.jit import compiled
 from verify.core.records import Array
 
-N_END_READINGS = 4  # through which a cubic tells the speed at an end
+N_END_READINGS = 4  # through which a cubic gives the speed at an end
 
 
 @compiled
@@ -18,11 +27,10 @@ def slope_at(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
     before = t[i] - t[i - 1] if i > 0 else 0.0
     after = t[i + 1] - t[i] if i < len(t) - 1 else 0.0
     if before > longest or after > longest:
-        return 0.0  # a slope across a gap says nothing
-    if before == 0.0:
-        return one_sided_slope(t, q, i, 1, joint, longest, N_END_READINGS)
-    if after == 0.0:
-        return one_sided_slope(t, q, i, -1, joint, longest, N_END_READINGS)
+        return 0.0  # a slope across a gap means nothing
+    if before == 0.0 or after == 0.0:
+        way, most = 1 if before == 0.0 else -1, min(N_END_READINGS, len(t))
+        return one_sided_slope(t, q, i, way, joint, longest, most)
     late, early = before * before * q[i + 1, joint], after * after * q[i - 1, joint]
     middle = (after * after - before * before) * q[i, joint]
     return float((late + middle - early) / (before * after * (before + after)))
@@ -65,18 +73,18 @@ def one_sided_slope(
 
 
 @compiled
-def interpolate(t: Array, q: Array, longest: float, there: Array, values: Array) -> None:
+def interpolate(t: Array, q: Array, longest: float, instants: Array, values: Array) -> None:
     """Fill in the readings at some instants: cubic between four readings (Catmull-Rom).
 
     Args:
         t: (m,), s, increasing; two at least.
         q: (m, j), rad.
         longest: s; across a longer gap the nearest reading is held.
-        there: (n,), s.
+        instants: (n,), s.
         values: (n, j), rad, filled.
     """
-    for n in range(len(there)):
-        instant = min(max(there[n], t[0]), t[-1])
+    for n in range(len(instants)):
+        instant = min(max(instants[n], t[0]), t[-1])
         after = min(max(np.searchsorted(t, instant), 1), len(t) - 1)
         width, passed = t[after] - t[after - 1], instant - t[after - 1]
         for j in range(q.shape[1]):
@@ -110,14 +118,14 @@ def slope_difference(t: Array, q: Array, i: int, joint: int, longest: float) -> 
 
 
 @compiled
-def interpolation_error(t: Array, q: Array, longest: float, there: Array, values: Array) -> None:
-    """Fill in what `interpolate` may miss at some instants; arguments as there.
+def interpolation_error(t: Array, q: Array, longest: float, instants: Array, values: Array) -> None:
+    """Fill in what `interpolate` may miss at some instants; arguments as of `interpolate`.
 
     A cubic takes an error of the speed at one of its ends to h s (1 - s)², s the share of the
     interval h from that end.
     """
-    for n in range(len(there)):
-        instant = min(max(there[n], t[0]), t[-1])
+    for n in range(len(instants)):
+        instant = min(max(instants[n], t[0]), t[-1])
         after = min(max(np.searchsorted(t, instant), 1), len(t) - 1)
         width = t[after] - t[after - 1]
         late = (instant - t[after - 1]) / width
@@ -131,7 +139,7 @@ def interpolation_error(t: Array, q: Array, longest: float, there: Array, values
 
 
 @compiled
-def rates(t: Array, q: Array, longest: float, span: float, there: Array, values: Array) -> None:
+def rates(t: Array, q: Array, longest: float, span: float, instants: Array, values: Array) -> None:
     """Fill in the joints' speeds at some instants; arguments as of `interpolate`.
 
     Args:
@@ -139,16 +147,16 @@ def rates(t: Array, q: Array, longest: float, span: float, there: Array, values:
         q: (m, j), rad.
         longest: s.
         span: s, over which a speed is taken, before and after.
-        there: (n,), s.
+        instants: (n,), s.
         values: (n, j), rad/s, filled; 0 beside a gap, where the nearest reading is held.
     """
     early, late = np.empty(1), np.empty(1)
     before, after = np.empty((1, q.shape[1])), np.empty((1, q.shape[1]))
-    for n in range(len(there)):
-        early[0] = min(max(there[n] - span, t[0]), t[-1])
-        late[0] = min(max(there[n] + span, t[0]), t[-1])
+    for n in range(len(instants)):
+        early[0] = min(max(instants[n] - span, t[0]), t[-1])
+        late[0] = min(max(instants[n] + span, t[0]), t[-1])
         values[n] = 0.0
-        if in_burst(t, longest, there[n]):
+        if in_burst(t, longest, instants[n]):
             interpolate(t, q, longest, early, before)
             interpolate(t, q, longest, late, after)
             width = max(late[0] - early[0], span)
@@ -157,12 +165,12 @@ def rates(t: Array, q: Array, longest: float, span: float, there: Array, values:
 
 
 @compiled
-def mark_bracketed(t: Array, longest: float, there: Array, known: NDArray[np.bool_]) -> None:
+def mark_bracketed(t: Array, longest: float, instants: Array, known: NDArray[np.bool_]) -> None:
     """Fill in for which instants (n,) readings stand at both sides, no gap between them."""
-    for n in range(len(there)):
-        after = np.searchsorted(t, there[n])
+    for n in range(len(instants)):
+        after = np.searchsorted(t, instants[n])
         if after == 0 or after == len(t):
-            known[n] = after == 0 and there[n] == t[0]
+            known[n] = after == 0 and instants[n] == t[0]
         else:
             known[n] = t[after] - t[after - 1] <= longest
 

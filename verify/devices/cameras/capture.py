@@ -59,11 +59,9 @@ class CameraSource(Protocol):
         Raises:
             OSError: the camera is gone.
         """
-        ...
 
     def close(self) -> None:
         """Close it; never raises."""
-        ...
 
 
 class CameraCapture:

@@ -1,9 +1,7 @@
-"""Cameras that OpenCV opens: by index or device path, settings asked for and read back.
+"""Cameras that OpenCV opens, by index or device path; settings are set and read back.
 
-JPEGs decoded as the recorded session's reader decodes them, to the last digit.
-
-Other decoders differ by a few grey values; then what was measured live could not be found again in
-the recording.
+JPEGs are decoded as the recorded session's reader decodes them, to the last digit: other decoders
+differ by a few grey values, and a live result could not be repeated from the recording.
 """
 
 import math

@@ -1,6 +1,6 @@
-"""The last yards of every encoder driver: sign and zero, impossible leaps, and the counts.
+"""From a controller's time stamps and angles to checked readings, with counts of what was dropped.
 
-A controller's clock, unwrapped; a reset or a jump starts a new segment of it.
+A controller's clock is unwrapped; a reset or a jump begins a new segment of it.
 """
 
 import math
@@ -14,9 +14,7 @@ from verify.devices.ports import PortLink
 from verify.devices.protocols import DeviceState, EncoderReading
 from verify.errors import InputError
 
-MAX_ADVANCE = (
-    0.1  # s: no line in the field is early; by more than this the clock itself has leapt ahead
-)
+MAX_ADVANCE = 0.1  # s by which a stamp may be early: beyond it the clock has jumped
 MAX_DELAY = 1.0  # s: an older reading is of no use, and may be of a clock that was set back unseen
 MAX_CLOCK_DRIFT = 2e-4  # a crystal is within 1e-4; so fast may the floor rise
 N_CONFIRM_CLOCK = 5  # readings in a row that contradict the clock before it is taken for a new one

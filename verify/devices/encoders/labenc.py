@@ -240,7 +240,7 @@ class LabencBoard:
         return np.array(turns) * math.tau
 
 
-class LabencEncoders:
+class LabencEncoders(LabencBoard):
     """Joint readings from a LABENC board.
 
     Args:
@@ -257,23 +257,15 @@ class LabencEncoders:
         port: Callable[[], Port] | None = None,
         now: ClockFunction = time.monotonic,
     ) -> None:
-        self._board = LabencBoard(settings, angles.joints, port=port, now=now)
-        self._intake = ReadingIntake(angles, self._board.counts)
+        super().__init__(settings, angles.joints, port=port, now=now)
+        self._intake = ReadingIntake(angles, self.counts)
         self._half_width = settings.latch_span / 2
 
     def read(self) -> list[EncoderReading]:
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
         readings = []
-        for sample in self._board.samples():
+        for sample in self.samples():
             readings += self._intake.take(
                 sample.instant, sample.t_host, self._half_width, sample.angle
             )
         return readings
-
-    def state(self) -> DeviceState:
-        """Say how the board is."""
-        return self._board.state()
-
-    def close(self) -> None:
-        """Close the port; the board is left as it is."""
-        self._board.close()

@@ -1,12 +1,8 @@
-"""Any delimited text line as joint readings: which field is what, in which unit; no port.
+"""Encoders that print a text line of any kind, on a serial port or TCP, read by a field map.
 
-A line is taken apart either by a separator and a list of column names, or by a regular expression
-with named groups. Names are `t`, `q1` to `qN`, `seq` and `sum`; `_` is a column to skip. A device
-that prints one line an axis has the groups `axis` and `value`; such lines are joined by equal `t`.
-
-From the lines of a field map to readings: joined where an axis has its own, timed, checked.
-
-Encoders that print a text line of any kind, on a serial port or TCP, read by a field map.
+A line is split by a separator and a list of column names, or by a regular expression with named
+groups. Names are `t`, `q1` to `qN`, `seq` and `sum`; `_` is a column to skip. A device that prints
+one line an axis has the groups `axis` and `value`; lines of equal `t` are joined.
 """
 
 import math

@@ -3,7 +3,7 @@
 request : robot ";" slot ";" NAME [argument] terminator       1;1;JPOSF
 answer  : "Qo" ("K"|"k") data  |  "Qe" ("R"|"r") number        lower case: an alarm is standing
 
-Where an answer of a MELFA controller ends: CR, CR LF, NUL, or nothing but silence.
+An answer ends with CR, CR LF or NUL, or after a silence where the controller sends no end mark.
 """
 
 import re

@@ -1,8 +1,8 @@
 """A Mitsubishi MELFA controller (CRnD-700, CR75x, CR800) read over TCP or RS-232, never commanded.
 
-Every request is a `melfa_lines.Request`, which cannot hold anything but a reading command, and is
-sent by one function. The controller sends no time: a reading is stamped midway between request and
-answer, and half that span is its uncertainty.
+One function sends requests, and only a `ReadCommand`, which can hold nothing but a reading command.
+The controller sends no time: a reading is stamped midway between request and answer, and half that
+span is its uncertainty.
 """
 
 import time
@@ -25,9 +25,7 @@ from verify.devices.ports import READ_TIMEOUT, ClockFunction, Port, PortLink, Se
 from verify.devices.protocols import DeviceState, EncoderReading
 
 REQUEST_PAUSE = 0.1  # s, by the maker, while a program runs (BFP-A4288, 3.3.3)
-MAX_ROUND_TRIP_RATIO = (
-    3.0  # times the median round trip: the answer waited somewhere, its time says little
-)
+MAX_ROUND_TRIP_RATIO = 3.0  # times the median round trip: the answer was delayed
 MIN_ROUND_TRIPS = 5  # round trips before there is a median to speak of
 MAX_ROUND_TRIPS = 500  # round trips
 TIMEOUT_FACTOR = 3  # times the time-out, for a STATE that tells whether late answers are under way

@@ -1,12 +1,10 @@
 """A MELFA controller's real-time stream (MXT over UDP), read only: a sample a cycle, with a clock.
 
-The robot needs a program of its own that stands in an Mxt instruction. This driver asks, listens,
-and says the orderly end when it leaves: silence would raise the controller's error 7820 and stop
-that program.
+The robot needs a program that stands in an Mxt instruction. The driver sends two kinds of packets
+of 196 bytes, little-endian: "send the encoders' joints" and "end". Without the end the controller
+would raise error 7820 and stop that program.
 
-MELFA real-time external control (MXT): the two packets a reader sends, and the answers; no port.
-
-196 bytes, little-endian. Source: the CR800 Ethernet manual and three public clients that agree.
+Source: the CR800 Ethernet manual and three public clients that agree.
 """
 
 import struct

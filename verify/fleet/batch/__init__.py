@@ -1,1 +1,1 @@
-"""Find, share out, keep, tabulate."""
+"""Find sessions, measure them on workers, store and tabulate the results."""

@@ -1,4 +1,4 @@
-"""A Dask cluster that runs already, somewhere: its workers are the pool."""
+"""A worker pool on a Dask cluster that runs already."""
 
 from collections import Counter, deque
 from collections.abc import Iterator

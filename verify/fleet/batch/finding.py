@@ -1,7 +1,4 @@
-"""Every session under some folders, on a disk or behind URLs that fsspec knows.
-
-Sessions behind URLs: listed, told apart, and fetched to the worker that measures them.
-"""
+"""Find every session under folders or URLs that fsspec knows, and fetch remote ones to a worker."""
 
 import errno
 import os

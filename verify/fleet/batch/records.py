@@ -1,4 +1,4 @@
-"""What flows through a batch: sessions found, tasks for workers, and what came of them."""
+"""Records of a batch: sessions found, tasks for workers, and their outcomes."""
 
 from dataclasses import dataclass, field
 from typing import Any, Protocol

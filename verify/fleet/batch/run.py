@@ -1,7 +1,4 @@
-"""A batch from end to end: what is missing is measured, then everything goes into tables.
-
-How far a batch has come: sessions, pairs a second, time left, failures so far.
-"""
+"""A batch from end to end: measure what is missing, report the progress, write the tables."""
 
 import time
 from collections import deque

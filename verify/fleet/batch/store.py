@@ -1,4 +1,4 @@
-"""OUT/sessions: each finished session's results, there at once, whole or not at all."""
+"""OUT/sessions: the results of each finished session, written whole or not at all."""
 
 import hashlib
 import json

@@ -1,11 +1,7 @@
-"""sessions.parquet, frames.parquet and failures.csv: the same sessions give the same bytes.
+"""Write sessions.parquet, frames.parquet and failures.csv; the same sessions give the same bytes.
 
-The columns of sessions.parquet and frames.parquet, with their types; docs/batch.md has words.
-
-Both have as many columns a joint as the fleet's longest arm has joints; of a shorter arm the rest
-is null. What is unknown is null.
-
-One session's results as a row of sessions.parquet: summary.json, flattened.
+Both tables have as many columns a joint as the fleet's longest arm has joints. Unknown values, and
+joints that an arm does not have, are null. docs/batch.md explains the columns.
 """
 
 import csv

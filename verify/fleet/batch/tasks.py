@@ -1,4 +1,4 @@
-"""What workers do: measure a session, see whether one has changed, write its own report."""
+"""Tasks of workers: measure a session, check whether it has changed, write its report."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

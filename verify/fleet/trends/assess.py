@@ -1,4 +1,4 @@
-"""sessions.parquet and failures.csv to the results that a fleet report is made of."""
+"""From sessions.parquet and failures.csv to the results of a fleet report."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

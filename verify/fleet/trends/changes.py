@@ -1,8 +1,8 @@
-"""Changes of a joint over time: steps and drifts, dated to a session, told from each other.
+"""Find steps and drifts of a joint over time, and date each to a session.
 
 The level is a constant, plus steps at sessions, plus drifts that begin at sessions. Terms are added
 while the best candidate is beyond what chance gives the best of all candidates of all joints of the
-fleet (Bonferroni), each place is then looked for again beside the others. A kind is named where its
+fleet (Bonferroni), each place is then optimised again beside the others. A kind is named where its
 fit beats the other kind's by ΔBIC ≥ 10.
 """
 

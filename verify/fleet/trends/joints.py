@@ -1,7 +1,4 @@
-"""One joint of one arm judged over time: state, course, control limits, odd sessions.
-
-Single sessions that stand apart from those before and after them: odd, and no change.
-"""
+"""One joint of one arm over time: state, trend, control limits, and outlying sessions."""
 
 from dataclasses import dataclass
 from typing import Any

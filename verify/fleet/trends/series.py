@@ -1,13 +1,9 @@
-"""One joint over time: its mean error in each session, and how well each is known.
-
-Generalised least squares for sessions that share calibrations.
+"""The mean errors of one joint over time, with generalised least squares for shared calibrations.
 
 V = diag(scatter²) + one block a calibration, shared² in every place: an error of the rig moves all
 its sessions alike. Each block is a diagonal plus a rank of one, so V⁻¹ is applied in one pass.
 
 Source: Sherman and Morrison, Annals of Mathematical Statistics 21(1), 1950.
-
-Two sets of sessions held against each other: before and after a repair, one cell and another.
 """
 
 from collections.abc import Iterator

@@ -20,7 +20,7 @@ from verify.devices.melfa.protocol import ReadCommand
 from verify.devices.ports import Port
 
 TIMEOUT = 1.0  # s for an answer
-POLL_PERIOD = 0.05  # s between two looks at the clock
+POLL_PERIOD = 0.05  # s between two checks of the clock
 MAX_ANSWER_BYTES = 1024  # bytes of an answer
 VENDOR, PRODUCT = b"verify", b"emulated gripper"  # objects 0 and 1 of the identification
 
@@ -75,7 +75,7 @@ class EmulatorPortOpener:
 
 
 def is_emulated_melfa(port: Port, terminator: bytes = b"\r") -> bool:
-    """Open the controller's line under a name drawn by chance, and look for the name's digest.
+    """Open the controller's line under a random name, and search its answer for the name's digest.
 
     Nothing but OPEN and CLOSE is sent, which only read.
 

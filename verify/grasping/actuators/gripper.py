@@ -146,8 +146,8 @@ class GripperDriver(GripperReader):
     def _go(self, opening: float, closing: bool) -> None:
         self._require_rest("close" if closing else "open")
         if not 0.0 <= opening <= self._settings.stroke:
-            asked, widest = opening * 1e3, self._settings.stroke * 1e3
-            raise MotionRefusedError(f"{asked:.1f} mm is not within its 0 to {widest:.0f} mm")
+            requested, widest = opening * 1e3, self._settings.stroke * 1e3
+            raise MotionRefusedError(f"{requested:.1f} mm is not within its 0 to {widest:.0f} mm")
         position = round(CLOSED_POSITION * (1.0 - opening / self._settings.stroke))
         self._action = replace(self._action, go=True, position=position)
         self._begin(GripperState.MOVING, self._action.registers(), self._settings.move_limit)
@@ -208,10 +208,10 @@ class GripperDriver(GripperReader):
         if activating:
             self._to_write = list(RESET_OUTPUTS)  # nothing else ends it
 
-    def _note_trouble(self, words: str) -> None:
-        super()._note_trouble(words)
+    def _note_trouble(self, reason: str) -> None:
+        super()._note_trouble(reason)
         if self._phase is not GripperState.IDLE:
-            self._fail(words)
+            self._fail(reason)
 
     def _judge(self, inputs: GripperInputs) -> None:
         """Change the state by a reading."""
@@ -263,16 +263,16 @@ class GripperDriver(GripperReader):
         ):
             return
         stopped = sum(axis is not FingerStatus.THERE for axis in inputs.axes)
-        words = f"something stopped {stopped} of {len(inputs.axes)} fingers"
+        reason = f"something stopped {stopped} of {len(inputs.axes)} fingers"
         if not stopped:
             self._rest(GripperState.REACHED)
         elif not self._active.closing:
-            self._fail(f"{words} while opening")
+            self._fail(f"{reason} while opening")
         elif self._holds(inputs):
             self._rest(GripperState.GRIPPED)
         else:
             self._rest(GripperState.UNSURE)
-            self._reason = words
+            self._reason = reason
 
     def _holds(self, inputs: GripperInputs) -> bool:
         """Whether something stopped as many fingers as a grip needs; the scissor axis is one."""

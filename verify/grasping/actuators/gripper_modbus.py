@@ -19,7 +19,7 @@ from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 from verify.devices.ports import DEFAULT_LINE, ClockFunction, Port, PortLink, SerialLine
 from verify.grasping.actuators.protocols import BackgroundOpener, GripMode
 
-REQUEST_PERIOD = 0.005  # s: the gripper's cycle; asked sooner it has nothing new to say
+REQUEST_PERIOD = 0.005  # s: the gripper's cycle; a sooner request reads nothing new
 MAX_BUFFER_BYTES = 512  # bytes: two of the longest frames; noise must not fill the memory
 # exception code -> meaning, by the Modbus specification
 EXCEPTION_MEANINGS: Final = {1: "unknown function", 2: "no such register", 3: "value not allowed"}
@@ -50,7 +50,7 @@ class GripperRefusedError(Exception):
 
 
 class NoAnswerError(Exception):
-    """The gripper did not answer, as often as it was asked."""
+    """The gripper did not answer any of the tries."""
 
 
 class ModbusLine:
@@ -103,7 +103,7 @@ class ModbusLine:
         """Take what has come: the answer to the request, once it is whole.
 
         Raises:
-            NoAnswerError: none came, as often as it was asked.
+            NoAnswerError: none came in all tries.
             GripperRefusedError: the gripper's answer was an exception.
         """
         chunk = self.link.receive(0.0)
@@ -141,7 +141,7 @@ class ModbusLine:
         self.link.send(self._framer.buildFrame(self._pending))
 
     def _answer(self) -> ModbusPDU | None:
-        """Decode what is there; None if that is no answer to what was asked."""
+        """Decode the buffer; None if it is no answer to the request."""
         assert self._pending is not None
         if not self._buffer:
             return None

@@ -31,7 +31,7 @@ from verify.grasping.actuators.gripper_modbus import (
 from verify.grasping.actuators.protocols import GripperState, GripperStatus
 
 READ_FUNCTIONS: Final = frozenset({ReadHoldingRegistersRequest.function_code})
-# what it complains of reaches the user through `step`, in other words
+# its complaints reach the user through `step`
 logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
 
 
@@ -97,8 +97,8 @@ class GripperReader:
     def _judge(self, inputs: GripperInputs) -> None:
         """Draw conclusions from a reading: a reader has none to draw."""
 
-    def _note_trouble(self, words: str) -> None:
-        self._trouble = words
+    def _note_trouble(self, reason: str) -> None:
+        self._trouble = reason
 
     def _line_words(self) -> str:
         if not self._line.link.connected:
@@ -114,14 +114,14 @@ class GripperReader:
         trouble = self._trouble
         if self._t is None and not self._line.link.connected:
             trouble = self._line_words()
-        said = "; ".join(dict.fromkeys(part for part in (reason, trouble) if part))
+        text = "; ".join(dict.fromkeys(part for part in (reason, trouble) if part))
         inputs = self._inputs
         opening = None
         if inputs is not None:
             opening = self._settings.stroke * (1.0 - inputs.position / CLOSED_POSITION)
         return GripperStatus(
             state,
-            f"{self._settings.port}: {said}" if said else "",
+            f"{self._settings.port}: {text}" if text else "",
             opening,
             0 if inputs is None else inputs.contacts,
             self._t,

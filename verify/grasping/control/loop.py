@@ -33,8 +33,8 @@ class GraspLoop:
 
     Args:
         setup: arm and cell.
-        tracker: sees the target; None: there is none until `look_for` is called.
-        aim: what is made of that.
+        tracker: measures the target; None: there is none until `look_for` is called.
+        aim: keeps target, goal and plan.
         hands: arm and gripper; None: nothing may move, the plan is all there is.
         joints: reads the joint angles; None where there is no reading.
         clock: s, monotonic; the pictures' times and the devices' are on it too.
@@ -64,7 +64,7 @@ class GraspLoop:
         self.pictures_t: float | None = None  # s, when the newest pair was taken
         self._tracked_t: float | None = None
         self.joints_t: float | None = None  # s, when the joints were last read
-        self.arm: MoverStatus | None = None  # None: there is none, or it was not asked yet
+        self.arm: MoverStatus | None = None  # None: there is none, or no status yet
         self._hold_first = False  # the operator's stop came before anything had begun
         self._q: Array | None = None
         self._refused = ""  # what a device refused

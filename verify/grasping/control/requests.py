@@ -12,7 +12,7 @@ from verify.errors import InputError
 from verify.grasping.control.loop import GraspLoop
 from verify.grasping.control.states import GraspEvent
 from verify.grasping.tracking.selection import parse_drawn
-from verify.grasping.tracking.target import BoxSelection, TrackingOptions
+from verify.grasping.tracking.target import BoxSelection
 from verify.grasping.tracking.track import TargetTracker
 
 SELECTION_PLACE = "selection"
@@ -25,7 +25,7 @@ class PendingRequests:
 
     orders: tuple[GraspEvent, ...]
     drawn: BoxSelection | None  # another target
-    refused: tuple[str, ...]  # in words: what was no request at all
+    refused: tuple[str, ...]  # why a request was none, in words
 
 
 class OperatorRequests:
@@ -39,21 +39,21 @@ class OperatorRequests:
         self.stops = 0  # taken by the loop
 
     def hold(self) -> None:
-        """Ask for a hold; what was asked for before and was not taken yet is forgotten."""
+        """Ask for a hold; earlier requests that were not taken yet are dropped."""
         with self._lock:
             self._orders, self._drawn = [(GraspEvent.HOLD, None)], None
 
-    def grab(self, seen: str) -> None:
+    def grab(self, shown: str) -> None:
         """Ask for the grab.
 
         Args:
-            seen: how many passages of the state machine the one who asks had seen, in digits: an
-                order that was long on its way does not meet another state.
+            shown: how many passages of the state machine the page showed, in digits: a late order
+                must not count in another state.
         """
-        if not (seen.isascii() and seen.isdecimal() and len(seen) < MAX_REPEATED_LETTERS):
-            self._refuse(f'grab: "{seen[:MAX_REPEATED_LETTERS]}" is no number of passages')
+        if not (shown.isascii() and shown.isdecimal() and len(shown) < MAX_REPEATED_LETTERS):
+            self._refuse(f'grab: "{shown[:MAX_REPEATED_LETTERS]}" is no number of passages')
             return
-        order = (GraspEvent.GRAB, int(seen))
+        order = (GraspEvent.GRAB, int(shown))
         with self._lock:
             if order not in self._orders:
                 self._orders.append(order)
@@ -73,26 +73,26 @@ class OperatorRequests:
             self._drawn = drawn
 
     def taken(self, passages: int, *, pictures: bool) -> PendingRequests:
-        """Give what was asked for since the last time.
+        """Return the requests since the last call.
 
         Args:
             passages: of the state machine until now.
-            pictures: there are new ones, in which a selection can be looked at.
+            pictures: there are new ones, in which a selection can be found.
         """
         with self._lock:
             orders, self._orders = self._orders, []
             refused, self._refused = self._refused, ""
             drawn = self._drawn if pictures else None
             self._drawn = None if pictures else self._drawn
-        counts = tuple(event for event, seen in orders if seen in (None, passages))
-        late = [event for event, seen in orders if seen not in (None, passages)]
-        words = [f"{event.value}: the state has changed since; look again" for event in late]
+        counts = tuple(event for event, shown in orders if shown in (None, passages))
+        late = [event for event, shown in orders if shown not in (None, passages)]
+        late_reasons = [f"{event.value}: the state has changed since; look again" for event in late]
         self.stops += counts.count(GraspEvent.HOLD)
-        return PendingRequests(counts, drawn, (*words, *([refused] if refused else ())))
+        return PendingRequests(counts, drawn, (*late_reasons, *([refused] if refused else ())))
 
-    def _refuse(self, words: str) -> None:
+    def _refuse(self, reason: str) -> None:
         with self._lock:
-            self._refused = words
+            self._refused = reason
 
 
 def select_target(loop: GraspLoop, rig: Rig, drawn: BoxSelection, pair: StereoPair) -> str:
@@ -105,13 +105,13 @@ def select_target(loop: GraspLoop, rig: Rig, drawn: BoxSelection, pair: StereoPa
         pair: the pictures, newest.
     """
     if not loop.may_choose:
-        said = f"no other target now: the state is {loop.machine.state.value}"
-        return f"{said}; the arm must have come to rest, its hand up and empty"
-    tracker = TargetTracker(rig, drawn, TrackingOptions())
+        reason = f"no other target now: the state is {loop.machine.state.value}"
+        return f"{reason}; the arm must have come to rest, its hand up and empty"
+    tracker = TargetTracker(rig, drawn)
     try:
         tracker.step(pair)
     except InputError as error:
-        said = "; ".join(part for part in (f"the box {error.found}", error.expected) if part)
-        return f"{said}. {error.remedy}".strip()
+        reason = "; ".join(part for part in (f"the box {error.found}", error.expected) if part)
+        return f"{reason}. {error.remedy}".strip()
     loop.look_for(tracker)
     return ""

@@ -58,7 +58,7 @@ def run(
     loop: GraspLoop,
     source: PairSource,
     ends: StopConditions,
-    look: CycleCallback,
+    on_cycle: CycleCallback,
     orders: EventSource = tuple,
     say: Callable[[str], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
@@ -69,8 +69,8 @@ def run(
         loop: not started yet.
         source: of pictures.
         ends: when it is over.
-        look: called with every cycle.
-        orders: what the operator has ordered since it was last asked.
+        on_cycle: called with every cycle.
+        orders: returns what the operator has ordered since the last call.
         say: called with the reason why an order does not count.
         stop: whether the operator wants it to end.
     """
@@ -82,10 +82,10 @@ def run(
         cycle = loop.cycle(source.pair())
         count += 1
         began = cycle.t if began is None else began
-        look(cycle)
+        on_cycle(cycle)
         for event in orders():
-            if said := loop.tell(event):
-                say(said)
+            if refusal := loop.tell(event):
+                say(refusal)
         stopped = stop()
         if not _is_finished(loop, ends):
             over_since = None
@@ -97,7 +97,7 @@ def run(
             break
         source.wait()
     state, reason = machine.state, machine.reason
-    count += _release(loop, source, look)
+    count += _release(loop, source, on_cycle)
     released = machine.state is GraspState.RELEASED
     return GraspOutcome(state, reason, released, tuple(machine.log), count, stopped)
 
@@ -108,7 +108,7 @@ def _is_finished(loop: GraspLoop, ends: StopConditions) -> bool:
     return loop.machine.state in END_STATES or planned
 
 
-def _release(loop: GraspLoop, source: PairSource, look: CycleCallback) -> int:
+def _release(loop: GraspLoop, source: PairSource, on_cycle: CycleCallback) -> int:
     """Come to rest and give the controls back; says in how many cycles."""
     loop.machine.tell(GraspEvent.INTERRUPT)
     began, count, now = None, 0, 0.0
@@ -117,7 +117,7 @@ def _release(loop: GraspLoop, source: PairSource, look: CycleCallback) -> int:
     ):
         source.wait()
         cycle = loop.cycle(source.pair())
-        look(cycle)
+        on_cycle(cycle)
         now, count = cycle.t, count + 1
         began = now if began is None else began
     return count

@@ -34,7 +34,7 @@ class GraspState(StrEnum):
 
 
 class GraspEvent(StrEnum):
-    """What happens; the first group is seen, the second done, the third asked for."""
+    """Events: of the watchdog, of the devices, of the operator."""
 
     FOUND = "target found"
     LOST = "target lost"
@@ -247,14 +247,14 @@ class StateMachine:
         self.since = clock()
         self.reason = ""
         self.low = False  # the hand is down at the object, or may be
-        self.carrying = False  # the gripper said that it holds an object
+        self.carrying = False  # the gripper reports that it holds an object
         self.still = False  # the target stands still; set by the watchdog
         self.planned = False  # there is a checked grasp of it; set by the loop
         self.log: list[StateChange] = []
 
     @property
     def order(self) -> DeviceOrder:
-        """What is asked of the devices now."""
+        """The order of the present state."""
         return ORDERS[self.state]
 
     def tell(self, event: GraspEvent, reason: str = "") -> bool:
@@ -262,7 +262,7 @@ class StateMachine:
 
         Args:
             event: what happened.
-            reason: in words, where there is more to say than the table does.
+            reason: in words; empty: that of the table.
         """
         for way in TRANSITIONS_BY_EVENT.get((self.state, event), []):
             if all(self._has(need) for need in way.needs):

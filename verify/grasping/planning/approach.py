@@ -8,7 +8,7 @@ from scipy.interpolate import make_interp_spline
 import robots
 from robots import DhArm
 from robots.trajectory import JointPath
-from robots.transforms import difference, invert
+from robots.transforms import difference
 from verify.core.records import Array
 
 MIN_NODES, MAX_NODES = 9, 129  # of the spline through exact postures; doubled until it is true
@@ -45,12 +45,6 @@ def nearest_turn(direction: Array, base_R_grip: Array) -> float:
     poses = hand_poses(direction, np.zeros(3), np.array([0.0]))[0, :3, :3]
     x = poses.T @ base_R_grip[:, 0]
     return float(np.arctan2(x[1], x[0]))
-
-
-def flange_pose(base_T_grip: Array, flange_T_grip: Array) -> Array:
-    """Where the flange is for a hand's pose, base_T_flange (..., 4, 4)."""
-    found: Array = base_T_grip @ invert(flange_T_grip)
-    return found
 
 
 @dataclass(frozen=True, slots=True)

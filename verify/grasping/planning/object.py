@@ -10,7 +10,7 @@ from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.core.statistics import chi2_ppf, norm_ppf
 from verify.grasping.cell import Cell
-from verify.grasping.tool_offset.offset import OffsetMeasurement
+from verify.grasping.tool_offset.offset import OffsetMeasurement, ToolOffset
 from verify.grasping.tracking.target import TargetObservation
 from verify.measurement.sensitivities import AXES
 from verify.measurement.systematics import BODY, unit
@@ -29,6 +29,11 @@ class GraspObject:
     length: float  # m, along the approach
     length_standard_uncertainty: float  # m
     offset: OffsetMeasurement | None = None  # of the hand, measured above it; None: it was not
+
+    @property
+    def hand(self) -> ToolOffset | None:
+        """The hand's offset; None: nothing is known beside the claimed accuracy."""
+        return None if self.offset is None else self.offset.hand
 
 
 def point_in_base(rig: Rig, point: Array, covariance: Array) -> tuple[Array, Array]:
@@ -171,15 +176,15 @@ def grip_margin(thing: GraspObject, cell: Cell) -> GripMargin | GraspRefusal:
         return outside
     one, two = float(norm_ppf((1 + coverage) / 2)), float(np.sqrt(chi2_ppf(coverage, 2)))
     if thing.width > hand.opening:
-        said = f"it is {_mm(thing.width)} wide; the gripper opens {_mm(hand.opening)}"
-        return GraspRefusal("width", said)
+        reason = f"it is {_mm(thing.width)} wide; the gripper opens {_mm(hand.opening)}"
+        return GraspRefusal("width", reason)
     across, along = _grip_uncertainty(thing, cell)
     sideways = float(np.hypot(across, thing.width_standard_uncertainty / 2))
     grip, raised = _commanded_grip_point(thing, cell)
     if raised > hand.tips:
         height = _mm(float(thing.position[2] - cell.table.height))
-        said = f"it lies too flat: its middle is {height} above the table, the finger tips must "
-        return GraspRefusal("table", said + f"stay {_mm(cell.table.finger_clearance)} above it")
+        reason = f"it lies too flat: its middle is {height} above the table, the finger tips must "
+        return GraspRefusal("table", reason + f"stay {_mm(cell.table.finger_clearance)} above it")
     known_across, known_along = _known_offset(thing, cell)
     margin = GripMargin(
         grip, raised, (hand.opening - thing.width) / 2, two * sideways + known_across,
@@ -195,17 +200,17 @@ def _commanded_grip_point(thing: GraspObject, cell: Cell) -> tuple[Array, float]
     by the measured place.
     """
     wanted, raised = grip_point(thing.position, cell)
-    if thing.offset is None or thing.offset.hand is None or not thing.offset.used:
+    if thing.hand is None or not thing.hand.used:
         return wanted, raised
-    told, more = grip_point(wanted - thing.offset.hand.off, cell)
-    return told, raised + more
+    ordered, more = grip_point(wanted - thing.hand.off, cell)
+    return ordered, raised + more
 
 
 def _known_offset(thing: GraspObject, cell: Cell) -> tuple[float, float]:
     """The hand's known but uncorrected offset sideways and along the approach, m."""
-    if thing.offset is None or thing.offset.hand is None or thing.offset.used:
+    if thing.hand is None or thing.hand.used:
         return 0.0, 0.0
-    off, direction = thing.offset.hand.off, cell.approach.direction
+    off, direction = thing.hand.off, cell.approach.direction
     along = float(off @ direction)
     return float(np.linalg.norm(off - along * direction)), abs(along)
 
@@ -217,15 +222,17 @@ def _margin_refusal(
     room = hand.finger_length - hand.tips + margin.raised
     need = (thing.length + one * thing.length_standard_uncertainty) / 2 + margin.along_needed
     if need > room:
-        said = f"it may reach {_mm(need)} from its middle towards the palm ({percent}); "
-        return GraspRefusal("length", said + f"there is room for {_mm(room)}")
+        reason = f"it may reach {_mm(need)} from its middle towards the palm ({percent}); "
+        return GraspRefusal("length", reason + f"there is room for {_mm(room)}")
     for what, left, needed in (
         ("sideways", margin.across, margin.across_needed),
         ("along the approach", margin.along, margin.along_needed),
     ):
         if needed > left:
-            said = f"target and robot together are known within {_mm(needed)} {what} ({percent}); "
-            return GraspRefusal("uncertainty", said + f"the gripper leaves {_mm(left)}")
+            reason = (
+                f"target and robot together are known within {_mm(needed)} {what} ({percent}); "
+            )
+            return GraspRefusal("uncertainty", reason + f"the gripper leaves {_mm(left)}")
     return None
 
 
@@ -234,16 +241,16 @@ def _workspace_refusal(point: Array, cell: Cell) -> GraspRefusal | None:
     axis = int(np.argmax(beyond))
     if beyond[axis] <= 0:
         return None
-    said = f"it lies {_mm(beyond[axis])} outside the workspace box in {'xyz'[axis]}"
-    return GraspRefusal("workspace", said)
+    reason = f"it lies {_mm(beyond[axis])} outside the workspace box in {'xyz'[axis]}"
+    return GraspRefusal("workspace", reason)
 
 
 def _grip_uncertainty(thing: GraspObject, cell: Cell) -> tuple[float, float]:
     """Standard uncertainty, the greatest sideways and that along the approach, with the robot's."""
     direction = cell.approach.direction
     total = thing.covariance + np.eye(3) * cell.accuracy.robot**2
-    if thing.offset is not None and thing.offset.hand is not None:
-        total = total + thing.offset.hand.covariance  # the arm need not repeat itself any better
+    if thing.hand is not None:
+        total = total + thing.hand.covariance  # the arm need not repeat itself any better
     sideways = np.linalg.svd(direction[None])[2][1:]  # two unit vectors across the approach
     across = float(np.linalg.eigvalsh(sideways @ total @ sideways.T)[-1])
     return float(np.sqrt(across)), float(np.sqrt(direction @ total @ direction))

@@ -27,7 +27,7 @@ from verify.core.records import Array
 from verify.core.rig import Camera, Rig
 from verify.errors import InputError
 from verify.grasping.cell import Cell
-from verify.grasping.planning.approach import ApproachLine, flange_pose, hand_poses, line_path
+from verify.grasping.planning.approach import ApproachLine, hand_poses, line_path
 from verify.grasping.planning.object import (
     GraspObject,
     GraspRefusal,
@@ -44,7 +44,7 @@ from verify.grasping.planning.postures import (
 )
 from verify.grasping.planning.workspace import Workspace
 
-MAX_SLOWDOWN = 4.0  # times slower than asked for: a line that needs more runs past a singularity
+MAX_SLOWDOWN = 4.0  # times slower than the cell asks; more is needed beside a singularity only
 TOL_SAME_POSTURE = 0.15  # rad: no other branch and no other turn of the hand is so near
 MAX_POSTURES = 40  # postures whose paths are checked, best first: all branches, some turns of each
 
@@ -112,12 +112,12 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
     margin = grip_margin(thing, setup.cell)
     if isinstance(margin, GraspRefusal):
         return margin
-    if said := limit_violation(setup.limits, rest_motion(q_now)) or setup.workspace.clear(
+    if problem := limit_violation(setup.limits, rest_motion(q_now)) or setup.workspace.clear(
         q_now[None]
     ):
-        return GraspRefusal("way", f"the arm cannot begin where it stands: {said}")
+        return GraspRefusal("way", f"the arm cannot begin where it stands: {problem}")
     good, reasons = find_postures(setup.workspace, setup.limits, margin.grip, q_now)
-    if thing.offset is not None and thing.offset.used:  # a correction holds where it was measured
+    if thing.hand is not None and thing.hand.used:  # a correction holds where it was measured
         good = [p for p in good if np.abs(p.q_above - q_now).max() < TOL_SAME_POSTURE]
     ways: dict[int, str] = {}  # why not, of branches that could stand there
     for posture in good[:MAX_POSTURES]:
@@ -127,11 +127,15 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
             rejected = _rejection_reasons(good, {**ways, **reasons}, posture)
             return GraspPlan(posture, margin, over, down, down.returning(), slowed, rejected)
         ways.setdefault(posture.branch, found)
-    told = tuple((branch_name(branch), said) for branch, said in {**ways, **reasons}.items())
-    if not told:
+    rejections = tuple(
+        (branch_name(branch), problem) for branch, problem in {**ways, **reasons}.items()
+    )
+    if not rejections:
         return GraspRefusal("reach", "the posture in which the hand was seen does not reach it")
-    said = "no posture of the arm can grasp it; what comes nearest ({}): {}".format(*told[0])
-    return GraspRefusal("way" if ways else "reach", said, told)
+    problem = "no posture of the arm can grasp it; what comes nearest ({}): {}".format(
+        *rejections[0]
+    )
+    return GraspRefusal("way" if ways else "reach", problem, rejections)
 
 
 def _grasp_motion(
@@ -168,8 +172,8 @@ def straight_motion(
     if isinstance(path, str):
         return path
     for q in path.range():
-        if said := limit_violation(setup.limits, rest_motion(q)):
-            return f"{where} {said}"
+        if problem := limit_violation(setup.limits, rest_motion(q)):
+            return f"{where} {problem}"
     asked = setup.cell.approach
     rates = PathLimits(asked.speed, asked.acceleration, asked.jerk)
     slowed = required_slowdown(path, setup.limits, rates)
@@ -177,8 +181,8 @@ def straight_motion(
         joint = int(np.argmax(path.bounds()[0] / setup.limits.speed)) + 1
         fast = f"at {1e3 * asked.speed:g} mm/s joint {joint} races"
         return f"{where} {fast}, {slowed:.0f} times beyond its limits"
-    if said := setup.workspace.along(path):
-        return f"{where} {said}"
+    if problem := setup.workspace.along(path):
+        return f"{where} {problem}"
     return time_path(path, setup.limits, rates), max(slowed, 1.0)
 
 
@@ -198,27 +202,27 @@ def transfer_motion(
     ways = [[q_now, q_above]]
     if setup.cell.moving.home is not None:
         ways.append([q_now, setup.cell.moving.home, q_above])
-    said = ""
+    problem = ""
     for way in ways:
         paths = [joint_path(a, b) for a, b in pairwise(way)]
         trouble = next((t for path in paths if (t := setup.workspace.along(path))), "")
         if not trouble:
             return tuple(time_path(path, setup.limits) for path in paths)
-        said = said or f"on the way over {trouble}"
-    return said
+        problem = problem or f"on the way over {trouble}"
+    return problem
 
 
 def _rejection_reasons(
     good: list[Posture], reasons: dict[int, str], taken: Posture
 ) -> dict[str, str]:
     """Why each other branch is not taken, in words."""
-    told = dict(reasons)
+    rejections = dict(reasons)
     for posture in good:
         if posture.branch != taken.branch:
             worse = f"it would do, but scores {posture.score:.2g} against {taken.score:.2g}"
-            told.setdefault(posture.branch, worse)
-    told.pop(taken.branch, None)
-    return {branch_name(branch): told[branch] for branch in sorted(told)}
+            rejections.setdefault(posture.branch, worse)
+    rejections.pop(taken.branch, None)
+    return {branch_name(branch): rejections[branch] for branch in sorted(rejections)}
 
 
 def planner_with_cameras(arm: Arm, cell: Cell, rig: Rig, *, turning: bool) -> GraspPlanner:
@@ -263,7 +267,7 @@ class JointGoal:
 
 
 class HoverPlanner:
-    """Keeps one branch and one turn of the hand as long as they serve, then looks for others.
+    """Keeps one branch and one turn of the hand as long as possible, then searches for others.
 
     Args:
         setup: arm and cell.
@@ -289,8 +293,8 @@ class HoverPlanner:
             good, reasons = find_postures(self._setup.workspace, self._setup.limits, grip, q_now)
             if not good:
                 self._posture = None
-                said = next(iter(reasons.values()))
-                return GraspRefusal("reach", f"no posture stands above the target: {said}")
+                problem = next(iter(reasons.values()))
+                return GraspRefusal("reach", f"no posture stands above the target: {problem}")
             self._posture, q = good[0], good[0].q_above
         twist = np.concatenate([velocity, np.zeros(3)])
         return JointGoal(q, np.linalg.solve(robots.jacobian(self._setup.arm, q), twist))
@@ -300,7 +304,7 @@ class HoverPlanner:
         setup, approach = self._setup, self._setup.cell.approach
         above = grip - approach.height * approach.direction
         pose = hand_poses(approach.direction, above, np.array([posture.turn]))
-        flange = flange_pose(pose, setup.cell.gripper.flange_T_grip)[0]
+        flange = pose[0] @ invert(setup.cell.gripper.flange_T_grip)
         answers = robots.inverse(setup.arm, flange, hold=q_now).q
         q = near_within(setup.arm, answers[posture.branch], q_now)
         if not np.isfinite(q).all() or limit_violation(setup.limits, rest_motion(q)):

@@ -19,8 +19,9 @@ import robots
 from robots.coupling import LENGTH_SCALE
 from robots.inverse import near, near_within
 from robots.trajectory import JointLimits, limit_violation, rest_motion
+from robots.transforms import invert
 from verify.core.records import Array
-from verify.grasping.planning.approach import flange_pose, hand_poses, nearest_turn
+from verify.grasping.planning.approach import hand_poses, nearest_turn
 from verify.grasping.planning.workspace import LINKS, RESOLUTION, Workspace
 
 IntArray = NDArray[np.int64]
@@ -33,7 +34,7 @@ HALF_SCORE_TIME = 1.0  # s at full speed: a posture so far off counts half
 SINGULAR_STAGE, VALID_STAGE = 2, 4  # of _PostureTable.stage
 CHECKED_LINKS = LINKS[:-1]  # the wrist's link and the hand stand alike in every posture of a grasp
 END_NAMES = ("above the object", "at the object")
-MIN_SCORE = 1e-3  # of each score: a posture at the edge of one is still told from a worse one
+MIN_SCORE = 1e-3  # of each score: at its edge postures still differ
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +105,7 @@ def find_postures(
         q_now: (n,), rad, where the arm stands.
 
     Returns:
-        Those that can be, best score first; and why each other branch cannot, in words, told of
+        Those that can be, best score first; and why each other branch cannot, in words, for
         the turn of the hand that came farthest; branches that came farthest first.
     """
     direction = workspace.cell.approach.direction
@@ -139,7 +140,8 @@ def _table(
     approach = cell.approach
     ends = (point - approach.height * approach.direction, point)
     poses = np.array([hand_poses(approach.direction, end, turns) for end in ends])
-    q = robots.inverse(arm, flange_pose(poses, cell.gripper.flange_T_grip), hold=q_now).q
+    flanges = poses @ invert(cell.gripper.flange_T_grip)
+    q = robots.inverse(arm, flanges, hold=q_now).q
     above = near_within(arm, q[0], q_now)
     above = np.where(np.isnan(above), near(q[0], q_now), above)  # to say by how much it is beyond
     q = np.array([above, near(q[1], above)])  # the line does not wind joints up
@@ -187,9 +189,9 @@ def _rejection_reason(
     ends = table.q[:, turn, branch]
     if farthest == 1:
         return next(
-            f"{end} {said}"
+            f"{end} {problem}"
             for end, q in zip(END_NAMES, ends, strict=True)
-            if (said := limit_violation(limits, rest_motion(q)))
+            if (problem := limit_violation(limits, rest_motion(q)))
         )
     if farthest == SINGULAR_STAGE:
         singular = [robots.coupled(workspace.arm, q) for q in ends]

@@ -45,7 +45,7 @@ class GraspContext:
     """What the report states beside the measurements."""
 
     robot: str
-    target: str  # in the user's words
+    target: str  # as the user named it
     cell: str  # "simulated", or the station
     execute: bool
     started: datetime
@@ -194,9 +194,8 @@ def _lift_check(
         return None
     thing = target.thing
     spread = thing.covariance
-    if thing.offset is not None and thing.offset.hand is not None:
-        hand = thing.offset.hand  # the hand is there, whatever its encoders say
-        grip, spread = grip + hand.off, spread + hand.covariance
+    if thing.hand is not None:  # the hand is there, whatever the encoders say
+        grip, spread = grip + thing.hand.off, spread + thing.hand.covariance
     else:
         spread = spread + np.eye(3) * workspace.cell.accuracy.robot**2
     worst = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
@@ -233,10 +232,10 @@ def _plan_fields(plan: GraspPlan) -> dict[str, Any]:
         "margin": margin_fields(plan.margin),
         "slowed": plan.slowed,
         "duration_s": sum(w.duration for w in (*plan.over, plan.down, plan.up)),
-        "rejected": [{"branch": name, "reason": said} for name, said in plan.rejected.items()],
+        "rejected": [{"branch": name, "reason": reason} for name, reason in plan.rejected.items()],
     }
 
 
 def _refusal_fields(refusal: GraspRefusal) -> dict[str, Any]:
-    rejected = [{"branch": name, "reason": said} for name, said in refusal.branches]
+    rejected = [{"branch": name, "reason": reason} for name, reason in refusal.branches]
     return {"kind": refusal.kind, "reason": refusal.reason, "rejected": rejected}

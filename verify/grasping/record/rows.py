@@ -79,10 +79,10 @@ def plan_table(plan: GraspPlan | None, workspace: Workspace) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def tool_offset_table(seen: OffsetMeasurement | None, workspace: Workspace) -> pd.DataFrame:
+def tool_offset_table(measurement: OffsetMeasurement | None, workspace: Workspace) -> pd.DataFrame:
     """Write the pictures in which the hand was measured, one a row; its grip point by its LEDs."""
     rows: list[dict[str, Any]] = []
-    for sight in seen.sights if seen is not None else ():
+    for sight in measurement.sights if measurement is not None else ():
         row: dict[str, Any] = {"t_s": sight.t, "status": sight.status}
         if sight.base_T_flange is not None:
             row |= _point("grip", _grip_position(sight.base_T_flange, workspace))
@@ -91,14 +91,17 @@ def tool_offset_table(seen: OffsetMeasurement | None, workspace: Workspace) -> p
     return pd.DataFrame(rows, columns=columns)
 
 
-def tool_offset_fields(seen: OffsetMeasurement, workspace: Workspace) -> dict[str, Any]:
+def tool_offset_fields(measurement: OffsetMeasurement, workspace: Workspace) -> dict[str, Any]:
     """Write where the hand was ordered, read and measured, and the offset; mm, k = 2."""
-    hand, places = seen.hand, {"told": seen.ordered, "read": seen.read, "seen": seen.measured}
+    hand, places = (
+        measurement.hand,
+        {"told": measurement.ordered, "read": measurement.read, "seen": measurement.measured},
+    )
     return {
-        "used": seen.used,
-        "reason": seen.reason,
-        "pictures": len(seen.sights),
-        "measured": sum(sight.base_T_flange is not None for sight in seen.sights),
+        "used": measurement.used,
+        "reason": measurement.reason,
+        "pictures": len(measurement.sights),
+        "measured": sum(sight.base_T_flange is not None for sight in measurement.sights),
         **{
             f"{what}_mm": None if pose is None else (_MM * _grip_position(pose, workspace)).tolist()
             for what, pose in places.items()

@@ -80,8 +80,8 @@ def _text_strip(cycle: LoopCycle) -> Image:
     """Time, state and the target's status in one line."""
     strip = np.full((STRIP_HEIGHT, 2 * WIDTH, 3), 30, np.uint8)
     tone = STATE_COLOURS.get(cycle.state.value, WHITE)
-    seen = "" if cycle.observation is None else cycle.observation.status
-    pictures = seen if cycle.pair is not None else "no pictures"
-    words = f"{cycle.t:6.2f} s   {cycle.state.value.upper()}   target: {pictures}"
-    cv2.putText(strip, words, (12, 27), cv2.FONT_HERSHEY_SIMPLEX, 0.6, tone, 1, cv2.LINE_AA)
+    status = "" if cycle.observation is None else cycle.observation.status
+    pictures = status if cycle.pair is not None else "no pictures"
+    text = f"{cycle.t:6.2f} s   {cycle.state.value.upper()}   target: {pictures}"
+    cv2.putText(strip, text, (12, 27), cv2.FONT_HERSHEY_SIMPLEX, 0.6, tone, 1, cv2.LINE_AA)
     return strip

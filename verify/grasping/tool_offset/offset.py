@@ -183,15 +183,15 @@ def measure_resting_flange(
     )
     near = PosePrediction(ordered, SEARCH_RADIUS, MAX_ROTATION)
     found = assign_leds(spots[0], spots[1], rig, pans[0], pans[1], marker, prediction=near)
-    seen = len({*found.left_led.tolist(), *found.right_led.tolist()})
+    n_leds = len({*found.left_led.tolist(), *found.right_led.tolist()})
     if found.status != "measured" or found.rig_T_flange is None:
-        return Measurement(pair.frame, pair.t_left, found.status, seen)
+        return Measurement(pair.frame, pair.t_left, found.status, n_leds)
     left = _sighting(spots[0], found.left_led, found.left_spot, pair.t_left, pair.pan_left)
     right = _sighting(spots[1], found.right_led, found.right_spot, pair.t_left, pair.pan_right)
     doubt = partial(_systematic_columns, rig, marker, left, right)
     pose = fit_pose(left, right, rig, marker, found.rig_T_flange, doubt)
     status = "measured" if pose.consistent else "outlier"
-    return Measurement(pair.frame, pair.t_left, status, seen, pose, left, right, found.choice)
+    return Measurement(pair.frame, pair.t_left, status, n_leds, pose, left, right, found.choice)
 
 
 def _sighting(

@@ -39,7 +39,7 @@ SIZE_AVERAGING_TIME = 1.0  # s over which the size of a whole target is averaged
 LEARNING_AREA_RANGE = (0.8, 1.25)  # of the expected area: the size is learned from such views only
 COMPLETE_AREA_RANGE = (0.88, 1.15)  # of it: with less or more the centre is not the target's
 CERTAIN_AREA_RANGE = 0.9, 1.1  # of it: no doubt about the centre
-MIN_MERGED_AREA_RATIO = 1.45  # of the expected area: two objects seen as one
+MIN_MERGED_AREA_RATIO = 1.45  # of the expected area: two objects in one patch
 MAX_SINGLE_AREA_RATIO = 1.1  # of its area, with what is connected beyond its expected extent
 GROWTH_TIME = 0.5  # s; another object that looks too large after that was half hidden before
 MAX_SQUARED_DISTANCE = 25.0  # Mahalanobis, between measurements of an unconfirmed target
@@ -310,11 +310,11 @@ class TargetIdentity:
         for k, (choice, way) in enumerate(zip(who.choice, who.way, strict=True)):
             if way is None or not who.sure(k):
                 continue
-            one, seen = known[k], candidates[choice]
+            one, candidate = known[k], candidates[choice]
             if one.count < self._options.confirm or t - one.t > GROWTH_TIME:
-                one = replace(one, area=seen.area, extent=seen.size)
-            if seen.reach < MIN_MERGED_AREA_RATIO * one.area:
-                renewed[k] = self._updated(one, t, seen, way.track)
+                one = replace(one, area=candidate.area, extent=candidate.size)
+            if candidate.reach < MIN_MERGED_AREA_RATIO * one.area:
+                renewed[k] = self._updated(one, t, candidate, way.track)
         return renewed
 
     def _may_be_a_piece(self, candidate: StereoObject, t: float) -> bool:

@@ -27,7 +27,7 @@ from verify.measurement.alignment import spot_instants
 from verify.measurement.triangulation import triangulate
 
 MAX_RAY_DISTANCE = 4.0  # standard deviations between two rays that meet
-MAX_RAY_DISTANCE_PX = 8.0  # a first, generous look at the same
+MAX_RAY_DISTANCE_PX = 8.0  # a first, generous bound of the same
 # ln of the ratio of the two areas in m²: a side view, a part hidden in one picture
 MAX_LOG_AREA_RATIO = math.log(1.8)
 FORBIDDEN_COST = 1e6

@@ -36,7 +36,7 @@ from verify.grasping.tracking.target import TrackingOptions
 
 MIN_SIMILARITY = 0.6  # least similarity of the mixture of colours
 SEARCH_PERIOD = 3  # pairs from one search for others to the next
-MIN_VISIBLE_SHARE = 0.3  # of the target that must be seen to say where it is
+MIN_VISIBLE_SHARE = 0.3  # of the target that must be in view to locate it
 WINDOW_SIGMA, WINDOW_MARGIN_PX = 4.0, 6.0  # of the searched window beyond the target itself
 Windows = tuple[Box | None, Box | None]  # left, right; None: the whole picture
 NO_WINDOWS: Windows = (None, None)
@@ -183,6 +183,6 @@ def _camera_sides(
 
 
 def _extent_in_pixels(extent: Array, camera: Camera, depth: float) -> Array:
-    """How large an extent (2,), m, looks at a depth, m: (2,) px, with the rim of mixed pixels."""
-    looks: Array = extent * np.diag(camera.matrix)[:2] / depth + 2 * RIM_WIDTH
-    return looks
+    """Image of an extent (2,), m, at a depth, m: (2,) px, with the rim of mixed pixels."""
+    pixels: Array = extent * np.diag(camera.matrix)[:2] / depth + 2 * RIM_WIDTH
+    return pixels

@@ -11,7 +11,7 @@ from verify.grasping.tracking.colour import ColourModel, learn_colour, to_hsv
 from verify.grasping.tracking.pairing import StereoObject, pair_blobs
 from verify.grasping.tracking.target import BoxSelection, TrackingOptions
 
-SURROUNDINGS = 0.75  # of the box, on every side: what the target must be told from
+SURROUNDINGS = 0.75  # of the box, on every side: colours that are not the target's
 _DRAWING_HINT = "Draw it close around a coloured object."
 MIN_BOX_SIDE = 8  # px, either side of a box
 

@@ -1,4 +1,8 @@
-"""Locate an object by its patches of colour in two pictures: place, uncertainty, and size."""
+"""Locate an object by its patches in both pictures: point with covariance, and size.
+
+Least squares of the reprojection error; a patch's centroid misses the object's middle by a share of
+its extent, which does not average out.
+"""
 
 from dataclasses import dataclass
 
@@ -9,6 +13,14 @@ from verify.core.rig import Camera, Rig, distortion_jacobian
 from verify.measurement.sensitivities import camera_derivatives
 from verify.measurement.systematics import CAMERA_KEYS, unit
 from verify.measurement.triangulation import ray_midpoints
+
+# of a patch's extent, standard: by as much its centroid misses the object's middle, differently in
+# either picture: reflections, shading, the side a camera sees. It does not average out.
+U_COLOUR_CENTRE = 0.005
+# px by which a patch reaches beyond its object: pixels that show a quarter of it count
+RIM_WIDTH = 1.0
+U_EXTENT = 1.0  # px, standard, of an extent: whole pixels, and a rim that depends on what is behind
+N_ITERATIONS = 2  # of Gauss-Newton: from the midpoint of the rays the first leaves a millionth
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,15 +104,6 @@ def project(camera: PannedCamera, point: Array) -> tuple[Array, Array, LineOfSig
     lens = camera.lens(xy)
     exact = LineOfSight(camera, xy, np.zeros((2, 2)), lens, np.zeros(2))
     return camera.camera.project(inside), lens @ camera.slope(inside), exact
-
-
-# of a patch's extent, standard: by as much its centroid misses the object's middle, differently in
-# either picture: reflections, shading, the side a camera sees. It does not average out.
-U_COLOUR_CENTRE = 0.005
-# px by which a patch reaches beyond its object: pixels that show a quarter of it count
-RIM_WIDTH = 1.0
-U_EXTENT = 1.0  # px, standard, of an extent: whole pixels, and a rim that depends on what is behind
-N_ITERATIONS = 2  # of Gauss-Newton: from the midpoint of the rays the first leaves a millionth
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,12 +32,13 @@ from verify.grasping.tracking.target import (
     TrackingOptions,
 )
 
+DEFAULTS = TrackingOptions()
 CLUTTER_DENSITY = 0.1  # objects of the colour that come up, a m³
-RELEARN_PERIOD = 0.3  # s between two looks at the target's colours, where they adapt
+RELEARN_PERIOD = 0.3  # s between two updates of the colours, where they adapt
 
 
 def track(
-    pairs: Iterable[StereoPair], rig: Rig, target: Target, options: TrackingOptions | None = None
+    pairs: Iterable[StereoPair], rig: Rig, target: Target, options: TrackingOptions = DEFAULTS
 ) -> Iterator[TargetObservation]:
     """Track a coloured object through stereo pairs.
 
@@ -54,7 +55,7 @@ def track(
         InputError: grey pictures, an unknown colour, a box that lies outside the picture or holds
             no colour of its own.
     """
-    tracker = TargetTracker(rig, target, options or TrackingOptions())
+    tracker = TargetTracker(rig, target, options)
     for pair in pairs:
         yield tracker.step(pair)
 
@@ -64,14 +65,14 @@ class TargetTracker:
 
     Args:
         rig: the calibrated cameras.
-        target: what to look for.
+        target: what to track.
         options: what may be set.
 
     Raises:
         InputError: the colour is not known.
     """
 
-    def __init__(self, rig: Rig, target: Target, options: TrackingOptions) -> None:
+    def __init__(self, rig: Rig, target: Target, options: TrackingOptions = DEFAULTS) -> None:
         self._rig, self._options = rig, options
         self._target = target
         self._identity = TargetIdentity(options, CLUTTER_DENSITY)

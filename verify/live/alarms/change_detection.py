@@ -1,9 +1,7 @@
-"""A change of one joint in white noise: two-sided CUSUM sums, one pair a joint.
+"""Detect a change of one joint in white noise by two-sided CUSUM sums, and attribute it to a joint.
 
 Source: Page, Biometrika 41, 1954; average run length of Siegmund, Sequential Analysis, 1985,
 ch. 10, here without its allowance for overshoot: pairs that repeat each other have none.
-
-Which joint changed, by how much, and which others cannot be ruled out.
 """
 
 from dataclasses import dataclass

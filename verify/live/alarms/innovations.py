@@ -1,9 +1,9 @@
-"""What is new in each pair: joint evidence less what the instrument's own doubts already explain.
+"""Innovations of each pair: joint evidence less what the instrument's own uncertainties explain.
 
 Everything stated of rig, base and LEDs is a constant error of the measured pose whose size is known
-within its uncertainty. A Kalman filter learns those errors from the pairs as they come, together
-with the clock's. What it predicts and what then comes differ by white noise of known size: a bias
-within its stated uncertainty is learned and never accused, while a change of a joint is new.
+within its uncertainty. A Kalman filter estimates those errors, and the clock's, from the pairs as
+they come. Its innovations are white noise of known size: a bias within its stated uncertainty is
+learned and raises no alarm, while a change of a joint is new.
 
 Source: Kailath's innovations; for faults, Basseville and Nikiforov, Detection of Abrupt Changes,
 1993, ch. 7.2.
@@ -34,9 +34,7 @@ ALIGNMENT_TIME = 0.5  # s for which an arm keeps accelerating one way, give or t
 U_MODEL = (5e-5, 1e-4)
 N_SPREAD = 1800  # innovations, a minute at 30 a second, that tell their real size and correlation
 RENEWAL_PERIOD = 30  # pairs from one look at that to the next
-MIN_INNOVATIONS = (
-    60  # pairs before it is believed; until then they repeat each other as much as any could
-)
+MIN_INNOVATIONS = 60  # pairs; with fewer the largest possible correlation is assumed
 MAX_REPEATED = 90  # pairs that can be gone through again once a fault is known to have begun there
 MAX_SIGMA = 3.0  # standard deviations: a fault must not hide itself by widening its own measure
 

@@ -1,10 +1,8 @@
-"""Joint errors that deserve a person's attention: a change, and a tolerance that is exceeded.
+"""Alarms of joint errors: a change, and a tolerance that is exceeded.
 
 CUSUM sums find a change of any size that stands out of the noise, with a stated rate of false
-alarms. Beside them stands the plain tolerance with a guard band, for errors that were there from
-the beginning or grew slowly.
-
-The plain tolerance, with a guard band for what the instrument itself leaves in doubt.
+alarms. The tolerance, with a guard band for the instrument's own uncertainty, finds errors that
+were there from the beginning or grew slowly.
 """
 
 import itertools
@@ -109,9 +107,7 @@ class ToleranceWatch:
 
 
 LOSS_TIMEOUT = 1.0  # s without a measured pair
-MAX_ONSET_PAIRS = (
-    30  # pairs: the sum of a fault that was there from the beginning has left zero by then
-)
+MAX_ONSET_PAIRS = 30  # pairs after which the sum of an initial fault has left zero
 REVIEW_PAIRS = (2, 5, 12, 30)  # pairs after an alarm, which may tell its rivals apart
 MAX_PAUSE = 2.0  # s without pairs after which sums and averages begin anew
 

@@ -1,4 +1,4 @@
-"""Silence is an alarm too: what is not seen is never "no error"."""
+"""Alarms when no pair is measured for a while, or a device gives nothing."""
 
 import itertools
 import math

@@ -1,7 +1,4 @@
-"""How far the pictures of a calibration have come, and what is missing, in words.
-
-The pairs that were taken: how the board stood in them, and whether another one tells more.
-"""
+"""The board pairs taken so far: whether another one adds information, and which goals are open."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -247,8 +244,9 @@ def _distance_goal(distances: Sequence[float]) -> BoardGoal:
     near, far = min(distances), max(distances)
     if far >= MIN_DEPTH_RATIO * near:
         return BoardGoal("distance", True, f"{near:.2f} m to {far:.2f} m")
-    words = f"at {far / MIN_DEPTH_RATIO:.2f} m or nearer, or at {near * MIN_DEPTH_RATIO:.2f} m or farther"
-    return BoardGoal("distance", False, f"hold the board {words}")
+    nearer, farther = far / MIN_DEPTH_RATIO, near * MIN_DEPTH_RATIO
+    words = f"hold the board at {nearer:.2f} m or nearer, or at {farther:.2f} m or farther"
+    return BoardGoal("distance", False, words)
 
 
 def _pan_goals(taken: CapturedPairs) -> Iterator[BoardGoal]:

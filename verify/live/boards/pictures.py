@@ -1,4 +1,4 @@
-"""Pairs of board pictures on their way to the disk: each whole or not at all."""
+"""Write pairs of board pictures to a folder, each pair whole or not at all."""
 
 import shutil
 from collections.abc import Sequence
@@ -16,17 +16,15 @@ from verify.io.files import system_refusal, write_whole
 SIDES = ("left", "right")
 FRAMES_FILE = "frames.csv"
 HEADER = "frame,t_left_s,t_right_s,pan_left_deg,pan_right_deg"
-PAIR_PREFIX = (
-    ".pair-"  # begins the name of a folder that holds a pair which is whole but not in place
-)
+PAIR_PREFIX = ".pair-"  # of a folder with a pair that is whole but not in place
 PARTIAL_SUFFIX = ".under-way"  # a pair that is not whole yet
 
 
 class BoardPictures:
     """A folder that `verify calibrate boards` reads, filled pair by pair.
 
-    A pair's files are written into a folder of their own, and one rename makes them count. What
-    stops the program after that leaves work for `complete_pairs`, and before that no trace that counts.
+    A pair's files are written into a folder of their own, and one rename makes them count. If the
+    program is stopped after that, `complete_pairs` moves them into place.
 
     Args:
         folder: does not exist, or is empty; it is made with the first pair.

@@ -1,14 +1,9 @@
-"""What is known right now while board pictures are taken, for whoever looks.
-
-Taking board pictures in a terminal: what is missing, and what becomes of the board in view.
-
-What the taking of board pictures has to show, units at the door: degrees, metres, pixels.
-"""
+"""The state of taking board pictures, in a terminal and for the page (degrees, metres, pixels)."""
 
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -192,15 +187,9 @@ class BoardPageSource:
         """What was covered, and what is missing."""
         now = self._state.snapshot()
         return {
-            "goals": [
-                {"name": goal.name, "reached": goal.reached, "words": goal.words}
-                for goal in now.goals
-            ],
+            "goals": [asdict(goal) for goal in now.goals],
             "coverage": [_coverage(c) for c in now.coverage],
-            "devices": [
-                {"name": line.name, "well": line.well, "sentence": line.sentence}
-                for line in now.devices
-            ],
+            "devices": [asdict(line) for line in now.devices],
         }
 
     def alarms(self) -> Sequence[dict[str, Any]]:

@@ -1,7 +1,4 @@
-"""A board found quickly: good to half a pixel, several times a second.
-
-Is the board held still? By how far its corners move in both pictures over a while.
-"""
+"""Find a board quickly, good to half a pixel, and detect whether it is held still."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -67,9 +64,7 @@ def _charuco_corners(small: Image, board: Board) -> tuple[NDArray[np.int64], Arr
     return identity.ravel()[order].astype(np.int64), places
 
 
-MAX_MOTION_PX = (
-    0.3  # rms over the corners, about their means; a glimpse's own noise is half at most
-)
+MAX_MOTION_PX = 0.3  # rms over the corners, about their means; noise is half at most
 STILL_TIME = 0.6  # s
 MIN_PICTURES = 4  # at least, within it
 

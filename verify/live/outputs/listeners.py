@@ -1,9 +1,6 @@
-"""Who is told: a line of JSON a pair and an alarm, a command, a broker. None can hold up the loop.
+"""Listeners of a run: JSON lines, plain lines, an alarm command, MQTT; none can delay the loop.
 
-Each listener has a thread of its own. Rows that it is too slow for are left out and counted;
-alarms never are.
-
-Plain lines, where there is no terminal to draw a table on: alarms, and how it goes.
+Each has a thread of its own. Rows that it is too slow for are left out; alarms never are.
 """
 
 import json
@@ -187,11 +184,9 @@ class MqttClient(Protocol):
 
     def publish(self, topic: str, payload: str, qos: int, retain: bool) -> Any:
         """Send a message."""
-        ...
 
     def disconnect(self) -> Any:
         """End."""
-        ...
 
 
 class MqttPublisher:

@@ -1,8 +1,6 @@
-"""The state of a run as text for Prometheus.
+"""The state of a run as text for Prometheus, and a server for it where no page is served.
 
 Source: Prometheus, "Exposition formats", text version 0.0.4.
-
-Metrics at an address of their own, for Prometheus where no page is wanted.
 """
 
 import math

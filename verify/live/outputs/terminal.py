@@ -1,4 +1,4 @@
-"""The live table: what a terminal shows of a run, drawn again a few times a second."""
+"""The live table of a run in a terminal, drawn a few times a second."""
 
 import math
 import time

@@ -1,7 +1,7 @@
-"""Who may look: this computer alone, or whoever holds the token. No other site's scripts.
+"""Access to the page: this computer alone, or whoever holds the token; no other site's scripts.
 
-A page of another origin that the same browser shows can send requests here, also under a name that
-it makes point here (DNS rebinding). It cannot choose the headers Host and Origin: both are checked.
+A page of another origin in the same browser can send requests here, also under a name that it makes
+point here (DNS rebinding). It cannot choose the headers Host and Origin: both are checked.
 """
 
 import hmac

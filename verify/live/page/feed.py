@@ -29,27 +29,21 @@ class PageSource(Protocol):
 
     def hello(self) -> dict[str, Any]:
         """What never changes: mode, names, how the scene is built."""
-        ...
 
     def rows(self) -> list[dict[str, Any]]:
         """What has come since the last call."""
-        ...
 
     def state(self) -> dict[str, Any]:
         """How everything is."""
-        ...
 
     def alarms(self) -> Sequence[dict[str, Any]]:
         """All alarms that are remembered, newest first."""
-        ...
 
     def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
         """Newest pictures: side, what was found, JPEG. Asked for only while somebody looks."""
-        ...
 
     def metrics(self) -> str:
         """The same figures as text for Prometheus."""
-        ...
 
 
 class Page:

@@ -1,8 +1,8 @@
-"""What a run has to show, units at the door: degrees, millimetres, milliseconds."""
+"""The state of a run as the page shows it, in degrees, millimetres and milliseconds."""
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -83,10 +83,7 @@ class RunPageSource:
             "latency_p50_ms": None if p50 is None else round(p50 * 1e3, 1),
             "latency_p99_ms": None if p99 is None else round(p99 * 1e3, 1),
             "recording": now.recording,
-            "devices": [
-                {"name": line.name, "well": line.well, "sentence": line.sentence}
-                for line in now.devices
-            ],
+            "devices": [asdict(line) for line in now.devices],
         }
 
     def alarms(self) -> Sequence[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Arms, poses and pictures as the page draws them: points in mm, small JPEG pictures."""
+"""Data of the page's 3D scene (arm, poses; mm), and its pictures as small JPEGs."""
 
 from typing import Any
 

@@ -1,1 +1,1 @@
-"""Sessions written while they happen."""
+"""Sessions recorded during a run."""

@@ -1,20 +1,17 @@
-"""A video file that is whole after every picture: Matroska, one cluster and one write a picture.
+"""A Matroska file that is whole after every picture: one cluster and one write a picture.
 
-A muxer that collects clusters in memory loses what it holds when the program is killed, and leaves
-half a picture when the disk is full. Here a picture is in the file or not at all: what a failed
-write has left is cut off again.
+A muxer that collects clusters in memory loses them when the program is killed, and leaves half a
+picture when the disk is full. Here a picture is in the file or not at all: a failed write is cut
+off again. JPEGs are stored as the camera delivered them, everything else as MagicYUV, which takes
+2 ms for a picture of 1280 x 720; FFV1 makes dark pictures smaller but takes up to 15 ms.
 
 Source: RFC 8794 (EBML), RFC 9559 (Matroska).
-
-Pictures to packets: JPEG as the camera delivered it, everything else without loss.
-
-MagicYUV, because it takes 2 ms for any picture of 1280 x 720: a pair is in the file before it is
-measured. FFV1 makes dark pictures smaller but takes up to 15 ms, which no alarm should wait for.
 """
 
 import os
 import struct
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -27,9 +24,7 @@ from verify.core.records import Image
 from verify.core.version import __version__
 
 UNKNOWN_SIZE = b"\x01" + b"\xff" * 7  # of the segment: a reader takes it as "to the end"
-TIMESTAMP_SCALE = (
-    1_000_000  # ns: times in the file are in ms, for players; the session's are in frames.csv
-)
+TIMESTAMP_SCALE = 1_000_000  # ns: players get ms; the session's times are in frames.csv
 TRACK_NUMBER = 1
 KEYFRAME_FLAG = 0x80  # every picture can be decoded by itself
 VIDEO = 1
@@ -85,7 +80,7 @@ class MatroskaFile:
         ms = max(round(t * 1e3), self._last)
         self._last = ms
         block = bytes([0x80 | TRACK_NUMBER, 0, 0, KEYFRAME_FLAG]) + picture
-        inside = _number_element(TIMESTAMP, ms) + _element(SIMPLE_BLOCK, block)
+        inside = _element(TIMESTAMP, ms) + _element(SIMPLE_BLOCK, block)
         checksum = _element(CRC_32, struct.pack("<I", zlib.crc32(inside)))
         self._append(_element(CLUSTER, checksum + inside))
 
@@ -145,41 +140,35 @@ def truncate_file(file: int, length: int) -> None:
     os.lseek(file, length, os.SEEK_SET)
 
 
+Values = Mapping[int, int | str | bytes]  # by identifier
+
+
 def _head(track: MatroskaTrack) -> bytes:
-    """What stands before the first picture."""
+    """Encode what stands before the first picture."""
     writer = f"verify {__version__}"
-    ebml = _element(
-        EBML,
-        _number_element(0x4286, 1) + _number_element(0x42F7, 1) + _number_element(0x42F2, 4) + _number_element(0x42F3, 8)
-        + _text_element(0x4282, "matroska") + _number_element(0x4287, 4) + _number_element(0x4285, 2),
-    )  # fmt: skip
-    info = _element(
-        INFO,
-        _number_element(0x2AD7B1, TIMESTAMP_SCALE)
-        + _text_element(0x4D80, writer)
-        + _text_element(0x5741, writer),
+    ebml: Values = {0x4286: 1, 0x42F7: 1, 0x42F2: 4, 0x42F3: 8}  # versions, longest id and size
+    content: Values = {0x4282: "matroska", 0x4287: 4, 0x4285: 2}  # and its versions
+    info: Values = {0x2AD7B1: TIMESTAMP_SCALE, 0x4D80: writer, 0x5741: writer}
+    numbers: Values = {0xD7: TRACK_NUMBER, 0x73C5: TRACK_NUMBER, 0x83: VIDEO, 0x9C: 0}
+    private = {0x63A2: track.private} if track.private else {}
+    video = {0xE0: _elements({0xB0: track.width, 0xBA: track.height})}
+    tracks = _element(0xAE, _elements({**numbers, 0x86: track.codec, **private}) + _elements(video))
+    head = (
+        _element(EBML, _elements(ebml) + _elements(content)) + _identifier(SEGMENT) + UNKNOWN_SIZE
     )
-    video = _element(0xE0, _number_element(0xB0, track.width) + _number_element(0xBA, track.height))
-    private = _element(0x63A2, track.private) if track.private else b""
-    entry = _element(
-        0xAE,
-        _number_element(0xD7, TRACK_NUMBER) + _number_element(0x73C5, TRACK_NUMBER) + _number_element(0x83, VIDEO)
-        + _number_element(0x9C, 0) + _text_element(0x86, track.codec) + private + video,
-    )  # fmt: skip
-    return ebml + _identifier(SEGMENT) + UNKNOWN_SIZE + info + _element(TRACKS, entry)
+    return head + _element(INFO, _elements(info)) + _element(TRACKS, tracks)
 
 
-def _element(identifier: int, content: bytes) -> bytes:
+def _elements(values: Values) -> bytes:
+    return b"".join(_element(identifier, value) for identifier, value in values.items())
+
+
+def _element(identifier: int, value: int | str | bytes) -> bytes:
+    if isinstance(value, int):
+        value = value.to_bytes(max(1, (value.bit_length() + 7) // 8))
+    content = value.encode() if isinstance(value, str) else value
     size = (1 << 56 | len(content)).to_bytes(8)  # eight bytes always: simple, and room for all
     return _identifier(identifier) + size + content
-
-
-def _number_element(identifier: int, value: int) -> bytes:
-    return _element(identifier, value.to_bytes(max(1, (value.bit_length() + 7) // 8)))
-
-
-def _text_element(identifier: int, value: str) -> bytes:
-    return _element(identifier, value.encode())
 
 
 def _identifier(identifier: int) -> bytes:

@@ -1,8 +1,8 @@
 """The recorder: every pair is on the disk before it is measured, unless the disk is too slow.
 
-One thread writes, in the order in which things came: pairs as they are at first, and encoded
-when their measurement is through. Whoever measures waits for it a few milliseconds at most: a disk
-that refuses or lags ends the recording, never the measurement.
+One thread writes in order of arrival: pairs unencoded at first, and encoded once they have been
+measured. The measurement waits for it a few milliseconds at most: a disk that refuses or lags ends
+the recording, never the measurement.
 """
 
 import threading

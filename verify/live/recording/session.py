@@ -1,9 +1,7 @@
-"""One session folder while it is being written: whole after every pair.
+"""Write one session folder, whole after every pair.
 
-Rows of frames.csv and encoders.csv as they come; what they say is what is measured with.
-
-Angles are written in degrees with nine decimals, and both the file's reader and the live
-measurement take them from there: so the two cannot differ, not even in the last digit.
+Angles in frames.csv and encoders.csv have nine decimals of a degree. The live measurement uses the
+written values too, so that live results and those from the recording agree to the last digit.
 """
 
 import errno

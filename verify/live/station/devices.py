@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from verify.devices.cameras.capture import is_file
+from verify.devices.cameras.capture import is_file, open_camera
 from verify.devices.encoders.csv import CsvEncoders, CsvSettings
 from verify.devices.encoders.intake import AngleMap
 from verify.devices.encoders.labenc import LabencEncoders, LabencSettings
@@ -16,10 +16,15 @@ from verify.devices.melfa.reader import DEFAULT_MELFA_LINE, MelfaEncoders, Melfa
 from verify.devices.melfa.realtime import RealtimeEncoders, RealtimeSettings
 from verify.devices.pan import PanReader, PanServo
 from verify.devices.ports import DEFAULT_LINE, SerialLine, host_and_port
-from verify.devices.protocols import CameraSettings, EncoderDevice, PanDevice
+from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
 from verify.errors import InputError
 from verify.io.toml import key_error, one_of
-from verify.live.station.keys import PanTable, StationCameraTable, StationEncodersTable
+from verify.live.station.keys import (
+    PanTable,
+    SimulatedDevices,
+    StationCameraTable,
+    StationEncodersTable,
+)
 
 COMMON_KEYS = ("driver", "resolution_deg", "time_standard_uncertainty_s")
 ANGLE_KEYS = ("sign", "offset_deg")
@@ -74,8 +79,10 @@ def resolution_deg(table: StationEncodersTable) -> float | None:
     return table.resolution_deg
 
 
-def camera_settings(path: Path, table: StationCameraTable, size: tuple[int, int]) -> CameraSettings:
-    """Turn [left] or [right] into what a camera is asked for; by default the rig's own size."""
+def camera_settings(
+    path: Path, table: StationCameraTable, size: tuple[int, int] | None
+) -> CameraSettings:
+    """Turn [left] or [right] into a camera's settings; `size` (px) where the table has none."""
     source = table.source
     if is_file(source) and source != "sim":
         source = str(path.parent / str(source))
@@ -109,18 +116,39 @@ def open_encoders(path: Path, table: StationEncodersTable, joints: int) -> Encod
         ) from error
 
 
-def open_pan(path: Path, table: PanTable) -> PanDevice | None:
-    """Open the bases that [pan] names, with the right to turn them if they follow; not for `sim`.
+def open_cameras(
+    left: CameraSettings, right: CameraSettings, sim: SimulatedDevices | None
+) -> tuple[CameraDevice, CameraDevice]:
+    """Open both cameras, the simulated ones where their source is "sim"."""
+    if sim is not None and left.source == "sim":
+        return sim.camera(0, left), sim.camera(1, right)
+    return open_camera(left), open_camera(right)
+
+
+def open_pan(path: Path, table: PanTable, sim: SimulatedDevices | None) -> PanDevice | None:
+    """Open the bases that [pan] names, with the right to turn them if they follow.
 
     Raises:
         InputError: names the key, what stands there, what should, and what to do.
     """
     if table.driver == "fixed":
         return None
+    if sim is not None and table.driver == "sim":
+        return sim.pan()
     line = replace(DEFAULT_LINE, baud=table.baud or DEFAULT_LINE.baud)
     settings = _board_settings(path, "pan", table, line)
     angles = _angle_map(path, "pan", table, 2)
     return PanServo(settings, angles) if table.follow else PanReader(settings, angles)
+
+
+def check_pan(path: Path, table: PanTable) -> None:
+    """Refuse wrong settings of [pan] before the run begins: a driver opens its port later.
+
+    Raises:
+        InputError: names the key, what stands there, what should, and what to do.
+    """
+    if table.driver != "sim" and (pan := open_pan(path, table, None)) is not None:
+        pan.close()
 
 
 def _make_encoders(

@@ -1,4 +1,4 @@
-"""A station file: read, checked, and written anew with every key explained."""
+"""Read and check a station file, and write one with every key explained."""
 
 import re
 from datetime import datetime

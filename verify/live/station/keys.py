@@ -1,7 +1,4 @@
-"""The keys of a station file, as the file has them: degrees, milliseconds, paths.
-
-What a station asks of a simulation: which scenario, how fast, and what goes wrong when.
-"""
+"""The keys of a station file in its own units (degrees, ms, paths), and of a simulation."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -181,35 +178,33 @@ class SimSettings:
     events: tuple[SimEvent, ...] = ()
 
 
-class SimulatedHardware(Protocol):
-    """The simulated hardware, and what its owner believes of it."""
+class SimulatedDevices(Protocol):
+    """Simulated cameras on turning bases."""
+
+    def camera(self, side: int, settings: CameraSettings) -> CameraDevice:
+        """Open the left (0) or right (1) camera."""
+
+    def pan(self) -> PanDevice:
+        """Open the turning bases."""
+
+
+class SimulatedHardware(SimulatedDevices, Protocol):
+    """The simulated robot with its cameras, and its owner's description of them."""
 
     @property
     def robot(self) -> str:
         """Its arm, as a station file names one."""
-        ...
 
     @property
     def rig(self) -> Rig:
         """Its calibration."""
-        ...
 
     @property
     def marker(self) -> Marker:
         """Its LEDs."""
-        ...
-
-    def camera(self, side: int, settings: CameraSettings) -> CameraDevice:
-        """Open the left (0) or right (1) camera."""
-        ...
 
     def encoders(self, rate: float | None) -> EncoderDevice:
         """Open the encoders; rate in Hz, None for the scenario's own."""
-        ...
-
-    def pan(self) -> PanDevice:
-        """Open the turning bases."""
-        ...
 
 
 Simulate = Callable[[SimSettings], SimulatedHardware]

@@ -13,9 +13,9 @@ import numpy as np
 import robots
 from verify.core.fiducials import Marker
 from verify.core.rig import Rig
-from verify.devices.cameras.capture import is_file, open_camera
+from verify.devices.cameras.capture import is_file
 from verify.devices.cameras.replay import DEFAULT_RATE
-from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
+from verify.devices.protocols import CameraDevice, EncoderDevice, PanDevice
 from verify.errors import InputError
 from verify.io import fiducials
 from verify.io import rig as io_rig
@@ -46,7 +46,6 @@ class PanDrive(PanDevice, Protocol):
 
     def turn_to(self, left: float, right: float) -> bool:
         """Order both bases to angles, rad, as read; False if the line is down."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +127,8 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
             raise key_error(path, f"{side}.size", found, expected)
     resolution = keys.to_radians(devices.resolution_deg(table.encoders))
     slug = "".join(c if c.isalnum() or c in "-_" else "_" for c in arm.name)
+    left = devices.camera_settings(path, table.left, rig.image_size)
+    right = devices.camera_settings(path, table.right, rig.image_size)
     station = Station(
         path=path,
         name=table.description or path.stem,
@@ -148,31 +149,13 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
         files=all(c.source != SIM and is_file(c.source) for c in (table.left, table.right)),
         follow=table.pan.follow,
         warnings=(*warnings, *rig_warnings, *marker_warnings),
-        open_cameras=partial(_open_cameras, path, table, rig, sim),
+        open_cameras=partial(devices.open_cameras, left, right, sim),
         open_encoders=partial(_open_encoders, path, table, arm.dof, sim),
-        open_pan=partial(_open_pan, path, table, sim),
+        open_pan=partial(devices.open_pan, path, table.pan, sim),
         facts=_session_facts(path, table, arm.dof, sim),
     )
     _check_settings(path, table, arm.dof)
     return station
-
-
-def _open_cameras(
-    path: Path, table: StationTable, rig: Rig, sim: SimulatedHardware | None
-) -> tuple[CameraDevice, CameraDevice]:
-    left, right = camera_settings(path, table, rig)
-    if sim is not None and left.source == SIM:
-        return sim.camera(0, left), sim.camera(1, right)
-    return open_camera(left), open_camera(right)
-
-
-def camera_settings(
-    path: Path, table: StationTable, rig: Rig
-) -> tuple[CameraSettings, CameraSettings]:
-    """Say what both cameras are asked for."""
-    size = rig.image_size
-    left = devices.camera_settings(path, table.left, size)
-    return left, devices.camera_settings(path, table.right, size)
 
 
 def _open_encoders(
@@ -183,12 +166,6 @@ def _open_encoders(
     return devices.open_encoders(path, table.encoders, joints)
 
 
-def _open_pan(path: Path, table: StationTable, sim: SimulatedHardware | None) -> PanDevice | None:
-    if sim is not None and table.pan.driver == SIM:
-        return sim.pan()
-    return devices.open_pan(path, table.pan)
-
-
 def _check_settings(path: Path, table: StationTable, joints: int) -> None:
     """Find wrong settings now, not when the run begins: drivers open their ports later.
 
@@ -197,8 +174,7 @@ def _check_settings(path: Path, table: StationTable, joints: int) -> None:
     """
     if table.encoders.driver != SIM:
         devices.open_encoders(path, table.encoders, joints).close()
-    if table.pan.driver != SIM and (pan := devices.open_pan(path, table.pan)) is not None:
-        pan.close()
+    devices.check_pan(path, table.pan)
 
 
 def _make_simulation(

@@ -1,11 +1,22 @@
-"""Which spot is which LED, in both images at once.
+"""Assign spots to LEDs in both images at once.
 
-Geometry first: points where two rays nearly meet, as far apart as the marker's LEDs are. What
-geometry leaves open (a symmetric marker, two LEDs that could change places) is settled by colour,
-then by continuity with the previous pair, then by the candidate nearest to the encoders' pose. The
-encoders choose, their value enters nothing.
+A hypothesis is an assignment with its fitted pose. Model, twice the negative log evidence against
+clutter:
 
-Every assignment of spots to LEDs that explains the images, found without knowing the past.
+    E = chi² + UNPAIRED_COST n_one - SPOT_REWARD n_spots + MERGED_COST n_merged
+    E' = E + min(departure², JUMP_COST)       with a predicted pose
+
+    symbol               meaning                                                        unit
+    R, p                 pose of the flange in the rig, fitted                          1, m
+    shift                of the right image, for exposures that are not simultaneous    px
+    spot                 index of each LED's spot in either image, -1 for none          1
+    n_one                LEDs with a spot in one image alone                            1
+    n_spots, n_merged    spots explained, of these merged ones                          1
+
+Candidates come from geometry: points where two rays nearly meet, at the marker's distances. What
+geometry leaves open (a symmetric marker, two LEDs that could change places) is decided by colour,
+then by continuity with the previous pair, then by the pose nearest to the encoders'. The encoders
+choose among hypotheses; their value enters no result.
 """
 
 from collections.abc import Callable, Sequence
@@ -83,9 +94,9 @@ def follow_prediction(
 
 
 def _is_complete(views: SpotViews, found: Hypotheses) -> bool:
-    """Say whether there is one assignment, with a spot for every LED and none to spare.
+    """Whether there is one assignment, every LED with a spot and no spot left, that fits well.
 
-    Its fit is so good that no LED less would explain the images better.
+    So well that no assignment with an LED less would have more evidence.
     """
     spots = np.count_nonzero(np.isfinite(views.pixels[..., 0]), axis=1)
     return (

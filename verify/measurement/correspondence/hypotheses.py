@@ -22,9 +22,9 @@ from verify.measurement.correspondence.kernels import fit, seeds
 from verify.measurement.correspondence.kernels import points as kernels_points
 from verify.measurement.correspondence.kernels import seeds as kernels_seeds
 from verify.measurement.correspondence.kernels import spots as kernel_spots
+from verify.measurement.correspondence.kernels.fit import HypothesisArrays
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
 from verify.measurement.correspondence.refinement import (
-    HypothesisArrays,
     SearchInputs,
     best_of_each,
     follow_all,
@@ -141,8 +141,8 @@ class Hypotheses:
         return len(self.position)
 
     @property
-    def laid(self) -> HypothesisArrays:
-        """All that they are, as the kernels take it."""
+    def arrays(self) -> HypothesisArrays:
+        """Their arrays, as compiled functions take them."""
         return (
             self.rotation, self.position, self.shift, self.spot, self.hold, self.covariance,
             self.chi2,
@@ -244,7 +244,7 @@ def refine(views: SpotViews, hypotheses: Hypotheses) -> Hypotheses:
         return hypotheses
     steps = 2  # from a few mm off they leave 0.01 px
     own = hypotheses.copied()
-    count = settle_all(_kernel_inputs(views), own.laid, steps, settle_bounds(len(views.leds)))
+    count = settle_all(_kernel_inputs(views), own.arrays, steps, settle_bounds(len(views.leds)))
     return own.first(count)
 
 
@@ -265,10 +265,10 @@ def follow_pose(
     own = start_hypotheses(views, np.empty((count, 3, 3)), np.empty((count, 3)), none)
     own.rotation[0], own.position[0] = rig_T_flange[:3, :3], rig_T_flange[:3, 3]
     own.covariance[0, POSE_SLICE, POSE_SLICE] = place**2
-    for mine, theirs in zip(own.laid, found.laid, strict=True):
+    for mine, theirs in zip(own.arrays, found.arrays, strict=True):
         mine[1:] = theirs
     own.hold[:] = place**-2
-    count = follow_all(_kernel_inputs(views), own.laid, settle_bounds(len(views.leds)), settled)
+    count = follow_all(_kernel_inputs(views), own.arrays, settle_bounds(len(views.leds)), settled)
     return own.first(count)
 
 
@@ -296,7 +296,7 @@ def unique(hypotheses: Hypotheses) -> Hypotheses:
 
 @lru_cache(maxsize=8)
 def settle_bounds(leds: int) -> tuple[Array, Index]:
-    """Bounds of `select_likely` for a marker of so many LEDs: chi² by degrees of freedom, and those."""
+    """Bounds of `select_likely` for so many LEDs: chi² by degrees of freedom, and those."""
     freedom = np.maximum(np.arange(4 * leds + 1), 1)
     return np.asarray(chdtri(freedom, P_REJECT), dtype=float), DOF_BY_LEDS
 

@@ -1,26 +1,24 @@
-"""Hypotheses refined until their spots are those that their poses explain.
+"""Refine hypotheses until their spots are those that their poses explain.
 
-A hypothesis is a pose (rotation, position), a shift of the right image, the spot of each LED in each
-image (-1 for none) and chi². Two steps alternate: Gauss-Newton steps on pose and shift with the
-spots held (`fit_all`), and the choice of spots with the pose held (`gather_all`). Hypotheses that
-come to the same spots are one; those beyond their chi² bound are dropped.
+A hypothesis is a pose (rotation, position), a shift of the right image, the spot of each LED in
+each image (-1 for none) and chi². Two steps alternate: Gauss-Newton steps on pose and shift with
+the spots held (`fit_all`), and the choice of spots with the pose held (`gather_all`). Hypotheses
+that come to the same spots are one; those beyond their chi² bound are dropped.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.records import Array
-from verify.measurement.correspondence.kernels.fit import fit_all, predict_all
+from verify.measurement.correspondence.kernels.fit import HypothesisArrays, fit_all, predict_all
 from verify.measurement.correspondence.kernels.spots import count_all, gather_all
 
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Cameras = tuple[Array, Array, Array]
-# rotation (h, 3, 3), position (h, 3) m, shift (h, 2) px, spot (h, 2, n), hold, covariance, chi² (h,)
-HypothesisArrays = tuple[Array, Array, Array, Index, Array, Array, Array]
 Limits = tuple[tuple[float, float, float], tuple[float, float, float, float, float]]
 # cameras as `fit_all` takes them; spots (2, s, 2) px, their covariance (2, s, 2, 2) px², and which
-# are merged (2, s); which may be which LED (2, n, s); the limits of `fit_all` and of `gather_all`;
+# are merged (2, s); which may be which LED (2, n, s); limits of `fit_all` and of `gather_all`;
 # LEDs (n, 3), m, flange frame
 SearchInputs = tuple[Cameras, tuple[Array, Array, Flags], Flags, Limits, Array]
 
@@ -130,11 +128,7 @@ def _keep(arrays: HypothesisArrays, kept: Index) -> HypothesisArrays:
 def _fit(inputs: SearchInputs, arrays: HypothesisArrays, steps: int) -> None:
     """Fit hypotheses in place by `fit_all`."""
     cameras, spots, _, limits, leds = inputs
-    rotation, position, shift, spot, hold, covariance, chi2 = arrays
-    fit_all(
-        cameras, (spots[0], spots[1]), limits[0], leds, rotation, position, shift, spot, hold,
-        steps, covariance, chi2,
-    )  # fmt: skip
+    fit_all(cameras, (spots[0], spots[1]), limits[0], leds, arrays, steps)
 
 
 def _explained_spots(inputs: SearchInputs, arrays: HypothesisArrays, largest: float) -> Index:

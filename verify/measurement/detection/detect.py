@@ -154,7 +154,7 @@ def clip_windows(windows: Array | None, image: Image) -> NDArray[np.int64] | Non
     height, width = image.shape[:2]
     cut = np.clip(np.asarray(windows, dtype=float), 0.0, (width, height, width, height))
     cut[:, 2:] = np.ceil(cut[:, 2:])
-    return cut.astype(np.int64)
+    return np.asarray(cut, dtype=np.int64)
 
 
 def fit_candidates(

@@ -1,12 +1,26 @@
-"""Every spot's centre at once: Gauss-Newton on a clipped-normal model of the pixels (model.py).
+"""Fit centre and shape of LED spots to their pixels by Gauss-Newton, many spots at once.
 
-The pixels of each patch as a spot's parameters would have them, and what they say of these.
+Model of the pixel at column c and row r, px from the patch's centre pixel:
 
-A pixel is mu + noise, rounded and clipped to 0 … 255, with mu = floor + slope · d + peak · f(t).
-Its mean and variance after clipping have closed forms, and (observed - mean) / variance, led
-through the mean's derivative, is the quasi-score. Weights come from the model, never from the
-observed value: that would favour pixels whose noise happened to be low. A pixel deep in saturation
-or below black has a mean that no parameter moves; it carries no information and needs no mask.
+    value = clip(round(mu + noise), 0, 255),   noise ~ N(0, read² + gain (mu - black))
+    mu    = floor + slope_x c + slope_y r + peak f(t; e^s)
+    t²    = xx u² + 2 xy u w + yy w²,   u = (c - x) / scale,   w = (r - y) / scale
+
+f is the radial profile of profile.py: f(0) = 1, f(1) = 1/2. `scale` is the half-width, px, that the
+fit starts from. Parameter vector, one row a spot:
+
+    index  name         meaning                                      unit
+    0, 1   x, y         centre                                       px from the centre pixel
+    2      peak         height of the profile                        DN
+    3      floor        background at the centre pixel               DN
+    4, 5   slope_x, _y  slope of the background                      DN/px
+    6-8    xx, xy, yy   inverse square of the half-width ellipse     scale^-2
+    9      s            ln of the steepness -d ln f / d ln t at t=1  1
+
+Mean and variance of a clipped pixel have closed forms; (observed - mean) / variance times the
+derivative of the mean is the quasi-score. Weights come from the model, not from the observed value,
+which would favour pixels whose noise happened to be low. A pixel deep in saturation or below black
+has a mean that no parameter changes: it carries no information and needs no mask.
 """
 
 from dataclasses import dataclass, replace
@@ -122,7 +136,7 @@ class SpotFit:
 
 
 def expected_priors(patches: Patches) -> Priors:
-    """Say what is expected of each patch's spot before it is fitted."""
+    """Set the priors and the start of each patch's spot from its pixels."""
     n = len(patches.scale)
     mean, weight, start = np.empty((3, n, N_PARAMETERS))
     full = np.empty(n, dtype=np.bool_)
@@ -151,7 +165,7 @@ def solve_patches(
         patches: n of them.
         start: (n, 10), parameters to begin with.
         priors: how firmly they are held.
-        steps: at most; 0 looks how the pixels stand at the start.
+        steps: at most; 0 evaluates the pixels at the start.
         settled: of chi² that a step may still gain.
     """
     n, _, size = patches.pixels.shape
@@ -171,7 +185,7 @@ def solve_patches(
 def continue_fit(
     patches: Patches, fit: SpotFit, noise: Noise, steps: int, settled: float = 0.0
 ) -> None:
-    """Take a fit further where it stands, under that noise of a channel; see `solve_patches`."""
+    """Continue a fit in place under that noise of a channel; other arguments as `solve_patches`."""
     kernels_fit.fit_patches(
         fit.parameters, patches.pixels, patches.scale, (patches.read_share, patches.gain_share),
         (noise.read**2, noise.gain, noise.black), profile_table(),
@@ -186,16 +200,14 @@ MAX_STEPS_SATURATED = 20  # its top is hidden, the valley long
 TOL_SATURATED = 0.001  # likewise: a step may gain little and the next one more
 MAX_STEPS_FIRST_LOOK = 6  # steps of a first look; what has not taken shape by then is no spot
 TOL_FIRST_LOOK = 1.0  # of chi², likewise: the place is good to a sigma
-START_STEEPNESS_SATURATED = np.log(
-    5.0
-)  # an in-focus LED: where a saturated spot's flat top is real
+START_STEEPNESS_SATURATED = np.log(5.0)  # an in-focus LED, whose flat top is real
 
 
 def fit_spots(patches: Patches, start: Array | None = None) -> SpotFit:
-    """Fit one spot to each patch, from the parameters of a first look where there was one.
+    """Fit one spot to each patch, from `start` (n, 10) where a first look gave one.
 
-    What is clear comes within a step of its place: `detect` goes on once it knows the noise. A
-    saturated spot is approached from two sides, as its hidden top may be steep or flat.
+    A clear spot comes within a step of its optimum: `detect` continues once it knows the noise. A
+    saturated spot is fitted from two starts, as its hidden top may be steep or flat.
     """
     priors = expected_priors(patches)
     fit = solve_patches(

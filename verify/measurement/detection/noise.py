@@ -1,4 +1,17 @@
-"""The noise of an image, read from the image itself: its dark parts, then its spots' residuals."""
+"""Estimate an image's noise from its background and from the residuals of its spots.
+
+Model of a pixel's variance, s being the signal above black:
+
+    var(s) = read² + gain s,   DN²
+
+    symbol  meaning                                             unit
+    read    standard deviation in the dark, with quantisation   DN
+    gain    shot noise: variance a unit of signal               DN
+    black   level at which the signal is zero                   DN
+
+`background_noise` takes read from the fourth differences along rows (variance 70 var for white
+noise) in the quietest class of brightness, `refine_noise` fits the line to the spots' residuals.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +38,7 @@ MAX_GAIN = 0.2  # DN, 1,300 electrons: above, it is the shape that does not fit
 TYPICAL_SPREAD = 1.0  # relative, how far a sensor may be from typical
 TEXTURE_SHARE = 0.1  # relative: what unseen texture may add to the dark variance
 MAX_SPOTS = 8  # spots, brightest first, that may speak on noise: behind them come glints and paint
-MAX_MISFIT_RATIO = (
-    1.7  # times the best of their misfits: more is a shape that the profiles do not have
-)
+MAX_MISFIT_RATIO = 1.7  # times the best misfit: more is a shape that the profiles do not have
 
 
 def background_noise(image: Image) -> tuple[Noise, float]:
@@ -51,7 +62,8 @@ def background_noise(image: Image) -> tuple[Noise, float]:
     level, difference = level[:count], difference[:count]
     black = kernels_noise.level_quantile(level, 0.01) if count > rows.size // 2 else 0.0
     best, spread, at = kernels_noise.quietest_class(
-        level, difference, black, (MIN_ABOVE_BLACK, CLASS_WIDTH, MIN_STENCILS), (MAD_OVER_SIGMA, TRIM_SIGMA, TRIMMED_VARIANCE),
+        level, difference, black, (MIN_ABOVE_BLACK, CLASS_WIDTH, MIN_STENCILS),
+        (MAD_OVER_SIGMA, TRIM_SIGMA, TRIMMED_VARIANCE),
         (STENCIL_GAIN, TYPICAL_GAIN, INDEPENDENT_SHARE),
     )  # fmt: skip
     if not np.isfinite(best) or (count < rows.size // 2 and at > TYPICAL_READ**2):

@@ -1,13 +1,22 @@
-"""Where a spot's whole disc is centred when something before the LED hides a sliver of its rim.
+"""Correct spot centres for an object that hides a sliver of the LED's rim.
 
-A narrow bite draws the fitted centre away from itself. It has harmonics of the rim's radius of like
-size: the first is the centre's error, the second goes to the ellipse, and the third and higher
-ones, which no whole disc has, give the bite away. One spot seldom shows them above its noise; but
-the LEDs of one marker stand alike, so that what hides one hides the same side of the others.
+Model, to first order in the depth d of a bite in direction k (24 directions round the rim):
 
-Bayesian model averaging (Hoeting et al., Bayesian model averaging: a tutorial, Statistical Science
-14, 1999) over no bite, a bite of each spot's own, and bites on one side of all, first order in
-their depth: no threshold decides, and what stays open is said by the covariance.
+    log L(d) = g_k d - i_k d² / 2,   d ~ half-normal(PRIOR_DEPTH),   d >= 0
+    centre   = fitted centre + E[d] pull_k, averaged over no bite, one of the spot's own, and bites
+               on one side of all spots, by their posterior probabilities
+
+    symbol  meaning                                                        unit
+    d       depth of the bite                                              half-widths
+    g, i    gradient and information of the log-likelihood, `RimScore`     half-widths^-1, ^-2
+    pull    shift of the centre a unit of depth, (2,)                      px
+
+A bite adds harmonics to the rim's radius: the first shifts the centre, the second changes the
+ellipse, the third and higher ones, which no whole disc has, reveal it. One spot seldom shows them
+above its noise, but an object hides the same side of all LEDs of a marker. No threshold decides;
+what remains uncertain enlarges the covariance.
+
+Source: Hoeting et al., Bayesian model averaging: a tutorial, Statistical Science 14, 1999.
 """
 
 from dataclasses import dataclass
@@ -34,7 +43,7 @@ P_SINGLE = 0.02  # of an LED's being bitten, when nothing is shared
 
 @dataclass(frozen=True, slots=True)
 class RimScore:
-    """What the pixels say of a bite in each direction, first order in its depth in half-widths."""
+    """Log-likelihood of a bite in each direction, first order in its depth in half-widths."""
 
     gradient: Array  # (n, N_DIRECTIONS), of the log-likelihood, other parameters following
     information: Array  # (n, N_DIRECTIONS)
@@ -42,7 +51,7 @@ class RimScore:
 
 
 def no_rim_scores(n: int) -> RimScore:
-    """What n spots say of bites whose rims nobody asked."""
+    """Rim scores of n spots without information."""
     shape = n, N_DIRECTIONS
     return RimScore(np.zeros(shape), np.zeros(shape), np.zeros((*shape, 2)))
 
@@ -50,7 +59,7 @@ def no_rim_scores(n: int) -> RimScore:
 def score_directions(
     state: SpotFit, numbers: NDArray[np.int64], kept: SpotQuality, score: RimScore
 ) -> None:
-    """Ask spots' residuals for bites; those that do not show one LED's shape know nothing.
+    """Compute the rim scores from residuals; 0 for spots without one LED's shape.
 
     Args:
         state: fits of some spots.
@@ -61,7 +70,9 @@ def score_directions(
     """
     occlusion.score_all(
         numbers, kept.told, state.parameters, state.information, state.gradient, state.known,
-        state.whitened, DIRECTION_VECTORS, (RIM_RADIUS, OCCLUSION_WIDTH, MIN_INFORMATION), (score.gradient, score.information, score.pull),
+        state.whitened, DIRECTION_VECTORS,
+        (RIM_RADIUS, OCCLUSION_WIDTH, MIN_INFORMATION),
+        (score.gradient, score.information, score.pull),
     )  # fmt: skip
 
 
@@ -90,7 +101,7 @@ def unoccluded_centres(score: RimScore) -> tuple[Array, Array]:
 def depth_posterior(score: RimScore) -> tuple[Array, Array, Array]:
     """Log evidence of a bite against none, and its depth's posterior mean and mean square.
 
-    A half-normal prior of scale PRIOR_DEPTH and a Gaussian likelihood make a normal law cut off at 0.
+    The half-normal prior and the Gaussian likelihood make a normal law cut off at 0.
     """
     shape = score.gradient.shape
     evidence, mean, square = np.empty(shape), np.empty(shape), np.empty(shape)

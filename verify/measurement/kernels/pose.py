@@ -1,8 +1,12 @@
-"""Where a pose puts the spots of both images, compiled: the inner loop of `pose.fit_pose`.
+"""Predict the spots of a pose, and fit a pose to spots by Gauss-Newton.
 
-The pose fit's inner loop, compiled: Gauss-Newton on all spots, and what it says of them.
+With z the spots of both images, u(T) their prediction, D its derivative by the pose, C the spots'
+covariance from pixels and a from an unknown acceleration, each step is
 
-What is fitted, and why, is told in pose.py.
+    (D' (C + a)⁻¹ D)⁻¹ D' (C + a)⁻¹ (z - u(T))
+
+restricted to the directions that the spots determine. It is done several times a pair: in numpy
+the image's acceleration alone takes several times as long.
 """
 
 import math
@@ -13,6 +17,22 @@ from numpy.typing import NDArray
 from verify.core.jit import compiled
 from verify.core.kernels.linear_algebra import dot, factor, invert, solve
 from verify.core.records import Array
+
+Flags = NDArray[np.bool_]
+SpotGeometry = tuple[Array, Array, Array, Array, Array, Array]  # as `predict_spots` takes them
+
+N_FREE = 6
+LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
+SCALE = np.repeat([LEVER, 1.0], 3)  # m and rad: units in which both are alike
+# LEDs that barely leave a line: a turn known worse than this is no measurement, and too large
+# for the linearisation that its uncertainty rests on.
+MAX_UNCERTAINTY = 0.1  # rad, or 10 mm at the marker's size
+MIN_INFORMATION = 1e-10  # information a direction, relative to the best: rounding, not measurement
+SMALL_ANGLE = 1e-9  # rad: below, sine and angle are the same
+MAX_ITERATIONS = 25
+TOL_STEP = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
+RIDGE = 1e-6  # of the mean information: keeps the motion of one or two LEDs solvable
+MIN_VARIANCE = 1e-6  # px²: a spot that nothing else checks has no residual to speak of: against 0/0
 
 
 @compiled
@@ -58,13 +78,13 @@ def predict_spots(
         radial = 1.0 + r2 * (k1 + r2 * higher)
         slope = 2.0 * (k1 + r2 * (higher + higher + r2 * k3))  # d radial / d r2, times 2
         straight = radial + 2.0 * (p1 * y + p2 * x)
-        seen_x, seen_y = x * straight + p2 * r2, y * straight + p1 * r2
+        distorted_x, distorted_y = x * straight + p2 * r2, y * straight + p1 * r2
         xx = straight + x * x * slope + 4.0 * p2 * x
         xy = x * y * slope + 2.0 * (p1 * x + p2 * y)
         yy = straight + y * y * slope + 4.0 * p1 * y
         for i in range(2):
             f, g = focal[s, i, 0], focal[s, i, 1]
-            pixels[s, i] = f * seen_x + g * seen_y + middle[s, i]
+            pixels[s, i] = f * distorted_x + g * distorted_y + middle[s, i]
             by_x, by_y = (f * xx + g * xy) / depth, (f * xy + g * yy) / depth
             by_depth = -(by_x * x + by_y * y)
             d = by_x * turn[0, 0] + by_y * turn[1, 0] + by_depth * turn[2, 0]
@@ -74,28 +94,6 @@ def predict_spots(
             by_pose[s, i, 0], by_pose[s, i, 1], by_pose[s, i, 2] = d, e, h
             by_pose[s, i, 3], by_pose[s, i, 4] = h * b - e * c, d * c - h * a
             by_pose[s, i, 5] = e * a - d * b
-
-
-Flags = NDArray[np.bool_]
-SpotGeometry = tuple[Array, Array, Array, Array, Array, Array]  # as `predict_spots` takes them
-
-N_FREE = 6
-LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
-# LEDs that barely leave a line: a turn known worse than this is no measurement, and too large
-# for the linearisation that its uncertainty rests on.
-MAX_UNCERTAINTY = 0.1  # rad, or 10 mm at the marker's size
-MIN_INFORMATION = 1e-10  # information a direction, relative to the best: rounding, not measurement
-SMALL_ANGLE = 1e-9  # rad: below, sine and angle are the same
-MAX_ITERATIONS = 25
-TOL_STEP = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
-RIDGE = 1e-6  # of the mean information: keeps the motion of one or two LEDs solvable
-MIN_VARIANCE = 1e-6  # px²: a spot that nothing else checks has no residual to speak of: against 0/0
-
-
-@compiled
-def scale_of(axis: int) -> float:
-    """Unit of a translation (m) or a rotation (rad) in which both are alike."""
-    return LEVER if axis < 3 else 1.0
 
 
 @compiled
@@ -133,11 +131,8 @@ def image_acceleration(
         second: filled.
     """
     count = len(second)
-    pixels, by_point, by_pose = (
-        np.empty((count, 2)),
-        np.empty((count, 2, 3)),
-        np.empty((count, 2, 6)),
-    )
+    pixels = np.empty((count, 2))
+    by_point, by_pose = np.empty((count, 2, 3)), np.empty((count, 2, 6))
     second[:] = 0.0
     for h, share in ((-moment, 1.0), (0.0, -2.0), (moment, 1.0)):
         moved = pose.copy()
@@ -158,17 +153,17 @@ def covariance_of(information: Array, inverse: Array, vectors: Array, known: Fla
     Args:
         information: (6, 6), 1/m² and 1/rad².
         inverse: (6, 6), filled.
-        vectors: (6, 6), filled: columns, directions in units of `scale_of`; only where one of
+        vectors: (6, 6), filled: columns, directions in units of SCALE; only where one of
             them is not known.
         known: (6,), filled.
     """
     scaled, root, trace = np.empty((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE)), 0.0
     for i in range(N_FREE):
         for j in range(N_FREE):
-            scaled[i, j] = information[i, j] * scale_of(i) * scale_of(j)
+            scaled[i, j] = information[i, j] * SCALE[i] * SCALE[j]
         trace += scaled[i, i]
     known[:], inverse[:] = True, 0.0
-    # no eigenvalue is so small: the usual case, told without the eigenvalues
+    # no eigenvalue is so small: the usual case, decided without the eigenvalues
     if factor(scaled, max(MIN_INFORMATION * trace, MAX_UNCERTAINTY**-2), root):
         factor(scaled, 0.0, root)
         invert(root, inverse)
@@ -183,7 +178,7 @@ def covariance_of(information: Array, inverse: Array, vectors: Array, known: Fla
                         inverse[i, j] += found[i, k] * found[j, k] / values[k]
     for i in range(N_FREE):
         for j in range(N_FREE):
-            inverse[i, j] *= scale_of(i) * scale_of(j)
+            inverse[i, j] *= SCALE[i] * SCALE[j]
 
 
 @compiled
@@ -216,15 +211,15 @@ def twist_from_velocities(
     square, root, trace = np.zeros((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE)), 0.0
     for row in rows:
         for i in range(N_FREE):
-            scaled = design[row, i] * scale_of(i)
+            scaled = design[row, i] * SCALE[i]
             twist[i] += scaled * velocity[row]
             for j in range(N_FREE):
-                square[i, j] += scaled * design[row, j] * scale_of(j)
+                square[i, j] += scaled * design[row, j] * SCALE[j]
             trace += scaled * scaled
     factor(square, -RIDGE * trace / N_FREE, root)
     solve(root, twist)
     for i in range(N_FREE):
-        twist[i] *= scale_of(i)
+        twist[i] *= SCALE[i]
     linear += rate * math.sqrt(dot(twist[:3], twist[:3]))
     angular += rate * math.sqrt(dot(twist[3:], twist[3:]))
     return linear / math.sqrt(3.0), angular / math.sqrt(3.0)
@@ -233,7 +228,7 @@ def twist_from_velocities(
 @compiled
 def spot_covariance(
     design: Array,
-    seen: tuple[Array, Array, Array],
+    spots: tuple[Array, Array, Array],
     rows: NDArray[np.int64],
     prior: tuple[float, float],
     spread: tuple[Array, Array, Array],
@@ -242,13 +237,13 @@ def spot_covariance(
 
     Args:
         design: (2 s, 6), derivative of the spots by the pose.
-        seen: covariance (s, 2, 2) px², velocity, and the acceleration's lever (s,) s².
+        spots: covariance (s, 2, 2) px², velocity, and the acceleration's lever (s,) s².
         rows: (2 k,), those of the kept spots.
         prior: acceleration, m/s² and rad/s² a component.
         spread: from the pixels, from an unknown acceleration, and the inverse of their sum: that
             of the kept spots, 0 for the others.
     """
-    covariance, _, lever = seen
+    covariance, _, lever = spots
     noise, acceleration, weight = spread
     noise[:], weight[:] = 0.0, 0.0
     for s in range(len(covariance)):
@@ -292,7 +287,7 @@ def pose_information(design: Array, weight: Array, weighted: Array, information:
 def fit_spots(
     views: tuple[Array, Array, Array, Array, Array, Array],
     centre: Array,
-    seen: tuple[Array, Array, Array],
+    spots: tuple[Array, Array, Array],
     rows: NDArray[np.int64],
     start: tuple[float, float, float],
     pose: Array,
@@ -306,8 +301,8 @@ def fit_spots(
 
     Args:
         views: what `predict_spots` needs after the pose.
-        centre: (s, 2), px, as seen.
-        seen: covariance (s, 2, 2) px², velocity (s, 2) px/s and the acceleration's lever (s,) s².
+        centre: (s, 2), px, as measured.
+        spots: covariance (s, 2, 2) px², velocity (s, 2) px/s and the acceleration's lever (s,) s².
         rows: (2 k,), those of the spots that count.
         start: acceleration a speed (1/s), and that of an arm that starts: m/s² and rad/s².
         pose: (4, 4), rig_T_flange, changed.
@@ -335,8 +330,8 @@ def fit_spots(
             for axis in range(2):
                 residual[s, axis] = centre[s, axis] - residual[s, axis]
         if iteration == 0:  # velocities and their lever change nothing measurable in later rounds
-            prior = twist_from_velocities(design, seen[1].reshape(-1), rows, start, twist)
-            spot_covariance(design, seen, rows, prior, spread)
+            prior = twist_from_velocities(design, spots[1].reshape(-1), rows, start, twist)
+            spot_covariance(design, spots, rows, prior, spread)
         pose_information(design, spread[2], weighted, information)
         covariance_of(information, inverse, directions[0], directions[1])
         largest = 0.0
@@ -362,7 +357,7 @@ def worst_spot(
     rows: NDArray[np.int64],
     tolerance: Array,
 ) -> tuple[int, float]:
-    """The kept spot that fits worst, and its residual in its own uncertainty, squared.
+    """Find the kept spot that fits worst, and its residual in its own uncertainty, squared.
 
     Args:
         predicted: those of `fit_spots`.

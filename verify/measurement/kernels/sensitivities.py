@@ -1,4 +1,9 @@
-"""How spots move when a parameter does, spot by spot, compiled."""
+"""Fill in the derivatives of spots by the parameters of cameras, LEDs and their body.
+
+A parameter that moves a camera by the twist (t, w) moves the spot of a point x, g its derivative by
+the point, by -(g . t + w . (x x g)); lens and focal length move it by their own derivative. An
+analysis asks for every parameter at every pair: in numpy most of it would be the starts of calls.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +24,7 @@ def place_leds(
     rig_T_flange: Array,
     placed: tuple[Array, Array],
     left: int,
-    seen: tuple[Array, Array, Array],
+    places: tuple[Array, Array, Array],
 ) -> None:
     """Fill in where spots' LEDs are.
 
@@ -29,9 +34,9 @@ def place_leds(
         rig_T_flange: (4, 4).
         placed: camera_T_rig (4, 4) of the left camera and of the right one.
         left: how many spots, the first ones, are the left camera's.
-        seen: (s, 3) each, m, filled: LED from flange in rig axes; point in the rig; in the camera.
+        places: (s, 3) each, m, filled: LED from flange, rig axes; point in the rig; in the camera.
     """
-    offset, points, inside = seen
+    offset, points, inside = places
     for s in range(len(led)):
         for i in range(3):
             offset[s, i] = dot(rig_T_flange[i, :3], leds[led[s]])
@@ -90,20 +95,13 @@ def fill_by_camera(
                     for i in range(2):
                         moved[column, s, axis] += matrix[axis, i] * lenses[which, i]
             else:
+                u, v, w = points[s, 0], points[s, 1], points[s, 2]
                 for axis in range(2):
-                    moved[column, s, axis] = -slope_by_twist(
-                        by_point[s, axis], points[s], twists[k]
-                    )
-
-
-@compiled
-def slope_by_twist(slope: Array, point: Array, twist: Array) -> float:
-    """Say how a pixel whose slope is given (3,) moves as its point does by a twist (6,)."""
-    x, y, z = point[0], point[1], point[2]
-    a, b, c = slope[0], slope[1], slope[2]
-    along = a * twist[0] + b * twist[1] + c * twist[2]
-    about = twist[3] * (y * c - z * b) + twist[4] * (z * a - x * c) + twist[5] * (x * b - y * a)
-    return float(along + about)
+                    a, b, c = by_point[s, axis, 0], by_point[s, axis, 1], by_point[s, axis, 2]
+                    along = a * twists[k, 0] + b * twists[k, 1] + c * twists[k, 2]
+                    about = twists[k, 3] * (v * c - w * b) + twists[k, 4] * (w * a - u * c)
+                    about += twists[k, 5] * (u * b - v * a)
+                    moved[column, s, axis] = -(along + about)
 
 
 @compiled

@@ -1,7 +1,4 @@
-"""A grab in the simulated cell, put together: the world, its source of pictures, and the loop.
-
-The simulated cell as the loop's surroundings: pictures, joints, devices, and what goes wrong.
-"""
+"""A grasp in the simulated cell: pictures, joints, devices and scene events around the loop."""
 
 import time
 from dataclasses import dataclass
@@ -12,12 +9,11 @@ from verify.devices.protocols import EncoderReading, PanReading
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import DrivenArm, SteppedArm, StreamedArm
-from verify.grasping.control.closed_loop import ClosedLoopAim
 from verify.grasping.control.loop import GraspLoop
 from verify.grasping.control.orders import Actuators
 from verify.grasping.control.run import PairSource
 from verify.grasping.tool_offset.watch import FlangeWatch
-from verify.grasping.tracking.target import ColourSelection, Target, TrackingOptions
+from verify.grasping.tracking.target import ColourSelection, Target
 from verify.grasping.tracking.track import TargetTracker
 from verify.simulation.cell.arm import SimMover
 from verify.simulation.cell.cell import N_SUBSTEPS, RATE, CellWorld
@@ -33,11 +29,9 @@ class PanInterpolator(Protocol):
 
     def add(self, reading: PanReading) -> None:
         """Take a reading."""
-        ...
 
     def at(self, t: float) -> tuple[float, float] | None:
         """Angles of left and right base, rad, at an instant, s; None where they are not known."""
-        ...
 
 
 class CellSource:
@@ -124,9 +118,7 @@ def cell_grab(
     Raises:
         InputError: the target's colour has no name.
     """
-    tracker = TargetTracker(
-        setup.rig, target or ColourSelection(scene.caps[0].colour), TrackingOptions()
-    )
+    tracker = TargetTracker(setup.rig, target or ColourSelection(scene.caps[0].colour))
     world = CellWorld(setup, scene)
     cell = CellSource(world, bases, paced=paced)
     if right is None:
@@ -137,10 +129,8 @@ def cell_grab(
     arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
     if stepped:
         arm = SteppedArm(setup.planner, mover)
-    aim = Aim(setup.planner, setup.rig)
-    if closed:
-        watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker)
-        aim = ClosedLoopAim(setup.planner, setup.rig, watch)
+    watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker) if closed else None
+    aim = Aim(setup.planner, setup.rig, watch)
     actuators = Actuators(arm, gripper)
     loop = GraspLoop(setup.planner, tracker, aim, actuators, cell.joints, world.now, auto=auto)
     return CellRun(world, cell, loop)

@@ -1,7 +1,4 @@
-"""Simulated encoders: the same world, read on the controller's own clock.
-
-Simulated turning bases: they read their angles, and go where they are sent.
-"""
+"""Simulated encoders, read on the controller's own clock, and simulated turning bases."""
 
 from math import ceil, floor
 

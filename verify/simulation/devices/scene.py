@@ -1,7 +1,4 @@
-"""The one scene that simulated cameras, encoders and bases share: world, clock, events, bases.
-
-The time of simulated devices: the host's clock, or a multiple of it.
-"""
+"""The scene that simulated cameras, encoders and bases share: world, clock, events, bases."""
 
 import threading
 import time

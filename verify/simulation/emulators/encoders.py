@@ -1,7 +1,4 @@
-"""An encoder board that speaks LABENC 1.
-
-Turning camera bases: a LABENC board with two driven axes.
-"""
+"""An encoder board that speaks LABENC 1; turning camera bases, such a board with two axes."""
 
 from dataclasses import dataclass
 

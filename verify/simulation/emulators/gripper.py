@@ -1,4 +1,4 @@
-"""A Robotiq 3-finger gripper on Modbus RTU: framing, checks, registers; `gripper_hand` is the rest.
+"""A Robotiq 3-finger gripper on Modbus RTU: framing, checks, registers; `hand` is the rest.
 
 Written apart from the library that the driver uses, so that the two check each other. A request
 ends where its length says, or, where that cannot be known, at a silence. Asked who made it
@@ -9,7 +9,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from verify.core.records import Array
-from verify.simulation.emulators.gripper_hand import N_BYTES, NO_CONTACT, GripperHand
+from verify.simulation.emulators.hand import N_BYTES, NO_CONTACT, GripperHand
 from verify.simulation.emulators.server import TimedMessage
 
 SLAVE = 9

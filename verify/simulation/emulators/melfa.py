@@ -1,9 +1,7 @@
-"""A MELFA controller that speaks the R3 line protocol: the line, rights and refusals.
+"""A MELFA controller: the R3 line protocol with its rights and refusals, and the Mxt packets.
 
-Its identity says that it is emulated: the notice, which on a controller is its maker's, holds a
-digest of the name under which the line was opened. Who draws that name by chance can tell.
-
-A MELFA controller whose program stands in an Mxt instruction: packets over UDP.
+Its identity marks it as emulated: the notice, which on a controller is its maker's, holds a
+digest of the name under which the line was opened. A client with a random name can recognise it.
 """
 
 import hashlib
@@ -14,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.core.records import Array
-from verify.simulation.emulators.melfa_arm import MelfaArm
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.server import TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
 

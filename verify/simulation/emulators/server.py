@@ -1,9 +1,4 @@
-"""Serves a device on a front: bytes to the engine, its messages back, spoilt where asked for.
-
-Where an emulator can be reached: TCP, UDP, a pseudo-terminal, or a serial device.
-
-What can go wrong on a line, to be switched on: by chance a message, or at an instant.
-"""
+"""Serve an emulated device on TCP, UDP, a pseudo-terminal or a serial port, faults included."""
 
 import contextlib
 import os
@@ -14,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,61 +18,63 @@ from verify.errors import InputError
 
 
 class Endpoint(Protocol):
-    """A place at which somebody may call."""
+    """An address at which one client at a time is served."""
 
-    address: str  # what a caller opens
+    address: str  # what a client opens
 
     def receive(self, wait: float) -> tuple[bool, bytes]:
-        """Wait for bytes for at most so long: whether somebody has just come, and the bytes."""
-        ...
+        """Wait at most `wait` s for bytes: whether a client has just connected, and the bytes."""
 
     def send(self, data: bytes) -> None:
-        """Send to whoever is there; to nobody, if nobody is."""
-        ...
+        """Send to the client, if there is one."""
 
     def unplug(self) -> None:
-        """Vanish."""
-        ...
+        """Close the address."""
 
     def plug(self) -> None:
-        """Be back at the same address."""
-        ...
+        """Open it again, the same address."""
 
 
 class TcpEndpoint:
-    """A server for one caller; a second one is sent away."""
+    """A server for one client; a second one is refused."""
 
     def __init__(self, host: str, port: int) -> None:
         self._listener: socket.socket | None = None
-        self._caller: socket.socket | None = None
+        self._client: socket.socket | None = None
         self._where = (host, port)
         self.plug()
 
     def receive(self, wait: float) -> tuple[bool, bytes]:
-        """Take callers and bytes."""
-        ready = [s for s in (self._listener, self._caller) if s is not None]
+        """Accept clients and read bytes."""
+        ready = [s for s in (self._listener, self._client) if s is not None]
         came, data = False, b""
         for found in select.select(ready, [], [], wait)[0]:
             if found is self._listener:
-                came = self._answer(found)
-            elif self._caller is not None and not came:
+                client, _ = found.accept()
+                if came := self._client is None:
+                    client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    client.settimeout(1.0)
+                    self._client = client
+                else:
+                    client.close()
+            elif self._client is not None and not came:
                 with contextlib.suppress(OSError):
-                    data = self._caller.recv(MAX_READ_BYTES)
+                    data = self._client.recv(MAX_READ_BYTES)
                 if not data:
-                    self._hang_up()
+                    self._disconnect()
         return came, data
 
     def send(self, data: bytes) -> None:
-        """Send to the caller."""
-        if self._caller is not None:
-            try:
-                self._caller.sendall(data)
-            except OSError:
-                self._hang_up()
+        """Send to the client."""
+        try:
+            if self._client is not None:
+                self._client.sendall(data)
+        except OSError:
+            self._disconnect()
 
     def unplug(self) -> None:
         """Close everything."""
-        self._hang_up()
+        self._disconnect()
         if self._listener is not None:
             self._listener.close()
         self._listener = None
@@ -88,20 +85,10 @@ class TcpEndpoint:
         self._where = (self._where[0], self._listener.getsockname()[1])
         self.address = f"tcp:{self._where[0]}:{self._where[1]}"
 
-    def _answer(self, listener: socket.socket) -> bool:
-        caller, _ = listener.accept()
-        if self._caller is not None:
-            caller.close()
-            return False
-        caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        caller.settimeout(1.0)
-        self._caller = caller
-        return True
-
-    def _hang_up(self) -> None:
-        if self._caller is not None:
-            self._caller.close()
-        self._caller = None
+    def _disconnect(self) -> None:
+        if self._client is not None:
+            self._client.close()
+        self._client = None
 
 
 class UdpEndpoint:
@@ -148,8 +135,7 @@ class PtyEndpoint:
     """A pseudo-terminal: a serial device to whoever opens it. Not on Windows.
 
     Args:
-        link: a path that always leads to it; None uses the system's own name, which changes when it
-            is unplugged.
+        link: a path that always leads to it; None: the system's name, which a replug changes.
     """
 
     def __init__(self, link: Path | None) -> None:
@@ -158,13 +144,13 @@ class PtyEndpoint:
         self.plug()
 
     def receive(self, wait: float) -> tuple[bool, bytes]:
-        """Take bytes; nobody can be seen to come."""
+        """Read bytes; a client that connects cannot be noticed."""
         if self._ends is None or not select.select([self._ends[0]], [], [], wait)[0]:
             return False, b""
         return False, os.read(self._ends[0], MAX_READ_BYTES)
 
     def send(self, data: bytes) -> None:
-        """Send; what nobody reads is thrown away, as a serial line does."""
+        """Send; what is not read is dropped, as on a serial line."""
         if self._ends is not None:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._ends[0], data)
@@ -193,7 +179,7 @@ class PtyEndpoint:
 
 
 class SerialEndpoint:
-    """A serial device; the caller is at the other end of a cable."""
+    """A serial device; the client is at the other end of a cable."""
 
     def __init__(self, path: str, line: SerialLine) -> None:
         self.address = path
@@ -202,7 +188,7 @@ class SerialEndpoint:
         self.plug()
 
     def receive(self, wait: float) -> tuple[bool, bytes]:
-        """Take bytes; nobody can be seen to come."""
+        """Read bytes; a client that connects cannot be noticed."""
         if self._port is None or not self._port.wait(wait):
             return False, b""
         return False, self._port.take()
@@ -224,11 +210,11 @@ class SerialEndpoint:
 
 
 def open_front(where: str, line: SerialLine) -> Endpoint:
-    """Open the place that the user names.
+    """Open the endpoint that the user names.
 
     Args:
         where: `tcp:PORT`, `tcp:HOST:PORT`, `udp:…`, `pty`, `pty:LINK`, or a serial device's path.
-            Without a host only this computer can call; port 0 takes a free one.
+            Without a host only this computer can connect; port 0 takes a free one.
         line: how a serial device is set.
 
     Raises:
@@ -243,8 +229,8 @@ def open_front(where: str, line: SerialLine) -> Endpoint:
             return PtyEndpoint(Path(rest) if rest else None)
         return SerialEndpoint(where, line)
     except OSError as error:
-        said = error.strerror or str(error)
-        raise InputError(f"--port {where}", said.lower(), "", "Choose another one.") from error
+        found = (error.strerror or str(error)).lower()
+        raise InputError(f"--port {where}", found, "", "Choose another one.") from error
 
 
 MESSAGE_FAULTS = ("noise", "half", "digit", "double", "lost", "split")
@@ -268,9 +254,6 @@ class EmulatorFaults:
     alarm: tuple[float, float] | None = None  # s, number: an alarm stands from then on
     status: tuple[float, float] | None = None  # s, bits: set from then on
 
-    def __bool__(self) -> bool:
-        return self != EmulatorFaults()
-
 
 def parse_faults(texts: list[str], known: frozenset[str]) -> EmulatorFaults:
     """Read `noise=0.05`, `silence=10:3`, `reset=20` and the like.
@@ -282,7 +265,7 @@ def parse_faults(texts: list[str], known: frozenset[str]) -> EmulatorFaults:
     Raises:
         InputError: not known, or no numbers.
     """
-    values: dict[str, float | tuple[float, float]] = {}
+    values: dict[str, Any] = {}
     for text in texts:
         name, _, value = text.partition("=")
         if name not in known:
@@ -299,7 +282,7 @@ def parse_faults(texts: list[str], known: frozenset[str]) -> EmulatorFaults:
         else:
             right = "a share from 0 to 1" if name in MESSAGE_FAULTS else "AT:VALUE (reset: AT)"
             raise InputError("--fault", f'"{text}"', f"{right} is expected", "Mend it.")
-    return EmulatorFaults(**values)  # type: ignore[arg-type]  # the names say which kind
+    return EmulatorFaults(**values)
 
 
 def in_span(span: tuple[float, float] | None, t: float) -> bool:
@@ -308,7 +291,7 @@ def in_span(span: tuple[float, float] | None, t: float) -> bool:
 
 
 class FaultInjector:
-    """Spoils messages by chance."""
+    """Apply the faults of single messages, by chance."""
 
     PIECES_APART = 0.015  # s
 
@@ -316,7 +299,7 @@ class FaultInjector:
         self._faults, self._random = faults, np.random.default_rng(seed)
 
     def spoil(self, data: bytes) -> list[tuple[float, bytes]]:
-        """What is sent in place of a message: pieces, each with its delay in s."""
+        """Return what is sent in place of a message: pieces, each with its delay in s."""
         faults = self._faults
         if self._falls(faults.lost):
             return []
@@ -357,23 +340,19 @@ class TimedMessage:
 
 
 class EmulatorEngine(Protocol):
-    """A device without a port: what it says, given what it hears and the time."""
+    """A device without a port: its answers, given what it receives and the time."""
 
     def greet(self, t: float) -> None:
-        """Note that somebody has just come."""
-        ...
+        """Note that a client has just connected."""
 
     def step(self, t: float, received: bytes) -> list[TimedMessage]:
         """Go on to t, s from the start, with what was received since."""
-        ...
 
     def reset(self, t: float) -> None:
         """Start anew, as after a loss of power."""
-        ...
 
     def afflict(self, fault: str, value: float) -> None:
         """Begin to have a fault of its own: jump, alarm or status."""
-        ...
 
 
 class EmulatorServer:
@@ -396,7 +375,7 @@ class EmulatorServer:
         seed: int = 0,
     ) -> None:
         self.front, self._engine = front, engine
-        self._faults = faults or EmulatorFaults()
+        self._faults = EmulatorFaults() if faults is None else faults
         self._spoiler = FaultInjector(self._faults, seed)
         self._byte_time = BITS_A_BYTE / baud if baud else 0.0
         self._queue: deque[tuple[float, bytes]] = deque()
@@ -405,7 +384,7 @@ class EmulatorServer:
         self._to_come = {"reset", "jump", "alarm", "status"}
 
     def serve(self, until: Callable[[], bool], now: Callable[[], float] = time.monotonic) -> None:
-        """Serve until told to stop."""
+        """Serve until `until` returns True; `now` is a clock, s."""
         start = now()
         while not until():
             t = now() - start
@@ -413,7 +392,7 @@ class EmulatorServer:
             came, data = self.front.receive(TIME_STEP) if self._plugged else (False, b"")
             if not self._plugged:
                 time.sleep(TIME_STEP)
-            t = now() - start  # a busy machine may have made us wait
+            t = now() - start  # waiting may have taken longer
             if came:
                 self._queue.clear()
                 self._engine.greet(t)
@@ -421,10 +400,12 @@ class EmulatorServer:
             for message in self._engine.step(t, data):
                 if not silent:
                     self._enqueue(message)
-            self._send_due(now() - start)
+            t = now() - start
+            while self._queue and self._queue[0][0] <= t:
+                self.front.send(self._queue.popleft()[1])
 
     def close(self) -> None:
-        """Vanish."""
+        """Close the address."""
         self.front.unplug()
 
     def _begin_faults(self, t: float) -> None:
@@ -445,7 +426,3 @@ class EmulatorServer:
             begin = max(message.at + delay, self._free)  # a line sends one thing after the other
             self._free = begin + self._byte_time * len(piece)
             self._queue.append((self._free, piece))
-
-    def _send_due(self, t: float) -> None:
-        while self._queue and self._queue[0][0] <= t:
-            self.front.send(self._queue.popleft()[1])

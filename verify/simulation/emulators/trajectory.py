@@ -23,7 +23,6 @@ class EmulatedTrajectory(Protocol):
 
     def at(self, t: float) -> Array:
         """Joint angles, (joints,), rad, at t seconds after the start."""
-        ...
 
 
 @dataclass(frozen=True)

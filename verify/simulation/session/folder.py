@@ -1,7 +1,4 @@
-"""Write a simulated session as a folder: docs/session.md's files, the truth, and a README.
-
-What is true of a simulated session, in words.
-"""
+"""Write a simulated session as a folder: docs/session.md's files, the truth, and a README."""
 
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime

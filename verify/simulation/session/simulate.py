@@ -1,7 +1,4 @@
-"""A simulated session: the world, what cameras and encoders make of it, what the user believes.
-
-What an encoder at fault adds to the true angle, as docs/results.md defines it.
-"""
+"""A simulated session: world, pictures, readings with encoder faults, stated rig and marker."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -46,9 +43,8 @@ def reading_error(q: Array, direction: Array, faults: Sequence[ScenarioFault]) -
 
 
 START_OFFSET = 1.0  # s, the first pair: the encoders' record begins before it
-READING_MARGIN = (
-    0.6  # s of encoder readings on either side of every pair; motions have no gaps by that
-)
+# s of encoder readings on either side of every pair; motions have no gaps by that
+READING_MARGIN = 0.6
 TIME_STEP = 1e-6  # s, the grain of written times; the world uses the written ones
 
 

@@ -1,7 +1,4 @@
-"""What of the world shines into one camera during one exposure, in pixels.
-
-From lights to 8-bit images: lens blur, sensor noise, black level, quantisation.
-"""
+"""Render the LEDs in view of a camera: exposure, lens blur, sensor noise, black level, 8 bits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,9 +14,8 @@ from verify.simulation.world.bench import SimulatedCamera
 from verify.simulation.world.motion import RandomStream, generator
 from verify.simulation.world.world import SimulatedWorld
 
-BLUR_STEP_PX = (
-    0.5  # between the instants that make up a motion blur: below the lens blur, so none shows
-)
+# between the instants that make up a motion blur: below the lens blur, so none shows
+BLUR_STEP_PX = 0.5
 SIDES = ("left", "right")
 
 
@@ -130,12 +126,10 @@ Picture = NDArray[np.float32]
 Glow = tuple[tuple[slice, slice], Picture]
 
 GRAINS_PER_PX = 5  # grains a pixel, with soft rims: widths right to 1 %, as the tests confirm
-MAX_BLUR_SIGMAS = (
-    5.0  # standard deviations of blur that a patch keeps: 4e-6 of the rim's light beyond
-)
-MIN_BLACK_SHARE = (
-    0.99  # share of room pixels at 0 above which the others are drawn alone: far faster
-)
+# standard deviations of blur that a patch keeps: 4e-6 of the rim's light beyond
+MAX_BLUR_SIGMAS = 5.0
+# share of room pixels at 0 above which the others are drawn alone: far faster
+MIN_BLACK_SHARE = 0.99
 MAX_LEVELS = 16  # of a sparse room: the next would be some 10 standard deviations of its noise away
 PATTERN_SCALE_PX = 24  # scale of the room's pattern: far wider than any spot
 BGR: dict[Colour, tuple[float, float, float]] = {  # what a colour sensor makes of each LED

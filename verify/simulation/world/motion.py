@@ -1,6 +1,6 @@
-"""How the simulated arm moves: true joint angles and last direction of travel at any instant.
+"""The simulated arm's motion: true joint angles and last direction of travel at any instant.
 
-Random numbers that depend on the seed and on what they are for, never on the order of calls.
+Random numbers depend on the seed and on their purpose, never on the order of calls.
 """
 
 from dataclasses import dataclass
@@ -47,11 +47,9 @@ class MotionProfile(Protocol):
 
     def angles(self, t: Array) -> Array:
         """True joint angles, rad: (...,) to (..., joints)."""
-        ...
 
     def direction(self, t: Array) -> Array:
         """Last direction of travel, +1 or -1, kept at rest: (...,) to (..., joints)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

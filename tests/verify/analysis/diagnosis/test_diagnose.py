@@ -22,11 +22,11 @@ from verify.analysis.comparison import compare
 from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes, thin_model
-from verify.analysis.diagnosis.faults import Fault, base_motion, body_motion
+from verify.analysis.diagnosis.faults import Fault
 from verify.analysis.diagnosis.link_faults import link_displacements
 from verify.analysis.diagnosis.search import FaultProducts
 from verify.analysis.joint_errors import resolve_errors
-from verify.analysis.model import build_model
+from verify.analysis.model import base_motion, body_motion, build_model
 from verify.analysis.results.entries import cause_entry
 from verify.core.readings import Readings
 from verify.core.records import Array

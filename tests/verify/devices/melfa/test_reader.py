@@ -20,8 +20,8 @@ from verify.devices.melfa import protocol
 from verify.devices.melfa.reader import MelfaEncoders, MelfaSettings
 from verify.devices.ports import SerialLine
 from verify.devices.protocols import EncoderReading
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 from verify.simulation.emulators.server import EmulatorFaults, TimedMessage
 
 LIMITS = np.tile([-3.0, 3.0], (6, 1))

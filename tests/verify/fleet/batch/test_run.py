@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.fleets import PAIRS, record
 from verify.analysis.session import analyse
-from verify.cli.options import Asked
+from verify.cli.options import ToleranceOptions
 from verify.fleet.batch import tasks
 from verify.fleet.batch.finding import find_sessions
 from verify.fleet.batch.records import DEFECT, KILLED, BatchOptions, Task, WorkerDied
@@ -21,7 +21,7 @@ from verify.fleet.batch.run import BatchProgress, BatchResult, measure_all
 from verify.io.results import read_results
 from verify.io.session.session import open_session
 
-OPTIONS = BatchOptions(Asked(None, None, None), "1.0")
+OPTIONS = BatchOptions(ToleranceOptions(None, None, None), "1.0")
 
 
 class Inline:
@@ -99,7 +99,7 @@ def test_a_second_run_measures_only_changed_sessions(lab: Path, tmp_path: Path) 
     changed = batch(lab, out, third := Inline())
     assert sorted(third.kinds) == ["CompareTask", "CompareTask", "MeasureTask"]
     assert changed.progress.again == [f"{lab}/two: changed since: encoders.csv"]
-    other = BatchOptions(Asked("0.5", None, None), "1.0")
+    other = BatchOptions(ToleranceOptions("0.5", None, None), "1.0")
     redone = batch(lab, out, fourth := Inline(), other)
     assert fourth.kinds == ["MeasureTask", "MeasureTask"]
     assert all("other options" in line for line in redone.progress.again)

@@ -19,9 +19,9 @@ from verify.grasping.actuators.emulator_check import (
     is_emulated_melfa,
 )
 from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 from verify.simulation.emulators.server import TimedMessage
 
 pytestmark = pytest.mark.realtime

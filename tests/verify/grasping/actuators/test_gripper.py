@@ -20,7 +20,7 @@ from verify.grasping.actuators.protocols import (
     MotionRefusedError,
 )
 from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
-from verify.simulation.emulators.gripper_hand import NO_CONTACT, contact_positions
+from verify.simulation.emulators.hand import NO_CONTACT, contact_positions
 from verify.simulation.emulators.server import EmulatorFaults, TimedMessage
 
 PORTS = ["tcp:0", "pty"]

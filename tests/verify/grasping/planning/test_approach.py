@@ -12,7 +12,6 @@ from tests.support.grasp.cells import melfa
 from verify.core.records import Array
 from verify.grasping.planning.approach import (
     ApproachLine,
-    flange_pose,
     hand_poses,
     line_path,
     nearest_turn,
@@ -47,15 +46,6 @@ def test_a_hand_points_along_the_direction_turned_about_it(direction: Array, tur
     assert_allclose(turned[:3, :3], turning @ plain[:3, :3], atol=1e-12)
     back = nearest_turn(direction, turned[:3, :3])
     assert np.cos(back - turn) == pytest.approx(1)
-
-
-def test_the_flange_pose_follows_from_the_grip_pose() -> None:
-    flange_T_grip = np.eye(4)
-    flange_T_grip[:3, 3] = [0.0, 0.0, 0.15]
-    base_T_grip = hand_poses(DOWN, np.array([0.4, 0.0, 0.05]), np.zeros(1))[0]
-    base_T_flange = flange_pose(base_T_grip, flange_T_grip)
-    assert_allclose(base_T_flange[:3, 3], [0.4, 0.0, 0.20])  # the hand hangs below
-    assert_allclose(base_T_flange @ flange_T_grip, base_T_grip, atol=1e-15)
 
 
 @settings(max_examples=8, deadline=None)

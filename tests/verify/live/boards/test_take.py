@@ -15,7 +15,7 @@ from tests.support.boards.station import SMALL, STATION
 from tests.support.devices.chromium import Browser, launched
 from verify.calibration.corners.find import find_board
 from verify.calibration.corners.folder import find_boards
-from verify.cli.calibrate_live import BoardRunOptions, board_of, refuse_without_live, take_pictures
+from verify.cli.calibrate.live import BoardRunOptions, board_of, refuse_without_live, take_pictures
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array, StereoPair
 from verify.devices.protocols import CameraSettings

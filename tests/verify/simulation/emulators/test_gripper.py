@@ -15,7 +15,7 @@ from pymodbus.exceptions import ModbusException
 from tests.support.command import verify
 from tests.support.devices.bench import running
 from verify.simulation.emulators.gripper import SLAVE, GripperEngine, GripperOptions, add_crc
-from verify.simulation.emulators.gripper_hand import (
+from verify.simulation.emulators.hand import (
     NO_CONTACT,
     contact_positions,
     speed_in_positions,

@@ -17,8 +17,8 @@ from verify.grasping.actuators.melfa.mover import MelfaMover
 from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
 from verify.grasping.actuators.protocols import ExecutePermission, MoverState
 from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.arm import ACCELERATION_TIME, MelfaArm
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import ACCELERATION_TIME, MelfaArm
 
 ARM = robots.load("rv_3sd_melfa")
 LIMITS = np.column_stack([ARM.lower, ARM.upper])

@@ -13,9 +13,9 @@ from verify.devices.ports import SerialLine
 from verify.errors import InputError
 from verify.simulation.emulators import server, trajectory
 from verify.simulation.emulators import server as emulators_server
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 
 LIMITS = np.tile([-3.0, 3.0], (6, 1))
 COMMAND = "import typer; from verify.cli.emulate import emulate; typer.run(emulate)"

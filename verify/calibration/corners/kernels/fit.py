@@ -1,4 +1,10 @@
-"""A corner's fit, compiled: the way to the crossing, what is left out, how well it is known."""
+"""Fit a corner's crossing by Gauss-Newton with Levenberg's damping; say how well it is known.
+
+With r the pixels' residuals and J their derivatives by the 13 parameters, each step solves
+(J'J + damping diag J'J) dp = J'r. Pixels that are no part of the corner are left out, and it is
+fitted again. A calibration fits thousands of corners of hundreds of pixels: in numpy every step
+would pass over all of them dozens of times.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +33,7 @@ from verify.calibration.corners.kernels.model import (
     window_pixels,
 )
 from verify.core.jit import compiled, compiled_sums
-from verify.core.kernels.linear_algebra import factor, invert, median, solve
+from verify.core.kernels.linear_algebra import copy_to, factor, invert, median, solve
 from verify.core.records import Array
 
 START_BLUR = 0.06  # squares: wide enough to draw in a start that is some pixels off
@@ -41,7 +47,7 @@ MAD_OVER_SIGMA = 0.67449  # median of |x| over sigma, Gaussian
 N_REJECTIONS = 2  # the first fit was led astray by what it leaves out
 MIN_OWN_SHARE = 0.6  # of the pixels that must belong to the corner
 MIN_PIXELS = 40  # three a parameter
-# what is told of a corner: covariance of its centre where the residuals' variance is one, that
+# columns of a result: covariance of its centre where the residuals' variance is one, that
 # variance (DN²), and the scatter of the centre's scores from cell to cell, found and expected
 COL_XX, COL_XY, COL_YY, COL_VARIANCE, COL_FOUND, COL_EXPECTED = range(6)
 N_COLUMNS = 6
@@ -55,21 +61,21 @@ def fit_crossing(
     known_before: bool,
     steps: Array,
     p: Array,
-    told: Array,
+    result: Array,
 ) -> bool:
     """Fit a corner.
 
     Args:
         grey: (h, w), DN.
-        at: centre, jacobian and bend, see `saddle.Place`.
+        at: centre, jacobian and bend, see `find.CornerPrediction`.
         markers: as for `window_pixels`.
         known_before: whether p is of an earlier fit, whose centre is the expected one.
         steps: the table of F.
-        p: (13,), filled: the parameters, see corner_kernel_model.py.
-        told: (6,), filled.
+        p: (13,), filled: the parameters, see model.py.
+        result: (6,), filled where there is a crossing.
 
     Returns:
-        Whether there is a crossing; nothing is told where there is none.
+        Whether there is one.
     """
     centre, jacobian, bend = at
     pixels, edges = window_pixels(grey, centre, jacobian, markers), np.empty(N_EDGE_VALUES)
@@ -93,16 +99,11 @@ def fit_crossing(
             break
         pixels = select_pixels(pixels, own, count)
         settled, rows = converge(pixels, edges, steps, p)
-    return settled and is_inside_window(jacobian, p) and centre_covariance(pixels, rows, told)
-
-
-@compiled
-def is_inside_window(jacobian: Array, p: Array) -> bool:
-    """Whether the crossing is well within the window."""
     determinant = jacobian[0, 0] * jacobian[1, 1] - jacobian[0, 1] * jacobian[1, 0]
     u = (p[PAR_X] * jacobian[1, 1] - p[PAR_Y] * jacobian[0, 1]) / determinant
     v = (p[PAR_Y] * jacobian[0, 0] - p[PAR_X] * jacobian[1, 0]) / determinant
-    return bool(max(abs(u), abs(v)) <= HALF_WINDOW / 2)
+    inside = max(abs(u), abs(v)) <= HALF_WINDOW / 2  # well within the window
+    return settled and inside and centre_covariance(pixels, rows, result)
 
 
 @compiled
@@ -111,9 +112,8 @@ def mark_strays(p: Array, rows: Array) -> NDArray[np.bool_]:
     residual = np.empty(rows.shape[1])
     for k in range(rows.shape[1]):
         residual[k] = abs(rows[ROW_RESIDUAL, k])
-    usual = max(
-        MAX_DEVIATION * abs(p[PAR_CONTRAST]), OUTLIER_SIGMA * median(residual) / MAD_OVER_SIGMA
-    )
+    spread = OUTLIER_SIGMA * median(residual) / MAD_OVER_SIGMA
+    usual = max(MAX_DEVIATION * abs(p[PAR_CONTRAST]), spread)
     stray = np.empty(len(residual), np.bool_)
     for k in range(len(residual)):
         stray[k] = residual[k] > usual + EDGE_SIGMA * abs(rows[PAR_SPREAD, k])
@@ -134,11 +134,8 @@ def converge(pixels: Array, edges: Array, steps: Array, p: Array) -> tuple[bool,
         Whether it settled, and the model's rows (14, p) there.
     """
     count = pixels.shape[1]
-    known, rows, tried = (
-        np.empty((N_KNOWN_ROWS, count)),
-        np.empty((N_ROWS, count)),
-        np.empty((N_ROWS, count)),
-    )
+    known, rows = np.empty((N_KNOWN_ROWS, count)), np.empty((N_ROWS, count))
+    tried = np.empty_like(rows)
     products, damped = np.empty((N_ROWS, N_ROWS)), np.empty((N_PARAMETERS, N_PARAMETERS))
     root, step, trial = np.empty_like(damped), np.empty(N_PARAMETERS), np.empty(N_PARAMETERS)
     damping = 1e-3
@@ -155,26 +152,21 @@ def converge(pixels: Array, edges: Array, steps: Array, p: Array) -> tuple[bool,
         solve(root, step)
         for a in range(N_PARAMETERS):
             trial[a] = p[a] + step[a]
-        if not is_plausible(trial, edges[EDGE_SCALE]):
+        away = max(abs(trial[PAR_X]), abs(trial[PAR_Y]), abs(trial[PAR_SPREAD]))
+        blur = max(abs(trial[PAR_BLUR_1]), abs(trial[PAR_BLUR_2]))
+        if not (away < edges[EDGE_SCALE] and blur < MAX_LOG_BLUR):  # another corner, or no lens
             damping *= 30.0
             continue
         predict_pixels(pixels, edges, trial, steps, known, tried)
         better = sum_of_squares(tried[ROW_RESIDUAL]) <= products[ROW_RESIDUAL, ROW_RESIDUAL]
         if better:
-            p[:] = trial
+            copy_to(p, trial)
             rows, tried = tried, rows
             sum_products(rows, products)
         if max(abs(step[PAR_X]), abs(step[PAR_Y])) < TOL_STEP and damping < 1.0:
             return True, rows
         damping = damping / 10.0 if better else damping * 30.0
     return False, rows
-
-
-@compiled
-def is_plausible(p: Array, scale: float) -> bool:
-    """Whether a fit is still at the corner it started at, with a blur that lenses have."""
-    near_it = max(abs(p[PAR_X]), abs(p[PAR_Y]), abs(p[PAR_SPREAD])) < scale
-    return bool(near_it and max(abs(p[PAR_BLUR_1]), abs(p[PAR_BLUR_2])) < MAX_LOG_BLUR)
 
 
 @compiled_sums
@@ -207,8 +199,8 @@ def sum_products(rows: Array, products: Array) -> None:
 
 
 @compiled
-def centre_covariance(pixels: Array, rows: Array, told: Array) -> bool:
-    """Tell the centre's covariance, and how its scores scatter over the window.
+def centre_covariance(pixels: Array, rows: Array, result: Array) -> bool:
+    """Fill in the centre's covariance, and how its scores scatter over the window.
 
     Were residuals independent, the sum over cells of the centre's squared scores would be what
     the information says, less what the fit took. JPEG, demosaicing and sharpening tie neighbours
@@ -240,22 +232,13 @@ def centre_covariance(pixels: Array, rows: Array, told: Array) -> bool:
     unit, spent = inverse[PAR_X, PAR_X] + inverse[PAR_Y, PAR_Y], 0.0
     for cell in range(len(scores)):
         for axis in range(2):
-            spent += quadratic_form(inverse, taken[cell, axis])
-    told[COL_XX], told[COL_XY], told[COL_YY] = (
-        inverse[PAR_X, PAR_X],
-        inverse[PAR_X, PAR_Y],
-        inverse[PAR_Y, PAR_Y],
-    )
-    told[COL_VARIANCE], told[COL_EXPECTED] = variance, 1.0 - spent / unit
-    told[COL_FOUND] = sum_of_squares(scores.ravel()) / (unit * variance)
+            form = 0.0
+            for i in range(N_PARAMETERS):
+                for j in range(N_PARAMETERS):
+                    form += taken[cell, axis, i] * inverse[i, j] * taken[cell, axis, j]
+            spent += form
+    result[COL_XX], result[COL_XY] = inverse[PAR_X, PAR_X], inverse[PAR_X, PAR_Y]
+    result[COL_YY] = inverse[PAR_Y, PAR_Y]
+    result[COL_VARIANCE], result[COL_EXPECTED] = variance, 1.0 - spent / unit
+    result[COL_FOUND] = sum_of_squares(scores.ravel()) / (unit * variance)
     return True
-
-
-@compiled
-def quadratic_form(matrix: Array, vector: Array) -> float:
-    """A vector (n,) by a matrix (n, n) by the vector."""
-    total = 0.0
-    for i in range(len(vector)):
-        for j in range(len(vector)):
-            total += vector[i] * matrix[i, j] * vector[j]
-    return total

@@ -1,18 +1,18 @@
-"""A corner's picture, compiled: two blurred edges that cross, between squares of two colours.
+"""Model a corner's pixels: two blurred edges that cross, between squares of two colours.
 
-It is shade(x) + contrast(x) · cross(x), shade and contrast linear over the window. With F the
+A pixel is shade(x) + contrast(x) cross(x), shade and contrast linear over the window. With F the
 normal distribution, d1 and d2 the distances from the two edges, b1 and b2 their blur,
 
     cross = 1 - 2 F((d1 - e) / b1) F((-d2 - e) / b2) - 2 F((-d1 - e) / b1) F((d2 - e) / b2)
 
 where e is by how much one colour has spread over the other: ink, or light where white saturates.
-One loop does one thing, for then the processor takes several pixels at once.
 
-The pixels that speak for a corner, compiled: half a square to every side, in the board's plane.
+Its pixels are those within half a square in the board's plane: each piece of an edge belongs to
+one corner, no two corners share a pixel, and their errors are independent. Perspective leaves
+edges straight; the lens bends them, by how much is taken from the whole view's map.
 
-So each piece of an edge speaks for one corner, no two corners share a pixel, and their errors are
-independent. Perspective leaves edges straight; only the lens bends them, by how much is taken
-from the whole view's map.
+A calibration evaluates it several times for each of thousands of corners: that is why it is
+compiled. One loop does one thing, for then the processor takes several pixels at once.
 """
 
 import math
@@ -28,9 +28,7 @@ HALF_WINDOW = 0.5  # squares
 MAX_EDGE_DISTANCE = 10.0  # px; beyond it from both edges a pixel says nothing on them
 MARKER_GUARD = 2.0  # px, blur that a ChArUco marker's bits may have
 CLEARANCE = 2  # px between what is not the corner's and what speaks for it
-CELLS_PER_SIDE = (
-    7  # a side of the window, for the scatter of scores; odd, so that edges lie within cells
-)
+CELLS_PER_SIDE = 7  # of the window, for the scatter of scores; odd: edges lie within cells
 # what is known of each pixel, in the order of rows: px from the expected centre; DN; its cell,
 # which is one with its mirror image about the corner
 COL_COLUMN, COL_ROW, COL_VALUE, COL_CELL = range(4)
@@ -39,6 +37,25 @@ N_COLUMNS = 4
 # px, unit of the linear terms
 EDGE_START_1, EDGE_START_2, EDGE_BEND_1, EDGE_BEND_2, EDGE_SCALE = range(5)
 N_EDGE_VALUES = 5
+PAR_X, PAR_Y, PAR_TURN_1, PAR_TURN_2, PAR_BLUR_1, PAR_BLUR_2, PAR_SPREAD = range(7)
+PAR_SHADE, PAR_SHADE_X, PAR_SHADE_Y, PAR_CONTRAST, PAR_TILT_X, PAR_TILT_Y = range(7, 13)
+N_PARAMETERS = 13
+ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives
+N_ROWS = N_PARAMETERS + 1
+MIN_BLUR = 0.7  # px: what is sharper shows no difference in pixels
+# What is known of each pixel: for each edge its place along and across it, px; the share of its
+# light from beyond the edge, drawn back by the spread, and from the other side, each with the
+# size of its slope, 1/px
+ROW_ALONG, ROW_DISTANCE, ROW_ABOVE, ROW_NEAR_ABOVE, ROW_BELOW, ROW_NEAR_BELOW = range(6)
+ROWS_PER_EDGE = 6
+# contrast, DN; d picture / d distances, DN/px
+ROW_COLOUR, ROW_BY_1, ROW_BY_2 = range(2 * ROWS_PER_EDGE, 2 * ROWS_PER_EDGE + 3)
+N_KNOWN_ROWS = 2 * ROWS_PER_EDGE + 3
+# of F's table; between its steps a series is off by 1e-15, F' by 1e-12
+TABLE_STEP, TABLE_END = 1 / 64, 8.5
+_N_STEPS = round(TABLE_END / TABLE_STEP)
+_NODES = np.arange(-_N_STEPS, _N_STEPS + 1) * TABLE_STEP
+STEP_TABLE = np.stack([ndtr(_NODES), np.exp(-_NODES * _NODES / 2) / np.sqrt(2 * np.pi)])
 
 
 @compiled
@@ -77,7 +94,13 @@ def window_pixels(
             )
             if inside and (white == 0.0 or distance <= margin or u * v * white < 0.0):
                 found[COL_COLUMN, count], found[COL_ROW, count] = column, row
-                found[COL_VALUE, count], found[COL_CELL, count] = grey[y, x], cell_of(u, v)
+                i = int((u / HALF_WINDOW + 1.0) * CELLS_PER_SIDE / 2.0)
+                j = int((v / HALF_WINDOW + 1.0) * CELLS_PER_SIDE / 2.0)
+                i = min(max(i, 0), CELLS_PER_SIDE - 1) * CELLS_PER_SIDE
+                cell = i + min(max(j, 0), CELLS_PER_SIDE - 1)
+                # one with its mirror image about the corner
+                cell = min(cell, CELLS_PER_SIDE * CELLS_PER_SIDE - 1 - cell)
+                found[COL_VALUE, count], found[COL_CELL, count] = grey[y, x], cell
                 count += 1
     return found[:, :count].copy()
 
@@ -87,14 +110,6 @@ def pixel_range(centre: float, slopes: Array, size: int) -> tuple[int, int]:
     """Columns (or rows) from the first to the one after the last that half a square may reach."""
     extent = HALF_WINDOW * (abs(slopes[0]) + abs(slopes[1]))
     return max(math.ceil(centre - extent), 0), min(math.floor(centre + extent) + 1, size)
-
-
-@compiled
-def cell_of(u: float, v: float) -> int:
-    """Which cell of the window a place (squares from the corner) or its mirror image is in."""
-    i = min(max(int((u / HALF_WINDOW + 1.0) * CELLS_PER_SIDE / 2.0), 0), CELLS_PER_SIDE - 1)
-    j = min(max(int((v / HALF_WINDOW + 1.0) * CELLS_PER_SIDE / 2.0), 0), CELLS_PER_SIDE - 1)
-    return min(i * CELLS_PER_SIDE + j, CELLS_PER_SIDE * CELLS_PER_SIDE - 1 - i * CELLS_PER_SIDE - j)
 
 
 @compiled
@@ -117,9 +132,11 @@ def fill_edges(jacobian: Array, bend: Array, edges: Array) -> None:
 @compiled
 def keep_clear(pixels: Array, stray: NDArray[np.bool_], own: NDArray[np.bool_]) -> int:
     """Fill in which pixels (p,) keep clear of stray ones, as far as blur reaches; say how many."""
-    left, top = pixels[COL_COLUMN].min(), pixels[COL_ROW].min()
-    width, height = pixels[COL_COLUMN].max() - left, pixels[COL_ROW].max() - top
-    side = 2 * CLEARANCE + 1
+    left, right, top, bottom = math.inf, -math.inf, math.inf, -math.inf
+    for k in range(pixels.shape[1]):
+        left, right = min(left, pixels[COL_COLUMN, k]), max(right, pixels[COL_COLUMN, k])
+        top, bottom = min(top, pixels[COL_ROW, k]), max(bottom, pixels[COL_ROW, k])
+    width, height, side = right - left, bottom - top, 2 * CLEARANCE + 1
     near = np.zeros((int(height + 0.5) + side, int(width + 0.5) + side), np.bool_)
     for k in range(pixels.shape[1]):
         if stray[k]:
@@ -135,7 +152,7 @@ def keep_clear(pixels: Array, stray: NDArray[np.bool_], own: NDArray[np.bool_]) 
 
 @compiled
 def select_pixels(pixels: Array, own: NDArray[np.bool_], count: int) -> Array:
-    """Some of the pixels, of which there are `count`."""
+    """Copy those of the pixels that are marked, `count` of them."""
     left, at = np.empty((N_COLUMNS, count)), 0
     for k in range(pixels.shape[1]):
         if own[k]:
@@ -143,44 +160,6 @@ def select_pixels(pixels: Array, own: NDArray[np.bool_], count: int) -> Array:
                 left[fact, at] = pixels[fact, k]
             at += 1
     return left
-
-
-(
-    PAR_X,
-    PAR_Y,
-    PAR_TURN_1,
-    PAR_TURN_2,
-    PAR_BLUR_1,
-    PAR_BLUR_2,
-    PAR_SPREAD,
-    PAR_SHADE,
-    PAR_SHADE_X,
-    PAR_SHADE_Y,
-) = range(10)
-PAR_CONTRAST, PAR_TILT_X, PAR_TILT_Y = range(10, 13)
-N_PARAMETERS = 13
-ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives
-N_ROWS = N_PARAMETERS + 1
-MIN_BLUR = 0.7  # px: sharper than a pixel shows is not seen
-# What is known of each pixel: for each edge its place along and across it, px; the share of its
-# light from beyond the edge, drawn back by the spread, and from the other side, each with the
-# size of its slope, 1/px
-ROW_ALONG, ROW_DISTANCE, ROW_ABOVE, ROW_NEAR_ABOVE, ROW_BELOW, ROW_NEAR_BELOW = range(6)
-ROWS_PER_EDGE = 6
-ROW_COLOUR, ROW_BY_1, ROW_BY_2 = range(
-    2 * ROWS_PER_EDGE, 2 * ROWS_PER_EDGE + 3
-)  # contrast, DN; d picture / d distances, DN/px
-N_KNOWN_ROWS = 2 * ROWS_PER_EDGE + 3
-TABLE_STEP, TABLE_END = (
-    1 / 64,
-    8.5,
-)  # of F's table; between its steps a series is off by 1e-15, F' by 1e-12
-TABLE_NODES = (
-    np.arange(-round(TABLE_END / TABLE_STEP), round(TABLE_END / TABLE_STEP) + 1) * TABLE_STEP
-)
-STEP_TABLE = np.stack(
-    [ndtr(TABLE_NODES), np.exp(-TABLE_NODES * TABLE_NODES / 2) / np.sqrt(2 * np.pi)]
-)
 
 
 @compiled
@@ -250,44 +229,28 @@ def predict_pixels(
     """Expect a corner's pixels.
 
     Args:
-        pixels: (4, p), see corner_kernel_window.py.
-        edges: (5,), likewise.
+        pixels: (4, p), of `window_pixels`.
+        edges: (5,), of `fill_edges`.
         p: (13,), the parameters.
         steps: the table of F.
         known: (15, p), filled.
         rows: (14, p), filled: derivatives by the parameters, and pixels less model, DN.
     """
+    spread = p[PAR_SPREAD]
     for which in range(2):
-        edge, width = (
-            known[which * ROWS_PER_EDGE : (which + 1) * ROWS_PER_EDGE],
-            math.exp(p[PAR_BLUR_1 + which]),
-        )
+        edge = known[which * ROWS_PER_EDGE : (which + 1) * ROWS_PER_EDGE]
+        width = math.exp(p[PAR_BLUR_1 + which])
         place_pixels(pixels, p, which, edges[EDGE_BEND_1 + which], edge)
-        blurred_step(
-            width,
-            p[PAR_SPREAD],
-            1.0,
-            steps,
-            edge[ROW_DISTANCE],
-            edge[ROW_ABOVE],
-            edge[ROW_NEAR_ABOVE],
-        )
-        blurred_step(
-            width,
-            p[PAR_SPREAD],
-            -1.0,
-            steps,
-            edge[ROW_DISTANCE],
-            edge[ROW_BELOW],
-            edge[ROW_NEAR_BELOW],
-        )
+        distance = edge[ROW_DISTANCE]
+        blurred_step(width, spread, 1.0, steps, distance, edge[ROW_ABOVE], edge[ROW_NEAR_ABOVE])
+        blurred_step(width, spread, -1.0, steps, distance, edge[ROW_BELOW], edge[ROW_NEAR_BELOW])
     one, two = known[:ROWS_PER_EDGE], known[ROWS_PER_EDGE : 2 * ROWS_PER_EDGE]
     fill_colour(pixels, p, 1.0 / edges[EDGE_SCALE], one, two, known[ROW_COLOUR], rows)
     derivative_by_distance(one, two, known[ROW_COLOUR], known[ROW_BY_1])
     derivative_by_distance(two, one, known[ROW_COLOUR], known[ROW_BY_2])
     derivative_by_place(p, edges, known, rows)
-    derivative_by_blur(p[PAR_SPREAD], one, two, known[ROW_COLOUR], rows[PAR_BLUR_1])
-    derivative_by_blur(p[PAR_SPREAD], two, one, known[ROW_COLOUR], rows[PAR_BLUR_2])
+    derivative_by_blur(spread, one, two, known[ROW_COLOUR], rows[PAR_BLUR_1])
+    derivative_by_blur(spread, two, one, known[ROW_COLOUR], rows[PAR_BLUR_2])
     derivative_by_spread(one, two, known[ROW_COLOUR], rows[PAR_SPREAD])
 
 
@@ -301,10 +264,8 @@ def fill_colour(
     count = pixels.shape[1]
     rows[PAR_SHADE] = 1.0
     for k in range(count):
-        rows[PAR_SHADE_X, k], rows[PAR_SHADE_Y, k] = (
-            pixels[COL_COLUMN, k] * per_px,
-            pixels[COL_ROW, k] * per_px,
-        )
+        rows[PAR_SHADE_X, k] = pixels[COL_COLUMN, k] * per_px
+        rows[PAR_SHADE_Y, k] = pixels[COL_ROW, k] * per_px
     for k in range(count):
         contrast[k] = middle + tilt_x * rows[PAR_SHADE_X, k] + tilt_y * rows[PAR_SHADE_Y, k]
     for k in range(count):
@@ -334,16 +295,11 @@ def derivative_by_distance(edge: Array, other: Array, contrast: Array, by: Array
 def derivative_by_place(p: Array, edges: Array, known: Array, rows: Array) -> None:
     """Fill in the derivatives by the crossing's place and by the edges' turns."""
     bend_1, bend_2 = edges[EDGE_BEND_1], edges[EDGE_BEND_2]
-    cos_1, sin_1, cos_2, sin_2 = (
-        math.cos(p[PAR_TURN_1]), math.sin(p[PAR_TURN_1]), math.cos(p[PAR_TURN_2]), math.sin(p[PAR_TURN_2])
-    )  # fmt: skip
+    cos_1, sin_1 = math.cos(p[PAR_TURN_1]), math.sin(p[PAR_TURN_1])
+    cos_2, sin_2 = math.cos(p[PAR_TURN_2]), math.sin(p[PAR_TURN_2])
     count = known.shape[1]
-    along_1, along_2, off_1, off_2 = (
-        ROW_ALONG,
-        ROWS_PER_EDGE + ROW_ALONG,
-        ROW_DISTANCE,
-        ROWS_PER_EDGE + ROW_DISTANCE,
-    )
+    along_1, along_2 = ROW_ALONG, ROWS_PER_EDGE + ROW_ALONG
+    off_1, off_2 = ROW_DISTANCE, ROWS_PER_EDGE + ROW_DISTANCE
     for k in range(count):
         rows[PAR_X, k] = -(cos_1 + bend_1 * sin_1 * known[along_1, k]) * known[ROW_BY_1, k]
     for k in range(count):

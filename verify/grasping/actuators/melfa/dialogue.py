@@ -2,7 +2,7 @@
 
 R3 answers bear no number. After a missing answer the next one to arrive could be the late one: so
 the line is closed and opened again. On a serial line late answers survive that, but they come in
-order: what arrives before OPEN's own answer, which looks like no other, is ignored.
+order: what arrives before OPEN's own answer, which is like no other, is ignored.
 """
 
 from collections.abc import Callable

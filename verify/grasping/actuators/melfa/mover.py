@@ -9,7 +9,6 @@ override.
 import time
 from collections.abc import Callable
 from functools import partial
-from types import TracebackType
 
 import numpy as np
 
@@ -70,12 +69,7 @@ class MelfaMover:
     def __enter__(self) -> "MelfaMover":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def take_controls(self) -> None:
@@ -140,7 +134,7 @@ class MelfaMover:
             )
         own = controls.limits_deg
         assert q_now is not None
-        assert own is not None  # both were asked for before the controls were taken
+        assert own is not None  # both were read before the controls were taken
         target_deg = np.rad2deg(self._angles.sign * (q - self._angles.offset))
         refusal = refusal_reason(self._limits, own, q_now, q, target_deg)
         if refusal:
@@ -155,5 +149,5 @@ class MelfaMover:
         reason = controls.reason
         if controls.state is MoverState.CONNECTING and not controls.line.link.connected:
             reason = controls.line.link.fault
-        said = f"{self._settings.port}: {reason}" if reason else ""
-        return MoverStatus(controls.state, said, read.q, read.t, age, read.speed)
+        text = f"{self._settings.port}: {reason}" if reason else ""
+        return MoverStatus(controls.state, text, read.q, read.t, age, read.speed)

@@ -98,8 +98,8 @@ def parse_limits(data: str, joints: int) -> Array | None:
 
 
 def _set_joints(angle_deg: Array, slot: int) -> MotionCommand:
-    words = ",".join(f"{angle:.3f}" for angle in angle_deg.tolist())
-    return MotionCommand("EXEC", f"{JOINT_VARIABLE}=({words})", slot)
+    angles = ",".join(f"{angle:.3f}" for angle in angle_deg.tolist())
+    return MotionCommand("EXEC", f"{JOINT_VARIABLE}=({angles})", slot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,9 @@ class MotionSettings:
     robot_type: str  # e.g. RV-3SD: another one is not moved
     line: SerialLine = DEFAULT_MELFA_LINE
     terminator: bytes = b"\r"
-    pause: float = 0.1  # s, from an answer to the next request: the maker's wish while it moves
+    pause: float = (
+        0.1  # s, from an answer to the next request: the maker asks for that while it moves
+    )
     timeout: float = 1.0  # s
     client: str = "verify"
     slot: int = 1  # whose EXEC is used; the maker's examples use 9
@@ -155,10 +157,10 @@ SLOT_ERRORS = frozenset({4160, 5100, 5640})
 
 def refusal_text(name: str, error: int) -> str:
     """Word a refusal."""
-    said = f"{name} was refused, error {error}: {ERROR_MEANINGS.get(error, 'not known')}"
+    text = f"{name} was refused, error {error}: {ERROR_MEANINGS.get(error, 'not known')}"
     if name == "EXEC" and error in SLOT_ERRORS:
-        return f"{said}; reset the program at the pendant, or choose another slot"
-    return said
+        return f"{text}; reset the program at the pendant, or choose another slot"
+    return text
 
 
 def alarm_text(state: RunState) -> str:

@@ -1,6 +1,12 @@
-"""Fitting many assignments, compiled: a pose and a shift of the right image to the spots of each.
+"""Fit a pose and a shift of the right image to the spots of many hypotheses; predict their images.
 
-What is fitted, and why, is told in hypotheses.py.
+With u the LEDs' images predicted at pose T and shift s, z their spots, V the spots' covariance,
+H a weight that keeps the pose and S the variance of the shift, each Gauss-Newton step minimises
+
+    chi² = sum (z - u(T, s))' V⁻¹ (z - u(T, s)) + dT' H dT + s' s / S
+
+It is the inner loop of `identify`: compiled, since for two images of a few spots each numpy takes
+longer to start its calls than to do the arithmetic.
 """
 
 import math
@@ -9,8 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.jit import compiled
-from verify.core.kernels.linear_algebra import compose, factor, invert, solve
+from verify.core.kernels.linear_algebra import compose, copy_to, factor, invert, solve
 from verify.core.records import Array
+
+# rotation (h, 3, 3), position (h, 3) m, shift (h, 2) px, spots (h, 2, n), -1 for none, inverse
+# variances (h, 6) by which a step keeps the pose, covariance (h, 8, 8), chi² (h,)
+HypothesisArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array, Array]
 
 N_FREE = 8  # pose and shift
 SMALL_ANGLE = 1e-4  # rad: below, series are exact to rounding
@@ -101,122 +111,79 @@ def whitener(spread: Array, play: float, root: Array) -> None:
 
 
 @compiled
-def move_by(step: Array, rotation: Array, position: Array, shift: Array) -> None:
-    """Move a pose and a shift by a step (8,)."""
-    before = rotation.copy()
-    compose(rotation_matrix(step[3:6]), before, rotation)
-    for i in range(3):
-        position[i] += step[i]
-    for i in range(2):
-        shift[i] += step[6 + i]
-
-
-@compiled
-def fit_one(
+def fit_all(
     cameras: tuple[Array, Array, Array],
-    seen: tuple[Array, Array],
+    spots: tuple[Array, Array],
     limits: tuple[float, float, float],
     leds: Array,
-    rotation: Array,
-    position: Array,
-    shift: Array,
-    spot: NDArray[np.int64],
-    hold: Array,
+    hypotheses: HypothesisArrays,
     steps: int,
-    covariance: Array,
-) -> float:
-    """Fit one hypothesis in place by Gauss-Newton.
+) -> None:
+    """Fit h hypotheses in place by Gauss-Newton, their spots held.
 
     Args:
         cameras: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px.
-        seen: spots (2, s, 2) px and their covariance (2, s, 2, 2) px².
+        spots: (2, s, 2) px and their covariance (2, s, 2, 2) px².
         limits: nearest depth (m), an LED's play times the focal length (m px), and the inverse
             variance of the shift.
         leds: (n, 3), m, flange frame.
-        rotation: (3, 3), changed.
-        position: (3,), m, changed.
-        shift: (2,), px, changed.
-        spot: (2, n), -1 for none.
-        hold: (6,), inverse variances: how firmly each step keeps the pose.
-        steps: of Gauss-Newton.
-        covariance: (8, 8), filled.
-
-    Returns:
-        chi², the shift's share included.
+        hypotheses: all but `spot` and `hold` are changed; chi² includes the shift's share.
+        steps: of Gauss-Newton; 0 computes covariance and chi² alone.
     """
     camera_R_rig, center, focal = cameras
-    pixels, spreads = seen
-    nearest, play, held = limits
-    count = len(leds)
-    roots = np.empty((2, count, 2, 2))
+    pixels, noise = spots
+    nearest, play, shift_weight = limits
+    rotations, positions, shifts, chosen, hold, covariance, chi2 = hypotheses
+    roots, before = np.empty((2, len(leds), 2, 2)), np.empty((3, 3))
     pixel, derivative, white = np.empty(2), np.zeros((2, N_FREE)), np.empty(N_FREE)
-    information, root, pull = (
-        np.empty((N_FREE, N_FREE)),
-        np.empty((N_FREE, N_FREE)),
-        np.empty(N_FREE),
-    )
-    chi2 = 0.0
-    for step in range(steps + 1):
-        information[:], pull[:], chi2 = 0.0, 0.0, 0.0
-        for side in range(2):
-            for led in range(count):
-                which = spot[side, led]
-                if which < 0:
-                    continue
-                depth = predict_image(
-                    leds[led], rotation, position, camera_R_rig[side], center[side],
-                    focal[side], nearest, pixel, derivative,
-                )  # fmt: skip
-                derivative[0, 6] = derivative[1, 7] = float(side)
-                if step == 0:
-                    allowance = (play / max(depth, nearest)) ** 2
-                    whitener(spreads[side, which], allowance, roots[side, led])
-                own = roots[side, led]
-                off_x = pixels[side, which, 0] - pixel[0] - side * shift[0]
-                off_y = pixels[side, which, 1] - pixel[1] - side * shift[1]
-                for axis in range(2):
-                    residual = own[axis, 0] * off_x + own[axis, 1] * off_y
-                    chi2 += residual * residual
-                    for a in range(N_FREE):
-                        white[a] = own[axis, 0] * derivative[0, a] + own[axis, 1] * derivative[1, a]
-                        pull[a] += white[a] * residual
-                        for b in range(a + 1):
-                            information[a, b] += white[a] * white[b]
-        for a in range(N_FREE):
-            information[a, a] += hold[a] if a < 6 else held
-            for b in range(a):
-                information[b, a] = information[a, b]
-        factor(information, 0.0, root)
-        if step < steps:
-            pull[6] -= held * shift[0]
-            pull[7] -= held * shift[1]
-            solve(root, pull)
-            move_by(pull, rotation, position, shift)
-    invert(root, covariance)
-    return float(chi2 + held * (shift[0] * shift[0] + shift[1] * shift[1]))
-
-
-@compiled
-def fit_all(
-    cameras: tuple[Array, Array, Array],
-    seen: tuple[Array, Array],
-    limits: tuple[float, float, float],
-    leds: Array,
-    rotation: Array,
-    position: Array,
-    shift: Array,
-    spot: NDArray[np.int64],
-    hold: Array,
-    steps: int,
-    covariance: Array,
-    chi2: Array,
-) -> None:
-    """Fit h hypotheses in place: as `fit_one`, a row a hypothesis from `rotation` on."""
+    information, root = np.empty((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE))
+    pull = np.empty(N_FREE)
     for h in range(len(chi2)):
-        chi2[h] = fit_one(
-            cameras, seen, limits, leds, rotation[h], position[h], shift[h], spot[h], hold[h],
-            steps, covariance[h],
-        )  # fmt: skip
+        rotation, position, shift = rotations[h], positions[h], shifts[h]
+        total = 0.0
+        for step in range(steps + 1):
+            information[:], pull[:], total = 0.0, 0.0, 0.0
+            for side in range(2):
+                for led in range(len(leds)):
+                    which = chosen[h, side, led]
+                    if which < 0:
+                        continue
+                    depth = predict_image(
+                        leds[led], rotation, position, camera_R_rig[side], center[side],
+                        focal[side], nearest, pixel, derivative,
+                    )  # fmt: skip
+                    derivative[0, 6] = derivative[1, 7] = float(side)
+                    own = roots[side, led]
+                    if step == 0:
+                        whitener(noise[side, which], (play / max(depth, nearest)) ** 2, own)
+                    off_x = pixels[side, which, 0] - pixel[0] - side * shift[0]
+                    off_y = pixels[side, which, 1] - pixel[1] - side * shift[1]
+                    for axis in range(2):
+                        x, y = own[axis, 0], own[axis, 1]
+                        residual = x * off_x + y * off_y
+                        total += residual * residual
+                        for a in range(N_FREE):
+                            white[a] = x * derivative[0, a] + y * derivative[1, a]
+                            pull[a] += white[a] * residual
+                            for b in range(a + 1):
+                                information[a, b] += white[a] * white[b]
+            for a in range(N_FREE):
+                information[a, a] += hold[h, a] if a < 6 else shift_weight
+                for b in range(a):
+                    information[b, a] = information[a, b]
+            factor(information, 0.0, root)
+            if step < steps:
+                pull[6] -= shift_weight * shift[0]
+                pull[7] -= shift_weight * shift[1]
+                solve(root, pull)
+                for i in range(3):
+                    copy_to(before[i], rotation[i])
+                    position[i] += pull[i]
+                compose(rotation_matrix(pull[3:6]), before, rotation)
+                shift[0] += pull[6]
+                shift[1] += pull[7]
+        invert(root, covariance[h])
+        chi2[h] = total + shift_weight * (shift[0] * shift[0] + shift[1] * shift[1])
 
 
 @compiled

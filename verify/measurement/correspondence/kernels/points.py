@@ -1,6 +1,11 @@
-"""Pairs of spots that may be one point, compiled: rays that nearly meet, and where.
+"""Pair spots of two images whose rays nearly meet, and say where they meet and how well.
 
-What is looked for, and why, is told in seeds.py.
+Rays a, b from the centres c1, c2 have the common normal n = a x b; their feet on it are at
+
+    c1 + a ((c2 - c1) x b) . n / n²  and  c2 + b ((c2 - c1) x a) . n / n²
+
+and the gap is the feet's distance. Where a search begins, each spot of one image is tried with
+each of the other: compiled, since each pair needs three dozen numbers and a test of its own.
 """
 
 import math
@@ -48,14 +53,6 @@ def insert_cost(cost: float, costs: Array, rows: Index, count: int) -> int:
 
 
 @compiled
-def line_of_sight(pixel: Array, focal: Array, camera_R_rig: Array, sight: Array) -> None:
-    """Fill in the line of sight (3,), of unit depth, rig axes, of an ideal pixel (2,)."""
-    x, y = pixel[0] / focal[0], pixel[1] / focal[1]
-    for i in range(3):
-        sight[i] = x * camera_R_rig[0, i] + y * camera_R_rig[1, i] + camera_R_rig[2, i]
-
-
-@compiled
 def ray_midpoint(center: Array, a: Array, b: Array, point: Array) -> float:
     """Fill in the point (3,) midway between rays a and b (3,) from two centres (2, 3).
 
@@ -85,28 +82,9 @@ def ray_midpoint(center: Array, a: Array, b: Array, point: Array) -> float:
 
 
 @compiled
-def max_depth_of(leds: Array, mean_focal: float) -> float:
-    """Depth (m) up to which a marker of LEDs (n, 3) is large enough in the image."""
-    size = 0.0
-    for a in range(len(leds)):
-        for b in range(a):
-            size = max(size, distance(leds[a], leds[b]))
-    return min(size * mean_focal / MIN_MARKER_PX, MAX_DEPTH) if len(leds) > 1 else MAX_DEPTH
-
-
-@compiled
-def colours_match(allowed: NDArray[np.bool_], left: int, right: int) -> bool:
-    """Say whether colour allows (2, n, s) two spots to be the same LED."""
-    some = False
-    for led in range(allowed.shape[1]):
-        some = some or (allowed[0, led, left] and allowed[1, led, right])
-    return some
-
-
-@compiled
 def pair_spots(
     cameras: tuple[Array, Array, Array],
-    seen: tuple[Array, Array],
+    spots: tuple[Array, Array],
     allowed: NDArray[np.bool_],
     leds: Array,
     mean_focal: float,
@@ -119,7 +97,7 @@ def pair_spots(
 
     Args:
         cameras: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px.
-        seen: spots (2, s, 2) px, NaN where there is none, and their covariance (2, s, 2, 2) px².
+        spots: (2, s, 2) px, NaN where there is none, and their covariance (2, s, 2, 2) px².
         allowed: (2, n, s), this spot may be that LED.
         leds: (n, 3), m, flange frame.
         mean_focal: px.
@@ -132,26 +110,36 @@ def pair_spots(
         How many there are, the best c at most.
     """
     camera_R_rig, center, focal = cameras
-    pixels, covariance = seen
-    most, count = pixels.shape[1], 0
-    reach = max_depth_of(leds, mean_focal)
-    sights = np.empty((2, most, 3))
+    pixels, covariance = spots
+    most, count, size = pixels.shape[1], 0, 0.0
+    for one in range(len(leds)):
+        for other in range(one):
+            size = max(size, distance(leds[one], leds[other]))
+    # further away the marker is too small in the image
+    farthest = min(size * mean_focal / MIN_MARKER_PX, MAX_DEPTH) if len(leds) > 1 else MAX_DEPTH
+    rays = np.empty((2, most, 3))  # of unit depth, rig axes
     for side in range(2):
+        turn = camera_R_rig[side]
         for k in range(most):
-            line_of_sight(pixels[side, k], focal[side], camera_R_rig[side], sights[side, k])
+            x, y = pixels[side, k, 0] / focal[side, 0], pixels[side, k, 1] / focal[side, 1]
+            for i in range(3):
+                rays[side, k, i] = x * turn[0, i] + y * turn[1, i] + turn[2, i]
     for left in range(most):
         for right in range(most):
             point, depth = where[left, right], 0.0
-            gap = ray_midpoint(center, sights[0, left], sights[1, right], point)
+            gap = ray_midpoint(center, rays[0, left], rays[1, right], point)
             for i in range(3):
                 depth += (point[i] - center[0, i]) * camera_R_rig[0, 2, i]
             a, b = covariance[0, left], covariance[1, right]
             noise = math.sqrt((a[0, 0] + a[1, 1]) / 2 + (b[0, 0] + b[1, 1]) / 2)
             mismatch = gap * mean_focal / depth
             # NaN, rays that do not meet, fails
-            if not (mismatch <= skew + MAX_DEVIATION * noise and depth < reach):
+            if not (mismatch <= skew + MAX_DEVIATION * noise and depth < farthest):
                 continue
-            if not colours_match(allowed, left, right):
+            same_colour = False
+            for led in range(len(leds)):
+                same_colour = same_colour or (allowed[0, led, left] and allowed[1, led, right])
+            if not same_colour:
                 continue
             place = insert_cost(mismatch / noise, costs, spot, count)
             if place >= 0:

@@ -1,6 +1,11 @@
-"""Where a search starts, compiled: points at the marker's distances, and poses to begin with.
+"""Sets of points that fit the marker's distances, and the poses that a search begins at.
 
-What is looked for, and why, is told in seeds.py and hypotheses.py.
+Nodes ("this point is that LED") a and b agree if their points are as far apart as their LEDs:
+
+    ||pa - pb| - |la - lb|| <= MAX_DEVIATION * sqrt(e' (Va + Vb) e + 2 play²),  e along pa - pb
+
+Three nodes, every two of which agree, give a pose. Compiled, since a marker of many LEDs has
+thousands of pairs and triples of nodes.
 """
 
 import math
@@ -12,9 +17,8 @@ from verify.core.kernels.linear_algebra import cross, distance, dot, scale_to_on
 from verify.core.records import Array
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index, insert_cost
 
-MIN_HEIGHT_RATIO = (
-    0.01  # height over longest side: less, and gathering about a line finds the third LED
-)
+# height over longest side: of a more slender triangle, gathering about a line finds the third LED
+MIN_HEIGHT_RATIO = 0.01
 
 
 @compiled
@@ -75,17 +79,6 @@ def join_nodes(
 
 
 @compiled
-def is_broad(a: Array, b: Array, c: Array) -> bool:
-    """Say whether a triangle has a height worth the name."""
-    side, other, across = np.empty(3), np.empty(3), np.empty(3)
-    for i in range(3):
-        side[i], other[i] = b[i] - a[i], c[i] - a[i]
-    cross(side, other, across)
-    longest = max(dot(side, side), dot(other, other))
-    return math.sqrt(dot(across, across)) > MIN_HEIGHT_RATIO * longest
-
-
-@compiled
 def list_triangles(
     deviation: Array, edges: Index, led: Index, leds: Array, costs: Array, triples: Index
 ) -> int:
@@ -100,12 +93,18 @@ def list_triangles(
         triples: (t, 3), filled, slender triangles left out.
     """
     count = 0
+    side, other, across = np.empty(3), np.empty(3), np.empty(3)
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
         for c in range(b + 1, len(deviation)):
             if not (deviation[a, c] <= MAX_DEVIATION and deviation[b, c] <= MAX_DEVIATION):
                 continue
-            if not is_broad(leds[led[a]], leds[led[b]], leds[led[c]]):
+            for i in range(3):
+                side[i] = leds[led[b], i] - leds[led[a], i]
+                other[i] = leds[led[c], i] - leds[led[a], i]
+            cross(side, other, across)
+            longest = max(dot(side, side), dot(other, other))
+            if not math.sqrt(dot(across, across)) > MIN_HEIGHT_RATIO * longest:
                 continue
             cost = deviation[a, c] ** 2 + deviation[a, b] ** 2 + deviation[b, c] ** 2
             place = insert_cost(cost, costs, triples, count)
@@ -150,7 +149,7 @@ def begin_poses(
     spots, rig = points
     point, led = graph
     corners = nodes.shape[1]
-    there, here = np.empty((3, 3)), np.empty((3, 3))
+    rig_axes, led_axes = np.empty((3, 3)), np.empty((3, 3))
     where, which = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
     spot[:] = -1
     for h in range(len(nodes)):
@@ -158,13 +157,13 @@ def begin_poses(
             where[k], which[k] = point[nodes[h, k]], led[nodes[h, k]]
             spot[h, 0, which[k]], spot[h, 1, which[k]] = spots[where[k], 0], spots[where[k], 1]
         if corners == 3:
-            triangle_axes(rig[where[0]], rig[where[1]], rig[where[2]], there)
-            triangle_axes(leds[which[0]], leds[which[1]], leds[which[2]], here)
+            triangle_axes(rig[where[0]], rig[where[1]], rig[where[2]], rig_axes)
+            triangle_axes(leds[which[0]], leds[which[1]], leds[which[2]], led_axes)
             for i in range(3):
                 for j in range(3):
                     rotation[h, i, j] = 0.0
                     for k in range(3):
-                        rotation[h, i, j] += there[k, i] * here[k, j]
+                        rotation[h, i, j] += rig_axes[k, i] * led_axes[k, j]
         for i in range(3):
             position[h, i] = 0.0
             for k in range(corners):

@@ -1,7 +1,12 @@
-"""Costs and counts of the spots that assignments explain, compiled.
+"""Give each LED of a hypothesis the spot that it explains; count spots, measure departures.
 
-hypotheses.py has the model. In numpy, `gather_all` alone takes several times as long as the whole
-correspondence of a pair (`make bench`, detection and chain).
+With u an LED's predicted image, J its derivative by pose and shift, C their covariance, V that of
+spot z, the spot costs
+
+    (z - u)' (V + J C J' + play²)⁻¹ (z - u) + what it costs that z is merged with another
+
+beyond the gate it is none of the LED's. It is done for each hypothesis, LED and spot, several
+times a pair: in numpy this alone takes several times as long as the whole correspondence.
 """
 
 import math
@@ -15,58 +20,6 @@ from verify.core.records import Array
 
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-
-
-@compiled
-def spread_of(derivative: Array, covariance: Array) -> tuple[float, float, float]:
-    """Covariance xx, xy, yy (px²) of an image (2, 8) under that of its pose and shift (8, 8)."""
-    xx, xy, yy = 0.0, 0.0, 0.0
-    for i in range(derivative.shape[1]):
-        x, y = 0.0, 0.0
-        for j in range(derivative.shape[1]):
-            x += derivative[0, j] * covariance[j, i]
-            y += derivative[1, j] * covariance[j, i]
-        xx += x * derivative[0, i]
-        xy += x * derivative[1, i]
-        yy += y * derivative[1, i]
-    return xx, xy, yy
-
-
-@compiled
-def weigh_spots(
-    seen: tuple[Array, Array, Flags],
-    limits: tuple[float, float, float, float, float],
-    image: Array,
-    derivative: Array,
-    depth: float,
-    covariance: Array,
-    cost: Array,
-) -> None:
-    """Fill in what it costs to take each spot for an LED, inf for those outside its gate.
-
-    Args:
-        seen: spots (s, 2) px, their covariance (s, 2, 2) px², and which are merged (s,).
-        limits: those of `gather_all`.
-        image: (2,), px, predicted.
-        derivative: (2, 8), by pose and shift.
-        depth: m.
-        covariance: (8, 8), of pose and shift.
-        cost: (s,): those that may be the LED on entry finite; filled.
-    """
-    pixels, spread, merged = seen
-    nearest, play, gate, largest, merged_cost = limits
-    xx, xy, yy = spread_of(derivative, covariance)
-    known = xx + yy <= 2 * largest * largest and depth > nearest
-    allowance = (play / max(depth, nearest)) ** 2
-    for k in range(len(pixels)):
-        x, y = pixels[k, 0] - image[0], pixels[k, 1] - image[1]
-        a, d = spread[k, 0, 0] + (xx + allowance), spread[k, 1, 1] + (yy + allowance)
-        b = spread[k, 0, 1] + xy
-        squared = (d * x * x - 2 * b * x * y + a * y * y) / (a * d - b * b)
-        if known and squared <= gate * gate:
-            cost[k] += squared + merged_cost * merged[k]
-        else:
-            cost[k] = math.inf
 
 
 @compiled
@@ -89,7 +42,7 @@ def choose_spots(cost: Array, spot: Index) -> None:
 
 @compiled
 def gather_all(
-    seen: tuple[Array, Array, Flags],
+    spots: tuple[Array, Array, Flags],
     allowed: Flags,
     limits: tuple[float, float, float, float, float],
     predicted: tuple[Array, Array, Array],
@@ -99,7 +52,7 @@ def gather_all(
     """Fill in the spot (h, 2, n) that each LED gets in each image, -1 for none.
 
     Args:
-        seen: spots (2, s, 2) px, their covariance (2, s, 2, 2) px², and which are merged (2, s).
+        spots: (2, s, 2) px, their covariance (2, s, 2, 2) px², and which are merged (2, s).
         allowed: (2, n, s), this spot may be that LED.
         limits: nearest depth (m), an LED's play times the focal length (m px), the gate in
             standard deviations, the largest uncertainty (px) of an LED worth looking for, and
@@ -108,19 +61,34 @@ def gather_all(
         covariance: (h, 8, 8), of pose and shift.
         spot: filled.
     """
-    pixels, spread, merged = seen
-    image, derivative, depth = predicted
+    pixels, noise, merged = spots
+    nearest, play, gate, largest, merged_cost = limits
     cost = np.empty((allowed.shape[1], allowed.shape[2]))
     for h in range(len(spot)):
         for side in range(2):
-            own = pixels[side], spread[side], merged[side]
             for led in range(len(cost)):
+                image, slope = predicted[0][h, side, led], predicted[1][h, side, led]
+                depth = predicted[2][h, side, led]
+                xx, xy, yy = 0.0, 0.0, 0.0  # variance of the predicted image, px²
+                for i in range(slope.shape[1]):
+                    x, y = 0.0, 0.0
+                    for j in range(slope.shape[1]):
+                        x += slope[0, j] * covariance[h, j, i]
+                        y += slope[1, j] * covariance[h, j, i]
+                    xx += x * slope[0, i]
+                    xy += x * slope[1, i]
+                    yy += y * slope[1, i]
+                placed = xx + yy <= 2 * largest * largest and depth > nearest
+                play2 = (play / max(depth, nearest)) ** 2
                 for k in range(cost.shape[1]):
-                    cost[led, k] = 0.0 if allowed[side, led, k] else math.inf
-                weigh_spots(
-                    own, limits, image[h, side, led], derivative[h, side, led],
-                    depth[h, side, led], covariance[h], cost[led],
-                )  # fmt: skip
+                    cost[led, k] = math.inf
+                    x, y = pixels[side, k, 0] - image[0], pixels[side, k, 1] - image[1]
+                    a = noise[side, k, 0, 0] + (xx + play2)
+                    b = noise[side, k, 0, 1] + xy
+                    d = noise[side, k, 1, 1] + (yy + play2)
+                    squared = (d * x * x - 2 * b * x * y + a * y * y) / (a * d - b * b)
+                    if allowed[side, led, k] and placed and squared <= gate * gate:
+                        cost[led, k] = squared + merged_cost * merged[side, k]
             choose_spots(cost, spot[h, side])
 
 
@@ -128,7 +96,7 @@ def gather_all(
 def count_all(spot: Index, counts: Index) -> None:
     """Count for assignments (h, 2, n), -1 for no spot; counts (3, h) are filled.
 
-    They are the spots in use, the LEDs seen by a camera, and those seen by both.
+    They are the spots in use, the LEDs with a spot in an image, and those with one in both.
     """
     counts[:] = 0
     for h in range(len(spot)):
@@ -162,11 +130,11 @@ def departures_of_all(
     along, about, coarse = scales
     moves, mean, middle = np.empty((len(leds), 3)), np.empty(3), np.empty(3)
     for h in range(len(off)):
-        seen = 0
+        count = 0
         for led in range(len(leds)):
-            seen += max(spot[h, 0, led], spot[h, 1, led]) >= 0
+            count += max(spot[h, 0, led], spot[h, 1, led]) >= 0
         mean[:], middle[:] = 0.0, 0.0
-        share = 1.0 / max(seen, 1)
+        share = 1.0 / max(count, 1)
         for led in range(len(leds)):
             weight = share if max(spot[h, 0, led], spot[h, 1, led]) >= 0 else 0.0
             for i in range(3):

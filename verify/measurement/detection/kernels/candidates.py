@@ -1,8 +1,9 @@
-"""Bright things of a picture, looked for from the highest level down, compiled.
+"""Find compact bright blobs of a picture, from the highest level of contrast down.
 
-What is brighter than its surroundings, compiled: three steps a pixel, whatever the window.
-
-OpenCV's top hat takes as many as its window is wide. The same values.
+The contrast is the top hat: the image less its opening by a square, which is the greatest of the
+least values about each pixel. Levels are searched from the brightest down, so that a bright blob
+does not hide a faint neighbour. Small windows about predicted LEDs are searched for every image
+of every pair: OpenCV's top hat takes as many steps a pixel as its square is wide, this one three.
 """
 
 import numpy as np
@@ -11,6 +12,10 @@ from numpy.typing import NDArray
 from verify.core.jit import compiled
 from verify.core.records import Array, Image
 from verify.measurement.detection.kernels.patches import measure_half_height
+
+MIN_WINDOW_SIDE = 3  # px, side of a window: smaller ones show no blob
+BOX_MARGIN = 2  # px about a thing's box: its half height may lie below the level
+Labels = NDArray[np.int32]
 
 
 @compiled
@@ -25,15 +30,20 @@ def top_hat(image: Image, reach: int, contrast: Image) -> None:
     height, width = image.shape
     low, turned = np.empty((height, width), np.uint8), np.empty((width, height), np.uint8)
     column_minima(image, reach, low)
-    if is_uniform(low):  # as where there is nothing but black between the LEDs
-        level = low[0, 0]
+    level, uneven = low[0, 0], np.uint8(0)
+    for y in range(height):
+        for x in range(width):
+            uneven |= low[y, x] ^ level
+    if uneven == 0:  # as where there is nothing but black between the LEDs
         for y in range(height):
             for x in range(width):
                 contrast[y, x] = image[y, x] - level
         return
     transpose(low, turned)
     column_minima(turned, reach, turned)
-    invert_image(turned)  # the greatest of the least: the least of the complement
+    for x in range(width):  # the greatest of the least: the least of the complement
+        for y in range(height):
+            turned[x, y] = 255 - turned[x, y]
     column_minima(turned, reach, turned)
     transpose(turned, low)
     column_minima(low, reach, low)
@@ -43,29 +53,11 @@ def top_hat(image: Image, reach: int, contrast: Image) -> None:
 
 
 @compiled
-def is_uniform(image: Image) -> bool:
-    """Whether all pixels are alike."""
-    level, uneven = image[0, 0], np.uint8(0)
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            uneven |= image[y, x] ^ level
-    return bool(uneven == 0)
-
-
-@compiled
 def transpose(image: Image, turned: Image) -> None:
     """Make rows of columns."""
     for x in range(image.shape[1]):
         for y in range(image.shape[0]):
             turned[x, y] = image[y, x]
-
-
-@compiled
-def invert_image(image: Image) -> None:
-    """Make dark bright."""
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            image[y, x] = 255 - image[y, x]
 
 
 @compiled
@@ -105,11 +97,6 @@ def column_minima(image: Image, reach: int, least: Image) -> None:
                 least[y, x] = min(so_far[after, x], to_come[before, x])
 
 
-MIN_WINDOW_SIDE = 3  # px, side of a window: smaller ones show no blob
-BOX_MARGIN = 2  # px about a thing's box: its half height may lie below the level
-Labels = NDArray[np.int32]
-
-
 @compiled
 def find_blobs(
     image: Image,
@@ -125,8 +112,8 @@ def find_blobs(
         image: (h, w).
         windows: (n, 4), x0, y0, x1, y1, upper bounds exclusive.
         reach: px: what has brightness at that distance all around is background.
-        levels: as for `compact_blobs`, and so is shape.
-        shape: see there.
+        levels: as for `compact_blobs`.
+        shape: likewise.
         found: (m, 4), filled from the begin with as many as it holds, px of the picture.
 
     Returns:
@@ -168,7 +155,11 @@ def compact_blobs(
     stack = np.empty((contrast.size, 2), np.int32)
     seeds = np.empty((len(found), 2), np.int32)  # a pixel of each thing that a blob was found in
     highest = np.empty(len(contrast), np.uint8)
-    row_peaks(contrast, highest)
+    for y in range(contrast.shape[0]):
+        peak = np.uint8(0)
+        for x in range(contrast.shape[1]):
+            peak = max(peak, contrast[y, x])
+        highest[y] = peak
     number, count = 0, 0
     for level in levels:
         before = number
@@ -182,7 +173,10 @@ def compact_blobs(
                 left, top, right, bottom = flood_fill(contrast, level, y, x, label, number, stack)
                 if max(right - left, bottom - top) >= shape[0]:
                     continue
-                if count == len(found) or contains_seed(label, number, seeds[:count]):
+                known = count == len(found)  # or this is the foot of a blob of a higher level
+                for k in range(count):
+                    known = known or label[seeds[k, 0], seeds[k, 1]] == number
+                if known:
                     continue
                 x0, y0 = max(left - BOX_MARGIN, 0), max(top - BOX_MARGIN, 0)
                 part = contrast[y0 : bottom + BOX_MARGIN + 1, x0 : right + BOX_MARGIN + 1]
@@ -192,25 +186,6 @@ def compact_blobs(
                     seeds[count, 0], seeds[count, 1] = y, x
                     count += 1
     return count
-
-
-@compiled
-def row_peaks(contrast: Image, highest: NDArray[np.uint8]) -> None:
-    """Fill in the highest of each row (h, w)."""
-    for y in range(contrast.shape[0]):
-        peak = np.uint8(0)
-        for x in range(contrast.shape[1]):
-            peak = max(peak, contrast[y, x])
-        highest[y] = peak
-
-
-@compiled
-def contains_seed(label: Labels, number: int, seeds: NDArray[np.int32]) -> bool:
-    """Whether a blob was found in this thing already, at a higher level: then this is its foot."""
-    held = False
-    for k in range(len(seeds)):
-        held = held or label[seeds[k, 0], seeds[k, 1]] == number
-    return held
 
 
 @compiled

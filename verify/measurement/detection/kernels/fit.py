@@ -1,6 +1,12 @@
-"""The fit's inner loop, compiled: the way down to a patch's spot.
+"""Fit spots to patches of pixels; guess where each fit starts.
 
-What a patch's pixels lead one to expect of its spot before it is fitted, compiled.
+With r a patch's residuals and D their derivatives by the parameters p, both over the pixels'
+sigmas (`weigh_pixels`), and W the inverse variances of a prior m, each step solves
+
+    (D' D + W + damping) dp = D' r + W (m - p)
+
+Each image of each pair has several patches of hundreds of pixels, weighed several times: it is
+most of what a pair costs, and in numpy a pair's detection takes several times as long.
 """
 
 import math
@@ -41,6 +47,14 @@ MIN_INFORMATION = 1e-9  # information in every direction: of a patch none of who
 CORE_RADIUS = 1.5  # half-widths: the spot's own pixels, by which its fit is judged
 MIN_CORE_RADIUS = 3.0  # px, likewise for the smallest: 28 pixels against 8 parameters
 MIN_NOISE_SHARE = 0.9  # share of a pixel's noise that clipping must leave for its residual to count
+NEAR_LIMIT = 3.0  # DN below the limit: a top so near it is cut off, and higher than it seems
+PEAK_FACTOR_CLIPPED, PEAK_FACTOR = 1.3, 1.05  # peak over the core's mean: cut off, and whole
+MAX_SLOPE = 30.0  # DN about the floor: a neighbour is no slope
+MIN_LOG_STEEPNESS, MAX_LOG_STEEPNESS = 0.3, 2.5  # logarithms: no guess of a steepness is beyond
+BLUR_BIAS = 0.1  # likewise: by which counted pixels look steeper than the spot
+HALO_DN = 0.7  # DN, of a spot's light in the pixels that its floor is guessed from
+MAX_BLACK_SHARE = 0.98  # of pixels: with more, a floor below black cannot be guessed
+LOGISTIC_SCALE = 1.702  # scale on which a logistic law is a normal one, to 0.01 (Camilli, 1994)
 
 
 @compiled_sums
@@ -144,84 +158,6 @@ def chi_squared(p: Array, pixels: Array, known: Array, variance: Array, prior: A
 
 
 @compiled
-def fit_patch(
-    p: Array,
-    pixels: Array,
-    scale: float,
-    noise: Array,
-    table: Array,
-    prior: Array,
-    steps: int,
-    settled: float,
-    known: Array,
-    rows: Array,
-    information: Array,
-    gradient: Array,
-) -> float:
-    """Fit one patch by Gauss-Newton with Levenberg's damping until it settles.
-
-    Args:
-        p: (10,), to begin with; the best met, afterwards.
-        pixels: as for `weigh_pixels`, and so are scale, noise and table.
-        scale: px.
-        noise: of this patch.
-        table: of the profiles.
-        prior: as for `normal_equations`.
-        steps: at most; 0 looks how the pixels stand at p.
-        settled: of chi² that a step may still gain. It is taken, and nothing is looked at anew.
-        known: filled as by `weigh_pixels`, where the last step but that one ended, the means alone where
-            that one does.
-        rows: whitened derivatives and residual, where the last step but that one ended.
-        information: (10, 10), filled.
-        gradient: (10,), filled.
-
-    Returns:
-        chi².
-    """
-    size = pixels.shape[1]
-    tried_information, tried_gradient = np.empty_like(information), np.empty_like(gradient)
-    root, step = np.empty_like(information), np.empty_like(gradient)
-    out = weigh_pixels(p, pixels, scale, noise, table, known, rows)
-    chi2 = normal_equations(p, rows, out, prior, information, gradient)
-    variance, stands = known[ROW_VARIANCE].copy(), chi2
-    damping, refused = FIRST_DAMPING, False
-    for _ in range(steps):
-        damped = information.copy()
-        for a in range(N_PARAMETERS):
-            damped[a, a] = damped[a, a] * (1.0 + damping) + MIN_INFORMATION
-        factor(damped, 0.0, root)
-        copy_to(step, gradient)
-        solve(root, step)
-        shortened = limit_step(step, p)
-        gained = float(step @ gradient)  # what the step takes from chi²
-        if gained <= settled * (1.0 + chi2 / size) and not shortened:
-            p += step
-            chi2 -= gained
-            update_means(step, rows, known)
-            break
-        tried = p + step
-        out = weigh_pixels(tried, pixels, scale, noise, table, known, rows)
-        trial = normal_equations(tried, rows, out, prior, tried_information, tried_gradient)
-        # The weights move with the model, and chi² with them: a step is judged by those that it
-        # was found with.
-        refused = not chi_squared(tried, pixels, known, variance, prior) <= 1.1 * stands + 1.0
-        if refused:
-            damping *= 30.0
-            continue
-        copy_to(p, tried)
-        chi2, damping = trial, damping / 10.0
-        for a in range(N_PARAMETERS):
-            copy_to(information[a], tried_information[a])
-        copy_to(gradient, tried_gradient)
-        copy_to(variance, known[ROW_VARIANCE])
-        stands = chi2
-    if refused:
-        weigh_pixels(p, pixels, scale, noise, table, known, rows)
-    mark_core(p, pixels, known)
-    return float(chi2)
-
-
-@compiled
 def fit_patches(
     p: Array,
     pixels: Array,
@@ -233,29 +169,69 @@ def fit_patches(
     limits: tuple[int, float],
     state: tuple[Array, Array, Array, Array, Array],
 ) -> None:
-    """Fit n patches, a row a patch: see `fit_patch`.
+    """Fit n patches by Gauss-Newton with Levenberg's damping, each until it settles.
 
     Args:
-        p: (n, 10).
-        pixels: (n, 4, p).
-        scale: (n,).
+        p: (n, 10), to begin with; the best found, afterwards.
+        pixels: (n, 4, p), as for `weigh_pixels`.
+        scale: (n,), px.
         shares: (n,) and (n,), by which patches' read variance and gain are those of one channel.
         noise: read variance, gain and black of one channel.
         table: of the profiles.
         prior: (n, 10) and (n, 10), mean and inverse variance.
-        limits: steps and settled.
-        state: known, rows, information, gradient and chi², filled.
+        limits: steps at most, 0 weighs the pixels at p; of chi² that a step may still gain: it is
+            taken, and the pixels are not weighed again.
+        state: filled: `known` and `rows` as by `weigh_pixels`, where the last step but such a one
+            ended, the means alone where that one does; information (n, 10, 10), gradient (n, 10)
+            and chi² (n,).
     """
-    known, rows, information, gradient, chi2 = state
+    tried_information = np.empty((N_PARAMETERS, N_PARAMETERS))
+    root, tried_gradient = np.empty_like(tried_information), np.empty(N_PARAMETERS)
+    step = np.empty(N_PARAMETERS)
     own, held = np.empty(3), np.empty((2, N_PARAMETERS))
     for n in range(len(p)):
+        best, patch, known, rows = p[n], pixels[n], state[0][n], state[1][n]
+        information, gradient = state[2][n], state[3][n]
         own[0], own[1], own[2] = shares[0][n] * noise[0], shares[1][n] * noise[1], noise[2]
         copy_to(held[0], prior[0][n])
         copy_to(held[1], prior[1][n])
-        chi2[n] = fit_patch(
-            p[n], pixels[n], scale[n], own, table, held, limits[0], limits[1], known[n], rows[n],
-            information[n], gradient[n],
-        )  # fmt: skip
+        out = weigh_pixels(best, patch, scale[n], own, table, known, rows)
+        chi2 = normal_equations(best, rows, out, held, information, gradient)
+        variance, accepted = known[ROW_VARIANCE].copy(), chi2
+        damping, refused = FIRST_DAMPING, False
+        for _ in range(limits[0]):
+            damped = information.copy()
+            for a in range(N_PARAMETERS):
+                damped[a, a] = damped[a, a] * (1.0 + damping) + MIN_INFORMATION
+            factor(damped, 0.0, root)
+            copy_to(step, gradient)
+            solve(root, step)
+            shortened = limit_step(step, best)
+            gained = float(step @ gradient)  # what the step takes from chi²
+            if gained <= limits[1] * (1.0 + chi2 / pixels.shape[2]) and not shortened:
+                best += step
+                chi2 -= gained
+                update_means(step, rows, known)
+                break
+            tried = best + step
+            out = weigh_pixels(tried, patch, scale[n], own, table, known, rows)
+            trial = normal_equations(tried, rows, out, held, tried_information, tried_gradient)
+            # The weights move with the model, and chi² with them: a step is judged by those that
+            # it was found with.
+            refused = not chi_squared(tried, patch, known, variance, held) <= 1.1 * accepted + 1.0
+            if refused:
+                damping *= 30.0
+                continue
+            copy_to(best, tried)
+            chi2, accepted, damping = trial, trial, damping / 10.0
+            for a in range(N_PARAMETERS):
+                copy_to(information[a], tried_information[a])
+            copy_to(gradient, tried_gradient)
+            copy_to(variance, known[ROW_VARIANCE])
+        if refused:
+            weigh_pixels(best, patch, scale[n], own, table, known, rows)
+        mark_core(best, patch, known)
+        state[4][n] = chi2
 
 
 @compiled
@@ -265,33 +241,18 @@ def core_counts(pixels: Array, known: Array) -> Array:
     Pixels that clipping leaves alone; their squared residuals over the variance, summed; the
     same in DN²; and how many of all are at the sensor's limit.
     """
-    told = np.zeros((len(pixels), 4))
+    counts = np.zeros((len(pixels), 4))
     for n in range(len(pixels)):
         for k in range(pixels.shape[2]):
             if known[n, ROW_CORE, k] == 0.0:
                 continue
-            told[n, 3] += pixels[n, 0, k] >= SENSOR_LIMIT
+            counts[n, 3] += pixels[n, 0, k] >= SENSOR_LIMIT
             if known[n, ROW_VISIBLE, k] > MIN_NOISE_SHARE:
                 square = (pixels[n, 0, k] - known[n, ROW_MEAN, k]) ** 2
-                told[n, 0] += 1.0
-                told[n, 1] += square / known[n, ROW_VARIANCE, k]
-                told[n, 2] += square
-    return told
-
-
-NEAR_LIMIT = 3.0  # DN below the limit: a top so near it is cut off, and higher than it seems
-PEAK_FACTOR_CLIPPED, PEAK_FACTOR = (
-    1.3,
-    1.05,
-)  # peak over what the core shows: of a cut-off top, and of another
-MAX_SLOPE = 30.0  # DN about the floor: a neighbour is no slope
-MIN_LOG_STEEPNESS, MAX_LOG_STEEPNESS = 0.3, 2.5  # logarithms: no guess of a steepness is beyond
-BLUR_BIAS = 0.1  # likewise: by which counted pixels look steeper than the spot
-HALO_DN = 0.7  # DN, of a spot's light in the pixels that its floor is guessed from
-MAX_BLACK_SHARE = (
-    0.98  # share of pixels: with more, how far below black the floor is cannot be guessed
-)
-LOGISTIC_SCALE = 1.702  # scale on which a logistic law is a normal one, to 0.01 (Camilli, 1994)
+                counts[n, 0] += 1.0
+                counts[n, 1] += square / known[n, ROW_VARIANCE, k]
+                counts[n, 2] += square
+    return counts
 
 
 @compiled
@@ -304,7 +265,7 @@ def fill_priors(
     start: Array,
     full: NDArray[np.bool_],
 ) -> None:
-    """Say what is expected of peak, floor and slopes, and where the fit may start.
+    """Fill in what is expected of peak, floor and slopes, and where the fit may start.
 
     Args:
         pixels: (n, 4, p): value, 1 where valid, column, row.

@@ -1,4 +1,14 @@
-"""The search for a bite out of a spot's rim, compiled: the arithmetic of bite.py, spot by spot."""
+"""Score a partial occlusion of each spot's rim in each direction, and average over them.
+
+A bite of depth b in direction s lowers pixel k by b v_k(s). With D the derivatives by the spot's
+parameters and r the residual, all over the pixels' sigmas, the parameters eliminated,
+
+    information = v'v - v'D (D'D)⁻¹ D'v,  gradient = v'r - r'D (D'D)⁻¹ D'v
+
+of the log-likelihood in b; its posterior, with a half-normal prior on b, is a clipped normal law.
+Each spot of every image is asked for a bite in dozens of directions: in numpy each function here
+takes several times as long.
+"""
 
 import math
 
@@ -27,17 +37,6 @@ from verify.measurement.detection.kernels.quality import COL_MERGED, COL_MISFIT,
 
 MIN_Z = -30.0  # standard deviations: below, the complementary error function ends
 MIN_RADIUS = 1e-9  # half-widths: nearer the very centre no bite changes anything
-
-
-@compiled
-def list_near_pixels(known: Array, reach: float, near: NDArray[np.int64]) -> int:
-    """List the pixels within so many half-widths; gives how many they are."""
-    count = 0
-    for k in range(known.shape[1]):
-        if known[ROW_RADIUS2, k] < reach * reach:
-            near[count] = k
-            count += 1
-    return count
 
 
 @compiled
@@ -118,7 +117,7 @@ def cross_products(
 @compiled
 def score_all(
     numbers: NDArray[np.int64],
-    told: Array,
+    judged: Array,
     parameters: Array,
     information: Array,
     gradient: Array,
@@ -132,15 +131,15 @@ def score_all(
 
     Args:
         numbers: (m,), of the fits asked; others belong to no fit here.
-        told: (m, 14), what is told of them: saturated and merged ones know nothing.
+        judged: (m, 14), of `assess_all`: saturated and merged ones say nothing of bites.
         parameters: (n, 10).
         information: (n, 10, 10).
         gradient: (n, 10).
         known: (n, 10, p).
         whitened: (n, 11, p).
         sides: (d, 2), unit vectors.
-        limits: RIM, WIDTH, TOLD of bite.py.
-        score: (m, d), (m, d), (m, d, 2): gradient, information and pull; filled where told.
+        limits: reach, half-widths; a bite's width, rad; least share of its information left.
+        score: (m, d), (m, d), (m, d, 2): gradient, information, pull; filled where enough is left.
     """
     reach, width, least = limits
     directions = len(sides)
@@ -150,9 +149,14 @@ def score_all(
     left, slope = np.empty(directions), np.empty(directions)
     for m in range(len(numbers)):
         n = numbers[m]
-        if not 0 <= n < len(parameters) or told[m, COL_SATURATED] + told[m, COL_MERGED] > 0.0:
+        if not 0 <= n < len(parameters) or judged[m, COL_SATURATED] + judged[m, COL_MERGED] > 0.0:
             continue
-        near = found[: list_near_pixels(known[n], reach, found)]
+        count = 0
+        for k in range(known.shape[2]):
+            if known[n, ROW_RADIUS2, k] < reach * reach:
+                found[count] = k
+                count += 1
+        near = found[:count]
         sunk = np.empty((directions, len(near)))
         occlusion_change(parameters[n, PAR_PEAK], known[n], near, sides, width, sunk)
         cross_products(whitened[n], near, sunk, cross, whole)
@@ -162,14 +166,12 @@ def score_all(
                 follow[a, b] = cross[a, b]
         solve_each(root, follow)
         eliminate_parameters(cross, whole, follow, gradient[n], left, slope)
-        worth = max(told[m, COL_MISFIT], 1.0)
+        worth = max(judged[m, COL_MISFIT], 1.0)
         for side in range(directions):
             if left[side] > least * whole[side]:
                 score[0][m, side], score[1][m, side] = slope[side] / worth, left[side] / worth
-                score[2][m, side, 0], score[2][m, side, 1] = (
-                    -follow[PAR_X, side],
-                    -follow[PAR_Y, side],
-                )
+                score[2][m, side, 0] = -follow[PAR_X, side]
+                score[2][m, side, 1] = -follow[PAR_Y, side]
 
 
 @compiled
@@ -268,7 +270,7 @@ def share_probability(
 
     Args:
         evidence: (n, d), log-likelihood ratio of each spot's bite in each direction to none.
-        prior: SHARED, STRUCK, SINGLE of bite.py.
+        prior: probabilities of a bite shared by all, of each spot in it, and of one of its own.
         probability: (n, d), filled: of each spot's bite in each direction.
     """
     shared, struck, single = prior

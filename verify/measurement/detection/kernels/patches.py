@@ -1,6 +1,11 @@
-"""A blob at half its height, compiled: which pixels are above, and their moments.
+"""Measure a blob at half its height, and read the pixels about each candidate.
 
-The pixels of a grey picture around each candidate, compiled.
+Of the pixels above half the peak and connected with it, holes filled, A many:
+
+    half width = sqrt(A / pi),  moments = sum (d d') / A + 1/12,  d px from their mean
+
+Compiled: every blob of every image is flooded pixel by pixel, which numpy cannot do in whole
+arrays, and its patch is read in one pass.
 """
 
 import math
@@ -17,14 +22,14 @@ Labels = NDArray[np.uint8]
 
 
 @compiled
-def measure_half_height(part: Image, longest: float, fill: float, told: Array) -> bool:
+def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -> bool:
     """Measure the brightest blob of a picture at half its height.
 
     Args:
         part: (h, w), DN above the surroundings.
         longest: axis ratio.
         fill: least area over its ellipse's.
-        told: (4,), filled: centre's column and row, px; half width, px; height, DN.
+        blob: (4,), filled: centre's column and row, px; half width, px; height, DN.
 
     Returns:
         Whether there is one, and compact.
@@ -46,15 +51,15 @@ def measure_half_height(part: Image, longest: float, fill: float, told: Array) -
                 area, x_sum, y_sum = area + 1, x_sum + x, y_sum + y
     if area == 0 or area == height * width:
         return False
-    told[0], told[1], told[3] = x_sum / area, y_sum / area, peak
-    told[2] = math.sqrt(area / math.pi)
+    blob[0], blob[1], blob[3] = x_sum / area, y_sum / area, peak
+    blob[2] = math.sqrt(area / math.pi)
     xx, xy, yy = 0.0, 0.0, 0.0
     for y in range(height):
         for x in range(width):
             if label[y + 1, x + 1] == BLOB and 2 * part[y, x] > peak:
-                xx += (x - told[0]) * (x - told[0])
-                xy += (x - told[0]) * (y - told[1])
-                yy += (y - told[1]) * (y - told[1])
+                xx += (x - blob[0]) * (x - blob[0])
+                xy += (x - blob[0]) * (y - blob[1])
+                yy += (y - blob[1]) * (y - blob[1])
     # a pixel is a square, not a point: its own variance is 1/12
     xx, xy, yy = xx / area + 1 / 12, xy / area, yy / area + 1 / 12
     mean, split = (xx + yy) / 2.0, math.hypot((xx - yy) / 2.0, xy)

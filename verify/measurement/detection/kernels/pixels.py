@@ -1,12 +1,12 @@
-"""What is expected of a patch's pixels at a spot's parameters, and what they weigh, compiled.
+"""Expect the pixels of a patch from a spot's parameters, and weigh them by their noise.
 
-The arithmetic of model.py. One loop does one thing, for then the processor takes several pixels at
-once.
+A pixel at (u, w) half-widths from the centre, t² = xx u² + 2 xy u w + yy w², has before clipping
 
-What a sensor makes of pixels near a limit of its range, compiled.
+    mean mu = floor + slope . d + peak f(t),  variance = read + gain max(mu - black, 0)
 
-One loop does one thing, for then the processor takes several pixels at once: a dark background has
-all of it asked of every pixel.
+and after clipping at 0 or 255 the mean and variance of the clipped normal law, in closed form.
+Every pixel of every patch is expected and weighed at each step of each fit: that is why it is
+compiled. One loop does one thing, for then the processor takes several pixels at once.
 """
 
 import math
@@ -24,6 +24,18 @@ from verify.measurement.detection.profile import (
     ROW_STEP,
 )
 
+PAR_X, PAR_Y, PAR_PEAK, PAR_FLOOR, PAR_SLOPE_X, PAR_SLOPE_Y = range(6)
+PAR_XX, PAR_XY, PAR_YY, PAR_STEEPNESS = range(6, 10)
+N_PARAMETERS = 10
+ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives
+ROW_WHITENED = N_PARAMETERS + 1
+LATE_ROWS = slice(PAR_FLOOR, PAR_STEEPNESS)  # free until the pixels are weighed
+# what is known of each pixel, in the order of a state's rows
+ROW_MEAN, ROW_VARIANCE, ROW_SIGNAL, ROW_USED, ROW_VISIBLE = range(5)
+ROW_U, ROW_W, ROW_RADIUS2, ROW_SLOPE, ROW_CORE = range(5, 10)
+N_ROWS = 10
+NEIGHBOUR_RADIUS = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
+OUTLIER_SIGMA = 5.0  # sigma, likewise
 SENSOR_LIMIT = 255.0  # DN
 CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
 MIN_Z = -9.0  # sigma: below, a clipped pixel shows nothing
@@ -49,16 +61,9 @@ def clip(mean: Array, variance: Array, visible: Array, free: Array) -> None:
     for k in range(count):
         near += (room[k] < 0.0) | (room[k] * room[k] < CLIP_REACH**2 * variance[k])
     visible[:] = 1.0
-    if near > 0:
-        clip_near(mean, variance, visible, free)
-
-
-@compiled
-def clip_near(mean: Array, variance: Array, visible: Array, free: Array) -> None:
-    """Clip those that are in a limit's reach; the first row that is free holds their room."""
-    room, sigma, z = free[0], free[1], free[2]
-    inside, density, excess = free[3], free[4], free[5]
-    count = len(mean)
+    if near == 0:
+        return
+    sigma, z, inside, density, excess = free[1], free[2], free[3], free[4], free[5]
     for k in range(count):
         sigma[k] = math.sqrt(variance[k])
     for k in range(count):
@@ -69,11 +74,11 @@ def clip_near(mean: Array, variance: Array, visible: Array, free: Array) -> None
     for k in range(count):
         # E[u²] less E[u]², u the clipped room. No less than rounding: a deviation there is the
         # model's, not a miracle of the noise.
-        held = max(variance[k] * inside[k] + excess[k] * (room[k] - excess[k]), QUANTISATION)
-        variance[k] = held if z[k] < CLIP_REACH else variance[k]
+        clipped = max(variance[k] * inside[k] + excess[k] * (room[k] - excess[k]), QUANTISATION)
+        variance[k] = clipped if z[k] < CLIP_REACH else variance[k]
     for k in range(count):
-        held = SENSOR_LIMIT - excess[k] if SENSOR_LIMIT - mean[k] < mean[k] else excess[k]
-        mean[k] = held if z[k] < CLIP_REACH else mean[k]
+        clipped = SENSOR_LIMIT - excess[k] if SENSOR_LIMIT - mean[k] < mean[k] else excess[k]
+        mean[k] = clipped if z[k] < CLIP_REACH else mean[k]
     for k in range(count):
         visible[k] = inside[k] if z[k] < CLIP_REACH else 1.0
 
@@ -93,82 +98,6 @@ def normal_law(z: Array, below: Array, density: Array) -> None:
         curved = off * (node * node - 1.0)
         density[k] = here * (1.0 + off * (0.5 * curved - node))
         below[k] += here * off * (1.0 + off * (curved * (1.0 / 6.0) - 0.5 * node))
-
-
-(
-    PAR_X,
-    PAR_Y,
-    PAR_PEAK,
-    PAR_FLOOR,
-    PAR_SLOPE_X,
-    PAR_SLOPE_Y,
-    PAR_XX,
-    PAR_XY,
-    PAR_YY,
-    PAR_STEEPNESS,
-) = range(10)
-N_PARAMETERS = 10
-ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives
-ROW_WHITENED = N_PARAMETERS + 1
-LATE_ROWS = slice(
-    PAR_FLOOR, PAR_STEEPNESS
-)  # rows of derivatives that are free until the pixels are weighed
-# what is known of each pixel, in the order of a state's rows
-(
-    ROW_MEAN,
-    ROW_VARIANCE,
-    ROW_SIGNAL,
-    ROW_USED,
-    ROW_VISIBLE,
-    ROW_U,
-    ROW_W,
-    ROW_RADIUS2,
-    ROW_SLOPE,
-    ROW_CORE,
-) = range(10)
-N_ROWS = 10
-NEIGHBOUR_RADIUS = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
-OUTLIER_SIGMA = 5.0  # sigma, likewise
-
-
-@compiled
-def place_pixels(p: Array, pixels: Array, scale: float, known: Array, rows: Array) -> None:
-    """Place a patch's pixels on the spot: u, w, t² and, in rows that are free still, t and lean."""
-    x, y, xx, xy, yy = p[PAR_X], p[PAR_Y], p[PAR_XX], p[PAR_XY], p[PAR_YY]
-    inverse, count = 1.0 / scale, pixels.shape[1]
-    for k in range(count):
-        known[ROW_U, k], known[ROW_W, k] = (
-            (pixels[2, k] - x) * inverse,
-            (pixels[3, k] - y) * inverse,
-        )
-    for k in range(count):
-        u, w = known[ROW_U, k], known[ROW_W, k]
-        rows[PAR_X, k], rows[PAR_Y, k] = xx * u + xy * w, xy * u + yy * w
-    for k in range(count):
-        radius2 = rows[PAR_X, k] * known[ROW_U, k] + rows[PAR_Y, k] * known[ROW_W, k]
-        known[ROW_RADIUS2, k] = radius2 if radius2 > 0.0 else 0.0
-    for k in range(count):
-        rows[ROW_RESIDUAL, k] = math.sqrt(known[ROW_RADIUS2, k])
-
-
-@compiled
-def look_up_profile(log_steepness: float, table: Array, known: Array, rows: Array) -> None:
-    """Look f, df / d(t²) and df / d(ln steepness) up, first order in t², at the pixels' t."""
-    samples = table.shape[2]
-    found = min(max((log_steepness - MIN_LOG_STEEPNESS) / ROW_STEP, 0.0), table.shape[1] - 1.001)
-    line = int(found)
-    share = found - line
-    for k in range(rows.shape[1]):
-        radius = rows[ROW_RESIDUAL, k]
-        # the last sample also where the radius is no number
-        index = int(radius * (1.0 / RADIUS_STEP) + 0.5) if radius < MAX_RADIUS else samples - 1
-        sample = index * RADIUS_STEP
-        # past the table the profile stands
-        beyond = min(known[ROW_RADIUS2, k] - sample * sample, 2 * MAX_RADIUS * RADIUS_STEP)
-        step = table[1, line, index]
-        slope = table[2, line, index] + share * table[3, line, index]
-        known[ROW_SLOPE, k], rows[PAR_STEEPNESS, k] = slope, step * (1.0 / ROW_STEP)
-        rows[PAR_PEAK, k] = table[0, line, index] + share * step + slope * beyond
 
 
 @compiled
@@ -192,13 +121,19 @@ def expect_pixels(p: Array, pixels: Array, noise: Array, known: Array, rows: Arr
 
 @compiled
 def whiten_rows(p: Array, pixels: Array, scale: float, known: Array, rows: Array) -> float:
-    """Leave out what does not fit, and put every row over its pixels' sigmas.
+    """Leave out neighbours' pixels, and put every row over its pixels' sigmas.
+
+    On entry `rows` hold, beside the profile's derivatives, the unclipped variances.
 
     Returns:
         How many valid pixels are left out.
     """
     peak, lever, count = p[PAR_PEAK], -2.0 * p[PAR_PEAK] / scale, pixels.shape[1]
-    mark_used(pixels, known, rows)
+    for k in range(count):
+        residual = pixels[0, k] - known[ROW_MEAN, k]
+        far = residual * residual > OUTLIER_SIGMA**2 * rows[ROW_RESIDUAL, k]
+        outer = known[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2
+        known[ROW_USED, k] = pixels[1, k] * (0.0 if far & outer else 1.0)
     for k in range(count):
         rows[ROW_RESIDUAL, k] = known[ROW_USED, k] * math.sqrt(1.0 / known[ROW_VARIANCE, k])
     for k in range(count):
@@ -231,18 +166,6 @@ def whiten_rows(p: Array, pixels: Array, scale: float, known: Array, rows: Array
     return count_rejected(pixels, known)
 
 
-@compiled
-def mark_used(pixels: Array, known: Array, rows: Array) -> None:
-    """Mark the pixels that count: valid, and not a neighbour's; `rows` hold their variances."""
-    for k in range(pixels.shape[1]):
-        residual = pixels[0, k] - known[ROW_MEAN, k]
-        far, foot = (
-            residual * residual > OUTLIER_SIGMA**2 * rows[ROW_RESIDUAL, k],
-            known[ROW_RADIUS2, k],
-        )
-        known[ROW_USED, k] = pixels[1, k] * (0.0 if far & (foot > NEIGHBOUR_RADIUS**2) else 1.0)
-
-
 @compiled_sums
 def count_rejected(pixels: Array, known: Array) -> float:
     """How many valid pixels do not count."""
@@ -270,7 +193,34 @@ def weigh_pixels(
     Returns:
         What the pixels that are left out add to chi².
     """
-    place_pixels(p, pixels, scale, known, rows)
-    look_up_profile(p[PAR_STEEPNESS], table, known, rows)
+    x, y, xx, xy, yy = p[PAR_X], p[PAR_Y], p[PAR_XX], p[PAR_XY], p[PAR_YY]
+    inverse, count, samples = 1.0 / scale, pixels.shape[1], table.shape[2]
+    for k in range(count):
+        known[ROW_U, k] = (pixels[2, k] - x) * inverse
+        known[ROW_W, k] = (pixels[3, k] - y) * inverse
+    for k in range(count):
+        u, w = known[ROW_U, k], known[ROW_W, k]
+        rows[PAR_X, k], rows[PAR_Y, k] = xx * u + xy * w, xy * u + yy * w
+    for k in range(count):
+        radius2 = rows[PAR_X, k] * known[ROW_U, k] + rows[PAR_Y, k] * known[ROW_W, k]
+        known[ROW_RADIUS2, k] = radius2 if radius2 > 0.0 else 0.0
+    for k in range(count):
+        rows[ROW_RESIDUAL, k] = math.sqrt(known[ROW_RADIUS2, k])
+    # f, df / d(t²) and df / d(ln steepness) from the table, to first order in t²
+    place = (p[PAR_STEEPNESS] - MIN_LOG_STEEPNESS) / ROW_STEP
+    place = min(max(place, 0.0), table.shape[1] - 1.001)
+    line = int(place)
+    share = place - line
+    for k in range(count):
+        radius = rows[ROW_RESIDUAL, k]
+        # the last sample also where the radius is no number
+        index = int(radius * (1.0 / RADIUS_STEP) + 0.5) if radius < MAX_RADIUS else samples - 1
+        sample = index * RADIUS_STEP
+        # past the table the profile stays constant
+        beyond = min(known[ROW_RADIUS2, k] - sample * sample, 2 * MAX_RADIUS * RADIUS_STEP)
+        step = table[1, line, index]
+        slope = table[2, line, index] + share * table[3, line, index]
+        known[ROW_SLOPE, k], rows[PAR_STEEPNESS, k] = slope, step * (1.0 / ROW_STEP)
+        rows[PAR_PEAK, k] = table[0, line, index] + share * step + slope * beyond
     expect_pixels(p, pixels, noise, known, rows)
     return OUTLIER_SIGMA**2 * whiten_rows(p, pixels, scale, known, rows)

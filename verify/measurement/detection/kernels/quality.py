@@ -1,4 +1,12 @@
-"""What a fit says about its spot, compiled: the arithmetic of judgement.py, a patch at a time."""
+"""Judge fitted spots: centre and covariance, diameter, whether a spot has the shape of one LED.
+
+With misfit m the residuals' mean square over their variance, the covariance is enlarged
+
+    by 1 + TOGETHER max(m - 1 - CHANCE sqrt(2 / freedom), 0),  of merged spots by TOGETHER m
+
+All fits of an image are judged in one call, since in numpy the calls would take longer than the
+arithmetic of so few spots.
+"""
 
 import math
 
@@ -22,58 +30,44 @@ from verify.measurement.detection.kernels.pixels import (
 
 Flags = NDArray[np.bool_]
 
-# columns of a told spot
-(
-    COL_CENTRE_X,
-    COL_CENTRE_Y,
-    COL_COVARIANCE_XX,
-    COL_COVARIANCE_XY,
-    COL_COVARIANCE_YX,
-    COL_COVARIANCE_YY,
-) = range(6)
-(
-    COL_PEAK,
-    COL_DIAMETER,
-    COL_ELONGATION,
-    COL_MISFIT,
-    COL_SATURATED,
-    COL_MERGED,
-    COL_SOUND,
-    COL_COUNT,
-) = range(6, 14)
+# columns of a judged spot
+COL_CENTRE_X, COL_CENTRE_Y = range(2)
+COL_COVARIANCE_XX, COL_COVARIANCE_XY, COL_COVARIANCE_YX, COL_COVARIANCE_YY = range(2, 6)
+COL_PEAK, COL_DIAMETER, COL_ELONGATION, COL_MISFIT = range(6, 10)
+COL_SATURATED, COL_MERGED, COL_SOUND, COL_COUNT = range(10, 14)
 N_COLUMNS = 14
 
 
 @compiled
-def centre_covariance(information: Array, told: Array) -> None:
+def centre_covariance(information: Array, row: Array) -> None:
     """Covariance of the centre, other parameters free, px²; nan where nothing is known."""
     known = True
     for a in range(N_PARAMETERS):
         for b in range(N_PARAMETERS):
             known = known and math.isfinite(information[a, b])
-    told[COL_COVARIANCE_XX : COL_COVARIANCE_YY + 1] = np.nan
+    row[COL_COVARIANCE_XX : COL_COVARIANCE_YY + 1] = np.nan
     if not known:
         return
     root, column = np.empty((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
     factor(information, -MIN_INFORMATION, root)
     column[PAR_X] = 1.0
     solve(root, column)
-    told[COL_COVARIANCE_XX], told[COL_COVARIANCE_XY] = column[PAR_X], column[PAR_Y]
+    row[COL_COVARIANCE_XX], row[COL_COVARIANCE_XY] = column[PAR_X], column[PAR_Y]
     column[:] = 0.0
     column[PAR_Y] = 1.0
     solve(root, column)
-    told[COL_COVARIANCE_YX], told[COL_COVARIANCE_YY] = told[COL_COVARIANCE_XY], column[PAR_Y]
+    row[COL_COVARIANCE_YX], row[COL_COVARIANCE_YY] = row[COL_COVARIANCE_XY], column[PAR_Y]
 
 
 @compiled
-def assess_shape(counted: Array, peak: float, limits: tuple[float, ...], told: Array) -> None:
+def assess_shape(counted: Array, peak: float, limits: tuple[float, ...], row: Array) -> None:
     """Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
 
     Args:
         counted: (4,), of `core_counts`.
         peak: DN.
         limits: FITTED, COL_MISFIT, ROUGH, CHANCE, TOGETHER of quality.py.
-        told: (14,), changed.
+        row: (14,), changed.
     """
     fitted, most, rough_most, chance, together = limits
     count, squares, square_dn, full = counted[0], counted[1], counted[2], counted[3]
@@ -85,9 +79,9 @@ def assess_shape(counted: Array, peak: float, limits: tuple[float, ...], told: A
     excess = max(misfit - 1.0 - chance * math.sqrt(2.0 / paid), 0.0) if full == 0.0 else 0.0
     larger = together * misfit if merged else 1.0 + together * excess
     for k in range(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1):
-        told[k] *= larger
-    told[COL_MISFIT], told[COL_COUNT] = misfit, count
-    told[COL_SATURATED], told[COL_MERGED] = 1.0 if full > 0.0 else 0.0, 1.0 if merged else 0.0
+        row[k] *= larger
+    row[COL_MISFIT], row[COL_COUNT] = misfit, count
+    row[COL_SATURATED], row[COL_MERGED] = 1.0 if full > 0.0 else 0.0, 1.0 if merged else 0.0
 
 
 @compiled
@@ -101,7 +95,7 @@ def assess_all(
     size: tuple[int, int],
     limits: tuple[float, ...],
     bounds: tuple[float, float, float, float],
-    told: Array,
+    judged: Array,
 ) -> None:
     """Judge n fits.
 
@@ -115,17 +109,15 @@ def assess_all(
         size: width and height of the picture, px.
         limits: as for `assess_shape`.
         bounds: FAINTEST, LONGEST, WANDERED, BORDER of quality.py.
-        told: (n, 14), filled.
+        judged: (n, 14), filled.
     """
     faintest, longest, wandered, border = bounds
     counted = core_counts(pixels, known)
     for n in range(len(parameters)):
-        p, row = parameters[n], told[n]
+        p, row = parameters[n], judged[n]
         x, y = origin[n, 0] + p[PAR_X], origin[n, 1] + p[PAR_Y]
-        mean, split = (
-            (p[PAR_XX] + p[PAR_YY]) / 2.0,
-            math.hypot((p[PAR_XX] - p[PAR_YY]) / 2.0, p[PAR_XY]),
-        )
+        mean = (p[PAR_XX] + p[PAR_YY]) / 2.0
+        split = math.hypot((p[PAR_XX] - p[PAR_YY]) / 2.0, p[PAR_XY])
         positive = mean > split
         long = scale[n] / math.sqrt(mean - split) if positive else scale[n]
         short = scale[n] / math.sqrt(mean + split) if positive else scale[n]
@@ -150,18 +142,18 @@ def assess_all(
 
 
 @compiled
-def mark_duplicates(told: Array, apart: float, twin: Flags) -> None:
+def mark_duplicates(judged: Array, apart: float, twin: Flags) -> None:
     """Mark spots that are another, better fitting one found twice; of equals the first is it.
 
     Args:
-        told: (n, 14).
+        judged: (n, 14).
         apart: diameters of the smaller one: spots are no closer.
         twin: (n,), filled.
     """
-    for a in range(len(told)):
-        one, twin[a] = told[a], False
-        for b in range(len(told)):
-            other = told[b]
+    for a in range(len(judged)):
+        one, twin[a] = judged[a], False
+        for b in range(len(judged)):
+            other = judged[b]
             better = other[COL_MISFIT] < one[COL_MISFIT] or (
                 other[COL_MISFIT] == one[COL_MISFIT] and b < a
             )

@@ -1,9 +1,4 @@
-"""What a registration rests on, in its report: residuals, and axes against the table.
-
-Figures of a robot's registration: tables in, chart out, None for nothing to draw.
-
-The report of a registration, in words: methods, figures, notes.
-"""
+"""Residuals of a registration, and joint axes against the DH table: figures, tables, notes."""
 
 from collections.abc import Callable
 from functools import partial

@@ -1,9 +1,7 @@
-"""What an emulated MELFA controller controls: an arm on its trajectory, servo, program, alarm.
+"""An emulated MELFA controller's arm: trajectory, servo, program, alarm, and moves by EXEC.
 
-How an emulated MELFA arm moves by EXEC: variables, joint and straight moves, a stop.
-
-The subset of MELFA-BASIC that a client needs for moving: a joint variable is set, turned into a
-pose (JTOP), and gone to by joint interpolation (MOV) or in a straight line (MVS).
+EXEC takes the subset of MELFA-BASIC that a client needs for moving: a joint variable is set, turned
+into a pose (JTOP), and gone to by joint interpolation (MOV) or in a straight line (MVS).
 """
 
 import re

@@ -24,9 +24,8 @@ from reports.document.formatting import exact_number, finite
 from reports.results import Results
 
 PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free above and below the data
-MAX_TOLERANCE_RATIO = (
-    3.0  # a tolerance farther out than this many times the errors would flatten them
-)
+# a tolerance farther out than this many times the errors would flatten them
+MAX_TOLERANCE_RATIO = 3.0
 
 
 def joint_errors(results: Results) -> Chart | None:

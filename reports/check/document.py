@@ -23,7 +23,7 @@ The report of an interim check, in words: verdicts, figures, notes.
 from functools import partial
 from typing import Any
 
-from reports.calibration.check_figures import CHECK_FIGURES
+from reports.check.figures import CHECK_FIGURES
 from reports.document.blocks import (
     Block,
     Bullets,

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from rich.console import Console
 
+from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
-from verify.cli.watch import PageOptions, stop_on_signal
+from verify.cli.watch import stop_on_signal
 from verify.core.fiducials import Board
 from verify.errors import InputError
 from verify.io import fiducials

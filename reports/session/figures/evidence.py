@@ -29,9 +29,8 @@ from reports.results import Results
 from reports.session import phrases
 
 PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free around the data
-MAX_SCATTER_POINTS = (
-    5_000  # spots; more of them cover each other, so their density is shown instead
-)
+# spots; more of them cover each other, so their density is shown instead
+MAX_SCATTER_POINTS = 5_000
 DENSITY_CELLS = 61  # a side; odd, so that one cell is centred on zero
 
 

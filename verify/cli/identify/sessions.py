@@ -1,16 +1,10 @@
-"""Identify an arm's own parameters from sessions.
-
-What `verify identify` does: sessions in, the corrected arm and its report out.
-"""
+"""Identify an arm's own parameters from sessions; write the corrected arm and its report."""
 
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import typer
 
 from reports import Results
 from verify.analysis.instrument import BODY_SOURCE
@@ -43,76 +37,13 @@ from verify.io.files import write_folder_whole
 from verify.io.results import refuse_existing, write_report_folder
 from verify.io.session.session import Session, open_session
 
-
-class ModelChoice(StrEnum):
-    """How much of the arm is freed."""
-
-    auto = "auto"
-    offsets = "offsets"
-    geometry = "geometry"
-
-
-class PlacementChoice(StrEnum):
-    """What becomes of a base or an LED body's place."""
-
-    auto = "auto"
-    free = "free"
-    held = "held"
-
-
-def identify(
-    sessions: Annotated[list[Path], typer.Argument(help="Session folders, all of one arm.")],
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Where the results go; NAME-identification.")
-    ] = None,
-    model: Annotated[
-        ModelChoice,
-        typer.Option(help="What is freed; auto: offsets or geometry, as the data call for."),
-    ] = ModelChoice.auto,
-    base: Annotated[
-        PlacementChoice,
-        typer.Option(help="The robot's place; auto: free where found through its encoders."),
-    ] = PlacementChoice.auto,
-    leds: Annotated[
-        PlacementChoice, typer.Option(help="The LEDs' place on the flange; likewise.")
-    ] = (PlacementChoice.auto),
-    splits: Annotated[
-        int, typer.Option(min=1, max=100, help="Random splits of the hold-out.")
-    ] = 10,
-    share: Annotated[
-        float, typer.Option(min=0.05, max=0.9, help="Share of the poses held out in each.")
-    ] = 0.3,
-    judge: Annotated[
-        list[Path] | None,
-        typer.Option(help="A session that judges the arm, and is not identified from; repeatable."),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
-) -> None:
-    """Identify an arm's offsets, lengths and twists, and write the corrected arm.
-
-    Says which parameters the sessions support, how sure they are, and what each of the others is
-    confounded with; judged on poses that were held out.
-
-    Example: verify identify monday tuesday -o arm_identified
-    """
-    from verify.calibration.kinematics.identify import IdentificationOptions
-
-    def free(place: PlacementChoice) -> bool | None:
-        return None if place is PlacementChoice.auto else place is PlacementChoice.free
-
-    wish = IdentificationOptions(
-        level=None if model is ModelChoice.auto else model.value, splits=splits, share=share,
-    )  # fmt: skip
-    identify_sessions(sessions, out, wish, free(base), free(leds), judges=judge or (), force=force)
-
-
-MIN_POSES = 6  # poses of a base and a tool: fewer determine neither, and nothing could be held out
+MIN_POSES = 6  # of a base and a tool: fewer determine neither, and nothing could be held out
 
 
 def identify_sessions(
     folders: Sequence[Path],
     out: Path | None,
-    wish: IdentificationOptions,
+    options: IdentificationOptions,
     free_base: bool | None,
     free_tool: bool | None,
     *,
@@ -124,9 +55,9 @@ def identify_sessions(
     Args:
         folders: the sessions.
         out: where the results go; None: NAME-identification in the current folder.
-        wish: model and hold-out.
-        free_base: None: free where a rig says that it was found through the encoders.
-        free_tool: likewise, of the LEDs.
+        options: model and hold-out.
+        free_base: None: free where a rig states that it was found through the encoders.
+        free_tool: of the LEDs; None: free where a marker states that.
         judges: sessions that the identified arm is judged by, and not identified from.
         force: write into a folder that is not empty.
 
@@ -144,18 +75,18 @@ def identify_sessions(
             others[0].folder, "does not hold what the arm is identified from",
             "poses are judged by poses, positions by positions", "Give another --judge.",
         )  # fmt: skip
-    wish = replace(
-        wish,
+    options = replace(
+        options,
         free_base=gathered.free_base if free_base is None else free_base,
         free_tool=gathered.free_tool if free_tool is None else free_tool,
     )
-    gathered, found = _identify_twice(gathered, wish)
-    origin = _identification_provenance(gathered, wish, found.chosen.name)
+    gathered, found = _identify_twice(gathered, options)
+    origin = _identification_provenance(gathered, options, found.chosen.name)
     name, content = encode_robot(
         origin.arm, found.chain, _correction_provenance(found, origin),
         offsets_only=found.chosen.name != "geometry",
     )  # fmt: skip
-    judged = None if judging is None else _validate(judging, found, wish)
+    judged = None if judging is None else _validate(judging, found, options)
     made = identification_results(found, gathered.poses, origin, name, judged)
     for warning in origin.warnings:
         terminal.warn(warning)
@@ -168,11 +99,11 @@ def identify_sessions(
 
 
 def _combine_poses(sessions: Sequence[Session]) -> CombinedPoses:
-    seen = []
+    measured = []
     for session in sessions:
         with terminal.progress(f"pairs of {session.name}") as progress:
-            seen.append(session_to_poses(session, progress))
-    gathered = gather_sessions(seen)
+            measured.append(session_to_poses(session, progress))
+    gathered = gather_sessions(measured)
     places = gathered.poses.base * (int(gathered.poses.tool.max()) + 1) + gathered.poses.tool
     count = np.bincount(places)[np.unique(places)]
     if count.min() < MIN_POSES:
@@ -185,31 +116,31 @@ def _combine_poses(sessions: Sequence[Session]) -> CombinedPoses:
 
 
 def _validate(
-    judging: CombinedPoses, found: IdentificationResult, wish: IdentificationOptions
+    judging: CombinedPoses, found: IdentificationResult, options: IdentificationOptions
 ) -> ValidationSessions:
     """Register other sessions anew, with the arm as its file has it and with the identified one."""
     rows, arm = judging.poses, chain_of(judging.sessions[0].session.arm)
     left = []
     for chain in (arm, found.chain):
-        known = None if wish.free_base and wish.free_tool else judging.state(chain)
-        left.append(pose_residuals(register(chain, rows, wish, known).state, rows))
+        known = None if options.free_base and options.free_tool else judging.state(chain)
+        left.append(pose_residuals(register(chain, rows, options, known).state, rows))
     return ValidationSessions([seen.session.name for seen in judging.sessions], *left)
 
 
 def _identify_twice(
-    gathered: CombinedPoses, wish: IdentificationOptions
+    gathered: CombinedPoses, options: IdentificationOptions
 ) -> tuple[CombinedPoses, IdentificationResult]:
     """Identify, and again with pairs that repeat each other's errors counting for fewer."""
     chain = chain_of(gathered.sessions[0].session.arm)
     # where both are sought anew, nobody needs to have stated them, not even roughly
-    known = None if wish.free_base and wish.free_tool else gathered.state(chain)
-    first = identify_arm(chain, gathered.poses, replace(wish, splits=0), known)
+    known = None if options.free_base and options.free_tool else gathered.state(chain)
+    first = identify_arm(chain, gathered.poses, replace(options, splits=0), known)
     fewer = deflate_repetition(gathered, first)
-    return fewer, identify_arm(chain, fewer.poses, wish, known)
+    return fewer, identify_arm(chain, fewer.poses, options, known)
 
 
 def _identification_provenance(
-    gathered: CombinedPoses, wish: IdentificationOptions, level: str
+    gathered: CombinedPoses, options: IdentificationOptions, level: str
 ) -> IdentificationProvenance:
     sessions = [seen.session for seen in gathered.sessions]
     several = len(sessions) > 1
@@ -223,29 +154,31 @@ def _identification_provenance(
         names=[session.name for session in sessions],
         source=gathered.source,
         frame=gathered.frame,
-        free_base=wish.free_base,
-        free_tool=wish.free_tool,
+        free_base=options.free_base,
+        free_tool=options.free_tool,
         description=sessions[0].description if not several else "",
         inputs=inputs,
-        warnings=tuple(dict.fromkeys(_warnings(gathered.sessions, wish, level))),
+        warnings=tuple(dict.fromkeys(_warnings(gathered.sessions, options, level))),
     )
 
 
-def _warnings(seen: Sequence[SessionPoses], wish: IdentificationOptions, level: str) -> list[str]:
-    said = [warning for one in seen for warning in one.session.warnings]
+def _warnings(
+    seen: Sequence[SessionPoses], options: IdentificationOptions, level: str
+) -> list[str]:
+    warnings = [warning for one in seen for warning in one.session.warnings]
     hidden = {
-        "robot base": wish.free_base,
-        "LED body": wish.free_tool,
-        BODY_SOURCE: wish.free_tool,
+        "robot base": options.free_base,
+        "LED body": options.free_tool,
+        BODY_SOURCE: options.free_tool,
         "robot table": level == "geometry",
     }
     exact = [source for one in seen for source in one.uncounted if not hidden.get(source, False)]
     if exact:
-        said.append(
+        warnings.append(
             f"No uncertainty is stated for {', '.join(dict.fromkeys(exact))}: taken as exact; the "
             "uncertainties hold on that condition."
         )
-    return said
+    return warnings
 
 
 def _correction_provenance(

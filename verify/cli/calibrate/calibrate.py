@@ -1,16 +1,23 @@
 """A rig from pictures of a board, a robot in the rig, and whether both still hold."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from verify.cli.options import PageAddress, PagePort, PageToken
+from verify.cli.options import (
+    Corners,
+    PageAddress,
+    PageOptions,
+    PagePort,
+    PageToken,
+    ReplaceFiles,
+    ReportOut,
+    RigOut,
+    SquareMm,
+)
 from verify.cli.terminal import terminal
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
-
-if TYPE_CHECKING:  # imported when a command runs: `--help` answers at once
-    from verify.calibration.stereo.records import Calibration
 
 calibrate = typer.Typer(
     name="calibrate",
@@ -19,15 +26,6 @@ calibrate = typer.Typer(
 )
 
 EXIT_CHECK_FAILED = 1
-Corners = Annotated[
-    str | None, typer.Option(help="Inner corners of the board, instead of board.toml: 9x7.")
-]
-SquareMm = Annotated[
-    float | None, typer.Option(help="Edge of a square, mm, instead of board.toml.")
-]
-RigOut = Annotated[Path, typer.Option("-o", "--out", help="The rig file to write.")]
-ReportOut = Annotated[Path | None, typer.Option("--report", help="Folder of the report.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
 
 
 @calibrate.command()
@@ -48,7 +46,7 @@ def boards(
     board: Annotated[
         Path | None, typer.Option(help="Another board.toml than the one with the pictures.")
     ] = None,
-    force: Force = False,
+    force: ReplaceFiles = False,
     live: Annotated[
         bool, typer.Option("--live", help="Take the pictures now, by a station's cameras.")
     ] = False,
@@ -70,25 +68,15 @@ def boards(
 
     Example: verify calibrate boards tuesday_boards -o rig.toml
     """
-    import numpy as np
-
-    from verify.calibration.corners.folder import find_boards, middle_pair
-    from verify.calibration.origin import ResultsOrigin
-    from verify.calibration.quality.results import calibration_results
-    from verify.calibration.stereo.calibrate import calibrate as adjust
-    from verify.cli.calibrate_live import (
+    from verify.cli.calibrate.boards import board_from_options, calibrate_folder
+    from verify.cli.calibrate.live import (
         BoardRunOptions,
         board_of,
         pictures_folder,
         refuse_without_live,
         take_pictures,
     )
-    from verify.cli.calibrate_work import board_from_options, error_in_folder
-    from verify.cli.watch import PageOptions
-    from verify.io import rig as io_rig
-    from verify.io.board_folder import open_board_folder
-    from verify.io.files import written_together
-    from verify.io.results import refuse_existing, refuse_file, write_report_folder
+    from verify.io.results import refuse_existing, refuse_file
     from verify.live.boards.pictures import complete_pairs
 
     station, folder = folder, pictures_folder(pictures) if live else folder
@@ -97,59 +85,13 @@ def boards(
     refuse_existing(target, force=force)
     known = board_of(board_from_options(corners, square_mm, square_uncertainty_mm), board)
     if live:
-        wish = PageOptions(page_port, page_address, page_token) if page else None
-        take_pictures(station, folder, BoardRunOptions(known, enough, wish))
+        shown = PageOptions(page_port, page_address, page_token) if page else None
+        take_pictures(station, folder, BoardRunOptions(known, enough, shown))
     else:
         live_only = {"--pictures": pictures is not None, "--pairs": enough is not None}
         refuse_without_live(folder, live_only | {"--page": page})
         complete_pairs(folder)
-    opened = open_board_folder(folder, known)
-    for warning in opened.warnings:
-        terminal.warn(warning)
-    with terminal.progress("pairs searched for the board") as progress:
-        pairs = find_boards(opened, progress)
-    with (
-        terminal.progress("stages of the adjustment") as progress,
-        error_in_folder(folder, opened.doubtful_pan),
-    ):
-        found = adjust(pairs, opened.board, opened.image_size, progress=progress)
-    shown = middle_pair(opened, found.frames.tolist())
-    pan = np.stack([opened.pan_left, opened.pan_right], axis=1)
-    made = calibration_results(
-        found,
-        pan=pan[found.frames],
-        picture=(shown.left, shown.right),
-        picture_pan=pan[shown.frame],
-        names={frame: opened.name(frame) for frame in found.frames.tolist()},
-        origin=ResultsOrigin(
-            folder.resolve().name, inputs=opened.inputs, warnings=tuple(opened.warnings)
-        ),
-    )
-    with written_together(out):
-        io_rig.write(out, found.rig)
-        write_report_folder(made, target, force=force)
-    _print_calibration(found, out, target)
-
-
-def _print_calibration(found: "Calibration", out: Path, target: Path) -> None:
-    import numpy as np
-
-    used = found.residuals.used
-    rms = float(np.sqrt(np.mean(np.sum(found.residuals.residual[used] ** 2, axis=1))))
-    terminal.say(f"{len(found.frames)} pairs, {int(used.sum())} corners, {rms:.3f} px rms.")
-    for sentence in found.decisions:
-        terminal.say(f"  {sentence}")
-    terminal.say(f"Rig: {out}; report: {target / 'report.html'} and {target / 'report.pdf'}")
-    terminal.record(
-        {
-            "type": "result",
-            "out": str(out),
-            "report": str(target),
-            "pairs": len(found.frames),
-            "rms_px": rms,
-            "decisions": list(found.decisions),
-        }
-    )
+    calibrate_folder(folder, known, out, target, force=force)
 
 
 @calibrate.command()
@@ -187,7 +129,7 @@ def register(
     corners: Corners = None,
     square_mm: SquareMm = None,
     report: ReportOut = None,
-    force: Force = False,
+    force: ReplaceFiles = False,
 ) -> None:
     """Find where the robot stands in the rig and where the LEDs sit on its flange.
 
@@ -196,11 +138,12 @@ def register(
 
     Example: verify calibrate register my_session --rig rig.toml -o registered.toml
     """
-    from verify.cli import calibrate_work
+    from verify.cli.calibrate import registration
+    from verify.cli.calibrate.boards import board_from_options
     from verify.io.results import refuse_existing, refuse_file
 
     fixture = board_in_base is not None
-    calibrate_work.refuse_contradictions(
+    registration.refuse_contradictions(
         fixture=fixture,
         motion_only={
             "--marker": marker is not None, "--leds": leds is not None,
@@ -214,21 +157,15 @@ def register(
     refuse_file(out, force=force)
     if not fixture:
         refuse_file(marker_out, force=force)
-        calibrate_work.refuse_one_file(out, marker_out)
+        registration.refuse_one_file(out, marker_out)
     refuse_existing(target, force=force)
+    output = registration.RegistrationOutput(out, marker_out, target, force)
     if board_in_base is not None:
-        calibrate_work.register_by_fixture(
-            session, board_in_base, rig, calibrate_work.board_from_options(corners, square_mm, None),
-            out, target, force=force,
-        )  # fmt: skip
+        board = board_from_options(corners, square_mm, None)
+        registration.register_by_fixture(session, board_in_base, rig, board, output)
         return
-    calibrate_work.register_by_motion(
-        session,
-        rig,
-        calibrate_work.RegistrationOptions(leds, known_marker, keep_base, keep_leds, sweeps),
-        (out, marker_out, target),
-        force=force,
-    )
+    options = registration.RegistrationOptions(leds, known_marker, keep_base, keep_leds, sweeps)
+    registration.register_by_motion(session, rig, options, output)
 
 
 @calibrate.command()
@@ -250,7 +187,7 @@ def check(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder of the report; none unless given.")
     ] = None,
-    force: Force = False,
+    force: ReplaceFiles = False,
 ) -> int:
     """Say whether a calibration still holds, by known lengths measured anywhere in the volume.
 
@@ -258,13 +195,14 @@ def check(
 
     Example: verify calibrate check sample_sessions/quarter_circle_6r
     """
-    from verify.cli import calibrate_work as cli_calibrate_work
+    from verify.cli.calibrate.boards import board_from_options
+    from verify.cli.calibrate.check import run_check, write_check
     from verify.io.results import refuse_existing
 
-    board = cli_calibrate_work.board_from_options(corners, square_mm, None)
+    board = board_from_options(corners, square_mm, None)
     if out is not None:
         refuse_existing(out, force=force)
-    done = cli_calibrate_work.run_check(source, rig, length_mm, length_uncertainty_mm, board)
+    done = run_check(source, rig, length_mm, length_uncertainty_mm, board)
     found = done.found
     for warning in found.warnings:
         terminal.warn(warning)
@@ -273,7 +211,7 @@ def check(
         terminal.say(f"  {sentence}")
     record = {"type": "result", "verdict": found.verdict, "decisions": list(found.decisions)}
     if out is not None:
-        cli_calibrate_work.write_check(done, out, force=force)
+        write_check(done, out, force=force)
         record["report"] = str(out)
     terminal.record(record)
     return 0 if found.holds else EXIT_CHECK_FAILED

@@ -24,13 +24,6 @@ gears (joint, span_deg, gear, gear_u), sweeps (joint, frame, reading_deg, nonlin
 
 from typing import Any
 
-from reports.calibration.registration_evidence import (
-    METHODS,
-    RegistrationNotes,
-    axes,
-    figure_block,
-    residuals,
-)
 from reports.document import formatting
 from reports.document.blocks import (
     Block,
@@ -57,6 +50,13 @@ from reports.document.formatting import (
     with_uncertainty,
 )
 from reports.document.formatting import joint_names as name_joints
+from reports.registration.evidence import (
+    METHODS,
+    RegistrationNotes,
+    axes,
+    figure_block,
+    residuals,
+)
 from reports.results import Results
 from reports.session.headline import capitalise
 

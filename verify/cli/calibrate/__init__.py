@@ -1,0 +1,1 @@
+"""Verify calibrate: boards, register, check."""

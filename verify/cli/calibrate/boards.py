@@ -1,0 +1,142 @@
+"""Calibrate both cameras and their bases from pictures of a board; options that give the board."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from verify.calibration.corners.folder import find_boards, middle_pair
+from verify.calibration.origin import ResultsOrigin
+from verify.calibration.quality.results import calibration_results
+from verify.calibration.stereo.calibrate import calibrate
+from verify.calibration.stereo.records import Calibration
+from verify.cli.options import CornerCounts
+from verify.cli.terminal import terminal
+from verify.core.fiducials import Board
+from verify.core.rig import Rig
+from verify.errors import InputError
+from verify.io import fiducials
+from verify.io import rig as io_rig
+from verify.io.board_folder import open_board_folder
+from verify.io.fiducials import BoardTable
+from verify.io.files import written_together
+from verify.io.results import write_report_folder
+from verify.io.toml import FORMAT
+
+BOARD_OPTION = "the board given by option"
+
+
+def calibrate_folder(
+    folder: Path, board: Board | None, out: Path, report: Path, *, force: bool
+) -> None:
+    """Calibrate from a folder of pictures; write the rig file and the report.
+
+    Args:
+        folder: of the pictures.
+        board: replaces the folder's board.toml.
+        out: the rig file.
+        report: folder of the report.
+        force: write into a report folder that exists.
+
+    Raises:
+        InputError: the pictures cannot be used or do not determine the rig.
+    """
+    opened = open_board_folder(folder, board)
+    for warning in opened.warnings:
+        terminal.warn(warning)
+    with terminal.progress("pairs searched for the board") as progress:
+        pairs = find_boards(opened, progress)
+    with (
+        terminal.progress("stages of the adjustment") as progress,
+        error_in_folder(folder, opened.doubtful_pan),
+    ):
+        found = calibrate(pairs, opened.board, opened.image_size, progress=progress)
+    frames = found.frames.tolist()
+    shown = middle_pair(opened, frames)
+    pan = np.stack([opened.pan_left, opened.pan_right], axis=1)
+    made = calibration_results(
+        found,
+        pan=pan[found.frames],
+        picture=(shown.left, shown.right),
+        picture_pan=pan[shown.frame],
+        names={frame: opened.name(frame) for frame in frames},
+        origin=ResultsOrigin(
+            folder.resolve().name, inputs=opened.inputs, warnings=tuple(opened.warnings)
+        ),
+    )
+    with written_together(out):
+        io_rig.write(out, found.rig)
+        write_report_folder(made, report, force=force)
+    _print_calibration(found, out, report)
+
+
+def board_from_options(
+    corners: CornerCounts | None, square_mm: float | None, square_uncertainty_mm: float | None
+) -> Board | None:
+    """Make a board of the options; None where none is given.
+
+    Raises:
+        InputError: one option without another, or no such board.
+    """
+    if corners is None and square_mm is None and square_uncertainty_mm is None:
+        return None
+    if corners is None or square_mm is None:
+        missing = "--corners" if corners is None else "--square-mm"
+        remedy = "Give both, or neither and a board.toml in the folder."
+        raise InputError(missing, "is missing", "corners and square make a board together", remedy)
+    if 0 < square_mm < fiducials.MIN_SQUARE_MM:
+        terminal.warn(f"--square-mm: is {square_mm} mm; is that in metres?")
+    table = BoardTable(
+        format=FORMAT,
+        inner_corners=(corners.columns, corners.rows),
+        square_mm=square_mm,
+        square_standard_uncertainty_mm=square_uncertainty_mm,
+    )
+    return fiducials.build_board(BOARD_OPTION, table)
+
+
+@contextmanager
+def error_in_folder(folder: Path, doubt: str = "") -> Iterator[None]:
+    """Put the folder in front of the place that a complaint names.
+
+    Args:
+        folder: of the pictures.
+        doubt: what is suspicious of frames.csv; it comes before the complaint, as its likely cause.
+    """
+    try:
+        yield
+    except InputError as problem:
+        if doubt:
+            remedy = f"Convert them. As they stand: {problem.place} {problem.found}."
+            where = folder / "frames.csv"
+            raise InputError(where, doubt, "degrees are expected", remedy) from problem
+        place = f"{folder}, {problem.place}"
+        raise InputError(place, problem.found, problem.expected, problem.remedy) from problem
+
+
+def require_same_size(folder: Path, size: tuple[int, int], rig: Rig) -> None:
+    """Refuse pictures of another size than the rig is calibrated for."""
+    if size != rig.image_size:
+        found = "shows pictures of {} x {} px".format(*size)
+        expected = "the rig is calibrated for {} x {}".format(*rig.image_size)
+        raise InputError(folder, found, expected, "Use the rig.toml of these cameras.")
+
+
+def _print_calibration(found: Calibration, out: Path, target: Path) -> None:
+    used = found.residuals.used
+    rms = float(np.sqrt(np.mean(np.sum(found.residuals.residual[used] ** 2, axis=1))))
+    terminal.say(f"{len(found.frames)} pairs, {int(used.sum())} corners, {rms:.3f} px rms.")
+    for sentence in found.decisions:
+        terminal.say(f"  {sentence}")
+    terminal.say(f"Rig: {out}; report: {target / 'report.html'} and {target / 'report.pdf'}")
+    terminal.record(
+        {
+            "type": "result",
+            "out": str(out),
+            "report": str(target),
+            "pairs": len(found.frames),
+            "rms_px": rms,
+            "decisions": list(found.decisions),
+        }
+    )

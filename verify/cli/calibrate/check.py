@@ -1,0 +1,90 @@
+"""Check a rig's calibration by a session's LEDs, a bar, or pictures of a board."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from verify.calibration.check.check import CheckResult, check_board, check_session
+from verify.calibration.check.results import check_results
+from verify.calibration.corners.folder import find_boards
+from verify.calibration.origin import ResultsOrigin
+from verify.cli.calibrate.boards import require_same_size
+from verify.cli.terminal import terminal
+from verify.core.fiducials import Board
+from verify.errors import InputError
+from verify.io import rig as io_rig
+from verify.io.board_folder import open_board_folder
+from verify.io.files import digest
+from verify.io.results import write_report_folder
+from verify.io.session.session import open_session
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """An interim check, and what it was made from."""
+
+    found: CheckResult
+    origin: ResultsOrigin
+
+
+def write_check(done: CheckReport, out: Path, *, force: bool) -> None:
+    """Write the report of a check, and say where."""
+    made = check_results(done.found, done.origin)
+    write_report_folder(made, out, force=force)
+    terminal.say(f"Report: {out / 'report.html'} and {out / 'report.pdf'}")
+
+
+def run_check(
+    source: Path,
+    rig_path: Path | None,
+    length_mm: float | None,
+    length_uncertainty_mm: float | None,
+    board: Board | None,
+) -> CheckReport:
+    """Check a rig.
+
+    Args:
+        source: a session, or a folder of board pictures.
+        rig_path: the rig; None: the session's own.
+        length_mm: known distance of two LEDs of a session.
+        length_uncertainty_mm: its standard uncertainty.
+        board: replaces the folder's board.toml.
+
+    Raises:
+        InputError: a file cannot be used, or an option has no meaning for the source.
+    """
+    rig = None if rig_path is None else io_rig.read(rig_path, registered=False)[0]
+    other_rig = {} if rig_path is None else {str(rig_path): digest(rig_path)}
+    if length_uncertainty_mm is not None and length_mm is None:
+        raise InputError(
+            "--length-uncertainty-mm", "has no length to belong to", "", "Give --length-mm too."
+        )
+    if (source / "session.toml").exists():
+        if board is not None:
+            found, expected = "has no meaning for a session", "its LEDs are measured"
+            raise InputError("--corners", found, expected, "Leave it out.")
+        session = open_session(source)
+        if session.instrument is not None:
+            expected = "cameras are checked by pictures of LEDs or of a board"
+            raise InputError(source, "holds poses and no pictures", expected, "Give one of those.")
+        session = session if rig is None else replace(session, rig=rig)
+        u_mm = length_uncertainty_mm
+        with terminal.progress("pairs") as progress:
+            result = check_session(
+                session,
+                length=None if length_mm is None else length_mm * 1e-3,
+                length_standard_uncertainty=None if u_mm is None else u_mm * 1e-3,
+                progress=progress,
+            )
+        origin = ResultsOrigin(session.name, session.description, session.inputs | other_rig)
+        return CheckReport(result, origin)
+    if rig is None:
+        expected = "pictures of a board do not say which rig is to be checked"
+        raise InputError("--rig", "is missing", expected, "Give the rig file, or a session.")
+    if length_mm is not None:
+        raise InputError("--length-mm", "has no meaning for a board", "", "Leave it out.")
+    opened = open_board_folder(source, board)
+    require_same_size(opened.folder, opened.image_size, rig)
+    with terminal.progress("pairs searched for the board") as progress:
+        result = check_board(rig, find_boards(opened, progress), opened.board)
+    origin = ResultsOrigin(source.resolve().name, inputs=opened.inputs | other_rig)
+    return CheckReport(result, origin)

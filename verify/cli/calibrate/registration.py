@@ -1,0 +1,179 @@
+"""Register a robot's base and LEDs by its own motion, or the base by a board that sits on it."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from verify.calibration.axes.table import SweepResult, axes_from_sweeps
+from verify.calibration.corners.folder import find_boards
+from verify.calibration.origin import ResultsOrigin
+from verify.calibration.registration import fixture_file
+from verify.calibration.registration.fixture import register_fixture
+from verify.calibration.registration.records import MotionRegistration
+from verify.calibration.registration.register import register_motion
+from verify.calibration.registration.results import fixture_results, motion_results
+from verify.cli.calibrate.boards import error_in_folder, require_same_size
+from verify.cli.terminal import terminal
+from verify.core.fiducials import Board, Marker
+from verify.core.rig import Rig
+from verify.errors import InputError
+from verify.io import fiducials
+from verify.io import rig as io_rig
+from verify.io.board_folder import open_board_folder
+from verify.io.files import written_together
+from verify.io.results import write_report_folder
+from verify.io.session.session import Recording, Session, open_recording
+from verify.measurement.chain import Setup, measure
+
+
+@dataclass(frozen=True, slots=True)
+class RegistrationOutput:
+    """What is written, and where."""
+
+    rig: Path
+    marker: Path  # by a motion alone
+    report: Path  # folder
+    force: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RegistrationOptions:
+    """What a registration by motion keeps or adds."""
+
+    leds: int | None
+    known_marker: Path | None
+    keep_base: bool
+    keep_leds: bool
+    sweeps: bool
+
+
+def refuse_contradictions(
+    *, fixture: bool, motion_only: Mapping[str, bool], fixture_only: Mapping[str, bool]
+) -> None:
+    """Refuse options that the chosen way of registering has no use for."""
+    useless = motion_only if fixture else fixture_only
+    given = [option for option, there in useless.items() if there]
+    if given:
+        way = "a board on the base" if fixture else "a motion"
+        raise InputError(given[0], f"has no meaning when {way} is used", "", "Leave it out.")
+
+
+def refuse_one_file(out: Path, marker_out: Path) -> None:
+    """Refuse to write the marker over the rig."""
+    if out.resolve() == marker_out.resolve():
+        expected = "rig and marker are two files"
+        raise InputError(marker_out, "is named for both", expected, "Give --marker another name.")
+
+
+def register_by_fixture(
+    folder: Path,
+    fixture: Path,
+    rig_path: Path | None,
+    board: Board | None,
+    output: RegistrationOutput,
+) -> None:
+    """Register the base by pictures of a board that sits on it; write rig and report."""
+    if rig_path is None:
+        expected = "the calibrated cameras are needed"
+        raise InputError("--rig", "is missing", expected, "Give the rig of `calibrate boards`.")
+    rig, rig_warnings = io_rig.read(rig_path, registered=False)
+    place, fixture_warnings = fixture_file.read(fixture)
+    opened = open_board_folder(folder, board)
+    require_same_size(opened.folder, opened.image_size, rig)
+    with terminal.progress("pairs searched for the board") as progress:
+        pairs = find_boards(opened, progress)
+    with error_in_folder(folder):
+        found = register_fixture(rig, pairs, opened.board, place.base_T_board, place.covariance)
+    warnings = (*rig_warnings, *opened.warnings, *fixture_warnings, *found.warnings)
+    for warning in warnings:
+        terminal.warn(warning)
+    made = fixture_results(
+        replace(found, warnings=warnings),
+        robot="a robot by a board on its base",
+        origin=ResultsOrigin(folder.resolve().name, inputs=opened.inputs),
+    )
+    with written_together(output.rig):
+        io_rig.write(output.rig, found.rig)
+        write_report_folder(made, output.report, force=output.force)
+    _print_summary(found.decisions, [output.rig], output.report)
+
+
+def register_by_motion(
+    folder: Path, rig: Path | None, options: RegistrationOptions, output: RegistrationOutput
+) -> None:
+    """Register base and LEDs by the robot's own motion; write rig, marker and report."""
+    recording = open_recording(folder, rig=rig)
+    known = None if options.known_marker is None else fiducials.read_marker(options.known_marker)
+    with terminal.progress("pairs") as progress:
+        found = register_motion(
+            recording,
+            leds=options.leds,
+            marker=None if known is None else known[0],
+            keep_base=options.keep_base,
+            keep_leds=options.keep_leds,
+            progress=progress,
+        )
+    warnings = (*recording.warnings, *(known[1] if known else ()), *found.warnings)
+    for warning in warnings:
+        terminal.warn(warning)
+    swept = _fit_swept_axes(recording, found.rig, found.marker) if options.sweeps else None
+    made = motion_results(
+        replace(found, warnings=warnings),
+        robot=recording.robot,
+        origin=ResultsOrigin(recording.name, recording.description, recording.inputs),
+        sweeps=swept,
+        base_held=options.keep_base,
+        leds_held=options.keep_leds,
+    )
+    with written_together(output.rig, output.marker):
+        io_rig.write(output.rig, found.rig)
+        fiducials.write_marker(output.marker, found.marker)  # kept LEDs too: with the registration
+        write_report_folder(made, output.report, force=output.force)
+    words = (*found.decisions, *_hidden_fault_sentences(found), *(swept.decisions if swept else ()))
+    _print_summary(words, [output.rig, output.marker], output.report)
+
+
+def _hidden_fault_sentences(found: MotionRegistration) -> Iterator[str]:
+    """Say how much of each joint's offset the registration hides."""
+    shares = found.visible_fractions
+    gone = [f"{j + 1}" for j, share in enumerate(shares) if share == 0]
+    if gone:
+        joints = f"joint{'s' if len(gone) > 1 else ''} {' and '.join(gone)}"
+        yield f"A constant offset of {joints} that was there already is hidden altogether."
+    left = [f"joint {j + 1} {share:.0%}" for j, share in enumerate(shares) if share > 0]
+    if left:
+        yield f"Of such an offset there stays visible: {', '.join(left)}. A later one shows fully."
+    if found.held_out_rms_px is not None and found.fit_rms_px is not None:
+        yield (
+            f"Registered on half of the pairs: {found.fit_rms_px:.3f} px rms; "
+            f"on the other half, not used: {found.held_out_rms_px:.3f} px."
+        )
+
+
+def _fit_swept_axes(recording: Recording, rig: Rig, marker: Marker) -> SweepResult:
+    """Measure once more, with what was registered, and fit each swept joint's axis."""
+    parts = {f.name: getattr(recording, f.name) for f in fields(Recording)} | {"rig": rig}
+    session = Session(**parts, marker=marker, tolerance=None)
+    with terminal.progress("pairs measured") as progress:
+        measured = []
+        for measurement in measure(session.pairs(), Setup(rig, marker)):
+            measured.append(measurement)
+            progress(len(measured), len(session))
+    return axes_from_sweeps(session, measured)
+
+
+def _print_summary(decisions: tuple[str, ...], written: list[Path], target: Path) -> None:
+    for sentence in decisions:
+        terminal.say(f"  {sentence}")
+    terminal.say(
+        f"Written: {', '.join(map(str, written))}; report: {target / 'report.html'} and "
+        f"{target / 'report.pdf'}"
+    )
+    terminal.record(
+        {
+            "type": "result",
+            "out": [str(path) for path in written],
+            "report": str(target),
+            "decisions": list(decisions),
+        }
+    )

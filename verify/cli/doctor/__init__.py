@@ -1,0 +1,1 @@
+"""Verify doctor: the machine, a station's devices."""

@@ -1,0 +1,49 @@
+"""Say what works on this machine: versions, codecs, disk, ports, cameras; and of a station."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from verify.cli.terminal import terminal
+
+MARKS = {"works": "works ", "doubt": "doubt ", "fails": "FAILS "}
+
+
+def doctor(
+    station: Annotated[
+        Path | None, typer.Argument(help="A station file: its devices are tried too.")
+    ] = None,
+) -> int:
+    """Say what works on this machine and, with a station file, what of the station.
+
+    Exit status 0: all works; 1: something does not; 2: the station file cannot be used.
+
+    Example: verify doctor station.toml
+    """
+    from verify.cli.doctor.devices import check_devices
+    from verify.cli.doctor.machine import (
+        check_codecs,
+        check_disk,
+        check_serial_ports,
+        check_versions,
+        check_video_devices,
+    )
+    from verify.live.station.station import open_station
+    from verify.simulation.devices.station import SimulatedStation
+
+    known = None if station is None else open_station(station, SimulatedStation)
+    findings = [*check_versions(), *check_codecs()]
+    if known is None:
+        findings += [check_disk(Path())]
+        findings += [*check_serial_ports(), *check_video_devices()]
+    else:
+        for warning in known.warnings:
+            terminal.warn(warning)
+        findings += [check_disk(known.recording.folder)]
+        findings += check_devices(known)
+    for finding in findings:
+        terminal.say(f"{MARKS[finding.outcome]}{finding.what}: {finding.sentence}")
+        fields = {"what": finding.what, "outcome": finding.outcome, "text": finding.sentence}
+        terminal.record({"type": "check", **fields, **finding.figures})
+    return int(any(finding.outcome == "fails" for finding in findings))

@@ -1,0 +1,154 @@
+"""Check the machine: versions, codecs, disk, ports, cameras that the system lists."""
+
+import os
+import platform
+import shutil
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from serial.tools import list_ports
+
+from verify.core.records import Image
+from verify.core.version import __version__
+from verify.errors import InputError
+from verify.io.video import open_images
+from verify.live.recording.matroska import MatroskaFile, PictureEncoder, picture_format
+
+TEST_IMAGE_SIZE = (720, 1280)  # rows, columns of the pictures that codecs are tried with
+N_TEST_IMAGES = 10
+MIN_WRITE_SPEED = 30.0  # MB/s: two cameras of 1280 x 720 at 30 Hz, noise and all
+MIN_FREE_SPACE = 10.0  # GB: well over ten minutes of it
+TEST_FILE_SIZE = 64  # MB, to find the disk's speed
+PACKAGES = ("numpy", "opencv-python-headless", "av", "pin", "pyserial")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was tried."""
+
+    what: str
+    outcome: str  # works, doubt, fails
+    sentence: str
+    figures: dict[str, Any] = field(default_factory=dict)  # for --json
+
+
+def check_versions() -> list[Finding]:
+    """Say which versions of what are here."""
+    said = [f"{name} {metadata.version(name)}" for name in PACKAGES]
+    python = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
+    return [Finding("versions", "works", f"verify {__version__}, {python}, {', '.join(said)}")]
+
+
+def check_codecs() -> list[Finding]:
+    """Write pictures as a recording does, and read them back."""
+    rng = np.random.default_rng(0)
+    grey = rng.integers(0, 40, TEST_IMAGE_SIZE, dtype=np.uint8)
+    jpeg = cv2.imencode(".jpg", grey)[1].tobytes()
+    return [
+        _lossless("grey pictures", grey),
+        _lossless("colour pictures", np.stack([grey] * 3, axis=-1)),
+        _read_back("JPEGs as they come", grey, jpeg, lossless=False),
+        _ffv1(grey),
+    ]
+
+
+def check_disk(folder: Path) -> Finding:
+    """Find out how much room a folder's disk has, and how fast it is."""
+    place = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    try:
+        speed = _write_speed(place)
+        free = shutil.disk_usage(place).free / 1e9
+    except OSError as error:
+        return Finding("disk", "fails", f"{place}: {(error.strerror or str(error)).lower()}")
+    sentence = f"{place}: {free:.1f} GB free, {speed:.0f} MB/s"
+    figures = {"free_gb": round(free, 3), "speed_mb_s": round(speed, 1)}
+    if speed < MIN_WRITE_SPEED:
+        sentence += f"; two cameras of 1280 x 720 at 30 Hz may need {MIN_WRITE_SPEED:.0f} MB/s"
+    elif free < MIN_FREE_SPACE:
+        sentence += "; that is soon full"
+    outcome = "works" if speed >= MIN_WRITE_SPEED and free >= MIN_FREE_SPACE else "doubt"
+    return Finding("disk", outcome, sentence, figures)
+
+
+def check_serial_ports() -> list[Finding]:
+    """List the serial ports that the system knows."""
+    ports = sorted(list_ports.comports())
+    if not ports:
+        return [Finding("serial ports", "works", "none is here")]
+    said = [f"{port.device} ({port.description})" for port in ports]
+    return [Finding("serial ports", "works", ", ".join(said))]
+
+
+def check_video_devices() -> list[Finding]:
+    """List the cameras that the system knows, where it has names for them."""
+    if sys.platform != "linux":
+        said = "this system does not list them; name 0, 1, … in a station file and try it"
+        return [Finding("cameras", "works", said)]
+    there = sorted(map(str, Path("/dev").glob("video*")))
+    said = ", ".join(there) or "none is here (/dev/video*)"
+    return [Finding("cameras", "works", said)]
+
+
+def _lossless(what: str, image: Image) -> Finding:
+    return _read_back(what, image, None, lossless=True)
+
+
+def _read_back(what: str, image: Image, raw: bytes | None, *, lossless: bool) -> Finding:
+    name = f"recording {what}"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "video.mkv"
+        try:
+            coder = PictureEncoder(picture_format(image, raw))
+            file = MatroskaFile(path, coder.track)
+            times = [time.perf_counter()]
+            for number in range(N_TEST_IMAGES):
+                file.add(coder.encode(image, raw), number / 30.0)
+                times.append(time.perf_counter())
+            spent = float(np.median(np.diff(times))) * 1e3
+            file.close()
+            back = list(open_images(path).images())
+        except (OSError, ValueError, InputError) as error:
+            return Finding(name, "fails", str(error))
+    if len(back) != N_TEST_IMAGES or back[0].shape != image.shape:
+        return Finding(name, "fails", "what was written cannot be read back")
+    if lossless and not np.array_equal(back[-1], image):
+        return Finding(name, "fails", "what was read back is not what was written")
+    figures = {"ms_a_picture": round(spent, 2)}
+    said = f"{TEST_IMAGE_SIZE[1]} x {TEST_IMAGE_SIZE[0]} px in {spent:.1f} ms, and read back"
+    return Finding(name, "works", said, figures)
+
+
+def _ffv1(image: Image) -> Finding:
+    """Try the codec of recordings by other programs, simulated ones included."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "video.mkv"
+        code = cv2.VideoWriter.fourcc(*"FFV1")
+        writer = cv2.VideoWriter(str(path), code, 30.0, (image.shape[1], image.shape[0]), False)
+        writer.write(image)
+        writer.release()
+        try:
+            back = list(open_images(path).images())
+        except InputError as error:
+            return Finding("FFV1", "fails", str(error))
+    if len(back) == 1 and np.array_equal(back[0], image):
+        return Finding("FFV1", "works", "written and read back")
+    return Finding("FFV1", "fails", "what was read back is not what was written")
+
+
+def _write_speed(place: Path) -> float:
+    """Write a file that the disk really has, MB/s."""
+    block = np.random.default_rng(0).bytes(1 << 20)  # a disk that compresses must not cheat
+    with tempfile.TemporaryFile(dir=place) as file:
+        begin = time.perf_counter()
+        for _ in range(TEST_FILE_SIZE):
+            file.write(block)
+        file.flush()
+        os.fsync(file.fileno())
+        return TEST_FILE_SIZE * len(block) / 1e6 / (time.perf_counter() - begin)

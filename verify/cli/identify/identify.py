@@ -1,0 +1,73 @@
+"""Identify an arm's own parameters from sessions."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from verify.cli.options import ReplaceFiles
+
+
+class ModelChoice(StrEnum):
+    """How much of the arm is freed."""
+
+    auto = "auto"
+    offsets = "offsets"
+    geometry = "geometry"
+
+
+class PlacementChoice(StrEnum):
+    """What becomes of a base or an LED body's place."""
+
+    auto = "auto"
+    free = "free"
+    held = "held"
+
+
+def identify(
+    sessions: Annotated[list[Path], typer.Argument(help="Session folders, all of one arm.")],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Where the results go; NAME-identification.")
+    ] = None,
+    model: Annotated[
+        ModelChoice,
+        typer.Option(help="What is freed; auto: offsets or geometry, as the data call for."),
+    ] = ModelChoice.auto,
+    base: Annotated[
+        PlacementChoice,
+        typer.Option(help="The robot's place; auto: free where found through its encoders."),
+    ] = PlacementChoice.auto,
+    leds: Annotated[
+        PlacementChoice, typer.Option(help="The LEDs' place on the flange; likewise.")
+    ] = PlacementChoice.auto,
+    splits: Annotated[
+        int, typer.Option(min=1, max=100, help="Random splits of the hold-out.")
+    ] = 10,
+    share: Annotated[
+        float, typer.Option(min=0.05, max=0.9, help="Share of the poses held out in each.")
+    ] = 0.3,
+    judge: Annotated[
+        list[Path] | None,
+        typer.Option(help="A session that judges the arm, and is not identified from; repeatable."),
+    ] = None,
+    force: ReplaceFiles = False,
+) -> None:
+    """Identify an arm's offsets, lengths and twists, and write the corrected arm.
+
+    Says which parameters the sessions support, how sure they are, and what each of the others is
+    confounded with; judged on poses that were held out.
+
+    Example: verify identify monday tuesday -o arm_identified
+    """
+    from verify.calibration.kinematics.identify import IdentificationOptions
+    from verify.cli.identify.sessions import identify_sessions
+
+    def free(place: PlacementChoice) -> bool | None:
+        return None if place is PlacementChoice.auto else place is PlacementChoice.free
+
+    level = None if model is ModelChoice.auto else model.value
+    options = IdentificationOptions(level=level, splits=splits, share=share)
+    identify_sessions(
+        sessions, out, options, free(base), free(leds), judges=judge or (), force=force
+    )

@@ -1,0 +1,118 @@
+"""Measure recorded sessions: results, verdict, and a report on each."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from reports import Results
+from reports.session.headline import headline
+from verify.analysis.session import analyse
+from verify.cli.options import ToleranceOptions
+from verify.cli.terminal import terminal
+from verify.errors import InputError
+from verify.io.results import refuse_existing, write_results
+from verify.io.session.session import open_session
+
+
+def measure_and_report(
+    folder: Path, out: Path | None, tolerances: ToleranceOptions, *, force: bool
+) -> str | None:
+    """Measure a session, write its reports, say what was found.
+
+    Args:
+        folder: the session.
+        out: where the reports go; None: NAME-report in the current folder.
+        tolerances: replace the session's.
+        force: write into a folder that exists.
+
+    Returns:
+        The verdict; None where no tolerance was given.
+
+    Raises:
+        InputError: the session cannot be measured, or the reports cannot be written.
+    """
+    session = open_session(folder)
+    target = out if out is not None else Path(f"{session.name}-report")
+    refuse_existing(target, force=force)
+    for warning in session.warnings:
+        terminal.warn(warning)
+    tolerance = tolerances.tolerance(session.arm.dof)
+    with terminal.progress("pairs") as progress:
+        results = analyse(session, tolerance=tolerance, progress=progress)
+    for warning in results.summary["warnings"]:
+        if warning not in session.warnings:
+            terminal.warn(warning)
+    write_results(results, target, force=force)
+    _print_summary(results, target)
+    verdict: str | None = results.summary["verdict"]
+    return verdict
+
+
+def measure_and_report_all(
+    folders: Sequence[Path], out: Path, tolerances: ToleranceOptions, *, force: bool
+) -> dict[Path, str | None]:
+    """Measure the sessions of one live run, a report each; one that cannot be is no other's harm.
+
+    Args:
+        folders: in their order: more than one where the controller's clock began anew.
+        out: the first one's report; the others' have a number behind it.
+        tolerances: replace the sessions'.
+        force: write into folders that exist.
+
+    Returns:
+        The verdict of each report, at least one.
+
+    Raises:
+        InputError: none can be measured: what the first one lacks.
+    """
+    verdicts: dict[Path, str | None] = {}
+    refusals: list[InputError] = []
+    for number, folder in enumerate(folders, start=1):
+        target = out if number == 1 else out.with_name(f"{out.name}-{number}")
+        try:
+            verdicts[target] = measure_and_report(folder, target, tolerances, force=force)
+        except InputError as refusal:
+            refusals.append(refusal)
+    if not verdicts:
+        raise refusals[0]
+    for left_out in refusals:
+        terminal.warn(str(left_out))
+    return verdicts
+
+
+def _print_summary(results: Results, target: Path) -> None:
+    """Tell what was found, briefly; the report has the rest."""
+    summary: dict[str, Any] = results.summary
+    verdict = headline(results)
+    terminal.say(f"{verdict.label}: {verdict.sentence}")
+    for joint in summary["joints"]:
+        terminal.say(_joint_line(joint))
+    for line in _verbose_lines(summary):
+        terminal.detail(line)
+    terminal.say(f"Report: {target / 'report.html'} and {target / 'report.pdf'}")
+    terminal.record({"type": "result", "out": str(target), "summary": summary})
+
+
+def _verbose_lines(summary: dict[str, Any]) -> list[str]:
+    """What --verbose adds: pairs, clock, how LEDs were told apart, detectable errors."""
+    pairs, clock = summary["pairs"], summary["clock"]
+    lost = ", ".join(f"{n} {status}" for status, n in pairs["rejected"].items()) or "none"
+    offset = clock["encoder_offset_s"]
+    said = "not shown by the motion" if offset is None else f"{offset:+.6f} s, {clock['source']}"
+    told = ", ".join(f"{n} by {how}" for how, n in summary["choices"].items()) or "-"
+    smallest = [j["minimum_detectable_error_deg"] for j in summary["joints"]]
+    shown = ", ".join("-" if s is None else f"{s:.3f}°" for s in smallest)
+    return [
+        f"pairs: {pairs['measured']} of {pairs['recorded']} measured; rejected: {lost}",
+        f"encoder clock: {said}",
+        f"LEDs told apart: {told}",
+        f"smallest offset that would be noticed, a joint: {shown}",
+    ]
+
+
+def _joint_line(joint: dict[str, Any]) -> str:
+    mean, u = joint["mean_error_deg"], joint["expanded_uncertainty_deg"]
+    error = "not determined" if mean is None else f"{mean:+.3f}°"
+    doubt = "" if u is None else f" ± {u:.3f}°"
+    verdict = "" if joint["verdict"] is None else f"  {joint['verdict']}"
+    return f"  joint {joint['joint']}: {error}{doubt}{verdict}"
