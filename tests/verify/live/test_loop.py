@@ -230,6 +230,7 @@ def test_covered_leds_are_a_lost_target_and_never_no_error() -> None:
     assert all(np.isnan(r.error).all() for r in dark)
 
 
+@pytest.mark.realtime
 def test_silent_encoders_leave_pairs_without_error_and_are_named() -> None:
     _, _, heard = watched(4.5, stage(away={"encoders": (1.0, 9.0)}))
     assert "no_encoder" in {r.status for r in heard.rows}
