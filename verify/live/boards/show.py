@@ -1,22 +1,20 @@
 """The state of taking board pictures, in a terminal and for the page (degrees, metres, pixels)."""
 
 import threading
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
-from rich.live import Live as Display
 from rich.table import Table
 from rich.text import Text
 
 from verify.core.fiducials import Board, BoardView
 from verify.core.records import Image
-from verify.errors import one_line
 from verify.live.boards.goals import BoardGoal, BoardPlacement, CameraCoverage
 from verify.live.boards.view import MAX_MOTION_PX
+from verify.live.outputs.terminal import TerminalDisplay, render_devices
 from verify.live.page.scene import small_jpeg
 from verify.live.state import DeviceStatus
 
@@ -72,14 +70,13 @@ class BoardState:
             return self._now
 
 
-REFRESH_PERIOD = 0.25  # s: quicker cannot be read
 SHADES = " ░▒▓█"  # of a cell with no corner, with some, with many
 MANY_CORNERS = 12  # corners in a cell
 STYLES = {READY: "bold green", MOVING: "yellow"}
 
 
-class BoardDisplay:
-    """Shows a state; used as a context.
+class BoardDisplay(TerminalDisplay):
+    """Shows the state of taking board pictures.
 
     Args:
         console: to draw on.
@@ -87,23 +84,13 @@ class BoardDisplay:
     """
 
     def __init__(self, console: Console, help_: str) -> None:
-        self._display = Display(console=console, auto_refresh=False, transient=False)
-        self._help, self._due = help_, 0.0
-
-    def __enter__(self) -> "BoardDisplay":
-        self._display.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._display.stop()
+        super().__init__(console)
+        self._help = help_
 
     def look(self, state: BoardState) -> None:
-        """Draw again, if it is time."""
-        now = time.monotonic()
-        snapshot = state.snapshot()
-        if now >= self._due or snapshot.finished:
-            self._due = now + REFRESH_PERIOD
-            self._display.update(render_snapshot(snapshot, self._help), refresh=True)
+        """Draw the state again, if it is time."""
+        now = state.snapshot()
+        self.draw(lambda: render_snapshot(now, self._help), at_once=now.finished)
 
 
 def render_snapshot(now: BoardSnapshot, help_: str) -> RenderableType:
@@ -112,10 +99,7 @@ def render_snapshot(now: BoardSnapshot, help_: str) -> RenderableType:
     for goal in now.goals:
         mark = Text("●", style="green") if goal.reached else Text("○", style="yellow")
         goals.add_row(mark, goal.name, Text(goal.words, style="dim" if goal.reached else ""))
-    devices = Table(box=None, show_header=False, pad_edge=False)
-    for line in now.devices:
-        mark = Text("●", style="green") if line.well else Text("▲", style="bold red")
-        devices.add_row(mark, line.name, Text(one_line(line.sentence), style="dim"))
+    devices = render_devices(now.devices)
     told = Text(now.words, style=STYLES.get(now.status, "cyan"))
     last = Text(now.last, style="dim")
     return Group(_coverage_maps(now.coverage), goals, devices, last, told, Text(help_, style="dim"))

@@ -2,6 +2,8 @@
 
 import math
 import time
+from collections.abc import Callable, Iterable
+from typing import Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live as Display
@@ -11,7 +13,7 @@ from rich.text import Text
 
 from verify.errors import one_line
 from verify.live.protocols import Alarm
-from verify.live.state import LiveSnapshot, LiveState
+from verify.live.state import DeviceStatus, LiveSnapshot, LiveState
 
 REFRESH_PERIOD = 0.25  # s: quicker cannot be read
 BAR_HALF_WIDTH = 13  # characters on either side of zero
@@ -19,8 +21,34 @@ MAX_ALARMS = 4  # shown
 MIN_SCALE_DEG = 0.1  # degrees at the end of a bar, where no tolerance tells
 
 
-class LiveTable:
-    """Shows a state; used as a context.
+class TerminalDisplay:
+    """Draws in a terminal a few times a second; used as a context.
+
+    Args:
+        console: to draw on.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._display = Display(console=console, auto_refresh=False, transient=False)
+        self._due = 0.0
+
+    def __enter__(self) -> Self:
+        self._display.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._display.stop()
+
+    def draw(self, render: Callable[[], RenderableType], *, at_once: bool = False) -> None:
+        """Draw again if it is time, or at once."""
+        now = time.monotonic()
+        if now >= self._due or at_once:
+            self._due = now + REFRESH_PERIOD
+            self._display.update(render(), refresh=True)
+
+
+class LiveTable(TerminalDisplay):
+    """Shows the state of a run.
 
     Args:
         tolerance_deg: of each joint; None where there is none.
@@ -28,29 +56,18 @@ class LiveTable:
     """
 
     def __init__(self, tolerance_deg: list[float] | None, console: Console) -> None:
+        super().__init__(console)
         self._tolerance = tolerance_deg
-        self._display = Display(console=console, auto_refresh=False, transient=False)
-        self._due = 0.0
-
-    def __enter__(self) -> "LiveTable":
-        self._display.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._display.stop()
 
     def look(self, state: LiveState) -> None:
-        """Draw again, if it is time."""
-        now = time.monotonic()
-        if now < self._due:
-            return
-        self._due = now + REFRESH_PERIOD
-        self._display.update(render_snapshot(state.snapshot(), self._tolerance), refresh=True)
+        """Draw the state again, if it is time."""
+        self.draw(lambda: render_snapshot(state.snapshot(), self._tolerance))
 
 
 def render_snapshot(now: LiveSnapshot, tolerance_deg: list[float] | None) -> RenderableType:
     """Lay a snapshot out."""
-    parts: list[RenderableType] = [_joints(now, tolerance_deg), _line(now), _devices(now)]
+    parts: list[RenderableType] = [_joints(now, tolerance_deg), _line(now)]
+    parts.append(render_devices(now.devices, now.recording))
     if now.alarms:
         lines = [_alarm(alarm) for alarm in now.alarms[:MAX_ALARMS]]
         parts.append(Panel(Group(*lines), title="alarms", title_align="left", border_style="red"))
@@ -112,13 +129,14 @@ def _line(now: LiveSnapshot) -> Text:
     return Text(f"\n{text}", style="dim")
 
 
-def _devices(now: LiveSnapshot) -> Table:
+def render_devices(devices: Iterable[DeviceStatus], recording: str = "") -> Table:
+    """Lay out a line a device, and one for the recording."""
     table = Table(box=None, show_header=False, pad_edge=False)
-    for line in now.devices:
+    for line in devices:
         mark = Text("●", style="green") if line.well else Text("▲", style="bold red")
         table.add_row(mark, line.name, Text(one_line(line.sentence), style="dim"))
-    if now.recording:
-        table.add_row("", "recording", Text(one_line(now.recording), style="dim"))
+    if recording:
+        table.add_row("", "recording", Text(one_line(recording), style="dim"))
     return table
 
 
