@@ -16,9 +16,8 @@ import pytest
 
 import robots
 from tests.support.command import ROOT, verify
-from verify.calibration.registration import fixture_file
 from verify.cli.main import app
-from verify.io import fiducials, rig
+from verify.io import fiducials, fixture, rig
 from verify.io import fiducials as io_fiducials
 from verify.io.session import keys as session_keys
 from verify.simulation import library
@@ -189,7 +188,7 @@ def test_every_file_shown_is_read_without_a_warning(document: Path, tmp_path: Pa
         "rig": rig.read,
         "marker": io_fiducials.read_marker,
         "board": fiducials.read_board,
-        "fixture": fixture_file.read,
+        "fixture": fixture.read,
     }
     for text in blocks(document, "toml"):
         name = text.partition("\n")[0].removeprefix("# ").removesuffix(".toml")

@@ -43,8 +43,8 @@ def board(
 
     Example: verify board --corners 9x7 --square-mm 25 --paper A3
     """
-    from verify.calibration import board_print
-    from verify.calibration.board_print import lay_out
+    from verify.calibration.board import drawing
+    from verify.calibration.board.drawing import lay_out
     from verify.errors import InputError
     from verify.io import fiducials
     from verify.io.fiducials import BoardTable, build_board
@@ -71,8 +71,8 @@ def board(
         )
     layout = lay_out(drawn, paper)
     with write_folder_whole(out, force) as folder:
-        (folder / "board.pdf").write_bytes(board_print.pdf(drawn, layout))
-        (folder / "board.png").write_bytes(board_print.png(drawn, layout))
+        (folder / "board.pdf").write_bytes(drawing.pdf(drawn, layout))
+        (folder / "board.png").write_bytes(drawing.png(drawn, layout))
         fiducials.write_board(folder / "board.toml", drawn)
     said = f"{drawn.columns} x {drawn.rows} inner corners of {square_mm:g} mm on {layout.paper}"
     terminal.say(f"{said}, in {out}. Print board.pdf at 100 %, then check the rulers.")

@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 
 from verify.devices.encoders.intake import AngleMap
-from verify.devices.encoders.labenc import READ_COMMANDS, LabencBoard, LabencSettings
-from verify.devices.encoders.labenc_protocol import MOVING
+from verify.devices.encoders.labenc.protocol import MOVING
+from verify.devices.encoders.labenc.reader import READ_COMMANDS, LabencBoard, LabencSettings
 from verify.devices.ports import ClockFunction, Port
 from verify.devices.protocols import PanReading
 

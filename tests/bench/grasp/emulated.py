@@ -14,8 +14,8 @@ import robots
 from tests.support.devices.bench import running, same_angles
 from verify.core.records import Array, StereoPair
 from verify.devices.protocols import EncoderReading
-from verify.grasping.actuators.gripper import GripperDriver
-from verify.grasping.actuators.gripper_modbus import GripperSettings
+from verify.grasping.actuators.gripper.gripper import GripperDriver
+from verify.grasping.actuators.gripper.modbus import GripperSettings
 from verify.grasping.actuators.melfa.mover import MelfaMover
 from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
 from verify.grasping.actuators.protocols import ExecutePermission, GripperState, MoverState

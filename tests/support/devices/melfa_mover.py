@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
+from verify.simulation.emulators.melfa_arm import MelfaArm
 
 import robots
 from tests.support.devices import bench
@@ -17,7 +18,6 @@ from verify.grasping.actuators.melfa.orders import MOVE_COMMANDS, MotionSettings
 from verify.grasping.actuators.protocols import ExecutePermission, MoverState, MoverStatus
 from verify.simulation.emulators import trajectory
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 
 RIGHT = ExecutePermission("--execute, in a test")
 ARM = robots.load("rv_3sd_melfa")

@@ -13,8 +13,8 @@ from tests.support.moved_rig import bumped, seen_by, stretched, turned
 from tests.support.recorded import require_shared
 from tests.support.scene import facing, make_marker, make_rig
 from tests.support.simulated import InMemory, in_memory
-from verify.analysis.rig_check import CHANGES, RigConsistency, consistency, moved_warning
-from verify.analysis.rig_check_pair import _indistinguishable
+from verify.analysis.rig_check.check import CHANGES, RigConsistency, consistency, moved_warning
+from verify.analysis.rig_check.pair import _indistinguishable
 from verify.analysis.session import analyse
 from verify.core.fiducials import Marker
 from verify.core.rig import Camera, Rig

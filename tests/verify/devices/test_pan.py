@@ -3,7 +3,7 @@ import pytest
 
 from tests.support.devices.bench import gather, kept, running, same_angles
 from verify.devices.encoders.intake import AngleMap
-from verify.devices.encoders.labenc import LabencSettings
+from verify.devices.encoders.labenc.reader import LabencSettings
 from verify.devices.pan import PanReader, PanServo
 from verify.simulation.emulators.encoders import LabencOptions, PanEngine
 from verify.simulation.emulators.server import EmulatorFaults

@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 from tests.support.devices.bench import gather, kept, same_angles
-from verify.devices.encoders.labenc import LabencEncoders, LabencSettings
+from verify.devices.encoders.labenc.reader import LabencEncoders, LabencSettings
 from verify.devices.ports import DEFAULT_LINE, PortLink, SerialLine, describe_port_error, open_port
 from verify.errors import InputError
 

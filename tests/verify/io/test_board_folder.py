@@ -9,7 +9,7 @@ from tests.support.recorded import images, replace, require_shared, write_video
 from verify.core.fiducials import Board
 from verify.core.records import Image
 from verify.errors import InputError
-from verify.io.board_folder import BoardFolder, open_board_folder
+from verify.io.board.folder import BoardFolder, open_board_folder
 
 BOARD = Board(9, 7, 0.04)
 LEFT, RIGHT = images(3), images(3)[::-1]

@@ -6,7 +6,7 @@ import numpy as np
 
 from verify.analysis.clock import ClockEstimate
 from verify.analysis.model import JointErrorModel, SessionComparison
-from verify.analysis.rig_check import consistency, moved_warning
+from verify.analysis.rig_check.check import consistency, moved_warning
 from verify.core.records import Measurement
 from verify.io.session.session import Session
 from verify.measurement.systematics import Systematics

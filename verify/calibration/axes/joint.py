@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 import robots
-from verify.analysis.rig_check import drop_registration
+from verify.analysis.rig_check.check import drop_registration
 from verify.analysis.sweeps.segments import SweepSegment
 from verify.calibration.axes.axis import SweepAxis, fit_axis
 from verify.core.readings import Readings

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.analysis.rig_check import (
+from verify.analysis.rig_check.check import (
     CHANGES,
     FIGURES,
     RigConsistency,
@@ -25,7 +25,7 @@ from verify.analysis.rig_check import (
     drop_registration,
     figures_text,
 )
-from verify.calibration.board_pose import board_marker, board_poses
+from verify.calibration.board.pose import board_marker, board_poses
 from verify.calibration.check.lengths import BarTracker, Lengths, measured_lengths
 from verify.calibration.stereo.records import rms
 from verify.core.fiducials import Board, BoardPair, Marker

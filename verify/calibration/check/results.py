@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from reports import Results
-from verify.analysis.rig_check import FIGURES, RigConsistency
+from verify.analysis.rig_check.check import FIGURES, RigConsistency
 from verify.calibration.check.check import P_CONFIDENCE, CheckResult, figure_limit
 from verify.calibration.origin import DEG, MM, ResultsOrigin
 from verify.core.records import Array

@@ -16,7 +16,7 @@ from verify.calibration.corners.find import find_board, find_other_board, is_amb
 from verify.core.fiducials import Board, BoardPair, BoardView, dictionary
 from verify.core.records import Image
 from verify.errors import InputError
-from verify.io.board_folder import BoardFolder, BoardImages
+from verify.io.board.folder import BoardFolder, BoardImages
 
 MAX_PAIRS = 3  # searched before another pattern is looked for
 MIN_AGREEING = 2  # images that must show another pattern

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from robots.transforms import cross_matrix, difference, invert
-from verify.calibration.board_pose import board_marker, board_poses
+from verify.calibration.board.pose import board_marker, board_poses
 from verify.calibration.stereo.records import extend_covariance
 from verify.core.fiducials import Board, BoardPair, Marker
 from verify.core.records import Array, Measurement, Pose

@@ -18,7 +18,7 @@ from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io import fiducials
 from verify.io import rig as io_rig
-from verify.io.board_folder import open_board_folder
+from verify.io.board.folder import open_board_folder
 from verify.io.fiducials import BoardTable
 from verify.io.files import written_together
 from verify.io.results import write_report_folder

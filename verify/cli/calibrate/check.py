@@ -12,7 +12,7 @@ from verify.cli.terminal import terminal
 from verify.core.fiducials import Board
 from verify.errors import InputError
 from verify.io import rig as io_rig
-from verify.io.board_folder import open_board_folder
+from verify.io.board.folder import open_board_folder
 from verify.io.files import digest
 from verify.io.results import write_report_folder
 from verify.io.session.session import open_session

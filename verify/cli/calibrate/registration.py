@@ -7,7 +7,6 @@ from pathlib import Path
 from verify.calibration.axes.table import SweepResult, axes_from_sweeps
 from verify.calibration.corners.folder import find_boards
 from verify.calibration.origin import ResultsOrigin
-from verify.calibration.registration import fixture_file
 from verify.calibration.registration.fixture import register_fixture
 from verify.calibration.registration.records import MotionRegistration
 from verify.calibration.registration.register import register_motion
@@ -18,8 +17,9 @@ from verify.core.fiducials import Board, Marker
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io import fiducials
+from verify.io import fixture as io_fixture
 from verify.io import rig as io_rig
-from verify.io.board_folder import open_board_folder
+from verify.io.board.folder import open_board_folder
 from verify.io.files import written_together
 from verify.io.results import write_report_folder
 from verify.io.session.session import Recording, Session, open_recording
@@ -77,7 +77,7 @@ def register_by_fixture(
         expected = "the calibrated cameras are needed"
         raise InputError("--rig", "is missing", expected, "Give the rig of `calibrate boards`.")
     rig, rig_warnings = io_rig.read(rig_path, registered=False)
-    place, fixture_warnings = fixture_file.read(fixture)
+    place, fixture_warnings = io_fixture.read(fixture)
     opened = open_board_folder(folder, board)
     require_same_size(opened.folder, opened.image_size, rig)
     with terminal.progress("pairs searched for the board") as progress:

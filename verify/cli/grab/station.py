@@ -28,8 +28,8 @@ from verify.grasping.actuators.emulator_check import (
     is_emulated_gripper,
     is_emulated_melfa,
 )
-from verify.grasping.actuators.gripper import GripperDriver
-from verify.grasping.actuators.gripper_modbus import GripperSettings
+from verify.grasping.actuators.gripper.gripper import GripperDriver
+from verify.grasping.actuators.gripper.modbus import GripperSettings
 from verify.grasping.actuators.melfa.mover import MelfaMover
 from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
 from verify.grasping.actuators.protocols import ExecutePermission

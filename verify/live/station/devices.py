@@ -10,7 +10,7 @@ import numpy as np
 from verify.devices.cameras.capture import is_file, open_camera
 from verify.devices.encoders.csv import CsvEncoders, CsvSettings
 from verify.devices.encoders.intake import AngleMap
-from verify.devices.encoders.labenc import LabencEncoders, LabencSettings
+from verify.devices.encoders.labenc.reader import LabencEncoders, LabencSettings
 from verify.devices.encoders.text import FieldMap, TextEncoders, TextSettings
 from verify.devices.melfa.reader import DEFAULT_MELFA_LINE, MelfaEncoders, MelfaSettings
 from verify.devices.melfa.realtime import RealtimeEncoders, RealtimeSettings

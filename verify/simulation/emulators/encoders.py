@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.core.records import Array
-from verify.devices.encoders.labenc_protocol import MAX_LINE_BYTES, MOVING
+from verify.devices.encoders.labenc.protocol import MAX_LINE_BYTES, MOVING
 from verify.devices.ports import CHECKSUMS, LineBuffer
 from verify.simulation.emulators.server import TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory, HoldTrajectory

@@ -11,7 +11,7 @@ from tests.support.boards.board_images import camera, picture, placed
 from verify.calibration.corners.folder import find_boards
 from verify.core.fiducials import Board
 from verify.errors import InputError
-from verify.io.board_folder import open_board_folder
+from verify.io.board.folder import open_board_folder
 
 PLAIN = Board(columns=7, rows=5, square=0.04)
 CHARUCO = replace(PLAIN, markers="DICT_5X5_100", marker=0.03)

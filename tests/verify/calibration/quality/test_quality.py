@@ -19,7 +19,6 @@ from verify.calibration.quality.quality import (
     draw_rectified,
     judge_calibration,
     outlying_views,
-    rms,
     view_residuals,
 )
 from verify.calibration.quality.results import calibration_results
@@ -27,7 +26,7 @@ from verify.calibration.registration.fixture import FixtureRegistration
 from verify.calibration.registration.records import MotionRegistration, SpotResiduals
 from verify.calibration.registration.results import fixture_results, motion_results
 from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES
-from verify.calibration.stereo.records import Calibration, Residuals
+from verify.calibration.stereo.records import Calibration, Residuals, rms
 from verify.core.fiducials import Marker
 from verify.core.rig import Covariance, Rig
 from verify.measurement.systematics import BODY

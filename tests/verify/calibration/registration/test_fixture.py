@@ -13,12 +13,12 @@ from robots.transforms import difference, invert
 from tests.support.boards.fixture import BOARD, pair, placed
 from tests.support.drawn_rig import CAMERAS, TURN
 from tests.support.scene import make_rig
-from verify.calibration.registration import fixture_file
 from verify.calibration.registration.fixture import BASE_NAMES, register_fixture
 from verify.calibration.stereo.records import covariance_in_si
 from verify.core.records import Array
 from verify.core.rig import Covariance, Rig
 from verify.errors import InputError
+from verify.io import fixture as io_fixture
 from verify.io import rig as io_rig
 from verify.measurement.pose import perturb
 
@@ -170,7 +170,7 @@ def test_a_fixture_file_gives_place_and_uncertainty(tmp_path: Path) -> None:
     stated = "position_standard_uncertainty_mm = 0.1\n"
     stated += "rotation_standard_uncertainty_deg = [0.1, 0.2, 0.3]\n"
     path.write_text(FIXTURE + stated)
-    fixture, warnings = fixture_file.read(path)
+    fixture, warnings = io_fixture.read(path)
     assert not warnings
     expected = [[0, -1, 0, 0.12], [1, 0, 0, -0.04], [0, 0, 1, 0.015]]
     assert_allclose(fixture.base_T_board[:3], expected, atol=1e-15)
@@ -181,7 +181,7 @@ def test_a_fixture_file_gives_place_and_uncertainty(tmp_path: Path) -> None:
 def test_what_a_fixture_file_does_not_state_is_warned_of(tmp_path: Path) -> None:
     path = tmp_path / "fixture.toml"
     path.write_text(FIXTURE)
-    fixture, warnings = fixture_file.read(path)
+    fixture, warnings = io_fixture.read(path)
     assert not fixture.covariance.any()
     assert "rotation_standard_uncertainty_deg not stated; taken as exact" in warnings[0]
 
@@ -202,4 +202,4 @@ def test_a_wrong_fixture_file_is_refused(tmp_path: Path, text: str, message: str
     path = tmp_path / "fixture.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
-        fixture_file.read(path)
+        io_fixture.read(path)

@@ -14,10 +14,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.devices.camera_server import CameraServer, jpeg, picture
 from tests.support.recorded import images, write_folder, write_video
-from verify.devices.cameras.capture import MAX_QUEUED, CameraCapture, CapturedImage, open_camera
+from verify.devices.cameras.capture import MAX_QUEUED, CameraCapture, open_camera
 from verify.devices.cameras.opencv import JpegDecoder, OpenCvSource
 from verify.devices.cameras.stream import StreamClock
-from verify.devices.protocols import READ_TIMEOUT, CameraDevice, CameraFrame, CameraSettings
+from verify.devices.protocols import (
+    READ_TIMEOUT,
+    CameraDevice,
+    CameraFrame,
+    CameraSettings,
+    CapturedImage,
+)
 from verify.errors import InputError
 
 

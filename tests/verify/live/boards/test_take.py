@@ -20,7 +20,7 @@ from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array, StereoPair
 from verify.devices.protocols import CameraSettings
 from verify.errors import InputError
-from verify.io.board_folder import open_board_folder
+from verify.io.board.folder import open_board_folder
 from verify.live.boards import pictures as boards_pictures
 from verify.live.boards.goals import CapturedPairs, coverage, goals
 from verify.live.boards.pictures import BoardPictures, complete_pairs

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from tests.support.recorded import MARKER, RIG
 from verify.devices.encoders.csv import CsvEncoders
-from verify.devices.encoders.labenc import LabencEncoders
+from verify.devices.encoders.labenc.reader import LabencEncoders
 from verify.devices.encoders.text import TextEncoders
 from verify.devices.melfa.reader import MelfaEncoders
 from verify.devices.melfa.realtime import RealtimeEncoders

@@ -15,7 +15,7 @@ from verify.core.records import Array, Image
 from verify.core.rig import Camera
 from verify.errors import InputError
 from verify.io import rig as io_rig
-from verify.io.board_folder import open_board_folder
+from verify.io.board.folder import open_board_folder
 from verify.simulation import library
 from verify.simulation.boards.render import PrintedBoard
 from verify.simulation.boards.simulate import SimulatedBoards, board_pairs, inside, simulate_boards

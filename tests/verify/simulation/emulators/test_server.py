@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.devices.bench import gather, kept, same_angles
-from verify.devices.encoders.labenc import LabencEncoders, LabencSettings
+from verify.devices.encoders.labenc.reader import LabencEncoders, LabencSettings
 from verify.devices.melfa import protocol
 from verify.devices.ports import SerialLine
 from verify.errors import InputError

@@ -3,6 +3,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from verify.simulation.emulators.melfa_arm import MelfaArm
 
 import robots
 from tests.support.devices.bench import Emulated, running
@@ -28,7 +29,6 @@ from tests.support.devices.melfa_mover import (
 from verify.grasping.actuators.protocols import MotionRefusedError, MoverState
 from verify.simulation.emulators import trajectory
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
-from verify.simulation.emulators.melfa_arm import MelfaArm
 from verify.simulation.emulators.server import EmulatorFaults, TimedMessage
 
 

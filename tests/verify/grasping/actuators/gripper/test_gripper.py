@@ -9,9 +9,9 @@ import pytest
 from pymodbus.pdu.register_message import WriteMultipleRegistersRequest
 
 from tests.support.devices.bench import Emulated, running, stepped
-from verify.grasping.actuators.gripper import GripperDriver
-from verify.grasping.actuators.gripper_modbus import GripperSettings, fault_text, parse_inputs
-from verify.grasping.actuators.gripper_reader import GripperReader
+from verify.grasping.actuators.gripper.gripper import GripperDriver
+from verify.grasping.actuators.gripper.modbus import GripperSettings, fault_text, parse_inputs
+from verify.grasping.actuators.gripper.reader import GripperReader
 from verify.grasping.actuators.protocols import (
     ExecutePermission,
     GripMode,

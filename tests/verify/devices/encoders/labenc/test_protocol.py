@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from verify.devices.encoders import labenc_protocol as lines
+from verify.devices.encoders.labenc import protocol as lines
 from verify.devices.ports import CHECKSUMS, LineBuffer
 
 SHEET = """$H,LABENC,1.0,IUST6R,6,deg,1000000,100,0123ABCD*4B

@@ -16,7 +16,7 @@ from pymodbus.pdu.register_message import (
 )
 
 from verify.devices.ports import ClockFunction, Port, open_port
-from verify.grasping.actuators.gripper_modbus import (
+from verify.grasping.actuators.gripper.modbus import (
     CLOSED_POSITION,
     FIRST_INPUT,
     N_INPUTS,

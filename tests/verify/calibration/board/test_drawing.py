@@ -13,8 +13,8 @@ import typer
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
-from verify.calibration import board_print
-from verify.calibration.board_print import PAPERS_MM, QUIET_ZONE_MM, PageLayout, lay_out
+from verify.calibration.board import drawing
+from verify.calibration.board.drawing import PAPERS_MM, QUIET_ZONE_MM, PageLayout, lay_out
 from verify.cli.board import board as command
 from verify.core import fiducials as core_fiducials
 from verify.core.fiducials import Board
@@ -32,7 +32,7 @@ REDUCED = 3.0  # px/mm at which corners are searched; they are refined at full r
 def picture(board: Board) -> tuple[Image, PageLayout, float]:
     """The PNG, its layout, and the px/mm that the file itself states."""
     layout = lay_out(board)
-    data = board_print.png(board, layout)
+    data = drawing.png(board, layout)
     dpi = PIL.Image.open(BytesIO(data)).info["dpi"]
     assert dpi[0] == dpi[1]
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
@@ -75,7 +75,7 @@ def test_the_corners_of_the_pdf_are_where_they_should_be(board: Board, tmp_path:
     if tool is None:
         pytest.skip("needs poppler's pdftoppm")
     layout = lay_out(board)
-    (tmp_path / "board.pdf").write_bytes(board_print.pdf(board, layout))
+    (tmp_path / "board.pdf").write_bytes(drawing.pdf(board, layout))
     words = [tool, "-gray", "-r", "254", str(tmp_path / "board.pdf"), str(tmp_path / "page")]
     subprocess.run(words, check=True)
     image = np.asarray(cv2.imread(str(next(tmp_path.glob("*.pgm"))), cv2.IMREAD_GRAYSCALE))
@@ -85,7 +85,7 @@ def test_the_corners_of_the_pdf_are_where_they_should_be(board: Board, tmp_path:
 @both
 def test_the_pdf_is_drawn_with_vectors_exact_to_a_hundredth(board: Board) -> None:
     layout = lay_out(board)
-    size_mm, polygons = drawn(board_print.pdf(board, layout))
+    size_mm, polygons = drawn(drawing.pdf(board, layout))
     assert_allclose(size_mm, layout.page, atol=0.01)
     left, top = layout.pattern[:2]
     side = board.square * 1000

@@ -12,7 +12,7 @@ from verify.core.fiducials import Board
 from verify.core.records import Array, Image
 from verify.errors import InputError, one_line
 from verify.io import fiducials, series
-from verify.io.board_pictures import PICTURE_SUFFIXES, PictureFiles, list_pictures, match_pictures
+from verify.io.board.pictures import PICTURE_SUFFIXES, PictureFiles, list_pictures, match_pictures
 from verify.io.files import digest, require_folder
 from verify.io.toml import did_you_mean
 from verify.io.video import Images, Video, decode_in_step

@@ -9,7 +9,7 @@ from pymodbus.pdu.register_message import (
     WriteMultipleRegistersRequest,
 )
 
-from verify.grasping.actuators.gripper_modbus import (
+from verify.grasping.actuators.gripper.modbus import (
     MAX_BUFFER_BYTES,
     GripperRefusedError,
     GripperSettings,

@@ -17,7 +17,7 @@ from pymodbus.pdu.register_message import (
 )
 
 from verify.devices.ports import ClockFunction, Port
-from verify.grasping.actuators.gripper_modbus import (
+from verify.grasping.actuators.gripper.modbus import (
     CLOSED_POSITION,
     FIRST_OUTPUT,
     MIN_LASTING_FAULT,
@@ -29,7 +29,7 @@ from verify.grasping.actuators.gripper_modbus import (
     GripperSettings,
     fault_text,
 )
-from verify.grasping.actuators.gripper_reader import READ_FUNCTIONS, GripperReader
+from verify.grasping.actuators.gripper.reader import READ_FUNCTIONS, GripperReader
 from verify.grasping.actuators.protocols import (
     ExecutePermission,
     GripMode,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.analysis.least_squares import autocorrelation
-from verify.analysis.rig_check_pair import PairEquations, invert_shown, rows_of
+from verify.analysis.rig_check.pair import PairEquations, invert_shown, rows_of
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
 from verify.core.rig import Rig

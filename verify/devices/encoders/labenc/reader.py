@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 
 from verify.core.records import Array
-from verify.devices.encoders import labenc_protocol as lines
 from verify.devices.encoders.intake import (
     AngleMap,
     ControllerClock,
@@ -17,7 +16,8 @@ from verify.devices.encoders.intake import (
     IntakeCounts,
     ReadingIntake,
 )
-from verify.devices.encoders.labenc_protocol import UNUSABLE
+from verify.devices.encoders.labenc import protocol as lines
+from verify.devices.encoders.labenc.protocol import UNUSABLE
 from verify.devices.ports import (
     DEFAULT_LINE,
     ClockFunction,

@@ -13,7 +13,7 @@ from tests.support.devices.bench import (
     running,
     same_angles,
 )
-from verify.devices.encoders.labenc import LabencEncoders, LabencSettings
+from verify.devices.encoders.labenc.reader import LabencEncoders, LabencSettings
 from verify.devices.protocols import EncoderReading
 from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
 from verify.simulation.emulators.server import EmulatorFaults

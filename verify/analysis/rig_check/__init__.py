@@ -1,0 +1,1 @@
+"""Check whether the rig still is as calibrated, from the LEDs of a session."""

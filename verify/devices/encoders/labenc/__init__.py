@@ -1,0 +1,1 @@
+"""The LABENC encoder board: its line protocol and its reader."""

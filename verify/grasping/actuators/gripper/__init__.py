@@ -1,0 +1,1 @@
+"""The Robotiq gripper over Modbus: registers, reader, orders."""

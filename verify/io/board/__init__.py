@@ -1,0 +1,1 @@
+"""Board pictures on disk: the folder and the pictures in it."""
