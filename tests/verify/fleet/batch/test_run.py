@@ -102,19 +102,19 @@ def test_started_again_only_what_changed_is_done_and_that_is_said(
     shutil.copytree(lab / "one", lab / "two")
     out = tmp_path / "out"
     batch(lab, out, first := Inline())
-    assert first.kinds == ["Measure", "Measure"]
+    assert first.kinds == ["MeasureTask", "MeasureTask"]
     again = batch(lab, out, second := Inline())
-    assert second.kinds == ["Compare", "Compare"]
+    assert second.kinds == ["CompareTask", "CompareTask"]
     assert again.progress.kept == 2
     readings = lab / "two" / "encoders.csv"
     readings.write_text(readings.read_text().rsplit("\n", 2)[0] + "\n")
     (lab / "one" / "truth.csv").write_text("never read")
     changed = batch(lab, out, third := Inline())
-    assert sorted(third.kinds) == ["Compare", "Compare", "Measure"]
+    assert sorted(third.kinds) == ["CompareTask", "CompareTask", "MeasureTask"]
     assert changed.progress.again == [f"{lab}/two: changed since: encoders.csv"]
     other = BatchOptions(Asked("0.5", None, None), "1.0")
     redone = batch(lab, out, fourth := Inline(), other)
-    assert fourth.kinds == ["Measure", "Measure"]
+    assert fourth.kinds == ["MeasureTask", "MeasureTask"]
     assert all("other options" in line for line in redone.progress.again)
 
 
@@ -125,12 +125,12 @@ def test_a_session_that_was_cut_off_while_being_kept_is_measured_again(
     ((_, place),) = batch(lab, out, Inline()).kept
     (place / "entry.json").unlink()
     ((_, again),) = batch(lab, out, crew := Inline()).kept
-    assert crew.kinds == ["Measure"]
+    assert crew.kinds == ["MeasureTask"]
     assert (again / "entry.json").exists()
 
 
 def test_a_session_whose_worker_dies_each_time_is_reported(lab: Path, tmp_path: Path) -> None:
-    done = batch(lab, tmp_path / "out", Inline(lost="Measure"))
+    done = batch(lab, tmp_path / "out", Inline(lost="MeasureTask"))
     assert not done.kept
     (failure,) = done.failures
     assert failure.kind == KILLED
@@ -168,7 +168,7 @@ def test_a_session_behind_a_url_gives_the_same_figures_under_its_own_name(
         assert kept.summary["joints"] == plain.summary["joints"]
         assert not any(str(tmp_path) in text or "/tmp" in text for text in kept.summary["warnings"])
         assert batch("memory://lab", out, second := Inline()).progress.kept == 1
-        assert second.kinds == ["Compare"]
+        assert second.kinds == ["CompareTask"]
         storage.pipe("/lab/one/encoders.csv", b"t_s\n")
         failed = batch("memory://lab", out, Inline())
         assert failed.failures[0].why.startswith(f"{name}/encoders.csv")
