@@ -67,7 +67,7 @@ def batch(
 
     tolerances = ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
     questions = _trend_request(by, since, compare)
-    pool = _worker_pool(workers, scheduler)  # the first worker loads meanwhile
+    pool = _worker_pool(workers, scheduler)  # its workers load meanwhile
     try:
         found, failures = find_sessions(folders, out)
         require_folders([one.session for one in found], questions)

@@ -49,7 +49,7 @@ class Cluster:
         serves = "dashboard" in self._client.scheduler_info().get("services", {})
         return str(self._client.dashboard_link) if serves else None
 
-    def ready(self, tasks: int) -> None:
+    def ready(self) -> None:
         """Wait for nobody: a worker was there before this pool."""
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:

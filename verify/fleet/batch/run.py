@@ -99,7 +99,7 @@ def measure_all(
         work.begin(one)
     watch(work.progress)
     if work.waiting:
-        pool.ready(len(work.waiting))
+        pool.ready()
     work.progress.begin()
     for task, outcome in pool.run(work.waiting):
         work.take(task, outcome)

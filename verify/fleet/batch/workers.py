@@ -25,8 +25,8 @@ Worker = ChildProcess[Task, Any]
 class WorkerPool(Protocol):
     """Workers, wherever they are."""
 
-    def ready(self, tasks: int) -> None:
-        """Wait until a worker can begin; there are so many tasks, 1 at least."""
+    def ready(self) -> None:
+        """Wait until a worker can begin."""
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
         """Perform tasks, taken from the left, until none is left or under way.
@@ -44,21 +44,19 @@ class WorkerPool(Protocol):
 
 
 class ProcessPool:
-    """Worker processes on this machine; the first one starts at once.
+    """Worker processes on this machine; they start at once.
 
     Args:
-        workers: how many at most.
+        workers: how many.
     """
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
-        self._idle: list[Worker] = [self._start()]
+        self._idle: list[Worker] = [self._start() for _ in range(workers)]
         self._busy: dict[Worker, Task] = {}
 
-    def ready(self, tasks: int) -> None:
-        """Start as many workers as there are tasks for; wait until the first one is ready."""
-        while len(self._idle) < min(tasks, self._workers):
-            self._idle.insert(0, self._start())
+    def ready(self) -> None:
+        """Wait until the first worker is ready."""
         with suppress(ChildLostError):  # it is replaced when it gets its first task
             self._idle[-1].wait_until_ready()
 

@@ -32,8 +32,7 @@ class Inline:
         self.kinds: list[str] = []
         self.loaded = False
 
-    def ready(self, tasks: int) -> None:
-        assert tasks > 0
+    def ready(self) -> None:
         self.loaded = True
 
     def run(self, waiting: deque[Task]) -> Iterator[tuple[Task, Any]]:

@@ -108,7 +108,7 @@ def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
 def test_a_process_that_is_killed_while_it_has_nothing_to_do_is_replaced() -> None:
     pool = ProcessPool(1)
     try:
-        pool.ready(3)
+        pool.ready()
         ((_, pid),) = pool.run(deque([Pid(0)]))
         os.kill(pid, signal.SIGKILL)
         _await_end(pid)
