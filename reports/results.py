@@ -235,10 +235,10 @@ def _manifest(folder: Path) -> dict[str, Any]:
         expected = "it is damaged or cut short"
         raise _damaged(folder, MANIFEST, "it is not JSON", expected) from problem
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT_VERSION:
-        found = manifest.get("format") if isinstance(manifest, dict) else None
+        stated = manifest.get("format") if isinstance(manifest, dict) else None
         raise ReportError(
             place,
-            f"its format is {json.dumps(found)}",
+            f"its format is {json.dumps(stated)}",
             f"this version reads format {FORMAT_VERSION}",
             f"Use the version of verify that wrote it. {rebuild_command(folder)}",
         )
