@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
-from verify.simulation.emulators.melfa_arm import MelfaArm
 
 import robots
 from tests.support.devices import bench
@@ -17,6 +16,7 @@ from verify.grasping.actuators.melfa.mover import MelfaMover
 from verify.grasping.actuators.melfa.orders import MOVE_COMMANDS, MotionSettings, MoveLimits
 from verify.grasping.actuators.protocols import ExecutePermission, MoverState, MoverStatus
 from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 
 RIGHT = ExecutePermission("--execute, in a test")

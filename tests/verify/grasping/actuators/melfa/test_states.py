@@ -3,7 +3,6 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from verify.simulation.emulators.melfa_arm import MelfaArm
 
 import robots
 from tests.support.devices.bench import Emulated, running
@@ -28,6 +27,7 @@ from tests.support.devices.melfa_mover import (
 )
 from verify.grasping.actuators.protocols import MotionRefusedError, MoverState
 from verify.simulation.emulators import trajectory
+from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 from verify.simulation.emulators.server import EmulatorFaults, TimedMessage
 
@@ -219,7 +219,7 @@ def test_a_servo_that_stays_on_is_reported(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.realtime
 def test_a_servo_that_does_not_come_on_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("verify.simulation.emulators.melfa_arm.SERVO_TIME", 1e9)
+    monkeypatch.setattr("verify.simulation.emulators.arm.SERVO_TIME", 1e9)
     monkeypatch.setattr("verify.grasping.actuators.melfa.answers.POWER_TIMEOUT", 0.5)
     with running(controller()) as emulated, mover(emulated) as arm:
         arm.take_controls()
