@@ -140,6 +140,7 @@ def test_a_straight_move_is_straight_and_a_joint_move_is_not() -> None:
     assert bends[1] > 5e-3
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 def test_hold_stops_the_arm_where_it_is_and_keeps_the_controls(where: str) -> None:
     engine = controller()
