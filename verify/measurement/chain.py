@@ -199,10 +199,9 @@ def _assign(
     whole_frame: bool,
 ) -> _AssignedPair:
     found = assign_leds(
-        *spots,
+        spots,
         setup.rig,
-        pair.pan_left,
-        pair.pan_right,
+        (pair.pan_left, pair.pan_right),
         setup.marker,
         prediction=prediction,
         expected=partial(setup.expected, pair.t_left),

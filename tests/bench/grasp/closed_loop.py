@@ -11,7 +11,7 @@ import numpy as np
 
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.run import StopConditions, run
-from verify.simulation.cell.grab import cell_grab
+from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, SMALL_SIZE, CellSetup, cell_setup
 
@@ -36,7 +36,9 @@ def grasp(setup: CellSetup, seed: int, fault: float, *, closed: bool) -> Grasp:
         errors = np.zeros(6)
         errors[seed % JOINTS] = fault * (1 if seed % 2 else -1)
         scene = replace(scene, joint_errors=tuple(errors.tolist()))
-    made = cell_grab(setup, scene, right=ExecutePermission("bench"), auto=True, closed=closed)
+    made = cell_grab(
+        setup, scene, right=ExecutePermission("bench"), mode=CellMode(auto=True, closed=closed)
+    )
     ended = run(made.loop, made.source, ENDS, lambda _: None)
     world, planned = made.world, made.loop.aim.planned
     plan, seen = made.loop.aim.plan, None if planned is None else planned.thing.offset

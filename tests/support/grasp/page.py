@@ -20,7 +20,7 @@ from verify.grasping.control.states import GraspState
 from verify.grasping.page import GraspFacts
 from verify.grasping.tracking.camshift import Box
 from verify.live.page.access import LOOPBACK
-from verify.simulation.cell.grab import CellRun, cell_grab
+from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene
 from verify.simulation.cell.setup import ROBOT, SMALL_SIZE, cell_setup
 
@@ -34,7 +34,9 @@ class Cell:
     def __init__(self, scene: CellScene, *, execute: bool, selects: bool, paced: bool) -> None:
         setup = cell_setup(SMALL_SIZE)
         right = ExecutePermission("test") if execute else None
-        self.grab: CellRun = cell_grab(setup, scene, right=right, paced=paced, closed=False)
+        self.grab: CellRun = cell_grab(
+            setup, scene, right=right, mode=CellMode(paced=paced, closed=False)
+        )
         on = PageContext(PageOptions(0, LOOPBACK, None), setup.planner, setup.rig, selects)
         facts = GraspFacts(ROBOT, "played", setup.planner, setup.rig, execute, 60.0)
         self.page = GraspPage(self.grab.loop, on, facts)

@@ -39,10 +39,9 @@ class Scene:
         skew: float = 2.0,
     ) -> Correspondence:
         return assign_leds(
-            *self.spots,
+            self.spots,
             self.rig,
-            PANS[0],
-            PANS[1],
+            PANS,
             self.marker,
             prediction=prediction,
             expected=lambda: expected,

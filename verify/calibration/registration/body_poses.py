@@ -86,7 +86,7 @@ def _assign_leds(pairs: Sequence[PairSpots], rig: Rig, marker: Marker) -> list[A
     for now in pairs:
         prediction = None if memory is None else _predict(memory, now.t[0])
         identified = assign_leds(
-            *now.spots, rig, *now.pan, marker,
+            now.spots, rig, now.pan, marker,
             prediction=prediction, motion_tolerance_px=max_motion_px(now),
         )  # fmt: skip
         if identified.status != "measured" or identified.rig_T_flange is None:

@@ -12,7 +12,7 @@ from verify.io.results import refuse_existing
 from verify.live.buffers import PanBuffer
 from verify.live.recording.session import SessionFacts
 from verify.simulation.cell.cell import RATE
-from verify.simulation.cell.grab import cell_grab
+from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import COLOURS, add_pan_turns, draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, ROBOT, SMALL_SIZE, CellSetup, cell_setup
 
@@ -57,9 +57,7 @@ def grab_simulated(
         scene,
         target,
         right,
-        auto=wish.auto,
-        stepped=stop_and_go,
-        paced=paced,
+        mode=CellMode(auto=wish.auto, stepped=stop_and_go, paced=paced),
         bases=bases,
     )
     told = GraspContext(ROBOT, target_name(target), "simulated", wish.execute, datetime.now(UTC))

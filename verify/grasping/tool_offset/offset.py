@@ -182,7 +182,7 @@ def measure_resting_flange(
         detect(pair.right, _search_window(ordered, marker, rig.right, pans[1], pair.right)),
     )
     near = PosePrediction(ordered, SEARCH_RADIUS, MAX_ROTATION)
-    found = assign_leds(spots[0], spots[1], rig, pans[0], pans[1], marker, prediction=near)
+    found = assign_leds(spots, rig, pans, marker, prediction=near)
     n_leds = len({*found.left_led.tolist(), *found.right_led.tolist()})
     if found.status != "measured" or found.rig_T_flange is None:
         return Measurement(pair.frame, pair.t_left, found.status, n_leds)

@@ -150,11 +150,9 @@ def no_encoder_poses() -> Sequence[Array]:
 
 
 def assign_leds(
-    left: Spots,
-    right: Spots,
+    spots: tuple[Spots, Spots],
     rig: Rig,
-    pan_left: float,
-    pan_right: float,
+    pans: tuple[float, float],
     marker: Marker,
     *,
     prediction: PosePrediction | None = None,
@@ -164,11 +162,9 @@ def assign_leds(
     """Find which spot is which LED.
 
     Args:
-        left: spots of the left image, brightest first.
-        right: spots of the right image.
+        spots: of the left and the right image, brightest first.
         rig: the calibrated cameras.
-        pan_left: rad, reading of the left base.
-        pan_right: rad, reading of the right base.
+        pans: rad, readings of the left and the right base.
         marker: the LEDs, one to six in any arrangement.
         prediction: from the previous pairs; settles what geometry and colour leave open, and
             finds LEDs where too few are seen for geometry alone.
@@ -180,9 +176,9 @@ def assign_leds(
         The assignment. Where several explain the spots equally it is empty, `ambiguous_leds`;
         where none does, `too_few_leds`. An LED seen by one camera only is listed for that one.
     """
-    if len(left) == 0 or len(right) == 0:
+    if len(spots[0]) == 0 or len(spots[1]) == 0:
         return _no_result("too_few_leds")
-    views = prepare_views((left, right), rig, (pan_left, pan_right), marker, motion_tolerance_px)
+    views = prepare_views(spots, rig, pans, marker, motion_tolerance_px)
     found = _find(views, prediction, expected)
     if len(found) == 0:
         return _no_result("too_few_leds")

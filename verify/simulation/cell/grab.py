@@ -90,16 +90,23 @@ class CellRun:
     loop: GraspLoop
 
 
+@dataclass(frozen=True, slots=True)
+class CellMode:
+    """How a grasp in the cell is driven."""
+
+    auto: bool = False  # grasp as soon as the target stands still
+    stepped: bool = False  # the arm takes one move at a time; else a stream of set points
+    paced: bool = False  # keep to the computer's clock
+    closed: bool = True  # the hand is seen above the object, and its end point corrected
+
+
 def cell_grab(
     setup: CellSetup,
     scene: CellScene,
     target: Target | None = None,
     right: ExecutePermission | None = None,
     *,
-    auto: bool = False,
-    stepped: bool = False,
-    paced: bool = False,
-    closed: bool = True,
+    mode: CellMode = CellMode(),
     bases: PanInterpolator | None = None,
 ) -> CellRun:
     """Put a grab together; nothing has begun yet.
@@ -109,10 +116,7 @@ def cell_grab(
         scene: what stands there, and what happens.
         target: what to grab; by default the colour of the scene's first cap.
         right: the operator's order that the arm may move; None: it may not.
-        auto: grab as soon as the target stands still.
-        stepped: the arm takes one move at a time; else a stream of set points.
-        paced: keep to the computer's clock.
-        closed: the hand is seen above the object, and its end point corrected.
+        mode: how it is driven.
         bases: keep the angles of turning camera bases; None: fixed ones.
 
     Raises:
@@ -120,17 +124,17 @@ def cell_grab(
     """
     tracker = TargetTracker(setup.rig, target or ColourSelection(scene.caps[0].colour))
     world = CellWorld(setup, scene)
-    cell = CellSource(world, bases, paced=paced)
+    cell = CellSource(world, bases, paced=mode.paced)
     if right is None:
         aim = Aim(setup.planner, setup.rig)
         loop = GraspLoop(setup.planner, tracker, aim, None, cell.joints, world.now)
         return CellRun(world, cell, loop)
     mover, gripper = cell.devices(right)
     arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
-    if stepped:
+    if mode.stepped:
         arm = SteppedArm(setup.planner, mover)
-    watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker) if closed else None
+    watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker) if mode.closed else None
     aim = Aim(setup.planner, setup.rig, watch)
     actuators = Actuators(arm, gripper)
-    loop = GraspLoop(setup.planner, tracker, aim, actuators, cell.joints, world.now, auto=auto)
+    loop = GraspLoop(setup.planner, tracker, aim, actuators, cell.joints, world.now, auto=mode.auto)
     return CellRun(world, cell, loop)

@@ -15,7 +15,7 @@ from verify.grasping.planning.workspace import RESOLUTION
 from verify.grasping.tool_offset.offset import FlangeMeasurement, OffsetMeasurement
 from verify.grasping.tool_offset.watch import MAX_PICTURES, FlangeWatch
 from verify.simulation.cell.cell import CellWorld
-from verify.simulation.cell.grab import CellRun, cell_grab
+from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene
 
 SETUP = quick_cell()
@@ -32,7 +32,9 @@ def grabbed(
     scene: CellScene, *, closed: bool = True, stepped: bool = False
 ) -> tuple[CellRun, GraspOutcome]:
     right = ExecutePermission("test")
-    grab = cell_grab(SETUP, scene, right=right, auto=True, stepped=stepped, closed=closed)
+    grab = cell_grab(
+        SETUP, scene, right=right, mode=CellMode(auto=True, stepped=stepped, closed=closed)
+    )
     return grab, run(grab.loop, grab.source, ENDS, lambda _: None)
 
 

@@ -15,7 +15,7 @@ from verify.grasping.control.states import GraspEvent, GraspState
 from verify.grasping.planning.workspace import RESOLUTION
 from verify.grasping.tracking.camshift import Box
 from verify.grasping.tracking.target import BoxSelection
-from verify.simulation.cell.grab import CellRun, cell_grab
+from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, SceneEvent, draw_scene
 
 ENDS = StopConditions(duration=20.0, patience=1.0)
@@ -27,7 +27,7 @@ def made(
 ) -> CellRun:
     right = ExecutePermission("test") if execute else None
     return cell_grab(  # grasps with a look at the hand: test_loop_closed.py
-        quick_cell(), scene, right=right, auto=auto, stepped=stepped, closed=False
+        quick_cell(), scene, right=right, mode=CellMode(auto=auto, stepped=stepped, closed=False)
     )
 
 
@@ -277,7 +277,7 @@ def test_a_target_that_passes_behind_another_of_its_colour_is_the_one_that_is_li
     passes = Cap("blue", (0.43, -0.10), (0.0, 0.13), 2.4)
     scene = CellScene((passes, Cap("blue", (0.49, 0.0))), seed=4)
     target, right = BoxSelection(box_of(passes)), ExecutePermission("test")
-    grab = cell_grab(quick_cell(), scene, target, right, auto=True, closed=False)
+    grab = cell_grab(quick_cell(), scene, target, right, mode=CellMode(auto=True, closed=False))
     seen: list[LoopCycle] = []
     ended = run(grab.loop, grab.source, ENDS, seen.append)
     before = {

@@ -20,7 +20,7 @@ from verify.grasping.control.states import GraspState
 from verify.grasping.planning.plan import planner_with_cameras
 from verify.grasping.planning.workspace import RESOLUTION
 from verify.live.buffers import MAX_PAN_AGE, PanBuffer
-from verify.simulation.cell.grab import CellRun, PanInterpolator, cell_grab
+from verify.simulation.cell.grab import CellMode, CellRun, PanInterpolator, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, PanTurn
 from verify.simulation.cell.setup import SMALL_SIZE, cell_setup
 
@@ -41,7 +41,7 @@ def seen(
 ) -> tuple[CellRun, GraspOutcome, list[LoopCycle]]:
     right = ExecutePermission("test") if moves else None
     scene = CellScene(CAP, turns=turns, seed=1)
-    made = cell_grab(SETUP, scene, right=right, auto=True, bases=bases)
+    made = cell_grab(SETUP, scene, right=right, mode=CellMode(auto=True), bases=bases)
     cycles: list[LoopCycle] = []
     ends = ENDS if moves else StopConditions(duration=2.0, patience=2.0, planned=False)
     return made, run(made.loop, made.source, ends, cycles.append), cycles

@@ -15,7 +15,7 @@ from verify.grasping.control.states import MOVING_STATES, GraspEvent, GraspState
 from verify.grasping.tracking.selection import parse_drawn
 from verify.grasping.tracking.target import BoxSelection, ColourSelection, TrackingOptions
 from verify.grasping.tracking.track import TargetTracker
-from verify.simulation.cell.grab import CellRun, cell_grab
+from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene
 
 SETUP = quick_cell()
@@ -25,7 +25,7 @@ CAP = BoxSelection(filled(STANDS.caps[0], STANDS.caps[0].place(0.0)))
 
 def made(*, execute: bool = True) -> CellRun:
     right = ExecutePermission("test") if execute else None
-    return cell_grab(SETUP, STANDS, right=right, closed=False)
+    return cell_grab(SETUP, STANDS, right=right, mode=CellMode(closed=False))
 
 
 def started(*, execute: bool = True) -> CellRun:
