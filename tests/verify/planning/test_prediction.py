@@ -39,7 +39,7 @@ def test_a_recorded_session_agrees_with_the_prediction(
     session = planning.recorded(
         bench,
         made,
-        lambda plan: monkeypatch.setattr("verify.simulation.world.motion.plan_motion", plan),
+        lambda plan: monkeypatch.setattr("verify.simulation.session.simulate.plan_motion", plan),
     )
     np.testing.assert_allclose(session.rig.rig_T_base, bench.rig.rig_T_base, atol=1e-9)
     summary = analyse(session).summary
@@ -63,7 +63,7 @@ def test_a_recorded_sessions_clock_agrees_with_the_prediction(
     session = planning.recorded(
         bench,
         made,
-        lambda plan: monkeypatch.setattr("verify.simulation.world.motion.plan_motion", plan),
+        lambda plan: monkeypatch.setattr("verify.simulation.session.simulate.plan_motion", plan),
         msgspec.structs.replace(planning.SCENARIO, clock=None),
     )
     stated = analyse(session).summary["clock"]["standard_uncertainty_s"]
