@@ -4,13 +4,24 @@ Metres, radians and seconds throughout; image coordinates in pixels, (x, y), pix
 whole numbers. `a_T_b` carries coordinates in b to coordinates in a.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Record = TypeVar("Record")
+
+
+def take_rows(record: Record, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Record:
+    """Take some rows of each array of a dataclass, by index or mask; other fields stay."""
+    dataclass_record: Any = record
+    values = {f.name: getattr(record, f.name) for f in fields(dataclass_record)}
+    arrays = {name: value[rows] for name, value in values.items() if isinstance(value, np.ndarray)}
+    taken: Record = replace(dataclass_record, **arrays)
+    return taken
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,45 +66,38 @@ def align(
     """
     if alone:
         return replace(now.sighting, t=t)
-    motion = _along_image_velocity(now, neighbour, t, camera) if neighbour is not None else None
-    if motion is None:
-        at_rest = bool(np.all(np.abs(t - now.taken) < TOL_INSTANT))
-        return replace(now.sighting, t=t) if at_rest else None
-    return motion
+    moved = _along_image_velocity(now, neighbour, t, camera) if neighbour is not None else None
+    if moved is None and np.all(np.abs(t - now.taken) < TOL_INSTANT):
+        return replace(now.sighting, t=t)
+    return moved
 
 
 def _along_image_velocity(
     now: RawSighting, neighbour: RawSighting, t: float, camera: Camera
 ) -> Sighting | None:
     """Spots at the common instant, from the line through this sighting and its neighbour."""
-    seen, before = now.sighting, neighbour.sighting
-    m = len(seen)
-    centre, covariance = np.empty((m, 2)), np.empty((m, 2, 2))
-    velocity, lever = np.empty((m, 2)), np.empty(m)
-    matched = carry_to_instant(
-        (seen.led, before.led),
-        (
-            np.ascontiguousarray(seen.centre),
-            np.ascontiguousarray(_pan_compensated(neighbour, seen.pan, camera)),
-        ),
-        (np.ascontiguousarray(seen.covariance), np.ascontiguousarray(before.covariance)),
+    sighting, before = now.sighting, neighbour.sighting
+    centres = sighting.centre, _pan_compensated(neighbour, sighting.pan, camera)
+    matched, centre, covariance, velocity, lever = carry_to_instant(
+        (sighting.led, before.led),
+        (np.ascontiguousarray(centres[0]), np.ascontiguousarray(centres[1])),
+        (np.ascontiguousarray(sighting.covariance), np.ascontiguousarray(before.covariance)),
         (now.taken, neighbour.taken),
         t,
-        (centre, covariance, velocity, lever),
     )
     if not matched:
         return None
-    return replace(
-        seen, centre=centre, covariance=covariance, t=t, velocity=velocity, acceleration_lever=lever
-    )
+    moved = replace(sighting, centre=centre, covariance=covariance, t=t)
+    return replace(moved, velocity=velocity, acceleration_lever=lever)
 
 
 def _pan_compensated(raw: RawSighting, pan: float, camera: Camera) -> Array:
     """The neighbour's spots as the present pan angle would show them, (m, 2), px."""
-    seen = raw.sighting
-    if seen.pan == pan:
-        return seen.centre
-    rays = np.concatenate([camera.normalise(seen.centre), np.ones((len(seen), 1))], axis=1)
-    points = np.concatenate([rays * raw.depth[:, None], np.ones((len(seen), 1))], axis=1)
-    now_T_then = camera.camera_T_rig(pan) @ camera.rig_T_camera(seen.pan)
+    sighting = raw.sighting
+    if sighting.pan == pan:
+        return sighting.centre
+    one = np.ones((len(sighting), 1))
+    rays = np.concatenate([camera.normalise(sighting.centre), one], axis=1)
+    points = np.concatenate([rays * raw.depth[:, None], one], axis=1)
+    now_T_then = camera.camera_T_rig(pan) @ camera.rig_T_camera(sighting.pan)
     return camera.project((points @ now_T_then.T)[:, :3])

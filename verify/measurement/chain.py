@@ -19,7 +19,8 @@ from verify.measurement.alignment import MAX_GAP, RawSighting, align, spot_insta
 from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
 from verify.measurement.detection.detect import detect
 from verify.measurement.kernels.alignment import led_boxes
-from verify.measurement.pose import ACCELERATION_PER_SPEED, MIN_ACCELERATION, fit_pose, perturb
+from verify.measurement.kernels.pose import ACCELERATION_PER_SPEED, MIN_ACCELERATION
+from verify.measurement.pose import fit_pose, perturb
 from verify.measurement.systematics import Systematics, spot_columns, stated_systematics
 
 # A spot's surroundings: its own radius several times over, for the background that is fitted.
@@ -38,17 +39,14 @@ def led_windows(
         prediction: of the flange's pose in the rig.
         image: the picture to be searched.
     """
-    doubt = 2 * prediction.position_uncertainty, 2 * prediction.rotation_uncertainty
-    boxes = np.empty((len(marker), 4))
-    count = led_boxes(
+    off = 2 * prediction.position_uncertainty, 2 * prediction.rotation_uncertainty
+    return led_boxes(
         camera.camera_T_rig(pan) @ prediction.rig_T_flange,
         np.ascontiguousarray(marker.leds),
         (camera.matrix, camera.distortion),
-        (MARGIN_PX, marker.led_diameter, *doubt),
+        (MARGIN_PX, marker.led_diameter, *off),
         (image.shape[1], image.shape[0]),
-        boxes,
     )
-    return boxes[:count]
 
 
 MIN_MOTION_PX = 0.3  # what clocks and lenses leave between two pictures of one instant

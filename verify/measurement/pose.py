@@ -18,7 +18,7 @@ errors. An LED in one image alone counts. Spots that contradict the others are r
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -26,61 +26,62 @@ from numpy.typing import NDArray
 
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Pose, Sighting
-from verify.core.rig import Camera, Rig
+from verify.core.rig import Rig
 from verify.measurement.kernels import pose as kernel
-from verify.measurement.kernels.pose import predict_spots
+from verify.measurement.kernels.pose import SCALE
 
-# Acceleration assumed a speed, 1/s: arms move in sines near 0.5 Hz (2 pi f = 3) or in ramps of a
-# third of a second. The session's own motion corrects it afterwards (comparison.py).
-ACCELERATION_PER_SPEED = 3.0
-MIN_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and stops
-SCALE = np.repeat([kernel.LEVER, 1.0], 3)
 MAX_SPOT_CHI2 = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
 MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
 MIN_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
-TIME_STEP = 0.01  # s: long against rounding, short against the motion
 
 
 @dataclass(frozen=True, slots=True)
 class SightingStack:
-    """The sightings of both cameras as one stack: s spots, left ones first."""
+    """The sightings of both cameras: s spots, left ones first, each with its camera's figures."""
 
     points: Array  # (s, 3), m, LEDs in the flange frame
     centre: Array  # (s, 2), px
     covariance: Array  # (s, 2, 2), px²
     velocity: Array  # (s, 2), px/s
     lever: Array  # (s,), s²
-    # camera, camera_T_rig, its spots
-    cameras: tuple[tuple[Camera, Array, "slice[int, int | None, None]"], ...]
-    # each spot's camera, so that one pass serves both
-    camera_R_rig: Array = field(init=False)  # (s, 3, 3)
-    origin: Array = field(init=False)  # (s, 3), m, of the rig in the camera
-    lens: Array = field(init=False)  # (5, s), k1, k2, p1, p2, k3
-    focal: Array = field(init=False)  # (s, 2, 2), px, of the camera's matrix
-    middle: Array = field(init=False)  # (s, 2), px, likewise
-
-    def __post_init__(self) -> None:
-        count = len(self.points)
-        shapes = {
-            "camera_R_rig": (count, 3, 3),
-            "origin": (count, 3),
-            "lens": (5, count),
-            "focal": (count, 2, 2),
-            "middle": (count, 2),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, np.empty(shape))
-        for camera, camera_T_rig, spots in self.cameras:
-            self.camera_R_rig[spots] = camera_T_rig[:3, :3]
-            self.origin[spots] = camera_T_rig[:3, 3]
-            self.lens[:, spots] = camera.distortion[:, None]
-            self.focal[spots] = camera.matrix[:2, :2]
-            self.middle[spots] = camera.matrix[:2, 2]
+    camera_R_rig: Array  # (s, 3, 3)
+    origin: Array  # (s, 3), m, of the rig in the camera
+    lens: Array  # (5, s), k1, k2, p1, p2, k3
+    focal: Array  # (s, 2, 2), px, of the camera's matrix
+    middle: Array  # (s, 2), px, likewise
 
     @property
     def places(self) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Arguments of a prediction beside the pose."""
         return self.points, self.camera_R_rig, self.origin, self.lens, self.focal, self.middle
+
+
+def stack_sightings(left: Sighting, right: Sighting, rig: Rig, points: Array) -> SightingStack:
+    """Stack both cameras' sightings of points (n, 3), m, in the flange frame."""
+    cameras, counts = (rig.left, rig.right), [len(left), len(right)]
+    placed = [
+        camera.camera_T_rig(view.pan) for camera, view in zip(cameras, (left, right), strict=True)
+    ]
+
+    def for_each_spot(values: list[Array]) -> Array:
+        return np.repeat(np.array(values), counts, axis=0)
+
+    return SightingStack(
+        points=np.array(points[np.concatenate([left.led, right.led])], order="C"),
+        centre=_concatenate(left.centre, right.centre),
+        covariance=_concatenate(left.covariance, right.covariance),
+        velocity=_concatenate(left.velocity, right.velocity),
+        lever=_concatenate(left.acceleration_lever, right.acceleration_lever),
+        camera_R_rig=for_each_spot([camera_T_rig[:3, :3] for camera_T_rig in placed]),
+        origin=for_each_spot([camera_T_rig[:3, 3] for camera_T_rig in placed]),
+        lens=np.ascontiguousarray(for_each_spot([camera.distortion for camera in cameras]).T),
+        focal=for_each_spot([camera.matrix[:2, :2] for camera in cameras]),
+        middle=for_each_spot([camera.matrix[:2, 2] for camera in cameras]),
+    )
+
+
+def _concatenate(left: Array, right: Array) -> Array:
+    return np.ascontiguousarray(np.concatenate([left, right]))
 
 
 # d spots by what is stated of rig and marker, columns of unit variance (2 s, p), at a pose (4, 4)
@@ -111,48 +112,25 @@ def fit_pose(
     Returns:
         The pose with its covariance; spots that no pose explains with the rest are rejected.
     """
-    views = _stack(left, right, rig, marker)
+    views = stack_sightings(left, right, rig, marker.leds)
     keep = np.ones(len(views.centre), dtype=np.bool_)
     tolerance = np.diag(np.repeat(_excess_variance(views, marker), 2))
     centre, curvature = views.centre, np.zeros_like(views.centre)
     if views.lever.any():
         rough = _gauss_newton(views, centre, keep, start)
-        curvature = _curvature(views, rough.rig_T_flange, rough.twist)
+        curvature = kernel.image_acceleration(views.places, rough.rig_T_flange, rough.twist)
         centre, start = centre - curvature * views.lever[:, None], rough.rig_T_flange
     while True:
         fit = _gauss_newton(views, centre, keep, start)
         worst, size = _worst_spot(fit, keep, tolerance)
         if size >= MAX_SPOT_CHI2 and doubt is not None:
-            columns, doubt = doubt(fit.rig_T_flange, fit.by_point), None
+            columns, doubt = doubt(fit.rig_T_flange, fit.predicted[1]), None
             tolerance = tolerance + columns @ columns.T
             worst, size = _worst_spot(fit, keep, tolerance)
         settled = size < MAX_SPOT_CHI2
         if settled or keep.sum() <= MIN_SPOTS or (~keep).sum() >= len(keep) // 3:
             return _pose(fit, views, keep, settled, curvature)
         keep[worst] = False
-
-
-def _stack(left: Sighting, right: Sighting, rig: Rig, marker: Marker) -> SightingStack:
-    m = len(left)
-    camera_T_rig: list[Array] = [
-        camera.camera_T_rig(sighting.pan)
-        for camera, sighting in ((rig.left, left), (rig.right, right))
-    ]
-    return SightingStack(
-        points=np.array(marker.leds[np.concatenate([left.led, right.led])], order="C"),
-        centre=_concatenate(left.centre, right.centre),
-        covariance=_concatenate(left.covariance, right.covariance),
-        velocity=_concatenate(left.velocity, right.velocity),
-        lever=_concatenate(left.acceleration_lever, right.acceleration_lever),
-        cameras=(
-            (rig.left, camera_T_rig[0], slice(0, m)),
-            (rig.right, camera_T_rig[1], slice(m, None)),
-        ),
-    )
-
-
-def _concatenate(left: Array, right: Array) -> Array:
-    return np.ascontiguousarray(np.concatenate([left, right]))
 
 
 def predict(views: SightingStack, rig_T_flange: Array) -> tuple[Array, Array, Array]:
@@ -165,57 +143,29 @@ def predict(views: SightingStack, rig_T_flange: Array) -> tuple[Array, Array, Ar
     count = len(views.points)
     pixels, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
     by_pose = np.empty((count, 2, 6))
-    predict_spots(rig_T_flange, *views.places, pixels, by_point, by_pose)
+    kernel.predict_spots(rig_T_flange, *views.places, pixels, by_point, by_pose)
     return pixels, by_point, by_pose
 
 
 @dataclass(frozen=True, slots=True)
 class _PoseFit:
-    rig_T_flange: Array
-    residual: Array  # (s, 2)
-    by_point: Array  # (s, 2, 3)
-    by_pose: Array  # (s, 2, 6)
-    noise: Array  # (2 s, 2 s), px²: pixels
-    acceleration: Array  # (2 s, 2 s), px²: alignment
-    weight: Array  # (2 s, 2 s), 1/px²: inverse of both for the kept spots, 0 for the others
+    """A fitted pose, and what `kernels.pose.fit_spots` returns beside it."""
+
+    rig_T_flange: Array  # (4, 4)
+    predicted: tuple[Array, Array, Array]  # residual, derivatives by the point and by the pose
+    spread: tuple[Array, Array, Array]  # covariance from pixels, from alignment, and their weight
+    gain: Array  # (6, 2 s), 0 for spots that are not kept
+    directions: tuple[Array, NDArray[np.bool_]]  # of the pose, and whether spots determine them
     twist: Array  # (6,)
     prior: tuple[float, float]
-    gain: Array  # (6, 2 s), 0 for spots that are not kept
-    directions: Array  # (6, 6), columns: of the pose, in units of SCALE
-    known: NDArray[np.bool_]  # (6,), whether the spots determine them
-
-    @property
-    def predicted(self) -> tuple[Array, Array, Array]:
-        return self.residual, self.by_point, self.by_pose
-
-    @property
-    def spread(self) -> tuple[Array, Array, Array]:
-        return self.noise, self.acceleration, self.weight
 
 
 def _gauss_newton(
     views: SightingStack, centre: Array, keep: NDArray[np.bool_], start: Array
 ) -> _PoseFit:
-    count = len(centre)
     pose = np.array(start, dtype=float, order="C")
-    twist, gain = np.empty(6), np.empty((6, 2 * count))
-    predicted = np.empty((count, 2)), np.empty((count, 2, 3)), np.empty((count, 2, 6))
-    noise, acceleration, weight = np.empty((3, 2 * count, 2 * count))
-    directions = np.empty((6, 6)), np.empty(6, dtype=np.bool_)
-    prior = kernel.fit_spots(
-        views.places,
-        centre,
-        (views.covariance, views.velocity, views.lever),
-        _rows(keep),
-        (ACCELERATION_PER_SPEED, *MIN_ACCELERATION),
-        pose,
-        predicted,
-        (noise, acceleration, weight),
-        gain,
-        directions,
-        twist,
-    )
-    return _PoseFit(pose, *predicted, noise, acceleration, weight, twist, prior, gain, *directions)
+    spots = views.covariance, views.velocity, views.lever
+    return _PoseFit(pose, *kernel.fit_spots(views.places, centre, spots, _rows(keep), pose))
 
 
 def perturb(pose: Array, step: Array) -> Array:
@@ -228,9 +178,10 @@ def perturb(pose: Array, step: Array) -> Array:
 
 def _determined_functionals(fit: _PoseFit) -> Array:
     """Functionals of the pose that the spots determine, (6, d): across what none of them shows."""
-    if fit.known.all():
+    directions, known = fit.directions
+    if known.all():
         return np.eye(6)
-    hidden = fit.directions[:, ~fit.known] * SCALE[:, None]
+    hidden = directions[:, ~known] * SCALE[:, None]
     across: Array = np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]
     return across
 
@@ -253,37 +204,28 @@ def _rows(keep: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.flatnonzero(np.repeat(keep, 2))
 
 
-def _curvature(views: SightingStack, rig_T_flange: Array, twist: Array) -> Array:
-    """Image acceleration of a flange that keeps its twist, (s, 2), px/s².
-
-    LEDs that turn about the flange, and points that come nearer, do not cross the image at a
-    steady rate even then. It points one way, so it would not average out.
-    """
-    second: Array = np.empty((len(views.points), 2))
-    kernel.image_acceleration(views.places, rig_T_flange, twist, TIME_STEP, second)
-    return second
-
-
 def _pose(
     fit: _PoseFit, views: SightingStack, keep: NDArray[np.bool_], consistent: bool, curvature: Array
 ) -> Pose:
-    spread = np.repeat(np.square(fit.prior), 3)  # of the acceleration's components
-    residual, determined = fit.residual.reshape(-1), _determined_functionals(fit)
-    moved = (fit.by_pose * views.lever[:, None, None]) ** 2 @ spread
+    residual, by_point, by_pose = fit.predicted
+    noise, acceleration, weight = fit.spread
+    prior2 = np.repeat(np.square(fit.prior), 3)  # of the acceleration's components
+    moved = (by_pose * views.lever[:, None, None]) ** 2 @ prior2
+    off, determined = residual.reshape(-1), _determined_functionals(fit)
     return Pose(
         rig_T_flange=fit.rig_T_flange,
-        covariance_pixels=fit.gain @ fit.noise @ fit.gain.T,
-        covariance_alignment=fit.gain @ fit.acceleration @ fit.gain.T,
+        covariance_pixels=fit.gain @ noise @ fit.gain.T,
+        covariance_alignment=fit.gain @ acceleration @ fit.gain.T,
         twist=fit.twist,
         acceleration_prior=fit.prior,
         determined=determined,
         gain=fit.gain,
-        sensitivity=fit.by_point,
+        sensitivity=by_point,
         curvature=curvature,
-        residual=fit.residual,
-        spot_uncertainty=np.sqrt((np.diag(fit.noise).reshape(-1, 2) + moved).sum(axis=1) / 2),
+        residual=residual,
+        spot_uncertainty=np.sqrt((np.diag(noise).reshape(-1, 2) + moved).sum(axis=1) / 2),
         rejected=~keep,
         consistent=consistent,
-        chi2=float(residual @ fit.weight @ residual),
+        chi2=float(off @ weight @ off),
         degrees_of_freedom=2 * int(keep.sum()) - determined.shape[1],
     )

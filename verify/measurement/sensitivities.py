@@ -21,7 +21,7 @@ LENS = ("k1", "k2", "p1", "p2", "k3")
 class SpotGeometry:
     """Everything about the spots that a derivative needs."""
 
-    side: tuple[tuple[str, Camera, float, int, int], ...]  # …, pan reading, which spots: from, to
+    sides: tuple[tuple[str, Camera, float, "slice[int, int, None]"], ...]  # pan, spots
     inside: Array  # (s, 3), points in their cameras
     points_rig: Array  # (s, 3)
     led: Index  # (s,)
@@ -45,12 +45,11 @@ def prepare_views(
         marker: the LEDs.
     """
     led = np.concatenate([left.led, right.led])
-    offset, points, inside = np.empty((3, len(led), 3))
-    placed = rig.left.camera_T_rig(left.pan), rig.right.camera_T_rig(right.pan)
-    kernel.place_leds(marker.leds, led, rig_T_flange, placed, len(left), (offset, points, inside))
+    placed = np.array(rig.left.camera_T_rig(left.pan)), np.array(rig.right.camera_T_rig(right.pan))
+    offset, points, inside = kernel.place_leds(marker.leds, led, rig_T_flange, placed, len(left))
     sides = (
-        ("left", rig.left, left.pan, 0, len(left)),
-        ("right", rig.right, right.pan, len(left), len(led)),
+        ("left", rig.left, left.pan, slice(0, len(left))),
+        ("right", rig.right, right.pan, slice(len(left), len(led))),
     )
     return SpotGeometry(
         sides, inside, points, led, marker.names, offset, rig_T_flange[:3, :3], by_point
@@ -69,13 +68,10 @@ def spot_derivatives(views: SpotGeometry, names: tuple[str, ...]) -> Array:
     kernel.fill_by_body(
         plan.body, views.led, views.rig_R_flange, views.offset, views.by_point, moved
     )
-    spots = views.inside, views.points_rig, np.ascontiguousarray(views.by_point)
-    for side, camera, pan, begin, end in views.side:
+    for side, camera, pan, own in views.sides:
         columns, keys = plan.camera[side]
-        kernel.fill_by_camera(
-            columns, _kinds(keys), _twists(keys, camera, pan), (camera.matrix, camera.distortion),
-            spots, (begin, end), moved,
-        )  # fmt: skip
+        spots = views.inside[own], views.points_rig[own], views.by_point[own]
+        moved[columns, own] = camera_derivatives(keys, camera, pan, *spots)
     return moved
 
 
@@ -126,14 +122,9 @@ def camera_derivatives(
         points: (m, 3), m, the same in the rig.
         by_point: (m, 2, 3), d px / d point in the rig.
     """
-    moved = np.empty((len(keys), *by_point.shape[:2]))
     places = [np.ascontiguousarray(part) for part in (inside, points, by_point)]
-    kernel.fill_by_camera(
-        np.arange(len(keys)), _kinds(keys), _twists(keys, camera, pan),
-        (camera.matrix, camera.distortion), (places[0], places[1], places[2]), (0, len(points)),
-        moved,
-    )  # fmt: skip
-    return moved
+    optics = camera.matrix, camera.distortion
+    return kernel.by_camera(_kinds(keys), _twists(keys, camera, pan), optics, *places)
 
 
 @lru_cache(maxsize=32)

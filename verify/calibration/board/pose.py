@@ -15,7 +15,7 @@ from verify.analysis.least_squares import gauss_newton
 from verify.core.fiducials import Board, BoardPair, BoardView, Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
 from verify.core.rig import Camera, Rig
-from verify.measurement.pose import SightingStack, perturb, predict
+from verify.measurement.pose import SightingStack, perturb, predict, stack_sightings
 from verify.measurement.triangulation import fit_rigid, triangulate
 
 MIN_CORNERS = 6  # in one view: a plane's pose has six unknowns, and something must be left over
@@ -64,7 +64,7 @@ def _count(view: BoardView | None) -> int:
 
 def _measure_pair(rig: Rig, pair: BoardPair, points: Array, reject: bool) -> Measurement:
     left, right = _sighting(pair.left, pair.pan_left), _sighting(pair.right, pair.pan_right)
-    pose = _fit(_views(rig, left, right, points), _start(rig, left, right, points), reject)
+    pose = _fit(stack_sightings(left, right, rig, points), _start(rig, left, right, points), reject)
     seen = len(np.union1d(left.led, right.led))
     return Measurement(pair.frame, 0.0, "measured", seen, pose, left, right)
 
@@ -81,21 +81,6 @@ def _sighting(view: BoardView | None, pan: float) -> Sighting:
         peak=np.zeros(n),
         velocity=np.zeros((n, 2)),
         acceleration_lever=np.zeros(n),
-    )
-
-
-def _views(rig: Rig, left: Sighting, right: Sighting, points: Array) -> SightingStack:
-    m = len(left)
-    placed = [
-        camera.camera_T_rig(view.pan) for camera, view in ((rig.left, left), (rig.right, right))
-    ]
-    return SightingStack(
-        points=points[np.concatenate([left.led, right.led])],
-        centre=np.concatenate([left.centre, right.centre]),
-        covariance=np.concatenate([left.covariance, right.covariance]),
-        velocity=np.concatenate([left.velocity, right.velocity]),
-        lever=np.concatenate([left.acceleration_lever, right.acceleration_lever]),
-        cameras=((rig.left, placed[0], slice(0, m)), (rig.right, placed[1], slice(m, None))),
     )
 
 

@@ -29,27 +29,34 @@ from verify.core.fiducials import Marker
 from verify.core.records import Array, Spots
 from verify.core.rig import Rig
 from verify.measurement.correspondence.hypotheses import (
-    SPOT_REWARD,
-    UNPAIRED_COST,
     Hypotheses,
     SeedGraph,
     build_graph,
-    conflicts,
-    departure,
     find_edges,
     find_points,
     find_triangles,
-    follow_pose,
+    seed_hypotheses,
+)
+from verify.measurement.correspondence.kernels.points import Index
+from verify.measurement.correspondence.refinement import (
+    conflicts,
+    departure,
+    follow_prediction,
     is_single_led,
     refine,
     score,
-    seed_hypotheses,
     unique,
 )
-from verify.measurement.correspondence.kernels.points import Index
 from verify.measurement.correspondence.views import SpotViews, prepare_views
 
 MAX_PAIRS = 256  # best distances first: bounds the work in a scene of lamps
+MIN_ADVANTAGE = 9.0  # of twice the log evidence: odds of 90 to 1, on noise allowed for generously
+MAX_DEPARTURE = 2.0  # standard deviations to how far a prediction may be off
+JUMP_COST = 50.0  # what a pose far from the prediction costs: two LED images and a half
+MAX_REFERENCE_DEPARTURE = 3.0  # departures beyond which a reference says nothing about a pose
+MIN_MARGIN = 1.0  # by how many departures the nearest must be nearer than the next
+ENCODERS_POSITION = 0.07  # m, how far a faulty arm and a clock not yet known may be believed to err
+ENCODERS_ROTATION = 0.2  # rad, likewise; marker symmetries lie above 1 rad
 
 
 def search_assignments(views: SpotViews, rig_R_flange: Array, *, single: bool) -> Hypotheses:
@@ -77,47 +84,6 @@ def _nodes(graph: SeedGraph, leds: Array, count: int) -> Index:
     return find_edges(graph)[:MAX_PAIRS] if count == 2 else np.arange(len(graph.led))[:, None]
 
 
-def follow_prediction(
-    views: SpotViews, found: Hypotheses, rig_T_flange: Array, position: float, rotation: float
-) -> Hypotheses:
-    """Take the spots nearest to a predicted pose, alone and from what the search found.
-
-    Args:
-        views: the two images.
-        found: what the search found there; LEDs that one camera alone sees are looked for anew.
-        rig_T_flange: (4, 4), the prediction.
-        position: m, its standard uncertainty.
-        rotation: rad, likewise.
-    """
-    place = np.array([position] * 3 + [rotation] * 3)
-    return follow_pose(views, found, rig_T_flange, place, settled=_is_complete(views, found))
-
-
-def _is_complete(views: SpotViews, found: Hypotheses) -> bool:
-    """Whether there is one assignment, every LED with a spot and no spot left, that fits well.
-
-    So well that no assignment with an LED less would have more evidence.
-    """
-    spots = np.count_nonzero(np.isfinite(views.pixels[..., 0]), axis=1)
-    return (
-        len(found) == 1
-        and bool(np.all(found.spot >= 0))
-        and bool(np.all(spots == len(views.leds)))
-        and bool(found.chi2[0] < SPOT_REWARD + UNPAIRED_COST)
-    )
-
-
-__all__ = ["Correspondence", "PosePrediction", "assign_leds"]
-
-MIN_ADVANTAGE = 9.0  # of twice the log evidence: odds of 90 to 1, on noise allowed for generously
-MAX_DEPARTURE = 2.0  # standard deviations to how far a prediction may be off
-JUMP_COST = 50.0  # what a pose far from the prediction costs: two LED images and a half
-MAX_REFERENCE_DEPARTURE = 3.0  # departures beyond which a reference says nothing about a pose
-MIN_MARGIN = 1.0  # by how many departures the nearest must be nearer than the next
-ENCODERS_POSITION = 0.07  # m, how far a faulty arm and a clock not yet known may be believed to err
-ENCODERS_ROTATION = 0.2  # rad, likewise; marker symmetries lie above 1 rad
-
-
 @dataclass(frozen=True, slots=True)
 class PosePrediction:
     """Where the chain expects the flange, from the pairs before.
@@ -128,6 +94,14 @@ class PosePrediction:
     rig_T_flange: Array  # (4, 4), at this pair's left instant
     position_uncertainty: float  # m, how far it may be off
     rotation_uncertainty: float  # rad
+
+    @property
+    def sigmas(self) -> tuple[float, float]:
+        """Standard deviations, m and rad."""
+        return (
+            self.position_uncertainty / MAX_DEPARTURE,
+            self.rotation_uncertainty / MAX_DEPARTURE,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +118,6 @@ class Correspondence:
     status: str  # measured, too_few_leds, ambiguous_leds
 
 
-def no_encoder_poses() -> Sequence[Array]:
-    """Stand in for encoders where there are none."""
-    return ()
-
-
 def assign_leds(
     spots: tuple[Spots, Spots],
     rig: Rig,
@@ -156,7 +125,7 @@ def assign_leds(
     marker: Marker,
     *,
     prediction: PosePrediction | None = None,
-    expected: Callable[[], Sequence[Array]] = no_encoder_poses,
+    expected: Callable[[], Sequence[Array]] = tuple,
     motion_tolerance_px: float = 2.0,
 ) -> Correspondence:
     """Find which spot is which LED.
@@ -217,9 +186,7 @@ def _find(
     if prediction is not None:
         near = _departures(views, found, prediction) <= MAX_REFERENCE_DEPARTURE
         there = found if near.all() else found.take(near)
-        tracked = follow_prediction(
-            views, there, prediction.rig_T_flange, *_prediction_sigmas(prediction)
-        )
+        tracked = follow_prediction(views, there, prediction.rig_T_flange, *prediction.sigmas)
         found = unique(found.join(tracked))
     stray = is_single_led(found)
     if not stray.any():
@@ -231,15 +198,7 @@ def _find(
 
 def _departures(views: SpotViews, found: Hypotheses, prediction: PosePrediction) -> Array:
     """Departures of hypotheses (h,) from a prediction, in its standard deviations."""
-    return departure(views, found, prediction.rig_T_flange, *_prediction_sigmas(prediction))
-
-
-def _prediction_sigmas(prediction: PosePrediction) -> tuple[float, float]:
-    """Standard deviations of a prediction, m and rad."""
-    return (
-        prediction.position_uncertainty / MAX_DEPARTURE,
-        prediction.rotation_uncertainty / MAX_DEPARTURE,
-    )
+    return departure(views, found, prediction.rig_T_flange, *prediction.sigmas)
 
 
 def _nearest(views: SpotViews, found: Hypotheses, expected_poses: Sequence[Array]) -> int | None:

@@ -1,149 +1,183 @@
-"""Refine hypotheses until their spots are those that their poses explain.
+"""Refine hypotheses until their spots are those that their poses explain, and score them.
 
-A hypothesis is a pose (rotation, position), a shift of the right image, the spot of each LED in
-each image (-1 for none) and chi². Two steps alternate: Gauss-Newton steps on pose and shift with
-the spots held (`fit_all`), and the choice of spots with the pose held (`gather_all`). Hypotheses
-that come to the same spots are one; those beyond their chi² bound are dropped.
+Two steps alternate: Gauss-Newton steps on pose and shift with the spots held, and the choice of
+spots with the pose held. Hypotheses that come to the same spots are one; those beyond their chi²
+bound are dropped.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.records import Array
-from verify.measurement.correspondence.kernels.fit import HypothesisArrays, fit_all, predict_all
-from verify.measurement.correspondence.kernels.spots import count_all, gather_all
+from verify.core.statistics import chi2_isf
+from verify.measurement.correspondence.hypotheses import (
+    POSE_SLICE,
+    Hypotheses,
+    start_hypotheses,
+)
+from verify.measurement.correspondence.kernels import spots as kernel
+from verify.measurement.correspondence.kernels.fit import fit_all, predict_all
+from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
+from verify.measurement.correspondence.views import SpotViews
 
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
-Cameras = tuple[Array, Array, Array]
-Limits = tuple[tuple[float, float, float], tuple[float, float, float, float, float]]
-# cameras as `fit_all` takes them; spots (2, s, 2) px, their covariance (2, s, 2, 2) px², and which
-# are merged (2, s); which may be which LED (2, n, s); limits of `fit_all` and of `gather_all`;
-# LEDs (n, 3), m, flange frame
-SearchInputs = tuple[Cameras, tuple[Array, Array, Flags], Flags, Limits, Array]
-
-
-def settle_all(
-    inputs: SearchInputs, arrays: HypothesisArrays, steps: int, bounds: tuple[Array, Index]
-) -> int:
-    """Gather and fit until the spots are those of the poses; keep each good assignment once.
-
-    Args:
-        inputs: the images and the marker.
-        arrays: h hypotheses, changed.
-        steps: of a fit to begin with; below 0 there is none.
-        bounds: as for `select_likely`.
-
-    Returns:
-        How many are kept: the first of `arrays`.
-    """
-    largest = inputs[3][1][3]
-    if steps >= 0:
-        _fit(inputs, arrays, steps)
-    arrays[3][:] = _explained_spots(inputs, arrays, largest)
-    arrays = _keep(arrays, best_of_each(arrays[6], arrays[3]))
-    _fit(inputs, arrays, 1)
-    spots = _explained_spots(inputs, arrays, largest)
-    if spots.tobytes() != arrays[3].tobytes():
-        arrays[3][:] = spots
-        _fit(inputs, arrays, 2)
-    arrays = _keep(arrays, select_likely(arrays[3], arrays[6], bounds[0], bounds[1]))
-    return len(_keep(arrays, best_of_each(arrays[6], arrays[3]))[6])
+MIN_SKEW = 1e-3  # px: simultaneous for every purpose, and nothing is divided by zero
+MIN_DEPTH = 0.02  # m, depth below which a point cannot be imaged
+MAX_GATE = 10.0  # px, an LED predicted worse than this could be any spot
+# 2 ln of how much denser spots are at an LED (half a px) than clutter (20 an image)
+SPOT_REWARD = 20.0
+MERGED_COST = 9.0  # of the same kind: a clean spot is taken unless it lies 3 sigma farther off
+P_REJECT = 1e-4  # chi² beyond this probability is not this marker
+UNPAIRED_COST = 7.0  # 2 ln 30: an LED in one camera's view is hidden from the other once in 30
+COARSE_SIGMA = 4e-3  # m, of an LED by a coarse pose: depth, with the images a few ms apart
+DOF_BY_LEDS = np.array([0, 3, 5, 6])  # degrees of freedom, by LEDs seen: three determine all
+SIDES = np.array([[0], [1]])
 
 
-def follow_all(
-    inputs: SearchInputs, arrays: HypothesisArrays, bounds: tuple[Array, Index], settled: bool
-) -> int:
-    """Take the spots nearest to a predicted pose, alone and from what a search found.
+def refine(views: SpotViews, hypotheses: Hypotheses) -> Hypotheses:
+    """Fit (in place), gather what each pose explains, fit again; drop what fails and doubles."""
+    if len(hypotheses) == 0:
+        return hypotheses
+    _fit(views, hypotheses, 2)  # steps: from a few mm off they leave 0.01 px
+    return _settle(views, hypotheses)
+
+
+def follow_prediction(
+    views: SpotViews, found: Hypotheses, rig_T_flange: Array, position: float, rotation: float
+) -> Hypotheses:
+    """Take the spots nearest to a predicted pose, alone and from what the search found.
 
     Args:
-        inputs: the images and the marker.
-        arrays: the prediction, then what the search found; changed.
-        bounds: as for `select_likely`.
-        settled: nothing is left to find, if the prediction's spots are those of the first found.
-
-    Returns:
-        How many are kept: the first of `arrays`.
+        views: the two images.
+        found: what the search found there; LEDs that one camera alone sees are looked for anew.
+        rig_T_flange: (4, 4), the prediction.
+        position: m, its standard uncertainty.
+        rotation: rad, likewise.
     """
-    first, found = _part(arrays, 0, 1), _part(arrays, 1, len(arrays[6]))
-    first[3][:] = _explained_spots(inputs, first, np.inf)
-    if settled and (first[3][0] == found[3][0]).all():
-        _fit(inputs, arrays, 2)
-        arrays = _keep(arrays, best_of_each(arrays[6], arrays[3]))
-        _fit(inputs, arrays, 1)
-        return len(arrays[6])
-    _fit(inputs, found, 0)
-    found[3][:] = _explained_spots(inputs, found, np.inf)
-    _fit(inputs, arrays, 2)
-    return settle_all(inputs, arrays, -1, bounds)
+    place = np.repeat([position, rotation], 3)
+    none = np.full((1, 2, len(views.leds)), -1, dtype=np.int64)
+    pose = rig_T_flange[None].copy()
+    predicted = start_hypotheses(views, pose[:, :3, :3].copy(), pose[:, :3, 3].copy(), none)
+    predicted.covariance[:, POSE_SLICE, POSE_SLICE] = place**2
+    joined = predicted.join(found)
+    joined.hold[:] = place**-2
+    first, others = joined.take(slice(0, 1)), joined.take(slice(1, None))  # views of `joined`
+    first.spot[:] = _explained_spots(views, first, np.inf)
+    if _is_complete(views, found) and np.array_equal(first.spot[0], found.spot[0]):
+        _fit(views, joined, 2)
+        best = unique(joined)
+        _fit(views, best, 1)
+        return best
+    _fit(views, others, 0)
+    others.spot[:] = _explained_spots(views, others, np.inf)
+    _fit(views, joined, 2)
+    return _settle(views, joined)
 
 
-def best_of_each(chi2: Array, spot: Index) -> Index:
-    """Number the best hypothesis of each assignment (h, 2, n), by rising chi² (h,)."""
-    if len(chi2) < 2:
-        return np.arange(len(chi2))
+def _is_complete(views: SpotViews, found: Hypotheses) -> bool:
+    """Whether there is one assignment, every LED with a spot and no spot left, that fits well.
+
+    So well that no assignment with an LED less would have more evidence.
+    """
+    spots = np.count_nonzero(np.isfinite(views.pixels[..., 0]), axis=1)
+    return (
+        len(found) == 1
+        and bool(np.all(found.spot >= 0))
+        and bool(np.all(spots == len(views.leds)))
+        and bool(found.chi2[0] < SPOT_REWARD + UNPAIRED_COST)
+    )
+
+
+def _settle(views: SpotViews, hypotheses: Hypotheses) -> Hypotheses:
+    """Gather and fit until the spots are those of the poses; keep each good assignment once."""
+    hypotheses.spot[:] = _explained_spots(views, hypotheses, MAX_GATE)
+    hypotheses = unique(hypotheses)
+    _fit(views, hypotheses, 1)
+    spots = _explained_spots(views, hypotheses, MAX_GATE)
+    if not np.array_equal(spots, hypotheses.spot):
+        hypotheses.spot[:] = spots
+        _fit(views, hypotheses, 2)
+    return unique(hypotheses.take(select_likely(hypotheses.spot, hypotheses.chi2)))
+
+
+def unique(hypotheses: Hypotheses) -> Hypotheses:
+    """Keep the best fit of each assignment: two poses of a flat marker may share one."""
+    if len(hypotheses) < 2:
+        return hypotheses
     first: dict[bytes, int] = {}
-    for index in np.argsort(chi2, kind="stable").tolist():
-        first.setdefault(spot[index].tobytes(), index)
-    return np.array(list(first.values()))
+    for index in np.argsort(hypotheses.chi2, kind="stable").tolist():
+        first.setdefault(hypotheses.spot[index].tobytes(), index)
+    return hypotheses.take(np.array(list(first.values())))
 
 
-def select_likely(spot: Index, chi2: Array, greatest: Array, determined: Index) -> Index:
+def select_likely(spot: Index, chi2: Array) -> Index:
     """Number the hypotheses that see an LED in both images and fit within their noise.
 
     Args:
         spot: (h, 2, n).
         chi2: (h,).
-        greatest: chi² that is not improbable, by degrees of freedom.
-        determined: (4,), degrees of freedom that none, one, two or more LEDs determine.
     """
-    counts = np.empty((3, len(chi2)), np.int64)
-    count_all(spot, counts)
-    kept = []
-    for h, (used, leds, both) in enumerate(counts.T.tolist()):
-        freedom = max(2 * used - int(determined[min(leds, 3)]), 1)
-        if both > 0 and chi2[h] <= greatest[freedom]:
-            kept.append(h)
-    return np.array(kept, dtype=np.int64)
+    used, leds, both = kernel.count_all(spot)
+    freedom = np.maximum(2 * used - DOF_BY_LEDS[np.minimum(leds, 3)], 1)
+    return np.flatnonzero((both > 0) & (chi2 <= chi2_isf(P_REJECT, freedom)))
 
 
-def _part(arrays: HypothesisArrays, begin: int, end: int) -> HypothesisArrays:
-    """Take the hypotheses from `begin` to `end`, as views."""
-    rotation, position, shift, spot, hold, covariance, chi2 = arrays
-    return (
-        rotation[begin:end], position[begin:end], shift[begin:end], spot[begin:end],
-        hold[begin:end], covariance[begin:end], chi2[begin:end],
-    )  # fmt: skip
-
-
-def _keep(arrays: HypothesisArrays, kept: Index) -> HypothesisArrays:
-    """Move the hypotheses of these numbers to the front, and take those."""
-    if kept.tolist() == list(range(len(arrays[6]))):
-        return arrays
-    for array in arrays:
-        array[: len(kept)] = array[kept]
-    return _part(arrays, 0, len(kept))
-
-
-def _fit(inputs: SearchInputs, arrays: HypothesisArrays, steps: int) -> None:
+def _fit(views: SpotViews, hypotheses: Hypotheses, steps: int) -> None:
     """Fit hypotheses in place by `fit_all`."""
-    cameras, spots, _, limits, leds = inputs
-    fit_all(cameras, (spots[0], spots[1]), limits[0], leds, arrays, steps)
+    play = views.led_play * views.mean_focal
+    limits = MIN_DEPTH, play, 1 / max(views.skew, MIN_SKEW) ** 2
+    spots = views.pixels, views.covariance
+    fit_all(views.cameras, spots, limits, views.leds, hypotheses.arrays, steps)
 
 
-def _explained_spots(inputs: SearchInputs, arrays: HypothesisArrays, largest: float) -> Index:
+def _explained_spots(views: SpotViews, hypotheses: Hypotheses, largest: float) -> Index:
     """Find the spots (h, 2, n) that poses explain, by `gather_all`.
 
     An LED whose place is known worse than `largest` (px) gets none.
     """
-    cameras, spots, allowed, limits, leds = inputs
-    nearest, play, gate, _, cost = limits[1]
-    bounds = nearest, play, gate, largest, cost
-    rotation, position, shift, covariance = arrays[0], arrays[1], arrays[2], arrays[5]
-    count, each = len(position), len(leds)
-    image, depth = np.empty((count, 2, each, 2)), np.empty((count, 2, each))
-    derivative = np.empty((count, 2, each, 2, covariance.shape[1]))
-    predict_all(cameras, nearest, leds, rotation, position, shift, image, derivative, depth)
-    spot = np.empty((count, 2, each), np.int64)
-    gather_all(spots, allowed, bounds, (image, derivative, depth), covariance, spot)
-    return spot
+    pose = hypotheses.rotation, hypotheses.position, hypotheses.shift
+    predicted = predict_all(views.cameras, MIN_DEPTH, views.leds, *pose)
+    spots = views.pixels, views.covariance, views.merged
+    limits = MIN_DEPTH, views.led_play * views.mean_focal, MAX_DEVIATION, largest, MERGED_COST
+    return kernel.gather_all(spots, views.allowed, limits, predicted, hypotheses.covariance)
+
+
+def score(views: SpotViews, hypotheses: Hypotheses) -> Array:
+    """Twice the negative log evidence of each, against clutter alone: the less the better."""
+    used, leds, both = kernel.count_all(hypotheses.spot)
+    merged = (hypotheses.spot >= 0) & views.merged[SIDES, hypotheses.spot]
+    explained = SPOT_REWARD * used - MERGED_COST * merged.sum(axis=(1, 2))
+    total: Array = hypotheses.chi2 + UNPAIRED_COST * (leds - both) - explained
+    return total
+
+
+def is_single_led(hypotheses: Hypotheses) -> NDArray[np.bool_]:
+    """Say where one LED of several is all that both cameras see: any lamp would do as well."""
+    several = hypotheses.spot.shape[2] > 1
+    alone: NDArray[np.bool_] = several & (kernel.count_all(hypotheses.spot)[2] == 1)
+    return alone
+
+
+def conflicts(hypotheses: Hypotheses, best: int) -> NDArray[np.bool_]:
+    """Say which hypotheses contradict one: another spot for an LED, or another LED for a spot."""
+    theirs, mine = hypotheses.spot[:, :, :, None], hypotheses.spot[best][:, None]
+    same_led = np.eye(mine.shape[-1], dtype=np.bool_)
+    contrary = (theirs >= 0) & (mine >= 0) & ((theirs == mine) != same_led)
+    return np.asarray(contrary.any(axis=(1, 2, 3)))
+
+
+def departure(
+    views: SpotViews, hypotheses: Hypotheses, rig_T_flange: Array, position: float, rotation: float
+) -> Array:
+    """Measure how far the LEDs of each hypothesis (h,) are from where a reference pose has them.
+
+    Their mean is compared on the scale of `position` (m), their arrangement about it on that of
+    `rotation` (rad): a symmetric marker's turn stands out however far the whole has moved. What
+    the LEDs seen do not determine plays no part.
+    """
+    return kernel.departures_of_all(
+        views.leds,
+        hypotheses.spot,
+        (hypotheses.rotation, hypotheses.position),
+        np.array(rig_T_flange, order="C"),
+        (position, rotation, COARSE_SIGMA),
+    )

@@ -58,21 +58,21 @@ def prepare_views(
         marker: the LEDs.
         skew: px, how far LEDs may have moved in the image between the two exposures.
     """
-    most = min(max(len(seen) for seen in spots), MAX_SPOTS)
+    most = min(max(map(len, spots)), MAX_SPOTS)
     pixels, covariance = np.empty((2, most, 2)), np.empty((2, most, 2, 2))
     merged = np.empty((2, most), dtype=np.bool_)
     allowed = np.empty((2, len(marker), most), dtype=np.bool_)
     matrix, lens, focal = _optics(rig.left, rig.right)
     light = np.array([LED_COLOURS.get(colour or "", kernel.ANY) for colour in marker.colours])
-    for side, seen in enumerate(spots):
+    for side, found in enumerate(spots):
         uneven = side * (SKEW_SHARE * skew) ** 2
         kernel.prepare_image(
             (
-                np.array(seen.centre, order="C"),
-                np.array(seen.covariance, order="C"),
-                np.array(seen.merged, order="C"),
-                np.array(seen.saturated, order="C"),
-                np.array(seen.colour, order="C"),
+                np.array(found.centre, order="C"),
+                np.array(found.covariance, order="C"),
+                np.array(found.merged, order="C"),
+                np.array(found.saturated, order="C"),
+                np.array(found.colour, order="C"),
             ),
             (matrix[side], lens[side]),
             (MODEL_PX**2 + uneven, MERGED_PX**2),

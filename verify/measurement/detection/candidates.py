@@ -47,10 +47,6 @@ class Candidates:
         """Count the candidates."""
         return len(self.centre)
 
-    def taken(self, which: NDArray[np.intp]) -> "Candidates":
-        """Some of the candidates."""
-        return Candidates(self.centre[which], self.radius[which], self.contrast[which])
-
 
 def find_candidates(
     image: Image, windows: NDArray[np.int64] | None, diameter_px: tuple[float, float] | None
@@ -98,9 +94,8 @@ def select_highest(found: Array, doubt: NDArray[np.intp], across: tuple[float, f
 def find_in_small_windows(image: Image, windows: NDArray[np.int64], largest: float) -> Array:
     """Find blobs in small windows of a grey picture, (n, 4): x, y, radius (px), contrast (DN)."""
     side = background_window(largest)
-    found = np.empty((MAX_BLOBS, 4))
     shape = float(2 * side), MAX_AXIS_RATIO, MIN_FILL
-    return found[: find_blobs(image, windows, side // 2, LEVELS, shape, found)]
+    return find_blobs(image, windows, side // 2, LEVELS, shape, MAX_BLOBS)
 
 
 def find_in_large_window(image: Image, window: list[int], factor: int, largest: float) -> Array:
@@ -166,8 +161,6 @@ def cut_first_look(image: Image, candidates: Candidates, noise: Noise) -> Locate
     column, row = disc_offsets(FIRST_LOOK_STEPS)
     spacing = (PATCH_REACH * candidates.radius + PATCH_MARGIN)[:, None] / FIRST_LOOK_STEPS
     offsets = [np.rint(spacing * axis).astype(np.intp) for axis in (column, row)]
-    for axis in offsets:
-        axis.flags.writeable = False  # as those of a disc: a function is compiled for one of both
     origin = np.rint(candidates.centre).astype(np.intp)
     return read_pixels(image, origin, candidates.radius, offsets[0], offsets[1], noise)
 
@@ -190,14 +183,11 @@ def cut_patches(
 
 @cache
 def disc_offsets(radius: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Columns and rows (1, p) of the pixels of a disc; everybody's, not to be changed."""
+    """Columns and rows (1, p) of the pixels of a disc; shared, not to be changed."""
     axis = np.arange(-radius, radius + 1)
     column, row = np.meshgrid(axis, axis)
     within = column**2 + row**2 <= radius**2
-    column, row = column[within], row[within]
-    column, row = column[None], row[None]
-    column.flags.writeable = row.flags.writeable = False
-    return column, row
+    return column[within][None], row[within][None]
 
 
 def read_pixels(

@@ -1,14 +1,17 @@
 """Detect LED spots in an image: sub-pixel centres at the Cramér-Rao bound, with covariance.
 
 Candidates are compact bright blobs (candidates.py). Each is fitted by a profile between a halo, a
-Gaussian and a blurred disc (fit.py, profile.py) under the image's own noise (noise.py), and judged
-by the residuals (quality.py). A hidden sliver of the rim is corrected for (occlusion.py).
+Gaussian and a blurred disc (fit.py, profile.py) under the image's own noise (noise.py), and
+assessed by the residuals (kernels/quality.py). A hidden sliver of the rim is corrected for
+(occlusion.py).
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.records import Array, Image, Noise, Spots
+from verify.core.records import Array, Image, Noise, Spots, take_rows
 from verify.errors import InputError
 from verify.measurement.detection.candidates import (
     DEFAULT_DIAMETER,
@@ -25,34 +28,28 @@ from verify.measurement.detection.fit import (
     first_look,
     fit_spots,
 )
-from verify.measurement.detection.kernels import noise as kernels_noise
-from verify.measurement.detection.kernels.fit import MIN_NOISE_SHARE
-from verify.measurement.detection.kernels.pixels import (
-    ROW_CORE,
-    ROW_MEAN,
-    ROW_SIGNAL,
-    ROW_USED,
-    ROW_VISIBLE,
+from verify.measurement.detection.kernels import quality
+from verify.measurement.detection.kernels.noise import gather_residuals
+from verify.measurement.detection.kernels.quality import (
+    COL_CENTRE_X,
+    COL_CENTRE_Y,
+    COL_COUNT,
+    COL_COVARIANCE_XX,
+    COL_COVARIANCE_YY,
+    COL_DIAMETER,
+    COL_ELONGATION,
+    COL_MERGED,
+    COL_MISFIT,
+    COL_PEAK,
+    COL_SATURATED,
+    COL_SOUND,
 )
-from verify.measurement.detection.noise import MAX_SPOTS, background_noise, refine_noise
-from verify.measurement.detection.occlusion import (
-    RimScore,
-    no_rim_scores,
-    score_directions,
-    unoccluded_centres,
-)
-from verify.measurement.detection.quality import (
-    N_FITTED,
-    SpotQuality,
-    assess_spots,
-    choose_spots,
-    number_brightest,
-)
+from verify.measurement.detection.noise import background_noise, refine_noise
+from verify.measurement.detection.occlusion import score_rims, unoccluded_centres
 
-__all__ = ["detect", "estimate_noise"]
-
-MIN_SEPARATION = 0.5  # diameters: closer spots are one spot found twice
-RESIDUAL_ROWS = (ROW_MEAN, ROW_SIGNAL, ROW_USED, ROW_VISIBLE, ROW_CORE)
+CENTRE = slice(COL_CENTRE_X, COL_CENTRE_Y + 1)
+COVARIANCE = slice(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1)
+MAX_NOISE_SPOTS = 8  # spots whose residuals show the noise, brightest first: then come glints
 Batch = tuple[LocatedPatches, SpotFit]
 
 
@@ -89,45 +86,28 @@ def detect(
     if not batches:
         return no_spots(background)
     if noise is None:
-        seen = assess_spots(batches, image.shape)
-        background = refine_noise(background, spread, *spot_residuals(batches, seen))
-    for cut, state in batches:
-        continue_fit(cut.patches, state, background, 2, TOL_LAST_STEP)
-    judgement = assess_spots(batches, image.shape)
-    keep = select_led_like(judgement, diameter_px or DEFAULT_DIAMETER, limit)
-    kept = judgement.taken(keep)
-    shift, doubt = unoccluded_centres(score_rims(batches, kept, keep))
+        assessed = assess_spots(batches, image.shape)
+        background = refine_noise(background, spread, *spot_residuals(batches, assessed))
+    for cut, fit in batches:
+        continue_fit(cut.patches, fit, background, 2, TOL_LAST_STEP)
+    assessed = assess_spots(batches, image.shape)
+    kept = choose_spots(assessed, diameter_px or DEFAULT_DIAMETER, limit)
+    colour = np.concatenate([cut.colour for cut, _ in batches])[kept]
+    assessed = assessed[kept]
+    scores = score_rims([fit for _, fit in batches], kept, assessed)
+    shift, covariance = unoccluded_centres(scores)
     return Spots(
-        centre=kept.centre + shift,
-        covariance=kept.covariance + doubt,
-        peak=kept.peak.copy(),
-        diameter=kept.diameter.copy(),
-        elongation=kept.elongation.copy(),
-        misfit=kept.misfit.copy(),
-        saturated=kept.saturated,
-        merged=kept.merged,
-        colour=np.concatenate([cut.colour for cut, _ in batches])[keep],
+        centre=assessed[:, CENTRE] + shift,
+        covariance=assessed[:, COVARIANCE].reshape(-1, 2, 2) + covariance,
+        peak=assessed[:, COL_PEAK].copy(),
+        diameter=assessed[:, COL_DIAMETER].copy(),
+        elongation=assessed[:, COL_ELONGATION].copy(),
+        misfit=assessed[:, COL_MISFIT].copy(),
+        saturated=assessed[:, COL_SATURATED] > 0,
+        merged=assessed[:, COL_MERGED] > 0,
+        colour=colour,
         noise=background,
     )
-
-
-def select_led_like(
-    judgement: SpotQuality, diameter_px: tuple[float, float], limit: int
-) -> NDArray[np.int64]:
-    """Choose the most LED-like ones, no more than the limit, by falling peak."""
-    return choose_spots(judgement, diameter_px, MIN_SEPARATION, limit)
-
-
-def estimate_noise(image: Image) -> Noise:
-    """Estimate the noise of an image: dark variance from its background, gain from its spots.
-
-    Args:
-        image: (h, w) grey or (h, w, 3) BGR, uint8.
-
-    Returns:
-        The noise of a pixel of one channel, as `detect` would use it.
-    """
-    return detect(image).noise
 
 
 def check_image(image: Image, windows: Array | None) -> None:
@@ -166,39 +146,69 @@ def fit_candidates(
         return [(cut, fit_spots(cut.patches)) for _, cut in cut_patches(image, candidates, noise)]
     first = cut_first_look(image, candidates, noise)
     look = first_look(first.patches)
-    seen = np.flatnonzero(assess_spots([(first, look)], image.shape).sound)
-    start = look.parameters[seen]
+    sound = np.flatnonzero(assess_spots([(first, look)], image.shape)[:, COL_SOUND])
+    start = look.parameters[sound]
     return [
         (cut, fit_spots(cut.patches, start[part]))
-        for part, cut in cut_patches(image, candidates.taken(seen), noise)
+        for part, cut in cut_patches(image, take_rows(candidates, sound), noise)
     ]
 
 
+def assess_spots(batches: Sequence[Batch], shape: tuple[int, ...]) -> Array:
+    """Assess fits, (n, 14), columns as in kernels/quality.py; `shape` is the image's."""
+    return np.concatenate(
+        [
+            quality.assess_all(
+                fit.parameters, fit.information, cut.patches.pixels, fit.known, cut.patches.scale,
+                cut.origin, (shape[1], shape[0]),
+            )
+            for cut, fit in batches
+        ]
+    )  # fmt: skip
+
+
 def spot_residuals(
-    batches: list[Batch], judgement: SpotQuality
+    batches: Sequence[Batch], assessed: Array
 ) -> tuple[Array, Array, NDArray[np.intp]]:
     """Squared residuals and signals on and around the brightest spots, for `refine_noise`."""
-    own, number = judgement.own.copy(), number_brightest(judgement, 2.0 * N_FITTED, MAX_SPOTS)
-    room = sum(cut.patches.value.size for cut, _ in batches)
-    gathered, begin, at = (np.empty(room), np.empty(room), np.empty(room, dtype=np.intp)), 0, 0
-    for cut, state in batches:
+    own, number = assessed[:, COL_COUNT].copy(), number_brightest(assessed)
+    begin, parts = 0, []
+    for cut, fit in batches:
         patches, end = cut.patches, begin + len(cut.origin)
-        at = kernels_noise.gather_residuals(
-            patches.pixels, state.known, (patches.read_share, patches.gain_share), RESIDUAL_ROWS,
-            (MIN_NOISE_SHARE, float(N_FITTED)), own[begin:end], number[begin:end], gathered, at,
-        )  # fmt: skip
+        shares = patches.read_share, patches.gain_share
+        parts.append(
+            gather_residuals(patches.pixels, fit.known, shares, own[begin:end], number[begin:end])
+        )
         begin = end
-    squares, signals, spot = gathered
-    return squares[:at], signals[:at], spot[:at]
+    squares, signals, spot = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return squares, signals, spot
 
 
-def score_rims(batches: list[Batch], kept: SpotQuality, keep: NDArray[np.int64]) -> RimScore:
-    """What the rims of the spots kept, by number, say of a bite, if they show one LED's shape."""
-    score, begin = no_rim_scores(len(keep)), 0
-    for cut, state in batches:
-        score_directions(state, keep - begin, kept, score)
-        begin += len(cut.origin)
-    return score
+def number_brightest(assessed: Array) -> NDArray[np.int64]:
+    """Number the brightest of n spots that show the noise, brightest first, from 0; others -1."""
+    shows_noise = (assessed[:, COL_SOUND] > 0) & (assessed[:, COL_COUNT] > 2 * quality.N_FITTED)
+    spots = np.flatnonzero(shows_noise)
+    brightness = assessed[spots, COL_PEAK] / assessed[spots, COL_ELONGATION]
+    brightest = spots[np.argsort(-brightness, kind="stable")[:MAX_NOISE_SPOTS]]
+    number = np.full(len(assessed), -1)
+    number[brightest] = np.arange(len(brightest))
+    return number
+
+
+def choose_spots(
+    assessed: Array, diameter_px: tuple[float, float], limit: int
+) -> NDArray[np.int64]:
+    """Choose the most LED-like of n spots, no more than the limit, by falling peak."""
+    width = assessed[:, COL_DIAMETER]
+    fits = (diameter_px[0] <= width) & (width <= diameter_px[1])
+    sound = np.flatnonzero((assessed[:, COL_SOUND] > 0) & fits)
+    single = sound[~quality.mark_duplicates(assessed[sound])]
+    rows = assessed[single]
+    rank = -rows[:, COL_PEAK] / (1.0 + rows[:, COL_MISFIT])
+    rank /= rows[:, COL_ELONGATION]
+    best = single[np.argsort(rank, kind="stable")[:limit]]
+    chosen: NDArray[np.int64] = best[np.argsort(-assessed[best, COL_PEAK], kind="stable")]
+    return chosen
 
 
 def no_spots(noise: Noise) -> Spots:

@@ -23,12 +23,12 @@ which would favour pixels whose noise happened to be low. A pixel deep in satura
 has a mean that no parameter changes: it carries no information and needs no mask.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.records import Array, Noise
+from verify.core.records import Array, Noise, take_rows
 from verify.measurement.detection.kernels import fit as kernels_fit
 from verify.measurement.detection.kernels import pixels as kernels_pixels
 from verify.measurement.detection.kernels.pixels import (
@@ -80,16 +80,6 @@ class Patches:
         """DN, (n, p)."""
         return self.pixels[:, 0]
 
-    def taken(self, which: NDArray[np.intp]) -> "Patches":
-        """Some of the patches."""
-        return replace(
-            self,
-            pixels=self.pixels[which],
-            scale=self.scale[which],
-            read_share=self.read_share[which],
-            gain_share=self.gain_share[which],
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Priors:
@@ -99,12 +89,6 @@ class Priors:
     weight: Array  # (n, 10), inverse variance
     start: Array  # (n, 10), as the pixels suggest
     saturated: NDArray[np.bool_]  # (n,), whether some pixels on the spot are at the sensor's limit
-
-    def taken(self, which: NDArray[np.intp]) -> "Priors":
-        """Those of some of the patches."""
-        return Priors(
-            self.mean[which], self.weight[which], self.start[which], self.saturated[which]
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,19 +120,8 @@ class SpotFit:
 
 def expected_priors(patches: Patches) -> Priors:
     """Set the priors and the start of each patch's spot from its pixels."""
-    n = len(patches.scale)
-    mean, weight, start = np.empty((3, n, N_PARAMETERS))
-    full = np.empty(n, dtype=np.bool_)
-    kernels_fit.fill_priors(
-        patches.pixels,
-        patches.scale,
-        patches.noise.read,
-        DEFAULT_PRIOR,
-        (mean, weight),
-        start,
-        full,
-    )
-    return Priors(mean, weight, start, full)
+    arguments = patches.pixels, patches.scale, patches.noise.read, DEFAULT_PRIOR
+    return Priors(*kernels_fit.priors_from_pixels(*arguments))
 
 
 def solve_patches(
@@ -215,12 +188,10 @@ def fit_spots(patches: Patches, start: Array | None = None) -> SpotFit:
     full = np.flatnonzero(priors.saturated)
     if not len(full):
         return fit
-    part, held, flat = patches.taken(full), priors.taken(full), fit.parameters[full]
+    part, held, flat = take_rows(patches, full), take_rows(priors, full), fit.parameters[full]
     steep = held.mean.copy()
-    steep[:, PAR_STEEPNESS], steep[:, PAR_PEAK] = (
-        START_STEEPNESS_SATURATED,
-        SENSOR_LIMIT - steep[:, PAR_FLOOR],
-    )
+    steep[:, PAR_STEEPNESS] = START_STEEPNESS_SATURATED
+    steep[:, PAR_PEAK] = SENSOR_LIMIT - steep[:, PAR_FLOOR]
     fit.put(full, solve_patches(part, flat, held, MAX_STEPS_SATURATED, TOL_SATURATED))
     other = solve_patches(part, steep, held, MAX_STEPS_SATURATED, TOL_SATURATED)
     better = np.flatnonzero(~(fit.chi2[full] <= other.chi2))

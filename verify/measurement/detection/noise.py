@@ -17,28 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.records import Array, Image, Noise
-from verify.measurement.detection.kernels import noise as kernels_noise
+from verify.measurement.detection.kernels import noise as kernel
+from verify.measurement.detection.kernels.noise import TYPICAL_GAIN
+from verify.measurement.detection.kernels.pixels import QUANTISATION
 
-# Fourth difference along a line: cubic shading vanishes; white noise of variance v leaves 70 v. The
-# level beside it is a local cubic's, which has no bias.
-STENCIL_GAIN, STENCIL_WIDTH = 70.0, 5
-MAD_OVER_SIGMA = 0.67449  # median of |x| over sigma, Gaussian
-TRIM_SIGMA = 3.0  # sigma; the variance within it is TRIMMED_VARIANCE of the whole
-TRIMMED_VARIANCE = 0.9733
-QUANTISATION = 1 / 12  # DN², the least variance that whole numbers have
+STENCIL_WIDTH = 5
 N_SAMPLE_ROWS = 24  # rows sampled: some 30,000 stencils, read noise to about 1 %
-MIN_ABOVE_BLACK = 5.0  # DN above the limit of black: nearer, clipping narrows the noise
-CLASS_WIDTH = 12.0  # DN, width of a level class
-MIN_STENCILS = 60  # stencils a level class must hold: 15 % on its variance
-INDEPENDENT_SHARE = 0.5  # share of independent information: neighbouring stencils overlap
 TYPICAL_READ = 1.5  # DN, where no unclipped dark pixel shows it
-TYPICAL_GAIN = 1 / 35  # DN, 9,000 electrons over 255 DN: a usual small pixel
-MIN_GAIN = 1e-4  # DN, 2.5 million electrons: no sensor holds more
-MAX_GAIN = 0.2  # DN, 1,300 electrons: above, it is the shape that does not fit
 TYPICAL_SPREAD = 1.0  # relative, how far a sensor may be from typical
 TEXTURE_SHARE = 0.1  # relative: what unseen texture may add to the dark variance
-MAX_SPOTS = 8  # spots, brightest first, that may speak on noise: behind them come glints and paint
-MAX_MISFIT_RATIO = 1.7  # times the best misfit: more is a shape that the profiles do not have
 
 
 def background_noise(image: Image) -> tuple[Noise, float]:
@@ -57,16 +44,11 @@ def background_noise(image: Image) -> tuple[Noise, float]:
     typical = Noise(TYPICAL_READ, TYPICAL_GAIN, 0.0)
     if rows.shape[1] < STENCIL_WIDTH:
         return typical, TYPICAL_SPREAD
-    level, difference = np.empty(rows.size), np.empty(rows.size)
-    count = kernels_noise.stencils(rows, level, difference)
-    level, difference = level[:count], difference[:count]
-    black = kernels_noise.level_quantile(level, 0.01) if count > rows.size // 2 else 0.0
-    best, spread, at = kernels_noise.quietest_class(
-        level, difference, black, (MIN_ABOVE_BLACK, CLASS_WIDTH, MIN_STENCILS),
-        (MAD_OVER_SIGMA, TRIM_SIGMA, TRIMMED_VARIANCE),
-        (STENCIL_GAIN, TYPICAL_GAIN, INDEPENDENT_SHARE),
-    )  # fmt: skip
-    if not np.isfinite(best) or (count < rows.size // 2 and at > TYPICAL_READ**2):
+    level, difference = kernel.stencils(rows)
+    mostly_unclipped = len(level) > rows.size // 2
+    black = kernel.level_quantile(level, 0.01) if mostly_unclipped else 0.0
+    best, spread, at = kernel.quietest_class(level, difference, black)
+    if not np.isfinite(best) or (len(level) < rows.size // 2 and at > TYPICAL_READ**2):
         # nothing unclipped, or what is not black here may be all texture
         return typical, TYPICAL_SPREAD
     return Noise(float(np.sqrt(max(at, QUANTISATION))), TYPICAL_GAIN, black), spread + TEXTURE_SHARE
@@ -93,6 +75,5 @@ def refine_noise(
     dark = noise.read**2
     usual = np.array([1 / (dark_spread * dark), 1 / (TYPICAL_SPREAD * TYPICAL_GAIN)])
     line = np.array([dark, TYPICAL_GAIN])
-    limits = (MAX_MISFIT_RATIO, QUANTISATION, MIN_GAIN, MAX_GAIN)
-    kernels_noise.variance_line(residual2, signal, spot, line, usual, limits)
+    kernel.variance_line(residual2, signal, spot, line, usual)
     return Noise(float(np.sqrt(line[0])), float(line[1]), noise.black)

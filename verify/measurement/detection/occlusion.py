@@ -19,6 +19,7 @@ what remains uncertain enlarges the covariance.
 Source: Hoeting et al., Bayesian model averaging: a tutorial, Statistical Science 14, 1999.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,19 +27,11 @@ from numpy.typing import NDArray
 
 from verify.core.records import Array
 from verify.measurement.detection.fit import SpotFit
-from verify.measurement.detection.kernels import occlusion
-from verify.measurement.detection.quality import SpotQuality
+from verify.measurement.detection.kernels import occlusion as kernel
 
 N_DIRECTIONS = 24  # round the rim: steps of 15°, under a bite's own width
 ANGLES = 2 * np.pi / N_DIRECTIONS * np.arange(N_DIRECTIONS)
 DIRECTION_VECTORS = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
-OCCLUSION_WIDTH = 0.3  # rad, standard deviation: a stalk of a third to a half of its LED's diameter
-RIM_RADIUS = 1.8  # half-widths: no rim beyond
-MIN_INFORMATION = 0.05  # share of a bite's information that the fit's own parameters must leave
-PRIOR_DEPTH = 0.05  # half-widths, scale of what is expected; far deeper ones show without a prior
-P_SHARED = 0.1  # prior probability that something hides one side of an image's LEDs
-P_OCCLUDED = 0.8  # of an LED's being bitten then
-P_SINGLE = 0.02  # of an LED's being bitten, when nothing is shared
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,30 +43,24 @@ class RimScore:
     pull: Array  # (n, N_DIRECTIONS, 2), px a depth, by which the centre moves when it is granted
 
 
-def no_rim_scores(n: int) -> RimScore:
-    """Rim scores of n spots without information."""
-    shape = n, N_DIRECTIONS
-    return RimScore(np.zeros(shape), np.zeros(shape), np.zeros((*shape, 2)))
-
-
-def score_directions(
-    state: SpotFit, numbers: NDArray[np.int64], kept: SpotQuality, score: RimScore
-) -> None:
-    """Compute the rim scores from residuals; 0 for spots without one LED's shape.
+def score_rims(fits: Sequence[SpotFit], numbers: NDArray[np.int64], assessed: Array) -> RimScore:
+    """Compute the rim scores of n spots from residuals; 0 for spots without one LED's shape.
 
     Args:
-        state: fits of some spots.
-        numbers: (n,), of the spots among these fits; what is no number of theirs is elsewhere.
-        kept: what is told of the n spots. Where the reduced chi² is above 1, unmodelled errors
-            make the pixels worth less.
-        score: of the n spots, filled where a rim is asked.
+        fits: of spots, numbered on from fit to fit.
+        numbers: (n,), of the spots to score.
+        assessed: (n, 14), columns as in kernels/quality.py. Where the reduced chi² is above 1,
+            unmodelled errors make the pixels worth less.
     """
-    occlusion.score_all(
-        numbers, kept.told, state.parameters, state.information, state.gradient, state.known,
-        state.whitened, DIRECTION_VECTORS,
-        (RIM_RADIUS, OCCLUSION_WIDTH, MIN_INFORMATION),
-        (score.gradient, score.information, score.pull),
-    )  # fmt: skip
+    shape = len(numbers), N_DIRECTIONS
+    score, begin = (np.zeros(shape), np.zeros(shape), np.zeros((*shape, 2))), 0
+    for fit in fits:
+        kernel.score_all(
+            numbers - begin, assessed, fit.parameters, fit.information, fit.gradient, fit.known,
+            fit.whitened, DIRECTION_VECTORS, score,
+        )  # fmt: skip
+        begin += len(fit.parameters)
+    return RimScore(*score)
 
 
 def unoccluded_centres(score: RimScore) -> tuple[Array, Array]:
@@ -83,39 +70,6 @@ def unoccluded_centres(score: RimScore) -> tuple[Array, Array]:
         What to add to the centres for those of the whole discs, (n, 2) px, and to their
         covariances, (n, 2, 2) px².
     """
-    if not len(score.gradient):
-        return np.zeros((0, 2)), np.zeros((0, 2, 2))
-    evidence, depth, depth2 = depth_posterior(score)
-    shift, doubt = np.empty((len(evidence), 2)), np.empty((len(evidence), 2, 2))
-    occlusion.average_shifts(
-        occlusion_probability(evidence),
-        depth,
-        depth2,
-        np.ascontiguousarray(score.pull),
-        shift,
-        doubt,
-    )
-    return shift, doubt
-
-
-def depth_posterior(score: RimScore) -> tuple[Array, Array, Array]:
-    """Log evidence of a bite against none, and its depth's posterior mean and mean square.
-
-    The half-normal prior and the Gaussian likelihood make a normal law cut off at 0.
-    """
-    shape = score.gradient.shape
-    evidence, mean, square = np.empty(shape), np.empty(shape), np.empty(shape)
-    occlusion.fill_depth_posterior(
-        np.ascontiguousarray(score.gradient), np.ascontiguousarray(score.information), PRIOR_DEPTH,
-        evidence, mean, square,
-    )  # fmt: skip
-    return evidence, mean, square
-
-
-def occlusion_probability(evidence: Array) -> Array:
-    """Posterior probability of each spot's bite in each direction, (n, N_DIRECTIONS)."""
-    probability = np.empty_like(evidence)
-    occlusion.share_probability(
-        np.ascontiguousarray(evidence), (P_SHARED, P_OCCLUDED, P_SINGLE), probability
-    )
-    return probability
+    evidence, depth, depth2 = kernel.depth_posterior(score.gradient, score.information)
+    probability = kernel.occlusion_probability(evidence)
+    return kernel.average_shifts(probability, depth, depth2, score.pull)

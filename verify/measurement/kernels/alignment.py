@@ -5,8 +5,7 @@ A spot z taken at t1, its LED's z0 at t0 in a neighbouring picture, is at the in
     z + v (t - t1),  v = (z - z0) / (t1 - t0)
 
 with the covariance of that sum, and the lever -(t - t1) (t - t0) / 2 of an acceleration that two
-pictures do not show. Each pair calls it twice: in numpy that takes more than half as long as the
-pose fit.
+pictures do not show.
 """
 
 import math
@@ -28,8 +27,7 @@ def carry_to_instant(
     covariance: tuple[Array, Array],
     taken: tuple[Array, Array],
     t: float,
-    carried: tuple[Array, Array, Array, Array],
-) -> int:
+) -> tuple[int, Array, Array, Array, Array]:
     """Carry m spots to an instant, along the lines through them and a neighbour's.
 
     LEDs new to this pair move like the others, give or take their spread.
@@ -40,26 +38,25 @@ def carry_to_instant(
         covariance: (m, 2, 2) and (k, 2, 2), px².
         taken: (m,) and (k,), s.
         t: s, to where.
-        carried: filled: centre (m, 2); covariance (m, 2, 2); velocity (m, 2), px/s; lever (m,),
-            s², of an acceleration that two pictures do not show.
 
     Returns:
-        How many LEDs the neighbour shows too; with none nothing is filled in.
+        How many LEDs the neighbour shows too, without which nothing else is of use; centre (m, 2);
+        covariance (m, 2, 2); velocity (m, 2), px/s; lever (m,), s².
     """
-    place, spread, velocity = carried[0], carried[1], carried[2]
-    match, found = np.empty(len(led[0]), np.int64), np.empty(len(led[0]), np.int64)
-    count = 0
-    for i in range(len(led[0])):
+    m, count = len(led[0]), 0
+    place, spread, velocity = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
+    lever, match, shared = np.empty(m), np.empty(m, np.int64), np.empty(m, np.int64)
+    for i in range(m):
         match[i] = -1
         for k in range(len(led[1])):
             if led[1][k] == led[0][i]:
                 match[i] = k
         if match[i] >= 0:
-            found[count] = i
+            shared[count] = i
             count += 1
     if count == 0:
-        return 0
-    known, intervals = found[:count], np.empty(count)
+        return count, place, spread, velocity, lever
+    known, intervals = shared[:count], np.empty(count)
     mean = np.zeros(2)
     for n in range(count):
         i = int(known[n])
@@ -84,8 +81,8 @@ def carry_to_instant(
                 for b in range(2):
                     spread[i, a, b] = covariance[0][i, a, b] + shift**2 * scatter[a, b]
             place[i, a] = centre[0][i, a] + velocity[i, a] * shift
-        carried[3][i] = -0.5 * shift * (shift + interval)
-    return count
+        lever[i] = -0.5 * shift * (shift + interval)
+    return count, place, spread, velocity, lever
 
 
 @compiled
@@ -111,9 +108,8 @@ def led_boxes(
     camera: tuple[Array, Array],
     half: tuple[float, float, float, float],
     size: tuple[int, int],
-    boxes: Array,
-) -> int:
-    """Fill in the boxes about the LEDs that stand in the image; those that overlap become one.
+) -> Array:
+    """Boxes about the LEDs in the image, (n, 4), px: x0, y0, x1, y1; those that overlap become one.
 
     Args:
         camera_T_flange: (4, 4).
@@ -121,12 +117,8 @@ def led_boxes(
         camera: its matrix (3, 3), px, and k1, k2, p1, p2, k3.
         half: half a box: px; and at the LED's depth, m, m, and rad that the whole has turned.
         size: px, width and height of the image.
-        boxes: (n, 4), px, filled: x0, y0, x1, y1.
-
-    Returns:
-        How many there are.
     """
-    matrix, lens = camera
+    boxes, (matrix, lens) = np.empty((len(leds), 4)), camera
     width, height = float(size[0]), float(size[1])
     count, point, radius = 0, np.empty(3), 0.0
     for led in range(len(leds)):
@@ -146,7 +138,7 @@ def led_boxes(
             boxes[count, 0], boxes[count, 2] = max(x0, 0.0), min(x1, width)
             boxes[count, 1], boxes[count, 3] = max(y0, 0.0), min(y1, height)
             count += 1
-    return merge_boxes(boxes, count)
+    return boxes[: merge_boxes(boxes[:count])]
 
 
 @compiled
@@ -161,9 +153,9 @@ def to_pixels(x: float, y: float, matrix: Array, lens: Array) -> tuple[float, fl
 
 
 @compiled
-def merge_boxes(boxes: Array, count: int) -> int:
-    """Unite boxes that overlap, so that no spot is found twice; gives how many are left."""
-    one = 0
+def merge_boxes(boxes: Array) -> int:
+    """Unite boxes (n, 4) that overlap, so that no spot is found twice; say how many are left."""
+    one, count = 0, len(boxes)
     while one < count:
         other = one + 1
         while other < count:

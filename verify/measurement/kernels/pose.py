@@ -5,8 +5,7 @@ covariance from pixels and a from an unknown acceleration, each step is
 
     (D' (C + a)⁻¹ D)⁻¹ D' (C + a)⁻¹ (z - u(T))
 
-restricted to the directions that the spots determine. It is done several times a pair: in numpy
-the image's acceleration alone takes several times as long.
+restricted to the directions that the spots determine.
 """
 
 import math
@@ -19,7 +18,7 @@ from verify.core.kernels.linear_algebra import dot, factor, invert, solve
 from verify.core.records import Array
 
 Flags = NDArray[np.bool_]
-SpotGeometry = tuple[Array, Array, Array, Array, Array, Array]  # as `predict_spots` takes them
+SpotPlaces = tuple[Array, Array, Array, Array, Array, Array]  # as `predict_spots` takes them
 
 N_FREE = 6
 LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
@@ -30,6 +29,11 @@ MAX_UNCERTAINTY = 0.1  # rad, or 10 mm at the marker's size
 MIN_INFORMATION = 1e-10  # information a direction, relative to the best: rounding, not measurement
 SMALL_ANGLE = 1e-9  # rad: below, sine and angle are the same
 MAX_ITERATIONS = 25
+# Acceleration assumed a speed, 1/s: arms move in sines near 0.5 Hz (2 pi f = 3) or in ramps of a
+# third of a second. The session's own motion corrects it afterwards (comparison.py).
+ACCELERATION_PER_SPEED = 3.0
+MIN_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and stops
+TIME_STEP = 0.01  # s, of the image's acceleration: long against rounding, short against the motion
 TOL_STEP = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
 RIDGE = 1e-6  # of the mean information: keeps the motion of one or two LEDs solvable
 MIN_VARIANCE = 1e-6  # px²: a spot that nothing else checks has no residual to speak of: against 0/0
@@ -118,29 +122,28 @@ def move_pose(pose: Array, step: Array) -> None:
 
 
 @compiled
-def image_acceleration(
-    places: SpotGeometry, pose: Array, twist: Array, moment: float, second: Array
-) -> None:
-    """Fill in the spots' image acceleration (s, 2), px/s², as the pose moves by a steady twist.
+def image_acceleration(places: SpotPlaces, pose: Array, twist: Array) -> Array:
+    """Image acceleration of spots (s, 2), px/s², under a steady twist of the pose.
+
+    LEDs that turn about the flange, and points that come nearer, do not cross the image at a
+    steady rate even then. It points one way, so it would not average out.
 
     Args:
         places: of the spots, as `predict_spots` takes them.
         pose: (4, 4).
         twist: (6,), m/s and rad/s.
-        moment: s, by which the pose is moved to and fro.
-        second: filled.
     """
-    count = len(second)
-    pixels = np.empty((count, 2))
+    count = len(places[0])
+    pixels, second = np.empty((count, 2)), np.zeros((count, 2))
     by_point, by_pose = np.empty((count, 2, 3)), np.empty((count, 2, 6))
-    second[:] = 0.0
-    for h, share in ((-moment, 1.0), (0.0, -2.0), (moment, 1.0)):
+    for h, share in ((-TIME_STEP, 1.0), (0.0, -2.0), (TIME_STEP, 1.0)):
         moved = pose.copy()
         move_pose(moved, twist * h)
         predict_spots(moved, *places, pixels, by_point, by_pose)
         for s in range(count):
             for i in range(2):
-                second[s, i] += share * pixels[s, i] / moment**2
+                second[s, i] += share * pixels[s, i] / TIME_STEP**2
+    return second
 
 
 @compiled
@@ -186,7 +189,6 @@ def twist_from_velocities(
     design: Array,
     velocity: Array,
     rows: NDArray[np.int64],
-    start: tuple[float, float, float],
     twist: Array,
 ) -> tuple[float, float]:
     """Fill in how the flange moves, from the spots' velocities.
@@ -195,13 +197,12 @@ def twist_from_velocities(
         design: (2 s, 6), derivative of the spots by the pose.
         velocity: (2 s,), px/s.
         rows: (2 k,), those of the kept spots.
-        start: acceleration a speed (1/s), and that of an arm that starts: m/s² and rad/s².
         twist: (6,), m/s and rad/s, filled.
 
     Returns:
         The acceleration that this suggests, a component, m/s² and rad/s².
     """
-    rate, linear, angular = start
+    linear, angular = MIN_ACCELERATION
     twist[:] = 0.0
     moving = False
     for row in rows:
@@ -220,8 +221,8 @@ def twist_from_velocities(
     solve(root, twist)
     for i in range(N_FREE):
         twist[i] *= SCALE[i]
-    linear += rate * math.sqrt(dot(twist[:3], twist[:3]))
-    angular += rate * math.sqrt(dot(twist[3:], twist[3:]))
+    linear += ACCELERATION_PER_SPEED * math.sqrt(dot(twist[:3], twist[:3]))
+    angular += ACCELERATION_PER_SPEED * math.sqrt(dot(twist[3:], twist[3:]))
     return linear / math.sqrt(3.0), angular / math.sqrt(3.0)
 
 
@@ -285,55 +286,54 @@ def pose_information(design: Array, weight: Array, weighted: Array, information:
 
 @compiled
 def fit_spots(
-    views: tuple[Array, Array, Array, Array, Array, Array],
+    places: SpotPlaces,
     centre: Array,
     spots: tuple[Array, Array, Array],
     rows: NDArray[np.int64],
-    start: tuple[float, float, float],
     pose: Array,
-    predicted: tuple[Array, Array, Array],
-    spread: tuple[Array, Array, Array],
-    gain: Array,
-    directions: tuple[Array, Flags],
-    twist: Array,
-) -> tuple[float, float]:
+) -> tuple[
+    tuple[Array, Array, Array],
+    tuple[Array, Array, Array],
+    Array,
+    tuple[Array, Flags],
+    Array,
+    tuple[float, float],
+]:
     """Fit a pose to s spots by Gauss-Newton.
 
     Args:
-        views: what `predict_spots` needs after the pose.
+        places: what `predict_spots` needs after the pose.
         centre: (s, 2), px, as measured.
         spots: covariance (s, 2, 2) px², velocity (s, 2) px/s and the acceleration's lever (s,) s².
         rows: (2 k,), those of the spots that count.
-        start: acceleration a speed (1/s), and that of an arm that starts: m/s² and rad/s².
         pose: (4, 4), rig_T_flange, changed.
-        predicted: residual (s, 2) px, and the derivatives of the spots by the point (s, 2, 3) and
-            by the pose (s, 2, 6), filled: before the last step.
-        spread: those of `spot_covariance`, (2 s, 2 s) each, filled.
-        gain: (6, 2 s), d pose / d spot, filled; 0 for spots that do not count.
-        directions: those of `covariance_of`, (6, 6) and (6,), filled.
-        twist: (6,), m/s and rad/s, filled.
 
     Returns:
-        The acceleration assumed, a component, m/s² and rad/s².
+        Residual (s, 2) px, and the derivatives of the spots by the point (s, 2, 3) and by the pose
+        (s, 2, 6), before the last step; those of `spot_covariance`, (2 s, 2 s) each; the gain
+        (6, 2 s), d pose / d spot, 0 for spots that do not count; the directions of `covariance_of`,
+        (6, 6) and (6,); the twist (6,), m/s and rad/s; the acceleration assumed, a component, m/s²
+        and rad/s².
     """
-    points, camera_R_rig, origin, lens, focal, middle = views
-    residual, by_point, by_pose = predicted
-    prior = (0.0, 0.0)
+    count = len(centre)
+    residual, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
+    by_pose, size = np.empty((count, 2, N_FREE)), (2 * count, 2 * count)
+    spread = np.empty(size), np.empty(size), np.empty(size)
+    gain, twist, prior = np.empty((N_FREE, 2 * count)), np.empty(N_FREE), (0.0, 0.0)
+    directions, known = np.empty((N_FREE, N_FREE)), np.empty(N_FREE, np.bool_)
     design, off = by_pose.reshape(-1, N_FREE), residual.reshape(-1)
     weighted, step = np.empty((N_FREE, len(off))), np.empty(N_FREE)
     information, inverse = np.empty((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE))
     for iteration in range(MAX_ITERATIONS):
-        predict_spots(
-            pose, points, camera_R_rig, origin, lens, focal, middle, residual, by_point, by_pose
-        )
-        for s in range(len(centre)):
+        predict_spots(pose, *places, residual, by_point, by_pose)
+        for s in range(count):
             for axis in range(2):
                 residual[s, axis] = centre[s, axis] - residual[s, axis]
         if iteration == 0:  # velocities and their lever change nothing measurable in later rounds
-            prior = twist_from_velocities(design, spots[1].reshape(-1), rows, start, twist)
+            prior = twist_from_velocities(design, spots[1].reshape(-1), rows, twist)
             spot_covariance(design, spots, rows, prior, spread)
         pose_information(design, spread[2], weighted, information)
-        covariance_of(information, inverse, directions[0], directions[1])
+        covariance_of(information, inverse, directions, known)
         largest = 0.0
         for i in range(N_FREE):
             step[i] = 0.0
@@ -346,7 +346,7 @@ def fit_spots(
         move_pose(pose, step)
         if largest < TOL_STEP:
             break
-    return prior
+    return (residual, by_point, by_pose), spread, gain, (directions, known), twist, prior
 
 
 @compiled

@@ -1,8 +1,7 @@
 """Fill in the derivatives of spots by the parameters of cameras, LEDs and their body.
 
 A parameter that moves a camera by the twist (t, w) moves the spot of a point x, g its derivative by
-the point, by -(g . t + w . (x x g)); lens and focal length move it by their own derivative. An
-analysis asks for every parameter at every pair: in numpy most of it would be the starts of calls.
+the point, by -(g . t + w . (x x g)); lens and focal length move it by their own derivative.
 """
 
 import numpy as np
@@ -24,9 +23,8 @@ def place_leds(
     rig_T_flange: Array,
     placed: tuple[Array, Array],
     left: int,
-    places: tuple[Array, Array, Array],
-) -> None:
-    """Fill in where spots' LEDs are.
+) -> tuple[Array, Array, Array]:
+    """Place spots' LEDs, (s, 3) each, m: LED from flange, rig axes; in the rig; in the camera.
 
     Args:
         leds: (n, 3), m, flange frame.
@@ -34,9 +32,9 @@ def place_leds(
         rig_T_flange: (4, 4).
         placed: camera_T_rig (4, 4) of the left camera and of the right one.
         left: how many spots, the first ones, are the left camera's.
-        places: (s, 3) each, m, filled: LED from flange, rig axes; point in the rig; in the camera.
     """
-    offset, points, inside = places
+    offset, points = np.empty((len(led), 3)), np.empty((len(led), 3))
+    inside = np.empty((len(led), 3))
     for s in range(len(led)):
         for i in range(3):
             offset[s, i] = dot(rig_T_flange[i, :3], leds[led[s]])
@@ -44,33 +42,31 @@ def place_leds(
         camera = placed[0] if s < left else placed[1]
         for i in range(3):
             inside[s, i] = dot(camera[i, :3], points[s]) + camera[i, 3]
+    return offset, points, inside
 
 
 @compiled
-def fill_by_camera(
-    columns: Index,
+def by_camera(
     kinds: Index,
     twists: Array,
     camera: tuple[Array, Array],
-    places: tuple[Array, Array, Array],
-    some: tuple[int, int],
-    moved: Array,
-) -> None:
-    """Fill in how one camera's parameters move its spots.
+    inside: Array,
+    points: Array,
+    by_point: Array,
+) -> Array:
+    """Derivative of one camera's spots by its parameters, (k, s, 2), px a SI unit.
 
     Args:
-        columns: (k,), where each parameter is among all p.
         kinds: (k, 2), what each parameter is, and which one of its kind.
         twists: (k, 6), how it moves the camera: translation at the rig's origin (m) and turn.
         camera: its matrix (3, 3), px, and k1, k2, p1, p2, k3.
-        places: of all spots: points in their cameras (s, 3), m; the same in the rig (s, 3), m;
-            d px / d point in the rig (s, 2, 3).
-        some: from which spot to which one they are this camera's.
-        moved: (p, s, 2), px a SI unit, filled there.
+        inside: (s, 3), m, points in the camera.
+        points: (s, 3), m, the same in the rig.
+        by_point: (s, 2, 3), d px / d point in the rig.
     """
-    (matrix, lens), (inside, points, by_point) = camera, places
-    lenses, ideal = np.empty((5, 2)), np.empty(2)
-    for s in range(some[0], some[1]):
+    matrix, lens = camera
+    moved, lenses, ideal = np.zeros((len(kinds), len(points), 2)), np.empty((5, 2)), np.empty(2)
+    for s in range(len(points)):
         x, y = inside[s, 0] / inside[s, 2], inside[s, 1] / inside[s, 2]
         r2, twice = x * x + y * y, 2.0 * x * y
         for i, unit in enumerate((x, y)):
@@ -84,16 +80,15 @@ def fill_by_camera(
             for c in range(5):
                 ideal[i] += lens[c] * lenses[c, i]
         for k in range(len(kinds)):
-            column, which = columns[k], kinds[k, 1]
-            moved[column, s] = 0.0
+            which = kinds[k, 1]
             if kinds[k, 0] == MIDDLE:
-                moved[column, s, which] = 1.0
+                moved[k, s, which] = 1.0
             elif kinds[k, 0] == FOCAL:
-                moved[column, s, which] = ideal[which]
+                moved[k, s, which] = ideal[which]
             elif kinds[k, 0] == LENS:
                 for axis in range(2):
                     for i in range(2):
-                        moved[column, s, axis] += matrix[axis, i] * lenses[which, i]
+                        moved[k, s, axis] += matrix[axis, i] * lenses[which, i]
             else:
                 u, v, w = points[s, 0], points[s, 1], points[s, 2]
                 for axis in range(2):
@@ -101,7 +96,8 @@ def fill_by_camera(
                     along = a * twists[k, 0] + b * twists[k, 1] + c * twists[k, 2]
                     about = twists[k, 3] * (v * c - w * b) + twists[k, 4] * (w * a - u * c)
                     about += twists[k, 5] * (u * b - v * a)
-                    moved[column, s, axis] = -(along + about)
+                    moved[k, s, axis] = -(along + about)
+    return moved
 
 
 @compiled

@@ -30,7 +30,6 @@ from tests.support.leds.scene import (
 )
 from tests.support.scene import project
 from verify.measurement.correspondence.assign import PosePrediction
-from verify.measurement.correspondence.hypotheses import settle_bounds
 from verify.measurement.correspondence.refinement import select_likely
 
 SEES = 0.005  # m, the least difference between two triangles of LEDs that counts as asymmetric
@@ -301,7 +300,7 @@ def test_a_jump_that_the_prediction_missed_is_found_all_the_same() -> None:
 def test_a_prediction_that_picks_the_spots_found_is_followed_the_short_way_to_the_same_pose(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    following = importlib.import_module("verify.measurement.correspondence.assign")
+    following = importlib.import_module("verify.measurement.correspondence.refinement")
     asked: list[bool] = []
     short = following._is_complete
 
@@ -366,7 +365,7 @@ def test_a_fit_worse_than_one_in_ten_thousand_is_refused(seen_leds: int, freedom
     limit = chi2.isf(1e-4, freedom)
     spot = np.full((2, 2, 4), -1, dtype=np.int64)
     spot[:, :, :seen_leds] = np.arange(seen_leds)
-    assert_array_equal(select_likely(spot, np.array([0.99, 1.01]) * limit, *settle_bounds(4)), [0])
+    assert_array_equal(select_likely(spot, np.array([0.99, 1.01]) * limit), [0])
 
 
 def test_a_clean_spot_is_taken_before_a_merged_one() -> None:

@@ -8,9 +8,9 @@ from tests.support.leds.images import Sensor, Spot, centre_bound, picture, scatt
 from verify.core.records import Array, Noise, Spots
 from verify.errors import InputError
 from verify.measurement.detection.candidates import LocatedPatches, disc_offsets
-from verify.measurement.detection.detect import detect, estimate_noise
+from verify.measurement.detection.detect import assess_spots, detect
 from verify.measurement.detection.fit import Patches, fit_spots
-from verify.measurement.detection.quality import assess_spots
+from verify.measurement.detection.kernels.quality import COL_SOUND
 
 CASES = {
     "dim": Spot(60, 2.0),
@@ -82,14 +82,14 @@ def test_black_under_the_clamp_neither_biases_nor_inflates() -> None:
 def test_the_noise_of_an_image_is_the_sensors() -> None:
     sensor, rng = Sensor(read=1.8, gain=0.04), np.random.default_rng(8)
     spot = Spot(200, 2.5)
-    found = [
-        estimate_noise(picture([spot] * 4, scattered(2, 2, rng, pitch=150.0), sensor, rng))
+    noises = [
+        detect(picture([spot] * 4, scattered(2, 2, rng, pitch=150.0), sensor, rng)).noise
         for _ in range(12)
     ]
     for level in (6.0, 150.0):
         truth = sensor.read**2 + 1 / 12 + sensor.gain * level
-        message = np.mean([n.read**2 + n.gain * (level - n.black) for n in found])
-        assert message == pytest.approx(truth, rel=0.08)  # four spots know their noise to 8 %
+        estimate = np.mean([n.read**2 + n.gain * (level - n.black) for n in noises])
+        assert estimate == pytest.approx(truth, rel=0.08)  # four spots know their noise to 8 %
 
 
 def test_windows_find_the_same_spots_as_the_whole_image() -> None:
@@ -214,4 +214,4 @@ def test_a_patch_without_a_single_pixel_that_counts_is_no_spot_and_no_crash() ->
     one = np.ones(1)
     patches = Patches(pixels, 4.0 * one, one, one, Noise(1.5, 0.03, 0.0))
     cut = LocatedPatches(patches, np.array([[100, 100]]), np.zeros((1, 3)))
-    assert not assess_spots([(cut, fit_spots(patches))], (200, 200)).sound.any()
+    assert not assess_spots([(cut, fit_spots(patches))], (200, 200))[:, COL_SOUND].any()

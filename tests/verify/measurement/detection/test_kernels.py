@@ -123,9 +123,7 @@ def test_of_spots_on_one_place_the_better_fitting_stays_and_of_equals_the_first(
     output = np.zeros((5, N_COLUMNS))
     output[:, COL_CENTRE_X], output[:, COL_CENTRE_Y] = [10.0, 11.0, 30.0, 30.5, 50.0], 10.0
     output[:, COL_DIAMETER], output[:, COL_MISFIT] = 8.0, [2.0, 1.0, 1.0, 1.0, 9.0]
-    twin = np.empty(5, np.bool_)
-    mark_duplicates(output, 0.5, twin)
-    assert twin.tolist() == [True, False, False, True, False]
+    assert mark_duplicates(output).tolist() == [True, False, False, True, False]
 
 
 @pytest.mark.parametrize("level", [60, 120, 200])
@@ -147,13 +145,13 @@ def test_a_blob_is_found_once_at_its_highest_level_and_where_it_is_in_the_pictur
     for (x, y), peak in [((20, 30), 220.0), ((60, 25), 50.0)]:
         column, row = np.meshgrid(np.arange(90) - x, np.arange(60) - y)
         picture += np.asarray(peak * np.exp(-(column**2 + row**2) / 18), np.uint8)
-    found, windows = np.empty((9, 4)), np.array([[10, 15, 80, 55], [5, 5, 7, 50]])
-    assert find_blobs(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), found) == 2
-    np.testing.assert_allclose(found[:2, :2], [[20, 30], [60, 25]], atol=0.1)
-    np.testing.assert_array_equal(found[:2, 3], [220, 50])
-    # only as many as there is room for, the brightest things first
-    assert find_blobs(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), found[:1]) == 1
-    assert found[0, 3] == 220
+    windows = np.array([[10, 15, 80, 55], [5, 5, 7, 50]])
+    blobs = find_blobs(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), 9)
+    np.testing.assert_allclose(blobs[:, :2], [[20, 30], [60, 25]], atol=0.1)
+    np.testing.assert_array_equal(blobs[:, 3], [220, 50])
+    # of more than are listed, the brightest
+    blobs = find_blobs(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), 1)
+    np.testing.assert_array_equal(blobs[:, 3], [220])
 
 
 def test_sums_of_products_are_those_of_a_matrix_product() -> None:
@@ -196,11 +194,10 @@ def test_levels_and_differences_are_those_of_unclipped_neighbours(width: int, me
     whole = rows.astype(float)
     inside = (rows > 0) & (rows < 255)
     clean = np.lib.stride_tricks.sliding_window_view(inside, 5, axis=1).all(axis=2)
-    level, difference = np.empty(rows.size), np.empty(rows.size)
-    count = stencils(rows, level, difference)
+    level, difference = stencils(rows)
     cubic = savgol_filter(whole, 5, 3, axis=1)[:, 2:-2]
-    assert level[:count] == pytest.approx(cubic[clean], abs=1e-9)
-    assert np.array_equal(difference[:count], np.abs(np.diff(whole, 4, axis=1))[clean])
+    assert level == pytest.approx(cubic[clean], abs=1e-9)
+    assert np.array_equal(difference, np.abs(np.diff(whole, 4, axis=1))[clean])
 
 
 def test_a_small_spot_that_fits_by_chance_is_no_noise_estimate() -> None:
@@ -211,7 +208,7 @@ def test_a_small_spot_that_fits_by_chance_is_no_noise_estimate() -> None:
     line = np.array([2.25, 0.03])
     usual = np.array([1 / 2.25, 1 / 0.03])
     squares = variance * rng.standard_normal(len(spot)) ** 2
-    variance_line(squares, signal, spot, line, usual, (1.7, 1 / 12, 1e-4, 0.2))
+    variance_line(squares, signal, spot, line, usual)
     assert line[0] == pytest.approx(6.0, rel=0.4)
 
 

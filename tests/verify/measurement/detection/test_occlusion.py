@@ -9,14 +9,12 @@ from scipy.stats import norm
 from tests.support.leds.images import REACH, Sensor, Spot, centre_bound, scattered
 from verify.core.records import Array, Image, Spots
 from verify.measurement.detection.detect import detect
-from verify.measurement.detection.occlusion import (
-    N_DIRECTIONS,
+from verify.measurement.detection.kernels.occlusion import (
     PRIOR_DEPTH,
-    RimScore,
     depth_posterior,
     occlusion_probability,
-    unoccluded_centres,
 )
+from verify.measurement.detection.occlusion import N_DIRECTIONS, RimScore, unoccluded_centres
 
 BLUR, RADIUS, PEAK, FLOOR = 0.6, 4.2, 210.0, 6.0
 FINE = 8  # sub-pixels a side
@@ -128,8 +126,7 @@ def test_bitten_reflections_beside_them_do_not_move_whole_leds() -> None:
 
 def test_the_depth_of_a_bite_is_its_posterior_mean() -> None:
     gradient, information = np.array([-700.0, 0.0, 300.0, 1500.0]), np.full(4, 1.5e4)
-    score = RimScore(gradient[None], information[None], np.zeros((1, 4, 2)))
-    evidence, mean, square = depth_posterior(score)
+    evidence, mean, square = depth_posterior(gradient[None], information[None])
     for k, g in enumerate(gradient):
 
         def moment(power: int, g: float = g) -> float:

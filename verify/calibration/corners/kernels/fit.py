@@ -212,7 +212,7 @@ def centre_covariance(pixels: Array, rows: Array, result: Array) -> bool:
     products, inverse = np.empty((N_ROWS, N_ROWS)), np.empty((N_PARAMETERS, N_PARAMETERS))
     sum_products(rows, products)
     root = np.empty_like(inverse)
-    if not factor(products[:N_PARAMETERS, :N_PARAMETERS], 0.0, root):
+    if not factor(products[:N_PARAMETERS, :N_PARAMETERS].copy(), 0.0, root):
         return False
     invert(root, inverse)
     count = rows.shape[1]

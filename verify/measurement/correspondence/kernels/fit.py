@@ -4,9 +4,6 @@ With u the LEDs' images predicted at pose T and shift s, z their spots, V the sp
 H a weight that keeps the pose and S the variance of the shift, each Gauss-Newton step minimises
 
     chi² = sum (z - u(T, s))' V⁻¹ (z - u(T, s)) + dT' H dT + s' s / S
-
-It is the inner loop of `identify`: compiled, since for two images of a few spots each numpy takes
-longer to start its calls than to do the arithmetic.
 """
 
 import math
@@ -194,15 +191,15 @@ def predict_all(
     rotation: Array,
     position: Array,
     shift: Array,
-    image: Array,
-    derivative: Array,
-    depth: Array,
-) -> None:
-    """Fill in every LED's image (h, 2, n, 2), its derivative (h, 2, n, 2, 8), and depth (h, 2, n).
+) -> tuple[Array, Array, Array]:
+    """Give every LED's image (h, 2, n, 2), its derivative (h, 2, n, 2, 8), and depth (h, 2, n).
 
-    Other arguments are those of `fit_all`.
+    Arguments are those of `fit_all`.
     """
     camera_R_rig, center, focal = cameras
+    count, each = len(position), len(leds)
+    image, depth = np.empty((count, 2, each, 2)), np.empty((count, 2, each))
+    derivative = np.empty((count, 2, each, 2, N_FREE))
     for h in range(len(position)):
         for side in range(2):
             for led in range(len(leds)):
@@ -215,3 +212,4 @@ def predict_all(
                 slope[0, 7] = slope[1, 6] = 0.0
                 for axis in range(2):
                     pixel[axis] += side * shift[h, axis]
+    return image, derivative, depth

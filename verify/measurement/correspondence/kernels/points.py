@@ -4,8 +4,7 @@ Rays a, b from the centres c1, c2 have the common normal n = a x b; their feet o
 
     c1 + a ((c2 - c1) x b) . n / n²  and  c2 + b ((c2 - c1) x a) . n / n²
 
-and the gap is the feet's distance. Where a search begins, each spot of one image is tried with
-each of the other: compiled, since each pair needs three dozen numbers and a test of its own.
+and the gap is the feet's distance. Each spot of one image is tried with each of the other.
 """
 
 import math
@@ -26,7 +25,7 @@ MIN_MARKER_PX = 8.0  # px, a marker that looks smaller than this cannot be read
 
 
 @compiled
-def insert_cost(cost: float, costs: Array, rows: Index, count: int) -> int:
+def insert_cost(cost: float, costs: Array, rows: Index, count: np.int64) -> np.int64 | int:
     """Open a place among the least costs, in rising order, equal ones as they came.
 
     Args:
@@ -89,11 +88,9 @@ def pair_spots(
     leds: Array,
     mean_focal: float,
     skew: float,
-    where: Array,
-    costs: Array,
-    spot: Index,
-) -> int:
-    """List pairs of spots on each other's epipolar line, best first.
+    limit: int,
+) -> tuple[Index, Array]:
+    """List pairs of spots on each other's epipolar line (c, 2), best first, and their points.
 
     Args:
         cameras: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px.
@@ -102,16 +99,15 @@ def pair_spots(
         leds: (n, 3), m, flange frame.
         mean_focal: px.
         skew: px, by how much the marker may have moved between the images.
-        where: (s, s, 3), m, filled: the points of all pairs, left by right.
-        costs: (c,), filled: mismatch over its noise.
-        spot: (c, 2), filled: left and right spot.
+        limit: how many pairs are listed, by mismatch over its noise.
 
     Returns:
-        How many there are, the best c at most.
+        Left and right spot of each pair, and the points of all spots, (s, s, 3), m, left by right.
     """
     camera_R_rig, center, focal = cameras
     pixels, covariance = spots
-    most, count, size = pixels.shape[1], 0, 0.0
+    most, count, size = pixels.shape[1], np.int64(0), 0.0
+    where, costs, spot = np.empty((most, most, 3)), np.empty(limit), np.empty((limit, 2), np.int64)
     for one in range(len(leds)):
         for other in range(one):
             size = max(size, distance(leds[one], leds[other]))
@@ -144,8 +140,9 @@ def pair_spots(
             place = insert_cost(mismatch / noise, costs, spot, count)
             if place >= 0:
                 spot[place, 0], spot[place, 1] = left, right
-                count = min(count + 1, len(costs))
-    return count
+                if count < len(costs):
+                    count += 1
+    return spot[:count], where
 
 
 @compiled
@@ -169,20 +166,17 @@ def locate_points(
     spread: Array,
     where: Array,
     spot: Index,
-    rig: Array,
-    covariance: Array,
-) -> None:
-    """Fill in where c pairs of spots are one point (c, 3), m, and how well, (c, 3, 3) m².
+) -> tuple[Array, Array]:
+    """Place the points of c pairs of spots (c, 3), m, with their covariance (c, 3, 3), m².
 
     Args:
         cameras: those of `pair_spots`.
         spread: (2, s, 2, 2), px², covariance of the spots.
         where: (s, s, 3), m, those of `pair_spots`.
         spot: (c, 2), left and right spot.
-        rig: filled.
-        covariance: filled.
     """
     camera_R_rig, center, focal = cameras
+    rig, covariance = np.empty((len(spot), 3)), np.empty((len(spot), 3, 3))
     local, slope, information = np.empty(3), np.empty(3), np.empty((3, 3))
     for c in range(len(spot)):
         for i in range(3):
@@ -204,3 +198,4 @@ def locate_points(
                     for j in range(3):
                         information[i, j] += slope[i] * weight * slope[j]
         invert_symmetric(information, covariance[c])
+    return rig, covariance

@@ -4,8 +4,8 @@ Nodes ("this point is that LED") a and b agree if their points are as far apart 
 
     ||pa - pb| - |la - lb|| <= MAX_DEVIATION * sqrt(e' (Va + Vb) e + 2 play²),  e along pa - pb
 
-Three nodes, every two of which agree, give a pose. Compiled, since a marker of many LEDs has
-thousands of pairs and triples of nodes.
+Three nodes, every two of which agree, give a pose. A marker of many LEDs has thousands of pairs
+and triples of nodes.
 """
 
 import math
@@ -36,9 +36,10 @@ def join_nodes(
     led: Index,
     leds: Array,
     play: float,
-    deviation: Array,
-) -> None:
-    """Fill in how far every two nodes are from the marker's distance, in standard deviations.
+) -> Array:
+    """Measure how far every two nodes (m, m) are from the marker's distance, in deviations.
+
+    Infinitely far are nodes that share a spot or an LED.
 
     Args:
         points: spots (c, 2), places (c, 3) m, covariance (c, 3, 3) m².
@@ -46,10 +47,9 @@ def join_nodes(
         led: (m,), likewise.
         leds: (n, 3), m, flange frame.
         play: m, how far an LED's light may be from where the marker has it.
-        deviation: (m, m), filled; inf for nodes that share a spot or an LED.
     """
     spot, rig, covariance = points
-    count = len(spot)
+    count, deviation = len(spot), np.empty((len(led), len(led)))
     apart, sigma = np.empty((count, count)), np.empty((count, count))
     apart[:], sigma[:] = math.inf, 1.0
     for i in range(count):
@@ -76,23 +76,21 @@ def join_nodes(
             off = abs(apart[point[a], point[b]] - wanted[led[a], led[b]])
             off = math.inf if led[a] == led[b] else off / sigma[point[a], point[b]]
             deviation[a, b] = deviation[b, a] = off
+    return deviation
 
 
 @compiled
-def list_triangles(
-    deviation: Array, edges: Index, led: Index, leds: Array, costs: Array, triples: Index
-) -> int:
-    """List triples of nodes every two of which agree, best first; how many there are.
+def list_triangles(deviation: Array, edges: Index, led: Index, leds: Array, most: int) -> Index:
+    """List triples of nodes (t, 3) every two of which agree, best first; no slender triangles.
 
     Args:
         deviation: (m, m), of `join_nodes`.
         edges: (e, 2), best first.
         led: (m,), of each node.
         leds: (n, 3), m, flange frame.
-        costs: (t,), filled: sums of squares of the three deviations.
-        triples: (t, 3), filled, slender triangles left out.
+        most: how many are listed, by the sum of squares of the three deviations.
     """
-    count = 0
+    count, costs, triples = np.int64(0), np.empty(most), np.empty((most, 3), np.int64)
     side, other, across = np.empty(3), np.empty(3), np.empty(3)
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
@@ -110,8 +108,9 @@ def list_triangles(
             place = insert_cost(cost, costs, triples, count)
             if place >= 0:
                 triples[place, 0], triples[place, 1], triples[place, 2] = a, b, c
-                count = min(count + 1, len(costs))
-    return count
+                if count < len(costs):
+                    count += 1
+    return triples[:count]
 
 
 @compiled
@@ -132,10 +131,8 @@ def begin_poses(
     nodes: Index,
     leds: Array,
     rotation: Array,
-    position: Array,
-    spot: Index,
-) -> None:
-    """Fill in a pose from each set of nodes, and the spots that it stands on.
+) -> tuple[Array, Index]:
+    """Begin a pose at each set of nodes: the position (h, 3), m, and spots (h, 2, n), -1 for none.
 
     Args:
         points: spots (c, 2) and places (c, 3) m.
@@ -143,15 +140,13 @@ def begin_poses(
         nodes: (h, 1), (h, 2) or (h, 3).
         leds: (n, 3), m, flange frame.
         rotation: (h, 3, 3), filled where there are three nodes.
-        position: (h, 3), m, filled.
-        spot: (h, 2, n), filled, -1 for none.
     """
     spots, rig = points
     point, led = graph
     corners = nodes.shape[1]
     rig_axes, led_axes = np.empty((3, 3)), np.empty((3, 3))
     where, which = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    spot[:] = -1
+    position, spot = np.empty((len(nodes), 3)), np.full((len(nodes), 2, len(leds)), -1)
     for h in range(len(nodes)):
         for k in range(corners):
             where[k], which[k] = point[nodes[h, k]], led[nodes[h, k]]
@@ -169,3 +164,4 @@ def begin_poses(
             for k in range(corners):
                 arm = dot(rotation[h, i], leds[which[k]])
                 position[h, i] += (rig[where[k], i] - arm) / corners
+    return position, spot

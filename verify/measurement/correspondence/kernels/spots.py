@@ -5,8 +5,7 @@ spot z, the spot costs
 
     (z - u)' (V + J C J' + play²)⁻¹ (z - u) + what it costs that z is merged with another
 
-beyond the gate it is none of the LED's. It is done for each hypothesis, LED and spot, several
-times a pair: in numpy this alone takes several times as long as the whole correspondence.
+beyond the gate it is none of the LED's.
 """
 
 import math
@@ -47,9 +46,8 @@ def gather_all(
     limits: tuple[float, float, float, float, float],
     predicted: tuple[Array, Array, Array],
     covariance: Array,
-    spot: Index,
-) -> None:
-    """Fill in the spot (h, 2, n) that each LED gets in each image, -1 for none.
+) -> Index:
+    """Give the spot (h, 2, n) that each LED gets in each image, -1 for none.
 
     Args:
         spots: (2, s, 2) px, their covariance (2, s, 2, 2) px², and which are merged (2, s).
@@ -59,11 +57,11 @@ def gather_all(
             what a merged spot costs.
         predicted: LED images (h, 2, n, 2) px, their derivative (h, 2, n, 2, 8), depths (h, 2, n) m.
         covariance: (h, 8, 8), of pose and shift.
-        spot: filled.
     """
     pixels, noise, merged = spots
     nearest, play, gate, largest, merged_cost = limits
     cost = np.empty((allowed.shape[1], allowed.shape[2]))
+    spot = np.empty((len(covariance), 2, len(cost)), np.int64)
     for h in range(len(spot)):
         for side in range(2):
             for led in range(len(cost)):
@@ -90,21 +88,23 @@ def gather_all(
                     if allowed[side, led, k] and placed and squared <= gate * gate:
                         cost[led, k] = squared + merged_cost * merged[side, k]
             choose_spots(cost, spot[h, side])
+    return spot
 
 
 @compiled
-def count_all(spot: Index, counts: Index) -> None:
-    """Count for assignments (h, 2, n), -1 for no spot; counts (3, h) are filled.
+def count_all(spot: Index) -> Index:
+    """Count, for assignments (h, 2, n), -1 for no spot, what they use; (3, h).
 
-    They are the spots in use, the LEDs with a spot in an image, and those with one in both.
+    Spots in use, LEDs with a spot in an image, and LEDs with one in both.
     """
-    counts[:] = 0
+    counts = np.zeros((3, len(spot)), np.int64)
     for h in range(len(spot)):
         for led in range(spot.shape[2]):
             left, right = spot[h, 0, led] >= 0, spot[h, 1, led] >= 0
             counts[0, h] += left + right
             counts[1, h] += left or right
             counts[2, h] += left and right
+    return counts
 
 
 @compiled
@@ -114,9 +114,8 @@ def departures_of_all(
     poses: tuple[Array, Array],
     rig_T_flange: Array,
     scales: tuple[float, float, float],
-    off: Array,
-) -> None:
-    """Fill in how far the LEDs of each hypothesis (h,) are from where a reference pose has them.
+) -> Array:
+    """Measure how far the LEDs of each hypothesis (h,) are from where a reference pose has them.
 
     Args:
         leds: (n, 3), m, flange frame.
@@ -124,11 +123,11 @@ def departures_of_all(
         poses: rotations (h, 3, 3) and positions (h, 3) m of the hypotheses.
         rig_T_flange: (4, 4), the reference.
         scales: position (m), rotation (rad), and how well a coarse pose places an LED (m).
-        off: (h,), filled.
     """
     rotation, position = poses
     along, about, coarse = scales
     moves, mean, middle = np.empty((len(leds), 3)), np.empty(3), np.empty(3)
+    off = np.empty(len(position))
     for h in range(len(off)):
         count = 0
         for led in range(len(leds)):
@@ -155,3 +154,4 @@ def departures_of_all(
             moved / (along + about * lever + coarse),
             math.sqrt(turned) / (about * math.sqrt(radius) + coarse),
         )
+    return off

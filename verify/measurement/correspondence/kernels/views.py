@@ -1,8 +1,7 @@
 """Bring the spots of one image into ideal coordinates, with noise, and say which LED each may be.
 
 A spot's ideal pixel is its own, the lens undone by Newton's method, from the principal point. It
-may be an LED unless their colours clearly differ. Both images of each pair pass through here: in
-numpy it takes several times as long.
+may be an LED unless their colours clearly differ.
 """
 
 import math

@@ -2,8 +2,8 @@
 
 The contrast is the top hat: the image less its opening by a square, which is the greatest of the
 least values about each pixel. Levels are searched from the brightest down, so that a bright blob
-does not hide a faint neighbour. Small windows about predicted LEDs are searched for every image
-of every pair: OpenCV's top hat takes as many steps a pixel as its square is wide, this one three.
+does not hide a faint neighbour. OpenCV's top hat takes as many steps a pixel as its square is wide,
+this one three.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from verify.core.records import Array, Image
 from verify.measurement.detection.kernels.patches import measure_half_height
 
 MIN_WINDOW_SIDE = 3  # px, side of a window: smaller ones show no blob
-BOX_MARGIN = 2  # px about a thing's box: its half height may lie below the level
+BOX_MARGIN = 2  # px about a region's box: its half height may lie below the level
 Labels = NDArray[np.int32]
 
 
@@ -104,9 +104,9 @@ def find_blobs(
     reach: int,
     levels: tuple[int, ...],
     shape: tuple[float, float, float],
-    found: Array,
-) -> int:
-    """List compact bright blobs in windows of a grey picture.
+    most: int,
+) -> Array:
+    """List compact bright blobs in windows of a grey picture, (m, 4), as `compact_blobs` does.
 
     Args:
         image: (h, w).
@@ -114,12 +114,9 @@ def find_blobs(
         reach: px: what has brightness at that distance all around is background.
         levels: as for `compact_blobs`.
         shape: likewise.
-        found: (m, 4), filled from the begin with as many as it holds, px of the picture.
-
-    Returns:
-        How many.
+        most: how many are listed at most.
     """
-    count = 0
+    found, count = np.empty((most, 4)), 0
     for window in windows:
         x0, y0, x1, y1 = window
         if min(x1 - x0, y1 - y0) < MIN_WINDOW_SIDE:
@@ -132,7 +129,7 @@ def find_blobs(
         for k in range(before, count):
             found[k, 0] += x0
             found[k, 1] += y0
-    return count
+    return found[:count]
 
 
 @compiled
@@ -153,7 +150,7 @@ def compact_blobs(
     """
     label = np.zeros(contrast.shape, np.int32)
     stack = np.empty((contrast.size, 2), np.int32)
-    seeds = np.empty((len(found), 2), np.int32)  # a pixel of each thing that a blob was found in
+    seeds = np.empty((len(found), 2), np.int32)  # a pixel of each region that a blob was found in
     highest = np.empty(len(contrast), np.uint8)
     for y in range(contrast.shape[0]):
         peak = np.uint8(0)

@@ -5,8 +5,7 @@ sigmas (`weigh_pixels`), and W the inverse variances of a prior m, each step sol
 
     (D' D + W + damping) dp = D' r + W (m - p)
 
-Each image of each pair has several patches of hundreds of pixels, weighed several times: it is
-most of what a pair costs, and in numpy a pair's detection takes several times as long.
+It is most of what a pair costs.
 """
 
 import math
@@ -256,27 +255,24 @@ def core_counts(pixels: Array, known: Array) -> Array:
 
 
 @compiled
-def fill_priors(
-    pixels: Array,
-    scale: Array,
-    read: float,
-    usual: tuple[Array, Array],
-    prior: tuple[Array, Array],
-    start: Array,
-    full: NDArray[np.bool_],
-) -> None:
-    """Fill in what is expected of peak, floor and slopes, and where the fit may start.
+def priors_from_pixels(
+    pixels: Array, scale: Array, read: float, usual: tuple[Array, Array]
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Say what is expected of each spot's parameters, and where its fit may start.
 
     Args:
         pixels: (n, 4, p): value, 1 where valid, column, row.
         scale: (n,), px, half-width that the fit starts from.
         read: DN, standard deviation of a dark pixel.
         usual: (10,) and (10,), mean and inverse variance of any spot's parameters.
-        prior: (n, 10) and (n, 10), of these ones', filled.
-        start: (n, 10), filled.
-        full: (n,), filled: whether pixels on the spot are at the sensor's limit.
+
+    Returns:
+        Mean and inverse variance of these ones', start, (n, 10) each; whether pixels on the spot
+        are at the sensor's limit, (n,).
     """
-    mean, weight = prior
+    shape = len(pixels), N_PARAMETERS
+    mean, weight, start = np.empty(shape), np.empty(shape), np.empty(shape)
+    full = np.empty(len(pixels), np.bool_)
     for n in range(len(pixels)):
         value, valid, column, row = pixels[n, 0], pixels[n, 1], pixels[n, 2], pixels[n, 3]
         copy_to(mean[n], usual[0])
@@ -300,6 +296,7 @@ def fill_priors(
             ) - HALO_DN
             start[n, PAR_PEAK] = top - start[n, PAR_FLOOR]
             start_values(value, column, row, scale[n], floor, top, start[n])
+    return mean, weight, start, full
 
 
 @compiled

@@ -5,8 +5,6 @@ whose variance is 70 times a pixel's; within classes of brightness its median bo
 to the background. On the spots, squared residuals follow
 
     E[r²] = dark + gain signal, weighed by 1 / (2 (dark + gain signal)²)
-
-Every image passes through it: in numpy each function here takes several times as long.
 """
 
 import math
@@ -16,27 +14,47 @@ from numpy.typing import NDArray
 
 from verify.core.jit import compiled
 from verify.core.records import Array, Image
+from verify.measurement.detection.kernels.fit import MIN_NOISE_SHARE
+from verify.measurement.detection.kernels.pixels import (
+    QUANTISATION,
+    ROW_CORE,
+    ROW_MEAN,
+    ROW_SIGNAL,
+    ROW_USED,
+    ROW_VISIBLE,
+)
+from verify.measurement.detection.kernels.quality import N_FITTED
 
 # what `stencils` gives of whole numbers from 0 to 255 is whole again, and can be counted
 LEVEL_PARTS, LOWEST_LEVEL, N_LEVELS = 35, 6 * 255, 50 * 255 + 1  # a level in parts of one DN
 N_DIFFERENCES = 8 * 255 + 1
 BLOCK_PIXELS = 64  # pixels that are looked at together
 MIN_PIXELS = 32.0  # pixels: of fewer, the fit's own parameters take more than a quarter
+# Fourth difference along a line: cubic shading vanishes; white noise of variance v leaves 70 v. The
+# level beside it is a local cubic's, which has no bias.
+STENCIL_GAIN = 70.0
+MAD_OVER_SIGMA = 0.67449  # median of |x| over sigma, Gaussian
+TRIM_SIGMA = 3.0  # sigma; the variance within it is TRIMMED_VARIANCE of the whole
+TRIMMED_VARIANCE = 0.9733
+MIN_ABOVE_BLACK = 5.0  # DN above the limit of black: nearer, clipping narrows the noise
+CLASS_WIDTH = 12.0  # DN, width of a level class
+MIN_STENCILS = 60  # stencils a level class must hold: 15 % on its variance
+INDEPENDENT_SHARE = 0.5  # share of independent information: neighbouring stencils overlap
+TYPICAL_GAIN = 1 / 35  # DN, 9,000 electrons over 255 DN: a usual small pixel
+MIN_GAIN = 1e-4  # DN, 2.5 million electrons: no sensor holds more
+MAX_GAIN = 0.2  # DN, 1,300 electrons: above, it is the shape that does not fit
+MAX_MISFIT_RATIO = 1.7  # times the best misfit: more is a shape that the profiles do not have
 
 
 @compiled
-def stencils(rows: Image, level: Array, difference: Array) -> int:
-    """Level and fourth difference at every place where nothing is clipped.
+def stencils(rows: Image) -> tuple[Array, Array]:
+    """Local cubic's value and size of the fourth difference (k,), DN, wherever nothing is clipped.
 
     Args:
         rows: (r, w), DN.
-        level: (r w,), filled from the begin: a local cubic's value, DN.
-        difference: (r w,), likewise: size of the fourth difference, DN.
-
-    Returns:
-        How many places there are.
     """
     count, places = 0, rows.shape[1] - 4
+    level, difference = np.empty(rows.size), np.empty(rows.size)
     inside, clean = np.empty(rows.shape[1], np.bool_), np.empty(places, np.bool_)
     for r in range(rows.shape[0]):
         row = rows[r]
@@ -57,7 +75,7 @@ def stencils(rows: Image, level: Array, difference: Array) -> int:
                     level[count] = (-3.0 * (a + e) + 12.0 * (b + d) + 17.0 * c) / 35.0
                     difference[count] = abs(a - 4.0 * b + 6.0 * c - 4.0 * d + e)
                     count += 1
-    return count
+    return level[:count], difference[:count]
 
 
 @compiled
@@ -100,9 +118,6 @@ def quietest_class(
     level: Array,
     difference: Array,
     black: float,
-    classes: tuple[float, float, int],
-    trim: tuple[float, float, float],
-    gain: tuple[float, float, float],
 ) -> tuple[float, float, float]:
     """Find the class of brightness whose dark variance is least, its doubt included.
 
@@ -110,22 +125,16 @@ def quietest_class(
         level: (k,), DN, as `stencils` gives them.
         difference: (k,), DN, likewise: whole numbers.
         black: DN.
-        classes: where the first begins (DN), how wide each is (DN), fewest members.
-        trim: MAD over sigma, sigma beyond which none counts, the share of variance within.
-        gain: of the stencil's variance, DN a DN of signal, share of independent stencils.
 
     Returns:
         The least (inf where no class has members enough), its relative spread, its dark variance.
     """
-    begin, width, fewest = classes
-    mad, reach, within = trim
-    stencil_gain, shot, effective = gain
-    number = math.ceil((256.0 + width - begin) / width)
+    number = math.ceil((256.0 + CLASS_WIDTH - MIN_ABOVE_BLACK) / CLASS_WIDTH)
     best, spread, at = np.inf, 0.0, 0.0
     counts = np.empty((number, N_DIFFERENCES), np.int64)
     levels, members = np.zeros(number), np.zeros(number, np.int64)
     for k in range(len(level)):
-        part = math.floor((level[k] - begin) / width)
+        part = math.floor((level[k] - MIN_ABOVE_BLACK) / CLASS_WIDTH)
         if 0 <= part < number:
             if members[part] == 0:  # few classes have any
                 counts[part] = 0
@@ -133,17 +142,17 @@ def quietest_class(
             levels[part] += level[k]
             members[part] += 1
     for part in range(number - 1):
-        if members[part] < fewest:
+        if members[part] < MIN_STENCILS:
             continue
         first, second, between = counts_quantile(counts[part], members[part], 0.5)
-        most = reach * max((first + (second - first) * between) / mad, 1.0)
+        most = TRIM_SIGMA * max((first + (second - first) * between) / MAD_OVER_SIGMA, 1.0)
         total, count = 0.0, 0
         for value in range(min(int(most) + 1, N_DIFFERENCES)):
             total += float(counts[part, value]) * value * value
             count += counts[part, value]
-        variance = total / count / within / stencil_gain
-        dark = variance - shot * (levels[part] / members[part] - black)
-        relative = math.sqrt(2.0 / (effective * count))
+        variance = total / count / TRIMMED_VARIANCE / STENCIL_GAIN
+        dark = variance - TYPICAL_GAIN * (levels[part] / members[part] - black)
+        relative = math.sqrt(2.0 / (INDEPENDENT_SHARE * count))
         if dark + 2.0 * relative * variance < best:
             best, spread, at = dark + 2.0 * relative * variance, relative, dark
     return best, spread, at
@@ -154,46 +163,35 @@ def gather_residuals(
     pixels: Array,
     known: Array,
     shares: tuple[Array, Array],
-    rows: tuple[int, int, int, int, int],
-    limits: tuple[float, float],
     own: Array,
     number: NDArray[np.int64],
-    gathered: tuple[Array, Array, NDArray[np.int64]],
-    at: int,
-) -> int:
-    """Squared residuals and signals of spots' unclipped pixels, for `refined`.
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Squared residuals (k,), DN², signals, DN, and spot numbers of spots' unclipped pixels.
 
     Args:
         pixels: (n, 4, p), as fitted.
         known: (n, 10, p), of the pixels.
         shares: (n,) and (n,), read share and gain share of the patches.
-        rows: of `known`: mean, signal, used, visible, core.
-        limits: share of visible noise that a pixel must exceed; parameters that a fit takes.
-        own: (n,), how many of each spot's own pixels clipping leaves alone; over `fitted` where
-            asked for.
-        number: (n,), of the spot among those asked for, -1 for the others.
-        gathered: (k,) each: squares, DN²; signals, DN; the spot's number. Filled from `at` on.
-        at: how many are gathered before.
-
-    Returns:
-        How many are gathered now.
+        own: (n,), how many of each spot's own pixels clipping leaves alone: more than N_FITTED of
+            a numbered one.
+        number: (n,), of the spots asked for, -1 for the others.
     """
-    mean, above, used, visible, mine = rows
-    visible_share, fitted = limits
-    square, signal, spot = gathered
+    room, at = pixels.shape[0] * pixels.shape[2], 0
+    square, signal, spot = np.empty(room), np.empty(room), np.empty(room, np.int64)
     for n in range(len(pixels)):
         if number[n] < 0:
             continue
-        paid = own[n] / (own[n] - fitted)  # what the fit's parameters took, they took from those
+        paid = own[n] / (own[n] - N_FITTED)  # what the fit's parameters took, they took from those
         for k in range(pixels.shape[2]):
-            if known[n, used, k] > 0.0 and known[n, visible, k] > visible_share:
-                off = pixels[n, 0, k] - known[n, mean, k]
+            if known[n, ROW_USED, k] > 0.0 and known[n, ROW_VISIBLE, k] > MIN_NOISE_SHARE:
+                off = pixels[n, 0, k] - known[n, ROW_MEAN, k]
                 # combined colours have a noise of their own; brought back to that of one channel
-                square[at] = off * off * (paid if known[n, mine, k] > 0.0 else 1.0) / shares[0][n]
-                signal[at] = known[n, above, k] * shares[1][n] / shares[0][n]
+                enlarged = off * off * (paid if known[n, ROW_CORE, k] > 0.0 else 1.0)
+                square[at] = enlarged / shares[0][n]
+                signal[at] = known[n, ROW_SIGNAL, k] * shares[1][n] / shares[0][n]
                 spot[at] = number[n]
                 at += 1
-    return at
+    return square[:at], signal[:at], spot[:at]
 
 
 @compiled
@@ -213,7 +211,6 @@ def variance_line(
     spot: NDArray[np.int64],
     line: Array,
     usual: Array,
-    limits: tuple[float, float, float, float],
 ) -> None:
     """Regress squared residuals on signal, misfitting spots left out; `line` is changed.
 
@@ -223,10 +220,7 @@ def variance_line(
         spot: (k,), which spot each pixel belongs to, from 0 without gaps.
         line: (2,), dark variance and gain to begin with.
         usual: (2,), one over their standard uncertainties.
-        limits: how much worse than the best a clean spot may be; least dark variance; least and
-            largest gain.
     """
-    clean, darkest, lowest, highest = limits
     first0, first1 = line[0], line[1]
     spots = 0
     for one in spot:
@@ -238,7 +232,7 @@ def variance_line(
             count[spot[k]] += 1.0
         for n in range(spots):
             misfit[n] /= count[n]
-        most = clean * least_misfit(misfit, count)
+        most = MAX_MISFIT_RATIO * least_misfit(misfit, count)
         a, b, d = usual[0] ** 2, 0.0, usual[1] ** 2
         u, v = a * first0, d * first1
         for k in range(len(spot)):
@@ -251,5 +245,5 @@ def variance_line(
             u += weight * residual2[k]
             v += weight * signal[k] * residual2[k]
         determinant = a * d - b * b
-        line[0] = max((d * u - b * v) / determinant, darkest)
-        line[1] = min(max((a * v - b * u) / determinant, lowest), highest)
+        line[0] = max((d * u - b * v) / determinant, QUANTISATION)
+        line[1] = min(max((a * v - b * u) / determinant, MIN_GAIN), MAX_GAIN)

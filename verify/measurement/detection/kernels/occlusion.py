@@ -6,8 +6,6 @@ parameters and r the residual, all over the pixels' sigmas, the parameters elimi
     information = v'v - v'D (D'D)⁻¹ D'v,  gradient = v'r - r'D (D'D)⁻¹ D'v
 
 of the log-likelihood in b; its posterior, with a half-normal prior on b, is a clipped normal law.
-Each spot of every image is asked for a bite in dozens of directions: in numpy each function here
-takes several times as long.
 """
 
 import math
@@ -37,11 +35,18 @@ from verify.measurement.detection.kernels.quality import COL_MERGED, COL_MISFIT,
 
 MIN_Z = -30.0  # standard deviations: below, the complementary error function ends
 MIN_RADIUS = 1e-9  # half-widths: nearer the very centre no bite changes anything
+OCCLUSION_WIDTH = 0.3  # rad, standard deviation: a stalk of a third to a half of its LED's diameter
+RIM_RADIUS = 1.8  # half-widths: no rim beyond
+MIN_INFORMATION = 0.05  # share of a bite's information that the fit's own parameters must leave
+PRIOR_DEPTH = 0.05  # half-widths, scale of what is expected; far deeper ones show without a prior
+P_SHARED = 0.1  # prior probability that something hides one side of an image's LEDs
+P_OCCLUDED = 0.8  # of an LED's being bitten then
+P_SINGLE = 0.02  # of an LED's being bitten, when nothing is shared
 
 
 @compiled
 def occlusion_change(
-    peak: float, known: Array, near: NDArray[np.int64], sides: Array, width: float, sunk: Array
+    peak: float, known: Array, near: NDArray[np.int64], sides: Array, sunk: Array
 ) -> None:
     """Change of pixels by a bite in each direction, per depth and over each pixel's sigma.
 
@@ -49,8 +54,7 @@ def occlusion_change(
         peak: DN.
         known: (10, p), of the pixels.
         near: (m,), the pixels meant.
-        sides: (d, 2), unit vectors.
-        width: rad, of a bite: von Mises' bump, a Gaussian round a circle.
+        sides: (d, 2), unit vectors, of bites as wide as von Mises' bump, a Gaussian round a circle.
         sunk: (d, m), filled.
     """
     u, w, depth = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
@@ -61,10 +65,9 @@ def occlusion_change(
         weight = known[ROW_VISIBLE, k] * math.sqrt(known[ROW_USED, k] / known[ROW_VARIANCE, k])
         # a smaller radius is a larger t: d(t²) = 2 t² times the relative depth
         depth[at] = 2.0 * peak * known[ROW_SLOPE, k] * known[ROW_RADIUS2, k] * weight
+    sharp = 1.0 / (OCCLUSION_WIDTH * OCCLUSION_WIDTH)
     for side in range(len(sides)):
-        depth_profile(
-            u, w, depth, sides[side, 0], sides[side, 1], 1.0 / (width * width), sunk[side]
-        )
+        depth_profile(u, w, depth, sides[side, 0], sides[side, 1], sharp, sunk[side])
 
 
 @compiled_sums
@@ -117,31 +120,28 @@ def cross_products(
 @compiled
 def score_all(
     numbers: NDArray[np.int64],
-    judged: Array,
+    assessed: Array,
     parameters: Array,
     information: Array,
     gradient: Array,
     known: Array,
     whitened: Array,
     sides: Array,
-    limits: tuple[float, float, float],
     score: tuple[Array, Array, Array],
 ) -> None:
     """Ask the residuals of some of n fits for bites in d directions.
 
     Args:
         numbers: (m,), of the fits asked; others belong to no fit here.
-        judged: (m, 14), of `assess_all`: saturated and merged ones say nothing of bites.
+        assessed: (m, 14), by `assess_all`: saturated and merged ones say nothing of bites.
         parameters: (n, 10).
         information: (n, 10, 10).
         gradient: (n, 10).
         known: (n, 10, p).
         whitened: (n, 11, p).
         sides: (d, 2), unit vectors.
-        limits: reach, half-widths; a bite's width, rad; least share of its information left.
         score: (m, d), (m, d), (m, d, 2): gradient, information, pull; filled where enough is left.
     """
-    reach, width, least = limits
     directions = len(sides)
     found = np.empty(known.shape[2], np.int64)
     cross, whole = np.empty((ROW_WHITENED, directions)), np.empty(directions)
@@ -149,16 +149,18 @@ def score_all(
     left, slope = np.empty(directions), np.empty(directions)
     for m in range(len(numbers)):
         n = numbers[m]
-        if not 0 <= n < len(parameters) or judged[m, COL_SATURATED] + judged[m, COL_MERGED] > 0.0:
+        if not 0 <= n < len(parameters):
+            continue
+        if assessed[m, COL_SATURATED] + assessed[m, COL_MERGED] > 0.0:
             continue
         count = 0
         for k in range(known.shape[2]):
-            if known[n, ROW_RADIUS2, k] < reach * reach:
+            if known[n, ROW_RADIUS2, k] < RIM_RADIUS * RIM_RADIUS:
                 found[count] = k
                 count += 1
         near = found[:count]
         sunk = np.empty((directions, len(near)))
-        occlusion_change(parameters[n, PAR_PEAK], known[n], near, sides, width, sunk)
+        occlusion_change(parameters[n, PAR_PEAK], known[n], near, sides, sunk)
         cross_products(whitened[n], near, sunk, cross, whole)
         factor(information[n], 0.0, root)
         for a in range(N_PARAMETERS):
@@ -166,9 +168,9 @@ def score_all(
                 follow[a, b] = cross[a, b]
         solve_each(root, follow)
         eliminate_parameters(cross, whole, follow, gradient[n], left, slope)
-        worth = max(judged[m, COL_MISFIT], 1.0)
+        worth = max(assessed[m, COL_MISFIT], 1.0)
         for side in range(directions):
-            if left[side] > least * whole[side]:
+            if left[side] > MIN_INFORMATION * whole[side]:
                 score[0][m, side], score[1][m, side] = slope[side] / worth, left[side] / worth
                 score[2][m, side, 0] = -follow[PAR_X, side]
                 score[2][m, side, 1] = -follow[PAR_Y, side]
@@ -198,29 +200,31 @@ def eliminate_parameters(
 
 
 @compiled
-def fill_depth_posterior(
-    gradient: Array, information: Array, scale: float, evidence: Array, mean: Array, square: Array
-) -> None:
+def depth_posterior(gradient: Array, information: Array) -> tuple[Array, Array, Array]:
     """Suppose a bite of unknown depth in each direction of each spot, (n, d) throughout.
+
+    The half-normal prior and the Gaussian likelihood make a normal law cut off at 0.
 
     Args:
         gradient: of the log-likelihood at depth 0.
         information: on the depth.
-        scale: of depths expected, of a half-normal law.
-        evidence: filled: log-likelihood ratio of a bite to none.
-        mean: filled: of the depth, posterior.
-        square: filled: of the depth squared, likewise.
+
+    Returns:
+        Log-likelihood ratio of a bite to none; the depth's posterior mean and mean square.
     """
     spots, directions = gradient.shape
+    evidence, mean = np.empty((spots, directions)), np.empty((spots, directions))
+    square = np.empty((spots, directions))
     for n in range(spots):
         for side in range(directions):
-            sigma = 1.0 / math.sqrt(information[n, side] + 1.0 / (scale * scale))
+            sigma = 1.0 / math.sqrt(information[n, side] + 1.0 / (PRIOR_DEPTH * PRIOR_DEPTH))
             z = gradient[n, side] * sigma
             cut_off = log_normal_cdf(z) + z * z / 2.0
-            evidence[n, side] = math.log(2.0 * sigma / scale) + cut_off
+            evidence[n, side] = math.log(2.0 * sigma / PRIOR_DEPTH) + cut_off
             hazard = math.exp(-cut_off) / math.sqrt(2.0 * math.pi)
             mean[n, side] = sigma * (z + hazard)
             square[n, side] = sigma * sigma * (1.0 + z * (z + hazard))
+    return evidence, mean, square
 
 
 @compiled
@@ -236,19 +240,18 @@ def log_normal_cdf(z: float) -> float:
 
 @compiled
 def average_shifts(
-    probability: Array, depth: Array, depth2: Array, pull: Array, shift: Array, doubt: Array
-) -> None:
-    """Average each spot's shift over its bites, and say how far that is in doubt.
+    probability: Array, depth: Array, depth2: Array, pull: Array
+) -> tuple[Array, Array]:
+    """Average each spot's shift (n, 2), px, over its bites; with its covariance (n, 2, 2), px².
 
     Args:
         probability: (n, d), of a bite.
         depth: (n, d), its mean.
         depth2: (n, d), its mean square.
         pull: (n, d, 2), px a depth.
-        shift: (n, 2), filled, px.
-        doubt: (n, 2, 2), filled, px².
     """
     spots, directions = probability.shape
+    shift, covariance = np.empty((spots, 2)), np.empty((spots, 2, 2))
     for n in range(spots):
         for i in range(2):
             shift[n, i] = 0.0
@@ -256,31 +259,31 @@ def average_shifts(
                 shift[n, i] += pull[n, side, i] * probability[n, side] * depth[n, side]
         for i in range(2):
             for j in range(2):
-                doubt[n, i, j] = -shift[n, i] * shift[n, j]
+                covariance[n, i, j] = -shift[n, i] * shift[n, j]
                 for side in range(directions):
                     spread = probability[n, side] * depth2[n, side]
-                    doubt[n, i, j] += pull[n, side, i] * spread * pull[n, side, j]
+                    covariance[n, i, j] += pull[n, side, i] * spread * pull[n, side, j]
+    return shift, covariance
 
 
 @compiled
-def share_probability(
-    evidence: Array, prior: tuple[float, float, float], probability: Array
-) -> None:
-    """Share one out among no bite, each spot's own, and one side of all.
+def occlusion_probability(evidence: Array) -> Array:
+    """Posterior probability of each spot's bite in each direction, (n, d).
+
+    Shared out among no bite, one of each spot's own, and bites on one side of all spots.
 
     Args:
         evidence: (n, d), log-likelihood ratio of each spot's bite in each direction to none.
-        prior: probabilities of a bite shared by all, of each spot in it, and of one of its own.
-        probability: (n, d), filled: of each spot's bite in each direction.
     """
-    shared, struck, single = prior
     spots, directions = evidence.shape
-    sides = np.full(directions, math.log(shared / directions))
-    own, free = math.log(single / directions), np.full(spots, math.log(1.0 - single))
-    nothing_shared = math.log(1.0 - shared)
+    probability = np.empty((spots, directions))
+    sides = np.full(directions, math.log(P_SHARED / directions))
+    own, free = math.log(P_SINGLE / directions), np.full(spots, math.log(1.0 - P_SINGLE))
+    missed, struck = math.log(1.0 - P_OCCLUDED), math.log(P_OCCLUDED)
+    nothing_shared = math.log(1.0 - P_SHARED)
     for n in range(spots):
         for side in range(directions):
-            sides[side] += log_sum_exp(math.log(1.0 - struck), math.log(struck) + evidence[n, side])
+            sides[side] += log_sum_exp(missed, struck + evidence[n, side])
             free[n] = log_sum_exp(free[n], own + evidence[n, side])
         nothing_shared += free[n]
     total = nothing_shared
@@ -288,10 +291,11 @@ def share_probability(
         total = log_sum_exp(total, sides[side])
     for n in range(spots):
         for side in range(directions):
-            hit = math.log(struck) + evidence[n, side]
-            with_others = sides[side] - total + hit - log_sum_exp(math.log(1.0 - struck), hit)
+            hit = struck + evidence[n, side]
+            with_others = sides[side] - total + hit - log_sum_exp(missed, hit)
             alone = nothing_shared - total + own + evidence[n, side] - free[n]
             probability[n, side] = math.exp(with_others) + math.exp(alone)
+    return probability
 
 
 @compiled

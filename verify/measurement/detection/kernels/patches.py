@@ -3,9 +3,6 @@
 Of the pixels above half the peak and connected with it, holes filled, A many:
 
     half width = sqrt(A / pi),  moments = sum (d d') / A + 1/12,  d px from their mean
-
-Compiled: every blob of every image is flooded pixel by pixel, which numpy cannot do in whole
-arrays, and its patch is read in one pass.
 """
 
 import math
@@ -35,7 +32,7 @@ def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -
         Whether there is one, and compact.
     """
     height, width = part.shape
-    at_y, at_x, peak = 0, 0, -1
+    at_y, at_x, peak = 0, 0, np.int64(-1)
     for y in range(height):
         for x in range(width):
             if part[y, x] > peak:
@@ -68,7 +65,7 @@ def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -
 
 
 @compiled
-def flood_outside(part: Image, peak: int, label: Labels, stack: NDArray[np.int64]) -> None:
+def flood_outside(part: Image, peak: np.int64, label: Labels, stack: NDArray[np.int64]) -> None:
     """Mark what of the lower pixels is connected to the rim, side by side: the rest are holes."""
     height, width = label.shape
     count = 1

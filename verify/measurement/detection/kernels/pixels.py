@@ -5,8 +5,7 @@ A pixel at (u, w) half-widths from the centre, t² = xx u² + 2 xy u w + yy w²,
     mean mu = floor + slope . d + peak f(t),  variance = read + gain max(mu - black, 0)
 
 and after clipping at 0 or 255 the mean and variance of the clipped normal law, in closed form.
-Every pixel of every patch is expected and weighed at each step of each fit: that is why it is
-compiled. One loop does one thing, for then the processor takes several pixels at once.
+One loop does one thing, for then the processor takes several pixels at once.
 """
 
 import math
@@ -16,7 +15,6 @@ from scipy.special import ndtr
 
 from verify.core.jit import compiled, compiled_sums
 from verify.core.records import Array
-from verify.measurement.detection.noise import QUANTISATION
 from verify.measurement.detection.profile import (
     MAX_RADIUS,
     MIN_LOG_STEEPNESS,
@@ -37,6 +35,7 @@ N_ROWS = 10
 NEIGHBOUR_RADIUS = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
 OUTLIER_SIGMA = 5.0  # sigma, likewise
 SENSOR_LIMIT = 255.0  # DN
+QUANTISATION = 1 / 12  # DN², the least variance that whole numbers have
 CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
 MIN_Z = -9.0  # sigma: below, a clipped pixel shows nothing
 STEPS_PER_UNIT = 256.0  # entries of a table of the normal law

@@ -2,10 +2,9 @@
 
 With misfit m the residuals' mean square over their variance, the covariance is enlarged
 
-    by 1 + TOGETHER max(m - 1 - CHANCE sqrt(2 / freedom), 0),  of merged spots by TOGETHER m
+    by 1 + c max(m - 1 - MAX_CHI2_SIGMA sqrt(2 / freedom), 0),  of merged spots by c m
 
-All fits of an image are judged in one call, since in numpy the calls would take longer than the
-arithmetic of so few spots.
+with c = CORRELATED_PIXELS.
 """
 
 import math
@@ -30,7 +29,25 @@ from verify.measurement.detection.kernels.pixels import (
 
 Flags = NDArray[np.bool_]
 
-# columns of a judged spot
+# parameters that a spot's own pixels pay for; the slopes live on the surroundings. With few pixels
+# left, of a spot far over the limit, its foot pays for them
+N_FITTED = 8.0
+MAX_REDUCED_CHI2 = 6.0  # reduced chi² of a shape that no clean LED has
+MAX_RESIDUAL_RATIO = 0.035  # rms residual over peak; both must hold: a bright LED shows any flaw
+MIN_PEAK = 8.0  # sigma of the peak: chance does not reach it in a picture
+MAX_SHIFT = 1.5  # half-widths: a fit that left its candidate has found something else
+MAX_AXIS_RATIO = 2.0  # axis ratio of the fitted profile; a blurred LED stays below, streaks do not
+# A shape that the profiles lack (a stalk before the LED, a reflection beside it) leaves errors
+# larger than noise, in neighbouring pixels alike: the covariance covers them too. What is left of a
+# clipped spot is too little to judge its shape by.
+MAX_CHI2_SIGMA = 3.0  # standard deviations of a reduced chi² that noise alone reaches
+CORRELATED_PIXELS = 20.0  # pixels that a wrong shape lifts together, so that they do not average
+MIN_BORDER = 1.2  # half-widths that must be inside the image
+MIN_SEPARATION = 0.5  # diameters of the smaller one: closer spots are one spot found twice
+
+# columns of an assessed spot: centre (px), covariance (px²), peak (DN), full width at half height
+# (px), axis ratio, reduced chi²; flags (0 or 1): pixels at the sensor's limit, no single LED's
+# shape, a spot at all; how many of its own pixels clipping leaves alone
 COL_CENTRE_X, COL_CENTRE_Y = range(2)
 COL_COVARIANCE_XX, COL_COVARIANCE_XY, COL_COVARIANCE_YX, COL_COVARIANCE_YY = range(2, 6)
 COL_PEAK, COL_DIAMETER, COL_ELONGATION, COL_MISFIT = range(6, 10)
@@ -60,24 +77,22 @@ def centre_covariance(information: Array, row: Array) -> None:
 
 
 @compiled
-def assess_shape(counted: Array, peak: float, limits: tuple[float, ...], row: Array) -> None:
+def assess_shape(counted: Array, peak: float, row: Array) -> None:
     """Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
 
     Args:
         counted: (4,), of `core_counts`.
         peak: DN.
-        limits: FITTED, COL_MISFIT, ROUGH, CHANCE, TOGETHER of quality.py.
         row: (14,), changed.
     """
-    fitted, most, rough_most, chance, together = limits
     count, squares, square_dn, full = counted[0], counted[1], counted[2], counted[3]
-    freedom = count - fitted
+    freedom = count - N_FITTED
     paid = max(freedom, 1.0)
-    misfit = squares / paid if freedom >= fitted else 1.0
+    misfit = squares / paid if freedom >= N_FITTED else 1.0
     rough = math.sqrt(square_dn / paid)
-    merged = misfit > most and rough > rough_most * min(peak, SENSOR_LIMIT)
-    excess = max(misfit - 1.0 - chance * math.sqrt(2.0 / paid), 0.0) if full == 0.0 else 0.0
-    larger = together * misfit if merged else 1.0 + together * excess
+    merged = misfit > MAX_REDUCED_CHI2 and rough > MAX_RESIDUAL_RATIO * min(peak, SENSOR_LIMIT)
+    excess = max(misfit - 1.0 - MAX_CHI2_SIGMA * math.sqrt(2.0 / paid), 0.0) if full == 0.0 else 0.0
+    larger = CORRELATED_PIXELS * misfit if merged else 1.0 + CORRELATED_PIXELS * excess
     for k in range(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1):
         row[k] *= larger
     row[COL_MISFIT], row[COL_COUNT] = misfit, count
@@ -93,11 +108,8 @@ def assess_all(
     scale: Array,
     origin: NDArray[np.int64],
     size: tuple[int, int],
-    limits: tuple[float, ...],
-    bounds: tuple[float, float, float, float],
-    judged: Array,
-) -> None:
-    """Judge n fits.
+) -> Array:
+    """Assess n fits, (n, 14).
 
     Args:
         parameters: (n, 10).
@@ -107,14 +119,11 @@ def assess_all(
         scale: (n,), px.
         origin: (n, 2), px, of each patch's centre pixel.
         size: width and height of the picture, px.
-        limits: as for `assess_shape`.
-        bounds: FAINTEST, LONGEST, WANDERED, BORDER of quality.py.
-        judged: (n, 14), filled.
     """
-    faintest, longest, wandered, border = bounds
+    assessed = np.empty((len(parameters), N_COLUMNS))
     counted = core_counts(pixels, known)
     for n in range(len(parameters)):
-        p, row = parameters[n], judged[n]
+        p, row = parameters[n], assessed[n]
         x, y = origin[n, 0] + p[PAR_X], origin[n, 1] + p[PAR_Y]
         mean = (p[PAR_XX] + p[PAR_YY]) / 2.0
         split = math.hypot((p[PAR_XX] - p[PAR_YY]) / 2.0, p[PAR_XY])
@@ -124,8 +133,8 @@ def assess_all(
         row[COL_CENTRE_X], row[COL_CENTRE_Y], row[COL_PEAK] = x, y, p[PAR_PEAK]
         row[COL_DIAMETER], row[COL_ELONGATION] = long + short, long / short
         centre_covariance(information[n], row)
-        assess_shape(counted[n], p[PAR_PEAK], limits, row)
-        rim = border * long - 0.5
+        assess_shape(counted[n], p[PAR_PEAK], row)
+        rim = MIN_BORDER * long - 0.5
         inside = x > rim and y > rim and x < size[0] - 1.0 - rim and y < size[1] - 1.0 - rim
         finite = True
         for value in p:
@@ -134,31 +143,28 @@ def assess_all(
             positive
             and inside
             and finite
-            and p[PAR_PEAK] * math.sqrt(information[n, PAR_PEAK, PAR_PEAK]) > faintest
-            and long < longest * short
-            and math.hypot(p[PAR_X], p[PAR_Y]) < wandered * scale[n] + 1.0
+            and p[PAR_PEAK] * math.sqrt(information[n, PAR_PEAK, PAR_PEAK]) > MIN_PEAK
+            and long < MAX_AXIS_RATIO * short
+            and math.hypot(p[PAR_X], p[PAR_Y]) < MAX_SHIFT * scale[n] + 1.0
         )
         row[COL_SOUND] = 1.0 if sound else 0.0
+    return assessed
 
 
 @compiled
-def mark_duplicates(judged: Array, apart: float, twin: Flags) -> None:
-    """Mark spots that are another, better fitting one found twice; of equals the first is it.
-
-    Args:
-        judged: (n, 14).
-        apart: diameters of the smaller one: spots are no closer.
-        twin: (n,), filled.
-    """
-    for a in range(len(judged)):
-        one, twin[a] = judged[a], False
-        for b in range(len(judged)):
-            other = judged[b]
+def mark_duplicates(assessed: Array) -> Flags:
+    """Say which of the spots (n, 14) are another one, fitting better or equal and first, again."""
+    twin = np.empty(len(assessed), np.bool_)
+    for a in range(len(assessed)):
+        one, twin[a] = assessed[a], False
+        for b in range(len(assessed)):
+            other = assessed[b]
             better = other[COL_MISFIT] < one[COL_MISFIT] or (
                 other[COL_MISFIT] == one[COL_MISFIT] and b < a
             )
             off = math.hypot(
                 one[COL_CENTRE_X] - other[COL_CENTRE_X], one[COL_CENTRE_Y] - other[COL_CENTRE_Y]
             )
-            if better and off < apart * min(one[COL_DIAMETER], other[COL_DIAMETER]):
+            if better and off < MIN_SEPARATION * min(one[COL_DIAMETER], other[COL_DIAMETER]):
                 twin[a] = True
+    return twin
