@@ -29,7 +29,7 @@ def measured_at_spots(
         def columns(
             pose: Array, by_point: Array, pair: tuple[Sighting, Sighting] = (left, right)
         ) -> Array:
-            return spot_columns(systematics, *pair, pose, by_point, rig, marker)
+            return spot_columns(systematics, rig, marker, *pair, pose, by_point)
 
         start: Array = rig.rig_T_base @ robots.forward(session.arm, q)
         pose = fit_pose(left, right, rig, marker, start, columns)

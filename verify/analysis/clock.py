@@ -86,14 +86,16 @@ def _choose(
             apart.append(float(offset))
     if len(apart) == 1:
         return float(offsets[np.argmin(cost)]), ()
-    best = max(apart, key=lambda o: (round(float(readings.known(track.t - o).mean()), 2), -abs(o)))
+    best = max(
+        apart, key=lambda o: (round(float(readings.available(track.t - o).mean()), 2), -abs(o))
+    )
     near = np.abs(offsets - best) <= 10 * COARSE_STEP
     best = float(offsets[near][np.argmin(cost[near])])
     return best, tuple(o for o in apart if abs(o - best) > 10 * COARSE_STEP)
 
 
 def _has_overlap(track: Track, readings: Readings, offset: float) -> bool:
-    return bool(readings.known(track.t - offset).mean() >= MIN_OVERLAP)
+    return bool(readings.available(track.t - offset).mean() >= MIN_OVERLAP)
 
 
 def _coarse_costs(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Array, Array]:
@@ -114,7 +116,7 @@ def _coarse_costs(track: Track, arm: robots.Arm, readings: Readings) -> tuple[Ar
     every = np.linspace(lowest, highest, count)
     for some in np.array_split(every, -(-count * len(early) // MAX_INSTANTS)):
         instants = ends - some[:, None, None]
-        told = readings.known(instants.reshape(-1)).reshape(instants.shape)
+        told = readings.available(instants.reshape(-1)).reshape(instants.shape)
         known = told[:, 0] & told[:, 1]
         enough = known.mean(axis=1) >= MIN_OVERLAP
         found = np.empty(int(enough.sum()))
@@ -140,7 +142,7 @@ def _coarse_costs_by_pose(track: Track, arm: robots.Arm, readings: Readings) -> 
     count = min(max(int(np.ceil((highest - lowest) / COARSE_STEP_BY_POSE)), 1), MAX_OFFSETS) + 1
     offsets, cost = [], []
     for offset in np.linspace(lowest, highest, count):
-        if len(sample) < 3 or readings.known(sample.t - offset).mean() < MIN_OVERLAP:
+        if len(sample) < 3 or readings.available(sample.t - offset).mean() < MIN_OVERLAP:
             continue
         comparison = compare(sample, arm, readings, offset)
         white = whiten(comparison)

@@ -92,7 +92,7 @@ def compare(
     """
     there = track.t - offset
     if known is None:
-        known = readings.known(there)
+        known = readings.available(there)
     index = np.flatnonzero(known)
     there = there[index]
     q, rate = readings.at(there), readings.rate(there)

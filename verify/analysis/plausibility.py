@@ -111,7 +111,7 @@ def _poses_agree(
     arm: robots.Arm, track: Track, readings: Readings, offset: float, *, places_alone: bool = False
 ) -> bool:
     """Whether half the poses, or their places alone, lie close to where the readings put them."""
-    known = readings.known(track.t - offset)
+    known = readings.available(track.t - offset)
     if not known.any():
         return False
     poses = robots.forward(arm, readings.at((track.t - offset)[known]))

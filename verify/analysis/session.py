@@ -141,7 +141,7 @@ def compare_session(
         InputError: no pair is left.
     """
     track, systematics = measured.track, measured.systematics
-    known = readings.known(track.t - clock.offset)
+    known = readings.available(track.t - clock.offset)
     stated = ReadingUncertainty(
         session.encoder_resolution, session.encoder_time_standard_uncertainty
     )

@@ -59,10 +59,10 @@ def warm_up_comparison() -> None:
     t = np.arange(N_READINGS) / RATE
     readings = Readings(t, np.sin(t)[:, None])
     readings.at(t)
-    readings.known(t)
+    readings.available(t)
     readings.rate(t)
     readings.direction(t)  # by the readings' noise
-    readings.missed(t)
+    readings.interpolation_uncertainty(t)
     rotation_vectors(np.eye(3)[None], np.empty((1, 3)))
     figures, poses = np.ones((1, 2)), np.repeat(np.eye(4)[None], N_READINGS, axis=0)
     motion_sizes(poses[:1], poses[:1], figures)

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.kernels.readings import (
+    bracketed,
     interpolate,
     interpolation_error,
-    mark_bracketed,
     rates,
     travel_directions,
 )
@@ -36,21 +36,20 @@ class Readings:
     t: Array  # (m,), s, increasing
     q: Array  # (m, joints), rad
 
-    def known(self, t: Array) -> NDArray[np.bool_]:
-        """Whether the joints are known at the instants t (n,): between readings, or held at rest.
+    def available(self, t: Array) -> NDArray[np.bool_]:
+        """Whether there are values at the instants t (n,): between readings, or held at rest.
 
-        In a gap they are known within HOLD_TIME of a burst whose readings show the arm at rest (or
-        of a single reading: a visit). Where the arm moves and the readings stop, nothing is known.
+        In a gap there are within HOLD_TIME of a burst whose readings show the arm at rest (or of a
+        single reading: a visit). Where the arm moves and the readings stop, there is none.
         """
-        known: NDArray[np.bool_] = np.zeros(len(t), dtype=np.bool_)
-        mark_bracketed(self._contiguous[0], MAX_GAP, _as_contiguous(t), known)
-        gaps = np.flatnonzero(~known & (t >= self.t[0]) & (t <= self.t[-1]))
+        available: NDArray[np.bool_] = bracketed(self._contiguous[0], MAX_GAP, _as_contiguous(t))
+        gaps = np.flatnonzero(~available & (t >= self.t[0]) & (t <= self.t[-1]))
         if len(gaps):
             after = np.searchsorted(self.t, t[gaps])
             since, until = t[gaps] - self.t[after - 1], self.t[after] - t[gaps]
             nearest = np.where(since < until, after - 1, after)
-            known[gaps] = (np.minimum(since, until) <= HOLD_TIME) & self._at_rest[nearest]
-        return known
+            available[gaps] = (np.minimum(since, until) <= HOLD_TIME) & self._at_rest[nearest]
+        return available
 
     @cached_property
     def _at_rest(self) -> NDArray[np.bool_]:
@@ -69,16 +68,13 @@ class Readings:
         """Readings at the instants t (n,), rad, (n, joints); held outside a burst of readings."""
         if len(self.t) < 2:
             return np.repeat(self.q, len(t), axis=0)
-        value: Array = np.empty((len(t), self.q.shape[1]))
-        interpolate(*self._contiguous, MAX_GAP, _as_contiguous(t), value)
-        return value
+        return interpolate(*self._contiguous, MAX_GAP, _as_contiguous(t))
 
     def rate(self, t: Array) -> Array:
         """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN."""
-        value: Array = np.zeros((len(t), self.q.shape[1]))
-        if len(self.t) > 1:
-            rates(*self._contiguous, MAX_GAP, RATE_SPAN, _as_contiguous(t), value)
-        return value
+        if len(self.t) < 2:
+            return np.zeros((len(t), self.q.shape[1]))
+        return rates(*self._contiguous, MAX_GAP, RATE_SPAN, _as_contiguous(t))
 
     @cached_property
     def _contiguous(self) -> tuple[Array, Array]:
@@ -101,15 +97,14 @@ class Readings:
                 smallest = np.minimum(smallest, MAD_TO_SIGMA * size / np.sqrt(variance))
         return np.where(np.isfinite(smallest), smallest, 0.0)
 
-    def missed(self, t: Array) -> Array:
+    def interpolation_uncertainty(self, t: Array) -> Array:
         """Standard uncertainty of the interpolation at the instants t (n,), rad, (n, joints).
 
         The difference that two estimates of the speeds at the ends of the curve make there.
         """
-        value: Array = np.zeros((len(t), self.q.shape[1]))
-        if len(self.t) > 1:
-            interpolation_error(*self._contiguous, MAX_GAP, _as_contiguous(t), value)
-        return value
+        if len(self.t) < 2:
+            return np.zeros((len(t), self.q.shape[1]))
+        return interpolation_error(*self._contiguous, MAX_GAP, _as_contiguous(t))
 
     def direction(self, t: Array) -> Array:
         """Last direction of travel at the instants t (n,): +1, -1, or 0 before any; (n, joints).
@@ -117,11 +112,9 @@ class Readings:
         A joint has turned back once it is further from its extreme than the readings' noise can
         explain; at rest the last direction is kept.
         """
-        held = np.searchsorted(self.t, t, side="right") - 1
-        held = np.clip(held, 0, len(self.t) - 1)
-        directions = np.zeros(self.q.shape, dtype=np.int8)
-        travel_directions(self._contiguous[1], np.maximum(5 * self.noise, MIN_TRAVEL), directions)
-        last: Array = directions[held].astype(np.float64)
+        held = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
+        thresholds = np.maximum(5 * self.noise, MIN_TRAVEL)
+        last: Array = travel_directions(self._contiguous[1], thresholds)[held].astype(np.float64)
         return last
 
 

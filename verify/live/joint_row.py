@@ -136,14 +136,16 @@ class Comparer:
         offset = np.array([clock.offset for _, clock in pairs])
         known = np.zeros(len(pairs), dtype=bool)
         rows = {}
-        if readings is not None and (known := readings.known(track.t - offset)).any():
+        if readings is not None and (known := readings.available(track.t - offset)).any():
             comparison = compare(
                 track,
                 self.arm,
                 readings,
                 offset,
                 stated=ReadingUncertainty(
-                    self._resolution, time_doubts, readings.missed(track.t - offset)
+                    self._resolution,
+                    time_doubts,
+                    readings.interpolation_uncertainty(track.t - offset),
                 ),
                 known=known,
             )

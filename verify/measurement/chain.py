@@ -10,10 +10,18 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Image, Measurement, Pose, Sighting, Spots, StereoPair
+from verify.core.records import (
+    Array,
+    Image,
+    Measurement,
+    Pose,
+    Sighting,
+    Spots,
+    StereoPair,
+    take_rows,
+)
 from verify.core.rig import Camera, Rig
 from verify.measurement.alignment import MAX_GAP, RawSighting, align, spot_instants
 from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
@@ -25,6 +33,10 @@ from verify.measurement.systematics import Systematics, spot_columns, stated_sys
 
 # A spot's surroundings: its own radius several times over, for the background that is fitted.
 MARGIN_PX = 14.0
+MIN_MOTION_PX = 0.3  # what clocks and lenses leave between two pictures of one instant
+UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
+MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
+Detector = Callable[[Image, Image, Array | None, Array | None], tuple[Spots, Spots]]
 
 
 def led_windows(
@@ -47,14 +59,6 @@ def led_windows(
         (MARGIN_PX, marker.led_diameter, *off),
         (image.shape[1], image.shape[0]),
     )
-
-
-MIN_MOTION_PX = 0.3  # what clocks and lenses leave between two pictures of one instant
-UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
-MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
-
-
-Detector = Callable[[Image, Image, Array | None, Array | None], tuple[Spots, Spots]]
 
 
 def detect_in_turn(
@@ -98,7 +102,7 @@ class _AssignedPair:
 
     pair_t: float
     frame: int
-    found: Correspondence
+    correspondence: Correspondence
     left: RawSighting
     right: RawSighting
     whole_frame: bool
@@ -108,7 +112,7 @@ class _AssignedPair:
 class _PreviousPair:
     """The last measured pair: the prediction and the motion of the next one rest on it."""
 
-    seen: _AssignedPair
+    assigned: _AssignedPair
     pose: Pose
 
 
@@ -139,16 +143,16 @@ def measure(
     """
     now = carried if carried is not None else ChainState()
     for pair in pairs:
-        seen = _find_leds(pair, setup, now.memory if now.held is None else None)
+        assigned = _find_leds(pair, setup, now.memory if now.held is None else None)
         if now.held is not None:
-            outcome, now.memory, now.previous = _finish(now.held, seen, setup)
-            yield outcome
+            measurement, now.memory, now.previous = _finish(now.held, assigned, setup)
+            yield measurement
             now.held = None
-        if now.previous is None or _beyond_gap(seen, now.previous):
-            now.held = seen
+        if now.previous is None or _beyond_gap(assigned, now.previous):
+            now.held = assigned
             continue
-        outcome, now.memory, now.previous = _finish(seen, now.previous, setup)
-        yield outcome
+        measurement, now.memory, now.previous = _finish(assigned, now.previous, setup)
+        yield measurement
     if now.held is not None:
         yield _finish(now.held, None, setup)[0]
 
@@ -169,9 +173,9 @@ def _find_leds(pair: StereoPair, setup: Setup, memory: _PreviousPair | None) -> 
             )
         ]
         spots = setup.detect(pair.left, pair.right, *windows)
-        seen = _assign(pair, spots, setup, memory, prediction, whole_frame=False)
-        if _shows_all_leds(seen, setup):
-            return seen
+        assigned = _assign(pair, spots, setup, memory, prediction, whole_frame=False)
+        if _shows_all_leds(assigned, setup):
+            return assigned
     spots = setup.detect(pair.left, pair.right, None, None)
     # with an LED missing the prediction may follow a reflection: pictures that show the whole
     # marker elsewhere overrule it
@@ -181,10 +185,11 @@ def _find_leds(pair: StereoPair, setup: Setup, memory: _PreviousPair | None) -> 
     return _assign(pair, spots, setup, memory, prediction, whole_frame=True)
 
 
-def _shows_all_leds(seen: _AssignedPair, setup: Setup) -> bool:
+def _shows_all_leds(assigned: _AssignedPair, setup: Setup) -> bool:
     """Both pictures show the whole marker."""
-    fewest = min(len(seen.found.left_led), len(seen.found.right_led))
-    return seen.found.status == "measured" and fewest == len(setup.marker)
+    leds = assigned.correspondence.left_led, assigned.correspondence.right_led
+    measured = assigned.correspondence.status == "measured"
+    return measured and min(map(len, leds)) == len(setup.marker)
 
 
 def _assign(
@@ -196,7 +201,7 @@ def _assign(
     *,
     whole_frame: bool,
 ) -> _AssignedPair:
-    found = assign_leds(
+    correspondence = assign_leds(
         spots,
         setup.rig,
         (pair.pan_left, pair.pan_right),
@@ -205,14 +210,16 @@ def _assign(
         expected=partial(setup.expected, pair.t_left),
         motion_tolerance_px=_motion_px(pair, setup, memory),
     )
-    left, right = (_raw_sighting(pair, spots, setup, found, side) for side in ("left", "right"))
-    return _AssignedPair(pair.t_left, pair.frame, found, left, right, whole_frame)
+    left, right = (
+        _raw_sighting(pair, spots, setup, correspondence, side) for side in ("left", "right")
+    )
+    return _AssignedPair(pair.t_left, pair.frame, correspondence, left, right, whole_frame)
 
 
 def _motion_px(pair: StereoPair, setup: Setup, memory: _PreviousPair | None) -> float:
     """How far the LEDs may move between the two exposures of a pair."""
     skew = abs(pair.t_right - pair.t_left)
-    if memory is None or pair.t_left - memory.seen.pair_t > MAX_GAP:
+    if memory is None or pair.t_left - memory.assigned.pair_t > MAX_GAP:
         return MIN_MOTION_PX + skew * UNKNOWN_SPEED_PX
     twist, pose = memory.pose.twist, memory.pose.rig_T_flange
     speed = _norm(twist[:3]) + setup.reach * _norm(twist[3:])
@@ -223,15 +230,19 @@ def _motion_px(pair: StereoPair, setup: Setup, memory: _PreviousPair | None) -> 
 
 
 def _raw_sighting(
-    pair: StereoPair, spots: tuple[Spots, Spots], setup: Setup, found: Correspondence, side: str
+    pair: StereoPair,
+    spots: tuple[Spots, Spots],
+    setup: Setup,
+    correspondence: Correspondence,
+    side: str,
 ) -> RawSighting:
     """One camera's assigned spots, each at its own instant."""
     if side == "left":
-        camera, own, index, led = setup.rig.left, spots[0], found.left_spot, found.left_led
-        t, pan, image = pair.t_left, pair.pan_left, pair.left
+        camera, own, t, pan, image = setup.rig.left, spots[0], pair.t_left, pair.pan_left, pair.left
+        index, led = correspondence.left_spot, correspondence.left_led
     else:
-        camera, own, index, led = setup.rig.right, spots[1], found.right_spot, found.right_led
-        t, pan, image = pair.t_right, pair.pan_right, pair.right
+        camera, own, t, pan = setup.rig.right, spots[1], pair.t_right, pair.pan_right
+        image, index, led = pair.right, correspondence.right_spot, correspondence.right_led
     sighting = Sighting(
         led=led,
         centre=own.centre[index],
@@ -243,81 +254,59 @@ def _raw_sighting(
         acceleration_lever=np.zeros(len(index)),
     )
     depth = np.full(len(index), np.nan)
-    if found.rig_T_flange is not None and len(index):
-        ahead = camera.camera_T_rig(pan)[2] @ found.rig_T_flange  # the optical axis
+    if correspondence.rig_T_flange is not None and len(index):
+        ahead = camera.camera_T_rig(pan)[2] @ correspondence.rig_T_flange  # the optical axis
         depth = setup.marker.leds[sighting.led] @ ahead[:3] + ahead[3]
     taken = spot_instants(t, sighting.centre, camera, image.shape[0])
     return RawSighting(sighting, taken, depth)
 
 
 def _finish(
-    seen: _AssignedPair, neighbour: _AssignedPair | None, setup: Setup
+    assigned: _AssignedPair, neighbour: _AssignedPair | None, setup: Setup
 ) -> tuple[Measurement, _PreviousPair | None, _AssignedPair]:
     """Align and fit the pose; return the measurement and the state for the next pair."""
-    found = seen.found
+    found = assigned.correspondence
     leds = len(set(found.left_led.tolist()) | set(found.right_led.tolist()))
-    outcome = Measurement(
-        seen.frame, seen.pair_t, found.status, leds, choice=found.choice,
-        whole_frame=seen.whole_frame,
+    measurement = Measurement(
+        assigned.frame, assigned.pair_t, found.status, leds, choice=found.choice,
+        whole_frame=assigned.whole_frame,
     )  # fmt: skip
     if found.status != "measured" or found.rig_T_flange is None:
-        return outcome, None, seen
-    alone = neighbour is None or _beyond_gap(seen, neighbour)
+        return measurement, None, assigned
+    alone = neighbour is None or _beyond_gap(assigned, neighbour)
     sides = []
     for camera, now, before in (
-        (setup.rig.left, seen.left, neighbour.left if neighbour else None),
-        (setup.rig.right, seen.right, neighbour.right if neighbour else None),
+        (setup.rig.left, assigned.left, neighbour.left if neighbour else None),
+        (setup.rig.right, assigned.right, neighbour.right if neighbour else None),
     ):
         useful = before if before is not None and len(before.sighting) else None
-        aligned = align(now, useful, seen.pair_t, camera, alone=alone)
+        aligned = align(now, useful, assigned.pair_t, camera, alone=alone)
         sides.append(aligned if len(now.sighting) else now.sighting)
     left, right = sides
     if left is None or right is None:
-        return replace(outcome, status="unaligned"), None, seen
-    doubt = partial(_parameter_columns, setup, left, right)
-    pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange, doubt)
+        return replace(measurement, status="unaligned"), None, assigned
+    columns = partial(spot_columns, setup.parameters, setup.rig, setup.marker, left, right)
+    pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange, columns)
     status = "measured" if pose.consistent else "outlier"
-    outcome = replace(outcome, status=status, pose=pose, left=left, right=right)
-    kept = _without_rejected(seen, pose)
-    return outcome, _PreviousPair(kept, pose) if pose.consistent else None, kept
+    measurement = replace(measurement, status=status, pose=pose, left=left, right=right)
+    kept = _without_rejected(assigned, pose)
+    return measurement, _PreviousPair(kept, pose) if pose.consistent else None, kept
 
 
-def _parameter_columns(
-    setup: Setup, left: Sighting, right: Sighting, rig_T_flange: Array, by_point: Array
-) -> Array:
-    """Predicted spots by the stated uncertainties of rig and marker, columns of unit variance."""
-    stated = setup.parameters
-    return spot_columns(stated, left, right, rig_T_flange, by_point, setup.rig, setup.marker)
-
-
-def _without_rejected(seen: _AssignedPair, pose: Pose) -> _AssignedPair:
+def _without_rejected(assigned: _AssignedPair, pose: Pose) -> _AssignedPair:
     """Leave out spots that the pose fit rejected: the next pair must not rest on them."""
-    good = ~pose.rejected
-    m = len(seen.left.sighting)
-    return replace(
-        seen, left=_select_spots(seen.left, good[:m]), right=_select_spots(seen.right, good[m:])
-    )
-
-
-def _select_spots(raw: RawSighting, keep: NDArray[np.bool_]) -> RawSighting:
-    if keep.all():
-        return raw
-    seen = raw.sighting
-    some = replace(
-        seen,
-        led=seen.led[keep],
-        centre=seen.centre[keep],
-        covariance=seen.covariance[keep],
-        peak=seen.peak[keep],
-        velocity=seen.velocity[keep],
-        acceleration_lever=seen.acceleration_lever[keep],
-    )
-    return RawSighting(some, raw.taken[keep], raw.depth[keep])
+    if not pose.rejected.any():
+        return assigned
+    left, right = assigned.left, assigned.right
+    kept = np.split(~pose.rejected, [len(left.sighting)])
+    left = replace(take_rows(left, kept[0]), sighting=take_rows(left.sighting, kept[0]))
+    right = replace(take_rows(right, kept[1]), sighting=take_rows(right.sighting, kept[1]))
+    return replace(assigned, left=left, right=right)
 
 
 def _predict(memory: _PreviousPair, t: float) -> PosePrediction | None:
     """Predict the flange's pose from the last pose and its twist; None after a gap."""
-    interval = t - memory.seen.pair_t
+    interval = t - memory.assigned.pair_t
     if interval > MAX_GAP:
         return None
     pose = memory.pose

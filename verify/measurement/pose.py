@@ -95,7 +95,7 @@ def fit_pose(
     rig: Rig,
     marker: Marker,
     start: Array,
-    doubt: ParameterColumns | None = None,
+    parameter_columns: ParameterColumns | None = None,
 ) -> Pose:
     """Find the pose under which both images are most likely.
 
@@ -106,8 +106,9 @@ def fit_pose(
         marker: the LEDs in the flange frame.
         start: rig_T_flange to begin with, (4, 4). Directions that the LEDs do not determine
             keep its value.
-        doubt: stated uncertainty of rig and marker as columns of the spots, which must not make an
-            outlier of a good spot; called where a spot looks like one. None: a rough bound alone.
+        parameter_columns: gives the stated uncertainty of rig and marker as columns of the spots,
+            which must not make an outlier of a good spot; called where a spot looks like one.
+            None: a rough bound alone.
 
     Returns:
         The pose with its covariance; spots that no pose explains with the rest are rejected.
@@ -123,9 +124,9 @@ def fit_pose(
     while True:
         fit = _gauss_newton(views, centre, keep, start)
         worst, size = _worst_spot(fit, keep, tolerance)
-        if size >= MAX_SPOT_CHI2 and doubt is not None:
-            columns, doubt = doubt(fit.rig_T_flange, fit.predicted[1]), None
-            tolerance = tolerance + columns @ columns.T
+        if size >= MAX_SPOT_CHI2 and parameter_columns is not None:
+            columns = parameter_columns(fit.rig_T_flange, fit.predicted[1])
+            tolerance, parameter_columns = tolerance + columns @ columns.T, None
             worst, size = _worst_spot(fit, keep, tolerance)
         settled = size < MAX_SPOT_CHI2
         if settled or keep.sum() <= MIN_SPOTS or (~keep).sum() >= len(keep) // 3:

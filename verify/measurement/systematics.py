@@ -35,6 +35,14 @@ from verify.measurement.sensitivities import AXES, prepare_views, spot_derivativ
 
 BODY = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 PAN_READINGS = "left.pan_zero_deg", "right.pan_zero_deg"  # err as the zeros of their scales do
+SOURCES = {
+    "left": "rig",
+    "right": "rig",
+    "robot_base": "robot base",
+    "body": "LED body",
+    "led": "LED positions",
+    "centre": "apparent LED centre",
+}
 UNITS = {"mm": 1e-3, "deg": np.pi / 180, "px": 1.0}
 CAMERA_KEYS = re.compile(
     r"^(fx_px|fy_px|cx_px|cy_px|k1|k2|p1|p2|k3|pan_zero_deg|pan_axis_r[xyz]_deg"
@@ -65,10 +73,9 @@ def stated_systematics(rig: Rig, marker: Marker, turning: bool) -> Systematics:
     """
     names, blocks, unknown, degrees = _from_rig(rig, marker)
     placed = any(n.startswith("led.") for n in names)  # in the flange frame: body included
-    lists = [_body(marker), _leds(marker, names), _centres(marker)]
-    for extra, sigma in lists:
+    for extra, sigma in _from_marker(marker, leds=not placed):
         names += extra
-        blocks.append(np.diag(np.square(sigma)) if extra else np.zeros((0, 0)))
+        blocks.append(np.diag(np.square(sigma)))
     pan = [
         np.nan if c.pan_standard_uncertainty is None else c.pan_standard_uncertainty
         for c in (rig.left, rig.right)
@@ -85,18 +92,15 @@ def stated_systematics(rig: Rig, marker: Marker, turning: bool) -> Systematics:
 
 
 def _from_rig(rig: Rig, marker: Marker) -> tuple[list[str], list[Array], list[str], float]:
-    given = rig.covariance
-    if given is None:
+    stated = rig.covariance
+    if stated is None:
         return [], [], [], float("inf")
-    understood = [i for i, n in enumerate(given.parameters) if _is_known(n, marker)]
-    unknown = [n for n in given.parameters if not _is_known(n, marker)]
-    names = [given.parameters[i] for i in understood]
-    sigma = np.array(
-        [given.standard_uncertainty[i] * unit(given.parameters[i]) for i in understood]
-    )
-    correlation = given.correlation[np.ix_(understood, understood)]
-    degrees = given.degrees_of_freedom or float("inf")
-    return names, [correlation * np.outer(sigma, sigma)], unknown, degrees
+    kept = [i for i, n in enumerate(stated.parameters) if _is_known(n, marker)]
+    names = [stated.parameters[i] for i in kept]
+    unknown = [n for n in stated.parameters if n not in names]
+    sigma = np.array([stated.standard_uncertainty[i] * unit(stated.parameters[i]) for i in kept])
+    covariance = stated.correlation[np.ix_(kept, kept)] * np.outer(sigma, sigma)
+    return names, [covariance], unknown, stated.degrees_of_freedom or float("inf")
 
 
 def unit(name: str) -> float:
@@ -114,44 +118,29 @@ def _is_known(name: str, marker: Marker) -> bool:
     return head == "led" and led in marker.names and axis in ("x_mm", "y_mm", "z_mm")
 
 
-def _body(marker: Marker) -> tuple[list[str], Array]:
-    if marker.body_standard_uncertainty is None:
-        return [], np.zeros(0)
-    return [f"body.{key}" for key in BODY], marker.body_standard_uncertainty
-
-
-def _leds(marker: Marker, given: list[str]) -> tuple[list[str], Array]:
-    sigma = marker.led_standard_uncertainty
-    if sigma is None or any(n.startswith("led.") for n in given):
-        return [], np.zeros(0)  # a covariance says more than one number for all
-    names = [f"led.{led}.{axis}_mm" for led in marker.names for axis in AXES]
-    return names, np.full(len(names), sigma)
-
-
-def _centres(marker: Marker) -> tuple[list[str], Array]:
-    sigma = marker.centre_shift_standard_uncertainty
-    if sigma is None:
-        return [], np.zeros(0)
-    names = [f"centre.{led}.{axis}_mm" for led in marker.names for axis in AXES]
-    return names, np.full(len(names), sigma)
+def _from_marker(marker: Marker, *, leds: bool) -> list[tuple[list[str], Array]]:
+    """Parameters of the marker with their standard uncertainties; LEDs unless the rig has them."""
+    groups = []
+    if marker.body_standard_uncertainty is not None:
+        groups.append(([f"body.{key}" for key in BODY], marker.body_standard_uncertainty))
+    sigmas = {
+        "led": marker.led_standard_uncertainty if leds else None,
+        "centre": marker.centre_shift_standard_uncertainty,
+    }
+    for head, sigma in sigmas.items():
+        if sigma is not None:
+            names = [f"{head}.{led}.{axis}_mm" for led in marker.names for axis in AXES]
+            groups.append((names, np.full(len(names), sigma)))
+    return groups
 
 
 def _source(name: str) -> str:
-    head = name.partition(".")[0]
-    return {
-        "left": "rig",
-        "right": "rig",
-        "robot_base": "robot base",
-        "body": "LED body",
-        "led": "LED positions",
-        "centre": "apparent LED centre",
-    }[head]
+    return SOURCES[name.partition(".")[0]]
 
 
 def _unstated_names(names: list[str], placed: bool, pan: bool) -> tuple[str, ...]:
     present = {_source(n) for n in names}
-    places = ["rig", "robot base", "LED body", "LED positions", "apparent LED centre"]
-    missing = [p for p in places if p not in present]
+    missing = [source for source in dict.fromkeys(SOURCES.values()) if source not in present]
     if placed and "LED body" in missing:
         missing.remove("LED body")
     return (*missing, *(["pan angle"] if pan else []), "robot table")
@@ -170,9 +159,8 @@ def sensitivities(parameters: Systematics, seen: Measurement, rig: Rig, marker: 
     gain = np.concatenate([base_R_rig @ pose.gain[:3], base_R_rig @ pose.gain[3:]])
     names = (*parameters.names, *PAN_READINGS)
     columns = -gain @ pixel_sensitivities(names, seen, rig, marker)
-    placed, base = _base_parameters(names)
-    if placed:
-        columns[:, placed] = _base(base, rig, pose)
+    places, axes = _base_parameters(names)
+    columns[:, places] = _by_base(rig, pose)[:, axes]
     return columns
 
 
@@ -196,23 +184,23 @@ def pixel_sensitivities(
 
 def spot_columns(
     parameters: Systematics,
+    rig: Rig,
+    marker: Marker,
     left: Sighting,
     right: Sighting,
     rig_T_flange: Array,
     by_point: Array,
-    rig: Rig,
-    marker: Marker,
 ) -> Array:
     """Columns of unit variance: predicted spots by the stated uncertainties.
 
     Args:
         parameters: stated; a robot base moves no spot.
+        rig: the cameras.
+        marker: the LEDs.
         left: LEDs in the left image.
         right: LEDs in the right image.
         rig_T_flange: (4, 4), the pose.
         by_point: (s, 2, 3), d px / d point in the rig, left spots first.
-        rig: the cameras.
-        marker: the LEDs.
 
     Returns:
         (2 s, p), px, left spots first.
@@ -234,30 +222,22 @@ def covariance_root(covariance: Array) -> Array:
     safe = np.where(sigma > 0, sigma, 1.0)  # metres beside pixels: scaled before the eigenvalues
     values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
     some = values > 1e-12  # of a correlation matrix: rounding
-    found: Array = sigma[:, None] * vectors[:, some] * np.sqrt(values[some])
-    return found
+    root: Array = sigma[:, None] * vectors[:, some] * np.sqrt(values[some])
+    return root
 
 
-def _base(names: tuple[str, ...], rig: Rig, pose: Pose) -> Array:
-    """Change of the flange's pose in the base when the base's place in the rig changes, (6, p)."""
+def _by_base(rig: Rig, pose: Pose) -> Array:
+    """Change of the flange's pose in the base when the base's place in the rig changes, (6, 6)."""
     base_R_rig = rig.rig_T_base[:3, :3].T
     x, y, z = (pose.rig_T_flange[:3, 3] - rig.rig_T_base[:3, 3]).tolist()
     change = np.zeros((6, 6))  # by a shift along the rig's axes, and by a turn about them
     change[:3, :3] = change[3:, 3:] = base_R_rig
     change[:3, 3:] = base_R_rig @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-    columns: Array = -change[:, _body_axes(names)]
-    return columns
+    return -change
 
 
 @lru_cache(maxsize=8)
-def _body_axes(names: tuple[str, ...]) -> list[int]:
-    """Which of a body's six ways to move each parameter is."""
-    keys = [name.partition(".")[2] for name in names]
-    return [AXES.index(key.split("_")[0][-1]) + 3 * key.startswith("r") for key in keys]
-
-
-@lru_cache(maxsize=8)
-def _base_parameters(names: tuple[str, ...]) -> tuple[list[int], tuple[str, ...]]:
-    """Which parameters are the robot base's, and their names."""
+def _base_parameters(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Which parameters are the robot base's, and which of its six ways to move each is."""
     places = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
-    return places, tuple(names[i] for i in places)
+    return places, [BODY.index(names[i].partition(".")[2]) for i in places]

@@ -1,12 +1,12 @@
 """The measured poses of a session as arrays in the robot's base frame: the seam to the tables."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.records import Array, Measurement, Sighting
+from verify.core.records import Array, Measurement, Sighting, take_rows
 from verify.core.rig import Rig
 from verify.measurement.alignment import MAX_GAP
 
@@ -23,7 +23,7 @@ class Track:
     covariance_alignment: Array  # (n, 6, 6)
     twist: Array  # (n, 6), m/s, rad/s, as the images show it
     acceleration_prior: Array  # (n, 2), m/s², rad/s²
-    alignment_error: Array  # (n, 6), what the accelerations seen about a pair leave of alignment
+    alignment_error: Array  # (n, 6), what the image accelerations about a pair leave of alignment
     systematic: Array  # (n, 6, p): d measured pose / d parameter of `Systematics`
     determined: tuple[Array, ...]  # n of (6, d)
 
@@ -39,9 +39,8 @@ class Track:
 
 def subset(track: Track, chosen: NDArray[np.int64]) -> Track:
     """Some of the pairs, by their place in the track."""
-    parts = {f.name: getattr(track, f.name) for f in fields(Track)}
-    parts = {name: part[chosen] for name, part in parts.items() if name != "determined"}
-    return Track(**parts, determined=tuple(track.determined[i] for i in chosen))
+    determined = tuple(track.determined[i] for i in chosen)
+    return replace(take_rows(track, chosen), determined=determined)
 
 
 def concatenate(tracks: Sequence[Track]) -> Track:
@@ -64,7 +63,7 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
     return Track(
         frame=np.array([m.frame for m in measured], dtype=np.int64),
         t=np.array([m.t for m in measured]),
-        pan=np.array([[_pan(m, "left"), _pan(m, "right")] for m in measured]).reshape(n, 2),
+        pan=np.array([[_pan(m.left), _pan(m.right)] for m in measured]).reshape(n, 2),
         base_T_flange=np.array([base_T_rig @ p.rig_T_flange for p in poses]).reshape(n, 4, 4),
         covariance_pixels=_rotate_blocks(turn, [p.covariance_pixels for p in poses]),
         covariance_alignment=_rotate_blocks(turn, [p.covariance_alignment for p in poses]),
@@ -98,20 +97,23 @@ def _alignment_error(before: Measurement, now: Measurement, after: Measurement) 
         return np.zeros(6)
     shifts, start = [], 0
     for side in ("left", "right"):
-        seen = [getattr(m, side) for m in (before, now, after)]
-        if any(s is None for s in seen):
+        sightings = [getattr(m, side) for m in (before, now, after)]
+        if any(sighting is None for sighting in sightings):
             return np.zeros(6)
-        allowed_for = now.pose.curvature[start : start + len(seen[1])]
-        start += len(seen[1])
-        unknown = _second_difference(*seen, unseen=allowed_for) - allowed_for
-        shifts.append(unknown * seen[1].acceleration_lever[:, None])
+        count, lever = len(sightings[1]), sightings[1].acceleration_lever
+        corrected = now.pose.curvature[start : start + count]
+        start += count
+        left_over = _second_difference(*sightings, otherwise=corrected) - corrected
+        shifts.append(left_over * lever[:, None])
     error: Array = now.pose.gain @ np.concatenate(shifts).reshape(-1)
     return error
 
 
-def _second_difference(before: Sighting, now: Sighting, after: Sighting, *, unseen: Array) -> Array:
-    """Acceleration of each LED's image, (m, 2), px/s²; `unseen` where a neighbour lacks it."""
-    acceleration = unseen.copy()
+def _second_difference(
+    before: Sighting, now: Sighting, after: Sighting, *, otherwise: Array
+) -> Array:
+    """Acceleration of each LED's image, (m, 2), px/s²; `otherwise` where a neighbour lacks it."""
+    acceleration = otherwise.copy()
     if not np.any(now.acceleration_lever) or before.pan != now.pan or after.pan != now.pan:
         return acceleration
     leds = np.concatenate([before.led, now.led, after.led]).max() + 1
@@ -120,16 +122,15 @@ def _second_difference(before: Sighting, now: Sighting, after: Sighting, *, unse
         place = np.full(leds, -1)
         place[sighting.led] = np.arange(len(sighting))
         there.append(place[now.led])
-    seen = (there[0] >= 0) & (there[1] >= 0)
+    both = (there[0] >= 0) & (there[1] >= 0)
     early, late = now.t - before.t, after.t - now.t
-    first = (now.centre[seen] - before.centre[there[0][seen]]) / early
-    second = (after.centre[there[1][seen]] - now.centre[seen]) / late
-    acceleration[seen] = 2 * (second - first) / (early + late)
+    first = (now.centre[both] - before.centre[there[0][both]]) / early
+    second = (after.centre[there[1][both]] - now.centre[both]) / late
+    acceleration[both] = 2 * (second - first) / (early + late)
     return acceleration
 
 
-def _pan(measurement: Measurement, side: str) -> float:
-    sighting = measurement.left if side == "left" else measurement.right
+def _pan(sighting: Sighting | None) -> float:
     return sighting.pan if sighting is not None else float("nan")
 
 

@@ -355,7 +355,7 @@ def test_the_clock_of_a_session_is_found_in_real_poses(
     plain: Fitted = request.getfixturevalue("plain")
     found: Fitted = request.getfixturevalue("shifted") if shift else plain
     readings = streams.readings(shift)
-    known = readings.known(streams.seen_t - found.clock)
+    known = readings.available(streams.seen_t - found.clock)
     poses = invert(found.rig_T_base) @ streams.seen[known] @ found.body_T_flange
     track = track_of(streams.seen_t[known], poses, STREAM.place, STREAM.turn)
     clock = estimate_clock(track, streams.arm, readings)

@@ -31,7 +31,7 @@ def test_the_newest_interval_of_slow_readings_is_known_nearly_as_well_as_an_olde
             readings = Readings(t, q[:, None])
             off = np.abs(readings.at(between)[:, 0] - truth)
             worst = worst if left_out else max(worst, float(off.max()))
-            ratios.append(off / readings.missed(between)[:, 0])
+            ratios.append(off / readings.interpolation_uncertainty(between)[:, 0])
     assert worst < np.deg2rad(0.05)  # a straight line's slope there: 0.3°
     assert 0.3 < np.sqrt(np.mean(np.square(np.clip(ratios, 0, 10)))) < 1.2
 
@@ -39,10 +39,12 @@ def test_the_newest_interval_of_slow_readings_is_known_nearly_as_well_as_an_olde
 def test_what_readings_miss_is_nothing_at_them_and_for_a_parabola() -> None:
     t = np.array([0.0, 0.1, 0.22, 0.3, 0.43])
     readings = Readings(t, np.stack([3 * t**2 - t, np.sin(9 * t)], axis=1))
-    assert_allclose(readings.missed(t), 0, atol=1e-15)
-    assert_allclose(readings.missed(np.array([0.05, 0.15, 0.4]))[:, 0], 0, atol=1e-15)
-    assert np.all(readings.missed(np.array([0.05, 0.15, 0.4]))[:, 1] > 1e-5)
-    assert_allclose(Readings(t[:1], np.ones((1, 2))).missed(t), 0)
+    assert_allclose(readings.interpolation_uncertainty(t), 0, atol=1e-15)
+    assert_allclose(
+        readings.interpolation_uncertainty(np.array([0.05, 0.15, 0.4]))[:, 0], 0, atol=1e-15
+    )
+    assert np.all(readings.interpolation_uncertainty(np.array([0.05, 0.15, 0.4]))[:, 1] > 1e-5)
+    assert_allclose(Readings(t[:1], np.ones((1, 2))).interpolation_uncertainty(t), 0)
 
 
 def test_two_or_three_readings_do_not_pass_for_a_curve_that_is_known() -> None:
@@ -52,7 +54,7 @@ def test_two_or_three_readings_do_not_pass_for_a_curve_that_is_known() -> None:
         between = np.array([t[count - 1] - 0.1])
         few = Readings(t[:count], q[:count])
         off = abs(few.at(between)[0, 0] - np.sin(4 * between[0]))
-        assert few.missed(between)[0, 0] > off / 3 > 1e-3
+        assert few.interpolation_uncertainty(between)[0, 0] > off / 3 > 1e-3
 
 
 def test_the_speed_is_the_slope_of_the_motion() -> None:
@@ -76,12 +78,12 @@ def test_noise_is_read_off_the_readings_and_motion_is_not_taken_for_noise() -> N
 def test_between_two_bursts_of_readings_nothing_is_known() -> None:
     t = np.concatenate([np.arange(0, 1, 0.1), np.arange(10, 11, 0.1)])
     readings = Readings(t, np.where(t < 5, 0.1, 0.7)[:, None])
-    assert readings.known(np.array([0.55, 1.2, 5.0, 9.8, 10.5])).tolist() == [
+    assert readings.available(np.array([0.55, 1.2, 5.0, 9.8, 10.5])).tolist() == [
         True, True, False, True, True,
     ]  # fmt: skip
     assert_allclose(readings.at(np.array([1.2, 9.8]))[:, 0], [0.1, 0.7])
     assert_allclose(readings.rate(np.array([1.2, 9.8])), 0, atol=1e-12)
-    assert not readings.known(np.array([-0.1, 11.5])).any()
+    assert not readings.available(np.array([-0.1, 11.5])).any()
 
 
 def test_where_the_arm_moves_and_its_line_falls_silent_nothing_is_held() -> None:
@@ -89,11 +91,11 @@ def test_where_the_arm_moves_and_its_line_falls_silent_nothing_is_held() -> None
     moving = np.stack([wave(t), np.zeros(len(t))], axis=1)
     edges = np.array([1.05, 2.95, 4.05, 5.95, 6.05, 7.95, 8.15])
     # a single reading is a visit; of the last two, one says that the other's arm moves
-    assert Readings(t, moving).known(edges).tolist() == [
+    assert Readings(t, moving).available(edges).tolist() == [
         False, False, False, True, True, False, True,
     ]  # fmt: skip
     brakes = np.minimum(t, 0.3)[:, None]  # at rest long before the line fell silent
-    assert Readings(t, brakes).known(edges).all()
+    assert Readings(t, brakes).available(edges).all()
 
 
 def test_the_direction_of_travel_is_kept_at_rest_and_ignores_noise() -> None:

@@ -93,7 +93,7 @@ def test_readings_before_a_silence_do_not_count_after_it() -> None:
     about = book.about(2.9)
     assert about is not None
     assert about.t.tolist() == pytest.approx([3.0, 3.1, 3.2])
-    assert not about.known(np.array([0.95, 2.9])).any()
+    assert not about.available(np.array([0.95, 2.9])).any()
 
 
 def test_a_readings_time_is_known_as_badly_as_that_of_its_worse_neighbour() -> None:

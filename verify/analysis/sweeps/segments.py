@@ -96,7 +96,7 @@ def find_sweeps(
         The segments in order of time, from the joint's first motion to its last, and what was left
         out and why, in sentences.
     """
-    known = np.flatnonzero(readings.known(t))
+    known = np.flatnonzero(readings.available(t))
     q = readings.at(t)[known]
     moving = np.abs(np.diff(q, axis=0)) > np.maximum(STEP_NOISE_FACTOR * readings.noise, MIN_STEP)
     rest = max(MAX_REST_TRAVEL, float(STEP_NOISE_FACTOR * readings.noise.max()))

@@ -187,7 +187,7 @@ def _chi2_with_rig(
     left, right = seen.left, seen.right
     if left is None or right is None:
         return pose.chi2
-    moved = spot_columns(parameters, left, right, pose.rig_T_flange, pose.sensitivity, rig, marker)
+    moved = spot_columns(parameters, rig, marker, left, right, pose.rig_T_flange, pose.sensitivity)
     stated_noise = np.concatenate([left.covariance, right.covariance])
     weight = np.linalg.inv(stated_noise) * (~pose.rejected)[:, None, None]
     by_spot = moved.reshape(len(weight), 2, -1)

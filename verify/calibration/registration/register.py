@@ -193,7 +193,7 @@ def _left_out(
     reasons = {p.frame: "too few LEDs told apart" for p in pairs if p.frame not in frames}
     for one, good in zip(poses, start.good, strict=True):
         if not good:
-            read = readings.known(np.array([one.spots.t[0] - start.clock]))[0]
+            read = readings.available(np.array([one.spots.t[0] - start.clock]))[0]
             reasons[one.spots.frame] = "its pose is wrong" if read else "no reading"
     return reasons
 

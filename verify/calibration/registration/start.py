@@ -77,7 +77,7 @@ def start_registration(
         )
     starts = []
     for offset in tried or [0.0]:
-        known = readings.known(t - offset)
+        known = readings.available(t - offset)
         poses = robots.forward(arm, readings.at((t - offset)[known]))
         if x is None and y is None:
             solved, rests = solve_robustly(rig_T_body[known], poses, MAX_RESIDUAL_RATIO)
@@ -144,7 +144,7 @@ def clock_candidates(
     offsets = np.arange(lowest, highest + TIME_STEP, TIME_STEP)
     cost = np.full(len(offsets), np.inf)
     for i, offset in enumerate(offsets):
-        known = readings.known(t - offset)
+        known = readings.available(t - offset)
         both = known[early] & known[late]
         if known.mean() < MIN_OVERLAP or not both.any():
             continue

@@ -4,9 +4,6 @@ Between readings h apart, s the share of h passed, values follow the cubic with 
 of second-order differences at both ends (Catmull-Rom); an error e0, e1 of these speeds makes
 
     h s (1 - s) (e0 (1 - s) + e1 s)
-
-A live row asks for one instant of a few dozen readings: in numpy each call's start costs more
-than its arithmetic, and a session asks for thousands.
 """
 
 import numpy as np
@@ -73,16 +70,16 @@ def one_sided_slope(
 
 
 @compiled
-def interpolate(t: Array, q: Array, longest: float, instants: Array, values: Array) -> None:
-    """Fill in the readings at some instants: cubic between four readings (Catmull-Rom).
+def interpolate(t: Array, q: Array, longest: float, instants: Array) -> Array:
+    """Readings (n, j), rad, at some instants: cubic between four readings (Catmull-Rom).
 
     Args:
         t: (m,), s, increasing; two at least.
         q: (m, j), rad.
         longest: s; across a longer gap the nearest reading is held.
         instants: (n,), s.
-        values: (n, j), rad, filled.
     """
+    values = np.empty((len(instants), q.shape[1]))
     for n in range(len(instants)):
         instant = min(max(instants[n], t[0]), t[-1])
         after = min(max(np.searchsorted(t, instant), 1), len(t) - 1)
@@ -98,6 +95,7 @@ def interpolate(t: Array, q: Array, longest: float, instants: Array, values: Arr
             twist = (begin + end - 2.0 * straight) / width
             bend = (straight - begin) / width - twist
             values[n, j] = early + passed * (begin + passed * (bend + passed * (twist / width)))
+    return values
 
 
 @compiled
@@ -118,61 +116,56 @@ def slope_difference(t: Array, q: Array, i: int, joint: int, longest: float) -> 
 
 
 @compiled
-def interpolation_error(t: Array, q: Array, longest: float, instants: Array, values: Array) -> None:
-    """Fill in what `interpolate` may miss at some instants; arguments as of `interpolate`.
+def interpolation_error(t: Array, q: Array, longest: float, instants: Array) -> Array:
+    """Error that `interpolate` may have at some instants, (n, j), rad; arguments are the same.
 
     A cubic takes an error of the speed at one of its ends to h s (1 - s)², s the share of the
     interval h from that end.
     """
+    values = np.zeros((len(instants), q.shape[1]))
     for n in range(len(instants)):
         instant = min(max(instants[n], t[0]), t[-1])
         after = min(max(np.searchsorted(t, instant), 1), len(t) - 1)
         width = t[after] - t[after - 1]
         late = (instant - t[after - 1]) / width
         early = 1.0 - late
-        for j in range(q.shape[1]):
-            values[n, j] = 0.0
-            if width <= longest:
-                begin = slope_difference(t, q, after - 1, j, longest)
-                end = slope_difference(t, q, after, j, longest)
-                values[n, j] = width * late * early * (begin * early + end * late)
+        for j in range(q.shape[1] if width <= longest else 0):
+            begin = slope_difference(t, q, after - 1, j, longest)
+            end = slope_difference(t, q, after, j, longest)
+            values[n, j] = width * late * early * (begin * early + end * late)
+    return values
 
 
 @compiled
-def rates(t: Array, q: Array, longest: float, span: float, instants: Array, values: Array) -> None:
-    """Fill in the joints' speeds at some instants; arguments as of `interpolate`.
+def rates(t: Array, q: Array, longest: float, span: float, instants: Array) -> Array:
+    """Joints' speeds (n, j), rad/s, at some instants; 0 beside a gap, where a reading is held.
 
-    Args:
-        t: (m,), s.
-        q: (m, j), rad.
-        longest: s.
-        span: s, over which a speed is taken, before and after.
-        instants: (n,), s.
-        values: (n, j), rad/s, filled; 0 beside a gap, where the nearest reading is held.
+    Arguments are those of `interpolate`, and `span`, s, over which a speed is taken, before and
+    after.
     """
-    early, late = np.empty(1), np.empty(1)
-    before, after = np.empty((1, q.shape[1])), np.empty((1, q.shape[1]))
+    values, ends = np.zeros((len(instants), q.shape[1])), np.empty(2)
     for n in range(len(instants)):
-        early[0] = min(max(instants[n] - span, t[0]), t[-1])
-        late[0] = min(max(instants[n] + span, t[0]), t[-1])
-        values[n] = 0.0
+        ends[0] = min(max(instants[n] - span, t[0]), t[-1])
+        ends[1] = min(max(instants[n] + span, t[0]), t[-1])
         if in_burst(t, longest, instants[n]):
-            interpolate(t, q, longest, early, before)
-            interpolate(t, q, longest, late, after)
-            width = max(late[0] - early[0], span)
+            there = interpolate(t, q, longest, ends)
+            width = max(ends[1] - ends[0], span)
             for j in range(q.shape[1]):
-                values[n, j] = (after[0, j] - before[0, j]) / width
+                values[n, j] = (there[1, j] - there[0, j]) / width
+    return values
 
 
 @compiled
-def mark_bracketed(t: Array, longest: float, instants: Array, known: NDArray[np.bool_]) -> None:
-    """Fill in for which instants (n,) readings stand at both sides, no gap between them."""
+def bracketed(t: Array, longest: float, instants: Array) -> NDArray[np.bool_]:
+    """Say at which instants (n,) readings stand at both sides, no gap between them."""
+    marks = np.empty(len(instants), np.bool_)
     for n in range(len(instants)):
         after = np.searchsorted(t, instants[n])
         if after == 0 or after == len(t):
-            known[n] = after == 0 and instants[n] == t[0]
+            marks[n] = after == 0 and instants[n] == t[0]
         else:
-            known[n] = t[after] - t[after - 1] <= longest
+            marks[n] = t[after] - t[after - 1] <= longest
+    return marks
 
 
 @compiled
@@ -186,14 +179,14 @@ def in_burst(t: Array, longest: float, instant: float) -> bool:
 
 
 @compiled
-def travel_directions(q: Array, thresholds: Array, directions: NDArray[np.int8]) -> None:
-    """Fill in the joints' direction of travel after each reading, by a band about the extreme.
+def travel_directions(q: Array, thresholds: Array) -> NDArray[np.int8]:
+    """Joints' direction of travel (m, j) after each reading: +1, -1, or 0 before any.
 
     Args:
         q: (m, j), rad.
         thresholds: (j,), rad, further than which from its extreme a joint has turned back.
-        directions: (m, j), filled: +1, -1, or 0 before any.
     """
+    directions = np.empty(q.shape, np.int8)
     for j in range(q.shape[1]):
         extreme, direction = q[0, j], 0
         for i in range(len(q)):
@@ -206,3 +199,4 @@ def travel_directions(q: Array, thresholds: Array, directions: NDArray[np.int8])
             elif abs(value - extreme) > thresholds[j]:
                 direction, extreme = -direction, value
             directions[i, j] = direction
+    return directions

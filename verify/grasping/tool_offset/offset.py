@@ -215,7 +215,7 @@ def _systematic_columns(
 ) -> Array:
     """Stated systematics of rig and marker, as changes of the spots."""
     parameters = stated_systematics(rig, marker, turning=True)
-    return spot_columns(parameters, left, right, rig_T_flange, by_point, rig, marker)
+    return spot_columns(parameters, rig, marker, left, right, rig_T_flange, by_point)
 
 
 def _search_window(

@@ -1,7 +1,7 @@
 """Find compact bright blobs that may be LEDs, and cut out the pixels around each for the fit.
 
 A blob stands above its own surroundings (top hat) at one of a few levels of contrast. The colours
-of a pixel are combined into one value of known noise.
+of a pixel are combined into one value, of which the noise follows.
 """
 
 from bisect import bisect_left
@@ -199,30 +199,30 @@ def read_pixels(
     noise: Noise,
 ) -> LocatedPatches:
     """Read the image at offsets (n, p), or (1, p) for all, from the origins; colours combined."""
-    known = np.empty((len(origin), 4, column.shape[1]))
+    values = np.empty((len(origin), 4, column.shape[1]))
     whole = np.ones(len(origin))
     if image.ndim == 2:
         colour = np.empty((len(origin), 3))
-        read_grey(image, origin, scale, column, row, known, colour)
-        return LocatedPatches(Patches(known, scale, whole, whole, noise), origin, colour)
+        read_grey(image, origin, scale, column, row, values, colour)
+        return LocatedPatches(Patches(values, scale, whole, whole, noise), origin, colour)
     height, width = image.shape[:2]
     x, y = origin[:, :1] + column, origin[:, 1:] + row
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     pixels = image[y.clip(0, height - 1), x.clip(0, width - 1)]
     core = column**2 + row**2 <= np.square(scale)[:, None]
-    known[:, 2], known[:, 3] = column, row
+    values[:, 2], values[:, 3] = column, row
     if is_grey(pixels):
-        known[:, 0], known[:, 1] = pixels[..., 0], inside
+        values[:, 0], values[:, 1] = pixels[..., 0], inside
         colour = np.repeat(channel_contrast(pixels[..., :1], core), 3, axis=1)
-        return LocatedPatches(Patches(known, scale, whole, whole, noise), origin, colour)
+        return LocatedPatches(Patches(values, scale, whole, whole, noise), origin, colour)
     colour = channel_contrast(pixels, core)
     weight = channel_weights(colour)
-    known[:, 0] = (pixels @ weight[..., None])[..., 0]
-    known[:, 1] = inside & usable_pixels(pixels, weight)
+    values[:, 0] = (pixels @ weight[..., None])[..., 0]
+    values[:, 1] = inside & usable_pixels(pixels, weight)
     square = np.square(weight)
     # the channels' shares of the signal are the weights themselves, up to a factor
     share = square.sum(axis=1), (square * weight).sum(axis=1) / square.sum(axis=1)
-    return LocatedPatches(Patches(known, scale, *share, noise), origin, colour)
+    return LocatedPatches(Patches(values, scale, *share, noise), origin, colour)
 
 
 def usable_pixels(pixels: Image, weight: Array) -> NDArray[np.bool_]:

@@ -159,7 +159,7 @@ def assess_spots(batches: Sequence[Batch], shape: tuple[int, ...]) -> Array:
     return np.concatenate(
         [
             quality.assess_all(
-                fit.parameters, fit.information, cut.patches.pixels, fit.known, cut.patches.scale,
+                fit.parameters, fit.information, cut.patches.pixels, fit.model, cut.patches.scale,
                 cut.origin, (shape[1], shape[0]),
             )
             for cut, fit in batches
@@ -177,7 +177,7 @@ def spot_residuals(
         patches, end = cut.patches, begin + len(cut.origin)
         shares = patches.read_share, patches.gain_share
         parts.append(
-            gather_residuals(patches.pixels, fit.known, shares, own[begin:end], number[begin:end])
+            gather_residuals(patches.pixels, fit.model, shares, own[begin:end], number[begin:end])
         )
         begin = end
     squares, signals, spot = (np.concatenate(column) for column in zip(*parts, strict=True))

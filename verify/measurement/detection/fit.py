@@ -65,7 +65,7 @@ DEFAULT_PRIOR = _default_prior()
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """Pixels around candidates, as many for each, with what is known of their noise."""
+    """Pixels around candidates, as many for each, with their noise."""
 
     # (n, 4, p): value, DN; 1 where inside the image and not clipped in part; column and row, px
     # from the cut-out's centre pixel
@@ -98,7 +98,7 @@ class SpotFit:
     parameters: Array  # (n, 10), x and y in px from the cut-out's centre pixel
     information: Array  # (n, 10, 10), inverse covariance, priors included
     gradient: Array  # (n, 10), of the quasi-likelihood
-    known: Array  # (n, 10, p), of the pixels before the last small step, but for their means
+    model: Array  # (n, 10, p), of the pixels before the last small step, but for their means
     whitened: Array  # (n, 11, p), derivatives of mu by the parameters and residuals, over sigma
     chi2: Array  # (n,)
     priors: Priors
@@ -114,7 +114,7 @@ class SpotFit:
     def state(self) -> tuple[Array, ...]:
         """All that a fit changes."""
         return (
-            self.parameters, self.information, self.gradient, self.known, self.whitened, self.chi2
+            self.parameters, self.information, self.gradient, self.model, self.whitened, self.chi2
         )  # fmt: skip
 
 
@@ -145,7 +145,7 @@ def solve_patches(
         parameters=start.copy(),
         information=np.empty((n, N_PARAMETERS, N_PARAMETERS)),
         gradient=np.empty((n, N_PARAMETERS)),
-        known=np.empty((n, kernels_pixels.N_ROWS, size)),
+        model=np.empty((n, kernels_pixels.N_ROWS, size)),
         whitened=np.empty((n, kernels_pixels.ROW_WHITENED, size)),
         chi2=np.empty(n),
         priors=priors,
@@ -162,7 +162,7 @@ def continue_fit(
         fit.parameters, patches.pixels, patches.scale, (patches.read_share, patches.gain_share),
         (noise.read**2, noise.gain, noise.black), profile_table(),
         (fit.priors.mean, fit.priors.weight), (steps, settled),
-        (fit.known, fit.whitened, fit.information, fit.gradient, fit.chi2),
+        (fit.model, fit.whitened, fit.information, fit.gradient, fit.chi2),
     )  # fmt: skip
 
 

@@ -56,7 +56,7 @@ def score_rims(fits: Sequence[SpotFit], numbers: NDArray[np.int64], assessed: Ar
     score, begin = (np.zeros(shape), np.zeros(shape), np.zeros((*shape, 2))), 0
     for fit in fits:
         kernel.score_all(
-            numbers - begin, assessed, fit.parameters, fit.information, fit.gradient, fit.known,
+            numbers - begin, assessed, fit.parameters, fit.information, fit.gradient, fit.model,
             fit.whitened, DIRECTION_VECTORS, score,
         )  # fmt: skip
         begin += len(fit.parameters)

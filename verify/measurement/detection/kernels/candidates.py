@@ -170,10 +170,10 @@ def compact_blobs(
                 left, top, right, bottom = flood_fill(contrast, level, y, x, label, number, stack)
                 if max(right - left, bottom - top) >= shape[0]:
                     continue
-                known = count == len(found)  # or this is the foot of a blob of a higher level
+                listed = count == len(found)  # or this is the foot of a blob of a higher level
                 for k in range(count):
-                    known = known or label[seeds[k, 0], seeds[k, 1]] == number
-                if known:
+                    listed = listed or label[seeds[k, 0], seeds[k, 1]] == number
+                if listed:
                     continue
                 x0, y0 = max(left - BOX_MARGIN, 0), max(top - BOX_MARGIN, 0)
                 part = contrast[y0 : bottom + BOX_MARGIN + 1, x0 : right + BOX_MARGIN + 1]

@@ -122,33 +122,33 @@ def limit_step(step: NDArray[np.floating], p: Array) -> bool:
 
 
 @compiled
-def update_means(step: Array, rows: Array, known: Array) -> None:
+def update_means(step: Array, rows: Array, model: Array) -> None:
     """Let the means of the pixels that count follow a small step (10,), to first order."""
     moved = np.zeros(rows.shape[1])
     for a in range(N_PARAMETERS):
         for k in range(rows.shape[1]):
             moved[k] += step[a] * rows[a, k]
     for k in range(rows.shape[1]):
-        known[ROW_MEAN, k] += moved[k] * math.sqrt(known[ROW_VARIANCE, k])
+        model[ROW_MEAN, k] += moved[k] * math.sqrt(model[ROW_VARIANCE, k])
 
 
 @compiled
-def mark_core(p: Array, pixels: Array, known: Array) -> None:
+def mark_core(p: Array, pixels: Array, model: Array) -> None:
     """Mark the pixels that are the spot's own: its core, and for the smallest a few about it."""
     for k in range(pixels.shape[1]):
         x, y = pixels[2, k] - p[PAR_X], pixels[3, k] - p[PAR_Y]
-        near = known[ROW_RADIUS2, k] < CORE_RADIUS**2 or x * x + y * y < MIN_CORE_RADIUS**2
-        known[ROW_CORE, k] = pixels[1, k] if near else 0.0
+        near = model[ROW_RADIUS2, k] < CORE_RADIUS**2 or x * x + y * y < MIN_CORE_RADIUS**2
+        model[ROW_CORE, k] = pixels[1, k] if near else 0.0
 
 
 @compiled_sums
-def chi_squared(p: Array, pixels: Array, known: Array, variance: Array, prior: Array) -> float:
-    """Chi² of a patch at p under given variances (p,): `known` tells the means alone."""
+def chi_squared(p: Array, pixels: Array, model: Array, variance: Array, prior: Array) -> float:
+    """Chi² of a patch at p under given variances (p,): `model` gives the means alone."""
     total = 0.0
     for k in range(pixels.shape[1]):
-        residual = pixels[0, k] - known[ROW_MEAN, k]
+        residual = pixels[0, k] - model[ROW_MEAN, k]
         square = residual * residual / variance[k]
-        outside = known[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2 and square > OUTLIER_SIGMA**2
+        outside = model[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2 and square > OUTLIER_SIGMA**2
         total += pixels[1, k] * (OUTLIER_SIGMA**2 if outside else square)
     for a in range(N_PARAMETERS):
         off = prior[0, a] - p[a]
@@ -180,7 +180,7 @@ def fit_patches(
         prior: (n, 10) and (n, 10), mean and inverse variance.
         limits: steps at most, 0 weighs the pixels at p; of chi² that a step may still gain: it is
             taken, and the pixels are not weighed again.
-        state: filled: `known` and `rows` as by `weigh_pixels`, where the last step but such a one
+        state: filled: `model` and `rows` as by `weigh_pixels`, where the last step but such a one
             ended, the means alone where that one does; information (n, 10, 10), gradient (n, 10)
             and chi² (n,).
     """
@@ -189,14 +189,14 @@ def fit_patches(
     step = np.empty(N_PARAMETERS)
     own, held = np.empty(3), np.empty((2, N_PARAMETERS))
     for n in range(len(p)):
-        best, patch, known, rows = p[n], pixels[n], state[0][n], state[1][n]
+        best, patch, model, rows = p[n], pixels[n], state[0][n], state[1][n]
         information, gradient = state[2][n], state[3][n]
         own[0], own[1], own[2] = shares[0][n] * noise[0], shares[1][n] * noise[1], noise[2]
         copy_to(held[0], prior[0][n])
         copy_to(held[1], prior[1][n])
-        out = weigh_pixels(best, patch, scale[n], own, table, known, rows)
+        out = weigh_pixels(best, patch, scale[n], own, table, model, rows)
         chi2 = normal_equations(best, rows, out, held, information, gradient)
-        variance, accepted = known[ROW_VARIANCE].copy(), chi2
+        variance, accepted = model[ROW_VARIANCE].copy(), chi2
         damping, refused = FIRST_DAMPING, False
         for _ in range(limits[0]):
             damped = information.copy()
@@ -210,14 +210,14 @@ def fit_patches(
             if gained <= limits[1] * (1.0 + chi2 / pixels.shape[2]) and not shortened:
                 best += step
                 chi2 -= gained
-                update_means(step, rows, known)
+                update_means(step, rows, model)
                 break
             tried = best + step
-            out = weigh_pixels(tried, patch, scale[n], own, table, known, rows)
+            out = weigh_pixels(tried, patch, scale[n], own, table, model, rows)
             trial = normal_equations(tried, rows, out, held, tried_information, tried_gradient)
             # The weights move with the model, and chi² with them: a step is judged by those that
             # it was found with.
-            refused = not chi_squared(tried, patch, known, variance, held) <= 1.1 * accepted + 1.0
+            refused = not chi_squared(tried, patch, model, variance, held) <= 1.1 * accepted + 1.0
             if refused:
                 damping *= 30.0
                 continue
@@ -226,15 +226,15 @@ def fit_patches(
             for a in range(N_PARAMETERS):
                 copy_to(information[a], tried_information[a])
             copy_to(gradient, tried_gradient)
-            copy_to(variance, known[ROW_VARIANCE])
+            copy_to(variance, model[ROW_VARIANCE])
         if refused:
-            weigh_pixels(best, patch, scale[n], own, table, known, rows)
-        mark_core(best, patch, known)
+            weigh_pixels(best, patch, scale[n], own, table, model, rows)
+        mark_core(best, patch, model)
         state[4][n] = chi2
 
 
 @compiled
-def core_counts(pixels: Array, known: Array) -> Array:
+def core_counts(pixels: Array, model: Array) -> Array:
     """Count what judges n spots by their own pixels, (n, 4).
 
     Pixels that clipping leaves alone; their squared residuals over the variance, summed; the
@@ -243,13 +243,13 @@ def core_counts(pixels: Array, known: Array) -> Array:
     counts = np.zeros((len(pixels), 4))
     for n in range(len(pixels)):
         for k in range(pixels.shape[2]):
-            if known[n, ROW_CORE, k] == 0.0:
+            if model[n, ROW_CORE, k] == 0.0:
                 continue
             counts[n, 3] += pixels[n, 0, k] >= SENSOR_LIMIT
-            if known[n, ROW_VISIBLE, k] > MIN_NOISE_SHARE:
-                square = (pixels[n, 0, k] - known[n, ROW_MEAN, k]) ** 2
+            if model[n, ROW_VISIBLE, k] > MIN_NOISE_SHARE:
+                square = (pixels[n, 0, k] - model[n, ROW_MEAN, k]) ** 2
                 counts[n, 0] += 1.0
-                counts[n, 1] += square / known[n, ROW_VARIANCE, k]
+                counts[n, 1] += square / model[n, ROW_VARIANCE, k]
                 counts[n, 2] += square
     return counts
 
@@ -372,7 +372,7 @@ def start_values(
         scale: px, half-width that the fit starts from.
         floor: DN.
         top: DN.
-        start: (10,), changed where the pixels tell.
+        start: (10,), changed where the pixels show it.
     """
     height, wide, narrow = top - floor, 0.0, 0.0
     light, right, down = 0.0, 0.0, 0.0

@@ -161,7 +161,7 @@ def quietest_class(
 @compiled
 def gather_residuals(
     pixels: Array,
-    known: Array,
+    model: Array,
     shares: tuple[Array, Array],
     own: Array,
     number: NDArray[np.int64],
@@ -170,7 +170,7 @@ def gather_residuals(
 
     Args:
         pixels: (n, 4, p), as fitted.
-        known: (n, 10, p), of the pixels.
+        model: (n, 10, p), of the pixels.
         shares: (n,) and (n,), read share and gain share of the patches.
         own: (n,), how many of each spot's own pixels clipping leaves alone: more than N_FITTED of
             a numbered one.
@@ -183,12 +183,12 @@ def gather_residuals(
             continue
         paid = own[n] / (own[n] - N_FITTED)  # what the fit's parameters took, they took from those
         for k in range(pixels.shape[2]):
-            if known[n, ROW_USED, k] > 0.0 and known[n, ROW_VISIBLE, k] > MIN_NOISE_SHARE:
-                off = pixels[n, 0, k] - known[n, ROW_MEAN, k]
+            if model[n, ROW_USED, k] > 0.0 and model[n, ROW_VISIBLE, k] > MIN_NOISE_SHARE:
+                off = pixels[n, 0, k] - model[n, ROW_MEAN, k]
                 # combined colours have a noise of their own; brought back to that of one channel
-                enlarged = off * off * (paid if known[n, ROW_CORE, k] > 0.0 else 1.0)
+                enlarged = off * off * (paid if model[n, ROW_CORE, k] > 0.0 else 1.0)
                 square[at] = enlarged / shares[0][n]
-                signal[at] = known[n, ROW_SIGNAL, k] * shares[1][n] / shares[0][n]
+                signal[at] = model[n, ROW_SIGNAL, k] * shares[1][n] / shares[0][n]
                 spot[at] = number[n]
                 at += 1
     return square[:at], signal[:at], spot[:at]

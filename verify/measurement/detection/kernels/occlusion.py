@@ -46,13 +46,13 @@ P_SINGLE = 0.02  # of an LED's being bitten, when nothing is shared
 
 @compiled
 def occlusion_change(
-    peak: float, known: Array, near: NDArray[np.int64], sides: Array, sunk: Array
+    peak: float, model: Array, near: NDArray[np.int64], sides: Array, sunk: Array
 ) -> None:
     """Change of pixels by a bite in each direction, per depth and over each pixel's sigma.
 
     Args:
         peak: DN.
-        known: (10, p), of the pixels.
+        model: (10, p), of the pixels.
         near: (m,), the pixels meant.
         sides: (d, 2), unit vectors, of bites as wide as von Mises' bump, a Gaussian round a circle.
         sunk: (d, m), filled.
@@ -60,11 +60,11 @@ def occlusion_change(
     u, w, depth = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
     for at in range(len(near)):
         k = near[at]
-        length = max(math.sqrt(known[ROW_U, k] ** 2 + known[ROW_W, k] ** 2), MIN_RADIUS)
-        u[at], w[at] = known[ROW_U, k] / length, known[ROW_W, k] / length
-        weight = known[ROW_VISIBLE, k] * math.sqrt(known[ROW_USED, k] / known[ROW_VARIANCE, k])
+        length = max(math.sqrt(model[ROW_U, k] ** 2 + model[ROW_W, k] ** 2), MIN_RADIUS)
+        u[at], w[at] = model[ROW_U, k] / length, model[ROW_W, k] / length
+        weight = model[ROW_VISIBLE, k] * math.sqrt(model[ROW_USED, k] / model[ROW_VARIANCE, k])
         # a smaller radius is a larger t: d(t²) = 2 t² times the relative depth
-        depth[at] = 2.0 * peak * known[ROW_SLOPE, k] * known[ROW_RADIUS2, k] * weight
+        depth[at] = 2.0 * peak * model[ROW_SLOPE, k] * model[ROW_RADIUS2, k] * weight
     sharp = 1.0 / (OCCLUSION_WIDTH * OCCLUSION_WIDTH)
     for side in range(len(sides)):
         depth_profile(u, w, depth, sides[side, 0], sides[side, 1], sharp, sunk[side])
@@ -124,7 +124,7 @@ def score_all(
     parameters: Array,
     information: Array,
     gradient: Array,
-    known: Array,
+    model: Array,
     whitened: Array,
     sides: Array,
     score: tuple[Array, Array, Array],
@@ -137,13 +137,13 @@ def score_all(
         parameters: (n, 10).
         information: (n, 10, 10).
         gradient: (n, 10).
-        known: (n, 10, p).
+        model: (n, 10, p).
         whitened: (n, 11, p).
         sides: (d, 2), unit vectors.
         score: (m, d), (m, d), (m, d, 2): gradient, information, pull; filled where enough is left.
     """
     directions = len(sides)
-    found = np.empty(known.shape[2], np.int64)
+    found = np.empty(model.shape[2], np.int64)
     cross, whole = np.empty((ROW_WHITENED, directions)), np.empty(directions)
     root, follow = np.empty((N_PARAMETERS, N_PARAMETERS)), np.empty((N_PARAMETERS, directions))
     left, slope = np.empty(directions), np.empty(directions)
@@ -154,13 +154,13 @@ def score_all(
         if assessed[m, COL_SATURATED] + assessed[m, COL_MERGED] > 0.0:
             continue
         count = 0
-        for k in range(known.shape[2]):
-            if known[n, ROW_RADIUS2, k] < RIM_RADIUS * RIM_RADIUS:
+        for k in range(model.shape[2]):
+            if model[n, ROW_RADIUS2, k] < RIM_RADIUS * RIM_RADIUS:
                 found[count] = k
                 count += 1
         near = found[:count]
         sunk = np.empty((directions, len(near)))
-        occlusion_change(parameters[n, PAR_PEAK], known[n], near, sides, sunk)
+        occlusion_change(parameters[n, PAR_PEAK], model[n], near, sides, sunk)
         cross_products(whitened[n], near, sunk, cross, whole)
         factor(information[n], 0.0, root)
         for a in range(N_PARAMETERS):

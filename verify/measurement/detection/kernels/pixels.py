@@ -28,7 +28,7 @@ N_PARAMETERS = 10
 ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives
 ROW_WHITENED = N_PARAMETERS + 1
 LATE_ROWS = slice(PAR_FLOOR, PAR_STEEPNESS)  # free until the pixels are weighed
-# what is known of each pixel, in the order of a state's rows
+# rows of a patch's model: what the parameters say of each pixel
 ROW_MEAN, ROW_VARIANCE, ROW_SIGNAL, ROW_USED, ROW_VISIBLE = range(5)
 ROW_U, ROW_W, ROW_RADIUS2, ROW_SLOPE, ROW_CORE = range(5, 10)
 N_ROWS = 10
@@ -100,26 +100,26 @@ def normal_law(z: Array, below: Array, density: Array) -> None:
 
 
 @compiled
-def expect_pixels(p: Array, pixels: Array, noise: Array, known: Array, rows: Array) -> None:
+def expect_pixels(p: Array, pixels: Array, noise: Array, model: Array, rows: Array) -> None:
     """Expect each pixel's mean and variance, as the sensor would clip it."""
     read, gain, black = noise[0], noise[1], noise[2]
     peak, floor, slope_x, slope_y = p[PAR_PEAK], p[PAR_FLOOR], p[PAR_SLOPE_X], p[PAR_SLOPE_Y]
     count = pixels.shape[1]
     for k in range(count):
-        known[ROW_MEAN, k] = (
+        model[ROW_MEAN, k] = (
             floor + slope_x * pixels[2, k] + slope_y * pixels[3, k] + peak * rows[PAR_PEAK, k]
         )
     for k in range(count):
-        signal = known[ROW_MEAN, k] - black
+        signal = model[ROW_MEAN, k] - black
         signal = signal if signal > 0.0 else 0.0
-        known[ROW_SIGNAL, k], known[ROW_VARIANCE, k] = signal, read + gain * signal
+        model[ROW_SIGNAL, k], model[ROW_VARIANCE, k] = signal, read + gain * signal
     for k in range(count):
-        rows[ROW_RESIDUAL, k] = known[ROW_VARIANCE, k]
-    clip(known[ROW_MEAN], known[ROW_VARIANCE], known[ROW_VISIBLE], rows[LATE_ROWS])
+        rows[ROW_RESIDUAL, k] = model[ROW_VARIANCE, k]
+    clip(model[ROW_MEAN], model[ROW_VARIANCE], model[ROW_VISIBLE], rows[LATE_ROWS])
 
 
 @compiled
-def whiten_rows(p: Array, pixels: Array, scale: float, known: Array, rows: Array) -> float:
+def whiten_rows(p: Array, pixels: Array, scale: float, model: Array, rows: Array) -> float:
     """Leave out neighbours' pixels, and put every row over its pixels' sigmas.
 
     On entry `rows` hold, beside the profile's derivatives, the unclipped variances.
@@ -129,18 +129,18 @@ def whiten_rows(p: Array, pixels: Array, scale: float, known: Array, rows: Array
     """
     peak, lever, count = p[PAR_PEAK], -2.0 * p[PAR_PEAK] / scale, pixels.shape[1]
     for k in range(count):
-        residual = pixels[0, k] - known[ROW_MEAN, k]
+        residual = pixels[0, k] - model[ROW_MEAN, k]
         far = residual * residual > OUTLIER_SIGMA**2 * rows[ROW_RESIDUAL, k]
-        outer = known[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2
-        known[ROW_USED, k] = pixels[1, k] * (0.0 if far & outer else 1.0)
+        outer = model[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2
+        model[ROW_USED, k] = pixels[1, k] * (0.0 if far & outer else 1.0)
     for k in range(count):
-        rows[ROW_RESIDUAL, k] = known[ROW_USED, k] * math.sqrt(1.0 / known[ROW_VARIANCE, k])
+        rows[ROW_RESIDUAL, k] = model[ROW_USED, k] * math.sqrt(1.0 / model[ROW_VARIANCE, k])
     for k in range(count):
-        rows[PAR_FLOOR, k] = rows[ROW_RESIDUAL, k] * known[ROW_VISIBLE, k]
+        rows[PAR_FLOOR, k] = rows[ROW_RESIDUAL, k] * model[ROW_VISIBLE, k]
     for k in range(count):
-        rows[ROW_RESIDUAL, k] *= pixels[0, k] - known[ROW_MEAN, k]
+        rows[ROW_RESIDUAL, k] *= pixels[0, k] - model[ROW_MEAN, k]
     for k in range(count):
-        rows[PAR_YY, k] = rows[PAR_FLOOR, k] * known[ROW_SLOPE, k]
+        rows[PAR_YY, k] = rows[PAR_FLOOR, k] * model[ROW_SLOPE, k]
     for k in range(count):
         rows[PAR_X, k], rows[PAR_Y, k] = (
             lever * rows[PAR_YY, k] * rows[PAR_X, k],
@@ -157,26 +157,26 @@ def whiten_rows(p: Array, pixels: Array, scale: float, known: Array, rows: Array
     for k in range(count):
         rows[PAR_YY, k] *= peak
     for k in range(count):
-        rows[PAR_XX, k] = rows[PAR_YY, k] * known[ROW_U, k] * known[ROW_U, k]
+        rows[PAR_XX, k] = rows[PAR_YY, k] * model[ROW_U, k] * model[ROW_U, k]
     for k in range(count):
-        rows[PAR_XY, k] = 2.0 * rows[PAR_YY, k] * known[ROW_U, k] * known[ROW_W, k]
+        rows[PAR_XY, k] = 2.0 * rows[PAR_YY, k] * model[ROW_U, k] * model[ROW_W, k]
     for k in range(count):
-        rows[PAR_YY, k] *= known[ROW_W, k] * known[ROW_W, k]
-    return count_rejected(pixels, known)
+        rows[PAR_YY, k] *= model[ROW_W, k] * model[ROW_W, k]
+    return count_rejected(pixels, model)
 
 
 @compiled_sums
-def count_rejected(pixels: Array, known: Array) -> float:
+def count_rejected(pixels: Array, model: Array) -> float:
     """How many valid pixels do not count."""
     total = 0.0
     for k in range(pixels.shape[1]):
-        total += pixels[1, k] - known[ROW_USED, k]
+        total += pixels[1, k] - model[ROW_USED, k]
     return total
 
 
 @compiled
 def weigh_pixels(
-    p: Array, pixels: Array, scale: float, noise: Array, table: Array, known: Array, rows: Array
+    p: Array, pixels: Array, scale: float, noise: Array, table: Array, model: Array, rows: Array
 ) -> float:
     """Place one patch's pixels on the spot that p (10,) describes, and weigh them.
 
@@ -186,7 +186,7 @@ def weigh_pixels(
         scale: px, half-width that the fit starts from.
         noise: (3,): read variance, gain, black.
         table: (4, rows, samples), of the profiles.
-        known: (10, p), filled but for ROW_CORE.
+        model: (10, p), filled but for ROW_CORE.
         rows: (11, p), filled: derivatives and residual, over each pixel's sigma.
 
     Returns:
@@ -195,16 +195,16 @@ def weigh_pixels(
     x, y, xx, xy, yy = p[PAR_X], p[PAR_Y], p[PAR_XX], p[PAR_XY], p[PAR_YY]
     inverse, count, samples = 1.0 / scale, pixels.shape[1], table.shape[2]
     for k in range(count):
-        known[ROW_U, k] = (pixels[2, k] - x) * inverse
-        known[ROW_W, k] = (pixels[3, k] - y) * inverse
+        model[ROW_U, k] = (pixels[2, k] - x) * inverse
+        model[ROW_W, k] = (pixels[3, k] - y) * inverse
     for k in range(count):
-        u, w = known[ROW_U, k], known[ROW_W, k]
+        u, w = model[ROW_U, k], model[ROW_W, k]
         rows[PAR_X, k], rows[PAR_Y, k] = xx * u + xy * w, xy * u + yy * w
     for k in range(count):
-        radius2 = rows[PAR_X, k] * known[ROW_U, k] + rows[PAR_Y, k] * known[ROW_W, k]
-        known[ROW_RADIUS2, k] = radius2 if radius2 > 0.0 else 0.0
+        radius2 = rows[PAR_X, k] * model[ROW_U, k] + rows[PAR_Y, k] * model[ROW_W, k]
+        model[ROW_RADIUS2, k] = radius2 if radius2 > 0.0 else 0.0
     for k in range(count):
-        rows[ROW_RESIDUAL, k] = math.sqrt(known[ROW_RADIUS2, k])
+        rows[ROW_RESIDUAL, k] = math.sqrt(model[ROW_RADIUS2, k])
     # f, df / d(t²) and df / d(ln steepness) from the table, to first order in t²
     place = (p[PAR_STEEPNESS] - MIN_LOG_STEEPNESS) / ROW_STEP
     place = min(max(place, 0.0), table.shape[1] - 1.001)
@@ -216,10 +216,10 @@ def weigh_pixels(
         index = int(radius * (1.0 / RADIUS_STEP) + 0.5) if radius < MAX_RADIUS else samples - 1
         sample = index * RADIUS_STEP
         # past the table the profile stays constant
-        beyond = min(known[ROW_RADIUS2, k] - sample * sample, 2 * MAX_RADIUS * RADIUS_STEP)
+        beyond = min(model[ROW_RADIUS2, k] - sample * sample, 2 * MAX_RADIUS * RADIUS_STEP)
         step = table[1, line, index]
         slope = table[2, line, index] + share * table[3, line, index]
-        known[ROW_SLOPE, k], rows[PAR_STEEPNESS, k] = slope, step * (1.0 / ROW_STEP)
+        model[ROW_SLOPE, k], rows[PAR_STEEPNESS, k] = slope, step * (1.0 / ROW_STEP)
         rows[PAR_PEAK, k] = table[0, line, index] + share * step + slope * beyond
-    expect_pixels(p, pixels, noise, known, rows)
-    return OUTLIER_SIGMA**2 * whiten_rows(p, pixels, scale, known, rows)
+    expect_pixels(p, pixels, noise, model, rows)
+    return OUTLIER_SIGMA**2 * whiten_rows(p, pixels, scale, model, rows)

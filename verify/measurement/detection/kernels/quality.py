@@ -57,13 +57,13 @@ N_COLUMNS = 14
 
 @compiled
 def centre_covariance(information: Array, row: Array) -> None:
-    """Covariance of the centre, other parameters free, px²; nan where nothing is known."""
-    known = True
+    """Covariance of the centre, other parameters free, px²; nan where it is not finite."""
+    finite = True
     for a in range(N_PARAMETERS):
         for b in range(N_PARAMETERS):
-            known = known and math.isfinite(information[a, b])
+            finite = finite and math.isfinite(information[a, b])
     row[COL_COVARIANCE_XX : COL_COVARIANCE_YY + 1] = np.nan
-    if not known:
+    if not finite:
         return
     root, column = np.empty((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
     factor(information, -MIN_INFORMATION, root)
@@ -104,7 +104,7 @@ def assess_all(
     parameters: Array,
     information: Array,
     pixels: Array,
-    known: Array,
+    model: Array,
     scale: Array,
     origin: NDArray[np.int64],
     size: tuple[int, int],
@@ -115,13 +115,13 @@ def assess_all(
         parameters: (n, 10).
         information: (n, 10, 10).
         pixels: (n, 4, p), as fitted.
-        known: (n, 10, p), of the pixels at the parameters.
+        model: (n, 10, p), of the pixels at the parameters.
         scale: (n,), px.
         origin: (n, 2), px, of each patch's centre pixel.
         size: width and height of the picture, px.
     """
     assessed = np.empty((len(parameters), N_COLUMNS))
-    counted = core_counts(pixels, known)
+    counted = core_counts(pixels, model)
     for n in range(len(parameters)):
         p, row = parameters[n], assessed[n]
         x, y = origin[n, 0] + p[PAR_X], origin[n, 1] + p[PAR_Y]
