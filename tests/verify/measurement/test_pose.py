@@ -3,18 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 
+from robots.transforms import difference
 from tests.support.scene import facing, make_marker, make_rig, project, sight
 from verify.core.records import Array
 from verify.measurement.pose import fit_pose, perturb
 
 SIGMA = 0.05  # px, a typical spot
-
-
-def difference(one: Array, other: Array) -> Array:
-    turn = Rotation.from_matrix(one[:3, :3] @ other[:3, :3].T).as_rotvec()
-    return np.concatenate([one[:3, 3] - other[:3, 3], turn])
 
 
 def cramer_rao(rig, marker, pose, sigma) -> Array:
@@ -71,11 +66,9 @@ def test_two_leds_determine_five_and_one_three_degrees_of_freedom() -> None:
 
 def test_an_led_in_one_camera_still_counts() -> None:
     rig, marker, truth = make_rig(), make_marker(), facing()
-    both = fit_pose(
-        *sight(rig, marker, truth, SIGMA, leds=([0, 1, 2], [0, 1, 2])), rig, marker, truth
-    )
-    more = fit_pose(
-        *sight(rig, marker, truth, SIGMA, leds=([0, 1, 2, 3], [0, 1, 2])), rig, marker, truth
+    both, more = (
+        fit_pose(*sight(rig, marker, truth, SIGMA, leds=(left, [0, 1, 2])), rig, marker, truth)
+        for left in ([0, 1, 2], [0, 1, 2, 3])
     )
     assert np.all(np.diag(more.covariance) < np.diag(both.covariance))
 

@@ -12,15 +12,17 @@ from verify.measurement.detection.detect import assess_spots, detect
 from verify.measurement.detection.fit import Patches, fit_spots
 from verify.measurement.detection.kernels.quality import COL_SOUND
 
-CASES = {
-    "dim": Spot(60, 2.0),
-    "bright": Spot(200, 2.5),
-    "wide": Spot(200, 3.0),
-    "saturated": Spot(600, 2.5),
-    "far over": Spot(1500, 3.0),
-    "disc": Spot(210, 0.6, radius=4.2),
-    "dim disc": Spot(60, 0.6, radius=3.5),
-    "saturated disc": Spot(400, 0.6, radius=4.2),
+DISC = Spot(210, 0.6, radius=4.2)
+CASES = {  # spot, black level and floor, DN
+    "dim": (Spot(60, 2.0), 0.0, 6.0),
+    "bright": (Spot(200, 2.5), 0.0, 6.0),
+    "wide": (Spot(200, 3.0), 0.0, 6.0),
+    "saturated": (Spot(600, 2.5), 0.0, 6.0),
+    "far over": (Spot(1500, 3.0), 0.0, 6.0),
+    "disc": (DISC, 0.0, 6.0),
+    "dim disc": (Spot(60, 0.6, radius=3.5), 0.0, 6.0),
+    "saturated disc": (Spot(400, 0.6, radius=4.2), 0.0, 6.0),
+    "black under the clamp": (DISC, 3.5, 0.0),
 }
 
 
@@ -34,18 +36,19 @@ def matched(spots: Spots, centres: Array) -> tuple[Array, Array]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_centres_reach_the_bound_and_the_claimed_covariance_is_the_scatter(name: str) -> None:
-    spot, sensor, rng = CASES[name], Sensor(), np.random.default_rng(11)
+    spot, black, floor = CASES[name]
+    sensor, rng = Sensor(black=black), np.random.default_rng(11)
     errors, claimed = [], []
     for _ in range(8):
         centres = scattered(4, 8, rng)
-        spots = detect(picture([spot] * 32, centres, sensor, rng), limit=32)
+        spots = detect(picture([spot] * 32, centres, sensor, rng, floor=floor), limit=32)
         nearest, error = matched(spots, centres)
         errors.append(error)
         claimed.append(np.diagonal(spots.covariance[nearest], axis1=1, axis2=2))
         assert not spots.merged[nearest].any()
         assert np.all(spots.saturated[nearest] == (spot.peak > 255))
     rms = np.sqrt(np.mean(np.square(errors)))
-    bound = centre_bound(spot, 6.0, sensor)
+    bound = centre_bound(spot, floor, sensor)
     sigma = np.sqrt(np.mean(claimed))
     print(f"{name}: rms {rms:.5f} px, bound {bound:.5f}, claimed {sigma:.5f}")
     assert rms < 1.1 * bound  # 512 errors: their rms is known to 3 %
@@ -63,20 +66,6 @@ def test_four_leds_a_frame_suffice_to_know_the_noise() -> None:
         whitened = np.linalg.solve(spots.covariance[nearest], error[..., None])[..., 0]
         normal.append(np.sum(whitened * error, axis=1) / 2)
     assert np.mean(normal) == pytest.approx(1.0, abs=0.15)  # 480 errors: 6.5 % is one sigma
-
-
-def test_black_under_the_clamp_neither_biases_nor_inflates() -> None:
-    spot, sensor = Spot(210, 0.6, radius=4.2), Sensor(black=3.5)
-    rng, errors, claimed = np.random.default_rng(2), [], []
-    for _ in range(12):
-        centres = scattered(4, 8, rng)
-        spots = detect(picture([spot] * 32, centres, sensor, rng, floor=0.0), limit=32)
-        nearest, error = matched(spots, centres)
-        errors.append(error)
-        claimed.append(np.diagonal(spots.covariance[nearest], axis1=1, axis2=2))
-    rms = np.sqrt(np.mean(np.square(errors)))
-    assert rms < 1.1 * centre_bound(spot, 0.0, sensor)
-    assert np.sqrt(np.mean(claimed)) == pytest.approx(rms, rel=0.10)  # 768 errors: 2.6 % one sigma
 
 
 def test_the_noise_of_an_image_is_the_sensors() -> None:
@@ -106,35 +95,29 @@ def test_windows_find_the_same_spots_as_the_whole_image() -> None:
     np.testing.assert_allclose(sigma, before[nearest], rtol=0.05)  # the slopes' prior differs
 
 
-def test_dim_leds_are_found_over_texture() -> None:
+COARSE = cv2.GaussianBlur(np.random.default_rng(4).normal(size=(360, 640)), (0, 0), 12)
+TEXTURE = 50 + 50 * COARSE / np.abs(COARSE).max()
+BRIGHT_ROOM = 120 + 80 * np.linspace(0, 1, 640)[None, :] + np.zeros((360, 640))
+
+
+@pytest.mark.parametrize(
+    ("spot", "floor", "off"),
+    [(Spot(60, 2.5), TEXTURE, 0.3), (Spot(200, 2.5), BRIGHT_ROOM, 0.15)],
+    ids=["dim LEDs over texture", "a bright room"],
+)
+def test_leds_are_found_before_any_background(spot: Spot, floor: Array, off: float) -> None:
     rng = np.random.default_rng(4)
     centres = scattered(2, 4, rng, pitch=140.0)
-    coarse = cv2.GaussianBlur(rng.normal(size=(360, 640)), (0, 0), 12)
-    texture = 50 + 50 * coarse / np.abs(coarse).max()
-    spots = detect(picture([Spot(60, 2.5)] * 8, centres, Sensor(), rng, floor=texture))
-    _, error = matched(spots, centres)
-    assert np.abs(error).max() < 0.3
-
-
-def test_leds_are_found_in_a_bright_room() -> None:
-    rng = np.random.default_rng(6)
-    centres = scattered(2, 4, rng, pitch=140.0)
-    room = 120 + 80 * np.linspace(0, 1, 640)[None, :] + np.zeros((360, 640))
-    spots = detect(picture([Spot(200, 2.5)] * 8, centres, Sensor(), rng, floor=room))
+    spots = detect(picture([spot] * 8, centres, Sensor(), rng, floor=floor))
     nearest, error = matched(spots, centres)
-    assert np.abs(error).max() < 0.15
-    assert spots.saturated[nearest].all()
+    assert np.abs(error).max() < off
+    assert spots.saturated[nearest].all() == (spot.peak + floor.max() > 255)
 
 
 @pytest.mark.parametrize("level", [0, 7, 128, 254, 255])
 def test_an_image_without_contrast_has_no_spots(level: int) -> None:
     for shape in ((720, 1280), (720, 1280, 3), (4, 4), (2, 300)):
         assert len(detect(np.full(shape, level, dtype=np.uint8))) == 0
-
-
-def test_noise_alone_has_no_spots() -> None:
-    rng = np.random.default_rng(7)
-    assert len(detect(Sensor(read=3.0).expose(np.full((360, 640), 100.0), rng))) == 0
 
 
 def test_spots_cut_by_the_border_are_not_returned() -> None:
@@ -145,11 +128,13 @@ def test_spots_cut_by_the_border_are_not_returned() -> None:
     assert np.abs(spots.centre[0] - centres[2]).max() < 0.1
 
 
-def test_streaks_and_windows_of_light_are_not_leds() -> None:
-    light = np.full((360, 640), 6.0)
+def test_noise_streaks_and_windows_of_light_are_not_leds() -> None:
+    rng, light = np.random.default_rng(7), np.full((360, 640), 100.0)
+    assert len(detect(Sensor(read=3.0).expose(light, rng))) == 0
+    light[:] = 6.0
     light[50:56, 100:300] = 200
     light[150:330, 400:560] = 220
-    assert len(detect(Sensor().expose(light, np.random.default_rng(1)))) == 0
+    assert len(detect(Sensor().expose(light, rng))) == 0
 
 
 def test_two_leds_run_together_are_flagged() -> None:

@@ -15,12 +15,10 @@ from scipy.special import log_ndtr
 from scipy.stats import norm
 
 from verify.core.records import Array, Image
-from verify.measurement.detection.detect import clip_windows
 from verify.measurement.detection.kernels.candidates import find_blobs, flood_fill, top_hat
 from verify.measurement.detection.kernels.fit import (
     floor_below_black,
     start_values,
-    sum_products,
     value_at_rank,
 )
 from verify.measurement.detection.kernels.noise import stencils, variance_line
@@ -154,12 +152,6 @@ def test_a_blob_is_found_once_at_its_highest_level_and_where_it_is_in_the_pictur
     np.testing.assert_array_equal(blobs[:, 3], [220])
 
 
-def test_sums_of_products_are_those_of_a_matrix_product() -> None:
-    rows, products = np.random.default_rng(1).normal(size=(11, 613)), np.empty((11, 11))
-    sum_products(rows, products)
-    np.testing.assert_allclose(products, rows @ rows.T, atol=1e-10)
-
-
 def test_the_logarithm_of_a_normal_share_is_that_of_scipy() -> None:
     z = np.linspace(-80, 10, 1801)
     output = [log_normal_cdf(value) for value in z]
@@ -223,34 +215,19 @@ def test_a_patch_s_lower_values_are_ranked_as_by_sorting(whole: bool) -> None:
     assert value_at_rank(np.full(9, 255.0), 8) == 255.0
 
 
-def test_windows_are_cut_at_the_border_and_hold_all_of_a_pixel() -> None:
-    windows = np.array([[-3.5, 1.9, 20.1, 7.0], [95.0, 49.5, 120.0, 99.0]])
-    cut = clip_windows(windows, np.zeros((50, 100), np.uint8))
-    assert cut is not None
-    assert cut.tolist() == [[0, 1, 21, 7], [95, 49, 100, 50]]
-
-
 @pytest.mark.parametrize("reach", [1, 4, 15, 30])
 def test_pixels_above_their_surroundings_agree_with_opencv(reach: int) -> None:
     """Pictures smaller than the window, as large, and several times as large; borders included."""
     rng = np.random.default_rng(reach)
     side = 2 * reach + 1
     sizes = [(1, 1), (side, side), (side + 1, side - 1), *rng.integers(1, 4 * side, (40, 2))]
-    for height, width in sizes:
-        image = rng.integers(0, 256, (height, width)).astype(np.uint8)
-        found = np.empty_like(image)
-        top_hat(image, reach, found)
+    nearly_black = rng.poisson(0.3, (70, 90)).astype(np.uint8)
+    nearly_black[20:30, 40:52] = 200
+    for image in [nearly_black, *(rng.integers(0, 256, size).astype(np.uint8) for size in sizes)]:
+        contrast = np.empty_like(image)
+        top_hat(image, reach, contrast)
         window = np.ones((side, side), np.uint8)
-        assert_array_equal(found, cv2.morphologyEx(image, cv2.MORPH_TOPHAT, window))
-
-
-def test_regions_on_black_columns_agree_with_opencv() -> None:
-    image = np.random.default_rng(1).poisson(0.3, (70, 90)).astype(np.uint8)
-    image[20:30, 40:52] = 200
-    found = np.empty_like(image)
-    top_hat(image, 30, found)
-    window = np.ones((61, 61), np.uint8)
-    assert_array_equal(found, cv2.morphologyEx(image, cv2.MORPH_TOPHAT, window))
+        assert_array_equal(contrast, cv2.morphologyEx(image, cv2.MORPH_TOPHAT, window))
 
 
 LIMIT = 255.0
@@ -288,6 +265,8 @@ def test_moments_are_those_of_the_clipped_law(z: float, sigma: float, top: bool)
     assert mean == pytest.approx(true_mean, abs=1e-7)
     assert share == pytest.approx(true_share, abs=1e-7)
     assert variance == pytest.approx(max(true_variance, 1 / 12), abs=1e-6)  # or rounding's
+    assert clipped(-400.0, 4.0) == pytest.approx((0.0, 1 / 12, 0.0), abs=1e-12)
+    assert clipped(128.0, 4.0) == (128.0, 4.0, 1.0)
 
 
 def test_the_normal_distribution_is_exact_over_its_range() -> None:
@@ -297,8 +276,3 @@ def test_the_normal_distribution_is_exact_over_its_range() -> None:
     assert np.abs(below - norm.cdf(z)).max() < 1e-9
     assert np.abs(here - norm.pdf(z)).max() < 1e-8
     assert math.isclose(below[-1], 0.5, abs_tol=1e-12)
-
-
-def test_limits_of_clipping_are_exact_far_outside_and_inside() -> None:
-    assert clipped(-400.0, 4.0) == pytest.approx((0.0, 1 / 12, 0.0), abs=1e-12)
-    assert clipped(128.0, 4.0) == (128.0, 4.0, 1.0)
