@@ -143,11 +143,17 @@ def test_a_known_urdf_ends_before_its_gripper(name: str, base: str, tip: str, do
     assert (arm.lower < arm.upper).all()
 
 
-@pytest.mark.parametrize("name", robots.example_names())
-def test_every_example_loads_and_passes_its_check(name: str) -> None:
-    found = robots.self_check(robots.load(name), poses=20)
-    assert found.inverse_position < 1e-9
-    assert found.difference_jacobian < 2e-9
+@pytest.mark.parametrize("name", [*robots.names(), *robots.example_names()])
+def test_every_arm_loads_and_passes_its_check(name: str) -> None:
+    arm = robots.load(name)
+    check = robots.self_check(arm, poses=200 if name in (*robots.names(), "ur5") else 20)
+    assert max(check.inverse_position, check.inverse_rotation) < 1e-9
+    assert check.difference_jacobian < 2e-9
+    if name in (*robots.names(), "ur5"):
+        assert check.lost == 0
+    if isinstance(arm, robots.DhArm):
+        assert max(check.pinocchio_position, check.pinocchio_rotation) < 1e-14
+        assert check.pinocchio_jacobian < 1e-14
 
 
 def test_a_urdfs_flange_is_pinocchios_between_any_two_links() -> None:

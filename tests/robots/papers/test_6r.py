@@ -207,12 +207,6 @@ def test_our_jacobian_is_the_papers() -> None:
     assert_allclose(ours, np.moveaxis(np.array(PRINTED_J), -1, 0), atol=SAME)
 
 
-def test_the_velocity_has_six_entries_not_the_three_printed() -> None:
-    three = np.moveaxis(np.array(PRINTED_J), -1, 0)[:, 3:]
-    assert np.linalg.matrix_rank(three).max() == 3  # the other rows are turning, not moving
-    assert_allclose(np.linalg.norm(three[:, :, :], axis=1), 1, atol=1e-12)
-
-
 def test_det_j_is_the_product_on_record() -> None:
     wrist = A1 + A2 * C2 + A3 * C23 + A4 * C234
     expected = -A2 * A3 * sin(THETA[2]) * S5 * wrist

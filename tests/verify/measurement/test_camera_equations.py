@@ -1,9 +1,9 @@
-"""The two papers' stereo equations: what is printed right is shown right, each misprint shown
-wrong and its mended form right. Truth is OpenCV's pinhole.
+"""The two papers' stereo and hue equations: what is printed right is shown right, each misprint
+shown wrong and its mended form right. Truth is OpenCV's pinhole and colour conversion.
 
 6R: Korayem et al. 2018, eqs. 1-10. Its image is inverted, in the plane z = 0 of a local frame whose
 lens stands at z = F; its rotating base turns that frame. Lengths in mm, as there.
-Grasping: the RV-3SD paper, eqs. 3-7.
+Grasping: the RV-3SD paper, eqs. 3-7, 9 and 10.
 """
 
 # The equations keep the papers' own letters, capitals among them.
@@ -231,3 +231,19 @@ class TestGrasping:
                 assert_allclose(np.c_[u / w, v / w], pixels, rtol=1e-10)
             else:
                 assert plainly_wrong(np.c_[u / w, v / w], pixels)
+
+    def test_eq_10_with_its_root_over_all_is_the_geometric_hue_near_the_hexagonal(self) -> None:
+        R, G, B = np.random.default_rng(2).integers(0, 256, (3, 5000)).astype(float)
+        R, G, B = (colour[(R != G) | (G != B)] for colour in (R, G, B))
+        top, root = 0.5 * ((R - G) + (R - B)), (R - G) ** 2 + (R - B) * (G - B)
+        H1 = np.degrees(np.arccos(np.clip(top / np.sqrt(root), -1, 1)))
+        # truth: the angle about the grey axis, from red towards green
+        truth = np.degrees(np.arctan2(np.sqrt(3) * (G - B), 2 * R - G - B)) % 360
+        off = np.where(B <= G, H1, 360 - H1) - truth
+        assert_allclose((off + 180) % 360 - 180, 0, atol=1e-5)  # arccos at 0 and 180 degrees
+        outside = np.abs(R - G) + (R - B) * (G - B)  # the root over its first term alone
+        outside = np.where(outside == 0, 1.0, outside)
+        assert plainly_wrong(np.degrees(np.arccos(np.clip(top / outside, -1, 1))), H1)
+        bgr = (np.stack([B, G, R], axis=1)[None] / 255).astype(np.float32)
+        away = truth - cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV)[0, :, 0]
+        assert 1.1 < np.abs((away + 180) % 360 - 180).max() < 1.125

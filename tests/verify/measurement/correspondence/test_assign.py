@@ -29,6 +29,7 @@ from tests.support.leds.scene import (
     random_leds,
 )
 from tests.support.scene import project
+from verify.core.records import Array
 from verify.measurement.correspondence.assign import PosePrediction
 from verify.measurement.correspondence.refinement import select_likely
 
@@ -153,15 +154,6 @@ def test_encoders_as_near_to_one_candidate_as_to_another_choose_none() -> None:
     assert scene.identify(expected=(scene.rig_T_flange,)).status == "ambiguous_leds"
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_leds_on_one_line_are_distinguished_by_distance(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    scene = make_scene(rng, ROW, clutter=8, skew_px=1.0)
-    found = scene.identify()
-    assert scene.outcome(found) == "complete"
-    assert found.choice == "geometry"
-
-
 @pytest.mark.parametrize("seed", range(8))
 def test_two_of_four_leds_are_found_with_the_past_or_the_encoders(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -225,15 +217,11 @@ def test_colours_settle_what_geometry_leaves_open() -> None:
     assert (found.status, found.alternatives) == ("ambiguous_leds", 1)  # the flip about red stays
 
 
-def test_a_grey_image_has_no_colours() -> None:
+def test_grey_images_have_no_colours_and_infrared_leds_appear_violet_or_white() -> None:
     rng = np.random.default_rng(1)
     scene = make_scene(rng, EQUILATERAL, names=("red", "green", "blue"))
     found = scene.identify()
     assert (found.status, found.alternatives) == ("ambiguous_leds", 5)
-
-
-def test_infrared_leds_may_appear_violet_or_white() -> None:
-    rng = np.random.default_rng(2)
     violet = (220.0, 120.0, 200.0)
     leds = random_leds(rng, 3, SEES)
     scene = make_scene(rng, leds, colours=(violet, WHITE, violet), names=("infrared",) * 3)
@@ -241,37 +229,25 @@ def test_infrared_leds_may_appear_violet_or_white() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("real", [False, True], ids=["random spots", "lamps in space"])
-def test_nothing_is_identified_in_pure_clutter(real: bool) -> None:
+@pytest.mark.parametrize(
+    ("lamps", "clutter", "hint", "wrong"),
+    [(0, 10, "", 0.01), (10, 0, "", 0.01), (10, 0, "encoders", 0.02), (10, 0, "prediction", 0.02)],
+    ids=["random spots", "lamps", "lamps and encoders", "lamps and prediction"],
+)
+def test_clutter_is_seldom_taken_for_leds(
+    lamps: int, clutter: int, hint: str, wrong: float
+) -> None:
     outcomes: Counter[str] = Counter()
     for trial in range(120):
         rng = np.random.default_rng(trial)
-        leds = random_leds(rng, 4)
-        none = tuple(range(4))
-        lamps, clutter = (10, 0) if real else (0, 10)
+        leds, none = random_leds(rng, 4), tuple(range(4))
         scene = make_scene(rng, leds, lamps=lamps, clutter=clutter, missing=(none, none))
-        outcomes[scene.outcome(scene.identify())] += 1
-    rate = 1 - (outcomes["too_few_leds"] + outcomes["ambiguous_leds"]) / 120
-    print(f"pure clutter: {dict(outcomes)}; false positives {100 * rate:.1f} %")
-    assert rate <= 0.01
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("help_from", ["encoders", "prediction"])
-def test_a_prediction_seldom_turns_lamps_into_leds(help_from: str) -> None:
-    outcomes: Counter[str] = Counter()
-    for trial in range(120):
-        rng = np.random.default_rng(trial)
-        none = tuple(range(4))
-        scene = make_scene(rng, random_leds(rng, 4), lamps=10, missing=(none, none))
-        if help_from == "encoders":
-            found = scene.identify(expected=(scene.rig_T_flange,))
-        else:
-            found = scene.identify(PosePrediction(scene.rig_T_flange, 0.005, 0.05))
-        outcomes[scene.outcome(found)] += 1
-    rate = outcomes["wrong"] / 120
-    print(f"lamps with {help_from}: {dict(outcomes)}; false positives {100 * rate:.1f} %")
-    assert rate <= 0.02
+        past = PosePrediction(scene.rig_T_flange, 0.005, 0.05) if hint == "prediction" else None
+        expected = (scene.rig_T_flange,) if hint == "encoders" else ()
+        outcomes[scene.outcome(scene.identify(past, expected=expected))] += 1
+    refused = outcomes["too_few_leds"] + outcomes["ambiguous_leds"]
+    print(f"clutter {lamps} {clutter} {hint}: {dict(outcomes)}")
+    assert refused >= (1 - wrong) * 120
 
 
 def test_one_led_of_several_is_taken_only_where_the_past_expects_it() -> None:
@@ -338,16 +314,20 @@ def test_a_mirror_image_of_the_marker_is_never_taken_whole() -> None:
         assert len(found.left_led) + len(found.right_led) < 8
 
 
-def test_a_flat_marker_is_identified_from_its_true_side() -> None:
-    flat = np.array([[0.06, 0.005, 0], [-0.045, 0.04, 0], [-0.02, -0.055, 0], [0.03, 0.05, 0]])
+FLAT = np.array([[0.06, 0.005, 0], [-0.045, 0.04, 0], [-0.02, -0.055, 0], [0.03, 0.05, 0]])
+
+
+@pytest.mark.parametrize(("leds", "clutter"), [(FLAT, 5), (ROW, 8)], ids=["flat", "on one line"])
+def test_flat_markers_are_identified_from_their_true_side(leds: Array, clutter: int) -> None:
     for seed in range(30):
         rng = np.random.default_rng(seed)
-        scene = make_scene(rng, flat, clutter=5, skew_px=0.5)
+        scene = make_scene(rng, leds, clutter=clutter, skew_px=0.5)
         found = scene.identify(skew=0.5)
-        assert scene.outcome(found) == "complete"
+        assert (scene.outcome(found), found.choice) == ("complete", "geometry")
         assert found.rig_T_flange is not None
         off = scene.rig_T_flange[:3, :3].T @ found.rig_T_flange[:3, :3]
-        assert Rotation.from_matrix(off).magnitude() < 0.06
+        # of LEDs on one line, the turn about it is not seen
+        assert leds is ROW or Rotation.from_matrix(off).magnitude() < 0.06
 
 
 def test_a_marker_file_more_than_half_a_millimetre_off_still_serves() -> None:

@@ -265,8 +265,6 @@ def test_moments_are_those_of_the_clipped_law(z: float, sigma: float, top: bool)
     assert mean == pytest.approx(true_mean, abs=1e-7)
     assert share == pytest.approx(true_share, abs=1e-7)
     assert variance == pytest.approx(max(true_variance, 1 / 12), abs=1e-6)  # or rounding's
-    assert clipped(-400.0, 4.0) == pytest.approx((0.0, 1 / 12, 0.0), abs=1e-12)
-    assert clipped(128.0, 4.0) == (128.0, 4.0, 1.0)
 
 
 def test_the_normal_distribution_is_exact_over_its_range() -> None:
@@ -276,3 +274,8 @@ def test_the_normal_distribution_is_exact_over_its_range() -> None:
     assert np.abs(below - norm.cdf(z)).max() < 1e-9
     assert np.abs(here - norm.pdf(z)).max() < 1e-8
     assert math.isclose(below[-1], 0.5, abs_tol=1e-12)
+
+
+def test_limits_of_clipping_are_exact_far_outside_and_inside() -> None:
+    assert clipped(-400.0, 4.0) == pytest.approx((0.0, 1 / 12, 0.0), abs=1e-12)
+    assert clipped(128.0, 4.0) == (128.0, 4.0, 1.0)
