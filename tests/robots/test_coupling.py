@@ -127,16 +127,12 @@ def test_a_urdf_arms_coupled_sum_stays_put_where_its_joints_do_not(name: str) ->
             assert np.sqrt(coupling.combination @ spread @ coupling.combination) < alone / 2
 
 
-def test_the_ur5s_straight_wrist_couples_four_joints_as_the_6rs_does() -> None:
+def test_the_ur5s_straight_wrist_couples_four_joints_and_seven_joints_always_are() -> None:
     coupling = robots.coupled(robots.load("ur5"), np.array([0.3, -1.2, 1.4, -0.9, 0.02, 0.4]))
     assert coupling is not None
     assert coupling.label == "2+3+4+6"
     assert coupling.combination is not None
-
-
-def test_seven_joints_are_always_coupled_by_their_self_motion() -> None:
-    arm = robots.load("panda")
-    coupling = robots.coupled(arm, np.array([0.1, 0.2, 0.3, -1.5, 0.5, 1.6, 0.7]))
+    coupling = robots.coupled(robots.load("panda"), np.array([0.1, 0.2, 0.3, -1.5, 0.5, 1.6, 0.7]))
     assert coupling is not None
     assert coupling.factor == "redundancy"
     assert len(coupling.joints) >= 3

@@ -66,6 +66,7 @@ def test_an_unknown_name_is_answered_with_the_nearest_and_all_known() -> None:
     assert 'did you mean "iust_6r"?' in message
     assert "rv_3sd_melfa" in message
     assert "ur5" in message
+    assert "\\n" in complaint("x\n\x1b[31m")  # a name cannot break the line
 
 
 def test_a_path_counts_from_the_folder(tmp_path: Path) -> None:
@@ -169,23 +170,17 @@ def test_a_urdfs_flange_is_pinocchios_between_any_two_links() -> None:
         assert_allclose(robots.forward(arm, q), expected, atol=1e-14)
 
 
-def test_a_small_urdf_agrees_with_trigonometry(tmp_path: Path) -> None:
-    arm = robots.load("arm.urdf", folder=tmp_path) if urdf(tmp_path) else None
-    assert arm is not None
-    assert_allclose([arm.lower, arm.upper], [[-1, -1], [2, 2]])
-    turn, lift = 0.4, 0.7
+def test_a_small_urdf_agrees_with_trigonometry_and_a_continuous_joint_has_two_turns(
+    tmp_path: Path,
+) -> None:
+    bounded = robots.load(str(urdf(tmp_path)))
+    assert_allclose([bounded.lower, bounded.upper], [[-1, -1], [2, 2]])
+    q = turn, lift = np.array([0.4, 0.7])
     out = 0.5 + 0.3 * np.sin(lift)
-    flange = robots.forward(arm, np.array([turn, lift]))[:3, 3]
+    flange = robots.forward(bounded, q)[:3, 3]
     assert_allclose(flange, [out * np.cos(turn), out * np.sin(turn), 0.3 * np.cos(lift)])
-
-
-def test_a_continuous_joint_is_an_angle_with_two_turns(tmp_path: Path) -> None:
-    urdf(tmp_path)
-    bounded = robots.load("arm.urdf", folder=tmp_path)
-    urdf(tmp_path, a="continuous")
-    arm = robots.load("arm.urdf", folder=tmp_path)
+    arm = robots.load(str(urdf(tmp_path, a="continuous")))
     assert_allclose([arm.lower[0], arm.upper[0]], [-2 * np.pi, 2 * np.pi])
-    q = np.array([0.4, 0.7])
     assert_allclose(robots.forward(arm, q), robots.forward(bounded, q), atol=1e-15)
     assert_allclose(robots.jacobian(arm, q), robots.jacobian(bounded, q), atol=1e-15)
 
@@ -209,7 +204,3 @@ def test_what_is_wrong_with_a_urdf_is_named(tmp_path: Path) -> None:
     assert "a URDF holds <robot>" in complaint(str(path))
     path.write_text('<robot><link name="a"/><link name="b"/></robot>')
     assert "2 links without a parent: a, b" in complaint(str(path))
-
-
-def test_a_name_cannot_break_the_line() -> None:
-    assert "\\n" in complaint("x\n\x1b[31m")

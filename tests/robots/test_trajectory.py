@@ -35,6 +35,7 @@ LIMITS = joint_limits(melfa(), 0.4)
 HOME = np.radians([0.0, 0.0, 90.0, 0.0, 90.0, 0.0])
 PERIOD = 1 / 30
 FINE = 2e-3  # s, of differentiation
+RATES = ("q", "velocity", "acceleration")
 postures = st.integers(0, 2**32 - 1).map(
     lambda seed: np.random.default_rng(seed).uniform(LIMITS.lower, LIMITS.upper)
 )
@@ -73,13 +74,12 @@ def test_from_posture_to_posture_within_limits_and_as_fast_as_one_joint_allows(
     assert_within_limits(trajectory)
     assert_allclose(trajectory.at(0.0).q, start)
     assert_allclose(trajectory.at(trajectory.duration).q, end, atol=1e-9)
-    alone = []  # each joint by itself: ruckig in six dimensions, without synchronisation
+    alone = []  # each joint by itself: ruckig in one dimension
     for joint in range(6):
         order = ruckig.InputParameter(1)
         order.current_position, order.target_position = [start[joint]], [end[joint]]
-        order.max_velocity = [LIMITS.speed[joint]]
-        order.max_acceleration = [LIMITS.acceleration[joint]]
-        order.max_jerk = [LIMITS.jerk[joint]]
+        rates = ([r[joint]] for r in (LIMITS.speed, LIMITS.acceleration, LIMITS.jerk))
+        order.max_velocity, order.max_acceleration, order.max_jerk = rates
         curve = ruckig.Trajectory(1)
         ruckig.Ruckig(1).calculate(order, curve)
         alone.append(curve.duration)
@@ -94,12 +94,9 @@ def test_all_joints_begin_and_end_together_on_a_straight_line() -> None:
     assert_allclose(share, np.tile(share[:, :1], 6), atol=1e-9)
     assert times[-1] == time_path(joint_path(HOME, end), LIMITS).duration
     assert_allclose(motion.velocity[[0, -1]], 0, atol=1e-12)
-
-
-def test_a_motion_of_no_length_takes_no_time() -> None:
-    trajectory = time_path(joint_path(HOME, HOME), LIMITS)
-    assert_allclose(trajectory.at(trajectory.duration).q, HOME)
-    assert not trajectory.at(0.1).velocity.any()
+    still = time_path(joint_path(HOME, HOME), LIMITS)  # a motion of no length takes no time
+    assert_allclose(still.at(still.duration).q, HOME)
+    assert not still.at(0.1).velocity.any()
 
 
 def curved() -> JointPath:
@@ -157,13 +154,15 @@ def test_whichever_limit_rules_is_kept_and_used(
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.5, 0.7, 0.95, 1.0])
-def test_a_hold_stops_on_the_path_within_limits_and_at_once(share: float) -> None:
+def test_a_hold_stops_on_the_path_within_limits_and_at_once_and_goes_back_along_it(
+    share: float,
+) -> None:
     path = curved()
     trajectory = time_path(path, LIMITS, PathLimits(1.0, 5.0, 50.0))
     t = share * trajectory.duration
     held = trajectory.held(t)
     before, after = trajectory.at(t), held.at(0.0)
-    for key in ("q", "velocity", "acceleration"):
+    for key in RATES:
         assert_allclose(getattr(after, key), getattr(before, key), atol=1e-9)
     assert_within_limits(held)
     assert held.duration <= trajectory.duration - t + 1e-6
@@ -171,24 +170,11 @@ def test_a_hold_stops_on_the_path_within_limits_and_at_once(share: float) -> Non
     assert_allclose(end.velocity, 0, atol=1e-9)
     on_path = path.q(np.linspace(0, path.length, 20001))
     assert np.abs(on_path - end.q).max(axis=1).min() < 1e-3
-
-
-@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
-def test_what_was_held_goes_back_along_the_same_path(share: float) -> None:
-    path = curved()
-    down = time_path(path, LIMITS, PathLimits(1.0, 5.0, 50.0))
-    held = down.held(share * down.duration)
-    rest = held.at(held.duration).q
-    back = held.returning()
-    assert_allclose(back.at(0.0).q, rest, atol=1e-9)
+    back = held.returning()  # along the same path
+    assert_allclose(back.at(0.0).q, end.q, atol=1e-9)
     assert_allclose(back.at(back.duration).q, path.q(0.0), atol=1e-9)
     assert_within_limits(back)
-    up = down.returning()
-    assert up.duration == pytest.approx(down.duration)
-
-
-def followed(follower: TrajectoryFollower, goals: list[tuple[Array | None, Array | None]]) -> Array:
-    return np.array([follower.step(goal, velocity).motion.q for goal, velocity in goals])
+    assert trajectory.returning().duration == pytest.approx(trajectory.duration)
 
 
 wild = st.integers(0, 2**32 - 1).map(np.random.default_rng)
@@ -234,7 +220,8 @@ def test_a_hold_at_any_moment_comes_to_rest_within_limits(random: np.random.Gene
 def test_a_goal_at_rest_is_reached_and_one_that_moves_is_kept_up_with() -> None:
     follower = TrajectoryFollower(LIMITS, HOME, PERIOD, lambda _: "")
     goal = HOME + 0.2
-    followed(follower, [(goal, None)] * 60)
+    for _ in range(60):
+        follower.step(goal)
     assert_allclose(follower.motion.q, goal, atol=1e-9)
     velocity = np.full(6, 0.1)
     for step in range(60):
@@ -304,15 +291,11 @@ def changed(key: str, joint: int, value: float) -> JointMotion:
     ],
 )
 def test_a_broken_limit_is_named(key: str, joint: int, value: float, words: str) -> None:
-    assert limit_violation(HALF_LIMITS, changed("q", 0, 0.0)) == ""
-    assert words in limit_violation(HALF_LIMITS, changed(key, joint, value))
-
-
-def test_one_instant_among_many_is_found() -> None:
-    many = JointMotion(*(np.tile(v, (5, 1)) for v in dataclasses.astuple(changed("q", 0, 0.0))))
-    assert limit_violation(HALF_LIMITS, many) == ""
-    many.q[3, 3] = 3.0
-    assert limit_violation(HALF_LIMITS, many).startswith("joint 4 would stand at 171.9°")
+    good, bad = changed("q", 0, 0.0), changed(key, joint, value)
+    assert limit_violation(HALF_LIMITS, good) == ""
+    assert words in limit_violation(HALF_LIMITS, bad)
+    many = (np.array([getattr(m, k) for m in (good, bad, good)]) for k in RATES)
+    assert words in limit_violation(HALF_LIMITS, JointMotion(*many))  # one instant among many
 
 
 def test_a_limit_itself_is_allowed_but_for_rounding() -> None:
