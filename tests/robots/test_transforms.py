@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from robots.transforms import Array, carry, difference, invert, rotation_exp, rotation_log
+from robots.transforms import Array, carry, difference, invert, rotation_exp
 
 
 def motions(count: int) -> Array:
@@ -26,13 +26,6 @@ def test_carried_points_are_the_homogeneous_product() -> None:
     homogeneous = np.concatenate([points, np.ones((7, 1))], axis=1)
     assert_allclose(carry(pose, points), (homogeneous @ pose.T)[:, :3], atol=1e-15)
     assert carry(motions(4)[:, None], points).shape == (4, 7, 3)
-
-
-def test_log_undoes_exp_from_nothing_to_half_a_turn() -> None:
-    for length in (0.0, 1e-12, 1e-6, 0.1, 3.0, np.pi - 1e-6):
-        vector = length * np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 0.0]])
-        assert_allclose(rotation_log(rotation_exp(vector)), vector, atol=1e-9)
-    assert_allclose(rotation_exp(np.array([0, 0, np.pi / 2])) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
 
 
 def test_the_difference_carries_one_pose_onto_the_other() -> None:

@@ -10,13 +10,8 @@ from verify.core.rig import distort, distortion_jacobian
 CAMERA = make_rig().left
 
 
-def points_ahead(count: int) -> np.ndarray:
-    rng = np.random.default_rng(4)
-    return rng.uniform([-0.35, -0.2, 0.5], [0.35, 0.2, 0.9], (count, 3))
-
-
 def test_projection_is_opencvs_at_any_pan() -> None:
-    points = points_ahead(500)
+    points = np.random.default_rng(4).uniform([-0.35, -0.2, 0.5], [0.35, 0.2, 0.9], (500, 3))
     for pan in (-0.4, 0.0, 0.13):
         camera_T_rig = np.linalg.inv(CAMERA.rig_T_camera(pan))
         inside = points @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]

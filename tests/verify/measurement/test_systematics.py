@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
+from robots.transforms import difference
 from tests.support.scene import facing, make_marker, make_rig, move_camera, sight, turned
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, Sighting
@@ -27,10 +27,8 @@ STEP = 1e-6  # SI units: small against curvature, large against rounding
 
 def moved(rig: Rig, marker: Marker, name: str, step: float) -> tuple[Rig, Marker]:
     head, _, key = name.partition(".")
-    if head == "left":
-        return replace(rig, left=move_camera(rig.left, key, step)), marker
-    if head == "right":
-        return replace(rig, right=move_camera(rig.right, key, step)), marker
+    if head in ("left", "right"):
+        return replace(rig, **{head: move_camera(getattr(rig, head), key, step)}), marker
     if head == "robot_base":
         base = rig.rig_T_base.copy()
         if key.startswith("r"):
@@ -59,8 +57,7 @@ def by_refit(
     rig: Rig, marker: Marker, views: tuple[Sighting, Sighting], start: Array, name: str
 ) -> Array:
     ends = [base_T_flange(*moved(rig, marker, name, s * STEP), views, start) for s in (1, -1)]
-    turn = Rotation.from_matrix(ends[0][:3, :3] @ ends[1][:3, :3].T).as_rotvec()
-    return np.concatenate([ends[0][:3, 3] - ends[1][:3, 3], turn]) / (2 * STEP)
+    return difference(*ends) / (2 * STEP)
 
 
 @pytest.mark.slow

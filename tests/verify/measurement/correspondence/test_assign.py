@@ -161,34 +161,23 @@ def test_two_of_four_leds_are_found_with_the_past_or_the_encoders(seed: int) -> 
     lost = tuple(int(led) for led in rng.permutation(4)[:2])
     scene = make_scene(rng, leds, clutter=5, missing=(lost, lost))
     assert scene.outcome(scene.identify()) in ("ambiguous_leds", "too_few_leds")
-    past = PosePrediction(near(scene.rig_T_flange, rng, 0.004, 0.04), 0.005, 0.05)
-    assert scene.outcome(scene.identify(prediction=past)) == "complete"
     found = scene.identify(expected=(near(scene.rig_T_flange, rng, 0.03, 0.1),))
     assert scene.outcome(found) in ("complete", "ambiguous_leds")
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_with_a_prediction_a_third_led_in_one_image_alone_is_found_too(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    leds = random_leds(rng, 4, SEES)
-    scene = make_scene(rng, leds, clutter=5, missing=((3,), (2,)))
-    past = PosePrediction(near(scene.rig_T_flange, rng, 0.004, 0.04), 0.005, 0.05)
-    found = scene.identify(prediction=past)
-    assert scene.outcome(found) == "complete"
-
-
-def test_a_single_led_is_the_only_pair_of_spots_that_can_be_one_point() -> None:
-    rng = np.random.default_rng(0)
-    scene = make_scene(rng, np.array([[0.03, 0, 0.02]]), clutter=1)
-    found = scene.identify()
-    assert scene.outcome(found) == "complete"
-    assert (found.choice, found.alternatives) == ("geometry", 0)
+    in_one_image = make_scene(rng, leds, clutter=5, missing=((3,), (2,)))  # two more LEDs
+    for each in (scene, in_one_image):
+        past = PosePrediction(near(each.rig_T_flange, rng, 0.004, 0.04), 0.005, 0.05)
+        assert each.outcome(each.identify(prediction=past)) == "complete"
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_single_led_among_lamps_is_the_one_where_it_was_expected(seed: int) -> None:
+def test_a_single_led_is_the_one_pair_of_spots_or_where_it_was_expected(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    scene = make_scene(rng, np.array([[0.03, 0, 0.02]]), lamps=6)
+    led = np.array([[0.03, 0, 0.02]])
+    scene = make_scene(rng, led, clutter=1)
+    found = scene.identify()
+    assert scene.outcome(found) == "complete"
+    assert (found.choice, found.alternatives) == ("geometry", 0)
+    scene = make_scene(rng, led, lamps=6)
     assert scene.identify().status == "ambiguous_leds"
     past = PosePrediction(near(scene.rig_T_flange, rng, 0.008, 0.1), 0.01, 0.1)
     found = scene.identify(prediction=past)
@@ -363,21 +352,16 @@ def test_a_clean_spot_is_taken_before_a_merged_one() -> None:
     assert found.left_spot[found.left_led == 0] == 4
 
 
-def test_spots_that_meet_behind_the_cameras_are_nothing() -> None:
-    rng = np.random.default_rng(6)
-    scene = make_scene(rng, random_leds(rng, 3, SEES))
-    swapped = replace(scene, spots=(scene.spots[1], scene.spots[0]))
-    assert swapped.identify().status == "too_few_leds"
-
-
-def test_no_spots_in_an_image_are_too_few() -> None:
+def test_no_spots_in_an_image_or_behind_the_cameras_are_too_few() -> None:
     rng = np.random.default_rng(7)
-    scene = make_scene(rng, random_leds(rng, 3))
+    scene = make_scene(rng, random_leds(rng, 3, SEES))
     none = make_spots(np.zeros((0, 2)), np.zeros((0, 3)))
+    left, right = scene.spots
     past = PosePrediction(scene.rig_T_flange, 0.01, 0.1)
-    for spots in ((none, none), (scene.spots[0], none), (none, scene.spots[1])):
+    for spots in ((none, none), (left, none), (none, right)):
         found = replace(scene, spots=spots).identify(prediction=past)
         assert (found.status, found.alternatives) == ("too_few_leds", 0)
+    assert replace(scene, spots=(right, left)).identify().status == "too_few_leds"
 
 
 def test_a_scene_full_of_lamps_on_one_line_takes_bounded_time() -> None:

@@ -16,11 +16,6 @@ from scipy.stats import norm
 
 from verify.core.records import Array, Image
 from verify.measurement.detection.kernels.candidates import find_blobs, flood_fill, top_hat
-from verify.measurement.detection.kernels.fit import (
-    floor_below_black,
-    start_values,
-    value_at_rank,
-)
 from verify.measurement.detection.kernels.noise import stencils, variance_line
 from verify.measurement.detection.kernels.occlusion import depth_profile, log_normal_cdf
 from verify.measurement.detection.kernels.patches import measure_half_height, read_grey
@@ -28,10 +23,6 @@ from verify.measurement.detection.kernels.pixels import (
     CLIP_REACH,
     MIN_Z,
     N_FREE_ROWS,
-    N_PARAMETERS,
-    PAR_STEEPNESS,
-    PAR_X,
-    PAR_Y,
     clip,
     normal_law,
 )
@@ -42,13 +33,6 @@ from verify.measurement.detection.kernels.quality import (
     COL_MISFIT,
     N_COLUMNS,
     mark_duplicates,
-)
-from verify.measurement.detection.profile import (
-    GAUSSIAN_STEEPNESS,
-    MIN_LOG_STEEPNESS,
-    RADIUS_STEP,
-    ROW_STEP,
-    profile_table,
 )
 
 ANY_SHAPE = (1e9, 0.0)  # axis ratio and fill that everything has
@@ -158,26 +142,6 @@ def test_the_logarithm_of_a_normal_share_is_that_of_scipy() -> None:
     np.testing.assert_allclose(output, log_ndtr(z), rtol=1e-12, atol=1e-15)
 
 
-@pytest.mark.parametrize("floor", [-3.0, -1.0, 0.5])
-def test_a_floor_below_black_is_guessed_from_how_much_is_black(floor: float) -> None:
-    values = np.random.default_rng(2).normal(floor, 2.0, 20_000).round().clip(0, 255)
-    assert floor_below_black(values, 2.0) == pytest.approx(floor, abs=0.3)
-
-
-@pytest.mark.parametrize("log_steepness", [np.log(GAUSSIAN_STEEPNESS), 1.0, 1.65])
-def test_a_spots_place_and_steepness_are_guessed_from_its_pixels(log_steepness: float) -> None:
-    column, row = (axis.ravel() for axis in np.meshgrid(np.arange(-14.0, 15), np.arange(-14.0, 15)))
-    line = round((log_steepness - MIN_LOG_STEEPNESS) / ROW_STEP)
-    sample = np.minimum(
-        np.hypot(column - 0.4, row + 0.3) / 4.0 / RADIUS_STEP, 8 / RADIUS_STEP
-    ).astype(int)
-    value = 200 * profile_table()[0, line, sample]
-    start = np.zeros(N_PARAMETERS)
-    start_values(value, column, row, 4.0, 0.0, 200.0, start)
-    np.testing.assert_allclose(start[[PAR_X, PAR_Y]], [0.4, -0.3], atol=0.02)  # px
-    assert start[PAR_STEEPNESS] == pytest.approx(log_steepness, abs=0.3)
-
-
 @pytest.mark.parametrize("width", [5, 67, 68, 69, 300])
 @pytest.mark.parametrize("mean", [0.0, 1.5, 100.0, 254.0])
 def test_levels_and_differences_are_those_of_unclipped_neighbours(width: int, mean: float) -> None:
@@ -202,17 +166,6 @@ def test_a_small_spot_that_fits_by_chance_is_no_noise_estimate() -> None:
     squares = variance * rng.standard_normal(len(spot)) ** 2
     variance_line(squares, signal, spot, line, usual)
     assert line[0] == pytest.approx(6.0, rel=0.4)
-
-
-@pytest.mark.parametrize("whole", [True, False], ids=["grey", "combined colours"])
-def test_a_patch_s_lower_values_are_ranked_as_by_sorting(whole: bool) -> None:
-    rng = np.random.default_rng(8)
-    for size in (1, 2, 197, 613):
-        value = rng.uniform(0.0, 255.0, size) * (rng.random(size) > 0.3)
-        value = np.floor(value) if whole else value
-        for rank in {0, size // 3, size - 1}:
-            assert value_at_rank(value, rank) == np.sort(value)[rank]
-    assert value_at_rank(np.full(9, 255.0), 8) == 255.0
 
 
 @pytest.mark.parametrize("reach", [1, 4, 15, 30])
