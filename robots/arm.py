@@ -1,4 +1,4 @@
-"""What an arm is: joints with limits, and either a DH table or a URDF chain."""
+"""Arms: joints with limits, and either a DH table or a URDF chain."""
 
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""Does an arm's kinematics agree with itself and with pinocchio? And how far does it reach?"""
+"""Check an arm's kinematics against itself and pinocchio; compute how far it reaches."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ class SelfCheck:
     """The worst disagreement over random poses within the limits; NaN where it does not apply."""
 
     poses: int
-    inverse_position: float  # m, a solution's forward kinematics against the pose asked for
+    inverse_position: float  # m, a solution's forward kinematics against the pose to be reached
     inverse_rotation: float  # rad
     lost: int  # poses whose own joints were not among the answers, singular ones left out
     pinocchio_position: float  # m, forward kinematics against pinocchio's
@@ -95,8 +95,8 @@ def _worst(base_T_b: Array, base_T_c: Array) -> tuple[float, float]:
 def _closed_form(arm: DhArm, q: Array, pose: Array, moves: Array) -> tuple[float, float, int]:
     branches = inverse(arm, pose, hold=q).q
     exists = np.isfinite(branches).all(axis=-1)
-    asked = np.broadcast_to(pose[:, None], (*exists.shape, 4, 4))[exists]
-    worst = _worst(forward(arm, branches[exists]), asked)
+    targets = np.broadcast_to(pose[:, None], (*exists.shape, 4, 4))[exists]
+    worst = _worst(forward(arm, branches[exists]), targets)
     away = np.abs(near(branches, q[:, None]) - q[:, None]).max(axis=-1)
     missing = ~(away < MAX_JOINT_DIFFERENCE).any(axis=-1) & (
         np.abs(np.linalg.det(moves)) > MIN_DETERMINANT * _determinant_scale(arm)

@@ -4,7 +4,7 @@ The gates are set so that a joint's standard uncertainty is let grow to about fi
 the best posture, everywhere alike. At the wrist u(θ4) grows as 1 / |sin θ5|: the gate is 0.2. The
 elbow's grows as 1 / |sin| of the angle between its links' lines: 0.2 as well. Joint 1's is
 u(wrist) / ρ, with ρ the wrist's distance from axis 1. At the wrist's gate u(θ4) is
-u(orientation) / 0.2, and an honest stereo pose is known to 0.25 mm and 0.10°, whose ratio is
+u(orientation) / 0.2, and a good stereo pose is known to 0.25 mm and 0.10°, whose ratio is
 143 mm: the two are equal at ρ = 0.2 · 143 mm.
 """
 
@@ -85,8 +85,8 @@ def couplings(arm: Arm, q: Array) -> tuple[Coupling | None, ...]:
 def _self_motions(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array:
     """Joint motions (k, 6) that leave the flange still where one factor vanishes.
 
-    Another factor that is small as well is opened to a quarter turn first, lest its own joints'
-    share drown this one's.
+    Another factor that is small as well is opened to a quarter turn first, so that its own joints'
+    share does not hide this one's.
     """
     theta = theta.copy()
     stretched = _stretched_elbow(arm)

@@ -1,14 +1,14 @@
-"""What can be wrong with a robot's description, worded once."""
+"""The error for a robot's description that cannot be used."""
 
 from pathlib import Path
 
 
 class RobotError(Exception):
-    """A robot cannot be used as described; said in one line.
+    """A robot cannot be used as described; the message is one line.
 
     Args:
-        place: the file, with the line or key at fault, or the name asked for.
-        found: what stands there.
+        place: the file, with the line or key at fault, or the robot's name.
+        found: the value there.
         expected: what would be right.
         remedy: what the user can do about it.
     """

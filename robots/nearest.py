@@ -70,7 +70,7 @@ def _damped_least_squares(arm: UrdfArm, pose: Array, seed: Array, limits: bool) 
         size = float(np.linalg.norm(error))
         step, drift = _step(arm, q, error, seed - q, limits)
         # going home waits until the pose is near, and slows where it spoils the pose: next to a
-        # singularity the two would circle for ever
+        # singularity the two would never end
         pull = pull / 2 if size > before else pull
         before = size
         drift = drift * pull * (size < MAX_ERROR_HOMEWARD)

@@ -293,7 +293,7 @@ class TrajectoryFollower:
         limits: of the joints.
         q: (n,), rad, where the arm stands, at rest.
         period: s, from one step to the next.
-        clear: says of postures in order what stands in the way, between them too.
+        clear: names what obstructs postures in order, or the way between them.
 
     Raises:
         ValueError: the arm stands outside its limits, or where it is not clear.

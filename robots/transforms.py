@@ -50,6 +50,6 @@ def rotation_exp(vector: Array) -> Array:
 
 
 def difference(a_T_b: Array, a_T_c: Array) -> Array:
-    """What carries c onto b, seen in a: (..., 6), translation (m), then rotation vector (rad)."""
+    """Motion that carries c onto b, in axes of a, (..., 6): m, then rotation vector, rad."""
     turn = a_T_b[..., :3, :3] @ np.swapaxes(a_T_c[..., :3, :3], -1, -2)
     return np.concatenate([a_T_b[..., :3, 3] - a_T_c[..., :3, 3], rotation_log(turn)], axis=-1)

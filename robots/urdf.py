@@ -23,7 +23,7 @@ MAX_CONTINUOUS_ANGLE = (
 
 @dataclass(frozen=True)
 class Joint:
-    """What the file says of a joint; pinocchio forgets the mimicry."""
+    """A joint in the file; pinocchio's model does not hold mimicry."""
 
     name: str
     kind: str

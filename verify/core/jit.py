@@ -68,7 +68,7 @@ class _FirstCompilation(event.Listener):
         logging.getLogger(__name__).info(COMPILING)
 
     def on_end(self, _event: object) -> None:
-        """Nothing is left to say."""
+        """Do nothing."""
 
 
 def _cache_is_empty() -> bool:

@@ -34,7 +34,7 @@ Answer = TypeVar("Answer")
 
 
 class ChildLostError(Exception):
-    """The child process has ended, or its work failed; the text says why."""
+    """The child process has ended, or its work failed; the text is the reason."""
 
 
 class ChildLateError(ChildLostError):
@@ -356,7 +356,7 @@ class SharedPicture:
         return place
 
     def copy(self, shape: tuple[int, ...]) -> Image:
-        """Take a copy of the picture that somebody has put into the room."""
+        """Take a copy of the picture in the room."""
         return self._view(shape).copy()
 
     def _view(self, shape: tuple[int, ...]) -> Image:

@@ -20,7 +20,7 @@ MAX_GAP = 0.6  # s; readings at 2 Hz still pass
 RATE_SPAN = 0.05  # s: shorter differences of readings are noise, longer ones blur the motion
 MAD_TO_SIGMA = 1.4826  # of a Gaussian
 DIFFERENCE_VARIANCES = (6.0, 20.0, 70.0)  # of white noise's second to fourth ones, over its own
-MIN_DIFFERENCES = 8  # fewer say nothing about their spread
+MIN_DIFFERENCES = 8  # fewer show no spread
 HOLD_TIME = 0.5  # s: at the edge of a burst at rest the arm is taken as standing still for so long
 MIN_TRAVEL = np.deg2rad(0.02)  # the last digit or two of a common read-out
 

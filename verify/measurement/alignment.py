@@ -23,7 +23,7 @@ from verify.core.records import Array, Sighting
 from verify.core.rig import Camera
 from verify.measurement.kernels.alignment import carry_to_instant
 
-# A longer gap between two pairs says nothing about the motion at either: single visits, at rest.
+# Beyond such a gap between two pairs the motion at either is unknown: single visits, at rest.
 MAX_GAP = 1.5  # s
 TOL_INSTANT = 1e-9  # s, closer than any camera's clock
 
@@ -62,7 +62,7 @@ def align(
         alone: the pair is a single visit, far in time from its neighbours: taken as standing still.
 
     Returns:
-        The sighting at `t`, or None where it has to be moved and nothing says how.
+        The sighting at `t`, or None where it has to be moved and no neighbour shows how.
     """
     if alone:
         return replace(now.sighting, t=t)

@@ -133,12 +133,11 @@ def measure(
     Args:
         pairs: stereo pairs in time order, streamed; two are held at most.
         setup: rig, marker, and what the encoders suggest.
-        carried: to go on from, and kept up to date whenever the next pair is asked for; None
-            begins anew.
+        carried: state to go on from, up to date whenever the next pair is taken; None begins anew.
 
     Yields:
-        One measurement a pair, in order. A pair that cannot be measured has a status that says
-        why. The first pair, also after a gap, is delivered with its successor, whose motion it
+        One measurement a pair, in order. A pair that cannot be measured has a status with the
+        reason. The first pair, also after a gap, is delivered with its successor, whose motion it
         borrows.
     """
     now = carried if carried is not None else ChainState()
@@ -318,7 +317,8 @@ def _predict(memory: _PreviousPair, t: float) -> PosePrediction | None:
     return PosePrediction(
         rig_T_flange=perturb(pose.rig_T_flange, pose.twist * interval),
         position_uncertainty=linear * interval**2 + 1e-3,  # m; pairs taken while starting to move
-        rotation_uncertainty=angular * interval**2 + 0.01,  # rad, likewise
+        rotation_uncertainty=angular * interval**2
+        + 0.01,  # rad; pairs taken while starting to move
     )
 
 

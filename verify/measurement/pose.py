@@ -48,7 +48,7 @@ class SightingStack:
     origin: Array  # (s, 3), m, of the rig in the camera
     lens: Array  # (5, s), k1, k2, p1, p2, k3
     focal: Array  # (s, 2, 2), px, of the camera's matrix
-    middle: Array  # (s, 2), px, likewise
+    middle: Array  # (s, 2), px, principal point
 
     @property
     def places(self) -> tuple[Array, Array, Array, Array, Array, Array]:

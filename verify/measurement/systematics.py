@@ -146,36 +146,38 @@ def _unstated_names(names: list[str], placed: bool, pan: bool) -> tuple[str, ...
     return (*missing, *(["pan angle"] if pan else []), "robot table")
 
 
-def sensitivities(parameters: Systematics, seen: Measurement, rig: Rig, marker: Marker) -> Array:
+def sensitivities(
+    parameters: Systematics, measurement: Measurement, rig: Rig, marker: Marker
+) -> Array:
     """How the measured pose in the robot's base changes with each parameter; (6, p + 2).
 
     The last two columns are the left and the right pan reading. Twists in base axes at the
     flange, m and rad a SI unit of the parameter.
     """
-    pose, left, right = seen.pose, seen.left, seen.right
+    pose, left, right = measurement.pose, measurement.left, measurement.right
     if pose is None or left is None or right is None:
         raise ValueError("only a measured pair has sensitivities")
     base_R_rig = rig.rig_T_base[:3, :3].T
     gain = np.concatenate([base_R_rig @ pose.gain[:3], base_R_rig @ pose.gain[3:]])
     names = (*parameters.names, *PAN_READINGS)
-    columns = -gain @ pixel_sensitivities(names, seen, rig, marker)
+    columns = -gain @ pixel_sensitivities(names, measurement, rig, marker)
     places, axes = _base_parameters(names)
     columns[:, places] = _by_base(rig, pose)[:, axes]
     return columns
 
 
 def pixel_sensitivities(
-    names: tuple[str, ...], seen: Measurement, rig: Rig, marker: Marker
+    names: tuple[str, ...], measurement: Measurement, rig: Rig, marker: Marker
 ) -> Array:
     """How the spots of a measured pair move with parameters, (2 s, p), px a SI unit.
 
     Args:
         names: of the parameters; the robot's base moves no spot.
-        seen: the pair.
+        measurement: of the pair.
         rig: the cameras.
         marker: the LEDs.
     """
-    pose, left, right = seen.pose, seen.left, seen.right
+    pose, left, right = measurement.pose, measurement.left, measurement.right
     if pose is None or left is None or right is None:
         raise ValueError("only a measured pair has spots that a pose predicts")
     views = prepare_views(pose.rig_T_flange, left, right, pose.sensitivity, rig, marker)

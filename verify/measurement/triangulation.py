@@ -37,7 +37,7 @@ def triangulate(
         right: the right camera.
         pan_left: rad, reading of the left base.
         pan_right: rad, reading of the right base.
-        left_px: (..., 2), px as seen in the left image, distortion included.
+        left_px: (..., 2), px in the left image, distortion included.
         right_px: (..., 2), the same points in the right image; the shapes broadcast.
 
     Returns:

@@ -53,10 +53,10 @@ MAX_PAIRS = 256  # best distances first: bounds the work in a scene of lamps
 MIN_ADVANTAGE = 9.0  # of twice the log evidence: odds of 90 to 1, on noise allowed for generously
 MAX_DEPARTURE = 2.0  # standard deviations to how far a prediction may be off
 JUMP_COST = 50.0  # what a pose far from the prediction costs: two LED images and a half
-MAX_REFERENCE_DEPARTURE = 3.0  # departures beyond which a reference says nothing about a pose
+MAX_REFERENCE_DEPARTURE = 3.0  # departures beyond which a reference does not bear on a pose
 MIN_MARGIN = 1.0  # by how many departures the nearest must be nearer than the next
 ENCODERS_POSITION = 0.07  # m, how far a faulty arm and a clock not yet known may be believed to err
-ENCODERS_ROTATION = 0.2  # rad, likewise; marker symmetries lie above 1 rad
+ENCODERS_ROTATION = 0.2  # rad, of the same; marker symmetries lie above 1 rad
 
 
 def search_assignments(views: SpotViews, rig_R_flange: Array, *, single: bool) -> Hypotheses:
@@ -65,7 +65,7 @@ def search_assignments(views: SpotViews, rig_R_flange: Array, *, single: bool) -
     Args:
         views: the two images.
         rig_R_flange: (3, 3), what fills the turns that one or two LEDs leave open.
-        single: try one LED of several; it says nothing unless the past says where it should be.
+        single: try one LED of several; of use only where a prediction places it.
     """
     points = find_points(views)
     graph = build_graph(views, points)
@@ -138,7 +138,7 @@ def assign_leds(
         prediction: from the previous pairs; settles what geometry and colour leave open, and
             finds LEDs where too few are seen for geometry alone.
         expected: gives rig_T_flange (4, 4) from the encoders; the nearest settles what is still
-            open, and nothing else. Asked only then, and where nothing is predicted.
+            open, and nothing else. Called only then, and where nothing is predicted.
         motion_tolerance_px: px, how far LEDs may have moved between the two exposures.
 
     Returns:

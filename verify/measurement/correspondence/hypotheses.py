@@ -20,7 +20,7 @@ from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Inde
 from verify.measurement.correspondence.views import SpotViews
 
 MAX_POINTS = 120  # best rays first; keeps a scene full of lamps on one line within bounds
-MAX_EDGES = 3000  # best distances first, likewise
+MAX_EDGES = 3000  # best distances first; bounds the work in such a scene
 MAX_SEEDS = 512  # an octahedron of six LEDs, the most symmetric marker, has 480 a mirror image
 
 

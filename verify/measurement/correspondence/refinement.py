@@ -20,7 +20,7 @@ from verify.measurement.correspondence.kernels.fit import fit_all, predict_all
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
 from verify.measurement.correspondence.views import SpotViews
 
-MIN_SKEW = 1e-3  # px: simultaneous for every purpose, and nothing is divided by zero
+MIN_SKEW = 1e-3  # px: in effect simultaneous; avoids a division by zero
 MIN_DEPTH = 0.02  # m, depth below which a point cannot be imaged
 MAX_GATE = 10.0  # px, an LED predicted worse than this could be any spot
 # 2 ln of how much denser spots are at an LED (half a px) than clutter (20 an image)
@@ -51,7 +51,7 @@ def follow_prediction(
         found: what the search found there; LEDs that one camera alone sees are looked for anew.
         rig_T_flange: (4, 4), the prediction.
         position: m, its standard uncertainty.
-        rotation: rad, likewise.
+        rotation: rad, its standard uncertainty.
     """
     place = np.repeat([position, rotation], 3)
     none = np.full((1, 2, len(views.leds)), -1, dtype=np.int64)
@@ -172,7 +172,7 @@ def departure(
 
     Their mean is compared on the scale of `position` (m), their arrangement about it on that of
     `rotation` (rad): a symmetric marker's turn stands out however far the whole has moved. What
-    the LEDs seen do not determine plays no part.
+    the LEDs seen do not determine is left out.
     """
     return kernel.departures_of_all(
         views.leds,

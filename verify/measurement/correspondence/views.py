@@ -37,7 +37,7 @@ class SpotViews:
     focal: Array  # (2, 2), px
     mean_focal: float  # px
     leds: Array  # (n, 3), m, flange frame
-    led_play: float  # m, how far an LED's light may be from where the marker file says
+    led_play: float  # m, how far an LED's light may be from its place in the marker file
     skew: float  # px, by how much the whole marker may have moved between the two images
 
     @property

@@ -31,7 +31,7 @@ MIN_FILL = 0.6  # blob area over its ellipse's: an LED fills it, a bent or branc
 DEFAULT_DIAMETER = (2.0, 40.0)  # px; least that sampling supports, and a 5 mm LED at 13 cm
 BACKGROUND_FACTOR = 1.5  # background window over the largest diameter: no LED survives in it
 MAX_COMPILED_PIXELS = 40_000  # of a window: above, OpenCV is as quick, whatever an LED measures
-MAX_BLOBS = 1024  # blobs told apart in one window, those of higher levels first
+MAX_BLOBS = 1024  # blobs listed in one window, those of higher levels first
 MAX_CANDIDATES = 64  # blobs fitted, best contrast first: bounds the time in a cluttered room
 
 
@@ -77,16 +77,16 @@ def find_candidates(
     return Candidates(best[:, :2], best[:, 2].copy(), best[:, 3])
 
 
-def select_highest(found: Array, doubt: NDArray[np.intp], across: tuple[float, float]) -> Array:
+def select_highest(found: Array, tolerance: NDArray[np.intp], across: tuple[float, float]) -> Array:
     """List the blobs of a width, highest contrast first, at most MAX_CANDIDATES; (m, 4) as found.
 
     Args:
         found: (n, 4), as `compact_blobs` fills it.
-        doubt: (n,), px, by which a blob's width may be missed.
+        tolerance: (n,), px, error of a blob's width.
         across: px, least and largest width.
     """
     width = 2.0 * found[:, 2]
-    chosen = found[(width + doubt >= across[0]) & (width - doubt <= across[1])]
+    chosen = found[(width + tolerance >= across[0]) & (width - tolerance <= across[1])]
     highest: Array = chosen[np.argsort(-chosen[:, 3], kind="stable")[:MAX_CANDIDATES]]
     return highest
 
@@ -99,7 +99,7 @@ def find_in_small_windows(image: Image, windows: NDArray[np.int64], largest: flo
 
 
 def find_in_large_window(image: Image, window: list[int], factor: int, largest: float) -> Array:
-    """Find blobs in a window of a picture of any kind, made smaller by a factor; likewise."""
+    """Find blobs in a window of any picture, made smaller by a factor, (n, 4): the same columns."""
     x0, y0, x1, y1 = window
     part = image[y0:y1, x0:x1]
     height, width = part.shape[0] // factor, part.shape[1] // factor

@@ -73,8 +73,8 @@ def detect(
     Returns:
         Spots by falling peak. Those whose shape no single LED has are flagged `merged` and their
         covariance enlarged by the misfit; where a sliver of the rim may be hidden, the centre is
-        the whole disc's and the covariance says how surely; spots cut by the image's border are
-        left out.
+        the whole disc's and the covariance covers the correction; spots cut by the image's border
+        are left out.
 
     Raises:
         InputError: not an 8-bit grey or BGR image, or windows of another shape.

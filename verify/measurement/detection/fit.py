@@ -47,7 +47,7 @@ START_STEEPNESS = np.log(2.2)  # between a Gaussian (1.39) and an in-focus LED (
 # leave it alone; they only keep a dim or a fully saturated spot from drifting off.
 PRIOR_STEEPNESS = 1.0
 PRIOR_PEAK = 2000.0  # DN: eight times the sensor's range
-PRIOR_FLOOR = 10.0  # DN: a floor below black is not seen
+PRIOR_FLOOR = 10.0  # DN: a floor below black does not show
 PRIOR_SHAPE = 2.0  # of (half-width / start)^-2
 
 
@@ -72,7 +72,7 @@ class Patches:
     pixels: Array
     scale: Array  # (n,), px, half-width that the fit starts from
     read_share: Array  # (n,), by which combining colours changes a channel's read variance
-    gain_share: Array  # (n,), likewise its shot-noise gain
+    gain_share: Array  # (n,), the same for its shot-noise gain
     noise: Noise  # of one channel
 
     @property
@@ -169,9 +169,9 @@ def continue_fit(
 TOL_LAST_STEP = 10.0  # of chi² that the last step may gain: it is taken, and nothing looked at anew
 MAX_STEPS = 8  # from a first look on; a clean spot takes two
 MAX_STEPS_SATURATED = 20  # its top is hidden, the valley long
-TOL_SATURATED = 0.001  # likewise: a step may gain little and the next one more
+TOL_SATURATED = 0.001  # of chi², for saturated spots: a step may gain little and the next more
 MAX_STEPS_FIRST_LOOK = 6  # steps of a first look; what has not taken shape by then is no spot
-TOL_FIRST_LOOK = 1.0  # of chi², likewise: the place is good to a sigma
+TOL_FIRST_LOOK = 1.0  # of chi² in a first look: the place is good to a sigma
 START_STEEPNESS_SATURATED = np.log(5.0)  # an in-focus LED, whose flat top is real
 
 

@@ -60,7 +60,7 @@ def refine_noise(
     """Noise that also explains the residuals of clean spots: bright pixels show the gain.
 
     Args:
-        noise: what the background says.
+        noise: of the background.
         dark_spread: relative standard uncertainty of its dark variance.
         residual2: (k,), DN², squared residuals of the profile fits at unclipped pixels of spots
             and around them, enlarged by what the fits' own parameters took.

@@ -30,7 +30,7 @@ def carry_to_instant(
 ) -> tuple[int, Array, Array, Array, Array]:
     """Carry m spots to an instant, along the lines through them and a neighbour's.
 
-    LEDs new to this pair move like the others, give or take their spread.
+    LEDs new to this pair move like the others, with their spread as uncertainty.
 
     Args:
         led: (m,) and the neighbour's (k,).
@@ -154,7 +154,7 @@ def to_pixels(x: float, y: float, matrix: Array, lens: Array) -> tuple[float, fl
 
 @compiled
 def merge_boxes(boxes: Array) -> int:
-    """Unite boxes (n, 4) that overlap, so that no spot is found twice; say how many are left."""
+    """Unite boxes (n, 4) that overlap, so that no spot is found twice; return their number."""
     one, count = 0, len(boxes)
     while one < count:
         other = one + 1

@@ -23,7 +23,7 @@ SpotPlaces = tuple[Array, Array, Array, Array, Array, Array]  # as `predict_spot
 N_FREE = 6
 LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
 SCALE = np.repeat([LEVER, 1.0], 3)  # m and rad: units in which both are alike
-# LEDs that barely leave a line: a turn known worse than this is no measurement, and too large
+# LEDs nearly on a line: a turn less certain than this is no measurement, and too large
 # for the linearisation that its uncertainty rests on.
 MAX_UNCERTAINTY = 0.1  # rad, or 10 mm at the marker's size
 MIN_INFORMATION = 1e-10  # information a direction, relative to the best: rounding, not measurement
@@ -36,7 +36,7 @@ MIN_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and st
 TIME_STEP = 0.01  # s, of the image's acceleration: long against rounding, short against the motion
 TOL_STEP = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
 RIDGE = 1e-6  # of the mean information: keeps the motion of one or two LEDs solvable
-MIN_VARIANCE = 1e-6  # px²: a spot that nothing else checks has no residual to speak of: against 0/0
+MIN_VARIANCE = 1e-6  # px²: against 0/0 where nothing else checks a spot
 
 
 @compiled
@@ -61,7 +61,7 @@ def predict_spots(
         origin: (s, 3), m, of the rig in the camera.
         lens: (5, s), k1, k2, p1, p2, k3.
         focal: (s, 2, 2), px, of the camera's matrix.
-        middle: (s, 2), px, likewise.
+        middle: (s, 2), px, principal points.
         pixels: (s, 2), filled.
         by_point: (s, 2, 3), px/m, filled: by the point in the rig.
         by_pose: (s, 2, 6), filled: by a translation and a rotation vector in rig axes.
@@ -361,7 +361,7 @@ def worst_spot(
 
     Args:
         predicted: those of `fit_spots`.
-        spread: likewise.
+        spread: those of `fit_spots`.
         gain: (6, 2 s).
         rows: (2 k,), those of the kept spots.
         tolerance: (2 s, 2 s), px²: what spots may be off beside their noise.

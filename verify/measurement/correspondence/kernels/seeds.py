@@ -44,7 +44,7 @@ def join_nodes(
     Args:
         points: spots (c, 2), places (c, 3) m, covariance (c, 3, 3) m².
         point: (m,), of each node.
-        led: (m,), likewise.
+        led: (m,), of each node.
         leds: (n, 3), m, flange frame.
         play: m, how far an LED's light may be from where the marker has it.
     """

@@ -65,7 +65,7 @@ def column_minima(image: Image, reach: int, least: Image) -> None:
     """Fill in the least of each column's values within `reach` rows; may be the image itself.
 
     Source: van Herk (1992), Gil and Werman (1993): of blocks as long as the window, the least from
-    their begin on and that to their end.
+    their start on and that to their end.
     """
     height, width = image.shape
     block = 2 * reach + 1
@@ -113,7 +113,7 @@ def find_blobs(
         windows: (n, 4), x0, y0, x1, y1, upper bounds exclusive.
         reach: px: what has brightness at that distance all around is background.
         levels: as for `compact_blobs`.
-        shape: likewise.
+        shape: as for `compact_blobs`.
         most: how many are listed at most.
     """
     found, count = np.empty((most, 4)), 0
@@ -142,7 +142,7 @@ def compact_blobs(
         contrast: (h, w), DN above the surroundings.
         levels: DN, falling.
         shape: longest side of a blob's box, px; longest axis ratio; least area over its ellipse's.
-        found: (m, 4), filled from the begin with as many as it holds: column and row of the
+        found: (m, 4), filled from the first row with as many as it holds: column and row of the
             centre, px; half width, px; height, DN.
 
     Returns:

@@ -44,13 +44,13 @@ from verify.measurement.detection.kernels.pixels import (
 FIRST_DAMPING = 1e-4
 MIN_INFORMATION = 1e-9  # information in every direction: of a patch none of whose pixels counts
 CORE_RADIUS = 1.5  # half-widths: the spot's own pixels, by which its fit is judged
-MIN_CORE_RADIUS = 3.0  # px, likewise for the smallest: 28 pixels against 8 parameters
+MIN_CORE_RADIUS = 3.0  # px, of the smallest: 28 pixels against 8 parameters
 MIN_NOISE_SHARE = 0.9  # share of a pixel's noise that clipping must leave for its residual to count
 NEAR_LIMIT = 3.0  # DN below the limit: a top so near it is cut off, and higher than it seems
 PEAK_FACTOR_CLIPPED, PEAK_FACTOR = 1.3, 1.05  # peak over the core's mean: cut off, and whole
 MAX_SLOPE = 30.0  # DN about the floor: a neighbour is no slope
 MIN_LOG_STEEPNESS, MAX_LOG_STEEPNESS = 0.3, 2.5  # logarithms: no guess of a steepness is beyond
-BLUR_BIAS = 0.1  # likewise: by which counted pixels look steeper than the spot
+BLUR_BIAS = 0.1  # logarithm, by which counted pixels look steeper than the spot
 HALO_DN = 0.7  # DN, of a spot's light in the pixels that its floor is guessed from
 MAX_BLACK_SHARE = 0.98  # of pixels: with more, a floor below black cannot be guessed
 LOGISTIC_SCALE = 1.702  # scale on which a logistic law is a normal one, to 0.01 (Camilli, 1994)
@@ -171,7 +171,7 @@ def fit_patches(
     """Fit n patches by Gauss-Newton with Levenberg's damping, each until it settles.
 
     Args:
-        p: (n, 10), to begin with; the best found, afterwards.
+        p: (n, 10), start; afterwards the best.
         pixels: (n, 4, p), as for `weigh_pixels`.
         scale: (n,), px.
         shares: (n,) and (n,), by which patches' read variance and gain are those of one channel.
@@ -290,7 +290,7 @@ def priors_from_pixels(
                 near = column[k] * column[k] + row[k] * row[k] <= scale[n] * scale[n]
                 full[n] = full[n] or near
         start[n, PAR_PEAK], start[n, PAR_FLOOR] = mean[n, PAR_PEAK], floor
-        if not full[n]:  # a top that is cut off says nothing of its sides
+        if not full[n]:  # a cut-off top shows nothing of its sides
             start[n, PAR_FLOOR] = (
                 floor if floor > 0.0 else floor_below_black(value, read)
             ) - HALO_DN

@@ -119,11 +119,11 @@ def quietest_class(
     difference: Array,
     black: float,
 ) -> tuple[float, float, float]:
-    """Find the class of brightness whose dark variance is least, its doubt included.
+    """Find the class of brightness whose dark variance is least, its uncertainty included.
 
     Args:
         level: (k,), DN, as `stencils` gives them.
-        difference: (k,), DN, likewise: whole numbers.
+        difference: (k,), DN: whole numbers.
         black: DN.
 
     Returns:
@@ -174,7 +174,7 @@ def gather_residuals(
         shares: (n,) and (n,), read share and gain share of the patches.
         own: (n,), how many of each spot's own pixels clipping leaves alone: more than N_FITTED of
             a numbered one.
-        number: (n,), of the spots asked for, -1 for the others.
+        number: (n,), of the spots to gather, -1 for the others.
     """
     room, at = pixels.shape[0] * pixels.shape[2], 0
     square, signal, spot = np.empty(room), np.empty(room), np.empty(room, np.int64)
@@ -218,7 +218,7 @@ def variance_line(
         residual2: (k,), DN².
         signal: (k,), DN.
         spot: (k,), which spot each pixel belongs to, from 0 without gaps.
-        line: (2,), dark variance and gain to begin with.
+        line: (2,), dark variance and gain, the start; changed.
         usual: (2,), one over their standard uncertainties.
     """
     first0, first1 = line[0], line[1]

@@ -41,7 +41,7 @@ MIN_INFORMATION = 0.05  # share of a bite's information that the fit's own param
 PRIOR_DEPTH = 0.05  # half-widths, scale of what is expected; far deeper ones show without a prior
 P_SHARED = 0.1  # prior probability that something hides one side of an image's LEDs
 P_OCCLUDED = 0.8  # of an LED's being bitten then
-P_SINGLE = 0.02  # of an LED's being bitten, when nothing is shared
+P_SINGLE = 0.02  # of an LED's being bitten, where no side is shared
 
 
 @compiled
@@ -129,11 +129,11 @@ def score_all(
     sides: Array,
     score: tuple[Array, Array, Array],
 ) -> None:
-    """Ask the residuals of some of n fits for bites in d directions.
+    """Score bites in d directions by the residuals of some of n fits.
 
     Args:
-        numbers: (m,), of the fits asked; others belong to no fit here.
-        assessed: (m, 14), by `assess_all`: saturated and merged ones say nothing of bites.
+        numbers: (m,), of the fits to score; others belong to no fit here.
+        assessed: (m, 14), by `assess_all`: saturated and merged ones show no bites.
         parameters: (n, 10).
         information: (n, 10, 10).
         gradient: (n, 10).

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from verify.core.jit import compiled
 from verify.core.records import Array, Image
 
-MIN_PIXELS = 12  # px; the shape of so few pixels says nothing
+MIN_PIXELS = 12  # px; fewer show no shape
 OUTSIDE, INSIDE, BLOB = 0, 1, 2
 Labels = NDArray[np.uint8]
 
@@ -115,7 +115,7 @@ def read_grey(
         origin: (n, 2), px, column and row of each patch's centre pixel.
         scale: (n,), px: within, a pixel is the spot's.
         column: (n, p) or, the same for all, (1, p): px from the origin.
-        row: likewise.
+        row: of the same shape, px from the origin.
         pixels: (n, 4, p), filled: value, the nearest pixel's outside the image; 1 inside of it;
             column and row.
         contrast: (n, 3), filled: mean of the spot's pixels less the value that a third are below.

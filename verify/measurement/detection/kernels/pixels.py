@@ -5,7 +5,7 @@ A pixel at (u, w) half-widths from the centre, t² = xx u² + 2 xy u w + yy w²,
     mean mu = floor + slope . d + peak f(t),  variance = read + gain max(mu - black, 0)
 
 and after clipping at 0 or 255 the mean and variance of the clipped normal law, in closed form.
-One loop does one thing, for then the processor takes several pixels at once.
+Each loop has one statement, so that the processor takes several pixels at once.
 """
 
 import math
@@ -28,12 +28,12 @@ N_PARAMETERS = 10
 ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives
 ROW_WHITENED = N_PARAMETERS + 1
 LATE_ROWS = slice(PAR_FLOOR, PAR_STEEPNESS)  # free until the pixels are weighed
-# rows of a patch's model: what the parameters say of each pixel
+# rows of a patch's model: of each pixel, by the parameters
 ROW_MEAN, ROW_VARIANCE, ROW_SIGNAL, ROW_USED, ROW_VISIBLE = range(5)
 ROW_U, ROW_W, ROW_RADIUS2, ROW_SLOPE, ROW_CORE = range(5, 10)
 N_ROWS = 10
 NEIGHBOUR_RADIUS = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
-OUTLIER_SIGMA = 5.0  # sigma, likewise
+OUTLIER_SIGMA = 5.0  # sigma, of a pixel there
 SENSOR_LIMIT = 255.0  # DN
 QUANTISATION = 1 / 12  # DN², the least variance that whole numbers have
 CLIP_REACH = 4.5  # sigma from a limit within which clipping is computed
@@ -50,7 +50,7 @@ def clip(mean: Array, variance: Array, visible: Array, free: Array) -> None:
 
     Args:
         mean: (p,), mu, DN; of the clipped variables, afterwards.
-        variance: (p,), likewise.
+        variance: (p,), DN²; of the clipped variables, afterwards.
         visible: (p,), filled with d mean / d mu.
         free: (6, p), written over.
     """
@@ -72,7 +72,7 @@ def clip(mean: Array, variance: Array, visible: Array, free: Array) -> None:
         excess[k] = room[k] * inside[k] + density[k] * sigma[k]
     for k in range(count):
         # E[u²] less E[u]², u the clipped room. No less than rounding: a deviation there is the
-        # model's, not a miracle of the noise.
+        # model's, not the noise's.
         clipped = max(variance[k] * inside[k] + excess[k] * (room[k] - excess[k]), QUANTISATION)
         variance[k] = clipped if z[k] < CLIP_REACH else variance[k]
     for k in range(count):
