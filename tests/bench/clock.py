@@ -40,7 +40,8 @@ class PeriodicMotion:
         """Joint angles at the instants t (n,), rad, (n, 6)."""
         turn = 2 * np.pi * t[:, None] / self.period
         waves = [self.size[k] * np.sin((k + 1) * turn + self.phase[k]) for k in range(2)]
-        return HOME + waves[0] + waves[1]
+        q: Array = HOME + waves[0] + waves[1]
+        return q
 
 
 def random_motion(rng: np.random.Generator) -> PeriodicMotion:

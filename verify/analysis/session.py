@@ -31,6 +31,7 @@ from verify.analysis.measured import (
     session_clock,
     setup_of,
 )
+from verify.analysis.mistakes import refuse_other_motion
 from verify.analysis.model import (
     JointErrorModel,
     SessionComparison,
@@ -141,6 +142,7 @@ def measure_session(
         progress(len(session), len(session))
         refuse_misread(session, instrument, measured.track, readings, clock)
     refuse_radians(session, measured.track, readings, clock)
+    refuse_other_motion(session, measured.track, readings, clock)
     return measured, clock
 
 
