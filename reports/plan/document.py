@@ -71,7 +71,7 @@ KINDS = {
 CLOCKS = {
     "estimated": "found from the motion",
     "given": "given",
-    "not_observable": "the motion does not show it",
+    "none": "the motion does not show it",
 }
 REASONS = {"gauge": "gauge", "not_supported": "not supported"}
 

@@ -138,8 +138,12 @@ def _first_improvement(results: Results, open_joints: list[dict[str, Any]]) -> s
         return f"an offset of {joint_names([j.get('joint') for j in unseen])} cannot show: {freed}"
     by_reason = {
         reason: [j.get("joint") for j in open_joints if j.get("reason") == reason]
-        for reason in ("lack_of_fit", "not_detectable", "uncertainty_too_large")
-    }
+        for reason in (
+            "clock_ambiguous", "lack_of_fit", "not_detectable", "uncertainty_too_large",
+        )
+    }  # fmt: skip
+    if by_reason["clock_ambiguous"]:
+        return "first give the clock offset, or record the readings' arrival times"
     if by_reason["lack_of_fit"]:
         return (
             f"the errors of {joint_names(by_reason['lack_of_fit'])} follow no known curve: "

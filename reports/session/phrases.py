@@ -15,6 +15,7 @@ REASONS = {
     "within_tolerance": "within tolerance at every pose",
     "exceeds_tolerance": "exceeds the tolerance",
     "uncertainty_too_large": "uncertainty too large for this tolerance",
+    "clock_ambiguous": "depends on which of several clock offsets is right",
     "not_detectable": "an error of the tolerance's size could go unnoticed",
     "lack_of_fit": "errors follow no known curve",
     "not_observable": "could not be seen in this session",
@@ -40,6 +41,9 @@ CHOICES = {
 
 CLOCK_SOURCES = {
     "estimated": "estimated from the motion",
+    "ambiguous": "one of several that the motion allows",
+    "arrival": "from the readings' arrival times",
+    "none": "not shown by the motion",
     "given": "given with the session",
     "session": "given with the session",
     "stated": "given with the session",

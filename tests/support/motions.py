@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from tests.support.scene import make_marker, make_rig
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import Comparison, compare
 from verify.analysis.model import JointErrorModel, build_model
 from verify.core.readings import Readings

@@ -8,7 +8,7 @@ import numpy as np
 
 import robots
 from tests.support.scene import facing, make_marker, make_rig, sight
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.model import SessionComparison
 from verify.analysis.uncertainty.monte_carlo import MonteCarlo, monte_carlo

@@ -20,7 +20,7 @@ from tests.support.boards.calibrated import squared_distance
 from tests.support.noisy_poses import measured_at_spots
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.joint_errors import JointErrors, mean_errors, resolve_errors
 from verify.analysis.model import build_model, clock_effect

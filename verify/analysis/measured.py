@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 import robots
-from verify.analysis.clock import ClockEstimate, estimate_clock
+from verify.analysis.clock.arrivals import clock_from_arrival_times
+from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
 from verify.analysis.instrument import (
     MeasuredSession,
     measure_poses,
@@ -29,6 +30,7 @@ from verify.measurement.systematics import sensitivities, stated_systematics
 from verify.measurement.track import Track, collect_track
 
 WIDTH, HEIGHT = 720, 450  # px of one picture in the report
+TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # a second
 MARGIN = 0.35  # of the LEDs' extent, left around them
 MIN_SIDE = 160  # px of the original: less shows nothing but squares
 PNG_FLAGS = (
@@ -187,10 +189,34 @@ def measurement_refusal(session: Session, seen: MeasuredSession) -> InputError:
 
 
 def session_clock(session: Session, track: Track, readings: Readings) -> ClockEstimate:
-    """Take the clock that session.toml gives, or find it from the motion."""
-    if session.clock is None:
-        return estimate_clock(track, session.arm, readings)
-    given = session.clock
-    return ClockEstimate(
-        given.encoder_offset, given.standard_uncertainty, "given", np.zeros((0, 2))
+    """Take the clock that session.toml gives, or find it from arrival times and the motion.
+
+    Raises:
+        InputError: the motion does not show an offset, and no pair has a reading without one.
+    """
+    if session.clock is not None:
+        given = session.clock
+        return ClockEstimate(
+            given.encoder_offset, given.standard_uncertainty, "given", np.zeros((0, 2))
+        )
+    t_host = session.encoders.t_host
+    arrival = None if t_host is None else clock_from_arrival_times(session.encoders.t, t_host)
+    clock = estimate_clock(track, session.arm, readings, arrival)
+    if clock.source == "none" and not readings.known(track.t - clock.offset).any():
+        raise _apart_refusal(session, track, readings)
+    return clock
+
+
+def _apart_refusal(session: Session, track: Track, readings: Readings) -> InputError:
+    """Say that the readings' times are not those of the pairs, and which unit would be."""
+    span = f"{readings.t[0]:g} s to {readings.t[-1]:g} s"
+    length, pairs = float(np.ptp(readings.t)), float(np.ptp(track.t))
+    unit = next((u for u, size in TIME_UNITS.items() if 0.5 < length / size / pairs < 2), None)
+    return InputError(
+        session.folder / "encoders.csv",
+        f"t_s runs from {span} and fits the pairs ({track.t[0]:g} s to {track.t[-1]:g} s) nowhere",
+        "readings must cover the pairs, once [clock] encoder_offset_s is added",
+        f"The times look like {unit}: divide them by {TIME_UNITS[unit]:.0f}."
+        if unit
+        else "State [clock] encoder_offset_s, or record t_host_s.",
     )

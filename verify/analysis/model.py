@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robots.transforms import cross_matrix
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import Comparison, JointComparison
 from verify.analysis.least_squares import Whitener, residual_products, whiten
 from verify.core.fiducials import Marker
@@ -98,8 +98,8 @@ def build_model(
     """Lay a comparison out as a whitened linear model."""
     white = whiten(comparison)
     jacobian, flange = comparison.jacobian, comparison.base_T_jacobian
-    latency = clock_effect(comparison, steady=clock.source == "not_observable")
-    open_clock = clock.source != "given" and bool(latency.any())
+    latency = clock_effect(comparison, steady=clock.source == "none")
+    open_clock = clock.source not in ("given", "arrival") and bool(latency.any())
     clock_columns = latency if open_clock else latency[:, :, :0]
     held = prior_columns(comparison, track, clock, systematics)
     base, body = rig.base_source == "motion", marker.source == "motion"
@@ -126,7 +126,7 @@ def build_model(
         prior=white.rows(held),
         prior_columns=held,
         through_encoders=base or body,
-        clock_open=clock.source == "not_observable" and open_clock,
+        clock_open=clock.source == "none" and open_clock,
         stands_in=(base or body) and rig.absorption is None,
     )
 

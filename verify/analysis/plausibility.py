@@ -10,8 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.analysis.clock import ClockEstimate, estimate_clock
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.instrument import measure_poses, stated_noise
+from verify.analysis.measured import session_clock
 from verify.core.readings import Readings
 from verify.errors import InputError
 from verify.io.poses import Poses
@@ -40,9 +41,7 @@ def refuse_radians(
     if _poses_agree(session.arm, track, readings, clock.offset):
         return
     radians = Readings(readings.t, as_written)
-    offset = clock.offset
-    if session.clock is None:
-        offset = estimate_clock(track, session.arm, radians).offset
+    offset = session_clock(session, track, radians).offset
     if _poses_agree(session.arm, track, radians, offset):
         raise InputError(
             session.folder / "encoders.csv",
@@ -77,9 +76,7 @@ def refuse_misread(
     for poses, found, expected, remedy in _usual_mistakes(instrument.poses):
         other = replace(instrument, poses=poses)
         tried = measure_poses(session, other, readings, stated_noise(other)).track
-        offset = clock.offset
-        if session.clock is None:
-            offset = estimate_clock(tried, session.arm, readings).offset
+        offset = session_clock(session, tried, readings).offset
         if _poses_agree(session.arm, tried, readings, offset, places_alone=places_alone):
             raise InputError(session.left.path, found, expected, remedy)
 

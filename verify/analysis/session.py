@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from reports import Results
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
     Comparison,
@@ -31,6 +31,7 @@ from verify.analysis.measured import (
     session_clock,
     setup_of,
 )
+from verify.analysis.mistakes import refuse_other_motion
 from verify.analysis.model import (
     JointErrorModel,
     SessionComparison,
@@ -66,6 +67,7 @@ from verify.measurement.track import Track
 __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
+MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an analysis
 NO_TOLERANCE = Tolerance(None, None, None)
 
 
@@ -97,8 +99,22 @@ def analyse(
     readings = Readings(session.encoders.t, session.encoders.q)
     measured, clock = measure_session(session, readings, progress, chain or measure)
     compared, unreachable = compare_session(session, measured, readings, clock)
-    found = _estimate(compared, measured, tolerance or NO_TOLERANCE, unreachable)
-    return _results(found, measured)
+    tolerance = tolerance or NO_TOLERANCE
+    found = _estimate(compared, measured, tolerance, unreachable)
+    others = [
+        _estimate(at_other, measured, tolerance, unreached)
+        for at_other, unreached in (
+            compare_session(session, measured, readings, replace(clock, offset=offset))
+            for offset in _spread_rivals(clock.rivals)
+        )
+    ]
+    return _results(replace(found, by_clock=tuple(others)), measured)
+
+
+def _spread_rivals(rivals: tuple[float, ...]) -> list[float]:
+    """A few of the offsets that fit as well, the farthest ones among them."""
+    chosen = np.linspace(0, len(rivals) - 1, min(len(rivals), MAX_RIVALS_JUDGED)).astype(int)
+    return [rivals[i] for i in chosen]
 
 
 def measure_session(
@@ -126,6 +142,7 @@ def measure_session(
         progress(len(session), len(session))
         refuse_misread(session, instrument, measured.track, readings, clock)
     refuse_radians(session, measured.track, readings, clock)
+    refuse_other_motion(session, measured.track, readings, clock)
     return measured, clock
 
 

@@ -1,6 +1,7 @@
 """Conform, nonconform or undecided: docs/results.md's rule with guard bands."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,6 +92,14 @@ def _within(error: Array, u: Array, tolerance: float) -> Array:
     safe = np.where(u > 0, u, 1e-300)
     inside: Array = norm_cdf((tolerance - error) / safe) - norm_cdf((-tolerance - error) / safe)
     return inside
+
+
+def agreed_verdict(verdicts: Sequence[Verdict]) -> Verdict:
+    """The first of several verdicts on one quantity; undecided where another one differs."""
+    first = verdicts[0]
+    if all(v.verdict == first.verdict for v in verdicts):
+        return first
+    return replace(first, verdict="undecided", reason="clock_ambiguous")
 
 
 def overall_verdict(verdicts: list[str | None]) -> str | None:

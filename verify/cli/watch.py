@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.warm_up import warm_up_comparison
 from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal

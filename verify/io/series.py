@@ -47,6 +47,7 @@ class EncoderSeries:
 
     t: Array  # (m,), s, controller's clock, strictly increasing
     q: Array  # (m, dof), rad
+    t_host: Array | None = None  # (m,), s, cameras' clock, when each reading arrived
 
     def __len__(self) -> int:
         """Count the readings."""
@@ -107,10 +108,11 @@ def read_encoders(
         found = f"has {len(present)} joint columns, {present[0]} to {present[-1]}"
         remedy = "Export every joint, or name the right robot in session.toml."
         raise InputError(f"{path}, line 1", found, f"the robot has {joints} joints", remedy)
-    columns = table.columns(("t_s", *wanted))
+    arrivals = ("t_host_s",) if "t_host_s" in table.header else ()
+    columns = table.columns(("t_s", *wanted, *arrivals))
     table.require_rising("t_s", columns["t_s"])
     q = np.deg2rad(np.stack([columns[name] for name in wanted], axis=-1))
-    return EncoderSeries(columns["t_s"], q), warnings
+    return EncoderSeries(columns["t_s"], q, columns.get("t_host_s")), warnings
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 import robots
-from verify.analysis.clock import ClockEstimate, estimate_clock
+from verify.analysis.clock.arrivals import ArrivalClock
+from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement
 from verify.core.rig import Rig
@@ -146,10 +147,9 @@ MIN_SPAN = 3.0  # s, below which a motion shows little
 READING_MARGIN = 6.0  # s of readings on either side: half a window of offsets is searched
 MAX_CAMERA_DELAY = 0.5  # s by which pictures may be stamped late; no reading is older
 MAX_DELIVERY_DELAY = 5.0  # s: no line, and no program that writes in lumps, is always later
-MAX_OFFSET_DIFFERENCE = 0.05  # s: of several offsets of a periodic motion, one near the known one
 ESTIMATE_TIMEOUT = 20.0  # s for an estimate; a machine that is so busy gets none
 
-ClockRequest = tuple[Track, robots.Arm, Readings]
+ClockRequest = tuple[Track, robots.Arm, Readings, ArrivalClock]
 Estimator = Callable[[ClockRequest], ClockEstimate]
 
 
@@ -237,10 +237,11 @@ class ClockKeeper:
         if readings is None or len(readings.t) < MIN_PAIRS // 4:
             return False
         track = collect_track(window, self._rig, [np.zeros((6, 1))] * len(window))
-        found = self._estimator((track, self._arm, readings))
         middle = (window[0].t + window[-1].t) / 2
+        known = ArrivalClock(clock.offset, clock.standard_uncertainty or 0.0)
+        found = self._estimator((track, self._arm, readings, known))
         with self._lock:
-            if segment == self._segment and self._believable(found, middle):
+            if segment == self._segment and self._believable(found):
                 self._line.add(middle, found, WINDOW / ESTIMATE_PERIOD)
                 self._version += 1
         return True
@@ -254,20 +255,12 @@ class ClockKeeper:
             except Exception as error:  # an alarm must not end with the clock's estimate
                 self.trouble = f"the clock could not be estimated: {error}"
 
-    def _believable(self, found: ClockEstimate, t: float) -> bool:
-        """Refuse an offset by which readings came before they were taken, or a rival's."""
+    def _believable(self, found: ClockEstimate) -> bool:
+        """Refuse an offset that is not the only one, or by which no line delivers."""
         delay = self._book.least_delay()
-        if (
-            delay is None
-            or not delay - MAX_DELIVERY_DELAY < found.offset < delay + MAX_CAMERA_DELAY
-        ):
+        if delay is None or found.source != "estimated":
             return False
-        if not found.rivals:
-            return True
-        known = self._line.at(t)[0] if len(self._line) else delay
-        return abs(found.offset - known) < (
-            MAX_OFFSET_DIFFERENCE if len(self._line) else MAX_CAMERA_DELAY
-        )
+        return delay - MAX_DELIVERY_DELAY < found.offset < delay + MAX_CAMERA_DELAY
 
     def _follow_segment(self) -> None:
         """Begin anew when the controller's clock did."""

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.analysis.clock import ClockEstimate, estimate_clock
+from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
 from verify.analysis.comparison import Comparison, compare, solve_joints
 from verify.analysis.joint_errors import JointErrors, MeanErrors, mean_errors, resolve_errors
 from verify.analysis.model import (
@@ -87,7 +87,7 @@ def simulate_clock(
         sizes.append(found.standard_uncertainty or np.inf)
     typical = float(np.median(sizes))
     if not np.isfinite(typical):
-        return replace(perfect, offset=0.0, standard_uncertainty=None, source="not_observable")
+        return replace(perfect, offset=0.0, standard_uncertainty=None, source="none")
     return replace(perfect, standard_uncertainty=typical)
 
 

@@ -16,7 +16,7 @@ from robots.transforms import invert
 from tests.support.noisy_poses import measured_at_spots
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes
 from verify.analysis.joint_errors import resolve_errors

@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.support.motions import ARM, HOME, PERIOD, make_track, read
 from tests.support.scene import make_marker, make_rig
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare
 from verify.analysis.joint_errors import resolve_errors
 from verify.analysis.model import build_model, visibility

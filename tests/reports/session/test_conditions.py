@@ -61,7 +61,7 @@ def _results(changes: dict[int, dict[str, Any]], **more: Any) -> Results:
 
 
 MOTION = {"rig": {"base_source": "motion"}, "marker": {"source": "motion"}}
-BLIND = {"encoder_offset_s": None, "source": "not_observable", "observable": False}
+BLIND = {"encoder_offset_s": None, "source": "none", "observable": False}
 CASES: dict[str, tuple[Results, str, str, str]] = {
     "base and LEDs": (
         _results({1: UNSEEN, 6: UNSEEN}, setup=MOTION),

@@ -20,7 +20,7 @@ from robots.transforms import difference, invert
 from tests.support.motions import track_of
 from tests.support.published import series, write_session
 from tests.support.recorded import require_shared
-from verify.analysis.clock import estimate_clock
+from verify.analysis.clock.estimate import estimate_clock
 from verify.analysis.session import analyse
 from verify.calibration.handeye import solve_hand_eye
 from verify.calibration.kinematics.chain import chain_of

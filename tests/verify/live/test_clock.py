@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.spot_level import OFFSET, SpotRun, facing_rig
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.devices.protocols import EncoderReading
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.buffers import ReadingBuffer
@@ -37,7 +37,7 @@ def test_the_claimed_uncertainty_grows_with_the_time_since_the_last_estimate() -
 
 def test_an_offset_that_the_motion_does_not_show_changes_nothing() -> None:
     line = ClockLine()
-    line.add(10.0, ClockEstimate(0.0, None, "not_observable", np.zeros((0, 2))), 1.0)
+    line.add(10.0, ClockEstimate(0.0, None, "none", np.zeros((0, 2))), 1.0)
     assert len(line) == 0
     with pytest.raises(ValueError, match="no offset"):
         line.at(10.0)

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import scipy
 
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.combinations import Combination
 from verify.analysis.diagnosis.diagnose import Diagnosis
 from verify.analysis.joint_errors import JointErrors, MeanErrors, ResolvedErrors
@@ -33,6 +33,7 @@ from verify.analysis.verdict import (
     P_FALSE_ALARM,
     RULE,
     Verdict,
+    agreed_verdict,
     judge_joint,
     judge_norm,
     overall_verdict,
@@ -66,6 +67,7 @@ class SessionAnalysis:
     diagnosis: Diagnosis
     flange: tuple[Array, Array]  # (6,) mean error twist and (6, 6) its covariance
     warnings: list[str]
+    by_clock: "tuple[SessionAnalysis, ...]" = ()  # the same at other offsets that fit as well
 
     @property
     def frame(self) -> Array:
@@ -89,8 +91,9 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
     session = judged.compared.session
     counts = Counter(judged.status)
     measured = counts.pop("measured", 0)
-    per_joint = [_verdict(judged, j) for j in range(session.arm.dof)]
-    position, orientation = _flange_verdicts(judged)
+    *per_joint, position, orientation = map(
+        agreed_verdict, zip(*map(_verdicts, (judged, *judged.by_clock)), strict=True)
+    )
     verdicts = [*(v.verdict for v in per_joint), position.verdict, orientation.verdict]
     return {
         "format": 1,
@@ -177,19 +180,25 @@ def _software() -> dict[str, str]:
 
 
 def _clock(clock: ClockEstimate) -> dict[str, Any]:
-    seen = clock.source != "not_observable"
     return {
-        "encoder_offset_s": finite_number(clock.offset) if seen else None,
+        "encoder_offset_s": finite_number(clock.offset),
         "standard_uncertainty_s": finite_number(clock.standard_uncertainty),
         "source": clock.source,
-        "observable": seen,
+        "observable": clock.source != "none",
+        "alternatives_s": list(clock.rivals),
     }
 
 
-def _verdict(judged: SessionAnalysis, j: int) -> Verdict:
+def _verdicts(judged: SessionAnalysis) -> list[Verdict]:
+    """The verdict of each joint, of the position and of the orientation."""
+    detectable = judged.visibility.detectable
     given = judged.tolerance.joints
-    tolerance = None if given is None else float(given[j])
-    return judge_joint(judged.resolved, j, tolerance, float(judged.visibility.detectable[j]))
+    tolerance = [None] * len(detectable) if given is None else given.tolist()
+    joints = [
+        judge_joint(judged.resolved, j, tolerance[j], float(detectable[j]))
+        for j in range(len(detectable))
+    ]
+    return [*joints, *_flange_verdicts(judged)]
 
 
 def _joint(judged: SessionAnalysis, j: int, verdict: Verdict) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.rig_check.check import consistency, moved_warning
 from verify.core.records import Measurement
@@ -116,10 +116,11 @@ def _clock_warnings(clock: ClockEstimate) -> Iterator[str]:
     if clock.rivals:
         others = ", ".join(f"{o:+.3f}" for o in clock.rivals[:MAX_RIVALS_NAMED])
         yield (
-            "The motion repeats itself: the readings' clock could as well be off by "
-            f"{others} s. State [clock] encoder_offset_s, or add a movement that does not repeat."
+            f"The motion fits at {len(clock.rivals)} other offsets of the readings' clock as well: "
+            f"{others} s. No verdict rests on which; state [clock] encoder_offset_s, record "
+            "t_host_s, or add a movement that does not repeat."
         )
-    if clock.source == "not_observable":
+    if clock.source == "none":
         yield (
             "The motion (at rest or at constant speed) does not show the clock offset: readings "
             f"are taken {clock.offset:g} s later than stamped."

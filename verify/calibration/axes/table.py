@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 
 import robots
 from robots.transforms import difference, invert
-from verify.analysis.clock import estimate_clock
+from verify.analysis.clock.estimate import estimate_clock
 from verify.analysis.sweeps.segments import MAX_REST_TRAVEL, SweepSegment, find_sweeps
 from verify.calibration.axes.joint import (
     AxisLine,

@@ -118,7 +118,7 @@ def session_to_poses(session: Session, progress: Progress) -> SessionPoses:
     count = len(systematics.names)
     own = held[:, :, count:]
     if clock.source != "given":
-        drift = clock_effect(compared, steady=clock.source == "not_observable")
+        drift = clock_effect(compared, steady=clock.source == "none")
         own = np.concatenate([own, drift * CLOCK_PRIOR_SIGMA], axis=2)
     frame = track.frame[compared.index].astype(np.int64)
     return SessionPoses(session, compared, frame, held[:, :, :count], own, systematics.uncounted)

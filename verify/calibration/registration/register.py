@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
-from verify.analysis.clock import MAX_UNCERTAINTY, MIN_SIGNAL_TO_NOISE
+from verify.analysis.clock.estimate import MAX_UNCERTAINTY, MIN_SIGNAL_TO_NOISE
 from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
 from verify.calibration.registration.body_poses import BodyPose, body_poses
 from verify.calibration.registration.led_tracks import (

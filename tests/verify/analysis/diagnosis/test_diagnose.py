@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 import robots
 from tests.support.motions import ARM, HOME, PERIOD, make_track
 from tests.support.scene import make_marker, make_rig
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare
 from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable

@@ -15,7 +15,7 @@ from scipy.stats import chi2, kstest
 import robots
 from tests.support.motions import ARM, ESTIMATED, GIVEN, HOME, make_track, model_of, swinging
 from tests.support.scene import make_marker, make_rig
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import ReadingUncertainty, compare, solve_joints
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.sweeps.axis import SweepData, fit_axis, fit_circles

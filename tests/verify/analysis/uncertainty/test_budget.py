@@ -19,7 +19,7 @@ from tests.support.command import sample_results
 from tests.support.motions import ARM, make_track, read, swinging
 from tests.support.scene import make_marker, make_rig
 from verify import analyse, open_session
-from verify.analysis.clock import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import (
     Comparison,
     JointComparison,
@@ -47,7 +47,7 @@ PAIRS = np.arange(1.0, 6.0, 1 / 10)
 LOG = np.arange(0.0, 8.0, 0.02)
 GIVEN = ClockEstimate(0.0, 5e-4, "given", np.zeros((0, 2)))
 ESTIMATED = replace(GIVEN, source="estimated")
-OPEN = ClockEstimate(0.0, None, "not_observable", np.zeros((0, 2)))
+OPEN = ClockEstimate(0.0, None, "none", np.zeros((0, 2)))
 NAMES = ("left.cx_px", "left.fx_px", "robot_base.x_mm", "robot_base.rz_deg", "body.z_mm")
 SOURCES = ("rig", "rig", "robot base", "robot base", "LED body")
 SIGMA = np.array([0.1, 0.2, 5e-5, 1e-4, 3e-5])  # SI

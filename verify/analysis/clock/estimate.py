@@ -1,0 +1,249 @@
+"""The offset between the controller's clock and the cameras', from arrivals and the motion itself.
+
+The search (verify.analysis.clock.search) gives offsets that could be; each is refined by the poses,
+together with a constant error of every joint, so that an encoder's offset does not pass for a
+clock's. The refined ones are then compared, two at a time, by
+
+    evidence(a, b) = sign(z) z² + penalty(b) - penalty(a)
+
+z is the sum over pairs of b's squared residual less a's, over its own noise. Residuals are whitened
+differences over some tenths of a second: a joint whose reading jumps then counts where it jumps and
+nowhere else. The penalty holds the pairs that an offset leaves without a reading, and the distance
+from what arrival times say. Where another offset is not beaten clearly, the clock is ambiguous.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robots
+from verify.analysis.clock.arrivals import ArrivalClock
+from verify.analysis.clock.search import COARSE_STEP, MOTION_LAG, coarse_costs, dips
+from verify.analysis.comparison import Comparison, compare
+from verify.analysis.least_squares import autocorrelation, whiten
+from verify.core.readings import Readings
+from verify.core.records import Array
+from verify.measurement.track import Track, subset
+
+MAX_DIPS = 60  # that are refined, the likeliest ones
+MAX_PAIRS_COMPARED = 300  # of each candidate; more only cost time
+MIN_OVERLAP_AT_ZERO = 0.2  # of the pairs: with fewer the readings' clock is another one
+MAX_ARRIVAL_PENALTY = 100.0  # a line that is always late is believed less than a clear motion
+MIN_DISTANCE = 5 * COARSE_STEP  # s: candidates nearer than this are one
+MIN_EVIDENCE = 16.0  # four standard deviations: less leaves the clock ambiguous
+MAX_SQUARED_DIFFERENCE = 100.0  # of a pair's residual: a joint that jumps has one vote
+JUMP_WINDOW = 3 * MOTION_LAG  # s: pairs that one jump of a joint can reach have no vote
+LOST_SHARE = 0.005  # of the pairs without a reading: a penalty of 1
+MAX_ITERATIONS = 30
+TOL_OFFSET = 1e-7  # s
+MAX_STEP = 0.1  # s: readings are not linear over longer times
+# An offset that the motion shows no better than this is no offset: the arm moves 0.3° at 30°/s.
+MAX_UNCERTAINTY = 0.01  # s
+# of the clock's effect must be left after joint offsets are fitted; less is rounding and noise
+MIN_VISIBLE_SHARE = 0.02
+# the same from the readings' noise alone, at rest, is 1 with a spread of a few percent
+MIN_SIGNAL_TO_NOISE = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class ClockEstimate:
+    """What to add to the readings' time, and how well it is known."""
+
+    offset: float  # s; 0 where the motion does not show it
+    standard_uncertainty: float | None  # s; None: taken as exact, or not known
+    source: str  # given, estimated, ambiguous, arrival, none
+    curve: Array  # (m, 2): offset s, cost a pair
+    rivals: tuple[float, ...] = ()  # s, other offsets that fit as well
+
+
+def estimate_clock(
+    track: Track, arm: robots.Arm, readings: Readings, arrival: ArrivalClock | None = None
+) -> ClockEstimate:
+    """Find the offset from the motion, and from arrival times where there are any.
+
+    Returns:
+        The offset with its standard uncertainty; `ambiguous` where others fit as well (a periodic
+        motion); `arrival` or `none` where the motion (at rest, or at constant speed)
+        does not show it.
+    """
+    curve = coarse_costs(track, arm, readings, None if arrival is None else arrival.offset)
+    open_clock = _unshown_offset(track, readings, curve, arrival)
+    if not len(curve):
+        return open_clock
+    sample = subset(track, _spread(len(track), MAX_PAIRS_COMPARED))
+    likely = sorted(dips(curve), key=lambda o: _penalty(track.t, readings, o, arrival))[:MAX_DIPS]
+    refined = [_refine(sample, arm, readings, o) for o in likely]
+    starts = _merge([fit[0] for fit in refined if fit is not None])
+    if not starts:
+        return open_clock
+    candidates = [_candidate(track, arm, readings, o, arrival) for o in starts]
+    best, rivals = _choose(candidates)
+    fine = _refine(track, arm, readings, best)
+    if fine is None or fine[1] > MAX_UNCERTAINTY:
+        return open_clock
+    return ClockEstimate(*fine, "ambiguous" if rivals else "estimated", curve, rivals)
+
+
+def _unshown_offset(
+    track: Track, readings: Readings, curve: Array, arrival: ArrivalClock | None
+) -> ClockEstimate:
+    """The offset to take where the motion does not show one."""
+    if arrival is not None:
+        return ClockEstimate(arrival.offset, arrival.standard_uncertainty, "arrival", curve)
+    at_zero = readings.known(track.t).mean() >= MIN_OVERLAP_AT_ZERO
+    offset = 0.0 if at_zero or not len(curve) else float(curve[np.argmin(curve[:, 1]), 0])
+    return ClockEstimate(offset, None, "none", curve)
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    offset: float  # s
+    penalty: float
+    t: Array  # (n,), s, of the pairs
+    square: Array  # (n,), of the whitened differences at each pair; nan without a reading
+
+
+def _candidate(
+    track: Track, arm: robots.Arm, readings: Readings, offset: float, arrival: ArrivalClock | None
+) -> _Candidate:
+    """A refined offset, with what speaks for it."""
+    penalty = _penalty(track.t, readings, offset, arrival)
+    early, later = _difference_ends(track)
+    square = np.full(len(track), np.nan)
+    chosen = np.union1d(early, later)
+    comparison = compare(subset(track, chosen), arm, readings, offset)
+    place = np.full(len(track), -1)
+    place[chosen[comparison.index]] = np.arange(len(comparison))
+    both = (place[early] >= 0) & (place[later] >= 0)
+    if both.any():
+        square[early[both]] = _pair_squares(comparison, place[early[both]], place[later[both]])
+    return _Candidate(offset, penalty, track.t, square)
+
+
+def _penalty(t: Array, readings: Readings, offset: float, arrival: ArrivalClock | None) -> float:
+    """What speaks against an offset beside the motion: pairs (at t) lost, late arrivals."""
+    penalty = (1.0 - float(readings.known(t - offset).mean())) / LOST_SHARE
+    if arrival is not None:
+        distance = (offset - arrival.offset) / arrival.reach
+        penalty += min(distance**2, MAX_ARRIVAL_PENALTY)
+    return penalty
+
+
+def _difference_ends(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs whose residuals are compared, and those some tenths of a second later."""
+    lag = max(round(MOTION_LAG / float(np.median(np.diff(track.t)))), 1)
+    early = _spread(len(track) - lag, MAX_PAIRS_COMPARED)
+    return early, early + lag
+
+
+def _pair_squares(
+    comparison: Comparison, early: NDArray[np.int64], later: NDArray[np.int64]
+) -> Array:
+    """Squared misfit of two pairs (n,) beside constant joint errors of their own, a row of it."""
+    white = whiten(comparison)
+    dof = comparison.jacobian.shape[2]
+    rows = np.zeros((len(comparison), 6, dof + 1))
+    for i, factor in enumerate(white.factors):
+        rows[i, : len(factor), :dof] = factor @ comparison.jacobian[i]
+        rows[i, : len(factor), dof] = factor @ comparison.xi[i]
+    both = np.concatenate([rows[early], rows[later]], axis=1)
+    # the last diagonal entry of R is what the other columns leave of the last one
+    triangle = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64)
+    rows_left = max(2 * int(np.median([len(f) for f in white.factors])) - dof, 1)
+    square: Array = triangle[:, dof, dof] ** 2 / rows_left
+    return square
+
+
+def _choose(candidates: list[_Candidate]) -> tuple[float, tuple[float, ...]]:
+    """The candidate that no other beats, and those that it does not beat clearly."""
+    best = candidates[0]
+    for other in candidates[1:]:
+        if _evidence(best, other) < 0:
+            best = other
+    near = [c for c in candidates if c is not best and _evidence(best, c) < MIN_EVIDENCE]
+    return best.offset, tuple(c.offset for c in near)
+
+
+def _evidence(one: _Candidate, other: _Candidate) -> float:
+    """How clearly one offset fits better than another, as a squared number of sigmas."""
+    both = ~np.isnan(one.square) & ~np.isnan(other.square)
+    motion = 0.0
+    if np.count_nonzero(both) > 2:
+        scale = max(float(np.median(np.minimum(one.square[both], other.square[both]))), 1.0)
+        excess = np.minimum(other.square[both] / scale, MAX_SQUARED_DIFFERENCE)
+        excess = excess - np.minimum(one.square[both] / scale, MAX_SQUARED_DIFFERENCE)
+        spread = 1.4826 * float(np.median(np.abs(excess - np.median(excess))))
+        factor = float(autocorrelation(excess[:, None]).max())
+        noise = max(spread, 1.0) * np.sqrt(len(excess) * factor)
+        total = float(excess.sum()) - _largest_windows(one.t[both], excess)
+        z = total / noise
+        motion = float(np.sign(z)) * z**2
+    return motion + other.penalty - one.penalty
+
+
+def _largest_windows(t: Array, excess: Array) -> float:
+    """The largest sum of either sign within JUMP_WINDOW, both together: a joint that jumps."""
+    sums = np.concatenate([[0.0], np.cumsum(excess)])
+    within = sums[np.searchsorted(t, t + JUMP_WINDOW, side="right")] - sums[:-1]
+    return max(float(within.max()), 0.0) + min(float(within.min()), 0.0)
+
+
+def _merge(offsets: list[float]) -> list[float]:
+    """Offsets in order, those nearer than MIN_DISTANCE taken as one."""
+    apart: list[float] = []
+    for offset in sorted(offsets):
+        if not apart or offset - apart[-1] > MIN_DISTANCE:
+            apart.append(offset)
+    return apart
+
+
+def _spread(count: int, most: int) -> NDArray[np.int64]:
+    """At most so many of `count` places, evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+
+
+def _refine(
+    track: Track, arm: robots.Arm, readings: Readings, offset: float
+) -> tuple[float, float] | None:
+    """Newton on the offset with a constant error of every joint fitted beside it."""
+    for _ in range(MAX_ITERATIONS):
+        comparison = compare(track, arm, readings, offset)
+        if len(comparison) < 3:
+            return None
+        solved = _step(comparison)
+        if solved is None:
+            return None
+        step, uncertainty = solved
+        offset += float(np.clip(step, -MAX_STEP, MAX_STEP))
+        if abs(step) < TOL_OFFSET:
+            break
+    return offset, uncertainty
+
+
+def _basis(columns: Array) -> Array:
+    """An orthonormal basis of what the columns (r, c) span, (r, rank)."""
+    left, size, _ = np.linalg.svd(columns, full_matrices=False)
+    basis: Array = left[:, size > 1e-9 * size[0]]
+    return basis
+
+
+def _step(comparison: Comparison) -> tuple[float, float] | None:
+    """Correction of the offset and its standard uncertainty, or None where nothing shows it."""
+    # a later clock reads the joints where they were earlier: d xi / d offset = - J rate
+    effect = -np.einsum("nij,nj->ni", comparison.jacobian, comparison.rate)[:, :, None]
+    white = whiten(comparison)
+    rows, joints = white.rows(effect)[:, 0], white.rows(comparison.jacobian)
+    xi = white.rows(comparison.xi[:, :, None])[:, 0]
+    basis = _basis(joints)
+    left = rows - basis @ (basis.T @ rows)
+    size = float(np.linalg.norm(left))
+    by_noise = float(np.sum(joints**2, axis=0) @ comparison.rate_variance)
+    if size**2 <= MIN_SIGNAL_TO_NOISE * by_noise or size < MIN_VISIBLE_SHARE * np.linalg.norm(rows):
+        return None
+    step = -float(left @ xi) / size**2
+    residual = xi - basis @ (basis.T @ xi) + left * step
+    degrees = max(len(xi) - basis.shape[1] - 1, 1)
+    misfit = max(float(residual @ residual) / degrees, 1.0)  # what offsets alone do not explain
+    factor = float(autocorrelation(white.by_pair(residual)).max())
+    return step, float(np.sqrt(misfit * factor)) / size
