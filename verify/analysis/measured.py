@@ -202,7 +202,7 @@ def session_clock(session: Session, track: Track, readings: Readings) -> ClockEs
     t_host = session.encoders.t_host
     arrival = None if t_host is None else clock_from_arrival_times(session.encoders.t, t_host)
     clock = estimate_clock(track, session.arm, readings, arrival)
-    if clock.source == "none" and not readings.known(track.t - clock.offset).any():
+    if clock.source == "none" and not readings.available(track.t - clock.offset).any():
         raise _apart_refusal(session, track, readings)
     return clock
 

@@ -84,7 +84,7 @@ def refuse_other_motion(
 
 def _typical_errors(arm: robots.Arm, track: Track, readings: Readings, offset: float) -> Array:
     """Median over pairs of each joint's |reading less measured angle|, (j,), rad; inf: unknown."""
-    known = np.flatnonzero(readings.known(track.t - offset))
+    known = np.flatnonzero(readings.available(track.t - offset))
     few = known[np.unique(np.linspace(0, len(known) - 1, min(len(known), MAX_PAIRS)).astype(int))]
     unknown = np.full(arm.dof, np.inf)
     if len(known) < 3:
@@ -178,8 +178,7 @@ def _inverse_of_scaled(rig_T_base: Array, factor: float) -> Array:
     """The inverse of a base whose position is multiplied by a factor."""
     scaled = rig_T_base.copy()
     scaled[:3, 3] *= factor
-    inverse = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
-    return inverse
+    return np.asarray(np.linalg.inv(scaled), dtype=np.float64)
 
 
 def _refusal(

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 from pyarrow import csv as arrow_csv
+from scipy import ndimage
 
 from verify.core.records import Array
 from verify.errors import InputError, one_line
@@ -19,6 +21,10 @@ from verify.io.files import read_bytes
 from verify.io.toml import did_you_mean
 
 _JOINT = re.compile(r"q[1-9]\d*_deg")
+SPIKE_WINDOW = 5  # readings: up to two in a row stand out from the median of so many
+MAX_SPEED = 20.0  # rad/s; wrists of small arms turn at up to 13
+MIN_SPIKE = np.deg2rad(2.0)
+MAX_NAMED = 5  # spikes
 _REMEDY = "Delete the row or export again."
 
 
@@ -96,7 +102,7 @@ def read_encoders(
         torn: the recording was cut off, so the last line may be half a line; it is left out.
 
     Returns:
-        The readings, and a warning where a half line was left out.
+        The readings, and a warning where a half line or a spike was left out.
 
     Raises:
         InputError: names the file, the line and the column.
@@ -112,7 +118,33 @@ def read_encoders(
     columns = table.columns(("t_s", *wanted, *arrivals))
     table.require_rising("t_s", columns["t_s"])
     q = np.deg2rad(np.stack([columns[name] for name in wanted], axis=-1))
-    return EncoderSeries(columns["t_s"], q, columns.get("t_host_s")), warnings
+    spike = _spikes(columns["t_s"], q)
+    kept = ~spike.any(axis=1)
+    t_host = columns.get("t_host_s")
+    series = EncoderSeries(columns["t_s"][kept], q[kept], None if t_host is None else t_host[kept])
+    return series, (*warnings, *_spike_warning(Path(path), spike))
+
+
+def _spikes(t: Array, q: Array) -> NDArray[np.bool_]:
+    """Readings (m, j) that no arm reaches: too fast there and too fast back."""
+    if len(t) < SPIKE_WINDOW:
+        return np.zeros(q.shape, dtype=bool)
+    median = ndimage.median_filter(q, size=(SPIKE_WINDOW, 1), mode="nearest")
+    interval = np.minimum(np.diff(t, prepend=-np.inf), np.diff(t, append=np.inf))[:, None]
+    spikes: NDArray[np.bool_] = np.abs(q - median) > np.maximum(MAX_SPEED * interval, MIN_SPIKE)
+    return spikes
+
+
+def _spike_warning(path: Path, spike: NDArray[np.bool_]) -> Iterator[str]:
+    """Name the readings that were left out."""
+    rows, joints = np.nonzero(spike)
+    if len(rows):
+        places = [f"line {i + 2} (q{j + 1}_deg)" for i, j in zip(rows, joints, strict=True)]
+        more = ", …" if len(places) > MAX_NAMED else ""
+        yield (
+            f"{path.name}: {np.unique(rows).size} of {len(spike)} readings were left out, no arm "
+            f"turns so fast: {', '.join(places[:MAX_NAMED])}{more}."
+        )
 
 
 @dataclass(frozen=True, slots=True)

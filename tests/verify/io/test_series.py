@@ -176,3 +176,26 @@ def test_the_one_wrong_cell_of_many_rows_is_found(million: Path) -> None:
         bad.write_text("".join(islice(file, 50_000)) + "5000,1,2,3,,5,6\n")
     with pytest.raises(InputError, match="line 50001: q4_deg is empty"):
         read_encoders(bad, 6)
+
+
+def test_a_reading_that_no_arm_reaches_is_named_and_left_out(tmp_path: Path) -> None:
+    rows = [f"{0.01 * i:.2f},{0.5 * i:.3f},{-0.2 * i:.3f}" for i in range(40)]
+    rows[17] = "0.17,1e12,-3.4"
+    rows[30] = "0.30,0,0"  # a dropped telegram
+    path = tmp_path / "encoders.csv"
+    path.write_text("\n".join(["t_s,q1_deg,q2_deg", *rows, ""]))
+    encoders, warnings = read_encoders(path, 2)
+    assert len(encoders) == 38
+    assert warnings == (
+        (
+            "encoders.csv: 2 of 40 readings were left out, no arm turns so fast: line 19 (q1_deg), "
+            "line 32 (q1_deg)."
+        ),
+    )
+
+
+def test_a_belt_that_slips_and_an_angle_that_wraps_are_no_spikes(tmp_path: Path) -> None:
+    rows = [f"{0.01 * i:.2f},{(170 + i + 180) % 360 - 180},{20 * (i > 15)}" for i in range(40)]
+    path = tmp_path / "encoders.csv"
+    path.write_text("\n".join(["t_s,q1_deg,q2_deg", *rows, ""]))
+    assert read_encoders(path, 2)[1] == ()

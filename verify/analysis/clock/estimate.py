@@ -91,7 +91,7 @@ def _unshown_offset(
     """The offset to take where the motion does not show one."""
     if arrival is not None:
         return ClockEstimate(arrival.offset, arrival.standard_uncertainty, "arrival", curve)
-    at_zero = readings.known(track.t).mean() >= MIN_OVERLAP_AT_ZERO
+    at_zero = readings.available(track.t).mean() >= MIN_OVERLAP_AT_ZERO
     offset = 0.0 if at_zero or not len(curve) else float(curve[np.argmin(curve[:, 1]), 0])
     return ClockEstimate(offset, None, "none", curve)
 
@@ -123,7 +123,7 @@ def _candidate(
 
 def _penalty(t: Array, readings: Readings, offset: float, arrival: ArrivalClock | None) -> float:
     """What speaks against an offset beside the motion: pairs (at t) lost, late arrivals."""
-    penalty = (1.0 - float(readings.known(t - offset).mean())) / LOST_SHARE
+    penalty = (1.0 - float(readings.available(t - offset).mean())) / LOST_SHARE
     if arrival is not None:
         distance = (offset - arrival.offset) / arrival.reach
         penalty += min(distance**2, MAX_ARRIVAL_PENALTY)

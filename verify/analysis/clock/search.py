@@ -114,7 +114,7 @@ def _costs_by_motion(track: Track, arm: robots.Arm, readings: Readings, offsets:
     parts = []
     for some in np.array_split(offsets, -(-len(offsets) * len(early) // MAX_INSTANTS)):
         instants = ends - some[:, None, None]
-        at_ends = readings.known(instants.reshape(-1)).reshape(instants.shape)
+        at_ends = readings.available(instants.reshape(-1)).reshape(instants.shape)
         known = at_ends[:, 0] & at_ends[:, 1]
         enough = known.mean(axis=1) >= MIN_OVERLAP
         cost = np.empty(int(enough.sum()))
@@ -130,7 +130,7 @@ def _costs_by_pose(track: Track, arm: robots.Arm, readings: Readings, offsets: A
     """The curve by poses, beside constant joint errors: for visits, and what few LEDs determine."""
     few = np.linspace(0, len(track) - 1, min(len(track), MAX_PAIRS_BY_POSE)).astype(int)
     sample = subset(track, np.unique(few))
-    overlap = np.array([readings.known(sample.t - offset).mean() for offset in offsets])
+    overlap = np.array([readings.available(sample.t - offset).mean() for offset in offsets])
     offsets = offsets[overlap >= MIN_OVERLAP]
     if len(offsets) > MAX_OFFSETS_BY_POSE:
         best = np.argsort(-overlap[overlap >= MIN_OVERLAP], kind="stable")
