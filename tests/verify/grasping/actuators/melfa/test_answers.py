@@ -143,17 +143,6 @@ def test_a_reset_controller_is_not_taken_again_without_a_request() -> None:
 
 
 @pytest.mark.realtime
-def test_an_old_fault_is_not_reported_after_taking_control_again() -> None:
-    engine = controller()
-    with running(engine) as emulated, mover(emulated, limits(hand_speed=1e-3)) as arm:
-        ready(arm)
-        arm.move_joints(NEXT)
-        assert "the hand goes at" in settled(arm, MoverState.FAILED)[-1].reason
-        arm.take_controls()
-        assert settled(arm, MoverState.READY)[-1].reason == ""
-
-
-@pytest.mark.realtime
 @pytest.mark.parametrize("fault", ["noise", "half"])
 def test_an_answer_that_is_not_understood_stops_the_arm(fault: str) -> None:
     engine = controller()
