@@ -11,7 +11,7 @@ import numpy as np
 
 from robots.transforms import rotation_exp
 from verify.core.records import Array
-from verify.io.toml import decode, key_error, not_negative
+from verify.io.toml import MM, decode, key_error, not_negative
 
 Triple = tuple[float, float, float]
 
@@ -99,7 +99,6 @@ class CellTable(msgspec.Struct, kw_only=True):
     watchdog: WatchdogLimits = WatchdogLimits()
 
 
-_MM = 1e-3  # m
 MIN_DIRECTION_NORM = 1e-6  # of a direction: less is none
 
 
@@ -192,34 +191,37 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
     path = Path(path)
     table, warnings = decode(path, CellTable)
     _check_signs(path, table)
-    lower, upper = (np.array(v) * _MM for v in (table.workspace.lower_mm, table.workspace.upper_mm))
+    lower, upper = (np.array(v) * MM for v in (table.workspace.lower_mm, table.workspace.upper_mm))
     if np.any(lower >= upper):
         axis = "xyz"[int(np.argmax(lower >= upper))]
         found = f"lies above upper_mm in {axis}"
         raise key_error(path, "workspace.lower_mm", found, "each number is below its partner")
-    if upper[2] <= table.table.height_mm * _MM:
+    if upper[2] <= table.table.height_mm * MM:
         expected = "the box reaches above the table"
-        raise key_error(path, "workspace.upper_mm", f"has z = {upper[2] / _MM:g} mm", expected)
-    if table.accuracy.coverage >= 1:
-        found = f"is {table.accuracy.coverage:g}"
+        raise key_error(path, "workspace.upper_mm", f"has z = {upper[2] / MM:g} mm", expected)
+    accuracy = table.accuracy
+    if accuracy.coverage >= 1:
         expected = "a probability below 1 is expected, such as 0.95"
-        raise key_error(path, "accuracy.coverage", found, expected)
-    surface = table.table
-    heights = (surface.height_mm, surface.clearance_mm, surface.finger_clearance_mm)
+        raise key_error(path, "accuracy.coverage", f"is {accuracy.coverage:g}", expected)
     cell = Cell(
-        table=TableSurface(*(value * _MM for value in heights)),
-        lower=lower,
-        upper=upper,
-        gripper=_gripper(path, table.gripper),
-        approach=_approach(path, table.approach),
-        moving=_moving(path, table.motion, joints),
-        accuracy=ArmAccuracy(
-            table.accuracy.robot_standard_uncertainty_mm * _MM, table.accuracy.coverage
-        ),
-        still=StillnessCriterion(table.still.speed_mm_s * _MM, table.still.for_s),
-        watch=table.watchdog,
+        TableSurface(**_lengths(table.table)),
+        lower,
+        upper,
+        _gripper(path, table.gripper),
+        _approach(path, table.approach),
+        _moving(path, table.motion, joints),
+        ArmAccuracy(accuracy.robot_standard_uncertainty_mm * MM, accuracy.coverage),
+        StillnessCriterion(table.still.speed_mm_s * MM, table.still.for_s),
+        table.watchdog,
     )
     return cell, warnings
+
+
+def _lengths(table: msgspec.Struct) -> dict[str, float]:
+    """Values of the keys `name_mm`, `name_mm_s` and the like in metres, by name."""
+    keys = [key for key in table.__struct_fields__ if "_mm" in key]
+    values = {key.partition("_mm")[0]: getattr(table, key) for key in keys}
+    return {name: value * MM for name, value in values.items() if isinstance(value, float)}
 
 
 def _check_signs(path: Path, table: CellTable) -> None:
@@ -245,19 +247,12 @@ _POSITIVE_KEYS = {
 
 def _gripper(path: Path, table: GripperTable) -> GripperGeometry:
     if table.tips_mm >= table.finger_length_mm:
-        found = f"is {table.tips_mm:g}"
         expected = "the grip point lies between the palm and the tips (finger_length_mm)"
-        raise key_error(path, "gripper.tips_mm", found, expected)
+        raise key_error(path, "gripper.tips_mm", f"is {table.tips_mm:g}", expected)
     placed = np.eye(4)
     placed[:3, :3] = rotation_exp(np.radians(table.rotation_deg))
-    placed[:3, 3] = np.array(table.position_mm) * _MM
-    return GripperGeometry(
-        flange_T_grip=placed,
-        opening=table.opening_mm * _MM,
-        tips=table.tips_mm * _MM,
-        finger_length=table.finger_length_mm * _MM,
-        radius=table.radius_mm * _MM,
-    )
+    placed[:3, 3] = np.array(table.position_mm) * MM
+    return GripperGeometry(placed, **_lengths(table))
 
 
 def _approach(path: Path, table: ApproachTable) -> Approach:
@@ -265,29 +260,15 @@ def _approach(path: Path, table: ApproachTable) -> Approach:
     length = float(np.linalg.norm(direction))
     if length < MIN_DIRECTION_NORM:
         raise key_error(path, "approach.direction", "has no length", "a direction is expected")
-    return Approach(
-        direction=direction / length,
-        height=table.height_mm * _MM,
-        speed=table.speed_mm_s * _MM,
-        acceleration=table.acceleration_mm_s2 * _MM,
-        jerk=table.jerk_mm_s3 * _MM,
-        hidden=table.hidden_mm * _MM,
-    )
+    return Approach(direction / length, **_lengths(table))
 
 
 def _moving(path: Path, table: MotionTable, joints: int) -> CellMotion:
     if table.share > 1:
         expected = "at most 1, all that the robot may do"
         raise key_error(path, "motion.share", f"is {table.share:g}", expected)
-    home = None
-    if table.home_deg is not None:
-        if len(table.home_deg) != joints:
-            found = f"has {len(table.home_deg)} angles"
-            raise key_error(path, "motion.home_deg", found, f"the robot has {joints} joints")
-        home = np.radians(table.home_deg)
-    return CellMotion(
-        share=table.share,
-        link_radius=table.link_radius_mm * _MM,
-        camera_clearance=table.camera_clearance_mm * _MM,
-        home=home,
-    )
+    if table.home_deg is not None and len(table.home_deg) != joints:
+        found = f"has {len(table.home_deg)} angles"
+        raise key_error(path, "motion.home_deg", found, f"the robot has {joints} joints")
+    home = None if table.home_deg is None else np.radians(table.home_deg)
+    return CellMotion(table.share, home=home, **_lengths(table))

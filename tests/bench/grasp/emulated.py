@@ -21,8 +21,7 @@ from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
 from verify.grasping.actuators.protocols import ExecutePermission, GripperState, MoverState
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import SteppedArm
-from verify.grasping.control.loop import GraspLoop
-from verify.grasping.control.orders import Actuators
+from verify.grasping.control.loop import Actuators, GraspLoop
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspState
 from verify.grasping.tracking.target import ColourSelection, TrackingOptions

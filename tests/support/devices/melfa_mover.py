@@ -74,7 +74,6 @@ def ready(arm: MelfaMover) -> None:
 PORTS = ["tcp:0", "pty"]
 HOME = np.deg2rad(trajectory.HOME_DEG)
 NEXT = HOME + np.deg2rad([8.0, -5.0, 6.0, 10.0, -8.0, 12.0])
-GIVEN_BACK = ["STOP", "ERROR", "SRVOFF", "OVRD=100", "CNTLOFF", "STATE"]
 
 
 def after(seconds: float) -> Callable[[MoverStatus], bool]:

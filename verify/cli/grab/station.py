@@ -35,8 +35,7 @@ from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import SteppedArm
-from verify.grasping.control.loop import GraspLoop
-from verify.grasping.control.orders import Actuators
+from verify.grasping.control.loop import Actuators, GraspLoop
 from verify.grasping.planning.plan import GraspPlanner, planner_with_cameras
 from verify.grasping.record.record import GraspContext
 from verify.grasping.tool_offset.watch import FlangeWatch

@@ -63,7 +63,6 @@ class MoverStatus:
     reason: str  # of a failure or a warning, in words; else empty
     q: Array | None  # (joints,), rad, the robot file's own; None before the first position
     t: float | None  # s, host's monotonic clock, when that was so
-    age: float | None  # s since then
     speed: float | None  # m/s of the hand's end, where the controller tells
 
 
@@ -111,23 +110,12 @@ class Mover(Protocol):
         ...
 
 
-class GripMode(StrEnum):
-    """How the fingers stand to each other."""
-
-    BASIC = "basic"
-    PINCH = "pinch"
-    WIDE = "wide"
-    SCISSOR = "scissor"
-
-
 class GripperState(StrEnum):
     """Where the gripper's state machine is."""
 
     IDLE = "idle"  # nothing was ordered yet, or `stop` has ended it
-    RESETTING = "resetting"
     ACTIVATING = "activating"
     READY = "ready"  # activated; takes orders
-    CHANGING_MODE = "changing mode"
     MOVING = "moving"
     REACHED = "reached"  # the fingers are where they were ordered: nothing is between them
     GRIPPED = "gripped"  # enough fingers were stopped by something
@@ -144,30 +132,17 @@ class GripperStatus:
     state: GripperState
     reason: str  # of a failure or a warning, in words; else empty
     opening: float | None  # m between the fingers, of the widest; None before the first reading
-    contacts: int  # fingers that something stopped while they closed
     t: float | None  # s, host's monotonic clock, of the last reading
-    age: float | None  # s since then
 
 
 class Gripper(Protocol):
     """A gripper whose own sensors tell whether it holds something."""
 
-    def activate(self, reset: bool = False) -> None:
+    def activate(self) -> None:
         """Make it ready: every finger moves over its full travel, so nothing may be in between.
-
-        Args:
-            reset: clear a standing fault first, which lets go of what is gripped.
 
         Raises:
             MotionRefusedError: it is doing something else.
-        """
-        ...
-
-    def set_mode(self, mode: GripMode) -> None:
-        """Change how the fingers stand.
-
-        Raises:
-            MotionRefusedError: it is not ready.
         """
         ...
 

@@ -2,12 +2,14 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from verify.core.records import Array, StereoPair
 from verify.devices.protocols import EncoderReading
 from verify.grasping.actuators.protocols import (
+    Gripper,
     GripperState,
     GripperStatus,
     MotionRefusedError,
@@ -15,8 +17,8 @@ from verify.grasping.actuators.protocols import (
     MoverStatus,
 )
 from verify.grasping.control.aim import Aim, LoopCycle
-from verify.grasping.control.orders import AIMING_STATES, Actuators, OrderDispatcher
-from verify.grasping.control.states import GraspEvent, GraspState, StateMachine
+from verify.grasping.control.arm import TOL_SAME_GOAL, DrivenArm
+from verify.grasping.control.states import DeviceOrder, GraspEvent, GraspState, StateMachine
 from verify.grasping.control.watchdog import Observation, Watchdog
 from verify.grasping.planning.plan import GraspPlanner
 from verify.grasping.tracking.target import TargetObservation
@@ -26,6 +28,20 @@ SELECTABLE_STATES = {  # in which another target may be chosen
     GraspState.IDLE, GraspState.SEARCHING, GraspState.TRACKING, GraspState.HOLDING_STALE,
     GraspState.HOLDING_LOST, GraspState.HOLDING_UNREACHABLE, GraspState.HOLDING_OPERATOR,
 }  # fmt: skip
+AIMING_STATES = frozenset(
+    {GraspState.TRACKING, GraspState.FOLLOWING, GraspState.HOLDING_UNREACHABLE}
+)
+CLOSED_STATES = frozenset(  # the fingers have come to rest
+    {GripperState.REACHED, GripperState.GRIPPED, GripperState.UNSURE, GripperState.LOST}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Actuators:
+    """What moves; there is none without the operator's right."""
+
+    arm: DrivenArm
+    gripper: Gripper
 
 
 class GraspLoop:
@@ -59,7 +75,6 @@ class GraspLoop:
         self._watchdog = Watchdog(
             self.machine, setup.cell.watch, setup.cell.still, auto=auto and hands is not None
         )
-        self._orders = None if hands is None else OrderDispatcher(setup, aim, hands, self.machine)
         self._acted: GraspState | None = None  # in which state `_act` was last
         self.pictures_t: float | None = None  # s, when the newest pair was taken
         self._tracked_t: float | None = None
@@ -132,8 +147,8 @@ class GraspLoop:
         if reading is not None:
             self._q, self.joints_t = reading.q, reading.t_host
         self.aim.update_hand(pair, reading)
-        arm = self._devices(now)
-        self._watchdog.observe(now, self._observed(arm))
+        self._step_devices(now)
+        self._watchdog.observe(now, self._inputs())
         self._act(now)
         return LoopCycle(
             now,
@@ -160,7 +175,7 @@ class GraspLoop:
         self.aim.update_target(observation)
         return observation
 
-    def _devices(self, now: float) -> MoverStatus | None:
+    def _step_devices(self, now: float) -> None:
         """Let the devices go on; start once they are ready."""
         ready = True
         if self._hands is not None:
@@ -169,7 +184,6 @@ class GraspLoop:
         started = ready and self._inputs_fresh(now) and self.machine.tell(GraspEvent.START)
         if started and self._hold_first:
             self.machine.tell(GraspEvent.HOLD)
-        return self.arm
 
     def _inputs_fresh(self, now: float) -> bool:
         """Pictures and joint angles have come, and are fresh."""
@@ -178,10 +192,11 @@ class GraspLoop:
         watch = self._setup.cell.watch
         return now - self.pictures_t <= watch.stale and now - self.joints_t <= watch.joints
 
-    def _observed(self, arm: MoverStatus | None) -> Observation:
+    def _inputs(self) -> Observation:
+        """State the watchdog's inputs of this cycle."""
         error = self._refused
-        if arm is not None and arm.state is MoverState.FAILED:
-            error = f"the arm: {arm.reason}"
+        if self.arm is not None and self.arm.state is MoverState.FAILED:
+            error = f"the arm: {self.arm.reason}"
         if self._fingers is not None and self._fingers.state is GripperState.FAILED:
             error = f"the gripper: {self._fingers.reason}"
         target = self.aim.target
@@ -209,17 +224,17 @@ class GraspLoop:
 
     def _act(self, now: float) -> None:
         """Order what the state asks for; plan where it is time to."""
-        entered = self.machine.state is not self._acted
-        self._acted = self.machine.state
-        if self._orders is None:
-            if self.machine.state is GraspState.RELEASING:
-                self.machine.tell(GraspEvent.STOPPED)  # nothing was taken
-            if self.machine.state in AIMING_STATES and self.machine.still and self._q is not None:
-                self.aim.plan_now(now, self._q)
-            self.machine.planned = self.aim.plan is not None
+        machine, hands = self.machine, self._hands
+        entered = machine.state is not self._acted
+        self._acted = machine.state
+        if hands is not None:
+            self._try(lambda: self._order(now, hands, entered=entered))
             return
-        orders, fingers = self._orders, self._fingers
-        self._try(lambda: orders.give(now, self._q, fingers, entered=entered))
+        if machine.state is GraspState.RELEASING:
+            machine.tell(GraspEvent.STOPPED)  # nothing was taken
+        if machine.state in AIMING_STATES and machine.still and self._q is not None:
+            self.aim.plan_now(now, self._q)
+        machine.planned = self.aim.plan is not None
 
     def _try(self, ordered: Callable[[], None]) -> None:
         """Give an order; a refusal is a device's error, and the next cycle stops for it."""
@@ -227,3 +242,88 @@ class GraspLoop:
             ordered()
         except (MotionRefusedError, ValueError) as refusal:
             self._refused = str(refusal)
+
+    def _order(self, now: float, hands: Actuators, *, entered: bool) -> None:
+        """Order what the state asks for; `entered`: the state is a new one."""
+        arm, order = hands.arm, self.machine.order
+        if self.machine.state in AIMING_STATES and arm.q is not None:
+            self._stand_above(now, arm, arm.q)
+        elif order is DeviceOrder.DESCEND:
+            self._descend(arm, entered=entered)
+        elif order in (DeviceOrder.LIFT, DeviceOrder.RETREAT):
+            self._go_up(arm)
+        elif order in (DeviceOrder.CLOSE, DeviceOrder.CHECK, DeviceOrder.OPEN):
+            arm.hold()
+            self._grip(hands.gripper, order, entered=entered)
+        elif order is DeviceOrder.RELEASE:
+            arm.hold()
+            if arm.resting:
+                arm.mover.release()
+                self.machine.tell(GraspEvent.STOPPED)
+        elif order is DeviceOrder.HOLD and arm.takes_orders:
+            arm.hold()
+            if self._fingers is not None and self._fingers.state is GripperState.MOVING:
+                hands.gripper.stop()
+
+    def _stand_above(self, now: float, arm: DrivenArm, q_ordered: Array) -> None:
+        """Stand above the target; plan the grasp once both are at rest."""
+        machine = self.machine
+        goal = self.aim.hover(now, q_ordered, still=machine.still)
+        above, obstacle = True, ""
+        if machine.state is GraspState.FOLLOWING and goal is not None:
+            obstacle = arm.follow(goal)
+            assert arm.q is not None  # it was ordered before
+            above = bool(np.abs(goal.q - arm.q).max() < TOL_SAME_GOAL)
+        else:
+            arm.hold()
+        # an obstacle may keep it from standing there: then it is planned for from here
+        settled = (above or bool(obstacle)) and self._arrived(arm)
+        ready = machine.still and settled
+        if ready:
+            assert arm.q is not None
+            self.aim.plan_now(now, arm.q)
+        elif machine.state is GraspState.FOLLOWING:
+            self.aim.forget()
+        machine.planned = ready and self.aim.plan is not None
+
+    def _arrived(self, arm: DrivenArm) -> bool:
+        return self._q is not None and arm.arrived(self._q)
+
+    def _descend(self, arm: DrivenArm, *, entered: bool) -> None:
+        plan = self.aim.plan
+        assert plan is not None  # the transition needs one
+        if entered:
+            arm.begin(plan.over, plan.down)
+        arm.go()
+        if self._arrived(arm):
+            self.machine.tell(GraspEvent.AT_OBJECT)
+
+    def _go_up(self, arm: DrivenArm) -> None:
+        holds = self._fingers is not None and self._fingers.state is GripperState.GRIPPED
+        if self.machine.state is GraspState.LIFTING and not holds:
+            self.machine.tell(GraspEvent.NOTHING_HELD)
+        if not arm.going_back:
+            arm.hold()  # a stop may be under way
+            if not arm.resting:
+                return
+            arm.begin_back()
+        arm.go()
+        if self._arrived(arm):
+            self.machine.tell(GraspEvent.AT_TOP)
+
+    def _grip(self, gripper: Gripper, order: DeviceOrder, *, entered: bool) -> None:
+        fingers = self._fingers
+        assert fingers is not None  # read before every order
+        if order is DeviceOrder.CHECK:
+            held = fingers.state is GripperState.GRIPPED
+            self.machine.tell(GraspEvent.HELD if held else GraspEvent.NOTHING_HELD)
+        elif order is DeviceOrder.CLOSE and entered:
+            gripper.close_to(0.0)
+        elif order is DeviceOrder.CLOSE and fingers.state in CLOSED_STATES:
+            self.machine.tell(GraspEvent.CLOSED)
+        elif order is DeviceOrder.OPEN and fingers.state is GripperState.IDLE:
+            gripper.activate()  # a stop has ended it
+        elif order is DeviceOrder.OPEN and (entered or fingers.state is GripperState.READY):
+            gripper.open_to(self._setup.cell.gripper.opening)
+        elif order is DeviceOrder.OPEN and fingers.state is GripperState.REACHED:
+            self.machine.tell(GraspEvent.OPENED)

@@ -169,7 +169,7 @@ class SimMover:
         elif self._state is MoverState.MOVING and now - self._since > STREAM_TIMEOUT:
             self._enter(MoverState.HELD)
         known = None if self._state is MoverState.OFF else self._arm.q(now)
-        return MoverStatus(self._state, self._reason, known, now, 0.0, None)
+        return MoverStatus(self._state, self._reason, known, now, None)
 
     def close(self) -> None:
         """Give the controls back. See `Mover.close`."""

@@ -9,8 +9,7 @@ from verify.devices.protocols import EncoderReading, PanReading
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import DrivenArm, SteppedArm, StreamedArm
-from verify.grasping.control.loop import GraspLoop
-from verify.grasping.control.orders import Actuators
+from verify.grasping.control.loop import Actuators, GraspLoop
 from verify.grasping.control.run import PairSource
 from verify.grasping.tool_offset.watch import FlangeWatch
 from verify.grasping.tracking.target import ColourSelection, Target

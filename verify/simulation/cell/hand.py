@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 from verify.grasping.actuators.protocols import (
     ExecutePermission,
-    GripMode,
     GripperState,
     GripperStatus,
     MotionRefusedError,
@@ -65,14 +64,9 @@ class SimGripper:
         self._state, self._since = GripperState.IDLE, now()
         self._closing = False
 
-    def activate(self, reset: bool = False) -> None:
+    def activate(self) -> None:
         """Make it ready. See `Gripper.activate`."""
-        self._enter(GripperState.RESETTING if reset else GripperState.ACTIVATING)
-
-    def set_mode(self, mode: GripMode) -> None:
-        """Its fingers know the basic mode alone. See `Gripper.set_mode`."""
-        if mode is not GripMode.BASIC:
-            raise MotionRefusedError(f"the simulated gripper has no mode {mode.value}")
+        self._enter(GripperState.ACTIVATING)
 
     def open_to(self, opening: float) -> None:
         """Open the fingers. See `Gripper.open_to`."""
@@ -91,8 +85,8 @@ class SimGripper:
     def step(self) -> GripperStatus:
         """Go on. See `Gripper.step`."""
         now, hand = self._now(), self._hand
-        starting = (GripperState.ACTIVATING, GripperState.RESETTING)
-        if self._state in starting and now - self._since >= ACTIVATION_TIME:
+        activating = self._state is GripperState.ACTIVATING
+        if activating and now - self._since >= ACTIVATION_TIME:
             self._enter(GripperState.READY)
         elif self._state is GripperState.MOVING and self._closing and hand.holds:
             self._enter(GripperState.GRIPPED)
@@ -100,8 +94,7 @@ class SimGripper:
             self._enter(GripperState.REACHED)
         elif self._state is GripperState.GRIPPED and not hand.holds:
             self._enter(GripperState.LOST)
-        contacts = 3 if self._closing and hand.holds else 0
-        return GripperStatus(self._state, "", hand.opening, contacts, now, 0.0)
+        return GripperStatus(self._state, "", hand.opening, now)
 
     def close(self) -> None:
         """Stop the fingers. See `Gripper.close`."""

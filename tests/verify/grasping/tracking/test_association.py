@@ -33,8 +33,8 @@ def seen(*place: float, area: float = AREA, reach: float | None = None) -> Stere
 class Film:
     """Steps an identity at 30 Hz."""
 
-    def __init__(self, identity: TargetIdentity) -> None:
-        self.identity, self.frame = identity, 0
+    def __init__(self) -> None:
+        self.identity, self.frame = TargetIdentity(TrackingOptions(), DENSITY), 0
 
     def show(self, *candidates: StereoObject, times: int = 1) -> TargetDecision:
         for _ in range(times):
@@ -42,68 +42,49 @@ class Film:
             verdict = self.identity.step(self.frame / RATE, list(candidates))
         return verdict
 
+    def statuses(self, candidate: StereoObject, times: int) -> list[str]:
+        return [self.show(candidate).status for _ in range(times)]
 
-def chosen(*place: float) -> Film:
-    identity = TargetIdentity(TrackingOptions(), DENSITY)
-    identity.choose(0.0, seen(*place))
-    return Film(identity)
+    def target(self) -> ObjectTrack:
+        assert self.identity.target is not None
+        return self.identity.target
+
+
+def watched(*others: StereoObject) -> Film:
+    """A target that was selected, and has been in view for a second."""
+    film = Film()
+    film.identity.choose(0.0, seen(*HERE))
+    film.show(seen(*HERE), *others, times=30)
+    return film
 
 
 def test_one_object_of_the_colour_is_found_after_a_few_pairs() -> None:
-    film = Film(TargetIdentity(TrackingOptions(), DENSITY))
-    assert [film.show(seen(*HERE)).status for _ in range(4)] == [
-        "searching",
-        "searching",
-        "tracked",
-        "tracked",
-    ]
+    assert Film().statuses(seen(*HERE), 4) == ["searching", "searching", "tracked", "tracked"]
 
 
-def test_of_two_objects_none_is_taken() -> None:
-    film = Film(TargetIdentity(TrackingOptions(), DENSITY))
-    verdict = film.show(seen(*HERE), seen(*THERE), times=10)
-    assert verdict.status == "searching"
-    assert verdict.reason == "2 objects have this colour: select one"
-
-
-def test_a_target_at_rest_is_tracked() -> None:
-    assert chosen(*HERE).show(seen(*HERE), times=30).status == "tracked"
-
-
-def test_a_hidden_target_is_lost_and_found_at_its_place() -> None:
-    film = chosen(*HERE)
-    film.show(seen(*HERE), times=30)
-    assert film.show(times=60).status == "lost"
-    assert [film.show(seen(*HERE)).status for _ in range(3)] == ["lost", "lost", "tracked"]
+@pytest.mark.parametrize(
+    ("hidden", "place"), [(60, HERE), (900, (0.4, 0.1, 0.9))], ids=["in place", "anywhere, later"]
+)
+def test_a_hidden_target_is_lost_and_found_again(
+    hidden: int, place: tuple[float, float, float]
+) -> None:
+    film = watched()
+    assert film.show(times=hidden).status == "lost"
+    assert film.statuses(seen(*place), 3) == ["lost", "lost", "tracked"]
 
 
 def test_another_known_object_is_not_taken_for_a_lost_target() -> None:
-    film = chosen(*HERE)
-    film.show(seen(*HERE), seen(*THERE), times=30)
+    film = watched(seen(*THERE))
     verdict = film.show(seen(*THERE), times=90)
     assert (verdict.status, verdict.chosen) == ("lost", None)
     assert verdict.reason == "only another of its colour is seen"
-
-
-def test_it_comes_back_elsewhere_while_the_other_stays() -> None:
-    film = chosen(*HERE)
-    film.show(seen(*HERE), seen(*THERE), times=30)
-    film.show(seen(*THERE), times=90)
-    elsewhere = seen(-0.2, 0.0, 0.7)
+    elsewhere = seen(-0.2, 0.0, 0.7)  # it comes back while the other stays
     verdict = film.show(seen(*THERE), elsewhere, times=5)
     assert (verdict.status, verdict.chosen) == ("tracked", elsewhere)
 
 
-def test_after_a_long_absence_it_is_found_wherever_it_is() -> None:
-    film = chosen(*HERE)
-    film.show(seen(*HERE), times=30)
-    film.show(times=900)
-    assert film.show(seen(0.4, 0.1, 0.9), times=3).status == "tracked"
-
-
 def test_two_returning_targets_stay_ambiguous() -> None:
-    film = chosen(*HERE)
-    film.show(seen(*HERE), seen(0.03, 0.0, 0.7), times=30)
+    film = watched(seen(0.03, 0.0, 0.7))
     film.show(times=150)  # five seconds in which they may have changed places
     verdict = film.show(seen(0.015, 0.02, 0.7), seen(0.015, -0.02, 0.7), times=10)
     assert verdict.status == "occluded"
@@ -111,33 +92,26 @@ def test_two_returning_targets_stay_ambiguous() -> None:
 
 
 def test_a_merged_patch_moves_nothing() -> None:
-    film = chosen(*HERE)
-    film.show(seen(*HERE), times=30)
-    verdict = film.show(seen(0.01, 0.0, 0.7, reach=2 * AREA))
-    assert verdict.status == "occluded"
-    assert film.identity.target is not None
-    assert abs(film.identity.target.track.position[0]) < 1e-9
+    film = watched()
+    assert film.show(seen(0.01, 0.0, 0.7, reach=2 * AREA)).status == "occluded"
+    assert abs(film.target().track.position[0]) < 1e-9
 
 
 def test_a_part_in_view_is_occluded_and_its_size_is_not_learned() -> None:
-    film = chosen(*HERE)
-    film.show(seen(*HERE), times=30)
+    film = watched()
     verdict = film.show(seen(*HERE, area=0.6 * AREA), times=60)
     assert (verdict.status, verdict.reason) == ("occluded", "a part of it is hidden")
-    assert film.identity.target is not None
-    assert film.identity.target.area == pytest.approx(AREA)
+    assert film.target().area == pytest.approx(AREA)
 
 
 def test_the_pieces_of_a_half_hidden_target_are_no_other_objects() -> None:
-    film = chosen(*HERE)
-    film.show(seen(*HERE), times=30)
+    film = watched()
     film.show(seen(0.015, 0.0, 0.7, area=0.05 * AREA), times=30)
     assert film.identity.others(film.frame / RATE) == []
 
 
 def test_a_jump_is_accepted_after_a_few_pairs_only() -> None:
-    film = chosen(*HERE)
-    film.show(seen(*HERE), times=60)
+    film = watched()
     assert film.show(seen(0.05, 0.0, 0.7)).status == "lost"
     assert film.show(seen(*HERE)).status == "tracked"  # it was nothing
     assert film.show(seen(0.05, 0.0, 0.7), times=3).status == "tracked"

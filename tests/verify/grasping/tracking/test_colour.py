@@ -70,11 +70,6 @@ def test_an_unknown_colour_is_refused_with_those_that_are_known() -> None:
         named_colour("turquoise")
 
 
-def test_a_grey_picture_is_refused() -> None:
-    with pytest.raises(InputError, match="grey"):
-        to_hsv(np.zeros((4, 4), dtype=np.uint8))
-
-
 def test_a_learned_colour_is_the_targets_and_not_its_surroundings() -> None:
     picture = disc(GREEN, (60, 170, 190))  # green on olive, both vivid
     weights = model_from_box(picture, (30, 30, 41, 41)).back_project(to_hsv(picture))
@@ -84,19 +79,13 @@ def test_a_learned_colour_is_the_targets_and_not_its_surroundings() -> None:
     assert (weights[away > 22] > 127).mean() < 0.005
 
 
-def test_brightness_distinguishes_objects_of_one_colour() -> None:
+def test_brightness_distinguishes_objects_of_one_colour_and_its_gate_follows_the_light() -> None:
     darker = tuple(int(0.55 * c) for c in GREEN)
     picture = disc(GREEN, darker)  # type: ignore[arg-type]  # three numbers
     model = model_from_box(picture, (30, 30, 41, 41))
     weights = model.back_project(to_hsv(picture))
     assert (weights[40:60, 40:60] > 127).mean() > 0.95
     assert (weights[:, :20] > 127).mean() < 0.05
-
-
-def test_the_gate_of_the_value_follows_the_light() -> None:
-    darker = tuple(int(0.55 * c) for c in GREEN)
-    picture = disc(GREEN, darker)  # type: ignore[arg-type]  # three numbers
-    model = model_from_box(picture, (30, 30, 41, 41))
     dim = (picture // 2).astype(np.uint8)
     followed = model.in_light(model.value / 2).back_project(to_hsv(dim))
     assert (model.back_project(to_hsv(dim))[40:60, 40:60] > 127).mean() < 0.05

@@ -7,6 +7,8 @@ from verify.core.records import Array
 from verify.grasping.tracking.kalman import VELOCITY_TIME_CONSTANT, KalmanTrack, begin_track
 
 SIGMA = 0.003  # m
+NOISE = np.eye(3) * SIGMA**2
+ORIGIN = np.zeros(3)
 
 
 def test_the_prediction_has_the_moments_of_the_simulated_process() -> None:
@@ -28,31 +30,39 @@ def test_the_prediction_has_the_moments_of_the_simulated_process() -> None:
     np.testing.assert_allclose(after.covariance, np.cov(x, v), rtol=0.05, atol=1e-3)
 
 
+def begun(position: Array = ORIGIN, speed: float = 0.5) -> KalmanTrack:
+    return begin_track(0.0, position, NOISE, speed)
+
+
+def rested(pairs: int) -> KalmanTrack:
+    """A target that was measured at one place at 30 Hz."""
+    track = begun()
+    for i in range(1, pairs):
+        track = track.at(i / 30).updated(np.zeros(3), NOISE).learned(1 / 30)
+    return track
+
+
 def test_two_steps_predict_as_one_does() -> None:
-    track = begin_track(0.0, np.array([0.1, -0.2, 0.7]), np.eye(3) * SIGMA**2, 0.5)
+    track = begun(np.array([0.1, -0.2, 0.7]))
     once, twice = track.at(0.5), track.at(0.2).at(0.5)
     np.testing.assert_allclose(twice.mean, once.mean, atol=1e-12)
     np.testing.assert_allclose(twice.covariance, once.covariance, atol=1e-12)
+    assert once.at(0.4) is once  # nothing goes back in time
 
 
 def test_without_measurements_the_velocity_decays() -> None:
-    track = begin_track(0.0, np.zeros(3), np.eye(3) * SIGMA**2, 0.5).at(60.0)
+    track = begun().at(60.0)
     np.testing.assert_allclose(track.velocity_covariance, np.eye(3) * 0.25, rtol=1e-6)
     assert 1.0 < np.sqrt(track.position_covariance[0, 0]) < 8.0  # a minute's wandering
-
-
-def test_steps_back_in_time_change_nothing() -> None:
-    track = begin_track(5.0, np.zeros(3), np.eye(3), 0.5)
-    assert track.at(4.0) is track
 
 
 def test_standing_still_it_becomes_the_mean_of_what_was_measured() -> None:
     rng = np.random.default_rng(4)
     place, measured = np.array([0.05, 0.02, 0.7]), []
-    track = begin_track(0.0, place + rng.normal(0, SIGMA, 3), np.eye(3) * SIGMA**2, 1e-9)
+    track = begun(place + rng.normal(0, SIGMA, 3), 1e-9)
     for i in range(1, 40):
         measured.append(place + rng.normal(0, SIGMA, 3))
-        track = track.at(i / 30).updated(measured[-1], np.eye(3) * SIGMA**2)
+        track = track.at(i / 30).updated(measured[-1], NOISE)
     assert np.sqrt(np.trace(track.position_covariance) / 3) == pytest.approx(
         SIGMA / np.sqrt(40), rel=0.02
     )
@@ -60,11 +70,10 @@ def test_standing_still_it_becomes_the_mean_of_what_was_measured() -> None:
 
 def filtered(path: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """Normalised squared errors of position and velocity along a path sampled at 30 Hz."""
-    covariance = np.eye(3) * SIGMA**2
-    track = begin_track(0.0, path[0] + rng.normal(0, SIGMA, 3), covariance, 0.5)
+    track = begun(path[0] + rng.normal(0, SIGMA, 3))
     errors = []
     for i, place in enumerate(path[1:], start=1):
-        track = track.at(i / 30).updated(place + rng.normal(0, SIGMA, 3), covariance)
+        track = track.at(i / 30).updated(place + rng.normal(0, SIGMA, 3), NOISE)
         off = track.position - place
         errors.append(off @ np.linalg.solve(track.position_covariance, off))
     return np.array(errors), track.velocity
@@ -86,24 +95,13 @@ def test_the_velocity_is_found() -> None:
 
 
 def test_a_target_at_rest_gets_a_small_process_noise() -> None:
-    track = begin_track(0.0, np.zeros(3), np.eye(3) * SIGMA**2, 0.5)
-    for i in range(1, 120):
-        track = track.at(i / 30).updated(np.zeros(3), np.eye(3) * SIGMA**2).learned(1 / 30)
+    track = rested(120)
     assert track.speed < 0.2
-    assert (
-        track.at(4.7).position_covariance[0, 0]
-        < begin_track(0.0, np.zeros(3), np.eye(3) * SIGMA**2, 0.5).at(0.7).position_covariance[0, 0]
-    )
+    assert track.at(4.7).position_covariance[0, 0] < begun().at(0.7).position_covariance[0, 0]
 
 
 def test_a_push_explains_what_neither_rest_nor_its_usual_motion_does() -> None:
-    track = begin_track(0.0, np.zeros(3), np.eye(3) * SIGMA**2, 0.5)
-    for i in range(1, 60):
-        track = track.at(i / 30).updated(np.zeros(3), np.eye(3) * SIGMA**2).learned(1 / 30)
-    far = np.array([0.03, 0, 0])
-    costs = [
-        sum(e.track.distance(far, np.eye(3) * SIGMA**2)) - 2 * np.log(e.prior)
-        for e in track.explanations(2.0)
-    ]
-    assert [e.abrupt for e in track.explanations(2.0)] == [False, False, True]
+    ways, far = rested(60).explanations(2.0), np.array([0.03, 0, 0])
+    costs = [sum(way.track.distance(far, NOISE)) - 2 * np.log(way.prior) for way in ways]
+    assert [way.abrupt for way in ways] == [False, False, True]
     assert costs[2] < min(costs[:2])

@@ -14,6 +14,7 @@ from verify.grasping.tracking.pairing import ObjectMotion, join_blobs, pair_blob
 from verify.grasping.tracking.target import TrackingOptions
 
 RIG = small_rig()
+STILL = ObjectMotion(np.zeros(3), np.zeros((3, 3)))
 
 
 def blobs(*caps: Cap) -> tuple[StereoPair, list[Blob], list[Blob]]:
@@ -22,16 +23,15 @@ def blobs(*caps: Cap) -> tuple[StereoPair, list[Blob], list[Blob]]:
     return pair, find_blobs(pair.left, model), find_blobs(pair.right, model)
 
 
-def test_every_object_is_found_where_it_is() -> None:
-    places = np.array([[-0.12, 0.06, 0.62], [0.02, 0.02, 0.7], [0.1, -0.1, 0.9]])
-    pair, lefts, rights = blobs(*[Cap(BLUE, still(*p)) for p in places])
-    things = pair_blobs(lefts, rights, pair, RIG, TrackingOptions())
-    found = np.array(sorted((t.place.point for t in things), key=lambda p: float(p[0])))
-    np.testing.assert_allclose(found, places, atol=0.003)
-
-
-def test_objects_at_one_height_are_not_crossed_over() -> None:
-    places = np.array([[-0.05, 0.02, 0.7], [0.0, 0.02, 0.7], [0.05, 0.02, 0.7]])
+@pytest.mark.parametrize(
+    "places",
+    [
+        [[-0.12, 0.06, 0.62], [0.02, 0.02, 0.7], [0.1, -0.1, 0.9]],
+        [[-0.05, 0.02, 0.7], [0.0, 0.02, 0.7], [0.05, 0.02, 0.7]],
+    ],
+    ids=["anywhere", "at one height"],
+)
+def test_every_object_is_found_where_it_is(places: list[list[float]]) -> None:
     pair, lefts, rights = blobs(*[Cap(BLUE, still(*p)) for p in places])
     for order in (rights, rights[::-1]):
         things = pair_blobs(lefts, order, pair, RIG, TrackingOptions())
@@ -39,35 +39,21 @@ def test_objects_at_one_height_are_not_crossed_over() -> None:
         np.testing.assert_allclose(found, places, atol=0.003)
 
 
-def test_patches_whose_rays_do_not_meet_are_no_object() -> None:
+def test_patches_that_differ_in_place_or_size_or_are_no_target_are_no_object() -> None:
     pair, lefts, rights = blobs(Cap(BLUE, still(0.0, 0.02, 0.7)))
     lifted = replace(rights[0], centre=rights[0].centre - [0.0, 6.0])
-    assert pair_blobs(lefts, [lifted], pair, RIG, TrackingOptions()) == []
-
-
-def test_a_small_patch_and_a_large_one_are_no_object() -> None:
-    pair, lefts, rights = blobs(Cap(BLUE, still(0.0, 0.02, 0.7)))
-    assert (
-        pair_blobs(
-            lefts, [replace(rights[0], area=0.4 * rights[0].area)], pair, RIG, TrackingOptions()
-        )
-        == []
-    )
-
-
-def test_too_large_or_too_distant_objects_are_ignored() -> None:
-    pair, lefts, rights = blobs(Cap(BLUE, still(0.0, 0.02, 0.7)))
-    assert pair_blobs(lefts, rights, pair, RIG, TrackingOptions(sizes=(0.008, 0.03))) == []
-    assert pair_blobs(lefts, rights, pair, RIG, TrackingOptions(depths=(0.15, 0.6))) == []
+    smaller = replace(rights[0], area=0.4 * rights[0].area)
+    for right in (lifted, smaller):
+        assert pair_blobs(lefts, [right], pair, RIG, TrackingOptions()) == []
+    for options in (TrackingOptions(sizes=(0.008, 0.03)), TrackingOptions(depths=(0.15, 0.6))):
+        assert pair_blobs(lefts, rights, pair, RIG, options) == []
 
 
 def test_a_moving_object_is_placed_at_the_left_pictures_instant() -> None:
     velocity = np.array([0.8, 0.0, 0.0])
     pair, lefts, rights = blobs(Cap(BLUE, lambda t: (0.8 * t, 0.02, 0.7)))
     moving = join_blobs(lefts[0], rights[0], pair, RIG, ObjectMotion(velocity, np.zeros((3, 3))))
-    taken_still = join_blobs(
-        lefts[0], rights[0], pair, RIG, ObjectMotion(np.zeros(3), np.zeros((3, 3)))
-    )
+    taken_still = join_blobs(lefts[0], rights[0], pair, RIG, STILL)
     assert moving is not None
     assert taken_still is not None
     assert abs(moving.place.point[2] - 0.7) < 0.002
@@ -83,9 +69,7 @@ def test_pictures_taken_together_need_no_velocity() -> None:
     pair, lefts, rights = blobs(Cap(BLUE, still(0.0, 0.02, 0.7)))
     together = replace(pair, t_right=pair.t_right - SKEW)
     fast = join_blobs(lefts[0], rights[0], together, RIG, ObjectMotion(np.ones(3), np.eye(3)))
-    slow = join_blobs(
-        lefts[0], rights[0], together, RIG, ObjectMotion(np.zeros(3), np.zeros((3, 3)))
-    )
+    slow = join_blobs(lefts[0], rights[0], together, RIG, STILL)
     assert fast is not None
     assert slow is not None
     np.testing.assert_array_equal(fast.place.point, slow.place.point)

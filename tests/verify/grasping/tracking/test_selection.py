@@ -25,52 +25,38 @@ def box(place: Array, side: str = "left", half: int = 16) -> BoxSelection:
     return BoxSelection(corner, "left" if side == "left" else "right")
 
 
-def test_a_box_is_four_whole_numbers() -> None:
-    assert parse_box("610,340,48,52") == (610, 340, 48, 52)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("610,340,48", "x,y,w,h in whole pixels is expected"),
         ("a,b,c,d", "x,y,w,h in whole pixels is expected"),
-        ("1.5,2,30,30", "x,y,w,h in whole pixels is expected"),
         ("-5,2,30,30", "upper left"),
         ("5,2,30,4", "is 30 x 4 px; 8 x 8 px is the least"),
     ],
 )
-def test_any_other_text_is_refused_in_one_line(text: str, message: str) -> None:
+def test_a_box_is_four_whole_numbers_and_other_text_is_refused_in_one_line(
+    text: str, message: str
+) -> None:
+    assert parse_box("610,340,48,52") == (610, 340, 48, 52)
     with pytest.raises(InputError, match=message) as refusal:
         parse_box(text)
     assert str(refusal.value).startswith("--roi: ")
     assert "\n" not in str(refusal.value)
 
 
-def test_a_box_that_reaches_out_of_the_picture_is_refused() -> None:
-    pair = film(Cap(BLUE, still(*HERE)))
+def test_a_box_outside_the_picture_or_without_a_colour_of_its_own_is_refused() -> None:
     with pytest.raises(InputError, match="reaches out of the picture; it has 640 x 360 px"):
-        model_from_box(pair.left, (620, 100, 40, 40))
-
-
-def test_a_box_without_a_colour_of_its_own_is_refused() -> None:
-    pair = film()
+        model_from_box(film().left, (620, 100, 40, 40))
     with pytest.raises(InputError, match="holds no colour"):
-        model_from_box(pair.left, (300, 40, 40, 40))  # the grey wall
+        model_from_box(film().left, (300, 40, 40, 40))  # the grey wall
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_the_target_is_found_in_the_other_picture(side: str) -> None:
-    pair = film(Cap(BLUE, still(*HERE)), Cap(GREEN, still(0.1, 0.02, 0.7)))
-    models, thing = counterpart(pair, RIG, box(HERE, side), TrackingOptions())
-    assert thing is not None
-    np.testing.assert_allclose(thing.place.point, HERE, atol=0.002)
-    assert len(models) == 2
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_among_others_of_its_colour_at_the_same_height_it_is_itself(side: str) -> None:
-    caps = [Cap(BLUE, still(x, 0.02, 0.7)) for x in (-0.1, 0.0, 0.1)]
-    _, thing = counterpart(film(*caps), RIG, box(HERE, side), TrackingOptions())
+@pytest.mark.parametrize("other", [GREEN, BLUE], ids=["others", "others of its colour"])
+def test_the_target_is_found_in_the_other_picture(side: str, other: tuple[int, int, int]) -> None:
+    others = [Cap(other, still(x, 0.02, 0.7)) for x in (-0.1, 0.1)]
+    pair = film(Cap(BLUE, still(*HERE)), *others)
+    _, thing = counterpart(pair, RIG, box(HERE, side), TrackingOptions())
     assert thing is not None
     np.testing.assert_allclose(thing.place.point, HERE, atol=0.002)
 

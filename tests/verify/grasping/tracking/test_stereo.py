@@ -96,15 +96,10 @@ def test_covariance_and_mismatch_are_those_of_the_scatter() -> None:
     assert np.mean([p.mismatch**2 for p in places]) == pytest.approx(1.0, abs=0.2)
 
 
-def test_rays_that_pass_each_other_are_a_mismatch() -> None:
+def test_rays_that_do_not_meet_before_the_cameras_are_a_mismatch_or_no_point() -> None:
     rig = make_rig()
     left, right = pixels(rig)
     assert located(rig, left, right + np.array([0.0, 3.0])).mismatch > 9.0
-
-
-def test_rays_that_meet_behind_the_cameras_are_no_point() -> None:
-    rig = make_rig()
-    left, right = pixels(rig)
     seen = sights(rig, left - np.array([250.0, 0.0]), right + np.array([250.0, 0.0]))
     assert locate(*seen, rig, ray_midpoint(*seen)) is None
 

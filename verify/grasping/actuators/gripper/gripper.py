@@ -5,50 +5,60 @@ time. Every wait has a limit; past it, or at a fault, the fingers are stopped an
 A write that failed is not repeated on another connection: the caller decides anew.
 """
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadHoldingRegistersResponse,
     WriteMultipleRegistersRequest,
     WriteMultipleRegistersResponse,
 )
 
-from verify.devices.ports import ClockFunction, Port
+from verify.devices.ports import ClockFunction, Port, open_port
 from verify.grasping.actuators.gripper.modbus import (
     CLOSED_POSITION,
+    FIRST_INPUT,
     FIRST_OUTPUT,
     MIN_LASTING_FAULT,
+    N_INPUTS,
     RESET_OUTPUTS,
     ActivationStatus,
     FingerStatus,
     GripperCommand,
     GripperInputs,
+    GripperRefusedError,
     GripperSettings,
+    ModbusLine,
+    NoAnswerError,
     fault_text,
+    parse_inputs,
 )
-from verify.grasping.actuators.gripper.reader import READ_FUNCTIONS, GripperReader
 from verify.grasping.actuators.protocols import (
     ExecutePermission,
-    GripMode,
     GripperState,
     GripperStatus,
     MotionRefusedError,
 )
 
-MOVE_FUNCTIONS: Final = READ_FUNCTIONS | {WriteMultipleRegistersRequest.function_code}
+# pymodbus's own complaints: the status states them
+logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
+FUNCTIONS: Final = frozenset(
+    {ReadHoldingRegistersRequest.function_code, WriteMultipleRegistersRequest.function_code}
+)
 N_CONFIRMATIONS = 3  # readings in a row that must agree before a motion is called over
-RESET_TIMEOUT, STOP_TIMEOUT, MODE_TIMEOUT = 2.0, 2.0, 15.0  # s
-CLOSE_TIMEOUT = 1.0  # s
+STOP_TIMEOUT, CLOSE_TIMEOUT = 2.0, 1.0  # s
 MAX_STATUS_AGE = 0.5  # s: what was read longer ago says nothing of now
 CLOSE_PERIOD = 0.005  # s, between the steps of `close`
 # activated, and free to take an order
 HOLDING_STATES = {GripperState.GRIPPED, GripperState.UNSURE, GripperState.LOST}
 RESTING_STATES = frozenset({GripperState.READY, GripperState.REACHED, *HOLDING_STATES})
-MOVING_STATES = frozenset({GripperState.MOVING, GripperState.CHANGING_MODE})
-UNKNOWN_STATES = frozenset({GripperState.IDLE, GripperState.RESETTING, GripperState.FAILED})
+UNCHECKED_STATES = frozenset({GripperState.IDLE, GripperState.STOPPING, GripperState.FAILED})
 
 
 @dataclass(slots=True)
@@ -62,7 +72,7 @@ class ActiveOrder:
     agreed: int = 0  # readings in a row that call it over
 
 
-class GripperDriver(GripperReader):
+class GripperDriver:
     """Reads a gripper and moves it.
 
     Args:
@@ -71,8 +81,6 @@ class GripperDriver(GripperReader):
         port: opens the port instead of the settings' address.
         now: the host's monotonic clock, s.
     """
-
-    functions = MOVE_FUNCTIONS
 
     def __init__(
         self,
@@ -83,28 +91,25 @@ class GripperDriver(GripperReader):
     ) -> None:
         if not isinstance(right, ExecutePermission):
             raise TypeError("a gripper that moves needs the operator's right")
-        super().__init__(settings, port, now)
+        self._settings, self._now = settings, now
+        opening = port or partial(open_port, settings.port, settings.line)
+        self._line = ModbusLine(settings, opening, FUNCTIONS, now)
+        self._inputs: GripperInputs | None = None  # the last
+        self._t: float | None = None  # s, of these
+        self._trouble = "nothing was read yet"
         self._phase, self._reason = GripperState.IDLE, ""
         self._action = GripperCommand(speed=settings.speed, force=settings.force)
         self._to_write: list[int] | None = None
         self._active = ActiveOrder()
         self._heard_on = 0  # the connection of the last answer
 
-    def activate(self, reset: bool = False) -> None:
+    def activate(self) -> None:
         """Make it ready: every finger moves over its full travel. See `Gripper.activate`."""
         if self._phase not in (GripperState.FAILED, GripperState.IDLE):
             self._require_rest("be activated")
         self._action = replace(self._action, go=False)
-        if reset:
-            self._begin(GripperState.RESETTING, list(RESET_OUTPUTS), RESET_TIMEOUT)
-        else:
-            self._begin_activation()
-
-    def set_mode(self, mode: GripMode) -> None:
-        """Change how the fingers stand. See `Gripper.set_mode`."""
-        self._require_rest("change its mode")
-        self._action = replace(self._action, mode=mode, go=False)
-        self._begin(GripperState.CHANGING_MODE, self._action.registers(), MODE_TIMEOUT)
+        limit = self._settings.activation_limit
+        self._begin(GripperState.ACTIVATING, self._action.registers(), limit)
 
     def open_to(self, opening: float) -> None:
         """Open the fingers. See `Gripper.open_to`."""
@@ -117,7 +122,20 @@ class GripperDriver(GripperReader):
     def step(self) -> GripperStatus:
         """Go on with what has arrived; never waits for the gripper."""
         self._check_deadline()
-        return super().step()
+        try:
+            answer = self._line.step()
+        except NoAnswerError:
+            self._note_trouble(f"no answer: {self._line_fault()}")
+        except GripperRefusedError as refused:
+            self._note_trouble(str(refused))
+        else:
+            if answer is not None:
+                self._take(answer)
+        if self._t is not None and not self._line.link.connected:
+            self._note_trouble(self._line_fault())
+        if self._line.free:
+            self._line.ask(self._next_request())
+        return self._status()
 
     def stop(self) -> None:
         """Stop the fingers; an activation under way can only be ended by a reset.
@@ -127,7 +145,7 @@ class GripperDriver(GripperReader):
         inputs = self._inputs
         if self._phase is GripperState.GRIPPED:
             return
-        if self._phase in (GripperState.ACTIVATING, GripperState.RESETTING):
+        if self._phase is GripperState.ACTIVATING:
             self._begin(GripperState.STOPPING, list(RESET_OUTPUTS), STOP_TIMEOUT)
             self._active.resets = True
         elif self._phase is not GripperState.IDLE and inputs is not None and inputs.active:
@@ -141,7 +159,7 @@ class GripperDriver(GripperReader):
         while self._phase is GripperState.STOPPING and self._now() < end:
             self.step()
             time.sleep(CLOSE_PERIOD)
-        super().close()
+        self._line.close()
 
     def _go(self, opening: float, closing: bool) -> None:
         self._require_rest("close" if closing else "open")
@@ -165,13 +183,9 @@ class GripperDriver(GripperReader):
         self._to_write = registers
         self._active = ActiveOrder(self._now() + limit)
 
-    def _begin_activation(self) -> None:
-        limit = self._settings.activation_limit
-        self._begin(GripperState.ACTIVATING, self._action.registers(), limit)
-
     def _next_request(self) -> ModbusPDU:
         if self._to_write is None or not self._may_write(self._to_write):
-            return super()._next_request()
+            return ReadHoldingRegistersRequest(address=FIRST_INPUT, count=N_INPUTS)
         registers, self._to_write = self._to_write, None
         return WriteMultipleRegistersRequest(address=FIRST_OUTPUT, registers=registers)
 
@@ -191,16 +205,36 @@ class GripperDriver(GripperReader):
         if isinstance(answer, WriteMultipleRegistersResponse):
             self._active.written = True
         self._heard_on = self._line.link.connections
-        super()._take(answer)
+        if not isinstance(answer, ReadHoldingRegistersResponse):
+            return
+        inputs = parse_inputs(answer.registers)
+        if inputs is None:
+            self._line.bad["answer that is not understood"] += 1
+            return
+        self._inputs, self._t, self._trouble = inputs, self._now(), ""
+        self._judge(inputs)
 
-    def _state(self) -> tuple[GripperState, str]:
-        return self._phase, self._reason
+    def _status(self) -> GripperStatus:
+        trouble = self._trouble
+        if self._t is None and not self._line.link.connected:
+            trouble = self._line_fault()
+        text = "; ".join(dict.fromkeys(part for part in (self._reason, trouble) if part))
+        opening = None
+        if self._inputs is not None:
+            opening = self._settings.stroke * (1.0 - self._inputs.position / CLOSED_POSITION)
+        reason = f"{self._settings.port}: {text}" if text else ""
+        return GripperStatus(self._phase, reason, opening, self._t)
+
+    def _line_fault(self) -> str:
+        if not self._line.link.connected:
+            return f"not connected: {self._line.link.fault}"
+        return f"slave {self._settings.slave} is silent; has it power?"
 
     def _check_deadline(self) -> None:
         if self._now() <= self._active.until:
             return
         if not self._line.link.connected:
-            why = self._line_words()
+            why = self._line_fault()
         else:
             why = "" if self._inputs is None else fault_text(self._inputs.fault)
         activating = self._phase is GripperState.ACTIVATING
@@ -209,7 +243,7 @@ class GripperDriver(GripperReader):
             self._to_write = list(RESET_OUTPUTS)  # nothing else ends it
 
     def _note_trouble(self, reason: str) -> None:
-        super()._note_trouble(reason)
+        self._trouble = reason
         if self._phase is not GripperState.IDLE:
             self._fail(reason)
 
@@ -221,14 +255,8 @@ class GripperDriver(GripperReader):
         if self._broken(inputs) or not current:
             return  # the reading is older than the order
         match self._phase:
-            case GripperState.RESETTING if not inputs.active:
-                self._begin_activation()
             case GripperState.ACTIVATING if inputs.activation is ActivationStatus.READY:
                 self._rest(GripperState.READY)
-            case GripperState.CHANGING_MODE:
-                changed = inputs.mode is self._action.mode
-                if self._confirmed(changed and inputs.activation is ActivationStatus.READY):
-                    self._rest(GripperState.READY)
             case GripperState.STOPPING if not inputs.active:
                 self._rest(GripperState.IDLE)
             case GripperState.STOPPING if not (inputs.go or self._active.resets):
@@ -247,7 +275,7 @@ class GripperDriver(GripperReader):
 
     def _broken(self, inputs: GripperInputs) -> bool:
         """Whether a fault, or a lost activation, ends what is being done."""
-        if self._phase in UNKNOWN_STATES or self._phase is GripperState.STOPPING:
+        if self._phase in UNCHECKED_STATES:
             return False
         if inputs.fault >= MIN_LASTING_FAULT:
             self._fail(fault_text(inputs.fault))
@@ -291,7 +319,7 @@ class GripperDriver(GripperReader):
         """Fail for a reason; stop the fingers if they were moving."""
         if self._phase is GripperState.FAILED:
             return
-        under_way = self._phase in MOVING_STATES
+        under_way = self._phase is GripperState.MOVING
         self._phase, self._reason, self._active = GripperState.FAILED, reason, ActiveOrder()
         self._to_write = None
         if under_way:  # with the line gone it must wait: the fingers go to where they were ordered

@@ -8,7 +8,7 @@ two bytes a register, the first in the high half.
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from types import MappingProxyType
 from typing import Final
 
@@ -17,7 +17,7 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
 from verify.devices.ports import DEFAULT_LINE, ClockFunction, Port, PortLink, SerialLine
-from verify.grasping.actuators.protocols import BackgroundOpener, GripMode
+from verify.grasping.actuators.protocols import BackgroundOpener
 
 REQUEST_PERIOD = 0.005  # s: the gripper's cycle; a sooner request reads nothing new
 MAX_BUFFER_BYTES = 512  # bytes: two of the longest frames; noise must not fill the memory
@@ -169,6 +169,17 @@ class ModbusLine:
 FIRST_OUTPUT, FIRST_INPUT = 1000, 2000  # first registers, as they stand on the wire
 N_INPUTS = 8
 CLOSED_POSITION = 255  # position byte; 0 is open
+
+
+class GripMode(StrEnum):
+    """How the fingers stand to each other."""
+
+    BASIC = "basic"
+    PINCH = "pinch"
+    WIDE = "wide"
+    SCISSOR = "scissor"
+
+
 MODES: Final = tuple(GripMode)  # in the order of rMOD
 RESET_OUTPUTS: Final = (0, 0, 0)  # clears faults and the activation
 # gFLT -> meaning

@@ -145,9 +145,8 @@ class MelfaMover:
 
     def _status(self) -> MoverStatus:
         controls, read = self._controls, self._answers
-        age = None if read.t is None else self._now() - read.t
         reason = controls.reason
         if controls.state is MoverState.CONNECTING and not controls.line.link.connected:
             reason = controls.line.link.fault
         text = f"{self._settings.port}: {reason}" if reason else ""
-        return MoverStatus(controls.state, text, read.q, read.t, age, read.speed)
+        return MoverStatus(controls.state, text, read.q, read.t, read.speed)

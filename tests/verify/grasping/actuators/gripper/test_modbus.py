@@ -1,5 +1,3 @@
-import threading
-import time
 from collections import deque
 
 import pytest
@@ -16,7 +14,6 @@ from verify.grasping.actuators.gripper.modbus import (
     ModbusLine,
     NoAnswerError,
 )
-from verify.grasping.actuators.protocols import BackgroundOpener
 
 # frames of the manual, section 4.7
 READ = bytes.fromhex("09 03 07D0 0001 85 CF")
@@ -30,7 +27,6 @@ class Scripted:
     def __init__(self) -> None:
         self.sent: list[bytes] = []
         self.to_come: deque[bytes] = deque()
-        self.closed = False
 
     def wait(self, _seconds: float) -> bool:
         return bool(self.to_come)
@@ -42,7 +38,7 @@ class Scripted:
         self.sent.append(data)
 
     def close(self) -> None:
-        self.closed = True
+        pass
 
 
 class Clock:
@@ -53,24 +49,28 @@ class Clock:
         return self.t
 
 
-def line(port: Scripted, clock: Clock) -> ModbusLine:
-    made = ModbusLine(GripperSettings("scripted"), lambda: port, frozenset({3}), clock)
-    while not made.free:  # the port is opened in a thread
-        made.step()
+REQUEST = ReadHoldingRegistersRequest(address=2000, count=1)
+
+
+def connected(line: ModbusLine, clock: Clock) -> None:
+    while not line.free:  # the port is opened in a thread
+        line.step()
         clock.t += 0.3
-    return made
 
 
-def asked(port: Scripted, clock: Clock) -> ModbusLine:
-    made = line(port, clock)
-    made.ask(ReadHoldingRegistersRequest(address=2000, count=1))
+def asked() -> tuple[Scripted, Clock, ModbusLine]:
+    port, clock = Scripted(), Clock()
+    made = ModbusLine(GripperSettings("scripted"), lambda: port, frozenset({3}), clock)
+    connected(made, clock)
+    with pytest.raises(ValueError, match="may not send function 16"):  # a line for reading
+        made.ask(WriteMultipleRegistersRequest(address=1000, registers=[0x0100]))
+    made.ask(REQUEST)
     assert port.sent == [READ]
-    return made
+    return port, clock, made
 
 
 def test_an_answer_in_pieces_behind_noise_is_understood() -> None:
-    port, clock = Scripted(), Clock()
-    made = asked(port, clock)
+    port, _, made = asked()
     for piece in (b"\xff", READY[:3]):
         port.to_come.append(piece)
         assert made.step() is None
@@ -90,8 +90,7 @@ def test_an_answer_in_pieces_behind_noise_is_understood() -> None:
     ],
 )
 def test_an_invalid_answer_is_skipped_and_the_request_repeated(wrong: bytes) -> None:
-    port, clock = Scripted(), Clock()
-    made = asked(port, clock)
+    port, clock, made = asked()
     port.to_come.append(wrong)
     assert made.step() is None
     clock.t += 0.21
@@ -102,8 +101,7 @@ def test_an_invalid_answer_is_skipped_and_the_request_repeated(wrong: bytes) -> 
 
 
 def test_after_three_timeouts_it_gives_up_and_exceptions_are_reported() -> None:
-    port, clock = Scripted(), Clock()
-    made = asked(port, clock)
+    port, clock, made = asked()
     for _ in range(2):
         clock.t += 0.21
         assert made.step() is None
@@ -111,46 +109,16 @@ def test_after_three_timeouts_it_gives_up_and_exceptions_are_reported() -> None:
     with pytest.raises(NoAnswerError):
         made.step()
     assert port.sent == [READ] * 3
-    made.ask(ReadHoldingRegistersRequest(address=2000, count=1))
+    made.ask(REQUEST)
     port.to_come.append(bytes.fromhex("09 83 02 41 33"))
     with pytest.raises(GripperRefusedError, match="no such register"):
         made.step()
 
 
-def test_a_line_for_reading_sends_no_write() -> None:
-    port, clock = Scripted(), Clock()
-    made = line(port, clock)
-    with pytest.raises(ValueError, match="may not send function 16"):
-        made.ask(WriteMultipleRegistersRequest(address=1000, registers=[0x0100]))
-    assert port.sent == []
-
-
 def test_pending_requests_are_dropped_with_a_broken_line() -> None:
-    port, clock = Scripted(), Clock()
-    made = asked(port, clock)
+    port, clock, made = asked()
     made.link.drop("pulled")
     with pytest.raises(NoAnswerError):
         made.step()
-    while not made.free:
-        made.step()
-        clock.t += 0.3
+    connected(made, clock)
     assert port.sent == [READ]
-
-
-@pytest.mark.realtime
-def test_a_port_that_opens_too_late_is_closed_again() -> None:
-    port, may_open = Scripted(), threading.Event()
-
-    def opening() -> Scripted:
-        may_open.wait(5.0)
-        return port
-
-    slow = BackgroundOpener(opening)
-    with pytest.raises(OSError, match="being opened"):
-        slow()
-    slow.close()
-    may_open.set()
-    end = time.monotonic() + 5.0
-    while not port.closed:
-        assert time.monotonic() < end
-        time.sleep(0.001)

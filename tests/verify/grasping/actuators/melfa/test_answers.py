@@ -1,4 +1,5 @@
 import socket
+import time
 from pathlib import Path
 
 import pytest
@@ -65,8 +66,8 @@ def test_silence_in_mid_move_is_given_up_within_its_time_and_then_stopped(where:
         arm.move_joints(NEXT)
         failing = stepped(arm, lambda status: status.state is MoverState.FAILING)[-1]
         assert "no answer" in failing.reason
-        assert failing.age is not None
-        assert failing.age < 1.0
+        assert failing.t is not None
+        assert time.monotonic() - failing.t < 1.0
         settled(arm, MoverState.FAILED)
         assert not engine.arm.right
         assert not engine.arm.servo_on
@@ -139,17 +140,6 @@ def test_a_reset_controller_is_not_taken_again_without_a_request() -> None:
         failed = settled_after(arm, after(1.2))
         assert "error 6500" in failed.reason
     assert names(engine).count("CNTLON") == 1
-
-
-@pytest.mark.realtime
-def test_an_old_fault_is_not_reported_after_taking_control_again() -> None:
-    engine = controller()
-    with running(engine) as emulated, mover(emulated, limits(hand_speed=1e-3)) as arm:
-        ready(arm)
-        arm.move_joints(NEXT)
-        assert "the hand goes at" in settled(arm, MoverState.FAILED)[-1].reason
-        arm.take_controls()
-        assert settled(arm, MoverState.READY)[-1].reason == ""
 
 
 @pytest.mark.realtime
