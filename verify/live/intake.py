@@ -9,7 +9,7 @@ from typing import Any
 from verify.devices.protocols import CameraDevice, EncoderDevice, PanDevice
 from verify.live.buffers import PanBuffer, ReadingBuffer
 from verify.live.pairing import MAX_WAITING, FramePair, Pairing
-from verify.live.protocols import Recorder
+from verify.live.recording.recorder import SessionRecorder
 
 MAX_QUEUED_PAIRS = 16  # pairs that may wait to be measured: half a second, 30 MB
 OVERRUN = "measuring is slower than the cameras"
@@ -131,7 +131,7 @@ def camera_step(
 
 
 def encoders_step(
-    encoders: EncoderDevice, recorder: Recorder, book: ReadingBuffer
+    encoders: EncoderDevice, recorder: SessionRecorder, book: ReadingBuffer
 ) -> Callable[[], bool]:
     """Read what has come, record it, and make it known."""
 

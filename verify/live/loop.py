@@ -26,7 +26,8 @@ from verify.live.clock import ClockKeeper, Estimator
 from verify.live.intake import PairQueue, PollingThread, camera_step, encoders_step, pan_step
 from verify.live.pairing import FramePair, Pairing
 from verify.live.pan_follow import PanFollower
-from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot, Recorder
+from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot
+from verify.live.recording.recorder import SessionRecorder
 from verify.live.state import DeviceStatus, LiveState
 from verify.measurement.chain import Setup, measure
 
@@ -48,19 +49,13 @@ class LoopSettings:
     until_program_ends: bool = True  # of the robot, where its controller tells
 
 
-def _no_preparation(_pair: StereoPair) -> None:
-    """Prepare nothing."""
-
-
 @dataclass(frozen=True, slots=True)
 class LoopComputation:
     """What other processes compute for the loop."""
 
     estimate_clock: Estimator
     measure: Callable[[Iterator[StereoPair], ExpectedPoses], Iterator[Measurement]] | None = None
-    prepare: Callable[[StereoPair], None] = (
-        _no_preparation  # called with a pair that is being recorded
-    )
+    prepare: Callable[[StereoPair], None] = lambda _: None  # called while a pair is recorded
 
 
 class LiveLoop:
@@ -80,7 +75,7 @@ class LiveLoop:
         self,
         subject: MonitoredRobot,
         devices: LiveDevices,
-        recorder: Recorder,
+        recorder: SessionRecorder,
         plan: LoopSettings,
         computation: LoopComputation,
         listeners: Sequence[Listener] = (),
@@ -214,7 +209,7 @@ class LiveLoop:
     def _here(self, pairs: Iterator[StereoPair], expected: ExpectedPoses) -> Iterator[Measurement]:
         return measure(pairs, Setup(self._subject.rig, self._subject.marker, expected))
 
-    def _taken(self) -> Iterator[StereoPair]:
+    def _taken(self) -> Iterator[CapturedPair]:
         """Pairs of pictures with the angles of their bases."""
         frame = 0
         while (pair := self._queue.take()) is not None:

@@ -1,15 +1,15 @@
-"""Protocols and records that the live loop shares with recorder, listeners and devices; alarms."""
+"""Protocols and records that the live loop shares with listeners and devices; alarms."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import robots
 from verify.core.fiducials import Marker
-from verify.core.records import Array, StereoPair
+from verify.core.records import Array
 from verify.core.rig import Rig
-from verify.devices.protocols import CameraDevice, EncoderDevice, EncoderReading, PanDevice
+from verify.devices.protocols import CameraDevice, EncoderDevice, PanDevice
 from verify.io.session.keys import Clock
 from verify.live.joint_row import JointRow
 
@@ -56,39 +56,6 @@ class Alarm:
             "ended_s": self.ended,
             "revised": self.revised,
         }
-
-
-class RecorderState(Protocol):
-    """How a recording is."""
-
-    @property
-    def recording(self) -> bool:
-        """It goes on."""
-
-    @property
-    def sentence(self) -> str:
-        """What there is to say."""
-
-
-class Recorder(Protocol):
-    """Puts evidence on the disk before anything is computed from it."""
-
-    def keep(
-        self, pairs: Iterator[StereoPair], meanwhile: Callable[[StereoPair], None]
-    ) -> Iterator[StereoPair]:
-        """Record pairs as they pass; the other is called while each is being written."""
-
-    def through(self, frame: int) -> None:
-        """Note that the pair of that number is measured and compared."""
-
-    def reading(self, reading: EncoderReading) -> EncoderReading:
-        """Record a reading; gives it as the recording has it."""
-
-    def state(self) -> RecorderState:
-        """Say how the recording is."""
-
-    def close(self) -> None:
-        """Write what is under way and close the session."""
 
 
 class Listener(Protocol):
