@@ -35,7 +35,7 @@ from verify.cli.grab.conduct import GraspOptions, OperatorKeys
 from verify.cli.grab.grab import grab
 from verify.cli.grab.station import ActuatorPorts, grab_on_station
 from verify.cli.terminal import terminal
-from verify.core.records import StereoPair
+from verify.devices.protocols import CapturedPair
 from verify.errors import InputError
 from verify.grasping.actuators import emulator_check
 from verify.grasping.actuators.melfa.mover import MelfaMover
@@ -44,7 +44,6 @@ from verify.grasping.actuators.protocols import ExecutePermission, MoverState
 from verify.grasping.control.states import GraspEvent
 from verify.io import fiducials, rig
 from verify.io.session.session import open_session
-from verify.live.recording.matroska import picture_format
 from verify.live.recording.session import SessionFacts, SessionWriter
 from verify.simulation.cell.cell import CellWorld
 from verify.simulation.cell.scene import Cap, CellScene, draw_scene
@@ -211,14 +210,15 @@ def film(folder: Path, seconds: float) -> None:
         "rig.toml": rig.encode(setup.rig),
         "marker.toml": fiducials.encode_marker(setup.marker),
     }
-    kinds = (picture_format(pair.left, raws[0]), picture_format(pair.right, raws[1]))
-    part = SessionWriter(
-        folder, SessionFacts(ROBOT, 6, files, {}, turning=False), datetime.now(UTC), kinds
-    )
-    for frame in range(round(30 * seconds)):
-        t = frame / 30
-        one = StereoPair(frame, t, t, pair.pan_left, pair.pan_right, pair.left, pair.right)
-        part.add_pair(one, (raws[0], raws[1]))
+    facts = SessionFacts(ROBOT, 6, files, {}, turning=False)
+    pans = (pair.pan_left, pair.pan_right)
+    pairs = [
+        CapturedPair(frame, frame / 30, frame / 30, *pans, pair.left, pair.right, *raws)
+        for frame in range(round(30 * seconds))
+    ]
+    part = SessionWriter(folder, facts, datetime.now(UTC), pairs[0])
+    for one in pairs:
+        part.add_pair(one)
     part.close()
 
 

@@ -154,7 +154,7 @@ def _serve(
     """Serve the page and the metrics, as far as they are wanted."""
     if wish.page is not None:
         asked = wish.page
-        page = Page(source, asked.port, asked.address, asked.token, moment=state.wait_until_told)
+        page = Page(source, asked.port, asked.address, asked.token, moment=state.wait_for_pair)
         stack.callback(page.close)
         terminal.say(f"page: {page.url}")
         terminal.record({"type": "page", "url": page.url})

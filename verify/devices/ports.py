@@ -1,12 +1,16 @@
 """Open a port (TCP, UDP, or by pyserial), keep it open, and split its bytes into lines."""
 
+import binascii
 import contextlib
+import errno
+import operator
 import os
 import select
 import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial, reduce
 from typing import Protocol
 
 import serial
@@ -169,24 +173,30 @@ def host_and_port(text: str, address: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
+# the first row whose type or number (None: any) is the error's
+ERROR_TEXTS: tuple[tuple[type[OSError], int | None, str], ...] = (
+    (FileNotFoundError, errno.ENOENT, "there is no such port; is it plugged in?"),
+    (
+        *(PermissionError, errno.EACCES),
+        "this user may not open it (on Linux: join the group dialout)",
+    ),
+    (
+        *(ConnectionRefusedError, None),
+        "nobody listens there, or the line is taken by another program",
+    ),
+    (ConnectionError, None, CONNECTION_CLOSED),
+    (TimeoutError, None, "no answer; check address, cable and power"),
+    (socket.gaierror, None, "there is no computer of that name"),
+    (BlockingIOError, errno.EAGAIN, "another program has it open"),
+    (serial.SerialException, None, "the port is gone; was it unplugged?"),
+)
+
+
 def describe_port_error(error: OSError) -> str:
     """Say why a port does not work, and what to look at."""
-    if isinstance(error, FileNotFoundError) or error.errno == 2:
-        return "there is no such port; is it plugged in?"
-    if isinstance(error, PermissionError) or error.errno == 13:
-        return "this user may not open it (on Linux: join the group dialout)"
-    if isinstance(error, ConnectionRefusedError):
-        return "nobody listens there, or the line is taken by another program"
-    if isinstance(error, ConnectionError):  # how it ends depends on what was under way
-        return CONNECTION_CLOSED
-    if isinstance(error, TimeoutError):
-        return "no answer; check address, cable and power"
-    if isinstance(error, socket.gaierror):
-        return "there is no computer of that name"
-    if error.errno == 11:  # the exclusive lock
-        return "another program has it open"
-    if isinstance(error, serial.SerialException):
-        return "the port is gone; was it unplugged?"
+    for kind, number, text in ERROR_TEXTS:
+        if isinstance(error, kind) or (number is not None and error.errno == number):
+            return text
     return (error.strerror or str(error) or type(error).__name__).lower()
 
 
@@ -319,6 +329,11 @@ class PortLink:
         self.drop(f"{why} {LINE_IN_USE}" if why == CONNECTION_CLOSED and not self._heard else why)
 
 
+def link_to(address: str, line: SerialLine = DEFAULT_LINE) -> PortLink:
+    """Keep the port of an address open; see `open_port`."""
+    return PortLink(address, partial(open_port, address, line))
+
+
 MAX_LINE_BYTES = 4096  # bytes: noise without a line end must not fill the memory
 
 
@@ -327,14 +342,12 @@ class LineBuffer:
 
     def __init__(self) -> None:
         self._rest = b""
-        self.overlong = 0  # lines dropped because no end came
 
     def feed(self, data: bytes) -> list[bytes]:
         """Add bytes; get the lines that they complete, without LF, CR LF or blanks about them."""
         *whole, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > MAX_LINE_BYTES:
             self._rest = b""
-            self.overlong += 1
         return [line for line in map(bytes.strip, whole) if line]
 
     def clear(self) -> None:
@@ -342,38 +355,20 @@ class LineBuffer:
         self._rest = b""
 
 
-def xor(data: bytes) -> int:
-    """Exclusive or of all bytes, as NMEA 0183 does."""
-    total = 0
+def _crc8(data: bytes) -> int:
+    register = 0
     for byte in data:
-        total ^= byte
-    return total
-
-
-def sum8(data: bytes) -> int:
-    """Sum of all bytes, its lowest eight bits."""
-    return sum(data) & 0xFF
-
-
-def crc8(data: bytes) -> int:
-    """CRC-8: polynomial 0x07, start 0, not reflected; F4 for "123456789"."""
-    return _crc(data, 8, 0x07, 0x00)
-
-
-def crc16(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; 29B1 for "123456789"."""
-    return _crc(data, 16, 0x1021, 0xFFFF)
-
-
-def _crc(data: bytes, bits: int, polynomial: int, start: int) -> int:
-    register, top = start, 1 << (bits - 1)
-    for byte in data:
-        register ^= byte << (bits - 8)
+        register ^= byte
         for _ in range(8):
-            register = (register << 1) ^ (polynomial if register & top else 0)
-        register &= (1 << bits) - 1
+            register = (register << 1) ^ (0x107 if register & 0x80 else 0)
     return register
 
 
 # width in hexadecimal digits, and the function
-CHECKSUMS = {"xor": (2, xor), "sum8": (2, sum8), "crc8": (2, crc8), "crc16": (4, crc16)}
+CHECKSUMS: dict[str, tuple[int, Callable[[bytes], int]]] = {
+    "xor": (2, lambda data: reduce(operator.xor, data, 0)),  # as NMEA 0183 has it
+    "sum8": (2, lambda data: sum(data) & 0xFF),
+    "crc8": (2, _crc8),  # polynomial 0x07, start 0, not reflected; F4 for "123456789"
+    # CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; 29B1 for "123456789"
+    "crc16": (4, lambda data: binascii.crc_hqx(data, 0xFFFF)),
+}

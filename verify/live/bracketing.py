@@ -25,16 +25,6 @@ class MeasuredPair:
     measurement: Measurement
     arrived: float  # s, host's monotonic clock, when its later picture was in hand
     doubt: float  # s, half-width within which it was taken
-    measured: float  # s, host's monotonic clock
-
-
-@dataclass(frozen=True, slots=True)
-class ComparedRow:
-    """A row, and when what it rests on was there."""
-
-    row: JointRow
-    since: float  # s, host's monotonic clock: the later of picture and bracketing reading
-    taken: MeasuredPair
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +34,6 @@ class BracketedPair:
     taken: MeasuredPair
     clock: LiveClock | None  # None: no reading has ever come
     since: float  # s, host's monotonic clock: the later of picture and bracketing reading
-
-
-def _no_work(_frame: int) -> None:
-    """Do nothing meanwhile."""
 
 
 class Bracketing:
@@ -70,7 +56,7 @@ class Bracketing:
         )
 
     def wait(
-        self, taken: MeasuredPair, queued: int, meanwhile: Callable[[int], None] = _no_work
+        self, taken: MeasuredPair, queued: int, meanwhile: Callable[[int], None]
     ) -> BracketedPair:
         """Wait for the reading that brackets a pair.
 
@@ -101,16 +87,13 @@ class Bracketing:
             return None
         return BracketedPair(taken, clock, max(taken.arrived, reading.t_host))
 
-    def compare(self, pairs: Sequence[BracketedPair]) -> list[ComparedRow]:
-        """Compare pairs, each by itself, in their order."""
+    def compare(self, pairs: Sequence[BracketedPair]) -> list[tuple[JointRow, float]]:
+        """Compare pairs, each by itself, in their order; each row with the pair's `since`."""
         timed = [(p.taken.measurement, p.clock) for p in pairs if p.clock is not None]
         rows = iter(self._rows(timed))
+        without = self._comparer.without
         return [
-            ComparedRow(
-                self._comparer.without(p.taken.measurement) if p.clock is None else next(rows),
-                p.since,
-                p.taken,
-            )
+            (without(p.taken.measurement) if p.clock is None else next(rows), p.since)
             for p in pairs
         ]
 
@@ -121,7 +104,7 @@ class Bracketing:
         return self._comparer.rows(timed, self._book.about(min(there)), self._time_doubts(there))
 
     def _time_doubts(self, there: list[float]) -> Array:
-        """How well the readings' times are known (n,), s: stated, else as the driver says."""
+        """Standard uncertainty of the readings' times (n,), s: stated, else the driver's."""
         stated = self._subject.time_uncertainty
         if stated is not None:
             return np.full(len(there), stated)
@@ -134,9 +117,4 @@ class Bracketing:
         return (0.0, None) if clock is None else (measurement.t - clock.offset, clock)
 
     def _patience(self) -> float:
-        period = self._book.period()
-        return (
-            MIN_READING_TIMEOUT
-            if period is None
-            else max(MIN_READING_TIMEOUT, TIMEOUT_PERIODS * period)
-        )
+        return max(MIN_READING_TIMEOUT, TIMEOUT_PERIODS * (self._book.period() or 0.0))

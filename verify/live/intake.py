@@ -4,35 +4,42 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
-from verify.devices.protocols import CameraDevice, EncoderDevice, PanDevice
-from verify.live.buffers import PanBuffer, ReadingBuffer
+from verify.devices.protocols import CameraDevice, CameraFrame, Device
 from verify.live.pairing import MAX_WAITING, FramePair, Pairing
-from verify.live.protocols import Recorder
 
 MAX_QUEUED_PAIRS = 16  # pairs that may wait to be measured: half a second, 30 MB
 OVERRUN = "measuring is slower than the cameras"
 IDLE_DELAY = 0.005  # s after a read that came back at once with nothing
 
 
-class PairQueue:
-    """Pairs on their way to be measured; the oldest are lost, and counted, when it is full."""
+Reading = TypeVar("Reading")
+State = TypeVar("State")
 
-    def __init__(self, pairing: Pairing) -> None:
-        self.pairing = pairing
+
+class PairQueue:
+    """Pairs on their way to be measured; the oldest are lost, and counted, when it is full.
+
+    Args:
+        pairing: finds them.
+        size: how many may wait; with 1 only the newest is given out.
+    """
+
+    def __init__(self, pairing: Pairing, size: int = MAX_QUEUED_PAIRS) -> None:
+        self.pairing, self._size = pairing, size
         self._wake = threading.Condition()
         self._pairs: deque[FramePair] = deque()
         self._closed = False
 
-    def add(self, side: int, camera_frame: Any, arrived: float) -> None:
+    def add(self, side: int, camera_frame: CameraFrame, arrived: float) -> None:
         """Take a picture of the left (0) or right (1) camera."""
         with self._wake:
             pair = self.pairing.add(side, camera_frame, arrived)
             if pair is None:
                 return
             self._pairs.append(pair)
-            while len(self._pairs) > MAX_QUEUED_PAIRS:
+            while len(self._pairs) > self._size:
                 self._pairs.popleft()
                 self.pairing.dropped[OVERRUN] += 1
             self._wake.notify_all()
@@ -40,18 +47,15 @@ class PairQueue:
     def wait_for_room(self, side: int) -> bool:
         """Wait, a moment at most, until a picture of this side would not be lost."""
         with self._wake:
-            if not self._room(side):
-                self._wake.wait(IDLE_DELAY)
-            return self._room(side) or self._closed
+            return self._wake.wait_for(lambda: self._room(side), IDLE_DELAY) or self._closed
 
     def _room(self, side: int) -> bool:
-        return len(self._pairs) < MAX_QUEUED_PAIRS and self.pairing.waiting(side) < MAX_WAITING
+        return len(self._pairs) < self._size and self.pairing.waiting(side) < MAX_WAITING
 
-    def take(self) -> FramePair | None:
-        """Wait for the next pair; None once it is closed and empty."""
+    def take(self, timeout: float | None = None) -> FramePair | None:
+        """Wait for the next pair; None once it is closed and empty, or after a time-out, s."""
         with self._wake:
-            while not self._pairs and not self._closed:
-                self._wake.wait()
+            self._wake.wait_for(lambda: self._pairs or self._closed, timeout)
             pair = self._pairs.popleft() if self._pairs else None
             self._wake.notify_all()
             return pair
@@ -62,7 +66,7 @@ class PairQueue:
             self.pairing.dropped[reason] += 1
 
     def dropped(self) -> dict[str, int]:
-        """Say how many pictures and pairs were lost, and why."""
+        """Counts of the pictures and pairs that were lost, by reason."""
         with self._wake:
             return dict(self.pairing.dropped)
 
@@ -74,12 +78,12 @@ class PairQueue:
 
 
 class PollingThread:
-    """A thread that calls a function until it is told to stop.
+    """A thread that calls a function until it is stopped.
 
     Args:
         name: of the thread.
-        step: reads once, and comes back within a fraction of a second.
-        failed: told of a defect, once; the thread goes on.
+        step: reads once, within a fraction of a second; False if nothing came.
+        failed: called with an error of the step; the thread goes on.
     """
 
     def __init__(
@@ -130,31 +134,18 @@ def camera_step(
     return step
 
 
-def encoders_step(
-    encoders: EncoderDevice, recorder: Recorder, book: ReadingBuffer
+def readings_step(
+    device: Device[list[Reading], State],
+    add: Callable[[Reading], None],
+    before: Callable[[], None] = lambda: None,
 ) -> Callable[[], bool]:
-    """Read what has come, record it, and make it known."""
+    """Read encoders or bases, and hand on each reading; `before` is called first."""
 
     def step() -> bool:
-        readings = encoders.read()
+        before()
+        readings = device.read()
         for reading in readings:
-            book.add(recorder.reading(reading))
-        return bool(readings)
-
-    return step
-
-
-def pan_step(
-    pan: PanDevice, book: PanBuffer, turn: Callable[[], None] | None = None
-) -> Callable[[], bool]:
-    """Read how the bases stand; turn them first, where an order waits."""
-
-    def step() -> bool:
-        if turn is not None:
-            turn()
-        readings = pan.read()
-        for reading in readings:
-            book.add(reading)
+            add(reading)
         return bool(readings)
 
     return step

@@ -11,45 +11,45 @@ import numpy as np
 
 import robots
 from verify.core.records import Array, Measurement, StereoPair
-from verify.devices.protocols import CameraState, CapturedPair, Device, DeviceState
+from verify.devices.protocols import (
+    CameraState,
+    CapturedPair,
+    Device,
+    DeviceState,
+    EncoderReading,
+)
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
 from verify.live.alarms.loss import DeviceWatch, TargetWatch
 from verify.live.bracketing import (
     MAX_PAIRS_TOGETHER,
     BracketedPair,
     Bracketing,
-    ComparedRow,
     MeasuredPair,
 )
 from verify.live.buffers import PanBuffer, ReadingBuffer
 from verify.live.clock import ClockKeeper, Estimator
-from verify.live.intake import PairQueue, PollingThread, camera_step, encoders_step, pan_step
+from verify.live.intake import PairQueue, PollingThread, camera_step, readings_step
+from verify.live.joint_row import JointRow
 from verify.live.pairing import FramePair, Pairing
 from verify.live.pan_follow import PanFollower
-from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot, Recorder
-from verify.live.state import DeviceStatus, LiveState
+from verify.live.protocols import Alarm, ExpectedPoses, Listener, LiveDevices, MonitoredRobot
+from verify.live.recording.recorder import SessionRecorder
+from verify.live.state import SILENCE_TIMEOUT, DeviceStatus, LiveState, device_status
 from verify.measurement.chain import Setup, measure
 
 DEVICE_CHECK_PERIOD = 0.1  # s from one look at the devices to the next
 JOIN_TIMEOUT = 3.0  # s
 BASE_TURNING = "a camera base was turning, or its angle is not known"
 ARRIVAL_OFFSETS = np.array([-0.1, -0.05, 0.0, 0.05, 0.1])  # s: an arrival's clock is known to that
-SILENCE_TIMEOUT = 1.0  # s; longer for devices with less than two readings a second
-ExpectedPoses = Callable[[float], Sequence[Array]]
 MAX_PAIRS_IN_PROGRESS = 8  # pairs between the cameras and the comparison, at most
 
 
 @dataclass(frozen=True, slots=True)
 class LoopSettings:
-    """How a run goes."""
+    """Limits and duration of a run."""
 
     limits: AlarmLimits
-    duration: float | None = None  # s; None: until told to stop
-    until_program_ends: bool = True  # of the robot, where its controller tells
-
-
-def _no_preparation(_pair: StereoPair) -> None:
-    """Prepare nothing."""
+    duration: float | None = None  # s; None: until it is stopped
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +58,7 @@ class LoopComputation:
 
     estimate_clock: Estimator
     measure: Callable[[Iterator[StereoPair], ExpectedPoses], Iterator[Measurement]] | None = None
-    prepare: Callable[[StereoPair], None] = (
-        _no_preparation  # called with a pair that is being recorded
-    )
+    prepare: Callable[[StereoPair], None] = lambda _: None  # called while a pair is recorded
 
 
 class LiveLoop:
@@ -80,7 +78,7 @@ class LiveLoop:
         self,
         subject: MonitoredRobot,
         devices: LiveDevices,
-        recorder: Recorder,
+        recorder: SessionRecorder,
         plan: LoopSettings,
         computation: LoopComputation,
         listeners: Sequence[Listener] = (),
@@ -104,10 +102,10 @@ class LiveLoop:
         self._lost = DeviceWatch(SILENCE_TIMEOUT, numbers)
         self._measuring = computation.measure or self._here
         self._prepare = computation.prepare
-        self._arrivals: dict[float, tuple[float, float, StereoPair]] = {}
+        self._arrivals: dict[float, tuple[float, float, CapturedPair]] = {}
         self._measured: deque[MeasuredPair] = deque()
         self._wake = threading.Condition()
-        self._tell = threading.Lock()
+        self._watching = threading.Lock()  # of the target's alarm: two threads use it
         self._measuring_ended = False
         self._troubles: dict[str, str] = {}
         self._ran = False
@@ -150,14 +148,17 @@ class LiveLoop:
         steps = [
             ("left camera", camera_step(devices.left, 0, self._queue, patient=devices.files)),
             ("right camera", camera_step(devices.right, 1, self._queue, patient=devices.files)),
-            ("encoders", encoders_step(devices.encoders, self._recorder, self._book)),
+            ("encoders", readings_step(devices.encoders, self._add_reading)),
         ]
         if devices.pan is not None:
-            steps.append(("pan bases", pan_step(devices.pan, self._pan, self._turn)))
+            steps.append(("pan bases", readings_step(devices.pan, self._pan.add, self._turn)))
         return [PollingThread(name, step, self._failed) for name, step in steps]
 
+    def _add_reading(self, reading: EncoderReading) -> None:
+        self._book.add(self._recorder.reading(reading))
+
     def _turn(self) -> None:
-        """Carry an order of the follower's out, in the thread that owns the bases' line."""
+        """Send the follower's order, in the thread that owns the bases' line."""
         order = None if self._follower is None else self._follower.order()
         if order is not None and self._devices.turn is not None:
             self._devices.turn(*order)
@@ -172,7 +173,7 @@ class LiveLoop:
             return True
         running = self._devices.encoders.state().program_running
         self._ran = self._ran or running is True
-        if self._plan.until_program_ends and self._ran and running is False:
+        if self._ran and running is False:
             return True
         return all(camera.state().ended for camera in (self._devices.left, self._devices.right))
 
@@ -214,7 +215,7 @@ class LiveLoop:
     def _here(self, pairs: Iterator[StereoPair], expected: ExpectedPoses) -> Iterator[Measurement]:
         return measure(pairs, Setup(self._subject.rig, self._subject.marker, expected))
 
-    def _taken(self) -> Iterator[StereoPair]:
+    def _taken(self) -> Iterator[CapturedPair]:
         """Pairs of pictures with the angles of their bases."""
         frame = 0
         while (pair := self._queue.take()) is not None:
@@ -256,11 +257,11 @@ class LiveLoop:
         nothing = (time.monotonic(), 0.0, None)
         arrived, doubt, pair = self._arrivals.pop(measurement.t, nothing)
         if pair is not None:
-            self.state.seen(pair, measurement)
+            self.state.set_pictures(pair, measurement)
             if self._follower is not None:
                 self._follower.look(pair, measurement, self._expected)
         with self._wake:
-            self._measured.append(MeasuredPair(measurement, arrived, doubt, time.monotonic()))
+            self._measured.append(MeasuredPair(measurement, arrived, doubt))
             self._wake.notify_all()
 
     def _expected(self, t: float) -> Sequence[Array]:
@@ -282,44 +283,41 @@ class LiveLoop:
                 pairs = [self._bracketing.wait(*item, self._recorder.through)]
                 while len(pairs) < MAX_PAIRS_TOGETHER and (more := self._another()) is not None:
                     pairs.append(more)
-                for outcome in self._bracketing.compare(pairs):
-                    alarms = self._judged(outcome)
-                    self.state.latency.add(time.monotonic() - outcome.since)
-                    self._tell_all(outcome, alarms)
+                for row, since in self._bracketing.compare(pairs):
+                    alarms = self._judge(row)
+                    self.state.latency.add(time.monotonic() - since)
+                    self._publish(row, alarms)
             except Exception as error:
                 self._failed("comparison", error)
 
     def _next_measured(self) -> tuple[MeasuredPair, int] | None:
         with self._wake:
-            while not self._measured and not self._measuring_ended:
-                self._wake.wait()
-            if not self._measured:
-                return None
-            return self._measured.popleft(), len(self._measured)
+            self._wake.wait_for(lambda: self._measured or self._measuring_ended)
+            return (self._measured.popleft(), len(self._measured)) if self._measured else None
 
     def _another(self) -> BracketedPair | None:
         """Take the next measured pair if it needs no wait."""
         with self._wake:
-            found = self._bracketing.at_once(self._measured[0]) if self._measured else None
-            if found is not None:
+            pair = self._bracketing.at_once(self._measured[0]) if self._measured else None
+            if pair is not None:
                 self._measured.popleft()
-            return found
+            return pair
 
-    def _judged(self, outcome: ComparedRow) -> list[Alarm]:
+    def _judge(self, row: JointRow) -> list[Alarm]:
         now = time.time()
-        with self._tell:
-            alarms = self._target.take(outcome.row, time.monotonic(), now)
-        return alarms + self._joints.take(outcome.row, now)
+        with self._watching:
+            alarms = self._target.take(row, time.monotonic(), now)
+        return alarms + self._joints.take(row, now)
 
-    def _tell_all(self, outcome: ComparedRow, alarms: list[Alarm]) -> None:
+    def _publish(self, row: JointRow, alarms: list[Alarm]) -> None:
         statistic = self._joints.statistic
-        self.state.row(outcome.row, statistic)
+        self.state.row(row, statistic)
         for alarm in alarms:
             self._raise(alarm)
         for listener in self._listeners:
-            listener.row(outcome.row, statistic)
-        self._recorder.through(outcome.row.frame)
-        self.state.told()
+            listener.row(row, statistic)
+        self._recorder.through(row.frame)
+        self.state.pair_done()
 
     def _raise(self, alarm: Alarm) -> None:
         self.state.alarm(alarm)
@@ -329,24 +327,27 @@ class LiveLoop:
     # looking after
 
     def _look(self, *, final: bool = False) -> None:
-        """See how the devices are; after the end, when they are closed, what was dropped alone."""
+        """Update the devices' states; after the end, when they are closed, only the counts."""
+        lines = self.state.snapshot().devices if final else self._check_devices()
+        self.state.set_status(lines, self._queue.dropped(), self._recorder.state().sentence)
+
+    def _check_devices(self) -> tuple[DeviceStatus, ...]:
+        """Describe every device, and raise alarms for those that are silent."""
         t, now = time.monotonic(), time.time()
         alarms: list[Alarm] = []
-        lines = [] if not final else list(self.state.snapshot().devices)
-        for name, device in () if final else self._named().items():
-            said = device.state()
-            silent = said.age is None or said.age > SILENCE_TIMEOUT
-            lines.append(DeviceStatus(name, said.connected and not silent, said.sentence))
-            alarms += self._lost.take(name, said.age, said.sentence, t, now)
-        if not final:
-            lines += [DeviceStatus(name, False, said) for name, said in self._troubles.items()]
-            if self._keeper.trouble:
-                lines.append(DeviceStatus("clock", False, self._keeper.trouble))
-            with self._tell:
-                alarms += self._target.look(t, now)
-        self.state.facts(tuple(lines), self._queue.dropped(), self._recorder.state().sentence)
+        lines = []
+        for name, device in self._named().items():
+            state = device.state()
+            lines.append(device_status(name, state))
+            alarms += self._lost.take(name, state.age, state.sentence, t, now)
+        lines += [DeviceStatus(name, False, text) for name, text in self._troubles.items()]
+        if self._keeper.trouble:
+            lines.append(DeviceStatus("clock", False, self._keeper.trouble))
+        with self._watching:
+            alarms += self._target.look(t, now)
         for alarm in alarms:
             self._raise(alarm)
+        return tuple(lines)
 
     def _named(self) -> dict[str, Device[object, DeviceState | CameraState]]:
         devices = self._devices

@@ -32,6 +32,7 @@ from verify.core.processes import (
 )
 from verify.core.records import Array, Image, Measurement, Spots, StereoPair
 from verify.core.rig import Rig
+from verify.live.protocols import ExpectedPoses
 from verify.measurement.chain import Setup, measure
 from verify.measurement.detection.detect import detect
 
@@ -42,7 +43,6 @@ JOIN_TIMEOUT = 2.0  # s
 NO_PICTURE: Image = np.zeros((0, 0), dtype=np.uint8)
 
 DetectionRequest = tuple[str, tuple[int, ...], Array | None]  # shared memory, shape, windows
-ExpectedPoses = Callable[[float], Sequence[Array]]
 PairMessage = tuple[StereoPair, Place, Place]  # without its pictures, and where those are
 
 

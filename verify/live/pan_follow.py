@@ -1,21 +1,21 @@
 """Angles for turning camera bases that keep the LEDs in view."""
 
 import math
-import threading
-from collections.abc import Callable, Sequence
+from collections import deque
 
 import numpy as np
 
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, StereoPair
 from verify.core.rig import Camera, Rig
+from verify.live.protocols import ExpectedPoses
 
-MAX_OFF_AXIS_RATIO = 0.35  # of half the field: so far may the LEDs wander before a base turns
+MAX_OFF_AXIS_RATIO = 0.35  # of half the field: LEDs farther from the axis make a base turn
 ORDER_PERIOD = 1.0  # s from one order to the next: a base that turns gives no pairs
 
 
 class PanFollower:
-    """Says where to turn the bases. Orders are fetched by the thread that owns the line.
+    """Computes orders to the bases, which the thread that owns their line fetches.
 
     Args:
         rig: the cameras.
@@ -29,48 +29,34 @@ class PanFollower:
             MAX_OFF_AXIS_RATIO * math.atan(rig.image_size[0] / 2 / camera.matrix[0, 0])
             for camera in (rig.left, rig.right)
         ]
-        self._lock = threading.Lock()
-        self._order: tuple[float, float] | None = None
+        self._orders: deque[tuple[float, float]] = deque(maxlen=1)
         self._ordered = float("-inf")
 
-    def look(
-        self,
-        pair: StereoPair,
-        measurement: Measurement,
-        expected: Callable[[float], Sequence[Array]],
-    ) -> None:
-        """See where the LEDs are, and order a turn if they are too far aside.
+    def look(self, pair: StereoPair, measurement: Measurement, expected: ExpectedPoses) -> None:
+        """Order a turn if the LEDs are too far from an optical axis.
 
         Args:
-            pair: says how the bases stood.
-            measurement: what was seen in it.
-            expected: gives rig_T_flange from the readings at an instant, for pairs that show no
-                pose; of several none is believed.
+            pair: has the bases' angles.
+            measurement: of that pair.
+            expected: used for pairs that show no pose; of several poses none is used.
         """
         if measurement.pose is not None:
             rig_T_flange = measurement.pose.rig_T_flange
-        elif len(found := expected(measurement.t)) == 1:
-            rig_T_flange = found[0]
+        elif len(poses := expected(measurement.t)) == 1:
+            rig_T_flange = poses[0]
         else:
             return
         point = rig_T_flange @ self._middle
-        stands = (pair.pan_left, pair.pan_right)
-        cameras = (self._rig.left, self._rig.right)
-        aside = [
-            _off_axis_angle(camera, pan, point) for camera, pan in zip(cameras, stands, strict=True)
-        ]
-        far = any(abs(a) > most for a, most in zip(aside, self._allowed, strict=True))
-        if not far or pair.t_left < self._ordered + ORDER_PERIOD:
-            return
-        self._ordered = pair.t_left
-        with self._lock:
-            self._order = (stands[0] + aside[0], stands[1] + aside[1])
+        left = _off_axis_angle(self._rig.left, pair.pan_left, point)
+        right = _off_axis_angle(self._rig.right, pair.pan_right, point)
+        far = abs(left) > self._allowed[0] or abs(right) > self._allowed[1]
+        if far and pair.t_left >= self._ordered + ORDER_PERIOD:
+            self._ordered = pair.t_left
+            self._orders.append((pair.pan_left + left, pair.pan_right + right))
 
     def order(self) -> tuple[float, float] | None:
         """Fetch the newest order, once: angles as read, rad, left and right."""
-        with self._lock:
-            order, self._order = self._order, None
-        return order
+        return self._orders.pop() if self._orders else None
 
 
 def _off_axis_angle(camera: Camera, pan: float, point: Array) -> float:

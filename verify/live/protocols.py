@@ -1,21 +1,23 @@
-"""Protocols and records that the live loop shares with recorder, listeners and devices; alarms."""
+"""Protocols and records that the live loop shares with listeners and devices; alarms."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import robots
 from verify.core.fiducials import Marker
-from verify.core.records import Array, StereoPair
+from verify.core.records import Array
 from verify.core.rig import Rig
-from verify.devices.protocols import CameraDevice, EncoderDevice, EncoderReading, PanDevice
+from verify.devices.protocols import CameraDevice, EncoderDevice, PanDevice
 from verify.io.session.keys import Clock
 from verify.live.joint_row import JointRow
 
+ExpectedPoses = Callable[[float], Sequence[Array]]  # rig_T_flange from the readings, at a time, s
+
 
 def format_error_deg(error: float, standard_uncertainty: float) -> str:
-    """Word an error and its uncertainty (rad) with as many digits as it has."""
+    """Write an error and its uncertainty (rad) in degrees, with as many digits as it has."""
     digits = 2 if standard_uncertainty >= math.radians(0.01) else 3
     value, doubt = math.degrees(error), math.degrees(standard_uncertainty)
     sign = "−" if value < 0 else "+"
@@ -24,22 +26,22 @@ def format_error_deg(error: float, standard_uncertainty: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """One alarm, as it is told and kept."""
+    """One alarm."""
 
     number: int  # counts from 1
     kind: str  # change, tolerance, target, device
     began: float  # s since the epoch
     t: float  # s, cameras' clock, of the pair that raised it
     text: str  # one sentence
-    joints: tuple[int, ...] = ()  # counted from 1: the likeliest, then those not told apart from it
+    joints: tuple[int, ...] = ()  # counted from 1: the likeliest, then those that may be meant too
     error: float | None = None  # rad
     standard_uncertainty: float | None = None  # rad
     device: str | None = None
     ended: float | None = None  # s since the epoch; None while it stands; a change is an event
-    revised: bool = False  # tells more of an alarm that was told before
+    revised: bool = False  # a revision of an alarm that was raised before
 
     def fields(self) -> dict[str, Any]:
-        """Units at the door: what a JSON line says of it."""
+        """Give the alarm as JSON has it, in degrees and seconds."""
         return {
             "alarm": self.number,
             "kind": self.kind,
@@ -58,41 +60,8 @@ class Alarm:
         }
 
 
-class RecorderState(Protocol):
-    """How a recording is."""
-
-    @property
-    def recording(self) -> bool:
-        """It goes on."""
-
-    @property
-    def sentence(self) -> str:
-        """What there is to say."""
-
-
-class Recorder(Protocol):
-    """Puts evidence on the disk before anything is computed from it."""
-
-    def keep(
-        self, pairs: Iterator[StereoPair], meanwhile: Callable[[StereoPair], None]
-    ) -> Iterator[StereoPair]:
-        """Record pairs as they pass; the other is called while each is being written."""
-
-    def through(self, frame: int) -> None:
-        """Note that the pair of that number is measured and compared."""
-
-    def reading(self, reading: EncoderReading) -> EncoderReading:
-        """Record a reading; gives it as the recording has it."""
-
-    def state(self) -> RecorderState:
-        """Say how the recording is."""
-
-    def close(self) -> None:
-        """Write what is under way and close the session."""
-
-
 class Listener(Protocol):
-    """Is told what happens, in a thread of its own: it may take its time."""
+    """Receives rows and alarms, in a thread of its own: it may take its time."""
 
     def row(self, row: JointRow, statistic: Array) -> None:
         """Take a pair's outcome; some may be left out when there are too many."""
@@ -101,12 +70,12 @@ class Listener(Protocol):
         """Take an alarm that is new, revised, or over."""
 
     def close(self) -> None:
-        """Nothing more will come."""
+        """End: nothing more will come."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveDevices:
-    """What is looked at and listened to."""
+    """The open devices of a run."""
 
     left: CameraDevice
     right: CameraDevice
@@ -119,11 +88,11 @@ class LiveDevices:
 
 @dataclass(frozen=True, slots=True)
 class MonitoredRobot:
-    """The robot that is watched, and what is known of it and of the cameras."""
+    """The robot that is watched, with the cameras' calibration."""
 
     arm: robots.Arm
     rig: Rig
     marker: Marker
     clock: Clock | None  # None: the offset is estimated from the motion
     resolution: float | None = None  # rad, of the readings
-    time_uncertainty: float | None = None  # s, of the readings; None: as the driver says
+    time_uncertainty: float | None = None  # s, of the readings; None: the driver's

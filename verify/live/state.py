@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from verify.core.records import Array, Measurement, StereoPair
+from verify.devices.protocols import CameraState, DeviceState
 from verify.live.joint_row import JointRow
 from verify.live.protocols import Alarm
 
@@ -18,7 +19,7 @@ BIN_WIDTH, N_BINS = 1e-4, 20_000  # s, and how many: what took longer than 2 s c
 
 @dataclass(frozen=True, slots=True)
 class LatencyPercentiles:
-    """Half and 99 of 100 results take so long at most, s; None before the first result."""
+    """Median and 99th percentile of the latency, s; None before the first result."""
 
     p50: float | None
     p99: float | None
@@ -37,7 +38,7 @@ class Latency:
         self._counts[min(max(int(seconds / BIN_WIDTH), 0), N_BINS - 1)] += 1
 
     def percentiles(self) -> LatencyPercentiles:
-        """Say how long they took in the last while."""
+        """Percentiles of the last results."""
         values = list(self._values)
         if not values:
             return LatencyPercentiles(None, None)
@@ -45,7 +46,7 @@ class Latency:
         return LatencyPercentiles(p50, p99)
 
     def of_all(self) -> LatencyPercentiles:
-        """Say how long they took in the whole run, to a tenth of a millisecond."""
+        """Percentiles of the whole run, to a tenth of a millisecond."""
         until = np.cumsum(self._counts)
         if not until[-1]:
             return LatencyPercentiles(None, None)
@@ -56,8 +57,9 @@ class Latency:
 
 
 MAX_ALARMS = 200  # remembered; the JSON lines have all
-MAX_ROWS = 600  # remembered for lookers-on: twenty seconds at 30 pairs a second
+MAX_ROWS = 600  # remembered for displays: twenty seconds at 30 pairs a second
 RATE_SPAN = 5.0  # s
+SILENCE_TIMEOUT = 1.0  # s; longer for devices with less than two readings a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,17 +71,15 @@ class DeviceStatus:
     sentence: str
 
 
-@dataclass(frozen=True, slots=True)
-class LatestMeasurement:
-    """The newest pair and what was measured in it."""
-
-    pair: StereoPair
-    measurement: Measurement
+def device_status(name: str, state: CameraState | DeviceState) -> DeviceStatus:
+    """Summarise a device's state; it is not well if it is silent."""
+    silent = state.age is None or state.age > SILENCE_TIMEOUT
+    return DeviceStatus(name, state.connected and not silent, state.sentence)
 
 
 @dataclass(frozen=True, slots=True)
 class LiveSnapshot:
-    """Everything that there is to say, at one moment."""
+    """The state of a run at one moment."""
 
     row: JointRow | None
     statistic: Array | None  # (j,), share of what raises an alarm
@@ -96,17 +96,17 @@ class LiveSnapshot:
 
 @dataclass
 class LiveState:
-    """Shared between the loop, which writes, and lookers-on, who read."""
+    """Shared between the loop, which writes, and the displays, which read."""
 
     latency: Latency = field(default_factory=Latency)
     _lock: threading.Lock = field(default_factory=threading.Lock)
-    _told: threading.Condition = field(default_factory=threading.Condition)
+    _pair_done: threading.Condition = field(default_factory=threading.Condition)
     _rows: "deque[tuple[int, JointRow]]" = field(default_factory=lambda: deque(maxlen=MAX_ROWS))
     _times: "deque[float]" = field(default_factory=lambda: deque(maxlen=MAX_ROWS))
     _alarms: dict[int, Alarm] = field(default_factory=dict)
     _counts: Counter[str] = field(default_factory=Counter)
     _status: Counter[str] = field(default_factory=Counter)
-    _seen: LatestMeasurement | None = None
+    _latest: tuple[StereoPair, Measurement] | None = None
     _statistic: Array | None = None
     _dropped: Mapping[str, int] = field(default_factory=dict)
     _devices: tuple[DeviceStatus, ...] = ()
@@ -122,22 +122,22 @@ class LiveState:
             self._status[row.status] += 1
             self._statistic = statistic
 
-    def told(self) -> None:
-        """Note that a pair is through: nothing is urgent until the next one."""
-        with self._told:
-            self._told.notify_all()
+    def pair_done(self) -> None:
+        """Report that a pair is compared: nothing is urgent until the next one."""
+        with self._pair_done:
+            self._pair_done.notify_all()
 
-    def wait_until_told(self, patience: float) -> bool:
-        """Wait until a pair is through, for so many s; whether one was.
+    def wait_for_pair(self, timeout: float) -> bool:
+        """Wait until a pair is compared, for at most so many s; whether one was.
 
-        Lookers-on that begin then keep no pair from being measured: threads take turns.
+        Displays that begin then delay no measurement: threads take turns.
         """
-        with self._told:
-            return self._told.wait(patience)
+        with self._pair_done:
+            return self._pair_done.wait(timeout)
 
-    def seen(self, pair: StereoPair, measurement: Measurement) -> None:
-        """Take the newest pictures; those that nobody looked at are let go."""
-        self._seen = LatestMeasurement(pair, measurement)
+    def set_pictures(self, pair: StereoPair, measurement: Measurement) -> None:
+        """Replace the newest pair and its measurement."""
+        self._latest = (pair, measurement)
 
     def alarm(self, alarm: Alarm) -> None:
         """Take an alarm that is new, revised or over."""
@@ -147,16 +147,16 @@ class LiveState:
             while len(self._alarms) > MAX_ALARMS:
                 del self._alarms[min(self._alarms)]
 
-    def facts(
+    def set_status(
         self, devices: tuple[DeviceStatus, ...], dropped: Mapping[str, int], recording: str
     ) -> None:
-        """Take how everything is."""
+        """Replace the states of devices and recording, and the counts of what was dropped."""
         with self._lock:
             self._devices, self._dropped, self._recording = devices, dict(dropped), recording
 
-    def latest_pictures(self) -> LatestMeasurement | None:
-        """Give the newest pictures."""
-        return self._seen
+    def latest_pictures(self) -> tuple[StereoPair, Measurement] | None:
+        """Give the newest pair and its measurement."""
+        return self._latest
 
     def rows_after(self, number: int) -> list[tuple[int, JointRow]]:
         """Give the rows that came after one, with their numbers, oldest first."""
@@ -169,12 +169,12 @@ class LiveState:
         return new[::-1]
 
     def statuses(self) -> dict[str, int]:
-        """Count pairs by what became of them."""
+        """Count pairs by their status."""
         with self._lock:
             return dict(self._status)
 
     def snapshot(self) -> LiveSnapshot:
-        """Say everything."""
+        """Describe the run."""
         with self._lock:
             now = time.monotonic()
             recent = sum(1 for t in self._times if t > now - RATE_SPAN)

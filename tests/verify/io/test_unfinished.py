@@ -12,26 +12,22 @@ from verify.devices.protocols import CapturedPair
 from verify.errors import InputError
 from verify.io.session.session import Session, open_session
 from verify.io.unfinished import NAME
-from verify.live.recording.matroska import picture_format
 from verify.live.recording.session import MAX_UNENCODED_PAIRS, SessionWriter
-
-NONE = (None, None)
 
 
 def cut_off(folder: Path, encoded: int, aside: int) -> list[CapturedPair]:
     """A session whose writer is gone: some pairs in its videos, others set aside."""
     pairs = [pair(number, 10 + number / 30) for number in range(encoded + aside)]
-    kinds = (picture_format(pairs[0].left, None), picture_format(pairs[0].right, None))
-    part = SessionWriter(folder, FACTS, datetime(2026, 1, 1, tzinfo=UTC), kinds)
+    part = SessionWriter(folder, FACTS, datetime(2026, 1, 1, tzinfo=UTC), pairs[0])
     for number in range(20):
         part.add_reading(reading(9.9 + number * 0.1))
     for index, given in enumerate(pairs):
         if index and index < encoded:
-            assert part.set_aside(given, NONE)  # as a recorder does, so that slots are used anew
+            assert part.set_aside(given)  # as a recorder does, so that slots are used anew
         if index < encoded:
-            part.add_pair(given, NONE)
+            part.add_pair(given)
         else:
-            assert part.set_aside(given, NONE)
+            assert part.set_aside(given)
     return pairs
 
 
@@ -92,11 +88,10 @@ def test_little_room_on_the_disk_sets_nothing_aside(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pairs = [pair(number, 10 + number / 30) for number in range(2)]
-    kinds = (picture_format(pairs[0].left, None), picture_format(pairs[0].right, None))
-    part = SessionWriter(tmp_path / "session", FACTS, datetime(2026, 1, 1, tzinfo=UTC), kinds)
-    assert not part.set_aside(pairs[0], NONE)  # the first one goes to the video at once
-    part.add_pair(pairs[0], NONE)
+    part = SessionWriter(tmp_path / "session", FACTS, datetime(2026, 1, 1, tzinfo=UTC), pairs[0])
+    assert not part.set_aside(pairs[0])  # the first one goes to the video at once
+    part.add_pair(pairs[0])
     free = type("Usage", (), {"free": 3 << 20})
     monkeypatch.setattr("verify.live.recording.session.shutil.disk_usage", lambda _: free)
-    assert not part.set_aside(pairs[1], NONE)
+    assert not part.set_aside(pairs[1])
     assert not (tmp_path / "session" / NAME).exists()

@@ -407,7 +407,9 @@ def test_the_live_table_shows_the_current_state() -> None:
     doubt = np.deg2rad(np.full(6, 0.02))
     state.row(JointRow(1, 1.0, "measured", 4, nothing, nothing, error, doubt, error, None), doubt)
     state.alarm(Alarm(1, "target", 0.0, 0.0, "Lost.\x1b[31m[red]"))
-    state.facts((DeviceStatus("left camera", False, "gone"),), {"no partner in time": 3}, "kept")
+    state.set_status(
+        (DeviceStatus("left camera", False, "gone"),), {"no partner in time": 3}, "kept"
+    )
     console = Console(width=110, record=True, force_terminal=False, no_color=True)
     with console.capture() as capture:
         console.print(render_snapshot(state.snapshot(), [0.2] * 6))

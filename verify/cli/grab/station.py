@@ -43,7 +43,7 @@ from verify.grasping.tracking.track import TargetTracker
 from verify.io.results import refuse_existing
 from verify.io.toml import key_error
 from verify.live.buffers import PanBuffer
-from verify.live.intake import PollingThread, pan_step
+from verify.live.intake import PollingThread, readings_step
 from verify.live.pairing import FramePair, Pairing
 from verify.live.station import file
 from verify.live.station.keys import StationEncodersTable
@@ -84,7 +84,7 @@ class LivePairs:
         ]
         if pan is not None:
             self._pumps.append(
-                PollingThread("pan bases", pan_step(pan, self._book), _report_defect)
+                PollingThread("pan bases", readings_step(pan, self._book.add), _report_defect)
             )
         for pump in self._pumps:
             pump.start()

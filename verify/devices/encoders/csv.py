@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from verify.devices.encoders.intake import AngleMap, IntakeCounts
-from verify.devices.encoders.text import FieldMap, TextIntake
-from verify.devices.ports import MAX_LINE_BYTES, ClockFunction, LineBuffer, PortLink
-from verify.devices.protocols import DeviceState, EncoderReading
+from verify.devices.encoders.intake import AngleMap
+from verify.devices.encoders.text import FieldMap, LineEncoders, TextIntake
+from verify.devices.ports import MAX_LINE_BYTES, PortLink
 
 POLL_PERIOD = 0.005  # s: how often a file at rest is asked whether it has grown
 MAX_READ_BYTES = 1 << 20  # bytes at once: a program may flush much
@@ -24,55 +23,29 @@ class CsvSettings:
 
     path: Path
     fields: FieldMap | None = None  # None: the first line names t_s and q1_deg, q2_deg, …
-    latency: float = 0.1  # s, by which a row may come late; matters only where no time is told
+    latency: float = 0.1  # s, by which a row may come late; used only where rows have no time
 
 
-class CsvEncoders:
+class CsvEncoders(LineEncoders):
     """Joint readings from a file that grows.
 
-    What stood there before is not read: nobody knows when it came. A file that is cut, replaced or
+    What stood there before is not read: when it came is not known. A file that is cut, replaced or
     made later is read from its beginning.
 
     Args:
         settings: which file.
         angles: from the file's angles to the robot file's own.
-        now: the host's monotonic clock, s.
     """
 
-    def __init__(
-        self, settings: CsvSettings, angles: AngleMap, now: ClockFunction = time.monotonic
-    ) -> None:
+    def __init__(self, settings: CsvSettings, angles: AngleMap) -> None:
+        super().__init__(PortLink(str(settings.path), self._open))
         self._settings, self._angles = settings, angles
-        self._counts = IntakeCounts()
         self._from_start = False
         self._header = b""
-        self._link = PortLink(str(settings.path), self._open, now)
-        self._lines = LineBuffer()
-        self._intake: TextIntake | None = None
-        self._complaint = ""
+        self._header_fault = ""
 
-    def read(self) -> list[EncoderReading]:
-        """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
-        chunk = self._link.receive()
-        if self._link.reopened():
-            self._lines.clear()
-            self._begin()
-        if chunk is None or self._intake is None:
-            return []
-        readings = []
-        for line in self._lines.feed(chunk.data):
-            readings += self._intake.take(line, chunk)
-        if readings:
-            self._link.steady()
-        return readings
-
-    def state(self) -> DeviceState:
-        """Say how the file is."""
-        return self._counts.state(self._link, self._complaint)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._link.close()
+    def _complaint(self) -> str:
+        return self._header_fault
 
     def _open(self) -> "FilePort":
         try:
@@ -86,17 +59,17 @@ class CsvEncoders:
 
     def _begin(self) -> None:
         fields = self._settings.fields or _field_map(self._header, self._angles.joints)
-        self._intake, self._complaint = None, ""
+        self._intake, self._header_fault = None, ""
         if isinstance(fields, str):
-            self._complaint = fields
+            self._header_fault = fields
             return
         self._intake = TextIntake(
-            fields, self._angles, self._settings.latency, self._counts, in_lumps=True
+            fields, self._angles, self._settings.latency, self.counts, in_lumps=True
         )  # programs write in lumps, some of many seconds
 
 
 def _field_map(header: bytes, joints: int) -> FieldMap | str:
-    """Make a field map of a first line; where it does not name what is needed, say so."""
+    """Make a field map of a first line; a complaint, where it does not name what is needed."""
     names = header.decode("utf-8-sig", errors="replace").strip().split(",")
     names = [name.strip() for name in names]
     units = {match[2] for name in names if (match := _NAME.fullmatch(name))}
@@ -104,8 +77,7 @@ def _field_map(header: bytes, joints: int) -> FieldMap | str:
     wanted = ["t_s", *(f"q{joint}_{unit}" for joint in range(1, joints + 1))]
     if missing := [name for name in wanted if names.count(name) != 1]:
         return f"its first line has no (or two) {', '.join(missing)}; name the columns in `columns`"
-    known = dict(zip(wanted, ["t", *(f"q{joint}" for joint in range(1, joints + 1))], strict=True))
-    columns = tuple(known.get(name, "_") for name in names)
+    columns = tuple(name.partition("_")[0] if name in wanted else "_" for name in names)
     return FieldMap(joints, columns, time_unit="s", angle_unit=unit)
 
 
@@ -130,10 +102,10 @@ class FilePort:
             raise OSError("has no first line yet")
         self.header = first
         self._at = len(first) + 1 if _LETTER.search(first) else 0
-        self._half = False  # the next bytes are the rest of a line that began unseen
+        self._partial = False  # the next bytes end a line whose beginning was not read
         if not from_start:
             self._at = self._file.seek(-1, os.SEEK_END) + 1
-            self._half = self._file.read(1) != b"\n"
+            self._partial = self._file.read(1) != b"\n"
 
     def wait(self, seconds: float) -> bool:
         """Wait until the file has grown.
@@ -150,13 +122,13 @@ class FilePort:
         return True
 
     def take(self) -> bytes:
-        """Take what was appended; the rest of a line that was half there is left out."""
+        """Take what was appended, without the end of a line that had begun before."""
         self._file.seek(self._at)
         data = self._file.read(MAX_READ_BYTES) or b""
         self._at += len(data)
-        if self._half:
+        if self._partial:
             _, end, data = data.partition(b"\n")
-            self._half = not end
+            self._partial = not end
         return data
 
     def send(self, data: bytes) -> None:  # noqa: ARG002  a port has this verb

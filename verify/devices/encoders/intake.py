@@ -1,11 +1,13 @@
 """From a controller's time stamps and angles to checked readings, with counts of what was dropped.
 
-A controller's clock is unwrapped; a reset or a jump begins a new segment of it.
+A controller's clock is unwrapped; a reset or a jump begins a new segment of it. `PortDriver` is the
+base of every driver that reads a device on a port.
 """
 
 import math
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -150,7 +152,7 @@ class AngleMap:
 
 
 class IntakeCounts:
-    """What came, what was dropped and why; worded for people."""
+    """Counts of the readings, of those dropped, and why."""
 
     def __init__(self) -> None:
         self.bad: Counter[str] = Counter()
@@ -170,34 +172,64 @@ class IntakeCounts:
         note: str = "",
         program_running: bool | None = None,
     ) -> DeviceState:
-        """Word how the device is.
+        """Describe the device.
 
         Args:
             link: its line.
             complaint: why no reading can come though the line is open.
-            note: what there is to say though readings come.
-            program_running: of the robot, where the device tells.
+            note: anything else to report while readings come.
+            program_running: of the robot, where the device reports it.
         """
         age = None if self._last is None else link.now() - self._last
         if not link.connected:
-            said = f"not connected: {link.fault}"
+            status = f"not connected: {link.fault}"
         elif complaint:
-            said = complaint
+            status = complaint
         elif age is None or age > SILENCE_TIMEOUT:
-            said = "connected, no reading yet" if age is None else f"silent for {age:.1f} s"
+            status = "connected, no reading yet" if age is None else f"silent for {age:.1f} s"
         else:
-            said = "reading"
-        parts = [said, note, self._dropped()]
-        sentence = f"{link.name}: " + "; ".join(part for part in parts if part)
+            status = "reading"
+        dropped = ", ".join(f"{count} {reason}" for reason, count in self.bad.most_common())
+        parts = [
+            status,
+            note,
+            f"dropped: {dropped}" if dropped else "",
+            f"{self.lost} lost on the way" if self.lost else "",
+        ]
+        sentence = f"{link.name}: " + "; ".join(filter(None, parts))
         return DeviceState(
             link.connected, age, self.readings, self.lost, dict(self.bad), sentence, program_running
         )
 
-    def _dropped(self) -> str:
-        parts = [f"{count} {reason}" for reason, count in self.bad.most_common()]
-        said = f"dropped: {', '.join(parts)}" if parts else ""
-        lost = f"{self.lost} lost on the way" if self.lost else ""
-        return "; ".join(part for part in (said, lost) if part)
+
+class PortDriver:
+    """A driver on one port: its link, its counts, its state.
+
+    Args:
+        link: keeps the port open.
+    """
+
+    def __init__(self, link: PortLink) -> None:
+        self.link, self.counts = link, IntakeCounts()
+
+    def state(self) -> DeviceState:
+        """Describe the device."""
+        return self.counts.state(self.link, self._complaint(), self._note())
+
+    def close(self) -> None:
+        """Close the port."""
+        self.link.close()
+
+    def _complaint(self) -> str:
+        return ""
+
+    def _note(self) -> str:
+        return ""
+
+    def _drop(self, reason: str) -> list[Any]:
+        """Count what is not used; no reading comes of it."""
+        self.counts.bad[reason] += 1
+        return []
 
 
 class ReadingIntake:
@@ -231,9 +263,7 @@ class ReadingIntake:
             return False
         same = before.segment == reading.segment
         elapsed = reading.t - before.t if same else reading.t_host - before.t_host
-        room = (
-            MAX_JOINT_SPEED * (max(elapsed, 0.0) + reading.half_width + before.half_width)
-            + TOL_ANGLE
-        )
+        elapsed = max(elapsed, 0.0) + reading.half_width + before.half_width
+        room = MAX_JOINT_SPEED * elapsed + TOL_ANGLE
         turned = np.abs((reading.q - before.q + math.pi) % math.tau - math.pi)  # 359° to 0° is 1°
         return bool(np.any(turned > room))

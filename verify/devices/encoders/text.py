@@ -7,10 +7,7 @@ one line an axis has the groups `axis` and `value`; lines of equal `t` are joine
 
 import math
 import re
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,25 +17,29 @@ from verify.devices.encoders.intake import (
     ControllerClock,
     ControllerInstant,
     IntakeCounts,
+    PortDriver,
     ReadingIntake,
 )
 from verify.devices.ports import (
     CHECKSUMS,
     DEFAULT_LINE,
     Chunk,
-    ClockFunction,
     LineBuffer,
-    Port,
     PortLink,
     SerialLine,
-    open_port,
+    link_to,
 )
-from verify.devices.protocols import DeviceState, EncoderReading
+from verify.devices.protocols import EncoderReading
 from verify.errors import InputError
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _NUMBER = re.compile(r"[+-]?([0-9]{1,20}(\.[0-9]{0,12})?|\.[0-9]{1,12})([eE][+-]?[0-9]{1,2})?")
 _MAX_LINE_BYTES = 1024  # bytes: a longer line is noise
+_CHOICES = {
+    "time_unit": (*TIME_UNITS, "ticks", "none"),
+    "checksum": ("none", *CHECKSUMS),
+    "angle_unit": ("deg", "rad", "counts"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +61,11 @@ class FieldMap:
     counts_per_degree: tuple[float, ...] = ()  # one a joint, with counts
     checksum: str = "none"  # none, xor, sum8, crc8, crc16: over all before `sum` and its separator
     skip: str = ""  # lines that match this (regular expression) are left out, uncounted
-    _compiled: re.Pattern[str] | None = field(init=False, default=None, repr=False)
 
     def __post_init__(self) -> None:
-        for key in ("pattern", "skip"):
-            _compile(key, getattr(self, key))
-        pattern = _compile("pattern", self.pattern) if self.pattern else None
-        object.__setattr__(self, "_compiled", pattern)
-        names = set(pattern.groupindex) if pattern else set(self.columns)
+        _compile("skip", self.skip)
+        pattern = _compile("pattern", self.pattern)
+        names = set(pattern.groupindex if self.pattern else self.columns)
         wanted = {f"q{joint}" for joint in range(1, self.joints + 1)}
         if {"axis", "value", "t"} <= names:
             wanted = set()
@@ -79,18 +77,11 @@ class FieldMap:
             raise _invalid_key(
                 "columns", f"name no {', '.join(missing)}", "Name what each field is."
             )
-        if self.time_unit not in (*TIME_UNITS, "ticks", "none"):
-            raise _invalid_key(
-                "time_unit", f'is "{self.time_unit}"', "Known: s, ms, us, ticks, none."
-            )
+        for key, choices in _CHOICES.items():
+            if (value := getattr(self, key)) not in choices:
+                raise _invalid_key(key, f'is "{value}"', f"Known: {', '.join(choices)}.")
         if self.time_unit == "ticks" and not self.tick_rate:
             raise _invalid_key("tick_rate_hz", "is missing", "Ticks need their rate.")
-        if self.checksum not in ("none", *CHECKSUMS):
-            raise _invalid_key(
-                "checksum", f'is "{self.checksum}"', f"Known: none, {', '.join(CHECKSUMS)}."
-            )
-        if self.angle_unit not in ("deg", "rad", "counts"):
-            raise _invalid_key("angle_unit", f'is "{self.angle_unit}"', "Known: deg, rad, counts.")
         if self.angle_unit == "counts" and len(self.counts_per_degree) != self.joints:
             raise _invalid_key(
                 "counts_per_degree", "is not one number a joint", "Give one a joint."
@@ -119,7 +110,7 @@ class FieldMap:
         return math.radians(1.0) / np.array(self.counts_per_degree, dtype=float)
 
     def parse(self, line: bytes) -> "LineFields | str":
-        """Take a line apart; where it does not fit, say why. An empty reason: to be skipped."""
+        """Parse a line; the reason, where it does not fit; an empty one, where it is skipped."""
         try:
             text = line.decode("ascii")
         except UnicodeDecodeError:
@@ -128,20 +119,20 @@ class FieldMap:
             return "line too long"
         if self.skip and re.search(self.skip, text):
             return ""
-        found = self._found(text)
-        if found is None:
+        words = self._words(text)
+        if words is None:
             return "line that does not fit the field map"
-        if self.checksum != "none" and not self._summed(text, found):
+        if self.checksum != "none" and not self._checksum_fits(text, words):
             return "wrong checksum"
-        numbers = {name: word for name, (word, _) in found.items() if name != "sum"}
+        numbers = {name: word for name, (word, _) in words.items() if name != "sum"}
         if not all(_NUMBER.fullmatch(word) for word in numbers.values()):
             return "field that is no number"
         return self._fields({name: float(word) for name, word in numbers.items()})
 
-    def _found(self, text: str) -> dict[str, tuple[str, int]] | None:
+    def _words(self, text: str) -> dict[str, tuple[str, int]] | None:
         """Words by name, each with the place where it begins."""
-        if self._compiled is not None:
-            match = self._compiled.search(text)
+        if self.pattern:
+            match = re.search(self.pattern, text)
             if match is None:
                 return None
             groups = match.groupdict()
@@ -153,15 +144,15 @@ class FieldMap:
         named = zip(self.columns, words, starts, strict=False)
         return {name: (word.strip(), start) for name, word, start in named if name != "_"}
 
-    def _summed(self, text: str, found: dict[str, tuple[str, int]]) -> bool:
+    def _checksum_fits(self, text: str, words: dict[str, tuple[str, int]]) -> bool:
         digits, function = CHECKSUMS[self.checksum]
-        if "sum" not in found:
+        if "sum" not in words:
             return False
-        word, start = found["sum"]
+        word, start = words["sum"]
         if not re.fullmatch(f"[0-9A-Fa-f]{{1,{digits}}}", word):
             return False
         before = text[:start].lstrip("$")
-        covered = before[: -1 if self._compiled else -len(self.separator)]
+        covered = before[: -1 if self.pattern else -len(self.separator)]
         return int(word, 16) == function(covered.encode("ascii"))
 
     def _fields(self, numbers: dict[str, float]) -> "LineFields | str":
@@ -179,7 +170,7 @@ class FieldMap:
 
 @dataclass(frozen=True, slots=True)
 class LineFields:
-    """What a line says, in its own units."""
+    """The numbers of one line, in its own units."""
 
     t: float | None
     sequence: float | None
@@ -223,13 +214,13 @@ class TextIntake:
         self._fields, self._latency, self._counts = fields, latency, counts
         self._intake = ReadingIntake(angles, counts)
         self._clock = ControllerClock(fields.wrap, in_lumps=in_lumps)
-        self._half: dict[int, float] = {}  # axes of an instant that is not complete yet
-        self._half_t: float | None = None
+        self._partial: dict[int, float] = {}  # axes of an instant that is not complete yet
+        self._partial_t: float | None = None
         self._sequence: float | None = None
 
     def restart(self) -> None:
-        """Begin a new line or file: half an instant is forgotten, the clock is not trusted."""
-        self._half.clear()
+        """Begin a new connection: drop a partial instant, start a new segment of the clock."""
+        self._partial.clear()
         self._sequence = None
         self._clock.restart(self._fields.wrap)
 
@@ -257,22 +248,22 @@ class TextIntake:
         """All joints of an instant; None until the last of them has come."""
         if len(fields.values) == self._fields.joints:
             return fields.values
-        if fields.t != self._half_t:
-            if self._half:
+        if fields.t != self._partial_t:
+            if self._partial:
                 self._counts.bad["instant without all joints"] += 1
-            self._half, self._half_t = {}, fields.t
-        self._half |= fields.values
-        if len(self._half) < self._fields.joints:
+            self._partial, self._partial_t = {}, fields.t
+        self._partial |= fields.values
+        if len(self._partial) < self._fields.joints:
             return None
-        whole, self._half = self._half, {}
-        return whole
+        values, self._partial = self._partial, {}
+        return values
 
     def _timed(self, t: float | None, chunk: Chunk) -> tuple[ControllerInstant, float] | str:
         """When the angles were read: the device's own time, else the middle of what is possible."""
         unit = self._fields.seconds_per_unit
         if unit is not None and t is not None:
             instant = self._clock.stamp(t * unit, chunk.t)
-            # a counter is doubtful by its unit; which decimals of a second count, nobody says
+            # a counter is known within its unit; how many decimals of a second count is not known
             return instant if isinstance(instant, str) else (instant, unit / 2 if unit < 1 else 0.0)
         earliest = chunk.earliest - self._latency
         return ControllerInstant((earliest + chunk.t) / 2, 0), (chunk.t - earliest) / 2
@@ -288,7 +279,7 @@ USB_LATENCY = 0.016  # s: a USB-serial bridge collects bytes for up to so long
 
 @dataclass(frozen=True, slots=True)
 class TextSettings:
-    """How the device is reached, and what it is told."""
+    """How the device is reached, and what is sent to it."""
 
     port: str
     fields: FieldMap
@@ -298,53 +289,57 @@ class TextSettings:
     at_end: bytes = b""  # sent before it is closed
 
 
-class TextEncoders:
-    """Joint readings from lines of text.
+class LineEncoders(PortDriver):
+    """Joint readings from lines of text; a device and a file differ in how they begin."""
 
-    Args:
-        settings: how the device is reached, and its field map.
-        angles: from the device's angles to the robot file's own.
-        port: opens the port instead of the settings' address.
-        now: the host's monotonic clock, s.
-    """
-
-    def __init__(
-        self,
-        settings: TextSettings,
-        angles: AngleMap,
-        port: Callable[[], Port] | None = None,
-        now: ClockFunction = time.monotonic,
-    ) -> None:
-        opens = port or partial(open_port, settings.port, settings.line)
-        self._settings = settings
-        self._link = PortLink(settings.port, opens, now)
+    def __init__(self, link: PortLink) -> None:
+        super().__init__(link)
         self._lines = LineBuffer()
-        self._counts = IntakeCounts()
-        self._intake = TextIntake(settings.fields, angles, settings.latency, self._counts)
+        self._intake: TextIntake | None = None  # None: the lines cannot be read
 
     def read(self) -> list[EncoderReading]:
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
-        chunk = self._link.receive()
-        if self._link.reopened():
+        chunk = self.link.receive()
+        if self.link.reopened():
             self._lines.clear()
-            self._intake.restart()
-            if self._settings.at_start:
-                self._link.send(self._settings.at_start)
-        if chunk is None:
+            self._begin()
+        if chunk is None or self._intake is None:
             return []
         readings = []
         for line in self._lines.feed(chunk.data):
             readings += self._intake.take(line, chunk)
         if readings:
-            self._link.steady()
+            self.link.steady()
         return readings
 
-    def state(self) -> DeviceState:
-        """Say how the device is."""
-        return self._counts.state(self._link)
+    def _begin(self) -> None:
+        """Prepare for the lines of a new connection."""
+        raise NotImplementedError
+
+
+class TextEncoders(LineEncoders):
+    """Joint readings from a device that prints lines of text.
+
+    Args:
+        settings: how the device is reached, and its field map.
+        angles: from the device's angles to the robot file's own.
+    """
+
+    def __init__(self, settings: TextSettings, angles: AngleMap) -> None:
+        super().__init__(link_to(settings.port, settings.line))
+        self._settings = settings
+        self._text = TextIntake(settings.fields, angles, settings.latency, self.counts)
+        self._intake = self._text
+
+    def _begin(self) -> None:
+        self._text.restart()
+        self._send(self._settings.at_start)
 
     def close(self) -> None:
         """Send what ends the stream, if anything, and close the port."""
-        if self._settings.at_end:
-            self._link.send(self._settings.at_end)
-        self._link.close()
+        self._send(self._settings.at_end)
+        super().close()
+
+    def _send(self, data: bytes) -> None:
+        if data:
+            self.link.send(data)

@@ -5,15 +5,12 @@ The controller sends no time: a reading is stamped midway between request and an
 span is its uncertainty.
 """
 
-import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from verify.devices.encoders.intake import AngleMap, ControllerInstant, IntakeCounts, ReadingIntake
+from verify.devices.encoders.intake import AngleMap, ControllerInstant, PortDriver, ReadingIntake
 from verify.devices.melfa import protocol as r3
 from verify.devices.melfa.protocol import (
     AnswerBuffer,
@@ -21,15 +18,15 @@ from verify.devices.melfa.protocol import (
     ReadCommand,
     ReceivedAnswer,
 )
-from verify.devices.ports import READ_TIMEOUT, ClockFunction, Port, PortLink, SerialLine, open_port
+from verify.devices.ports import READ_TIMEOUT, SerialLine, link_to
 from verify.devices.protocols import DeviceState, EncoderReading
 
 REQUEST_PAUSE = 0.1  # s, by the maker, while a program runs (BFP-A4288, 3.3.3)
 MAX_ROUND_TRIP_RATIO = 3.0  # times the median round trip: the answer was delayed
-MIN_ROUND_TRIPS = 5  # round trips before there is a median to speak of
+MIN_ROUND_TRIPS = 5  # round trips before their median is used
 MAX_ROUND_TRIPS = 500  # round trips
-TIMEOUT_FACTOR = 3  # times the time-out, for a STATE that tells whether late answers are under way
-REFUSAL_DELAY = 1.0  # s: a controller that refuses is not pestered
+TIMEOUT_FACTOR = 3  # times the time-out, for a STATE that shows whether late answers are under way
+REFUSAL_DELAY = 1.0  # s, from a refusal to the next request
 STATE, JPOSF, CLOSE = ReadCommand("STATE"), ReadCommand("JPOSF"), ReadCommand("CLOSE")
 DEFAULT_MELFA_LINE = SerialLine(9600, 8, "E", 2)
 
@@ -44,13 +41,13 @@ class MelfaSettings:
     pause: float = REQUEST_PAUSE  # s, from an answer to the next request
     timeout: float = 1.0  # s
     client: str = "verify"  # letters and digits
-    robot_type: str | None = None  # e.g. RV-3SD: another one is warned of
+    robot_type: str | None = None  # e.g. RV-3SD: another one gives a warning
     state_every: float = 2.0  # s: how often to ask whether the program runs
 
 
 @dataclass(slots=True)
 class ConnectionState:
-    """What is known since the line was opened."""
+    """The state of the exchange since the line was opened."""
 
     pending: ReadCommand | None = None  # sent, not answered
     sent_at: float = 0.0  # s
@@ -61,36 +58,26 @@ class ConnectionState:
     states_out: int = 0  # STATEs sent and not answered
     program_running: bool | None = None
     alarm_stands: bool = False
-    alarm_asked: bool = False
-    alarm: int | None = None  # its number, if ERROR has told
-    untold: int | None = None  # number whose text is to be asked for
+    alarm_read: bool = False  # ERROR was answered
+    alarm: int | None = None  # its number
+    missing_text: int | None = None  # number of an error whose text is to be read
     complaint: str = ""
     identity_note: str = ""
 
 
-class MelfaEncoders:
+class MelfaEncoders(PortDriver):
     """Joint readings by JPOSF.
 
     Args:
         settings: how the controller is reached.
         angles: from the controller's angles to the robot file's own.
-        port: opens the port instead of the settings' address.
-        now: the host's monotonic clock, s.
     """
 
-    def __init__(
-        self,
-        settings: MelfaSettings,
-        angles: AngleMap,
-        port: Callable[[], Port] | None = None,
-        now: ClockFunction = time.monotonic,
-    ) -> None:
-        opens = port or partial(open_port, settings.port, settings.line)
+    def __init__(self, settings: MelfaSettings, angles: AngleMap) -> None:
+        super().__init__(link_to(settings.port, settings.line))
         self.round_trips: deque[float] = deque(maxlen=MAX_ROUND_TRIPS)  # s, of JPOSF
         self._settings, self._joints = settings, angles.joints
-        self._link = PortLink(settings.port, opens, now)
-        self._counts = IntakeCounts()
-        self._intake = ReadingIntake(angles, self._counts)
+        self._intake = ReadingIntake(angles, self.counts)
         self._answers = AnswerBuffer()
         self._pause = settings.pause
         self._open = ReadCommand("OPEN", f"={settings.client}")
@@ -106,59 +93,58 @@ class MelfaEncoders:
         if self._talk.pending is None:
             self._between_requests()
             return []
-        line = self._answers.feed(None, self._link.now())
+        line = self._answers.feed(None, self.link.now())
         if line is None:
-            chunk = self._link.receive(READ_TIMEOUT)
+            chunk = self.link.receive(READ_TIMEOUT)
             if not self._same_connection():
                 return []
-            line = self._answers.feed(chunk, self._link.now())
+            line = self._answers.feed(chunk, self.link.now())
         if line is None:
             self._give_up_if_late()
             return []
         return self._take(line)
 
     def state(self) -> DeviceState:
-        """Say how the controller is."""
-        notes = [self._alarm_words(), self._talk.identity_note, self._pause_note()]
-        note = "; ".join(part for part in notes if part)
-        return self._counts.state(
-            self._link, self._talk.complaint, note, self._talk.program_running
-        )
+        """Describe the controller."""
+        raised = self._pause > self._settings.pause
+        pause_note = f"the pause is back at {self._pause * 1e3:.0f} ms" if raised else ""
+        note = "; ".join(filter(None, (self._alarm_note(), self._talk.identity_note, pause_note)))
+        return self.counts.state(self.link, self._talk.complaint, note, self._talk.program_running)
 
     def close(self) -> None:
-        """Say CLOSE, if the line is up, and close the port."""
-        if self._link.connected:
+        """Send CLOSE, if the line is up, and close the port."""
+        if self.link.connected:
             self._send(CLOSE)
-        self._link.close()
+        super().close()
 
     def _send(self, request: ReadCommand) -> None:
         """Send a request. Nothing else in this program writes to the controller."""
-        self._talk.sent_at = self._link.now()
-        if self._link.send(request.encoded(self._settings.terminator)):
+        self._talk.sent_at = self.link.now()
+        if self.link.send(request.encoded(self._settings.terminator)):
             self._talk.pending = request
             self._talk.states_out += request.name == "STATE"
 
     def _same_connection(self) -> bool:
-        same = self._link.connected and self._link.connections == self._connection
+        same = self.link.connected and self.link.connections == self._connection
         if not same:
             self._talk = ConnectionState()
             self._answers.clear()
-            self._connection = self._link.connections
+            self._connection = self.link.connections
         return same
 
     def _between_requests(self) -> None:
-        """Wait out the pause; what comes unasked puts us out of step. Then ask."""
-        rest = max(0.0, min(READ_TIMEOUT, self._talk.due - self._link.now()))
-        chunk = self._link.receive(rest)
+        """Wait out the pause, then send the next request; a stray answer puts us out of step."""
+        rest = max(0.0, min(READ_TIMEOUT, self._talk.due - self.link.now()))
+        chunk = self.link.receive(rest)
         if not self._same_connection():
             chunk = None
         stray = chunk is not None and chunk.data.strip(b"\r\n\0")
         if stray or not self._answers.empty:
-            self._counts.bad["answer that nobody asked for"] += 1
+            self._drop("answer that nobody asked for")
             self._talk.in_step = False
         self._answers.clear()
-        now = self._link.now()
-        if self._link.connected and now >= self._talk.due:
+        now = self.link.now()
+        if self.link.connected and now >= self._talk.due:
             self._send(self._next_request(now))
 
     def _next_request(self, now: float) -> ReadCommand:
@@ -166,32 +152,32 @@ class MelfaEncoders:
             return self._open
         if not self._talk.in_step or now >= self._talk.state_due:
             return STATE
-        if self._talk.alarm_stands and not self._talk.alarm_asked:
+        if self._talk.alarm_stands and not self._talk.alarm_read:
             return ReadCommand("ERROR")
-        if self._talk.untold is not None:
-            return ReadCommand("ERRORMES", f"{self._talk.untold:04d}")
+        if self._talk.missing_text is not None:
+            return ReadCommand("ERRORMES", f"{self._talk.missing_text:04d}")
         return JPOSF
 
     def _give_up_if_late(self) -> None:
-        waited = self._link.now() - self._talk.sent_at
+        waited = self.link.now() - self._talk.sent_at
         if waited <= self._settings.timeout:
             return
         if self._talk.pending != STATE or self._talk.in_step:
-            self._counts.bad["request without an answer"] += 1
+            self._drop("request without an answer")
             self._out_of_step()
         elif waited > TIMEOUT_FACTOR * self._settings.timeout:
-            self._counts.bad["line given up and opened again"] += 1
-            self._link.drop("no answer")
+            self._drop("line given up and opened again")
+            self.link.drop("no answer")
 
     def _out_of_step(self) -> None:
-        """Ask STATE before the next JPOSF: what is still under way comes before its answer.
+        """Send STATE before the next JPOSF: what is still under way comes before its answer.
 
         A late answer taken for that to the next request would bear a false time. The controller
         answers in order, so once every STATE is answered nothing is under way.
         """
         self._talk.pending, self._talk.in_step = None, False
         self._answers.clear()
-        self._talk.due = self._link.now() + self._pause
+        self._talk.due = self.link.now() + self._pause
 
     def _take(self, line: ReceivedAnswer) -> list[EncoderReading]:
         request, answer = self._talk.pending, r3.parse_answer(line.data)
@@ -200,15 +186,16 @@ class MelfaEncoders:
         state = r3.parse_state(answer.data) if answer is not None else None
         self._talk.states_out -= state is not None
         if request is None or answer is None:
-            self._counts.bad["answer that is not understood"] += 1
             if self._talk.in_step:
                 self._out_of_step()
-            return []
+            return self._drop("answer that is not understood")
         if self._is_earlier(request, answer):
             return []
         self._talk.pending = None
-        self._talk.due = self._link.now() + self._pause
-        self._note_alarm(answer)
+        self._talk.due = self.link.now() + self._pause
+        self._talk.alarm_stands = answer.alarm
+        if not answer.alarm:
+            self._talk.alarm, self._talk.alarm_read = None, False
         if answer.error is not None:
             self._refused(request, answer.error)
             return []
@@ -231,25 +218,32 @@ class MelfaEncoders:
                 return self._position(answer, line)
             case "OPEN":
                 self._talk.opened = True
-                self._identify(answer.data.split(";"))
+                kind = next((f for f in answer.data.split(";") if f.startswith("RV-")), "")
+                stated = self._settings.robot_type
+                if stated and kind and kind != stated:
+                    self._talk.identity_note = f"the robot is {kind}; the station says {stated}"
             case "STATE":
                 self._run_state(answer)
             case "ERROR":
-                self._talk.alarm_asked = True
+                self._talk.alarm_read = True
                 self._talk.alarm = r3.parse_error(answer.data)
                 if self._talk.alarm is not None and self._talk.alarm not in self._texts:
-                    self._talk.untold = self._talk.alarm
-            case "ERRORMES" if self._talk.untold is not None:
-                self._texts[self._talk.untold] = answer.data.strip(" ;") or "no text"
-                self._talk.untold = None
+                    self._talk.missing_text = self._talk.alarm
+            case "ERRORMES":
+                self._set_text(answer.data.strip(" ;") or "no text")
         return []
+
+    def _set_text(self, text: str) -> None:
+        """Set the text of the error whose text was missing."""
+        if self._talk.missing_text is not None:
+            self._texts[self._talk.missing_text] = text
+            self._talk.missing_text = None
 
     def _position(self, answer: ControllerAnswer, line: ReceivedAnswer) -> list[EncoderReading]:
         position = r3.parse_joints(answer.data, self._joints)
         if position is None:
-            self._counts.bad["position that is not understood"] += 1
             self._out_of_step()
-            return []
+            return self._drop("position that is not understood")
         self._talk.complaint = ""
         trip = line.t - self._talk.sent_at
         usual = (
@@ -257,55 +251,39 @@ class MelfaEncoders:
         )
         self.round_trips.append(trip)
         if trip > MAX_ROUND_TRIP_RATIO * usual:
-            self._counts.bad["answer that took too long"] += 1
             self._pause = max(self._pause, REQUEST_PAUSE)
-            return []
-        self._link.steady()
+            return self._drop("answer that took too long")
+        self.link.steady()
         middle = ControllerInstant((self._talk.sent_at + line.t) / 2, 0)
         return self._intake.take(middle, line.t, trip / 2, np.deg2rad(position.joints_deg))
 
     def _refused(self, request: ReadCommand, error: int) -> None:
         meaning = self._texts.get(error)
         if meaning is None:
-            self._talk.untold = error
-        self._counts.bad[f"refusal with error {error}"] += 1
+            self._talk.missing_text = error
+        self._drop(f"refusal with error {error}")
         self._talk.complaint = f"{request.name} refused, error {error}: {meaning or 'not known'}"
-        self._talk.due = self._link.now() + REFUSAL_DELAY
+        self._talk.due = self.link.now() + REFUSAL_DELAY
         if 6000 <= error < 7000:  # the line's own errors: perhaps we ask too fast
             self._pause = max(self._pause, REQUEST_PAUSE)
             self._talk.opened = self._talk.in_step = False
-        if request.name == "ERRORMES" and self._talk.untold is not None:
-            self._texts[self._talk.untold] = "not in the manual"
-            self._talk.untold = None
-
-    def _identify(self, fields: list[str]) -> None:
-        kind, wanted = next((f for f in fields if f.startswith("RV-")), ""), self._settings
-        if wanted.robot_type and kind and kind != wanted.robot_type:
-            self._talk.identity_note = f"the robot is {kind}; the station says {wanted.robot_type}"
+        if request.name == "ERRORMES":
+            self._set_text("not in the manual")
 
     def _run_state(self, answer: ControllerAnswer) -> None:
         state = r3.parse_state(answer.data)
         if state is None:
-            self._counts.bad["state that is not understood"] += 1
+            self._drop("state that is not understood")
             self._out_of_step()
             return
-        self._talk.state_due = self._link.now() + self._settings.state_every
+        self._talk.state_due = self.link.now() + self._settings.state_every
         self._talk.in_step = True
         self._talk.program_running = state.running
 
-    def _note_alarm(self, answer: ControllerAnswer) -> None:
-        self._talk.alarm_stands = answer.alarm
-        if not answer.alarm:
-            self._talk.alarm, self._talk.alarm_asked = None, False
-
-    def _alarm_words(self) -> str:
+    def _alarm_note(self) -> str:
         number = self._talk.alarm
         if not self._talk.alarm_stands:
             return ""
         if number is None:
             return "an alarm is standing"
         return f"alarm {number} is standing: {self._texts.get(number, 'not known')}"
-
-    def _pause_note(self) -> str:
-        raised = self._pause > self._settings.pause
-        return f"the pause is back at {self._pause * 1e3:.0f} ms" if raised else ""

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from reports import Results
-from verify.core.records import Array, Image
+from verify.core.records import Array, Image, StereoPair
 from verify.core.version import __version__
-from verify.devices.protocols import EncoderReading
+from verify.devices.protocols import CapturedPair, EncoderReading
 from verify.grasping.control.aim import Aim, LoopCycle
 from verify.grasping.control.run import GraspOutcome
 from verify.grasping.control.states import GraspState
@@ -28,7 +28,6 @@ from verify.grasping.record.rows import (
     tool_offset_table,
 )
 from verify.grasping.record.video import Mp4Writer
-from verify.live.recording.matroska import picture_format
 from verify.live.recording.session import SessionFacts, SessionWriter
 
 JPEG_QUALITY = 92  # of pictures that no camera has compressed: a third of what lossless takes
@@ -107,15 +106,11 @@ class GraspRecord:
         if cycle.state not in self._shown and cycle.pair is not None:
             self._shown[cycle.state] = picture
         if cycle.pair is not None:
-            raws = (_jpeg(cycle.pair.left), _jpeg(cycle.pair.right))
+            pair = _compressed(cycle.pair)
             if self._session is None:
-                kinds = (
-                    picture_format(cycle.pair.left, raws[0]),
-                    picture_format(cycle.pair.right, raws[1]),
-                )
                 place = self._folder / SESSION_FOLDER
-                self._session = SessionWriter(place, self._facts, self._context.started, kinds)
-            self._session.add_pair(cycle.pair, raws)
+                self._session = SessionWriter(place, self._facts, self._context.started, pair)
+            self._session.add_pair(pair)
         if cycle.q is not None and self._session is not None:
             self._session.add_reading(
                 EncoderReading(cycle.t, cycle.t, READING_HALF_WIDTH, 0, cycle.q)
@@ -209,6 +204,11 @@ def _lift_check_fields(check: _LiftCheck | None) -> dict[str, float | None]:
         f"seen_{key}_mm": None if value is None else 1e3 * value
         for key, value in zip(keys, values, strict=True)
     }
+
+
+def _compressed(pair: StereoPair) -> CapturedPair:
+    times = (pair.frame, pair.t_left, pair.t_right, pair.pan_left, pair.pan_right)
+    return CapturedPair(*times, pair.left, pair.right, _jpeg(pair.left), _jpeg(pair.right))
 
 
 def _jpeg(image: Image) -> bytes:

@@ -1,10 +1,9 @@
 """Board pictures from live cameras: a pair is taken when the board is still and tells more."""
 
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from verify.calibration.corners.find import find_board
 from verify.core.fiducials import Board, BoardPair, BoardView
@@ -16,13 +15,12 @@ from verify.live.boards.pictures import BoardPictures
 from verify.live.boards.show import MOVING, READY, REPEATED, SEARCHING, BoardDetection, BoardState
 from verify.live.boards.view import MAX_MOTION_PX, StillnessDetector, find_board_coarsely
 from verify.live.buffers import PanBuffer
-from verify.live.intake import PollingThread, pan_step
+from verify.live.intake import PairQueue, PollingThread, camera_step, readings_step
 from verify.live.pairing import FramePair, Pairing
-from verify.live.state import DeviceStatus
+from verify.live.state import DeviceStatus, device_status
 
 READ_TIMEOUT = 0.2  # s for a pair
 JOIN_TIMEOUT = 1.0  # s for a thread
-SILENCE_TIMEOUT = 1.0  # s without a picture: a camera that is not well
 FINISHED = "finished: the calibration goes on in the terminal"
 UPSIDE_DOWN = "the board is upside down in one picture: hold it upright"
 Views = tuple[BoardView | None, BoardView | None]
@@ -37,47 +35,15 @@ class BoardDevices:
     pan: PanDevice | None  # None: fixed bases
 
 
-class LatestPair:
-    """The newest pair of pictures: those that came while one was looked at are passed over."""
-
-    def __init__(self) -> None:
-        self._pairing = Pairing()
-        self._wake = threading.Condition()
-        self._pair: FramePair | None = None
-
-    def read(self, camera: CameraDevice, side: int) -> Callable[[], bool]:
-        """Make the step that reads the left (0) or right (1) camera, once."""
-
-        def step() -> bool:
-            frame = camera.read()
-            if frame is None:
-                return False
-            with self._wake:
-                pair = self._pairing.add(side, frame, time.monotonic())
-                self._pair = pair or self._pair
-                self._wake.notify()
-            return True
-
-        return step
-
-    def take(self) -> FramePair | None:
-        """Wait a moment for a pair that was not given out yet."""
-        with self._wake:
-            if self._pair is None:
-                self._wake.wait(READ_TIMEOUT)
-            pair, self._pair = self._pair, None
-            return pair
-
-
 class BoardCapture:
-    """Takes pairs of a board until enough are there or somebody says so.
+    """Takes pairs of a board until there are enough, or `finish` is called.
 
     Args:
         devices: open ones; whoever opened them closes them.
         board: the pattern.
         pictures: where the pairs go.
         enough: pairs after which it ends by itself; None: it goes on until `finish`.
-        state: told everything.
+        state: updated with everything.
     """
 
     def __init__(
@@ -90,15 +56,16 @@ class BoardCapture:
     ) -> None:
         self._devices, self._board, self._pictures = devices, board, pictures
         self._enough, self._state = enough, state
-        self._asked, self._finished = threading.Event(), threading.Event()
-        self._latest, self._pans, self._still = LatestPair(), PanBuffer(), StillnessDetector()
+        self._requested, self._finished = threading.Event(), threading.Event()
+        self._latest = PairQueue(Pairing(), size=1)  # pairs that come meanwhile are passed over
+        self._pans, self._still = PanBuffer(), StillnessDetector()
         self._taken: CapturedPairs | None = None  # None before the first pair of pictures
         self._looks = 0
         self._troubles: dict[str, str] = {}
 
     def ask(self) -> None:
         """Take the next pair in which both cameras see the board, still or not."""
-        self._asked.set()
+        self._requested.set()
 
     def finish(self) -> None:
         """Take no more."""
@@ -122,7 +89,7 @@ class BoardCapture:
                 while not (self._finished.is_set() or self._is_enough() or self._ended()):
                     self._state.change(devices=self._lines())
                     look()
-                    pair = self._latest.take()
+                    pair = self._latest.take(READ_TIMEOUT)
                     if pair is not None:
                         self._see(pair)
         finally:
@@ -134,16 +101,14 @@ class BoardCapture:
             look()
 
     def _pumps(self) -> list[PollingThread]:
-        devices = self._devices
-        pumps = [
-            PollingThread(f"{name} camera", self._latest.read(camera, side), self._failed)
-            for side, (name, camera) in enumerate(
-                (("left", devices.left), ("right", devices.right))
-            )
+        devices, latest = self._devices, self._latest
+        steps = [
+            ("left camera", camera_step(devices.left, 0, latest, patient=False)),
+            ("right camera", camera_step(devices.right, 1, latest, patient=False)),
         ]
         if devices.pan is not None:
-            pumps.append(PollingThread("bases", pan_step(devices.pan, self._pans), self._failed))
-        return pumps
+            steps.append(("bases", readings_step(devices.pan, self._pans.add)))
+        return [PollingThread(name, step, self._failed) for name, step in steps]
 
     def _failed(self, name: str, error: Exception) -> None:
         self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
@@ -156,22 +121,19 @@ class BoardCapture:
         return self._devices.left.state().ended or self._devices.right.state().ended
 
     def _lines(self) -> tuple[DeviceStatus, ...]:
-        lines = []
-        for name, camera in (
-            ("left camera", self._devices.left),
-            ("right camera", self._devices.right),
-        ):
-            now = camera.state()
-            well = now.connected and now.age is not None and now.age < SILENCE_TIMEOUT
-            lines.append(DeviceStatus(name, well, self._troubles.get(name, now.sentence)))
-        if self._devices.pan is not None:
-            pan = self._devices.pan.state()
-            well = pan.connected and pan.age is not None and pan.age < SILENCE_TIMEOUT
-            lines.append(DeviceStatus("bases", well, self._troubles.get("bases", pan.sentence)))
-        return tuple(lines)
+        devices = self._devices
+        lines = [
+            device_status("left camera", devices.left.state()),
+            device_status("right camera", devices.right.state()),
+        ]
+        if devices.pan is not None:
+            lines.append(device_status("bases", devices.pan.state()))
+        return tuple(
+            replace(line, sentence=self._troubles.get(line.name, line.sentence)) for line in lines
+        )
 
     def _see(self, frames: FramePair) -> None:
-        """Look at a pair; take it if it is worth it, or asked for."""
+        """Look at a pair; take it if it adds information, or was requested."""
         images = (frames.left.image, frames.right.image)
         taken = self._taken_of(images)
         views = self._both(find_board_coarsely, images)
@@ -181,22 +143,22 @@ class BoardCapture:
         self._state.change(
             look=BoardDetection(self._looks, images, views), motion=self._still.motion
         )
-        seen = None if pan is None else BoardPair(len(taken), *pan, *views)
-        status, words = self._judged(seen, views, taken)
+        boards = None if pan is None else BoardPair(len(taken), *pan, *views)
+        status, words = self._judged(boards, views, taken)
         self._state.change(
             status=status,
             words=words,
-            standings=taken.standings(seen) if seen is not None and None not in views else (),
+            standings=taken.standings(boards) if boards is not None and None not in views else (),
         )
-        asked = self._asked.is_set()
-        self._asked.clear()
-        if seen is not None and (status == READY or (asked and status != SEARCHING)):
-            self._take(frames, seen, taken)
-        elif asked:
+        requested = self._requested.is_set()
+        self._requested.clear()
+        if boards is not None and (status == READY or (requested and status != SEARCHING)):
+            self._take(frames, boards, taken)
+        elif requested:
             self._state.change(last=f"not taken: {words}")
 
     def _taken_of(self, images: tuple[Image, Image]) -> CapturedPairs:
-        """What was taken so far; the first pair tells the pictures' size."""
+        """The pairs taken so far; the first pair sets the pictures' size."""
         (height, width), (high, wide) = (image.shape[:2] for image in images)
         if (height, width) != (high, wide):
             raise InputError(
@@ -210,7 +172,7 @@ class BoardCapture:
                 expected = "{} x {} were taken".format(*self._taken.image_size)
                 raise InputError("cameras", found, expected, "Set the size in the station file.")
             self._taken = CapturedPairs(self._board, (width, height))
-            self._tell_coverage(self._taken)
+            self._update_coverage(self._taken)
         return self._taken
 
     def _both(
@@ -221,23 +183,23 @@ class BoardCapture:
         return find(images[0], self._board), right.result()
 
     def _pan(self, t: float) -> tuple[float, float] | None:
-        """How the bases stand, rad; None while one turns or nothing tells."""
+        """Angles of the bases, rad; None while one turns or there is no reading."""
         return (0.0, 0.0) if self._devices.pan is None else self._pans.at(t)
 
     def _judged(
-        self, seen: BoardPair | None, views: Views, taken: CapturedPairs
+        self, boards: BoardPair | None, views: Views, taken: CapturedPairs
     ) -> tuple[str, str]:
-        """Say what keeps a pair from being taken by itself."""
+        """Status of a pair, and why it is not taken by itself."""
         missing = [side for side, v in zip(("left", "right"), views, strict=True) if v is None]
         if missing:
             where = "in either picture" if len(missing) == 2 else f"in the {missing[0]} picture"
             return SEARCHING, f"no board {where}"
-        if seen is None:
+        if boards is None:
             return SEARCHING, "a base turns, or does not tell its angle"
-        left, right = taken.standings(seen)
+        left, right = taken.standings(boards)
         if left.stance.view_T_board[:3, 0] @ right.stance.view_T_board[:3, 0] < 0:
             return SEARCHING, UPSIDE_DOWN
-        number = taken.alike(seen)
+        number = taken.alike(boards)
         if number is not None:
             return REPEATED, f"like pair {number + 1}: move, tilt or turn the board"
         if not self._still.still:
@@ -246,21 +208,20 @@ class BoardCapture:
             return MOVING, f"hold it still{by} ({MAX_MOTION_PX} px are allowed)"
         return READY, "taking it"
 
-    def _take(self, frames: FramePair, seen: BoardPair, taken: CapturedPairs) -> None:
+    def _take(self, frames: FramePair, boards: BoardPair, taken: CapturedPairs) -> None:
         """Measure the corners as the calibration will, and keep the pair if they are there."""
         images = (frames.left.image, frames.right.image)
         left, right = self._both(find_board, images)
         if left is None or right is None:
             self._state.change(last="not taken: the board is not seen well enough to be measured")
             return
-        pair = BoardPair(seen.frame, seen.pan_left, seen.pan_right, left, right)
-        times = (frames.left.t, frames.right.t)
-        self._pictures.keep(StereoPair(seen.frame, *times, seen.pan_left, seen.pan_right, *images))
-        taken.add(pair)
+        times, pans = (frames.left.t, frames.right.t), (boards.pan_left, boards.pan_right)
+        self._pictures.keep(StereoPair(boards.frame, *times, *pans, *images))
+        taken.add(BoardPair(boards.frame, *pans, left, right))
         self._state.change(pairs=len(taken), last=f"pair {len(taken)} taken")
-        self._tell_coverage(taken)
+        self._update_coverage(taken)
 
-    def _tell_coverage(self, taken: CapturedPairs) -> None:
+    def _update_coverage(self, taken: CapturedPairs) -> None:
         covered = (coverage(taken, 0), coverage(taken, 1))
         turning = self._devices.pan is not None
         self._state.change(coverage=covered, goals=goals(taken, covered, turning=turning))

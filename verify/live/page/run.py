@@ -92,18 +92,14 @@ class RunPageSource:
 
     def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
         """The newest pair, if it was not given yet, scaled down and encoded once for all."""
-        seen = self._state.latest_pictures()
-        if seen is None or seen.pair.frame == self._frame:
+        latest = self._state.latest_pictures()
+        if latest is None or latest[0].frame == self._frame:
             return ()
-        self._frame = seen.pair.frame
+        pair, measurement = latest
+        self._frame = pair.frame
         return [
-            _picture(side, image, sighting)
-            for side, (image, sighting) in enumerate(
-                (
-                    (seen.pair.left, seen.measurement.left),
-                    (seen.pair.right, seen.measurement.right),
-                )
-            )
+            (0, _led_fields(pair.left, measurement.left), small_jpeg(pair.left)),
+            (1, _led_fields(pair.right, measurement.right), small_jpeg(pair.right)),
         ]
 
     def metrics(self) -> str:
@@ -127,9 +123,9 @@ class RunPageSource:
 
     def _scene(self, row: JointRow) -> dict[str, Any]:
         """Measured and encoder-derived arm and LEDs, and the cameras; base frame, mm."""
-        seen = self._state.latest_pictures()
-        rig = self._subject.rig
-        scene: dict[str, Any] = {"cameras": camera_poses(rig, None if seen is None else seen.pair)}
+        latest = self._state.latest_pictures()
+        pair = None if latest is None else latest[0]
+        scene: dict[str, Any] = {"cameras": camera_poses(self._subject.rig, pair)}
         leds = self._subject.marker.leds
         for name, q, pose in (
             ("measured", row.measured, row.base_T_measured),
@@ -167,20 +163,10 @@ def camera_poses(rig: Rig, pair: StereoPair | None) -> list[dict[str, Any]]:
     ]
 
 
-def _picture(
-    side: int, image: Image, sighting: Sighting | None
-) -> tuple[int, dict[str, Any], bytes]:
+def _led_fields(image: Image, sighting: Sighting | None) -> dict[str, Any]:
     height, width = image.shape[:2]
-    found = [] if sighting is None else list(zip(sighting.led, sighting.centre, strict=True))
-    return (
-        side,
-        {
-            "width": width,
-            "height": height,
-            "leds": [
-                {"led": int(led), "x": round(float(x), 2), "y": round(float(y), 2)}
-                for led, (x, y) in found
-            ],
-        },
-        small_jpeg(image),
-    )
+    leds = [] if sighting is None else list(zip(sighting.led, sighting.centre, strict=True))
+    places = [
+        {"led": int(led), "x": round(float(x), 2), "y": round(float(y), 2)} for led, (x, y) in leds
+    ]
+    return {"width": width, "height": height, "leds": places}

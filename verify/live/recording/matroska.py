@@ -22,6 +22,7 @@ import numpy as np
 
 from verify.core.records import Image
 from verify.core.version import __version__
+from verify.devices.protocols import CapturedPair
 
 UNKNOWN_SIZE = b"\x01" + b"\xff" * 7  # of the segment: a reader takes it as "to the end"
 TIMESTAMP_SCALE = 1_000_000  # ns: players get ms; the session's times are in frames.csv
@@ -56,7 +57,6 @@ class MatroskaFile:
     """
 
     def __init__(self, path: Path, track: MatroskaTrack) -> None:
-        self.path = path
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
         self._length = 0  # bytes that are whole
         self._before = 0  # bytes, without the last picture
@@ -195,6 +195,11 @@ def picture_format(image: Image, raw: bytes | None) -> PictureFormat:
     if raw is not None:
         return PictureFormat(JPEG, width, height)
     return PictureFormat(GREY if image.ndim == 2 else COLOUR, width, height)
+
+
+def picture_formats(pair: CapturedPair) -> tuple[PictureFormat, PictureFormat]:
+    """Say what kinds of file a pair's pictures belong to, left and right."""
+    return picture_format(pair.left, pair.left_raw), picture_format(pair.right, pair.right_raw)
 
 
 class PictureEncoder:

@@ -13,10 +13,8 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from verify.core.records import StereoPair
 from verify.devices.protocols import CapturedPair, EncoderReading
 from verify.errors import InputError
-from verify.live.recording.matroska import picture_format
 from verify.live.recording.session import (
     SessionFacts,
     SessionWriter,
@@ -34,12 +32,10 @@ MAX_LAG = 0.8  # s behind, and the recording ends: a kill must not cost a second
 READING_LEAD = 1.0  # s of readings before the first pair: they bracket it
 JOIN_TIMEOUT = 10.0  # s: files that are being written are finished
 
-RawImages = tuple[bytes | None, bytes | None]
-
 
 @dataclass(frozen=True, slots=True)
-class SessionRecorderState:
-    """How the recording is."""
+class RecorderState:
+    """Counts of a recording, and a sentence for people."""
 
     recording: bool
     folder: Path | None  # the newest; None before the first pair
@@ -55,22 +51,9 @@ class SessionRecorderState:
 class _WriteItem:
     """Something to write."""
 
-    what: tuple[StereoPair, RawImages] | EncoderReading
+    content: CapturedPair | EncoderReading
     came: float  # s, host's monotonic clock
     done: threading.Event = field(default_factory=threading.Event)
-
-
-@dataclass(frozen=True, slots=True)
-class _UnencodedPair:
-    """A pair that is on the disk as it is."""
-
-    pair: StereoPair
-    raws: RawImages
-    came: float  # s, host's monotonic clock
-
-
-def _no_preparation(_pair: StereoPair) -> None:
-    """Do nothing meanwhile."""
 
 
 class SessionRecorder:
@@ -95,7 +78,8 @@ class SessionRecorder:
     ) -> None:
         self._parent, self._name, self._facts, self._make = parent, name, facts, make
         self._items: deque[_WriteItem] = deque()
-        self._aside: deque[_UnencodedPair] = deque()  # the writing thread's own
+        # pairs that are on the disk as they are, and when they came; the writing thread's own
+        self._aside: deque[tuple[CapturedPair, float]] = deque()
         self._wake = threading.Condition()
         self._closing = False
         self._trouble = ""  # why the recording has ended
@@ -111,12 +95,14 @@ class SessionRecorder:
         self._thread.start()
 
     def keep(
-        self, pairs: Iterator[StereoPair], meanwhile: Callable[[StereoPair], None] = _no_preparation
-    ) -> Iterator[StereoPair]:
+        self,
+        pairs: Iterator[CapturedPair],
+        meanwhile: Callable[[CapturedPair], None] = lambda _: None,
+    ) -> Iterator[CapturedPair]:
         """Record pairs as they pass; each is on the disk before it comes out.
 
         Args:
-            pairs: as the cameras give them; JPEGs of a `CapturedPair` go to the file as they are.
+            pairs: as the cameras give them; JPEGs go to the file as they are.
             meanwhile: called with each pair while it is being written; it must compute nothing
                 from it that outlives a kill.
 
@@ -131,17 +117,14 @@ class SessionRecorder:
             self._last = (pair.t_left, pair.t_right)
             written = replace(pair_as_written(pair, self._facts.turning), frame=self._numbered)
             self._numbered += 1
-            raws: RawImages = (None, None)
-            if isinstance(pair, CapturedPair):
-                raws = (pair.left_raw, pair.right_raw)
-            item = self._hand_over((written, raws))
+            item = self._hand_over(written)
             meanwhile(written)
             if item is not None and not item.done.wait(WRITE_TIMEOUT):
                 self._late += 1
             yield written
 
     def through(self, frame: int) -> None:
-        """Note that a pair is measured and compared: now there is time to encode it.
+        """Report that a pair is measured and compared: now there is time to encode it.
 
         Args:
             frame: its number, as it came out of `keep`.
@@ -156,11 +139,11 @@ class SessionRecorder:
         self._hand_over(written)
         return written
 
-    def state(self) -> SessionRecorderState:
-        """Say how the recording is."""
+    def state(self) -> RecorderState:
+        """Describe the recording."""
         folder = self._folders[-1] if self._folders else None
         recording = not (self._trouble or self._closing)
-        return SessionRecorderState(
+        return RecorderState(
             recording,
             folder,
             tuple(self._folders),
@@ -191,14 +174,14 @@ class SessionRecorder:
         late = f"; {self._late} were measured before they were on the disk" if self._late else ""
         return f"recording to {folder}: {whole}{late}"
 
-    def _hand_over(self, what: tuple[StereoPair, RawImages] | EncoderReading) -> _WriteItem | None:
+    def _hand_over(self, content: CapturedPair | EncoderReading) -> _WriteItem | None:
         now = time.monotonic()
         with self._wake:
             if self._items and now - self._items[0].came > MAX_LAG and not self._trouble:
                 self._trouble = f"{self._parent}: the disk is too slow, {MAX_LAG:g} s behind"
             if self._trouble or self._closing:
                 return None
-            item = _WriteItem(what, now)
+            item = _WriteItem(content, now)
             self._items.append(item)
             self._wake.notify()
         return item
@@ -234,8 +217,8 @@ class SessionRecorder:
 
     def _due(self) -> float:
         """When to encode the oldest pair that was set aside, s, host's monotonic clock."""
-        oldest = self._aside[0]
-        return oldest.came + (MAX_ENCODING_DELAY if oldest.pair.frame > self._through else 0.0)
+        pair, came = self._aside[0]
+        return came + (MAX_ENCODING_DELAY if pair.frame > self._through else 0.0)
 
     def _guarded(self, action: Callable[[], None]) -> None:
         """Do something with the disk; whatever goes wrong ends the recording and nothing else."""
@@ -255,33 +238,32 @@ class SessionRecorder:
             self._guarded(part.close)
 
     def _put(self, item: _WriteItem) -> None:
-        if isinstance(item.what, EncoderReading):
-            self._put_reading(item.what)
+        if isinstance(item.content, EncoderReading):
+            self._put_reading(item.content)
         else:
-            self._put_pair(*item.what, item.came)
+            self._put_pair(item.content, item.came)
 
-    def _put_pair(self, pair: StereoPair, raws: RawImages, came: float) -> None:
-        if self._current is not None and not self._current.fits(raws, pair):
+    def _put_pair(self, pair: CapturedPair, came: float) -> None:
+        if self._current is not None and not self._current.fits(pair):
             self._close_part()  # a camera has changed its format
         if self._current is None:
-            self._current = self._begin(pair, raws)
+            self._current = self._begin(pair)
         part = self._current
         while self._aside and not part.room:
             self._encode()
-        if part.set_aside(pair, raws):
-            self._aside.append(_UnencodedPair(pair, raws, came))
+        if part.set_aside(pair):
+            self._aside.append((pair, came))
             return
         while self._aside:
             self._encode()
-        part.add_pair(pair, raws)
+        part.add_pair(pair)
         self._pairs += 1
 
     def _encode(self) -> None:
-        """Carry the oldest pair that was set aside to where it belongs."""
+        """Encode the oldest pair that was set aside."""
         if self._current is None:
             raise RuntimeError("a pair was set aside in a session that is closed")
-        aside = self._aside[0]
-        self._current.add_pair(aside.pair, aside.raws)
+        self._current.add_pair(self._aside[0][0])
         self._aside.popleft()
         self._pairs += 1
 
@@ -298,12 +280,11 @@ class SessionRecorder:
         while self._early[0].t_host < reading.t_host - READING_LEAD:
             self._early.popleft()
 
-    def _begin(self, pair: StereoPair, raws: RawImages) -> SessionWriter:
+    def _begin(self, pair: CapturedPair) -> SessionWriter:
         started = datetime.now(UTC).replace(microsecond=0)
         folder = new_folder(self._parent, started.astimezone().strftime(self._name))
-        kinds = (picture_format(pair.left, raws[0]), picture_format(pair.right, raws[1]))
         try:
-            part = self._make(folder, self._facts, started, kinds)
+            part = self._make(folder, self._facts, started, pair)
         except (OSError, InputError):
             remove_folder(folder)
             raise

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from verify.core.records import Image, StereoPair
+from verify.core.records import Array, Image
 from verify.devices.protocols import CapturedPair, EncoderReading
 from verify.errors import InputError
 from verify.io.files import write_whole
@@ -27,8 +27,7 @@ from verify.io.unfinished import UnfinishedPairs, ring_bytes
 from verify.live.recording.matroska import (
     MatroskaFile,
     PictureEncoder,
-    PictureFormat,
-    picture_format,
+    picture_formats,
     sync_and_close,
     write_all,
 )
@@ -71,51 +70,26 @@ class CsvWriter:
         sync_and_close(self._file)
 
 
-def frames_header(turning: bool) -> str:
-    """Name the columns of frames.csv; with `turning` the bases' angles have theirs."""
-    pan = ",pan_left_deg,pan_right_deg" if turning else ""
-    return f"frame,t_left_s,t_right_s{pan}"
-
-
-def frames_row(frame: int, pair: StereoPair, turning: bool) -> str:
-    """Word a pair's row."""
-    pan = f",{_degrees(pair.pan_left)},{_degrees(pair.pan_right)}" if turning else ""
-    return f"{frame},{pair.t_left!r},{pair.t_right!r}{pan}"
-
-
-def encoders_header(joints: int) -> str:
-    """Name the columns of encoders.csv; when a reading came is kept too, for later doubts."""
-    angles = ",".join(f"q{joint}_deg" for joint in range(1, joints + 1))
-    return f"t_s,{angles},t_host_s"
-
-
-def encoders_row(reading: EncoderReading) -> str:
-    """Word a reading's row."""
-    angles = ",".join(map(_degrees, reading.q.tolist()))
-    return f"{reading.t!r},{angles},{reading.t_host:.6f}"
-
-
-def pair_as_written(pair: CapturedPair | StereoPair, turning: bool) -> CapturedPair | StereoPair:
+def pair_as_written(pair: CapturedPair, turning: bool) -> CapturedPair:
     """Give the pair with the angles that its row has."""
     if not turning:
         return pair
-    return replace(
-        pair, pan_left=_written_angle(pair.pan_left), pan_right=_written_angle(pair.pan_right)
-    )
+    left, right = _as_written([pair.pan_left, pair.pan_right]).tolist()
+    return replace(pair, pan_left=left, pan_right=right)
 
 
 def reading_as_written(reading: EncoderReading) -> EncoderReading:
     """Give the reading with the angles that its row has."""
-    text = [float(_degrees(angle)) for angle in reading.q.tolist()]
-    return replace(reading, q=np.deg2rad(np.array(text)))
+    return replace(reading, q=_as_written(reading.q.tolist()))
+
+
+def _as_written(angles: list[float]) -> Array:
+    written: Array = np.deg2rad([float(_degrees(angle)) for angle in angles])
+    return written
 
 
 def _degrees(angle: float) -> str:
     return f"{np.rad2deg(angle):.9f}"
-
-
-def _written_angle(angle: float) -> float:
-    return float(np.deg2rad(float(_degrees(angle))))
 
 
 MIN_FREE_BYTES = 1 << 20  # bytes that stay free: to close the session properly
@@ -125,14 +99,14 @@ MAX_DISK_SHARE = 0.05  # of what the disk has free, that waiting pairs may take
 
 @dataclass(frozen=True, slots=True)
 class SessionFacts:
-    """What a session says beside its series."""
+    """What session.toml states, and the files beside it."""
 
     robot: str  # as session.toml names it
     joints: int
     files: Mapping[str, bytes]  # by name: rig.toml, marker.toml, and the robot's file if it has one
     tables: Mapping[str, Any]  # of session.toml: description, clock, tolerance, …
-    turning: bool  # the bases turn: frames.csv tells their angles
-    time_stated: bool = False  # `tables` tells how well the readings' times are known
+    turning: bool  # the bases turn: frames.csv has their angles
+    time_stated: bool = False  # `tables` states how well the readings' times are known
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +117,7 @@ class CameraFile:
     file: MatroskaFile
 
     def attempt(self, image: Image, raw: bytes | None, t: float) -> Exception | None:
-        """Encode a picture and append it; what went wrong is handed back, for both sides' sake."""
+        """Encode a picture and append it; returns the error, as both sides must know of it."""
         try:
             self.file.add(self.coder.encode(image, raw), t)
         except Exception as error:
@@ -158,20 +132,16 @@ class SessionWriter:
         folder: is made.
         facts: what session.toml says.
         started: when.
-        kinds: of pictures, left and right.
+        first: the pair whose kinds of pictures the files hold; it is not written yet.
 
     Raises:
         OSError, InputError: the system refuses it.
     """
 
     def __init__(
-        self,
-        folder: Path,
-        facts: SessionFacts,
-        started: datetime,
-        kinds: tuple[PictureFormat, PictureFormat],
+        self, folder: Path, facts: SessionFacts, started: datetime, first: CapturedPair
     ) -> None:
-        self.folder, self.kinds = folder, kinds
+        self._folder, self._kinds = folder, picture_formats(first)
         self._facts, self._started = facts, started
         self._begin: float | None = None
         self._last_t = float("-inf")
@@ -179,14 +149,16 @@ class SessionWriter:
         folder.mkdir(parents=True)
         for name, data in facts.files.items():
             write_whole(folder / name, data)
-        self._say("open")
-        coders = [PictureEncoder(kind) for kind in kinds]
+        self._write_header("open")
+        coders = [PictureEncoder(kind) for kind in self._kinds]
         self._sides = tuple(
             CameraFile(coder, MatroskaFile(folder / f"{name}.mkv", coder.track))
             for name, coder in zip(("left", "right"), coders, strict=True)
         )
-        self._frames = CsvWriter(folder / "frames.csv", frames_header(facts.turning))
-        self._encoders = CsvWriter(folder / "encoders.csv", encoders_header(facts.joints))
+        pan = ",pan_left_deg,pan_right_deg" if facts.turning else ""
+        self._frames = CsvWriter(folder / "frames.csv", f"frame,t_left_s,t_right_s{pan}")
+        angles = ",".join(f"q{joint}_deg" for joint in range(1, facts.joints + 1))
+        self._encoders = CsvWriter(folder / "encoders.csv", f"t_s,{angles},t_host_s")
         self._other = ThreadPoolExecutor(max_workers=1, thread_name_prefix="record")
         self._ring: UnfinishedPairs | None = None
         self._aside = 0
@@ -197,47 +169,42 @@ class SessionWriter:
         return self._frames.count
 
     @property
-    def room(self) -> bool:
-        """Whether one more pair may be set aside."""
-        return self._aside < MAX_UNENCODED_PAIRS
-
-    def set_aside(self, pair: StereoPair, raws: tuple[bytes | None, bytes | None]) -> bool:
-        """Put a pair on the disk as it is; `add_pair` encodes it, in its turn, when there is time.
-
-        Returns:
-            False where that is no help: it is to be added at once. The first pair is, so that
-            every file holds something; JPEGs are, which need no encoding.
-
-        Raises:
-            OSError: the system refuses it.
-        """
-        if not self.pairs or raws != (None, None):
-            return False
-        if self._ring is None:
-            shapes = (pair.left.shape, pair.right.shape)
-            if (
-                ring_bytes(*shapes, MAX_UNENCODED_PAIRS)
-                > MAX_DISK_SHARE * shutil.disk_usage(self.folder).free
-            ):
-                return False
-            self._ring = UnfinishedPairs(self.folder / PENDING, *shapes, MAX_UNENCODED_PAIRS)
-        self._ring.put(self.pairs + self._aside, pair)
-        self._aside += 1
-        return True
-
-    @property
     def readings(self) -> int:
         """How many readings it holds."""
         return self._encoders.count
 
-    def fits(self, raws: tuple[bytes | None, bytes | None], pair: StereoPair) -> bool:
-        """Whether a pair's pictures are of the kind that its files hold."""
-        return self.kinds == (
-            picture_format(pair.left, raws[0]),
-            picture_format(pair.right, raws[1]),
-        )
+    @property
+    def room(self) -> bool:
+        """Whether one more pair may be set aside."""
+        return self._aside < MAX_UNENCODED_PAIRS
 
-    def add_pair(self, pair: StereoPair, raws: tuple[bytes | None, bytes | None]) -> None:
+    def set_aside(self, pair: CapturedPair) -> bool:
+        """Put a pair on the disk as it is; `add_pair` encodes it, in its turn, when there is time.
+
+        Returns:
+            False where it is to be added at once: the first pair, so that every file holds
+            something; JPEGs, which need no encoding; and where the disk has little room.
+
+        Raises:
+            OSError: the system refuses it.
+        """
+        if not self.pairs or (pair.left_raw, pair.right_raw) != (None, None):
+            return False
+        if self._ring is None:
+            shapes = (pair.left.shape, pair.right.shape)
+            room = MAX_DISK_SHARE * shutil.disk_usage(self._folder).free
+            if ring_bytes(*shapes, MAX_UNENCODED_PAIRS) > room:
+                return False
+            self._ring = UnfinishedPairs(self._folder / PENDING, *shapes, MAX_UNENCODED_PAIRS)
+        self._ring.put(self.pairs + self._aside, pair)
+        self._aside += 1
+        return True
+
+    def fits(self, pair: CapturedPair) -> bool:
+        """Whether a pair's pictures are of the kind that its files hold."""
+        return self._kinds == picture_formats(pair)
+
+    def add_pair(self, pair: CapturedPair) -> None:
         """Append both pictures, then the row that makes them count.
 
         Raises:
@@ -248,12 +215,15 @@ class SessionWriter:
             self._begin = pair.t_left
         t = pair.t_left - self._begin
         left, right = self._sides
-        of_right = self._other.submit(right.attempt, pair.right, raws[1], t)
-        failures = (left.attempt(pair.left, raws[0], t), of_right.result())
+        of_right = self._other.submit(right.attempt, pair.right, pair.right_raw, t)
+        failures = (left.attempt(pair.left, pair.left_raw, t), of_right.result())
+        pan = ""
+        if self._facts.turning:
+            pan = f",{_degrees(pair.pan_left)},{_degrees(pair.pan_right)}"
         try:
-            if (refused := next(filter(None, failures), None)) is not None:
-                raise refused
-            self._frames.add(frames_row(self.pairs, pair, self._facts.turning))
+            if (failure := next(filter(None, failures), None)) is not None:
+                raise failure
+            self._frames.add(f"{self.pairs},{pair.t_left!r},{pair.t_right!r}{pan}")
             self._aside = max(self._aside - 1, 0)
         except Exception:  # whatever it was: neither side keeps a picture that has no row
             for side, failure in zip(self._sides, failures, strict=True):
@@ -269,13 +239,14 @@ class SessionWriter:
         """
         if reading.t <= self._last_t:
             return False
-        self._encoders.add(encoders_row(reading))
+        angles = ",".join(map(_degrees, reading.q.tolist()))
+        self._encoders.add(f"{reading.t!r},{angles},{reading.t_host:.6f}")
         self._last_t = reading.t
         self._half_widths += reading.half_width**2
         return True
 
     def close(self) -> None:
-        """Close every file, and say in session.toml that the session is whole.
+        """Close every file, and mark the session as closed in session.toml.
 
         Raises:
             OSError, InputError: the system refuses it; the session stays "open" and can be read.
@@ -292,35 +263,33 @@ class SessionWriter:
             raise failure
         if self._ring is not None:
             self._ring.close()
-        self._say("closed")
+        self._write_header("closed")
 
-    def _say(self, recording: str) -> None:
-        """Write session.toml."""
+    def _write_header(self, recording: str) -> None:
+        """Write session.toml; recording: "open" or "closed"."""
         tables = dict(self._facts.tables)
         if not self._facts.time_stated and recording == "closed" and self.readings:
             # uniform within ± half-width: its standard deviation
             spread = float(np.sqrt(self._half_widths / self.readings / 3.0))
-            told = {"time_standard_uncertainty_s": float(f"{spread:.3g}")}
-            tables["encoder_readings"] = {**tables.get("encoder_readings", {}), **told}
+            stated = {"time_standard_uncertainty_s": float(f"{spread:.3g}")}
+            tables["encoder_readings"] = {**tables.get("encoder_readings", {}), **stated}
         names = {key: f"{key}.mkv" for key in ("left", "right")}
         names |= {key: f"{key}.csv" for key in ("frames", "encoders")}
         head = {"format": FORMAT, "robot": self._facts.robot, "started": self._started}
         files = {"recording": recording, "rig": "rig.toml", "marker": "marker.toml", **names}
-        write_whole(self.folder / "session.toml", encode({**head, **files, **tables}))
+        write_whole(self._folder / "session.toml", encode({**head, **files, **tables}))
 
-    def _check_disk(self, pair: StereoPair) -> None:
-        """Stop before it is too late.
+    def _check_disk(self, pair: CapturedPair) -> None:
+        """Refuse a pair after which there would be no room to close the session.
 
         Raises:
             OSError: hardly anything is free, or the folder was deleted.
         """
         if not self._sides[0].file.linked():
-            raise FileNotFoundError(errno.ENOENT, "the folder was deleted", str(self.folder))
-        if (
-            shutil.disk_usage(self.folder).free
-            < MIN_FREE_BYTES + pair.left.nbytes + pair.right.nbytes
-        ):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.folder))
+            raise FileNotFoundError(errno.ENOENT, "the folder was deleted", str(self._folder))
+        needed = MIN_FREE_BYTES + pair.left.nbytes + pair.right.nbytes
+        if shutil.disk_usage(self._folder).free < needed:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._folder))
 
 
 def new_folder(parent: Path, name: str) -> Path:
@@ -333,7 +302,7 @@ def new_folder(parent: Path, name: str) -> Path:
 
 
 def remove_folder(folder: Path) -> None:
-    """Take a folder away that could not be begun."""
+    """Remove the folder of a session that could not be begun."""
     with suppress(OSError):
         for file in folder.iterdir():
             file.unlink()

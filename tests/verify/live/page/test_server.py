@@ -61,9 +61,9 @@ class Playing:
         while not self._stop.wait(1 / 30):
             frame += 1
             self.state.row(played_row(frame), np.full(6, 0.4))
-            self.state.seen(*played_pictures(frame))
+            self.state.set_pictures(*played_pictures(frame))
             lines = (DeviceStatus("left camera", True, f"reading {HOSTILE}"),)
-            self.state.facts(lines, {"no partner in time": 2}, "kept")
+            self.state.set_status(lines, {"no partner in time": 2}, "kept")
 
 
 def played_row(frame: int) -> JointRow:

@@ -1,5 +1,6 @@
 """Recordings are whole at any moment, equal to the measurement, and never delay it."""
 
+import dataclasses
 import os
 import random
 import subprocess
@@ -187,8 +188,8 @@ def test_what_is_measured_live_is_measured_again_from_the_recording_to_the_last_
     for t, q in zip(session.encoder_t, session.encoder_q, strict=True):
         recorder.reading(EncoderReading(float(t), float(t), 0.0, 0, q))
     setup = Setup(station.rig, station.marker)
-    given = (session.pair(index) for index in range(12))
-    live = list(measure(recorder.keep(given), setup))
+    given = (dataclasses.asdict(session.pair(index)) for index in range(12))
+    live = list(measure(recorder.keep(CapturedPair(**fields) for fields in given), setup))
     recorder.close()
     folder = recorder.state().folder
     assert folder is not None

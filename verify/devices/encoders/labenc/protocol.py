@@ -13,8 +13,8 @@ from verify.devices.ports import CHECKSUMS
 
 MAX_LINE_BYTES = 120  # bytes
 SUPPORTED_VERSION = (1, 0)  # version that this code knows; a newer minor one adds fields and types
-NOT_HOMED, FAULT, HELD, LOST, EMERGENCY, MOVING = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
-UNUSABLE = {NOT_HOMED: "not homed", FAULT: "encoder fault", HELD: "held or interpolated"}
+MOVING = 0x20  # bit of the status
+UNUSABLE = {0x01: "not homed", 0x02: "encoder fault", 0x04: "held or interpolated"}  # by bit
 
 _LINE = re.compile(rb"\$([ !-#%-)+-~]+)\*([0-9A-F]+)")  # printable but $ and *
 _DECIMAL = re.compile(r"[+-]?[0-9]{1,7}\.[0-9]{1,9}")
@@ -30,12 +30,9 @@ class LabencGreeting:
 
     major: int
     minor: int
-    arm: str
     axes: int
     unit: str  # deg or counts
     tick_rate: int  # Hz
-    rate: int  # Hz
-    serial: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,21 +81,25 @@ def frame_line(body: str, checksum: str = "xor") -> bytes:
 
 
 def parse_line(line: bytes, checksum: str = "xor") -> Message:
-    """Read one line (without its end); whatever it is not warranted by is `InvalidLine`."""
+    """Parse one line, without its end."""
     digits, function = CHECKSUMS[checksum]
     if len(line) > MAX_LINE_BYTES:
         return InvalidLine("line too long")
     match = _LINE.fullmatch(line)
     if match is None:
         return InvalidLine("no whole line")
-    body, said = match[1], match[2]
-    if len(said) != digits or int(said, 16) != function(body):
+    body, total = match[1], match[2]
+    if len(total) != digits or int(total, 16) != function(body):
         return InvalidLine("wrong checksum")
     kind, *fields = body.decode("ascii").split(",")
-    known = {"H": _parse_greeting, "N": _parse_axis, "J": _parse_sample, "C": _parse_sample}.get(
-        kind
-    )
-    return known(kind, fields) if known else OtherLine(kind, tuple(fields))
+    match kind:
+        case "H":
+            return _parse_greeting(fields)
+        case "N":
+            return _parse_axis(fields)
+        case "J" | "C":
+            return _parse_sample(kind, fields)
+    return OtherLine(kind, tuple(fields))
 
 
 def sample_values(
@@ -121,21 +122,20 @@ def sample_values(
     return tuple(map(float, texts)), int(status, 16)
 
 
-def _parse_greeting(_kind: str, fields: list[str]) -> Message:
+def _parse_greeting(fields: list[str]) -> Message:
     if len(fields) < 8 or fields[0] != "LABENC":
         return InvalidLine("greeting of another protocol")
     version = _VERSION.fullmatch(fields[1])
     numbers = [fields[3], fields[5], fields[6]]
     if version is None or not all(map(_UNSIGNED.fullmatch, numbers)):
         return InvalidLine("greeting that is not understood")
-    axes, tick_rate, rate = map(int, numbers)
+    axes, tick_rate, _rate = map(int, numbers)
     if not 1 <= axes <= 16 or tick_rate < 1 or fields[4] not in ("deg", "counts"):
         return InvalidLine("greeting that is not understood")
-    major, minor = int(version[1]), int(version[2])
-    return LabencGreeting(major, minor, fields[2], axes, fields[4], tick_rate, rate, fields[7])
+    return LabencGreeting(int(version[1]), int(version[2]), axes, fields[4], tick_rate)
 
 
-def _parse_axis(_kind: str, fields: list[str]) -> Message:
+def _parse_axis(fields: list[str]) -> Message:
     if len(fields) < 4 or not all(map(_WHOLE.fullmatch, fields[:4])):
         return InvalidLine("axis line that is not understood")
     axis, counts, direction, zero = map(int, fields[:4])

@@ -39,7 +39,7 @@ def test_every_line_of_the_sheet_is_framed_and_read(line: str) -> None:
 
 def test_lines_are_parsed_to_their_fields() -> None:
     hello, axis, sample, counts = (lines.parse_line(line.encode()) for line in SHEET[:4])
-    assert hello == lines.LabencGreeting(1, 0, "IUST6R", 6, "deg", 1_000_000, 100, "0123ABCD")
+    assert hello == lines.LabencGreeting(1, 0, 6, "deg", 1_000_000)
     assert axis == lines.LabencAxis(1, 98304, 1, 0)
     assert isinstance(sample, lines.LabencSample)
     assert isinstance(counts, lines.LabencSample)
@@ -102,6 +102,5 @@ def test_noise_without_an_end_does_not_fill_the_memory() -> None:
     buffer = LineBuffer()
     for _ in range(100):
         assert buffer.feed(b"x" * 1000) == []
-    assert buffer.overlong > 0
-    buffer.feed(b"\n")
+    assert sum(map(len, buffer.feed(b"\n"))) < 5000
     assert buffer.feed(SAMPLE + b"\r\n") == [SAMPLE]
