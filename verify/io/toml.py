@@ -54,12 +54,12 @@ def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
         InputError: no such file, not TOML, another format, a missing key, or a value of another
             type; names the line or the key.
     """
-    tree = _parse(path)
+    tree = parse(path)
     if tree.get("format") != FORMAT or isinstance(tree["format"], bool):
         found = f"is {shorten(tree['format'])}" if "format" in tree else "is missing"
         remedy = f"Write `format = {FORMAT}`, or use the program that this file was made for."
         raise key_error(path, "format", found, f"format {FORMAT} is expected", remedy)
-    for key, value in _leaves(tree):
+    for key, value in leaves(tree):
         if isinstance(value, float) and not math.isfinite(value):
             raise key_error(path, key, f"is {value}", "a finite number is expected")
     try:
@@ -138,7 +138,12 @@ def not_negative(path: Path, key: str, value: float | None) -> None:
         raise key_error(path, key, f"is {value}", "a number of 0 or more is expected")
 
 
-def _parse(path: Path) -> dict[str, Any]:
+def parse(path: Path) -> dict[str, Any]:
+    """Read a TOML file into tables.
+
+    Raises:
+        InputError: no such file, not UTF-8, or not TOML; names the line.
+    """
     data = read_bytes(path)
     try:
         return tomllib.loads(data.decode("utf-8-sig"))  # editors on Windows put a mark in front
@@ -155,13 +160,14 @@ def _parse(path: Path) -> dict[str, Any]:
         raise InputError(path, "is nested too deeply", "", remedy) from error
 
 
-def _leaves(value: object, key: str = "") -> Iterator[tuple[str, object]]:
+def leaves(value: object, key: str = "") -> Iterator[tuple[str, object]]:
+    """Give each value that is neither a table nor a list, with its key path."""
     if isinstance(value, dict):
         for name, inner in value.items():
-            yield from _leaves(inner, f"{key}.{name}" if key else name)
+            yield from leaves(inner, f"{key}.{name}" if key else name)
     elif isinstance(value, list):
         for index, inner in enumerate(value):
-            yield from _leaves(inner, f"{key}[{index}]")
+            yield from leaves(inner, f"{key}[{index}]")
     else:
         yield key, value
 

@@ -3,15 +3,12 @@
 import difflib
 import math
 import re
-import tomllib
-from collections.abc import Iterator
-from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 from verify.errors import InputError
+from verify.io import toml
 from verify.simulation.scenario import (
     BoardScenario,
     BoardScenarioTable,
@@ -20,9 +17,8 @@ from verify.simulation.scenario import (
     ScenarioTable,
 )
 
+FOLDER = Path(__file__).with_name("scenarios")
 ROBOT_FILES = {".toml", ".urdf"}  # what robots.load takes for a file; else it is a name
-
-
 BOARDS = "boards_"  # begins the names of the built-in scenarios that have boards, not a robot
 
 
@@ -32,8 +28,7 @@ def names() -> list[str]:
 
 
 def _built_in() -> list[str]:
-    folder = resources.files("verify.simulation") / "scenarios"
-    return sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".toml"))
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
 
 
 def load(name_or_path: str) -> Scenario | BoardScenario:
@@ -45,62 +40,33 @@ def load(name_or_path: str) -> Scenario | BoardScenario:
     Raises:
         InputError: no such scenario, not TOML, a key that is not known, or a value out of range.
     """
-    known = _built_in()
-    if name_or_path in known:
-        text = (
-            resources.files("verify.simulation") / "scenarios" / f"{name_or_path}.toml"
-        ).read_text()
-        return decode(text, f"{name_or_path}.toml")
-    path = Path(name_or_path)
+    built_in = _built_in()
+    path = FOLDER / f"{name_or_path}.toml" if name_or_path in built_in else Path(name_or_path)
     if not path.is_file():
-        close = difflib.get_close_matches(name_or_path, known, n=1)
+        close = difflib.get_close_matches(name_or_path, built_in, n=1)
         raise InputError(
             "scenario",
             f'"{name_or_path}" is neither a built-in scenario nor a file',
             f'did you mean "{close[0]}"?' if close else "",
-            f"Known: {', '.join(known)}. Or give the path of a scenario file.",
+            f"Known: {', '.join(built_in)}. Or give the path of a scenario file.",
         )
+    tree = toml.parse(path)
+    for key, value in toml.leaves(tree):
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(path, f"{key} is {value}", "a finite number is needed")
+    kind: type[Scenario] | type[BoardScenario] = BoardScenario if "boards" in tree else Scenario
     try:
-        scenario = decode(path.read_text(encoding="utf-8"), str(path))
-        if isinstance(scenario, Scenario) and Path(scenario.robot).suffix in ROBOT_FILES:
-            beside = str(path.parent / scenario.robot)
-            return msgspec.structs.replace(scenario, robot=beside)
-        return scenario
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f"cannot be read ({error})", "a TOML file in UTF-8") from None
-
-
-def decode(text: str, place: str) -> Scenario | BoardScenario:
-    """Turn the text of a scenario file into what it describes; `place` names it in complaints."""
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(place, f"not TOML: {error}", remedy="Mend the file.") from None
-    for key, value in _numbers(raw):
-        if not math.isfinite(value):
-            raise InputError(place, f"{key} is {value}", "a finite number is needed")
-    kind: type[Scenario] | type[BoardScenario] = BoardScenario if "boards" in raw else Scenario
-    try:
-        return msgspec.convert(raw, kind)
+        scenario = msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
         remedy = _suggestion(str(error), kind)
-        raise InputError(place, _reword(str(error)), remedy=remedy) from None
-
-
-def _numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
-    """Walk through decoded TOML and give each number with its key path."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _numbers(inner, f"{path}.{key}" if path else key)
-    elif isinstance(value, list):
-        for index, inner in enumerate(value):
-            yield from _numbers(inner, f"{path}[{index}]")
-    elif isinstance(value, int | float):
-        yield path, value
+        raise InputError(path, _reword(str(error)), remedy=remedy) from None
+    if isinstance(scenario, Scenario) and Path(scenario.robot).suffix in ROBOT_FILES:
+        return msgspec.structs.replace(scenario, robot=str(path.parent / scenario.robot))
+    return scenario
 
 
 def _reword(message: str) -> str:
-    """Say a msgspec complaint in the file's terms: key path first."""
+    """Word a msgspec complaint in the file's terms: key path first."""
     what, _, where = message.partition(" - at `$")
     where = where.rstrip("`").lstrip(".")
     what = what.replace("Object contains unknown field", "unknown key").replace("Object", "table")
@@ -112,18 +78,11 @@ def _suggestion(message: str, kind: type[Scenario] | type[BoardScenario]) -> str
     misspelt = re.search(r"unknown field `(.*?)`", message)
     if not misspelt:
         return ""
-    with_boards = kind is BoardScenario
-    tables: list[type[ScenarioTable]]
-    tables = (
-        [*_tables(BoardScenarioTable), ScenarioCamera] if with_boards else _tables(ScenarioTable)
-    )
-    known = sorted({f for table in tables for f in table.__struct_fields__} | {"kind"})
-    close = difflib.get_close_matches(misspelt[1], known, n=1)
+    tables, example = ScenarioTable.__subclasses__(), "example"
+    if kind is BoardScenario:
+        tables = [*BoardScenarioTable.__subclasses__(), ScenarioCamera]
+        example = "boards_turning"
+    keys = sorted({field for table in tables for field in table.__struct_fields__} | {"kind"})
+    close = difflib.get_close_matches(misspelt[1], keys, n=1)
     start = f'Did you mean "{close[0]}"? ' if close else ""
-    example = "boards_turning" if with_boards else "example"
     return f"{start}The scenario {example}.toml shows every key."
-
-
-def _tables(root: type[ScenarioTable]) -> list[type[ScenarioTable]]:
-    """List every kind of table that a scenario may hold."""
-    return root.__subclasses__()

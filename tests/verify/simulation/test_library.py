@@ -60,10 +60,12 @@ def test_the_example_shows_every_key() -> None:
     ],
 )
 def test_a_bad_scenario_is_refused_with_the_key_at_fault(
-    line: str, instead: str, words: list[str]
+    line: str, instead: str, words: list[str], tmp_path: Path
 ) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(MINIMAL.replace(line, instead))
     with pytest.raises(InputError) as refused:
-        library.decode(MINIMAL.replace(line, instead), "mine.toml")
+        library.load(str(path))
     for word in ["mine.toml", *words]:
         assert word in str(refused.value)
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from verify.io import fiducials, rig, toml
 from verify.simulation.boards.simulate import SimulatedBoards
+from verify.simulation.session.folder import write_csv, write_pngs
+from verify.simulation.world.led_render import SIDES
 
-SIDES = ("left", "right")
 PAIR_INTERVAL_S = 4.0  # between two pairs: time to hold the board elsewhere
 
 
@@ -31,32 +32,28 @@ def write(boards: SimulatedBoards, folder: Path, done: Callable[[], object] = la
     _write_fixture(boards, folder / "board_in_base.toml")
     (folder / "README.md").write_text(_readme(boards), encoding="utf-8", newline="\n")
     for side, name in enumerate(SIDES):
-        (folder / name).mkdir()
-        for index in range(len(boards)):
-            encoded = cv2.imencode(".png", boards.image(side, index))[1]
-            (folder / name / f"{index:06d}.png").write_bytes(encoded.tobytes())
-            done()
+        pictures = (boards.image(side, index) for index in range(len(boards)))
+        write_pngs(folder / name, pictures, done)
 
 
 def _write_frames(boards: SimulatedBoards, path: Path) -> None:
-    lines = ["frame,t_left_s,t_right_s,pan_left_deg,pan_right_deg"]
-    for index, (left, right) in enumerate(np.degrees(boards.pan).tolist()):
-        t = f"{PAIR_INTERVAL_S * index:.6f}"
-        lines.append(f"{index},{t},{t},{left:.6f},{right:.6f}")
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    frame = np.arange(len(boards))
+    t = PAIR_INTERVAL_S * frame
+    header = "frame,t_left_s,t_right_s,pan_left_deg,pan_right_deg"
+    table = np.column_stack([frame, t, t, np.degrees(boards.pan)])
+    write_csv(path, header, table, ["%d"] + ["%.6f"] * 4)
 
 
 def _write_poses(boards: SimulatedBoards, path: Path) -> None:
-    lines = ["frame,rx_rad,ry_rad,rz_rad,x_mm,y_mm,z_mm"]
-    for index, rig_T_board in enumerate(boards.rig_T_board):
-        turn = cv2.Rodrigues(rig_T_board[:3, :3])[0].ravel()
-        cells = [f"{v:.9f}" for v in turn] + [f"{v:.6f}" for v in 1000 * rig_T_board[:3, 3]]
-        lines.append(",".join([str(index), *cells]))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    turns = [cv2.Rodrigues(rig_T_board[:3, :3])[0].ravel() for rig_T_board in boards.rig_T_board]
+    position = 1000 * boards.rig_T_board[:, :3, 3]
+    table = np.column_stack([np.arange(len(boards)), turns, position])
+    header = "frame,rx_rad,ry_rad,rz_rad,x_mm,y_mm,z_mm"
+    write_csv(path, header, table, ["%d"] + ["%.9f"] * 3 + ["%.6f"] * 3)
 
 
 def _write_fixture(boards: SimulatedBoards, path: Path) -> None:
-    """Say where a board that stands on the robot's base was put; exact."""
+    """Write where a board that stands on the robot's base was put; exact."""
     fixture = boards.scenario.fixture
     if fixture is not None:
         table = {
@@ -68,7 +65,7 @@ def _write_fixture(boards: SimulatedBoards, path: Path) -> None:
 
 
 def _readme(boards: SimulatedBoards) -> str:
-    """Say what the folder shows, what is true and how the pictures came about."""
+    """Describe what the folder shows, what is true and how the pictures came about."""
     scenario, image = boards.scenario, boards.scenario.image
     board = boards.board
     pans = np.degrees(boards.pan)

@@ -7,13 +7,20 @@ from numpy.typing import NDArray
 
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array, Image
-from verify.core.rig import Camera, Rig
+from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io.fiducials import BoardTable, build_board
 from verify.simulation.boards.render import PrintedBoard
 from verify.simulation.scenario import BoardScenario
-from verify.simulation.world.bench import SimulatedCamera, build_camera, rigid
+from verify.simulation.world.bench import (
+    SimulatedCamera,
+    build_cameras,
+    rigid,
+    rigid_from_table,
+    transform,
+)
 from verify.simulation.world.motion import RandomStream, generator
+from verify.simulation.world.uncertainty import stated_cameras
 
 MIN_BORDER_PX = 10.0  # from the pattern's rim to the picture's
 MAX_ATTEMPTS = 40  # places for one setting of the bases and distance before both are drawn again
@@ -41,18 +48,12 @@ class SimulatedBoards:
     @property
     def rig(self) -> Rig:
         """The true rig, as rig.toml would describe it."""
-        turn = float(np.radians(self.scenario.bases.standard_uncertainty_deg)) or None
-        left, right = (
-            _stated_camera(camera, float(pan), turn)
-            for camera, pan in zip(self.cameras, self.pan[0], strict=True)
-        )
-        registered = self.rig_T_base is not None
+        pan_deg = self.scenario.bases.standard_uncertainty_deg
         return Rig(
-            image_size=self.scenario.rig.image_size,
-            left=left,
-            right=right,
-            rig_T_base=np.full((4, 4), np.nan) if self.rig_T_base is None else self.rig_T_base,
-            base_source="fixture" if registered else "",
+            self.scenario.rig.image_size,
+            *stated_cameras(self.cameras, self.pan[0], pan_deg),
+            np.full((4, 4), np.nan) if self.rig_T_base is None else self.rig_T_base,
+            base_source="" if self.rig_T_base is None else "fixture",
         )
 
     def corners(self, side: int) -> Array:
@@ -60,7 +61,7 @@ class SimulatedBoards:
         camera = self.cameras[side]
         return np.array(
             [
-                camera.project(_transform(rig_T_board, self.board.points), pan)
+                camera.project(transform(rig_T_board, self.board.points), pan)
                 for rig_T_board, pan in zip(self.rig_T_board, self.true_pan[:, side], strict=True)
             ]
         )
@@ -80,15 +81,11 @@ def simulate_boards(scenario: BoardScenario) -> SimulatedBoards:
     Raises:
         InputError: no such place is found; the tables contradict one another.
     """
-    table, rig = scenario.boards, scenario.rig
+    table = scenario.boards
     nearest, farthest = table.distance_mm
     if farthest < nearest:
         raise InputError("boards.distance_mm", "ends before it begins", "the nearest comes first")
-    half = rig.baseline_mm / 2000
-    cameras = (
-        build_camera(rig.left, rig.image_size, -half),
-        build_camera(rig.right, rig.image_size, half),
-    )
+    cameras = build_cameras(scenario.rig)
     board = _board(scenario)
     rig_T_base, still = _fixture(scenario)
     drawn = [_draw(scenario, board, cameras, pair, still) for pair in range(table.pairs)]
@@ -102,16 +99,14 @@ def simulate_boards(scenario: BoardScenario) -> SimulatedBoards:
 def _board(scenario: BoardScenario) -> Board:
     """Check the pattern as board.toml's is checked."""
     table = scenario.boards
-    return build_board(
-        "boards",
-        BoardTable(
-            format=1,
-            inner_corners=table.inner_corners,
-            square_mm=table.square_mm,
-            markers=table.markers,
-            marker_mm=table.marker_mm,
-        ),
+    pattern = BoardTable(
+        format=1,
+        inner_corners=table.inner_corners,
+        square_mm=table.square_mm,
+        markers=table.markers,
+        marker_mm=table.marker_mm,
     )
+    return build_board("boards", pattern)
 
 
 def board_pairs(scenario: BoardScenario) -> tuple[list[BoardPair], Rig]:
@@ -124,14 +119,14 @@ def board_pairs(scenario: BoardScenario) -> tuple[list[BoardPair], Rig]:
         InputError: as `simulate_boards`.
     """
     boards = simulate_boards(scenario)
-    seen = [boards.corners(side) for side in range(2)]
+    left, right = boards.corners(0), boards.corners(1)
     pairs = [
         BoardPair(
             frame=index,
             pan_left=float(boards.pan[index, 0]),
             pan_right=float(boards.pan[index, 1]),
-            left=_view(scenario, seen[0][index], 0, index),
-            right=_view(scenario, seen[1][index], 1, index),
+            left=_view(scenario, left[index], 0, index),
+            right=_view(scenario, right[index], 1, index),
         )
         for index in range(len(boards))
     ]
@@ -151,13 +146,10 @@ def _fixture(scenario: BoardScenario) -> tuple[Array | None, Array | None]:
     table = scenario.fixture
     if table is None:
         return None, None
-    rig_T_base = rigid(
-        np.radians(table.base_rotation_deg), np.asarray(table.base_position_mm) / 1000
+    rig_T_base = rigid_from_table(table.base_rotation_deg, table.base_position_mm)
+    return rig_T_base, rig_T_base @ rigid_from_table(
+        table.board_rotation_deg, table.board_position_mm
     )
-    base_T_board = rigid(
-        np.radians(table.board_rotation_deg), np.asarray(table.board_position_mm) / 1000
-    )
-    return rig_T_base, rig_T_base @ base_T_board
 
 
 def _draw(
@@ -226,37 +218,19 @@ def _draw_pose(
 def _is_in_view(
     scenario: BoardScenario, camera: SimulatedCamera, pan: float, board: Board, rig_T_board: Array
 ) -> bool:
-    """Say whether enough of the pattern is in the picture; all of it, with its rim, if asked."""
-    wanted = scenario.boards.in_view
+    """Whether enough of the pattern is in the picture: `in_view` of it, 1 with the rim."""
+    share = scenario.boards.in_view
     points = board.points
-    if wanted == 1:
+    if share == 1:
         low, wide, high = -1, board.columns, board.rows
         rim = [[low, low, 0], [wide, low, 0], [wide, high, 0], [low, high, 0]]
         points = board.square * np.array(rim, dtype=float)
-    seen = camera.project(_transform(rig_T_board, points), pan)
-    return bool(np.mean(inside(seen, camera.image_size)) >= wanted)
+    pixels = camera.project(transform(rig_T_board, points), pan)
+    return bool(np.mean(inside(pixels, camera.image_size)) >= share)
 
 
 def inside(pixels: Array, image_size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Say which of (..., 2) px lie in the picture, clear of its edge; NaN, out of sight, do not."""
+    """Which of (..., 2) px lie in the picture, clear of its edge; NaN, out of sight, do not."""
     limit = np.array(image_size) - 1 - MIN_BORDER_PX
     within: NDArray[np.bool_] = np.all((pixels > MIN_BORDER_PX) & (pixels < limit), axis=-1)
     return within
-
-
-def _transform(a_T_b: Array, points: Array) -> Array:
-    moved: Array = points @ a_T_b[:3, :3].T + a_T_b[:3, 3]
-    return moved
-
-
-def _stated_camera(camera: SimulatedCamera, pan: float, pan_u: float | None) -> Camera:
-    return Camera(
-        matrix=camera.matrix,
-        distortion=camera.distortion,
-        pan_center=camera.pan_center,
-        pan_axis=camera.pan_axis,
-        pan_zero=camera.pan_zero,
-        mount=camera.turntable_T_camera,
-        pan=pan,
-        pan_standard_uncertainty=pan_u,
-    )

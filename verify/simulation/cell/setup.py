@@ -1,20 +1,19 @@
 """The simulated cell's fixed parts: arm, grab.toml, calibrated cameras, LEDs on the flange."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 import robots
-from robots.transforms import invert
 from verify.core.fiducials import Marker
 from verify.core.records import Array
 from verify.core.rig import Camera, Covariance, Rig
 from verify.grasping import cell as grasping_cell
 from verify.grasping.cell import Cell
 from verify.grasping.planning.plan import GraspPlanner, planner_with_cameras
+from verify.simulation.world.bench import look_at
 
 ROBOT = "rv_3sd_melfa"
 FULL_SIZE, SMALL_SIZE = (1280, 720), (640, 360)  # px
@@ -60,32 +59,21 @@ def cell_setup(size: tuple[int, int] = FULL_SIZE, *, turning: bool = False) -> C
         turning: the cameras stand on bases that turn.
     """
     arm = robots.load(ROBOT)
-    file = resources.files("verify.simulation") / "cell.toml"
-    with resources.as_file(file) as path:
-        cell, _ = grasping_cell.read(Path(path), arm.dof)
+    cell, _ = grasping_cell.read(Path(__file__).parents[1] / "cell.toml", arm.dof)
     rig = _rig(size, PAN_UNCERTAINTY if turning else None)
     return CellSetup(planner_with_cameras(arm, cell, rig, turning=turning), rig, _marker())
 
 
 def _rig(size: tuple[int, int], pan_uncertainty: float | None) -> Rig:
     """Two cameras before the robot that look down at the table; the rig's z is where they aim."""
-    z = (AIM_POINT - RIG_POSITION) / np.linalg.norm(AIM_POINT - RIG_POSITION)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    base_T_rig = np.eye(4)
-    base_T_rig[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-    base_T_rig[:3, 3] = RIG_POSITION
     toe_in = float(np.arctan2(BASELINE / 2, np.linalg.norm(AIM_POINT - RIG_POSITION)))
-    left, right = (
-        replace(_camera(size, sign, -sign * toe_in), pan_standard_uncertainty=pan_uncertainty)
-        for sign in (-1, 1)
-    )
-    named = RIG_UNCERTAINTY
-    covariance = Covariance(tuple(named), np.array(list(named.values())), np.eye(len(named)))
-    return Rig(size, left, right, invert(base_T_rig), covariance=covariance)
+    left, right = (_camera(size, sign, -sign * toe_in, pan_uncertainty) for sign in (-1, 1))
+    u = RIG_UNCERTAINTY
+    covariance = Covariance(tuple(u), np.array(list(u.values())), np.eye(len(u)))
+    return Rig(size, left, right, look_at(RIG_POSITION, AIM_POINT), covariance=covariance)
 
 
-def _camera(size: tuple[int, int], sign: int, pan: float) -> Camera:
+def _camera(size: tuple[int, int], sign: int, pan: float, pan_uncertainty: float | None) -> Camera:
     width, height = size
     focal = FOCAL_RATIO * width
     matrix = [[focal, 0, (width - 1) / 2 + 3 * sign], [0, focal, (height - 1) / 2], [0, 0, 1]]
@@ -97,6 +85,7 @@ def _camera(size: tuple[int, int], sign: int, pan: float) -> Camera:
         pan_zero=0.0,
         mount=np.eye(4),
         pan=pan,
+        pan_standard_uncertainty=pan_uncertainty,
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from verify.core.records import Array
 from verify.devices.protocols import DeviceState, EncoderReading, PanReading
 from verify.simulation.devices.scene import MAX_PAN, DeviceScene
-from verify.simulation.session.simulate import reading_error
+from verify.simulation.session.simulate import noisy_readings, quantised
 from verify.simulation.world.motion import RandomStream, generator
 
 TRANSFER_TIME = 0.001  # s, from the reading to its last byte in hand
@@ -64,19 +64,14 @@ class SimulatedEncoders:
 
     def _rows(self, t: Array) -> list[tuple[float, Array]]:
         """Instants (cameras' clock) and what the encoders show, faults and noise included."""
-        scene, table = self._scene, self._table
+        scene = self._scene
         seconds = np.array([scene.seconds(instant) for instant in t.tolist()])
-        q = scene.world.joints(seconds)
-        q = q + reading_error(q, scene.world.motion.direction(seconds), scene.scenario.fault)
-        q = q + np.radians(table.noise_deg) * self._chance.standard_normal(q.shape)
+        q = noisy_readings(scene.scenario, scene.world, seconds, self._chance)
         for row, instant in enumerate(t.tolist()):
             for event in scene.present(instant):
                 if event.what == "encoder_jump" and event.joint is not None:
                     q[row, event.joint - 1] += event.angle
-        if table.resolution_deg > 0:
-            step = np.radians(table.resolution_deg)
-            q = np.round(q / step) * step
-        return list(zip(t.tolist(), q, strict=True))
+        return list(zip(t.tolist(), quantised(q, self._table.resolution_deg), strict=True))
 
     def _reading(self, t: float, q: Array) -> EncoderReading:
         stamp, segment = self._stamp(t)
@@ -97,10 +92,6 @@ class SimulatedEncoders:
 
 
 PAN_RATE = 50.0  # Hz
-# s
-# s
-# s, of the host's
-# of a period: an instant that was waited for is there
 
 
 class SimulatedPan:

@@ -1,11 +1,12 @@
 """Write a simulated session as a folder: docs/session.md's files, the truth, and a README."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
 
 from verify.core.records import Array, Image
@@ -58,31 +59,27 @@ def _faults(faults: list[ScenarioFault]) -> str:
         return "No encoder is at fault."
     lines = []
     for fault in faults:
-        parts = []
-        if fault.offset_deg:
-            parts.append(f"offset {fault.offset_deg:+g} deg")
-        if fault.gain:
-            parts.append(f"gain {fault.gain:+g}")
-        if fault.backlash_deg:
-            parts.append(f"backlash {fault.backlash_deg:+g} deg")
-        if fault.eccentricity_deg:
-            parts.append(
-                f"eccentricity {fault.eccentricity_deg:g} deg, phase {fault.phase_deg:g} deg, "
-                f"{fault.per_turn} per turn"
-            )
-        lines.append(f"The encoder of joint {fault.joint} is at fault: {'; '.join(parts)}.")
+        parts = {
+            f"offset {fault.offset_deg:+g} deg": fault.offset_deg,
+            f"gain {fault.gain:+g}": fault.gain,
+            f"backlash {fault.backlash_deg:+g} deg": fault.backlash_deg,
+            f"eccentricity {fault.eccentricity_deg:g} deg, phase {fault.phase_deg:g} deg, "
+            f"{fault.per_turn} per turn": fault.eccentricity_deg,
+        }
+        present = "; ".join(text for text, size in parts.items() if size)
+        lines.append(f"The encoder of joint {fault.joint} is at fault: {present}.")
     return "\n".join(lines)
 
 
 def _clock(session: SimulatedSession) -> str:
     encoders = session.scenario.encoders
-    said = "does not say so" if session.clock_offset is None else "says so"
+    stated = "does not say so" if session.clock_offset is None else "says so"
     if session.clock_offset is not None and session.clock_offset != encoders.clock_offset_s:
-        said = f"says {session.clock_offset:.6f} s"
+        stated = f"says {session.clock_offset:.6f} s"
     drift = f", growing by {encoders.clock_drift_ppm:g} ppm" if encoders.clock_drift_ppm else ""
     return (
         f"Add {encoders.clock_offset_s:g} s{drift} to the encoders' time to get the cameras'; "
-        f"`session.toml` {said}."
+        f"`session.toml` {stated}."
     )
 
 
@@ -97,14 +94,8 @@ def _belief(stated: ScenarioUncertainty | None) -> str:
     )
 
 
-START_TIME = datetime(
-    2026, 1, 15, 9, 0, tzinfo=UTC
-)  # any will do; a fixed one keeps bytes the same
-RESERVED_NAMES = {
-    "session.toml",
-    "rig.toml",
-    "marker.toml",
-}  # names that a robot's file cannot have
+START_TIME = datetime(2026, 1, 15, 9, 0, tzinfo=UTC)  # any: a fixed one keeps bytes the same
+RESERVED_NAMES = {"session.toml", "rig.toml", "marker.toml"}  # a robot's file cannot have them
 
 
 def write_session(
@@ -121,8 +112,13 @@ def write_session(
         InputError: the disk refuses, or OpenCV cannot write the video.
     """
     write_tables(session, folder)
-    for side in range(2):
-        _write_pictures(session, side, folder, done)
+    recording = session.scenario.recording
+    for side, name in enumerate(SIDES):
+        pictures = (session.image(side, index) for index in range(len(session)))
+        if recording.format == "video":
+            write_video(folder / _stream(session, name), pictures, recording.rate_hz, done)
+        else:
+            write_pngs(folder / _stream(session, name), pictures, done)
 
 
 def write_tables(session: SimulatedSession, folder: Path) -> None:
@@ -135,21 +131,19 @@ def write_tables(session: SimulatedSession, folder: Path) -> None:
     fiducials.write_marker(folder / "marker.toml", session.marker)
     _write_frames(session, folder / "frames.csv")
     table = np.column_stack([session.encoder_t, np.degrees(session.encoder_q)])
-    _write_csv(folder / "encoders.csv", f"t_s,{columns}", table, ["%.6f"] + ["%.6f"] * joints)
+    write_csv(folder / "encoders.csv", f"t_s,{columns}", table, ["%.6f"] + ["%.6f"] * joints)
     table = np.column_stack([np.arange(len(session)), np.degrees(session.truth)])
-    _write_csv(folder / "truth.csv", f"frame,{columns}", table, ["%d"] + ["%.9f"] * joints)
+    write_csv(folder / "truth.csv", f"frame,{columns}", table, ["%d"] + ["%.9f"] * joints)
     (folder / "README.md").write_text(readme(session), encoding="utf-8", newline="\n")
 
 
 def _copy_robot(session: SimulatedSession, folder: Path) -> str:
-    """Copy a robot's own file into the folder, which must not reach outside; say how to name it."""
-    robot = session.scenario.robot
-    if Path(robot).suffix not in ROBOT_FILES:
-        return robot
-    name = (
-        Path(robot).name if Path(robot).name not in RESERVED_NAMES else f"robot_{Path(robot).name}"
-    )
-    (folder / name).write_bytes(read_bytes(Path(robot)))
+    """Copy a robot's own file into the folder, which must not reach outside; return its name."""
+    robot = Path(session.scenario.robot)
+    if robot.suffix not in ROBOT_FILES:
+        return session.scenario.robot
+    name = f"robot_{robot.name}" if robot.name in RESERVED_NAMES else robot.name
+    (folder / name).write_bytes(read_bytes(robot))
     return name
 
 
@@ -175,11 +169,7 @@ def _session_table(session: SimulatedSession, robot: str) -> dict[str, Any]:
     if scenario.encoders.resolution_deg > 0:
         table["encoder_readings"] = {"resolution_deg": scenario.encoders.resolution_deg}
     if scenario.tolerance is not None:
-        table["tolerance"] = {
-            "joints_deg": scenario.tolerance.joints_deg,
-            "position_mm": scenario.tolerance.position_mm,
-            "orientation_deg": scenario.tolerance.orientation_deg,
-        }
+        table["tolerance"] = msgspec.structs.asdict(scenario.tolerance)
     return table
 
 
@@ -193,28 +183,20 @@ def _write_frames(session: SimulatedSession, path: Path) -> None:
     if session.scenario.rig.bases == "follow":  # else rig.toml's pan_deg serves every pair
         header, formats = f"{header},pan_left_deg,pan_right_deg", [*formats, "%.6f", "%.6f"]
         table = np.column_stack([table, np.degrees(session.pan)])
-    _write_csv(path, header, table, formats)
+    write_csv(path, header, table, formats)
 
 
-def _write_csv(path: Path, header: str, table: Array, formats: list[str]) -> None:
+def write_csv(path: Path, header: str, table: Array, formats: list[str]) -> None:
+    """Write a table (n, columns) below a header, each column by its %-format."""
     row = ",".join(formats)
     lines = [header, *(row % tuple(values) for values in table.tolist())]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
-def _write_pictures(
-    session: SimulatedSession, side: int, folder: Path, done: Callable[[], object]
-) -> None:
-    def pictures() -> Iterator[Image]:
-        for index in range(len(session)):
-            yield session.image(side, index)
-            done()
-
-    target = folder / _stream(session, SIDES[side])
-    if session.scenario.recording.format == "video":
-        write_video(target, pictures(), session.scenario.recording.rate_hz)
-        return
-    target.mkdir()
-    for index, image in enumerate(pictures()):
+def write_pngs(folder: Path, images: Iterable[Image], done: Callable[[], object]) -> None:
+    """Make a folder of numbered PNG files; `done` is called after each."""
+    folder.mkdir()
+    for index, image in enumerate(images):
         encoded = cv2.imencode(".png", image)[1]
-        (target / f"{index:06d}.png").write_bytes(encoded.tobytes())
+        (folder / f"{index:06d}.png").write_bytes(encoded.tobytes())
+        done()

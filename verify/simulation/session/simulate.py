@@ -1,20 +1,20 @@
 """A simulated session: world, pictures, readings with encoder faults, stated rig and marker."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 import robots
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Image, StereoPair
-from verify.core.rig import Camera, Rig
+from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.simulation.scenario import Scenario, ScenarioFault, ScenarioUncertainty
 from verify.simulation.world import uncertainty
-from verify.simulation.world.bench import Bench, SimulatedCamera, build_bench, place_rig
+from verify.simulation.world.bench import build_bench, place_rig
 from verify.simulation.world.led_render import Renderer, hidden_leds, led_images, visible_lights
-from verify.simulation.world.motion import MotionProfile, RandomStream, generator, plan_motion
+from verify.simulation.world.motion import RandomStream, generator, plan_motion
 from verify.simulation.world.world import SimulatedWorld
 
 
@@ -62,7 +62,7 @@ class SimulatedSession:
     taken: Array  # (pairs,) int: the pair's number before any was dropped
     encoder_t: Array  # (readings,), s, the controller's clock
     encoder_q: Array  # (readings, joints), rad
-    clock_offset: float | None  # s, as session.toml tells it
+    clock_offset: float | None  # s, as session.toml states it
     renderers: tuple[Renderer, Renderer]
 
     def __len__(self) -> int:
@@ -89,9 +89,9 @@ class SimulatedSession:
         number = int(self.taken[index])
         t, pan = float(self.t[index, side]), float(self.true_pan[index, side])
         hidden = hidden_leds(self.scenario.occlusion, names, side, number)
-        seen = visible_lights(self.world, side, t, pan, hidden)
+        lights = visible_lights(self.world, side, t, pan, hidden)
         turned_px = pan * self.world.bench.cameras[side].matrix[0, 0]
-        return self.renderers[side].render(seen, number, turned_px)
+        return self.renderers[side].render(lights, number, turned_px)
 
     def pair(self, index: int) -> StereoPair:
         """Render one stereo pair."""
@@ -124,7 +124,15 @@ def simulate_session(scenario: Scenario) -> SimulatedSession:
     _check_limits(scenario, arm, motion.angles(scheduled[:, 0]))
     kept = np.setdiff1d(np.arange(len(scheduled)), scenario.recording.dropped)
 
-    in_base = _world(scenario, arm, motion, build_bench(scenario, np.eye(4)))
+    in_base = SimulatedWorld(
+        arm,
+        motion,
+        build_bench(scenario, np.eye(4)),
+        tuple(scenario.marker.led),
+        scenario.marker.led_diameter_mm / 1000,
+        tuple(scenario.mirror),
+        tuple(scenario.distractor),
+    )
     stand = place_rig(
         scenario, in_base.led_points(scheduled[:, 0]), in_base.led_normals(scheduled[:, 0])
     )
@@ -132,11 +140,9 @@ def simulate_session(scenario: Scenario) -> SimulatedSession:
 
     stated = scenario.uncertainty or ScenarioUncertainty()
     drawn = stated if stated.draw else ScenarioUncertainty()
-    leds = len(scenario.marker.led)
-    departure = uncertainty.draw_departure(
-        drawn, leds, generator(scenario.seed, RandomStream.SYSTEMATIC)
-    )
-    world = _world(scenario, arm, motion, uncertainty.apply_departure(believed, departure))
+    rng = generator(scenario.seed, RandomStream.SYSTEMATIC)
+    departure = uncertainty.draw_departure(drawn, len(believed.leds), rng)
+    world: SimulatedWorld = replace(in_base, bench=uncertainty.apply_departure(believed, departure))
     true_pan = stand.pan + departure.pan
     if scenario.rig.bases == "follow":  # each reading errs by itself, the same one always alike
         rng = generator(scenario.seed, RandomStream.PAN)
@@ -147,12 +153,17 @@ def simulate_session(scenario: Scenario) -> SimulatedSession:
         true_pan = stand.pan + error
 
     encoder_t, encoder_q = _encoders(scenario, world, scheduled)
-    size = scenario.rig.image_size
+    size, seed = scenario.rig.image_size, scenario.seed
     return SimulatedSession(
         scenario=scenario,
         world=world,
-        rig=_stated_rig(scenario, believed, stand.pan[0]),
-        marker=_stated_marker(scenario, believed),
+        rig=Rig(
+            size,
+            *uncertainty.stated_cameras(believed.cameras, stand.pan[0], stated.pan_deg),
+            believed.rig_T_base,
+            covariance=uncertainty.stated_covariance(stated),
+        ),
+        marker=_stated_marker(scenario, stated, believed.leds),
         t=scheduled[kept],
         pan=stand.pan[kept],
         true_pan=true_pan[kept],
@@ -161,23 +172,9 @@ def simulate_session(scenario: Scenario) -> SimulatedSession:
         encoder_q=encoder_q,
         clock_offset=_stated_offset(scenario),
         renderers=(
-            Renderer(scenario.image, size, scenario.seed, 0),
-            Renderer(scenario.image, size, scenario.seed, 1),
+            Renderer(scenario.image, size, seed, 0),
+            Renderer(scenario.image, size, seed, 1),
         ),
-    )
-
-
-def _world(
-    scenario: Scenario, arm: robots.Arm, motion: MotionProfile, bench: Bench
-) -> SimulatedWorld:
-    return SimulatedWorld(
-        arm,
-        motion,
-        bench,
-        tuple(scenario.marker.led),
-        scenario.marker.led_diameter_mm / 1000,
-        tuple(scenario.mirror),
-        tuple(scenario.distractor),
     )
 
 
@@ -210,14 +207,27 @@ def _encoders(scenario: Scenario, world: SimulatedWorld, frames: Array) -> tuple
         ticks.append(np.arange(np.ceil(shown[0]), np.floor(shown[1]) + 1))
     stamps = np.round(np.concatenate(ticks) / table.rate_hz / TIME_STEP) * TIME_STEP
     t = (stamps + table.clock_offset_s) / drift
+    q = noisy_readings(scenario, world, t, generator(scenario.seed, RandomStream.ENCODERS))
+    return stamps, quantised(q, table.resolution_deg)
+
+
+def noisy_readings(
+    scenario: Scenario, world: SimulatedWorld, t: Array, rng: np.random.Generator
+) -> Array:
+    """Read the encoders at the cameras' instants t (n,), faults and noise included.
+
+    Returns:
+        (n, joints), rad, before any rounding to the encoders' resolution.
+    """
     q = world.joints(t)
-    rng = generator(scenario.seed, RandomStream.ENCODERS)
-    noise = np.radians(table.noise_deg) * rng.standard_normal(q.shape)
-    reading = q + reading_error(q, world.motion.direction(t), scenario.fault) + noise
-    if table.resolution_deg > 0:
-        step = np.radians(table.resolution_deg)
-        reading = np.round(reading / step) * step
-    return stamps, reading
+    q = q + reading_error(q, world.motion.direction(t), scenario.fault)
+    return q + np.radians(scenario.encoders.noise_deg) * rng.standard_normal(q.shape)
+
+
+def quantised(q: Array, resolution_deg: float) -> Array:
+    """Round angles, rad, to whole steps of the encoders; 0 leaves them as they are."""
+    step = np.radians(resolution_deg)
+    return np.round(q / step) * step if resolution_deg > 0 else q
 
 
 def _reading_intervals(frames: Array) -> list[tuple[float, float]]:
@@ -237,39 +247,11 @@ def _stated_offset(scenario: Scenario) -> float | None:
     return float(scenario.encoders.clock_offset_s + u * rng.standard_normal())
 
 
-def _stated_rig(scenario: Scenario, bench: Bench, pan: Array) -> Rig:
-    stated = scenario.uncertainty or ScenarioUncertainty()
-    turn = float(np.radians(stated.pan_deg)) or None
-    return Rig(
-        image_size=scenario.rig.image_size,
-        left=_stated_camera(bench.left, float(pan[0]), turn),
-        right=_stated_camera(bench.right, float(pan[1]), turn),
-        rig_T_base=bench.rig_T_base,
-        covariance=uncertainty.stated_covariance(stated),
-    )
-
-
-def _stated_camera(camera: SimulatedCamera, pan: float, pan_u: float | None) -> Camera:
-    return Camera(
-        matrix=camera.matrix,
-        distortion=camera.distortion,
-        pan_center=camera.pan_center,
-        pan_axis=camera.pan_axis,
-        pan_zero=camera.pan_zero,
-        mount=camera.turntable_T_camera,
-        pan=pan,
-        pan_standard_uncertainty=pan_u,
-        line_time=camera.line_time,
-        exposure=camera.exposure or None,
-    )
-
-
-def _stated_marker(scenario: Scenario, bench: Bench) -> Marker:
-    stated = scenario.uncertainty or ScenarioUncertainty()
+def _stated_marker(scenario: Scenario, stated: ScenarioUncertainty, leds: Array) -> Marker:
     body = np.repeat([stated.led_body_mm / 1000, float(np.radians(stated.led_body_deg))], 3)
     return Marker(
         names=tuple(led.name for led in scenario.marker.led),
-        leds=bench.leds,
+        leds=leds,
         colours=tuple(led.colour for led in scenario.marker.led),
         led_diameter=scenario.marker.led_diameter_mm / 1000,
         source="jig" if np.any(body) else None,
@@ -302,8 +284,7 @@ def _check(scenario: Scenario, arm: robots.Arm) -> None:
             raise InputError(
                 f"occlusion[{index}].led", f'"{occlusion.led}"', f"the LEDs are {', '.join(names)}"
             )
-    dropped = scenario.recording.dropped
-    if len(set(range(scenario.recording.pairs)) - set(dropped)) == 0:
+    if not set(range(scenario.recording.pairs)) - set(scenario.recording.dropped):
         raise InputError("recording.dropped", "no pair is left", "one at least is needed")
 
 

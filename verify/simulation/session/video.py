@@ -1,6 +1,6 @@
 """Lossless video whose bytes depend on nothing but the pictures."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from fractions import Fraction
 from pathlib import Path
 
@@ -14,13 +14,16 @@ RATE_UNIT = 1000  # denominator of the frame rate: 29.97 Hz is 29970/1000
 CODEC_OPTIONS = {"level": "3", "slicecrc": "1", "flags": "+bitexact"}
 
 
-def write_video(path: Path, images: Iterable[Image], rate_hz: float) -> None:
+def write_video(
+    path: Path, images: Iterable[Image], rate_hz: float, done: Callable[[], object] = lambda: None
+) -> None:
     """Write pictures as FFV1 in Matroska.
 
     Args:
         path: ends in .mkv.
         images: all of one size, all grey (h, w) or all BGR (h, w, 3).
         rate_hz: for players alone; the session's times stand in frames.csv.
+        done: called after each picture.
 
     Raises:
         InputError: such a file cannot be written there.
@@ -38,6 +41,7 @@ def write_video(path: Path, images: Iterable[Image], rate_hz: float) -> None:
                     stream.pix_fmt = "gray" if grey else "bgr0"
                 frame = av.VideoFrame.from_ndarray(image, "gray" if grey else "bgr24")
                 file.mux(stream.encode(frame))
+                done()
             if stream is not None:
                 file.mux(stream.encode())
     except (OSError, av.FFmpegError) as error:

@@ -1,8 +1,8 @@
 """The hardware of a simulated session: two cameras on turning bases, the arm's base, LEDs.
 
-The rig is placed so that every LED is in view in every pair. Written without verify.core.rig and
-verify.core.fiducials on purpose: poses are composed with 4x4 matrices and cv2.projectPoints
-projects. A mistake shared with the measurement would prove nothing.
+The rig is placed so that every LED is in view in every pair. Poses are composed with 4x4 matrices
+and cv2.projectPoints projects, without the code of verify.core.rig: a mistake shared with the
+measurement would prove nothing.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,13 @@ import numpy as np
 
 from verify.core.records import Array
 from verify.errors import InputError
-from verify.simulation.scenario import Scenario, ScenarioCamera, ScenarioPlacement
+from verify.simulation.scenario import (
+    BoardRig,
+    Scenario,
+    ScenarioCamera,
+    ScenarioPlacement,
+    ScenarioRig,
+)
 
 
 def rigid(rotation_vector: Array, position: Array) -> Array:
@@ -21,6 +27,34 @@ def rigid(rotation_vector: Array, position: Array) -> Array:
     a_T_b[:3, :3] = cv2.Rodrigues(np.asarray(rotation_vector, dtype=float))[0]
     a_T_b[:3, 3] = position
     return a_T_b
+
+
+def rigid_from_table(rotation_deg: tuple[float, ...], position_mm: tuple[float, ...]) -> Array:
+    """Compose a (4, 4) pose from a scenario's rotation vector, degrees, and position, mm."""
+    return rigid(np.radians(rotation_deg), np.asarray(position_mm) / 1000)
+
+
+def transform(a_T_b: Array, points_b: Array) -> Array:
+    """Express points (..., 3), m, given in b in frame a."""
+    points_a: Array = points_b @ a_T_b[:3, :3].T + a_T_b[:3, 3]
+    return points_a
+
+
+def look_at(eye: Array, target: Array) -> Array:
+    """Stand at `eye`, z towards `target`, x level (or along -y, looking straight up or down).
+
+    Returns:
+        camera_T_world, (4, 4), of eye and target (3,), m, in a world whose z points up.
+    """
+    z = (target - eye) / np.linalg.norm(target - eye)
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    if np.linalg.norm(x) < 1e-6:
+        x = np.array([0.0, -1.0, 0.0])
+    x /= np.linalg.norm(x)
+    camera_T_world = np.eye(4)
+    camera_T_world[:3, :3] = np.stack([x, np.cross(z, x), z])
+    camera_T_world[:3, 3] = -np.squeeze(camera_T_world[:3, :3] @ eye[:, None], -1)
+    return camera_T_world
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +88,10 @@ class SimulatedCamera:
         sane &= tangent < 1.3 * self._corner_tangent()  # 1.3: room for barrel distortion
         pixels = np.full((len(points), 2), np.nan)
         if np.any(sane):
-            seen, _ = cv2.projectPoints(
+            image, _ = cv2.projectPoints(
                 points[sane], np.zeros(3), np.zeros(3), self.matrix, self.distortion
             )
-            pixels[sane] = seen[:, 0]
+            pixels[sane] = image[:, 0]
         return np.reshape(pixels, (*np.shape(points_rig)[:-1], 2))
 
     def _corner_tangent(self) -> float:
@@ -82,6 +116,15 @@ class Bench:
         return self.left, self.right
 
 
+def build_cameras(rig: ScenarioRig | BoardRig) -> tuple[SimulatedCamera, SimulatedCamera]:
+    """Build the left and right camera, whose pan centres lie on the rig's x axis."""
+    half = rig.baseline_mm / 2000
+    return (
+        build_camera(rig.left, rig.image_size, -half),
+        build_camera(rig.right, rig.image_size, half),
+    )
+
+
 def build_camera(table: ScenarioCamera, image_size: tuple[int, int], x: float) -> SimulatedCamera:
     """Build one camera whose pan centre lies at (x, 0, 0) of the rig, m."""
     fx, fy = table.focal_px
@@ -93,9 +136,7 @@ def build_camera(table: ScenarioCamera, image_size: tuple[int, int], x: float) -
         pan_center=np.array([x, 0.0, 0.0]),
         pan_axis=axis / np.linalg.norm(axis),
         pan_zero=float(np.radians(table.pan_zero_deg)),
-        turntable_T_camera=rigid(
-            np.radians(table.mount_rotation_deg), np.asarray(table.mount_offset_mm) / 1000
-        ),
+        turntable_T_camera=rigid_from_table(table.mount_rotation_deg, table.mount_offset_mm),
         line_time=table.line_time_s,
         exposure=table.exposure_s,
         image_size=image_size,
@@ -104,26 +145,15 @@ def build_camera(table: ScenarioCamera, image_size: tuple[int, int], x: float) -
 
 def build_bench(scenario: Scenario, rig_T_base: Array) -> Bench:
     """Build what the scenario's tables say, with the robot's base where it was placed."""
-    rig = scenario.rig
-    half = rig.baseline_mm / 2000
-    return Bench(
-        left=build_camera(rig.left, rig.image_size, -half),
-        right=build_camera(rig.right, rig.image_size, half),
-        rig_T_base=rig_T_base,
-        leds=np.array([led.position_mm for led in scenario.marker.led], dtype=float) / 1000,
-    )
+    leds = np.array([led.position_mm for led in scenario.marker.led], dtype=float) / 1000
+    return Bench(*build_cameras(scenario.rig), rig_T_base, leds)
 
 
 MARGIN_PX = 25.0  # from the edge to an LED's centre: a spot of 5 mm and its blur stay inside
 MIN_COSINE = 0.5  # 60°: beyond it a flat LED is a sliver and a dome hides behind its holder
 N_DIRECTIONS = 600  # about 6° apart over the sphere: no LED's view changes much in between
-DISTANCE_FACTORS = (
-    1.0,
-    1.1,
-    1.2,
-    1.35,
-    1.5,
-)  # of the wanted distance, where the view is too narrow
+# of the wanted distance, where the view is too narrow
+DISTANCE_FACTORS = (1.0, 1.1, 1.2, 1.35, 1.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,22 +177,18 @@ def place_rig(scenario: Scenario, points: Array, normals: Array) -> RobotPlaceme
     """
     rig = scenario.rig
     if isinstance(rig.placement, ScenarioPlacement):
-        rig_T_base = rigid(
-            np.radians(rig.placement.base_rotation_deg),
-            np.asarray(rig.placement.base_position_mm) / 1000,
-        )
-        bench = build_bench(scenario, rig_T_base)
+        placement = rig.placement
+        rig_T_base = rigid_from_table(placement.base_rotation_deg, placement.base_position_mm)
+        pan = np.tile(np.radians(placement.pan_deg), (len(points), 1))
         if rig.bases == "follow":
-            return RobotPlacement(rig_T_base, _pans(scenario, bench, points))
-        return RobotPlacement(
-            rig_T_base, np.tile(np.radians(rig.placement.pan_deg), (len(points), 1))
-        )
+            pan = _pans(scenario, build_bench(scenario, rig_T_base), points)
+        return RobotPlacement(rig_T_base, pan)
     target: Array = points.reshape(-1, 3).mean(axis=0)
     for back in DISTANCE_FACTORS:
         distance = back * rig.distance_mm / 1000
         eyes = target + distance * _directions()
         for eye in eyes[_rank_eyes(eyes, points, normals)]:
-            rig_T_base = _look_at(eye, target)
+            rig_T_base = look_at(eye, target)
             bench = build_bench(scenario, rig_T_base)
             pan = _pans(scenario, bench, points)
             if _all_inside(bench, pan, points):
@@ -194,24 +220,10 @@ def _rank_eyes(eyes: Array, points: Array, normals: Array) -> Array:
     return best
 
 
-def _look_at(eye: Array, target: Array) -> Array:
-    """Stand the rig at `eye`, looking at `target`, its x level (or along y, seen from above)."""
-    z = (target - eye) / np.linalg.norm(target - eye)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    if np.linalg.norm(x) < 1e-6:  # looking straight down or up
-        x = np.array([0.0, -1.0, 0.0])
-    x /= np.linalg.norm(x)
-    rig_T_base = np.eye(4)
-    rig_T_base[:3, :3] = np.stack([x, np.cross(z, x), z])
-    rig_T_base[:3, 3] = -rig_T_base[:3, :3] @ eye
-    return rig_T_base
-
-
 def _pans(scenario: Scenario, bench: Bench, points: Array) -> Array:
     """Turn each base towards the LEDs' mean, of each pair or of all, in whole steps."""
     rig = scenario.rig
-    in_rig = points @ bench.rig_T_base[:3, :3].T + bench.rig_T_base[:3, 3]
-    means = in_rig.mean(axis=1)
+    means = transform(bench.rig_T_base, points).mean(axis=1)
     if rig.bases == "fixed":
         means = np.tile(means.mean(axis=0), (len(means), 1))
     step = np.radians(rig.pan_step_deg)
@@ -237,7 +249,7 @@ def _pan_towards(camera: SimulatedCamera, targets: Array) -> Array:
 
 def _all_inside(bench: Bench, pan: Array, points: Array) -> bool:
     """Tell if both cameras have every LED well inside the picture in every pair."""
-    in_rig = points @ bench.rig_T_base[:3, :3].T + bench.rig_T_base[:3, 3]
+    in_rig = transform(bench.rig_T_base, points)
     for side, camera in enumerate(bench.cameras):
         limit = np.array(camera.image_size) - 1 - MARGIN_PX
         turns, pairs = np.unique(pan[:, side], return_inverse=True)

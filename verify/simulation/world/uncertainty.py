@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify.core.records import Array
-from verify.core.rig import Covariance
+from verify.core.rig import Camera, Covariance
 from verify.simulation.scenario import ScenarioUncertainty
-from verify.simulation.world.bench import Bench, SimulatedCamera, rigid
+from verify.simulation.world.bench import Bench, SimulatedCamera, rigid, transform
 
 # A board fixes the ratio of the two focal lengths far better than their common size.
 FOCAL_CORRELATION = 0.9
@@ -23,6 +23,34 @@ class TrueDeviation:
     body: Array  # (6,), m and rad, flange axes
     leds: Array  # (n, 3), m, flange axes
     pan: Array  # (2,), rad, of bases that stand still
+
+
+def stated_cameras(
+    cameras: tuple[SimulatedCamera, SimulatedCamera], pan: Array, pan_deg: float
+) -> tuple[Camera, Camera]:
+    """Describe the cameras as rig.toml does.
+
+    Args:
+        cameras: left, right.
+        pan: (2,), rad, as read.
+        pan_deg: standard uncertainty of a reading; 0: none is stated.
+    """
+    left, right = (
+        Camera(
+            matrix=camera.matrix,
+            distortion=camera.distortion,
+            pan_center=camera.pan_center,
+            pan_axis=camera.pan_axis,
+            pan_zero=camera.pan_zero,
+            mount=camera.turntable_T_camera,
+            pan=float(angle),
+            pan_standard_uncertainty=float(np.radians(pan_deg)) or None,
+            line_time=camera.line_time,
+            exposure=camera.exposure or None,
+        )
+        for camera, angle in zip(cameras, pan, strict=True)
+    )
+    return left, right
 
 
 def stated_covariance(stated: ScenarioUncertainty) -> Covariance | None:
@@ -78,7 +106,7 @@ def apply_departure(bench: Bench, by: TrueDeviation) -> Bench:
     rig_T_base[:3, :3] = rigid(by.base[3:], np.zeros(3))[:3, :3] @ rig_T_base[:3, :3]
     rig_T_base[:3, 3] += by.base[:3]
     body = rigid(by.body[3:], by.body[:3])
-    leds = bench.leds @ body[:3, :3].T + body[:3, 3] + by.leds
+    leds = transform(body, bench.leds) + by.leds
     return Bench(left, replace(right, turntable_T_camera=turned), rig_T_base, leds)
 
 

@@ -290,11 +290,11 @@ def test_the_scenario_boards_turning_shows_every_key() -> None:
 
 
 @pytest.mark.parametrize("name", [f.stem for f in sorted(BUILT_IN.glob("boards_*.toml"))])
-def test_defaults_in_scenario_comments_are_the_defaults(name: str) -> None:
-    text = (BUILT_IN / f"{name}.toml").read_text()
-    spoken = [line for line in text.splitlines() if "(default)" in line]
-    without = "\n".join(line for line in text.splitlines() if line not in spoken)
-    assert library.decode(without, name) == built_in(name)
+def test_defaults_in_scenario_comments_are_the_defaults(name: str, tmp_path: Path) -> None:
+    lines = (BUILT_IN / f"{name}.toml").read_text().splitlines()
+    path = tmp_path / "mine.toml"
+    path.write_text("\n".join(line for line in lines if "(default)" not in line))
+    assert library.load(str(path)) == built_in(name)
 
 
 MINIMAL = "format = 1\nseed = 1\n[boards]\npairs = 2\n"
