@@ -34,8 +34,7 @@ def measure_and_report(
     session = open_session(folder)
     target = out if out is not None else Path(f"{session.name}-report")
     refuse_existing(target, force=force)
-    for warning in session.warnings:
-        terminal.warn(warning)
+    terminal.warn(*session.warnings)
     tolerance = tolerances.tolerance(session.arm.dof)
     with terminal.progress("pairs") as progress:
         results = analyse(session, tolerance=tolerance, progress=progress)
@@ -75,8 +74,7 @@ def measure_and_report_all(
             refusals.append(refusal)
     if not verdicts:
         raise refusals[0]
-    for left_out in refusals:
-        terminal.warn(str(left_out))
+    terminal.warn(*map(str, refusals))
     return verdicts
 
 

@@ -43,8 +43,7 @@ def calibrate_folder(
         InputError: the pictures cannot be used or do not determine the rig.
     """
     opened = open_board_folder(folder, board)
-    for warning in opened.warnings:
-        terminal.warn(warning)
+    terminal.warn(*opened.warnings)
     with terminal.progress("pairs searched for the board") as progress:
         pairs = find_boards(opened, progress)
     with (

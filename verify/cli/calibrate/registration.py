@@ -85,8 +85,7 @@ def register_by_fixture(
     with error_in_folder(folder):
         found = register_fixture(rig, pairs, opened.board, place.base_T_board, place.covariance)
     warnings = (*rig_warnings, *opened.warnings, *fixture_warnings, *found.warnings)
-    for warning in warnings:
-        terminal.warn(warning)
+    terminal.warn(*warnings)
     made = fixture_results(
         replace(found, warnings=warnings),
         robot="a robot by a board on its base",
@@ -114,8 +113,7 @@ def register_by_motion(
             progress=progress,
         )
     warnings = (*recording.warnings, *(known[1] if known else ()), *found.warnings)
-    for warning in warnings:
-        terminal.warn(warning)
+    terminal.warn(*warnings)
     swept = _fit_swept_axes(recording, found.rig, found.marker) if options.sweeps else None
     made = motion_results(
         replace(found, warnings=warnings),
