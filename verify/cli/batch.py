@@ -16,8 +16,8 @@ from verify.core.version import __version__
 from verify.errors import InputError
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
+    from verify.fleet.batch.records import WorkerPool
     from verify.fleet.batch.run import BatchProgress, BatchResult
-    from verify.fleet.batch.workers import WorkerPool
     from verify.fleet.trends.assess import TrendRequest
 
 EXIT_SOME_FAILED = 4

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from verify.fleet.batch.records import Task, WorkerDied
-from verify.fleet.batch.workers import MAX_ATTEMPTS, ProcessPool
+from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied
+from verify.fleet.batch.workers import ProcessPool
 
 
 @dataclass(frozen=True)
