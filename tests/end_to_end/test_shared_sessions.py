@@ -4,10 +4,8 @@ The pixels of each are measured once, by `verify run`; what a registration hides
 the same measurements, with other words in rig.toml and marker.toml.
 """
 
-import json
 import re
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +15,9 @@ import pytest
 from scipy.stats import chi2
 
 from tests.support.beside import shared
-from tests.support.command import Outcome, remembered, replayed, verify
+from tests.support.command import Run, replayed, run
 from verify.analysis.session import analyse
-from verify.core.records import Array, Measurement
+from verify.core.records import Array
 from verify.io.session.keys import Tolerance
 from verify.io.session.session import open_session
 
@@ -33,53 +31,22 @@ BASE_FROM_MOTION = [0.0, 0.05, 0.04, 0.06, 0.10, 0.86]
 TABLE = 0.02  # the table's two digits, and that its pixel noise was not ours
 
 
-@dataclass(frozen=True)
-class Run:
-    """What one `verify run` said and wrote, and what it measured on the way."""
-
-    folder: Path
-    out: Path
-    outcome: Outcome
-    measurements: list[Measurement]
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        return dict(json.loads((self.out / "summary.json").read_text(encoding="utf-8")))
-
-    def joints(self, key: str) -> Array:
-        return np.array([joint[key] for joint in self.summary["joints"]], dtype=float)
-
-    @property
-    def wrong(self) -> Array:
-        """(pairs, 6), deg: measured less true joint angle."""
-        frames = pd.read_csv(self.out / "frames.csv")
-        truth = pd.read_csv(self.folder / "truth.csv")
-        measured = frames[[f"q{j}_measured_deg" for j in JOINTS]].to_numpy()
-        return np.asarray(measured - truth[[f"q{j}_deg" for j in JOINTS]].to_numpy())
-
-    @property
-    def claimed(self) -> Array:
-        """(pairs, 6), deg: what the pixels and the alignment alone let expect of that."""
-        frames = pd.read_csv(self.out / "frames.csv")
-        return frames[[f"q{j}_u_deg" for j in JOINTS]].to_numpy()
-
-
-def run(name: str, out: Path, *options: str) -> Run:
-    folder = shared("sessions", name)
-    with remembered() as measurements:
-        outcome = verify("run", folder, "-o", out, *options)
-    return Run(folder, out, outcome, measurements)
+def wrong(one: Run) -> Array:
+    """(pairs, 6), deg: measured less true joint angle."""
+    truth = pd.read_csv(one.folder / "truth.csv")
+    measured = one.frames[[f"q{j}_measured_deg" for j in JOINTS]].to_numpy()
+    return np.asarray(measured - truth[[f"q{j}_deg" for j in JOINTS]].to_numpy())
 
 
 @pytest.fixture(scope="module")
 def quarter_circle(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return run("quarter_circle_6r", tmp_path_factory.mktemp("quarter") / "out")
+    return run(shared("sessions", "quarter_circle_6r"), tmp_path_factory.mktemp("quarter") / "out")
 
 
 @pytest.fixture(scope="module")
 def multi_joint(tmp_path_factory: pytest.TempPathFactory) -> Run:
     out = tmp_path_factory.mktemp("multi") / "out"
-    return run("multi_joint_fault_6r", out, "--tolerance", "0.2")
+    return run(shared("sessions", "multi_joint_fault_6r"), out, "--tolerance", "0.2")
 
 
 def rms(values: Array) -> Array:
@@ -104,8 +71,9 @@ def test_the_healthy_arms_mean_errors_together_hold_zero(quarter_circle: Run) ->
 def test_joints_scatter_at_most_twice_what_the_pixels_predict(
     quarter_circle: Run, multi_joint: Run
 ) -> None:
-    for run in (quarter_circle, multi_joint):
-        assert np.all(rms(run.wrong) <= 2 * rms(run.claimed))
+    for one in (quarter_circle, multi_joint):
+        claimed = one.frames[[f"q{j}_u_deg" for j in JOINTS]].to_numpy()
+        assert np.all(rms(wrong(one)) <= 2 * rms(claimed))
 
 
 def test_the_clock_is_found_though_a_joint_is_at_fault(multi_joint: Run) -> None:
