@@ -23,7 +23,7 @@ from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.run import run
 from verify.grasping.tracking.target import BoxSelection, ColourSelection, TrackingOptions
 from verify.grasping.tracking.track import TargetTracker
-from verify.simulation.cell.grab import cell_grab
+from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, cell_setup
 
@@ -76,9 +76,8 @@ def whole_loop() -> Iterator[str]:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        grab = cell_grab(
-            cell_setup(FULL_SIZE), draw_scene(0), right=ExecutePermission("bench"), auto=True
-        )
+        right, mode = ExecutePermission("bench"), CellMode(auto=True)
+        grab = cell_grab(cell_setup(FULL_SIZE), draw_scene(0), right=right, mode=mode)
         ours: list[float] = []
         theirs: list[float] = []
         naive: list[_Naive] = []

@@ -21,7 +21,7 @@ from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.run import StopConditions, run
 from verify.grasping.control.states import GraspState
 from verify.grasping.planning.workspace import RESOLUTION
-from verify.simulation.cell.grab import cell_grab
+from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, SMALL_SIZE, CellSetup, cell_setup
 
@@ -33,33 +33,30 @@ SPACING = 0.04  # m
 
 @dataclass(frozen=True)
 class Grasp:
-    seed: int
+    run: CellRun
     state: GraspState
     reason: str
     held: bool  # the target is in the hand, as the world knows it
-    error: float  # m, of the grip point from where it was to be, across the approach; nan: no grip
-    height_error: float  # m, along it
-    speed: float  # greatest share of a joint's limit
-    acceleration: float
-    outside: float  # m
-    seconds: float
+    error: Array  # (3,), m, of the grip point from its goal, base frame; nan: no grip
     works: Array  # s of each cycle
 
+    def keeps_limits(self, outside: float) -> bool:
+        """Whether joints kept their limits and the arm left its box by `outside` m at most."""
+        watch = self.run.world.watch
+        return max(watch.speed, watch.acceleration) <= 1 + ROUNDING and watch.outside <= outside
 
-def grasp(setup: CellSetup, seed: int) -> Grasp:
-    made = cell_grab(setup, draw_scene(seed), right=ExecutePermission("bench"), auto=True)
+
+def grasp(setup: CellSetup, scene: CellScene, *, closed: bool = True) -> Grasp:
+    mode = CellMode(auto=True, closed=closed)
+    cell = cell_grab(setup, scene, right=ExecutePermission("bench"), mode=mode)
     works: list[float] = []
-    ended = run(made.loop, made.source, ENDS, lambda cycle: works.append(cycle.took))
-    world, plan = made.world, made.loop.aim.plan
-    off = np.full(3, np.nan)
+    ended = run(cell.loop, cell.source, ENDS, lambda cycle: works.append(cycle.took))
+    world, plan = cell.world, cell.loop.aim.plan
+    error = np.full(3, np.nan)
     if world.closed_on is not None and world.closed_at is not None and plan is not None:
-        off = world.closed_on - world.closed_at - [0.0, 0.0, plan.margin.raised]
-    return Grasp(
-        seed, ended.state, ended.reason,
-        world.held is not None and world.held[0] == 0,
-        float(np.hypot(off[0], off[1])), float(off[2]),
-        world.watch.speed, world.watch.acceleration, world.watch.outside, world.t, np.array(works),
-    )  # fmt: skip
+        error = world.closed_on - world.closed_at - [0.0, 0.0, plan.margin.raised]
+    held = world.held is not None and world.held[0] == 0
+    return Grasp(cell, ended.state, ended.reason, held, error, np.array(works))
 
 
 def distances(setup: CellSetup, rows: int = 3, columns: int = 5) -> Array:
@@ -118,31 +115,29 @@ def main() -> None:
     setup = cell_setup(size)
     grasps = []
     for seed in range(count):
-        done = grasp(setup, seed)
+        done = grasp(setup, draw_scene(seed))
         grasps.append(done)
         if not done.held or done.state is not GraspState.LIFTED:
             print(f"  seed {seed}: {done.state.value}, {done.reason}; held: {done.held}")
     lifted = [g for g in grasps if g.state is GraspState.LIFTED]
-    errors = np.array([g.error for g in grasps if np.isfinite(g.error)]) * 1e3
-    heights = np.array([g.height_error for g in grasps if np.isfinite(g.error)]) * 1e3
+    errors = 1e3 * np.array([g.error for g in grasps if np.isfinite(g.error).all()]).reshape(-1, 3)
     print(f"pictures of {size[0]} x {size[1]}, {count} cells")
     print(f"lifted with the cap in the hand: {sum(g.held for g in lifted)} of {count}")
     print(f"false successes: {sum(not g.held for g in lifted)}")
-    over = [
-        g for g in grasps
-        if max(g.speed, g.acceleration) > 1 + ROUNDING or g.outside > RESOLUTION
-    ]  # fmt: skip
-    print(f"beyond a limit or the box: {[g.seed for g in over] or 'none'}")
-    speed, hard = max(g.speed for g in grasps), max(g.acceleration for g in grasps)
+    over = [seed for seed, g in enumerate(grasps) if not g.keeps_limits(RESOLUTION)]
+    print(f"beyond a limit or the box: {over or 'none'}")
+    watches = [g.run.world.watch for g in grasps]
+    speed, hard = max(w.speed for w in watches), max(w.acceleration for w in watches)
     print(f"greatest share of a joint's speed limit {speed:.3f}, of its acceleration {hard:.3f}")
     if len(errors):
-        rms = np.sqrt(np.mean(errors**2))
-        print(f"grip error across: rms {rms:.2f} mm, worst {errors.max():.2f} mm")
-        print(f"grip error along: worst {np.abs(heights).max():.2f} mm")
+        across = np.hypot(errors[:, 0], errors[:, 1])
+        rms = np.sqrt(np.mean(across**2))
+        print(f"grip error across: rms {rms:.2f} mm, worst {across.max():.2f} mm")
+        print(f"grip error along: worst {np.abs(errors[:, 2]).max():.2f} mm")
     works = 1e3 * np.concatenate([g.works for g in grasps])
     output = np.percentile(works, [50, 95, 100])
     print("work a cycle: median {:.1f} ms, 95 % {:.1f} ms, worst {:.1f} ms".format(*output))
-    print(f"time to the end: median {np.median([g.seconds for g in grasps]):.1f} s")
+    print(f"time to the end: median {np.median([g.run.world.t for g in grasps]):.1f} s")
     found = distances(setup)
     if place is not None:
         place.write_bytes(figure(found))
