@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -16,13 +15,13 @@ import pytest
 import reports
 from tests.support.command import read_summary, verify
 from tests.support.fleets import record
+from tests.support.processes import TIMEOUT, running, wait_until
 from verify.simulation.scenario import ScenarioFault
 
 TABLES = ("sessions.parquet", "frames.parquet", "failures.csv")
 REPORTS = ("fleet.html", "fleet.pdf")
 SESSIONS = 8
 REPAIRED = 5  # the first session after the encoder of joint 2 was knocked, from 1
-PATIENCE = 300.0  # s: a busy machine is slow to import
 Start = Callable[[], tuple[subprocess.Popen[str], Path]]
 
 
@@ -218,40 +217,27 @@ def test_wrong_usage_takes_one_line(
 @pytest.fixture
 def started(lab: Path, tmp_path: Path) -> Iterator[Start]:
     """Start a batch in a process of its own and wait until something has been kept."""
-    running: list[subprocess.Popen[str]] = []
+    processes: list[subprocess.Popen[str]] = []
 
     def start() -> tuple[subprocess.Popen[str], Path]:
         place = tmp_path / "fleet"
         command = [sys.executable, "-m", "verify", "batch", str(lab), "-o", str(place),
                    "--workers", "2", "--tolerance", "0.2"]  # fmt: skip
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        running.append(process)
-        limit = time.monotonic() + PATIENCE
-        while not list((place / "sessions").glob("[!.]*/entry.json")):
-            assert time.monotonic() < limit
-            signal.sigtimedwait([signal.SIGUSR2], 0.05)
+        processes.append(process)
+        wait_until(lambda: any((place / "sessions").glob("[!.]*/entry.json")))
         return process, place
 
     yield start
-    for process in running:
+    for process in processes:
         if process.poll() is None:
             process.kill()
         process.communicate()
 
 
-def children(pid: int) -> list[int]:
-    return [int(w) for w in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def running(pid: int) -> bool:
-    try:
-        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return False
-
-
 def workers_of(pid: int) -> list[int]:
-    return [c for c in children(pid) if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(c) for c in children if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
 
 
 @pytest.mark.slow
@@ -259,7 +245,7 @@ def workers_of(pid: int) -> list[int]:
 def test_a_worker_that_is_killed_costs_nothing_but_time(out: Path, started: Start) -> None:
     process, place = started()
     os.kill(workers_of(process.pid)[0], signal.SIGKILL)
-    process.communicate(timeout=3 * PATIENCE)
+    process.communicate(timeout=3 * TIMEOUT)
     assert process.returncode == 1, process.communicate()
     assert_same(tables(out), tables(place))
 
@@ -274,7 +260,7 @@ def test_an_interrupted_batch_keeps_what_was_done_and_goes_on_from_there(
     assert len(workers) == 2
     for one in [process.pid, *(workers if sent == signal.SIGINT else [])]:
         os.kill(one, sent)  # Ctrl-C reaches all that the terminal has started
-    _, message = process.communicate(timeout=PATIENCE)
+    _, message = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 130, message
     assert message.splitlines()[-1] == "interrupted"
     assert not any(running(worker) for worker in workers)

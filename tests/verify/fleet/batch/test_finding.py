@@ -30,8 +30,7 @@ def names(found: list[SessionLocation]) -> list[str]:
 
 def test_sessions_are_found_at_every_depth_and_none_inside_another(tmp_path: Path) -> None:
     for place in ("b", "a/deep/down", "a/first", "a/first/inside"):
-        (tmp_path / place).mkdir(parents=True, exist_ok=True)
-        (tmp_path / place / "session.toml").write_text("")
+        stub(tmp_path / place)
     found, failures = find_sessions([str(tmp_path)], NOWHERE)
     assert names(found) == [f"{tmp_path}/{n}" for n in ("a/deep/down", "a/first", "b")]
     assert not failures
