@@ -1,8 +1,6 @@
 """A batch on one core and on two, against pure decoding; and what the fleet report finds.
 
-    python -m tests.bench.batch          throughput and fleets
-    python -m tests.bench.batch fleets   the fleets alone
-    python -m tests.bench.batch speed    throughput alone
+    python -m tests.bench batch
 
 One core, two cores, decoding as `verify` does it, and the loop over cv2.VideoCapture.read() that
 OpenCV's users write take turns, and medians are compared. The fleets are drawn at the
@@ -173,9 +171,3 @@ def fleets() -> Iterator[str]:
 def _accuses(seed: int, scatter: float) -> bool:
     sessions = rows(10_000 + seed, scatter=scatter, calibrations=seed % 3 + 1)
     return len(assess(sessions, NO_FAILURES, TrendRequest(), ()).table("changes")) > 0
-
-
-if __name__ == "__main__":
-    parts = {"fleets": fleets, "speed": throughput}
-    for line in parts.get("".join(sys.argv[1:]), lines)():
-        print(line, flush=True)

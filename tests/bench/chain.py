@@ -78,8 +78,3 @@ def _measure(pairs: list[StereoPair], setup: Setup) -> float:
     start = time.perf_counter()
     count = sum(1 for _ in chain)
     return (time.perf_counter() - start) / count
-
-
-if __name__ == "__main__":
-    for line in lines():
-        print(line)

@@ -3,7 +3,7 @@
 Root mean square error of a coordinate against cv2.projectPoints, its ratio to this tool's, and the
 time a view. cornerSubPix starts at this tool's corners, the best start there is.
 
-    python -m tests.bench.corners
+    python -m tests.bench corners
 """
 
 from collections.abc import Callable, Iterator
@@ -139,8 +139,3 @@ def matched(centre: Array, truth: Array) -> Array:
 def rms(errors: list[Array]) -> float:
     """Root mean square of a coordinate, px."""
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
-
-
-if __name__ == "__main__":
-    for line in lines():
-        print(line, flush=True)

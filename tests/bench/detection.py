@@ -42,8 +42,3 @@ def lines() -> Iterator[str]:
     unit = median(seconds["threshold and connected components"])
     for name, taken in seconds.items():
         yield f"detection, {name}: {median(taken) / unit:.2f} ({1e3 * median(taken):.2f} ms)"
-
-
-if __name__ == "__main__":
-    for line in lines():
-        print(line)

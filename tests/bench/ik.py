@@ -141,8 +141,3 @@ def _solved(arm: robots.DhArm, answers: Array, pose: Array) -> bool:
         return False
     apart = difference(robots.forward(arm, answers), np.broadcast_to(pose, (len(answers), 4, 4)))
     return bool(np.abs(apart).max(axis=-1).min() < REACHED)
-
-
-if __name__ == "__main__":
-    for line in lines():
-        print(line)
