@@ -12,7 +12,7 @@ from verify.calibration.quality.results import calibration_results
 from verify.calibration.stereo.calibrate import calibrate
 from verify.calibration.stereo.records import Calibration
 from verify.cli.options import CornerCounts
-from verify.cli.terminal import terminal
+from verify.cli.terminal import report_files, terminal
 from verify.core.fiducials import Board
 from verify.core.rig import Rig
 from verify.errors import InputError
@@ -128,7 +128,7 @@ def _print_calibration(found: Calibration, out: Path, target: Path) -> None:
     terminal.say(f"{len(found.frames)} pairs, {int(used.sum())} corners, {rms:.3f} px rms.")
     for sentence in found.decisions:
         terminal.say(f"  {sentence}")
-    terminal.say(f"Rig: {out}; report: {target / 'report.html'} and {target / 'report.pdf'}")
+    terminal.say(f"Rig: {out}; report: {report_files(target)}")
     terminal.record(
         {
             "type": "result",
