@@ -105,24 +105,19 @@ def test_started_again_nothing_is_measured_and_the_bytes_are_the_same(lab: Path,
 
 
 @pytest.mark.usefixtures("without_pdf")
-def test_json_gives_one_object_a_line(lab: Path, out: Path, tmp_path: Path) -> None:
+def test_json_gives_one_object_a_line_and_a_day_divides_the_fleet(
+    lab: Path, out: Path, tmp_path: Path
+) -> None:
     place = tmp_path / "fleet"
     shutil.copytree(out, place)
-    message = verify("batch", lab, "-o", place, "--tolerance", "0.2", "--json")
+    words = ("-o", place, "--tolerance", "0.2", "--since", "2025-03-05", "--json")
+    message = verify("batch", lab, *words)
     lines = [json.loads(line) for line in message.out.splitlines()]
     progress = [line for line in lines if line["type"] == "progress"]
     assert progress[-1]["done"] == progress[-1]["sessions"] == SESSIONS
     assert set(progress[0]) >= {"pairs_per_s", "time_left_s", "failures", "kept"}
     assert lines[-1]["type"] == "result"
     assert lines[-1]["summary"]["kind"] == "fleet"
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("without_pdf")
-def test_before_and_after_a_day_is_in_the_report(lab: Path, out: Path, tmp_path: Path) -> None:
-    place = tmp_path / "fleet"
-    shutil.copytree(out, place)
-    verify("batch", lab, "-o", place, "--tolerance", "0.2", "--since", "2025-03-05", "--quiet")
     table = pd.read_parquet(place / "results" / "contrasts.parquet")
     assert table[table["shown"]]["joint"].tolist() == [2]
     assert "since 2025-03-05" in (place / "fleet.html").read_text()

@@ -307,7 +307,6 @@ def test_the_recorded_boards_calibrate_as_typed(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.slow
 def test_a_board_ambiguous_by_a_quarter_turn_is_warned_of(tmp_path: Path) -> None:
     message = verify("board", "--corners", "8x8", "--square-mm", "20", "-o", tmp_path / "square")
     assert message.status == 0

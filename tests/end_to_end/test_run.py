@@ -221,9 +221,7 @@ def test_reports_built_again_are_the_same_bytes(faulty: Run, tmp_path: Path) -> 
         (out / name).unlink()
     (out / "notes.txt").write_text("mine")
     assert verify("report", out).status == 0
-    assert (out / "notes.txt").read_text() == "mine"
-    (out / "notes.txt").unlink()
-    assert files(out) == files(faulty.out)
+    assert files(out) == files(faulty.out) | {"notes.txt": b"mine"}
 
 
 def test_without_a_tolerance_and_at_an_unusual_path_there_is_no_verdict_and_status_0(

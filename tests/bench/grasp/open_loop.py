@@ -1,21 +1,18 @@
 """Simulated grasps: successes, false successes, limits, grip error;
-python -m tests.bench.grasp.open_loop [N] [--full] [--figure FILE.svg].
+python -m tests.bench.grasp.open_loop [N] [--full].
 
 Cells are drawn at random: where the cap stands or slides to, other caps, light, noise, an arm that
 is not quite where it was registered. A success is a cap in the hand, as the world knows it; a false
 one is a grab that ended in `lifted` without it. Then the paper's experiment: a cap on marks 4 cm
-apart, distances measured against actual ones, and drawn where a file for it is named.
+apart, distances measured against actual ones.
 """
 
 import sys
 from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
-from reports.document.charts import Band, Chart, Line, Panel, Points
-from reports.format.matplotlib import svg
 from verify.core.records import Array
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.run import StopConditions, run
@@ -86,30 +83,8 @@ def distances(setup: CellSetup, rows: int = 3, columns: int = 5) -> Array:
     return np.array(found)
 
 
-def figure(found: Array) -> bytes:
-    """Measured against actual distance, and the error with its expanded uncertainty, as SVG."""
-    order = np.argsort(found[:, 1])
-    measured, actual, u = 1e3 * found[order].T
-    ends = (0.0, float(actual.max()) * 1.1)
-    error = measured - actual
-    spread = actual + np.linspace(-3.0, 3.0, len(actual))  # mm: equal distances side by side
-    even = Line(np.array(ends), np.array(ends), "encoder", "measured = actual")
-    first = Panel(
-        (even, Points(actual, measured, "measured", "a pair of marks", 2.0)),
-        "measured [mm]", x_range=ends, y_range=ends,
-    )  # fmt: skip
-    bars = [Band(np.array([x]), np.array([e - 2 * s]), np.array([e + 2 * s]), "error_band")
-            for x, e, s in zip(spread, error, u, strict=True)]  # fmt: skip
-    second = Panel(
-        (*bars, Points(spread, error, "measured", "", 2.0)),
-        "error, ± 2 u [mm]", "actual distance [mm]", x_range=ends,
-    )  # fmt: skip
-    return svg(Chart((first, second), row_height=2.0, width=0.8))
-
-
 def main() -> None:
     words = sys.argv[1:]
-    place = Path(words.pop(words.index("--figure") + 1)) if "--figure" in words else None
     count = next((int(word) for word in words if word.isdigit()), 100)
     size = FULL_SIZE if "--full" in words else SMALL_SIZE
     setup = cell_setup(size)
@@ -138,10 +113,7 @@ def main() -> None:
     output = np.percentile(works, [50, 95, 100])
     print("work a cycle: median {:.1f} ms, 95 % {:.1f} ms, worst {:.1f} ms".format(*output))
     print(f"time to the end: median {np.median([g.run.world.t for g in grasps]):.1f} s")
-    found = distances(setup)
-    if place is not None:
-        place.write_bytes(figure(found))
-    found *= 1e3
+    found = 1e3 * distances(setup)
     off = found[:, 0] - found[:, 1]
     print(f"distances between marks 40 mm apart: {len(found)}, {found[:, 1].min():.0f} mm to "
           f"{found[:, 1].max():.0f} mm")  # fmt: skip

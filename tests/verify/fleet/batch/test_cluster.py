@@ -46,15 +46,6 @@ def assert_same(one: Path, other: Path) -> None:
         assert bool((one / name).read_bytes() == (other / name).read_bytes()), name
 
 
-def test_a_local_cluster_in_its_own_processes(lab: Path, alone: Path, tmp_path: Path) -> None:
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
-        address = cluster.scheduler_address
-        verify("batch", lab, "-o", tmp_path / "out", "--scheduler", address, "--quiet")
-    assert_same(alone, tmp_path / "out")
-
-
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
     """Start a process of Dask's as by hand; all are sent home at the end."""

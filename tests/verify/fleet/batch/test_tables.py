@@ -1,7 +1,6 @@
 """The tables: typed, the same bytes for the same sessions, and what was kept is trusted or not."""
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -10,23 +9,15 @@ import pytest
 
 from tests.support.command import ROOT
 from tests.support.reports import session as made
+from verify.cli.options import ToleranceOptions
 from verify.errors import InputError
 from verify.fleet.batch import tables
-from verify.fleet.batch import tables as batch_tables
 from verify.fleet.batch.records import BatchOptions, SessionFailure
 from verify.fleet.batch.store import ENTRY_FILE, ResultStore, require_writable
 from verify.fleet.batch.tables import calibration_digest, parse_start_time
 from verify.fleet.batch.tasks import pack_results, rename_session
-from verify.io.session.keys import Tolerance
 
-
-@dataclass(frozen=True)
-class Nothing:
-    def tolerance(self, joints: int) -> Tolerance:  # noqa: ARG002  # the protocol's
-        return Tolerance(None, None, None)
-
-
-OPTIONS = BatchOptions(Nothing(), "1.0")
+OPTIONS = BatchOptions(ToleranceOptions(None, None, None), "1.0")
 SESSIONS = ("lab/a", 'lab/b,"c"\n<b>d</b>')
 
 
@@ -53,8 +44,8 @@ def test_the_tables_have_the_documented_types_and_one_row_a_session(
 ) -> None:
     out = written(store, tmp_path / "one")
     sessions, frames = (pq.read_table(out / f"{n}.parquet") for n in ("sessions", "frames"))
-    assert sessions.schema == batch_tables.sessions_schema(6)
-    assert frames.schema == batch_tables.frames_schema(6)
+    assert sessions.schema == tables.sessions_schema(6)
+    assert frames.schema == tables.frames_schema(6)
     assert sessions["session"].to_pylist() == sorted(SESSIONS)
     counts = pd.Series(frames["session"].to_pylist()).value_counts()
     assert counts.to_dict() == dict(
@@ -121,11 +112,11 @@ def test_sessions_of_one_rig_and_marker_share_a_calibration() -> None:
 def test_every_column_is_explained() -> None:
     explained = (ROOT / "docs" / "batch.md").read_text()
     grouped = ("rejected_", "position_", "orientation_")
-    names = [re.sub(r"^q\d+_", "qN_", field.name) for field in batch_tables.sessions_schema(2)]
+    names = [re.sub(r"^q\d+_", "qN_", field.name) for field in tables.sessions_schema(2)]
     names = [re.sub(r"_deg$", "_mm", n.removeprefix("orientation_")) if n.startswith(grouped)
              else n for n in names]  # fmt: skip
     names = [n.removeprefix("position_") for n in names if not n.startswith("rejected_")]
     assert [n for n in names if f"`{n}`" not in explained] == []
     results = (ROOT / "docs" / "results.md").read_text()
-    columns = [re.sub(r"^q\d+_", "qN_", field.name) for field in batch_tables.frames_schema(2)][1:]
+    columns = [re.sub(r"^q\d+_", "qN_", field.name) for field in tables.frames_schema(2)][1:]
     assert [n for n in columns if f"`{n}`" not in results] == []
