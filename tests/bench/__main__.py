@@ -9,15 +9,9 @@ from collections.abc import Callable, Iterator
 
 from tests.bench import batch, chain, corners, detection, ik, memory, monte_carlo, tracking
 
+MODULES = (detection, corners, chain, ik, memory, tracking, batch, monte_carlo)
 BENCHES: dict[str, Callable[[], Iterator[str]]] = {
-    "detection": detection.lines,
-    "corners": corners.lines,
-    "chain": chain.lines,
-    "ik": ik.lines,
-    "memory": memory.lines,
-    "tracking": tracking.lines,
-    "batch": batch.lines,
-    "monte_carlo": monte_carlo.lines,
+    module.__name__.rpartition(".")[2]: module.lines for module in MODULES
 }
 
 

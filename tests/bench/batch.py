@@ -1,8 +1,6 @@
 """A batch on one core and on two, against pure decoding; and what the fleet report finds.
 
-    python -m tests.bench.batch          throughput and fleets
-    python -m tests.bench.batch fleets   the fleets alone
-    python -m tests.bench.batch speed    throughput alone
+    python -m tests.bench batch
 
 One core, two cores, decoding as `verify` does it, and the loop over cv2.VideoCapture.read() that
 OpenCV's users write take turns, and medians are compared. The fleets are drawn at the
@@ -23,19 +21,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
+from tests.bench.chain import SAMPLE, noisy_sample
 from tests.support.beside import SHARED
 from tests.support.fleets import BEGIN, NO_FAILURES, rows
 from verify.fleet.trends.assess import TrendRequest, assess
 from verify.io.session.session import open_session
-from verify.simulation import library
-from verify.simulation.session.folder import write_session
-from verify.simulation.session.simulate import simulate_session
 
-ROOT = Path(__file__).parents[2]
-SAMPLE = ROOT / "sample_sessions" / "multi_joint_fault_6r"  # dark, without noise: decoded at once
 RECORDED = SHARED / "sessions" / "multi_joint_fault_6r"  # noise as a camera has it
 LONG = 450  # pairs: half a minute at 15 a second
 # sessions: so many that what each process does once is lost among them
@@ -68,18 +61,8 @@ def throughput() -> Iterator[str]:
     if RECORDED.exists():
         yield from _of(RECORDED, SIZES["recorded"])
     with tempfile.TemporaryDirectory() as place:
-        yield from _of(_long(Path(place) / "simulated" / f"{LONG}_pairs"), SIZES["long"])
-
-
-def _long(folder: Path) -> Path:
-    """Simulate half a minute with noise all over the picture, as a camera in a room has it."""
-    scenario = library.load("multi_joint_fault_6r")
-    recording = msgspec.structs.replace(scenario.recording, pairs=LONG)
-    image = msgspec.structs.replace(scenario.image, black_level_dn=8.0)
-    scenario = msgspec.structs.replace(scenario, recording=recording, image=image)
-    folder.mkdir(parents=True)
-    write_session(simulate_session(scenario), folder)
-    return folder
+        folder = Path(place) / "simulated" / f"{LONG}_pairs"
+        yield from _of(noisy_sample(folder, LONG, black_level_dn=8.0), SIZES["long"])
 
 
 def _of(session: Path, sessions: int, asked: str = "wanted: 1.3") -> Iterator[str]:
@@ -173,9 +156,3 @@ def fleets() -> Iterator[str]:
 def _accuses(seed: int, scatter: float) -> bool:
     sessions = rows(10_000 + seed, scatter=scatter, calibrations=seed % 3 + 1)
     return len(assess(sessions, NO_FAILURES, TrendRequest(), ()).table("changes")) > 0
-
-
-if __name__ == "__main__":
-    parts = {"fleets": fleets, "speed": throughput}
-    for line in parts.get("".join(sys.argv[1:]), lines)():
-        print(line, flush=True)

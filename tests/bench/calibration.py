@@ -9,28 +9,21 @@ within 93 to 97 %; the mean of d² over its degrees of freedom must lie within i
 import os
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
-from tests.support.boards.calibrated import squared_distance
+from tests.bench import cells
 from tests.support.boards.made_views import BOARD, SIGMA, SIZE, levelled, make_pairs, poses
 from verify.calibration.stereo.calibrate import calibrate
 from verify.calibration.stereo.records import covariance_in_si
-from verify.core.records import Array
 from verify.core.rig import Camera, Rig
-from verify.errors import InputError
 
 REPLICATES = 2000
-SEEDS = (20261121, 20270101)  # fixed beforehand; the second set is the check of the first
 PAIRS = 20
 KINDS = ("fixed", "turning", "scattering")  # the last: readings that are off by PAN_ERROR_DEG
 PAN_ERROR_DEG = 0.05
-WITHIN = 1.96
-LOW, HIGH = 0.93, 0.97
-Outcome = tuple[dict[str, float], float, int, float]
 LENS = ("k1", "k2", "p1", "p2", "k3")
 
 
@@ -87,8 +80,8 @@ def deviation(name: str, found: Rig, true: Rig) -> float:
     return float((one.mount[:3, 3] - other.mount[:3, 3])[at])
 
 
-def replicate(kind: str, seed: int) -> Outcome:
-    """Normalised errors by parameter, d², its degrees of freedom, the noise factor."""
+def replicate(kind: str, seed: int) -> cells.Checked:
+    """Calibrate a rig that is drawn, and set it against the truth."""
     rng = np.random.default_rng(seed)
     turning = kind != "fixed"
     rig = random_rig(rng, turning)
@@ -105,79 +98,38 @@ def replicate(kind: str, seed: int) -> Outcome:
     covariance = found.rig.covariance
     assert covariance is not None
     errors = np.array([deviation(name, found.rig, rig) for name in covariance.parameters])
-    full = covariance_in_si(covariance)
-    d2, rank = squared_distance(errors, full)
-    z = errors / np.sqrt(np.diag(full))
-    return dict(zip(covariance.parameters, z.tolist(), strict=True)), d2, rank, found.noise * stated
+    return cells.checked(covariance.parameters, errors, covariance_in_si(covariance))
 
 
-def attempt(kind: str, seed: int) -> Outcome | str:
-    """One replicate, or why it was refused."""
-    try:
-        return replicate(kind, seed)
-    except InputError as error:
-        return f"refused, {kind}, replicate's seed {seed}: {error}"
+def study(kind: str, count: int, seed: int, jobs: int | None = None) -> list[cells.Checked]:
+    """All replicates but those that were refused: a draw may lack what the data must show."""
+    return cells.replicates(partial(replicate, kind), seed, count, jobs)
 
 
-def study(
-    kind: str, replicates: int, seed: int, jobs: int | None = None
-) -> tuple[dict[str, Array], Array, Array]:
-    """Normalised errors of every parameter over all replicates; d² and its degrees of freedom.
-
-    What is refused is printed and left out: a draw may lack what the data must show.
-    """
-    seeds = np.random.SeedSequence(seed).generate_state(replicates).tolist()
-    if jobs == 1:
-        attempts = [attempt(kind, s) for s in seeds]
-    else:
-        with ProcessPoolExecutor(max_workers=jobs or os.cpu_count()) as pool:
-            attempts = list(pool.map(attempt, [kind] * replicates, seeds, chunksize=4))
-    outcomes = [a for a in attempts if not isinstance(a, str)]
-    for refused in attempts:
-        if isinstance(refused, str):
-            print(refused)
-    errors: dict[str, list[float]] = {}
-    for z, *_ in outcomes:
-        for name, value in z.items():
-            errors.setdefault(name, []).append(value)
-    d2 = np.array([o[1] for o in outcomes])
-    rank = np.array([o[2] for o in outcomes])
-    return {name: np.array(values) for name, values in errors.items()}, d2, rank
-
-
-def mean_d2(d2: Array, rank: Array) -> tuple[float, float, float]:
-    """Sum of d² over the sum of its degrees of freedom, and the 99 % interval of that."""
-    total = float(rank.sum())
-    low, high = chi2.ppf([0.005, 0.995], total) / total
-    return float(d2.sum()) / total, float(low), float(high)
-
-
-def main(replicates: int, seeds: tuple[int, ...], kinds: Sequence[str]) -> int:
+def main(count: int, seeds: tuple[int, ...], kinds: Sequence[str]) -> int:
     """Print every cell; 1 where one fails."""
     failed = 0
     for seed in seeds:
         for kind in kinds:
-            errors, d2, rank = study(kind, replicates, seed)
-            ratio, low, high = mean_d2(d2, rank)
-            pooled = float(np.mean(np.abs(np.concatenate(list(errors.values()))) <= WITHIN))
-            fine = low <= ratio <= high and LOW <= pooled <= HIGH
+            outcomes = study(kind, count, seed)
+            errors, (ratio, low, high) = cells.by_name(outcomes), cells.d2_ratio(outcomes)
+            pooled = cells.share(np.concatenate(list(errors.values())))
+            fine = low <= ratio <= high and cells.LOW <= pooled <= cells.HIGH
             failed += int(not fine)
-            print(f"{kind}, seed {seed}, {replicates} replicates of {PAIRS} pairs: pooled "
+            print(f"{kind}, seed {seed}, {count} replicates of {PAIRS} pairs: pooled "
                   f"{pooled:.1%}, d²/dof {ratio:.4f} (99 %: {low:.4f} to {high:.4f})"
                   f"{'' if fine else '  FAILS'}")  # fmt: skip
             for name, z in sorted(errors.items()):
-                share = float(np.mean(np.abs(z) <= WITHIN))
-                often = len(z) == len(d2)  # a coefficient that is mostly held is no cell
-                good = LOW <= share <= HIGH or not often
+                often = len(z) == len(outcomes)  # a coefficient that is mostly held is no cell
+                good = cells.LOW <= cells.share(z) <= cells.HIGH or not often
                 failed += int(not good)
-                print(f"  {name:26s} {share:.1%}  of {len(z)}{'' if good else '  FAILS'}")
-    print("all cells hold" if not failed else f"{failed} cells fail")
-    return int(failed > 0)
+                print(f"  {name:26s} {cells.share(z):.1%}  of {len(z)}{'' if good else '  FAILS'}")
+    return cells.conclude(failed)
 
 
 if __name__ == "__main__":
     os.environ["OMP_NUM_THREADS"] = "1"
     numbers = [int(word) for word in sys.argv[1:] if word not in KINDS]
-    chosen = (numbers[1],) if len(numbers) > 1 else SEEDS
-    asked = [word for word in sys.argv[1:] if word in KINDS]
-    sys.exit(main(numbers[0] if numbers else REPLICATES, chosen, asked or KINDS))
+    chosen = (numbers[1],) if len(numbers) > 1 else cells.SEEDS
+    kinds = [word for word in sys.argv[1:] if word in KINDS]
+    sys.exit(main(numbers[0] if numbers else REPLICATES, chosen, kinds or KINDS))

@@ -18,7 +18,6 @@ from verify.io.files import write_folder_whole
 from verify.io.session.session import Session, open_session
 from verify.measurement.chain import Setup, measure
 from verify.simulation import library
-from verify.simulation.scenario import Scenario
 from verify.simulation.session.folder import write_session
 from verify.simulation.session.simulate import simulate_session
 
@@ -31,20 +30,20 @@ def lines() -> Iterator[str]:
     """Compare on a sample, whose background is black, and on one with a room behind the arm."""
     yield from _session("sample session", open_session(SAMPLE))
     with tempfile.TemporaryDirectory() as place:
-        folder = Path(place) / "room"
-        with write_folder_whole(folder) as partial:
-            write_session(simulate_session(_room()), partial)
+        look = {"black_level_dn": 6.0, "background_dn": 14.0, "texture_dn": 4.0}
+        folder = noisy_sample(Path(place) / "room", PAIRS + 1, **look)
         yield from _session("session with a room behind the arm", open_session(folder))
 
 
-def _room() -> Scenario:
-    """The sample with a lit, patterned room: noise in every pixel, as a real camera gives."""
-    sample = library.load("multi_joint_fault_6r")
-    image = msgspec.structs.replace(
-        sample.image, black_level_dn=6.0, background_dn=14.0, texture_dn=4.0
-    )
-    recording = msgspec.structs.replace(sample.recording, pairs=PAIRS + 1)
-    return msgspec.structs.replace(sample, image=image, recording=recording)
+def noisy_sample(folder: Path, pairs: int, **look: float) -> Path:
+    """Simulate the sample for so many pairs with noise in every pixel, as a real camera gives."""
+    sample = library.load(SAMPLE.name)
+    image = msgspec.structs.replace(sample.image, **look)
+    recording = msgspec.structs.replace(sample.recording, pairs=pairs)
+    scenario = msgspec.structs.replace(sample, image=image, recording=recording)
+    with write_folder_whole(folder) as partial:
+        write_session(simulate_session(scenario), partial)
+    return folder
 
 
 def _session(name: str, session: Session) -> Iterator[str]:
@@ -78,8 +77,3 @@ def _measure(pairs: list[StereoPair], setup: Setup) -> float:
     start = time.perf_counter()
     count = sum(1 for _ in chain)
     return (time.perf_counter() - start) / count
-
-
-if __name__ == "__main__":
-    for line in lines():
-        print(line)

@@ -3,7 +3,7 @@
 Root mean square error of a coordinate against cv2.projectPoints, its ratio to this tool's, and the
 time a view. cornerSubPix starts at this tool's corners, the best start there is.
 
-    python -m tests.bench.corners
+    python -m tests.bench corners
 """
 
 from collections.abc import Callable, Iterator
@@ -72,13 +72,9 @@ def sub_pix(image: Image, view: BoardView, half: int) -> Array:
 
 def fitted_sub_pix(image: Image, view: BoardView) -> Array:
     """The same with 0.35 of the least distance between corners."""
-    apart = np.linalg.norm(
-        np.diff(view.centre.reshape(BOARD.rows, BOARD.columns, 2), axis=1), axis=2
-    )
-    down = np.linalg.norm(
-        np.diff(view.centre.reshape(BOARD.rows, BOARD.columns, 2), axis=0), axis=2
-    )
-    return sub_pix(image, view, max(round(0.35 * min(apart.min(), down.min())), 2))
+    grid = view.centre.reshape(BOARD.rows, BOARD.columns, 2)
+    apart = min(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1))
+    return sub_pix(image, view, max(round(0.35 * apart), 2))
 
 
 def sector(image: Image, _: BoardView) -> Array:
@@ -139,8 +135,3 @@ def matched(centre: Array, truth: Array) -> Array:
 def rms(errors: list[Array]) -> float:
     """Root mean square of a coordinate, px."""
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
-
-
-if __name__ == "__main__":
-    for line in lines():
-        print(line, flush=True)

@@ -9,10 +9,11 @@ sessions of at most 0.7 %. Near-singular pairs are left out by the tool's own fl
 
 import os
 import sys
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 
 import numpy as np
 
+from tests.bench.cells import HIGH, LOW, SEEDS, WITHIN, conclude, replicates
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import in_memory
 from verify.analysis.session import analyse
@@ -20,10 +21,8 @@ from verify.core.records import Array
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
 SESSIONS = 100
-SEEDS = (20261121, 20270101)  # fixed beforehand; the second set is the check of the first
 PAIRS = 40
-WITHIN = 1.96
-LOW, HIGH, STANDARD_ERROR = 0.93, 0.97, 0.007
+STANDARD_ERROR = 0.007
 
 
 def session_shares(arm: str, seed: int) -> tuple[Array, float, float]:
@@ -44,9 +43,7 @@ def session_shares(arm: str, seed: int) -> tuple[Array, float, float]:
 
 def cells(arm: str, sessions: int, seed: int) -> tuple[Array, Array, float, float]:
     """Mean share a joint, its standard error between sessions, shares left out and not measured."""
-    seeds = np.random.SeedSequence(seed).generate_state(sessions).tolist()
-    with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
-        outcomes = list(pool.map(session_shares, [arm] * sessions, seeds))
+    outcomes = replicates(partial(session_shares, arm), seed, sessions)
     shares = np.array([o[0] for o in outcomes])
     error = np.nanstd(shares, axis=0, ddof=1) / np.sqrt(np.sum(~np.isnan(shares), axis=0))
     return (
@@ -70,8 +67,7 @@ def main(sessions: int, seeds: tuple[int, ...]) -> int:
             for j in range(len(share)):
                 message = "" if good[j] else "  FAILS"
                 print(f"  q{j + 1}  {share[j]:.1%} ± {error[j]:.1%}{message}")
-    print("all cells hold" if not failed else f"{failed} cells fail")
-    return int(failed > 0)
+    return conclude(failed)
 
 
 if __name__ == "__main__":

@@ -33,17 +33,18 @@ def lines() -> Iterator[str]:
         "whole frame, noise known": lambda: detect(frame, noise=noise),
         "four windows, noise known": lambda: detect(frame, windows, noise=noise),
     }
+    seconds = medians(tasks, ROUNDS)
+    unit = seconds["threshold and connected components"]
+    for name, taken in seconds.items():
+        yield f"detection, {name}: {taken / unit:.2f} ({1e3 * taken:.2f} ms)"
+
+
+def medians(tasks: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Median seconds of each task; they take turns within the same run."""
     seconds: dict[str, list[float]] = {name: [] for name in tasks}
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for name, task in tasks.items():
             begin = perf_counter()
             task()
             seconds[name].append(perf_counter() - begin)
-    unit = median(seconds["threshold and connected components"])
-    for name, taken in seconds.items():
-        yield f"detection, {name}: {median(taken) / unit:.2f} ({1e3 * median(taken):.2f} ms)"
-
-
-if __name__ == "__main__":
-    for line in lines():
-        print(line)
+    return {name: median(taken) for name, taken in seconds.items()}

@@ -4,8 +4,8 @@ All solvers take turns within the same run, and medians are compared: the ratios
 another machine, the microseconds do not.
 """
 
-import time
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 import eaik.IK_DH
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 import robots
 from robots.transforms import Array, difference
+from tests.bench.detection import medians
 from tests.support.postures import stretched, wrist_on_axis_1
 
 POSES = 4096  # solved in closed form each round
@@ -93,18 +94,17 @@ def _times(arm: robots.DhArm, solvers: dict[str, Solve]) -> Iterator[str]:
     random = np.random.default_rng(1)
     q = random.uniform(arm.lower, arm.upper, (POSES, 6))
     poses, readings = robots.forward(arm, q), q + random.normal(0, 0.01, q.shape)
-    spent: dict[str, list[float]] = {name: [] for name in solvers}
-    for _ in range(ROUNDS):
-        for name, solve in solvers.items():
-            count = FEW if name == "pinocchio, damped" else POSES
-            start = time.perf_counter()
-            solve(poses[:count], readings[:count])
-            spent[name].append((time.perf_counter() - start) / count)
-    ours = float(np.median(spent["ours"]))
+    counts = {name: FEW if name == "pinocchio, damped" else POSES for name in solvers}
+    tasks: dict[str, Callable[[], object]] = {
+        name: partial(solve, poses[: counts[name]], readings[: counts[name]])
+        for name, solve in solvers.items()
+    }
+    spent = {name: taken / counts[name] for name, taken in medians(tasks, ROUNDS).items()}
+    ours = spent["ours"]
     yield f"{arm}: all branches of {POSES} poses at once, {ours * 1e6:.2f} µs a pose"
-    for name, times in spent.items():
+    for name, taken in spent.items():
         if name != "ours":
-            yield f"{arm}: {name} takes {np.median(times) / ours:.1f} times as long"
+            yield f"{arm}: {name} takes {taken / ours:.1f} times as long"
 
 
 def _shares(arm: robots.DhArm, solvers: dict[str, Solve]) -> Iterator[str]:
@@ -141,8 +141,3 @@ def _solved(arm: robots.DhArm, answers: Array, pose: Array) -> bool:
         return False
     apart = difference(robots.forward(arm, answers), np.broadcast_to(pose, (len(answers), 4, 4)))
     return bool(np.abs(apart).max(axis=-1).min() < REACHED)
-
-
-if __name__ == "__main__":
-    for line in lines():
-        print(line)

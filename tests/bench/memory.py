@@ -85,10 +85,9 @@ def _here(pairs: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         write_results(results, Path(folder) / "out", force=False)
     peaks["reported"] = _peak_mb()
-    measured = results.summary["pairs"]["measured"]
     found = {
         "pairs": pairs,
-        "measured": measured,
+        "measured": results.summary["pairs"]["measured"],
         "seconds": time.perf_counter() - start,
         "peak_mb": peaks,
     }

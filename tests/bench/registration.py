@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.stats import chi2
 
+from tests.bench.cells import Checked, d2_ratio, seeds
 from tests.support.random_scenarios import random_scenario
 from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
 from verify.calibration.registration.model import (
@@ -22,7 +23,6 @@ from verify.calibration.registration.model import (
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.core.rig import Camera
-from verify.simulation.scenario import Scenario
 from verify.simulation.session.simulate import SimulatedSession, simulate_session
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
@@ -30,11 +30,6 @@ SESSIONS = 60  # an arm
 SEED = 20261123  # fixed beforehand
 PAIRS = 60
 SIGMA_PX = 0.02
-
-
-def played(scenario: Scenario) -> SimulatedSession:
-    """Play a scenario; its pictures are never rendered."""
-    return simulate_session(scenario)
 
 
 def spot_level(session: SimulatedSession, sigma: float, rng: np.random.Generator) -> SpotStack:
@@ -88,10 +83,10 @@ def adjusted(
     return adjust(spotted, setup, start, np.ones(start.size, dtype=bool))
 
 
-def squared(arm: str, seed: int) -> tuple[float, int, float]:
-    """Return d² of base and LEDs against truth, its dimension, and chi² a degree of freedom."""
+def squared(arm: str, seed: int) -> tuple[Checked, float]:
+    """Base and LEDs against the truth, and chi² a degree of freedom."""
     rng = np.random.default_rng(seed)
-    session = played(random_scenario(rng, arm, pairs=PAIRS))
+    session = simulate_session(random_scenario(rng, arm, pairs=PAIRS))
     found = adjusted(session, spot_level(session, SIGMA_PX, rng))
     base = found.at.rig_T_base
     true = session.world.bench.rig_T_base
@@ -100,22 +95,20 @@ def squared(arm: str, seed: int) -> tuple[float, int, float]:
     leds = (found.at.leds - session.world.bench.leds).ravel()
     error = np.concatenate([base[:3, 3] - true[:3, 3], vector / 2, leds])
     n = len(error)
-    distance = float(error @ np.linalg.solve(found.covariance[:n, :n], error))
-    return distance, n, found.chi2 / found.degrees_of_freedom
+    d2 = float(error @ np.linalg.solve(found.covariance[:n, :n], error))
+    return Checked((), np.zeros(0), d2, n), found.chi2 / found.degrees_of_freedom
 
 
 def lines(sessions: int = SESSIONS, seed: int = SEED) -> Iterator[str]:
     """Compare with chi², an arm a line."""
     for arm in ARMS:
-        seeds = np.random.SeedSequence(seed).generate_state(sessions).tolist()
-        outcomes = [squared(arm, s) for s in seeds]
-        total, dof = sum(o[0] for o in outcomes), sum(o[1] for o in outcomes)
-        inside = np.mean([o[0] < chi2.ppf(0.95, o[1]) for o in outcomes])
-        low, high = chi2.ppf([0.005, 0.995], dof) / dof
+        outcomes, left = zip(*(squared(arm, s) for s in seeds(seed, sessions)), strict=True)
+        ratio, low, high = d2_ratio(outcomes)
+        inside = np.mean([o.d2 < chi2.ppf(0.95, o.degrees) for o in outcomes])
         yield (
-            f"{arm}: mean of d²/dof {total / dof:.3f} (99 % of chi²: {low:.3f} to {high:.3f}); "
+            f"{arm}: mean of d²/dof {ratio:.3f} (99 % of chi²: {low:.3f} to {high:.3f}); "
             f"{inside:.0%} within their 95 %; chi²/dof of the residuals "
-            f"{np.mean([o[2] for o in outcomes]):.3f}; {sessions} sessions of {PAIRS} pairs"
+            f"{np.mean(left):.3f}; {sessions} sessions of {PAIRS} pairs"
         )
 
 

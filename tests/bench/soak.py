@@ -21,7 +21,7 @@ from pathlib import Path
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from tests.support.devices.emulated_station import emulator
+from tests.support.devices.emulated_station import emulator, start_beside
 
 MINUTES = 10.0
 RATE = 30.0  # pairs a second
@@ -91,14 +91,7 @@ def soak(kind: str, seconds: float) -> bool:
             encoders = f'driver = "{kind}"\nport = "{address}"'
         path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "station.toml"
         path.write_text(STATION.format(encoders=encoders))
-        words = [
-            sys.executable,
-            "-m",
-            "tests.support.devices.emulated_station",
-            str(path),
-            str(began),
-        ]
-        process = subprocess.Popen([*words, str(seconds)], stdout=subprocess.PIPE, text=True)
+        process = start_beside(path, began, seconds)
         return _followed(kind, process, began, seconds)
 
 

@@ -6,9 +6,11 @@ python -m tests.bench.tracking [SCENES]     of each kind
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from statistics import median
 from time import perf_counter
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,14 +18,14 @@ import numpy as np
 from tests.bench.grasp.open_loop import ENDS
 from tests.support.grasp.caps import BLUE, GREEN, RED, YELLOW, Cap, Path, Slab, pairs, small_rig
 from tests.support.scene import make_rig, project
-from verify.core.records import Array, Image, StereoPair
+from verify.core.records import Array, StereoPair
 from verify.core.rig import Rig
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.run import run
 from verify.grasping.tracking.target import BoxSelection, ColourSelection, TrackingOptions
 from verify.grasping.tracking.track import TargetTracker
-from verify.simulation.cell.grab import cell_grab
+from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, cell_setup
 
@@ -43,83 +45,84 @@ def lines(scenes: int = SCENES) -> Iterator[str]:
         yield robustness(name, make, scenes)
 
 
-def rate() -> Iterator[str]:
-    """Two pictures of 1280 x 720 to a 3D target, on one core; by the processor's clock."""
+@contextmanager
+def one_core() -> Iterator[None]:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        rig = make_rig()
-        path: Path = lambda t: (0.1 * np.sin(2 * t), 0.02, 0.7 + 0.05 * np.cos(2 * t))  # noqa: E731
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def compared(what: str, ours: list[float], theirs: list[float], slowest: bool) -> Iterator[str]:
+    """Our seconds beside full-frame CamShift's."""
+    figures = {"median": median, "mean": np.mean} | ({"slowest": max} if slowest else {})
+    unit, wanted = ("pair", "") if slowest else ("cycle", " (wanted: 30)")
+    for name, figure in figures.items():
+        mine, other = float(figure(ours)), float(figure(theirs))
+        message = f"{1e3 * mine:.1f} ms a {unit}, {1 / mine:.0f} Hz{wanted}"
+        yield f"{what}, {name}: {message}; {mine / other:.2f} of full-frame CamShift"
+
+
+def rate() -> Iterator[str]:
+    """Two pictures of 1280 x 720 to a 3D target, on one core; by the processor's clock."""
+    rig = make_rig()
+    path: Path = lambda t: (0.1 * np.sin(2 * t), 0.02, 0.7 + 0.05 * np.cos(2 * t))  # noqa: E731
+    ours, theirs = [], []
+    with one_core():
         film = list(pairs([Cap(BLUE, path), Cap(GREEN, lambda _t: (-0.1, 0, 0.8))], rig, SECONDS))
         tracker = TargetTracker(rig, ColourSelection("blue"), TrackingOptions())
-        ours, theirs = [], []
-        naive = [_Naive(film[0].left), _Naive(film[0].right)]
+        naive = _Naive()
         for pair in film:
             begin = perf_counter()
             seen = tracker.step(pair)
-            middle = perf_counter()
-            for one, image in zip(naive, (pair.left, pair.right), strict=True):
-                one.step(image)
+            took = perf_counter() - begin
+            spent = naive.step(pair)
             if seen.status == "tracked":
-                ours.append(middle - begin)
-                theirs.append(perf_counter() - middle)
-        for name, figure in (("median", median), ("mean", np.mean), ("slowest", max)):
-            mine, other = float(figure(ours)), float(figure(theirs))
-            message = f"{1e3 * mine:.1f} ms a pair, {1 / mine:.0f} Hz"
-            yield f"pair to 3D target, {name}: {message}; {mine / other:.2f} of full-frame CamShift"
-    finally:
-        cv2.setNumThreads(threads)
+                ours.append(took)
+                theirs.append(spent)
+    yield from compared("pair to 3D target", ours, theirs, slowest=True)
 
 
 def whole_loop() -> Iterator[str]:
     """Two pictures of 1280 x 720 to the joints' command, from search to lift, on one core."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        grab = cell_grab(
-            cell_setup(FULL_SIZE), draw_scene(0), right=ExecutePermission("bench"), auto=True
-        )
-        ours: list[float] = []
-        theirs: list[float] = []
-        naive: list[_Naive] = []
+    right, mode = ExecutePermission("bench"), CellMode(auto=True)
+    grab = cell_grab(cell_setup(FULL_SIZE), draw_scene(0), right=right, mode=mode)
+    ours: list[float] = []
+    theirs: list[float] = []
+    naive = _Naive()
 
-        def look(cycle: LoopCycle) -> None:
-            if cycle.pair is None:
-                return
-            images = (cycle.pair.left, cycle.pair.right)
-            if not naive:
-                naive.extend(map(_Naive, images))
-            begin = perf_counter()
-            for one, image in zip(naive, images, strict=True):
-                one.step(image)
+    def look(cycle: LoopCycle) -> None:
+        if cycle.pair is not None:
+            theirs.append(naive.step(cycle.pair))
             ours.append(cycle.took)
-            theirs.append(perf_counter() - begin)
 
+    with one_core():
         state = run(grab.loop, grab.source, ENDS, look).state.value
-        for name, figure in (("median", median), ("mean", np.mean)):
-            mine, other = float(figure(ours)), float(figure(theirs))
-            message = f"{1e3 * mine:.1f} ms a cycle, {1 / mine:.0f} Hz (wanted: 30)"
-            beside = f"{mine / other:.2f} of full-frame CamShift"
-            yield f"pair to joint command, {name}: {message}; {beside}"
-        within = float(np.mean(np.array(ours) < PERIOD))
-        yield f"  {within:.1%} of {len(ours)} cycles within a picture's time; it ended {state}"
-    finally:
-        cv2.setNumThreads(threads)
+    yield from compared("pair to joint command", ours, theirs, slowest=False)
+    within = float(np.mean(np.array(ours) < PERIOD))
+    yield f"  {within:.1%} of {len(ours)} cycles within a picture's time; it ended {state}"
 
 
 class _Naive:
-    """CamShift on the back projection of the whole picture, as in the usual demonstration."""
+    """CamShift on the back projection of whole pictures, as in the usual demonstration."""
 
-    def __init__(self, image: Image) -> None:
-        self.window = (0, 0, image.shape[1], image.shape[0])
+    def __init__(self) -> None:
+        self.windows: list[Any] = [None, None]  # of the left and the right picture
         self.histogram = np.zeros((30, 8), dtype=np.float32)
         self.histogram[17:22, 3:] = 255.0  # blue
 
-    def step(self, image: Image) -> None:
-        hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
-        weights = cv2.calcBackProject([hsv], [0, 1], self.histogram, [0, 180, 0, 256], 1.0)
-        weights[hsv[..., 2] < 25] = 0
-        self.window = tuple(cv2.CamShift(weights, self.window, STOP)[1])
+    def step(self, pair: StereoPair) -> float:
+        """Track in both pictures; the seconds it takes."""
+        begin = perf_counter()
+        for side, image in enumerate((pair.left, pair.right)):
+            hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
+            weights = cv2.calcBackProject([hsv], [0, 1], self.histogram, [0, 180, 0, 256], 1.0)
+            weights[hsv[..., 2] < 25] = 0
+            window = self.windows[side] or (0, 0, image.shape[1], image.shape[0])
+            self.windows[side] = tuple(cv2.CamShift(weights, window, STOP)[1])
+        return perf_counter() - begin
 
 
 @dataclass(frozen=True)

@@ -16,104 +16,70 @@ more than the registration's own false alarms, one in a thousand an arm, make li
 import os
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 
 import numpy as np
-from scipy.stats import binom, chi2
+from scipy.stats import binom
 
-from tests.support.whole_chain import Checked, replicate
+from tests.bench import cells
+from tests.support.whole_chain import replicate
 from verify.calibration.registration.fixture import P_FALSE_ALARM
 from verify.core.records import Array
-from verify.errors import InputError
 
 REPLICATES = 2000
-SEEDS = (20261121, 20270101)  # fixed beforehand; the second set is the check of the first
-WITHIN = 1.96
-MANY, LOW, HIGH = 2000, 0.93, 0.97
+MANY = 2000
 RARE = binom.cdf(86, 100, 0.95)
 APART = "apart"
 ARMS = 2
 
 
-def attempt(seed: int, pixels: bool) -> dict[str, Checked] | str:
-    """One replicate, or why it was refused; the cross terms are dropped too where it is cheap."""
-    try:
-        return replicate(seed, pixels, apart=not pixels)
-    except InputError as error:
-        return f"refused, replicate's seed {seed}: {error}"
-
-
-def study(replicates: int, seed: int, pixels: bool) -> tuple[list[dict[str, Checked]], list[str]]:
-    """All replicates of one seed, on all cores, and what was refused."""
-    seeds = np.random.SeedSequence(seed).generate_state(replicates).tolist()
-    with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
-        outcomes = list(pool.map(attempt, seeds, [pixels] * replicates))
-    refused = [o for o in outcomes if isinstance(o, str)]
-    return [o for o in outcomes if not isinstance(o, str)], refused
-
-
-def d2_ratio(outcomes: list[Checked]) -> tuple[float, float, float]:
-    """Sum of d² over the sum of its degrees of freedom, and the 99 % interval of that."""
-    degrees = sum(o.degrees for o in outcomes)
-    low, high = (float(chi2.ppf(p, degrees)) / degrees for p in (0.005, 0.995))
-    return sum(o.d2 for o in outcomes) / degrees, low, high
-
-
-def by_name(outcomes: list[Checked]) -> dict[str, Array]:
-    """Normalised errors of every parameter over the replicates that have it."""
-    errors: dict[str, list[float]] = {}
-    for outcome in outcomes:
-        for name, z in zip(outcome.names, outcome.z.tolist(), strict=True):
-            errors.setdefault(name, []).append(z)
-    return {name: np.array(z) for name, z in errors.items()}
-
-
 def holds(z: Array) -> bool:
     """Whether a cell has as many hits as it should."""
-    hits, count = int(np.sum(np.abs(z) <= WITHIN)), len(z)
+    hits, count = int(np.sum(np.abs(z) <= cells.WITHIN)), len(z)
     if count >= MANY:
-        return LOW <= hits / count <= HIGH
+        return cells.LOW <= hits / count <= cells.HIGH
     return bool(binom.cdf(hits, count, 0.95) > RARE)
 
 
-def report(group: str, outcomes: list[Checked]) -> int:
+def report(group: str, outcomes: list[cells.Checked]) -> int:
     """Print a group's lines; return how many of its cells fail."""
-    ratio, low, high = d2_ratio(outcomes)
+    ratio, low, high = cells.d2_ratio(outcomes)
     failed = int(not low <= ratio <= high)
     print(f"{group}: d²/dof {ratio:.3f} (99 %: {low:.3f} to {high:.3f}){'  FAILS' * failed}")
-    cells = by_name(outcomes)
-    if cells:
-        pooled = np.concatenate(list(cells.values()))
-        print(f"  {'pooled':26s} {np.mean(np.abs(pooled) <= WITHIN):.1%}")
-    for name, z in cells.items():
+    errors = cells.by_name(outcomes)
+    if errors:
+        print(f"  {'pooled':26s} {cells.share(np.concatenate(list(errors.values()))):.1%}")
+    for name, z in errors.items():
         good = len(z) < len(outcomes) or holds(z)  # a coefficient seldom left free is no cell
         failed += int(not good)
-        hits = int(np.sum(np.abs(z) <= WITHIN))
+        hits = int(np.sum(np.abs(z) <= cells.WITHIN))
         print(f"  {name:26s} {hits / len(z):6.1%}  {hits} of {len(z)}{'' if good else '  FAILS'}")
     return failed
 
 
-def main(replicates: int, seeds: tuple[int, ...], pixels: bool) -> int:
+def main(count: int, seeds: tuple[int, ...], pixels: bool) -> int:
     """Print every cell; 1 where one fails."""
     failed = 0
+    # the cross terms are dropped too where it is cheap
+    work = partial(replicate, pixels=pixels, apart=not pixels)
     for seed in seeds:
         start = time.perf_counter()
-        outcomes, refused = study(replicates, seed, pixels)
+        outcomes = cells.replicates(work, seed, count)
         spent = time.perf_counter() - start
         level = "through pixels" if pixels else "at spot level"
-        print(f"seed {seed}, {replicates} replicates {level}, {spent / replicates:.1f} s each")
-        print("\n".join(refused) or "none refused")
-        failed += int(len(refused) > binom.isf(0.005, replicates, ARMS * P_FALSE_ALARM))
+        refused = count - len(outcomes)
+        print(f"seed {seed}, {count} replicates {level}, {spent / count:.1f} s each")
+        print(f"{refused or 'none'} refused")
+        failed += int(refused > binom.isf(0.005, count, ARMS * P_FALSE_ALARM))
         for group in outcomes[0]:
             wrong = report(group, [o[group] for o in outcomes])
             if not group.endswith(APART):
                 failed += wrong
-    print("all cells hold" if not failed else f"{failed} cells fail")
-    return int(failed > 0)
+    return cells.conclude(failed)
 
 
 if __name__ == "__main__":
     os.environ["OMP_NUM_THREADS"] = "1"
     numbers = [int(a) for a in sys.argv[1:] if a != "--pixels"]
-    chosen = (numbers[1],) if len(numbers) > 1 else SEEDS
+    chosen = (numbers[1],) if len(numbers) > 1 else cells.SEEDS
     sys.exit(main(numbers[0] if numbers else REPLICATES, chosen, "--pixels" in sys.argv))

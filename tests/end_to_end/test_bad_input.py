@@ -35,10 +35,6 @@ def remove(name: str) -> Callable[[Path], None]:
     return lambda folder: (folder / name).unlink()
 
 
-def empty(name: str) -> Callable[[Path], None]:
-    return lambda folder: (folder / name).write_bytes(b"")
-
-
 def cut(name: str) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
         data = (folder / name).read_bytes()
@@ -58,28 +54,41 @@ def other_size(folder: Path) -> None:
          "[0.0, 1500.0, 540.0], [0.0, 0.0, 1.0]]", count=2)(folder)  # fmt: skip
 
 
+def in_radians(folder: Path) -> None:
+    lines = (folder / "encoders.csv").read_text().splitlines()
+    rows = [[float(c) for c in line.split(",")] for line in lines[1:]]
+    turned = [[r[0], *np.deg2rad(r[1:]).tolist()] for r in rows]
+    text = "\n".join([lines[0], *(",".join(f"{c:.6f}" for c in r) for r in turned)])
+    (folder / "encoders.csv").write_text(text)
+
+
+def without_leds(folder: Path) -> None:
+    rng = np.random.default_rng(1)
+    for side in ("left", "right"):
+        (folder / f"{side}.mkv").unlink()
+        (folder / side).mkdir()
+        for i in range(3):
+            dark = rng.normal(6, 1.5, (720, 1280)).clip(0, 255).astype(np.uint8)
+            assert cv2.imwrite(str(folder / side / f"{i:06d}.png"), dark)
+        edit("session.toml", rf'{side} = ".*"', f'{side} = "{side}"')(folder)
+    lines = (folder / "frames.csv").read_text().splitlines()
+    (folder / "frames.csv").write_text("\n".join(lines[:4]) + "\n")
+
+
 CASES = {
+    "no folder": (shutil.rmtree, "session"),
     "no session.toml": (remove("session.toml"), "session.toml"),
     "a file is missing": (remove("encoders.csv"), "encoders.csv"),
-    "an empty table": (empty("frames.csv"), "frames.csv"),
-    "an empty video": (empty("left.mkv"), "left.mkv"),
     "a truncated video": (cut("right.mkv"), "right.mkv"),
     "times that go back": (edit("frames.csv", r"^5,([\d.]+)", "5,0.001"), "line 7"),
-    "a NaN time": (edit("frames.csv", r"^5,([\d.]+)", "5,nan"), "line 7"),
-    "an empty cell": (edit("encoders.csv", r"^([\d.]+,[^,]+),[^,]+,", r"\1,,"), "q2_deg"),
     "five joints": (five_joints, "5 joint columns"),
     "an unknown robot": (edit("session.toml", "iust_6r", "iust6r"), 'did you mean "iust_6r"'),
     "images of another size": (other_size, "1920"),
-    "a principal point outside": (
-        edit("rig.toml", r"camera_matrix = .*", "camera_matrix = [[1000.0, 0.0, -40.0], "
-             "[0.0, 1000.0, 359.5], [0.0, 0.0, 1.0]]"), "camera_matrix"),
-    "a path that leaves the folder": (
-        edit("session.toml", r'encoders = ".*"', 'encoders = "../encoders.csv"'), "encoders"),
     "a TOML syntax error": (
         edit("marker.toml", r"led_diameter_mm = ", "led_diameter_mm == "), "line"),
-    "a wrong type": (edit("marker.toml", r"led_diameter_mm = .*", 'led_diameter_mm = "5"'),
-                     "led_diameter_mm"),
     "another format": (edit("session.toml", "format = 1", "format = 7"), "format"),
+    "readings in radians": (in_radians, "radians"),
+    "pictures without an LED": (without_leds, "4 LEDs"),
 }  # fmt: skip
 
 
@@ -89,36 +98,9 @@ def test_bad_input_gets_one_line_and_leaves_nothing(
 ) -> None:
     spoil, named = CASES[case]
     spoil(session)
-    out = tmp_path / "out"
-    outcome = verify("run", session, "-o", out)
-    assert_refused(outcome.status, outcome.err, named)
-    assert not out.exists()
-    assert {p.name for p in tmp_path.iterdir()} == {"session"}
-
-
-def assert_refused(status: int, err: str, named: str) -> None:
-    message = [line for line in err.splitlines() if line.startswith("error:")]
-    assert status == 2
-    assert len(message) == 1
-    assert named in message[0]
-    assert "Traceback" not in err
-
-
-def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
-    outcome = verify("run", tmp_path / "nowhere", "-o", tmp_path / "out")
-    assert_refused(outcome.status, outcome.err, "nowhere")
-
-
-def test_readings_in_radians_contradict_the_pixels_and_are_refused(
-    session: Path, tmp_path: Path
-) -> None:
-    path = session / "encoders.csv"
-    lines = path.read_text().splitlines()
-    rows = [[float(c) for c in line.split(",")] for line in lines[1:]]
-    turned = [[r[0], *np.deg2rad(r[1:]).tolist()] for r in rows]
-    path.write_text("\n".join([lines[0], *(",".join(f"{c:.6f}" for c in r) for r in turned)]))
-    outcome = verify("run", session, "-o", tmp_path / "out")
-    assert_refused(outcome.status, outcome.err, "radians")
+    left = list(tmp_path.iterdir())
+    assert named in verify("run", session, "-o", tmp_path / "out").refusal
+    assert list(tmp_path.iterdir()) == left
 
 
 def test_an_unknown_key_is_a_warning_that_names_it(session: Path, tmp_path: Path) -> None:
@@ -128,41 +110,22 @@ def test_an_unknown_key_is_a_warning_that_names_it(session: Path, tmp_path: Path
     assert "describtion" in outcome.err
 
 
-def test_pictures_without_an_led_are_refused_with_their_spots(
-    session: Path, tmp_path: Path
-) -> None:
-    rng = np.random.default_rng(1)
-    for side in ("left", "right"):
-        (session / f"{side}.mkv").unlink()
-        (session / side).mkdir()
-        for i in range(3):
-            dark = rng.normal(6, 1.5, (720, 1280)).clip(0, 255).astype(np.uint8)
-            assert cv2.imwrite(str(session / side / f"{i:06d}.png"), dark)
-        edit("session.toml", rf'{side} = ".*"', f'{side} = "{side}"')(session)
-    lines = (session / "frames.csv").read_text().splitlines()
-    (session / "frames.csv").write_text("\n".join(lines[:4]) + "\n")
-    outcome = verify("run", session, "-o", tmp_path / "out")
-    assert_refused(outcome.status, outcome.err, "4 LEDs")
-
-
 def test_an_output_folder_that_exists_is_refused_before_any_work(
     session: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     out.mkdir()
     (out / "precious.txt").write_text("mine")
-    outcome = verify("run", session, "-o", out)
-    assert_refused(outcome.status, outcome.err, "--force")
+    assert "--force" in verify("run", session, "-o", out).refusal
     assert [p.name for p in out.iterdir()] == ["precious.txt"]
 
 
 @pytest.mark.parametrize("tolerance", ["abc", "-0.2", "0.2,0.3", "nan"])
 def test_a_tolerance_that_is_none_is_refused(tolerance: str, session: Path, tmp_path: Path) -> None:
     outcome = verify("run", session, "-o", tmp_path / "out", f"--tolerance={tolerance}")
-    assert_refused(outcome.status, outcome.err, "--tolerance")
+    assert "--tolerance" in outcome.refusal
 
 
 @pytest.mark.parametrize("words", [["rum"], ["run"], ["run", "--no-such-option", "x"]])
 def test_wrong_usage_is_one_line_and_status_2(words: list[str]) -> None:
-    outcome = verify(*words)
-    assert_refused(outcome.status, outcome.err, "verify --help")
+    assert "verify --help" in verify(*words).refusal

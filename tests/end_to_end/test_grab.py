@@ -19,28 +19,19 @@ from pathlib import Path
 
 import av
 import cv2
-import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
-import robots
 from reports.results import read
-from tests.support.command import verify
-from tests.support.devices.bench import running, same_angles
+from tests.support.command import read_summary, verify
+from tests.support.devices.bench import running
+from tests.support.devices.melfa_mover import controller, go_home
 from verify.cli.grab import conduct
 from verify.cli.grab import station as grab_station
-from verify.cli.grab import station as grabbing_station
 from verify.cli.grab.conduct import GraspOptions, OperatorKeys
-from verify.cli.grab.grab import grab
 from verify.cli.grab.station import ActuatorPorts, grab_on_station
-from verify.cli.terminal import terminal
 from verify.devices.protocols import CapturedPair
 from verify.errors import InputError
 from verify.grasping.actuators import emulator_check
-from verify.grasping.actuators.melfa.mover import MelfaMover
-from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
-from verify.grasping.actuators.protocols import ExecutePermission, MoverState
 from verify.grasping.control.states import GraspEvent
 from verify.io import fiducials, rig
 from verify.io.session.session import open_session
@@ -48,31 +39,19 @@ from verify.live.recording.session import SessionFacts, SessionWriter
 from verify.simulation.cell.cell import CellWorld
 from verify.simulation.cell.scene import Cap, CellScene, draw_scene
 from verify.simulation.cell.setup import ROBOT, SMALL_SIZE, cell_setup
-from verify.simulation.emulators import trajectory
-from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
 from verify.simulation.emulators.hand import contact_positions
-from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
+from verify.simulation.emulators.melfa import MelfaEngine
 
-APP = typer.Typer()
-APP.command()(grab)
-APP.command(name="other")(lambda: None)  # with two commands a name is needed, as in `verify`
-
-
-def verify_grab(*words: str) -> tuple[int, str]:
-    found = CliRunner().invoke(APP, ["grab", *words], standalone_mode=False)
-    if found.exception is not None:
-        raise found.exception
-    return found.return_value, found.output
+SIMULATED = ("--sim", "--small", "--seed", "4")
 
 
 def test_a_grab_leaves_a_film_a_session_and_a_report(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ("--sim", "--execute", "--auto", "--small", "--seed", "4", "-o", str(out))
-    status, message = verify_grab(*words)
-    assert status == 0
-    assert "lifted: the object came along" in message
-    summary = json.loads((out / "summary.json").read_text())
+    done = verify("grab", *SIMULATED, "--execute", "--auto", "-o", out)
+    assert done.status == 0
+    assert "lifted: the object came along" in done.out
+    summary = read_summary(out)
     assert (summary["state"], summary["released"]) == ("lifted", True)
     session = open_session(out / "session")
     assert session.warnings == ()
@@ -87,10 +66,7 @@ def test_a_grab_leaves_a_film_a_session_and_a_report(tmp_path: Path) -> None:
     assert results.table("passages")["to_state"].iloc[-1] == "released"
 
 
-def test_without_execute_the_plan_is_shown_and_nothing_moves(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(terminal, "as_json", True)
+def test_without_execute_the_plan_is_shown_and_nothing_moves(tmp_path: Path) -> None:
     pair = CellWorld(cell_setup(SMALL_SIZE), draw_scene(4)).pair()
     assert pair is not None
     picture = pair.left.astype(int)
@@ -98,9 +74,9 @@ def test_without_execute_the_plan_is_shown_and_nothing_moves(
     x, y = columns.min() - 2, rows.min() - 2
     box = f"{x},{y},{columns.max() - x + 2},{rows.max() - y + 2}"
     out = tmp_path / "out"
-    status, message = verify_grab("--sim", "--small", "--seed", "4", "--roi", box, "-o", str(out))
-    assert status == 0
-    lines = [json.loads(line) for line in message.splitlines()]
+    done = verify("grab", *SIMULATED, "--roi", box, "-o", out, "--json")
+    assert done.status == 0
+    lines = [json.loads(line) for line in done.out.splitlines()]
     assert [line["type"] for line in lines][-1] == "result"
     assert lines[-1]["summary"]["plan"]["branch"]
     results = read(out / "results")
@@ -112,11 +88,10 @@ def test_without_execute_the_plan_is_shown_and_nothing_moves(
 
 
 def test_a_failed_grasp_has_exit_status_1(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    words = ("--sim", "--execute", "--auto", "--small", "--for", "0.3s", "-o", str(out))
-    status, message = verify_grab(*words)
-    assert status == 1
-    assert "idle" in message
+    words = ("--execute", "--auto", "--for", "0.3s", "-o", tmp_path / "out")
+    done = verify("grab", *SIMULATED, *words)
+    assert done.status == 1
+    assert "idle" in done.out
 
 
 @pytest.mark.parametrize(
@@ -133,16 +108,13 @@ def test_a_failed_grasp_has_exit_status_1(tmp_path: Path) -> None:
 def test_bad_input_takes_one_line_and_leaves_nothing(
     tmp_path: Path, words: tuple[str, ...], message: str
 ) -> None:
-    out = tmp_path / "out"
-    with pytest.raises((InputError, Exception), match=re.escape(message)):
-        verify_grab(*words, "-o", str(out))
-    assert not out.exists()
+    assert message in verify("grab", *words, "-o", tmp_path / "out").refusal
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_holds_something_is_refused_before_anything_runs(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("keep")
-    with pytest.raises(InputError, match="not empty"):
-        verify_grab("--sim", "-o", str(tmp_path))
+    assert "not empty" in verify("grab", "--sim", "-o", tmp_path).refusal
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
 
 
@@ -163,18 +135,16 @@ def test_keys_become_orders_and_others_are_named(capsys: pytest.CaptureFixture[s
 @pytest.mark.slow
 def test_turning_bases_are_recorded_as_they_stood(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ("--sim", "--execute", "--auto", "--small", "--seed", "4", "--turning", "-o", str(out))
-    status, message = verify_grab(*words)
-    assert status == 0
-    assert "holding-stale" in message
+    done = verify("grab", *SIMULATED, "--execute", "--auto", "--turning", "-o", out)
+    assert done.status == 0
+    assert "holding-stale" in done.out
     pans = [math.degrees(pair.pan_left) for pair in open_session(out / "session").pairs()]
     stood = [pans[0], pans[0] + 3.0, pans[0] - 2.0]
     assert all(min(abs(pan - angle) for angle in stood) < 0.02 for pan in pans)
     assert all(min(abs(pan - angle) for pan in pans) < 0.02 for angle in stood)
 
 
-ARM = robots.load(ROBOT)
-LIMITS = np.column_stack([ARM.lower, ARM.upper])
+CELL = (resources.files("verify.simulation") / "cell.toml").read_text()
 STATION = """
 format = 1
 robot = "{robot}"
@@ -226,35 +196,22 @@ def film(folder: Path, seconds: float) -> None:
 def cell(folder: Path, seconds: float) -> Iterator[tuple[Path, str, str]]:
     """A station in a folder; gives its file, the controller's address and the gripper's."""
     film(folder / "film", seconds)
-    cell = (resources.files("verify.simulation") / "cell.toml").read_text()
-    slower = cell.replace("share = 0.2", "share = 0.1")  # the driver stops a hand beyond 0.25 m/s
+    slower = CELL.replace("share = 0.2", "share = 0.1")  # the driver stops a hand beyond 0.25 m/s
     (folder / "grab.toml").write_text(slower)
-    assert isinstance(ARM, robots.DhArm)
-    moved = MelfaArm(trajectory.load("hold", 6), 6, LIMITS, "command", ARM, True)
     fingers = GripperEngine(GripperOptions(0.5, contact_positions(30.0)))
-    controller = MelfaEngine(moved, ControllerOptions())
-    with running(controller) as at_arm, running(fingers) as at_fingers:
-        go_home(at_arm.address)
+    with running(controller(follows="command")) as at_arm, running(fingers) as at_fingers:
+        go_home(at_arm, cell_setup(SMALL_SIZE).home)
         text = STATION.format(robot=ROBOT, port=at_arm.address)
         (folder / "station.toml").write_text(text)
         yield folder / "station.toml", at_arm.address, at_fingers.address
 
 
-def go_home(address: str) -> None:
-    settings = MotionSettings(address, "RV-3SD", pause=0.02)
-    limits = MoveLimits(LIMITS, override=50, hand_speed=2.0)
-    with MelfaMover(settings, same_angles(6), limits, ExecutePermission("test")) as mover:
-        mover.take_controls()
-        until(mover, MoverState.READY)
-        mover.move_joints(cell_setup(SMALL_SIZE).home)
-        until(mover, MoverState.ARRIVED)
-
-
-def until(mover: MelfaMover, state: MoverState) -> None:
-    end = time.monotonic() + 20.0
-    while (status := mover.step()).state is not state:
-        assert time.monotonic() < end, status
-        time.sleep(0.01)
+def grasp(
+    station: Path, gripper: str | None, options: GraspOptions, cell: Path | None = None
+) -> bool:
+    """Grasp with a station's devices; what it writes goes beside the station."""
+    ports = ActuatorPorts(cell, gripper)
+    return grab_on_station(station, ports, options, station.parent / "out", force=False)
 
 
 def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
@@ -271,9 +228,8 @@ def test_a_cap_is_grasped_through_the_real_drivers(
 ) -> None:
     with cell(tmp_path, 25.0) as (station, _, gripper):
         typed(monkeypatch, "")
-        out = tmp_path / "out"
-        assert grab_on_station(station, ActuatorPorts(None, gripper), GRABS, out, force=False)
-    summary = json.loads((out / "summary.json").read_text())
+        assert grasp(station, gripper, GRABS)
+    summary = read_summary(tmp_path / "out")
     assert (summary["state"], summary["released"]) == ("lifted", True)
 
 
@@ -284,26 +240,23 @@ def test_a_wrong_confirmation_moves_nothing_and_writes_nothing(
     monkeypatch.setattr(grab_station, "is_emulated_melfa", lambda *_, **__: False)
     with cell(tmp_path, 0.5) as (station, _, gripper):
         typed(monkeypatch, "yes\n")
-        out = tmp_path / "out"
         with pytest.raises(InputError, match='"yes" was typed'):
-            grab_on_station(station, ActuatorPorts(None, gripper), GRABS, out, force=False)
+            grasp(station, gripper, GRABS)
         with pytest.raises(InputError, match="--gripper"):
-            grab_on_station(station, ActuatorPorts(None, None), GRABS, out, force=False)
-        assert not out.exists()
+            grasp(station, None, GRABS)
         other = station.with_name("other.toml")
         other.write_text(station.read_text().replace('robot_type = "RV-3SD"', ""))
         with pytest.raises(InputError, match="robot_type"):
-            grab_on_station(other, ActuatorPorts(None, gripper), GRABS, out, force=False)
-        nowhere = ActuatorPorts(tmp_path / "nowhere.toml", gripper)
+            grasp(other, gripper, GRABS)
         with pytest.raises(InputError, match="nowhere"):
-            grab_on_station(station, nowhere, GRABS, out, force=False)
+            grasp(station, gripper, GRABS, cell=tmp_path / "nowhere.toml")
+    assert not (tmp_path / "out").exists()
 
 
 def test_without_execute_a_station_is_planned_for(tmp_path: Path) -> None:
     with cell(tmp_path, 8.0) as (station, _, _):
-        out = tmp_path / "out"
-        assert grab_on_station(station, ActuatorPorts(None, None), PLANS, out, force=False)
-    summary = json.loads((out / "summary.json").read_text())
+        assert grasp(station, None, PLANS)
+    summary = read_summary(tmp_path / "out")
     assert summary["plan"]["branch"]
     assert summary["state"] == "tracking"
 
@@ -311,46 +264,39 @@ def test_without_execute_a_station_is_planned_for(tmp_path: Path) -> None:
 SHORT = replace(GRABS, duration=1.0)
 
 
-def refused(folder: Path, station: str, cell: str) -> str:
-    """Order a grab with these files; gives the one line of its refusal."""
-    film(folder / "film", 0.1)
-    (folder / "station.toml").write_text(station)
-    (folder / "grab.toml").write_text(cell)
-    words = ("grab", folder / "station.toml", "--execute", "--gripper", "/dev/null")
-    ended = verify(*words, "-o", folder / "out")
-    assert ended.status == 2
-    assert not (folder / "out").exists()
-    assert ended.err.count("\n") == 1, ended.err
-    return ended.err
+OTHER = '[encoders]\ndriver = "labenc"\nport = "/dev/null"\nresolution_deg = 0.01\n'
 
 
-def test_a_cell_without_a_gripper_is_refused(tmp_path: Path) -> None:
-    whole = (resources.files("verify.simulation") / "cell.toml").read_text()
-    head, tail = whole.split("[gripper]")
-    without = head + tail[tail.index("\n[") :]
-    station = STATION.format(robot=ROBOT, port="tcp:127.0.0.1:9")
-    message = refused(tmp_path, station, without)
-    assert "grab.toml" in message
-    assert "gripper" in message
-
-
-def test_a_robot_that_is_no_melfa_is_refused(tmp_path: Path) -> None:
-    whole = (resources.files("verify.simulation") / "cell.toml").read_text()
-    head = STATION.split("[encoders]")[0].format(robot=ROBOT)
-    other = 'driver = "labenc"\nport = "/dev/null"\nresolution_deg = 0.01\n'
-    message = refused(tmp_path, f"{head}[encoders]\n{other}", whole)
-    assert 'station.toml, encoders.driver: is "labenc"; only a MELFA controller can be' in message
+@pytest.mark.parametrize(
+    ("station", "cell", "message"),
+    [
+        (STATION, re.sub(r"(?ms)^\[gripper\].*?(?=^\[)", "", CELL), "gripper"),
+        (
+            STATION.split("[encoders]")[0] + OTHER,
+            CELL,
+            'station.toml, encoders.driver: is "labenc"; only a MELFA controller can be',
+        ),
+    ],
+    ids=["no gripper", "no MELFA"],
+)
+def test_a_cell_that_cannot_grasp_is_refused(
+    station: str, cell: str, message: str, tmp_path: Path
+) -> None:
+    film(tmp_path / "film", 0.1)
+    (tmp_path / "station.toml").write_text(station.format(robot=ROBOT, port="tcp:127.0.0.1:9"))
+    (tmp_path / "grab.toml").write_text(cell)
+    words = ("--execute", "--gripper", "/dev/null", "-o", tmp_path / "out")
+    assert message in verify("grab", tmp_path / "station.toml", *words).refusal
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.realtime
 def test_emulators_need_execute_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        grabbing_station, "_read_line", lambda: pytest.fail("nobody is to be asked")
-    )
+    monkeypatch.setattr(grab_station, "_read_line", lambda: pytest.fail("nobody is to be asked"))
     typed(monkeypatch, "")
     with cell(tmp_path, 2.5) as (station, _, gripper):
-        grab_on_station(station, ActuatorPorts(None, gripper), SHORT, tmp_path / "out", force=False)
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+        grasp(station, gripper, SHORT)
+    summary = read_summary(tmp_path / "out")
     assert summary["execute"]
     assert summary["state"] in ("following", "tracking", "approaching", "searching", "idle")
     assert summary["released"]
@@ -381,7 +327,7 @@ def test_one_real_device_requires_confirmation(
         cell(tmp_path, 0.5) as (station, controller, gripper),
         pytest.raises(InputError, match=f'"RV-3SD {controller}" is expected'),
     ):
-        grab_on_station(station, ActuatorPorts(None, gripper), SHORT, tmp_path / "out", force=False)
+        grasp(station, gripper, SHORT)
     # beside a real controller the gripper is asked nothing before somebody has confirmed
     assert asked == ([] if real == "controller" else asked[:1])
     assert not (tmp_path / "out").exists()

@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 
 from tests.support.command import SAMPLES, verify
-from tests.support.devices.emulated_station import emulator
+from tests.support.devices.emulated_station import emulator, start_beside
 from tests.support.small_disk import mounted
 from verify.cli.measure import measure_and_report_all
 from verify.cli.options import ToleranceOptions
@@ -31,7 +31,7 @@ SLOW = "rate_hz = 10.0"  # pictures a second: a machine that does other things k
 
 @dataclass
 class Run:
-    """What a run said."""
+    """What a run printed."""
 
     pairs: list[dict[str, Any]] = field(default_factory=list)
     alarms: list[dict[str, Any]] = field(default_factory=list)
@@ -50,14 +50,13 @@ class Run:
 
     def worst(self, joint: int | None = None) -> float:
         """The largest error of any pair in its own standard uncertainty, but for small ones."""
-        worst = 0.0
-        for pair in self.pairs:
-            for j, (error, u) in enumerate(
-                zip(pair["error_deg"], pair["error_u_deg"], strict=True)
-            ):
-                if error is not None and j + 1 != joint:
-                    worst = max(worst, abs(error) / max(u, 0.02))
-        return worst
+        pairs = [zip(p["error_deg"], p["error_u_deg"], strict=True) for p in self.pairs]
+        return max(
+            abs(error) / max(u, 0.02)
+            for pair in pairs
+            for j, (error, u) in enumerate(pair, start=1)
+            if error is not None and j != joint
+        )
 
 
 def listen(
@@ -144,10 +143,8 @@ def test_camera_faults_are_reported_and_the_jumping_joint_is_named(tmp_path: Pat
     assert list(kept["device"].dropna()) == devices
     assert kept["joint"].dropna().tolist() == [4]
     assert kept["began_utc"].is_monotonic_increasing
-    assert (
-        run.status
-        == {"conform": 0, "nonconform": 1, "undecided": 3}[run.result["summary"]["verdict"]]
-    )
+    statuses = {"conform": 0, "nonconform": 1, "undecided": 3}
+    assert run.status == statuses[run.result["summary"]["verdict"]]
 
 
 @pytest.mark.realtime
@@ -176,15 +173,7 @@ def test_a_disturbed_line_and_clock_jumps_give_no_false_reading(tmp_path: Path) 
     began = time.monotonic()
     with emulator("labenc", "pty", began, faults) as (address, go):
         path = station(tmp_path, driver=f'"labenc"\nport = "{address}"')
-        words = [
-            sys.executable,
-            "-m",
-            "tests.support.devices.emulated_station",
-            str(path),
-            str(began),
-            "90",
-        ]
-        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        process = start_beside(path, began, 90.0)
         run = Run()
         listen(process, run, lambda pair: pair["frame"] == 5)
         go()
@@ -271,23 +260,16 @@ def test_ctrl_c_ends_the_run_with_a_report(tmp_path: Path) -> None:
     assert "closed" in run.watched["recording"]
 
 
-@pytest.mark.realtime
 def test_options_of_a_station_are_refused_for_a_recording_and_the_other_way_round(
     tmp_path: Path,
 ) -> None:
-    message = verify("run", tmp_path, "--for", "10s")
-    assert message.status == 2
-    assert "--for" in message.err
-    assert verify("run", tmp_path / "none.toml").status == 2
+    assert "--for" in verify("run", tmp_path, "--for", "10s").refusal
+    assert "none.toml" in verify("run", tmp_path / "none.toml").refusal
     path = tmp_path / "station.toml"
     assert verify("run", "--new-station", path).status == 0
-    again = verify("run", "--new-station", path)
-    assert again.status == 2
-    assert "exists" in again.err
+    assert "exists" in verify("run", "--new-station", path).refusal
     for wrong in ("10 parsecs", "-3s", "0"):
-        message = verify("run", path, "--for", wrong)
-        assert message.status == 2
-        assert "--for" in message.err
+        assert "--for" in verify("run", path, "--for", wrong).refusal
 
 
 WIDE = (

@@ -4,6 +4,7 @@ Measure a session's pixels once, and ask many things of the measurements.
 """
 
 import io
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -11,13 +12,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from reports import Results
 from verify import analyse, open_session
 from verify.analysis import session
 from verify.cli.main import main
-from verify.core.records import Measurement
+from verify.core.records import Array, Measurement
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "sample_sessions"
@@ -35,6 +38,14 @@ class Outcome:
     out: str
     err: str
 
+    @property
+    def refusal(self) -> str:
+        """The one line of a refusal; status 2, no traceback."""
+        assert self.status == 2, self
+        assert "Traceback" not in self.err
+        (line,) = [line for line in self.err.splitlines() if line.startswith("error: ")]
+        return line
+
 
 def verify(*words: str | Path) -> Outcome:
     out, err = io.StringIO(), io.StringIO()
@@ -42,6 +53,37 @@ def verify(*words: str | Path) -> Outcome:
         main([str(w) for w in words])
     code = stop.value.code
     return Outcome(code if isinstance(code, int) else 0, out.getvalue(), err.getvalue())
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one `verify run` printed and wrote, and what it measured on the way."""
+
+    folder: Path
+    out: Path
+    outcome: Outcome
+    measurements: list[Measurement]
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        return read_summary(self.out)
+
+    @property
+    def frames(self) -> pd.DataFrame:
+        return pd.read_csv(self.out / "frames.csv")
+
+    def joints(self, key: str) -> Array:
+        return np.array([joint[key] for joint in self.summary["joints"]], dtype=float)
+
+
+def read_summary(out: Path) -> dict[str, Any]:
+    return dict(json.loads((out / "summary.json").read_text(encoding="utf-8")))
+
+
+def run(folder: Path, out: Path, *options: str) -> Run:
+    with remembered() as measurements:
+        outcome = verify("run", folder, "-o", out, *options)
+    return Run(folder, out, outcome, measurements)
 
 
 @contextmanager

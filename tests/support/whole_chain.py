@@ -8,7 +8,7 @@ pictures they are rendered and found again.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from robots.transforms import difference, invert
 from tests.bench.calibration import deviation
+from tests.bench.cells import Checked, checked
 from tests.support.boards.calibrated import squared_distance
 from tests.support.noisy_poses import measured_at_spots
 from tests.support.random_scenarios import random_scenario
@@ -72,22 +73,6 @@ FINE_DEG = 1e-6  # no two readings are alike: registration takes like ones to er
 FIXTURE = np.array([1e-4] * 3 + [np.deg2rad(0.02)] * 3)  # m, rad: of the board on the base
 STATED = ScenarioUncertainty(led_body_mm=0.03, led_body_deg=0.02, led_mm=0.02, pan_deg=PAN_DEG)
 CLOCK = ScenarioClock(encoder_offset_standard_uncertainty_s=0.001)
-
-
-@dataclass(frozen=True, slots=True)
-class Checked:
-    """Some estimates against the truth, in their stated covariance."""
-
-    names: tuple[str, ...]
-    z: Array  # (p,), error over standard uncertainty
-    d2: float
-    degrees: int
-
-
-def checked(names: Sequence[str], error: Array, covariance: Array) -> Checked:
-    """Set an error (p,) against the covariance (p, p) stated for it."""
-    d2, degrees = squared_distance(error, covariance)
-    return Checked(tuple(names), error / np.sqrt(np.diag(covariance)), d2, degrees)
 
 
 def replicate(

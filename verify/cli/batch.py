@@ -1,5 +1,7 @@
 """Measure every session under some folders: tables, and a report on the fleet."""
 
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,13 +13,13 @@ from verify.cli.options import (
     PositionTolerance,
     ToleranceOptions,
 )
-from verify.cli.terminal import terminal
+from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__
 from verify.errors import InputError
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
-    from verify.fleet.batch.run import BatchProgress, BatchResult
-    from verify.fleet.batch.workers import WorkerPool
+    from verify.fleet.batch.records import WorkerPool
+    from verify.fleet.batch.run import BatchProgress, BatchResult, ProgressCallback
     from verify.fleet.trends.assess import TrendRequest
 
 EXIT_SOME_FAILED = 4
@@ -67,17 +69,13 @@ def batch(
 
     tolerances = ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
     questions = _trend_request(by, since, compare)
-    pool = _worker_pool(workers, scheduler)  # its workers load meanwhile
-    try:
+    with closing(_worker_pool(workers, scheduler)) as pool:  # its workers load meanwhile
         found, failures = find_sessions(folders, out)
         require_folders([one.session for one in found], questions)
         require_writable(out)
-        with _ProgressDisplay() as watch:
-            done = measure_all(
-                found, failures, out, BatchOptions(tolerances, __version__), pool, watch
-            )
-    finally:
-        pool.close()
+        options = BatchOptions(tolerances, __version__)
+        with _show_progress() as watch:
+            done = measure_all(found, failures, out, options, pool, watch)
     if reports:
         _session_reports(done, workers)
     return _finish(done, out, questions)
@@ -114,39 +112,33 @@ def _worker_pool(workers: int | None, scheduler: str | None) -> "WorkerPool":
     return cluster
 
 
-class _ProgressDisplay:
-    """Shows a batch's progress, and says at once what failed or is done again."""
+@contextmanager
+def _show_progress() -> "Iterator[ProgressCallback]":
+    """Show a batch's progress; name at once each session that failed or is measured again."""
+    failures = again = 0
+    with terminal.progress("sessions") as counter:
 
-    def __init__(self) -> None:
-        self._bar = terminal.progress("sessions")
-        self._failures = self._again = 0
+        def show(progress: "BatchProgress") -> None:
+            nonlocal failures, again
+            terminal.warn(*(f"failed: {failure.why}" for failure in progress.failures[failures:]))
+            for line in progress.again[again:]:
+                terminal.say(f"Again: {line}")
+            failures, again = len(progress.failures), len(progress.again)
+            rate, left = progress.pairs_a_second, progress.time_left
+            counter(progress.done, progress.sessions, _note(progress, rate, left))
+            terminal.record(
+                {
+                    "type": "progress",
+                    "sessions": progress.sessions,
+                    "done": progress.done,
+                    "kept": progress.kept,
+                    "failures": failures,
+                    "pairs_per_s": rate,
+                    "time_left_s": left,
+                }
+            )
 
-    def __enter__(self) -> "_ProgressDisplay":
-        self._counter = self._bar.__enter__()
-        return self
-
-    def __exit__(self, *problem: Any) -> None:
-        self._bar.__exit__(*problem)
-
-    def __call__(self, progress: "BatchProgress") -> None:
-        for failure in progress.failures[self._failures :]:
-            terminal.warn(f"failed: {failure.why}")
-        for line in progress.again[self._again :]:
-            terminal.say(f"Again: {line}")
-        self._failures, self._again = len(progress.failures), len(progress.again)
-        rate, left = progress.pairs_a_second, progress.time_left
-        self._counter(progress.done, progress.sessions, _note(progress, rate, left))
-        terminal.record(
-            {
-                "type": "progress",
-                "sessions": progress.sessions,
-                "done": progress.done,
-                "kept": progress.kept,
-                "failures": len(progress.failures),
-                "pairs_per_s": rate,
-                "time_left_s": left,
-            }
-        )
+        yield show
 
 
 def _note(progress: "BatchProgress", rate: float | None, left: float | None) -> str:
@@ -163,11 +155,8 @@ def _session_reports(done: "BatchResult", workers: int | None) -> None:
     from verify.fleet.batch.workers import ProcessPool, available_cpus
 
     pool = ProcessPool(workers or available_cpus())
-    try:
-        with terminal.progress("reports") as counter:
-            report_all(done, pool, counter)
-    finally:
-        pool.close()
+    with closing(pool), terminal.progress("reports") as counter:
+        report_all(done, pool, counter)
 
 
 def _finish(done: "BatchResult", out: Path, questions: "TrendRequest") -> int:
@@ -208,5 +197,5 @@ def _print_summary(done: "BatchResult", out: Path, summary: dict[str, Any]) -> N
         f"{progress.measured} sessions measured, {progress.kept} kept from before, "
         f"{len(done.failures)} failed"
     )
-    terminal.say(f"Report: {out / 'fleet.html'} and {out / 'fleet.pdf'}")
+    terminal.say(f"Report: {report_files(out, 'fleet')}")
     terminal.record({"type": "result", "out": str(out), "summary": summary})

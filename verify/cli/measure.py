@@ -8,7 +8,7 @@ from reports import Results
 from reports.session.headline import headline
 from verify.analysis.session import analyse
 from verify.cli.options import ToleranceOptions
-from verify.cli.terminal import terminal
+from verify.cli.terminal import report_files, terminal
 from verify.errors import InputError
 from verify.io.results import refuse_existing, write_results
 from verify.io.session.session import open_session
@@ -17,7 +17,7 @@ from verify.io.session.session import open_session
 def measure_and_report(
     folder: Path, out: Path | None, tolerances: ToleranceOptions, *, force: bool
 ) -> str | None:
-    """Measure a session, write its reports, say what was found.
+    """Measure a session, write its reports, print the results.
 
     Args:
         folder: the session.
@@ -34,14 +34,11 @@ def measure_and_report(
     session = open_session(folder)
     target = out if out is not None else Path(f"{session.name}-report")
     refuse_existing(target, force=force)
-    for warning in session.warnings:
-        terminal.warn(warning)
+    terminal.warn(*session.warnings)
     tolerance = tolerances.tolerance(session.arm.dof)
     with terminal.progress("pairs") as progress:
         results = analyse(session, tolerance=tolerance, progress=progress)
-    for warning in results.summary["warnings"]:
-        if warning not in session.warnings:
-            terminal.warn(warning)
+    terminal.warn(*(w for w in results.summary["warnings"] if w not in session.warnings))
     write_results(results, target, force=force)
     _print_summary(results, target)
     verdict: str | None = results.summary["verdict"]
@@ -51,7 +48,7 @@ def measure_and_report(
 def measure_and_report_all(
     folders: Sequence[Path], out: Path, tolerances: ToleranceOptions, *, force: bool
 ) -> dict[Path, str | None]:
-    """Measure the sessions of one live run, a report each; one that cannot be is no other's harm.
+    """Measure the sessions of one live run, a report each; an unmeasurable one is left out.
 
     Args:
         folders: in their order: more than one where the controller's clock began anew.
@@ -75,13 +72,12 @@ def measure_and_report_all(
             refusals.append(refusal)
     if not verdicts:
         raise refusals[0]
-    for left_out in refusals:
-        terminal.warn(str(left_out))
+    terminal.warn(*map(str, refusals))
     return verdicts
 
 
 def _print_summary(results: Results, target: Path) -> None:
-    """Tell what was found, briefly; the report has the rest."""
+    """Print verdict and joints; the report has the rest."""
     summary: dict[str, Any] = results.summary
     verdict = headline(results)
     terminal.say(f"{verdict.label}: {verdict.sentence}")
@@ -89,7 +85,7 @@ def _print_summary(results: Results, target: Path) -> None:
         terminal.say(_joint_line(joint))
     for line in _verbose_lines(summary):
         terminal.detail(line)
-    terminal.say(f"Report: {target / 'report.html'} and {target / 'report.pdf'}")
+    terminal.say(f"Report: {report_files(target)}")
     terminal.record({"type": "result", "out": str(target), "summary": summary})
 
 
@@ -98,14 +94,14 @@ def _verbose_lines(summary: dict[str, Any]) -> list[str]:
     pairs, clock = summary["pairs"], summary["clock"]
     lost = ", ".join(f"{n} {status}" for status, n in pairs["rejected"].items()) or "none"
     offset = clock["encoder_offset_s"]
-    said = "not shown by the motion" if offset is None else f"{offset:+.6f} s, {clock['source']}"
-    told = ", ".join(f"{n} by {how}" for how, n in summary["choices"].items()) or "-"
+    source = "not shown by the motion" if offset is None else f"{offset:+.6f} s, {clock['source']}"
+    choices = ", ".join(f"{n} by {how}" for how, n in summary["choices"].items()) or "-"
     smallest = [j["minimum_detectable_error_deg"] for j in summary["joints"]]
     shown = ", ".join("-" if s is None else f"{s:.3f}°" for s in smallest)
     return [
         f"pairs: {pairs['measured']} of {pairs['recorded']} measured; rejected: {lost}",
-        f"encoder clock: {said}",
-        f"LEDs told apart: {told}",
+        f"encoder clock: {source}",
+        f"LEDs told apart: {choices}",
         f"smallest offset that would be noticed, a joint: {shown}",
     ]
 

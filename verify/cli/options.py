@@ -4,14 +4,16 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from verify.cli.terminal import terminal
 from verify.errors import InputError
 
 if TYPE_CHECKING:  # imported when a command runs: `--help` answers at once
     from verify.io.session.keys import Tolerance
+    from verify.live.page.feed import Page, PageSource
 
 _SECONDS_PER_UNIT = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
@@ -22,11 +24,9 @@ def parse_duration(text: str | float) -> float:
     Raises:
         InputError: it is none.
     """
-    found = re.fullmatch(r"\s*([0-9.]+)\s*([a-z]*)\s*", str(text))
+    parts = re.fullmatch(r"\s*([0-9.]+)\s*([a-z]*)\s*", str(text)) or ("", "", "")
     try:
-        if found is None:
-            raise ValueError
-        value = float(found[1]) * _SECONDS_PER_UNIT[found[2]]
+        value = float(parts[1]) * _SECONDS_PER_UNIT[parts[2]]
     except (ValueError, KeyError):
         raise InputError(
             "--for", f'"{text}" is no duration', "seconds, minutes or hours", "Example: 10m"
@@ -106,6 +106,19 @@ class PageOptions:
     port: int
     address: str
     token: str | None
+
+    def serve(self, source: "PageSource", **more: Any) -> "Page":
+        """Serve a page, and print its address; `more` are further arguments of `Page`.
+
+        Raises:
+            InputError: the page cannot be served.
+        """
+        from verify.live.page.feed import Page
+
+        page = Page(source, self.port, self.address, self.token, **more)
+        terminal.say(f"page: {page.url}")
+        terminal.record({"type": "page", "url": page.url})
+        return page
 
 
 JointTolerance = Annotated[

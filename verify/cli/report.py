@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from verify.cli.terminal import terminal
+from verify.cli.terminal import report_files, terminal
 
 
 def report(
@@ -44,6 +44,6 @@ def report(
     name = "fleet" if results.summary.get("kind") == "fleet" else "report"
     write_whole(out / f"{name}.html", page)
     write_whole(out / f"{name}.pdf", pages)
-    terminal.say(f"Report: {out / f'{name}.html'} and {out / f'{name}.pdf'}")
+    terminal.say(f"Report: {report_files(out, name)}")
     terminal.record({"type": "result", "out": str(out)})
     return 0

@@ -106,8 +106,7 @@ def _run_live(
     station = open_station(source, partial(SimulatedStation, apart=True))
     if out is not None:
         refuse_existing(out, force=force)
-    for warning in station.warnings:
-        terminal.warn(warning)
+    terminal.warn(*station.warnings)
     options = RunOptions(duration, tolerances.tolerance(station.arm.dof), on_alarm, page)
     watched = watch(station, options)
     out = out if out is not None else Path(f"{watched.folders[0].name}-report")

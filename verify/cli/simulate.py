@@ -1,6 +1,7 @@
 """Make a session with known truth and chosen faults, or board pictures for a calibration."""
 
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Annotated
 
@@ -56,13 +57,7 @@ def simulate(
                 f"{scenario}, robot: {error.place}", error.found, error.expected, error.remedy
             ) from None
         with terminal.progress("pictures") as progress:
-            done, total = 0, 2 * pairs
-
-            def one_more() -> None:
-                nonlocal done
-                done += 1
-                progress(done, total)
-
-            write(one_more)
+            number = count(1)
+            write(lambda: progress(next(number), 2 * pairs))
     terminal.say(f"{pairs} pairs in {out}")
     terminal.record({"type": "result", "out": str(out), "pairs": pairs})

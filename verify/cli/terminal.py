@@ -1,12 +1,14 @@
-"""What the user sees while a command works: progress, lines, or JSON; colour honours NO_COLOR."""
+"""The user's terminal: progress, lines or JSON out, typed lines in; colour honours NO_COLOR."""
 
 import json
 import logging
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -24,11 +26,12 @@ from rich.text import Text
 from verify.errors import one_line
 
 MAX_LINES = 10  # progress lines where there is no terminal to draw a bar on
+STDIN = 0  # its descriptor
 
 
 @dataclass(slots=True)
 class Terminal:
-    """How much is said, and in which form."""
+    """How much is printed, and in which form."""
 
     quiet: bool = False
     verbose: bool = False
@@ -44,12 +47,13 @@ class Terminal:
         if self.verbose:
             self.say(text)
 
-    def warn(self, text: str) -> None:
-        """Print a warning on standard error, or as an object with --json."""
-        if self.as_json:
-            self.record({"type": "warning", "text": text})
-        elif not self.quiet:
-            sys.stderr.write(f"warning: {one_line(text)}\n")
+    def warn(self, *texts: str) -> None:
+        """Print warnings on standard error, or as objects with --json."""
+        for text in texts:
+            if self.as_json:
+                self.record({"type": "warning", "text": text})
+            elif not self.quiet:
+                sys.stderr.write(f"warning: {one_line(text)}\n")
 
     def record(self, fields: dict[str, Any]) -> None:
         """Print one JSON object on a line of its own, with --json."""
@@ -59,21 +63,37 @@ class Terminal:
     @contextmanager
     def progress(self, what: str) -> Iterator["ProgressCounter"]:
         """Show how far long work has come: a bar on a terminal, plain lines elsewhere."""
-        console = Console(stderr=True)
-        if self.quiet or self.as_json:
-            yield ProgressCounter(None, what, silent=True)
-        elif not console.is_terminal:
-            yield ProgressCounter(None, what, silent=False)
-        else:
-            columns = (
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                _PairRate(),
-                TimeRemainingColumn(),
-            )
-            with Progress(*columns, console=console, transient=True) as bar:
-                yield ProgressCounter(bar, what, silent=False)
+        console, silent = Console(stderr=True), self.quiet or self.as_json
+        if silent or not console.is_terminal:
+            yield ProgressCounter(None, what, silent=silent)
+            return
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            _PairRate(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=console, transient=True) as bar:
+            yield ProgressCounter(bar, what, silent=False)
+
+
+def report_files(folder: Path, name: str = "report") -> str:
+    """Name the two files of a report in a sentence."""
+    return f"{folder / f'{name}.html'} and {folder / f'{name}.pdf'}"
+
+
+def read_lines(descriptor: int, take: Callable[[str], None]) -> None:
+    """Pass on each line that is typed, from a thread of its own; an input that ends is ignored."""
+
+    def read() -> None:
+        with suppress(OSError):  # no input at all
+            # not sys.stdin's own lines: a thread that waits in there locks it to the very end
+            while typed := os.read(descriptor, 1024):
+                for line in typed.decode(errors="replace").splitlines():
+                    take(line)
+
+    threading.Thread(target=read, name="keys", daemon=True).start()
 
 
 def _write(line: str) -> None:
@@ -99,15 +119,15 @@ class ProgressCounter:
     def __init__(self, bar: Progress | None, what: str, *, silent: bool) -> None:
         self._bar, self._what, self._silent = bar, what, silent
         self._task = bar.add_task(what, total=None) if bar is not None else None
-        self._said = 0
+        self._lines = 0
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
-        """Take note that `done` of `total` are through; `note` says more about them."""
+        """Show that `done` of `total` are finished, with a note on them."""
         if self._bar is not None and self._task is not None:
-            said = f"{self._what}, {note}" if note else self._what
-            self._bar.update(self._task, completed=done, total=total, description=said)
-        elif not self._silent and done * MAX_LINES // max(total, 1) > self._said:
-            self._said = done * MAX_LINES // max(total, 1)
+            text = f"{self._what}, {note}" if note else self._what
+            self._bar.update(self._task, completed=done, total=total, description=text)
+        elif not self._silent and done * MAX_LINES // max(total, 1) > self._lines:
+            self._lines = done * MAX_LINES // max(total, 1)
             sys.stderr.write(f"{self._what}: {done} of {total}{f', {note}' if note else ''}\n")
 
 

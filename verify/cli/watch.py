@@ -1,4 +1,4 @@
-"""`verify run` on a station: open its devices, watch, tell what is seen, record."""
+"""`verify run` on a station: open its devices, watch, report, record."""
 
 import gc
 import signal
@@ -35,7 +35,6 @@ from verify.live.outputs.listeners import (
 )
 from verify.live.outputs.metrics import MetricsServer
 from verify.live.outputs.terminal import LiveTable
-from verify.live.page.feed import Page
 from verify.live.page.run import RunFacts, RunPageSource
 from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot
 from verify.live.state import LiveState
@@ -47,7 +46,7 @@ SWITCH_INTERVAL = 0.0005
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How the run is wanted."""
+    """Options of a run on a station."""
 
     duration: float | None  # s
     tolerance: Tolerance  # replaces the station's, entry by entry
@@ -57,23 +56,19 @@ class RunOptions:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What a run leaves."""
+    """What a run recorded."""
 
     folders: tuple[Path, ...]  # sessions: more than one where the controller's clock began anew
     alarms: tuple[Alarm, ...]  # oldest first; of very many the newest
 
 
-def watch(station: Station, wish: RunOptions) -> RunResult:
+def watch(station: Station, options: RunOptions) -> RunResult:
     """Watch until Ctrl-C, the time is up, or the robot's program ends.
 
-    Args:
-        station: what is watched.
-        wish: how.
-
     Raises:
-        InputError: a device, the page or who is to be told cannot be had; nothing is running then.
+        InputError: a device, the page or a listener cannot be opened; nothing is running then.
     """
-    joints = wish.tolerance.joints
+    joints = options.tolerance.joints
     if joints is None and station.tolerance is not None:
         joints = station.tolerance.joints
     subject = MonitoredRobot(
@@ -90,8 +85,13 @@ def watch(station: Station, wish: RunOptions) -> RunResult:
     with ExitStack() as stack:
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH_INTERVAL)
-        listeners = _listeners(station, wish, stack)
-        _serve(station, wish, RunPageSource(state, subject, facts), state, stack)
+        listeners = _listeners(station, options, stack)
+        source = RunPageSource(state, subject, facts)
+        if options.page is not None:
+            page = options.page.serve(source, moment=state.wait_for_pair)
+            stack.callback(page.close)
+        if station.alarm.prometheus is not None:
+            stack.callback(MetricsServer(station.alarm.prometheus, source.metrics).close)
         clock: ChildProcess[ClockRequest, ClockEstimate] = ChildProcess(
             answer_requests, estimate_offset, name="clock", background=True
         )
@@ -101,17 +101,11 @@ def watch(station: Station, wish: RunOptions) -> RunResult:
         warm_up_comparison()  # the first pairs come at once, and soon would be too many
         recorder = station.open_recorder()
         stack.callback(recorder.close)
-        live = LiveLoop(
-            subject,
-            _open_devices(station),
-            recorder,
-            LoopSettings(limits, wish.duration),
-            LoopComputation(
-                lambda request: clock.ask(request, ESTIMATE_TIMEOUT), chain.measure, chain.prepare
-            ),
-            listeners,
-            state,
+        computation = LoopComputation(
+            lambda request: clock.ask(request, ESTIMATE_TIMEOUT), chain.measure, chain.prepare
         )
+        devices, settings = _open_devices(station), LoopSettings(limits, options.duration)
+        live = LiveLoop(subject, devices, recorder, settings, computation, listeners, state)
         stack.enter_context(_frozen_garbage_collector())
         look = stack.enter_context(
             _show_table(None if joints is None else np.rad2deg(joints).tolist())
@@ -122,7 +116,10 @@ def watch(station: Station, wish: RunOptions) -> RunResult:
     recorded = recorder.state()
     terminal.say(recorded.sentence)
     if not recorded.folders:
-        raise _nothing_recorded(station, recorded.sentence)
+        raise InputError(
+            station.path, f"no pair of pictures was recorded ({recorded.sentence})",
+            "two cameras that deliver, and room on the disk", "Try `verify doctor` on this file.",
+        )  # fmt: skip
     return RunResult(recorded.folders, state.snapshot().alarms[::-1])
 
 
@@ -148,20 +145,6 @@ def _utc(epoch: float | None) -> str | None:
     return datetime.fromtimestamp(epoch, UTC).isoformat(timespec="milliseconds")
 
 
-def _serve(
-    station: Station, wish: RunOptions, source: RunPageSource, state: LiveState, stack: ExitStack
-) -> None:
-    """Serve the page and the metrics, as far as they are wanted."""
-    if wish.page is not None:
-        asked = wish.page
-        page = Page(source, asked.port, asked.address, asked.token, moment=state.wait_for_pair)
-        stack.callback(page.close)
-        terminal.say(f"page: {page.url}")
-        terminal.record({"type": "page", "url": page.url})
-    if station.alarm.prometheus is not None:
-        stack.callback(MetricsServer(station.alarm.prometheus, source.metrics).close)
-
-
 def _open_devices(station: Station) -> LiveDevices:
     """Open all devices; none stays open if one cannot be."""
     with ExitStack() as opened:
@@ -176,24 +159,24 @@ def _open_devices(station: Station) -> LiveDevices:
     return LiveDevices(left, right, encoders, pan, turn, station.files)
 
 
-def _listeners(station: Station, wish: RunOptions, stack: ExitStack) -> list[Listener]:
-    """Everybody who is told what happens; each is let go with the stack."""
-    told: list[Listener] = []
+def _listeners(station: Station, options: RunOptions, stack: ExitStack) -> list[Listener]:
+    """Listeners to pairs and alarms; the stack closes them."""
+    listeners: list[Listener] = []
 
-    def tell(listener: Listener) -> None:
-        told.append(ListenerThread(listener, terminal.warn))
-        stack.callback(told[-1].close)
+    def add(listener: Listener) -> None:
+        listeners.append(ListenerThread(listener, terminal.warn))
+        stack.callback(listeners[-1].close)
 
-    command = wish.on_alarm if wish.on_alarm is not None else station.alarm.command
+    command = options.on_alarm if options.on_alarm is not None else station.alarm.command
     if command is not None:
-        tell(AlarmCommand(command))
+        add(AlarmCommand(command))
     if station.alarm.mqtt is not None:
-        tell(connect_mqtt(station.alarm.mqtt))
+        add(connect_mqtt(station.alarm.mqtt))
     if terminal.as_json:
-        tell(JsonLines(terminal.record))
+        add(JsonLines(terminal.record))
     elif not _is_terminal():
-        tell(PlainTextOutput(terminal.say))
-    return told
+        add(PlainTextOutput(terminal.say))
+    return listeners
 
 
 def _is_terminal() -> bool:
@@ -202,7 +185,7 @@ def _is_terminal() -> bool:
 
 @contextmanager
 def _frozen_garbage_collector() -> Iterator[None]:
-    """Keep what is there already out of Python's search for garbage, which holds all threads up."""
+    """Exclude existing objects from garbage collection, which stops all threads."""
     gc.collect()
     gc.freeze()
     try:
@@ -223,7 +206,7 @@ def _show_table(tolerance_deg: list[float] | None) -> Iterator[Callable[[LiveSta
 
 @contextmanager
 def stop_on_signal() -> Iterator[threading.Event]:
-    """Ctrl-C and a polite kill end the run, and its report is made; a second one ends that too."""
+    """Set an event at SIGINT or SIGTERM: the run ends with its report; a second one interrupts."""
     stop = threading.Event()
 
     def first(number: int, _frame: FrameType | None) -> None:
@@ -262,11 +245,3 @@ def _print_summary(state: LiveState) -> None:
     for line in now.devices:
         if not line.well:
             terminal.warn(f"{line.name}: {line.sentence}")
-
-
-def _nothing_recorded(station: Station, sentence: str) -> InputError:
-    """Say that there is nothing to make a report of."""
-    return InputError(
-        station.path, f"no pair of pictures was recorded ({sentence})",
-        "two cameras that deliver, and room on the disk", "Try `verify doctor` on this file.",
-    )  # fmt: skip

@@ -224,9 +224,7 @@ def _bent(arm: robots.Arm, fault: Injected) -> robots.Arm:
     key = fault.parameter.rstrip("123456")
     column = getattr(arm, key).copy()
     column[fault.joint - 1] += fault.size
-    if key == "alpha":
-        return replace(arm, alpha=column)
-    return replace(arm, a=column) if key == "a" else replace(arm, d=column)
+    return replace(arm, **{key: column})
 
 
 def _displaced(fault: Injected) -> Array:

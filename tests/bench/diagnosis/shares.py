@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from tests.bench.cells import seeds as seeds_of
 from tests.bench.diagnosis.sessions import Injected, Watched, diagnosed, watched
 from tests.bench.diagnosis.verdicts import CASES, verdicts
 from verify.analysis.diagnosis.detectability import detectable
@@ -93,7 +94,7 @@ def _told(fault: Injected, level: str, diagnosis: Diagnosis) -> Trial:
 
 def accusations(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
     """Print what is said of sessions without a fault; 1 where too much."""
-    seeds = np.random.SeedSequence([seed, 1]).generate_state(HEALTHY * sessions).tolist()
+    seeds = seeds_of([seed, 1], HEALTHY * sessions)
     message = [causes for causes in pool.map(healthy, seeds) if causes]
     good = len(message) <= MOST_FALSE * len(seeds)
     print(f"without a fault: {len(message)} of {len(seeds)} sessions accuse anybody"
@@ -104,7 +105,7 @@ def accusations(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
 
 def detection(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
     """Print the table a kind and joint; return how many cells fail."""
-    seeds = np.random.SeedSequence([seed, 2]).generate_state(sessions).tolist()
+    seeds = seeds_of([seed, 2], sessions)
     cells: dict[tuple[str, int, str], list[Trial]] = defaultdict(list)
     for outcome in pool.map(trials, seeds):
         for trial in outcome:
@@ -132,7 +133,7 @@ def _share(cell: list[Trial], what: str) -> float:
 
 def judged(pool: ProcessPoolExecutor, count: int, seed: int) -> int:
     """Print the verdicts; return how many lines fail."""
-    seeds = np.random.SeedSequence([seed, 3]).generate_state(count).tolist()
+    seeds = seeds_of([seed, 3], count)
     outcomes = list(pool.map(verdicts, seeds))
     failed = 0
     for case, wanted, least in CASES:

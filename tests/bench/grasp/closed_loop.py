@@ -5,51 +5,34 @@ joint 0.4° off, of which its encoders and its controller know nothing.
 """
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from verify.grasping.actuators.protocols import ExecutePermission
-from verify.grasping.control.run import StopConditions, run
-from verify.simulation.cell.grab import CellMode, cell_grab
+from tests.bench.grasp.open_loop import Grasp, grasp
+from verify.grasping.control.states import GraspState
+from verify.grasping.tool_offset.offset import OffsetMeasurement
 from verify.simulation.cell.scene import draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, SMALL_SIZE, CellSetup, cell_setup
 
-ENDS = StopConditions(duration=40.0, patience=5.0)
 FAULT = np.deg2rad(0.4)
 JOINTS = 5  # the sixth turns the hand about the approach
-ROUNDING = 1e-6  # of a limit
+OUTSIDE = 5e-4  # m that the arm may leave its box by
 
 
-@dataclass(frozen=True)
-class Grasp:
-    error: float  # m, of the grip point; nan: no grip
-    state: str
-    used: bool
-    said: str
-    kept: bool  # all limits
-
-
-def grasp(setup: CellSetup, seed: int, fault: float, *, closed: bool) -> Grasp:
+def grasp_with_fault(setup: CellSetup, seed: int, fault: float, *, closed: bool) -> Grasp:
     scene = draw_scene(seed)
     if fault:
         errors = np.zeros(6)
         errors[seed % JOINTS] = fault * (1 if seed % 2 else -1)
         scene = replace(scene, joint_errors=tuple(errors.tolist()))
-    made = cell_grab(
-        setup, scene, right=ExecutePermission("bench"), mode=CellMode(auto=True, closed=closed)
-    )
-    ended = run(made.loop, made.source, ENDS, lambda _: None)
-    world, planned = made.world, made.loop.aim.planned
-    plan, seen = made.loop.aim.plan, None if planned is None else planned.thing.offset
-    error = np.nan
-    if world.closed_on is not None and world.closed_at is not None and plan is not None:
-        off = world.closed_on - world.closed_at - [0.0, 0.0, plan.margin.raised]
-        error = float(np.linalg.norm(off))
-    watch = world.watch
-    kept = max(watch.speed, watch.acceleration) < 1 + ROUNDING and watch.outside < 5e-4
-    said = "not seen" if seen is None else seen.reason
-    return Grasp(error, ended.state.value, seen is not None and seen.used, said, kept)
+    return grasp(setup, scene, closed=closed)
+
+
+def correction(done: Grasp) -> OffsetMeasurement | None:
+    """The tool offset that the plan used; None: the hand was not measured."""
+    planned = done.run.loop.aim.planned
+    return None if planned is None else planned.thing.offset
 
 
 def main() -> None:
@@ -57,16 +40,23 @@ def main() -> None:
     count = next((int(word) for word in words if word.isdigit()), 20)
     setup = cell_setup(SMALL_SIZE if "--small" in words else FULL_SIZE)
     for name, fault in (("as stated", 0.0), ("one joint 0.4° off", FAULT)):
-        pairs = [[grasp(setup, s, fault, closed=c) for c in (False, True)] for s in range(count)]
+        pairs = [
+            [grasp_with_fault(setup, seed, fault, closed=closed) for closed in (False, True)]
+            for seed in range(count)
+        ]
         print(f"arm {name}, {count} cells")
-        for seed, (_, closed) in enumerate(pairs):
-            if not closed.used:
-                print(f"  seed {seed}: {closed.said}")
-        used = [pair for pair in pairs if pair[1].used]
-        print(f"  corrected: {len(used)} of {count}; limits kept: {all(c.kept for _, c in pairs)}")
+        used = []
+        for seed, pair in enumerate(pairs):
+            offset = correction(pair[1])
+            if offset is not None and offset.used:
+                used.append(pair)
+            else:
+                print(f"  seed {seed}: {'not seen' if offset is None else offset.reason}")
+        kept = all(closed.keeps_limits(OUTSIDE) for _, closed in pairs)
+        print(f"  corrected: {len(used)} of {count}; limits kept: {kept}")
         for what, place in (("without", 0), ("with", 1)):
-            errors = 1e3 * np.array([pair[place].error for pair in used])
-            lifted = sum(pair[place].state == "lifted" for pair in used)
+            errors = 1e3 * np.array([np.linalg.norm(pair[place].error) for pair in used])
+            lifted = sum(pair[place].state is GraspState.LIFTED for pair in used)
             print(
                 f"  {what}: lifted {lifted}, grip error rms {np.sqrt(np.nanmean(errors**2)):.2f} mm"
                 f", worst {np.nanmax(errors):.2f} mm"

@@ -8,17 +8,15 @@ its fingers where the emulated gripper says. What is between them stops the emul
 import sys
 import time
 
-import numpy as np
-
-import robots
-from tests.support.devices.bench import running, same_angles
-from verify.core.records import Array, StereoPair
+from tests.support.devices.bench import running
+from tests.support.devices.melfa_mover import controller, go_home, limits
+from tests.support.devices.melfa_mover import mover as mover_at
+from verify.core.records import StereoPair
 from verify.devices.protocols import EncoderReading
 from verify.grasping.actuators.gripper.gripper import GripperDriver
 from verify.grasping.actuators.gripper.modbus import GripperSettings
 from verify.grasping.actuators.melfa.mover import MelfaMover
-from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
-from verify.grasping.actuators.protocols import ExecutePermission, GripperState, MoverState
+from verify.grasping.actuators.protocols import ExecutePermission, GripperState
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import SteppedArm
 from verify.grasping.control.loop import Actuators, GraspLoop
@@ -28,12 +26,9 @@ from verify.grasping.tracking.target import ColourSelection, TrackingOptions
 from verify.grasping.tracking.track import TargetTracker
 from verify.simulation.cell.cell import RATE, CellWorld
 from verify.simulation.cell.scene import draw_scene
-from verify.simulation.cell.setup import ROBOT, SMALL_SIZE, cell_setup
-from verify.simulation.emulators import trajectory
-from verify.simulation.emulators.arm import MelfaArm
+from verify.simulation.cell.setup import SMALL_SIZE, cell_setup
 from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
 from verify.simulation.emulators.hand import NO_CONTACT, contact_positions
-from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 
 RIGHT = ExecutePermission("bench")
 ENDS = StopConditions(duration=90.0, patience=5.0)
@@ -79,18 +74,10 @@ class Mirror:
 
 def grasp(seed: int) -> tuple[GraspOutcome, CellWorld]:
     setup = cell_setup(SMALL_SIZE)
-    arm = robots.load(ROBOT)
-    assert isinstance(arm, robots.DhArm)
-    limits = np.column_stack([arm.lower, arm.upper])
-    moved = MelfaArm(trajectory.load("hold", 6), 6, limits, "command", arm, True)
-    controller = MelfaEngine(moved, ControllerOptions())
     fingers = GripperEngine(GripperOptions(ACTIVATION))
-    with running(controller) as at_arm, running(fingers) as at_fingers:
-        settings = MotionSettings(at_arm.address, "RV-3SD", pause=0.02)
-        most = MoveLimits(limits, override=20, hand_speed=1.0)
-        with MelfaMover(settings, same_angles(6), most, RIGHT) as mover:
-            _go_home(mover, setup.home)
-        with MelfaMover(settings, same_angles(6), most, RIGHT) as mover:
+    with running(controller(follows="command")) as at_arm, running(fingers) as at_fingers:
+        go_home(at_arm, setup.home)  # the emulated program has left it outside the cell's box
+        with mover_at(at_arm, limits(override=20, hand_speed=1.0), pause=0.02) as mover:
             gripper = GripperDriver(GripperSettings(at_fingers.address), RIGHT)
             world = CellWorld(setup, draw_scene(seed))
             mirror = Mirror(world, mover, gripper, fingers)
@@ -103,21 +90,6 @@ def grasp(seed: int) -> tuple[GraspOutcome, CellWorld]:
             ended = run(loop, mirror, ENDS, lambda _: None)
             gripper.close()
     return ended, world
-
-
-def _go_home(mover: MelfaMover, home: Array) -> None:
-    """The emulated program has left the arm outside the cell's box."""
-    mover.take_controls()
-    _until(mover, MoverState.READY)
-    mover.move_joints(home)
-    _until(mover, MoverState.ARRIVED)
-
-
-def _until(mover: MelfaMover, state: MoverState) -> None:
-    end = time.monotonic() + 30.0
-    while (status := mover.step()).state is not state:
-        assert time.monotonic() < end, status
-        time.sleep(0.01)
 
 
 def main() -> None:

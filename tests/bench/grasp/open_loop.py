@@ -1,27 +1,24 @@
 """Simulated grasps: successes, false successes, limits, grip error;
-python -m tests.bench.grasp.open_loop [N] [--full] [--figure FILE.svg].
+python -m tests.bench.grasp.open_loop [N] [--full].
 
 Cells are drawn at random: where the cap stands or slides to, other caps, light, noise, an arm that
 is not quite where it was registered. A success is a cap in the hand, as the world knows it; a false
 one is a grab that ended in `lifted` without it. Then the paper's experiment: a cap on marks 4 cm
-apart, distances measured against actual ones, and drawn where a file for it is named.
+apart, distances measured against actual ones.
 """
 
 import sys
 from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
-from reports.document.charts import Band, Chart, Line, Panel, Points
-from reports.format.matplotlib import svg
 from verify.core.records import Array
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.run import StopConditions, run
 from verify.grasping.control.states import GraspState
 from verify.grasping.planning.workspace import RESOLUTION
-from verify.simulation.cell.grab import cell_grab
+from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, SMALL_SIZE, CellSetup, cell_setup
 
@@ -33,33 +30,30 @@ SPACING = 0.04  # m
 
 @dataclass(frozen=True)
 class Grasp:
-    seed: int
+    run: CellRun
     state: GraspState
     reason: str
     held: bool  # the target is in the hand, as the world knows it
-    error: float  # m, of the grip point from where it was to be, across the approach; nan: no grip
-    height_error: float  # m, along it
-    speed: float  # greatest share of a joint's limit
-    acceleration: float
-    outside: float  # m
-    seconds: float
+    error: Array  # (3,), m, of the grip point from its goal, base frame; nan: no grip
     works: Array  # s of each cycle
 
+    def keeps_limits(self, outside: float) -> bool:
+        """Whether joints kept their limits and the arm left its box by `outside` m at most."""
+        watch = self.run.world.watch
+        return max(watch.speed, watch.acceleration) <= 1 + ROUNDING and watch.outside <= outside
 
-def grasp(setup: CellSetup, seed: int) -> Grasp:
-    made = cell_grab(setup, draw_scene(seed), right=ExecutePermission("bench"), auto=True)
+
+def grasp(setup: CellSetup, scene: CellScene, *, closed: bool = True) -> Grasp:
+    mode = CellMode(auto=True, closed=closed)
+    cell = cell_grab(setup, scene, right=ExecutePermission("bench"), mode=mode)
     works: list[float] = []
-    ended = run(made.loop, made.source, ENDS, lambda cycle: works.append(cycle.took))
-    world, plan = made.world, made.loop.aim.plan
-    off = np.full(3, np.nan)
+    ended = run(cell.loop, cell.source, ENDS, lambda cycle: works.append(cycle.took))
+    world, plan = cell.world, cell.loop.aim.plan
+    error = np.full(3, np.nan)
     if world.closed_on is not None and world.closed_at is not None and plan is not None:
-        off = world.closed_on - world.closed_at - [0.0, 0.0, plan.margin.raised]
-    return Grasp(
-        seed, ended.state, ended.reason,
-        world.held is not None and world.held[0] == 0,
-        float(np.hypot(off[0], off[1])), float(off[2]),
-        world.watch.speed, world.watch.acceleration, world.watch.outside, world.t, np.array(works),
-    )  # fmt: skip
+        error = world.closed_on - world.closed_at - [0.0, 0.0, plan.margin.raised]
+    held = world.held is not None and world.held[0] == 0
+    return Grasp(cell, ended.state, ended.reason, held, error, np.array(works))
 
 
 def distances(setup: CellSetup, rows: int = 3, columns: int = 5) -> Array:
@@ -89,64 +83,37 @@ def distances(setup: CellSetup, rows: int = 3, columns: int = 5) -> Array:
     return np.array(found)
 
 
-def figure(found: Array) -> bytes:
-    """Measured against actual distance, and the error with its expanded uncertainty, as SVG."""
-    order = np.argsort(found[:, 1])
-    measured, actual, u = 1e3 * found[order].T
-    ends = (0.0, float(actual.max()) * 1.1)
-    error = measured - actual
-    spread = actual + np.linspace(-3.0, 3.0, len(actual))  # mm: equal distances side by side
-    even = Line(np.array(ends), np.array(ends), "encoder", "measured = actual")
-    first = Panel(
-        (even, Points(actual, measured, "measured", "a pair of marks", 2.0)),
-        "measured [mm]", x_range=ends, y_range=ends,
-    )  # fmt: skip
-    bars = [Band(np.array([x]), np.array([e - 2 * s]), np.array([e + 2 * s]), "error_band")
-            for x, e, s in zip(spread, error, u, strict=True)]  # fmt: skip
-    second = Panel(
-        (*bars, Points(spread, error, "measured", "", 2.0)),
-        "error, ± 2 u [mm]", "actual distance [mm]", x_range=ends,
-    )  # fmt: skip
-    return svg(Chart((first, second), row_height=2.0, width=0.8))
-
-
 def main() -> None:
     words = sys.argv[1:]
-    place = Path(words.pop(words.index("--figure") + 1)) if "--figure" in words else None
     count = next((int(word) for word in words if word.isdigit()), 100)
     size = FULL_SIZE if "--full" in words else SMALL_SIZE
     setup = cell_setup(size)
     grasps = []
     for seed in range(count):
-        done = grasp(setup, seed)
+        done = grasp(setup, draw_scene(seed))
         grasps.append(done)
         if not done.held or done.state is not GraspState.LIFTED:
             print(f"  seed {seed}: {done.state.value}, {done.reason}; held: {done.held}")
     lifted = [g for g in grasps if g.state is GraspState.LIFTED]
-    errors = np.array([g.error for g in grasps if np.isfinite(g.error)]) * 1e3
-    heights = np.array([g.height_error for g in grasps if np.isfinite(g.error)]) * 1e3
+    errors = 1e3 * np.array([g.error for g in grasps if np.isfinite(g.error).all()]).reshape(-1, 3)
     print(f"pictures of {size[0]} x {size[1]}, {count} cells")
     print(f"lifted with the cap in the hand: {sum(g.held for g in lifted)} of {count}")
     print(f"false successes: {sum(not g.held for g in lifted)}")
-    over = [
-        g for g in grasps
-        if max(g.speed, g.acceleration) > 1 + ROUNDING or g.outside > RESOLUTION
-    ]  # fmt: skip
-    print(f"beyond a limit or the box: {[g.seed for g in over] or 'none'}")
-    speed, hard = max(g.speed for g in grasps), max(g.acceleration for g in grasps)
+    over = [seed for seed, g in enumerate(grasps) if not g.keeps_limits(RESOLUTION)]
+    print(f"beyond a limit or the box: {over or 'none'}")
+    watches = [g.run.world.watch for g in grasps]
+    speed, hard = max(w.speed for w in watches), max(w.acceleration for w in watches)
     print(f"greatest share of a joint's speed limit {speed:.3f}, of its acceleration {hard:.3f}")
     if len(errors):
-        rms = np.sqrt(np.mean(errors**2))
-        print(f"grip error across: rms {rms:.2f} mm, worst {errors.max():.2f} mm")
-        print(f"grip error along: worst {np.abs(heights).max():.2f} mm")
+        across = np.hypot(errors[:, 0], errors[:, 1])
+        rms = np.sqrt(np.mean(across**2))
+        print(f"grip error across: rms {rms:.2f} mm, worst {across.max():.2f} mm")
+        print(f"grip error along: worst {np.abs(errors[:, 2]).max():.2f} mm")
     works = 1e3 * np.concatenate([g.works for g in grasps])
     output = np.percentile(works, [50, 95, 100])
     print("work a cycle: median {:.1f} ms, 95 % {:.1f} ms, worst {:.1f} ms".format(*output))
-    print(f"time to the end: median {np.median([g.seconds for g in grasps]):.1f} s")
-    found = distances(setup)
-    if place is not None:
-        place.write_bytes(figure(found))
-    found *= 1e3
+    print(f"time to the end: median {np.median([g.run.world.t for g in grasps]):.1f} s")
+    found = 1e3 * distances(setup)
     off = found[:, 0] - found[:, 1]
     print(f"distances between marks 40 mm apart: {len(found)}, {found[:, 1].min():.0f} mm to "
           f"{found[:, 1].max():.0f} mm")  # fmt: skip

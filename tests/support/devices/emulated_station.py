@@ -6,11 +6,13 @@ python -m tests.support.devices.emulated_station STATION BEGAN SECONDS     watch
 """
 
 import multiprocessing
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 import numpy as np
 
@@ -91,6 +93,12 @@ def emulator(
     finally:
         process.terminate()
         process.join()
+
+
+def start_beside(path: Path, began: float, seconds: float) -> "subprocess.Popen[str]":
+    """Start `watch` in a process of its own."""
+    words = [sys.executable, "-m", __name__, str(path), str(began), str(seconds)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
 
 def watch(path: str, began: float, seconds: float) -> None:

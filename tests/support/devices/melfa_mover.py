@@ -25,9 +25,11 @@ LIMITS = np.column_stack([ARM.lower, ARM.upper])
 FAST = 0.01  # s, pause: tests cannot wait
 
 
-def controller(idle: bool = True, limits: Array = LIMITS, **options: object) -> MelfaEngine:
+def controller(
+    idle: bool = True, limits: Array = LIMITS, follows: str = "feedback", **options: object
+) -> MelfaEngine:
     assert isinstance(ARM, robots.DhArm)
-    arm = MelfaArm(trajectory.load("hold", 6), 6, limits, arm=ARM, idle=idle)
+    arm = MelfaArm(trajectory.load("hold", 6), 6, limits, follows, ARM, idle)
     return MelfaEngine(arm, ControllerOptions(**options))  # type: ignore[arg-type]
 
 
@@ -69,6 +71,13 @@ def settled(arm: MelfaMover, state: MoverState) -> list[MoverStatus]:
 def ready(arm: MelfaMover) -> None:
     arm.take_controls()
     settled(arm, MoverState.READY)
+
+
+def go_home(emulated: Emulated, home: Array) -> None:
+    with mover(emulated, limits(override=50), pause=0.02) as arm:
+        ready(arm)
+        arm.move_joints(home)
+        settled(arm, MoverState.ARRIVED)
 
 
 PORTS = ["tcp:0", "pty"]

@@ -10,7 +10,7 @@ import numpy as np
 from websockets.sync.client import connect
 
 from robots.transforms import carry, invert
-from verify.cli.grab.conduct import GraspPage, PageContext
+from verify.cli.grab.conduct import GraspPage
 from verify.cli.options import PageOptions
 from verify.core.records import Array
 from verify.grasping.actuators.protocols import ExecutePermission
@@ -37,9 +37,9 @@ class Cell:
         self.grab: CellRun = cell_grab(
             setup, scene, right=right, mode=CellMode(paced=paced, closed=False)
         )
-        on = PageContext(PageOptions(0, LOOPBACK, None), setup.planner, setup.rig, selects)
         facts = GraspFacts(ROBOT, "played", setup.planner, setup.rig, execute, 60.0)
-        self.page = GraspPage(self.grab.loop, on, facts)
+        options = PageOptions(0, LOOPBACK, None)
+        self.page = GraspPage(self.grab.loop, options, facts, selects=selects)
         self.ended: GraspOutcome | None = None
         self.angles: list[Array] = []  # as read, a turn each
         self.stop = threading.Event()
@@ -97,7 +97,7 @@ class Cell:
         self.page.close()
 
     def _see(self, cycle: LoopCycle) -> None:
-        self.page.see(cycle)
+        self.page.show(cycle)
         self.angles.append(self.grab.world.arm.q(self.grab.world.t))
 
     def _run(self) -> None:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from tests.bench import coverage
-from tests.bench.whole_chain import WITHIN, d2_ratio, holds
-from tests.support.whole_chain import ARMS, Checked, replicate
+from tests.bench.cells import WITHIN, Checked, d2_ratio
+from tests.bench.whole_chain import holds
+from tests.support.whole_chain import ARMS, replicate
 
 pytestmark = pytest.mark.slow
 

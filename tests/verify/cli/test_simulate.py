@@ -1,9 +1,8 @@
 from pathlib import Path
 
 import pytest
-import typer
-from typer.testing import CliRunner
 
+from tests.support.command import verify
 from tests.support.simulated import MINIMAL
 from verify.cli.simulate import simulate
 from verify.errors import InputError
@@ -17,10 +16,7 @@ def scenario(tmp_path: Path) -> str:
 
 
 def test_the_command_writes_a_session(scenario: str, tmp_path: Path) -> None:
-    app = typer.Typer()
-    app.command()(simulate)
-    result = CliRunner().invoke(app, [scenario, "-o", str(tmp_path / "out"), "--seed", "3"])
-    assert result.exit_code == 0, result.output
+    assert verify("simulate", scenario, "-o", tmp_path / "out", "--seed", "3").status == 0
     assert (tmp_path / "out" / "left.mkv").exists()
     assert "seed 3" in (tmp_path / "out" / "README.md").read_text()
 

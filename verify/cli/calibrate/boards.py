@@ -12,7 +12,7 @@ from verify.calibration.quality.results import calibration_results
 from verify.calibration.stereo.calibrate import calibrate
 from verify.calibration.stereo.records import Calibration
 from verify.cli.options import CornerCounts
-from verify.cli.terminal import terminal
+from verify.cli.terminal import report_files, terminal
 from verify.core.fiducials import Board
 from verify.core.rig import Rig
 from verify.errors import InputError
@@ -43,8 +43,7 @@ def calibrate_folder(
         InputError: the pictures cannot be used or do not determine the rig.
     """
     opened = open_board_folder(folder, board)
-    for warning in opened.warnings:
-        terminal.warn(warning)
+    terminal.warn(*opened.warnings)
     with terminal.progress("pairs searched for the board") as progress:
         pairs = find_boards(opened, progress)
     with (
@@ -129,7 +128,7 @@ def _print_calibration(found: Calibration, out: Path, target: Path) -> None:
     terminal.say(f"{len(found.frames)} pairs, {int(used.sum())} corners, {rms:.3f} px rms.")
     for sentence in found.decisions:
         terminal.say(f"  {sentence}")
-    terminal.say(f"Rig: {out}; report: {target / 'report.html'} and {target / 'report.pdf'}")
+    terminal.say(f"Rig: {out}; report: {report_files(target)}")
     terminal.record(
         {
             "type": "result",

@@ -204,8 +204,7 @@ def check(
         refuse_existing(out, force=force)
     done = run_check(source, rig, length_mm, length_uncertainty_mm, board)
     found = done.found
-    for warning in found.warnings:
-        terminal.warn(warning)
+    terminal.warn(*found.warnings)
     terminal.say("The calibration holds." if found.holds else "The calibration does not hold.")
     for sentence in found.decisions:
         terminal.say(f"  {sentence}")

@@ -8,7 +8,7 @@ from verify.calibration.check.results import check_results
 from verify.calibration.corners.folder import find_boards
 from verify.calibration.origin import ResultsOrigin
 from verify.cli.calibrate.boards import require_same_size
-from verify.cli.terminal import terminal
+from verify.cli.terminal import report_files, terminal
 from verify.core.fiducials import Board
 from verify.errors import InputError
 from verify.io import rig as io_rig
@@ -30,7 +30,7 @@ def write_check(done: CheckReport, out: Path, *, force: bool) -> None:
     """Write the report of a check, and say where."""
     made = check_results(done.found, done.origin)
     write_report_folder(made, out, force=force)
-    terminal.say(f"Report: {out / 'report.html'} and {out / 'report.pdf'}")
+    terminal.say(f"Report: {report_files(out)}")
 
 
 def run_check(
@@ -40,7 +40,7 @@ def run_check(
     length_uncertainty_mm: float | None,
     board: Board | None,
 ) -> CheckReport:
-    """Check a rig.
+    """Check a rig by a session or by board pictures.
 
     Args:
         source: a session, or a folder of board pictures.
@@ -67,13 +67,10 @@ def run_check(
             expected = "cameras are checked by pictures of LEDs or of a board"
             raise InputError(source, "holds poses and no pictures", expected, "Give one of those.")
         session = session if rig is None else replace(session, rig=rig)
-        u_mm = length_uncertainty_mm
+        length, u = (None if mm is None else mm * 1e-3 for mm in (length_mm, length_uncertainty_mm))
         with terminal.progress("pairs") as progress:
             result = check_session(
-                session,
-                length=None if length_mm is None else length_mm * 1e-3,
-                length_standard_uncertainty=None if u_mm is None else u_mm * 1e-3,
-                progress=progress,
+                session, length=length, length_standard_uncertainty=u, progress=progress
             )
         origin = ResultsOrigin(session.name, session.description, session.inputs | other_rig)
         return CheckReport(result, origin)

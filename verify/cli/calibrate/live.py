@@ -1,18 +1,16 @@
-"""`verify calibrate boards STATION --live`: the pictures are taken now, by a station's cameras."""
+"""`verify calibrate boards STATION --live`: a station's cameras take the pictures."""
 
-import os
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
 from verify.cli.options import PageOptions
-from verify.cli.terminal import terminal
+from verify.cli.terminal import STDIN, read_lines, terminal
 from verify.cli.watch import stop_on_signal
 from verify.core.fiducials import Board
 from verify.errors import InputError
@@ -20,7 +18,6 @@ from verify.io import fiducials
 from verify.live.boards.pictures import BoardPictures
 from verify.live.boards.show import BoardDisplay, BoardPageSource, BoardState
 from verify.live.boards.take import BoardCapture, BoardDevices
-from verify.live.page.feed import Page
 from verify.live.station.cameras import StationCameras, open_station_cameras
 from verify.simulation.boards.cameras import BoardCameras
 
@@ -31,81 +28,74 @@ KEYS_HELP = "Enter: take this pair; q and Enter, or Ctrl-C: finish"
 
 @dataclass(frozen=True, slots=True)
 class BoardRunOptions:
-    """How the pictures are wanted."""
+    """Options of a run that takes board pictures."""
 
     board: Board | None  # None: the simulated one
     pairs: int | None  # after which it ends by itself
     page: PageOptions | None
 
 
-def pictures_folder(given: Path | None) -> Path:
-    """Name the folder of the pictures: as given, or after the time."""
-    return given if given is not None else Path(time.strftime(FOLDER_FORMAT))
+def pictures_folder(option: Path | None) -> Path:
+    """Name the folder of the pictures: by the option, or after the time."""
+    return option if option is not None else Path(time.strftime(FOLDER_FORMAT))
 
 
 def board_of(by_option: Board | None, file: Path | None) -> Board | None:
-    """Take the board that options or a board.toml tell; None where neither does.
+    """Take the board of the options or of a board.toml; None without either.
 
     Raises:
-        InputError: both do, or the file is none.
+        InputError: both are there, or the file is none.
     """
     if file is None:
         return by_option
     if by_option is not None:
         raise InputError("--board", "is given beside --corners", "one board is used", "Leave one.")
     board, warnings = fiducials.read_board(file)
-    for warning in warnings:
-        terminal.warn(warning)
+    terminal.warn(*warnings)
     return board
 
 
-def refuse_without_live(source: Path, given: Mapping[str, bool]) -> None:
-    """Refuse a station file, and options that mean nothing for pictures that were taken already.
+def refuse_without_live(source: Path, used: Mapping[str, bool]) -> None:
+    """Refuse a station file, and options that have no meaning for a folder of pictures.
 
     Raises:
-        InputError: names the file, or the first option that was given.
+        InputError: names the file, or the first option that was used.
     """
     if source.suffix == ".toml":
         found, expected = "is a station file", "without --live a folder of pictures is expected"
         raise InputError(source, found, expected, "Add --live.")
-    for option in (option for option, there in given.items() if there):
+    for option in (option for option, there in used.items() if there):
         found = "was given with a folder of pictures"
         raise InputError(option, found, "it is for --live", "Leave it out, or add --live.")
 
 
-def take_pictures(station: Path, folder: Path, wish: BoardRunOptions) -> None:
-    """Take pairs of board pictures until enough are there or the user finishes.
+def take_pictures(station: Path, folder: Path, options: BoardRunOptions) -> None:
+    """Take pairs of board pictures until there are enough or the user finishes.
 
     Args:
-        station: its file; only cameras and bases are looked at.
-        folder: where the pictures go: what `verify calibrate boards` reads.
-        wish: how.
+        station: a station file, of which only cameras and bases are read.
+        folder: of the pictures, as `verify calibrate boards` reads it.
+        options: board, number of pairs, page.
 
     Raises:
         InputError: the file, the board, a device or the disk; or no pair was taken.
     """
     opened = open_station_cameras(station, BoardCameras)
-    for warning in opened.warnings:
-        terminal.warn(warning)
-    board = wish.board or opened.board
+    terminal.warn(*opened.warnings)
+    board = options.board or opened.board
     if board is None:
         expected = "which board is shown must be known"
-        remedy = (
-            "Give --board board.toml, as `verify board` wrote it, or --corners and --square-mm."
-        )
+        remedy = "Give --board board.toml of `verify board`, or --corners and --square-mm."
         raise InputError("--board", "is missing", expected, remedy)
     state = BoardState()
     with ExitStack() as stack:
         devices = _open_devices(opened, stack)
         pictures = BoardPictures(folder, board, turning=devices.pan is not None)
-        taking = BoardCapture(devices, board, pictures, wish.pairs, state)
-        if wish.page is not None:
+        taking = BoardCapture(devices, board, pictures, options.pairs, state)
+        if options.page is not None:
             source = BoardPageSource(state, board, opened.name)
-            words = {"take": taking.ask, "finish": taking.finish}
-            page = Page(source, wish.page.port, wish.page.address, wish.page.token, words)
-            stack.callback(page.close)
-            terminal.say(f"page: {page.url}")
-            terminal.record({"type": "page", "url": page.url})
+            requests = {"take": taking.ask, "finish": taking.finish}
+            stack.callback(options.page.serve(source, asked=requests).close)
         look = stack.enter_context(_show_state(state))
         stop = stack.enter_context(stop_on_signal())
         _read_commands(taking)
@@ -124,7 +114,7 @@ def take_pictures(station: Path, folder: Path, wish: BoardRunOptions) -> None:
 
 
 def _open_devices(station: StationCameras, stack: ExitStack) -> BoardDevices:
-    """Open the devices; each is let go with the stack."""
+    """Open the devices; the stack closes them."""
     left, right = station.open_cameras()
     stack.callback(left.close)
     stack.callback(right.close)
@@ -141,34 +131,28 @@ def _show_state(state: BoardState) -> Iterator[Callable[[], None]]:
         with BoardDisplay(Console(), KEYS_HELP) as screen:
             yield lambda: screen.look(state)
         return
-    said = ""
+    text = ""
 
     def look() -> None:
-        nonlocal said
+        nonlocal text
         now = state.snapshot()
-        if now.last != said:
-            said = now.last
+        if now.last != text:
+            text = now.last
             missing = [f"{goal.name}: {goal.words}" for goal in now.goals if not goal.reached]
-            terminal.say(f"{said}; " + (f"next, {missing[0]}" if missing else "all is covered"))
-            terminal.record({"type": "board_pair", "pairs": now.pairs, "text": said})
+            terminal.say(f"{text}; " + (f"next, {missing[0]}" if missing else "all is covered"))
+            terminal.record({"type": "board_pair", "pairs": now.pairs, "text": text})
 
     yield look
 
 
 def _read_commands(taking: BoardCapture) -> None:
-    """Take what is typed: a line each. An input that ends, or is none, says nothing."""
+    """Obey what is typed, a line a command."""
 
-    def listen() -> None:
-        with suppress(OSError, ValueError):  # no input at all
-            source = sys.stdin.fileno()
-            # not sys.stdin's own lines: a thread that waits in there locks it to the very end
-            while typed := os.read(source, 1024):
-                for line in typed.decode(errors="replace").splitlines():
-                    word = line.strip().lower()
-                    if word in FINISH_KEYS:
-                        taking.finish()
-                    elif not word:
-                        taking.ask()
+    def take(line: str) -> None:
+        word = line.strip().lower()
+        if word in FINISH_KEYS:
+            taking.finish()
+        elif not word:
+            taking.ask()
 
-    if sys.stdin is not None:
-        threading.Thread(target=listen, name="keys", daemon=True).start()
+    read_lines(STDIN, take)

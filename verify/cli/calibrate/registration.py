@@ -12,7 +12,7 @@ from verify.calibration.registration.records import MotionRegistration
 from verify.calibration.registration.register import register_motion
 from verify.calibration.registration.results import fixture_results, motion_results
 from verify.cli.calibrate.boards import error_in_folder, require_same_size
-from verify.cli.terminal import terminal
+from verify.cli.terminal import report_files, terminal
 from verify.core.fiducials import Board, Marker
 from verify.core.rig import Rig
 from verify.errors import InputError
@@ -85,8 +85,7 @@ def register_by_fixture(
     with error_in_folder(folder):
         found = register_fixture(rig, pairs, opened.board, place.base_T_board, place.covariance)
     warnings = (*rig_warnings, *opened.warnings, *fixture_warnings, *found.warnings)
-    for warning in warnings:
-        terminal.warn(warning)
+    terminal.warn(*warnings)
     made = fixture_results(
         replace(found, warnings=warnings),
         robot="a robot by a board on its base",
@@ -114,8 +113,7 @@ def register_by_motion(
             progress=progress,
         )
     warnings = (*recording.warnings, *(known[1] if known else ()), *found.warnings)
-    for warning in warnings:
-        terminal.warn(warning)
+    terminal.warn(*warnings)
     swept = _fit_swept_axes(recording, found.rig, found.marker) if options.sweeps else None
     made = motion_results(
         replace(found, warnings=warnings),
@@ -165,10 +163,7 @@ def _fit_swept_axes(recording: Recording, rig: Rig, marker: Marker) -> SweepResu
 def _print_summary(decisions: tuple[str, ...], written: list[Path], target: Path) -> None:
     for sentence in decisions:
         terminal.say(f"  {sentence}")
-    terminal.say(
-        f"Written: {', '.join(map(str, written))}; report: {target / 'report.html'} and "
-        f"{target / 'report.pdf'}"
-    )
+    terminal.say(f"Written: {', '.join(map(str, written))}; report: {report_files(target)}")
     terminal.record(
         {
             "type": "result",

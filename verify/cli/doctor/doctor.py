@@ -38,8 +38,7 @@ def doctor(
         findings += [check_disk(Path())]
         findings += [*check_serial_ports(), *check_video_devices()]
     else:
-        for warning in known.warnings:
-            terminal.warn(warning)
+        terminal.warn(*known.warnings)
         findings += [check_disk(known.recording.folder)]
         findings += check_devices(known)
     for finding in findings:

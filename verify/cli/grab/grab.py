@@ -109,26 +109,20 @@ def grab(
 
     colour = target if target is not None or roi is not None or page else DEFAULT_COLOUR
     shown = PageOptions(page_port, page_address, page_token) if page else None
-    wish = GraspOptions(colour, roi, execute, auto, duration, shown)
+    options = GraspOptions(colour, roi, execute, auto, duration, shown)
     if station is not None:
         if seed or small or stop_and_go or turning:
-            said = "--seed, --small, --stop-and-go and --turning are for --sim"
-            raise typer.BadParameter(said)
+            raise typer.BadParameter("--seed, --small, --stop-and-go and --turning are for --sim")
         from verify.cli.grab.station import ActuatorPorts, grab_on_station
 
-        good = grab_on_station(station, ActuatorPorts(cell, gripper), wish, out, force=force)
+        good = grab_on_station(station, ActuatorPorts(cell, gripper), options, out, force=force)
     else:
         if cell is not None or gripper is not None:
             raise typer.BadParameter("--cell and --gripper are for a station")
         from verify.cli.grab.simulated import grab_simulated
 
         good = grab_simulated(
-            wish,
-            out,
-            seed=seed,
-            small=small,
-            stop_and_go=stop_and_go,
-            turning=turning,
+            options, out, seed=seed, small=small, stop_and_go=stop_and_go, turning=turning,
             force=force,
-        )
+        )  # fmt: skip
     return 0 if good else EXIT_NOT_GRASPED

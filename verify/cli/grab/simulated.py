@@ -1,10 +1,10 @@
-"""`verify grab --sim`: the simulated cell as the stage of a grab."""
+"""`verify grab --sim`: grasp in the simulated cell."""
 
 from datetime import UTC, datetime
 from pathlib import Path
 
 from verify.analysis.warm_up import warm_up
-from verify.cli.grab.conduct import GraspOptions, GraspRun, PageContext, conduct, target_name
+from verify.cli.grab.conduct import GraspOptions, GraspRun, conduct, target_name
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.record.record import GraspContext
 from verify.io import fiducials, rig
@@ -14,11 +14,11 @@ from verify.live.recording.session import SessionFacts
 from verify.simulation.cell.cell import RATE
 from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import COLOURS, add_pan_turns, draw_scene
-from verify.simulation.cell.setup import FULL_SIZE, ROBOT, SMALL_SIZE, CellSetup, cell_setup
+from verify.simulation.cell.setup import FULL_SIZE, ROBOT, SMALL_SIZE, cell_setup
 
 
 def grab_simulated(
-    wish: GraspOptions,
+    options: GraspOptions,
     out: Path,
     *,
     seed: int,
@@ -27,51 +27,29 @@ def grab_simulated(
     turning: bool,
     force: bool,
 ) -> bool:
-    """Grab in the simulated cell; see `conduct`.
-
-    Args:
-        wish: what is asked for.
-        out: the folder.
-        seed: which cell is drawn.
-        small: pictures of 640 x 360.
-        stop_and_go: the arm takes one move at a time.
-        turning: the camera bases turn meanwhile.
-        force: write into a folder that exists.
+    """Grasp in the simulated cell that `seed` draws; the result is that of `conduct`.
 
     Raises:
         InputError: an option is no colour, box or duration; the folder cannot be written.
     """
     refuse_existing(out, force=force)
-    target, ends = wish.given, wish.ends
+    target, page = options.target, options.page
     setup = cell_setup(SMALL_SIZE if small else FULL_SIZE, turning=turning)
-    scene = draw_scene(seed, wish.colour if wish.colour in COLOURS else "blue")
+    scene = draw_scene(seed, options.colour if options.colour in COLOURS else "blue")
     scene = add_pan_turns(scene) if turning else scene
-    bases = PanBuffer() if turning else None
-    watched = wish.page is not None
-    by_key = wish.execute and (watched or not wish.auto)
-    right = ExecutePermission("--execute") if wish.execute else None
-    paced = watched or by_key
+    keys = options.execute and (page is not None or not options.auto)
     warm_up()  # compiling while the arm waits would look like stale pictures
-    made = cell_grab(
+    cell = cell_grab(
         setup,
         scene,
         target,
-        right,
-        mode=CellMode(auto=wish.auto, stepped=stop_and_go, paced=paced),
-        bases=bases,
+        ExecutePermission("--execute") if options.execute else None,
+        mode=CellMode(options.auto, stepped=stop_and_go, paced=keys or page is not None),
+        bases=PanBuffer() if turning else None,
     )
-    told = GraspContext(ROBOT, target_name(target), "simulated", wish.execute, datetime.now(UTC))
-    page = None
-    if wish.page is not None:
-        page = PageContext(wish.page, setup.planner, setup.rig, selects=target is None)
-    workspace = setup.planner.workspace
-    facts = _facts(setup, turning=turning)
-    stage = GraspRun(made.loop, made.source, workspace, facts, told, RATE, by_key, page)
-    return conduct(stage, ends, out, force=force)
-
-
-def _facts(setup: CellSetup, *, turning: bool) -> SessionFacts:
-    return SessionFacts(
+    name = target_name(target)
+    context = GraspContext(ROBOT, name, "simulated", options.execute, datetime.now(UTC))
+    facts = SessionFacts(
         robot=ROBOT,
         joints=len(setup.home),
         files={
@@ -81,3 +59,7 @@ def _facts(setup: CellSetup, *, turning: bool) -> SessionFacts:
         tables={"description": "a grab in the simulated cell", "clock": {"encoder_offset_s": 0.0}},
         turning=turning,
     )
+    stage = GraspRun(
+        cell.loop, cell.source, setup.planner, setup.rig, facts, context, RATE, keys, page
+    )
+    return conduct(stage, options.stop_conditions, out, force=force)

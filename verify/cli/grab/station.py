@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from verify.analysis.warm_up import warm_up
-from verify.cli.grab.conduct import STDIN, GraspOptions, GraspRun, PageContext, conduct, target_name
-from verify.cli.terminal import terminal
+from verify.cli.grab.conduct import GraspOptions, GraspRun, conduct, target_name
+from verify.cli.terminal import STDIN, terminal
 from verify.core.records import StereoPair
 from verify.core.rig import Rig
 from verify.devices.encoders.intake import AngleMap
@@ -54,12 +54,12 @@ PAN_UNKNOWN = "a camera base turns, or its angle is not known: its pictures are 
 
 
 class LivePairs:
-    """The newest pair of two cameras that run freely; none of a time when a base was turning.
+    """The newest pair of two free-running cameras; none from while a base turns.
 
     Args:
         cameras: left and right; closed with this.
-        pan: tells how the bases stand; closed with this. None: they stand as the rig says.
-        rig: where they stand.
+        pan: reads the angles of the bases; closed with this. None: they stand as the rig says.
+        rig: the calibrated cameras.
         rate: Hz, of the loop.
         began: s, host's monotonic clock: zero of the pairs' times.
     """
@@ -75,78 +75,73 @@ class LivePairs:
         self._rig, self._period, self._began = rig, 1 / rate, began
         self._pairing, self._lock = Pairing(1 / rate), threading.Lock()
         self._newest: tuple[FramePair, tuple[float, float]] | None = None
-        self._cameras, self._pan, self._book = cameras, pan, PanBuffer()
+        self._cameras, self._pan, self._angles = cameras, pan, PanBuffer()
         self._frame, self._due = 0, time.monotonic()
-        self._known = True
-        self._pumps = [
-            PollingThread(f"{name} camera", self._step(side), _report_defect)
-            for side, name in enumerate(("left", "right"))
-        ]
+        self._warned = False
+        steps: dict[str, Callable[[], bool]] = {
+            f"{side} camera": partial(self._step, i) for i, side in enumerate(("left", "right"))
+        }
         if pan is not None:
-            self._pumps.append(
-                PollingThread("pan bases", readings_step(pan, self._book.add), _report_defect)
-            )
-        for pump in self._pumps:
-            pump.start()
+            steps["pan bases"] = readings_step(pan, self._angles.add)
+        self._threads = [PollingThread(name, step, _report_defect) for name, step in steps.items()]
+        for thread in self._threads:
+            thread.start()
 
     def pair(self) -> StereoPair | None:
-        """Take the newest pair; None where none has come since last time."""
+        """Take the newest pair; None if there is none since the last call."""
         with self._lock:
             taken, self._newest = self._newest, None
         if taken is None:
             return None
         self._frame += 1
-        (left, right), pans = (taken[0].left, taken[0].right), taken[1]
+        left, right, pans = taken[0].left, taken[0].right, taken[1]
         times = (left.t - self._began, right.t - self._began)
         return StereoPair(self._frame - 1, *times, *pans, left.image, right.image)
 
     def wait(self) -> None:
-        """Wait until the next turn is due."""
+        """Wait until the next cycle is due."""
         self._due = max(self._due + self._period, time.monotonic())
         time.sleep(max(0.0, self._due - time.monotonic()))
 
     def close(self) -> None:
-        """Let go of the cameras and the bases."""
-        for pump in self._pumps:
-            pump.stop()
-        for pump in self._pumps:
-            pump.join(1.0)
+        """Close the cameras and the bases."""
+        for thread in self._threads:
+            thread.stop()
+        for thread in self._threads:
+            thread.join(1.0)
         for camera in self._cameras:
             camera.close()
         if self._pan is not None:
             self._pan.close()
 
-    def _step(self, side: int) -> Callable[[], bool]:
-        def step() -> bool:
-            frame = self._cameras[side].read()
-            if frame is None:
-                return False
-            with self._lock:
-                pair = self._pairing.add(side, frame, time.monotonic())
-            if pair is not None:
-                self._keep(pair)
-            return True
-
-        return step
+    def _step(self, side: int) -> bool:
+        frame = self._cameras[side].read()
+        if frame is None:
+            return False
+        with self._lock:
+            pair = self._pairing.add(side, frame, time.monotonic())
+        if pair is not None:
+            self._keep(pair)
+        return True
 
     def _keep(self, pair: FramePair) -> None:
-        """Keep a pair whose bases stood; in the camera's thread: word of them may take a moment."""
+        """Keep a pair whose bases stood; in the camera's thread, as their angles may come late."""
         pans = self._pans(pair)
-        if (pans is not None) != self._known:
-            self._known = pans is not None
-            if not self._known:
-                terminal.warn(PAN_UNKNOWN)
         if pans is None:
+            if not self._warned:
+                terminal.warn(PAN_UNKNOWN)
+            self._warned = True
             return
+        self._warned = False
         with self._lock:
             if self._newest is None or self._newest[0].left.t < pair.left.t:
                 self._newest = (pair, pans)
 
     def _pans(self, pair: FramePair) -> tuple[float, float] | None:
-        """How the bases stood, rad, left and right; each at its own picture's instant."""
+        """Angles of the left and right base, rad, each at its own picture's instant."""
         if self._pan is None:
             return self._rig.left.pan, self._rig.right.pan
-        left, right = self._book.at(pair.left.t), self._book.at(pair.right.t)
+        left, right = self._angles.at(pair.left.t), self._angles.at(pair.right.t)
         return None if left is None or right is None else (left[0], right[1])
 
 
@@ -160,36 +155,35 @@ READING_HALF_WIDTH = 0.05  # s: within which the controller reads its joints, as
 
 @dataclass(frozen=True, slots=True)
 class ActuatorPorts:
-    """What moves, as the options name it."""
+    """Options that name the actuators."""
 
     cell: Path | None  # grab.toml; None: beside the station file
     gripper: str | None  # port; needed to move
 
 
 def grab_on_station(
-    path: Path, ports: ActuatorPorts, wish: GraspOptions, out: Path, *, force: bool
+    path: Path, ports: ActuatorPorts, options: GraspOptions, out: Path, *, force: bool
 ) -> bool:
-    """Grab with real devices; see `conduct`.
+    """Grasp with real devices; the result is that of `conduct`.
 
     Args:
         path: the station file; its [encoders] name the controller that moves.
-        ports: what else is needed.
-        wish: what is asked for.
-        out: the folder.
+        ports: cell file and gripper.
+        options: target, permission, duration, page.
+        out: of film, session and report.
         force: write into a folder that exists.
 
     Raises:
         InputError: a file, an option, a device or the folder; or the order was not confirmed.
     """
     refuse_existing(out, force=force)
-    target, ends = wish.given, wish.ends
+    target = options.target
     station = open_station(path, SimulatedStation)
     cell_path = ports.cell or path.with_name(CELL_FILE)
     cell, warnings = grasping_cell.read(cell_path, station.arm.dof)
-    for warning in (*station.warnings, *warnings):
-        terminal.warn(warning)
+    terminal.warn(*station.warnings, *warnings)
     rig, turning = station.rig, station.facts.turning
-    setup = planner_with_cameras(station.arm, cell, rig, turning=turning)
+    planner = planner_with_cameras(station.arm, cell, rig, turning=turning)
     tracker = None if target is None else TargetTracker(rig, target)
     warm_up()  # compiling while the arm waits would look like stale pictures
     with ExitStack() as stack:
@@ -198,46 +192,36 @@ def grab_on_station(
         def now() -> float:
             return time.monotonic() - began
 
-        joints, hands = _open_devices(station, setup, ports, wish, stack, began)
+        joints, actuators = _open_devices(station, planner, ports, options, stack, began)
         cameras, pan = station.open_cameras(), station.open_pan()
         source = LivePairs(cameras, pan, rig, station.rate, began)
         stack.callback(source.close)
-        watch = _open_flange_watch(station, setup, stack)
-        # nothing stands above the target that may not move: there is no hand to measure
-        aim = Aim(setup, rig, None if hands is None else watch)
-        loop = GraspLoop(setup, tracker, aim, hands, joints, now, auto=wish.auto)
-        started = datetime.now(UTC)
-        told = GraspContext(station.robot, target_name(target), station.name, wish.execute, started)
+        worker = ThreadPoolExecutor(1, "flange")  # the loop does not wait for it
+        stack.callback(worker.shutdown, cancel_futures=True)
+        watch = FlangeWatch(planner.arm, rig, station.marker, worker.submit)
+        # without actuators no hand comes above the target to be measured
+        aim = Aim(planner, rig, None if actuators is None else watch)
+        loop = GraspLoop(planner, tracker, aim, actuators, joints, now, auto=options.auto)
+        name, execute = target_name(target), options.execute
+        context = GraspContext(station.robot, name, station.name, execute, datetime.now(UTC))
         tables = {"description": f"a grab at {station.name}"}
         facts = replace(station.facts, tables=tables, turning=turning, time_stated=False)
-        page = (
-            None
-            if wish.page is None
-            else PageContext(wish.page, setup, rig, selects=target is None)
-        )
         stage = GraspRun(
-            loop, source, setup.workspace, facts, told, station.rate, wish.execute, page
+            loop, source, planner, rig, facts, context, station.rate, execute, options.page
         )
-        return conduct(stage, ends, out, force=force)
-
-
-def _open_flange_watch(station: Station, setup: GraspPlanner, stack: ExitStack) -> FlangeWatch:
-    """Measure the flange beside the loop, which waits for nothing."""
-    worker = ThreadPoolExecutor(1, "flange")
-    stack.callback(worker.shutdown, cancel_futures=True)
-    return FlangeWatch(setup.arm, station.rig, station.marker, worker.submit)
+        return conduct(stage, options.stop_conditions, out, force=force)
 
 
 def _open_devices(
     station: Station,
-    setup: GraspPlanner,
+    planner: GraspPlanner,
     ports: ActuatorPorts,
-    wish: GraspOptions,
+    options: GraspOptions,
     stack: ExitStack,
     began: float,
 ) -> tuple[Callable[[], EncoderReading | None], Actuators | None]:
-    """Open what reads the joints, and what moves, once that was confirmed."""
-    if not wish.execute:
+    """Open the encoders, and with --execute the actuators, once that is confirmed."""
+    if not options.execute:
         encoders = station.open_encoders()
         stack.callback(encoders.close)
 
@@ -251,32 +235,32 @@ def _open_devices(
     if ports.gripper is None:
         expected = "the gripper's port is needed to move"
         raise InputError("--gripper", "is missing", expected, "Example: --gripper /dev/ttyUSB0")
-    fingers = GripperSettings(ports.gripper)
+    gripping = GripperSettings(ports.gripper)
     melfa = EmulatorPortOpener(
         partial(open_port, settings.port, settings.line),
         partial(is_emulated_melfa, terminator=settings.terminator),
     )
-    hand = EmulatorPortOpener(partial(open_port, fingers.port, fingers.line), is_emulated_gripper)
+    hand = EmulatorPortOpener(partial(open_port, gripping.port, gripping.line), is_emulated_gripper)
     stack.callback(melfa.close)
     stack.callback(hand.close)
-    # a gripper is asked only beside an emulated controller: nothing in a real cell is
+    # the gripper is identified only beside an emulated controller, never in a real cell
     emulated = melfa.there() and hand.there()
-    right = (
-        _emulator_permission()
-        if emulated
-        else confirm_execution(f"{settings.robot_type} {settings.port}")
-    )
-    if not emulated:
+    if emulated:
+        terminal.say("Controller and gripper are emulators: nobody has to confirm")
+        right = ExecutePermission("--execute, and both ends have proved to be emulators")
+    else:
+        right = confirm_execution(f"{settings.robot_type} {settings.port}")
         melfa.close()
         hand.close()
-    limits = np.column_stack([setup.limits.lower, setup.limits.upper])
-    angles = _angle_map(table.encoders, station.arm.dof)
-    override = max(1, round(100 * setup.cell.moving.share))
-    most = MoveLimits(limits, override=override)
-    mover = stack.enter_context(
-        MelfaMover(settings, angles, most, right, melfa if emulated else None)
+    override = max(1, round(100 * planner.cell.moving.share))
+    limits = MoveLimits(
+        np.column_stack([planner.limits.lower, planner.limits.upper]), override=override
     )
-    gripper = GripperDriver(fingers, right, hand if emulated else None)
+    angles = _angle_map(table.encoders, station.arm.dof)
+    mover = stack.enter_context(
+        MelfaMover(settings, angles, limits, right, melfa if emulated else None)
+    )
+    gripper = GripperDriver(gripping, right, hand if emulated else None)
     stack.callback(gripper.close)
 
     def joints() -> EncoderReading | None:
@@ -285,33 +269,24 @@ def _open_devices(
             return None
         return EncoderReading(status.t, status.t - began, READING_HALF_WIDTH, 0, status.q)
 
-    return joints, Actuators(SteppedArm(setup, mover), gripper)
+    return joints, Actuators(SteppedArm(planner, mover), gripper)
 
 
-def _emulator_permission() -> ExecutePermission:
-    """Take `--execute` for the order that it is: nothing but emulators can be opened with it."""
-    terminal.say("Controller and gripper are emulators: nobody has to confirm")
-    return ExecutePermission("--execute, and both ends have proved to be emulators")
-
-
-def confirm_execution(what: str) -> ExecutePermission:
-    """Have the operator type what will move.
-
-    Args:
-        what: robot and port.
+def confirm_execution(robot: str) -> ExecutePermission:
+    """Have the operator type the name and port of the robot that will move.
 
     Raises:
         InputError: something else was typed.
     """
-    terminal.say(f"This moves a robot. Is the emergency stop at hand? Type: {what}")
+    terminal.say(f"This moves a robot. Is the emergency stop at hand? Type: {robot}")
     typed = _read_line()
-    if typed != what:
-        raise InputError("confirmation", f'"{typed}" was typed', f'"{what}" is expected')
+    if typed != robot:
+        raise InputError("confirmation", f'"{typed}" was typed', f'"{robot}" is expected')
     return ExecutePermission(f"--execute, and typed: {typed}")
 
 
 def _read_line() -> str:
-    """Read one line, and not a byte beyond it: the keys that follow are others' to read."""
+    """Read one line and not a byte beyond it: what follows are the operator's keys."""
     typed = b""
     while (byte := os.read(STDIN, 1)) not in (b"", b"\n"):
         typed += byte
@@ -319,7 +294,7 @@ def _read_line() -> str:
 
 
 def _motion_settings(path: Path, table: StationEncodersTable) -> MotionSettings:
-    """Take the controller that [encoders] names."""
+    """Settings of the controller that [encoders] names."""
     if table.driver != "melfa":
         expected = 'only a MELFA controller can be moved: driver = "melfa"'
         raise key_error(path, "encoders.driver", f'is "{table.driver}"', expected)

@@ -30,7 +30,7 @@ from verify.calibration.kinematics.sessions import (
     require_one_arm,
     session_to_poses,
 )
-from verify.cli.terminal import terminal
+from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__
 from verify.errors import InputError
 from verify.io.files import write_folder_whole
@@ -58,7 +58,7 @@ def identify_sessions(
         options: model and hold-out.
         free_base: None: free where a rig states that it was found through the encoders.
         free_tool: of the LEDs; None: free where a marker states that.
-        judges: sessions that the identified arm is judged by, and not identified from.
+        judges: sessions that validate the identified arm, and are not identified from.
         force: write into a folder that is not empty.
 
     Raises:
@@ -88,8 +88,7 @@ def identify_sessions(
     )  # fmt: skip
     judged = None if judging is None else _validate(judging, found, options)
     made = identification_results(found, gathered.poses, origin, name, judged)
-    for warning in origin.warnings:
-        terminal.warn(warning)
+    terminal.warn(*origin.warnings)
     table = made.tables["parameters"].to_csv(index=False, lineterminator="\n")
     with write_folder_whole(target, force) as folder:
         write_report_folder(made, folder, force=True)
@@ -219,10 +218,7 @@ def _print_summary(made: Results, target: Path) -> None:
     if outlying:
         said = "pose does" if outlying == 1 else "poses do"
         terminal.warn(f"{outlying} {said} not belong to the others: left out of the fit, listed")
-    terminal.say(
-        f"Written: {target / summary['robot_file']}; report: {target / 'report.html'} and "
-        f"{target / 'report.pdf'}"
-    )
+    terminal.say(f"Written: {target / summary['robot_file']}; report: {report_files(target)}")
     terminal.record({"type": "result", "out": str(target), "summary": summary})
 
 

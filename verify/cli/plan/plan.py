@@ -1,34 +1,16 @@
 """Plan the motion of the next session."""
 
-from dataclasses import dataclass
 from enum import StrEnum
+from math import isfinite, radians
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from verify.cli.options import ReplaceFiles
+from verify.errors import InputError
 
-
-@dataclass(frozen=True, slots=True)
-class PlanOptions:
-    """The options of a plan, in users' units."""
-
-    observe: tuple[str, ...]
-    poses: int | None
-    duration_s: float | None
-    hold_s: float
-    speed_deg_s: float
-    near: str | None
-    within_deg: float
-    floor_mm: float
-    view_angle_deg: float
-    rate_hz: float
-    spot_noise_px: float
-    reading_noise_deg: float
-    skew_ms: float
-    clock_uncertainty_ms: float | None
-    seed: int
+DEFAULT_POSES = 12
 
 
 class ObservableChoice(StrEnum):
@@ -99,13 +81,54 @@ def plan(
 
     Example: verify plan iust_6r rig.toml --observe offsets --observe backlash -o next_session
     """
-    from verify.cli.plan.session import plan_session
+    from verify.cli.plan.session import parse_posture, plan_session, planning_setup
+    from verify.planning.request import DEFAULT_KINDS, PlanRequest, SessionConditions
+    from verify.planning.results import PlanProvenance
 
-    options = PlanOptions(
-        observe=tuple(kind.value for kind in observe or ()),
-        poses=poses, duration_s=duration_s, hold_s=hold_s, speed_deg_s=speed_deg_s, near=near,
-        within_deg=within_deg, floor_mm=floor_mm, view_angle_deg=view_angle_deg, rate_hz=rate_hz,
-        spot_noise_px=spot_noise_px, reading_noise_deg=reading_noise_deg, skew_ms=skew_ms,
-        clock_uncertainty_ms=clock_uncertainty_ms, seed=seed,
+    if poses is not None and duration_s is not None:
+        raise InputError(
+            "--duration-s", "is given with --poses", "one of them says how long the plan is",
+            "Leave one out.",
+        )  # fmt: skip
+    _require_positive(
+        speed_deg_s=speed_deg_s, within_deg=within_deg, view_angle_deg=view_angle_deg,
+        duration_s=duration_s, rate_hz=rate_hz, spot_noise_px=spot_noise_px,
+        reading_noise_deg=reading_noise_deg,
     )  # fmt: skip
-    plan_session(robot, rig, marker, out, options, force=force)
+    _require_positive(zero=True, hold_s=hold_s, clock_uncertainty_ms=clock_uncertainty_ms)
+    if not abs(skew_ms) * 1e-3 < 1 / rate_hz:
+        expected = "less than the time between two pairs"
+        raise InputError("--skew-ms", f"{skew_ms:g} ms", expected)
+    setup, inputs, warnings = planning_setup(robot, rig, marker)
+    request = PlanRequest(
+        observe=tuple(dict.fromkeys(kind.value for kind in observe or ())) or DEFAULT_KINDS,
+        poses=None if duration_s is not None else poses or DEFAULT_POSES,
+        duration=duration_s,
+        hold=hold_s,
+        speed=radians(speed_deg_s),
+        view_angle=radians(min(view_angle_deg, 180.0)),
+        floor=floor_mm * 1e-3,
+        near=None if near is None else parse_posture(near, setup.arm),
+        within=radians(within_deg),
+        seed=seed,
+    )
+    conditions = SessionConditions(
+        rate=rate_hz,
+        skew=skew_ms * 1e-3,
+        spot_noise=spot_noise_px,
+        reading_noise=radians(reading_noise_deg),
+        clock_uncertainty=None if clock_uncertainty_ms is None else clock_uncertainty_ms * 1e-3,
+    )
+    provenance = PlanProvenance(setup, request, conditions, inputs, warnings)
+    plan_session(provenance, out, force=force)
+
+
+def _require_positive(*, zero: bool = False, **values: float | None) -> None:
+    """Refuse numbers that are not positive (or 0, with `zero`), by option; None passes."""
+    for name, value in values.items():
+        if value is None or (isfinite(value) and (value > 0 or (zero and value == 0))):
+            continue
+        raise InputError(
+            f"--{name.replace('_', '-')}", f"{value:g}",
+            f"a number above {'or at ' if zero else ''}0 is needed",
+        )  # fmt: skip

@@ -1,14 +1,14 @@
 """Plan the motion of the next session: an arm before a rig in, motion and prediction out."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import robots
 from reports import Results
-from verify.cli.plan.plan import PlanOptions
-from verify.cli.terminal import terminal
+from verify.cli.terminal import report_files, terminal
 from verify.core.records import Array
 from verify.errors import InputError
 from verify.io import fiducials
@@ -17,59 +17,55 @@ from verify.io.files import digest, write_folder_whole
 from verify.io.results import refuse_existing, write_report_folder
 from verify.io.session.folder import check_absorption
 from verify.planning.plan import SessionPlan, plan_motion
-from verify.planning.request import DEFAULT_KINDS, PlanningSetup, PlanRequest, SessionConditions
+from verify.planning.request import PlanningSetup
 from verify.planning.results import PlanProvenance, plan_results
 
 RIG_FILE, MARKER_FILE = "rig.toml", "marker.toml"
-DEFAULT_POSES = 12
 MIN_DIRECTION_SHARE = 0.1  # share of pairs of one direction of travel: below, worth a warning
 MIN_MEASURED_SHARE = 0.8  # share of pairs that are measured: below, worth a warning
 
 
-def plan_session(
-    robot: str,
-    rig: Path,
-    marker: Path | None,
-    out: Path | None,
-    options: PlanOptions,
-    *,
-    force: bool,
-) -> None:
+def plan_session(provenance: PlanProvenance, out: Path | None, *, force: bool) -> None:
     """Plan the next session; write plan.csv, poses.csv and the reports.
+
+    Args:
+        provenance: setup, request and conditions, with the warnings of the files they come from.
+        out: where the plan goes; None: ROBOT-plan in the current folder.
+        force: write into a folder that is not empty.
+
+    Raises:
+        InputError: nothing can be planned, or `out` is taken.
+    """
+    setup, request, conditions = provenance.setup, provenance.request, provenance.conditions
+    target = out if out is not None else Path(f"{setup.arm.name}-plan")
+    refuse_existing(target, force=force)
+    with terminal.progress("stages") as progress:
+        plan = plan_motion(setup, request, conditions, progress)
+    warnings = (*provenance.warnings, *_warnings(plan))
+    terminal.warn(*warnings)
+    results = plan_results(plan, replace(provenance, warnings=warnings))
+    with write_folder_whole(target, force) as folder:
+        write_report_folder(results, folder, force=True)
+        for name, table in (("plan", "trajectory"), ("poses", "poses")):
+            results.tables[table].to_csv(
+                folder / f"{name}.csv", index=False, float_format="%.5f", lineterminator="\n"
+            )
+    _print_summary(results, target)
+
+
+def planning_setup(
+    robot: str, rig: Path, marker: Path | None
+) -> tuple[PlanningSetup, dict[str, str], tuple[str, ...]]:
+    """Read arm, rig and LEDs; with the digests of the files, and warnings.
 
     Args:
         robot: a name, a robot file or a URDF.
         rig: rig.toml or the folder that holds it.
         marker: marker.toml; None: beside the rig.
-        out: where the plan goes; None: ROBOT-plan in the current folder.
-        options: as they were typed.
-        force: write into a folder that is not empty.
 
     Raises:
-        InputError: a file or an option cannot be used, nothing can be planned, `out` is taken.
+        InputError: a file cannot be used.
     """
-    bench, inputs, warnings = _planning_setup(robot, rig, marker)
-    request, conditions = plan_request(options, bench.arm), session_conditions(options)
-    target = out if out is not None else Path(f"{bench.arm.name}-plan")
-    refuse_existing(target, force=force)
-    with terminal.progress("stages") as progress:
-        made = plan_motion(bench, request, conditions, progress)
-    said = (*warnings, *_warnings(made))
-    for warning in said:
-        terminal.warn(warning)
-    written = plan_results(made, PlanProvenance(bench, request, conditions, inputs, said))
-    with write_folder_whole(target, force) as folder:
-        write_report_folder(written, folder, force=True)
-        for name, table in (("plan", "trajectory"), ("poses", "poses")):
-            written.tables[table].to_csv(
-                folder / f"{name}.csv", index=False, float_format="%.5f", lineterminator="\n"
-            )
-    _print_summary(written, target)
-
-
-def _planning_setup(
-    robot: str, rig: Path, marker: Path | None
-) -> tuple[PlanningSetup, dict[str, str], tuple[str, ...]]:
     try:
         arm = robots.load(robot)
     except robots.RobotError as problem:
@@ -83,70 +79,24 @@ def _planning_setup(
             "--marker", f"is not given, and there is no {marker_path}",
             "a plan needs to know where the LEDs sit on the flange", "Give --marker FILE.",
         )  # fmt: skip
-    read_rig, said_of_rig = io_rig.read(rig_path)
-    read_marker, said_of_marker = fiducials.read_marker(marker_path)
-    check_absorption(rig_path, read_rig, arm.dof)
-    if len(read_marker) < 3:
+    cameras, rig_warnings = io_rig.read(rig_path)
+    leds, marker_warnings = fiducials.read_marker(marker_path)
+    check_absorption(rig_path, cameras, arm.dof)
+    if len(leds) < 3:
         raise InputError(
-            marker_path, f"names {len(read_marker)} LED{'' if len(read_marker) == 1 else 's'}",
+            marker_path, f"names {len(leds)} LED{'' if len(leds) == 1 else 's'}",
             "a plan needs 3 or more, which give the whole pose", "Name every LED.",
         )  # fmt: skip
     inputs = {rig_path.name: digest(rig_path), marker_path.name: digest(marker_path)}
-    return PlanningSetup(arm, read_rig, read_marker), inputs, (*said_of_rig, *said_of_marker)
+    return PlanningSetup(arm, cameras, leds), inputs, (*rig_warnings, *marker_warnings)
 
 
-def plan_request(options: PlanOptions, arm: robots.Arm) -> PlanRequest:
-    """Turn the options into metres and radians.
-
-    Raises:
-        InputError: a number that cannot be, or options that exclude each other.
-    """
-    if options.poses is not None and options.duration_s is not None:
-        raise InputError(
-            "--duration-s", "is given with --poses", "one of them says how long the plan is",
-            "Leave one out.",
-        )  # fmt: skip
-    for option in ("speed_deg_s", "within_deg", "view_angle_deg", "duration_s"):
-        _require(option, getattr(options, option))
-    poses = None if options.duration_s is not None else options.poses or DEFAULT_POSES
-    return PlanRequest(
-        observe=tuple(dict.fromkeys(options.observe)) or DEFAULT_KINDS,
-        poses=poses,
-        duration=options.duration_s,
-        hold=_require("hold_s", options.hold_s, zero=True) or 0.0,
-        speed=float(np.deg2rad(options.speed_deg_s)),
-        view_angle=float(np.deg2rad(min(options.view_angle_deg, 180.0))),
-        floor=options.floor_mm * 1e-3,
-        near=None if options.near is None else _parse_posture(options.near, arm),
-        within=float(np.deg2rad(options.within_deg)),
-        seed=options.seed,
-    )
-
-
-def session_conditions(options: PlanOptions) -> SessionConditions:
-    """Turn the session's options into seconds and radians.
+def parse_posture(text: str, arm: robots.Arm) -> Array:
+    """Read --near: degrees with commas between; returns (j,), rad.
 
     Raises:
-        InputError: a number that cannot be.
+        InputError: not a number a joint, or outside the arm's limits.
     """
-    for option in ("rate_hz", "spot_noise_px", "reading_noise_deg"):
-        _require(option, getattr(options, option))
-    given = _require("clock_uncertainty_ms", options.clock_uncertainty_ms, zero=True)
-    if not abs(options.skew_ms) * 1e-3 < 1 / options.rate_hz:
-        raise InputError(
-            "--skew-ms", f"{options.skew_ms:g} ms", "less than the time between two pairs"
-        )
-    return SessionConditions(
-        rate=options.rate_hz,
-        skew=options.skew_ms * 1e-3,
-        spot_noise=options.spot_noise_px,
-        reading_noise=float(np.deg2rad(options.reading_noise_deg)),
-        clock_uncertainty=None if given is None else given * 1e-3,
-    )
-
-
-def _parse_posture(text: str, arm: robots.Arm) -> Array:
-    """Read --near, degrees."""
     try:
         values = [float(word) for word in text.split(",")]
     except ValueError:
@@ -169,43 +119,33 @@ def _parse_posture(text: str, arm: robots.Arm) -> Array:
     return q
 
 
-def _require(option: str, value: float | None, *, zero: bool = False) -> float | None:
-    """Refuse a number that is not positive (or 0, with `zero`); None passes."""
-    if value is not None and not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
-        raise InputError(
-            f"--{option.replace('_', '-')}", f"{value:g}",
-            f"a number above {'or at ' if zero else ''}0 is needed",
-        )  # fmt: skip
-    return value
-
-
-def _warnings(made: SessionPlan) -> list[str]:
-    said = []
-    seen = made.prediction.session
-    exact = seen.systematics.uncounted
+def _warnings(plan: SessionPlan) -> list[str]:
+    warnings = []
+    session = plan.prediction.session
+    exact = session.systematics.uncounted
     if exact:
-        said.append(
+        warnings.append(
             f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the predicted "
             "uncertainties hold on that condition."
         )
-    upward = np.mean(seen.comparison.direction > 0, axis=0)
+    upward = np.mean(session.comparison.direction > 0, axis=0)
     one_way = [
         f"{j + 1}"
         for j in np.flatnonzero(np.abs(upward - 0.5) > 0.5 - MIN_DIRECTION_SHARE).tolist()
     ]
     if one_way:
-        said.append(
+        warnings.append(
             f"Joint {', '.join(one_way)} turns one way nearly all the time; with --observe "
             "backlash every pose is visited from either side."
         )
-    share = len(seen.track) / len(seen.t)
+    share = len(session.track) / len(session.t)
     if share < MIN_MEASURED_SHARE:
-        said.append(f"Only {share:.0%} of the pairs would be measured.")
-    return said
+        warnings.append(f"Only {share:.0%} of the pairs would be measured.")
+    return warnings
 
 
-def _print_summary(made: Results, target: Path) -> None:
-    summary = made.summary
+def _print_summary(results: Results, target: Path) -> None:
+    summary = results.summary
     motion, pairs = summary["motion"], summary["pairs"]
     terminal.say(
         f"{motion['poses']} poses, {motion['duration_s']:.0f} s; {pairs['measured']} of "
@@ -214,10 +154,8 @@ def _print_summary(made: Results, target: Path) -> None:
     for joint in summary["joints"]:
         terminal.say(_joint_line(joint))
     terminal.say("Obstacles are not known to the plan: try it slowly first.")
-    terminal.say(
-        f"Written: {target / 'plan.csv'} and {target / 'poses.csv'}; report: "
-        f"{target / 'report.html'} and {target / 'report.pdf'}"
-    )
+    tables = f"{target / 'plan.csv'} and {target / 'poses.csv'}"
+    terminal.say(f"Written: {tables}; report: {report_files(target)}")
     terminal.record({"type": "result", "out": str(target), "summary": summary})
 
 

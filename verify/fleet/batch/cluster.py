@@ -6,8 +6,7 @@ from typing import Any
 
 from verify.core.version import __version__
 from verify.errors import InputError
-from verify.fleet.batch.records import Task, WorkerDied
-from verify.fleet.batch.workers import MAX_ATTEMPTS
+from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied
 
 CONNECT_TIMEOUT = 30  # s, for a scheduler to answer and a worker to be there
 TASKS_PER_THREAD = 2  # tasks under way a thread: the next is there when one is done
@@ -53,7 +52,7 @@ class Cluster:
         """Wait for nobody: a worker was there before this pool."""
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
-        """Perform tasks; see `WorkerPool`. A worker that dies is the scheduler's to replace."""
+        """Perform tasks; as `WorkerPool` says; the scheduler replaces a worker that dies."""
         distributed = _distributed()
         done = distributed.as_completed(loop=self._client.loop, raise_errors=False)
         under_way: dict[str, Task] = {}

@@ -1,5 +1,7 @@
-"""Records of a batch: sessions found, tasks for workers, and their outcomes."""
+"""Records of a batch: sessions, tasks for workers, their outcomes, and the workers' protocol."""
 
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -9,6 +11,7 @@ UNREADABLE = "unreadable"  # the system refuses a folder or a file
 REFUSED = "refused"  # the session cannot be measured: what `verify run` says of it
 KILLED = "killed"  # its worker died each time
 DEFECT = "defect"  # an error of ours, not of the session
+MAX_ATTEMPTS = 3  # of a task whose worker dies
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -70,6 +73,27 @@ class Task(Protocol):
 
     def perform(self) -> Any:
         """Do it."""
+
+
+class WorkerPool(Protocol):
+    """Workers, wherever they are."""
+
+    def ready(self) -> None:
+        """Wait until a worker can begin."""
+
+    def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
+        """Perform tasks, taken from the left, until none is left or under way.
+
+        The caller may append further ones meanwhile. As many are under way as there are
+        workers, or few more: memory follows the workers, not the tasks.
+
+        Yields:
+            Each task with its outcome, as they finish; `WorkerDied` where its worker died each
+            time.
+        """
+
+    def close(self) -> None:
+        """End the workers; tasks under way are dropped."""
 
 
 def printable_path(text: str) -> str:

@@ -17,11 +17,11 @@ from verify.fleet.batch.records import (
     SessionResults,
     Task,
     WorkerDied,
+    WorkerPool,
     printable_path,
 )
 from verify.fleet.batch.store import ResultStore
 from verify.fleet.batch.tasks import CompareTask, MeasureTask, ReportTask
-from verify.fleet.batch.workers import WorkerPool
 
 
 @dataclass(slots=True)

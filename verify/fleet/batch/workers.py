@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
 from verify.core.processes import (
     ChildFailedError,
@@ -16,31 +16,9 @@ from verify.core.processes import (
     answer_requests,
     wait_for_any,
 )
-from verify.fleet.batch.records import Task, WorkerDied
+from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied
 
-MAX_ATTEMPTS = 3  # of a task whose worker dies
 Worker = ChildProcess[Task, Any]
-
-
-class WorkerPool(Protocol):
-    """Workers, wherever they are."""
-
-    def ready(self) -> None:
-        """Wait until a worker can begin."""
-
-    def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
-        """Perform tasks, taken from the left, until none is left or under way.
-
-        The caller may append further ones meanwhile. As many are under way as there are
-        workers, or few more: memory follows the workers, not the tasks.
-
-        Yields:
-            Each task with its outcome, as they finish; `WorkerDied` where its worker died each
-            time.
-        """
-
-    def close(self) -> None:
-        """End the workers; tasks under way are dropped."""
 
 
 class ProcessPool:
@@ -61,7 +39,7 @@ class ProcessPool:
             self._idle[-1].wait_until_ready()
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
-        """Perform tasks; see `WorkerPool`."""
+        """Perform tasks; as `WorkerPool` says."""
         died: Counter[int] = Counter()
         while tasks or self._busy:
             self._hand_out(tasks)

@@ -13,13 +13,15 @@ from reports import Results
 from verify.core.version import __version__
 from verify.errors import InputError
 from verify.fleet.trends.joints import (
+    CHANGE_COLUMNS,
     MIN_SESSIONS_TO_ASSESS,
+    POINT_COLUMNS,
     JointAssessment,
     assess_joint,
     change_rows,
     point_rows,
 )
-from verify.fleet.trends.series import Contrast, JointSeries, contrast, series_of
+from verify.fleet.trends.series import JointSeries, contrast, series_of
 
 P_FALSE_ALARM = 0.01  # of the whole report: a change, an odd session, a difference; one each
 MAX_WORST_SESSIONS = 20  # sessions listed as the worst
@@ -29,9 +31,9 @@ DAY_NS = 86_400 * 10**9
 
 @dataclass(frozen=True, slots=True)
 class TrendRequest:
-    """What a report is asked beside the ordinary."""
+    """Options of a fleet report."""
 
-    by: str = "robot"  # one of BY
+    by: str = "robot"  # one of ARM_GROUPINGS
     since: date | None = None  # before and after this day
     compare: tuple[str, str] | None = None  # sessions below one folder against those below another
 
@@ -56,34 +58,21 @@ def assess(
     contrasts = _contrasts(sessions, every, questions)
     tables = {
         "joints": pd.DataFrame([_joint_row(sessions, one, judged.get(_key(one))) for one in every]),
-        "changes": _table(
-            [row for one in judged.values() for row in change_rows(one)], _CHANGE_COLUMNS
+        "changes": pd.DataFrame(
+            [row for one in judged.values() for row in change_rows(one)], columns=CHANGE_COLUMNS
         ),
         "points": _points(list(judged.values())),
-        "contrasts": _table(contrasts, _CONTRAST_COLUMNS),
+        "contrasts": pd.DataFrame(contrasts, columns=_CONTRAST_COLUMNS),
         "worst": _worst_sessions(sessions, set(reported)),
         "failures": failures.astype(str),
     }
     return Results(_summary(sessions, failures, questions, every), {}, tables)
 
 
-_CHANGE_COLUMNS = (
-    "arm", "joint", "kind", "term", "session", "t_days", "before_t_days", "earliest_t_days",
-    "latest_t_days", "size", "size_u", "unit", "clearer_by",
-    "recalibrated",
-)  # fmt: skip
-_CONTRAST_COLUMNS = (
+_CONTRAST_COLUMNS = [
     "question", "arm", "joint", "first", "second", "first_sessions", "second_sessions",
     "first_deg", "second_deg", "difference_deg", "difference_u_deg", "shown",
-)  # fmt: skip
-_POINT_COLUMNS = (
-    "arm", "joint", "session", "t_days", "error_deg", "u_deg", "fitted_deg", "reference_deg",
-    "low_deg", "high_deg", "odd", "calibration",
-)  # fmt: skip
-
-
-def _table(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> pd.DataFrame:
-    return pd.DataFrame(rows, columns=list(columns))
+]  # fmt: skip
 
 
 def _arms(sessions: pd.DataFrame, by: str) -> pd.Series:
@@ -115,11 +104,7 @@ def _assess_joints(every: list[JointSeries]) -> dict[tuple[str, int], JointAsses
 
 def _points(judged: list[JointAssessment]) -> pd.DataFrame:
     tables = [point_rows(one) for one in judged]
-    return (
-        pd.concat(tables, ignore_index=True)
-        if tables
-        else pd.DataFrame(columns=list(_POINT_COLUMNS))
-    )
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=POINT_COLUMNS)
 
 
 def _joint_row(
@@ -165,8 +150,8 @@ def _median(rows: pd.DataFrame, name: str) -> float | None:
 
 def _contrasts(
     sessions: pd.DataFrame, every: list[JointSeries], questions: TrendRequest
-) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = []
+) -> list[tuple[Any, ...]]:
+    rows: list[tuple[Any, ...]] = []
     if questions.since is not None:
         day = pd.Timestamp(questions.since, tz="UTC").value / DAY_NS
         names = f"before {questions.since}", f"since {questions.since}"
@@ -187,33 +172,15 @@ def _contrasts(
 
 def _contrast_rows(
     question: str, names: tuple[str, str], sides: list[tuple[JointSeries, Any]]
-) -> list[dict[str, Any]]:
+) -> list[tuple[Any, ...]]:
     possible = [(one, second) for one, second in sides if second.any() and not second.all()]
     rows = []
     for one, second in possible:
-        found = contrast(one, second, P_FALSE_ALARM / len(possible))
-        if found is not None:
-            rows.append(_contrast_row(question, names, one, found))
+        difference = contrast(one, second, P_FALSE_ALARM / len(possible))
+        rows.append((question, one.arm, one.joint, *names, *difference.sessions,
+                     *difference.level, difference.difference, difference.standard_uncertainty,
+                     difference.shown))  # fmt: skip
     return rows
-
-
-def _contrast_row(
-    question: str, names: tuple[str, str], series: JointSeries, found: Contrast
-) -> dict[str, Any]:
-    return {
-        "question": question,
-        "arm": series.arm,
-        "joint": series.joint,
-        "first": names[0],
-        "second": names[1],
-        "first_sessions": found.sessions[0],
-        "second_sessions": found.sessions[1],
-        "first_deg": found.level[0],
-        "second_deg": found.level[1],
-        "difference_deg": found.difference,
-        "difference_u_deg": found.standard_uncertainty,
-        "shown": found.shown,
-    }
 
 
 def require_folders(names: Sequence[str], questions: TrendRequest) -> None:
@@ -272,11 +239,9 @@ def _worst_sessions(sessions: pd.DataFrame, reported: set[str]) -> pd.DataFrame:
     rows.sort(
         key=lambda r: (severity.get(r["verdict"], 2), -abs(r["worst_error_deg"]), r["session"])
     )
-    return _table(
-        rows[:MAX_WORST_SESSIONS],
-        ("session", "arm", "started", "joint", "worst_error_deg", "worst_error_u_deg", "verdict",
-         "kept_in", "reported"),
-    )  # fmt: skip
+    columns = ["session", "arm", "started", "joint", "worst_error_deg", "worst_error_u_deg",
+               "verdict", "kept_in", "reported"]  # fmt: skip
+    return pd.DataFrame(rows[:MAX_WORST_SESSIONS], columns=columns)
 
 
 def _day(moment: Any) -> str | None:

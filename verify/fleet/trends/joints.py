@@ -109,8 +109,18 @@ def _control_half_width(series: JointSeries, course: JointTrend, false_alarm: fl
     return half
 
 
+POINT_COLUMNS = [
+    "arm", "joint", "session", "t_days", "error_deg", "u_deg", "fitted_deg", "reference_deg",
+    "low_deg", "high_deg", "odd", "calibration",
+]  # fmt: skip
+CHANGE_COLUMNS = [
+    "arm", "joint", "kind", "term", "session", "t_days", "before_t_days", "earliest_t_days",
+    "latest_t_days", "size", "size_u", "unit", "clearer_by", "recalibrated",
+]  # fmt: skip
+
+
 def point_rows(judged: JointAssessment) -> pd.DataFrame:
-    """One row a session: error, limits, course; degrees."""
+    """One row a session, as `POINT_COLUMNS` names them."""
     series = judged.series
     course = judged.course
     shift = np.full(len(series), np.nan)
@@ -119,50 +129,26 @@ def point_rows(judged: JointAssessment) -> pd.DataFrame:
     shift = pd.Series(shift).ffill().bfill().to_numpy(dtype=float)  # odd ones: their neighbours'
     fitted[judged.ordinary] = course.fitted + course.shift
     reference = course.reference + shift
-    return pd.DataFrame(
-        {
-            "arm": series.arm,
-            "joint": series.joint,
-            "session": series.session,
-            "t_days": series.t,
-            "error_deg": series.error,
-            "u_deg": series.scatter,
-            "fitted_deg": fitted,
-            "reference_deg": reference,
-            "low_deg": reference - judged.half,
-            "high_deg": reference + judged.half,
-            "odd": judged.odd,
-            "calibration": series.group,
-        }
-    )
+    columns = (
+        series.arm, series.joint, series.session, series.t, series.error, series.scatter, fitted,
+        reference, reference - judged.half, reference + judged.half, judged.odd, series.group,
+    )  # fmt: skip
+    return pd.DataFrame(dict(zip(POINT_COLUMNS, columns, strict=True)))
 
 
-def change_rows(judged: JointAssessment) -> list[dict[str, Any]]:
-    """One row a change: kind, date, size."""
+def change_rows(judged: JointAssessment) -> list[tuple[Any, ...]]:
+    """One row a change, as `CHANGE_COLUMNS` names them."""
     rows = []
+    series, t = judged.series, judged.series.t[judged.ordinary]
     for one in judged.course.changes:
-        step = one.term.kind == "step"
-        first = judged.ordinary[one.term.place]
-        rows.append(
-            {
-                "arm": judged.series.arm,
-                "joint": judged.series.joint,
-                "kind": change_kind(one),
-                "term": one.term.kind,
-                "session": judged.series.session[first],
-                "t_days": judged.series.t[first],
-                "before_t_days": judged.series.t[judged.ordinary[one.term.place - 1]]
-                if step
-                else judged.series.t[first],
-                "earliest_t_days": judged.series.t[judged.ordinary[one.earliest]],
-                "latest_t_days": judged.series.t[judged.ordinary[one.latest]],
-                "size": one.size,
-                "size_u": one.standard_uncertainty,
-                "unit": "deg" if step else "deg/month",
-                "clearer_by": one.clearer_by,
-                "recalibrated": step and _is_recalibration(judged, one),
-            }
-        )
+        step, place = one.term.kind == "step", one.term.place
+        rows.append((
+            series.arm, series.joint, change_kind(one), one.term.kind,
+            series.session[judged.ordinary[place]], t[place], t[place - 1 if step else place],
+            t[one.earliest], t[one.latest], one.size, one.standard_uncertainty,
+            "deg" if step else "deg/month", one.clearer_by,
+            step and _is_recalibration(judged, one),
+        ))  # fmt: skip
     return rows
 
 

@@ -7,7 +7,8 @@ Source: Sherman and Morrison, Annals of Mathematical Statistics 21(1), 1950.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 import pandas as pd
@@ -20,6 +21,7 @@ SECONDS_PER_DAY = 86_400.0  # s
 DAYS_PER_MONTH = 365.25 / 12  # days
 MIN_SESSIONS_FOR_SCATTER = 5  # sessions from which the scatter between them is looked at
 NORMAL_MEDIAN = 0.6745  # of |z|
+_BY_SESSION = ("t", "error", "own", "shared", "group")  # arrays of a series
 EFFICIENCY = 0.25  # of the scatter's estimate: a median (0.37) of successive differences (2/3)
 
 
@@ -52,18 +54,9 @@ class JointSeries:
         return np.inf if self.excess == 1.0 else max(EFFICIENCY * len(self), 1.0)
 
     def chosen(self, which: NDArray[np.bool_]) -> "JointSeries":
-        """Some of the sessions."""
-        return JointSeries(
-            self.arm,
-            self.joint,
-            tuple(np.array(self.session, dtype=object)[which].tolist()),
-            self.t[which],
-            self.error[which],
-            self.own[which],
-            self.shared[which],
-            self.group[which],
-            self.excess,
-        )
+        """Keep the sessions that `which` (n,) marks."""
+        arrays = {name: getattr(self, name)[which] for name in _BY_SESSION}
+        return replace(self, session=tuple(compress(self.session, which)), **arrays)
 
 
 def series_of(sessions: pd.DataFrame, arm: str, joint: int) -> JointSeries:
@@ -103,10 +96,7 @@ def _with_excess(series: JointSeries) -> JointSeries:
     between = np.where(other, series.shared[1:] ** 2 + series.shared[:-1] ** 2, 0.0)
     step = np.diff(series.error) / np.sqrt(variance[1:] + variance[:-1] + between)
     factor = float(np.median(np.abs(step))) / NORMAL_MEDIAN
-    if factor <= 1.0:
-        return series
-    parts = {name: getattr(series, name) for name in JointSeries.__slots__}
-    return JointSeries(**parts | {"excess": factor})
+    return replace(series, excess=max(factor, 1.0))
 
 
 def _numbers(rows: pd.DataFrame, name: str) -> Array:
@@ -246,8 +236,8 @@ class Contrast:
         return abs(self.difference) > self.limit
 
 
-def contrast(series: JointSeries, second: NDArray[np.bool_], false_alarm: float) -> Contrast | None:
-    """Hold the sessions that are `second` against the others; None where either set is empty.
+def contrast(series: JointSeries, second: NDArray[np.bool_], false_alarm: float) -> Contrast:
+    """Compare the sessions that are `second` with the others; neither set is empty.
 
     Args:
         series: one joint of one arm.
@@ -255,8 +245,6 @@ def contrast(series: JointSeries, second: NDArray[np.bool_], false_alarm: float)
         false_alarm: the chance that a difference is shown where there is none.
     """
     counts = int((~second).sum()), int(second.sum())
-    if not all(counts):
-        return None
     design = np.column_stack([np.ones(len(series)), second.astype(float)])
     found = fit(series, design)
     first, difference = found.coefficients.tolist()

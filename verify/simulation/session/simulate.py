@@ -221,7 +221,8 @@ def noisy_readings(
     """
     q = world.joints(t)
     q = q + reading_error(q, world.motion.direction(t), scenario.fault)
-    return q + np.radians(scenario.encoders.noise_deg) * rng.standard_normal(q.shape)
+    q += np.radians(scenario.encoders.noise_deg) * rng.standard_normal(q.shape)
+    return q
 
 
 def quantised(q: Array, resolution_deg: float) -> Array:

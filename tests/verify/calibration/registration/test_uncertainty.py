@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from robots.transforms import difference
-from tests.bench.registration import adjusted, played, spot_level
+from tests.bench.registration import adjusted, spot_level
 from verify.calibration.registration.adjustment import AdjustedRegistration
 from verify.calibration.registration.uncertainty import (
     absorbed_offsets,
@@ -16,7 +16,7 @@ from verify.calibration.registration.uncertainty import (
 )
 from verify.core.records import Array
 from verify.simulation import library
-from verify.simulation.session.simulate import SimulatedSession
+from verify.simulation.session.simulate import SimulatedSession, simulate_session
 
 OFFSET = np.deg2rad(0.1)
 
@@ -24,7 +24,7 @@ OFFSET = np.deg2rad(0.1)
 @pytest.fixture(scope="module")
 def session() -> SimulatedSession:
     sample = library.load("multi_joint_fault_6r")
-    return played(msgspec.structs.replace(sample, fault=[]))
+    return simulate_session(msgspec.structs.replace(sample, fault=[]))
 
 
 @pytest.fixture(scope="module")

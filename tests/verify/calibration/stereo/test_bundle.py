@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.bench.calibration import deviation, mean_d2, study
+from tests.bench.calibration import deviation, study
+from tests.bench.cells import d2_ratio
 from tests.support.boards.calibrated import (
     departure,
     departure_covariance,
@@ -277,10 +278,10 @@ def test_a_boards_pose_lies_within_its_uncertainty() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fixed", "scattering"])
 def test_stated_uncertainties_cover_the_truth(kind: str) -> None:
-    errors, d2, rank = study(kind, 20, 20261121, jobs=1)
-    ratio, low, high = mean_d2(d2, rank)
+    outcomes = study(kind, 20, 20261121, jobs=1)
+    ratio, low, high = d2_ratio(outcomes)
     assert low < ratio < high
-    pooled = np.concatenate(list(errors.values()))
+    pooled = np.concatenate([outcome.z for outcome in outcomes])
     assert 0.88 < np.mean(np.abs(pooled) < 1.96) < 0.99
 
 

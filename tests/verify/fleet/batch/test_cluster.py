@@ -1,10 +1,10 @@
 """A Dask cluster gives the same bytes as one process, and a killed worker costs only time."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import pytest
 
 from tests.support.command import verify
 from tests.support.fleets import record
+from tests.support.processes import TIMEOUT, wait_until
 from verify.errors import InputError
 from verify.fleet.batch.cluster import Cluster
 
@@ -21,7 +22,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore"),  # dask's and tornado's own, as workers come and go
 ]
 TABLES = ("sessions.parquet", "frames.parquet", "failures.csv", "fleet.html", "fleet.pdf")
-PATIENCE = 300.0  # s: a busy machine is slow to import
 
 
 @pytest.fixture(scope="module")
@@ -44,15 +44,6 @@ def alone(lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def assert_same(one: Path, other: Path) -> None:
     for name in TABLES:
         assert bool((one / name).read_bytes() == (other / name).read_bytes()), name
-
-
-def test_a_local_cluster_in_its_own_processes(lab: Path, alone: Path, tmp_path: Path) -> None:
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
-        address = cluster.scheduler_address
-        verify("batch", lab, "-o", tmp_path / "out", "--scheduler", address, "--quiet")
-    assert_same(alone, tmp_path / "out")
 
 
 @pytest.fixture
@@ -89,16 +80,17 @@ def test_a_scheduler_and_workers_by_hand_one_of_them_killed_midway(
               "--host", "127.0.0.1", "--no-nanny", "--local-directory", str(tmp_path / "dask"))
         for _ in range(2)
     ]  # fmt: skip
-    address = _address(output)
+    wait_until(output.exists)
+    address = str(json.loads(output.read_text())["address"])
     out = tmp_path / "out"
     batch = subprocess.Popen(
         [sys.executable, "-m", "verify", "batch", str(lab), "-o", str(out), "--scheduler", address],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    _wait_for(lambda: out.is_dir() and any((out / "sessions").glob("[!.]*/entry.json")))
+    wait_until(lambda: out.is_dir() and any((out / "sessions").glob("[!.]*/entry.json")))
     os.kill(workers[0].pid, signal.SIGKILL)
-    assert batch.wait(3 * PATIENCE) in (1, 3, 4)
+    assert batch.wait(3 * TIMEOUT) in (1, 3, 4)
     assert_same(alone, out)
 
 
@@ -106,17 +98,3 @@ def test_an_address_without_an_answer_is_refused_in_one_line() -> None:
     with pytest.raises(InputError) as problem:
         Cluster("nonsense://nowhere")
     assert "\n" not in str(problem.value)
-
-
-def _address(output: Path) -> str:
-    import json
-
-    _wait_for(output.exists)
-    return str(json.loads(output.read_text())["address"])
-
-
-def _wait_for(happened: Callable[[], bool]) -> None:
-    limit = time.monotonic() + PATIENCE
-    while not happened():
-        assert time.monotonic() < limit
-        signal.sigtimedwait([signal.SIGUSR2], 0.05)

@@ -104,17 +104,6 @@ def test_a_second_run_measures_only_changed_sessions(lab: Path, tmp_path: Path) 
     assert all("other options" in line for line in redone.progress.again)
 
 
-def test_a_session_that_was_cut_off_while_being_kept_is_measured_again(
-    lab: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    ((_, place),) = batch(lab, out, Inline()).kept
-    (place / "entry.json").unlink()
-    ((_, again),) = batch(lab, out, crew := Inline()).kept
-    assert crew.kinds == ["MeasureTask"]
-    assert (again / "entry.json").exists()
-
-
 def test_a_session_whose_worker_dies_each_time_is_reported(lab: Path, tmp_path: Path) -> None:
     done = batch(lab, tmp_path / "out", Inline(lost="MeasureTask"))
     assert not done.kept

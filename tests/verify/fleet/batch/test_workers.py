@@ -5,13 +5,16 @@ import signal
 import subprocess
 import sys
 from collections import deque
+from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from verify.fleet.batch.records import Task, WorkerDied
-from verify.fleet.batch.workers import MAX_ATTEMPTS, ProcessPool
+from tests.support.processes import running, wait_until
+from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied
+from verify.fleet.batch.workers import ProcessPool
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,14 @@ class Square:
 
     def perform(self) -> int:
         return self.number**2
+
+
+@dataclass(frozen=True)
+class Pid:
+    number: int
+
+    def perform(self) -> int:
+        return os.getpid()
 
 
 @dataclass(frozen=True)
@@ -50,37 +61,29 @@ class Mark:
 
 
 @pytest.fixture
-def pool() -> ProcessPool:
-    return ProcessPool(2)
+def pool() -> Iterator[ProcessPool]:
+    pool = ProcessPool(2)
+    yield pool
+    pool.close()
 
 
 def test_every_task_is_done_once_and_tasks_may_be_added(pool: ProcessPool) -> None:
     tasks: deque[Task] = deque(Square(n) for n in range(4))
     outcomes = []
-    try:
-        for _task, outcome in pool.run(tasks):
-            if outcome == 4:
-                tasks.append(Square(10))
-            outcomes.append(outcome)
-    finally:
-        pool.close()
+    for _task, outcome in pool.run(tasks):
+        if outcome == 4:
+            tasks.append(Square(10))
+        outcomes.append(outcome)
     assert sorted(outcomes) == [0, 1, 4, 9, 100]
 
 
 def test_workers_continue_while_results_are_stored(tmp_path: Path) -> None:
-    pool = ProcessPool(1)
     marks = [Mark(str(tmp_path / name)) for name in "ab"]
-    outcomes = pool.run(deque(marks))
-    try:
+    with closing(ProcessPool(1)) as pool:
+        outcomes = pool.run(deque(marks))
         assert next(outcomes) == (marks[0], marks[0].file)
-        for _ in range(500):
-            if Path(marks[1].file).exists():
-                break
-            signal.sigtimedwait([signal.SIGUSR2], 0.02)
-        assert Path(marks[1].file).exists()  # though nobody has asked for it yet
+        wait_until(Path(marks[1].file).exists)  # though nobody has asked for it yet
         assert next(outcomes) == (marks[1], marks[1].file)
-    finally:
-        pool.close()
 
 
 def test_a_worker_loads_nothing_that_it_may_never_need() -> None:
@@ -95,10 +98,7 @@ def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
 ) -> None:
     twice, always = Dies(f"{tmp_path}/a", 2), Dies(f"{tmp_path}/b", 99)
     tasks: deque[Task] = deque([twice, always, *(Square(n) for n in range(3))])
-    try:
-        outcomes = {task: outcome for task, outcome in pool.run(tasks)}  # noqa: C416
-    finally:
-        pool.close()
+    outcomes = {task: outcome for task, outcome in pool.run(tasks)}  # noqa: C416
     assert outcomes[twice] == "alive after 2"
     assert outcomes[always] == WorkerDied(MAX_ATTEMPTS)
     assert [outcomes[Square(n)] for n in range(3)] == [0, 1, 4]
@@ -106,16 +106,13 @@ def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
 
 
 def test_a_process_that_is_killed_while_it_has_nothing_to_do_is_replaced() -> None:
-    pool = ProcessPool(1)
-    try:
+    with closing(ProcessPool(1)) as pool:
         pool.ready()
         ((_, pid),) = pool.run(deque([Pid(0)]))
         os.kill(pid, signal.SIGKILL)
-        _await_end(pid)
+        wait_until(lambda: not running(pid))
         signal.sigtimedwait([signal.SIGUSR2], 0.5)  # until the pool's own thread has noticed
         ((_, other),) = pool.run(deque([Pid(1)]))
-    finally:
-        pool.close()
     assert other != pid
 
 
@@ -124,27 +121,4 @@ def test_closing_sends_every_process_home(pool: ProcessPool) -> None:
     pids = [outcome for _, outcome in pool.run(tasks)]
     pool.close()
     for pid in pids:
-        _await_end(pid)
-
-
-@dataclass(frozen=True)
-class Pid:
-    number: int
-
-    def perform(self) -> int:
-        return os.getpid()
-
-
-def _await_end(pid: int) -> None:
-    for _ in range(500):
-        if not _running(pid):
-            break
-        signal.sigtimedwait([signal.SIGUSR2], 0.02)
-    assert not _running(pid)
-
-
-def _running(pid: int) -> bool:
-    try:
-        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return False
+        wait_until(lambda pid=pid: not running(pid))
