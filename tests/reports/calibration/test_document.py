@@ -3,22 +3,20 @@
 import re
 
 import numpy as np
-import plotly.graph_objects as go
 import pytest
 from matplotlib.colors import to_hex, to_rgb
 
 import reports
 from reports.calibration import document as calibration_document
-from reports.calibration.figures import CALIBRATION_FIGURES, arrows
+from reports.calibration.figures import arrows
 from reports.document import charts
-from reports.document.blocks import Bullets, Figure, Table, to_template_data
+from reports.document.blocks import Bullets, Table, to_template_data
 from reports.document.charts import Chart, Line
-from reports.format import matplotlib, plotly
+from reports.format import matplotlib
 from reports.registration import document as registration
-from reports.registration.evidence import REGISTRATION_FIGURES
 from reports.results import Results
 from tests.support.reports import calibration as made
-from tests.support.reports.page import coloured, document_of, luminance, made_of, strings
+from tests.support.reports.page import chart_of, document_of, luminance, made_of, strings
 from tests.support.reports.registration import motion
 
 
@@ -30,43 +28,6 @@ def test_results_of_an_unknown_kind_are_refused_in_one_line() -> None:
     for render in (reports.render_html, reports.render_pdf):
         with pytest.raises(reports.ReportError, match='its kind is "moon"'):
             render(Results({"kind": "moon"}, {}, {}))
-
-
-@pytest.mark.parametrize("figure", sorted(CALIBRATION_FIGURES))
-def test_every_figure_of_a_calibration_is_drawn_or_declined(figure: str) -> None:
-    draw = CALIBRATION_FIGURES[figure]
-    assert draw(made_of("uncalibrated")) is None
-    for name in ("good", "doubtful"):
-        chart = draw(made_of(name))
-        assert chart is not None
-        plot = coloured(plotly.specification(chart))
-        go.Figure(plot["data"], plot["layout"])
-        go.Figure(plot["data"], plot["narrow"])
-        assert matplotlib.svg(chart) == matplotlib.svg(chart)
-
-
-@pytest.mark.parametrize("figure", sorted(REGISTRATION_FIGURES))
-def test_every_figure_of_a_registration_is_drawn_or_declined(figure: str) -> None:
-    draw = REGISTRATION_FIGURES[figure]
-    assert draw(made_of("bare")) is None
-    chart = draw(made_of("motion"))
-    assert chart is not None
-    plot = coloured(plotly.specification(chart))
-    go.Figure(plot["data"], plot["layout"])
-    assert matplotlib.svg(chart) == matplotlib.svg(chart)
-
-
-def test_every_axis_has_a_unit_or_a_count() -> None:
-    pairs = [(draw, "good") for draw in CALIBRATION_FIGURES.values()]
-    pairs += [(draw, "motion") for draw in REGISTRATION_FIGURES.values()]
-    for draw, name in pairs:
-        chart = draw(made_of(name))
-        assert chart is not None
-        panels = chart.panels if isinstance(chart, Chart) else ()
-        for panel in panels:
-            for label in (panel.x_label, panel.y_label):
-                counted = label in ("", "pair", "were they exact")
-                assert counted or re.search(r"\[(s|°|mm|px|%)\]$", label), label
 
 
 def test_every_column_of_measures_has_a_unit() -> None:
@@ -132,14 +93,7 @@ def test_every_input_hash_and_warning_is_in_the_report() -> None:
     assert "frames.csv: no pan." in text
 
 
-def test_the_rectified_pair_is_shown_where_there_is_one() -> None:
-    def shown(name: str) -> list[Figure]:
-        document = calibration_document.document(made_of(name))
-        every = [block for section in document.sections for block in section.blocks]
-        return [block for block in every if isinstance(block, Figure) and block.name == "rectified"]
-
-    assert len(shown("good")) == 1
-    assert not shown("doubtful")
+def test_without_a_rectified_pair_that_is_stated() -> None:
     assert "No pair was given to show rectified." in words("doubtful")
 
 
@@ -153,8 +107,7 @@ def test_arrows_begin_at_the_corner_and_follow_its_residual() -> None:
 
 def test_the_scale_arrow_has_its_stated_length() -> None:
     results_ = made_of("good")
-    chart = CALIBRATION_FIGURES["vectors"](results_)
-    assert isinstance(chart, Chart)
+    chart = chart_of("good", "vectors")
     lines = [m for m in chart.panels[0].marks if isinstance(m, Line)]
     note = next(m for m in chart.panels[0].marks if isinstance(m, charts.Note))
     long = float(note.text.removesuffix(" px"))
@@ -168,8 +121,7 @@ def test_the_scale_arrow_has_its_stated_length() -> None:
 
 def test_counts_and_uncertainties_are_written_into_their_cells() -> None:
     results_ = made_of("good")
-    chart = CALIBRATION_FIGURES["coverage"](results_)
-    assert isinstance(chart, Chart)
+    chart = chart_of("good", "coverage")
     total = sum(
         int(text)
         for panel in chart.panels
@@ -179,8 +131,7 @@ def test_counts_and_uncertainties_are_written_into_their_cells() -> None:
         for text in line
     )
     assert total == results_.tables["coverage"]["corners"].sum()
-    maps = CALIBRATION_FIGURES["accuracy"](results_)
-    assert isinstance(maps, Chart)
+    maps = chart_of("good", "accuracy")
     assert len(maps.panels) == 2 * len(results_.summary["accuracy"])
 
 

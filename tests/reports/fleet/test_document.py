@@ -78,6 +78,7 @@ def test_every_joint_has_a_strip_with_its_sessions_and_its_step() -> None:
     results = made_fleet.changed()
     points, found = results.table("points"), results.table("changes")
     drawn = arm_chart(points[points["arm"] == "arm_b"], found[found["arm"] == "arm_b"])
+    assert drawn is not None
     assert len(drawn.panels) == 6
     marks = drawn.panels[4].marks
     (step,) = (m for m in marks if isinstance(m, Level) and m.name == "step")
