@@ -1,5 +1,6 @@
 """What the report of a calibration from boards says, in which order."""
 
+from functools import partial
 from typing import Any
 
 from reports.calibration.rig import (
@@ -18,6 +19,7 @@ from reports.document.blocks import (
     Block,
     Bullets,
     Cell,
+    Column,
     Document,
     Facts,
     Paragraph,
@@ -25,10 +27,11 @@ from reports.document.blocks import (
     Table,
     Verdict,
     described,
+    field,
     lay_out,
     provenance,
-    row,
     software,
+    tabulate,
 )
 from reports.document.charts import records
 from reports.document.formatting import (
@@ -71,21 +74,14 @@ def verdict(results: Results) -> Section:
         sentence=_headline(summary),
         remarks=(*doubts, _headline_note(summary)),
     )
+    corners = f"{count(pairs.get('corners'))}, {count(pairs.get('refused'))} refused"
+    left, right = (quantity(fit.get(f"{side}_rms_px"), "px") for side in ("left", "right"))
     facts = Facts(
         (
             ("Pictures", text_or_dash(source.get("path"))),
             ("Pairs used", count(pairs.get("used"))),
-            (
-                "Corners used",
-                f"{count(pairs.get('corners'))}, {count(pairs.get('refused'))} refused",
-            ),
-            (
-                "Reprojection rms",
-                (
-                    f"{quantity(fit.get('left_rms_px'), 'px')} left, "
-                    f"{quantity(fit.get('right_rms_px'), 'px')} right"
-                ),
-            ),
+            ("Corners used", corners),
+            ("Reprojection rms", f"{left} left, {right} right"),
             ("Corners' noise over what was stated", quantity(fit.get("noise_factor"), "times")),
             ("Degrees of freedom", count(fit.get("degrees_of_freedom"))),
         )
@@ -128,47 +124,45 @@ def fit(results: Results) -> Section:
 
 
 def _pair_table(results: Results) -> Table:
-    known = {(r["camera"], r["frame"]): r for r in records(results.table("views"))}
-    stood = {r["frame"]: r for r in records(results.table("boards"))}
-    rows = []
-    for frame in sorted({frame for _, frame in known}):
-        left, right = (known.get((camera, frame), {}) for camera in ("left", "right"))
-        board = stood.get(frame, {})
-        poor = [c for c, view in (("left", left), ("right", right)) if view.get("poor")]
-        rows.append(
-            row(
-                str(frame),
-                number(board.get("distance_mm"), 0),
-                number(board.get("about_horizontal_deg"), 0, signed=True),
-                number(board.get("about_vertical_deg"), 0, signed=True),
-                *(text for view in (left, right) for text in _view_cells(view)),
-                Cell(f"stands out: {join_words(poor)}", "undecided") if poor else Cell("fits"),
-            )
-        )
-    return Table(
-        "Every pair: how the board stood, and how well its corners fit in either camera.",
-        "rrrrrrrrl",
-        (
-            "Pair", "Distance [mm]", "Tilt, horizontal axis [°]", "Tilt, vertical axis [°]",
-            "Left corners", "Left rms [px]", "Right corners", "Right rms [px]", "Remark",
-        ),
-        tuple(rows),
-        (CalibrationNotes.PAIRS,),
-        wide=(8,),
-    )  # fmt: skip
+    views = {(r["camera"], r["frame"]): r for r in records(results.table("views"))}
+    boards = {r["frame"]: r for r in records(results.table("boards"))}
+    entries = [
+        {**boards.get(frame, {}), "frame": frame}
+        | {camera: views.get((camera, frame), {}) for camera in ("left", "right")}
+        for frame in sorted({frame for _, frame in views})
+    ]
+    tilt = partial(number, decimals=0, signed=True)
+    columns = (
+        Column("Pair", "r", lambda e: str(e["frame"])),
+        Column("Distance [mm]", "r", field("distance_mm", number, 0)),
+        Column("Tilt, horizontal axis [°]", "r", field("about_horizontal_deg", tilt)),
+        Column("Tilt, vertical axis [°]", "r", field("about_vertical_deg", tilt)),
+        Column("Left corners", "r", lambda e: _corner_count(e["left"])),
+        Column("Left rms [px]", "r", lambda e: number(e["left"].get("rms_px"))),
+        Column("Right corners", "r", lambda e: _corner_count(e["right"])),
+        Column("Right rms [px]", "r", lambda e: number(e["right"].get("rms_px"))),
+        Column("Remark", "l", _view_remark, wide=True),
+    )
+    title = "Every pair: how the board stood, and how well its corners fit in either camera."
+    return tabulate(title, columns, entries, CalibrationNotes.PAIRS)
 
 
-def _view_cells(view: dict[str, Any]) -> tuple[str, str]:
+def _corner_count(view: dict[str, Any]) -> str:
     corners, refused = count(view.get("corners")), finite(view.get("refused"))
-    return (f"{corners} (−{refused:.0f})" if refused else corners), number(view.get("rms_px"), 3)
+    return f"{corners} (−{refused:.0f})" if refused else corners
+
+
+def _view_remark(entry: dict[str, Any]) -> Cell:
+    poor = [camera for camera in ("left", "right") if entry[camera].get("poor")]
+    return Cell(f"stands out: {join_words(poor)}", "undecided") if poor else Cell("fits")
 
 
 def coverage(results: Results) -> Section:
     """Show what the boards covered, and say what they did not."""
     gaps = [text_or_dash(sentence) for sentence in results.summary.get("gaps") or []]
-    said: Block = Bullets(tuple(gaps), "warning") if gaps else Paragraph(CalibrationNotes.COVERED)
+    text: Block = Bullets(tuple(gaps), "warning") if gaps else Paragraph(CalibrationNotes.COVERED)
     figures = (figure_block(results, name) for name in ("coverage", "stances", "scene"))
-    return Section("coverage", "Coverage, and what to add", (said, *figures))
+    return Section("coverage", "Coverage, and what to add", (text, *figures))
 
 
 def rectified_pair(results: Results) -> Section:
@@ -184,15 +178,13 @@ def conditions(results: Results) -> Section:
     kind = "chessboard"
     if board.get("markers"):
         kind = f"ChArUco, {board['markers']}, markers of {exact_number(board.get('marker_mm'))} mm"
+    size_text = f"{' × '.join(count(v) for v in size)} px" if isinstance(size, list) else DASH
     facts = Facts(
         (
             ("Board", kind),
             ("Inner corners", f"{count(board.get('columns'))} × {count(board.get('rows'))}"),
             ("Square", f"{exact_number(board.get('square_mm'))} mm"),
-            (
-                "Image size",
-                f"{' × '.join(count(v) for v in size)} px" if isinstance(size, list) else DASH,
-            ),
+            ("Image size", size_text),
             ("Bases", "turned between pairs" if summary.get("turning") else "fixed"),
             ("Software", software(summary)),
         )

@@ -1,7 +1,5 @@
 """Figures of a calibration from boards: tables in, chart out, None for nothing to draw."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pandas as pd
 
@@ -303,15 +301,3 @@ def correlation(results: Results) -> Chart | None:
     columns = tuple((at, f"{at + 1}") for at in range(len(names)))
     panel = correlation_panel(values, rows, columns)
     return Chart((panel,), row_height=0.3 + 0.175 * len(names), width=0.85)
-
-
-CALIBRATION_FIGURES: dict[str, Callable[[Results], Chart | Path | None]] = {
-    "views": view_errors,
-    "vectors": residual_vectors,
-    "coverage": coverage,
-    "stances": board_poses,
-    "scene": scene,
-    "accuracy": accuracy,
-    "contributions": contributions,
-    "parameter_correlation": correlation,
-}

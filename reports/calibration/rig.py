@@ -5,7 +5,6 @@ from typing import Any
 
 import pandas as pd
 
-from reports.calibration.figures import CALIBRATION_FIGURES
 from reports.calibration.words import (
     FIGURES,
     GROUPS,
@@ -14,10 +13,22 @@ from reports.calibration.words import (
     STATES_NOTE,
     CalibrationNotes,
 )
-from reports.document.blocks import Block, Bullets, Paragraph, Section, Table, figure_or_text, row
-from reports.document.charts import column, texts
+from reports.document.blocks import (
+    Block,
+    Bullets,
+    Column,
+    Paragraph,
+    Section,
+    Table,
+    field,
+    figure_or_text,
+    row,
+    tabulate,
+)
+from reports.document.charts import column, records, texts
 from reports.document.formatting import (
     DASH,
+    capitalise,
     exact_number,
     finite,
     quantity,
@@ -26,7 +37,6 @@ from reports.document.formatting import (
     with_uncertainty,
 )
 from reports.results import Results
-from reports.session.headline import capitalise
 
 
 def parameters(results: Results) -> Section:
@@ -55,22 +65,13 @@ def _parameter_table(table: pd.DataFrame) -> Table:
             held.add(state)
         cells[camera, key] = text
     keys = list(dict.fromkeys(texts(table, "parameter")))
-    rows = tuple(
-        row(
-            PARAMETERS.get(key, key),
-            cells.get(("left", key), DASH),
-            cells.get(("right", key), DASH),
-        )
-        for key in keys
+    columns = (
+        Column("Parameter", "l", lambda key: PARAMETERS.get(key, key)),
+        Column("Left camera", "r", lambda key: cells.get(("left", key), DASH)),
+        Column("Right camera", "r", lambda key: cells.get(("right", key), DASH)),
     )
-    notes = tuple(STATES_NOTE[state] for state in STATES if state in held)
-    return Table(
-        "Parameters and standard uncertainties (k = 1).",
-        "lrr",
-        ("Parameter", "Left camera", "Right camera"),
-        rows,
-        notes,
-    )
+    notes = (STATES_NOTE[state] for state in STATES if state in held)
+    return tabulate("Parameters and standard uncertainties (k = 1).", columns, keys, *notes)
 
 
 def _principal_point(point: dict[str, Any]) -> Paragraph:
@@ -98,12 +99,10 @@ def _principal_point(point: dict[str, Any]) -> Paragraph:
 def stereo(results: Results) -> Section:
     """Say how the cameras stand to each other, and check the scale against the squares."""
     entry = results.summary.get("stereo") or {}
+    convergence = _format_with_uncertainty(entry, "convergence", "deg")
     rows = [
         row("Baseline [mm]", _format_with_uncertainty(entry, "baseline", "mm")),
-        row(
-            "Convergence of the optical axes [°]",
-            _format_with_uncertainty(entry, "convergence", "deg"),
-        ),
+        row("Convergence of the optical axes [°]", convergence),
     ]
     for name, key, unit, sign in (
         ("Right camera in the left one", "position", "mm", "mm"),
@@ -117,20 +116,14 @@ def stereo(results: Results) -> Section:
         ]
     turning = results.summary.get("turning")
     if turning:
-        rows.append(
-            row(
-                "Angle between the turning axes [°]",
-                _format_with_uncertainty(turning, "axes_angle", "deg"),
-            )
-        )
-        said = CalibrationNotes.TURNING
-    else:
-        said = CalibrationNotes.STILL
+        angle = _format_with_uncertainty(turning, "axes_angle", "deg")
+        rows.append(row("Angle between the turning axes [°]", angle))
+    note = CalibrationNotes.TURNING if turning else CalibrationNotes.STILL
     table = Table(
         "Relation of the cameras, with standard uncertainties (k = 1).",
         "lr", ("Quantity", "Value ± u"), tuple(rows),
     )  # fmt: skip
-    blocks: tuple[Block, ...] = (table, Paragraph(said), *_scale(results.summary))
+    blocks: tuple[Block, ...] = (table, Paragraph(note), *_scale(results.summary))
     return Section("stereo", "Stereo relation and scale", blocks)
 
 
@@ -162,7 +155,7 @@ def _scale(summary: dict[str, Any]) -> tuple[Block, ...]:
     return (Paragraph(text),)
 
 
-figure_block = partial(figure_or_text, CALIBRATION_FIGURES, FIGURES)
+figure_block = partial(figure_or_text, FIGURES)
 
 
 def working_distance_entry(summary: dict[str, Any]) -> dict[str, Any]:
@@ -199,42 +192,37 @@ def accuracy(results: Results) -> Section:
 
 
 def _point_table(entries: list[dict[str, Any]]) -> Table:
-    names = [
-        f"{kind}_{part}_mm" for kind in ("random", "systematic") for part in ("lateral", "depth")
-    ]
-    names += ["total_lateral_mm", "total_depth_mm", "worst_total_mm"]
-    rows = tuple(
-        row(format_distance(e), *(significant(e.get(name)) for name in names)) for e in entries
-    )
-    return Table(
-        "Standard uncertainty (k = 1) of one LED's place in the middle of the field, in mm.",
-        "lrrrrrrr",
-        (
-            "Distance", "Noise, across", "Noise, depth", "Rig, across", "Rig, depth",
-            "Both, across", "Both, depth", "Worst in the field, in all",
-        ),
-        rows,
-        (CalibrationNotes.POINT,),
-    )  # fmt: skip
+    keys = {
+        "Noise, across": "random_lateral_mm",
+        "Noise, depth": "random_depth_mm",
+        "Rig, across": "systematic_lateral_mm",
+        "Rig, depth": "systematic_depth_mm",
+        "Both, across": "total_lateral_mm",
+        "Both, depth": "total_depth_mm",
+        "Worst in the field, in all": "worst_total_mm",
+    }
+    title = "Standard uncertainty (k = 1) of one LED's place in the middle of the field, in mm."
+    return tabulate(title, _distance_columns(keys), entries, CalibrationNotes.POINT)
 
 
 def _length_table(entries: list[dict[str, Any]], summary: dict[str, Any]) -> Table:
-    names = [
-        f"length_{way}_{kind}_um"
-        for way in ("across", "depth")
-        for kind in ("random", "systematic")
-    ]
-    rows = tuple(
-        row(format_distance(e), *(significant(e.get(name)) for name in names)) for e in entries
-    )
-    return Table(
+    keys = {
+        "Across, noise": "length_across_random_um",
+        "Across, rig": "length_across_systematic_um",
+        "In depth, noise": "length_depth_random_um",
+        "In depth, rig": "length_depth_systematic_um",
+    }
+    title = (
         f"Standard uncertainty (k = 1) of a length of {exact_number(summary.get('length_mm'))} mm "
-        "between two LEDs in the middle of the field, in µm.",
-        "lrrrr",
-        ("Distance", "Across, noise", "Across, rig", "In depth, noise", "In depth, rig"),
-        rows,
-        (CalibrationNotes.LENGTH,),
+        "between two LEDs in the middle of the field, in µm."
     )
+    return tabulate(title, _distance_columns(keys), entries, CalibrationNotes.LENGTH)
+
+
+def _distance_columns(keys: dict[str, str]) -> list[Column]:
+    """The distance, then the figures of these keys, by their heads."""
+    figures = [Column(head, "r", field(key, significant)) for head, key in keys.items()]
+    return [Column("Distance", "l", format_distance), *figures]
 
 
 def improvement(results: Results) -> Section:
@@ -242,23 +230,16 @@ def improvement(results: Results) -> Section:
     blocks: list[Block] = [Paragraph(capitalise(main_improvement(results.summary)))]
     table = results.table("contributions")
     if len(table):
-        rows = tuple(
-            row(capitalise(GROUPS.get(g, g)), significant(alone), significant(without))
-            for g, alone, without in zip(
-                texts(table, "group"), column(table, "alone_mm"), column(table, "without_mm"),
-                strict=True,
-            )
-        )  # fmt: skip
-        blocks.append(
-            Table(
-                f"Depth of a point {format_distance(working_distance_entry(results.summary))} "
-                "away, by what its uncertainty comes from.",
-                "lrr",
-                ("Source", "u from it alone [mm]", "u left, were it exact [mm]"),
-                rows,
-                (CalibrationNotes.GROUPS,),
-            )
+        title = (
+            f"Depth of a point {format_distance(working_distance_entry(results.summary))} away, "
+            "by what its uncertainty comes from."
         )
+        columns = (
+            Column("Source", "l", lambda e: capitalise(GROUPS.get(e["group"], e["group"]))),
+            Column("u from it alone [mm]", "r", field("alone_mm", significant)),
+            Column("u left, were it exact [mm]", "r", field("without_mm", significant)),
+        )
+        blocks.append(tabulate(title, columns, records(table), CalibrationNotes.GROUPS))
     blocks += [
         figure_block(results, "contributions"),
         figure_block(results, "parameter_correlation"),

@@ -1,6 +1,7 @@
 """The report of a calibration, in words: parameters, figures, notes."""
 
-from reports.document.blocks import FigureText
+from reports.calibration import figures
+from reports.document.blocks import FigurePlan
 
 GROUPS = {
     "focal lengths": "the cameras' focal lengths",
@@ -83,71 +84,69 @@ class CalibrationNotes:
 
 
 FIGURES = {
-    "views": FigureText(
+    "views": FigurePlan(
+        figures.view_errors,
         "Reprojection error of each view: root mean square distance of the corners from where the "
         "calibration puts them.",
         "Bars, two a pair: rms residual in pixels in the left and the right camera.",
         "No view was kept.",
     ),
-    "vectors": FigureText(
+    "vectors": FigurePlan(
+        figures.residual_vectors,
         "Residuals over the image, magnified as the arrow on top says: thin lines for corners, "
         "arrows for their means over cells. Single lines are noise; neighbouring arrows that point "
         "one way are lens distortion that the model does not follow.",
         "Two pictures of arrows, left and right camera.",
         "The residuals were not kept.",
     ),
-    "coverage": FigureText(
+    "coverage": FigurePlan(
+        figures.coverage,
         "Number of corners seen in each part of either image. Where there are none, the lens is "
         "known by extrapolation only.",
         "Two grids over the images with the number of corners in each cell.",
         "The coverage of the images is not known.",
     ),
-    "stances": FigureText(
+    "stances": FigurePlan(
+        figures.board_poses,
         "How the boards stood. Left: tilt about the vertical and about the horizontal axis; focal "
         "lengths and principal points need boards well off the middle, on all sides. Right: "
         "distance, and tilt in all.",
         "Two scatter plots, a point a board: tilts in degrees, and distance in millimetres.",
         "How the boards stood is not known.",
     ),
-    "scene": FigureText(
+    "scene": FigurePlan(
+        figures.scene,
         "Boards and cameras in space, from the middle between the cameras.",
         "Outlines of the boards in space before two pyramids that stand for the cameras.",
         "Where the boards stood is not known.",
     ),
-    "rectified": FigureText(
+    "rectified": FigurePlan(
+        None,
         "One pair after rectification: the same corner lies on the same level line in both "
         "pictures.",
         "Left and right picture side by side with level lines across both.",
         "No pair was given to show rectified.",
     ),
-    "accuracy": FigureText(
+    "accuracy": FigurePlan(
+        figures.accuracy,
         "Expected standard uncertainty (k = 1, in mm) of an LED's place over the field that both "
         "cameras see, a row a distance: left from the noise of one spot, right from the rig. An "
         "empty cell is out of sight.",
         "Grids of numbers over the field in millimetres, two at each of several distances.",
         "The expected accuracy is not known.",
     ),
-    "contributions": FigureText(
+    "contributions": FigurePlan(
+        figures.contributions,
         "What would be left of the depth's standard uncertainty at the working distance, were one "
         "source exact. The lowest bar is what to improve first; the dotted line is as it is.",
         "Bars, one a source, and a line for the uncertainty as it is, in millimetres.",
         "The uncertainty was not broken down.",
     ),
-    "parameter_correlation": FigureText(
+    "parameter_correlation": FigurePlan(
+        figures.correlation,
         "Correlation of the rig's parameters, from −1 (blue) over 0 (pale) to +1 (orange). Strong "
         "colour off the diagonal: the pictures know a combination better than either.",
         "A square matrix of coloured cells, one row and one column a parameter.",
         "The correlation of the parameters is not known.",
     ),
-}
-
-SHORT_GROUPS = {  # of what contributes, where the names stand side by side
-    "spot noise": "LED noise",
-    "pan readings": "pan angle",
-    "pan axes and zeros": "pan axes",
-    "lens distortion": "lens",
-    "focal lengths": "focal",
-    "principal points": "principal",
-    "cameras' places": "places",
-    "cameras' turns": "turns",
 }

@@ -16,37 +16,39 @@ The summary's keys, units in their names; what is not known is null:
 
 Tables: lengths (ends, known_mm, measured_mm, error_mm, standard_uncertainty_mm, pairs), pairs
 (frame and the figures of single pairs), sources (source, u of each figure from it).
-
-The report of an interim check, in words: verdicts, figures, notes.
 """
 
 from functools import partial
 from typing import Any
 
-from reports.check.figures import CHECK_FIGURES
+from reports.check import figures as check_figures
 from reports.document.blocks import (
     Block,
     Bullets,
     Cell,
+    Column,
     Document,
     Facts,
-    FigureText,
+    FigurePlan,
     Paragraph,
     Section,
     Table,
     Verdict,
     described,
+    field,
     figure_or_text,
     files_and_software,
     lay_out,
-    row,
     software,
+    tabulate,
+    uncertain_field,
 )
-from reports.document.charts import column, texts
+from reports.document.charts import records
 from reports.document.formatting import (
     count,
     finite,
     join_words,
+    lookup_label,
     number,
     percent,
     quantity,
@@ -87,18 +89,21 @@ class CheckNotes:
 
 
 FIGURES = {
-    "lengths": FigureText(
+    "lengths": FigurePlan(
+        check_figures.lengths,
         "Error of each known length, with its expanded uncertainty (k = 2) as a bar about it.",
         "Points with upright bars, one a known length: measured less known in millimetres.",
         "No length was kept.",
     ),
-    "figures": FigureText(
+    "figures": FigurePlan(
+        check_figures.figures,
         "The figures in units of their standard uncertainty; beyond the dotted limits the "
         "calibration does not hold.",
         "A point a figure, between two level lines that are the limits.",
         "The figures are not known.",
     ),
-    "over_pairs": FigureText(
+    "over_pairs": FigurePlan(
+        check_figures.over_pairs,
         "The figures of single pairs. The dashed line is what all pairs give together; pairs "
         "scatter about it by the pixels' noise.",
         "Three strips over the pairs: scale in thousandths, height in pixels, roll in degrees.",
@@ -107,15 +112,14 @@ FIGURES = {
 }
 
 
-_figure_block = partial(figure_or_text, CHECK_FIGURES, FIGURES)
+_figure_block = partial(figure_or_text, FIGURES)
 
 
 def document(results: Results) -> Document:
     """Lay out the whole report."""
-    summary = results.summary
     return lay_out(
         title="Interim check of a calibration",
-        subtitle=described(summary, "a set of pictures"),
+        subtitle=described(results.summary, "a set of pictures"),
         footer=f"{software(results.summary)} · interim check",
         sections=(section(results) for section in SECTIONS),
     )
@@ -176,31 +180,26 @@ def figures(results: Results) -> Section:
 
 
 def _figure_table(entries: list[dict[str, Any]], limit: float | None) -> Table:
-    rows = []
-    for entry in entries:
-        name = str(entry.get("figure"))
-        key, unit = SUMMARY_KEYS.get(name, ("", ""))
-        value, u = entry.get(key), entry.get(f"standard_uncertainty_{key.rpartition('_')[2]}")
-        z = finite(entry.get("z"))
-        judged = Cell("not tested", "none")
-        if z is not None and limit is not None:
-            good = abs(z) <= limit
-            judged = Cell("within", "conform") if good else Cell("beyond", "nonconform")
-        rows.append(
-            row(
-                FIGURE_NAMES.get(name, name),
-                with_uncertainty(value, u, unit),
-                number(z, 1, signed=True),
-                judged,
-            )
-        )
-    return Table(
-        "The figures, each with its standard uncertainty (k = 1), all pairs together.",
-        "lrrl",
-        ("Figure", "Value ± u", "Value over u", "Verdict"),
-        tuple(rows),
-        (CheckNotes.FIGURES,),
+    columns = (
+        Column("Figure", "l", lambda e: lookup_label(FIGURE_NAMES, e.get("figure"))),
+        Column("Value ± u", "r", _figure_value),
+        Column("Value over u", "r", field("z", number, 1, signed=True)),
+        Column("Verdict", "l", lambda e: _figure_verdict(finite(e.get("z")), limit)),
     )
+    title = "The figures, each with its standard uncertainty (k = 1), all pairs together."
+    return tabulate(title, columns, entries, CheckNotes.FIGURES)
+
+
+def _figure_value(entry: dict[str, Any]) -> str:
+    key, unit = SUMMARY_KEYS.get(str(entry.get("figure")), ("", ""))
+    u = entry.get(f"standard_uncertainty_{key.rpartition('_')[2]}")
+    return with_uncertainty(entry.get(key), u, unit)
+
+
+def _figure_verdict(z: float | None, limit: float | None) -> Cell:
+    if z is None or limit is None:
+        return Cell("not tested", "none")
+    return Cell("within", "conform") if abs(z) <= limit else Cell("beyond", "nonconform")
 
 
 def lengths(results: Results) -> Section:
@@ -210,30 +209,18 @@ def lengths(results: Results) -> Section:
     square = results.summary.get("square")
     if square:
         u = square.get("standard_uncertainty_mm")
-        facts = (
-            (
-                "Square as stated",
-                with_uncertainty(square.get("known_mm"), None, "mm", signed=False),
-            ),
-            (
-                "Square as measured",
-                with_uncertainty(square.get("measured_mm"), u, "mm", signed=False),
-            ),
-        )
-        blocks.append(Facts(facts))
+        stated = with_uncertainty(square.get("known_mm"), None, "mm", signed=False)
+        measured = with_uncertainty(square.get("measured_mm"), u, "mm", signed=False)
+        blocks.append(Facts((("Square as stated", stated), ("Square as measured", measured))))
     if len(table):
-        rows = tuple(
-            row(
-                text_or_dash(line["ends"]),
-                number(line.get("known_mm"), 3),
-                with_uncertainty(line.get("error_mm"), line.get("standard_uncertainty_mm")),
-                count(line.get("pairs")),
-            )
-            for line in table.to_dict("records")
-        )
         title = "Known lengths: measured less known, with standard uncertainties (k = 1)."
-        head = ("LEDs", "Known [mm]", "Error ± u [mm]", "Pairs")
-        blocks.append(Table(title, "lrrr", head, rows, (CheckNotes.LENGTHS,)))
+        columns = (
+            Column("LEDs", "l", field("ends")),
+            Column("Known [mm]", "r", field("known_mm", number, 3)),
+            Column("Error ± u [mm]", "r", uncertain_field("error_mm", "standard_uncertainty_mm")),
+            Column("Pairs", "r", field("pairs", count)),
+        )
+        blocks.append(tabulate(title, columns, records(table), CheckNotes.LENGTHS))
         blocks.append(_figure_block(results, "lengths"))
     if not blocks:
         blocks.append(Paragraph("No length was kept.", "note"))
@@ -245,33 +232,29 @@ def power(results: Results) -> Section:
     blocks: list[Block] = []
     visible = results.summary.get("visible") or []
     if visible:
-        rows = tuple(
-            row(
-                text_or_dash(v.get("change")),
-                quantity(v.get("smallest"), _unit_sign(v.get("unit"))),
-            )
-            for v in visible
-        )
         title = "The smallest change that this check would have seen, four times in five."
-        head = ("Change since the calibration", "Smallest")
-        blocks.append(Table(title, "lr", head, rows, (CheckNotes.VISIBLE,)))
+        columns: tuple[Column, ...] = (
+            Column("Change since the calibration", "l", field("change")),
+            Column("Smallest", "r", _smallest_change),
+        )
+        blocks.append(tabulate(title, columns, visible, CheckNotes.VISIBLE))
     table = results.table("sources")
     if len(table):
-        parts = [column(table, key) for key, _ in SUMMARY_KEYS.values()]
-        rows = tuple(
-            row(text_or_dash(name), *(significant(part[i]) for part in parts))
-            for i, name in enumerate(texts(table, "source"))
+        heads = zip(("Scale [‰]", "Height [px]", "Roll [°]"), SUMMARY_KEYS.values(), strict=True)
+        columns = (
+            Column("Source", "l", field("source")),
+            *(Column(head, "r", field(key, significant)) for head, (key, _) in heads),
         )
         title = "Standard uncertainty of each figure, by what it comes from."
-        columns = ("Source", "Scale [‰]", "Height [px]", "Roll [°]")
-        blocks.append(Table(title, "lrrr", columns, rows))
+        blocks.append(tabulate(title, columns, records(table)))
     if not blocks:
         blocks.append(Paragraph("What the check could have seen is not known.", "note"))
     return Section("power", "What it would have seen", tuple(blocks))
 
 
-def _unit_sign(unit: Any) -> str:
-    return UNITS.get(str(unit), str(unit))
+def _smallest_change(entry: dict[str, Any]) -> str:
+    unit = str(entry.get("unit"))
+    return quantity(entry.get("smallest"), UNITS.get(unit, unit))
 
 
 def conditions(results: Results) -> Section:

@@ -1,10 +1,18 @@
 """Figures of an interim check: tables in, chart out, None for nothing to draw."""
 
-from collections.abc import Callable
-
 import numpy as np
 
-from reports.document.charts import Array, Chart, Line, Mark, Panel, Points, column, texts
+from reports.document.charts import (
+    Array,
+    Chart,
+    Line,
+    Mark,
+    Panel,
+    Points,
+    column,
+    strips,
+    texts,
+)
 from reports.document.formatting import finite
 from reports.results import Results
 
@@ -87,13 +95,7 @@ def over_pairs(results: Results) -> Chart | None:
                 unit=unit,
             )
         )
-    if not panels:
-        return None
-    last = panels[-1]
-    panels[-1] = Panel(
-        last.marks, last.y_label, "pair", x_range=last.x_range, y_range=last.y_range, unit=last.unit
-    )
-    return Chart(tuple(panels), row_height=1.0, shared_x=True)
+    return strips(panels, "pair", row_height=1.0)
 
 
 def _error_bars(error: Array, half: Array, names: list[str], label: str, unit: str) -> Chart:
@@ -137,10 +139,3 @@ def _range_with_zero(values: Array, together: float | None) -> tuple[float, floa
     known = np.append(values, [0.0, together or 0.0])
     room = 0.08 * float(np.ptp(known)) or 1.0
     return float(known.min()) - room, float(known.max()) + room
-
-
-CHECK_FIGURES: dict[str, Callable[[Results], Chart | None]] = {
-    "lengths": lengths,
-    "figures": figures,
-    "over_pairs": over_pairs,
-}

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar
 
 from reports.document.charts import Chart, Path
-from reports.document.formatting import DASH, text_or_dash
+from reports.document.formatting import DASH, text_or_dash, with_uncertainty
 from reports.results import Results, one_line
 
 
@@ -70,6 +70,16 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a table: head, alignment (l, r or c), and the cell that an entry gives."""
+
+    head: str
+    align: str
+    cell: Callable[[Any], str | Cell]
+    wide: bool = False  # holds sentences and takes the room that is left
+
+
+@dataclass(frozen=True, slots=True)
 class Figure:
     """A numbered figure: a chart, or an image that was recorded."""
 
@@ -82,15 +92,15 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True)
-class FigureText:
-    """A figure's caption, its text for those who cannot see it, and what stands in its place."""
+class FigurePlan:
+    """How a figure is drawn, its words, and what stands in its place where nothing is to draw."""
 
+    draw: Callable[[Results], Chart | Path | None] | None  # None: an image that was recorded
     caption: str
     alt: str
     otherwise: str
 
 
-Charts = Mapping[str, Callable[[Results], Chart | Path | None]]  # a report's figures by name
 Block = Verdict | Paragraph | Bullets | Facts | Table | Figure
 
 
@@ -168,24 +178,43 @@ def block_or_paragraph(
     return Paragraph(otherwise, "note") if drawing is None else replace(figure, drawing=drawing)
 
 
-def chart_of(charts: Charts, results: Results, name: str) -> Chart | Path | bytes | None:
-    """Draw the figure of this name, or take the image that was recorded under it."""
-    draw = charts.get(name)
-    return results.images.get(name) if draw is None else draw(results)
-
-
-def figure_or_text(
-    charts: Charts, texts: Mapping[str, FigureText], results: Results, name: str
-) -> Block:
+def figure_or_text(figures: Mapping[str, FigurePlan], results: Results, name: str) -> Block:
     """Show one of a report's figures, or say why it is not there."""
-    text = texts[name]
-    figure = Figure(name, text.caption, text.alt)
-    return block_or_paragraph(figure, chart_of(charts, results, name), text.otherwise)
+    plan = figures[name]
+    drawing = results.images.get(name) if plan.draw is None else plan.draw(results)
+    return block_or_paragraph(Figure(name, plan.caption, plan.alt), drawing, plan.otherwise)
 
 
 def row(*cells: str | Cell) -> tuple[Cell, ...]:
     """Make a table row from texts."""
     return tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in cells)
+
+
+def field(
+    key: str, write: Callable[..., str] = text_or_dash, *arguments: Any, **options: Any
+) -> Callable[[Mapping[str, Any]], str]:
+    """Make the writer of one value of an entry; a missing value is written as None is."""
+    return lambda entry: write(entry.get(key), *arguments, **options)
+
+
+def uncertain_field(
+    key: str, u_key: str, unit: str = "", signed: bool = True
+) -> Callable[[Mapping[str, Any]], str]:
+    """Make the writer of a value of an entry with its uncertainty."""
+    return lambda entry: with_uncertainty(entry.get(key), entry.get(u_key), unit, signed)
+
+
+def tabulate(caption: str, columns: Iterable[Column], entries: Iterable[Any], *notes: str) -> Table:
+    """Make a table with a row an entry; `notes` stand under it."""
+    columns = tuple(columns)
+    return Table(
+        caption,
+        "".join(column.align for column in columns),
+        tuple(column.head for column in columns),
+        tuple(row(*(column.cell(entry) for column in columns)) for entry in entries),
+        notes,
+        tuple(place for place, column in enumerate(columns) if column.wide),
+    )
 
 
 def software(summary: dict[str, Any]) -> str:
@@ -205,9 +234,7 @@ def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
     blocks: list[Block] = []
     inputs = summary.get("inputs") or {}
     if inputs:
-        rows = tuple(
-            row(text_or_dash(name), text_or_dash(digest)) for name, digest in inputs.items()
-        )
+        rows = tuple(row(text_or_dash(name), text_or_dash(it)) for name, it in inputs.items())
         blocks.append(Table("Files that were read.", "ll", ("File", "Hash"), rows, wide=(1,)))
     warnings = summary.get("warnings") or []
     if warnings:

@@ -6,7 +6,7 @@ are thinned and keep their extremes.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -356,7 +356,15 @@ class Path:
 
     lines: tuple[tuple[Array, str, str], ...]
     labels: tuple[str, str, str]
-    ranges: tuple[tuple[float, float], ...] = field(default=())
+    ranges: Box
+
+
+def strips(panels: list[Panel], x_label: str, row_height: float) -> Chart | None:
+    """Stack panels that share their x axis, its label below the last; None for no panels."""
+    if not panels:
+        return None
+    last = replace(panels[-1], x_label=x_label)
+    return Chart((*panels[:-1], last), row_height=row_height, shared_x=True)
 
 
 def correlation_panel(

@@ -117,6 +117,11 @@ def join_words(words: list[str]) -> str:
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
+def capitalise(sentence: str) -> str:
+    """Start a sentence with a capital, without touching the rest."""
+    return sentence[:1].upper() + sentence[1:]
+
+
 def joint_names(numbers: list[Any], capital: bool = False) -> str:
     """Name joints in a sentence: joint 3, joints 1 and 6."""
     name = "Joint" if capital else "joint"

@@ -7,7 +7,19 @@ import numpy as np
 import pandas as pd
 
 from reports.document.blocks import Block, Figure, Paragraph, Section
-from reports.document.charts import Array, Band, Chart, Level, Line, Mark, Panel, Points, column
+from reports.document.charts import (
+    Array,
+    Band,
+    Chart,
+    Level,
+    Line,
+    Mark,
+    Panel,
+    Points,
+    Ticks,
+    column,
+    strips,
+)
 from reports.document.formatting import (
     count,
     exact_number,
@@ -103,17 +115,15 @@ def charts(results: Results) -> Section | None:
     for number, arm in enumerate(arms[:MAX_ARMS], start=1):
         own = points[points["arm"] == arm]
         accused = sorted({int(j) for j in found[found["arm"] == arm]["joint"]})
-        told = (
-            f"{joint_names(list(accused), capital=True)} changed."
-            if accused
-            else "No joint changed."
-        )
+        outcome = f"{joint_names(list(accused), capital=True)} changed."
+        if not accused:
+            outcome = "No joint changed."
         share = 100 * float(results.summary.get("false_alarm") or 0)
         blocks.append(
             Figure(
                 f"chart_{number}",
                 CAPTION.format(arm=text_or_dash(arm), share=f"{share:g}"),
-                f"Control charts of {text_or_dash(arm)}, one strip a joint over time. {told}",
+                f"Control charts of {text_or_dash(arm)}, one strip a joint over time. {outcome}",
                 arm_chart(own, found[found["arm"] == arm]),
             )
         )
@@ -126,33 +136,21 @@ def charts(results: Results) -> Section | None:
     return Section("charts", "Control charts", tuple(blocks))
 
 
-def arm_chart(points: pd.DataFrame, changes: pd.DataFrame) -> Chart:
+def arm_chart(points: pd.DataFrame, changes: pd.DataFrame) -> Chart | None:
     """Draw one arm."""
     t = column(points, "t_days")
     zero = float(np.floor(t.min()))
     ticks = month_ticks(float(t.min()), float(t.max()))
     numbers = sorted(int(joint) for joint in set(points["joint"]))
     panels = [
-        _panel(
-            points[points["joint"] == joint],
-            changes[changes["joint"] == joint],
-            zero,
-            ticks,
-            last=joint == numbers[-1],
-        )
+        _panel(points[points["joint"] == joint], changes[changes["joint"] == joint], zero, ticks)
         for joint in numbers
     ]
-    return Chart(tuple(panels), row_height=0.86, shared_x=True)
+    x_label = f"month; days are counted from {format_day(zero)}"
+    return strips(panels, x_label, row_height=0.86)
 
 
-def _panel(
-    own: pd.DataFrame,
-    changes: pd.DataFrame,
-    zero: float,
-    ticks: tuple[tuple[float, str], ...],
-    *,
-    last: bool,
-) -> Panel:
+def _panel(own: pd.DataFrame, changes: pd.DataFrame, zero: float, ticks: Ticks) -> Panel:
     t, error, u = column(own, "t_days") - zero, column(own, "error_deg"), column(own, "u_deg")
     odd = own["odd"].to_numpy(dtype=bool)
     low, high = column(own, "low_deg"), column(own, "high_deg")
@@ -177,7 +175,6 @@ def _panel(
     return Panel(
         tuple(marks),
         y_label=f"q{int(own['joint'].iloc[0])} [°]",
-        x_label=f"month; days are counted from {format_day(zero)}" if last else "",
         x_range=(float(t.min()) - 3, float(t.max()) + 3),
         x_ticks=tuple((place - zero, text) for place, text in ticks),
         unit="°",
@@ -214,7 +211,7 @@ def _fitted_course(own: pd.DataFrame, t: Array, changes: pd.DataFrame, zero: flo
     return [Line(np.insert(t, cuts, np.nan), np.insert(fitted, cuts, np.nan), "resolved", "level")]
 
 
-def month_ticks(first: float, last: float) -> tuple[tuple[float, str], ...]:
+def month_ticks(first: float, last: float) -> Ticks:
     """Mark the beginnings of months, no more than a few: (days since 1970, text)."""
     start = EPOCH + timedelta(days=first)
     marks: list[tuple[float, str]] = []

@@ -7,22 +7,25 @@ from reports.document.blocks import (
     Block,
     Bullets,
     Cell,
+    Column,
     Document,
     Facts,
     Section,
-    Table,
     Verdict,
+    field,
     lay_out,
-    row,
     software,
+    tabulate,
 )
 from reports.document.charts import records
 from reports.document.formatting import (
     DASH,
+    capitalise,
     count,
     finite,
     join_words,
-    quantity,
+    number,
+    significant,
     text_or_dash,
     with_uncertainty,
 )
@@ -78,19 +81,17 @@ def state(results: Results) -> Section:
     summary = results.summary
     held = summary.get("sessions") or {}
     verdicts = summary.get("verdicts") or {}
+    pairs = (count(held.get(f"pairs_{name}")) for name in ("measured", "recorded"))
     items = [
         ("Arms", join_words([text_or_dash(arm) for arm in summary.get("arms") or []][:8]) or DASH),
         ("Sessions measured", count(held.get("measured"))),
         ("Sessions that failed", count(held.get("failed"))),
         ("From, to", f"{text_or_dash(held.get('first'))}, {text_or_dash(held.get('last'))}"),
-        (
-            "Stereo pairs",
-            f"{count(held.get('pairs_measured'))} measured of {count(held.get('pairs_recorded'))}",
-        ),
+        ("Stereo pairs", " measured of ".join(pairs)),
     ]
     if verdicts:
-        said = [f"{count(n)} {fleet_charts.VERDICTS.get(v, v)}" for v, n in verdicts.items()]
-        items.append(("Verdicts of the sessions", join_words(said)))
+        counts = [f"{count(n)} {fleet_charts.VERDICTS.get(v, v)}" for v, n in verdicts.items()]
+        items.append(("Verdicts of the sessions", join_words(counts)))
     return Section("verdict", "State of the fleet", (_headline(results), Facts(tuple(items))))
 
 
@@ -114,60 +115,47 @@ def _headline(results: Results) -> Verdict:
     if len(found) > 4:
         sentences.append(f"{count(len(found) - 4)} further changes are listed below")
     rest = f" The other {count(others)} joints show no change." if others else ""
-    said = "; ".join(sentences)
-    return Verdict("nonconform", label, f"{said[:1].upper()}{said[1:]}.{rest}", (remark,))
+    sentence = f"{capitalise('; '.join(sentences))}.{rest}"
+    return Verdict("nonconform", label, sentence, (remark,))
 
 
 def joints(results: Results) -> Section:
     """A row a joint: state, trend, error now."""
-    table = results.table("joints")
     order = {"several": 0, "drift": 1, "step": 1, "change": 1, "steady": 2, "unknown": 3}
     entries = sorted(
-        records(table),
+        records(results.table("joints")),
         key=lambda e: (order.get(str(e["state"]), 2), str(e["arm"]), int(e["joint"])),
     )
-    rows = []
-    for one in entries:
-        state_word = fleet_charts.STATES.get(str(one["state"]), str(one["state"]))
-        worse = ", getting worse" if one.get("worse") is True else ""
-        u, trend_u = finite(one.get("error_u_deg")), finite(one.get("trend_u_deg_per_month"))
-        trend = (
-            with_uncertainty(one.get("trend_deg_per_month"), _expanded(trend_u))
-            if trend_u
-            else DASH
-        )
-        excess = finite(one.get("excess"))
-        rows.append(
-            row(
-                text_or_dash(one["arm"]),
-                str(one["joint"]),
-                Cell(f"{state_word}{worse}", fleet_charts.TONES.get(str(one["state"]), "")),
-                with_uncertainty(one.get("error_deg"), _expanded(u)),
-                trend,
-                count(one["sessions"]),
-                count(one.get("odd_sessions")),
-                DASH if excess is None else f"{excess:.1f}",
-                _verdict_counts(one),
-            )
-        )
-    shown = Table(
-        "Arms and joints, those that changed first.",
-        "lllrrrrrr",
-        ("Arm", "Joint", "State", "Error now [°]", "Trend [°/month]", "Sessions", "Odd ones",
-         "Scatter", "Conform / undecided / not"),
-        tuple(rows),
-        (STATE_NOTE,),
-    )  # fmt: skip
-    return Section("joints", "Arms and joints", (shown,))
+    columns = (
+        Column("Arm", "l", field("arm")),
+        Column("Joint", "l", field("joint", str)),
+        Column("State", "l", _state),
+        Column("Error now [°]", "r", evidence.expanded_field("error_deg", "error_u_deg")),
+        Column("Trend [°/month]", "r", _trend),
+        Column("Sessions", "r", field("sessions", count)),
+        Column("Odd ones", "r", field("odd_sessions", count)),
+        Column("Scatter", "r", field("excess", number, 1)),
+        Column("Conform / undecided / not", "r", _verdict_counts),
+    )
+    table = tabulate("Arms and joints, those that changed first.", columns, entries, STATE_NOTE)
+    return Section("joints", "Arms and joints", (table,))
+
+
+def _state(one: dict[str, Any]) -> Cell:
+    state = str(one["state"])
+    worse = ", getting worse" if one.get("worse") is True else ""
+    words = fleet_charts.STATES.get(state, state)
+    return Cell(f"{words}{worse}", fleet_charts.TONES.get(state, ""))
+
+
+def _trend(one: dict[str, Any]) -> str:
+    u = finite(one.get("trend_u_deg_per_month"))
+    return with_uncertainty(one.get("trend_deg_per_month"), 2 * u) if u else DASH
 
 
 def _verdict_counts(one: dict[str, Any]) -> str:
     counts = [one["conform"], one["undecided"], one["nonconform"]]
     return " / ".join(count(n) for n in counts) if any(counts) else DASH
-
-
-def _expanded(u: float | None) -> float | None:
-    return None if u is None else 2 * u
 
 
 def changes(results: Results) -> Section:
@@ -176,31 +164,18 @@ def changes(results: Results) -> Section:
     if not found:
         text = "No change was found beyond what chance brings about."
         return Section("changes", "Changes", (Bullets((text,)),))
-    rows = []
-    for one in found:
-        unit = "°" if one["unit"] == "deg" else "°/month"
-        rows.append(
-            row(
-                text_or_dash(one["arm"]),
-                str(one["joint"]),
-                fleet_charts.KINDS.get(str(one["kind"]), str(one["kind"])),
-                fleet_charts.change_date(one),
-                text_or_dash(one["session"]),
-                f"{with_uncertainty(one['size'], 2 * float(one['size_u']))}{unit}",
-                f"{fleet_charts.format_day(one['earliest_t_days'])} to "
-                f"{fleet_charts.format_day(one['latest_t_days'])}",
-                quantity(one["clearer_by"], "", 2),
-            )
-        )
+    columns = (
+        Column("Arm", "l", field("arm")),
+        Column("Joint", "l", field("joint", str)),
+        Column("Kind", "l", lambda one: fleet_charts.KINDS.get(str(one["kind"]), str(one["kind"]))),
+        Column("Date", "l", fleet_charts.change_date, wide=True),
+        Column("Session", "l", field("session"), wide=True),
+        Column("Size ± U", "r", _change_size),
+        Column("Range of the date", "l", _date_range),
+        Column("Told by", "l", field("clearer_by", significant)),
+    )
     blocks: list[Block] = [
-        Table(
-            "Changes, in order of arm and joint.",
-            "lllllrll",
-            ("Arm", "Joint", "Kind", "Date", "Session", "Size ± U", "Range of the date", "Told by"),
-            tuple(rows),
-            (CHANGE_NOTE,),
-            wide=(3, 4),
-        )
+        tabulate("Changes, in order of arm and joint.", columns, found, CHANGE_NOTE)
     ]
     if any(one["recalibrated"] is True for one in found):
         text = (
@@ -210,3 +185,13 @@ def changes(results: Results) -> Section:
         )
         blocks.append(Bullets((text,), "warning"))
     return Section("changes", "Changes", tuple(blocks))
+
+
+def _change_size(one: dict[str, Any]) -> str:
+    unit = "°" if one["unit"] == "deg" else "°/month"
+    return f"{with_uncertainty(one['size'], 2 * float(one['size_u']))}{unit}"
+
+
+def _date_range(one: dict[str, Any]) -> str:
+    first, last = (fleet_charts.format_day(one[f"{end}_t_days"]) for end in ("earliest", "latest"))
+    return f"{first} to {last}"

@@ -1,11 +1,22 @@
 """The second half of a fleet report: comparisons, worst sessions, what was not seen, failures."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pandas as pd
 
-from reports.document import formatting
-from reports.document.blocks import Block, Bullets, Cell, Paragraph, Section, Table, row
+from reports.document.blocks import (
+    Block,
+    Bullets,
+    Cell,
+    Column,
+    Paragraph,
+    Section,
+    Table,
+    field,
+    tabulate,
+)
 from reports.document.charts import records
 from reports.document.formatting import (
     DASH,
@@ -13,9 +24,10 @@ from reports.document.formatting import (
     exact_number,
     finite,
     joint_names,
+    lookup_label,
     number,
     percent,
-    quantity,
+    significant,
     text_or_dash,
     with_uncertainty,
 )
@@ -29,6 +41,17 @@ MAX_HIDDEN_SHARE = 0.005  # share of an offset below which nothing of it is seen
 FALSE_ALARM_NOTE = (
     "Rates: a change is named beyond what chance gives the best of all dates, kinds and joints in "
     "{rate} % of fleets without one (Bonferroni); likewise an odd session, and a difference."
+)
+CONTRAST_NOTE = (
+    "Mean error with the number of sessions in brackets, and the difference with its expanded "
+    "uncertainty (k = 2); what both sides share of a calibration's error drops out of it. "
+    "A difference counts as shown beyond what chance gives all joints together."
+)
+VISIBLE_NOTE = (
+    "Visible: share of an offset's signal left after all that was fitted, for an offset "
+    "that was there before the registration and for one that arose since. Detectable: the "
+    "smallest offset that one session would notice; separable: that it would tell from an "
+    "offset of another joint. A dash: not known."
 )
 METHOD_PARAGRAPHS = tuple(
     " ".join(sentences)
@@ -73,31 +96,36 @@ def contrasts(results: Results) -> Section | None:
 
 
 def _contrast_table(first: str, second: str, entries: list[dict[str, Any]]) -> Table:
-    rows = []
-    for one in sorted(entries, key=lambda e: not e["shown"]):
-        shown = one["shown"] is True
-        rows.append(
-            row(
-                text_or_dash(one["arm"]),
-                str(one["joint"]),
-                f"{number(one['first_deg'])} ({count(one['first_sessions'])})",
-                f"{number(one['second_deg'])} ({count(one['second_sessions'])})",
-                with_uncertainty(one["difference_deg"], 2 * float(one["difference_u_deg"])),
-                Cell("changed", "nonconform") if shown else Cell("no change shown", "conform"),
-            )
-        )
-    note = (
-        "Mean error with the number of sessions in brackets, and the difference with its expanded "
-        "uncertainty (k = 2); what both sides share of a calibration's error drops out of it. "
-        "A difference counts as shown beyond what chance gives all joints together."
+    columns = (
+        Column("Arm", "l", field("arm")),
+        Column("Joint", "l", field("joint", str)),
+        Column("First [°]", "r", partial(_mean_and_sessions, "first")),
+        Column("Second [°]", "r", partial(_mean_and_sessions, "second")),
+        Column("Difference ± U [°]", "r", expanded_field("difference_deg", "difference_u_deg")),
+        Column("Result", "l", _contrast_result),
     )
-    return Table(
-        f"Mean errors: {text_or_dash(first)}, {text_or_dash(second)}, and the difference.",
-        "llrrrl",
-        ("Arm", "Joint", "First [°]", "Second [°]", "Difference ± U [°]", "Result"),
-        tuple(rows),
-        (note,),
-    )
+    title = f"Mean errors: {text_or_dash(first)}, {text_or_dash(second)}, and the difference."
+    return tabulate(title, columns, sorted(entries, key=lambda e: not e["shown"]), CONTRAST_NOTE)
+
+
+def expanded_field(key: str, u_key: str) -> Callable[[dict[str, Any]], str]:
+    """Make the writer of a value of an entry with its expanded uncertainty (k = 2)."""
+
+    def write(entry: dict[str, Any]) -> str:
+        u = finite(entry.get(u_key))
+        return with_uncertainty(entry.get(key), None if u is None else 2 * u)
+
+    return write
+
+
+def _mean_and_sessions(side: str, entry: dict[str, Any]) -> str:
+    return f"{number(entry[f'{side}_deg'])} ({count(entry[f'{side}_sessions'])})"
+
+
+def _contrast_result(entry: dict[str, Any]) -> Cell:
+    if entry["shown"] is True:
+        return Cell("changed", "nonconform")
+    return Cell("no change shown", "conform")
 
 
 def worst_sessions(results: Results) -> Section | None:
@@ -105,25 +133,6 @@ def worst_sessions(results: Results) -> Section | None:
     table = results.table("worst")
     if not len(table):
         return None
-    rows = []
-    for one in records(table):
-        tone = phrases.tone(one["verdict"])
-        place = f"{one['kept_in']}/report.html"
-        u = finite(one["worst_error_u_deg"])
-        rows.append(
-            row(
-                Cell(text_or_dash(one["session"]), link=place if one["reported"] is True else ""),
-                text_or_dash(one["started"]),
-                text_or_dash(one["arm"]),
-                str(one["joint"]),
-                with_uncertainty(one["worst_error_deg"], None if u is None else 2 * u),
-                Cell(
-                    formatting.lookup_label(phrases.VERDICTS, one["verdict"]),
-                    tone if tone != "none" else "",
-                ),
-                text_or_dash(one["kept_in"]),
-            )
-        )
     notes = [
         "The resolved error of largest magnitude in each session, with its expanded uncertainty."
     ]
@@ -132,72 +141,75 @@ def worst_sessions(results: Results) -> Section | None:
             "Sessions have no reports of their own yet: run the same command with --reports; "
             "nothing is measured again for it."
         )
-    shown = Table(
-        "Sessions with the largest errors.",
-        "lllrrll",
-        ("Session", "Started", "Arm", "Joint", "Largest error ± U [°]", "Verdict", "Kept in"),
-        tuple(rows),
-        tuple(notes),
-        wide=(0, 6),
+    error = expanded_field("worst_error_deg", "worst_error_u_deg")
+    columns = (
+        Column("Session", "l", _session_link, wide=True),
+        Column("Started", "l", field("started")),
+        Column("Arm", "l", field("arm")),
+        Column("Joint", "r", field("joint", str)),
+        Column("Largest error ± U [°]", "r", error),
+        Column("Verdict", "l", _verdict),
+        Column("Kept in", "l", field("kept_in"), wide=True),
     )
+    shown = tabulate("Sessions with the largest errors.", columns, records(table), *notes)
     return Section("worst", "Worst sessions", (shown,))
+
+
+def _session_link(one: dict[str, Any]) -> Cell:
+    place = f"{one['kept_in']}/report.html" if one["reported"] is True else ""
+    return Cell(text_or_dash(one["session"]), link=place)
+
+
+def _verdict(one: dict[str, Any]) -> Cell:
+    tone = phrases.tone(one["verdict"])
+    return Cell(lookup_label(phrases.VERDICTS, one["verdict"]), tone if tone != "none" else "")
 
 
 def hidden_errors(results: Results) -> Section:
     """What the fleet's sessions could not show, joint by joint."""
     table = results.table("joints")
-    rows = [
-        row(
-            text_or_dash(one["arm"]),
-            str(one["joint"]),
-            f"{count(one['without_figure'])} of {count(one['without_figure'] + one['sessions'])}",
-            percent(one["visible"]),
-            percent(one["visible_since"]),
-            quantity(one["detectable_deg"], ""),
-            quantity(one["separable_deg"], ""),
-        )
-        for one in records(table)
-    ]
-    shown = Table(
-        "What the sessions of each joint could show: medians over its sessions.",
-        "llrrrrr",
-        ("Arm", "Joint", "Sessions without a figure", "Visible at registration", "Visible since",
-         "Detectable [°]", "Separable [°]"),
-        tuple(rows),
-        (
-            ("Visible: share of an offset's signal left after all that was fitted, for an offset "
-            "that was there before the registration and for one that arose since. Detectable: the "
-            "smallest offset that one session would notice; separable: that it would tell from an "
-            "offset of another joint. A dash: not known."),
-        ),
-    )  # fmt: skip
+    columns = (
+        Column("Arm", "l", field("arm")),
+        Column("Joint", "l", field("joint", str)),
+        Column("Sessions without a figure", "r", _sessions_without_figure),
+        Column("Visible at registration", "r", field("visible", percent)),
+        Column("Visible since", "r", field("visible_since", percent)),
+        Column("Detectable [°]", "r", field("detectable_deg", significant)),
+        Column("Separable [°]", "r", field("separable_deg", significant)),
+    )
+    title = "What the sessions of each joint could show: medians over its sessions."
+    shown = tabulate(title, columns, records(table), VISIBLE_NOTE)
     return Section("unseen", "What could not be seen", (*_hidden_blocks(results, table), shown))
 
 
+def _sessions_without_figure(one: dict[str, Any]) -> str:
+    return f"{count(one['without_figure'])} of {count(one['without_figure'] + one['sessions'])}"
+
+
 def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[Block, ...]:
-    said = []
+    sentences = []
     for arm, rows in table.groupby("arm", sort=False):
         entries = records(rows)
         blind = [one["joint"] for one in entries if _is_hidden(one["visible"])]
         if blind:
-            said.append(
+            sentences.append(
                 f"{text_or_dash(arm)}: an offset of {joint_names(blind)} that was there at "
                 "registration shows in none of the usual sessions, however large."
             )
         short = [one["joint"] for one in entries if one["state"] == "unknown"]
         if short:
             fewest = count(results.summary.get("fewest_sessions"))
-            said.append(
+            sentences.append(
                 f"{text_or_dash(arm)}: {joint_names(short)}: {STATES['unknown']} to follow over "
                 f"time (at least {fewest} dated ones with a figure)."
             )
     undated = int((results.summary.get("sessions") or {}).get("undated") or 0)
     if undated:
-        said.append(
+        sentences.append(
             f"{count(undated)} sessions say no start (`started` in session.toml): they are in the "
             "tables, and in no chart."
         )
-    return (Bullets(tuple(said), "warning"),) if said else ()
+    return (Bullets(tuple(sentences), "warning"),) if sentences else ()
 
 
 def _is_hidden(share: Any) -> bool:
@@ -210,18 +222,13 @@ def failures(results: Results) -> Section | None:
     table = results.table("failures")
     if not len(table):
         return None
-    rows = [
-        row(text_or_dash(one["session"]), text_or_dash(one["kind"]), text_or_dash(one["why"]))
-        for one in records(table)
-    ]
-    shown = Table(
-        "Sessions that could not be measured.",
-        "lll",
-        ("Session", "Kind", "Why"),
-        tuple(rows),
-        ("failures.csv holds the same. They are tried again when the batch is started again.",),
-        wide=(0, 2),
+    columns = (
+        Column("Session", "l", field("session"), wide=True),
+        Column("Kind", "l", field("kind")),
+        Column("Why", "l", field("why"), wide=True),
     )
+    note = "failures.csv holds the same. They are tried again when the batch is started again."
+    shown = tabulate("Sessions that could not be measured.", columns, records(table), note)
     return Section("failures", "Failures", (shown,))
 
 

@@ -26,6 +26,7 @@ from_state, event, to_state, reason), plan (t_s, part, q1_deg …, grip_x/y/z_mm
 status, grip_x/y/z_mm: a picture a row).
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,20 +34,26 @@ import numpy as np
 from reports.document.blocks import (
     Block,
     Bullets,
+    Column,
     Document,
     Facts,
     Figure,
+    FigurePlan,
     Paragraph,
     Section,
     Table,
     Verdict,
     block_or_paragraph,
+    field,
+    figure_or_text,
     lay_out,
     row,
     software,
+    tabulate,
 )
-from reports.document.charts import column, texts
+from reports.document.charts import column, records, texts
 from reports.document.formatting import (
+    capitalise,
     count,
     finite,
     number,
@@ -70,25 +77,68 @@ OUTCOMES = {  # by the state: tone, label
 }
 
 
+FIGURES = {
+    "pictures": FigurePlan(
+        None,
+        "Both cameras, left and right: what was searched (box) and seen (ellipse).",
+        "Pictures of both cameras in the main states",
+        "There are no pictures.",
+    ),
+    "states": FigurePlan(
+        figures.states,
+        "The states over time.",
+        "A bar for each state's time",
+        "It was too short to draw.",
+    ),
+    "track": FigurePlan(
+        figures.track,
+        "The target's track and the grip point's way, in the robot's base.",
+        "Lines in space: target and grip point",
+        "The target was not seen by both cameras.",
+    ),
+    "camshift": FigurePlan(
+        figures.windows,
+        "CAMSHIFT in both pictures: centre and size of the target's box, quality.",
+        "Strips over time: centre, size, quality",
+        "CAMSHIFT saw nothing of the target's colours.",
+    ),
+    "joints": FigurePlan(
+        figures.joints,
+        "Joint angles, read and ordered.",
+        "Six strips of joint angles",
+        "No joint angles were read.",
+    ),
+    "margins": FigurePlan(
+        figures.margins,
+        "Standard uncertainty of the target's place in the base, and what the gripper "
+        "leaves of expanded uncertainty. From the descent on, the hand hides part of the target.",
+        "Three lines over time, and what the gripper leaves",
+        "The target's place was never known.",
+    ),
+}
+
+_figure_block = partial(figure_or_text, FIGURES)
+
+
 def document(results: Results) -> Document:
     """Lay out the whole report."""
     summary = results.summary
     sections = (
-        _outcome,
-        _states,
-        _track,
-        _camshift,
-        _joints,
-        _tool_offset_section,
-        _margins,
-        _plan,
+        _outcome(results),
+        _states(results),
+        Section("track", "Track", (_figure_block(results, "track"),)),
+        Section("camshift", "CAMSHIFT over time", (_figure_block(results, "camshift"),)),
+        _joints(results),
+        _tool_offset_section(results),
+        _margins(results),
+        _plan(results),
     )
     cell = text_or_dash(summary.get("cell"))
     return lay_out(
         title=f"Grab with {text_or_dash(summary.get('robot'))}",
         subtitle=f"{text_or_dash(summary.get('target'))}, {cell} cell",
         footer=f"{software(summary)} · grab",
-        sections=(section(results) for section in sections),
+        sections=sections,
     )
 
 
@@ -141,7 +191,7 @@ def _tool_offset_text(summary: dict[str, Any]) -> str:
 
 
 def _as_sentence(words: str) -> str:
-    return f"{words[:1].upper()}{words[1:]}."
+    return f"{capitalise(words)}."
 
 
 def _outcome(results: Results) -> Section:
@@ -166,59 +216,25 @@ def _outcome(results: Results) -> Section:
     blocks: list[Block] = [outcome(summary), Facts(tuple(items))]
     if summary.get("warnings"):
         blocks.append(Bullets(tuple(summary["warnings"]), "warning"))
-    picture = results.images.get("pictures")
-    shown = Figure(
-        "pictures", "Both cameras, left and right: what was searched (box) and seen (ellipse).",
-        "Pictures of both cameras in the main states", picture,
-    )  # fmt: skip
-    blocks.append(block_or_paragraph(shown, picture, "There are no pictures."))
+    blocks.append(_figure_block(results, "pictures"))
     return Section("outcome", "Outcome", tuple(blocks))
 
 
 def _states(results: Results) -> Section:
-    chart = figures.states(results)
-    figure = Figure("states", "The states over time.", "A bar for each state's time")
-    table = results.table("passages")
-    rows = tuple(
-        row(number(t, 2), a, b, event, because)
-        for t, a, b, event, because in zip(
-            column(table, "t_s"), texts(table, "from_state"), texts(table, "to_state"),
-            texts(table, "event"), texts(table, "reason"), strict=True,
-        )
-    )  # fmt: skip
-    head = ("t [s]", "from", "to", "event", "because")
-    blocks = (
-        block_or_paragraph(figure, chart, "It was too short to draw."),
-        Table("Every passage from one state to another.", "rllll", head, rows, wide=(4,)),
+    columns = (
+        Column("t [s]", "r", field("t_s", number, 2)),
+        Column("from", "l", field("from_state", str)),
+        Column("to", "l", field("to_state", str)),
+        Column("event", "l", field("event", str)),
+        Column("because", "l", field("reason", str), wide=True),
     )
-    return Section("states", "States over time", blocks)
-
-
-def _track(results: Results) -> Section:
-    figure = Figure(
-        "track", "The target's track and the grip point's way, in the robot's base.",
-        "Lines in space: target and grip point",
-    )  # fmt: skip
-    drawing = figures.track(results)
-    said = "The target was not seen by both cameras."
-    return Section("track", "Track", (block_or_paragraph(figure, drawing, said),))
-
-
-def _camshift(results: Results) -> Section:
-    figure = Figure(
-        "camshift", "CAMSHIFT in both pictures: centre and size of the target's box, quality.",
-        "Strips over time: centre, size, quality",
-    )  # fmt: skip
-    drawing = figures.windows(results)
-    said = "CAMSHIFT saw nothing of the target's colours."
-    return Section("camshift", "CAMSHIFT over time", (block_or_paragraph(figure, drawing, said),))
+    passages = records(results.table("passages"))
+    table = tabulate("Every passage from one state to another.", columns, passages)
+    return Section("states", "States over time", (_figure_block(results, "states"), table))
 
 
 def _joints(results: Results) -> Section:
-    figure = Figure("joints", "Joint angles, read and ordered.", "Six strips of joint angles")
-    blocks: list[Block] = [
-        block_or_paragraph(figure, figures.joints(results), "No joint angles were read.")
-    ]
+    blocks: list[Block] = [_figure_block(results, "joints")]
     table = results.table("cycles")
     names, t = texts(table, "state"), column(table, "t_s")
     rows = []
@@ -237,8 +253,8 @@ def _tool_offset_section(results: Results) -> Section:
     """Did the arm stand where it was told to, by the LEDs on its flange?"""
     hand = results.summary.get("hand")
     if not hand:
-        said = "Nobody looked at the hand: there was no descent, or nothing was to move."
-        return Section("hand", "The hand, seen by its LEDs", (Paragraph(said),))
+        text = "Nobody looked at the hand: there was no descent, or nothing was to move."
+        return Section("hand", "The hand, seen by its LEDs", (Paragraph(text),))
     blocks: list[Block] = [Paragraph(_as_sentence(hand["reason"]))]
     rows = [
         row(what, *(number(v, 2) for v in hand[f"{key}_mm"] or (None,) * 3))
@@ -258,15 +274,7 @@ def _tool_offset_section(results: Results) -> Section:
 
 def _margins(results: Results) -> Section:
     plan = results.summary.get("plan")
-    figure = Figure(
-        "margins", "Standard uncertainty of the target's place in the base, and what the gripper "
-        "leaves of expanded uncertainty. From the descent on, the hand hides part of the target.",
-        "Three lines over time, and what the gripper leaves",
-    )  # fmt: skip
-    drawing = figures.margins(results)
-    blocks: list[Block] = [
-        block_or_paragraph(figure, drawing, "The target's place was never known.")
-    ]
+    blocks: list[Block] = [_figure_block(results, "margins")]
     if plan:
         margin = plan["margin"]
         rows = tuple(
@@ -276,9 +284,8 @@ def _margins(results: Results) -> Section:
         head = ("direction", "gripper leaves [mm]", "needed [mm]")
         blocks.append(Table("Margins of the planned grasp.", "lrr", head, rows))
         raised = number(margin["raised_mm"], 1)
-        blocks.append(
-            Paragraph(f"Gripped {raised} mm above its middle, so the tips stay off the table.")
-        )
+        text = f"Gripped {raised} mm above its middle, so the tips stay off the table."
+        blocks.append(Paragraph(text))
     return Section("margins", "Margins", tuple(blocks))
 
 
@@ -286,10 +293,10 @@ def _plan(results: Results) -> Section:
     plan, refusal = results.summary.get("plan"), results.summary.get("refusal")
     blocks: list[Block] = []
     figure = Figure("planned", "Joint angles as planned.", "Six strips of planned joint angles")
-    said = "There is no plan."
+    otherwise = "There is no plan."
     if refusal:
-        said = f"Refused ({refusal['kind']}): {refusal['reason']}."
-    blocks.append(block_or_paragraph(figure, figures.planned_motion(results), said))
+        otherwise = f"Refused ({refusal['kind']}): {refusal['reason']}."
+    blocks.append(block_or_paragraph(figure, figures.planned_motion(results), otherwise))
     chosen = plan or refusal or {}
     rows = [row(entry["branch"], entry["reason"]) for entry in chosen.get("rejected") or []]
     if plan:
@@ -298,6 +305,5 @@ def _plan(results: Results) -> Section:
         rows.insert(0, row(plan["branch"], taken))
     if rows:
         head = ("branch", "why")
-        table = Table("The arm's postures.", "ll", head, tuple(rows), wide=(1,))
-        blocks.append(table)
+        blocks.append(Table("The arm's postures.", "ll", head, tuple(rows), wide=(1,)))
     return Section("plan", "Plan", tuple(blocks))

@@ -26,29 +26,33 @@ The summary's keys, units in their names; what is not known is null or missing:
     parameter_correlation parameters, correlation
 
 Tables: residuals (source, frame, used, before_mm, after_mm, before_deg, after_deg), parameters.
-
-The report of an identified arm, in words: models, figures, notes.
 """
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from reports.calibration.figures import correlation
 from reports.document.blocks import (
     Block,
-    Cell,
+    Column,
     Document,
     Facts,
-    FigureText,
+    FigurePlan,
     Paragraph,
     Section,
     Table,
     Verdict,
     described,
+    field,
     figure_or_text,
     files_and_software,
     lay_out,
     row,
     software,
+    tabulate,
+    uncertain_field,
 )
 from reports.document.formatting import (
     DASH,
@@ -60,10 +64,9 @@ from reports.document.formatting import (
     quantity,
     significant,
     text_or_dash,
-    with_uncertainty,
 )
 from reports.document.formatting import joint_names as name_joints
-from reports.identification.figures import IDENTIFICATION_FIGURES
+from reports.identification import figures
 from reports.results import Results
 
 LEVELS = {
@@ -119,17 +122,20 @@ class IdentificationNotes:
 
 
 FIGURES = {
-    "identified_residuals": FigureText(
+    "identified_residuals": FigurePlan(
+        figures.residuals,
         "What is left of each pose: by base and tool alone, and by the identified arm.",
         "Two strips over the poses: position in millimetres, orientation in degrees.",
         "The residuals were not kept.",
     ),
-    "identified_changes": FigureText(
+    "identified_changes": FigurePlan(
+        figures.changes,
         "Change of each parameter of the arm, with its expanded uncertainty (k = 2).",
         "Points with upright bars, one a parameter: angles in degrees, lengths in millimetres.",
         "No parameter of the arm was changed.",
     ),
-    "parameter_correlation": FigureText(
+    "parameter_correlation": FigurePlan(
+        correlation,
         "Correlation of the identified parameters; numbers below stand for the names at the left.",
         "A square of coloured cells, one a pair of parameters, from −1 to 1.",
         "There are no correlations to show.",
@@ -138,10 +144,9 @@ FIGURES = {
 
 
 MAX_OUTLIERS = 60  # outlying poses in the table; the others are in summary.json
-RESIDUAL_COLUMNS = ("mean [mm]", "rms [mm]", "max [mm]", "mean [°]", "rms [°]", "max [°]")
 UNITS = {"deg": "°", "mm": "mm"}
 
-_figure_block = partial(figure_or_text, IDENTIFICATION_FIGURES, FIGURES)
+_figure_block = partial(figure_or_text, FIGURES)
 
 
 def document(results: Results) -> Document:
@@ -211,82 +216,62 @@ def offsets(results: Results) -> Section:
     """Give each joint's offset with its sign, as error and as what to add."""
     summary = results.summary
     geometry = summary.get("level") == "geometry"
-    heads = ["Joint", "Encoder less measured [°]", "Add to the reading [°]"]
-    keys = [("error_deg", "standard_uncertainty_deg"),
-            ("add_to_reading_deg", "standard_uncertainty_deg")]  # fmt: skip
+    u = "standard_uncertainty_deg"
+    columns = [
+        Column("Joint", "c", field("joint")),
+        Column("Encoder less measured [°]", "r", uncertain_field("error_deg", u)),
+        Column("Add to the reading [°]", "r", uncertain_field("add_to_reading_deg", u)),
+    ]
+    notes: tuple[str, ...] = (IdentificationNotes.SIGN,)
     if geometry:
-        heads.append("Offsets alone: add to the reading [°]")
-        keys.append(("alone_add_to_reading_deg", "alone_standard_uncertainty_deg"))
-    rows = tuple(
-        row(
-            text_or_dash(joint.get("joint")),
-            *(with_uncertainty(joint.get(value), joint.get(u)) for value, u in keys),
-        )
-        for joint in summary.get("offsets") or []
+        alone = uncertain_field("alone_add_to_reading_deg", f"alone_{u}")
+        columns.append(Column("Offsets alone: add to the reading [°]", "r", alone))
+        notes += (IdentificationNotes.ALONE,)
+    table = tabulate(
+        "Constant offset of each joint.", columns, summary.get("offsets") or [], *notes
     )
-    notes = [IdentificationNotes.SIGN, *([IdentificationNotes.ALONE] if geometry else [])]
-    if any(DASH in cell.text for line in rows for cell in line):
-        notes.append(IdentificationNotes.NOT_TOLD)
-    table = Table(
-        "Constant offset of each joint.", "c" + "r" * len(keys), tuple(heads), rows, tuple(notes)
-    )
+    if any(DASH in cell.text for line in table.rows for cell in line):
+        table = replace(table, notes=(*notes, IdentificationNotes.NOT_TOLD))
     return Section("offsets", "Joint offsets", (table,))
 
 
 def parameters(results: Results) -> Section:
     """List every parameter of the arm that was identified."""
-    rows = tuple(
-        row(
-            Cell(text_or_dash(entry.get("name"))),
-            UNITS.get(str(entry.get("unit")), text_or_dash(entry.get("unit"))),
-            number(entry.get("nominal"), 4),
-            number(entry.get("identified"), 4),
-            with_uncertainty(entry.get("change"), entry.get("standard_uncertainty")),
-            significant(entry.get("expanded_uncertainty")),
-        )
+    entries = [
+        entry
         for entry in results.summary.get("parameters") or []
         if finite(entry.get("change")) is not None
-    )
-    if not rows:
+    ]
+    if not entries:
         return Section("parameters", "Parameters", (Paragraph(IdentificationNotes.SAME),))
-    table = Table(
-        "Parameters of the arm: as its file has them, and identified.",
-        "llrrrr",
-        ("Parameter", "Unit", "Before", "Identified", "Change ± u", "U"),
-        rows,
-        (IdentificationNotes.PLACES,),
+    columns = (
+        Column("Parameter", "l", field("name")),
+        Column("Unit", "l", lambda e: UNITS.get(str(e.get("unit")), text_or_dash(e.get("unit")))),
+        Column("Before", "r", field("nominal", number, 4)),
+        Column("Identified", "r", field("identified", number, 4)),
+        Column("Change ± u", "r", uncertain_field("change", "standard_uncertainty")),
+        Column("U", "r", field("expanded_uncertainty", significant)),
     )
-    return Section(
-        "parameters", "Parameters", (table, _figure_block(results, "identified_changes"))
-    )
+    title = "Parameters of the arm: as its file has them, and identified."
+    table = tabulate(title, columns, entries, IdentificationNotes.PLACES)
+    figure = _figure_block(results, "identified_changes")
+    return Section("parameters", "Parameters", (table, figure))
 
 
 def residuals(results: Results) -> Section:
     """Say how each model carries over to poses that it has not seen."""
     summary = results.summary
-    rows = tuple(
-        row(
-            lookup_label(LEVELS, level.get("name")),
-            count(level.get("identified")),
-            *(
-                number((level.get("held_out") or {}).get(f"{name}_{unit}"), 3)
-                for unit in ("mm", "deg")
-                for name in ("mean", "rms", "max")
-            ),
-            number(level.get("criterion"), 0),
-        )
-        for level in summary.get("levels") or []
-    )
-    table = Table(
+    table = tabulate(
         "Residuals of poses held out, model by model.",
-        "lrrrrrrrr",
         (
-            "Model", "Parameters", *RESIDUAL_COLUMNS, "Criterion",
+            Column("Model", "l", lambda e: lookup_label(LEVELS, e.get("name")), wide=True),
+            Column("Parameters", "r", field("identified", count)),
+            *_residual_columns("held_out"),
+            Column("Criterion", "r", field("criterion", number, 0)),
         ),
-        rows,
-        (IdentificationNotes.HOLD_OUT,),
-        wide=(0,),
-    )  # fmt: skip
+        summary.get("levels") or [],
+        IdentificationNotes.HOLD_OUT,
+    )
     blocks: list[Block] = [table, _figure_block(results, "identified_residuals")]
     if summary.get("judged"):
         blocks.append(_validation_table(summary["judged"]))
@@ -298,43 +283,40 @@ def residuals(results: Results) -> Section:
     return Section("residuals", "Residuals", tuple(blocks))
 
 
+def _residual_columns(key: str) -> list[Column]:
+    """Residuals that an entry holds under `key`."""
+
+    def residual(name: str) -> Callable[[dict[str, Any]], str]:
+        return lambda entry: number((entry.get(key) or {}).get(name), 3)
+
+    return [
+        Column(f"{name} [{sign}]", "r", residual(f"{name}_{unit}"))
+        for unit, sign in (("mm", "mm"), ("deg", "°"))
+        for name in ("mean", "rms", "max")
+    ]
+
+
 def _validation_table(entry: dict[str, Any]) -> Table:
-    rows = tuple(
-        row(
-            name,
-            *(
-                number((entry.get(key) or {}).get(f"{length}_{unit}"), 3)
-                for unit in ("mm", "deg")
-                for length in ("mean", "rms", "max")
-            ),
-        )
-        for name, key in (("as its file has it", "before"), ("identified", "after"))
-    )
-    return Table(
+    arms = (("as its file has it", "before"), ("identified", "after"))
+    return tabulate(
         "Residuals of other sessions, registered anew with either arm.",
-        "lrrrrrr",
-        ("Model", *RESIDUAL_COLUMNS),
-        rows,
-        (
-            f"{text_or_dash(entry.get('path'))}, {count(entry.get('poses'))} poses",
-            IdentificationNotes.JUDGED,
-        ),
+        (Column("Model", "l", field("name")), *_residual_columns("residuals")),
+        [{"name": name, "residuals": entry.get(key)} for name, key in arms],
+        f"{text_or_dash(entry.get('path'))}, {count(entry.get('poses'))} poses",
+        IdentificationNotes.JUDGED,
     )
 
 
 def _outlier_table(entries: list[dict[str, Any]]) -> Table:
-    rows = tuple(
-        row(
-            text_or_dash(entry.get("source")),
-            count(entry.get("frame")),
-            significant(entry.get("squared_distance"), 3),
-        )
-        for entry in entries[:MAX_OUTLIERS]
-    )
     notes = [IdentificationNotes.OUTLYING]
     if len(entries) > MAX_OUTLIERS:
         notes.append(f"{count(len(entries) - MAX_OUTLIERS)} more are in summary.json.")
-    return Table("Outlying poses.", "lrr", ("Session", "Pair", "Distance²"), rows, tuple(notes))
+    columns = (
+        Column("Session", "l", field("source")),
+        Column("Pair", "r", field("frame", count)),
+        Column("Distance²", "r", field("squared_distance", significant, 3)),
+    )
+    return tabulate("Outlying poses.", columns, entries[:MAX_OUTLIERS], *notes)
 
 
 def unidentifiable_parameters(results: Results) -> Section:
@@ -343,25 +325,20 @@ def unidentifiable_parameters(results: Results) -> Section:
     if not entries:
         text = Paragraph("Every parameter could be told from the others.")
         return Section("held", "What these poses cannot tell", (text,))
-    rows = tuple(
-        row(
-            text_or_dash(entry.get("name")),
-            lookup_label(REASONS, entry.get("reason")),
-            _confounding_text(entry),
-            quantity(entry.get("standard_uncertainty_if_free"),
-                     UNITS.get(str(entry.get("unit")), "")),
-        )
-        for entry in entries
-    )  # fmt: skip
-    table = Table(
-        "Parameters that were held, and what makes them up.",
-        "lllr",
-        ("Parameter", "Why it is held", "Confounded with", "u if free"),
-        rows,
-        (IdentificationNotes.GAUGE,),
-        wide=(2,),
+    columns = (
+        Column("Parameter", "l", field("name")),
+        Column("Why it is held", "l", lambda e: lookup_label(REASONS, e.get("reason"))),
+        Column("Confounded with", "l", _confounding_text, wide=True),
+        Column("u if free", "r", _uncertainty_if_free),
     )
+    title = "Parameters that were held, and what makes them up."
+    table = tabulate(title, columns, entries, IdentificationNotes.GAUGE)
     return Section("held", "What these poses cannot tell", (table,))
+
+
+def _uncertainty_if_free(entry: dict[str, Any]) -> str:
+    unit = UNITS.get(str(entry.get("unit")), "")
+    return quantity(entry.get("standard_uncertainty_if_free"), unit)
 
 
 def _confounding_text(entry: dict[str, Any]) -> str:
@@ -374,14 +351,17 @@ def _confounding_text(entry: dict[str, Any]) -> str:
 
 def parameter_uncertainty(results: Results) -> Section:
     """Show how the identified parameters hang together, and how observable they are."""
-    indexes = results.summary.get("observability") or {}
     blocks: list[Block] = [_figure_block(results, "parameter_correlation")]
-    if indexes:
-        rows = tuple(row(name, significant(value, 3)) for name, value in indexes.items())
-        blocks.append(
-            Table("Observability.", "lr", ("Index", "Value"), rows, (IdentificationNotes.INDEXES,))
-        )
+    if results.summary.get("observability"):
+        table = observability_table(results.summary["observability"])
+        blocks.append(replace(table, notes=(IdentificationNotes.INDEXES,)))
     return Section("sureness", "Correlations and observability", tuple(blocks))
+
+
+def observability_table(indexes: dict[str, Any]) -> Table:
+    """List the indices of observability."""
+    rows = tuple(row(name, significant(value, 3)) for name, value in indexes.items())
+    return Table("Observability.", "lr", ("Index", "Value"), rows)
 
 
 def conditions(results: Results) -> Section:

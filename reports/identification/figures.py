@@ -1,10 +1,7 @@
 """Figures of an identified arm: tables in, chart out, None for nothing to draw."""
 
-from collections.abc import Callable
-
 import numpy as np
 
-from reports.calibration.figures import correlation
 from reports.document.charts import (
     Array,
     Chart,
@@ -12,9 +9,9 @@ from reports.document.charts import (
     Line,
     Mark,
     Panel,
-    Path,
     Points,
     column,
+    strips,
     texts,
     trace,
 )
@@ -42,16 +39,11 @@ def residuals(results: Results) -> Chart | None:
                     Line(*trace(rows, after), "measured", "after"),
                 ),
                 f"{name} [{sign}]",
-                "",
                 y_range=(0.0, AXIS_MARGIN * highest or 1.0),
                 unit=sign,
             )
         )
-    if not panels:
-        return None
-    last = panels[-1]
-    panels[-1] = Panel(last.marks, last.y_label, "pose", y_range=last.y_range, unit=last.unit)
-    return Chart(tuple(panels), row_height=1.4, shared_x=True)
+    return strips(panels, "pose", row_height=1.4)
 
 
 def changes(results: Results) -> Chart | None:
@@ -85,10 +77,3 @@ def _vertical_bars(places: Array, low: Array, high: Array) -> tuple[Array, Array
     """Draw a bar from low to high at each place."""
     gap = np.full(len(places), np.nan)
     return np.repeat(places, 3), np.stack([low, high, gap], axis=1).reshape(-1)
-
-
-IDENTIFICATION_FIGURES: dict[str, Callable[[Results], Chart | Path | None]] = {
-    "identified_residuals": residuals,
-    "identified_changes": changes,
-    "parameter_correlation": correlation,
-}

@@ -24,27 +24,29 @@ The summary's keys, units in their names; what this motion would not show is nul
     image_size            px
 
 Tables: trajectory, poses, pairs, spots, arm, cameras, shown, sources.
-
-The report of a planned session, in words: kinds, figures, notes.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from reports.document.blocks import (
     Block,
+    Column,
     Document,
     Facts,
-    FigureText,
+    FigurePlan,
     Paragraph,
     Section,
     Table,
     Verdict,
+    field,
     figure_or_text,
     lay_out,
     provenance,
     row,
     software,
+    tabulate,
 )
 from reports.document.charts import column, texts
 from reports.document.formatting import (
@@ -59,8 +61,10 @@ from reports.document.formatting import (
     text_or_dash,
 )
 from reports.document.formatting import joint_names as name_joints
-from reports.plan.figures import PLAN_FIGURES
+from reports.identification.document import observability_table
+from reports.plan import figures
 from reports.results import Results
+from reports.session.figures.evidence import correlation
 
 KINDS = {
     "offsets": "Offset",
@@ -119,29 +123,34 @@ class PlanNotes:
 
 
 FIGURES = {
-    "plan_detectable": FigureText(
+    "plan_detectable": FigurePlan(
+        figures.detectable,
         "Predicted of each joint: expanded uncertainty of its mean error, and the smallest "
         "constant offset that would be noticed.",
         "Two upright bars a joint, in degrees.",
         "No joint's offset would show.",
     ),
-    "correlation": FigureText(
+    "correlation": FigurePlan(
+        correlation,
         "Predicted correlation of the joints' mean errors.",
         "A square matrix of correlation coefficients, one row and one column a joint.",
         "The correlation of the joints' mean errors is not known.",
     ),
-    "plan_joints": FigureText(
+    "plan_joints": FigurePlan(
+        figures.over_time,
         "The joints over time.",
         "Strips over time, one a joint, in degrees.",
         "The motion was not kept.",
     ),
-    "plan_path": FigureText(
+    "plan_path": FigurePlan(
+        figures.path,
         "The flange's way, the arm at some of the poses, and the cameras with their view; robot's "
         "base frame.",
         "Lines in space: the flange's way, the arm's links, the cameras' axes.",
         "The arm's way was not kept.",
     ),
-    "plan_view": FigureText(
+    "plan_view": FigurePlan(
+        figures.view,
         "The LEDs in both pictures, all pairs of the session.",
         "Two pictures with the places of every LED in them, in pixels.",
         "The LEDs' places were not kept.",
@@ -151,7 +160,7 @@ FIGURES = {
 
 UNITS = {"deg": "°", "percent": "%", "mm": "mm"}
 
-_figure_block = partial(figure_or_text, PLAN_FIGURES, FIGURES)
+_figure_block = partial(figure_or_text, FIGURES)
 
 
 def document(results: Results) -> Document:
@@ -210,23 +219,17 @@ def verdict(results: Results) -> Section:
 
 def joints(results: Results) -> Section:
     """Give each joint's uncertainty, and what would be noticed and told apart."""
-    rows = tuple(
-        row(
-            text_or_dash(joint.get("joint")),
-            significant(joint.get("standard_uncertainty_deg")),
-            significant(joint.get("expanded_uncertainty_deg")),
-            number(joint.get("coverage_factor"), 2),
-            significant(joint.get("minimum_detectable_error_deg")),
-            significant(joint.get("minimum_separable_error_deg")),
-            percent(joint.get("visible_fraction")),
-        )
-        for joint in results.summary.get("joints") or []
+    columns = (
+        Column("Joint", "c", field("joint")),
+        Column("u [°]", "r", field("standard_uncertainty_deg", significant)),
+        Column("U [°]", "r", field("expanded_uncertainty_deg", significant)),
+        Column("k", "r", field("coverage_factor", number, 2)),
+        Column("Detectable [°]", "r", field("minimum_detectable_error_deg", significant)),
+        Column("Separable [°]", "r", field("minimum_separable_error_deg", significant)),
+        Column("Visible", "r", field("visible_fraction", percent)),
     )
-    heads = ("Joint", "u [°]", "U [°]", "k", "Detectable [°]", "Separable [°]", "Visible")
-    table = Table(
-        "Predicted uncertainty and detectable error of each joint.", "crrrrrr", heads, rows,
-        (PlanNotes.JOINTS,),
-    )  # fmt: skip
+    title = "Predicted uncertainty and detectable error of each joint."
+    table = tabulate(title, columns, results.summary.get("joints") or [], PlanNotes.JOINTS)
     blocks = [table, _figure_block(results, "plan_detectable"), *_sources(results)]
     return Section("joints", "Joints", (*blocks, _figure_block(results, "correlation")))
 
@@ -251,87 +254,62 @@ def _sources(results: Results) -> tuple[Block, ...]:
 def kinds(results: Results) -> Section:
     """Give every kind of fault that was asked for, a joint."""
     every = results.summary.get("joints") or []
-    names = [str(k.get("kind")) for k in (every[0].get("kinds") if every else None) or []]
-    if not names:
-        return Section(
-            "kinds", "Kinds of fault", (Paragraph("No fault of a joint was asked for."),)
-        )
-    heads = ["Joint"]
-    units = {str(k.get("kind")): UNITS.get(str(k.get("unit")), "") for k in every[0]["kinds"]}
-    for name in names:
-        heads += [f"{lookup_label(KINDS, name)}, u [{units[name]}]", f"detectable [{units[name]}]"]
-    rows = tuple(
-        row(
-            text_or_dash(joint.get("joint")),
-            *(
-                significant(one.get(key))
-                for one in joint.get("kinds") or []
-                for key in ("standard_uncertainty", "minimum_detectable")
-            ),
-        )
-        for joint in every
-    )
-    table = Table(
-        "What would show of each kind of fault.", "c" + "rr" * len(names), tuple(heads), rows,
-        (PlanNotes.KINDS,),
-    )  # fmt: skip
+    asked = (every[0].get("kinds") if every else None) or []
+    if not asked:
+        text = Paragraph("No fault of a joint was asked for.")
+        return Section("kinds", "Kinds of fault", (text,))
+    columns = [Column("Joint", "c", field("joint"))]
+    for place, kind in enumerate(asked):
+        unit = UNITS.get(str(kind.get("unit")), "")
+        name = lookup_label(KINDS, kind.get("kind"))
+        columns += [
+            Column(f"{name}, u [{unit}]", "r", _kind_field(place, "standard_uncertainty")),
+            Column(f"detectable [{unit}]", "r", _kind_field(place, "minimum_detectable")),
+        ]
+    table = tabulate("What would show of each kind of fault.", columns, every, PlanNotes.KINDS)
     return Section("kinds", "Kinds of fault", (table,))
+
+
+def _kind_field(place: int, key: str) -> Callable[[dict[str, Any]], str]:
+    return lambda joint: significant(joint["kinds"][place].get(key))
 
 
 def identifiable_parameters(results: Results) -> Section:
     """List which of the arm's parameters could be identified."""
     found: dict[str, Any] = results.summary.get("geometry") or {}
-    rows = tuple(
-        row(
-            text_or_dash(p.get("name")),
-            UNITS.get(str(p.get("unit")), ""),
-            significant(p.get("standard_uncertainty")),
+    columns: tuple[Column, ...] = (
+        Column("Parameter", "l", field("name")),
+        Column("Unit", "l", lambda e: UNITS.get(str(e.get("unit")), "")),
+        Column("u", "r", field("standard_uncertainty", significant)),
+    )
+    title = "Parameters of the arm that could be identified."
+    table = tabulate(title, columns, found.get("parameters") or [], PlanNotes.GEOMETRY)
+    rank = f"{count(found.get('rank'))} of {count(found.get('candidates'))} parameters"
+    blocks: list[Block] = [Facts((("Told apart", rank),)), table]
+    if found.get("held"):
+        columns = (
+            Column("Parameter", "l", field("name")),
+            Column("Why it is held", "l", lambda e: lookup_label(REASONS, e.get("reason"))),
         )
-        for p in found.get("parameters") or []
-    )
-    facts = Facts(
-        (
-            (
-                "Told apart",
-                f"{count(found.get('rank'))} of {count(found.get('candidates'))} parameters",
-            ),
-        )
-    )
-    table = Table(
-        "Parameters of the arm that could be identified.", "llr", ("Parameter", "Unit", "u"), rows,
-        (PlanNotes.GEOMETRY,),
-    )  # fmt: skip
-    blocks: list[Block] = [facts, table]
-    held = tuple(
-        row(text_or_dash(h.get("name")), lookup_label(REASONS, h.get("reason")))
-        for h in found.get("held") or []
-    )
-    if held:
-        heads = ("Parameter", "Why it is held")
-        blocks.append(Table("Parameters that could not be told.", "ll", heads, held))
-    indexes = found.get("observability") or {}
-    if indexes:
-        listed = tuple(row(name, significant(value, 3)) for name, value in indexes.items())
-        blocks.append(Table("Observability.", "lr", ("Index", "Value"), listed))
+        blocks.append(tabulate("Parameters that could not be told.", columns, found["held"]))
+    if found.get("observability"):
+        blocks.append(observability_table(found["observability"]))
     return Section("geometry", "The arm's geometry", tuple(blocks))
 
 
 def motion(results: Results) -> Section:
     """Show the motion, its path and the view of it."""
-    rows = tuple(
-        row(
-            text_or_dash(joint.get("joint")),
-            number(joint.get("lowest_deg"), 1),
-            number(joint.get("highest_deg"), 1),
-            number(joint.get("greatest_speed_deg_s"), 1),
-            percent(joint.get("upward_share")),
-        )
-        for joint in results.summary.get("joints") or []
+    columns = (
+        Column("Joint", "c", field("joint")),
+        Column("Lowest [°]", "r", field("lowest_deg", number, 1)),
+        Column("Highest [°]", "r", field("highest_deg", number, 1)),
+        Column("Fastest [°/s]", "r", field("greatest_speed_deg_s", number, 1)),
+        Column("Upward", "r", field("upward_share", percent)),
     )
-    heads = ("Joint", "Lowest [°]", "Highest [°]", "Fastest [°/s]", "Upward")
-    table = Table("How the joints move.", "crrrr", heads, rows, (PlanNotes.SPAN,))
-    figures = (_figure_block(results, name) for name in ("plan_joints", "plan_path", "plan_view"))
-    return Section("motion", "Motion", (table, *figures))
+    entries = results.summary.get("joints") or []
+    table = tabulate("How the joints move.", columns, entries, PlanNotes.SPAN)
+    shown = (_figure_block(results, name) for name in ("plan_joints", "plan_path", "plan_view"))
+    return Section("motion", "Motion", (table, *shown))
 
 
 def candidates(results: Results) -> Section:

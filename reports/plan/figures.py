@@ -1,8 +1,5 @@
 """Figures of a planned session: tables in, chart out, None for nothing to draw."""
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 
 from reports.document.charts import (
@@ -19,12 +16,12 @@ from reports.document.charts import (
     column,
     columns,
     numbers,
+    strips,
     texts,
     trace,
 )
 from reports.document.formatting import finite
 from reports.results import Results
-from reports.session.figures.evidence import correlation
 
 AXIS_MARGIN = 1.12
 BAR_OFFSET = 0.2  # of a joint's room: two bars stand beside each other
@@ -71,10 +68,7 @@ def over_time(results: Results) -> Chart | None:
         if rest.any():
             marks += (Points(t[rest], q[rest], "encoder", "at a pose", size=0.8),)
         panels.append(Panel(marks, f"q{joint.get('joint')} [°]", unit="°"))
-    if not panels:
-        return None
-    panels[-1] = replace(panels[-1], x_label="time [s]")
-    return Chart(tuple(panels), row_height=0.66, shared_x=True)
+    return strips(panels, "time [s]", row_height=0.66)
 
 
 def view(results: Results) -> Chart | None:
@@ -127,12 +121,3 @@ def _join_with_gaps(pieces: list[Array]) -> Array:
     gap = np.full((1, 3), np.nan)
     parts = [part for piece in pieces for part in (piece, gap)]
     return np.concatenate(parts) if parts else gap
-
-
-PLAN_FIGURES: dict[str, Callable[[Results], Chart | Path | None]] = {
-    "plan_detectable": detectable,
-    "correlation": correlation,
-    "plan_joints": over_time,
-    "plan_path": path,
-    "plan_view": view,
-}

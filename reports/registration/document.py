@@ -28,6 +28,7 @@ from reports.document import formatting
 from reports.document.blocks import (
     Block,
     Bullets,
+    Column,
     Document,
     Facts,
     Paragraph,
@@ -35,12 +36,16 @@ from reports.document.blocks import (
     Table,
     Verdict,
     described,
+    field,
     files_and_software,
     lay_out,
     row,
     software,
+    tabulate,
+    uncertain_field,
 )
 from reports.document.formatting import (
+    capitalise,
     count,
     finite,
     join_words,
@@ -58,7 +63,6 @@ from reports.registration.evidence import (
     residuals,
 )
 from reports.results import Results
-from reports.session.headline import capitalise
 
 MAX_HIDDEN_SHARE = 0.005  # shown as 0 %: nothing of the offset is left
 MAX_MOSTLY_HIDDEN_SHARE = 0.3  # the share at which the smallest visible offset triples
@@ -79,22 +83,19 @@ def document(results: Results) -> Document:
 
 def hidden_joints(summary: dict[str, Any], least: float, most: float) -> list[Any]:
     """Select the joints whose visible share lies between two bounds."""
-    found = []
-    for joint in summary.get("joints") or []:
-        share = finite(joint.get("visible_fraction"))
-        if share is not None and least <= share < most:
-            found.append(joint.get("joint"))
-    return found
+    return [
+        joint.get("joint")
+        for joint in summary.get("joints") or []
+        if (share := finite(joint.get("visible_fraction"))) is not None and least <= share < most
+    ]
 
 
 def verdict(results: Results) -> Section:
     """Open with what was found, and what it hides."""
     summary = results.summary
     method, fit = str(summary.get("method")), summary.get("fit") or {}
-    blind, dim = (
-        hidden_joints(summary, 0.0, MAX_HIDDEN_SHARE),
-        hidden_joints(summary, MAX_HIDDEN_SHARE, MAX_MOSTLY_HIDDEN_SHARE),
-    )
+    blind = hidden_joints(summary, 0.0, MAX_HIDDEN_SHARE)
+    dim = hidden_joints(summary, MAX_HIDDEN_SHARE, MAX_MOSTLY_HIDDEN_SHARE)
     label = "The robot is registered"
     if blind or dim:
         label += ", and blind to some of its own errors"
@@ -203,23 +204,13 @@ def _base_table(entry: dict[str, Any], through_encoders: bool) -> Table:
 
 
 def _led_table(leds: list[dict[str, Any]], held: bool) -> Table:
-    rows = tuple(
-        row(
-            text_or_dash(led.get("name")),
-            *(
-                with_uncertainty(led.get(f"{axis}_mm"), led.get(f"u_{axis}_mm"), signed=False)
-                for axis in "xyz"
-            ),
-        )
-        for led in leds
-    )
-    return Table(
-        "LEDs in the flange frame, with standard uncertainties (k = 1).",
-        "lrrr",
-        ("LED", "x [mm]", "y [mm]", "z [mm]"),
-        rows,
-        (RegistrationNotes.HELD_LEDS,) if held else (),
-    )
+    columns = [Column("LED", "l", field("name"))]
+    columns += [
+        Column(f"{a} [mm]", "r", uncertain_field(f"{a}_mm", f"u_{a}_mm", signed=False))
+        for a in "xyz"
+    ]
+    title = "LEDs in the flange frame, with standard uncertainties (k = 1)."
+    return tabulate(title, columns, leds, *[RegistrationNotes.HELD_LEDS] * held)
 
 
 def _times(summary: dict[str, Any]) -> list[tuple[str, str]]:
@@ -246,21 +237,15 @@ def visibility(results: Results) -> Section:
         fixture = summary.get("method") == "fixture"
         text = RegistrationNotes.NOTHING_HIDDEN if fixture else RegistrationNotes.NOT_KNOWN
         return Section("visibility", "What the registration hides", (Paragraph(text),))
-    rows = tuple(
-        row(text_or_dash(j.get("joint")), percent(j.get("visible_fraction")), _share_text(j))
-        for j in joints
+    columns = (
+        Column("Joint", "c", field("joint")),
+        Column("Visible", "r", field("visible_fraction", percent)),
+        Column("In words", "l", _share_text, wide=True),
     )
-    table = Table(
-        "What this registration leaves visible of a constant offset that was there already.",
-        "crl",
-        ("Joint", "Visible", "In words"),
-        rows,
-        (RegistrationNotes.VISIBLE,),
-        wide=(2,),
-    )
-    return Section(
-        "visibility", "What the registration hides", (table, figure_block(results, "visible"))
-    )
+    title = "What this registration leaves visible of a constant offset that was there already."
+    table = tabulate(title, columns, joints, RegistrationNotes.VISIBLE)
+    blocks = table, figure_block(results, "visible")
+    return Section("visibility", "What the registration hides", blocks)
 
 
 def _share_text(joint: dict[str, Any]) -> str:

@@ -1,7 +1,7 @@
 """Residuals of a registration, and joint axes against the DH table: figures, tables, notes."""
 
-from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -10,22 +10,35 @@ from reports.calibration.words import FIGURES as CALIBRATION
 from reports.document.blocks import (
     Block,
     Cell,
-    FigureText,
+    Column,
+    FigurePlan,
     Paragraph,
     Section,
     Table,
+    field,
     figure_or_text,
     row,
+    tabulate,
+    uncertain_field,
 )
-from reports.document.charts import Bars, Chart, Line, Mark, Note, Panel, Path, column, texts, trace
+from reports.document.charts import (
+    Bars,
+    Chart,
+    Line,
+    Mark,
+    Note,
+    Panel,
+    column,
+    records,
+    texts,
+    trace,
+)
 from reports.document.formatting import (
     count,
     finite,
     number,
     percent,
     significant,
-    text_or_dash,
-    with_uncertainty,
 )
 from reports.results import Results
 
@@ -99,14 +112,6 @@ def linearity(results: Results) -> Chart | None:
     return Chart(tuple(panels), columns=2, row_height=1.1) if panels else None
 
 
-REGISTRATION_FIGURES: dict[str, Callable[[Results], Chart | Path | None]] = {
-    "visible": visible_shares,
-    "over_time": residuals_over_time,
-    "vectors": residual_vectors,
-    "linearity": linearity,
-}
-
-
 METHODS = {
     "motion": "from the robot's own motion, through its own encoders",
     "fixture": "from a board at a known place on the base",
@@ -158,24 +163,28 @@ class RegistrationNotes:
 
 
 FIGURES = {
-    "visible": FigureText(
+    "visible": FigurePlan(
+        visible_shares,
         "Visible share of a constant offset of each joint that was there at registration.",
         "Bars, one a joint: visible share in percent.",
         "What the registration hides is not known.",
     ),
-    "over_time": FigureText(
+    "over_time": FigurePlan(
+        residuals_over_time,
         "RMS residual of each pair's spots. A registration that no longer holds rises from some "
         "pair on.",
         "Two strips over the pairs: rms residual in pixels, left and right camera.",
         "The residuals were not kept.",
     ),
-    "vectors": FigureText(
+    "vectors": FigurePlan(
+        residual_vectors,
         "Residuals of the spots over the image, magnified as the arrow on top says: thin lines for "
         "spots, arrows for their means over cells.",
         CALIBRATION["vectors"].alt,
         "The residuals were not kept.",
     ),
-    "linearity": FigureText(
+    "linearity": FigurePlan(
+        linearity,
         "Encoder less turn about the joint's own axis over its sweep, a straight line taken out.",
         "Strips over the reading, one a joint, in degrees.",
         "The sweeps were not kept.",
@@ -183,7 +192,7 @@ FIGURES = {
 }
 
 
-figure_block = partial(figure_or_text, REGISTRATION_FIGURES, FIGURES)
+figure_block = partial(figure_or_text, FIGURES)
 
 
 def residuals(results: Results) -> Section:
@@ -220,22 +229,12 @@ def residuals(results: Results) -> Section:
 
 
 def _fixture_table(results: Results) -> Table:
-    units = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
-    rows = tuple(
-        row(
-            count(pair["frame"]),
-            *(number(pair.get(name), 3, signed=True) for name in units),
-            number(pair.get("chi2"), 1),
-        )
-        for pair in results.table("pairs").to_dict("records")
-    )
-    return Table(
-        "The board's place in each pair, less the one that all pairs share.",
-        "rrrrrrrr",
-        ("Pair", "x [mm]", "y [mm]", "z [mm]", "rx [°]", "ry [°]", "rz [°]", "χ² of 6"),
-        rows,
-        (RegistrationNotes.FIXTURE,),
-    )
+    columns = [Column("Pair", "r", field("frame", count))]
+    columns += [Column(f"{a} [mm]", "r", field(f"{a}_mm", number, signed=True)) for a in "xyz"]
+    columns += [Column(f"r{a} [°]", "r", field(f"r{a}_deg", number, signed=True)) for a in "xyz"]
+    columns.append(Column("χ² of 6", "r", field("chi2", number, 1)))
+    title = "The board's place in each pair, less the one that all pairs share."
+    return tabulate(title, columns, records(results.table("pairs")), RegistrationNotes.FIXTURE)
 
 
 def axes(results: Results) -> Section:
@@ -243,41 +242,31 @@ def axes(results: Results) -> Section:
     blocks: list[Block] = []
     pairs, gears = results.table("axes"), results.table("gears")
     if len(pairs):
-        rows = tuple(
-            row(
-                text_or_dash(pair.get("joints")),
-                with_uncertainty(pair.get("angle_deg"), pair.get("angle_u_deg"), signed=False),
-                number(pair.get("angle_table_deg"), 2),
-                with_uncertainty(pair.get("distance_mm"), pair.get("distance_u_mm"), signed=False),
-                number(pair.get("distance_table_mm"), 2),
-                Cell("agrees", "conform") if pair.get("agrees") else Cell("differs", "nonconform"),
-            )
-            for pair in pairs.to_dict("records")
+        columns: tuple[Column, ...] = (
+            Column("Joints", "c", field("joints")),
+            Column("Angle ± u [°]", "r", uncertain_field("angle_deg", "angle_u_deg", signed=False)),
+            Column("Table [°]", "r", field("angle_table_deg", number, 2)),
+            Column(
+                "Apart ± u [mm]", "r", uncertain_field("distance_mm", "distance_u_mm", signed=False)
+            ),
+            Column("Table [mm]", "r", field("distance_table_mm", number, 2)),
+            Column("Verdict", "l", _axes_verdict),
         )
-        blocks.append(
-            Table(
-                "Angle and distance between the axes of joints, found and by the table.",
-                "crrrrl",
-                ("Joints", "Angle ± u [°]", "Table [°]", "Apart ± u [mm]", "Table [mm]", "Verdict"),
-                rows,
-                (RegistrationNotes.AXES,),
-            )
-        )  # fmt: skip
+        title = "Angle and distance between the axes of joints, found and by the table."
+        blocks.append(tabulate(title, columns, records(pairs), RegistrationNotes.AXES))
     if len(gears):
-        rows = tuple(
-            row(
-                text_or_dash(gear.get("joint")),
-                number(gear.get("span_deg"), 1),
-                with_uncertainty(gear.get("gear"), gear.get("gear_u"), signed=False),
-            )
-            for gear in gears.to_dict("records")
+        columns = (
+            Column("Joint", "c", field("joint")),
+            Column("Swept [°]", "r", field("span_deg", number, 1)),
+            Column("Turn over encoder ± u", "r", uncertain_field("gear", "gear_u", signed=False)),
         )
-        head = ("Joint", "Swept [°]", "Turn over encoder ± u")
         title = "Turn of each joint about its own axis over its encoder's."
-        blocks += [
-            Table(title, "crr", head, rows, (RegistrationNotes.GEARS,)),
-            figure_block(results, "linearity"),
-        ]
+        blocks.append(tabulate(title, columns, records(gears), RegistrationNotes.GEARS))
+        blocks.append(figure_block(results, "linearity"))
     if not blocks:
         blocks.append(Paragraph(RegistrationNotes.NO_SWEEPS, "note"))
     return Section("axes", "Axes against the table", tuple(blocks))
+
+
+def _axes_verdict(pair: dict[str, Any]) -> Cell:
+    return Cell("agrees", "conform") if pair.get("agrees") else Cell("differs", "nonconform")

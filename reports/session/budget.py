@@ -1,12 +1,25 @@
 """The uncertainty budget of each joint, and its check by Monte Carlo."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from reports.document.blocks import Block, Bullets, Cell, Paragraph, Section, Table, row
-from reports.document.blocks import Figure as Picture
+from reports.document.blocks import (
+    Block,
+    Bullets,
+    Cell,
+    Column,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    block_or_paragraph,
+    field,
+    row,
+    tabulate,
+)
 from reports.document.charts import column, texts
 from reports.document.formatting import (
     DASH,
@@ -22,7 +35,7 @@ from reports.document.formatting import (
 )
 from reports.results import Results
 from reports.session.combinations import combination_blocks
-from reports.session.findings import chart_or_text
+from reports.session.figures import evidence
 
 MAX_LISTED_PAIRS = 12  # pairs that are listed; summary.json names all
 LISTED_NOTE = (
@@ -70,22 +83,19 @@ def _failure_table(fails: list[dict[str, Any]], within: str) -> Table:
         return max((abs(np.log(r)) for r in ratios if r), default=np.inf)
 
     worst = sorted(fails, key=gap, reverse=True)[:MAX_LISTED_PAIRS]
-    rows = []
-    for fail in sorted(worst, key=lambda f: f.get("frame") or 0):
-        ratios = fail.get("ratio") or []
-        said = ", ".join(
-            f"q{text_or_dash(j)} {number(r, 2)}"
-            for j, r in zip(fail.get("joints") or [], ratios, strict=False)
-        )
-        rows.append(row(count(fail.get("frame")), said, _failure_reason(fail)))
-    return Table(
-        "Where linear propagation does not hold: drawn over linear standard deviation.",
-        "rll",
-        ("Pair", "Ratio by joint", "Why"),
-        tuple(rows),
-        (LISTED_NOTE.format(within=within),),
-        wide=(1,),
+    columns = (
+        Column("Pair", "r", field("frame", count)),
+        Column("Ratio by joint", "l", _ratios, wide=True),
+        Column("Why", "l", _failure_reason),
     )
+    title = "Where linear propagation does not hold: drawn over linear standard deviation."
+    entries = sorted(worst, key=lambda f: f.get("frame") or 0)
+    return tabulate(title, columns, entries, LISTED_NOTE.format(within=within))
+
+
+def _ratios(fail: dict[str, Any]) -> str:
+    ratios = zip(fail.get("joints") or [], fail.get("ratio") or [], strict=False)
+    return ", ".join(f"q{text_or_dash(joint)} {number(ratio, 2)}" for joint, ratio in ratios)
 
 
 def _failure_reason(fail: dict[str, Any]) -> str:
@@ -117,18 +127,14 @@ def budget(results: Results) -> Section:
     if len(table) and {"joint", "source"} <= set(table.columns):
         blocks += _largest_contribution(table, results.summary)
         blocks.append(_source_table(table, results.summary))
-    blocks.append(
-        chart_or_text(
-            results,
-            Picture(
-                "budget",
-                "Share of each source in the sum of the variances of a joint's mean error. What is "
-                "largest is what to improve first.",
-                "Stacked bars, one a joint: share of variance in percent by source.",
-            ),
-            "The uncertainty was not broken down by source.",
-        )
+    figure = Figure(
+        "budget",
+        "Share of each source in the sum of the variances of a joint's mean error. What is largest "
+        "is what to improve first.",
+        "Stacked bars, one a joint: share of variance in percent by source.",
     )
+    otherwise = "The uncertainty was not broken down by source."
+    blocks.append(block_or_paragraph(figure, evidence.budget(results), otherwise))
     blocks += combination_blocks(results.summary)
     blocks += _parameter_blocks(results.table("budget_parameters"))
     blocks += monte_carlo_blocks(results.summary)
@@ -177,16 +183,13 @@ def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> Table:
     rows = []
     for (source, kind), part in frame.groupby(["source", "word"], sort=False, dropna=False):
         by_joint = dict(zip(part["joint"].tolist(), part["u"].tolist(), strict=True))
-        types = texts(part, "type") if "type" in part else [""]
-        degrees = column(part, "degrees_of_freedom")
-        cells = [_format_contribution(by_joint.get(joint)) for joint in joints]
         rows.append(
             row(
                 _source_name(source),
                 text_or_dash(kind),
-                text_or_dash(types[0]),
-                _format_degrees_of_freedom(degrees),
-                *cells,
+                text_or_dash(texts(part, "type")[0]),
+                _format_degrees_of_freedom(column(part, "degrees_of_freedom")),
+                *(_format_contribution(by_joint.get(joint)) for joint in joints),
             )
         )
     rows += _totals(summary, joints)
@@ -203,11 +206,8 @@ def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> Table:
 def _format_contribution(u: Any) -> str:
     """A contribution in degrees; below what anybody resolves only that it is small."""
     known = finite(u)
-    return (
-        "< 0.00001"
-        if known is not None and 0 < abs(known) < MIN_CONTRIBUTION_DEG
-        else significant(known)
-    )
+    small = known is not None and 0 < abs(known) < MIN_CONTRIBUTION_DEG
+    return "< 0.00001" if small else significant(known)
 
 
 def _format_degrees_of_freedom(values: Any) -> str:
@@ -220,31 +220,25 @@ def _format_degrees_of_freedom(values: Any) -> str:
 
 
 def _totals(summary: dict[str, Any], joints: list[Any]) -> list[tuple[Cell, ...]]:
-    known = {joint.get("joint"): joint for joint in (summary.get("joints") or [])}
+    results = {joint.get("joint"): joint for joint in summary.get("joints") or []}
     parts = (summary.get("budget") or {}).get("joints") or []
-    made = {part.get("joint"): part for part in parts}
-    lines: list[tuple[str, list[str]]] = []
-    if made:
-        for label, key in (
-            ("random, together", "random_standard_uncertainty_deg"),
-            ("systematic, together", "systematic_standard_uncertainty_deg"),
-        ):
-            lines.append((label, [significant((made.get(j) or {}).get(key)) for j in joints]))
-    for label, key in (("combined", "standard_uncertainty_deg"),):
-        lines.append((label, [significant((known.get(j) or {}).get(key)) for j in joints]))
-    if made:
-        lines.append(("effective ν", [_format_effective_dof(made.get(j) or {}) for j in joints]))
-        lines.append(
-            ("k", [number((known.get(j) or {}).get("coverage_factor"), 2) for j in joints])
-        )
-    lines.append(
-        (
-            "expanded",
-            [significant((known.get(j) or {}).get("expanded_uncertainty_deg")) for j in joints],
-        )
-    )
+    sums = {part.get("joint"): part for part in parts}
+    lines: list[tuple[str, dict[Any, Any], Callable[[dict[str, Any]], str]]] = [
+        ("random, together", sums, field("random_standard_uncertainty_deg", significant)),
+        ("systematic, together", sums, field("systematic_standard_uncertainty_deg", significant)),
+        ("combined", results, field("standard_uncertainty_deg", significant)),
+        ("effective ν", sums, _format_effective_dof),
+        ("k", results, field("coverage_factor", number, 2)),
+        ("expanded", results, field("expanded_uncertainty_deg", significant)),
+    ]
+    if not sums:
+        lines = [line for line in lines if line[0] in ("combined", "expanded")]
     return [
-        tuple(Cell(text, "total") for text in (label, "", "", "", *cells)) for label, cells in lines
+        tuple(
+            Cell(text, "total")
+            for text in (label, "", "", "", *(write(of.get(joint) or {}) for joint in joints))
+        )
+        for label, of, write in lines
     ]
 
 

@@ -1,6 +1,6 @@
 """Causes in words: what was found of each, what to do about it, and what would tell them apart."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from reports.document.formatting import (
@@ -82,18 +82,19 @@ def format_value(entry: dict[str, Any]) -> str:
 
 def unit_sign(entry: dict[str, Any]) -> str:
     """Write a cause's unit as a sign."""
-    return {"ratio": "ratio"}.get(str(entry.get("unit")), lookup_label(UNITS, entry.get("unit")))
+    unit = entry.get("unit")
+    return "ratio" if unit == "ratio" else lookup_label(UNITS, unit)
 
 
 def finding(entry: dict[str, Any]) -> str:
     """Say a cause in half a sentence, then what to do: `joint 3 reads 0.400° too high: add …`."""
-    sentence = _FINDINGS.get(str(entry.get("kind")))
-    known = finite(entry.get("value"))
+    text = CAUSE_TEXTS.get(str(entry.get("kind")))
+    value = finite(entry.get("value"))
     if entry.get("kind") == "geometry":  # no single figure tells it
         return f"the arm's links differ from the robot file: {remedy(entry)}"
-    if known is None or sentence is None:
+    if value is None or text is None:
         return candidate(entry)
-    return f"{sentence(entry, known)}: {remedy(entry)}"
+    return f"{_cause_sentence(text, entry, value)}: {remedy(entry)}"
 
 
 def remedy(entry: dict[str, Any]) -> str:
@@ -106,18 +107,16 @@ def remedy(entry: dict[str, Any]) -> str:
         return REMEDIES["geometry"]
     if known is None:
         return DASH
-    decimals = _decimals(entry)
+    change = number(-known if kind == "offset" else known, _decimals(entry), signed=True)
     if kind == "offset":
-        return f"add {number(-known, decimals, signed=True)}° to its reading"
+        return f"add {change}° to its reading"
     if kind == "camera_skew":
-        return f"add {number(known, decimals, signed=True)} s to t_right_s in frames.csv"
+        return f"add {change} s to t_right_s in frames.csv"
     if kind == "clock":
-        return f"add {number(known, decimals, signed=True)} s to the clock offset that was given"
+        return f"add {change} s to the clock offset that was given"
     if kind == "dh":
         place = f"{entry.get('parameter', 'the parameter')} in the robot file"
-        return (
-            f"correct {place} by {number(known, decimals, signed=True)} {unit_sign(entry)}".strip()
-        )
+        return f"correct {place} by {change} {unit_sign(entry)}".strip()
     return REMEDIES.get(str(kind), DASH)
 
 
@@ -165,103 +164,69 @@ def with_expanded_uncertainty(
     return amount if amount == DASH or finite(spread) is None else f"{amount} {COVERAGE_NOTE}"
 
 
-def _unsigned_with_uncertainty(entry: dict[str, Any], known: float, suffix: str) -> str:
-    return with_expanded_uncertainty(entry, known, suffix, signed=False)
-
-
 def _decimals(entry: dict[str, Any]) -> int:
     text = with_uncertainty(entry.get("value"), entry.get("expanded_uncertainty")).split(" ")[0]
     return len(text.partition(".")[2])
 
 
-def _offset(entry: dict[str, Any], known: float) -> str:
-    side = "high" if known > 0 else "low"
-    amount = _unsigned_with_uncertainty(entry, abs(known), "°")
-    return f"joint {entry.get('joint')} reads {amount} too {side}"
+@dataclass(frozen=True, slots=True)
+class CauseText:
+    """A cause as half a sentence; it may name amount, joint, turns, parameter, turn and way."""
+
+    sentence: str
+    unit: str = "°"
+    ways: tuple[str, str] | None = None  # of a positive and of a negative value, shown unsigned
+    signed: bool = False
+    factor: float = 1.0  # from the entry's unit to that of the sentence
 
 
-def _gain(entry: dict[str, Any], known: float) -> str:
-    spread = finite(entry.get("expanded_uncertainty"))
-    in_percent = {"expanded_uncertainty": None if spread is None else spread * 100}
-    share = _unsigned_with_uncertainty(in_percent, abs(known) * 100, "%")
-    way = "more" if known > 0 else "less"
-    return f"joint {entry.get('joint')}'s reading turns {share} {way} than the joint"
-
-
-def _backlash(entry: dict[str, Any], known: float) -> str:
-    side = "motor's" if known > 0 else "joint's"
-    amount = _unsigned_with_uncertainty(entry, abs(known), "°")
-    return f"joint {entry.get('joint')} has {amount} of backlash, its encoder on the {side} side"
-
-
-def _eccentricity(entry: dict[str, Any], known: float) -> str:
-    turns = exact_number(entry.get("per_turn", 1))
-    waves = "wave" if turns == "1" else "waves"
-    amount = _unsigned_with_uncertainty(entry, known, "°")
-    return f"joint {entry.get('joint')}'s error is a wave of {amount}, {turns} {waves} a turn"
-
-
-def _clock(entry: dict[str, Any], known: float) -> str:
-    return (
-        f"the encoder clock offset is wrong by {_unsigned_with_uncertainty(entry, abs(known), 's')}"
-    )
-
-
-def _dh(entry: dict[str, Any], known: float) -> str:
-    name = entry.get("parameter", "a link parameter")
-    amount = with_expanded_uncertainty(entry, known, unit_sign(entry))
-    joint = entry.get("joint")
-    owner = "the arm" if joint is None else f"joint {joint}"
-    return f"{owner}'s {name} differs by {amount}"
-
-
-def _compliance(entry: dict[str, Any], known: float) -> str:
-    amount = _unsigned_with_uncertainty(entry, known, "°/m")
-    return f"joint {entry.get('joint')} gives way by {amount} of lever"
-
-
-def _drift(entry: dict[str, Any], known: float) -> str:
-    amount = with_expanded_uncertainty(entry, known, "°/h")
-    return f"joint {entry.get('joint')}'s reading drifts by {amount}"
-
-
-def _clock_drift(entry: dict[str, Any], known: float) -> str:
-    does = "loses" if known > 0 else "gains"
-    return f"the encoder clock {does} {_unsigned_with_uncertainty(entry, abs(known), 'ppm')}"
-
-
-def _camera_skew(entry: dict[str, Any], known: float) -> str:
-    side = "later" if known > 0 else "earlier"
-    amount = _unsigned_with_uncertainty(entry, abs(known), "s")
-    return f"the right pictures were taken {amount} {side} than stamped"
-
-
-def _camera_rotation(entry: dict[str, Any], known: float) -> str:
-    amount = _unsigned_with_uncertainty(entry, abs(known), "°")
-    return f"the right camera has turned by {amount} since the calibration"
-
-
-def _displacement(entry: dict[str, Any], known: float) -> str:
-    what = {
-        "base_moved": "the robot's base, or the whole rig, has",
-        "led_body_slipped": "the LED body has",
-    }[str(entry.get("kind"))]
-    amount, turn = _unsigned_with_uncertainty(entry, known, "mm"), number(entry.get("turn_deg"), 3)
-    return f"{what} moved by {amount} and {turn}° since it was registered"
-
-
-_FINDINGS: dict[str, Callable[[dict[str, Any], float], str]] = {
-    "offset": _offset,
-    "gain": _gain,
-    "backlash": _backlash,
-    "eccentricity": _eccentricity,
-    "clock": _clock,
-    "dh": _dh,
-    "compliance": _compliance,
-    "drift": _drift,
-    "clock_drift": _clock_drift,
-    "camera_skew": _camera_skew,
-    "camera_turned": _camera_rotation,
-    "base_moved": _displacement,
-    "led_body_slipped": _displacement,
+CAUSE_TEXTS = {
+    "offset": CauseText("joint {joint} reads {amount} too {way}", ways=("high", "low")),
+    "gain": CauseText(
+        "joint {joint}'s reading turns {amount} {way} than the joint",
+        "%",
+        ways=("more", "less"),
+        factor=100.0,
+    ),
+    "backlash": CauseText(
+        "joint {joint} has {amount} of backlash, its encoder on the {way} side",
+        ways=("motor's", "joint's"),
+    ),
+    "eccentricity": CauseText("joint {joint}'s error is a wave of {amount}, {turns} a turn"),
+    "clock": CauseText("the encoder clock offset is wrong by {amount}", "s", ways=("", "")),
+    "dh": CauseText("{owner}'s {parameter} differs by {amount}", "", signed=True),
+    "compliance": CauseText("joint {joint} gives way by {amount} of lever", "°/m"),
+    "drift": CauseText("joint {joint}'s reading drifts by {amount}", "°/h", signed=True),
+    "clock_drift": CauseText("the encoder clock {way} {amount}", "ppm", ways=("loses", "gains")),
+    "camera_skew": CauseText(
+        "the right pictures were taken {amount} {way} than stamped", "s", ways=("later", "earlier")
+    ),
+    "camera_turned": CauseText(
+        "the right camera has turned by {amount} since the calibration", ways=("", "")
+    ),
+    "base_moved": CauseText(
+        "the robot's base, or the whole rig, has moved by {amount} and {turn}° since it was "
+        "registered",
+        "mm",
+    ),
+    "led_body_slipped": CauseText(
+        "the LED body has moved by {amount} and {turn}° since it was registered", "mm"
+    ),
 }
+
+
+def _cause_sentence(text: CauseText, entry: dict[str, Any], value: float) -> str:
+    """Fill a cause's sentence with the figures of an entry."""
+    spread, joint = finite(entry.get("expanded_uncertainty")), entry.get("joint")
+    scaled = {"expanded_uncertainty": None if spread is None else spread * text.factor}
+    shown = (abs(value) if text.ways else value) * text.factor
+    turns = exact_number(entry.get("per_turn", 1))
+    return text.sentence.format(
+        amount=with_expanded_uncertainty(scaled, shown, text.unit or unit_sign(entry), text.signed),
+        joint=joint,
+        owner="the arm" if joint is None else f"joint {joint}",
+        parameter=entry.get("parameter", "a link parameter"),
+        turns=f"{turns} {'wave' if turns == '1' else 'waves'}",
+        turn=number(entry.get("turn_deg"), 3),
+        way=text.ways[value <= 0] if text.ways else "",
+    )

@@ -1,18 +1,30 @@
 """Sums of joint errors known well and badly; the smallest fault of each kind that shows."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from reports.document import formatting
-from reports.document.blocks import Block, Bullets, Paragraph, Section, Table, row
-from reports.document.charts import Array, numbers
+from reports.document.blocks import (
+    Block,
+    Bullets,
+    Column,
+    Paragraph,
+    Section,
+    Table,
+    field,
+    row,
+    tabulate,
+)
+from reports.document.charts import Array, records, square
 from reports.document.formatting import (
     DASH,
+    UNITS,
     finite,
     joint_names,
+    lookup_label,
     quantity,
     significant,
     text_or_dash,
@@ -39,18 +51,17 @@ def combination_blocks(summary: dict[str, Any]) -> list[Block]:
     if len(known) < MIN_JOINTS or not np.isfinite(part).all():
         return []
     values, vectors = np.linalg.eigh(part)
+    sums = [c for c in summary.get("combinations") or [] if c.get("why") == "well_known"]
     rows = [
         row(
             text_or_dash(c.get("label")),
-            with_uncertainty(c.get("mean_error_deg"), sums),
+            with_uncertainty(c.get("mean_error_deg"), c["standard_uncertainty_deg"]),
             "axes are parallel",
         )
-        for c in summary.get("combinations") or []
-        if c.get("why") == "well_known"
-        and (sums := finite(c.get("standard_uncertainty_deg"))) is not None
+        for c in sums
+        if finite(c.get("standard_uncertainty_deg")) is not None
     ]
-    members = {j for c in summary.get("combinations") or [] if c.get("why") == "well_known"
-               for j in c.get("joints") or []}  # fmt: skip
+    members = {joint for c in sums for joint in c.get("joints") or []}
     for place, name in enumerate(names):
         if entries[place].get("joint") in members and np.isfinite(u[place]):
             rows.append(
@@ -88,11 +99,8 @@ def _float_or_nan(value: Any) -> float:
 
 
 def _covariance(rows: Any, u: Array) -> Array | None:
-    lines = [numbers(line) for line in rows] if isinstance(rows, list) else []
-    if not len(u) or len(lines) != len(u) or any(len(line) != len(u) for line in lines):
-        return None
-    covariance: Array = np.array(lines) * np.outer(u, u)
-    return covariance
+    correlation = square(rows, len(u))
+    return correlation * np.outer(u, u) if correlation.size else None
 
 
 def _combination_name(weights: Array, names: list[str]) -> str:
@@ -146,7 +154,7 @@ def detectable(results: Results) -> Section:
 
 def _hidden_sentences(own: pd.DataFrame) -> tuple[str, ...]:
     every = sorted(own["joint"].astype(int).unique().tolist())
-    said = []
+    sentences = []
     for kind, text in (
         ("offset", "A constant offset of {joints} cannot show."),
         ("gain", "A gain of {joints} cannot show: it hardly moved, or what was fitted took it in."),
@@ -155,35 +163,33 @@ def _hidden_sentences(own: pd.DataFrame) -> tuple[str, ...]:
         seen = own[(own["kind"] == kind) & own["detectable"].notna()]["joint"].astype(int).tolist()
         missing = [joint for joint in every if joint not in seen]
         if missing:
-            said.append(text.format(joints=joint_names(missing)))
-    return tuple(said)
+            sentences.append(text.format(joints=joint_names(missing)))
+    return tuple(sentences)
 
 
 def _joint_table(own: pd.DataFrame) -> Table:
-    rows = []
-    for joint in sorted(own["joint"].astype(int).unique().tolist()):
-        entries = own[own["joint"] == joint]
-        cells = [_format_cell(_column_entries(entries, column)) for column, _ in COLUMNS]
-        rows.append(row(f"q{joint}", *cells))
-    return Table(
-        "The smallest fault of each joint that would be listed / told from every other.",
-        "l" + "r" * len(COLUMNS),
-        ("Joint", *(head for _, head in COLUMNS)),
-        tuple(rows),
-        (TABLE_NOTE, FAULT_NOTE),
-    )
+    def cell_of(kind: str) -> Callable[[int], str]:
+        return lambda joint: _format_cell(_kind_entries(own[own["joint"] == joint], kind))
+
+    columns = [
+        Column("Joint", "l", lambda joint: f"q{joint}"),
+        *(Column(head, "r", cell_of(kind)) for kind, head in COLUMNS),
+    ]
+    joints = sorted(own["joint"].astype(int).unique().tolist())
+    title = "The smallest fault of each joint that would be listed / told from every other."
+    return tabulate(title, columns, joints, TABLE_NOTE, FAULT_NOTE)
 
 
-def _column_entries(entries: pd.DataFrame, column: str) -> pd.DataFrame:
-    """Rows that a column stands for; in percent where it says so."""
-    if column in ("once", "waves"):
+def _kind_entries(entries: pd.DataFrame, kind: str) -> pd.DataFrame:
+    """Rows that a column stands for; a gain in percent."""
+    if kind in ("once", "waves"):
         waves = entries[entries["kind"] == "eccentricity"]
-        return waves[(waves["per_turn"] == 1) == (column == "once")]
-    chosen = entries[entries["kind"] == column]
-    if column == "gain":
-        return chosen.assign(detectable=chosen["detectable"] * 100,
-                             separable=chosen["separable"] * 100)  # fmt: skip
-    return chosen
+        return waves[(waves["per_turn"] == 1) == (kind == "once")]
+    chosen = entries[entries["kind"] == kind]
+    factor = 100 if kind == "gain" else 1
+    return chosen.assign(
+        detectable=chosen["detectable"] * factor, separable=chosen["separable"] * factor
+    )
 
 
 def _format_cell(entries: pd.DataFrame) -> str:
@@ -195,27 +201,20 @@ def _format_cell(entries: pd.DataFrame) -> str:
 
 
 def _other_table(entries: pd.DataFrame) -> Table:
-    rows = []
-    for entry in entries.to_dict("records"):
-        joint = finite(entry["joint"])
-        named = {
-            "kind": entry["kind"],
-            "joint": None if joint is None else math.floor(joint),
-            "parameter": entry["parameter"] if isinstance(entry["parameter"], str) else None,
-        }
-        what = causes.cause_name(named)
-        if joint is None and named["parameter"] is not None:
-            what = f"{what}, {named['parameter']}"
-        rows.append(row(
-            what,
-            significant(entry["detectable"]),
-            significant(entry["separable"]),
-            formatting.lookup_label(formatting.UNITS, entry["unit"]),
-        ))  # fmt: skip
-    return Table(
-        "The smallest common fault and link error that would be listed / told from every other.",
-        "lrrl",
-        ("Fault", "Listed", "Told apart", "Unit"),
-        tuple(rows),
-        ("Base and LED body: moved along or turned about one axis alone.",),
+    columns = (
+        Column("Fault", "l", _fault_name),
+        Column("Listed", "r", field("detectable", significant)),
+        Column("Told apart", "r", field("separable", significant)),
+        Column("Unit", "l", lambda e: lookup_label(UNITS, e["unit"])),
     )
+    title = "The smallest common fault and link error that would be listed / told from every other."
+    note = "Base and LED body: moved along or turned about one axis alone."
+    return tabulate(title, columns, records(entries), note)
+
+
+def _fault_name(entry: dict[str, Any]) -> str:
+    joint = finite(entry["joint"])
+    parameter = entry["parameter"] if isinstance(entry["parameter"], str) else None
+    number = None if joint is None else math.floor(joint)
+    name = causes.cause_name({"kind": entry["kind"], "joint": number, "parameter": parameter})
+    return f"{name}, {parameter}" if number is None and parameter is not None else name

@@ -1,24 +1,28 @@
 """What the measurement was made with, and by which rule it was judged."""
 
+from collections.abc import Callable
 from typing import Any
 
-from reports.document import formatting
 from reports.document.blocks import (
     Block,
+    Column,
     Facts,
     Paragraph,
     Section,
-    Table,
+    field,
     provenance,
-    row,
     software,
+    tabulate,
 )
 from reports.document.formatting import (
     DASH,
     NOT_STATED,
+    UNITS,
+    capitalise,
     count,
     exact_number,
     finite,
+    lookup_label,
     number,
     quantity,
     significant,
@@ -26,7 +30,6 @@ from reports.document.formatting import (
 )
 from reports.results import Results
 from reports.session import phrases
-from reports.session.headline import capitalise
 
 DECISION_RULE = (
     "Conform: |ê| + 1.645 u within the tolerance at every measured pair, no lack of fit, and the "
@@ -49,10 +52,7 @@ def conditions(results: Results) -> Section:
 
 
 def _provenance(summary: dict[str, Any], rule: str) -> list[tuple[str, str]]:
-    items = [
-        ("Decision rule", rule),
-        ("Software", software(summary)),
-    ]
+    items = [("Decision rule", rule), ("Software", software(summary))]
     for name, value in (summary.get("thresholds") or {}).items():
         text = str(value) if isinstance(value, str) else exact_number(value)
         items.append((capitalise(text_or_dash(name).replace("_", " ")), text))
@@ -64,49 +64,45 @@ def _or_not_stated(text: str) -> str:
     return NOT_STATED if text == DASH else text
 
 
+def _list(values: Any, decimals: int) -> str:
+    values = values if isinstance(values, list | tuple) else ()
+    return ", ".join(number(value, decimals) for value in values) or DASH
+
+
+def _listed(*keys: str, decimals: int = 2, between: str = ", ") -> Callable[[dict[str, Any]], str]:
+    """Make the writer of the numbers that an entry holds under several keys."""
+    return lambda entry: between.join(number(entry.get(key), decimals) for key in keys)
+
+
 def _vector(values: Any, decimals: int, unit: str) -> str:
-    if not isinstance(values, list | tuple) or not values:
+    inner = _list(values, decimals)
+    if inner == DASH:
         return DASH
-    inner = ", ".join(number(v, decimals) for v in values)
     return f"({inner}){unit}" if unit == "°" else f"({inner}) {unit}"
 
 
 def _format_component(name: str, value: Any) -> str:
     """Write x_mm or rx_deg with its value: x 0.050 mm, rx 0.050°."""
     stem, _, unit = name.rpartition("_")
-    sign = formatting.UNITS.get(unit)
+    sign = UNITS.get(unit)
     return f"{stem} {quantity(value, sign)}" if stem and sign else f"{name} {significant(value)}"
+
+
+def _source(source: Any) -> str:
+    return _or_not_stated(lookup_label(phrases.SOURCES, source))
 
 
 def _rig(rig: dict[str, Any]) -> list[Block]:
     if not rig:
         return [Paragraph("The rig is not described in these results.", "note")]
     base = (
-        (
-            "Robot base found",
-            _or_not_stated(formatting.lookup_label(phrases.SOURCES, rig.get("base_source"))),
-        ),
+        ("Robot base found", _source(rig.get("base_source"))),
         ("Robot base position", _vector(rig.get("base_position_mm"), 2, "mm")),
         ("Robot base rotation vector", _vector(rig.get("base_rotation_vector_deg"), 3, "°")),
         ("Registration", _or_not_stated(text_or_dash(rig.get("registration")))),
     )
     if rig.get("instrument"):
         return [Facts((("Instrument", text_or_dash(rig["instrument"])), *base))]
-    rows = []
-    for side in ("left", "right"):
-        camera = rig.get(side) or {}
-        distortion = camera.get("distortion")
-        coefficients = distortion if isinstance(distortion, list | tuple) else []
-        rows.append(
-            row(
-                side,
-                f"{number(camera.get('fx_px'), 2)}, {number(camera.get('fy_px'), 2)}",
-                f"{number(camera.get('cx_px'), 2)}, {number(camera.get('cy_px'), 2)}",
-                ", ".join(number(v, 4) for v in coefficients) or DASH,
-                ", ".join(number(v, 2) for v in camera.get("pan_center_mm") or []) or DASH,
-                f"{number(camera.get('pan_min_deg'), 2)} … {number(camera.get('pan_max_deg'), 2)}",
-            )
-        )
     size = rig.get("image_size_px")
     size_text = " × ".join(count(v) for v in size) if isinstance(size, list | tuple) else DASH
     facts = (
@@ -114,102 +110,77 @@ def _rig(rig: dict[str, Any]) -> list[Block]:
         ("Baseline", quantity(rig.get("baseline_mm"), "mm", 5)),
         *base,
     )
-    table = Table(
-        "Cameras on their turning bases.",
-        "lrrrrr",
-        (
-            "Camera",
-            "fx, fy [px]",
-            "cx, cy [px]",
-            "k1, k2, p1, p2, k3",
-            "Pan centre [mm]",
-            "Pan [°]",
-        ),
-        tuple(rows),
+    columns = (
+        Column("Camera", "l", field("side")),
+        Column("fx, fy [px]", "r", _listed("fx_px", "fy_px")),
+        Column("cx, cy [px]", "r", _listed("cx_px", "cy_px")),
+        Column("k1, k2, p1, p2, k3", "r", field("distortion", _list, 4)),
+        Column("Pan centre [mm]", "r", field("pan_center_mm", _list, 2)),
+        Column("Pan [°]", "r", _listed("pan_min_deg", "pan_max_deg", between=" … ")),
     )
-    return [table, Facts(facts)]
+    cameras = [{"side": side, **(rig.get(side) or {})} for side in ("left", "right")]
+    return [tabulate("Cameras on their turning bases.", columns, cameras), Facts(facts)]
 
 
 def _marker(marker: dict[str, Any]) -> list[Block]:
     if not marker:
         return [Paragraph("The marker is not described in these results.", "note")]
     if "point_mm" in marker:
-        found = _or_not_stated(formatting.lookup_label(phrases.SOURCES, marker.get("source")))
         point = _vector(marker["point_mm"], 2, "mm")
-        return [Facts((("Measured point on the flange", point), ("Measured point found", found)))]
-    rows = tuple(
-        row(
-            text_or_dash(led.get("name")),
-            *(number(led.get(f"{axis}_mm"), 2) for axis in "xyz"),
-            text_or_dash(led.get("colour")),
-        )
-        for led in marker.get("leds") or []
-    )
+        source = _source(marker.get("source"))
+        return [Facts((("Measured point on the flange", point), ("Measured point found", source)))]
     body = marker.get("body_standard_uncertainty")
     body_text = NOT_STATED
     if isinstance(body, dict):
         body_text = ", ".join(
             _format_component(text_or_dash(name), value) for name, value in body.items()
         )
+    led, shift = (
+        _or_not_stated(quantity(marker.get(f"{name}_standard_uncertainty_mm"), "mm"))
+        for name in ("led", "centre_shift")
+    )
     facts = (
         ("LED diameter", quantity(marker.get("led_diameter_mm"), "mm")),
-        (
-            "LED positions",
-            _or_not_stated(formatting.lookup_label(phrases.SOURCES, marker.get("source"))),
-        ),
+        ("LED positions", _source(marker.get("source"))),
         ("Datum", _or_not_stated(text_or_dash(marker.get("datum")))),
         ("u of the body", body_text),
-        (
-            "u of each LED",
-            _or_not_stated(quantity(marker.get("led_standard_uncertainty_mm"), "mm")),
-        ),
-        (
-            "u of the apparent centre",
-            _or_not_stated(quantity(marker.get("centre_shift_standard_uncertainty_mm"), "mm")),
-        ),
+        ("u of each LED", led),
+        ("u of the apparent centre", shift),
     )
-    table = Table(
-        "LEDs in the flange frame.",
-        "lrrrl",
-        ("LED", "x [mm]", "y [mm]", "z [mm]", "Colour"),
-        rows,
+    columns = (
+        Column("LED", "l", field("name")),
+        *(Column(f"{axis} [mm]", "r", field(f"{axis}_mm", number, 2)) for axis in "xyz"),
+        Column("Colour", "l", field("colour")),
     )
+    table = tabulate("LEDs in the flange frame.", columns, marker.get("leds") or [])
     return [table, Facts(facts)]
 
 
 def _robot(robot: dict[str, Any]) -> list[Block]:
     if not robot:
         return [Paragraph("The robot is not described in these results.", "note")]
-    rows = []
-    for joint in robot.get("joints") or []:
-        name = str(joint.get("name") or "")
-        index = text_or_dash(joint.get("joint"))
-        lower, upper = number(joint.get("lower_deg"), 1), number(joint.get("upper_deg"), 1)
-        rows.append(
-            row(
-                index
-                if name in ("", index, f"q{index}", f"joint {index}")
-                else f"{index} ({name})",
-                number(joint.get("a_mm"), 2),
-                number(joint.get("d_mm"), 2),
-                number(joint.get("alpha_deg"), 1),
-                number(joint.get("sign"), 0, signed=True),
-                number(joint.get("offset_deg"), 2),
-                f"{lower} … {upper}",
-            )
-        )
     facts = (
         ("Robot", text_or_dash(robot.get("name"))),
-        ("Family", formatting.lookup_label({}, robot.get("family"))),
+        ("Family", lookup_label({}, robot.get("family"))),
         ("Source of its numbers", _or_not_stated(text_or_dash(robot.get("source")))),
         ("Fingerprint", text_or_dash(robot.get("fingerprint"))),
     )
-    table = Table(
-        "The arm's joints (standard Denavit-Hartenberg; θ = sign · q + offset).",
-        "lrrrrrr",
-        ("Joint", "a [mm]", "d [mm]", "α [°]", "Sign", "Offset [°]", "Limits [°]"),
-        tuple(rows),
-        () if any(finite(j.get("a_mm")) is not None for j in robot.get("joints") or [])
-        else ("The arm is described by a URDF, which has no Denavit-Hartenberg table.",),
-    )  # fmt: skip
-    return [table, Facts(facts)]
+    joints = robot.get("joints") or []
+    urdf = all(finite(joint.get("a_mm")) is None for joint in joints)
+    columns = (
+        Column("Joint", "l", _joint_name),
+        Column("a [mm]", "r", field("a_mm", number, 2)),
+        Column("d [mm]", "r", field("d_mm", number, 2)),
+        Column("α [°]", "r", field("alpha_deg", number, 1)),
+        Column("Sign", "r", field("sign", number, 0, signed=True)),
+        Column("Offset [°]", "r", field("offset_deg", number, 2)),
+        Column("Limits [°]", "r", _listed("lower_deg", "upper_deg", decimals=1, between=" … ")),
+    )
+    title = "The arm's joints (standard Denavit-Hartenberg; θ = sign · q + offset)."
+    note = "The arm is described by a URDF, which has no Denavit-Hartenberg table."
+    return [tabulate(title, columns, joints, *[note] * urdf), Facts(facts)]
+
+
+def _joint_name(joint: dict[str, Any]) -> str:
+    name, index = str(joint.get("name") or ""), text_or_dash(joint.get("joint"))
+    return index if name in ("", index, f"q{index}", f"joint {index}") else f"{index} ({name})"

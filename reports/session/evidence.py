@@ -1,33 +1,39 @@
 """What the figures of a session rest on: spots, clock, pairs, registration-free tests."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from reports.document import formatting
 from reports.document.blocks import (
     Block,
+    Column,
     Figure,
+    FigurePlan,
     Paragraph,
     Section,
     Table,
     block_or_paragraph,
+    field,
+    figure_or_text,
     row,
+    tabulate,
 )
 from reports.document.charts import Band, Chart, Level, Mark, Panel, Points, column, texts
 from reports.document.formatting import (
     DASH,
     count,
     finite,
+    lookup_label,
     number,
     percent,
     significant,
-    text_or_dash,
 )
 from reports.results import Results
 from reports.session import phrases
-from reports.session.findings import chart_or_text, clock_text
+from reports.session.figures import evidence
+from reports.session.findings import clock_text
 
 MEAN_NOTE = (
     "A mean far from zero beside a small scatter speaks of an LED that sits elsewhere than the "
@@ -35,217 +41,8 @@ MEAN_NOTE = (
 )
 
 
-def spots(results: Results) -> Section:
-    """Say how well the spots fit the poses."""
-    blocks: list[Block] = []
-    table = results.table("spots")
-    if len(table) and {"camera", "led"} <= set(table.columns):
-        blocks.append(_led_table(table))
-    blocks += [
-        chart_or_text(
-            results,
-            Figure(
-                "residuals",
-                "Where each spot was seen, less where the measured pose puts it, either camera. "
-                "Good spots lie as a round cloud about zero, most of them within the circle. Where "
-                "they are too many to be told apart, the shade is the logarithm of their number.",
-                "Two scatter plots of residuals in pixels, left and right camera.",
-            ),
-            "The residuals of the spots were not kept.",
-        ),
-        chart_or_text(
-            results,
-            Figure(
-                "reprojection",
-                "RMS residual of each pair in pixels, and the number of LEDs seen.",
-                "Two strips against time: rms residual in pixels, number of LEDs.",
-            ),
-            "No pair gave a residual.",
-        ),
-        chart_or_text(
-            results,
-            Figure(
-                "pair",
-                "One stereo pair of the session with the spots that were found and named.",
-                "Left and right camera image side by side, LEDs marked with their names.",
-            ),
-            "No picture of a stereo pair was kept.",
-        ),
-    ]
-    return Section("spots", "Spots and reprojection", tuple(blocks))
-
-
-def _led_table(table: pd.DataFrame) -> Table:
-    frame = pd.DataFrame(
-        {name: column(table, name) for name in ("residual_x_px", "residual_y_px", "u_px")}
-    )
-    frame["camera"], frame["led"] = texts(table, "camera"), texts(table, "led")
-    rows = []
-    for (camera, led), spots in frame.groupby(["camera", "led"], sort=True):
-        x, y = spots["residual_x_px"].dropna(), spots["residual_y_px"].dropna()
-        rms = float(np.sqrt(np.mean(np.square([*x, *y])))) if len(x) + len(y) else None
-        rows.append(
-            row(
-                text_or_dash(camera),
-                text_or_dash(led),
-                count(len(spots)),
-                number(x.mean(), 3, signed=True),
-                number(y.mean(), 3, signed=True),
-                number(rms, 3),
-                number(spots["u_px"].median(), 3),
-            )
-        )
-    return Table(
-        "Residuals of the spots, a camera and LED.",
-        "llrrrrr",
-        ("Camera", "LED", "Spots", "Mean x [px]", "Mean y [px]", "RMS [px]", "Median u [px]"),
-        tuple(rows),
-        (MEAN_NOTE,),
-    )
-
-
-def clock(results: Results) -> Section:
-    """Say how the encoder clock was brought to the cameras' clock."""
-    entry = results.summary.get("clock") or {}
-    if entry.get("observable") is False:
-        text = (
-            "The offset between the encoder clock and the cameras' clock could not be observed: "
-            "the motion was too slow or too even to tell a delay from an offset of the joints."
-        )
-        if finite(entry.get("encoder_offset_s")) is not None:
-            text += f" The offset used is {clock_text(results.summary)}."
-    elif finite(entry.get("encoder_offset_s")) is None:
-        text = "The offset between the encoder clock and the cameras' clock is not known."
-    else:
-        text = f"Offset added to the encoders' times: {clock_text(results.summary)}."
-    figure = Figure(
-        "clock",
-        "Misfit between measured and encoder motion for each offset of the encoder clock; the "
-        "upright line is the offset that was used.",
-        "A curve of cost against clock offset in seconds with its lowest point marked.",
-    )
-    given = entry.get("source") not in (None, "estimated")
-    otherwise = "The offset was not searched for, so there is no curve of its cost."
-    if not given:
-        otherwise = "No curve of its cost was kept."
-    blocks = (Paragraph(text), chart_or_text(results, figure, otherwise))
-    return Section("clock", "Clock", blocks)
-
-
-def pairs(results: Results) -> Section:
-    """Count the pairs by what became of them, and say how LEDs were told apart."""
-    summary = results.summary
-    entry = summary.get("pairs") or {}
-    recorded = finite(entry.get("recorded"))
-    counts = {"measured": entry.get("measured"), **(entry.get("rejected") or {})}
-    rows = tuple(
-        row(
-            formatting.lookup_label(phrases.STATUSES, status),
-            count(n),
-            percent(float(n) / recorded) if recorded and finite(n) is not None else DASH,
-        )
-        for status, n in counts.items()
-    )
-    blocks: list[Block] = [
-        Table("What became of the recorded pairs.", "lrr", ("Outcome", "Pairs", "Share"), rows),
-        chart_or_text(
-            results,
-            Figure(
-                "timeline",
-                "When pairs were measured, and when they were not and why.",
-                "A timeline with one row an outcome; bars where pairs had that outcome.",
-            ),
-            "The times of the pairs are not known.",
-        ),
-    ]
-    choices = summary.get("choices") or {}
-    if choices:
-        made = tuple(
-            row(formatting.lookup_label(phrases.CHOICES, name), count(n))
-            for name, n in choices.items()
-        )
-        blocks.append(Table("How the LEDs were told apart.", "lr", ("Settled", "Pairs"), made))
-    return Section("pairs", "Pairs rejected, and why", tuple(blocks))
-
-
-P_SIGNIFICANT = 0.001  # p-value: below it noise is no explanation
-RELATIVE_NOTE = (
-    "Between two poses the flange turns by an angle and advances along an axis. Both are the same "
-    "wherever the robot stands and wherever the LEDs sit, so no registration enters here: only "
-    "cameras, clock and arm."
-)
-RELATIVE_CAPTION = (
-    "Encoders' less measured turn and advance of each relative motion, against how far it turns; "
-    "the bars are ± 2 standard uncertainties."
-)
-NO_RELATIVE_MOTIONS = (
-    "No test without registration: this session holds too few pairs of fully seen poses between "
-    "which the flange turns by 10° to 170°."
-)
-
-
-def relative_motions(results: Results) -> Section:
-    """Say whether relative motions agree, and which joint could have shown in them."""
-    entry = results.summary.get("relative_motions")
-    if not entry:
-        return Section(
-            "relative", "Without any registration", (Paragraph(NO_RELATIVE_MOTIONS, "note"),)
-        )
-    blocks: list[Block] = [
-        Paragraph(_test_text(entry)),
-        Paragraph(RELATIVE_NOTE),
-        block_or_paragraph(
-            Figure(
-                "relative",
-                RELATIVE_CAPTION,
-                "Two strips against the angle turned: error of the turn in degrees, of the advance "
-                "in millimetres, with bars of two standard uncertainties about zero.",
-            ),
-            _chart(results),
-            "The relative motions were not kept.",
-        ),
-        _table(entry),
-    ]
-    return Section("relative", "Without any registration", tuple(blocks))
-
-
-def _test_text(entry: dict[str, Any]) -> str:
-    p = finite(entry.get("p_value"))
-    agrees = p is not None and p >= P_SIGNIFICANT
-    chance = f"{p:.2g}" if p is not None and p >= 1e-6 else "under 0.000001"
-    said = (
-        f"{count(entry.get('motions'))} relative motions: turns differ by "
-        f"{number(entry.get('turn_rms_error_deg'), 3)}° rms, advances by "
-        f"{number(entry.get('advance_rms_error_mm'), 3)} mm rms; noise and stated doubts alone "
-        f"give as much with probability {chance}."
-    )
-    if agrees:
-        return said + " Measured and encoders' motions agree."
-    return said + (
-        " They do not agree: something is wrong with arm, cameras or clock, whatever the "
-        "registration."
-    )
-
-
-def _table(entry: dict[str, Any]) -> Table:
-    offsets = entry.get("detectable_offset_deg") or []
-    rows = tuple(
-        row(
-            f"q{joint}",
-            "does not show" if finite(value) is None else significant(value),
-        )
-        for joint, value in enumerate(offsets, start=1)
-    )
-    return Table(
-        "The smallest constant offset of each joint that these motions would show.",
-        "lr",
-        ("Joint", "Offset [°]"),
-        rows,
-        ("An offset that turns the whole arm, or the LEDs with the flange, never shows here.",),
-    )
-
-
-def _chart(results: Results) -> Chart | None:
+def relative_errors(results: Results) -> Chart | None:
+    """Draw the errors of turn and advance of each relative motion against its turn."""
     table = results.table("relative")
     turn = column(table, "turn_deg")
     if not len(turn):
@@ -267,3 +64,198 @@ def _chart(results: Results) -> Chart | None:
         )
         panels.append(Panel(marks, label, "angle turned [°]" if name == "advance" else ""))
     return Chart(tuple(panels), shared_x=True)
+
+
+FIGURES = {
+    "residuals": FigurePlan(
+        evidence.residuals,
+        "Where each spot was seen, less where the measured pose puts it, either camera. Good spots "
+        "lie as a round cloud about zero, most of them within the circle. Where they are too many "
+        "to be told apart, the shade is the logarithm of their number.",
+        "Two scatter plots of residuals in pixels, left and right camera.",
+        "The residuals of the spots were not kept.",
+    ),
+    "reprojection": FigurePlan(
+        evidence.reprojection,
+        "RMS residual of each pair in pixels, and the number of LEDs seen.",
+        "Two strips against time: rms residual in pixels, number of LEDs.",
+        "No pair gave a residual.",
+    ),
+    "pair": FigurePlan(
+        None,
+        "One stereo pair of the session with the spots that were found and named.",
+        "Left and right camera image side by side, LEDs marked with their names.",
+        "No picture of a stereo pair was kept.",
+    ),
+    "timeline": FigurePlan(
+        evidence.timeline,
+        "When pairs were measured, and when they were not and why.",
+        "A timeline with one row an outcome; bars where pairs had that outcome.",
+        "The times of the pairs are not known.",
+    ),
+    "relative": FigurePlan(
+        relative_errors,
+        "Encoders' less measured turn and advance of each relative motion, against how far it "
+        "turns; the bars are ± 2 standard uncertainties.",
+        "Two strips against the angle turned: error of the turn in degrees, of the advance in "
+        "millimetres, with bars of two standard uncertainties about zero.",
+        "The relative motions were not kept.",
+    ),
+}
+
+figure_block = partial(figure_or_text, FIGURES)
+
+
+def spots(results: Results) -> Section:
+    """Say how well the spots fit the poses."""
+    blocks: list[Block] = []
+    table = results.table("spots")
+    if len(table) and {"camera", "led"} <= set(table.columns):
+        blocks.append(_led_table(table))
+    blocks += [figure_block(results, name) for name in ("residuals", "reprojection", "pair")]
+    return Section("spots", "Spots and reprojection", tuple(blocks))
+
+
+def _led_table(table: pd.DataFrame) -> Table:
+    frame = pd.DataFrame(
+        {name: column(table, name) for name in ("residual_x_px", "residual_y_px", "u_px")}
+    )
+    frame["camera"], frame["led"] = texts(table, "camera"), texts(table, "led")
+    groups = [
+        {"camera": camera, "led": led, "spots": spots}
+        for (camera, led), spots in frame.groupby(["camera", "led"], sort=True)
+    ]
+    columns = (
+        Column("Camera", "l", field("camera")),
+        Column("LED", "l", field("led")),
+        Column("Spots", "r", lambda g: count(len(g["spots"]))),
+        Column("Mean x [px]", "r", lambda g: number(g["spots"]["residual_x_px"].mean(), 3, True)),
+        Column("Mean y [px]", "r", lambda g: number(g["spots"]["residual_y_px"].mean(), 3, True)),
+        Column("RMS [px]", "r", lambda g: number(_rms_residual(g["spots"]))),
+        Column("Median u [px]", "r", lambda g: number(g["spots"]["u_px"].median())),
+    )
+    return tabulate("Residuals of the spots, a camera and LED.", columns, groups, MEAN_NOTE)
+
+
+def _rms_residual(spots: pd.DataFrame) -> float | None:
+    x, y = spots["residual_x_px"].dropna(), spots["residual_y_px"].dropna()
+    return float(np.sqrt(np.mean(np.square([*x, *y])))) if len(x) + len(y) else None
+
+
+def clock(results: Results) -> Section:
+    """Say how the encoder clock was brought to the cameras' clock."""
+    entry = results.summary.get("clock") or {}
+    if entry.get("observable") is False:
+        text = (
+            "The offset between the encoder clock and the cameras' clock could not be observed: "
+            "the motion was too slow or too even to tell a delay from an offset of the joints."
+        )
+        if finite(entry.get("encoder_offset_s")) is not None:
+            text += f" The offset used is {clock_text(results.summary)}."
+    elif finite(entry.get("encoder_offset_s")) is None:
+        text = "The offset between the encoder clock and the cameras' clock is not known."
+    else:
+        text = f"Offset added to the encoders' times: {clock_text(results.summary)}."
+    return Section("clock", "Clock", (Paragraph(text), _cost_curve(results)))
+
+
+def _cost_curve(results: Results) -> Block:
+    source = (results.summary.get("clock") or {}).get("source")
+    otherwise = "The offset was not searched for, so there is no curve of its cost."
+    if source in (None, "estimated"):
+        otherwise = "No curve of its cost was kept."
+    figure = Figure(
+        "clock",
+        "Misfit between measured and encoder motion for each offset of the encoder clock; the "
+        "upright line is the offset that was used.",
+        "A curve of cost against clock offset in seconds with its lowest point marked.",
+    )
+    return block_or_paragraph(figure, evidence.clock(results), otherwise)
+
+
+def pairs(results: Results) -> Section:
+    """Count the pairs by what became of them, and say how LEDs were told apart."""
+    summary = results.summary
+    entry = summary.get("pairs") or {}
+    recorded = finite(entry.get("recorded"))
+    counts = {"measured": entry.get("measured"), **(entry.get("rejected") or {})}
+    rows = tuple(
+        row(
+            lookup_label(phrases.STATUSES, status),
+            count(n),
+            percent(float(n) / recorded) if recorded and finite(n) is not None else DASH,
+        )
+        for status, n in counts.items()
+    )
+    blocks: list[Block] = [
+        Table("What became of the recorded pairs.", "lrr", ("Outcome", "Pairs", "Share"), rows),
+        figure_block(results, "timeline"),
+    ]
+    choices = summary.get("choices") or {}
+    if choices:
+        made = tuple(
+            row(lookup_label(phrases.CHOICES, name), count(n)) for name, n in choices.items()
+        )
+        blocks.append(Table("How the LEDs were told apart.", "lr", ("Settled", "Pairs"), made))
+    return Section("pairs", "Pairs rejected, and why", tuple(blocks))
+
+
+P_SIGNIFICANT = 0.001  # p-value: below it noise is no explanation
+RELATIVE_NOTE = (
+    "Between two poses the flange turns by an angle and advances along an axis. Both are the same "
+    "wherever the robot stands and wherever the LEDs sit, so no registration enters here: only "
+    "cameras, clock and arm."
+)
+NO_RELATIVE_MOTIONS = (
+    "No test without registration: this session holds too few pairs of fully seen poses between "
+    "which the flange turns by 10° to 170°."
+)
+
+
+def relative_motions(results: Results) -> Section:
+    """Say whether relative motions agree, and which joint could have shown in them."""
+    entry = results.summary.get("relative_motions")
+    if not entry:
+        return Section(
+            "relative", "Without any registration", (Paragraph(NO_RELATIVE_MOTIONS, "note"),)
+        )
+    blocks: list[Block] = [
+        Paragraph(_test_text(entry)),
+        Paragraph(RELATIVE_NOTE),
+        figure_block(results, "relative"),
+        _table(entry),
+    ]
+    return Section("relative", "Without any registration", tuple(blocks))
+
+
+def _test_text(entry: dict[str, Any]) -> str:
+    p = finite(entry.get("p_value"))
+    agrees = p is not None and p >= P_SIGNIFICANT
+    chance = f"{p:.2g}" if p is not None and p >= 1e-6 else "under 0.000001"
+    text = (
+        f"{count(entry.get('motions'))} relative motions: turns differ by "
+        f"{number(entry.get('turn_rms_error_deg'), 3)}° rms, advances by "
+        f"{number(entry.get('advance_rms_error_mm'), 3)} mm rms; noise and stated doubts alone "
+        f"give as much with probability {chance}."
+    )
+    if agrees:
+        return f"{text} Measured and encoders' motions agree."
+    return (
+        f"{text} They do not agree: something is wrong with arm, cameras or clock, whatever the "
+        "registration."
+    )
+
+
+def _table(entry: dict[str, Any]) -> Table:
+    offsets = entry.get("detectable_offset_deg") or []
+    rows = tuple(
+        row(f"q{joint}", "does not show" if finite(value) is None else significant(value))
+        for joint, value in enumerate(offsets, start=1)
+    )
+    return Table(
+        "The smallest constant offset of each joint that these motions would show.",
+        "lr",
+        ("Joint", "Offset [°]"),
+        rows,
+        ("An offset that turns the whole arm, or the LEDs with the flange, never shows here.",),
+    )

@@ -1,32 +1,36 @@
 """The first half of a report: the verdict, the joints, the causes, the errors, the pose."""
 
+from collections.abc import Callable
 from pathlib import PurePath
 from typing import Any
 
-from reports.document import formatting
 from reports.document.blocks import (
     Block,
     Cell,
-    Charts,
+    Column,
     Facts,
     Figure,
     Paragraph,
     Section,
     Table,
     block_or_paragraph,
-    chart_of,
+    field,
     row,
+    tabulate,
+    uncertain_field,
 )
 from reports.document.charts import MAX_LINE_POINTS
 from reports.document.formatting import (
     DASH,
+    UNITS,
     count,
     exact_number,
     join_words,
+    lookup_label,
     number,
     percent,
     probability,
-    quantity,
+    significant,
     text_or_dash,
     with_uncertainty,
 )
@@ -52,18 +56,6 @@ CAUSE_NOTE = (
     "parameters: BIC by 10). Explains: share of the weighted errors that goes with it. Runner-up: "
     "the rival that fits best in its place, and by how much worse."
 )
-FIGURES: Charts = {
-    "correlation": evidence.correlation,
-    "joint_errors": motion.joint_errors,
-    "pose": motion.pose,
-    "pose_errors": motion.pose_errors,
-    "path": motion.flange_path,
-    "residuals": evidence.residuals,
-    "reprojection": evidence.reprojection,
-    "clock": evidence.clock,
-    "timeline": evidence.timeline,
-    "budget": evidence.budget,
-}
 MAX_LISTED_PAIRS = 30  # listed by their numbers; summary.json lists all
 
 
@@ -71,19 +63,14 @@ def verdict(results: Results) -> Section:
     """Open with the verdict and what to do about it, then the facts at a glance."""
     summary = results.summary
     session, pairs = summary.get("session") or {}, summary.get("pairs") or {}
+    instrument = session.get("instrument")
+    measured = f"{count(pairs.get('measured'))} measured of {count(pairs.get('recorded'))}"
     items = [
         ("Robot", text_or_dash(session.get("robot"))),
         ("Session", text_or_dash(PurePath(session.get("path") or "").name)),
         ("Started", text_or_dash(session.get("started"))),
-        *(
-            [("Measured by", text_or_dash(session["instrument"]))]
-            if session.get("instrument")
-            else []
-        ),
-        (
-            "Poses" if session.get("instrument") else "Stereo pairs",
-            f"{count(pairs.get('measured'))} measured of {count(pairs.get('recorded'))}",
-        ),
+        *([("Measured by", text_or_dash(instrument))] if instrument else []),
+        ("Poses" if instrument else "Stereo pairs", measured),
         ("Encoder clock", clock_text(summary)),
     ]
     return Section("verdict", "Verdict", (headline(results), Facts(tuple(items))))
@@ -97,13 +84,8 @@ def clock_text(summary: dict[str, Any]) -> str:
     )
     if offset == DASH:
         return "not observable" if entry.get("observable") is False else DASH
-    source = formatting.lookup_label(phrases.CLOCK_SOURCES, entry.get("source"))
+    source = lookup_label(phrases.CLOCK_SOURCES, entry.get("source"))
     return f"{offset} (1σ), {source}"
-
-
-def chart_or_text(results: Results, figure: Figure, otherwise: str) -> Block:
-    """Show a figure where there is something to draw, else say in words why there is none."""
-    return block_or_paragraph(figure, chart_of(FIGURES, results, figure.name), otherwise)
 
 
 def joints(results: Results) -> Section:
@@ -124,113 +106,77 @@ def joints(results: Results) -> Section:
         )
     if summary.get("combinations"):
         blocks.append(_combination_table(summary["combinations"]))
-    blocks.append(
-        chart_or_text(
-            results,
-            Figure(
-                "correlation",
-                "Correlation of the joints' mean errors, systematic part included. Joints that "
-                "trade against each other (near ±1) are to be judged by their sum as well.",
-                "A square matrix of correlation coefficients, one row and one column a joint.",
-            ),
-            "The correlation of the joints' mean errors is not known.",
-        )
+    figure = Figure(
+        "correlation",
+        "Correlation of the joints' mean errors, systematic part included. Joints that "
+        "trade against each other (near ±1) are to be judged by their sum as well.",
+        "A square matrix of correlation coefficients, one row and one column a joint.",
     )
+    otherwise = "The correlation of the joints' mean errors is not known."
+    blocks.append(block_or_paragraph(figure, evidence.correlation(results), otherwise))
     return Section("joints", "Joints", tuple(blocks))
 
 
 def _error_table(entries: list[dict[str, Any]]) -> Table:
-    rows = []
-    for joint in entries:
-        tone = phrases.tone(joint.get("verdict"))
-        label = phrases.verdict_text(joint.get("verdict"), joint.get("reason"))
-        rows.append(
-            row(
-                text_or_dash(joint.get("joint")),
-                with_uncertainty(
-                    joint.get("mean_error_deg"), joint.get("expanded_uncertainty_deg")
-                ),
-                number(joint.get("coverage_factor"), 2),
-                number(joint.get("rms_error_deg")),
-                number(joint.get("max_abs_error_deg")),
-                with_uncertainty(
-                    joint.get("worst_error_deg"), joint.get("worst_error_standard_uncertainty_deg")
-                ),
-                bound
-                if (bound := exact_number(joint.get("tolerance_deg"))) == DASH
-                else f"±{bound}",
-                probability(joint.get("conformance_probability")),
-                Cell(label, tone),
-            )
-        )
-    return Table(
-        "Error (reading − true angle) of each joint, in degrees, over the measured pairs.",
-        "crrrrrrrl",
-        (
-            "Joint",
-            "Mean ± U [°]",
-            "k",
-            "RMS [°]",
-            "Max |e| [°]",
-            "Worst ê ± u [°]",
-            "Tolerance [°]",
-            "P(conform)",
-            "Verdict",
+    columns = (
+        Column("Joint", "c", field("joint")),
+        Column(
+            "Mean ± U [°]", "r", uncertain_field("mean_error_deg", "expanded_uncertainty_deg")
         ),
-        tuple(rows),
-        (ERROR_NOTE,),
-        wide=(8,),
-    )
+        Column("k", "r", field("coverage_factor", number, 2)),
+        Column("RMS [°]", "r", field("rms_error_deg", number)),
+        Column("Max |e| [°]", "r", field("max_abs_error_deg", number)),
+        Column(
+            "Worst ê ± u [°]", "r",
+            uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg"),
+        ),
+        Column("Tolerance [°]", "r", field("tolerance_deg", _format_tolerance)),
+        Column("P(conform)", "r", field("conformance_probability", probability)),
+        Column("Verdict", "l", _joint_verdict, wide=True),
+    )  # fmt: skip
+    title = "Error (reading − true angle) of each joint, in degrees, over the measured pairs."
+    return tabulate(title, columns, entries, ERROR_NOTE)
+
+
+def _format_tolerance(value: Any) -> str:
+    bound = exact_number(value)
+    return bound if bound == DASH else f"±{bound}"
+
+
+def _joint_verdict(joint: dict[str, Any]) -> Cell:
+    verdict = joint.get("verdict")
+    return Cell(phrases.verdict_text(verdict, joint.get("reason")), phrases.tone(verdict))
 
 
 def _detectability_table(entries: list[dict[str, Any]]) -> Table:
-    rows = tuple(
-        row(
-            text_or_dash(joint.get("joint")),
-            count(joint.get("pairs")),
-            percent(joint.get("visible_fraction")),
-            percent(joint.get("visible_fraction_since_registration")),
-            quantity(joint.get("minimum_detectable_error_deg"), ""),
-            quantity(joint.get("minimum_separable_error_deg"), ""),
-            phrases.visibility(joint),
-        )
-        for joint in entries
+    since = field("visible_fraction_since_registration", percent)
+    columns = (
+        Column("Joint", "c", field("joint")),
+        Column("Pairs", "r", field("pairs", count)),
+        Column("Visible if before", "r", field("visible_fraction", percent)),
+        Column("Visible if since", "r", since),
+        Column("Detectable [°]", "r", field("minimum_detectable_error_deg", significant)),
+        Column("Separable [°]", "r", field("minimum_separable_error_deg", significant)),
+        Column("In words", "l", phrases.visibility, wide=True),
     )
-    return Table(
-        "What this session could see of a constant offset of each joint.",
-        "crrrrrl",
-        (
-            "Joint",
-            "Pairs",
-            "Visible if before",
-            "Visible if since",
-            "Detectable [°]",
-            "Separable [°]",
-            "In words",
-        ),
-        rows,
-        (DETECTABILITY_NOTE,),
-        wide=(6,),
-    )
+    title = "What this session could see of a constant offset of each joint."
+    return tabulate(title, columns, entries, DETECTABILITY_NOTE)
 
 
 def _combination_table(entries: list[dict[str, Any]]) -> Table:
-    rows = tuple(
-        row(
-            text_or_dash(entry.get("label")),
-            with_uncertainty(entry.get("mean_error_deg"), entry.get("standard_uncertainty_deg")),
-            count(entry.get("pairs")),
-            formatting.lookup_label(phrases.COUPLINGS, entry.get("why")),
-        )
-        for entry in entries
+    value = uncertain_field("mean_error_deg", "standard_uncertainty_deg")
+    columns = (
+        Column("Sum", "l", field("label")),
+        Column("Mean error ± u [°]", "r", value),
+        Column("Pairs", "r", field("pairs", count)),
+        Column("Why it is given", "l", _coupling, wide=True),
     )
-    return Table(
-        "Sums of joint errors that are known where their members are not, or better than they.",
-        "lrrl",
-        ("Sum", "Mean error ± u [°]", "Pairs", "Why it is given"),
-        rows,
-        wide=(3,),
-    )
+    title = "Sums of joint errors that are known where their members are not, or better than they."
+    return tabulate(title, columns, entries)
+
+
+def _coupling(entry: dict[str, Any]) -> str:
+    return lookup_label(phrases.COUPLINGS, entry.get("why"))
 
 
 def diagnosis(results: Results) -> Section:
@@ -241,27 +187,27 @@ def diagnosis(results: Results) -> Section:
             "The data single out no cause: no fault beats its rivals by the margin that is asked."
         )
         return Section("diagnosis", "Diagnosis", (Paragraph(text), *_outlier_blocks(results)))
-    table = Table(
-        "Causes of the errors found.",
-        "lrlrll",
-        ("Cause", "Value ± U", "Unit", "Explains", "Runner-up", "What to do"),
-        tuple(_cause_row(entry) for entry in entries),
-        (CAUSE_NOTE,),
-        wide=(0, 4, 5),
+    columns = (
+        Column("Cause", "l", _cause, wide=True),
+        Column("Value ± U", "r", _of_one_cause(causes.format_value)),
+        Column("Unit", "l", _of_one_cause(causes.unit_sign)),
+        Column("Explains", "r", field("explains", percent)),
+        Column("Runner-up", "l", _of_one_cause(causes.runner_up), wide=True),
+        Column("What to do", "l", causes.remedy, wide=True),
     )
+    table = tabulate("Causes of the errors found.", columns, entries, CAUSE_NOTE)
     return Section("diagnosis", "Diagnosis", (table, *_outlier_blocks(results)))
 
 
-def _cause_row(entry: dict[str, Any]) -> tuple[Cell, ...]:
-    unclear = entry.get("kind") == "ambiguous"
-    return row(
-        f"ambiguous, one of: {causes.rivals(entry, '; ')}" if unclear else causes.cause_name(entry),
-        DASH if unclear else causes.format_value(entry),  # each candidate says its own
-        DASH if unclear else causes.unit_sign(entry),
-        percent(entry.get("explains")),
-        DASH if unclear else causes.runner_up(entry),
-        causes.remedy(entry),
-    )
+def _cause(entry: dict[str, Any]) -> str:
+    if entry.get("kind") == "ambiguous":
+        return f"ambiguous, one of: {causes.rivals(entry, '; ')}"
+    return causes.cause_name(entry)
+
+
+def _of_one_cause(write: Callable[[dict[str, Any]], str]) -> Callable[[dict[str, Any]], str]:
+    """Write a dash for an ambiguous cause: each of its candidates says its own."""
+    return lambda entry: DASH if entry.get("kind") == "ambiguous" else write(entry)
 
 
 def _outlier_blocks(results: Results) -> tuple[Block, ...]:
@@ -299,15 +245,13 @@ def errors_over_time(results: Results) -> Section:
         "One strip a joint: error in degrees against time, with uncertainty bands, the resolved "
         "error's curve and the tolerance as dotted lines.",
     )
-    block = chart_or_text(
-        results, figure, "There is no measured pair with an encoder reading to draw."
-    )
+    otherwise = "There is no measured pair with an encoder reading to draw."
+    block = block_or_paragraph(figure, motion.joint_errors(results), otherwise)
     return Section("errors", "Errors over time", (block,))
 
 
 def pose(results: Results) -> Section:
     """Show position and orientation of the flange, measured and from the encoders."""
-    nothing = "No pair gave the flange's pose."
     blocks: list[Block] = [_pose_table(results.summary)]
     figures = (
         Figure(
@@ -316,6 +260,7 @@ def pose(results: Results) -> Section:
             "measured and computed from the encoders.",
             "Six panels against time: x, y, z in millimetres and the three components of the "
             "rotation vector in degrees, each measured and from the encoders.",
+            motion.pose(results),
         ),
         Figure(
             "pose_errors",
@@ -323,35 +268,34 @@ def pose(results: Results) -> Section:
             "and the encoders' pose of each pair, and the resolved joint errors carried "
             "through the arm.",
             "Two strips against time: position error in millimetres, orientation error in degrees.",
+            motion.pose_errors(results),
         ),
         Figure(
             "path",
             "Path of the flange in the robot's base frame.",
             "A curve in space drawn twice: measured, and from the encoders.",
+            motion.flange_path(results),
         ),
     )
-    drawn = [chart_or_text(results, figure, nothing) for figure in figures]
-    blocks += [block for block in drawn if isinstance(block, Figure)] or drawn[:1]
+    drawn = [figure for figure in figures if figure.drawing is not None]
+    blocks += drawn or [Paragraph("No pair gave the flange's pose.", "note")]
     return Section("pose", "Position and orientation", tuple(blocks))
 
 
 def _pose_table(summary: dict[str, Any]) -> Table:
     rows = []
-    for name, key in (("position", "mm"), ("orientation", "deg")):
+    for name, unit in (("position", "mm"), ("orientation", "deg")):
         entry = summary.get(name) or {}
-        sign = formatting.UNITS[key]
+        verdict = entry.get("verdict")
         rows.append(
             row(
-                f"{name} [{sign}]",
-                number(entry.get(f"rms_error_{key}")),
-                number(entry.get(f"max_error_{key}")),
-                number(entry.get(f"expanded_uncertainty_{key}")),
-                exact_number(entry.get(f"tolerance_{key}")),
+                f"{name} [{UNITS[unit]}]",
+                number(entry.get(f"rms_error_{unit}")),
+                number(entry.get(f"max_error_{unit}")),
+                number(entry.get(f"expanded_uncertainty_{unit}")),
+                exact_number(entry.get(f"tolerance_{unit}")),
                 probability(entry.get("conformance_probability")),
-                Cell(
-                    formatting.lookup_label(phrases.VERDICTS, entry.get("verdict")),
-                    phrases.tone(entry.get("verdict")),
-                ),
+                Cell(lookup_label(phrases.VERDICTS, verdict), phrases.tone(verdict)),
             )
         )
     dof = summary.get("known_dof")

@@ -5,6 +5,7 @@ from typing import Any
 from reports.document import formatting
 from reports.document.blocks import Verdict
 from reports.document.formatting import (
+    capitalise,
     exact_number,
     finite,
     join_words,
@@ -41,11 +42,6 @@ def headline(results: Results) -> Verdict:
         "none": _no_verdict,
     }[tone](results)
     return Verdict(tone, LABELS[tone], capitalise(sentence), tuple(_remarks(results, tone)))
-
-
-def capitalise(sentence: str) -> str:
-    """Start a sentence with a capital, without touching the rest."""
-    return sentence[:1].upper() + sentence[1:]
 
 
 def with_verdict(summary: dict[str, Any], verdict: str) -> list[dict[str, Any]]:

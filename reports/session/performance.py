@@ -1,17 +1,20 @@
 """Repeated poses and paths by the indices of ISO 9283, with intervals and deviations."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from reports.document.blocks import (
     Block,
     Bullets,
-    Figure,
+    Column,
+    FigurePlan,
     Paragraph,
     Section,
     Table,
-    block_or_paragraph,
-    row,
+    field,
+    figure_or_text,
+    tabulate,
 )
 from reports.document.formatting import (
     DASH,
@@ -147,20 +150,24 @@ MAXIMUM_NOTE = (
     "AT and RT are the largest of many places along the path, and noise alone makes the largest of "
     "many large: AT below the column beside it is no sign of an error."
 )
-CLUSTER_CAPTION = (
-    "Where each visit of a pose ended, about the position that the encoders read (cross-hairs); "
-    "the dot is the barycentre, the circle about it has the radius RP."
-)
-CLUSTERS_ALT = (
-    "Panels a pose, seen along z and along y: points of the visits in millimetres about the "
-    "origin, with a circle about their barycentre."
-)
-BAND_CAPTION = (
-    "How far the mean of the passages lies off the path that the encoders read, along the path; "
-    "the band is RT about it."
-)
 NO_VISITS = "The single visits were not kept."
-BAND_ALT = "A curve a path in millimetres over the way travelled, with a band about it."
+FIGURES = {
+    "pose_clusters": FigurePlan(
+        pose_clusters,
+        "Where each visit of a pose ended, about the position that the encoders read "
+        "(cross-hairs); the dot is the barycentre, the circle about it has the radius RP.",
+        "Panels a pose, seen along z and along y: points of the visits in millimetres about the "
+        "origin, with a circle about their barycentre.",
+        NO_VISITS,
+    ),
+    "path_band": FigurePlan(
+        path_band,
+        "How far the mean of the passages lies off the path that the encoders read, along the "
+        "path; the band is RT about it.",
+        "A curve a path in millimetres over the way travelled, with a band about it.",
+        NO_VISITS,
+    ),
+}
 
 
 def performance(results: Results) -> Section:
@@ -168,34 +175,27 @@ def performance(results: Results) -> Section:
     entry = results.summary.get("performance")
     if not entry:
         reason = str(results.summary.get("performance_reason"))
-        said = REASONS.get(reason, REASONS["no_repeats"])
-        return Section("performance", TITLE, (Paragraph(said, "note"),))
+        text = REASONS.get(reason, REASONS["no_repeats"])
+        return Section("performance", TITLE, (Paragraph(text, "note"),))
     poses, paths = entry.get("poses") or [], entry.get("paths") or []
     blocks: list[Block] = []
     if poses:
-        clusters = Figure("pose_clusters", CLUSTER_CAPTION, CLUSTERS_ALT)
         blocks += [Paragraph(_pose_summary(poses)), _positions(entry)]
-        blocks.append(block_or_paragraph(clusters, pose_clusters(results), NO_VISITS))
-        blocks += _optional_tables(poses, _orientations, _variation, _drift)
-    blocks += _optional_tables(entry.get("distances") or [], _distances)
+        blocks.append(figure_or_text(FIGURES, results, "pose_clusters"))
+        tables = (make(poses) for make in (_orientations, _variation, _drift))
+        blocks += [table for table in tables if table is not None]
+    if entry.get("distances"):
+        blocks.append(_distances(entry["distances"]))
     if paths:
-        band = Figure("path_band", BAND_CAPTION, BAND_ALT)
         blocks += [Paragraph(_path_summary(paths)), _paths(paths)]
-        blocks.append(block_or_paragraph(band, path_band(results), NO_VISITS))
-    blocks.append(
-        Paragraph(
-            "These figures are named ISO 9283-style because the test differs from the standard's, "
-            "or is not known to agree, in this:"
-        )
+        blocks.append(figure_or_text(FIGURES, results, "path_band"))
+    text = (
+        "These figures are named ISO 9283-style because the test differs from the standard's, "
+        "or is not known to agree, in this:"
     )
-    blocks.append(Bullets(tuple(deviation(d) for d in entry.get("deviations") or [])))
+    deviations = Bullets(tuple(deviation(d) for d in entry.get("deviations") or []))
+    blocks += [Paragraph(text), deviations]
     return Section("performance", TITLE, tuple(blocks))
-
-
-def _optional_tables(
-    entries: list[Any], *tables: Callable[[list[Any]], Table | None]
-) -> list[Block]:
-    return [table for make in tables if entries and (table := make(entries)) is not None]
 
 
 def _pose_summary(poses: list[dict[str, Any]]) -> str:
@@ -246,163 +246,100 @@ def _format_robot_share(entry: dict[str, Any], name: str, unit: str) -> str:
 
 
 def _positions(entry: dict[str, Any]) -> Table:
-    rows = tuple(
-        row(
-            str(p["pose"]),
-            count(p["visits"]),
-            _interval(p, "ap", "mm"),
-            number(p.get("ap_of_noise_mm"), 3),
-            number(p.get("ap_less_bias_mm"), 3),
-            _interval(p, "rp", "mm"),
-            number(p.get("rp_floor_mm"), 3),
-            _format_robot_share(p, "rp", "mm"),
-        )
-        for p in entry["poses"]
-    )
     measured_floor = (entry.get("noise_floor") or {}).get("source") == "holds"
-    return Table(
-        "Pose accuracy AP and pose repeatability RP of positions.",
-        "lrrrrrrr",
-        (
-            "Pose",
-            "Visits",
-            "AP [mm]",
-            "of noise [mm]",
-            "without bias [mm]",
-            "RP [mm]",
-            "floor [mm]",
-            "robot's RP [mm]",
-        ),
-        rows,
-        (INTERVAL_NOTE, BIAS_NOTE, FLOOR_NOTE if measured_floor else STATED_FLOOR_NOTE),
+    columns = (
+        Column("Pose", "l", field("pose", str)),
+        Column("Visits", "r", field("visits", count)),
+        Column("AP [mm]", "r", lambda p: _interval(p, "ap", "mm")),
+        Column("of noise [mm]", "r", field("ap_of_noise_mm", number)),
+        Column("without bias [mm]", "r", field("ap_less_bias_mm", number)),
+        Column("RP [mm]", "r", lambda p: _interval(p, "rp", "mm")),
+        Column("floor [mm]", "r", field("rp_floor_mm", number)),
+        Column("robot's RP [mm]", "r", lambda p: _format_robot_share(p, "rp", "mm")),
     )
+    notes = INTERVAL_NOTE, BIAS_NOTE, FLOOR_NOTE if measured_floor else STATED_FLOOR_NOTE
+    title = "Pose accuracy AP and pose repeatability RP of positions."
+    return tabulate(title, columns, entry["poses"], *notes)
 
 
 def _orientations(poses: list[dict[str, Any]]) -> Table | None:
     if not any("ap_rx_deg" in p for p in poses):
         return None
-    return Table(
-        "Pose accuracy and pose repeatability of orientations.",
-        "lrrrrrr",
-        (
-            "Pose",
-            *(f"AP {axis} [°]" for axis in AXES),
-            *(f"RP {axis} [°]" for axis in AXES),
-        ),
-        tuple(
-            row(
-                str(p["pose"]),
-                *(_format_angle(p, axis) for axis in AXES),
-                *(_interval(p, f"rp_{axis}", "deg") for axis in AXES),
-            )
-            for p in poses
-        ),
-        (ANGLE_NOTE,),
+    columns = (
+        Column("Pose", "l", field("pose", str)),
+        *(Column(f"AP {axis} [°]", "r", partial(_format_angle, axis)) for axis in AXES),
+        *(Column(f"RP {axis} [°]", "r", partial(_format_scatter, axis)) for axis in AXES),
     )
+    title = "Pose accuracy and pose repeatability of orientations."
+    return tabulate(title, columns, poses, ANGLE_NOTE)
 
 
-def _format_angle(entry: dict[str, Any], axis: str) -> str:
+def _format_scatter(axis: str, entry: dict[str, Any]) -> str:
+    return _interval(entry, f"rp_{axis}", "deg")
+
+
+def _format_angle(axis: str, entry: dict[str, Any]) -> str:
     low, high = (finite(entry.get(f"ap_{axis}_{end}_deg")) for end in ("low", "high"))
     half = None if low is None or high is None else (high - low) / 2
     return with_uncertainty(entry.get(f"ap_{axis}_deg"), half)
 
 
+def _entries_with(poses: list[dict[str, Any]], key: str) -> list[dict[str, Any]]:
+    """What poses hold under a key, each with its pose."""
+    return [{"pose": pose["pose"], **pose[key]} for pose in poses if pose.get(key)]
+
+
 def _variation(poses: list[dict[str, Any]]) -> Table | None:
-    found = [(p["pose"], p["variation"]) for p in poses if p.get("variation")]
-    if not found:
-        return None
-    return Table(
-        "Multi-directional variation vAP: barycentres of one pose, approached from other poses.",
-        "lrrrr",
-        ("Pose", "Ways", "vAP [mm]", "noise alone up to [mm]", "largest angle [°]"),
-        tuple(
-            row(
-                str(pose),
-                count(v.get("ways")),
-                _interval(v, "vap", "mm"),
-                number(v.get("vap_of_noise_mm")),
-                number(v.get("vap_deg")),
-            )
-            for pose, v in found
-        ),
+    columns = (
+        Column("Pose", "l", field("pose", str)),
+        Column("Ways", "r", field("ways", count)),
+        Column("vAP [mm]", "r", lambda v: _interval(v, "vap", "mm")),
+        Column("noise alone up to [mm]", "r", field("vap_of_noise_mm", number)),
+        Column("largest angle [°]", "r", field("vap_deg", number)),
     )
+    entries = _entries_with(poses, "variation")
+    title = "Multi-directional variation vAP: barycentres of one pose, approached from other poses."
+    return tabulate(title, columns, entries) if entries else None
 
 
 def _drift(poses: list[dict[str, Any]]) -> Table | None:
-    found = [(p["pose"], p["drift"]) for p in poses if p.get("drift")]
-    if not found:
-        return None
-    return Table(
-        "Drift: largest change of AP and RP from the first visits to later ones.",
-        "lrrrrr",
-        (
-            "Pose",
-            "Blocks",
-            "dAP [mm]",
-            "noise alone up to [mm]",
-            "dRP [mm]",
-            "noise alone up to [mm]",
-        ),
-        tuple(
-            row(
-                str(pose),
-                count(d.get("blocks")),
-                number(d.get("dap_mm")),
-                number(d.get("dap_of_noise_mm")),
-                number(d.get("drp_mm")),
-                number(d.get("drp_of_noise_mm")),
-            )
-            for pose, d in found
-        ),
-        (DRIFT_NOTE,),
+    columns = (
+        Column("Pose", "l", field("pose", str)),
+        Column("Blocks", "r", field("blocks", count)),
+        Column("dAP [mm]", "r", field("dap_mm", number)),
+        Column("noise alone up to [mm]", "r", field("dap_of_noise_mm", number)),
+        Column("dRP [mm]", "r", field("drp_mm", number)),
+        Column("noise alone up to [mm]", "r", field("drp_of_noise_mm", number)),
     )
+    entries = _entries_with(poses, "drift")
+    title = "Drift: largest change of AP and RP from the first visits to later ones."
+    return tabulate(title, columns, entries, DRIFT_NOTE) if entries else None
 
 
 def _distances(distances: list[dict[str, Any]]) -> Table:
-    return Table(
-        "Distance accuracy AD and distance repeatability RD.",
-        "llrrrr",
-        ("From", "To", "Distance [mm]", "Visits", "AD [mm]", "RD [mm]"),
-        tuple(
-            row(
-                *(str(name) for name in d.get("poses") or (DASH, DASH)),
-                number(d.get("commanded_mm"), 1),
-                count(d.get("visits")),
-                _interval(d, "ad", "mm", signed=True),
-                _interval(d, "rd", "mm"),
-            )
-            for d in distances
-        ),
-        (INTERVAL_NOTE, "No registration of the base enters a distance."),
+    columns = (
+        Column("From", "l", lambda d: str((d.get("poses") or (DASH, DASH))[0])),
+        Column("To", "l", lambda d: str((d.get("poses") or (DASH, DASH))[1])),
+        Column("Distance [mm]", "r", field("commanded_mm", number, 1)),
+        Column("Visits", "r", field("visits", count)),
+        Column("AD [mm]", "r", lambda d: _interval(d, "ad", "mm", signed=True)),
+        Column("RD [mm]", "r", lambda d: _interval(d, "rd", "mm")),
     )
+    notes = INTERVAL_NOTE, "No registration of the base enters a distance."
+    title = "Distance accuracy AD and distance repeatability RD."
+    return tabulate(title, columns, distances, *notes)
 
 
 def _paths(paths: list[dict[str, Any]]) -> Table:
-    return Table(
-        "Path accuracy AT and path repeatability RT of positions.",
-        "lrrrrrrr",
-        (
-            "Path",
-            "Passages",
-            "Length [mm]",
-            "Speed [mm/s]",
-            "AT [mm]",
-            "noise alone up to [mm]",
-            "RT [mm]",
-            "robot's RT [mm]",
-        ),
-        tuple(
-            row(
-                str(p["path"]),
-                count(p.get("passages")),
-                number(p.get("length_mm"), 1),
-                number(p.get("speed_mm_s"), 1),
-                _interval(p, "at", "mm"),
-                number(p.get("at_largest_of_noise_mm")),
-                _interval(p, "rt", "mm"),
-                _format_robot_share(p, "rt", "mm"),
-            )
-            for p in paths
-        ),
-        (INTERVAL_NOTE, MAXIMUM_NOTE),
+    columns = (
+        Column("Path", "l", field("path", str)),
+        Column("Passages", "r", field("passages", count)),
+        Column("Length [mm]", "r", field("length_mm", number, 1)),
+        Column("Speed [mm/s]", "r", field("speed_mm_s", number, 1)),
+        Column("AT [mm]", "r", lambda p: _interval(p, "at", "mm")),
+        Column("noise alone up to [mm]", "r", field("at_largest_of_noise_mm", number)),
+        Column("RT [mm]", "r", lambda p: _interval(p, "rt", "mm")),
+        Column("robot's RT [mm]", "r", lambda p: _format_robot_share(p, "rt", "mm")),
     )
+    title = "Path accuracy AT and path repeatability RT of positions."
+    return tabulate(title, columns, paths, INTERVAL_NOTE, MAXIMUM_NOTE)

@@ -8,21 +8,23 @@ import pandas as pd
 from reports.document.blocks import (
     Block,
     Bullets,
+    Column,
     Figure,
     Paragraph,
     Section,
     Table,
     block_or_paragraph,
-    row,
+    field,
+    tabulate,
 )
 from reports.document.charts import Chart, Level, Line, Mark, Panel, Points, column
 from reports.document.formatting import (
+    DASH,
     count,
     finite,
     joint_names,
     number,
     quantity,
-    text_or_dash,
     with_uncertainty,
 )
 from reports.results import Results
@@ -65,25 +67,19 @@ def _blocks(results: Results) -> tuple[Block, ...]:
     entries = results.summary.get("sweeps") or []
     if not entries:
         return (Paragraph(NO_SWEEPS, "note"),)
-    found = [said for entry in entries for said in _findings(entry)]
-    blocks: list[Block] = []
-    if found:
-        blocks.append(Bullets(tuple(found)))
-    else:
-        names = joint_names(sorted({entry.get("joint") for entry in entries}))
-        blocks.append(
-            Paragraph(
-                f"Turned alone, {names}: the encoder follows the turn about its own axis; no gear "
-                "error, hysteresis or eccentricity beyond chance."
-            )
-        )
+    findings = tuple(text for entry in entries for text in _findings(entry))
+    names = joint_names(sorted({entry.get("joint") for entry in entries}))
+    nothing = (
+        f"Turned alone, {names}: the encoder follows the turn about its own axis; no gear error, "
+        "hysteresis or eccentricity beyond chance."
+    )
     figure = Figure(
         "sweeps",
         SWEEP_CAPTION,
         "One panel a sweep: error of the reading in degrees against the reading, up and down.",
     )
     return (
-        *blocks,
+        Bullets(findings) if findings else Paragraph(nothing),
         Paragraph(SWEEP_NOTE),
         block_or_paragraph(figure, _chart(results), "The sweeps' pairs were not kept."),
         _table(entries),
@@ -104,49 +100,55 @@ def _excluded_pairs(entries: list[dict[str, Any]]) -> list[Block]:
 
 def _findings(entry: dict[str, Any]) -> list[str]:
     """What of a sweep is beyond chance, a sentence each."""
-    joint, found = count(entry.get("joint")), []
-    gain, gain_u = finite(entry.get("gain")), finite(entry.get("gain_standard_uncertainty"))
-    if _is_significant(gain, gain_u):
-        found.append(f"Joint {joint}: gear error {_percent(gain, gain_u)} % (k = 2).")
-    hysteresis, u = _value_and_uncertainty(entry, "hysteresis")
-    if _is_significant(hysteresis, u):
-        said = with_uncertainty(hysteresis, _expanded(u), "°")
-        found.append(f"Joint {joint}: hysteresis {said} (k = 2).")
-    eccentricity, u = _value_and_uncertainty(entry, "eccentricity")
-    if entry.get("eccentricity_beyond_chance") and eccentricity is not None:
-        said = with_uncertainty(eccentricity, _expanded(u), "°", signed=False)
-        found.append(f"Joint {joint}: eccentricity {said} (k = 2), once a turn.")
-    left = finite(entry.get("nonlinearity_p_value"))
-    if left is not None and left < P_SIGNIFICANT:
+    findings = []
+    if _is_significant(*_gain(entry)):
+        findings.append(f"gear error {_gear_error(entry)} % (k = 2).")
+    hysteresis = _value_and_uncertainty(entry, "hysteresis")
+    if _is_significant(*hysteresis):
+        findings.append(f"hysteresis {_expanded(*hysteresis, unit='°')} (k = 2).")
+    eccentricity = _value_and_uncertainty(entry, "eccentricity")
+    if entry.get("eccentricity_beyond_chance") and eccentricity[0] is not None:
+        size = _expanded(*eccentricity, unit="°", signed=False)
+        findings.append(f"eccentricity {size} (k = 2), once a turn.")
+    if _is_beyond_chance(entry, "nonlinearity"):
         size = quantity(entry.get("nonlinearity_rms_deg"), "°")
         noise = quantity(entry.get("noise_rms_deg"), "°")
-        found.append(
-            f"Joint {joint}: its errors follow no known curve; beside the line they are {size} "
-            f"rms, where noise gives {noise}."
+        findings.append(
+            f"its errors follow no known curve; beside the line they are {size} rms, where noise "
+            f"gives {noise}."
         )
-    wobble = finite(entry.get("wobble_p_value"))
-    if wobble is not None and wobble < P_SIGNIFICANT:
+    if _is_beyond_chance(entry, "wobble"):
         place = quantity(entry.get("wobble_rms_mm"), "mm")
         turn = quantity(entry.get("wobble_rms_deg"), "°")
-        found.append(
-            f"Joint {joint}: the flange does not turn about one fixed axis; it leaves it by "
-            f"{place} and {turn} rms, more than noise explains."
+        findings.append(
+            f"the flange does not turn about one fixed axis; it leaves it by {place} and {turn} "
+            "rms, more than noise explains."
         )
-    return found
+    return [f"Joint {count(entry.get('joint'))}: {finding}" for finding in findings]
 
 
 def _is_significant(value: float | None, u: float | None) -> bool:
     return value is not None and u is not None and abs(value) > MIN_SIGNIFICANT_RATIO * u
 
 
-def _expanded(u: float | None) -> float | None:
-    return None if u is None else COVERAGE_FACTOR * u
+def _is_beyond_chance(entry: dict[str, Any], name: str) -> bool:
+    p = finite(entry.get(f"{name}_p_value"))
+    return p is not None and p < P_SIGNIFICANT
 
 
-def _percent(gain: float | None, u: float | None) -> str:
-    if gain is None:
-        return with_uncertainty(None, None)
-    return with_uncertainty(100 * gain, None if u is None else 100 * COVERAGE_FACTOR * u)
+def _expanded(value: float | None, u: float | None, unit: str = "", signed: bool = True) -> str:
+    """Write a value with its expanded uncertainty."""
+    return with_uncertainty(value, None if u is None else COVERAGE_FACTOR * u, unit, signed)
+
+
+def _gain(entry: dict[str, Any]) -> tuple[float | None, float | None]:
+    return finite(entry.get("gain")), finite(entry.get("gain_standard_uncertainty"))
+
+
+def _gear_error(entry: dict[str, Any]) -> str:
+    """Write a gear error in percent."""
+    gain, u = _gain(entry)
+    return _expanded(None if gain is None else 100 * gain, None if u is None else 100 * u)
 
 
 def _value_and_uncertainty(entry: dict[str, Any], name: str) -> tuple[float | None, float | None]:
@@ -154,49 +156,32 @@ def _value_and_uncertainty(entry: dict[str, Any], name: str) -> tuple[float | No
 
 
 def _table(entries: list[dict[str, Any]]) -> Table:
-    rows = []
-    for entry in entries:
-        hysteresis, u = _value_and_uncertainty(entry, "hysteresis")
-        gain, gain_u = finite(entry.get("gain")), finite(entry.get("gain_standard_uncertainty"))
-        rows.append(
-            row(
-                text_or_dash(entry.get("joint")),
-                count(entry.get("pairs")),
-                number(entry.get("span_deg"), 1),
-                _percent(gain, gain_u),
-                with_uncertainty(hysteresis, _expanded(u)),
-                _eccentricity(entry),
-                number(entry.get("nonlinearity_rms_deg")),
-                number(entry.get("noise_rms_deg")),
-                number(entry.get("wobble_rms_mm"), 2),
-            )
-        )
-    return Table(
-        "Each joint's encoder against the turn about its own axis; ± U with k = 2.",
-        "crrrrrrrr",
-        (
-            "Joint",
-            "Pairs",
-            "Swept [°]",
-            "Gear error [%]",
-            "Hysteresis [°]",
-            "Eccentricity [°]",
-            "Beside the line [°]",
-            "Noise gives [°]",
-            "Off the axis [mm]",
-        ),
-        tuple(rows),
-        (TABLE_NOTE,),
+    columns = (
+        Column("Joint", "c", field("joint")),
+        Column("Pairs", "r", field("pairs", count)),
+        Column("Swept [°]", "r", field("span_deg", number, 1)),
+        Column("Gear error [%]", "r", _gear_error),
+        Column("Hysteresis [°]", "r", _hysteresis),
+        Column("Eccentricity [°]", "r", _eccentricity),
+        Column("Beside the line [°]", "r", field("nonlinearity_rms_deg", number)),
+        Column("Noise gives [°]", "r", field("noise_rms_deg", number)),
+        Column("Off the axis [mm]", "r", field("wobble_rms_mm", number, 2)),
     )
+    title = "Each joint's encoder against the turn about its own axis; ± U with k = 2."
+    return tabulate(title, columns, entries, TABLE_NOTE)
+
+
+def _hysteresis(entry: dict[str, Any]) -> str:
+    return _expanded(*_value_and_uncertainty(entry, "hysteresis"))
 
 
 def _eccentricity(entry: dict[str, Any]) -> str:
     """An amplitude that chance explains is no value but a bound."""
     value, u = _value_and_uncertainty(entry, "eccentricity")
     if value is None or u is None:
-        return with_uncertainty(None, None)
+        return DASH
     if entry.get("eccentricity_beyond_chance"):
-        return with_uncertainty(value, COVERAGE_FACTOR * u, signed=False)
+        return _expanded(value, u, signed=False)
     return f"< {quantity(value + COVERAGE_FACTOR * u, '')}"
 
 

@@ -1,7 +1,5 @@
 """Figures of the errors and of the flange's motion: tables in, chart out, None for nothing."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 
@@ -17,6 +15,7 @@ from reports.document.charts import (
     Path,
     band,
     column,
+    strips,
     time_axis,
     trace,
 )
@@ -35,20 +34,12 @@ def joint_errors(results: Results) -> Chart | None:
     panels = []
     for joint in results.summary.get("joints") or []:
         name = f"q{joint.get('joint')}"
-        error, u = column(frames, f"{name}_error_deg"), column(frames, f"{name}_error_u_deg")
-        fit, u_fit = (
-            column(resolved, f"{name}_resolved_deg"),
-            column(resolved, f"{name}_resolved_u_deg"),
-        )
-        panels.append(
-            _error_panel(
-                t, (error, u), (fit, u_fit), finite(joint.get("tolerance_deg")), f"{name} [°]", "°"
-            )
-        )
-    if not any(has_lines(panel) for panel in panels):
-        return None
-    panels[-1] = replace(panels[-1], x_label=time)
-    return Chart(tuple(panels), row_height=0.66, shared_x=True)
+        error = column(frames, f"{name}_error_deg"), column(frames, f"{name}_error_u_deg")
+        fit = column(resolved, f"{name}_resolved_deg"), column(resolved, f"{name}_resolved_u_deg")
+        limit = finite(joint.get("tolerance_deg"))
+        panels.append(_error_panel(t, error, fit, limit, f"{name} [°]", "°"))
+    drawn = any(has_lines(panel) for panel in panels)
+    return strips(panels, time, row_height=0.66) if drawn else None
 
 
 def pose_errors(results: Results) -> Chart | None:
@@ -73,10 +64,8 @@ def pose_errors(results: Results) -> Chart | None:
                 one_sided=True,
             )
         )
-    if not any(has_lines(panel) for panel in panels):
-        return None
-    panels[-1] = replace(panels[-1], x_label=time)
-    return Chart(tuple(panels), row_height=1.3, shared_x=True)
+    drawn = any(has_lines(panel) for panel in panels)
+    return strips(panels, time, row_height=1.3) if drawn else None
 
 
 def pose(results: Results) -> Chart | None:

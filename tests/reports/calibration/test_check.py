@@ -1,11 +1,9 @@
 """The report of an interim check."""
 
 import numpy as np
-import pytest
 
-from reports.check.figures import CHECK_FIGURES
-from reports.format import matplotlib
-from tests.support.reports.page import Page, html_of, made_of
+from reports.document.blocks import collect_figures
+from tests.support.reports.page import Page, document_of, html_of, made_of
 
 
 def test_the_verdict_is_the_check_s_and_names_what_is_off() -> None:
@@ -25,15 +23,6 @@ def test_each_length_has_its_error_and_uncertainty() -> None:
     assert (lengths["standard_uncertainty_mm"] > 0).all()
 
 
-@pytest.mark.parametrize("figure", sorted(CHECK_FIGURES))
-def test_every_figure_is_drawn_or_declined(figure: str) -> None:
-    draw = CHECK_FIGURES[figure]
-    assert draw(made_of("unchecked")) is None
-    chart = draw(made_of("not_held"))
-    assert chart is not None
-    assert matplotlib.svg(chart) == matplotlib.svg(chart)
-
-
 def test_one_pair_of_a_board_shows_its_square_and_no_strips() -> None:
-    assert CHECK_FIGURES["over_pairs"](made_of("board")) is None
+    assert "over_pairs" not in collect_figures(document_of("board"))
     assert "Square as measured" in html_of("board")

@@ -3,22 +3,20 @@
 import re
 
 import numpy as np
-import plotly.graph_objects as go
 import pytest
 from matplotlib.colors import to_hex, to_rgb
 
 import reports
 from reports.calibration import document as calibration_document
-from reports.calibration.figures import CALIBRATION_FIGURES, arrows
+from reports.calibration.figures import arrows
 from reports.document import charts
-from reports.document.blocks import Bullets, Figure, Table, to_template_data
+from reports.document.blocks import Bullets, Table, to_template_data
 from reports.document.charts import Chart, Line
-from reports.format import matplotlib, plotly
+from reports.format import matplotlib
 from reports.registration import document as registration
-from reports.registration.evidence import REGISTRATION_FIGURES
 from reports.results import Results
 from tests.support.reports import calibration as made
-from tests.support.reports.page import coloured, document_of, luminance, made_of, strings
+from tests.support.reports.page import chart_of, document_of, luminance, made_of, strings
 from tests.support.reports.registration import motion
 
 
@@ -30,43 +28,6 @@ def test_results_of_an_unknown_kind_are_refused_in_one_line() -> None:
     for render in (reports.render_html, reports.render_pdf):
         with pytest.raises(reports.ReportError, match='its kind is "moon"'):
             render(Results({"kind": "moon"}, {}, {}))
-
-
-@pytest.mark.parametrize("figure", sorted(CALIBRATION_FIGURES))
-def test_every_figure_of_a_calibration_is_drawn_or_declined(figure: str) -> None:
-    draw = CALIBRATION_FIGURES[figure]
-    assert draw(made_of("uncalibrated")) is None
-    for name in ("good", "doubtful"):
-        chart = draw(made_of(name))
-        assert chart is not None
-        plot = coloured(plotly.specification(chart))
-        go.Figure(plot["data"], plot["layout"])
-        go.Figure(plot["data"], plot["narrow"])
-        assert matplotlib.svg(chart) == matplotlib.svg(chart)
-
-
-@pytest.mark.parametrize("figure", sorted(REGISTRATION_FIGURES))
-def test_every_figure_of_a_registration_is_drawn_or_declined(figure: str) -> None:
-    draw = REGISTRATION_FIGURES[figure]
-    assert draw(made_of("bare")) is None
-    chart = draw(made_of("motion"))
-    assert chart is not None
-    plot = coloured(plotly.specification(chart))
-    go.Figure(plot["data"], plot["layout"])
-    assert matplotlib.svg(chart) == matplotlib.svg(chart)
-
-
-def test_every_axis_has_a_unit_or_a_count() -> None:
-    pairs = [(draw, "good") for draw in CALIBRATION_FIGURES.values()]
-    pairs += [(draw, "motion") for draw in REGISTRATION_FIGURES.values()]
-    for draw, name in pairs:
-        chart = draw(made_of(name))
-        assert chart is not None
-        panels = chart.panels if isinstance(chart, Chart) else ()
-        for panel in panels:
-            for label in (panel.x_label, panel.y_label):
-                counted = label in ("", "pair", "were they exact")
-                assert counted or re.search(r"\[(s|°|mm|px|%)\]$", label), label
 
 
 def test_every_column_of_measures_has_a_unit() -> None:
@@ -110,18 +71,30 @@ def test_doubts_and_gaps_are_listed() -> None:
     assert "stands out: right" in text
 
 
-def test_held_parameters_are_listed_with_the_reason() -> None:
-    text = words("doubtful")
-    assert "0 (chosen)" in text
-    assert "0 (held)" in text
-    assert "no picture of a board can tell it" in text
-    assert "do not support this coefficient" in text
-    assert "K3 is held at zero" in text
+@pytest.mark.parametrize(
+    ("name", "sentences"),
+    [
+        ("doubtful", ["0 (chosen)", "0 (held)", "no picture of a board can tell it",
+                      "do not support this coefficient", "K3 is held at zero"]),
+        ("doubtful", ["The bases stood still", "No pair was given to show rectified."]),
+        ("good", ["The bases were turned between pairs"]),
+        ("motion", ["A constant offset of joints 1 and 6 cannot show.",
+                    "A constant offset of joint 1 cannot show, however large.",
+                    "Of an offset of joints 2 and 3, 4.0 % to 9.0 % shows.",
+                    "Partly hidden: 50 % of an offset of joint 4 shows.",
+                    "An offset of joint 5 shows in full.",
+                    "held: the motion does not show it", "differs"]),
+        ("fixture", ["It hides nothing.",
+                     "The robot's base was found from a board at a known place on the base"]),
+    ],
+)  # fmt: skip
+def test_what_was_held_turned_or_hidden_is_stated(name: str, sentences: list[str]) -> None:
+    text = words(name)
+    assert [sentence for sentence in sentences if sentence not in text] == []
 
 
-def test_fixed_and_turning_bases_are_stated() -> None:
-    assert "The bases stood still" in words("doubtful")
-    assert "The bases were turned between pairs" in words("good")
+def test_a_fixture_hides_nothing() -> None:
+    assert "The robot is registered, and blind" not in words("fixture")
 
 
 def test_every_input_hash_and_warning_is_in_the_report() -> None:
@@ -130,17 +103,6 @@ def test_every_input_hash_and_warning_is_in_the_report() -> None:
         assert name in text
         assert digest in text
     assert "frames.csv: no pan." in text
-
-
-def test_the_rectified_pair_is_shown_where_there_is_one() -> None:
-    def shown(name: str) -> list[Figure]:
-        document = calibration_document.document(made_of(name))
-        every = [block for section in document.sections for block in section.blocks]
-        return [block for block in every if isinstance(block, Figure) and block.name == "rectified"]
-
-    assert len(shown("good")) == 1
-    assert not shown("doubtful")
-    assert "No pair was given to show rectified." in words("doubtful")
 
 
 def test_arrows_begin_at_the_corner_and_follow_its_residual() -> None:
@@ -153,8 +115,7 @@ def test_arrows_begin_at_the_corner_and_follow_its_residual() -> None:
 
 def test_the_scale_arrow_has_its_stated_length() -> None:
     results_ = made_of("good")
-    chart = CALIBRATION_FIGURES["vectors"](results_)
-    assert isinstance(chart, Chart)
+    chart = chart_of("good", "vectors")
     lines = [m for m in chart.panels[0].marks if isinstance(m, Line)]
     note = next(m for m in chart.panels[0].marks if isinstance(m, charts.Note))
     long = float(note.text.removesuffix(" px"))
@@ -168,8 +129,7 @@ def test_the_scale_arrow_has_its_stated_length() -> None:
 
 def test_counts_and_uncertainties_are_written_into_their_cells() -> None:
     results_ = made_of("good")
-    chart = CALIBRATION_FIGURES["coverage"](results_)
-    assert isinstance(chart, Chart)
+    chart = chart_of("good", "coverage")
     total = sum(
         int(text)
         for panel in chart.panels
@@ -179,8 +139,7 @@ def test_counts_and_uncertainties_are_written_into_their_cells() -> None:
         for text in line
     )
     assert total == results_.tables["coverage"]["corners"].sum()
-    maps = CALIBRATION_FIGURES["accuracy"](results_)
-    assert isinstance(maps, Chart)
+    maps = chart_of("good", "accuracy")
     assert len(maps.panels) == 2 * len(results_.summary["accuracy"])
 
 
@@ -198,24 +157,6 @@ def test_text_in_a_cell_contrasts_with_its_colour(value: float, role: str) -> No
     behind = to_hex((1 - value) * np.ones(3) + value * full)
     own, other = luminance(found[1]), luminance(behind)
     assert (max(own, other) + 0.05) / (min(own, other) + 0.05) >= 2.5
-
-
-def test_the_registration_lists_hidden_joints() -> None:
-    text = words("motion")
-    assert "A constant offset of joints 1 and 6 cannot show." in text
-    assert "A constant offset of joint 1 cannot show, however large." in text
-    assert "Of an offset of joints 2 and 3, 4.0 % to 9.0 % shows." in text
-    assert "Partly hidden: 50 % of an offset of joint 4 shows." in text
-    assert "An offset of joint 5 shows in full." in text
-    assert "held: the motion does not show it" in text
-    assert "differs" in text
-
-
-def test_a_fixture_hides_nothing() -> None:
-    text = words("fixture")
-    assert "It hides nothing." in text
-    assert "The robot is registered, and blind" not in text
-    assert "The robot's base was found from a board at a known place on the base" in text
 
 
 def test_a_registration_that_does_not_carry_over_is_in_doubt() -> None:

@@ -1,6 +1,5 @@
 """Budget, Monte-Carlo check and single-joint sweeps in the report."""
 
-from reports import render_html
 from reports.document.blocks import Bullets, Figure, Paragraph, Section, Table
 from reports.document.charts import Chart, Points
 from reports.results import Results
@@ -97,8 +96,3 @@ def test_a_sweep_is_drawn_either_way() -> None:
     assert [panel.title for panel in drawing.panels] == [f"joint {j}" for j in range(1, 7)]
     names = {m.name for panel in drawing.panels for m in panel.marks if isinstance(m, Points)}
     assert names == {"on the way up", "on the way down"}
-
-
-def test_results_of_older_runs_still_make_a_report() -> None:
-    page = render_html(made.nonconforming())
-    assert "Uncertainty budget" in page

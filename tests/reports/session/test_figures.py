@@ -1,55 +1,25 @@
 import base64
 import io
-import re
 
 import matplotlib.colors
 import matplotlib.image
 import numpy as np
-import plotly.graph_objects as go
 import pytest
 import typst
 
 from reports.document import charts
-from reports.document.charts import Band, Chart, Line, Path
+from reports.document.blocks import collect_figures
+from reports.document.charts import Band, Line, Path
 from reports.format import matplotlib as format_matplotlib
 from reports.format import pdf, plotly
-from reports.session.findings import FIGURES
+from reports.session.document import document
+from reports.session.figures.evidence import residuals
 from tests.support.reports import session as made
-from tests.support.reports.page import coloured
-
-
-@pytest.mark.parametrize("figure", sorted(FIGURES))
-@pytest.mark.parametrize("name", ["nonconforming", "nothing", "one_pair"])
-def test_every_figure_is_drawn_or_declined(name: str, figure: str) -> None:
-    chart = FIGURES[figure](made.EVERY[name]())
-    if name == "nothing":
-        assert chart is None
-    if name == "nonconforming":
-        assert chart is not None
-
-
-@pytest.mark.parametrize("figure", sorted(FIGURES))
-def test_plotly_itself_accepts_every_plot_of_the_page(figure: str) -> None:
-    chart = FIGURES[figure](made.nonconforming())
-    assert chart is not None
-    plot = coloured(plotly.specification(chart))
-    go.Figure(plot["data"], plot["layout"])
-    go.Figure(plot["data"], plot["narrow"])
-
-
-@pytest.mark.parametrize("figure", sorted(set(FIGURES) - {"correlation", "path"}))
-def test_every_axis_has_a_unit_or_a_count(figure: str) -> None:
-    chart = FIGURES[figure](made.nonconforming())
-    assert isinstance(chart, Chart)
-    for panel in chart.panels:
-        labels = [label for label in (panel.x_label, panel.y_label) if label]
-        for label in labels:
-            assert re.search(r"\[(s|°|mm|px|%)\]$", label) or label in ("LEDs seen", "cost")
+from tests.support.reports.page import chart_of, drawing_of, made_of
 
 
 def test_each_joint_has_a_strip_with_bands_resolved_line_and_tolerance() -> None:
-    chart = FIGURES["joint_errors"](made.seven_joints())
-    assert isinstance(chart, Chart)
+    chart = chart_of("seven_joints", "joint_errors")
     assert [panel.y_label for panel in chart.panels] == [f"q{n} [°]" for n in range(1, 8)]
     for panel in chart.panels:
         names = {getattr(mark, "name", "") for mark in panel.marks}
@@ -58,10 +28,8 @@ def test_each_joint_has_a_strip_with_bands_resolved_line_and_tolerance() -> None
 
 
 def test_the_band_of_a_pair_is_two_standard_uncertainties_of_all_sources() -> None:
-    results = made.nonconforming()
-    frames = results.tables["frames"].dropna(subset=["q3_error_deg"])
-    chart = FIGURES["joint_errors"](results)
-    assert isinstance(chart, Chart)
+    frames = made_of("nonconforming").tables["frames"].dropna(subset=["q3_error_deg"])
+    chart = chart_of("nonconforming", "joint_errors")
     band = next(m for m in chart.panels[2].marks if isinstance(m, Band))
     high = band.high[np.isfinite(band.high)]
     np.testing.assert_allclose(high, frames["q3_error_deg"] + 2 * frames["q3_error_u_deg"])
@@ -69,8 +37,7 @@ def test_the_band_of_a_pair_is_two_standard_uncertainties_of_all_sources() -> No
 
 def test_no_error_of_a_pair_leaves_its_frame() -> None:
     for name in ("nonconforming", "undecided", "seven_joints", "visits"):
-        chart = FIGURES["joint_errors"](made.EVERY[name]())
-        assert isinstance(chart, Chart)
+        chart = chart_of(name, "joint_errors")
         for panel in chart.panels:
             assert panel.y_range is not None
             for mark in panel.marks:
@@ -81,8 +48,7 @@ def test_no_error_of_a_pair_leaves_its_frame() -> None:
 
 
 def test_visits_far_apart_are_not_joined_by_lines() -> None:
-    chart = FIGURES["joint_errors"](made.visits())
-    assert isinstance(chart, Chart)
+    chart = chart_of("visits", "joint_errors")
     for mark in chart.panels[0].marks:
         if isinstance(mark, Line):
             steps = np.diff(mark.x)
@@ -90,26 +56,22 @@ def test_visits_far_apart_are_not_joined_by_lines() -> None:
 
 
 def test_a_long_session_stays_light() -> None:
-    results = made.long()
-    size = 0
-    for draw in FIGURES.values():
-        chart = draw(results)
-        assert chart is not None
-        size += len(str(plotly.specification(chart)))
+    charts_ = collect_figures(document(made.long())).values()
+    size = sum(len(str(plotly.specification(c))) for c in charts_ if not isinstance(c, bytes))
     assert size < 4_000_000  # letters; the plotting library itself has 4.8 million
 
 
 def test_thousands_of_spots_are_all_counted() -> None:
     results = made.long(2_000)
-    chart = FIGURES["residuals"](results)
-    assert isinstance(chart, Chart)
+    chart = residuals(results)
+    assert chart is not None
     cells = [m for panel in chart.panels for m in panel.marks if isinstance(m, charts.Cells)]
     counted = sum(float((10**m.values - 1).sum()) for m in cells)
     assert round(counted) == len(results.tables["spots"])
 
 
 def test_paths_are_drawn_with_both_trajectories() -> None:
-    chart = FIGURES["path"](made.nonconforming())
+    chart = drawing_of("nonconforming", "path")
     assert isinstance(chart, Path)
     assert [name for _, _, name in chart.lines] == ["measured", "from encoders"]
     for low, high in chart.ranges:
@@ -117,16 +79,14 @@ def test_paths_are_drawn_with_both_trajectories() -> None:
 
 
 def test_the_shares_of_variance_add_up_to_all() -> None:
-    chart = FIGURES["budget"](made.nonconforming())
-    assert isinstance(chart, Chart)
+    chart = chart_of("nonconforming", "budget")
     bars = [m for m in chart.panels[0].marks if isinstance(m, charts.Bars)]
     np.testing.assert_allclose(sum(m.heights for m in bars), 100.0)
 
 
 @pytest.mark.parametrize("figure", ["joint_errors", "pose", "path", "clock"])
 def test_every_line_is_visible_in_the_image(figure: str) -> None:
-    chart = FIGURES[figure](made.nonconforming())
-    assert chart is not None
+    chart = drawing_of("nonconforming", figure)
     files = {"main.typ": b'#image("chart.svg")', "chart.svg": format_matplotlib.svg(chart)}
     page = typst.compile(files, format="png", ppi=200.0, **pdf.FONTS)
     pixels = matplotlib.image.imread(io.BytesIO(page), format="png")[:, :, :3]
@@ -151,8 +111,7 @@ def test_letters_that_the_font_lacks_are_replaced() -> None:
 
 
 def test_numbers_arrive_in_the_page_as_they_are_in_the_table() -> None:
-    chart = FIGURES["clock"](made.nonconforming())
-    assert chart is not None
+    chart = drawing_of("nonconforming", "clock")
     first = plotly.specification(chart)["data"][0]
     y = np.frombuffer(base64.b64decode(first["y"]["bdata"]), dtype="<f4")
-    np.testing.assert_allclose(y, made.nonconforming().tables["clock_curve"]["cost"], rtol=1e-6)
+    np.testing.assert_allclose(y, made_of("nonconforming").tables["clock_curve"]["cost"], rtol=1e-6)

@@ -1,5 +1,6 @@
 """The section of repeated poses and paths: its words and its pictures."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import pandas as pd
 import pytest
 
 from reports import render_html, render_pdf
-from reports.document.blocks import Bullets, Document, Paragraph, Section, Table, collect_figures
+from reports.document.blocks import Bullets, Paragraph, Section, Table, collect_figures
 from reports.document.charts import Chart
 from reports.results import Results
 from reports.session.document import document
@@ -33,118 +34,64 @@ DEVIATIONS: list[dict[str, Any]] = [
 ]
 
 
+def interval(
+    name: str, value: float, low: float, high: float, unit: str = "mm"
+) -> dict[str, float]:
+    """An index and the ends of its interval, under their keys."""
+    ends = zip(("", "_low", "_high"), (value, low, high), strict=True)
+    return {f"{name}{end}_{unit}": number for end, number in ends}
+
+
 def pose(name: str, *, robot: float | None, oriented: bool = True) -> dict[str, Any]:
-    entry: dict[str, Any] = {
-        "pose": name,
-        "visits": 12,
-        "pairs": 72,
-        "ap_mm": 0.371,
-        "ap_low_mm": 0.36,
-        "ap_high_mm": 0.382,
-        "ap_of_noise_mm": 0.008,
-        "ap_less_bias_mm": 0.3709,
-        "rp_mm": 0.44,
-        "rp_low_mm": 0.35,
-        "rp_high_mm": 0.7,
-        "rp_floor_mm": 0.064,
-        "rp_robot_mm": robot,
-        "rp_robot_at_most_mm": 0.697,
-        "variation": {
-            "ways": 2,
-            "vap_mm": 0.2,
-            "vap_low_mm": 0.15,
-            "vap_high_mm": 0.25,
-            "vap_of_noise_mm": 0.04,
-            "vap_deg": 0.012,
-        },
-        "drift": {
-            "blocks": 2,
-            "duration_s": 180.0,
-            "dap_mm": 0.08,
-            "dap_of_noise_mm": 0.15,
-            "drp_mm": 0.04,
-            "drp_of_noise_mm": 0.17,
-        },
-    }
+    entry: dict[str, Any] = {"pose": name, "visits": 12, "pairs": 72}
+    entry |= interval("ap", 0.371, 0.36, 0.382) | interval("rp", 0.44, 0.35, 0.7)
+    entry |= {"ap_of_noise_mm": 0.008, "ap_less_bias_mm": 0.3709, "rp_floor_mm": 0.064}
+    entry |= {"rp_robot_mm": robot, "rp_robot_at_most_mm": 0.697}
+    ways = interval("vap", 0.2, 0.15, 0.25)
+    entry["variation"] = {"ways": 2, "vap_of_noise_mm": 0.04, "vap_deg": 0.012} | ways
+    changes = {"dap_mm": 0.08, "dap_of_noise_mm": 0.15, "drp_mm": 0.04, "drp_of_noise_mm": 0.17}
+    entry["drift"] = {"blocks": 2, "duration_s": 180.0} | changes
     for axis in ("rx", "ry", "rz") if oriented else ():
-        entry |= {f"ap_{axis}_deg": -0.002, f"ap_{axis}_low_deg": -0.006}
-        entry |= {f"ap_{axis}_high_deg": 0.002, f"rp_{axis}_deg": 0.08}
-        entry |= {f"rp_{axis}_low_deg": 0.06, f"rp_{axis}_high_deg": 0.13}
+        entry |= interval(f"ap_{axis}", -0.002, -0.006, 0.002, "deg")
+        entry |= interval(f"rp_{axis}", 0.08, 0.06, 0.13, "deg")
     return entry
 
 
 def path(name: str) -> dict[str, Any]:
-    return {
-        "path": name,
-        "passages": 6,
-        "length_mm": 193.0,
-        "speed_mm_s": 176.4,
-        "at_mm": 0.398,
-        "at_low_mm": 0.354,
-        "at_high_mm": 0.443,
-        "at_largest_of_noise_mm": 0.045,
-        "rt_mm": 0.44,
-        "rt_low_mm": 0.31,
-        "rt_high_mm": 0.8,
-        "rt_floor_mm": 0.1,
-        "rt_robot_mm": 0.4,
-        "rt_robot_at_most_mm": 0.79,
-    }
+    entry: dict[str, Any] = {"path": name, "passages": 6, "length_mm": 193.0, "speed_mm_s": 176.4}
+    entry |= interval("at", 0.398, 0.354, 0.443) | interval("rt", 0.44, 0.31, 0.8)
+    entry |= {"at_largest_of_noise_mm": 0.045, "rt_floor_mm": 0.1}
+    return entry | {"rt_robot_mm": 0.4, "rt_robot_at_most_mm": 0.79}
 
 
 def repeated() -> Results:
     rng = np.random.default_rng(1)
-    visits = pd.DataFrame(
-        {
-            "pose": np.repeat(["P1", "P2"], 12),
-            **{f"d{axis}_mm": rng.normal(0.2, 0.1, 24) for axis in "xyz"},
-        }
-    )
+    places = {f"d{axis}_mm": rng.normal(0.2, 0.1, 24) for axis in "xyz"}
+    visits = pd.DataFrame({"pose": np.repeat(["P1", "P2"], 12), **places})
+    along, off = np.linspace(0, 193, 50), 0.35 + 0.05 * np.sin(np.linspace(0, 3, 50))
     stations = pd.DataFrame(
-        {
-            "path": ["P1 → P2"] * 50,
-            "along_mm": np.linspace(0, 193, 50),
-            "off_mm": 0.35 + 0.05 * np.sin(np.linspace(0, 3, 50)),
-            "rt_mm": np.full(50, 0.4),
-        }
+        {"path": ["P1 → P2"] * 50, "along_mm": along, "off_mm": off, "rt_mm": np.full(50, 0.4)}
     )
+    distance: dict[str, Any] = {"poses": ["P1", "P2"], "commanded_mm": 199.4, "visits": 12}
+    distance |= interval("ad", -0.0039, -0.018, 0.01) | interval("rd", 0.88, 0.62, 1.49)
     entry = {
         "noise_floor": {"source": "holds"},
         "poses": [pose("P1", robot=0.43), pose("P2", robot=None)],
-        "distances": [
-            {
-                "poses": ["P1", "P2"],
-                "commanded_mm": 199.4,
-                "visits": 12,
-                "ad_mm": -0.0039,
-                "ad_low_mm": -0.018,
-                "ad_high_mm": 0.01,
-                "rd_mm": 0.88,
-                "rd_low_mm": 0.62,
-                "rd_high_mm": 1.49,
-            }
-        ],
+        "distances": [distance],
         "paths": [path("P1 → P2")],
         "deviations": DEVIATIONS,
     }
     base = made.nonconforming()
-    return Results(
-        base.summary | {"performance": entry, "performance_reason": None},
-        base.setup,
-        base.tables | {"performance_poses": visits, "performance_paths": stations},
-        base.images,
+    return replace(
+        base,
+        summary=base.summary | {"performance": entry, "performance_reason": None},
+        tables=base.tables | {"performance_poses": visits, "performance_paths": stations},
     )
 
 
 def without(reason: str) -> Results:
-    base = made.nonconforming()
-    return Results(
-        base.summary | {"performance": None, "performance_reason": reason}, base.setup, {}, {}
-    )
-
-
-def section(results: Results) -> Section:
-    return performance(results)
+    missing = {"performance": None, "performance_reason": reason}
+    return Results(made.nonconforming().summary | missing, {}, {})
 
 
 def table(of: Section, start: str) -> Table:
@@ -152,7 +99,7 @@ def table(of: Section, start: str) -> Table:
 
 
 def test_the_answer_comes_first() -> None:
-    first = section(repeated()).blocks[0]
+    first = performance(repeated()).blocks[0]
     assert isinstance(first, Paragraph)
     assert first.text.startswith("2 poses, each visited 12 times. ")
     assert "AP 0.3710 (0.3600 – 0.3820) mm, at P1" in first.text
@@ -160,21 +107,23 @@ def test_the_answer_comes_first() -> None:
 
 
 def test_a_share_within_the_noise_floor_is_a_bound() -> None:
-    rows = table(section(repeated()), "Pose accuracy AP").rows
+    rows = table(performance(repeated()), "Pose accuracy AP").rows
     assert [cells[-1].text for cells in rows] == ["0.430", "≤ 0.697"]
 
 
 def test_every_index_has_its_table_and_positions_alone_have_no_angles() -> None:
-    captions = [b.caption.split(":")[0] for b in section(repeated()).blocks if isinstance(b, Table)]
+    captions = [
+        b.caption.split(":")[0] for b in performance(repeated()).blocks if isinstance(b, Table)
+    ]
     assert len(captions) == 6
     bare = repeated()
     bare.summary["performance"]["poses"] = [pose("P1", robot=0.4, oriented=False)]
-    found = [b.caption for b in section(bare).blocks if isinstance(b, Table)]
+    found = [b.caption for b in performance(bare).blocks if isinstance(b, Table)]
     assert "Pose accuracy and pose repeatability of orientations." not in found
 
 
 def test_every_deviation_is_listed() -> None:
-    bullets = next(b for b in section(repeated()).blocks if isinstance(b, Bullets))
+    bullets = next(b for b in performance(repeated()).blocks if isinstance(b, Bullets))
     assert len(bullets.items) == len(DEVIATIONS)
     assert {str(d["kind"]) for d in DEVIATIONS} == FIXED_DEVIATIONS.keys() | DEVIATION_TEXTS.keys()
     assert deviation({"kind": "drift", "found_s": 182.0}).startswith(
@@ -185,14 +134,9 @@ def test_every_deviation_is_listed() -> None:
 
 @pytest.mark.parametrize("reason", REASONS)
 def test_without_repetition_the_reason_is_stated(reason: str) -> None:
-    (only,) = section(without(reason)).blocks
+    (only,) = performance(without(reason)).blocks
     assert isinstance(only, Paragraph)
     assert only.text == REASONS[reason]
-
-
-def test_results_of_earlier_versions_have_no_such_section() -> None:
-    whole: Document = document(made.nonconforming())
-    assert "performance" not in [s.name for s in whole.sections]
 
 
 def test_clusters_and_band_are_drawn() -> None:

@@ -12,7 +12,8 @@ from plotly.offline import get_plotlyjs
 
 import reports
 from reports.document import charts
-from reports.document.blocks import Document, Table
+from reports.document.blocks import Document, Table, collect_figures
+from reports.document.charts import Chart, Path
 from reports.format import pdf as pdf_format
 from reports.render import DOCUMENTS
 from reports.results import Results
@@ -47,6 +48,20 @@ pdf_of = cache(lambda name: pdf_format.typeset(files_of(name)))
 def document_of(name: str) -> Document:
     results = made_of(name)
     return DOCUMENTS[results.summary.get("kind", "run")](results)
+
+
+def drawing_of(name: str, figure: str) -> Chart | Path:
+    """A chart of a report."""
+    drawing = collect_figures(document_of(name))[figure]
+    assert isinstance(drawing, Chart | Path)
+    return drawing
+
+
+def chart_of(name: str, figure: str) -> Chart:
+    """A chart of a report, in a plane."""
+    drawing = drawing_of(name, figure)
+    assert isinstance(drawing, Chart)
+    return drawing
 
 
 def page_of(results: Results) -> str:

@@ -298,14 +298,6 @@ def test_a_folder_without_write_permission() -> None:
             locked.chmod(0o700)
 
 
-def test_files_stay_where_all_went_well(tmp_path: Path) -> None:
-    rig, marker = tmp_path / "rig.toml", tmp_path / "marker.toml"
-    with written_together(rig, marker):
-        write_whole(rig, b"new")
-    assert rig.read_bytes() == b"new"
-    assert not marker.exists()
-
-
 def written_and_failed(failure: BaseException, rig: Path, marker: Path) -> None:
     with written_together(rig, marker):
         write_whole(rig, b"new")

@@ -199,37 +199,22 @@ correlation = [[1.0, 0.5], [0.5, 1.0]]
             ["robot_base.absorption: has 1 rows", "12"],
         ),
         ('"fixture"', '"fixture"\nregistration = 3', ["robot_base.registration: is 3"]),
+        ("[[50.0, 0.0, 31.5]", "[[-50.0, 0.0, 31.5]", ["left.", "has fx = -50.0 px"]),
+        ("[0.0, 50.0, 23.5]", "[1.0, 50.0, 23.5]", ["left.", "is no camera matrix"]),
+        ("0.001, -0.001, 0.0]", "0.001, -0.001]", ["left.", "length 5"]),
+        ("[[1.0, 0.0, 0.0]", "[[1.1, 0.0, 0.0]", ["left.mount_rotation: is no rotation"]),
     ],
 )
 def test_a_wrong_rig_is_refused_by_its_key(
     path: Path, old: str, new: str, message: list[str]
 ) -> None:
-    replace(path, old, new)
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError) as caught:
         io_rig.read(path)
     for words in message:
-        assert f"{words}" in str(caught.value)
+        assert words in str(caught.value)
     assert str(caught.value).startswith(str(path))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (
-            "[[50.0, 0.0, 31.5]",
-            "[[-50.0, 0.0, 31.5]",
-            "has fx = -50.0 px; a focal length is positive",
-        ),
-        ("[0.0, 50.0, 23.5]", "[1.0, 50.0, 23.5]", "is no camera matrix"),
-        ("[-0.1, 0.05, 0.001, -0.001, 0.0]", "[-0.1, 0.05, 0.001, -0.001]", "length 5"),
-        ("[[1.0, 0.0, 0.0]", "[[1.1, 0.0, 0.0]", "left.mount_rotation: is no rotation"),
-    ],
-)
-def test_a_wrong_camera_is_refused(path: Path, old: str, new: str, message: str) -> None:
-    path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(InputError, match=r"left\.") as caught:
-        io_rig.read(path)
-    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(

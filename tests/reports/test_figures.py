@@ -1,0 +1,60 @@
+"""Figures of every kind of report: drawn where there is data, with units, always the same."""
+
+import re
+
+import plotly.graph_objects as go
+import pytest
+
+from reports.document.blocks import collect_figures
+from reports.document.charts import Chart
+from reports.format import matplotlib, plotly
+from tests.support.reports.page import coloured, document_of, drawing_of
+
+CALIBRATION = {
+    "views", "vectors", "coverage", "stances", "scene", "accuracy", "contributions",
+    "parameter_correlation",
+}  # fmt: skip
+FIGURES = {
+    "nonconforming": {
+        "correlation", "joint_errors", "pose", "pose_errors", "path", "residuals", "reprojection",
+        "clock", "timeline", "budget", "pair", "relative",
+    },
+    "good": CALIBRATION | {"rectified"},
+    "doubtful": CALIBRATION,
+    "motion": {"visible", "over_time", "vectors", "linearity"},
+    "not_held": {"lengths", "figures", "over_pairs"},
+}  # fmt: skip
+DRAWN = [
+    (name, figure)
+    for name, figures in FIGURES.items()
+    for figure in sorted(figures - {"pair", "rectified"})  # pictures
+]
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_figure_is_there(name: str) -> None:
+    assert set(collect_figures(document_of(name))) == FIGURES[name]
+
+
+@pytest.mark.parametrize("name", ["nothing", "uncalibrated", "bare", "unchecked"])
+def test_without_data_there_is_no_figure(name: str) -> None:
+    assert not collect_figures(document_of(name))
+
+
+@pytest.mark.parametrize(("name", "figure"), DRAWN)
+def test_a_figure_is_accepted_by_plotly_and_always_drawn_alike(name: str, figure: str) -> None:
+    chart = drawing_of(name, figure)
+    plot = coloured(plotly.specification(chart))
+    go.Figure(plot["data"], plot["layout"])
+    go.Figure(plot["data"], plot["narrow"])
+    assert matplotlib.svg(chart) == matplotlib.svg(chart)
+
+
+@pytest.mark.parametrize(("name", "figure"), DRAWN)
+def test_every_axis_has_a_unit_or_a_count(name: str, figure: str) -> None:
+    chart = drawing_of(name, figure)
+    for panel in chart.panels if isinstance(chart, Chart) else ():
+        for label in (panel.x_label, panel.y_label):
+            counted = label in ("", "pair", "were they exact", "LEDs seen", "cost",
+                                "LEDs at its ends", "figure over its u")  # fmt: skip
+            assert counted or re.search(r"\[(s|°|mm|px|%|‰)\]$", label), label
