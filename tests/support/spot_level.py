@@ -136,8 +136,8 @@ class SpotRun:
                 if measured.t > due:
                     keeper.estimate_now()
                     due = measured.t + ESTIMATE_PERIOD
-                waited = bracketing.wait(MeasuredPair(measured, 0.0, 0.0, 0.0), 0)
-                row = bracketing.compare([waited])[0].row
+                waited = bracketing.wait(MeasuredPair(measured, 0.0, 0.0), 0, lambda _frame: None)
+                row, _ = bracketing.compare([waited])[0]
                 rows.append(row)
                 alarms += watch.take(row, measured.t)
         return rows, alarms, keeper
