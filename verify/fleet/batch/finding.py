@@ -71,13 +71,8 @@ def local_copy(folder: str) -> Iterator[Path]:
         try:
             yield copy
         except InputError as problem:
-            raise _error_at_source(folder, problem, str(copy)) from problem
-
-
-def _error_at_source(folder: str, problem: InputError, copy: str) -> InputError:
-    """Say what is wrong with a copy as of what it was copied from."""
-    words = (problem.place, problem.found, problem.expected, problem.remedy)
-    return InputError(*(text.replace(copy, folder) for text in words))
+            words = (problem.place, problem.found, problem.expected, problem.remedy)
+            raise InputError(*(text.replace(str(copy), folder) for text in words)) from problem
 
 
 def file_versions(folder: str) -> dict[str, str]:
