@@ -146,11 +146,11 @@ def find_sessions(
     """
     found: list[SessionLocation] = []
     failures: list[SessionFailure] = []
-    seen: set[FolderIdentity] = set()
+    visited: set[FolderIdentity] = set()
     with suppress(OSError):  # not there yet
-        seen.add(_identity(str(out)))
+        visited.add(_identity(str(out)))
     for root in roots:
-        for one in list_sessions(root) if is_url(root) else _walk(_root(root), seen):
+        for one in list_sessions(root) if is_url(root) else _walk(_root(root), visited):
             if isinstance(one, SessionLocation):
                 found.append(one)
             else:
@@ -182,8 +182,8 @@ def _identity(folder: str) -> FolderIdentity:
     return status.st_dev, status.st_ino
 
 
-def _walk(root: str, seen: set[FolderIdentity]) -> Iterator[SessionLocation | SessionFailure]:
-    """Go down from a root; `seen` are folders that were met before."""
+def _walk(root: str, visited: set[FolderIdentity]) -> Iterator[SessionLocation | SessionFailure]:
+    """Go down from a root; skip the folders in `visited`."""
     # a symlink to a folder above the root leads in a circle as well
     over = frozenset(_identity(str(folder)) for folder in Path(root).resolve().parents)
     waiting: list[tuple[str, frozenset[FolderIdentity]]] = [(root, over)]
@@ -193,9 +193,9 @@ def _walk(root: str, seen: set[FolderIdentity]) -> Iterator[SessionLocation | Se
             identity = _identity(folder)
             if identity in above:
                 raise OSError(errno.ELOOP, "")
-            if identity in seen:
+            if identity in visited:
                 continue
-            seen.add(identity)
+            visited.add(identity)
             inside, is_session = _subfolders(folder)
         except OSError as error:
             yield _unreadable_folder(folder, error)
