@@ -22,7 +22,7 @@ REPEATING = (0.0, 0.5, 0.9)
 CHUNK = 0.5  # hours a robot
 
 
-def main(hours: float, chain_seconds: float) -> None:
+def main(hours: float = HOURS, chain_seconds: float = CHAIN_SECONDS) -> None:
     """Print a line an experiment."""
     for repeating, stated in itertools.product(REPEATING, STATED):
         share = hours / len(REPEATING) / len(STATED)
@@ -63,7 +63,4 @@ def through_the_chain(seconds: float) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    main(
-        float(sys.argv[1]) if len(sys.argv) > 1 else HOURS,
-        float(sys.argv[2]) if len(sys.argv) > 2 else CHAIN_SECONDS,
-    )
+    main(*(float(word) for word in sys.argv[1:]))

@@ -41,29 +41,19 @@ def session_shares(arm: str, seed: int) -> tuple[Array, float, float]:
     return shares, 1 - clear.sum() / max(int(seen.sum()), 1), 1 - float(seen.mean())
 
 
-def cells(arm: str, sessions: int, seed: int) -> tuple[Array, Array, float, float]:
-    """Mean share a joint, its standard error between sessions, shares left out and not measured."""
-    outcomes = replicates(partial(session_shares, arm), seed, sessions)
-    shares = np.array([o[0] for o in outcomes])
-    error = np.nanstd(shares, axis=0, ddof=1) / np.sqrt(np.sum(~np.isnan(shares), axis=0))
-    return (
-        np.nanmean(shares, axis=0),
-        error,
-        float(np.mean([o[1] for o in outcomes])),
-        float(np.mean([o[2] for o in outcomes])),
-    )
-
-
 def main(sessions: int, seeds: tuple[int, ...]) -> int:
     """Print every cell; 1 where one fails."""
     failed = 0
     for seed in seeds:
         for arm in ARMS:
-            share, error, singular, lost = cells(arm, sessions, seed)
+            outcomes = replicates(partial(session_shares, arm), seed, sessions)
+            shares, left_out, not_measured = map(np.array, zip(*outcomes, strict=True))
+            share, count = np.nanmean(shares, axis=0), np.sum(~np.isnan(shares), axis=0)
+            error = np.nanstd(shares, axis=0, ddof=1) / np.sqrt(count)
             good = (share >= LOW) & (share <= HIGH) & (error <= STANDARD_ERROR)
             failed += int(np.sum(~good))
             print(f"{arm}, seed {seed}, {sessions} sessions of {PAIRS} pairs; left out as singular "
-                  f"{singular:.1%}, not measured {lost:.1%}")  # fmt: skip
+                  f"{left_out.mean():.1%}, not measured {not_measured.mean():.1%}")  # fmt: skip
             for j in range(len(share)):
                 message = "" if good[j] else "  FAILS"
                 print(f"  q{j + 1}  {share[j]:.1%} ± {error[j]:.1%}{message}")

@@ -27,17 +27,11 @@ NEAR = np.deg2rad(1.5)  # of joint 5 about its singularity, in every fifth visit
 def lines(sessions: int = SESSIONS, seed: int = SEED) -> Iterator[str]:
     """Compare a session at a time, for either arm."""
     for arm in HOMES:
-        message, away = [], []
-        for number in range(sessions):
-            holds, apart = session(arm, seed + number)
-            message.append(holds.ravel())
-            away.append(apart.ravel())
-        holds, apart = np.concatenate(message), np.concatenate(away)
+        found = [session(arm, seed + number) for number in range(sessions)]
+        holds, apart = (np.concatenate(parts).ravel() for parts in zip(*found, strict=True))
         chance = 3 / np.sqrt(2 * DRAWS)
         inside = float(np.mean(apart[holds] <= MAX_RATIO_ERROR + chance))
-        failing = (
-            float(np.mean(apart[~holds] > MAX_RATIO_ERROR - chance)) if (~holds).any() else np.nan
-        )
+        failing = np.mean(apart[~holds] > MAX_RATIO_ERROR - chance) if (~holds).any() else np.nan
         largest, most = np.max(apart[holds]), np.quantile(apart[holds], 0.95)
         yield (
             f"{arm}: said to hold for {holds.mean():.1%} of {len(holds)} errors; there drawn and "

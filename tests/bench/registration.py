@@ -113,6 +113,5 @@ def lines(sessions: int = SESSIONS, seed: int = SEED) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    numbers = [int(a) for a in sys.argv[1:]]
-    for line in lines(*numbers):
+    for line in lines(*map(int, sys.argv[1:])):
         print(line)

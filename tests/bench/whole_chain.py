@@ -27,7 +27,6 @@ from verify.calibration.registration.fixture import P_FALSE_ALARM
 from verify.core.records import Array
 
 REPLICATES = 2000
-MANY = 2000
 RARE = binom.cdf(86, 100, 0.95)
 APART = "apart"
 ARMS = 2
@@ -36,7 +35,7 @@ ARMS = 2
 def holds(z: Array) -> bool:
     """Whether a cell has as many hits as it should."""
     hits, count = int(np.sum(np.abs(z) <= cells.WITHIN)), len(z)
-    if count >= MANY:
+    if count >= REPLICATES:
         return cells.LOW <= hits / count <= cells.HIGH
     return bool(binom.cdf(hits, count, 0.95) > RARE)
 

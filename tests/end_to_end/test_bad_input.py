@@ -120,12 +120,19 @@ def test_an_output_folder_that_exists_is_refused_before_any_work(
     assert [p.name for p in out.iterdir()] == ["precious.txt"]
 
 
-@pytest.mark.parametrize("tolerance", ["abc", "-0.2", "0.2,0.3", "nan"])
-def test_a_tolerance_that_is_none_is_refused(tolerance: str, session: Path, tmp_path: Path) -> None:
-    outcome = verify("run", session, "-o", tmp_path / "out", f"--tolerance={tolerance}")
-    assert "--tolerance" in outcome.refusal
-
-
-@pytest.mark.parametrize("words", [["rum"], ["run"], ["run", "--no-such-option", "x"]])
-def test_wrong_usage_is_one_line_and_status_2(words: list[str]) -> None:
-    assert "verify --help" in verify(*words).refusal
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["rum"], "verify --help"),
+        (["run"], "verify --help"),
+        (["run", "--no-such-option", "x"], "verify --help"),
+        *((["run", SAMPLES / SAMPLE, f"--tolerance={wrong}"], "--tolerance")
+          for wrong in ("abc", "-0.2", "0.2,0.3", "nan")),
+    ],
+)  # fmt: skip
+def test_wrong_usage_is_one_line_and_status_2(
+    words: list[str | Path], named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert named in verify(*words).refusal
+    assert not list(tmp_path.iterdir())

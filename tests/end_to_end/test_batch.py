@@ -70,9 +70,8 @@ def test_figures_are_those_of_verify_run(lab: Path, out: Path, tmp_path: Path) -
     sessions = pd.read_parquet(out / "sessions.parquet").set_index("session")
     row = sessions.loc[str(lab / "03")]
     for joint in summary["joints"]:
-        for key, value in joint.items():
-            if key != "joint":
-                assert row[f"q{joint['joint']}_{key}"] == value, key
+        for key in joint.keys() - {"joint"}:
+            assert row[f"q{joint['joint']}_{key}"] == joint[key], key
     frames = pd.read_parquet(out / "frames.parquet")
     own = frames[frames["session"] == str(lab / "03")].drop(columns="session")
     plain = pd.read_parquet(place / "results" / "frames.parquet")

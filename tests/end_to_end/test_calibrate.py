@@ -3,6 +3,7 @@
 import errno
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -170,14 +171,11 @@ def test_a_board_on_the_base_registers_the_robot_and_the_check_holds(
 def test_a_bumped_camera_fails_the_check(
     calibrated: tuple[Path, Path, Outcome], tmp_path: Path, pictures: Path
 ) -> None:
-    text = calibrated[0].read_text()
-    rig = tomllib.loads(text)
-    row = rig["right"]["mount_rotation"]
-    turned = (cv2.Rodrigues(np.deg2rad([0.0, 0.3, 0.0]))[0] @ np.array(row)).tolist()
-    left, right = text.split("[right]")
-    old = next(line for line in right.splitlines() if line.startswith("mount_rotation"))
+    rig, _ = io_rig.read(calibrated[0], registered=False)
+    mount = rig.right.mount.copy()
+    mount[:3, :3] = cv2.Rodrigues(np.deg2rad([0.0, 0.3, 0.0]))[0] @ mount[:3, :3]
     bumped = tmp_path / "bumped.toml"
-    bumped.write_text(f"{left}[right]{right.replace(old, f'mount_rotation = {turned}', 1)}")
+    io_rig.write(bumped, replace(rig, right=replace(rig.right, mount=mount)))
     message = verify("calibrate", "check", pictures, "--rig", bumped)
     assert message.status == 1
     assert "does not hold" in message.out

@@ -39,7 +39,6 @@ class Run:
     watched: dict[str, Any] = field(default_factory=dict)
     result: dict[str, Any] = field(default_factory=dict)
     status: int = -1
-    err: str = ""
 
     def told(self, kind: str, *, over: bool = False) -> list[dict[str, Any]]:
         return [
@@ -131,11 +130,9 @@ def test_camera_faults_are_reported_and_the_jumping_joint_is_named(tmp_path: Pat
     jumped = [a for a in run.told("change") if a["joint"] == 4]
     assert len(jumped) == 1
     assert jumped[0]["error_deg"] == pytest.approx(0.5, abs=0.1)
-    healthy = [p["t_s"] for p in run.pairs if p["status"] == "measured"]
     sizes = [(p["t_s"], p["error_deg"][3]) for p in run.pairs if p["error_deg"][3] is not None]
     before = max(t for t, size in sizes if size < 0.25)
     assert jumped[0]["t_s"] - before < 1.0
-    assert len(healthy) > 100
     assert run.told("change") == jumped
     assert run.result["summary"]["pairs"]["measured"] > 100
     assert (tmp_path / "out" / "report.pdf").exists()
@@ -228,7 +225,7 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path
     with mounted(tmp_path / "recordings", "-o", "size=5m") as disk:
         path = station(tmp_path, event("encoder_jump", 9.0, joint=4, degrees=0.5))
         run = listen(started(path, "--for", "12s", "-o", "out"), Run())
-        assert "no space left on device" in run.watched["recording"], (run.watched, run.err)
+        assert "no space left on device" in run.watched["recording"], run.watched
         (folder,) = disk.iterdir()
         kept = len(open_session(folder))
         assert 5 < kept < len(run.pairs)
@@ -241,9 +238,7 @@ def test_a_killed_run_leaves_a_session_up_to_its_last_second(tmp_path: Path) -> 
     process = started(station(tmp_path))
     run = listen(process, Run(), lambda pair: pair["frame"] == 40)
     process.kill()
-    process.wait()
-    assert process.stdout is not None
-    process.stdout.close()
+    process.communicate()
     (folder,) = (tmp_path / "recordings").iterdir()
     session = open_session(folder)
     assert session.frames.t_left[-1] > run.pairs[-1]["t_s"] - 1.0

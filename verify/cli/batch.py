@@ -68,17 +68,17 @@ def batch(
     from verify.fleet.trends.assess import require_folders
 
     tolerances = ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
-    questions = _trend_request(by, since, compare)
+    request = _trend_request(by, since, compare)
     with closing(_worker_pool(workers, scheduler)) as pool:  # its workers load meanwhile
         found, failures = find_sessions(folders, out)
-        require_folders([one.session for one in found], questions)
+        require_folders([one.session for one in found], request)
         require_writable(out)
         options = BatchOptions(tolerances, __version__)
         with _show_progress() as watch:
             done = measure_all(found, failures, out, options, pool, watch)
     if reports:
         _session_reports(done, workers)
-    return _finish(done, out, questions)
+    return _finish(done, out, request)
 
 
 def _trend_request(by: str, since: str | None, compare: tuple[str, str] | None) -> "TrendRequest":
@@ -159,7 +159,7 @@ def _session_reports(done: "BatchResult", workers: int | None) -> None:
         report_all(done, pool, counter)
 
 
-def _finish(done: "BatchResult", out: Path, questions: "TrendRequest") -> int:
+def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
     """Write the tables and the fleet report; tell how it ended."""
     import pandas as pd
 
@@ -175,7 +175,7 @@ def _finish(done: "BatchResult", out: Path, questions: "TrendRequest") -> int:
             sessions = pd.read_parquet(folder / "sessions.parquet")
             failures = pd.read_csv(folder / "failures.csv", keep_default_na=False)
             reported = [s for s, place in done.kept if (place / "report.html").exists()]
-            results = assess(sessions, failures, questions, reported)
+            results = assess(sessions, failures, request, reported)
             reports.write(results, folder / RESULTS)
             (folder / "fleet.html").write_text(reports.render_html(results), encoding="utf-8")
             (folder / "fleet.pdf").write_bytes(reports.render_pdf(results))

@@ -74,6 +74,6 @@ def board(
         (folder / "board.pdf").write_bytes(drawing.pdf(drawn, layout))
         (folder / "board.png").write_bytes(drawing.png(drawn, layout))
         fiducials.write_board(folder / "board.toml", drawn)
-    said = f"{drawn.columns} x {drawn.rows} inner corners of {square_mm:g} mm on {layout.paper}"
-    terminal.say(f"{said}, in {out}. Print board.pdf at 100 %, then check the rulers.")
+    text = f"{drawn.columns} x {drawn.rows} inner corners of {square_mm:g} mm on {layout.paper}"
+    terminal.say(f"{text}, in {out}. Print board.pdf at 100 %, then check the rulers.")
     terminal.record({"type": "result", "out": str(out), "paper": layout.paper})

@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with docs/results.md's status."""
     words = _global_flags(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     show_log()
-    signal.signal(signal.SIGTERM, _interrupt)  # a polite kill leaves nothing half-written either
+    signal.signal(signal.SIGTERM, _interrupt)  # a SIGTERM leaves nothing half-written either
     sys.exit(_status(words))
 
 
@@ -76,8 +76,8 @@ def _status(words: list[str]) -> int:
     except InputError as problem:
         return _refuse(str(problem))
     except WrongUsage as problem:
-        said = str(getattr(problem, "format_message", problem.__str__)())
-        return _refuse(f"{said}{'' if said[-1:] in '.?!' else '.'} See `verify --help`.")
+        text = str(getattr(problem, "format_message", problem.__str__)())
+        return _refuse(f"{text}{'' if text[-1:] in '.?!' else '.'} See `verify --help`.")
     except (KeyboardInterrupt, typer.Abort):  # older typer; newer ones give back the status
         outcome = INTERRUPTED
     except OSError as problem:

@@ -85,8 +85,8 @@ def _report(arm: "arms.Arm", check: "arms.SelfCheck") -> int:
     }
     terminal.say(f"worst disagreement over {check.poses} random poses:")
     for what, figure in figures.items():
-        said = "does not apply" if math.isnan(figure) else f"{figure:.1e}"
-        terminal.say(f"  {what}: {said}")
+        text = "does not apply" if math.isnan(figure) else f"{figure:.1e}"
+        terminal.say(f"  {what}: {text}")
     terminal.detail(f"  Jacobian against differences: {check.difference_jacobian:.1e} (not judged)")
     terminal.say(f"  poses whose own joints were not among the answers: {check.lost}")
     known = {what: figure for what, figure in figures.items() if not math.isnan(figure)}

@@ -132,10 +132,7 @@ def _new_station(path: Path | None) -> int:
 
 def _refuse_live_options(duration: float | None, on_alarm: str | None, *, page: bool) -> None:
     """Refuse a station's option with a recorded session, where it would do nothing."""
-    given = {"--for": duration is not None, "--on-alarm": on_alarm is not None, "--page": page}
-    for name, used in given.items():
-        if used:
-            raise InputError(
-                name, "was given with a recorded session", "it is for stations",
-                "Leave it out, or name a station file.",
-            )  # fmt: skip
+    live = {"--for": duration is not None, "--on-alarm": on_alarm is not None, "--page": page}
+    for name in (name for name, used in live.items() if used):
+        found, remedy = "was given with a recorded session", "Leave it out, or name a station file."
+        raise InputError(name, found, "it is for stations", remedy)

@@ -31,7 +31,7 @@ PACKAGES = ("numpy", "opencv-python-headless", "av", "pin", "pyserial")
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was tried."""
+    """Outcome of one check."""
 
     what: str
     outcome: str  # works, doubt, fails
@@ -40,10 +40,10 @@ class Finding:
 
 
 def check_versions() -> list[Finding]:
-    """Say which versions of what are here."""
-    said = [f"{name} {metadata.version(name)}" for name in PACKAGES]
+    """List the versions of Python, verify and its libraries."""
+    text = [f"{name} {metadata.version(name)}" for name in PACKAGES]
     python = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
-    return [Finding("versions", "works", f"verify {__version__}, {python}, {', '.join(said)}")]
+    return [Finding("versions", "works", f"verify {__version__}, {python}, {', '.join(text)}")]
 
 
 def check_codecs() -> list[Finding]:
@@ -82,18 +82,18 @@ def check_serial_ports() -> list[Finding]:
     ports = sorted(list_ports.comports())
     if not ports:
         return [Finding("serial ports", "works", "none is here")]
-    said = [f"{port.device} ({port.description})" for port in ports]
-    return [Finding("serial ports", "works", ", ".join(said))]
+    text = [f"{port.device} ({port.description})" for port in ports]
+    return [Finding("serial ports", "works", ", ".join(text))]
 
 
 def check_video_devices() -> list[Finding]:
     """List the cameras that the system knows, where it has names for them."""
     if sys.platform != "linux":
-        said = "this system does not list them; name 0, 1, … in a station file and try it"
-        return [Finding("cameras", "works", said)]
+        text = "this system does not list them; name 0, 1, … in a station file and try it"
+        return [Finding("cameras", "works", text)]
     there = sorted(map(str, Path("/dev").glob("video*")))
-    said = ", ".join(there) or "none is here (/dev/video*)"
-    return [Finding("cameras", "works", said)]
+    text = ", ".join(there) or "none is here (/dev/video*)"
+    return [Finding("cameras", "works", text)]
 
 
 def _lossless(what: str, image: Image) -> Finding:
@@ -121,8 +121,8 @@ def _read_back(what: str, image: Image, raw: bytes | None, *, lossless: bool) ->
     if lossless and not np.array_equal(back[-1], image):
         return Finding(name, "fails", "what was read back is not what was written")
     figures = {"ms_a_picture": round(spent, 2)}
-    said = f"{TEST_IMAGE_SIZE[1]} x {TEST_IMAGE_SIZE[0]} px in {spent:.1f} ms, and read back"
-    return Finding(name, "works", said, figures)
+    text = f"{TEST_IMAGE_SIZE[1]} x {TEST_IMAGE_SIZE[0]} px in {spent:.1f} ms, and read back"
+    return Finding(name, "works", text, figures)
 
 
 def _ffv1(image: Image) -> Finding:

@@ -123,15 +123,15 @@ def _validate(
     for chain in (arm, found.chain):
         known = None if options.free_base and options.free_tool else judging.state(chain)
         left.append(pose_residuals(register(chain, rows, options, known).state, rows))
-    return ValidationSessions([seen.session.name for seen in judging.sessions], *left)
+    return ValidationSessions([one.session.name for one in judging.sessions], *left)
 
 
 def _identify_twice(
     gathered: CombinedPoses, options: IdentificationOptions
 ) -> tuple[CombinedPoses, IdentificationResult]:
-    """Identify, and again with pairs that repeat each other's errors counting for fewer."""
+    """Identify, and again with a lower weight for pairs that repeat each other's errors."""
     chain = chain_of(gathered.sessions[0].session.arm)
-    # where both are sought anew, nobody needs to have stated them, not even roughly
+    # with both free no start is needed
     known = None if options.free_base and options.free_tool else gathered.state(chain)
     first = identify_arm(chain, gathered.poses, replace(options, splits=0), known)
     fewer = deflate_repetition(gathered, first)
@@ -141,7 +141,7 @@ def _identify_twice(
 def _identification_provenance(
     gathered: CombinedPoses, options: IdentificationOptions, level: str
 ) -> IdentificationProvenance:
-    sessions = [seen.session for seen in gathered.sessions]
+    sessions = [one.session for one in gathered.sessions]
     several = len(sessions) > 1
     inputs = {
         f"{session.name}/{path}" if several else path: digest
@@ -162,16 +162,18 @@ def _identification_provenance(
 
 
 def _warnings(
-    seen: Sequence[SessionPoses], options: IdentificationOptions, level: str
+    sessions: Sequence[SessionPoses], options: IdentificationOptions, level: str
 ) -> list[str]:
-    warnings = [warning for one in seen for warning in one.session.warnings]
+    warnings = [warning for one in sessions for warning in one.session.warnings]
     hidden = {
         "robot base": options.free_base,
         "LED body": options.free_tool,
         BODY_SOURCE: options.free_tool,
         "robot table": level == "geometry",
     }
-    exact = [source for one in seen for source in one.uncounted if not hidden.get(source, False)]
+    exact = [
+        source for one in sessions for source in one.uncounted if not hidden.get(source, False)
+    ]
     if exact:
         warnings.append(
             f"No uncertainty is stated for {', '.join(dict.fromkeys(exact))}: taken as exact; the "
@@ -206,8 +208,7 @@ def _print_summary(made: Results, target: Path) -> None:
     for joint in summary["offsets"]:
         terminal.say(_joint_line(joint))
     for level in summary["levels"]:
-        held = level["held_out"]
-        if held is not None:
+        if (held := level["held_out"]) is not None:
             terminal.say(f"  held out, {level['name']}: {held['mean_mm']:.3f} mm mean")
     if summary["judged"] is not None:
         before, after = (summary["judged"][key]["mean_mm"] for key in ("before", "after"))
@@ -216,8 +217,8 @@ def _print_summary(made: Results, target: Path) -> None:
         )
     outlying = len(summary["poses"]["outlying"])
     if outlying:
-        said = "pose does" if outlying == 1 else "poses do"
-        terminal.warn(f"{outlying} {said} not belong to the others: left out of the fit, listed")
+        verb = "pose does" if outlying == 1 else "poses do"
+        terminal.warn(f"{outlying} {verb} not belong to the others: left out of the fit, listed")
     terminal.say(f"Written: {target / summary['robot_file']}; report: {report_files(target)}")
     terminal.record({"type": "result", "out": str(target), "summary": summary})
 

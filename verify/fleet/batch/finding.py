@@ -71,13 +71,8 @@ def local_copy(folder: str) -> Iterator[Path]:
         try:
             yield copy
         except InputError as problem:
-            raise _error_at_source(folder, problem, str(copy)) from problem
-
-
-def _error_at_source(folder: str, problem: InputError, copy: str) -> InputError:
-    """Say what is wrong with a copy as of what it was copied from."""
-    words = (problem.place, problem.found, problem.expected, problem.remedy)
-    return InputError(*(text.replace(copy, folder) for text in words))
+            words = (problem.place, problem.found, problem.expected, problem.remedy)
+            raise InputError(*(text.replace(str(copy), folder) for text in words)) from problem
 
 
 def file_versions(folder: str) -> dict[str, str]:
@@ -151,11 +146,11 @@ def find_sessions(
     """
     found: list[SessionLocation] = []
     failures: list[SessionFailure] = []
-    seen: set[FolderIdentity] = set()
+    visited: set[FolderIdentity] = set()
     with suppress(OSError):  # not there yet
-        seen.add(_identity(str(out)))
+        visited.add(_identity(str(out)))
     for root in roots:
-        for one in list_sessions(root) if is_url(root) else _walk(_root(root), seen):
+        for one in list_sessions(root) if is_url(root) else _walk(_root(root), visited):
             if isinstance(one, SessionLocation):
                 found.append(one)
             else:
@@ -187,8 +182,8 @@ def _identity(folder: str) -> FolderIdentity:
     return status.st_dev, status.st_ino
 
 
-def _walk(root: str, seen: set[FolderIdentity]) -> Iterator[SessionLocation | SessionFailure]:
-    """Go down from a root; `seen` are folders that were met before."""
+def _walk(root: str, visited: set[FolderIdentity]) -> Iterator[SessionLocation | SessionFailure]:
+    """Go down from a root; skip the folders in `visited`."""
     # a symlink to a folder above the root leads in a circle as well
     over = frozenset(_identity(str(folder)) for folder in Path(root).resolve().parents)
     waiting: list[tuple[str, frozenset[FolderIdentity]]] = [(root, over)]
@@ -198,9 +193,9 @@ def _walk(root: str, seen: set[FolderIdentity]) -> Iterator[SessionLocation | Se
             identity = _identity(folder)
             if identity in above:
                 raise OSError(errno.ELOOP, "")
-            if identity in seen:
+            if identity in visited:
                 continue
-            seen.add(identity)
+            visited.add(identity)
             inside, is_session = _subfolders(folder)
         except OSError as error:
             yield _unreadable_folder(folder, error)

@@ -42,13 +42,13 @@ class ToleranceRequest(Protocol):
 class BatchOptions:
     """What the figures depend on beside the inputs."""
 
-    asked: ToleranceRequest
+    tolerances: ToleranceRequest
     version: str  # of the program
 
     @property
     def described(self) -> str:
         """The same text for the same options, to be compared with what was kept."""
-        return f"{self.asked!r} {self.version}"
+        return f"{self.tolerances!r} {self.version}"
 
 
 @dataclass(frozen=True, slots=True)

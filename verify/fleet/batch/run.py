@@ -26,7 +26,7 @@ from verify.fleet.batch.tasks import CompareTask, MeasureTask, ReportTask
 
 @dataclass(slots=True)
 class BatchProgress:
-    """Counts; `watch` is told after each change."""
+    """Counts; `watch` is called after each change."""
 
     sessions: int  # that were found
     kept: int = 0  # from an earlier batch
@@ -88,7 +88,7 @@ def measure_all(
         out: the batch's folder.
         options: what the figures depend on beside the inputs.
         pool: performs the tasks.
-        watch: told after every session.
+        watch: called after every session.
 
     Raises:
         InputError: `out` cannot be written.
@@ -115,7 +115,7 @@ def report_all(batch: BatchResult, pool: WorkerPool, watch: Callable[[int, int],
     Args:
         batch: what was measured.
         pool: on this machine.
-        watch: told how many of how many are written.
+        watch: called with the number written and the number of all.
     """
     missing = [place for _, place in batch.kept if not (place / "report.pdf").exists()]
     waiting: deque[Task] = deque(ReportTask(str(place)) for place in missing)

@@ -55,11 +55,9 @@ class ResultStore:
                 hashlib.sha256((folder / name).read_bytes()).hexdigest() == was
                 for name, was in entry["files"].items()
             )
-            return (
-                StoredResults(folder, dict(entry["inputs"]), str(entry["options"]))
-                if whole
-                else None
-            )
+            if not whole:
+                return None
+            return StoredResults(folder, dict(entry["inputs"]), str(entry["options"]))
         except (OSError, ValueError, KeyError, TypeError):
             return None
 

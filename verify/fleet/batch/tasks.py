@@ -42,7 +42,7 @@ class MeasureTask:
     def _measured(self) -> SessionResults:
         with local_copy(self.found.folder) as folder:
             opened = open_session(folder)
-            tolerance = self.options.asked.tolerance(opened.arm.dof)
+            tolerance = self.options.tolerances.tolerance(opened.arm.dof)
             results = rename_session(
                 analyse(opened, tolerance=tolerance), str(folder), self.found.session
             )
@@ -110,7 +110,7 @@ def _result_or_failure(found: SessionLocation, work: Callable[[], T]) -> T | Ses
     except OSError as problem:
         refused = system_refusal(problem.filename or found.folder, problem)
         return SessionFailure(found.session, UNREADABLE, _with_session_name(str(refused), found))
-    except Exception as problem:  # a defect of ours: it is told, and the batch goes on
+    except Exception as problem:  # a defect of ours is reported, and the batch goes on
         why = f"{found.session}: {type(problem).__name__}: {problem}. Please report this defect."
         return SessionFailure(found.session, DEFECT, printable_path(one_line(why)))
 

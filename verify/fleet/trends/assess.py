@@ -39,23 +39,23 @@ class TrendRequest:
 
 
 def assess(
-    sessions: pd.DataFrame, failures: pd.DataFrame, questions: TrendRequest, reported: Sequence[str]
+    sessions: pd.DataFrame, failures: pd.DataFrame, request: TrendRequest, reported: Sequence[str]
 ) -> Results:
     """Judge a fleet.
 
     Args:
         sessions: the rows of sessions.parquet.
         failures: the rows of failures.csv.
-        questions: what else is asked.
+        request: options of the report.
         reported: names of the sessions that have reports of their own.
 
     Returns:
         Results of the kind "fleet".
     """
-    sessions = sessions.assign(arm=_arms(sessions, questions.by))
+    sessions = sessions.assign(arm=_arms(sessions, request.by))
     every = _all_series(sessions)
     judged = _assess_joints(every)
-    contrasts = _contrasts(sessions, every, questions)
+    contrasts = _contrasts(sessions, every, request)
     tables = {
         "joints": pd.DataFrame([_joint_row(sessions, one, judged.get(_key(one))) for one in every]),
         "changes": pd.DataFrame(
@@ -66,7 +66,7 @@ def assess(
         "worst": _worst_sessions(sessions, set(reported)),
         "failures": failures.astype(str),
     }
-    return Results(_summary(sessions, failures, questions, every), {}, tables)
+    return Results(_summary(sessions, failures, request, every), {}, tables)
 
 
 _CONTRAST_COLUMNS = [
@@ -149,24 +149,22 @@ def _median(rows: pd.DataFrame, name: str) -> float | None:
 
 
 def _contrasts(
-    sessions: pd.DataFrame, every: list[JointSeries], questions: TrendRequest
+    sessions: pd.DataFrame, every: list[JointSeries], request: TrendRequest
 ) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = []
-    if questions.since is not None:
-        day = pd.Timestamp(questions.since, tz="UTC").value / DAY_NS
-        names = f"before {questions.since}", f"since {questions.since}"
+    if request.since is not None:
+        day = pd.Timestamp(request.since, tz="UTC").value / DAY_NS
+        names = f"before {request.since}", f"since {request.since}"
         sides = [(one, one.t >= day) for one in every]
         rows += _contrast_rows("since", names, sides)
-    if questions.compare is not None:
-        first, second = (
-            _sessions_below(sessions["session"], folder) for folder in questions.compare
-        )
+    if request.compare is not None:
+        first, second = (_sessions_below(sessions["session"], folder) for folder in request.compare)
         chosen = []
         for one in every:
             of = np.array([s in first or s in second for s in one.session], dtype=bool)
             some = one.chosen(of)
             chosen.append((some, np.array([s in second for s in some.session], dtype=bool)))
-        rows += _contrast_rows("compare", questions.compare, chosen)
+        rows += _contrast_rows("compare", request.compare, chosen)
     return rows
 
 
@@ -183,17 +181,17 @@ def _contrast_rows(
     return rows
 
 
-def require_folders(names: Sequence[str], questions: TrendRequest) -> None:
+def require_folders(names: Sequence[str], request: TrendRequest) -> None:
     """Refuse folders to compare that hold none of the sessions, before hours of work.
 
     Args:
         names: of all sessions that were found.
-        questions: what is asked.
+        request: names the folders to compare.
 
     Raises:
         InputError: a folder to compare holds no session.
     """
-    for folder in questions.compare or ():
+    for folder in request.compare or ():
         if not _sessions_below(names, folder):
             raise InputError(
                 f"--compare {folder}",
@@ -251,7 +249,7 @@ def _day(moment: Any) -> str | None:
 def _summary(
     sessions: pd.DataFrame,
     failures: pd.DataFrame,
-    questions: TrendRequest,
+    request: TrendRequest,
     every: list[JointSeries],
 ) -> dict[str, Any]:
     dated = sessions["started"].dropna()
@@ -273,7 +271,7 @@ def _summary(
         "arms": sorted({one.arm for one in every}),
         "false_alarm": P_FALSE_ALARM,
         "fewest_sessions": MIN_SESSIONS_TO_ASSESS,
-        "by": questions.by,
-        "since": None if questions.since is None else questions.since.isoformat(),
-        "compare": None if questions.compare is None else list(questions.compare),
+        "by": request.by,
+        "since": None if request.since is None else request.since.isoformat(),
+        "compare": None if request.compare is None else list(request.compare),
     }

@@ -46,7 +46,7 @@ class JointTrend:
 
     changes: tuple[TrendChange, ...]  # in order of time
     fitted: Array  # (n,), degrees
-    shift: Array  # (n,), degrees: what each session's calibration is seen to add
+    shift: Array  # (n,), degrees: estimated contribution of each session's calibration
     level_uncertainty: float  # standard, of the last of `fitted`, calibrations included
     reference: float  # degrees: the level before any change
     reference_uncertainty: float  # standard, what calibrations share left out

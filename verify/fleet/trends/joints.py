@@ -50,7 +50,7 @@ def _distance(series: JointSeries, i: int, side: slice) -> float:
     return float(abs(series.error[i] - np.median(series.error[side])) / np.sqrt(variance))
 
 
-MIN_SESSIONS_TO_ASSESS = 2 * MIN_SESSIONS  # sessions, below which nothing is said of changes
+MIN_SESSIONS_TO_ASSESS = 2 * MIN_SESSIONS  # sessions, below which changes are not assessed
 
 
 @dataclass(frozen=True, slots=True)

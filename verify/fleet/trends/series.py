@@ -73,7 +73,7 @@ def series_of(sessions: pd.DataFrame, arm: str, joint: int) -> JointSeries:
     rows = sessions[known].sort_values(["started", "session"], kind="stable")
     full = _numbers(rows, f"{name}_standard_uncertainty_deg")
     own = np.fmin(_numbers(rows, f"{name}_session_uncertainty_deg"), full)
-    own = np.where(own > 0, own, full)  # not told apart: all of it may differ between sessions
+    own = np.where(own > 0, own, full)  # not separated: all of it may differ between sessions
     found = JointSeries(
         arm=arm,
         joint=joint,
@@ -139,7 +139,7 @@ class SeriesFit:
     chi2: float
     fitted: Array  # (n,)
     residual_weighted: Array  # (n,), V⁻¹ (y - fitted)
-    shift: Array  # (n,), what each session's calibration is seen to add to the fit
+    shift: Array  # (n,), estimated contribution of each session's calibration
 
 
 def fit(series: JointSeries, design: Array) -> SeriesFit:

@@ -92,7 +92,7 @@ def test_a_name_of_a_session_cannot_leave_the_folder_of_what_is_kept(tmp_path: P
 
 
 def test_an_out_that_is_a_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
+    (tmp_path / "file").touch()
     with pytest.raises(InputError, match="is a file"):
         require_writable(tmp_path / "file")
 
