@@ -1,5 +1,8 @@
 """Figures of a calibration from boards: tables in, chart out, None for nothing to draw."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
@@ -144,21 +147,26 @@ def coverage(results: Results) -> Chart | None:
         grid = own.pivot_table(index="y_px", columns="x_px", values="corners")
         if grid.empty:
             continue
-        values = grid.to_numpy(dtype=float)
-        text = tuple(tuple(f"{v:.0f}" for v in line) for line in values)
-        x, y = grid.columns.to_numpy(dtype=float), grid.index.to_numpy(dtype=float)
-        panels.append(
-            Panel(
-                (Cells(values, x, y, COLOUR_SCALE, 0.0, top, text),),
-                title=f"{camera} camera",
-                x_label="x [px]",
-                y_label="y [px]" if camera == "left" else "",
-                x_range=_cell_range(x),
-                y_range=_cell_range(y)[::-1],  # y down, as in the image
-                equal=True,
-            )
-        )
+        panel = _grid_panel(grid, top, lambda v: f"{v:.0f}", f"{camera} camera", "px")
+        panels.append(replace(panel, equal=True, y_label=panel.y_label if camera == "left" else ""))
     return Chart(tuple(panels), columns=2, row_height=1.9) if panels else None
+
+
+def _grid_panel(
+    grid: pd.DataFrame, top: float, write: Callable[[float], str], title: str, unit: str
+) -> Panel:
+    """Lay out a table of numbers over x and y, y down as in an image; NaN is an empty cell."""
+    values = grid.to_numpy(dtype=float)
+    text = tuple(tuple(write(v) if np.isfinite(v) else "" for v in line) for line in values)
+    x, y = grid.columns.to_numpy(dtype=float), grid.index.to_numpy(dtype=float)
+    return Panel(
+        (Cells(values, x, y, COLOUR_SCALE, 0.0, top, text),),
+        title=title,
+        x_label=f"x [{unit}]",
+        y_label=f"y [{unit}]",
+        x_range=_cell_range(x),
+        y_range=_cell_range(y)[::-1],
+    )
 
 
 def _cell_range(centres: Array) -> tuple[float, float]:
@@ -240,21 +248,9 @@ def accuracy(results: Results) -> Chart | None:
         own = table[column(table, "distance_mm") == distance]
         for name, words in parts:
             grid = own.pivot_table(index="y_mm", columns="x_mm", values=name, dropna=False)
-            values = grid.to_numpy(dtype=float)
-            text = tuple(
-                tuple(_two_digits(v) if np.isfinite(v) else "" for v in line) for line in values
-            )
-            x, y = grid.columns.to_numpy(dtype=float), grid.index.to_numpy(dtype=float)
-            panels.append(
-                Panel(
-                    (Cells(values, x, y, COLOUR_SCALE, 0.0, top, text),),
-                    title=f"{distance / 1e3:g} m away, from {words} [mm]",
-                    x_label="x [mm]",
-                    y_label="y [mm]" if name == parts[0][0] else "",
-                    x_range=_cell_range(x),
-                    y_range=_cell_range(y)[::-1],
-                )
-            )
+            title = f"{distance / 1e3:g} m away, from {words} [mm]"
+            panel = _grid_panel(grid, top, _two_digits, title, "mm")
+            panels.append(panel if name == parts[0][0] else replace(panel, y_label=""))
     return Chart(tuple(panels), columns=2, row_height=1.55)
 
 

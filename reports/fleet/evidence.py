@@ -35,9 +35,6 @@ from reports.fleet.charts import STATES
 from reports.results import Results
 from reports.session import phrases
 
-MAX_HIDDEN_SHARE = 0.005  # share of an offset below which nothing of it is seen
-
-
 FALSE_ALARM_NOTE = (
     "Rates: a change is named beyond what chance gives the best of all dates, kinds and joints in "
     "{rate} % of fleets without one (Bonferroni); likewise an odd session, and a difference."
@@ -214,7 +211,7 @@ def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[Block, ...]:
 
 def _is_hidden(share: Any) -> bool:
     known = finite(share)
-    return known is not None and known < MAX_HIDDEN_SHARE
+    return known is not None and known < phrases.MAX_HIDDEN_SHARE
 
 
 def failures(results: Results) -> Section | None:

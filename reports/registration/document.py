@@ -63,9 +63,12 @@ from reports.registration.evidence import (
     residuals,
 )
 from reports.results import Results
+from reports.session.phrases import (
+    MAX_HIDDEN_SHARE,
+    MAX_MOSTLY_HIDDEN_SHARE,
+    MAX_PARTLY_HIDDEN_SHARE,
+)
 
-MAX_HIDDEN_SHARE = 0.005  # shown as 0 %: nothing of the offset is left
-MAX_MOSTLY_HIDDEN_SHARE = 0.3  # the share at which the smallest visible offset triples
 MAX_HELD_OUT_RATIO = 1.5  # held-out over fitted rms: more says that the model does not carry over
 
 
@@ -257,7 +260,7 @@ def _share_text(joint: dict[str, Any]) -> str:
         return f"A constant offset of {name} cannot show, however large."
     if share < MAX_MOSTLY_HIDDEN_SHARE:
         return f"Mostly hidden: only {percent(share)} of an offset of {name} shows."
-    if share < 0.9:
+    if share < MAX_PARTLY_HIDDEN_SHARE:
         return f"Partly hidden: {percent(share)} of an offset of {name} shows."
     return f"An offset of {name} shows in full."
 

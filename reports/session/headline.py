@@ -27,7 +27,6 @@ LABELS = {
 }
 MAX_CAUSES = 3  # named in the headline; more would hide the first, and the diagnosis lists them all
 SCOPE = "This covers the poses, directions and speeds that the session shows, and no others."
-MAX_HIDDEN_SHARE = 0.005  # visible share of an offset, shown as 0 %: nothing of the offset is left
 SINGULAR_NAMES = ("the robot base", "the measured point")
 
 
@@ -156,7 +155,7 @@ def is_hidden(joint: dict[str, Any]) -> bool:
     """Tell whether a constant offset of a joint could not have shown, however large."""
     share = finite(joint.get("visible_fraction"))
     return joint.get("reason") == "not_observable" or (
-        share is not None and share < MAX_HIDDEN_SHARE
+        share is not None and share < phrases.MAX_HIDDEN_SHARE
     )
 
 
@@ -186,8 +185,8 @@ def _hiding_parameter(results: Results, joint: dict[str, Any]) -> tuple[str, str
     before, since = (
         finite(joint.get(f"visible_fraction{when}")) for when in ("", "_since_registration")
     )
-    if before is not None and before < MAX_HIDDEN_SHARE:
-        if fitted and (since is None or since >= MAX_HIDDEN_SHARE):
+    if before is not None and before < phrases.MAX_HIDDEN_SHARE:
+        if fitted and (since is None or since >= phrases.MAX_HIDDEN_SHARE):
             verb = "was" if fitted in SINGULAR_NAMES else "were"
             return (
                 f"{fitted} {verb} found through the same encoders",

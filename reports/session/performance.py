@@ -1,6 +1,5 @@
 """Repeated poses and paths by the indices of ISO 9283, with intervals and deviations."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -43,7 +42,8 @@ REASONS = {
     ),
 }
 
-FIXED_DEVIATIONS = {
+# conditions that differ from the standard's, with the figures of an entry
+DEVIATIONS = {
     "commanded": (
         "Commanded poses are not known: the mean of what the encoders read stands for them, so an "
         "error of the controller that its encoders see is not part of AP or AT."
@@ -67,53 +67,39 @@ FIXED_DEVIATIONS = {
     "flange": "Positions are of the flange's centre, not of a point at the tool's offset.",
     "point": "Positions are of the point that the instrument measured.",
     "temperature_unknown": "The temperature is not stated; 20 °C ± 2 °C is asked for.",
+    "cycles": "{found} visits of the pose seen least; {standard} are asked for.",
+    "passages": "{found} passages of the path seen least; {standard} are asked for.",
+    "poses": "Number of poses: {found}; {standard} are asked for.",
+    "plane": (
+        "The five poses lie up to {off_plane} mm off one plane; a diagonal plane of a cube is "
+        "asked for."
+    ),
+    "approach": (
+        "Approached from several poses, where one way is asked for, so that RP holds their "
+        "difference: {names}."
+    ),
+    "drift": "Drift was followed for {hours}; 8 h are asked for.",
+    "uncertainty": (
+        "The expanded uncertainty exceeds a quarter of AP, where a quarter is the most that the "
+        "standard allows: {names}. The smallest AP that could be stated for all poses is "
+        "{smallest}."
+    ),
+    "temperature": "The temperature was {celsius} °C; 20 °C ± 2 °C is asked for.",
 }
 
 
 def deviation(entry: dict[str, Any]) -> str:
     """Say one condition that differs from the standard's."""
     kind = str(entry.get("kind"))
-    if kind in FIXED_DEVIATIONS:
-        return FIXED_DEVIATIONS[kind]
-    return DEVIATION_TEXTS[kind](entry) if kind in DEVIATION_TEXTS else kind.replace("_", " ")
-
-
-def _names(entry: dict[str, Any]) -> str:
-    return join_words([str(pose) for pose in entry.get("poses") or [DASH]])
-
-
-DEVIATION_TEXTS: dict[str, Callable[[dict[str, Any]], str]] = {
-    "cycles": lambda e: (
-        f"{count(e.get('found'))} visits of the pose seen least; {count(e.get('standard'))} are "
-        "asked for."
-    ),
-    "passages": lambda e: (
-        f"{count(e.get('found'))} passages of the path seen least; {count(e.get('standard'))} are "
-        "asked for."
-    ),
-    "poses": lambda e: (
-        f"Number of poses: {count(e.get('found'))}; {count(e.get('standard'))} are asked for."
-    ),
-    "plane": lambda e: (
-        f"The five poses lie up to {number(e.get('off_plane_mm'), 1)} mm off one plane; a diagonal "
-        "plane of a cube is asked for."
-    ),
-    "approach": lambda e: (
-        "Approached from several poses, where one way is asked for, so that RP holds their "
-        f"difference: {_names(e)}."
-    ),
-    "drift": lambda e: (
-        f"Drift was followed for {quantity(_hours(e.get('found_s')), 'h')}; 8 h are asked for."
-    ),
-    "uncertainty": lambda e: (
-        "The expanded uncertainty exceeds a quarter of AP, where a quarter is the most that the "
-        f"standard allows: {_names(e)}. The smallest AP that could be stated for all poses is "
-        f"{quantity(e.get('smallest_mm'), 'mm')}."
-    ),
-    "temperature": lambda e: (
-        f"The temperature was {number(e.get('found_c'), 1)} °C; 20 °C ± 2 °C is asked for."
-    ),
-}
+    return DEVIATIONS.get(kind, kind.replace("_", " ")).format(
+        found=count(entry.get("found")),
+        standard=count(entry.get("standard")),
+        names=join_words([str(pose) for pose in entry.get("poses") or [DASH]]),
+        off_plane=number(entry.get("off_plane_mm"), 1),
+        hours=quantity(_hours(entry.get("found_s")), "h"),
+        smallest=quantity(entry.get("smallest_mm"), "mm"),
+        celsius=number(entry.get("found_c"), 1),
+    )
 
 
 def _hours(seconds: Any) -> float | None:

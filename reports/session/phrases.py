@@ -4,6 +4,11 @@ from typing import Any
 
 from reports.document.formatting import DASH, finite, lookup_label, percent
 
+# visible shares of an offset
+MAX_HIDDEN_SHARE = 0.005  # shown as 0 %: nothing of the offset is left
+MAX_MOSTLY_HIDDEN_SHARE = 0.3  # the share at which the smallest visible offset triples
+MAX_PARTLY_HIDDEN_SHARE = 0.9
+
 VERDICTS = {
     "conform": "conforms",
     "nonconform": "does not conform",
@@ -87,14 +92,14 @@ def visibility(joint: dict[str, Any]) -> str:
     since = finite(joint.get("visible_fraction_since_registration"))
     if fraction is None:
         return "Not determined: too few measured pairs."
-    if fraction < 0.005:  # shown as 0 %: nothing of the offset is left
+    if fraction < MAX_HIDDEN_SHARE:
         text = "An offset that was there at registration is invisible."
-    elif fraction < 0.3:  # the share at which the smallest visible offset triples
+    elif fraction < MAX_MOSTLY_HIDDEN_SHARE:
         text = f"Mostly hidden: {percent(fraction)} of an offset at registration shows."
-    elif fraction < 0.9:
+    elif fraction < MAX_PARTLY_HIDDEN_SHARE:
         text = f"Partly hidden: {percent(fraction)} of an offset shows."
     else:
         return "An offset shows in full."
-    if since is not None and since >= 0.9:
+    if since is not None and since >= MAX_PARTLY_HIDDEN_SHARE:
         text += " One that arose later shows in full."
     return text

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
-from verify.io.results import write_results
+from verify.io.results import write_report_folder
 from verify.simulation import library
 from verify.simulation.scenario import Scenario, ScenarioPlacement
 from verify.simulation.session.simulate import simulate_session
@@ -83,7 +83,7 @@ def _here(pairs: int) -> None:
     results = analyse(session)
     peaks["analysed"] = _peak_mb()
     with tempfile.TemporaryDirectory() as folder:
-        write_results(results, Path(folder) / "out", force=False)
+        write_report_folder(results, Path(folder) / "out", force=False, frames=True)
     peaks["reported"] = _peak_mb()
     found = {
         "pairs": pairs,

@@ -10,7 +10,7 @@ from verify.analysis.session import analyse
 from verify.cli.options import ToleranceOptions
 from verify.cli.terminal import report_files, terminal
 from verify.errors import InputError
-from verify.io.results import refuse_existing, write_results
+from verify.io.results import refuse_existing, write_report_folder
 from verify.io.session.session import open_session
 
 
@@ -39,7 +39,7 @@ def measure_and_report(
     with terminal.progress("pairs") as progress:
         results = analyse(session, tolerance=tolerance, progress=progress)
     terminal.warn(*(w for w in results.summary["warnings"] if w not in session.warnings))
-    write_results(results, target, force=force)
+    write_report_folder(results, target, force=force, frames=True)
     _print_summary(results, target)
     verdict: str | None = results.summary["verdict"]
     return verdict

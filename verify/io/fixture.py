@@ -5,16 +5,12 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
 from verify.core.records import Array
 from verify.errors import one_line
-from verify.io.rig import TOL_ROTATION
-from verify.io.toml import decode, key_error, not_negative
-
-Triple = tuple[float, float, float]
-_MM = 1e-3  # m
+from verify.io.rig import Matrix, Triple, nearest_pose
+from verify.io.toml import MM, decode, key_error, not_negative
 
 
 class FixtureTable(msgspec.Struct, kw_only=True):
@@ -22,7 +18,7 @@ class FixtureTable(msgspec.Struct, kw_only=True):
 
     format: int
     position_mm: Triple  # the board's first inner corner in the base frame
-    rotation: tuple[Triple, Triple, Triple] | None = None  # base_R_board
+    rotation: Matrix | None = None  # base_R_board
     rotation_vector_deg: Triple | None = None  # the same as axis times angle
     position_standard_uncertainty_mm: Triple | float | None = None  # along the base's axes
     rotation_standard_uncertainty_deg: Triple | float | None = None  # about the base's axes
@@ -47,12 +43,10 @@ def read(path: str | Path) -> tuple[Fixture, tuple[str, ...]]:
     """
     path = Path(path)
     table, warnings = decode(path, FixtureTable)
-    base_T_board = np.eye(4)
-    base_T_board[:3, :3] = _rotation(path, table)
-    base_T_board[:3, 3] = np.array(table.position_mm) * _MM
+    base_T_board = _base_T_board(path, table)
     sigma, missing = [], []
     for key, unit in (
-        ("position_standard_uncertainty_mm", _MM),
+        ("position_standard_uncertainty_mm", MM),
         ("rotation_standard_uncertainty_deg", np.pi / 180),
     ):
         given = getattr(table, key)
@@ -67,23 +61,17 @@ def read(path: str | Path) -> tuple[Fixture, tuple[str, ...]]:
     return Fixture(base_T_board, np.diag(np.square(np.concatenate(sigma)))), warnings
 
 
-def _rotation(path: Path, table: FixtureTable) -> Array:
-    if (table.rotation is None) == (table.rotation_vector_deg is None):
+def _base_T_board(path: Path, table: FixtureTable) -> Array:
+    vector_deg = table.rotation_vector_deg
+    if (table.rotation is None) == (vector_deg is None):
         both = table.rotation is not None
         found = "is given twice" if both else "is missing"
         expected = "either rotation (3 x 3) or rotation_vector_deg is expected"
         remedy = "Leave one of them out." if both else "Add one of them."
         raise key_error(path, "rotation", found, expected, remedy)
-    if table.rotation_vector_deg is not None:
-        vector = np.deg2rad(table.rotation_vector_deg)
-        turned: Array = Rotation.from_rotvec(vector).as_matrix()
-        return turned
-    matrix = np.array(table.rotation)
-    off = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
-    if off > TOL_ROTATION or np.linalg.det(matrix) < 0:
-        found = f"is no rotation: off by {off:.1e}" if off > TOL_ROTATION else "is a mirror"
-        expected = "rows of unit length at right angles, right-handed, are expected"
-        remedy = "Write it with at least seven decimals, or give rotation_vector_deg."
-        raise key_error(path, "rotation", found, expected, remedy)
-    nearest: Array = np.asarray(polar(matrix)[0], dtype=float)
-    return nearest
+    if table.rotation is not None:
+        return nearest_pose(path, "rotation", table.rotation, table.position_mm)
+    base_T_board = np.eye(4)
+    base_T_board[:3, :3] = Rotation.from_rotvec(np.deg2rad(np.array(vector_deg))).as_matrix()
+    base_T_board[:3, 3] = np.array(table.position_mm) * MM
+    return base_T_board

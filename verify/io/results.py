@@ -37,17 +37,8 @@ def refuse_file(path: Path, *, force: bool) -> None:
         raise InputError(path, "exists", "nothing is overwritten unasked", remedy)
 
 
-def write_results(results: Results, out: Path, *, force: bool) -> None:
-    """Write the output of `verify run`: a report folder, and frames.csv with a row a pair.
-
-    Raises:
-        InputError: the folder cannot be written; nothing is left of it then.
-    """
-    write_report_folder(results, out, force=force, frames=True)
-
-
 def write_report_folder(results: Results, out: Path, *, force: bool, frames: bool = False) -> None:
-    """Write reports, summary.json and what they are rendered from; frames.csv with `frames`.
+    """Write reports, summary.json and what they are rendered from; with `frames` frames.csv too.
 
     Raises:
         InputError: the folder cannot be written; nothing is left of it then.

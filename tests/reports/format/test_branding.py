@@ -181,41 +181,37 @@ def test_missing_templates_fall_back_to_the_default(tmp_path: Path) -> None:
     assert hash(own) == hash(ours)
 
 
-@pytest.mark.parametrize(
-    ("template", "message"),
-    [
-        ("a\n{% if %}", "line 2: Expected an expression"),
-        ("a\n\n{{ document.titel }}", "line 3: 'dict object' has no attribute 'titel'"),
-        ("{{ nothing_such }}", "line 1: 'nothing_such' is undefined"),
-        ("{{ 1 / 0 }}", "line 1: division by zero"),
-        ("x\n{% include 'other.j2' %}", "line 2"),
-        ("{% extends '../report.html.j2' %}", "line 1"),
-        ("{{ ''.__class__.__mro__ }}", "unsafe"),
-        ("{{ document.update({}) }}", "is unsafe"),
-    ],
-)
-def test_a_page_template_error_names_its_line(tmp_path: Path, template: str, message: str) -> None:
-    path = kept(tmp_path, "report.html.j2", template)
-    with pytest.raises(reports.ReportError, match=re.escape(message)) as problem:
-        reports.render_html(made.nothing(), reports.look(templates=tmp_path))
-    assert str(problem.value).startswith(str(path))
-    assert "\n" not in str(problem.value)
+PAGE_ERRORS = [
+    ("a\n{% if %}", "line 2: Expected an expression"),
+    ("a\n\n{{ document.titel }}", "line 3: 'dict object' has no attribute 'titel'"),
+    ("{{ nothing_such }}", "line 1: 'nothing_such' is undefined"),
+    ("{{ 1 / 0 }}", "line 1: division by zero"),
+    ("x\n{% include 'other.j2' %}", "line 2"),
+    ("{% extends '../report.html.j2' %}", "line 1"),
+    ("{{ ''.__class__.__mro__ }}", "unsafe"),
+    ("{{ document.update({}) }}", "is unsafe"),
+]
+TYPST_ERRORS = [
+    ("= A\n#nothing()", "line 2: unknown variable: nothing"),
+    ('#let doc = json("report.json")\n\n#doc.nothing', "line 3"),
+    ('#import "shipped.typ": nothing', "line 1: unresolved import"),
+    ('= A\n\n#read("/../../../etc/passwd")', "line 3"),
+    ("#(", "line 1: unclosed delimiter"),
+]
 
 
 @pytest.mark.parametrize(
-    ("template", "message"),
-    [
-        ("= A\n#nothing()", "line 2: unknown variable: nothing"),
-        ('#let doc = json("report.json")\n\n#doc.nothing', "line 3"),
-        ('#import "shipped.typ": nothing', "line 1: unresolved import"),
-        ('= A\n\n#read("/../../../etc/passwd")', "line 3"),
-        ("#(", "line 1: unclosed delimiter"),
-    ],
+    ("name", "template", "message"),
+    [("report.html.j2", *case) for case in PAGE_ERRORS]
+    + [("report.typ", *case) for case in TYPST_ERRORS],
 )
-def test_a_typst_template_error_names_its_line(tmp_path: Path, template: str, message: str) -> None:
-    path = kept(tmp_path, "report.typ", template)
+def test_a_template_error_names_its_line(
+    tmp_path: Path, name: str, template: str, message: str
+) -> None:
+    path = kept(tmp_path, name, template)
+    render = reports.render_pdf if name == "report.typ" else reports.render_html
     with pytest.raises(reports.ReportError, match=re.escape(message)) as problem:
-        reports.render_pdf(made.nothing(), reports.look(templates=tmp_path))
+        render(made.nothing(), reports.look(templates=tmp_path))
     assert str(problem.value).startswith(str(path))
     assert "\n" not in str(problem.value)
 

@@ -12,7 +12,7 @@ def test_it_holds_what_a_list_would() -> None:
         store.add(0.01 * number, q)
         kept.append((0.01 * number, q))
         if number % 7 == 0:
-            store.forget_before(0.01 * (number - 500))
+            store.drop_before(0.01 * (number - 500))
             kept = [row for row in kept if row[0] >= 0.01 * (number - 500)]
         if number % 101 == 0:
             begin = int(rng.integers(0, len(kept)))

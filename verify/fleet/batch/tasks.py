@@ -22,7 +22,7 @@ from verify.fleet.batch.records import (
     printable_path,
 )
 from verify.io.files import digest, system_refusal
-from verify.io.results import RESULTS, read_results, write_results
+from verify.io.results import RESULTS, read_results, write_report_folder
 from verify.io.session.session import open_session
 
 T = TypeVar("T")
@@ -81,7 +81,7 @@ class ReportTask:
     def perform(self) -> None:
         """Write all that `verify run` writes."""
         folder = Path(self.folder)
-        write_results(read_results(folder), folder, force=True)
+        write_report_folder(read_results(folder), folder, force=True, frames=True)
 
 
 def pack_results(session: str, results: Results, inputs: dict[str, str] | None) -> SessionResults:

@@ -192,7 +192,7 @@ def test_what_a_fixture_file_does_not_state_is_warned_of(tmp_path: Path) -> None
         (FIXTURE + "rotation = [[1.0,0,0],[0,1.0,0],[0,0,1.0]]\n", "rotation: is given twice"),
         ("format = 1\nposition_mm = [1.0, 2.0, 3.0]\n", "rotation: is missing"),
         ("format = 1\nposition_mm = [1.0, 2.0, 3.0]\nrotation = [[1,0,0],[0,1,0],[0,0,-1]]\n",
-         "is a mirror"),
+         "is a reflection"),
         ("format = 1\nposition_mm = [1.0, 2.0, 3.0]\nrotation = [[1,0.1,0],[0,1,0],[0,0,1]]\n",
          "is no rotation"),
         (FIXTURE + "position_standard_uncertainty_mm = -1.0\n", "is -1.0"),

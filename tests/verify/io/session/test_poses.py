@@ -50,8 +50,20 @@ def posed(
     return write_posed(folder / "posed", SAMPLE, text, frame=frame, more=more)
 
 
+def analyse_own(folder: Path, t: Array, q: Array, poses: Array, more: str = "") -> Results:
+    """Analyse poses and readings of one's own, in the robot's base, by one clock."""
+    more += "\n[clock]\nencoder_offset_s = 0\n"
+    write_posed(folder, SAMPLE, poses_csv(t, poses), frame="robot_base", more=more)
+    (folder / "encoders.csv").write_text(encoders_csv(t, q))
+    return analyse(open_session(folder))
+
+
 def joints(results: Results, key: str) -> list[float]:
     return [joint[key] for joint in results.summary["joints"]]
+
+
+def verdicts(results: Results) -> list[str]:
+    return [joint["verdict"] for joint in results.summary["joints"]]
 
 
 def measured(results: Results) -> Array:
@@ -68,9 +80,7 @@ def test_the_file_gives_the_joints_that_the_pictures_gave(
     np.testing.assert_allclose(measured(results), measured(seen), rtol=0, atol=5e-6)
     assert results.summary["pairs"] == seen.summary["pairs"]
     assert results.summary["verdict"] == seen.summary["verdict"] == "nonconform"
-    assert [j["verdict"] for j in results.summary["joints"]] == [
-        j["verdict"] for j in seen.summary["joints"]
-    ]
+    assert verdicts(results) == verdicts(seen)
 
 
 def test_another_arm_comes_out_alike(tmp_path: Path) -> None:
@@ -86,9 +96,7 @@ def test_another_arm_comes_out_alike(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         joints(results, "mean_error_deg"), joints(seen, "mean_error_deg"), rtol=0, atol=5e-6
     )
-    assert [j["verdict"] for j in results.summary["joints"]] == [
-        j["verdict"] for j in seen.summary["joints"]
-    ]
+    assert verdicts(results) == verdicts(seen)
     assert "the instrument's own calibration" in results.summary["budget"]["uncounted"]
 
 
@@ -177,23 +185,11 @@ def test_scatter_that_is_not_stated_is_found_in_the_data(watched: Watched, tmp_p
     poses[:, :3, 3] += rng.normal(0, 0.2e-3, (200, 3))
     turns = Rotation.from_rotvec(rng.normal(0, np.deg2rad(0.03), (200, 3)))
     poses[:, :3, :3] = turns.as_matrix() @ poses[:, :3, :3]
-    folder = tmp_path / "posed"
-    text = poses_csv(t, poses)
-    write_posed(folder, SAMPLE, text, frame="robot_base", more="\n[clock]\nencoder_offset_s = 0\n")
-    (folder / "encoders.csv").write_text(encoders_csv(t, q))
-    frames = analyse(open_session(folder)).tables["frames"]
-    stated = write_posed(
-        tmp_path / "stated",
-        SAMPLE,
-        text,
-        frame="robot_base",
-        more="position_standard_uncertainty_mm = 0.2\norientation_standard_uncertainty_deg = 0.03\n"
-        "\n[clock]\nencoder_offset_s = 0\n",
-    )
-    (stated / "encoders.csv").write_text((folder / "encoders.csv").read_text())
-    known = analyse(open_session(stated))
+    found = analyse_own(tmp_path / "posed", t, q, poses)
+    stated = "position_standard_uncertainty_mm = 0.2\norientation_standard_uncertainty_deg = 0.03\n"
+    known = analyse_own(tmp_path / "stated", t, q, poses, stated)
     for j in range(1, 7):
-        ratio = frames[f"q{j}_u_deg"] / known.tables["frames"][f"q{j}_u_deg"]
+        ratio = found.tables["frames"][f"q{j}_u_deg"] / known.tables["frames"][f"q{j}_u_deg"]
         assert ratio.between(0.8, 1.25).all()
     assert "the instrument's noise" not in known.summary["budget"]["uncounted"]
 
@@ -206,12 +202,7 @@ def test_single_visits_leave_unstated_noise_uncounted(watched: Watched, tmp_path
             [0, -80, 20, -20, -100, 0], [40, -40, 60, 20, -60, 40], (20, 6)
         )
     )
-    folder = write_posed(
-        tmp_path / "posed", SAMPLE, poses_csv(t, robots.forward(arm, q)), frame="robot_base",
-        more="\n[clock]\nencoder_offset_s = 0\n",
-    )  # fmt: skip
-    (folder / "encoders.csv").write_text(encoders_csv(t, q))
-    summary = analyse(open_session(folder)).summary
+    summary = analyse_own(tmp_path / "posed", t, q, robots.forward(arm, q)).summary
     assert "the instrument's noise" in summary["budget"]["uncounted"]
     assert any("the instrument's noise" in warning for warning in summary["warnings"])
 
