@@ -103,7 +103,7 @@ class Cell:
     def _run(self) -> None:
         loop, source = self.grab.loop, self.grab.source
         ends, page = StopConditions(60.0, 60.0), self.page
-        self.ended = run(loop, source, ends, self._see, page.orders, page.answer, self.stop.is_set)
+        self.ended = run(loop, source, ends, self._see, page.orders, page.refuse, self.stop.is_set)
         page.end(self.ended)
 
 

@@ -77,7 +77,9 @@ def test_times_and_angles_that_are_measured_with_are_those_of_the_file_to_the_la
         for number, angle in enumerate(rng.uniform(-1, 1, 20).tolist())
     ]
     readings = [
-        recorder.reading(replace(reading(99.9 + 0.01 * n + 1e-4 / 3), q=rng.uniform(-0.01, 0.01, 6)))
+        recorder.reading(
+            replace(reading(99.9 + 0.01 * n + 1e-4 / 3), q=rng.uniform(-0.01, 0.01, 6))
+        )
         for n in range(50)
     ]
     kept = list(recorder.keep(iter(given)))
