@@ -18,7 +18,6 @@ def test_it_holds_what_a_list_would() -> None:
             begin = int(rng.integers(0, len(kept)))
             copied = store.copied(begin)
             assert copied is not None
-            assert len(store) == len(kept)
             assert copied.t.tolist() == [t for t, _ in kept[begin:]]
             np.testing.assert_array_equal(copied.q, [q for _, q in kept[begin:]])
     assert store.copied(len(kept)) is None
