@@ -18,6 +18,8 @@ from verify.grasping import cell as grasping_cell
 from verify.grasping.cell import Cell
 from verify.grasping.planning.object import GraspObject
 from verify.grasping.planning.plan import GraspPlanner, make_planner
+from verify.grasping.planning.workspace import RESOLUTION
+from verify.simulation.cell.grab import CellRun
 from verify.simulation.cell.setup import SMALL_SIZE, CellSetup, cell_setup
 
 DOCS = Path(__file__).parents[3] / "docs" / "grab.md"
@@ -70,3 +72,18 @@ def quick_cell(*, turning: bool = False) -> CellSetup:
     line = replace(space.cell.approach, speed=SPEED, acceleration=ACCELERATION, jerk=JERK)
     quick = replace(space, cell=replace(space.cell, approach=line))
     return replace(usual, planner=replace(usual.planner, workspace=quick))
+
+
+def kept_limits(grab: CellRun) -> bool:
+    """Whether the arm kept to its speeds and to the workspace."""
+    watch = grab.world.watch
+    return max(watch.speed, watch.acceleration) < 1 + 1e-6 and watch.outside < RESOLUTION
+
+
+def grip_error(grab: CellRun) -> float:
+    """Distance of the grip point from where it was to be, m, as the world knows it."""
+    world, plan = grab.world, grab.loop.aim.plan
+    assert world.closed_on is not None
+    assert world.closed_at is not None
+    assert plan is not None
+    return float(np.linalg.norm(world.closed_on - world.closed_at - [0, 0, plan.margin.raised]))

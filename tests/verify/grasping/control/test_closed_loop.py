@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.grasp.cells import quick_cell
+from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
 from verify.core.records import StereoPair
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspState
-from verify.grasping.planning.workspace import RESOLUTION
 from verify.grasping.tool_offset.offset import FlangeMeasurement, OffsetMeasurement
 from verify.grasping.tool_offset.watch import MAX_PICTURES, FlangeWatch
 from verify.simulation.cell.cell import CellWorld
@@ -28,23 +27,10 @@ def off_by(joint: int, degrees: float) -> CellScene:
     return replace(STANDS, joint_errors=tuple((np.deg2rad(degrees) * np.eye(6)[joint]).tolist()))
 
 
-def grabbed(
-    scene: CellScene, *, closed: bool = True, stepped: bool = False
-) -> tuple[CellRun, GraspOutcome]:
-    right = ExecutePermission("test")
-    grab = cell_grab(
-        SETUP, scene, right=right, mode=CellMode(auto=True, stepped=stepped, closed=closed)
-    )
+def grabbed(scene: CellScene, *, closed: bool = True) -> tuple[CellRun, GraspOutcome]:
+    mode = CellMode(auto=True, closed=closed)
+    grab = cell_grab(SETUP, scene, right=ExecutePermission("test"), mode=mode)
     return grab, run(grab.loop, grab.source, ENDS, lambda _: None)
-
-
-def error(grab: CellRun) -> float:
-    """Of the grip point from where it was to be, m, as the world knows it."""
-    world, plan = grab.world, grab.loop.aim.plan
-    assert world.closed_on is not None
-    assert world.closed_at is not None
-    assert plan is not None
-    return float(np.linalg.norm(world.closed_on - world.closed_at - [0, 0, plan.margin.raised]))
 
 
 def hand(grab: CellRun) -> OffsetMeasurement:
@@ -54,19 +40,14 @@ def hand(grab: CellRun) -> OffsetMeasurement:
     return found
 
 
-def kept_limits(grab: CellRun) -> bool:
-    watch = grab.world.watch
-    return max(watch.speed, watch.acceleration) < 1 + 1e-6 and watch.outside < RESOLUTION
-
-
 @pytest.mark.slow
 def test_a_joint_that_is_off_leads_beside_the_object_until_it_is_corrected() -> None:
     without, _ = grabbed(off_by(0, 0.4), closed=False)
     grab, ended = grabbed(off_by(0, 0.4))
     assert ended.state is GraspState.LIFTED
     assert hand(grab).used
-    assert error(without) > 2.3e-3
-    assert error(grab) < 1e-3
+    assert grip_error(without) > 2.3e-3
+    assert grip_error(grab) < 1e-3
     assert kept_limits(grab)
     true = grab.world.closed_on
     plan, found = grab.loop.aim.plan, hand(grab).hand
@@ -78,21 +59,12 @@ def test_a_joint_that_is_off_leads_beside_the_object_until_it_is_corrected() -> 
 
 
 @pytest.mark.slow
-def test_one_move_at_a_time_is_corrected_too() -> None:
-    grab, ended = grabbed(off_by(2, -0.4), stepped=True)
-    assert ended.state is GraspState.LIFTED
-    assert hand(grab).used
-    assert error(grab) < 1e-3
-    assert kept_limits(grab)
-
-
-@pytest.mark.slow
 def test_an_arm_as_it_is_stated_is_not_made_worse() -> None:
     without, _ = grabbed(STANDS, closed=False)
     grab, ended = grabbed(STANDS)
     assert ended.state is GraspState.LIFTED
     assert hand(grab).used
-    assert error(grab) < max(error(without), 0.5e-3)
+    assert grip_error(grab) < max(grip_error(without), 0.5e-3)
 
 
 @pytest.mark.slow
@@ -104,7 +76,7 @@ def test_dark_leds_are_reported_and_the_grasp_continues(monkeypatch: pytest.Monk
     assert not found.used
     assert found.hand is None
     assert f"in 0 of {MAX_PICTURES} pictures; nothing was corrected" in found.reason
-    assert error(grab) < 3e-3
+    assert grip_error(grab) < 3e-3
 
 
 @pytest.mark.slow
@@ -130,7 +102,7 @@ def test_the_hand_is_measured_where_it_was_hidden_before(far: tuple[float, float
     grab, ended = grabbed(CellScene((Cap("blue", far),), seed=1))
     assert ended.state is GraspState.LIFTED
     assert hand(grab).used
-    assert error(grab) < 1e-3
+    assert grip_error(grab) < 1e-3
     assert kept_limits(grab)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robots.transforms import carry, invert
-from tests.support.grasp.cells import quick_cell
+from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
 from verify.cli.grab.station import LivePairs
 from verify.core.rig import Camera, Rig
 from verify.devices.protocols import CameraFrame, DeviceState, PanReading
@@ -18,7 +18,6 @@ from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspState
 from verify.grasping.planning.plan import planner_with_cameras
-from verify.grasping.planning.workspace import RESOLUTION
 from verify.live.buffers import MAX_PAN_AGE, PanBuffer
 from verify.simulation.cell.grab import CellMode, CellRun, PanInterpolator, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, PanTurn
@@ -80,14 +79,8 @@ def test_the_arm_waits_while_the_bases_turn_and_grasps_with_the_new_angles() -> 
     assert found is not None
     assert found.thing.offset is not None
     assert found.thing.offset.used  # the LEDs too were measured with the turned cameras
-    world, plan = made.world, made.loop.aim.plan
-    assert world.closed_on is not None
-    assert world.closed_at is not None
-    assert plan is not None
-    off = world.closed_on - world.closed_at - [0, 0, plan.margin.raised]
-    assert np.linalg.norm(off) < 1e-3
-    assert max(world.watch.speed, world.watch.acceleration) < 1 + 1e-6
-    assert world.watch.outside < RESOLUTION
+    assert grip_error(made) < 1e-3
+    assert kept_limits(made)
 
 
 @pytest.mark.slow
