@@ -47,6 +47,10 @@ from reports.document.formatting import (
 from reports.results import Results
 
 COVERAGE_FACTOR = 2.0  # coverage factor of the figures in the headline
+VALIDITY = (
+    "Both hold for one LED whose centre is known to {} px in either image, in the frame of the "
+    "rig, and within the field and the distances that the boards covered."
+)
 
 
 def document(results: Results) -> Document:
@@ -72,7 +76,7 @@ def verdict(results: Results) -> Section:
         tone="undecided" if doubts else "conform",
         label="The rig is calibrated, with doubts" if doubts else "The rig is calibrated",
         sentence=_headline(summary),
-        remarks=(*doubts, _headline_note(summary)),
+        remarks=(*doubts, VALIDITY.format(exact_number(summary.get("spot_px")))),
     )
     corners = f"{count(pairs.get('corners'))}, {count(pairs.get('refused'))} refused"
     left, right = (quantity(fit.get(f"{side}_rms_px"), "px") for side in ("left", "right"))
@@ -104,14 +108,6 @@ def _headline(summary: dict[str, Any]) -> str:
             f"±{quantity(COVERAGE_FACTOR * lateral, 'mm')} across (k = 2). "
         )
     return sentence + main_improvement(summary)
-
-
-def _headline_note(summary: dict[str, Any]) -> str:
-    return (
-        "Both hold for one LED whose centre is known to "
-        f"{exact_number(summary.get('spot_px'))} px in either image, in the frame of the rig, and "
-        "within the field and the distances that the boards covered."
-    )
 
 
 def fit(results: Results) -> Section:

@@ -18,6 +18,7 @@ from reports.document.charts import (
     Path,
     Points,
     column,
+    columns,
     correlation_panel,
     numbers,
     square,
@@ -112,10 +113,8 @@ def arrows(x: Array, y: Array, dx: Array, dy: Array, head: bool = True) -> tuple
         side_x, side_y = -HEAD_LENGTH * HEAD_HALF_WIDTH * dy, HEAD_LENGTH * HEAD_HALF_WIDTH * dx
         rows_x += [gap, back_x + side_x, tip_x, back_x - side_x]
         rows_y += [gap, back_y + side_y, tip_y, back_y - side_y]
-    return (
-        np.stack([*rows_x, gap], axis=1).ravel(),
-        np.stack([*rows_y, gap], axis=1).ravel(),
-    )
+    x_line, y_line = (np.stack([*rows, gap], axis=1).ravel() for rows in (rows_x, rows_y))
+    return x_line, y_line
 
 
 def _cell_means(x: Array, y: Array, dx: Array, dy: Array, cell: float) -> tuple[Array, ...]:
@@ -177,9 +176,7 @@ def _cell_range(centres: Array) -> tuple[float, float]:
 def board_poses(results: Results) -> Chart | None:
     """How the boards stood: tilt about either axis, and distance."""
     table = results.table("boards")
-    horizontal, vertical = (
-        column(table, "about_horizontal_deg"), column(table, "about_vertical_deg"),
-    )  # fmt: skip
+    horizontal, vertical = (column(table, f"about_{a}_deg") for a in ("horizontal", "vertical"))
     distance, tilt = column(table, "distance_mm"), column(table, "tilt_deg")
     if not np.isfinite(distance).any():
         return None
@@ -209,7 +206,7 @@ def board_poses(results: Results) -> Chart | None:
 def scene(results: Results) -> Path | None:
     """Where the boards stood before the cameras, in space."""
     table = results.table("scene")
-    points = np.stack([column(table, f"{axis}_mm") for axis in "xyz"], axis=1)
+    points = columns(table, (f"{axis}_mm" for axis in "xyz"))
     if not np.isfinite(points).any():
         return None
     shown = points[:, [0, 2, 1]] * [1.0, 1.0, -1.0]  # depth to the back, up upwards
@@ -270,9 +267,8 @@ def contributions(results: Results) -> Chart | None:
             Line(ends, np.full(2, total), "tolerance", f"as it is: {quantity(total, 'mm')}")
         )
         top = max(top, total)
-    names = [
-        text.replace(" ", "\n", 1) for text in texts(table, "group")
-    ]  # they stand side by side
+    # they stand side by side
+    names = [text.replace(" ", "\n", 1) for text in texts(table, "group")]
     ticks = tuple(zip(places.tolist(), names, strict=True))
     panel = Panel(
         tuple(marks), "u of the depth [mm]", "were they exact", x_ticks=ticks,
@@ -294,6 +290,5 @@ def correlation(results: Results) -> Chart | None:
     if len(names) < 2 or not values.size:
         return None
     rows = tuple((at, f"{name}  {at + 1}") for at, name in enumerate(names))
-    columns = tuple((at, f"{at + 1}") for at in range(len(names)))
-    panel = correlation_panel(values, rows, columns)
+    panel = correlation_panel(values, rows, tuple((at, f"{at + 1}") for at in range(len(names))))
     return Chart((panel,), row_height=0.3 + 0.175 * len(names), width=0.85)

@@ -291,12 +291,11 @@ def _margins(results: Results) -> Section:
 
 def _plan(results: Results) -> Section:
     plan, refusal = results.summary.get("plan"), results.summary.get("refusal")
-    blocks: list[Block] = []
     figure = Figure("planned", "Joint angles as planned.", "Six strips of planned joint angles")
     otherwise = "There is no plan."
     if refusal:
         otherwise = f"Refused ({refusal['kind']}): {refusal['reason']}."
-    blocks.append(block_or_paragraph(figure, figures.planned_motion(results), otherwise))
+    blocks = [block_or_paragraph(figure, figures.planned_motion(results), otherwise)]
     chosen = plan or refusal or {}
     rows = [row(entry["branch"], entry["reason"]) for entry in chosen.get("rejected") or []]
     if plan:

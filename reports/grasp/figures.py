@@ -77,11 +77,9 @@ def windows(results: Results) -> Chart | None:
     t = column(table, "t_s")
     if not np.isfinite(column(table, "left_x_px")).any():
         return None
-    panels = []
-    for what, label in (("x", "centre x [px]"), ("y", "centre y [px]")):
-        panels.append(_camera_panel(table, t, what, label))
-    panels.append(_camera_panel(table, t, "width", "width [px]"))
-    panels.append(_camera_panel(table, t, "height", "height [px]"))
+    labels = {"x": "centre x [px]", "y": "centre y [px]", "width": "width [px]",
+              "height": "height [px]"}  # fmt: skip
+    panels = [_camera_panel(table, t, what, label) for what, label in labels.items()]
     quality = Line(t, column(table, "quality"), "series_3", "quality")
     panels.append(Panel((quality,), "quality", y_range=(0.0, 1.05), x_label="time [s]"))
     return Chart(tuple(panels), row_height=0.85, shared_x=True)

@@ -101,12 +101,12 @@ def _excluded_pairs(entries: list[dict[str, Any]]) -> list[Block]:
 def _findings(entry: dict[str, Any]) -> list[str]:
     """What of a sweep is beyond chance, a sentence each."""
     findings = []
-    if _is_significant(*_gain(entry)):
+    if _is_significant(*_figure(entry, "gain", "")):
         findings.append(f"gear error {_gear_error(entry)} % (k = 2).")
-    hysteresis = _value_and_uncertainty(entry, "hysteresis")
+    hysteresis = _figure(entry, "hysteresis")
     if _is_significant(*hysteresis):
         findings.append(f"hysteresis {_expanded(*hysteresis, unit='°')} (k = 2).")
-    eccentricity = _value_and_uncertainty(entry, "eccentricity")
+    eccentricity = _figure(entry, "eccentricity")
     if entry.get("eccentricity_beyond_chance") and eccentricity[0] is not None:
         size = _expanded(*eccentricity, unit="°", signed=False)
         findings.append(f"eccentricity {size} (k = 2), once a turn.")
@@ -141,18 +141,18 @@ def _expanded(value: float | None, u: float | None, unit: str = "", signed: bool
     return with_uncertainty(value, None if u is None else COVERAGE_FACTOR * u, unit, signed)
 
 
-def _gain(entry: dict[str, Any]) -> tuple[float | None, float | None]:
-    return finite(entry.get("gain")), finite(entry.get("gain_standard_uncertainty"))
-
-
 def _gear_error(entry: dict[str, Any]) -> str:
     """Write a gear error in percent."""
-    gain, u = _gain(entry)
+    gain, u = _figure(entry, "gain", "")
     return _expanded(None if gain is None else 100 * gain, None if u is None else 100 * u)
 
 
-def _value_and_uncertainty(entry: dict[str, Any], name: str) -> tuple[float | None, float | None]:
-    return finite(entry.get(f"{name}_deg")), finite(entry.get(f"{name}_standard_uncertainty_deg"))
+def _figure(
+    entry: dict[str, Any], name: str, unit: str = "_deg"
+) -> tuple[float | None, float | None]:
+    """Take a figure of a sweep and its standard uncertainty."""
+    u = entry.get(f"{name}_standard_uncertainty{unit}")
+    return finite(entry.get(f"{name}{unit}")), finite(u)
 
 
 def _table(entries: list[dict[str, Any]]) -> Table:
@@ -161,7 +161,7 @@ def _table(entries: list[dict[str, Any]]) -> Table:
         Column("Pairs", "r", field("pairs", count)),
         Column("Swept [°]", "r", field("span_deg", number, 1)),
         Column("Gear error [%]", "r", _gear_error),
-        Column("Hysteresis [°]", "r", _hysteresis),
+        Column("Hysteresis [°]", "r", lambda e: _expanded(*_figure(e, "hysteresis"))),
         Column("Eccentricity [°]", "r", _eccentricity),
         Column("Beside the line [°]", "r", field("nonlinearity_rms_deg", number)),
         Column("Noise gives [°]", "r", field("noise_rms_deg", number)),
@@ -171,13 +171,9 @@ def _table(entries: list[dict[str, Any]]) -> Table:
     return tabulate(title, columns, entries, TABLE_NOTE)
 
 
-def _hysteresis(entry: dict[str, Any]) -> str:
-    return _expanded(*_value_and_uncertainty(entry, "hysteresis"))
-
-
 def _eccentricity(entry: dict[str, Any]) -> str:
     """An amplitude that chance explains is no value but a bound."""
-    value, u = _value_and_uncertainty(entry, "eccentricity")
+    value, u = _figure(entry, "eccentricity")
     if value is None or u is None:
         return DASH
     if entry.get("eccentricity_beyond_chance"):

@@ -14,6 +14,7 @@ from reports.document.charts import (
     Panel,
     Points,
     column,
+    columns,
     texts,
 )
 from reports.document.formatting import exact_number, finite
@@ -31,7 +32,7 @@ def pose_clusters(results: Results) -> Chart | None:
     poses = texts(table, "pose")
     if not poses:
         return None
-    places = np.stack([column(table, f"d{axis}_mm") for axis in "xyz"], axis=1)
+    places = columns(table, (f"d{axis}_mm" for axis in "xyz"))
     shown = _worst_entries(results, "poses", "pose", "rp_mm", MAX_POSES)
     clusters = {name: places[np.array(poses) == name] for name in shown}
     radii = {name: finite(entry.get("rp_mm")) or 0.0 for name, entry in shown.items()}
