@@ -174,13 +174,9 @@ def _listeners(station: Station, options: RunOptions, stack: ExitStack) -> list[
         add(connect_mqtt(station.alarm.mqtt))
     if terminal.as_json:
         add(JsonLines(terminal.record))
-    elif not _is_terminal():
+    elif not terminal.draws:
         add(PlainTextOutput(terminal.say))
     return listeners
-
-
-def _is_terminal() -> bool:
-    return sys.stdout.isatty() and not terminal.as_json and not terminal.quiet
 
 
 @contextmanager
@@ -197,7 +193,7 @@ def _frozen_garbage_collector() -> Iterator[None]:
 @contextmanager
 def _show_table(tolerance_deg: list[float] | None) -> Iterator[Callable[[LiveState], None] | None]:
     """Draw the table where there is a terminal to draw it on."""
-    if not _is_terminal():
+    if not terminal.draws:
         yield None
         return
     with LiveTable(tolerance_deg, Console()) as table:

@@ -15,6 +15,7 @@ from verify.cli.options import (
     ReportOut,
     RigOut,
     SquareMm,
+    refuse_options,
 )
 from verify.cli.terminal import terminal
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
@@ -73,7 +74,7 @@ def boards(
         BoardRunOptions,
         board_of,
         pictures_folder,
-        refuse_without_live,
+        refuse_station,
         take_pictures,
     )
     from verify.io.results import refuse_existing, refuse_file
@@ -88,8 +89,10 @@ def boards(
         shown = PageOptions(page_port, page_address, page_token) if page else None
         take_pictures(station, folder, BoardRunOptions(known, enough, shown))
     else:
-        live_only = {"--pictures": pictures is not None, "--pairs": enough is not None}
-        refuse_without_live(folder, live_only | {"--page": page})
+        refuse_station(folder)
+        used = {"--pictures": pictures is not None, "--pairs": enough is not None, "--page": page}
+        remedy = "Leave it out, or add --live."
+        refuse_options(used, "was given with a folder of pictures", "it is for --live", remedy)
         complete_pairs(folder)
     calibrate_folder(folder, known, out, target, force=force)
 
@@ -143,15 +146,15 @@ def register(
     from verify.io.results import refuse_existing, refuse_file
 
     fixture = board_in_base is not None
-    registration.refuse_contradictions(
-        fixture=fixture,
-        motion_only={
+    useless = {"--corners": corners is not None, "--square-mm": square_mm is not None}
+    if fixture:
+        useless = {
             "--marker": marker is not None, "--leds": leds is not None,
             "--known-marker": known_marker is not None, "--keep-base": keep_base,
             "--keep-leds": keep_leds, "--sweeps": sweeps,
-        },
-        fixture_only={"--corners": corners is not None, "--square-mm": square_mm is not None},
-    )  # fmt: skip
+        }  # fmt: skip
+    way = "a board on the base" if fixture else "a motion"
+    refuse_options(useless, f"has no meaning when {way} is used", "", "Leave it out.")
     marker_out = marker if marker is not None else Path("marker.toml")
     target = report if report is not None else Path(f"{session.resolve().name}-registration")
     refuse_file(out, force=force)

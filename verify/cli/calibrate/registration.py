@@ -1,6 +1,6 @@
 """Register a robot's base and LEDs by its own motion, or the base by a board that sits on it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -45,17 +45,6 @@ class RegistrationOptions:
     keep_base: bool
     keep_leds: bool
     sweeps: bool
-
-
-def refuse_contradictions(
-    *, fixture: bool, motion_only: Mapping[str, bool], fixture_only: Mapping[str, bool]
-) -> None:
-    """Refuse options that the chosen way of registering has no use for."""
-    useless = motion_only if fixture else fixture_only
-    given = [option for option, there in useless.items() if there]
-    if given:
-        way = "a board on the base" if fixture else "a motion"
-        raise InputError(given[0], f"has no meaning when {way} is used", "", "Leave it out.")
 
 
 def refuse_one_file(out: Path, marker_out: Path) -> None:
