@@ -54,16 +54,16 @@ def residual_vectors(results: Results) -> charts.Chart | None:
     size = charts.numbers(results.setup.get("image_size_px"))
     names = ("x_px", "y_px", "residual_x_px", "residual_y_px")
     x, y, dx, dy = (charts.column(table, name) for name in names)
-    known = np.isfinite(x + y + dx + dy)
-    if len(size) != 2 or not known.any():
+    valid = np.isfinite(x + y + dx + dy)
+    if len(size) != 2 or not valid.any():
         return None
     cell = size[0] / N_ARROW_CELLS
-    usual = float(np.quantile(np.hypot(dx, dy)[known], 0.95))
+    usual = float(np.quantile(np.hypot(dx, dy)[valid], 0.95))
     gain = MAX_ARROW_LENGTH * cell / usual if usual > 0 else 1.0
     cameras = np.array(charts.texts(table, "camera"))
     panels = []
     for camera, _ in CAMERAS:
-        own = known & (cameras == camera)
+        own = valid & (cameras == camera)
         every = arrows(x[own], y[own], gain * dx[own], gain * dy[own], head=False)
         means = _cell_means(x[own], y[own], dx[own], dy[own], cell)
         strong = arrows(means[0], means[1], gain * means[2], gain * means[3])
@@ -227,10 +227,10 @@ def accuracy(results: Results) -> charts.Chart | None:
     """Expected standard uncertainty of a point over the field, a row a distance."""
     table = results.table("accuracy")
     parts = (("random_total_mm", "the spots' noise"), ("systematic_total_mm", "the rig"))
-    known = np.concatenate([charts.column(table, name) for name, _ in parts])
-    if not np.isfinite(known).any():
+    every = np.concatenate([charts.column(table, name) for name, _ in parts])
+    if not np.isfinite(every).any():
         return None
-    top = float(np.nanmax(known))
+    top = float(np.nanmax(every))
     panels = []
     for distance in np.unique(charts.column(table, "distance_mm")).tolist():
         own = table[charts.column(table, "distance_mm") == distance]

@@ -68,13 +68,13 @@ def over_pairs(results: Results) -> charts.Chart | None:
     panels = []
     for place, (name, label, unit) in enumerate(PAIR_PANELS):
         values = charts.column(table, name)
-        known = np.isfinite(frames + values)
-        if not known.any():
+        valid = np.isfinite(frames + values)
+        if not valid.any():
             continue
         together = finite(entries[place].get(name)) if place < len(entries) else None
-        ends = _frame_range(frames[known])
+        ends = _frame_range(frames[valid])
         marks: list[charts.Mark] = [
-            charts.Points(frames[known], values[known], "measured", "a pair", 3.0)
+            charts.Points(frames[valid], values[valid], "measured", "a pair", 3.0)
         ]
         if together is not None:
             marks.append(_horizontal_line(together, ends, "encoder", "all pairs together"))
@@ -83,7 +83,7 @@ def over_pairs(results: Results) -> charts.Chart | None:
                 tuple(marks),
                 label,
                 x_range=ends,
-                y_range=_range_with_zero(values[known], together),
+                y_range=_range_with_zero(values[valid], together),
                 unit=unit,
             )
         )
@@ -132,6 +132,6 @@ def _frame_range(frames: charts.Array) -> tuple[float, float]:
 
 def _range_with_zero(values: charts.Array, together: float | None) -> tuple[float, float]:
     """A range with 0 in it: how far off, not only how scattered, is to be seen."""
-    known = np.append(values, [0.0, together or 0.0])
-    room = 0.08 * float(np.ptp(known)) or 1.0
-    return float(known.min()) - room, float(known.max()) + room
+    every = np.append(values, [0.0, together or 0.0])
+    room = 0.08 * float(np.ptp(every)) or 1.0
+    return float(every.min()) - room, float(every.max()) + room

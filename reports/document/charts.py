@@ -55,10 +55,10 @@ def records(table: pd.DataFrame) -> list[dict[str, Any]]:
 def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
     """Give the times of the pairs and the axis' label; from the first if days after the clock's."""
     t = column(frames, "t_s")
-    known = t[np.isfinite(t)]
-    if not len(known) or abs(known[0]) <= 86_400:
+    valid = t[np.isfinite(t)]
+    if not len(valid) or abs(valid[0]) <= 86_400:
         return t, "time [s]"
-    return t - known[0], f"time since {known[0]:.3f} s [s]"
+    return t - valid[0], f"time since {valid[0]:.3f} s [s]"
 
 
 def trace(t: Array, y: Array) -> tuple[Array, Array]:
@@ -92,8 +92,8 @@ def band(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
 
 def pieces(x: Array) -> list[slice]:
     """Find the unbroken pieces of a line that NaN breaks."""
-    known = np.isfinite(x)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    valid = np.isfinite(x)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], valid, [False]]).astype(int)))
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
@@ -135,8 +135,8 @@ def runs(words: list[str]) -> list[tuple[str, int, int]]:
 
 def median_step(t: Array) -> float:
     """Find the usual time from one pair to the next; 1 where there is none."""
-    known = t[np.isfinite(t)]
-    return float(np.median(np.diff(known))) or 1.0 if len(known) > 1 else 1.0
+    valid = t[np.isfinite(t)]
+    return float(np.median(np.diff(valid))) or 1.0 if len(valid) > 1 else 1.0
 
 
 def numbers(values: Any) -> list[float]:

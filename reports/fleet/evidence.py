@@ -201,8 +201,8 @@ def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[doc.Block, ..
 
 
 def _is_hidden(share: Any) -> bool:
-    known = finite(share)
-    return known is not None and known < phrases.MAX_HIDDEN_SHARE
+    figure = finite(share)
+    return figure is not None and figure < phrases.MAX_HIDDEN_SHARE
 
 
 def failures(results: Results) -> doc.Section | None:

@@ -140,14 +140,14 @@ def verdict(results: Results) -> doc.Section:
     summary = results.summary
     every = summary.get("joints") or []
     sizes = {j.get("joint"): finite(j.get("minimum_detectable_error_deg")) for j in every}
-    known = {joint: size for joint, size in sizes.items() if size is not None}
+    detectable = {joint: size for joint, size in sizes.items() if size is not None}
     blind = [joint for joint, size in sizes.items() if size is None]
     sentences = []
-    if known:
-        worst = max(known, key=lambda joint: known[joint])
+    if detectable:
+        worst = max(detectable, key=lambda joint: detectable[joint])
         sentences.append(
-            f"A constant offset of {quantity(known[worst], '°')} or more would be noticed in "
-            f"{'every joint' if not blind else name_joints(list(known))}."
+            f"A constant offset of {quantity(detectable[worst], '°')} or more would be noticed in "
+            f"{'every joint' if not blind else name_joints(list(detectable))}."
         )
     if blind:
         sentences.append(f"An offset of {name_joints(blind)} cannot show.")
@@ -288,7 +288,7 @@ def conditions(results: Results) -> doc.Section:
     taken = results.summary.get("conditions") or {}
     moved = results.summary.get("motion") or {}
     clock = taken.get("clock_standard_uncertainty_ms")
-    known = lookup_label(CLOCKS, "estimated") if clock is None else quantity(clock, "ms")
+    clock_text = lookup_label(CLOCKS, "estimated") if clock is None else quantity(clock, "ms")
     facts = doc.Facts(
         (
             ("Stereo pairs a second", exact_number(taken.get("rate_hz"))),
@@ -296,7 +296,7 @@ def conditions(results: Results) -> doc.Section:
             ("u of an LED's image", quantity(taken.get("spot_noise_px"), "px")),
             ("Encoder readings a second", exact_number(taken.get("reading_rate_hz"))),
             ("Scatter of a reading", quantity(taken.get("reading_noise_deg"), "°")),
-            ("u of the encoders' clock", known),
+            ("u of the encoders' clock", clock_text),
             ("LEDs seen from the flange's z", quantity(moved.get("view_angle_deg"), "°", 3)),
             ("Software", doc.software(results.summary)),
         )

@@ -107,8 +107,8 @@ def _hidden_sentences(summary: dict[str, Any], blind: list[Any], dim: list[Any])
         sentences.append(f"A constant offset of {name_joints(blind)} cannot show.")
     if dim:
         shares = {j.get("joint"): finite(j.get("visible_fraction")) for j in summary["joints"]}
-        known = [share for joint in dim if (share := shares[joint]) is not None]
-        low, high = percent(min(known)), percent(max(known))
+        visible = [share for joint in dim if (share := shares[joint]) is not None]
+        low, high = percent(min(visible)), percent(max(visible))
         amount = low if low == high else f"{low} to {high}"
         sentences.append(f"Of an offset of {name_joints(dim)}, {amount} shows.")
     return sentences or ["An offset of any joint can show."]

@@ -57,15 +57,15 @@ def residuals_over_time(results: Results) -> charts.Chart | None:
     """Residuals of each pair, either camera."""
     table = results.table("residuals")
     frames, dx, dy = (charts.column(table, n) for n in ("frame", "residual_x_px", "residual_y_px"))
-    known = np.isfinite(frames + dx + dy)
+    valid = np.isfinite(frames + dx + dy)
     if "used" in table:
-        known &= table["used"].to_numpy(dtype=bool)
-    if not known.any():
+        valid &= table["used"].to_numpy(dtype=bool)
+    if not valid.any():
         return None
     cameras = np.array(charts.texts(table, "camera"))
     panels = []
     for camera, role in CAMERAS:
-        own = known & (cameras == camera)
+        own = valid & (cameras == camera)
         pairs = np.unique(frames[own])
         squares = dx**2 + dy**2
         rms = np.array([np.sqrt(np.mean(squares[own & (frames == f)])) for f in pairs])

@@ -140,14 +140,14 @@ def budget(results: Results) -> doc.Section:
 
 def _largest_contribution(table: pd.DataFrame, summary: dict[str, Any]) -> list[doc.Block]:
     """Say what limits the joint that is known worst."""
-    known = [
+    determined = [
         joint
         for joint in summary.get("joints") or []
         if finite(joint.get("expanded_uncertainty_deg")) is not None
     ]
-    if not known or "share" not in table.columns:
+    if not determined or "share" not in table.columns:
         return []
-    worst = max(known, key=lambda joint: float(joint["expanded_uncertainty_deg"]))
+    worst = max(determined, key=lambda joint: float(joint["expanded_uncertainty_deg"]))
     mine = table[table["joint"] == worst.get("joint")].dropna(subset=["share"])
     if mine.empty:
         return []
@@ -192,17 +192,17 @@ def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> doc.Table:
 
 def _format_contribution(u: Any) -> str:
     """A contribution in degrees; below what anybody resolves only that it is small."""
-    known = finite(u)
-    small = known is not None and 0 < abs(known) < MIN_CONTRIBUTION_DEG
-    return "< 0.00001" if small else significant(known)
+    figure = finite(u)
+    small = figure is not None and 0 < abs(figure) < MIN_CONTRIBUTION_DEG
+    return "< 0.00001" if small else significant(figure)
 
 
 def _format_degrees_of_freedom(values: Any) -> str:
     """Degrees of freedom of a line: the fewest of its joints."""
-    known = [float(v) for v in values if not np.isnan(v)]
-    if not known:
+    stated = [float(v) for v in values if not np.isnan(v)]
+    if not stated:
         return DASH
-    least = min(known)
+    least = min(stated)
     return "∞" if np.isinf(least) else f"{least:.0f}"
 
 

@@ -36,9 +36,9 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     if covariance is None:
         return []
     names = [text_or_dash(joint.get("joint")) for joint in entries]
-    known = np.flatnonzero(np.isfinite(np.diag(covariance)))
-    part = covariance[np.ix_(known, known)]
-    if len(known) < MIN_JOINTS or not np.isfinite(part).all():
+    determined = np.flatnonzero(np.isfinite(np.diag(covariance)))
+    part = covariance[np.ix_(determined, determined)]
+    if len(determined) < MIN_JOINTS or not np.isfinite(part).all():
         return []
     values, vectors = np.linalg.eigh(part)
     sums = [c for c in summary.get("combinations") or [] if c.get("why") == "well_known"]
@@ -59,10 +59,10 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
             )
     for which, why in ((0, "known best of all sums"), (-1, "known worst of all sums")):
         weights = vectors[:, which] / vectors[np.argmax(np.abs(vectors[:, which])), which]
-        label = _combination_name(weights, [names[k] for k in known])
+        label = _combination_name(weights, [names[k] for k in determined])
         # of weights whose largest is one, as a sum of joints has them
         size = float(np.sqrt(max(values[which], 0.0))) / float(np.abs(vectors[:, which]).max())
-        rows.append(doc.row(label, with_uncertainty(weights @ mean[known], size), why))
+        rows.append(doc.row(label, with_uncertainty(weights @ mean[determined], size), why))
     return [
         doc.Table(
             "Sums of the joints' mean errors, those known well beside those known badly.",
@@ -84,8 +84,8 @@ def _uncertainty_ratio_text(values: Array) -> str:
 
 
 def _float_or_nan(value: Any) -> float:
-    known = finite(value)
-    return float("nan") if known is None else known
+    figure = finite(value)
+    return float("nan") if figure is None else figure
 
 
 def _covariance(rows: Any, u: Array) -> Array | None:

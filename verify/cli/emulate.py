@@ -124,8 +124,8 @@ def _melfa(motion: str, joints: int, idle: bool, seed: int) -> "EmulatorEngine":
     from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
     from verify.simulation.emulators.trajectory import load
 
-    known = robots.load(MELFA_ROBOT)
-    arm = known if isinstance(known, robots.DhArm) and known.dof == joints else None
+    loaded = robots.load(MELFA_ROBOT)
+    arm = loaded if isinstance(loaded, robots.DhArm) and loaded.dof == joints else None
     limits = np.deg2rad(np.tile([-360.0, 360.0], (joints, 1)))
     if idle and arm is not None:  # a recorded motion may be another robot's: nothing limits that
         limits = np.column_stack([arm.lower, arm.upper])

@@ -112,10 +112,10 @@ def _run_live(
         refuse_existing(out, force=force)
     terminal.warn(*station.warnings)
     options = RunOptions(duration, tolerances.tolerance(station.arm.dof), on_alarm, page)
-    watched = watch(station, options)
-    out = out if out is not None else Path(f"{watched.folders[0].name}-report")
-    reported = measure_and_report_all(watched.folders, out, tolerances, force=force)
-    write_whole(next(iter(reported)) / "alarms.csv", alarms_csv(watched.alarms))
+    folders, alarms = watch(station, options)
+    out = out if out is not None else Path(f"{folders[0].name}-report")
+    reported = measure_and_report_all(folders, out, tolerances, force=force)
+    write_whole(next(iter(reported)) / "alarms.csv", alarms_csv(alarms))
     return EXIT_STATUS[max(reported.values(), key=SEVERITY.index)]
 
 

@@ -32,15 +32,15 @@ def residuals(results: Results) -> charts.Chart | None:
     """Where spots were seen, less where the measured pose puts them, for either camera."""
     spots = results.table("spots")
     x, y = charts.column(spots, "residual_x_px"), charts.column(spots, "residual_y_px")
-    known = np.isfinite(x) & np.isfinite(y)
-    if not known.any():
+    valid = np.isfinite(x) & np.isfinite(y)
+    if not valid.any():
         return None
     used = _used_spots(spots)
     cameras = np.array(charts.texts(spots, "camera"))
-    reach = float(np.max(np.abs(np.concatenate([x[known], y[known]])))) * (1 + PANEL_MARGIN) or 1.0
+    reach = float(np.max(np.abs(np.concatenate([x[valid], y[valid]])))) * (1 + PANEL_MARGIN) or 1.0
     panels = []
     for camera in ("left", "right"):
-        chosen = known & (cameras == camera)
+        chosen = valid & (cameras == camera)
         marks: list[charts.Mark] = []
         if chosen.sum() > MAX_SCATTER_POINTS:
             marks.append(_density(x[chosen], y[chosen], reach))
@@ -171,10 +171,10 @@ def budget_shares(table: pd.DataFrame) -> pd.DataFrame:
     """Share of the sum of variances, sources down, joints across; empty without a budget."""
     if not {"joint", "source", "standard_uncertainty_deg"} <= set(table.columns):
         return pd.DataFrame()
-    known = table.dropna(subset=["joint", "source", "standard_uncertainty_deg"])
-    u = known["standard_uncertainty_deg"].astype(float)
+    stated = table.dropna(subset=["joint", "source", "standard_uncertainty_deg"])
+    u = stated["standard_uncertainty_deg"].astype(float)
     # correlated sources that cancel take away from the sum; there is no bar for that
-    variance = known.assign(variance=(u * u.abs()).clip(lower=0.0))
+    variance = stated.assign(variance=(u * u.abs()).clip(lower=0.0))
     wide = variance.pivot_table(
         index="source", columns="joint", values="variance", aggfunc="sum", sort=False
     ).fillna(0.0)

@@ -91,17 +91,17 @@ def register_by_motion(
 ) -> None:
     """Register base and LEDs by the robot's own motion; write rig, marker and report."""
     recording = open_recording(folder, rig=rig)
-    known = None if options.known_marker is None else fiducials.read_marker(options.known_marker)
+    given = None if options.known_marker is None else fiducials.read_marker(options.known_marker)
     with terminal.progress("pairs") as progress:
         found = register_motion(
             recording,
             leds=options.leds,
-            marker=None if known is None else known[0],
+            marker=None if given is None else given[0],
             keep_base=options.keep_base,
             keep_leds=options.keep_leds,
             progress=progress,
         )
-    warnings = (*recording.warnings, *(known[1] if known else ()), *found.warnings)
+    warnings = (*recording.warnings, *(given[1] if given else ()), *found.warnings)
     terminal.warn(*warnings)
     swept = _fit_swept_axes(recording, found.rig, found.marker) if options.sweeps else None
     made = motion_results(
