@@ -6,23 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from reports.document.charts import (
-    Array,
-    Bars,
-    Cells,
-    Chart,
-    Line,
-    Mark,
-    Note,
-    Panel,
-    Path,
-    Points,
-    column,
-    correlation_panel,
-    numbers,
-    square,
-    texts,
-)
+from reports.document import charts
 from reports.document.formatting import decimals_of, finite, number, quantity
 from reports.results import Results
 
@@ -35,16 +19,16 @@ PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free around the d
 MAX_TICKS = 24  # words along an axis of pairs; more would touch
 
 
-def view_errors(results: Results) -> Chart | None:
+def view_errors(results: Results) -> charts.Chart | None:
     """Reprojection error of each view, either camera."""
     table = results.table("views")
-    rms, frames = column(table, "rms_px"), column(table, "frame")
+    rms, frames = charts.column(table, "rms_px"), charts.column(table, "frame")
     if not np.isfinite(rms).any():
         return None
     places = {frame: float(i) for i, frame in enumerate(np.unique(frames).tolist())}
-    cameras = np.array(texts(table, "camera"))
+    cameras = np.array(charts.texts(table, "camera"))
     poor = table["poor"].to_numpy(dtype=bool) if "poor" in table else np.zeros(len(table), bool)
-    marks: list[Mark] = []
+    marks: list[charts.Mark] = []
     for side, (camera, role) in enumerate(CAMERAS):
         own = (cameras == camera) & np.isfinite(rms)
         for chosen, colour, name in (
@@ -53,41 +37,41 @@ def view_errors(results: Results) -> Chart | None:
         ):
             if chosen.any():
                 x = np.array([places[f] for f in frames[chosen].tolist()]) + 0.4 * side - 0.2
-                marks.append(Bars(x, rms[chosen], np.zeros(len(x)), colour, name, 0.36))
+                marks.append(charts.Bars(x, rms[chosen], np.zeros(len(x)), colour, name, 0.36))
     every = -(-len(places) // MAX_TICKS)  # rounded up
     ticks = tuple((at, f"{frame:.0f}") for frame, at in places.items())[::every]
-    panel = Panel(
+    panel = charts.Panel(
         tuple(marks), "rms [px]", "pair", x_ticks=ticks, x_range=(-0.6, len(places) - 0.4),
         y_range=(0.0, 1.08 * float(np.nanmax(rms))), unit="px",
     )  # fmt: skip
-    return Chart((panel,), row_height=1.8)
+    return charts.Chart((panel,), row_height=1.8)
 
 
-def residual_vectors(results: Results) -> Chart | None:
+def residual_vectors(results: Results) -> charts.Chart | None:
     """Residuals over the image, magnified: each corner's, and their means over cells."""
     table = results.table("residuals")
     table = table[table["used"].to_numpy(dtype=bool)] if "used" in table else table
-    size = numbers(results.setup.get("image_size_px"))
+    size = charts.numbers(results.setup.get("image_size_px"))
     names = ("x_px", "y_px", "residual_x_px", "residual_y_px")
-    x, y, dx, dy = (column(table, name) for name in names)
-    known = np.isfinite(x + y + dx + dy)
-    if len(size) != 2 or not known.any():
+    x, y, dx, dy = (charts.column(table, name) for name in names)
+    valid = np.isfinite(x + y + dx + dy)
+    if len(size) != 2 or not valid.any():
         return None
     cell = size[0] / N_ARROW_CELLS
-    usual = float(np.quantile(np.hypot(dx, dy)[known], 0.95))
+    usual = float(np.quantile(np.hypot(dx, dy)[valid], 0.95))
     gain = MAX_ARROW_LENGTH * cell / usual if usual > 0 else 1.0
-    cameras = np.array(texts(table, "camera"))
+    cameras = np.array(charts.texts(table, "camera"))
     panels = []
     for camera, _ in CAMERAS:
-        own = known & (cameras == camera)
+        own = valid & (cameras == camera)
         every = arrows(x[own], y[own], gain * dx[own], gain * dy[own], head=False)
         means = _cell_means(x[own], y[own], dx[own], dy[own], cell)
         strong = arrows(means[0], means[1], gain * means[2], gain * means[3])
         panels.append(
-            Panel(
+            charts.Panel(
                 (
-                    Line(*every, "vector", "single residual"),
-                    Line(*strong, "series_6", "mean over a cell"),
+                    charts.Line(*every, "vector", "single residual"),
+                    charts.Line(*strong, "series_6", "mean over a cell"),
                     *_scale_arrow(usual, gain, size),
                 ),
                 title=f"{camera} camera",
@@ -99,10 +83,12 @@ def residual_vectors(results: Results) -> Chart | None:
                 unit="px",
             )
         )
-    return Chart(tuple(panels), columns=2, row_height=2.1)
+    return charts.Chart(tuple(panels), columns=2, row_height=2.1)
 
 
-def arrows(x: Array, y: Array, dx: Array, dy: Array, head: bool = True) -> tuple[Array, Array]:
+def arrows(
+    x: charts.Array, y: charts.Array, dx: charts.Array, dy: charts.Array, head: bool = True
+) -> tuple[charts.Array, charts.Array]:
     """Draw arrows as one line that NaN breaks: shaft, and a head of two strokes."""
     gap = np.full_like(x, np.nan)
     tip_x, tip_y = x + dx, y + dy
@@ -112,55 +98,57 @@ def arrows(x: Array, y: Array, dx: Array, dy: Array, head: bool = True) -> tuple
         side_x, side_y = -HEAD_LENGTH * HEAD_HALF_WIDTH * dy, HEAD_LENGTH * HEAD_HALF_WIDTH * dx
         rows_x += [gap, back_x + side_x, tip_x, back_x - side_x]
         rows_y += [gap, back_y + side_y, tip_y, back_y - side_y]
-    return (
-        np.stack([*rows_x, gap], axis=1).ravel(),
-        np.stack([*rows_y, gap], axis=1).ravel(),
-    )
+    x_line, y_line = (np.stack([*rows, gap], axis=1).ravel() for rows in (rows_x, rows_y))
+    return x_line, y_line
 
 
-def _cell_means(x: Array, y: Array, dx: Array, dy: Array, cell: float) -> tuple[Array, ...]:
+def _cell_means(
+    x: charts.Array, y: charts.Array, dx: charts.Array, dy: charts.Array, cell: float
+) -> tuple[charts.Array, ...]:
     places = pd.DataFrame({"i": np.floor(x / cell), "j": np.floor(y / cell), "dx": dx, "dy": dy})
     means = places.groupby(["i", "j"], sort=True)[["dx", "dy"]].mean().reset_index()
     i, j = means["i"].to_numpy(), means["j"].to_numpy()
     return (i + 0.5) * cell, (j + 0.5) * cell, means["dx"].to_numpy(), means["dy"].to_numpy()
 
 
-def _scale_arrow(usual: float, gain: float, size: list[float]) -> tuple[Mark, ...]:
+def _scale_arrow(usual: float, gain: float, size: list[float]) -> tuple[charts.Mark, ...]:
     """Give an arrow of a round length, and its length in words, above the picture."""
     long = float(f"{2 * usual:.0e}")
     start, level = 0.02 * size[0], -0.065 * size[1]
     line = arrows(np.array([start]), np.array([level]), np.array([gain * long]), np.zeros(1))
-    words = Note(start + gain * long + 0.1 * size[0], level + 0.025 * size[1], f"{long:g} px")
-    return Line(*line, "ink"), words
+    words = charts.Note(
+        start + gain * long + 0.1 * size[0], level + 0.025 * size[1], f"{long:g} px"
+    )
+    return charts.Line(*line, "ink"), words
 
 
-def coverage(results: Results) -> Chart | None:
+def coverage(results: Results) -> charts.Chart | None:
     """How many corners fell into each part of either image."""
     table = results.table("coverage")
-    counts = column(table, "corners")
+    counts = charts.column(table, "corners")
     if not np.isfinite(counts).any():
         return None
     top = float(np.nanmax(counts)) or 1.0
     panels = []
     for camera, _ in CAMERAS:
-        own = table[np.array(texts(table, "camera")) == camera]
+        own = table[np.array(charts.texts(table, "camera")) == camera]
         grid = own.pivot_table(index="y_px", columns="x_px", values="corners")
         if grid.empty:
             continue
         panel = _grid_panel(grid, top, lambda v: f"{v:.0f}", f"{camera} camera", "px")
         panels.append(replace(panel, equal=True, y_label=panel.y_label if camera == "left" else ""))
-    return Chart(tuple(panels), columns=2, row_height=1.9) if panels else None
+    return charts.Chart(tuple(panels), columns=2, row_height=1.9) if panels else None
 
 
 def _grid_panel(
     grid: pd.DataFrame, top: float, write: Callable[[float], str], title: str, unit: str
-) -> Panel:
+) -> charts.Panel:
     """Lay out a table of numbers over x and y, y down as in an image; NaN is an empty cell."""
     values = grid.to_numpy(dtype=float)
     text = tuple(tuple(write(v) if np.isfinite(v) else "" for v in line) for line in values)
     x, y = grid.columns.to_numpy(dtype=float), grid.index.to_numpy(dtype=float)
-    return Panel(
-        (Cells(values, x, y, COLOUR_SCALE, 0.0, top, text),),
+    return charts.Panel(
+        (charts.Cells(values, x, y, COLOUR_SCALE, 0.0, top, text),),
         title=title,
         x_label=f"x [{unit}]",
         y_label=f"y [{unit}]",
@@ -169,24 +157,24 @@ def _grid_panel(
     )
 
 
-def _cell_range(centres: Array) -> tuple[float, float]:
+def _cell_range(centres: charts.Array) -> tuple[float, float]:
     half = (centres[1] - centres[0]) / 2 if len(centres) > 1 else 0.5
     return float(centres[0] - half), float(centres[-1] + half)
 
 
-def board_poses(results: Results) -> Chart | None:
+def board_poses(results: Results) -> charts.Chart | None:
     """How the boards stood: tilt about either axis, and distance."""
     table = results.table("boards")
     horizontal, vertical = (
-        column(table, "about_horizontal_deg"), column(table, "about_vertical_deg"),
-    )  # fmt: skip
-    distance, tilt = column(table, "distance_mm"), column(table, "tilt_deg")
+        charts.column(table, f"about_{a}_deg") for a in ("horizontal", "vertical")
+    )
+    distance, tilt = charts.column(table, "distance_mm"), charts.column(table, "tilt_deg")
     if not np.isfinite(distance).any():
         return None
     reach = max(float(np.nanmax(np.abs([horizontal, vertical]))), 20.0) * (1 + PANEL_MARGIN)
     room = PANEL_MARGIN * (float(np.nanmax(distance)) - float(np.nanmin(distance))) + 1.0
-    tilts = Panel(
-        (Points(vertical, horizontal, "used", "a board", 3.0),),
+    tilts = charts.Panel(
+        (charts.Points(vertical, horizontal, "used", "a board", 3.0),),
         title="tilt of each board",
         x_label="tilt about the vertical axis [°]",
         y_label="about the horizontal axis [°]",
@@ -194,8 +182,8 @@ def board_poses(results: Results) -> Chart | None:
         y_range=(-reach, reach),
         unit="°",
     )
-    far = Panel(
-        (Points(distance, tilt, "used", "a board", 3.0),),
+    far = charts.Panel(
+        (charts.Points(distance, tilt, "used", "a board", 3.0),),
         title="distance of each board",
         x_label="distance [mm]",
         y_label="tilt in all [°]",
@@ -203,17 +191,17 @@ def board_poses(results: Results) -> Chart | None:
         y_range=(0.0, 1.08 * max(float(np.nanmax(tilt)), 20.0)),
         unit="°",
     )
-    return Chart((tilts, far), columns=2, row_height=2.2)
+    return charts.Chart((tilts, far), columns=2, row_height=2.2)
 
 
-def scene(results: Results) -> Path | None:
+def scene(results: Results) -> charts.Path | None:
     """Where the boards stood before the cameras, in space."""
     table = results.table("scene")
-    points = np.stack([column(table, f"{axis}_mm") for axis in "xyz"], axis=1)
+    points = charts.columns(table, (f"{axis}_mm" for axis in "xyz"))
     if not np.isfinite(points).any():
         return None
     shown = points[:, [0, 2, 1]] * [1.0, 1.0, -1.0]  # depth to the back, up upwards
-    kinds, names = np.array(texts(table, "kind")), np.array(texts(table, "name"))
+    kinds, names = np.array(charts.texts(table, "kind")), np.array(charts.texts(table, "name"))
     lines = []
     for kind, wanted, role, name in (
         ("board", "", "series_8", "boards"),
@@ -225,60 +213,59 @@ def scene(results: Results) -> Path | None:
     low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
     room = 0.02 * float(np.max(high - low))
     ranges = tuple(zip((low - room).tolist(), (high + room).tolist(), strict=True))
-    return Path(tuple(lines), ("x [mm]", "distance [mm]", "up [mm]"), ranges)
+    return charts.Path(tuple(lines), ("x [mm]", "distance [mm]", "up [mm]"), ranges)
 
 
-def _join_with_gaps(points: Array, names: Array) -> Array:
+def _join_with_gaps(points: charts.Array, names: charts.Array) -> charts.Array:
     """Part the items of a line by NaN."""
     breaks = np.flatnonzero(names[1:] != names[:-1]) + 1
-    broken: Array = np.insert(points, breaks, np.nan, axis=0)
+    broken: charts.Array = np.insert(points, breaks, np.nan, axis=0)
     return broken
 
 
-def accuracy(results: Results) -> Chart | None:
+def accuracy(results: Results) -> charts.Chart | None:
     """Expected standard uncertainty of a point over the field, a row a distance."""
     table = results.table("accuracy")
     parts = (("random_total_mm", "the spots' noise"), ("systematic_total_mm", "the rig"))
-    known = np.concatenate([column(table, name) for name, _ in parts])
-    if not np.isfinite(known).any():
+    every = np.concatenate([charts.column(table, name) for name, _ in parts])
+    if not np.isfinite(every).any():
         return None
-    top = float(np.nanmax(known))
+    top = float(np.nanmax(every))
     panels = []
-    for distance in np.unique(column(table, "distance_mm")).tolist():
-        own = table[column(table, "distance_mm") == distance]
+    for distance in np.unique(charts.column(table, "distance_mm")).tolist():
+        own = table[charts.column(table, "distance_mm") == distance]
         for name, words in parts:
             grid = own.pivot_table(index="y_mm", columns="x_mm", values=name, dropna=False)
             title = f"{distance / 1e3:g} m away, from {words} [mm]"
             panel = _grid_panel(grid, top, _two_digits, title, "mm")
             panels.append(panel if name == parts[0][0] else replace(panel, y_label=""))
-    return Chart(tuple(panels), columns=2, row_height=1.55)
+    return charts.Chart(tuple(panels), columns=2, row_height=1.55)
 
 
-def contributions(results: Results) -> Chart | None:
+def contributions(results: Results) -> charts.Chart | None:
     """What would be left of a depth's uncertainty, were one group of parameters exact."""
     table = results.table("contributions")
-    left = column(table, "without_mm")
+    left = charts.column(table, "without_mm")
     if not np.isfinite(left).any():
         return None
     places = np.arange(len(table), dtype=float)
-    marks: list[Mark] = [Bars(places, left, np.zeros(len(left)), "used", "")]
+    marks: list[charts.Mark] = [charts.Bars(places, left, np.zeros(len(left)), "used", "")]
     total = finite((results.summary.get("improve_first") or {}).get("depth_mm"))
     top = float(np.nanmax(left))
     if total is not None:
         ends = np.array([-0.6, len(table) - 0.4])
         marks.append(
-            Line(ends, np.full(2, total), "tolerance", f"as it is: {quantity(total, 'mm')}")
+            charts.Line(ends, np.full(2, total), "tolerance", f"as it is: {quantity(total, 'mm')}")
         )
         top = max(top, total)
-    names = [
-        text.replace(" ", "\n", 1) for text in texts(table, "group")
-    ]  # they stand side by side
+    # they stand side by side
+    names = [text.replace(" ", "\n", 1) for text in charts.texts(table, "group")]
     ticks = tuple(zip(places.tolist(), names, strict=True))
-    panel = Panel(
+    panel = charts.Panel(
         tuple(marks), "u of the depth [mm]", "were they exact", x_ticks=ticks,
         x_range=(-0.6, len(table) - 0.4), y_range=(0.0, 1.08 * top), unit="mm",
     )  # fmt: skip
-    return Chart((panel,), row_height=1.9)
+    return charts.Chart((panel,), row_height=1.9)
 
 
 def _two_digits(value: float) -> str:
@@ -286,14 +273,15 @@ def _two_digits(value: float) -> str:
     return number(value, 0 if value >= 10 else min(decimals_of(value), 3))
 
 
-def correlation(results: Results) -> Chart | None:
+def correlation(results: Results) -> charts.Chart | None:
     """How the rig's parameters hang together."""
     entry = results.summary.get("parameter_correlation") or {}
     names = [str(name) for name in entry.get("parameters") or []]
-    values = square(entry.get("correlation"), len(names))
+    values = charts.square(entry.get("correlation"), len(names))
     if len(names) < 2 or not values.size:
         return None
     rows = tuple((at, f"{name}  {at + 1}") for at, name in enumerate(names))
-    columns = tuple((at, f"{at + 1}") for at in range(len(names)))
-    panel = correlation_panel(values, rows, columns)
-    return Chart((panel,), row_height=0.3 + 0.175 * len(names), width=0.85)
+    panel = charts.correlation_panel(
+        values, rows, tuple((at, f"{at + 1}") for at in range(len(names)))
+    )
+    return charts.Chart((panel,), row_height=0.3 + 0.175 * len(names), width=0.85)

@@ -13,18 +13,7 @@ from reports.calibration.words import (
     STATES_NOTE,
     CalibrationNotes,
 )
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Column,
-    Paragraph,
-    Section,
-    Table,
-    field,
-    figure_or_text,
-    row,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.charts import column, records, texts
 from reports.document.formatting import (
     DASH,
@@ -39,18 +28,18 @@ from reports.document.formatting import (
 from reports.results import Results
 
 
-def parameters(results: Results) -> Section:
+def parameters(results: Results) -> doc.Section:
     """List every parameter with its uncertainty, and say what was held and why."""
     summary = results.summary
-    blocks: list[Block] = [_parameter_table(results.table("parameters"))]
+    blocks: list[doc.Block] = [_parameter_table(results.table("parameters"))]
     decisions = [capitalise(text_or_dash(sentence)) for sentence in summary.get("decisions") or []]
     if decisions:
-        blocks.append(Bullets(tuple(decisions)))
+        blocks.append(doc.Bullets(tuple(decisions)))
     blocks += [_principal_point(point) for point in summary.get("principal_points") or []]
-    return Section("parameters", "Parameters of the cameras", tuple(blocks))
+    return doc.Section("parameters", "Parameters of the cameras", tuple(blocks))
 
 
-def _parameter_table(table: pd.DataFrame) -> Table:
+def _parameter_table(table: pd.DataFrame) -> doc.Table:
     values, u = column(table, "value"), column(table, "standard_uncertainty")
     cells: dict[tuple[str, str], str] = {}
     held = set()
@@ -66,43 +55,45 @@ def _parameter_table(table: pd.DataFrame) -> Table:
         cells[camera, key] = text
     keys = list(dict.fromkeys(texts(table, "parameter")))
     columns = (
-        Column("Parameter", "l", lambda key: PARAMETERS.get(key, key)),
-        Column("Left camera", "r", lambda key: cells.get(("left", key), DASH)),
-        Column("Right camera", "r", lambda key: cells.get(("right", key), DASH)),
+        doc.Column("Parameter", "l", lambda key: PARAMETERS.get(key, key)),
+        doc.Column("Left camera", "r", lambda key: cells.get(("left", key), DASH)),
+        doc.Column("Right camera", "r", lambda key: cells.get(("right", key), DASH)),
     )
     notes = (STATES_NOTE[state] for state in STATES if state in held)
-    return tabulate("Parameters and standard uncertainties (k = 1).", columns, keys, *notes)
+    return doc.tabulate("Parameters and standard uncertainties (k = 1).", columns, keys, *notes)
 
 
-def _principal_point(point: dict[str, Any]) -> Paragraph:
+def _principal_point(point: dict[str, Any]) -> doc.Paragraph:
     camera, distance = text_or_dash(point.get("camera")), finite(point.get("distance_px"))
     u = finite(point.get("standard_uncertainty_px"))
     if distance is None or u is None or u == 0:
-        return Paragraph(f"How well the {camera} camera's principal point is known is not stated.")
+        return doc.Paragraph(
+            f"How well the {camera} camera's principal point is known is not stated."
+        )
     text = (
         f"The {camera} camera's principal point lies "
         f"{with_uncertainty(distance, u, 'px', signed=False)} from the image's centre, "
         f"{significant(distance / u)} times its standard uncertainty"
     )
     if not point.get("odd"):
-        return Paragraph(f"{text}: within what cameras of this kind have.")
+        return doc.Paragraph(f"{text}: within what cameras of this kind have.")
     if point.get("believed"):
-        return Paragraph(
+        return doc.Paragraph(
             f"{text}. That is far off, yet the pictures give it: believe it. A picture cut out of "
             "a larger sensor does that; sessions must be recorded in the same mode."
         )
-    return Paragraph(
+    return doc.Paragraph(
         f"{text}. That is far off, and the pictures do not give it: do not believe it."
     )
 
 
-def stereo(results: Results) -> Section:
+def stereo(results: Results) -> doc.Section:
     """Say how the cameras stand to each other, and check the scale against the squares."""
     entry = results.summary.get("stereo") or {}
     convergence = _format_with_uncertainty(entry, "convergence", "deg")
     rows = [
-        row("Baseline [mm]", _format_with_uncertainty(entry, "baseline", "mm")),
-        row("Convergence of the optical axes [°]", convergence),
+        doc.row("Baseline [mm]", _format_with_uncertainty(entry, "baseline", "mm")),
+        doc.row("Convergence of the optical axes [°]", convergence),
     ]
     for name, key, unit, sign in (
         ("Right camera in the left one", "position", "mm", "mm"),
@@ -111,20 +102,20 @@ def stereo(results: Results) -> Section:
         values = entry.get(f"{key}_{unit}") or [None] * 3
         spreads = entry.get(f"{key}_standard_uncertainty_{unit}") or [None] * 3
         rows += [
-            row(f"{name}, {axis} [{sign}]", with_uncertainty(value, spread, signed=False))
+            doc.row(f"{name}, {axis} [{sign}]", with_uncertainty(value, spread, signed=False))
             for axis, value, spread in zip("xyz", values, spreads, strict=True)
         ]
     turning = results.summary.get("turning")
     if turning:
         angle = _format_with_uncertainty(turning, "axes_angle", "deg")
-        rows.append(row("Angle between the turning axes [°]", angle))
+        rows.append(doc.row("Angle between the turning axes [°]", angle))
     note = CalibrationNotes.TURNING if turning else CalibrationNotes.STILL
-    table = Table(
+    table = doc.Table(
         "Relation of the cameras, with standard uncertainties (k = 1).",
         "lr", ("Quantity", "Value ± u"), tuple(rows),
     )  # fmt: skip
-    blocks: tuple[Block, ...] = (table, Paragraph(note), *_scale(results.summary))
-    return Section("stereo", "Stereo relation and scale", blocks)
+    blocks: tuple[doc.Block, ...] = (table, doc.Paragraph(note), *_scale(results.summary))
+    return doc.Section("stereo", "Stereo relation and scale", blocks)
 
 
 def _format_with_uncertainty(entry: dict[str, Any], name: str, unit: str) -> str:
@@ -132,12 +123,12 @@ def _format_with_uncertainty(entry: dict[str, Any], name: str, unit: str) -> str
     return with_uncertainty(entry.get(f"{name}_{unit}"), u, signed=False)
 
 
-def _scale(summary: dict[str, Any]) -> tuple[Block, ...]:
+def _scale(summary: dict[str, Any]) -> tuple[doc.Block, ...]:
     square, board = summary.get("square") or {}, "a square's edge"
     found, u = finite(square.get("found_mm")), finite(square.get("standard_uncertainty_mm"))
     given = finite(square.get("stated_mm"))
     if found is None or given is None:
-        return (Paragraph("The scale was not checked against the squares."),)
+        return (doc.Paragraph("The scale was not checked against the squares."),)
     off = significant(abs(found - given) / u) if u else DASH
     exact = square.get("stated_standard_uncertainty_mm")
     text = (
@@ -152,10 +143,10 @@ def _scale(summary: dict[str, Any]) -> tuple[Block, ...]:
         )
     else:
         text += f"The stated size itself is known to {quantity(exact, 'mm')}."
-    return (Paragraph(text),)
+    return (doc.Paragraph(text),)
 
 
-figure_block = partial(figure_or_text, FIGURES)
+figure_block = partial(doc.figure_or_text, FIGURES)
 
 
 def working_distance_entry(summary: dict[str, Any]) -> dict[str, Any]:
@@ -181,17 +172,17 @@ def main_improvement(summary: dict[str, Any]) -> str:
     return f"What counts most is {named}: {help_}."
 
 
-def accuracy(results: Results) -> Section:
+def accuracy(results: Results) -> doc.Section:
     """Say what a point is worth over the working volume."""
     entries: list[dict[str, Any]] = results.summary.get("accuracy") or []
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     if entries:
         blocks += [_point_table(entries), _length_table(entries, results.summary)]
     blocks.append(figure_block(results, "accuracy"))
-    return Section("accuracy", "Expected accuracy of a point", tuple(blocks))
+    return doc.Section("accuracy", "Expected accuracy of a point", tuple(blocks))
 
 
-def _point_table(entries: list[dict[str, Any]]) -> Table:
+def _point_table(entries: list[dict[str, Any]]) -> doc.Table:
     keys = {
         "Noise, across": "random_lateral_mm",
         "Noise, depth": "random_depth_mm",
@@ -202,10 +193,10 @@ def _point_table(entries: list[dict[str, Any]]) -> Table:
         "Worst in the field, in all": "worst_total_mm",
     }
     title = "Standard uncertainty (k = 1) of one LED's place in the middle of the field, in mm."
-    return tabulate(title, _distance_columns(keys), entries, CalibrationNotes.POINT)
+    return doc.tabulate(title, _distance_columns(keys), entries, CalibrationNotes.POINT)
 
 
-def _length_table(entries: list[dict[str, Any]], summary: dict[str, Any]) -> Table:
+def _length_table(entries: list[dict[str, Any]], summary: dict[str, Any]) -> doc.Table:
     keys = {
         "Across, noise": "length_across_random_um",
         "Across, rig": "length_across_systematic_um",
@@ -216,18 +207,18 @@ def _length_table(entries: list[dict[str, Any]], summary: dict[str, Any]) -> Tab
         f"Standard uncertainty (k = 1) of a length of {exact_number(summary.get('length_mm'))} mm "
         "between two LEDs in the middle of the field, in µm."
     )
-    return tabulate(title, _distance_columns(keys), entries, CalibrationNotes.LENGTH)
+    return doc.tabulate(title, _distance_columns(keys), entries, CalibrationNotes.LENGTH)
 
 
-def _distance_columns(keys: dict[str, str]) -> list[Column]:
+def _distance_columns(keys: dict[str, str]) -> list[doc.Column]:
     """The distance, then the figures of these keys, by their heads."""
-    figures = [Column(head, "r", field(key, significant)) for head, key in keys.items()]
-    return [Column("Distance", "l", format_distance), *figures]
+    figures = [doc.Column(head, "r", doc.field(key, significant)) for head, key in keys.items()]
+    return [doc.Column("Distance", "l", format_distance), *figures]
 
 
-def improvement(results: Results) -> Section:
+def improvement(results: Results) -> doc.Section:
     """Say what would help most."""
-    blocks: list[Block] = [Paragraph(capitalise(main_improvement(results.summary)))]
+    blocks: list[doc.Block] = [doc.Paragraph(capitalise(main_improvement(results.summary)))]
     table = results.table("contributions")
     if len(table):
         title = (
@@ -235,13 +226,13 @@ def improvement(results: Results) -> Section:
             "by what its uncertainty comes from."
         )
         columns = (
-            Column("Source", "l", lambda e: capitalise(GROUPS.get(e["group"], e["group"]))),
-            Column("u from it alone [mm]", "r", field("alone_mm", significant)),
-            Column("u left, were it exact [mm]", "r", field("without_mm", significant)),
+            doc.Column("Source", "l", lambda e: capitalise(GROUPS.get(e["group"], e["group"]))),
+            doc.Column("u from it alone [mm]", "r", doc.field("alone_mm", significant)),
+            doc.Column("u left, were it exact [mm]", "r", doc.field("without_mm", significant)),
         )
-        blocks.append(tabulate(title, columns, records(table), CalibrationNotes.GROUPS))
+        blocks.append(doc.tabulate(title, columns, records(table), CalibrationNotes.GROUPS))
     blocks += [
         figure_block(results, "contributions"),
         figure_block(results, "parameter_correlation"),
     ]
-    return Section("improvement", "What would help most", tuple(blocks))
+    return doc.Section("improvement", "What would help most", tuple(blocks))

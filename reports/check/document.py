@@ -1,48 +1,10 @@
-"""What the report of an interim check says, in which order.
-
-The summary's keys, units in their names; what is not known is null:
-
-    kind, method          "calibration", "check"
-    tool, inputs, source, warnings as in a calibration's summary; decisions: sentences
-    verdict               "held" or "not_held"
-    confidence, limit     shared by the figures tested; limit of one, in standard uncertainties
-    pairs                 used: how many; left_out: frames
-    reprojection          rms_px
-    figures               figure ("scale", "vertical", "roll"), its value under scale_permille,
-                          vertical_px or roll_deg, standard_uncertainty_ in the same unit, z
-    square                null for a session; else known_mm, measured_mm, standard_uncertainty_mm
-    visible               change, smallest (null: none would be seen), unit
-    uncounted             sources that state no uncertainty
-
-Tables: lengths (ends, known_mm, measured_mm, error_mm, standard_uncertainty_mm, pairs), pairs
-(frame and the figures of single pairs), sources (source, u of each figure from it).
-"""
+"""What the report of an interim check says, in which order. Keys: docs/calibration.md."""
 
 from functools import partial
 from typing import Any
 
 from reports.check import figures as check_figures
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Cell,
-    Column,
-    Document,
-    Facts,
-    FigurePlan,
-    Paragraph,
-    Section,
-    Table,
-    Verdict,
-    described,
-    field,
-    figure_or_text,
-    files_and_software,
-    lay_out,
-    software,
-    tabulate,
-    uncertain_field,
-)
+from reports.document import blocks as doc
 from reports.document.charts import records
 from reports.document.formatting import (
     count,
@@ -89,20 +51,20 @@ class CheckNotes:
 
 
 FIGURES = {
-    "lengths": FigurePlan(
+    "lengths": doc.FigurePlan(
         check_figures.lengths,
         "Error of each known length, with its expanded uncertainty (k = 2) as a bar about it.",
         "Points with upright bars, one a known length: measured less known in millimetres.",
         "No length was kept.",
     ),
-    "figures": FigurePlan(
+    "figures": doc.FigurePlan(
         check_figures.figures,
         "The figures in units of their standard uncertainty; beyond the dotted limits the "
         "calibration does not hold.",
         "A point a figure, between two level lines that are the limits.",
         "The figures are not known.",
     ),
-    "over_pairs": FigurePlan(
+    "over_pairs": doc.FigurePlan(
         check_figures.over_pairs,
         "The figures of single pairs. The dashed line is what all pairs give together; pairs "
         "scatter about it by the pixels' noise.",
@@ -112,30 +74,33 @@ FIGURES = {
 }
 
 
-_figure_block = partial(figure_or_text, FIGURES)
+_figure_block = partial(doc.figure_or_text, FIGURES)
 
 
-def document(results: Results) -> Document:
+def document(results: Results) -> doc.Document:
     """Lay out the whole report."""
-    return lay_out(
+    return doc.lay_out(
         title="Interim check of a calibration",
-        subtitle=described(results.summary, "a set of pictures"),
-        footer=f"{software(results.summary)} · interim check",
+        subtitle=doc.described(results.summary, "a set of pictures"),
+        footer=f"{doc.software(results.summary)} · interim check",
         sections=(section(results) for section in SECTIONS),
     )
 
 
-def verdict(results: Results) -> Section:
+def verdict(results: Results) -> doc.Section:
     """Open with whether the calibration holds, and what that rests on."""
     summary = results.summary
-    said = str(summary.get("verdict"))
-    tone, label = VERDICTS.get(said, ("none", "Not known whether the calibration holds"))
+    tone, label = VERDICTS.get(
+        str(summary.get("verdict")), ("none", "Not known whether the calibration holds")
+    )
     uncounted = [text_or_dash(source) for source in summary.get("uncounted") or []]
     remarks = [CheckNotes.UNSTATED.format(join_words(uncounted))] if uncounted else []
-    block = Verdict(tone=tone, label=label, sentence=_verdict_text(summary), remarks=tuple(remarks))
+    block = doc.Verdict(
+        tone=tone, label=label, sentence=_verdict_text(summary), remarks=tuple(remarks)
+    )
     pairs, source = summary.get("pairs") or {}, summary.get("source") or {}
     left_out = [count(frame) for frame in pairs.get("left_out") or []]
-    facts = Facts(
+    facts = doc.Facts(
         (
             ("Pictures", text_or_dash(source.get("path"))),
             ("Pairs used", count(pairs.get("used"))),
@@ -143,7 +108,7 @@ def verdict(results: Results) -> Section:
             ("Reprojection rms", quantity((summary.get("reprojection") or {}).get("rms_px"), "px")),
         )
     )
-    return Section("verdict", "Verdict", (block, facts))
+    return doc.Section("verdict", "Verdict", (block, facts))
 
 
 def _verdict_text(summary: dict[str, Any]) -> str:
@@ -166,28 +131,28 @@ def _verdict_text(summary: dict[str, Any]) -> str:
     )
 
 
-def figures(results: Results) -> Section:
+def figures(results: Results) -> doc.Section:
     """Show the three figures that were tested, all pairs together and pair by pair."""
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     entries = results.summary.get("figures") or []
     if entries:
         blocks.append(_figure_table(entries, finite(results.summary.get("limit"))))
     blocks += [_figure_block(results, "figures"), _figure_block(results, "over_pairs")]
-    decisions = tuple(text_or_dash(said) for said in results.summary.get("decisions") or [])
+    decisions = tuple(text_or_dash(sentence) for sentence in results.summary.get("decisions") or [])
     if decisions:
-        blocks.append(Bullets(decisions))
-    return Section("figures", "What was tested", tuple(blocks))
+        blocks.append(doc.Bullets(decisions))
+    return doc.Section("figures", "What was tested", tuple(blocks))
 
 
-def _figure_table(entries: list[dict[str, Any]], limit: float | None) -> Table:
+def _figure_table(entries: list[dict[str, Any]], limit: float | None) -> doc.Table:
     columns = (
-        Column("Figure", "l", lambda e: lookup_label(FIGURE_NAMES, e.get("figure"))),
-        Column("Value ± u", "r", _figure_value),
-        Column("Value over u", "r", field("z", number, 1, signed=True)),
-        Column("Verdict", "l", lambda e: _figure_verdict(finite(e.get("z")), limit)),
+        doc.Column("Figure", "l", lambda e: lookup_label(FIGURE_NAMES, e.get("figure"))),
+        doc.Column("Value ± u", "r", _figure_value),
+        doc.Column("Value over u", "r", doc.field("z", number, 1, signed=True)),
+        doc.Column("Verdict", "l", lambda e: _figure_verdict(finite(e.get("z")), limit)),
     )
     title = "The figures, each with its standard uncertainty (k = 1), all pairs together."
-    return tabulate(title, columns, entries, CheckNotes.FIGURES)
+    return doc.tabulate(title, columns, entries, CheckNotes.FIGURES)
 
 
 def _figure_value(entry: dict[str, Any]) -> str:
@@ -196,60 +161,62 @@ def _figure_value(entry: dict[str, Any]) -> str:
     return with_uncertainty(entry.get(key), u, unit)
 
 
-def _figure_verdict(z: float | None, limit: float | None) -> Cell:
+def _figure_verdict(z: float | None, limit: float | None) -> doc.Cell:
     if z is None or limit is None:
-        return Cell("not tested", "none")
-    return Cell("within", "conform") if abs(z) <= limit else Cell("beyond", "nonconform")
+        return doc.Cell("not tested", "none")
+    return doc.Cell("within", "conform") if abs(z) <= limit else doc.Cell("beyond", "nonconform")
 
 
-def lengths(results: Results) -> Section:
+def lengths(results: Results) -> doc.Section:
     """Show each known length."""
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     table = results.table("lengths")
     square = results.summary.get("square")
     if square:
         u = square.get("standard_uncertainty_mm")
         stated = with_uncertainty(square.get("known_mm"), None, "mm", signed=False)
         measured = with_uncertainty(square.get("measured_mm"), u, "mm", signed=False)
-        blocks.append(Facts((("Square as stated", stated), ("Square as measured", measured))))
+        blocks.append(doc.Facts((("Square as stated", stated), ("Square as measured", measured))))
     if len(table):
         title = "Known lengths: measured less known, with standard uncertainties (k = 1)."
         columns = (
-            Column("LEDs", "l", field("ends")),
-            Column("Known [mm]", "r", field("known_mm", number, 3)),
-            Column("Error ± u [mm]", "r", uncertain_field("error_mm", "standard_uncertainty_mm")),
-            Column("Pairs", "r", field("pairs", count)),
+            doc.Column("LEDs", "l", doc.field("ends")),
+            doc.Column("Known [mm]", "r", doc.field("known_mm", number, 3)),
+            doc.Column(
+                "Error ± u [mm]", "r", doc.uncertain_field("error_mm", "standard_uncertainty_mm")
+            ),
+            doc.Column("Pairs", "r", doc.field("pairs", count)),
         )
-        blocks.append(tabulate(title, columns, records(table), CheckNotes.LENGTHS))
+        blocks.append(doc.tabulate(title, columns, records(table), CheckNotes.LENGTHS))
         blocks.append(_figure_block(results, "lengths"))
     if not blocks:
-        blocks.append(Paragraph("No length was kept.", "note"))
-    return Section("lengths", "Known lengths", tuple(blocks))
+        blocks.append(doc.Paragraph("No length was kept.", "note"))
+    return doc.Section("lengths", "Known lengths", tuple(blocks))
 
 
-def power(results: Results) -> Section:
+def power(results: Results) -> doc.Section:
     """Say which changes the check would have seen, and where its uncertainty comes from."""
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     visible = results.summary.get("visible") or []
     if visible:
         title = "The smallest change that this check would have seen, four times in five."
-        columns: tuple[Column, ...] = (
-            Column("Change since the calibration", "l", field("change")),
-            Column("Smallest", "r", _smallest_change),
+        columns: tuple[doc.Column, ...] = (
+            doc.Column("Change since the calibration", "l", doc.field("change")),
+            doc.Column("Smallest", "r", _smallest_change),
         )
-        blocks.append(tabulate(title, columns, visible, CheckNotes.VISIBLE))
+        blocks.append(doc.tabulate(title, columns, visible, CheckNotes.VISIBLE))
     table = results.table("sources")
     if len(table):
         heads = zip(("Scale [‰]", "Height [px]", "Roll [°]"), SUMMARY_KEYS.values(), strict=True)
         columns = (
-            Column("Source", "l", field("source")),
-            *(Column(head, "r", field(key, significant)) for head, (key, _) in heads),
+            doc.Column("Source", "l", doc.field("source")),
+            *(doc.Column(head, "r", doc.field(key, significant)) for head, (key, _) in heads),
         )
         title = "Standard uncertainty of each figure, by what it comes from."
-        blocks.append(tabulate(title, columns, records(table)))
+        blocks.append(doc.tabulate(title, columns, records(table)))
     if not blocks:
-        blocks.append(Paragraph("What the check could have seen is not known.", "note"))
-    return Section("power", "What it would have seen", tuple(blocks))
+        blocks.append(doc.Paragraph("What the check could have seen is not known.", "note"))
+    return doc.Section("power", "What it would have seen", tuple(blocks))
 
 
 def _smallest_change(entry: dict[str, Any]) -> str:
@@ -257,9 +224,9 @@ def _smallest_change(entry: dict[str, Any]) -> str:
     return quantity(entry.get("smallest"), UNITS.get(unit, unit))
 
 
-def conditions(results: Results) -> Section:
+def conditions(results: Results) -> doc.Section:
     """Say what the check was made from."""
-    return files_and_software(results.summary)
+    return doc.files_and_software(results.summary)
 
 
 SECTIONS = (verdict, figures, lengths, power, conditions)

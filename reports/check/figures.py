@@ -2,17 +2,7 @@
 
 import numpy as np
 
-from reports.document.charts import (
-    Array,
-    Chart,
-    Line,
-    Mark,
-    Panel,
-    Points,
-    column,
-    strips,
-    texts,
-)
+from reports.document import charts
 from reports.document.formatting import finite
 from reports.results import Results
 
@@ -26,16 +16,16 @@ PAIR_PANELS = (  # of the figures a pair: column, key in the summary, label, uni
 )
 
 
-def lengths(results: Results) -> Chart | None:
+def lengths(results: Results) -> charts.Chart | None:
     """Error of each known length with its expanded uncertainty."""
     table = results.table("lengths")
-    error, u = column(table, "error_mm"), column(table, "standard_uncertainty_mm")
+    error, u = charts.column(table, "error_mm"), charts.column(table, "standard_uncertainty_mm")
     if not np.isfinite(error + u).any():
         return None
-    return _error_bars(error, COVERAGE_FACTOR * u, texts(table, "ends"), "error [mm]", "mm")
+    return _error_bars(error, COVERAGE_FACTOR * u, charts.texts(table, "ends"), "error [mm]", "mm")
 
 
-def figures(results: Results) -> Chart | None:
+def figures(results: Results) -> charts.Chart | None:
     """Each figure in its standard uncertainty, against the limit."""
     entries = results.summary.get("figures") or []
     z = [finite(entry.get("z")) for entry in entries]
@@ -46,16 +36,16 @@ def figures(results: Results) -> Chart | None:
     heights = np.array([np.nan if value is None else value for value in z])
     good = np.abs(heights) <= limit
     ends = (-0.6, len(z) - 0.4)
-    marks: list[Mark] = [
+    marks: list[charts.Mark] = [
         _horizontal_line(limit, ends, "tolerance", f"limit ± {limit:.2f}"),
         _horizontal_line(-limit, ends, "tolerance"),
     ]
     for chosen, role, name in ((good, "used", "within"), (~good, "unused", "beyond")):
         shown = chosen & np.isfinite(heights)
         if shown.any():
-            marks.append(Points(places[shown], heights[shown], role, name, 4.0))
+            marks.append(charts.Points(places[shown], heights[shown], role, name, 4.0))
     reach = 1.25 * max(limit, float(np.nanmax(np.abs(heights))))
-    panel = Panel(
+    panel = charts.Panel(
         tuple(marks),
         "figure over its u",
         x_ticks=tuple(
@@ -65,40 +55,44 @@ def figures(results: Results) -> Chart | None:
         x_range=ends,
         y_range=(-reach, reach),
     )
-    return Chart((panel,), row_height=1.9, width=0.7)
+    return charts.Chart((panel,), row_height=1.9, width=0.7)
 
 
-def over_pairs(results: Results) -> Chart | None:
+def over_pairs(results: Results) -> charts.Chart | None:
     """The three figures of single pairs, with what all of them give together."""
     table = results.table("pairs")
-    frames = column(table, "frame")
+    frames = charts.column(table, "frame")
     if len(frames) < 2:
         return None
     entries = results.summary.get("figures") or []
     panels = []
     for place, (name, label, unit) in enumerate(PAIR_PANELS):
-        values = column(table, name)
-        known = np.isfinite(frames + values)
-        if not known.any():
+        values = charts.column(table, name)
+        valid = np.isfinite(frames + values)
+        if not valid.any():
             continue
         together = finite(entries[place].get(name)) if place < len(entries) else None
-        ends = _frame_range(frames[known])
-        marks: list[Mark] = [Points(frames[known], values[known], "measured", "a pair", 3.0)]
+        ends = _frame_range(frames[valid])
+        marks: list[charts.Mark] = [
+            charts.Points(frames[valid], values[valid], "measured", "a pair", 3.0)
+        ]
         if together is not None:
             marks.append(_horizontal_line(together, ends, "encoder", "all pairs together"))
         panels.append(
-            Panel(
+            charts.Panel(
                 tuple(marks),
                 label,
                 x_range=ends,
-                y_range=_range_with_zero(values[known], together),
+                y_range=_range_with_zero(values[valid], together),
                 unit=unit,
             )
         )
-    return strips(panels, "pair", row_height=1.0)
+    return charts.strips(panels, "pair", row_height=1.0)
 
 
-def _error_bars(error: Array, half: Array, names: list[str], label: str, unit: str) -> Chart:
+def _error_bars(
+    error: charts.Array, half: charts.Array, names: list[str], label: str, unit: str
+) -> charts.Chart:
     """Points with upright bars about them, and a line at 0."""
     places = np.arange(len(error), dtype=float)
     reach = 1.15 * float(np.nanmax(np.abs(error) + half)) or 1.0
@@ -106,13 +100,13 @@ def _error_bars(error: Array, half: Array, names: list[str], label: str, unit: s
     upright = np.stack([places, places, gap], axis=1).ravel()
     bars = np.stack([error - half, error + half, gap], axis=1).ravel()
     ends = (-0.6, len(error) - 0.4)
-    marks: tuple[Mark, ...] = (
+    marks: tuple[charts.Mark, ...] = (
         _horizontal_line(0.0, ends, "muted"),
-        Line(upright, bars, "error", "U (k = 2)"),
-        Points(places, error, "error", "measured less known", 4.0),
+        charts.Line(upright, bars, "error", "U (k = 2)"),
+        charts.Points(places, error, "error", "measured less known", 4.0),
     )
     every = -(-len(names) // MAX_NAMED_LENGTHS)  # rounded up
-    panel = Panel(
+    panel = charts.Panel(
         marks,
         label,
         "LEDs at its ends",
@@ -121,21 +115,23 @@ def _error_bars(error: Array, half: Array, names: list[str], label: str, unit: s
         y_range=(-reach, reach),
         unit=unit,
     )
-    return Chart((panel,), row_height=1.9)
+    return charts.Chart((panel,), row_height=1.9)
 
 
-def _horizontal_line(value: float, ends: tuple[float, float], role: str, name: str = "") -> Line:
+def _horizontal_line(
+    value: float, ends: tuple[float, float], role: str, name: str = ""
+) -> charts.Line:
     """A level line over the whole panel, whatever the points' range."""
-    return Line(np.array(ends), np.full(2, value), role, name)
+    return charts.Line(np.array(ends), np.full(2, value), role, name)
 
 
-def _frame_range(frames: Array) -> tuple[float, float]:
+def _frame_range(frames: charts.Array) -> tuple[float, float]:
     room = 0.02 * float(np.ptp(frames)) + 0.5
     return float(frames.min()) - room, float(frames.max()) + room
 
 
-def _range_with_zero(values: Array, together: float | None) -> tuple[float, float]:
+def _range_with_zero(values: charts.Array, together: float | None) -> tuple[float, float]:
     """A range with 0 in it: how far off, not only how scattered, is to be seen."""
-    known = np.append(values, [0.0, together or 0.0])
-    room = 0.08 * float(np.ptp(known)) or 1.0
-    return float(known.min()) - room, float(known.max()) + room
+    every = np.append(values, [0.0, together or 0.0])
+    room = 0.08 * float(np.ptp(every)) or 1.0
+    return float(every.min()) - room, float(every.max()) + room

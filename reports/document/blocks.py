@@ -246,5 +246,5 @@ def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
 
 def files_and_software(summary: dict[str, Any], *facts: tuple[str, str]) -> Section:
     """Close a report with what it was made from; `facts` come first."""
-    known = Facts((*facts, ("Software", software(summary))))
-    return Section("conditions", "Files and software", (known, *provenance(summary)))
+    lead = Facts((*facts, ("Software", software(summary))))
+    return Section("conditions", "Files and software", (lead, *provenance(summary)))

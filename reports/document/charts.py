@@ -52,17 +52,13 @@ def records(table: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(name): value for name, value in one.items()} for one in table.to_dict("records")]
 
 
-def origin(t: Array) -> float:
-    """Choose the zero of a time axis: the clock's own, unless that lies more than a day back."""
-    known = t[np.isfinite(t)]
-    return float(known[0]) if len(known) and abs(known[0]) > 86_400 else 0.0
-
-
 def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
-    """Give the times of the pairs from a zero that keeps them readable, and the axis' label."""
+    """Give the times of the pairs and the axis' label; from the first if days after the clock's."""
     t = column(frames, "t_s")
-    zero = origin(t)
-    return t - zero, "time [s]" if zero == 0 else f"time since {zero:.3f} s [s]"
+    valid = t[np.isfinite(t)]
+    if not len(valid) or abs(valid[0]) <= 86_400:
+        return t, "time [s]"
+    return t - valid[0], f"time since {valid[0]:.3f} s [s]"
 
 
 def trace(t: Array, y: Array) -> tuple[Array, Array]:
@@ -96,16 +92,15 @@ def band(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
 
 def pieces(x: Array) -> list[slice]:
     """Find the unbroken pieces of a line that NaN breaks."""
-    known = np.isfinite(x)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    valid = np.isfinite(x)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], valid, [False]]).astype(int)))
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def isolated_points(x: Array, y: Array) -> NDArray[np.bool_]:
     """Find points without a neighbour: a line would not show them."""
-    known = np.isfinite(x) & np.isfinite(y)
-    padded = np.concatenate([[False], known, [False]])
-    alone: NDArray[np.bool_] = known & ~padded[:-2] & ~padded[2:]
+    alone = np.zeros(len(x), dtype=bool)
+    alone[[piece.start for piece in pieces(x + y) if piece.stop - piece.start == 1]] = True
     return alone
 
 
@@ -140,8 +135,8 @@ def runs(words: list[str]) -> list[tuple[str, int, int]]:
 
 def median_step(t: Array) -> float:
     """Find the usual time from one pair to the next; 1 where there is none."""
-    known = t[np.isfinite(t)]
-    return float(np.median(np.diff(known))) or 1.0 if len(known) > 1 else 1.0
+    valid = t[np.isfinite(t)]
+    return float(np.median(np.diff(valid))) or 1.0 if len(valid) > 1 else 1.0
 
 
 def numbers(values: Any) -> list[float]:
@@ -177,9 +172,8 @@ def _split_at_gaps(t: Array, y: Array) -> tuple[Indices, Indices]:
     kept = np.flatnonzero(np.isfinite(t) & np.isfinite(y))
     if not len(kept):
         return kept, kept
-    stretch = (
-        len(kept) / N_BINS if len(kept) > MAX_LINE_POINTS else 1.0
-    )  # a shorter gap could not be drawn
+    # a gap shorter than this could not be drawn
+    stretch = len(kept) / N_BINS if len(kept) > MAX_LINE_POINTS else 1.0
     broken = (np.diff(kept) > stretch) | (
         np.diff(t[kept]) > MAX_GAP_RATIO * stretch * median_step(t)
     )

@@ -25,10 +25,10 @@ def decimals_of(uncertainty: float | None, least: int = 0) -> int:
 
 def number(value: Any, decimals: int = 3, signed: bool = False) -> str:
     """Write a number with fixed decimals; a dash where there is none."""
-    known = finite(value)
-    if known is None:
+    figure = finite(value)
+    if figure is None:
         return DASH
-    text = f"{known:+.{decimals}f}" if signed else f"{known:.{decimals}f}"
+    text = f"{figure:+.{decimals}f}" if signed else f"{figure:.{decimals}f}"
     if float(text) == 0:
         text = text.lstrip("+-")
     return text.replace("-", MINUS)
@@ -36,12 +36,12 @@ def number(value: Any, decimals: int = 3, signed: bool = False) -> str:
 
 def significant(value: Any, digits: int = 2) -> str:
     """Write a number to significant digits, without exponents; a dash where there is none."""
-    known = finite(value)
-    if known is None:
+    figure = finite(value)
+    if figure is None:
         return DASH
-    if known == 0:
+    if figure == 0:
         return "0"
-    rounded = float(f"{known:.{digits - 1}e}")
+    rounded = float(f"{figure:.{digits - 1}e}")
     decimals = min(max(digits - 1 - math.floor(math.log10(abs(rounded))), 0), 9)
     return f"{rounded:.{decimals}f}".replace("-", MINUS)
 
@@ -51,12 +51,12 @@ def with_uncertainty(value: Any, uncertainty: Any, unit: str = "", signed: bool 
 
     The unit is put behind each number: degrees close up, others with a space.
     """
-    known, spread = finite(value), finite(uncertainty)
+    figure, spread = finite(value), finite(uncertainty)
     suffix = unit if unit in ("", "°") else f" {unit}"
-    if known is None:
+    if figure is None:
         return DASH
     decimals = decimals_of(spread)
-    head = number(known, decimals, signed)
+    head = number(figure, decimals, signed)
     if spread is None:
         return f"{head}{suffix}"
     tail = number(spread, decimals)
@@ -73,26 +73,26 @@ def quantity(value: Any, unit: str, digits: int = 2) -> str:
 
 def exact_number(value: Any) -> str:
     """Write a number that somebody chose (a tolerance, a threshold), as they chose it."""
-    known = finite(value)
-    return DASH if known is None else f"{known:.6g}".replace("-", MINUS)
+    figure = finite(value)
+    return DASH if figure is None else f"{figure:.6g}".replace("-", MINUS)
 
 
 def probability(value: Any) -> str:
     """Write a probability with three decimals, never rounded up to certainty."""
-    known = finite(value)
-    if known is None:
+    figure = finite(value)
+    if figure is None:
         return DASH
-    if known > 0.9995:
+    if figure > 0.9995:
         return "> 0.999"
-    return "< 0.001" if known < 0.0005 else f"{known:.3f}"
+    return "< 0.001" if figure < 0.0005 else f"{figure:.3f}"
 
 
 def percent(value: Any) -> str:
     """Write a share as whole percent; near none and near all keep a digit, never rounded away."""
-    known = finite(value)
-    if known is None:
+    figure = finite(value)
+    if figure is None:
         return DASH
-    share = 100 * known
+    share = 100 * figure
     if 99.95 <= share < 100:
         return "> 99.9 %"
     text = f"{share:.1f}" if 0 < abs(share) < 9.95 or 99 < share < 100 else f"{share:.0f}"
@@ -101,8 +101,8 @@ def percent(value: Any) -> str:
 
 def count(value: Any) -> str:
     """Write a whole number, thousands apart; a dash where there is none."""
-    known = finite(value)
-    return DASH if known is None else f"{known:,.0f}".replace(",", "\u202f")  # narrow space
+    figure = finite(value)
+    return DASH if figure is None else f"{figure:,.0f}".replace(",", "\u202f")  # narrow space
 
 
 def text_or_dash(value: Any) -> str:

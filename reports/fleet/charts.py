@@ -47,8 +47,8 @@ VERDICTS = {"conform": "conform", "nonconform": "do not conform", "undecided": "
 
 def format_day(days: Any) -> str:
     """Write days since 1970 as a date."""
-    known = finite(days)
-    return "–" if known is None else (EPOCH + timedelta(days=known)).strftime("%Y-%m-%d")
+    figure = finite(days)
+    return "–" if figure is None else (EPOCH + timedelta(days=figure)).strftime("%Y-%m-%d")
 
 
 def format_period(held: dict[str, Any]) -> str:
@@ -203,8 +203,8 @@ def _calibration_changes(own: pd.DataFrame, t: Array) -> list[float]:
 def _fitted_course(own: pd.DataFrame, t: Array, changes: pd.DataFrame, zero: float) -> list[Mark]:
     """Break the level at steps: nothing is known in between."""
     fitted = column(own, "fitted_deg")
-    known = np.isfinite(fitted)
-    t, fitted = t[known], fitted[known]
+    valid = np.isfinite(fitted)
+    t, fitted = t[valid], fitted[valid]
     places = [float(d) - zero for d in changes[changes["term"] == "step"]["t_days"]]
     places += _calibration_changes(own, column(own, "t_days") - zero)
     cuts = np.searchsorted(t, sorted(place - 1e-9 for place in places))

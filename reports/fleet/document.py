@@ -3,20 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Cell,
-    Column,
-    Document,
-    Facts,
-    Section,
-    Verdict,
-    field,
-    lay_out,
-    software,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.charts import records
 from reports.document.formatting import (
     DASH,
@@ -48,9 +35,9 @@ CHANGE_NOTE = (
 )
 
 
-def document(results: Results) -> Document:
+def document(results: Results) -> doc.Document:
     """Lay out the whole report."""
-    sections: tuple[Callable[[Results], Section | None], ...] = (
+    sections: tuple[Callable[[Results], doc.Section | None], ...] = (
         state,
         joints,
         changes,
@@ -61,22 +48,17 @@ def document(results: Results) -> Document:
         evidence.failures,
         evidence.method,
     )
-    held = results.summary.get("sessions") or {}
-    return lay_out(
-        title=f"Fleet report: {_arm_count(results)}",
+    held, arms = results.summary.get("sessions") or {}, len(results.summary.get("arms") or [])
+    return doc.lay_out(
+        title=f"Fleet report: {'1 arm' if arms == 1 else f'{count(arms)} arms'}",
         subtitle=f"{count(held.get('measured'))} sessions{fleet_charts.format_period(held)}",
-        footer=f"{software(results.summary)} · fleet report",
+        footer=f"{doc.software(results.summary)} · fleet report",
         sections=(s for make in sections if (s := make(results)) is not None),
         sortable=True,
     )
 
 
-def _arm_count(results: Results) -> str:
-    number = len(results.summary.get("arms") or [])
-    return "1 arm" if number == 1 else f"{count(number)} arms"
-
-
-def state(results: Results) -> Section:
+def state(results: Results) -> doc.Section:
     """Open with what changed, then the facts at a glance."""
     summary = results.summary
     held = summary.get("sessions") or {}
@@ -92,10 +74,12 @@ def state(results: Results) -> Section:
     if verdicts:
         counts = [f"{count(n)} {fleet_charts.VERDICTS.get(v, v)}" for v, n in verdicts.items()]
         items.append(("Verdicts of the sessions", join_words(counts)))
-    return Section("verdict", "State of the fleet", (_headline(results), Facts(tuple(items))))
+    return doc.Section(
+        "verdict", "State of the fleet", (_headline(results), doc.Facts(tuple(items)))
+    )
 
 
-def _headline(results: Results) -> Verdict:
+def _headline(results: Results) -> doc.Verdict:
     table, found = results.table("joints"), results.table("changes")
     judged = int((table["state"] != "unknown").sum()) if len(table) else 0
     remark = fleet_charts.false_alarm_text(results.summary)
@@ -104,10 +88,10 @@ def _headline(results: Results) -> Verdict:
             f"No joint has {count(results.summary.get('fewest_sessions'))} dated sessions with a "
             "figure: nothing can be said of changes."
         )
-        return Verdict("undecided", "Nothing to follow over time", sentence)
+        return doc.Verdict("undecided", "Nothing to follow over time", sentence)
     if not len(found):
         sentence = f"None of the {count(judged)} joints that can be followed changed over time."
-        return Verdict("conform", "No change", sentence, (remark,))
+        return doc.Verdict("conform", "No change", sentence, (remark,))
     accused = found.drop_duplicates(["arm", "joint"])
     others = judged - len(accused)
     label = f"{count(len(accused))} of {count(judged)} joints changed"
@@ -116,10 +100,10 @@ def _headline(results: Results) -> Verdict:
         sentences.append(f"{count(len(found) - 4)} further changes are listed below")
     rest = f" The other {count(others)} joints show no change." if others else ""
     sentence = f"{capitalise('; '.join(sentences))}.{rest}"
-    return Verdict("nonconform", label, sentence, (remark,))
+    return doc.Verdict("nonconform", label, sentence, (remark,))
 
 
-def joints(results: Results) -> Section:
+def joints(results: Results) -> doc.Section:
     """A row a joint: state, trend, error now."""
     order = {"several": 0, "drift": 1, "step": 1, "change": 1, "steady": 2, "unknown": 3}
     entries = sorted(
@@ -127,25 +111,25 @@ def joints(results: Results) -> Section:
         key=lambda e: (order.get(str(e["state"]), 2), str(e["arm"]), int(e["joint"])),
     )
     columns = (
-        Column("Arm", "l", field("arm")),
-        Column("Joint", "l", field("joint", str)),
-        Column("State", "l", _state),
-        Column("Error now [°]", "r", evidence.expanded_field("error_deg", "error_u_deg")),
-        Column("Trend [°/month]", "r", _trend),
-        Column("Sessions", "r", field("sessions", count)),
-        Column("Odd ones", "r", field("odd_sessions", count)),
-        Column("Scatter", "r", field("excess", number, 1)),
-        Column("Conform / undecided / not", "r", _verdict_counts),
+        doc.Column("Arm", "l", doc.field("arm")),
+        doc.Column("Joint", "l", doc.field("joint", str)),
+        doc.Column("State", "l", _state),
+        doc.Column("Error now [°]", "r", evidence.expanded_field("error_deg", "error_u_deg")),
+        doc.Column("Trend [°/month]", "r", _trend),
+        doc.Column("Sessions", "r", doc.field("sessions", count)),
+        doc.Column("Odd ones", "r", doc.field("odd_sessions", count)),
+        doc.Column("Scatter", "r", doc.field("excess", number, 1)),
+        doc.Column("Conform / undecided / not", "r", _verdict_counts),
     )
-    table = tabulate("Arms and joints, those that changed first.", columns, entries, STATE_NOTE)
-    return Section("joints", "Arms and joints", (table,))
+    table = doc.tabulate("Arms and joints, those that changed first.", columns, entries, STATE_NOTE)
+    return doc.Section("joints", "Arms and joints", (table,))
 
 
-def _state(one: dict[str, Any]) -> Cell:
+def _state(one: dict[str, Any]) -> doc.Cell:
     state = str(one["state"])
     worse = ", getting worse" if one.get("worse") is True else ""
     words = fleet_charts.STATES.get(state, state)
-    return Cell(f"{words}{worse}", fleet_charts.TONES.get(state, ""))
+    return doc.Cell(f"{words}{worse}", fleet_charts.TONES.get(state, ""))
 
 
 def _trend(one: dict[str, Any]) -> str:
@@ -158,24 +142,26 @@ def _verdict_counts(one: dict[str, Any]) -> str:
     return " / ".join(count(n) for n in counts) if any(counts) else DASH
 
 
-def changes(results: Results) -> Section:
+def changes(results: Results) -> doc.Section:
     """Every change with its date, size and how surely its kind is told."""
     found = records(results.table("changes"))
     if not found:
         text = "No change was found beyond what chance brings about."
-        return Section("changes", "Changes", (Bullets((text,)),))
+        return doc.Section("changes", "Changes", (doc.Bullets((text,)),))
     columns = (
-        Column("Arm", "l", field("arm")),
-        Column("Joint", "l", field("joint", str)),
-        Column("Kind", "l", lambda one: fleet_charts.KINDS.get(str(one["kind"]), str(one["kind"]))),
-        Column("Date", "l", fleet_charts.change_date, wide=True),
-        Column("Session", "l", field("session"), wide=True),
-        Column("Size ± U", "r", _change_size),
-        Column("Range of the date", "l", _date_range),
-        Column("Told by", "l", field("clearer_by", significant)),
+        doc.Column("Arm", "l", doc.field("arm")),
+        doc.Column("Joint", "l", doc.field("joint", str)),
+        doc.Column(
+            "Kind", "l", lambda one: fleet_charts.KINDS.get(str(one["kind"]), str(one["kind"]))
+        ),
+        doc.Column("Date", "l", fleet_charts.change_date, wide=True),
+        doc.Column("Session", "l", doc.field("session"), wide=True),
+        doc.Column("Size ± U", "r", _change_size),
+        doc.Column("Range of the date", "l", _date_range),
+        doc.Column("Told by", "l", doc.field("clearer_by", significant)),
     )
-    blocks: list[Block] = [
-        tabulate("Changes, in order of arm and joint.", columns, found, CHANGE_NOTE)
+    blocks: list[doc.Block] = [
+        doc.tabulate("Changes, in order of arm and joint.", columns, found, CHANGE_NOTE)
     ]
     if any(one["recalibrated"] is True for one in found):
         text = (
@@ -183,8 +169,8 @@ def changes(results: Results) -> Section:
             "only because it is beyond what rig and marker state as their uncertainty. Where they "
             "state none, measure again with the old calibration."
         )
-        blocks.append(Bullets((text,), "warning"))
-    return Section("changes", "Changes", tuple(blocks))
+        blocks.append(doc.Bullets((text,), "warning"))
+    return doc.Section("changes", "Changes", tuple(blocks))
 
 
 def _change_size(one: dict[str, Any]) -> str:

@@ -6,17 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Cell,
-    Column,
-    Paragraph,
-    Section,
-    Table,
-    field,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.charts import records
 from reports.document.formatting import (
     DASH,
@@ -77,32 +67,33 @@ METHOD_PARAGRAPHS = tuple(
 )
 
 
-def contrasts(results: Results) -> Section | None:
+def contrasts(results: Results) -> doc.Section | None:
     """Before and after, or one folder against another, where that was asked."""
     table = results.table("contrasts")
-    asked = results.summary.get("since"), results.summary.get("compare")
-    if not any(asked):
+    if not (results.summary.get("since") or results.summary.get("compare")):
         return None
     if not len(table):
         text = "No joint has dated sessions with a figure on both sides."
-        return Section("contrasts", "Before and after", (Paragraph(text, "note"),))
-    blocks: list[Block] = []
+        return doc.Section("contrasts", "Before and after", (doc.Paragraph(text, "note"),))
+    blocks: list[doc.Block] = []
     for (first, second), rows in table.groupby(["first", "second"], sort=False):
         blocks.append(_contrast_table(str(first), str(second), records(rows)))
-    return Section("contrasts", "Before and after", tuple(blocks))
+    return doc.Section("contrasts", "Before and after", tuple(blocks))
 
 
-def _contrast_table(first: str, second: str, entries: list[dict[str, Any]]) -> Table:
+def _contrast_table(first: str, second: str, entries: list[dict[str, Any]]) -> doc.Table:
     columns = (
-        Column("Arm", "l", field("arm")),
-        Column("Joint", "l", field("joint", str)),
-        Column("First [°]", "r", partial(_mean_and_sessions, "first")),
-        Column("Second [°]", "r", partial(_mean_and_sessions, "second")),
-        Column("Difference ± U [°]", "r", expanded_field("difference_deg", "difference_u_deg")),
-        Column("Result", "l", _contrast_result),
+        doc.Column("Arm", "l", doc.field("arm")),
+        doc.Column("Joint", "l", doc.field("joint", str)),
+        doc.Column("First [°]", "r", partial(_mean_and_sessions, "first")),
+        doc.Column("Second [°]", "r", partial(_mean_and_sessions, "second")),
+        doc.Column("Difference ± U [°]", "r", expanded_field("difference_deg", "difference_u_deg")),
+        doc.Column("Result", "l", _contrast_result),
     )
     title = f"Mean errors: {text_or_dash(first)}, {text_or_dash(second)}, and the difference."
-    return tabulate(title, columns, sorted(entries, key=lambda e: not e["shown"]), CONTRAST_NOTE)
+    return doc.tabulate(
+        title, columns, sorted(entries, key=lambda e: not e["shown"]), CONTRAST_NOTE
+    )
 
 
 def expanded_field(key: str, u_key: str) -> Callable[[dict[str, Any]], str]:
@@ -119,13 +110,13 @@ def _mean_and_sessions(side: str, entry: dict[str, Any]) -> str:
     return f"{number(entry[f'{side}_deg'])} ({count(entry[f'{side}_sessions'])})"
 
 
-def _contrast_result(entry: dict[str, Any]) -> Cell:
+def _contrast_result(entry: dict[str, Any]) -> doc.Cell:
     if entry["shown"] is True:
-        return Cell("changed", "nonconform")
-    return Cell("no change shown", "conform")
+        return doc.Cell("changed", "nonconform")
+    return doc.Cell("no change shown", "conform")
 
 
-def worst_sessions(results: Results) -> Section | None:
+def worst_sessions(results: Results) -> doc.Section | None:
     """The sessions with the largest errors, with links to their own reports."""
     table = results.table("worst")
     if not len(table):
@@ -140,50 +131,50 @@ def worst_sessions(results: Results) -> Section | None:
         )
     error = expanded_field("worst_error_deg", "worst_error_u_deg")
     columns = (
-        Column("Session", "l", _session_link, wide=True),
-        Column("Started", "l", field("started")),
-        Column("Arm", "l", field("arm")),
-        Column("Joint", "r", field("joint", str)),
-        Column("Largest error ± U [°]", "r", error),
-        Column("Verdict", "l", _verdict),
-        Column("Kept in", "l", field("kept_in"), wide=True),
+        doc.Column("Session", "l", _session_link, wide=True),
+        doc.Column("Started", "l", doc.field("started")),
+        doc.Column("Arm", "l", doc.field("arm")),
+        doc.Column("Joint", "r", doc.field("joint", str)),
+        doc.Column("Largest error ± U [°]", "r", error),
+        doc.Column("Verdict", "l", _verdict),
+        doc.Column("Kept in", "l", doc.field("kept_in"), wide=True),
     )
-    shown = tabulate("Sessions with the largest errors.", columns, records(table), *notes)
-    return Section("worst", "Worst sessions", (shown,))
+    shown = doc.tabulate("Sessions with the largest errors.", columns, records(table), *notes)
+    return doc.Section("worst", "Worst sessions", (shown,))
 
 
-def _session_link(one: dict[str, Any]) -> Cell:
+def _session_link(one: dict[str, Any]) -> doc.Cell:
     place = f"{one['kept_in']}/report.html" if one["reported"] is True else ""
-    return Cell(text_or_dash(one["session"]), link=place)
+    return doc.Cell(text_or_dash(one["session"]), link=place)
 
 
-def _verdict(one: dict[str, Any]) -> Cell:
+def _verdict(one: dict[str, Any]) -> doc.Cell:
     tone = phrases.tone(one["verdict"])
-    return Cell(lookup_label(phrases.VERDICTS, one["verdict"]), tone if tone != "none" else "")
+    return doc.Cell(lookup_label(phrases.VERDICTS, one["verdict"]), tone if tone != "none" else "")
 
 
-def hidden_errors(results: Results) -> Section:
+def hidden_errors(results: Results) -> doc.Section:
     """What the fleet's sessions could not show, joint by joint."""
     table = results.table("joints")
     columns = (
-        Column("Arm", "l", field("arm")),
-        Column("Joint", "l", field("joint", str)),
-        Column("Sessions without a figure", "r", _sessions_without_figure),
-        Column("Visible at registration", "r", field("visible", percent)),
-        Column("Visible since", "r", field("visible_since", percent)),
-        Column("Detectable [°]", "r", field("detectable_deg", significant)),
-        Column("Separable [°]", "r", field("separable_deg", significant)),
+        doc.Column("Arm", "l", doc.field("arm")),
+        doc.Column("Joint", "l", doc.field("joint", str)),
+        doc.Column("Sessions without a figure", "r", _sessions_without_figure),
+        doc.Column("Visible at registration", "r", doc.field("visible", percent)),
+        doc.Column("Visible since", "r", doc.field("visible_since", percent)),
+        doc.Column("Detectable [°]", "r", doc.field("detectable_deg", significant)),
+        doc.Column("Separable [°]", "r", doc.field("separable_deg", significant)),
     )
     title = "What the sessions of each joint could show: medians over its sessions."
-    shown = tabulate(title, columns, records(table), VISIBLE_NOTE)
-    return Section("unseen", "What could not be seen", (*_hidden_blocks(results, table), shown))
+    shown = doc.tabulate(title, columns, records(table), VISIBLE_NOTE)
+    return doc.Section("unseen", "What could not be seen", (*_hidden_blocks(results, table), shown))
 
 
 def _sessions_without_figure(one: dict[str, Any]) -> str:
     return f"{count(one['without_figure'])} of {count(one['without_figure'] + one['sessions'])}"
 
 
-def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[Block, ...]:
+def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[doc.Block, ...]:
     sentences = []
     for arm, rows in table.groupby("arm", sort=False):
         entries = records(rows)
@@ -206,30 +197,30 @@ def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[Block, ...]:
             f"{count(undated)} sessions say no start (`started` in session.toml): they are in the "
             "tables, and in no chart."
         )
-    return (Bullets(tuple(sentences), "warning"),) if sentences else ()
+    return (doc.Bullets(tuple(sentences), "warning"),) if sentences else ()
 
 
 def _is_hidden(share: Any) -> bool:
-    known = finite(share)
-    return known is not None and known < phrases.MAX_HIDDEN_SHARE
+    figure = finite(share)
+    return figure is not None and figure < phrases.MAX_HIDDEN_SHARE
 
 
-def failures(results: Results) -> Section | None:
+def failures(results: Results) -> doc.Section | None:
     """Sessions that could not be measured, and why."""
     table = results.table("failures")
     if not len(table):
         return None
     columns = (
-        Column("Session", "l", field("session"), wide=True),
-        Column("Kind", "l", field("kind")),
-        Column("Why", "l", field("why"), wide=True),
+        doc.Column("Session", "l", doc.field("session"), wide=True),
+        doc.Column("Kind", "l", doc.field("kind")),
+        doc.Column("Why", "l", doc.field("why"), wide=True),
     )
     note = "failures.csv holds the same. They are tried again when the batch is started again."
-    shown = tabulate("Sessions that could not be measured.", columns, records(table), note)
-    return Section("failures", "Failures", (shown,))
+    shown = doc.tabulate("Sessions that could not be measured.", columns, records(table), note)
+    return doc.Section("failures", "Failures", (shown,))
 
 
-def method(results: Results) -> Section:
+def method(results: Results) -> doc.Section:
     """How changes are found, and what is assumed."""
     summary = results.summary
     share = finite(summary.get("false_alarm"))
@@ -242,4 +233,4 @@ def method(results: Results) -> Section:
         *METHOD_PARAGRAPHS,
         FALSE_ALARM_NOTE.format(rate=rate),
     )
-    return Section("method", "How changes are found", (Bullets(items),))
+    return doc.Section("method", "How changes are found", (doc.Bullets(items),))

@@ -52,6 +52,11 @@ class Logo:
     height_mm: float
 
     @property
+    def size(self) -> dict[str, float]:
+        """How large it stands, as templates are given it."""
+        return {"width_mm": self.width_mm, "height_mm": self.height_mm}
+
+    @property
     def address(self) -> str:
         """Give it as an address that holds the picture itself."""
         kind = "svg+xml" if self.is_svg else "png"
@@ -162,11 +167,8 @@ def _svg_size(path: Path, content: bytes) -> tuple[float, float]:
         raise _invalid_logo(path, "is XML but no SVG", "a PNG or SVG")
     for element in root.iter():
         _check_element(path, element)
-    box = [
-        float(part)
-        for part in re.findall(r"[-+.\deE]+", root.get("viewBox", ""))
-        if _is_length(part)
-    ]
+    parts = re.findall(r"[-+.\deE]+", root.get("viewBox", ""))
+    box = [float(part) for part in parts if LENGTH_PATTERN.fullmatch(part.lstrip("+-"))]
     if len(box) == 4:
         return box[2], box[3]
     sides = [LENGTH_PATTERN.fullmatch(root.get(name, "")) for name in ("width", "height")]
@@ -192,10 +194,6 @@ def _check_element(path: Path, element: ElementTree.Element) -> None:
     for text in texts:
         if re.search(r"url\(\s*['\"]?(?!\s*['\"]?#)|@import", text, re.IGNORECASE):
             raise _invalid_logo(path, "fetches something by its style", "a plain SVG")
-
-
-def _is_length(text: str) -> bool:
-    return LENGTH_PATTERN.fullmatch(text.lstrip("+-")) is not None
 
 
 def _invalid_logo(path: Path, found: str, expected: str) -> ReportError:

@@ -43,18 +43,14 @@ def page(document: Document, look: Look = DEFAULT_BRANDING) -> str:
         "palette": {role: {"light": a, "dark": b} for role, (a, b) in charts.PALETTE.items()},
         "plots": _for_script({"palette": charts.PALETTE, "plots": plots}),
         "pictures": pictures,
-        "plotly": _plotly() if plots else "",
+        "plotly": plotly.offline.get_plotlyjs() if plots else "",
         "style": _read_template(STYLE),
         "own_style": _custom_style(look),
         "script": _read_template("report.js"),
         "tables": _read_template("fleet.js") if document.sortable else "",
         "words": WORDS,
         "language": LANGUAGE,
-        "logo": look.logo and {
-            "address": look.logo.address,
-            "width_mm": look.logo.width_mm,
-            "height_mm": look.logo.height_mm,
-        },
+        "logo": look.logo and {"address": look.logo.address, **look.logo.size},
         "owner": look.owner,
     }  # fmt: skip
     if look.templates is None or not (look.templates / PAGE).is_file():
@@ -120,12 +116,6 @@ def _custom_style(look: Look) -> str:
     if "</" in text:
         raise ReportError(path, 'holds "</"', "a style sheet has no markup", "Take it out.")
     return text
-
-
-@cache
-def _plotly() -> str:
-    library: str = plotly.offline.get_plotlyjs()
-    return library
 
 
 def _read_template(name: str) -> str:

@@ -14,7 +14,7 @@ import typst
 
 from reports.document.blocks import Document, collect_figures, to_template_data
 from reports.format import matplotlib
-from reports.format.branding import DEFAULT_BRANDING, LANGUAGE, WORDS, Logo, Look
+from reports.format.branding import DEFAULT_BRANDING, LANGUAGE, WORDS, Look
 from reports.results import ReportError
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -92,15 +92,11 @@ def typst_files(document: Document, look: Look = DEFAULT_BRANDING) -> dict[str, 
         "figures": drawn,
         "words": WORDS,
         "language": LANGUAGE,
-        "logo": look.logo and _logo_data(look.logo),
+        "logo": look.logo and {"file": "logo.svg", **look.logo.size},
         "owner": look.owner,
     }
     files["report.json"] = json.dumps(data).encode()
     return files
-
-
-def _logo_data(logo: Logo) -> dict[str, Any]:
-    return {"file": "logo.svg", "width_mm": logo.width_mm, "height_mm": logo.height_mm}
 
 
 def _png_in_svg(png: bytes) -> bytes:

@@ -148,8 +148,8 @@ def _level(level: charts.Level, panel: Panel, chart: Chart) -> list[dict[str, An
     own = [m for m in panel.marks if isinstance(m, charts.Line)]
     every = [m for p in chart.panels for m in p.marks if isinstance(m, charts.Line)]
     along = [m.y if level.upright else m.x for m in (own if level.upright else every)]
-    known = np.concatenate([a[np.isfinite(a)] for a in along] or [np.empty(0)])
-    ends = np.array([known.min(), known.max()]) if len(known) else np.array([0.0, 1.0])
+    valid = np.concatenate([a[np.isfinite(a)] for a in along] or [np.empty(0)])
+    ends = np.array([valid.min(), valid.max()]) if len(valid) else np.array([0.0, 1.0])
     if ends[0] == ends[1]:
         ends = ends + np.array([-0.5, 0.5])
     fixed = np.full(2, level.value)

@@ -1,56 +1,11 @@
-"""What the report of a grab says, in which order.
-
-The summary's keys, units in their names; what is not known is null:
-
-    kind                  "grab"
-    tool                  name, version
-    robot, cell, target   in words
-    execute               whether anything was allowed to move
-    state, reason         the named state that it ended in, and why
-    released              the controls were given back
-    seen_from_grip_mm     the object's middle, by both cameras' last sight of it in the lift;
-                          seen_from_grip_expanded_uncertainty_mm (k = 2), seen_raised_mm (by which
-                          the hand was up then); null where they did not see it after the descent
-    hand                  used (the end point was corrected), reason, pictures, measured, told_mm,
-                          read_mm, seen_mm (the grip point above the object, as ordered, by the
-                          encoders, by the LEDs), off_mm (at the object, seen less told) and
-                          off_expanded_uncertainty_mm (k = 2); null where it was not looked at
-    plan                  branch, score and its parts, q_above_deg, q_grip_deg, grip_mm, duration_s,
-                          margin (across_mm, across_needed_mm, along_mm, along_needed_mm,
-                          raised_mm), rejected (branch, reason); null without a plan
-    refusal               kind, reason, rejected; null where none was refused
-
-Tables: cycles (t_s, state, status, quality, target_ and grip_ x/y/z_mm, u_x/y/z_mm, left_ and
-right_ x/y/width/height_px, q1_deg …, q1_ordered_deg …, gripper, opening_mm), passages (t_s,
-from_state, event, to_state, reason), plan (t_s, part, q1_deg …, grip_x/y/z_mm), hand (t_s,
-status, grip_x/y/z_mm: a picture a row).
-"""
+"""What the report of a grab says, in which order. Keys: docs/grab.md."""
 
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Column,
-    Document,
-    Facts,
-    Figure,
-    FigurePlan,
-    Paragraph,
-    Section,
-    Table,
-    Verdict,
-    block_or_paragraph,
-    field,
-    figure_or_text,
-    lay_out,
-    row,
-    software,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.charts import column, records, texts
 from reports.document.formatting import (
     capitalise,
@@ -78,37 +33,37 @@ OUTCOMES = {  # by the state: tone, label
 
 
 FIGURES = {
-    "pictures": FigurePlan(
+    "pictures": doc.FigurePlan(
         None,
         "Both cameras, left and right: what was searched (box) and seen (ellipse).",
         "Pictures of both cameras in the main states",
         "There are no pictures.",
     ),
-    "states": FigurePlan(
+    "states": doc.FigurePlan(
         figures.states,
         "The states over time.",
         "A bar for each state's time",
         "It was too short to draw.",
     ),
-    "track": FigurePlan(
+    "track": doc.FigurePlan(
         figures.track,
         "The target's track and the grip point's way, in the robot's base.",
         "Lines in space: target and grip point",
         "The target was not seen by both cameras.",
     ),
-    "camshift": FigurePlan(
+    "camshift": doc.FigurePlan(
         figures.windows,
         "CAMSHIFT in both pictures: centre and size of the target's box, quality.",
         "Strips over time: centre, size, quality",
         "CAMSHIFT saw nothing of the target's colours.",
     ),
-    "joints": FigurePlan(
+    "joints": doc.FigurePlan(
         figures.joints,
         "Joint angles, read and ordered.",
         "Six strips of joint angles",
         "No joint angles were read.",
     ),
-    "margins": FigurePlan(
+    "margins": doc.FigurePlan(
         figures.margins,
         "Standard uncertainty of the target's place in the base, and what the gripper "
         "leaves of expanded uncertainty. From the descent on, the hand hides part of the target.",
@@ -117,50 +72,54 @@ FIGURES = {
     ),
 }
 
-_figure_block = partial(figure_or_text, FIGURES)
+_figure_block = partial(doc.figure_or_text, FIGURES)
 
 
-def document(results: Results) -> Document:
+def document(results: Results) -> doc.Document:
     """Lay out the whole report."""
     summary = results.summary
     sections = (
         _outcome(results),
         _states(results),
-        Section("track", "Track", (_figure_block(results, "track"),)),
-        Section("camshift", "CAMSHIFT over time", (_figure_block(results, "camshift"),)),
+        doc.Section("track", "Track", (_figure_block(results, "track"),)),
+        doc.Section("camshift", "CAMSHIFT over time", (_figure_block(results, "camshift"),)),
         _joints(results),
         _tool_offset_section(results),
         _margins(results),
         _plan(results),
     )
     cell = text_or_dash(summary.get("cell"))
-    return lay_out(
+    return doc.lay_out(
         title=f"Grab with {text_or_dash(summary.get('robot'))}",
         subtitle=f"{text_or_dash(summary.get('target'))}, {cell} cell",
-        footer=f"{software(summary)} · grab",
+        footer=f"{doc.software(summary)} · grab",
         sections=sections,
     )
 
 
-def outcome(summary: dict[str, Any]) -> Verdict:
+def outcome(summary: dict[str, Any]) -> doc.Verdict:
     """Say how it ended, in a label and a sentence."""
     state, reason = str(summary.get("state")), text_or_dash(summary.get("reason"))
     plan, refusal = summary.get("plan"), summary.get("refusal") or {}
     if not summary.get("execute") and plan:
         duration = number(plan.get("duration_s"), 1)
-        return Verdict("none", "Planned; nothing was moved", f"{plan['branch']}, {duration} s.")
+        return doc.Verdict("none", "Planned; nothing was moved", f"{plan['branch']}, {duration} s.")
     if refusal:
-        return Verdict("undecided", "Refused", f"{refusal['reason']}.{_tool_offset_text(summary)}")
+        return doc.Verdict(
+            "undecided", "Refused", f"{refusal['reason']}.{_tool_offset_text(summary)}"
+        )
     if state == "searching":
         sentence = (
             "Nothing of the target's colours was seen by both cameras, or more than one thing."
         )
-        return Verdict("undecided", "The target was not found", sentence)
+        return doc.Verdict("undecided", "The target was not found", sentence)
     if state not in OUTCOMES:
-        return Verdict("undecided", f"Ended while {state}", "Its time was over, or it was ended.")
+        return doc.Verdict(
+            "undecided", f"Ended while {state}", "Its time was over, or it was ended."
+        )
     tone, label = OUTCOMES[state]
     by = _evidence_text(summary) if state == "lifted" else ""
-    return Verdict(tone, label, f"{_as_sentence(reason + by)}{_tool_offset_text(summary)}")
+    return doc.Verdict(tone, label, f"{_as_sentence(reason + by)}{_tool_offset_text(summary)}")
 
 
 def _evidence_text(summary: dict[str, Any]) -> str:
@@ -194,7 +153,7 @@ def _as_sentence(words: str) -> str:
     return f"{capitalise(words)}."
 
 
-def _outcome(results: Results) -> Section:
+def _outcome(results: Results) -> doc.Section:
     summary = results.summary
     table = results.table("cycles")
     t, took = column(table, "t_s"), column(table, "took_ms")
@@ -213,28 +172,28 @@ def _outcome(results: Results) -> Section:
         ("Film", text_or_dash(summary.get("film"))),
         ("Recorded session", text_or_dash(summary.get("session"))),
     ]
-    blocks: list[Block] = [outcome(summary), Facts(tuple(items))]
+    blocks: list[doc.Block] = [outcome(summary), doc.Facts(tuple(items))]
     if summary.get("warnings"):
-        blocks.append(Bullets(tuple(summary["warnings"]), "warning"))
+        blocks.append(doc.Bullets(tuple(summary["warnings"]), "warning"))
     blocks.append(_figure_block(results, "pictures"))
-    return Section("outcome", "Outcome", tuple(blocks))
+    return doc.Section("outcome", "Outcome", tuple(blocks))
 
 
-def _states(results: Results) -> Section:
+def _states(results: Results) -> doc.Section:
     columns = (
-        Column("t [s]", "r", field("t_s", number, 2)),
-        Column("from", "l", field("from_state", str)),
-        Column("to", "l", field("to_state", str)),
-        Column("event", "l", field("event", str)),
-        Column("because", "l", field("reason", str), wide=True),
+        doc.Column("t [s]", "r", doc.field("t_s", number, 2)),
+        doc.Column("from", "l", doc.field("from_state", str)),
+        doc.Column("to", "l", doc.field("to_state", str)),
+        doc.Column("event", "l", doc.field("event", str)),
+        doc.Column("because", "l", doc.field("reason", str), wide=True),
     )
     passages = records(results.table("passages"))
-    table = tabulate("Every passage from one state to another.", columns, passages)
-    return Section("states", "States over time", (_figure_block(results, "states"), table))
+    table = doc.tabulate("Every passage from one state to another.", columns, passages)
+    return doc.Section("states", "States over time", (_figure_block(results, "states"), table))
 
 
-def _joints(results: Results) -> Section:
-    blocks: list[Block] = [_figure_block(results, "joints")]
+def _joints(results: Results) -> doc.Section:
+    blocks: list[doc.Block] = [_figure_block(results, "joints")]
     table = results.table("cycles")
     names, t = texts(table, "state"), column(table, "t_s")
     rows = []
@@ -242,22 +201,22 @@ def _joints(results: Results) -> Section:
         if stage in names:
             first = names.index(stage)
             angles = [column(table, f"q{n}_deg")[first] for n in range(1, figures.N_JOINTS + 1)]
-            rows.append(row(stage, number(t[first], 2), *(number(q, 2) for q in angles)))
+            rows.append(doc.row(stage, number(t[first], 2), *(number(q, 2) for q in angles)))
     head = ("beginning of", "t [s]", *(f"joint {n} [°]" for n in range(1, figures.N_JOINTS + 1)))
     caption = "Joint angles, read, at the beginning of each stage."
-    blocks.append(Table(caption, "l" + "r" * (figures.N_JOINTS + 1), head, tuple(rows)))
-    return Section("joints", "Joint angles", tuple(blocks))
+    blocks.append(doc.Table(caption, "l" + "r" * (figures.N_JOINTS + 1), head, tuple(rows)))
+    return doc.Section("joints", "Joint angles", tuple(blocks))
 
 
-def _tool_offset_section(results: Results) -> Section:
+def _tool_offset_section(results: Results) -> doc.Section:
     """Did the arm stand where it was told to, by the LEDs on its flange?"""
     hand = results.summary.get("hand")
     if not hand:
         text = "Nobody looked at the hand: there was no descent, or nothing was to move."
-        return Section("hand", "The hand, seen by its LEDs", (Paragraph(text),))
-    blocks: list[Block] = [Paragraph(_as_sentence(hand["reason"]))]
+        return doc.Section("hand", "The hand, seen by its LEDs", (doc.Paragraph(text),))
+    blocks: list[doc.Block] = [doc.Paragraph(_as_sentence(hand["reason"]))]
     rows = [
-        row(what, *(number(v, 2) for v in hand[f"{key}_mm"] or (None,) * 3))
+        doc.row(what, *(number(v, 2) for v in hand[f"{key}_mm"] or (None,) * 3))
         for what, key in (
             ("grip point above the object, as ordered", "told"),
             ("the same, by the encoders", "read"),
@@ -268,42 +227,41 @@ def _tool_offset_section(results: Results) -> Section:
     ]
     head = ("", "x [mm]", "y [mm]", "z [mm]")
     caption = f"{hand['measured']} of {hand['pictures']} pairs of pictures showed the flange."
-    blocks.append(Table(caption, "lrrr", head, tuple(rows)))
-    return Section("hand", "The hand, seen by its LEDs", tuple(blocks))
+    blocks.append(doc.Table(caption, "lrrr", head, tuple(rows)))
+    return doc.Section("hand", "The hand, seen by its LEDs", tuple(blocks))
 
 
-def _margins(results: Results) -> Section:
+def _margins(results: Results) -> doc.Section:
     plan = results.summary.get("plan")
-    blocks: list[Block] = [_figure_block(results, "margins")]
+    blocks: list[doc.Block] = [_figure_block(results, "margins")]
     if plan:
         margin = plan["margin"]
         rows = tuple(
-            row(what, number(margin[f"{key}_mm"], 1), number(margin[f"{key}_needed_mm"], 1))
+            doc.row(what, number(margin[f"{key}_mm"], 1), number(margin[f"{key}_needed_mm"], 1))
             for what, key in (("sideways", "across"), ("along the approach", "along"))
         )
         head = ("direction", "gripper leaves [mm]", "needed [mm]")
-        blocks.append(Table("Margins of the planned grasp.", "lrr", head, rows))
+        blocks.append(doc.Table("Margins of the planned grasp.", "lrr", head, rows))
         raised = number(margin["raised_mm"], 1)
         text = f"Gripped {raised} mm above its middle, so the tips stay off the table."
-        blocks.append(Paragraph(text))
-    return Section("margins", "Margins", tuple(blocks))
+        blocks.append(doc.Paragraph(text))
+    return doc.Section("margins", "Margins", tuple(blocks))
 
 
-def _plan(results: Results) -> Section:
+def _plan(results: Results) -> doc.Section:
     plan, refusal = results.summary.get("plan"), results.summary.get("refusal")
-    blocks: list[Block] = []
-    figure = Figure("planned", "Joint angles as planned.", "Six strips of planned joint angles")
+    figure = doc.Figure("planned", "Joint angles as planned.", "Six strips of planned joint angles")
     otherwise = "There is no plan."
     if refusal:
         otherwise = f"Refused ({refusal['kind']}): {refusal['reason']}."
-    blocks.append(block_or_paragraph(figure, figures.planned_motion(results), otherwise))
+    blocks = [doc.block_or_paragraph(figure, figures.planned_motion(results), otherwise)]
     chosen = plan or refusal or {}
-    rows = [row(entry["branch"], entry["reason"]) for entry in chosen.get("rejected") or []]
+    rows = [doc.row(entry["branch"], entry["reason"]) for entry in chosen.get("rejected") or []]
     if plan:
         parts = ", ".join(f"{key} {significant(value)}" for key, value in plan["parts"].items())
         taken = f"taken: score {significant(plan['score'])} ({parts})"
-        rows.insert(0, row(plan["branch"], taken))
+        rows.insert(0, doc.row(plan["branch"], taken))
     if rows:
         head = ("branch", "why")
-        blocks.append(Table("The arm's postures.", "ll", head, tuple(rows), wide=(1,)))
-    return Section("plan", "Plan", tuple(blocks))
+        blocks.append(doc.Table("The arm's postures.", "ll", head, tuple(rows), wide=(1,)))
+    return doc.Section("plan", "Plan", tuple(blocks))

@@ -3,20 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from reports.document.charts import (
-    Array,
-    Chart,
-    Level,
-    Line,
-    Mark,
-    Panel,
-    Path,
-    Runs,
-    box,
-    column,
-    columns,
-    texts,
-)
+from reports.document import charts
 from reports.results import Results
 
 N_JOINTS = 6
@@ -28,29 +15,29 @@ MAX_MARGIN_RATIO = 1.3  # times what the gripper leaves: an axis shows no more
 SIDES = (("left", "series_1"), ("right", "series_6"))
 
 
-def states(results: Results) -> Chart | None:
+def states(results: Results) -> charts.Chart | None:
     """Which state it was in when; in the order in which they came up."""
     table = results.table("cycles")
-    t, names = column(table, "t_s"), texts(table, "state")
+    t, names = charts.column(table, "t_s"), charts.texts(table, "state")
     if len(t) < 2:
         return None
     order = list(dict.fromkeys(names))
     step = float(np.median(np.diff(t)))
-    marks: list[Mark] = []
+    marks: list[charts.Mark] = []
     for place, name in enumerate(order):
         inside = np.array([other == name for other in names])
         edges = np.diff(np.concatenate([[0], inside.astype(int), [0]]))
         starts, ends = t[edges[:-1] == 1], t[np.flatnonzero(edges == -1) - 1] + step
-        marks.append(Runs(starts, ends, len(order) - 1 - place, f"series_{1 + place % 8}"))
+        marks.append(charts.Runs(starts, ends, len(order) - 1 - place, f"series_{1 + place % 8}"))
     ticks = tuple((float(len(order) - 1 - i), name) for i, name in enumerate(order))
-    panel = Panel(
+    panel = charts.Panel(
         tuple(marks), x_label="time [s]", y_ticks=ticks, x_range=(float(t[0]), float(t[-1]) + step),
         y_range=(-0.7, len(order) - 0.3),
     )  # fmt: skip
-    return Chart((panel,), row_height=0.35 + 0.17 * len(order))
+    return charts.Chart((panel,), row_height=0.35 + 0.17 * len(order))
 
 
-def track(results: Results) -> Path | None:
+def track(results: Results) -> charts.Path | None:
     """The target's track and the grip point's way in space, base frame."""
     table = results.table("cycles")
     target, grip = _point_columns(table, "target"), _point_columns(table, "grip")
@@ -67,54 +54,54 @@ def track(results: Results) -> Path | None:
     if not lines:
         return None
     every = np.vstack([points for points, _, _ in lines])
-    ranges = box(every, AXIS_EXTENSION, MIN_BOX_SIDE / 2)
-    return Path(tuple(lines), ("x [mm]", "y [mm]", "z [mm]"), ranges)
+    ranges = charts.box(every, AXIS_EXTENSION, MIN_BOX_SIDE / 2)
+    return charts.Path(tuple(lines), ("x [mm]", "y [mm]", "z [mm]"), ranges)
 
 
-def windows(results: Results) -> Chart | None:
+def windows(results: Results) -> charts.Chart | None:
     """CAMSHIFT's window over time: where it is, how large, and how good."""
     table = results.table("cycles")
-    t = column(table, "t_s")
-    if not np.isfinite(column(table, "left_x_px")).any():
+    t = charts.column(table, "t_s")
+    if not np.isfinite(charts.column(table, "left_x_px")).any():
         return None
-    panels = []
-    for what, label in (("x", "centre x [px]"), ("y", "centre y [px]")):
-        panels.append(_camera_panel(table, t, what, label))
-    panels.append(_camera_panel(table, t, "width", "width [px]"))
-    panels.append(_camera_panel(table, t, "height", "height [px]"))
-    quality = Line(t, column(table, "quality"), "series_3", "quality")
-    panels.append(Panel((quality,), "quality", y_range=(0.0, 1.05), x_label="time [s]"))
-    return Chart(tuple(panels), row_height=0.85, shared_x=True)
+    labels = {"x": "centre x [px]", "y": "centre y [px]", "width": "width [px]",
+              "height": "height [px]"}  # fmt: skip
+    panels = [_camera_panel(table, t, what, label) for what, label in labels.items()]
+    quality = charts.Line(t, charts.column(table, "quality"), "series_3", "quality")
+    panels.append(charts.Panel((quality,), "quality", y_range=(0.0, 1.05), x_label="time [s]"))
+    return charts.Chart(tuple(panels), row_height=0.85, shared_x=True)
 
 
-def joints(results: Results) -> Chart | None:
+def joints(results: Results) -> charts.Chart | None:
     """Joint angles: read, and as they were ordered."""
     table = results.table("cycles")
-    t = column(table, "t_s")
-    if not np.isfinite(column(table, "q1_deg")).any():
+    t = charts.column(table, "t_s")
+    if not np.isfinite(charts.column(table, "q1_deg")).any():
         return None
-    ordered = np.isfinite(column(table, "q1_ordered_deg")).any()
+    ordered = np.isfinite(charts.column(table, "q1_ordered_deg")).any()
     panels = []
     for joint in range(1, N_JOINTS + 1):
-        marks: list[Mark] = [Line(t, column(table, f"q{joint}_deg"), "measured", "read")]
+        marks: list[charts.Mark] = [
+            charts.Line(t, charts.column(table, f"q{joint}_deg"), "measured", "read")
+        ]
         if ordered:
             name = f"q{joint}_ordered_deg"
-            marks.append(Line(t, column(table, name), "encoder", "ordered"))
+            marks.append(charts.Line(t, charts.column(table, name), "encoder", "ordered"))
         panels.append(_angle_panel(joint, marks))
-    return Chart(tuple(panels), columns=N_COLUMNS, row_height=0.95, shared_x=True)
+    return charts.Chart(tuple(panels), columns=N_COLUMNS, row_height=0.95, shared_x=True)
 
 
-def planned_motion(results: Results) -> Chart | None:
+def planned_motion(results: Results) -> charts.Chart | None:
     """Joint angles over the planned motion."""
     table = results.table("plan")
     if len(table) < 2:
         return None
-    t, parts = column(table, "t_s"), np.array(texts(table, "part"))
+    t, parts = charts.column(table, "t_s"), np.array(charts.texts(table, "part"))
     panels = []
     for joint in range(1, N_JOINTS + 1):
-        q = column(table, f"q{joint}_deg")
-        marks: list[Mark] = [
-            Line(t[parts == part], q[parts == part], role, name)
+        q = charts.column(table, f"q{joint}_deg")
+        marks: list[charts.Mark] = [
+            charts.Line(t[parts == part], q[parts == part], role, name)
             for part, role, name in (
                 ("over", "series_1", "over to it"),
                 ("down", "series_6", "down"),
@@ -123,18 +110,18 @@ def planned_motion(results: Results) -> Chart | None:
             if (parts == part).any()
         ]
         panels.append(_angle_panel(joint, marks))
-    return Chart(tuple(panels), columns=N_COLUMNS, row_height=0.95, shared_x=True)
+    return charts.Chart(tuple(panels), columns=N_COLUMNS, row_height=0.95, shared_x=True)
 
 
-def margins(results: Results) -> Chart | None:
+def margins(results: Results) -> charts.Chart | None:
     """Standard uncertainty of the target's place over time, and what the gripper leaves."""
     table = results.table("cycles")
-    t = column(table, "t_s")
-    marks: list[Mark] = [
-        Line(t, column(table, f"u_{axis}_mm"), f"series_{place}", f"u({axis})")
+    t = charts.column(table, "t_s")
+    marks: list[charts.Mark] = [
+        charts.Line(t, charts.column(table, f"u_{axis}_mm"), f"series_{place}", f"u({axis})")
         for place, axis in zip((1, 2, 3), "xyz", strict=True)
     ]
-    if not np.isfinite(column(table, "u_x_mm")).any():
+    if not np.isfinite(charts.column(table, "u_x_mm")).any():
         return None
     most = 0.0
     margin = (results.summary.get("plan") or {}).get("margin") or {}
@@ -142,26 +129,28 @@ def margins(results: Results) -> Chart | None:
         allowed = margin.get(f"{key}_mm")
         if allowed:
             most = max(most, MAX_MARGIN_RATIO * float(allowed))
-            marks.append(Level(float(allowed), "tolerance", f"room {what}"))
+            marks.append(charts.Level(float(allowed), "tolerance", f"room {what}"))
     ends = (0.0, most) if most else None
-    panel = Panel(tuple(marks), "u [mm]", "time [s]", y_range=ends, unit="mm")
-    return Chart((panel,), row_height=1.7)
+    panel = charts.Panel(tuple(marks), "u [mm]", "time [s]", y_range=ends, unit="mm")
+    return charts.Chart((panel,), row_height=1.7)
 
 
-def _camera_panel(table: pd.DataFrame, t: Array, what: str, label: str) -> Panel:
-    marks = tuple(Line(t, column(table, f"{s}_{what}_px"), role, s) for s, role in SIDES)
-    return Panel(marks, label, unit="px")
+def _camera_panel(table: pd.DataFrame, t: charts.Array, what: str, label: str) -> charts.Panel:
+    marks = tuple(
+        charts.Line(t, charts.column(table, f"{s}_{what}_px"), role, s) for s, role in SIDES
+    )
+    return charts.Panel(marks, label, unit="px")
 
 
-def _angle_panel(joint: int, marks: list[Mark]) -> Panel:
-    drawn = np.concatenate([mark.y for mark in marks if isinstance(mark, Line)])
+def _angle_panel(joint: int, marks: list[charts.Mark]) -> charts.Panel:
+    drawn = np.concatenate([mark.y for mark in marks if isinstance(mark, charts.Line)])
     low, high = float(np.nanmin(drawn)), float(np.nanmax(drawn))
     half = max((high - low) * AXIS_EXTENSION, MIN_SPAN_DEG) / 2
     ends = ((low + high) / 2 - half, (low + high) / 2 + half)
     label = f"joint {joint} [°]"
     below = "time [s]" if joint > N_JOINTS - N_COLUMNS else ""  # the lowest row: one axis for all
-    return Panel(tuple(marks), label, x_label=below, y_range=ends, unit="°")
+    return charts.Panel(tuple(marks), label, x_label=below, y_range=ends, unit="°")
 
 
-def _point_columns(table: pd.DataFrame, name: str) -> Array:
-    return columns(table, (f"{name}_{axis}_mm" for axis in "xyz"))
+def _point_columns(table: pd.DataFrame, name: str) -> charts.Array:
+    return charts.columns(table, (f"{name}_{axis}_mm" for axis in "xyz"))

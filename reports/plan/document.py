@@ -1,53 +1,10 @@
-"""What the report of a planned session says, in which order.
-
-The summary's keys, units in their names; what this motion would not show is null:
-
-    kind                  "plan"
-    tool, inputs, warnings, joint_error_correlation   as in a run's summary
-    robot, robot_fingerprint; observe: kinds of fault that were asked for
-    motion                duration_s, poses, visits, hold_s, there_and_back, view_angle_deg,
-                          floor_mm, seed
-    pairs                 recorded, measured, rejected, measured_share: as foreseen
-    candidates            tried, excluded: postures by what excludes them
-    conditions            rate_hz, skew_ms, spot_noise_px, reading_rate_hz, reading_noise_deg,
-                          clock_standard_uncertainty_ms (null: found from the motion)
-    joints                as a run's: standard_uncertainty_deg, expanded_uncertainty_deg,
-                          coverage_factor, visible_fraction (…_since_registration),
-                          minimum_detectable_error_deg, minimum_separable_error_deg; lowest_deg,
-                          highest_deg, greatest_speed_deg_s, upward_share; kinds, each: kind,
-                          unit (deg, percent), standard_uncertainty, minimum_detectable
-    clock                 source, standard_uncertainty_s, minimum_detectable_error_s
-    geometry              null, or supported, rank, candidates, parameters (name, unit,
-                          standard_uncertainty), held (name, reason), observability
-    through_encoders      base or LEDs were registered through the robot's own encoders
-    uncounted             sources taken as exact
-    image_size            px
-
-Tables: trajectory, poses, pairs, spots, arm, cameras, shown, sources.
-"""
+"""What the report of a planned session says, in which order. Keys: docs/plan.md."""
 
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from reports.document.blocks import (
-    Block,
-    Column,
-    Document,
-    Facts,
-    FigurePlan,
-    Paragraph,
-    Section,
-    Table,
-    Verdict,
-    field,
-    figure_or_text,
-    lay_out,
-    provenance,
-    row,
-    software,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.charts import column, texts
 from reports.document.formatting import (
     count,
@@ -123,33 +80,33 @@ class PlanNotes:
 
 
 FIGURES = {
-    "plan_detectable": FigurePlan(
+    "plan_detectable": doc.FigurePlan(
         figures.detectable,
         "Predicted of each joint: expanded uncertainty of its mean error, and the smallest "
         "constant offset that would be noticed.",
         "Two upright bars a joint, in degrees.",
         "No joint's offset would show.",
     ),
-    "correlation": FigurePlan(
+    "correlation": doc.FigurePlan(
         correlation,
         "Predicted correlation of the joints' mean errors.",
         "A square matrix of correlation coefficients, one row and one column a joint.",
         "The correlation of the joints' mean errors is not known.",
     ),
-    "plan_joints": FigurePlan(
+    "plan_joints": doc.FigurePlan(
         figures.over_time,
         "The joints over time.",
         "Strips over time, one a joint, in degrees.",
         "The motion was not kept.",
     ),
-    "plan_path": FigurePlan(
+    "plan_path": doc.FigurePlan(
         figures.path,
         "The flange's way, the arm at some of the poses, and the cameras with their view; robot's "
         "base frame.",
         "Lines in space: the flange's way, the arm's links, the cameras' axes.",
         "The arm's way was not kept.",
     ),
-    "plan_view": FigurePlan(
+    "plan_view": doc.FigurePlan(
         figures.view,
         "The LEDs in both pictures, all pairs of the session.",
         "Two pictures with the places of every LED in them, in pixels.",
@@ -160,44 +117,44 @@ FIGURES = {
 
 UNITS = {"deg": "°", "percent": "%", "mm": "mm"}
 
-_figure_block = partial(figure_or_text, FIGURES)
+_figure_block = partial(doc.figure_or_text, FIGURES)
 
 
-def document(results: Results) -> Document:
+def document(results: Results) -> doc.Document:
     """Lay out the whole report."""
     summary = results.summary
     sections = [verdict, joints, kinds, identifiable_parameters, motion, candidates, conditions]
     if not summary.get("geometry"):
         sections.remove(identifiable_parameters)
     fingerprint = text_or_dash(summary.get("robot_fingerprint"))[:23]
-    return lay_out(
+    return doc.lay_out(
         title=f"Planned session of {text_or_dash(summary.get('robot'))}",
         subtitle="what the next session would show",
-        footer=f"{software(summary)} · robot {fingerprint}",
+        footer=f"{doc.software(summary)} · robot {fingerprint}",
         sections=(section(results) for section in sections),
     )
 
 
-def verdict(results: Results) -> Section:
+def verdict(results: Results) -> doc.Section:
     """Open with the smallest offset that would be noticed, and with what cannot show."""
     summary = results.summary
     every = summary.get("joints") or []
     sizes = {j.get("joint"): finite(j.get("minimum_detectable_error_deg")) for j in every}
-    known = {joint: size for joint, size in sizes.items() if size is not None}
+    detectable = {joint: size for joint, size in sizes.items() if size is not None}
     blind = [joint for joint, size in sizes.items() if size is None]
     sentences = []
-    if known:
-        worst = max(known, key=lambda joint: known[joint])
+    if detectable:
+        worst = max(detectable, key=lambda joint: detectable[joint])
         sentences.append(
-            f"A constant offset of {quantity(known[worst], '°')} or more would be noticed in "
-            f"{'every joint' if not blind else name_joints(list(known))}."
+            f"A constant offset of {quantity(detectable[worst], '°')} or more would be noticed in "
+            f"{'every joint' if not blind else name_joints(list(detectable))}."
         )
     if blind:
         sentences.append(f"An offset of {name_joints(blind)} cannot show.")
     remarks = [PlanNotes.SAME_JUDGEMENT, PlanNotes.OBSTACLES]
     if blind and summary.get("through_encoders"):
         remarks.insert(0, PlanNotes.HIDDEN)
-    block = Verdict(
+    block = doc.Verdict(
         tone="undecided" if blind else "none",
         label="What this motion would show",
         sentence=" ".join(sentences),
@@ -214,27 +171,27 @@ def verdict(results: Results) -> Section:
     ]
     if finite(clock.get("standard_uncertainty_s")) is not None:
         facts.append(("Clock, u", quantity(1e3 * clock["standard_uncertainty_s"], "ms")))
-    return Section("verdict", "Prediction", (block, Facts(tuple(facts))))
+    return doc.Section("verdict", "Prediction", (block, doc.Facts(tuple(facts))))
 
 
-def joints(results: Results) -> Section:
+def joints(results: Results) -> doc.Section:
     """Give each joint's uncertainty, and what would be noticed and told apart."""
     columns = (
-        Column("Joint", "c", field("joint")),
-        Column("u [°]", "r", field("standard_uncertainty_deg", significant)),
-        Column("U [°]", "r", field("expanded_uncertainty_deg", significant)),
-        Column("k", "r", field("coverage_factor", number, 2)),
-        Column("Detectable [°]", "r", field("minimum_detectable_error_deg", significant)),
-        Column("Separable [°]", "r", field("minimum_separable_error_deg", significant)),
-        Column("Visible", "r", field("visible_fraction", percent)),
+        doc.Column("Joint", "c", doc.field("joint")),
+        doc.Column("u [°]", "r", doc.field("standard_uncertainty_deg", significant)),
+        doc.Column("U [°]", "r", doc.field("expanded_uncertainty_deg", significant)),
+        doc.Column("k", "r", doc.field("coverage_factor", number, 2)),
+        doc.Column("Detectable [°]", "r", doc.field("minimum_detectable_error_deg", significant)),
+        doc.Column("Separable [°]", "r", doc.field("minimum_separable_error_deg", significant)),
+        doc.Column("Visible", "r", doc.field("visible_fraction", percent)),
     )
     title = "Predicted uncertainty and detectable error of each joint."
-    table = tabulate(title, columns, results.summary.get("joints") or [], PlanNotes.JOINTS)
+    table = doc.tabulate(title, columns, results.summary.get("joints") or [], PlanNotes.JOINTS)
     blocks = [table, _figure_block(results, "plan_detectable"), *_sources(results)]
-    return Section("joints", "Joints", (*blocks, _figure_block(results, "correlation")))
+    return doc.Section("joints", "Joints", (*blocks, _figure_block(results, "correlation")))
 
 
-def _sources(results: Results) -> tuple[Block, ...]:
+def _sources(results: Results) -> tuple[doc.Block, ...]:
     """Say what each joint's uncertainty is made of."""
     parts = results.table("sources")
     names = list(dict.fromkeys(texts(parts, "source")))
@@ -243,107 +200,107 @@ def _sources(results: Results) -> tuple[Block, ...]:
         return ()
     sizes = column(parts, "standard_uncertainty_deg").reshape(len(names), len(every))
     rows = tuple(
-        row(name, *(number(size, 4) for size in line))
+        doc.row(name, *(number(size, 4) for size in line))
         for name, line in zip(names, sizes.tolist(), strict=True)
     )
     heads = ("Source", *(f"q{joint.get('joint')} [°]" for joint in every))
     caption = "What the uncertainty of each joint's mean error comes from."
-    return (Table(caption, "l" + "r" * len(every), heads, rows, (PlanNotes.SOURCES,)),)
+    return (doc.Table(caption, "l" + "r" * len(every), heads, rows, (PlanNotes.SOURCES,)),)
 
 
-def kinds(results: Results) -> Section:
+def kinds(results: Results) -> doc.Section:
     """Give every kind of fault that was asked for, a joint."""
     every = results.summary.get("joints") or []
-    asked = (every[0].get("kinds") if every else None) or []
-    if not asked:
-        text = Paragraph("No fault of a joint was asked for.")
-        return Section("kinds", "Kinds of fault", (text,))
-    columns = [Column("Joint", "c", field("joint"))]
-    for place, kind in enumerate(asked):
+    requested = (every[0].get("kinds") if every else None) or []
+    if not requested:
+        text = doc.Paragraph("No fault of a joint was asked for.")
+        return doc.Section("kinds", "Kinds of fault", (text,))
+    columns = [doc.Column("Joint", "c", doc.field("joint"))]
+    for place, kind in enumerate(requested):
         unit = UNITS.get(str(kind.get("unit")), "")
         name = lookup_label(KINDS, kind.get("kind"))
         columns += [
-            Column(f"{name}, u [{unit}]", "r", _kind_field(place, "standard_uncertainty")),
-            Column(f"detectable [{unit}]", "r", _kind_field(place, "minimum_detectable")),
+            doc.Column(f"{name}, u [{unit}]", "r", _kind_field(place, "standard_uncertainty")),
+            doc.Column(f"detectable [{unit}]", "r", _kind_field(place, "minimum_detectable")),
         ]
-    table = tabulate("What would show of each kind of fault.", columns, every, PlanNotes.KINDS)
-    return Section("kinds", "Kinds of fault", (table,))
+    table = doc.tabulate("What would show of each kind of fault.", columns, every, PlanNotes.KINDS)
+    return doc.Section("kinds", "Kinds of fault", (table,))
 
 
 def _kind_field(place: int, key: str) -> Callable[[dict[str, Any]], str]:
     return lambda joint: significant(joint["kinds"][place].get(key))
 
 
-def identifiable_parameters(results: Results) -> Section:
+def identifiable_parameters(results: Results) -> doc.Section:
     """List which of the arm's parameters could be identified."""
     found: dict[str, Any] = results.summary.get("geometry") or {}
-    columns: tuple[Column, ...] = (
-        Column("Parameter", "l", field("name")),
-        Column("Unit", "l", lambda e: UNITS.get(str(e.get("unit")), "")),
-        Column("u", "r", field("standard_uncertainty", significant)),
+    columns: tuple[doc.Column, ...] = (
+        doc.Column("Parameter", "l", doc.field("name")),
+        doc.Column("Unit", "l", lambda e: UNITS.get(str(e.get("unit")), "")),
+        doc.Column("u", "r", doc.field("standard_uncertainty", significant)),
     )
     title = "Parameters of the arm that could be identified."
-    table = tabulate(title, columns, found.get("parameters") or [], PlanNotes.GEOMETRY)
+    table = doc.tabulate(title, columns, found.get("parameters") or [], PlanNotes.GEOMETRY)
     rank = f"{count(found.get('rank'))} of {count(found.get('candidates'))} parameters"
-    blocks: list[Block] = [Facts((("Told apart", rank),)), table]
+    blocks: list[doc.Block] = [doc.Facts((("Told apart", rank),)), table]
     if found.get("held"):
         columns = (
-            Column("Parameter", "l", field("name")),
-            Column("Why it is held", "l", lambda e: lookup_label(REASONS, e.get("reason"))),
+            doc.Column("Parameter", "l", doc.field("name")),
+            doc.Column("Why it is held", "l", lambda e: lookup_label(REASONS, e.get("reason"))),
         )
-        blocks.append(tabulate("Parameters that could not be told.", columns, found["held"]))
+        blocks.append(doc.tabulate("Parameters that could not be told.", columns, found["held"]))
     if found.get("observability"):
         blocks.append(observability_table(found["observability"]))
-    return Section("geometry", "The arm's geometry", tuple(blocks))
+    return doc.Section("geometry", "The arm's geometry", tuple(blocks))
 
 
-def motion(results: Results) -> Section:
+def motion(results: Results) -> doc.Section:
     """Show the motion, its path and the view of it."""
     columns = (
-        Column("Joint", "c", field("joint")),
-        Column("Lowest [°]", "r", field("lowest_deg", number, 1)),
-        Column("Highest [°]", "r", field("highest_deg", number, 1)),
-        Column("Fastest [°/s]", "r", field("greatest_speed_deg_s", number, 1)),
-        Column("Upward", "r", field("upward_share", percent)),
+        doc.Column("Joint", "c", doc.field("joint")),
+        doc.Column("Lowest [°]", "r", doc.field("lowest_deg", number, 1)),
+        doc.Column("Highest [°]", "r", doc.field("highest_deg", number, 1)),
+        doc.Column("Fastest [°/s]", "r", doc.field("greatest_speed_deg_s", number, 1)),
+        doc.Column("Upward", "r", doc.field("upward_share", percent)),
     )
     entries = results.summary.get("joints") or []
-    table = tabulate("How the joints move.", columns, entries, PlanNotes.SPAN)
+    table = doc.tabulate("How the joints move.", columns, entries, PlanNotes.SPAN)
     shown = (_figure_block(results, name) for name in ("plan_joints", "plan_path", "plan_view"))
-    return Section("motion", "Motion", (table, *shown))
+    return doc.Section("motion", "Motion", (table, *shown))
 
 
-def candidates(results: Results) -> Section:
+def candidates(results: Results) -> doc.Section:
     """Say how many postures were drawn, and what excluded the others."""
     found = results.summary.get("candidates") or {}
     rows = tuple(
-        row(text_or_dash(name), count(number_of))
+        doc.row(text_or_dash(name), count(number_of))
         for name, number_of in (found.get("excluded") or {}).items()
     )
-    table = Table(
+    table = doc.Table(
         "What excludes postures.", "lr", ("Excluded by", "Postures"), rows, (PlanNotes.EXCLUDED,)
     )
-    drawn = Facts((("Postures drawn", count(found.get("tried"))),))
-    return Section("candidates", "Postures", (drawn, table))
+    drawn = doc.Facts((("Postures drawn", count(found.get("tried"))),))
+    return doc.Section("candidates", "Postures", (drawn, table))
 
 
-def conditions(results: Results) -> Section:
+def conditions(results: Results) -> doc.Section:
     """Say what the session is taken to be like, and what the plan was made from."""
     taken = results.summary.get("conditions") or {}
     moved = results.summary.get("motion") or {}
     clock = taken.get("clock_standard_uncertainty_ms")
-    known = lookup_label(CLOCKS, "estimated") if clock is None else quantity(clock, "ms")
-    facts = Facts(
+    clock_text = lookup_label(CLOCKS, "estimated") if clock is None else quantity(clock, "ms")
+    facts = doc.Facts(
         (
             ("Stereo pairs a second", exact_number(taken.get("rate_hz"))),
             ("Right picture after the left", quantity(taken.get("skew_ms"), "ms")),
             ("u of an LED's image", quantity(taken.get("spot_noise_px"), "px")),
             ("Encoder readings a second", exact_number(taken.get("reading_rate_hz"))),
             ("Scatter of a reading", quantity(taken.get("reading_noise_deg"), "°")),
-            ("u of the encoders' clock", known),
+            ("u of the encoders' clock", clock_text),
             ("LEDs seen from the flange's z", quantity(moved.get("view_angle_deg"), "°", 3)),
-            ("Software", software(results.summary)),
+            ("Software", doc.software(results.summary)),
         )
     )  # fmt: skip
-    return Section(
-        "conditions", "Assumptions, files and software", (facts, *provenance(results.summary))
+    return doc.Section(
+        "conditions", "Assumptions, files and software", (facts, *doc.provenance(results.summary))
     )

@@ -2,24 +2,7 @@
 
 import numpy as np
 
-from reports.document.charts import (
-    SERIES,
-    Array,
-    Bars,
-    Chart,
-    Line,
-    Mark,
-    Panel,
-    Path,
-    Points,
-    box,
-    column,
-    columns,
-    numbers,
-    strips,
-    texts,
-    trace,
-)
+from reports.document import charts
 from reports.document.formatting import finite
 from reports.results import Results
 
@@ -30,7 +13,7 @@ AXIS_MM = 150.0  # of a camera's axis in the picture
 PATH_MARGIN = 0.08  # share of the path's extent left free
 
 
-def detectable(results: Results) -> Chart | None:
+def detectable(results: Results) -> charts.Chart | None:
     """Expanded uncertainty and detectable error, two bars a joint."""
     joints = results.summary.get("joints") or []
     keys = (
@@ -38,74 +21,74 @@ def detectable(results: Results) -> Chart | None:
         ("minimum_detectable_error_deg", "encoder", "detectable offset"),
     )
     places = np.arange(len(joints), dtype=float)
-    marks: list[Mark] = []
+    marks: list[charts.Mark] = []
     highest = 0.0
     for side, (key, role, name) in zip((-BAR_OFFSET, BAR_OFFSET), keys, strict=True):
         heights = np.array([finite(j.get(key)) or 0.0 for j in joints], dtype=float)
         highest = max(highest, float(heights.max(initial=0.0)))
         none = np.zeros(len(joints))
-        marks.append(Bars(places + side, heights, none, role, name, width=1.8 * BAR_OFFSET))
+        marks.append(charts.Bars(places + side, heights, none, role, name, width=1.8 * BAR_OFFSET))
     if highest == 0.0:
         return None
     ticks = tuple((float(at), f"q{j.get('joint')}") for at, j in zip(places, joints, strict=True))
-    panel = Panel(
+    panel = charts.Panel(
         tuple(marks), "[°]", x_ticks=ticks, x_range=(-0.6, len(joints) - 0.4),
         y_range=(0.0, AXIS_MARGIN * highest), unit="°",
     )  # fmt: skip
-    return Chart((panel,), row_height=1.8)
+    return charts.Chart((panel,), row_height=1.8)
 
 
-def over_time(results: Results) -> Chart | None:
+def over_time(results: Results) -> charts.Chart | None:
     """Each joint's angle over time, rests at poses marked."""
     table = results.table("trajectory")
-    t, rest = column(table, "t_s"), np.isfinite(column(table, "pose"))
+    t, rest = charts.column(table, "t_s"), np.isfinite(charts.column(table, "pose"))
     panels = []
     for joint in results.summary.get("joints") or []:
-        q = column(table, f"q{joint.get('joint')}_deg")
+        q = charts.column(table, f"q{joint.get('joint')}_deg")
         if not np.isfinite(q).any():
             return None
-        marks: tuple[Mark, ...] = (Line(*trace(t, q), "measured", "motion"),)
+        marks: tuple[charts.Mark, ...] = (charts.Line(*charts.trace(t, q), "measured", "motion"),)
         if rest.any():
-            marks += (Points(t[rest], q[rest], "encoder", "at a pose", size=0.8),)
-        panels.append(Panel(marks, f"q{joint.get('joint')} [°]", unit="°"))
-    return strips(panels, "time [s]", row_height=0.66)
+            marks += (charts.Points(t[rest], q[rest], "encoder", "at a pose", size=0.8),)
+        panels.append(charts.Panel(marks, f"q{joint.get('joint')} [°]", unit="°"))
+    return charts.strips(panels, "time [s]", row_height=0.66)
 
 
-def view(results: Results) -> Chart | None:
+def view(results: Results) -> charts.Chart | None:
     """Where the LEDs are in either picture."""
-    table, size = results.table("spots"), numbers(results.summary.get("image_size"))
-    x, y = column(table, "x_px"), column(table, "y_px")
+    table, size = results.table("spots"), charts.numbers(results.summary.get("image_size"))
+    x, y = charts.column(table, "x_px"), charts.column(table, "y_px")
     if not np.isfinite(x).any() or len(size) != 2:
         return None
-    cameras, leds = np.array(texts(table, "camera")), np.array(texts(table, "led"))
+    cameras, leds = np.array(charts.texts(table, "camera")), np.array(charts.texts(table, "led"))
     panels = []
     for camera in ("left", "right"):
         own = np.flatnonzero(cameras == camera)
         own = own[:: max(1, -(-len(own) // MAX_SPOTS))]
-        marks: tuple[Mark, ...] = tuple(
-            Points(x[of], y[of], SERIES[i % len(SERIES)], f"LED {led}")
+        marks: tuple[charts.Mark, ...] = tuple(
+            charts.Points(x[of], y[of], charts.SERIES[i % len(charts.SERIES)], f"LED {led}")
             for i, led in enumerate(np.unique(leds).tolist())
             for of in (own[leds[own] == led],)
         )
         panels.append(
-            Panel(
+            charts.Panel(
                 marks, "y [px]", "x [px]", f"{camera} camera", x_range=(0.0, size[0]),
                 y_range=(size[1], 0.0), equal=True, unit="px",
             )
         )  # fmt: skip
-    return Chart(tuple(panels), columns=2, row_height=2.1)
+    return charts.Chart(tuple(panels), columns=2, row_height=2.1)
 
 
-def path(results: Results) -> Path | None:
+def path(results: Results) -> charts.Path | None:
     """The flange's way, the arm at some poses, and the cameras."""
     table, cameras = results.table("arm"), results.table("cameras")
-    points = columns(table, (f"{a}_mm" for a in "xyz"))
-    what, number = np.array(texts(table, "what")), column(table, "number")
+    points = charts.columns(table, (f"{a}_mm" for a in "xyz"))
+    what, number = np.array(charts.texts(table, "what")), charts.column(table, "number")
     if not np.isfinite(points).any():
         return None
     arms = [points[(what == "arm") & (number == k)] for k in np.unique(number[what == "arm"])]
-    eyes = columns(cameras, (f"{a}_mm" for a in "xyz"))
-    ahead = columns(cameras, (f"axis_{a}" for a in "xyz"))
+    eyes = charts.columns(cameras, (f"{a}_mm" for a in "xyz"))
+    ahead = charts.columns(cameras, (f"axis_{a}" for a in "xyz"))
     axes = [np.stack([eye, eye + AXIS_MM * way]) for eye, way in zip(eyes, ahead, strict=True)]
     lines = (
         (points[what == "flange"], "measured", "flange"),
@@ -113,10 +96,10 @@ def path(results: Results) -> Path | None:
         (_join_with_gaps(axes), "encoder", "cameras"),
     )
     every = np.concatenate([line for line, _, _ in lines])
-    return Path(lines, ("x [mm]", "y [mm]", "z [mm]"), box(every, 1 + PATH_MARGIN))
+    return charts.Path(lines, ("x [mm]", "y [mm]", "z [mm]"), charts.box(every, 1 + PATH_MARGIN))
 
 
-def _join_with_gaps(pieces: list[Array]) -> Array:
+def _join_with_gaps(pieces: list[charts.Array]) -> charts.Array:
     """Lay lines one after the other, with a gap between."""
     gap = np.full((1, 3), np.nan)
     parts = [part for piece in pieces for part in (piece, gap)]

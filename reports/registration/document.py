@@ -1,49 +1,9 @@
-"""What the report of a robot's registration says, in which order.
-
-The summary's keys, units in their names; what is not known is null or missing:
-
-    kind                  "registration"
-    method                "motion", "fixture" or "sweeps"
-    tool, inputs, warnings as in a run's summary; decisions: sentences
-    source                path, description; robot: its name
-    registration          the id that rig and marker carry
-    pairs                 used, left_out (reason: how many)
-    base                  position_mm, rotation_vector_deg, standard_uncertainty_mm,
-                          standard_uncertainty_deg (three each), held
-    leds                  name, x_mm, y_mm, z_mm, u_x_mm, u_y_mm, u_z_mm, each; leds_held
-    clock, skew           offset_s, standard_uncertainty_s (null: not observable, held)
-    joints                joint, visible_fraction of a constant offset that was there already
-    fit                   rms_px, fit_rms_px and held_out_rms_px (of the hold-out), misfit (chi² a
-                          degree of freedom), noise (the corners' over what was stated)
-
-setup: image_size_px. Tables: residuals (camera, frame, x_px, y_px, residual_x_px, residual_y_px,
-used), pairs (frame, x_mm … rz_deg: a pair's board less the common one, chi2), axes (joints,
-angle_deg, angle_table_deg, angle_u_deg, distance_mm, distance_table_mm, distance_u_mm, agrees),
-gears (joint, span_deg, gear, gear_u), sweeps (joint, frame, reading_deg, nonlinearity_deg).
-"""
+"""What the report of a robot's registration says, in which order. Keys: docs/calibration.md."""
 
 from typing import Any
 
+from reports.document import blocks as doc
 from reports.document import formatting
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Column,
-    Document,
-    Facts,
-    Paragraph,
-    Section,
-    Table,
-    Verdict,
-    described,
-    field,
-    files_and_software,
-    lay_out,
-    row,
-    software,
-    tabulate,
-    uncertain_field,
-)
 from reports.document.formatting import (
     capitalise,
     count,
@@ -72,14 +32,14 @@ from reports.session.phrases import (
 MAX_HELD_OUT_RATIO = 1.5  # held-out over fitted rms: more says that the model does not carry over
 
 
-def document(results: Results) -> Document:
+def document(results: Results) -> doc.Document:
     """Lay out the whole report."""
     summary = results.summary
     registration = text_or_dash(summary.get("registration"))
-    return lay_out(
+    return doc.lay_out(
         title=f"Registration of {text_or_dash(summary.get('robot'))}",
-        subtitle=described(summary, "a recorded session"),
-        footer=f"{software(summary)} · registration {registration[:23]}",
+        subtitle=doc.described(summary, "a recorded session"),
+        footer=f"{doc.software(summary)} · registration {registration[:23]}",
         sections=(section(results) for section in SECTIONS),
     )
 
@@ -93,7 +53,7 @@ def hidden_joints(summary: dict[str, Any], least: float, most: float) -> list[An
     ]
 
 
-def verdict(results: Results) -> Section:
+def verdict(results: Results) -> doc.Section:
     """Open with what was found, and what it hides."""
     summary = results.summary
     method, fit = str(summary.get("method")), summary.get("fit") or {}
@@ -102,7 +62,7 @@ def verdict(results: Results) -> Section:
     label = "The robot is registered"
     if blind or dim:
         label += ", and blind to some of its own errors"
-    block = Verdict(
+    block = doc.Verdict(
         tone="undecided" if blind or dim or _fits_worse(fit) else "conform",
         label=label,
         sentence=" ".join([_result_text(summary), *_hidden_sentences(summary, blind, dim)]),
@@ -118,7 +78,7 @@ def verdict(results: Results) -> Section:
         ("Pairs left out", "; ".join(left) or "none"),
         ("Registration", text_or_dash(summary.get("registration"))),
     ]
-    return Section("verdict", "Verdict", (block, Facts(tuple(facts))))
+    return doc.Section("verdict", "Verdict", (block, doc.Facts(tuple(facts))))
 
 
 def _result_text(summary: dict[str, Any]) -> str:
@@ -147,8 +107,8 @@ def _hidden_sentences(summary: dict[str, Any], blind: list[Any], dim: list[Any])
         sentences.append(f"A constant offset of {name_joints(blind)} cannot show.")
     if dim:
         shares = {j.get("joint"): finite(j.get("visible_fraction")) for j in summary["joints"]}
-        known = [share for joint in dim if (share := shares[joint]) is not None]
-        low, high = percent(min(known)), percent(max(known))
+        visible = [share for joint in dim if (share := shares[joint]) is not None]
+        low, high = percent(min(visible)), percent(max(visible))
         amount = low if low == high else f"{low} to {high}"
         sentences.append(f"Of an offset of {name_joints(dim)}, {amount} shows.")
     return sentences or ["An offset of any joint can show."]
@@ -168,28 +128,28 @@ def _remarks(fit: dict[str, Any], method: str, partly: bool) -> list[str]:
     return remarks
 
 
-def base_and_leds(results: Results) -> Section:
+def base_and_leds(results: Results) -> doc.Section:
     """Say where the robot stands, and where its LEDs sit."""
     summary = results.summary
     entry = summary.get("base") or {}
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     if entry:
         blocks.append(_base_table(entry, summary.get("method") == "motion"))
     else:
-        blocks.append(Paragraph("The robot's base was not found."))
+        blocks.append(doc.Paragraph("The robot's base was not found."))
     if summary.get("leds"):
         blocks.append(_led_table(summary["leds"], bool(summary.get("leds_held"))))
-    blocks.append(Facts(tuple(_times(summary))))
+    blocks.append(doc.Facts(tuple(_times(summary))))
     decisions = [capitalise(text_or_dash(sentence)) for sentence in summary.get("decisions") or []]
     if decisions:
-        blocks.append(Bullets(tuple(decisions)))
-    return Section("base", "Base and LEDs", tuple(blocks))
+        blocks.append(doc.Bullets(tuple(decisions)))
+    return doc.Section("base", "Base and LEDs", tuple(blocks))
 
 
-def _base_table(entry: dict[str, Any], through_encoders: bool) -> Table:
+def _base_table(entry: dict[str, Any], through_encoders: bool) -> doc.Table:
     empty = [None] * 3
     rows = [
-        row(f"{name}, {axis} [{sign}]", with_uncertainty(value, u, signed=False))
+        doc.row(f"{name}, {axis} [{sign}]", with_uncertainty(value, u, signed=False))
         for name, key, u_key, sign in (
             ("Position", "position_mm", "standard_uncertainty_mm", "mm"),
             ("Rotation vector", "rotation_vector_deg", "standard_uncertainty_deg", "°"),
@@ -203,17 +163,17 @@ def _base_table(entry: dict[str, Any], through_encoders: bool) -> Table:
         if entry.get("held")
         else (RegistrationNotes.THROUGH,) * through_encoders
     )
-    return Table(title, "lr", ("Quantity", "Value ± u"), tuple(rows), note)
+    return doc.Table(title, "lr", ("Quantity", "Value ± u"), tuple(rows), note)
 
 
-def _led_table(leds: list[dict[str, Any]], held: bool) -> Table:
-    columns = [Column("LED", "l", field("name"))]
+def _led_table(leds: list[dict[str, Any]], held: bool) -> doc.Table:
+    columns = [doc.Column("LED", "l", doc.field("name"))]
     columns += [
-        Column(f"{a} [mm]", "r", uncertain_field(f"{a}_mm", f"u_{a}_mm", signed=False))
+        doc.Column(f"{a} [mm]", "r", doc.uncertain_field(f"{a}_mm", f"u_{a}_mm", signed=False))
         for a in "xyz"
     ]
     title = "LEDs in the flange frame, with standard uncertainties (k = 1)."
-    return tabulate(title, columns, leds, *[RegistrationNotes.HELD_LEDS] * held)
+    return doc.tabulate(title, columns, leds, *[RegistrationNotes.HELD_LEDS] * held)
 
 
 def _times(summary: dict[str, Any]) -> list[tuple[str, str]]:
@@ -232,23 +192,23 @@ def _times(summary: dict[str, Any]) -> list[tuple[str, str]]:
     return items
 
 
-def visibility(results: Results) -> Section:
+def visibility(results: Results) -> doc.Section:
     """Say what the registration hides of each joint's offset."""
     summary = results.summary
     joints = summary.get("joints") or []
     if not joints:
         fixture = summary.get("method") == "fixture"
         text = RegistrationNotes.NOTHING_HIDDEN if fixture else RegistrationNotes.NOT_KNOWN
-        return Section("visibility", "What the registration hides", (Paragraph(text),))
+        return doc.Section("visibility", "What the registration hides", (doc.Paragraph(text),))
     columns = (
-        Column("Joint", "c", field("joint")),
-        Column("Visible", "r", field("visible_fraction", percent)),
-        Column("In words", "l", _share_text, wide=True),
+        doc.Column("Joint", "c", doc.field("joint")),
+        doc.Column("Visible", "r", doc.field("visible_fraction", percent)),
+        doc.Column("In words", "l", _share_text, wide=True),
     )
     title = "What this registration leaves visible of a constant offset that was there already."
-    table = tabulate(title, columns, joints, RegistrationNotes.VISIBLE)
+    table = doc.tabulate(title, columns, joints, RegistrationNotes.VISIBLE)
     blocks = table, figure_block(results, "visible")
-    return Section("visibility", "What the registration hides", blocks)
+    return doc.Section("visibility", "What the registration hides", blocks)
 
 
 def _share_text(joint: dict[str, Any]) -> str:
@@ -265,10 +225,10 @@ def _share_text(joint: dict[str, Any]) -> str:
     return f"An offset of {name} shows in full."
 
 
-def conditions(results: Results) -> Section:
+def conditions(results: Results) -> doc.Section:
     """Say what the registration was made from."""
     registration = ("Registration", text_or_dash(results.summary.get("registration")))
-    return files_and_software(results.summary, registration)
+    return doc.files_and_software(results.summary, registration)
 
 
 SECTIONS = (verdict, base_and_leds, visibility, residuals, axes, conditions)

@@ -7,6 +7,7 @@ import numpy as np
 
 from reports.calibration.figures import CAMERAS, residual_vectors
 from reports.calibration.words import FIGURES as CALIBRATION
+from reports.document import charts
 from reports.document.blocks import (
     Block,
     Cell,
@@ -21,18 +22,6 @@ from reports.document.blocks import (
     tabulate,
     uncertain_field,
 )
-from reports.document.charts import (
-    Bars,
-    Chart,
-    Line,
-    Mark,
-    Note,
-    Panel,
-    column,
-    records,
-    texts,
-    trace,
-)
 from reports.document.formatting import (
     count,
     finite,
@@ -43,7 +32,7 @@ from reports.document.formatting import (
 from reports.results import Results
 
 
-def visible_shares(results: Results) -> Chart | None:
+def visible_shares(results: Results) -> charts.Chart | None:
     """Share of a constant offset of each joint that can still be seen."""
     joints = results.summary.get("joints") or []
     shares = [finite(joint.get("visible_fraction")) for joint in joints]
@@ -51,65 +40,68 @@ def visible_shares(results: Results) -> Chart | None:
         return None
     places = np.arange(len(joints), dtype=float)
     heights = np.array([100 * share if share is not None else 0.0 for share in shares])
-    marks: list[Mark] = [Bars(places, heights, np.zeros(len(joints)), "used", "")]
+    marks: list[charts.Mark] = [charts.Bars(places, heights, np.zeros(len(joints)), "used", "")]
     marks += [
-        Note(float(at), float(height) + 2.0, percent(share))
+        charts.Note(float(at), float(height) + 2.0, percent(share))
         for at, height, share in zip(places, heights, shares, strict=True)
     ]
     ticks = tuple((float(at), f"q{j.get('joint')}") for at, j in zip(places, joints, strict=True))
-    panel = Panel(
+    panel = charts.Panel(
         tuple(marks), "visible [%]", x_ticks=ticks, x_range=(-0.6, len(joints) - 0.4),
         y_range=(0.0, 112.0), unit="%",
     )  # fmt: skip
-    return Chart((panel,), row_height=1.8, width=0.7)
+    return charts.Chart((panel,), row_height=1.8, width=0.7)
 
 
-def residuals_over_time(results: Results) -> Chart | None:
+def residuals_over_time(results: Results) -> charts.Chart | None:
     """Residuals of each pair, either camera."""
     table = results.table("residuals")
-    frames, dx, dy = (column(table, n) for n in ("frame", "residual_x_px", "residual_y_px"))
-    known = np.isfinite(frames + dx + dy)
+    frames, dx, dy = (charts.column(table, n) for n in ("frame", "residual_x_px", "residual_y_px"))
+    valid = np.isfinite(frames + dx + dy)
     if "used" in table:
-        known &= table["used"].to_numpy(dtype=bool)
-    if not known.any():
+        valid &= table["used"].to_numpy(dtype=bool)
+    if not valid.any():
         return None
-    cameras = np.array(texts(table, "camera"))
+    cameras = np.array(charts.texts(table, "camera"))
     panels = []
     for camera, role in CAMERAS:
-        own = known & (cameras == camera)
+        own = valid & (cameras == camera)
         pairs = np.unique(frames[own])
         squares = dx**2 + dy**2
         rms = np.array([np.sqrt(np.mean(squares[own & (frames == f)])) for f in pairs])
         panels.append(
-            Panel(
-                (Line(*trace(pairs, rms), role, f"{camera} camera"),),
+            charts.Panel(
+                (charts.Line(*charts.trace(pairs, rms), role, f"{camera} camera"),),
                 "rms [px]",
                 "pair" if camera == "right" else "",
                 y_range=(0.0, 1.08 * float(rms.max())) if len(rms) else None,
                 unit="px",
             )
         )
-    return Chart(tuple(panels), row_height=1.1, shared_x=True)
+    return charts.Chart(tuple(panels), row_height=1.1, shared_x=True)
 
 
-def linearity(results: Results) -> Chart | None:
+def linearity(results: Results) -> charts.Chart | None:
     """Encoder less turn about the axis, over each swept joint."""
     table = results.table("sweeps")
-    joints = column(table, "joint")
+    joints = charts.column(table, "joint")
     panels = []
     for joint in np.unique(joints[np.isfinite(joints)]).tolist():
         own = joints == joint
-        q, error = column(table, "reading_deg")[own], column(table, "nonlinearity_deg")[own]
+        q, error = (
+            charts.column(table, "reading_deg")[own],
+            charts.column(table, "nonlinearity_deg")[own],
+        )
         order = np.argsort(q, kind="stable")
         panels.append(
-            Panel(
-                (Line(q[order], error[order], "measured"),),
+            charts.Panel(
+                (charts.Line(q[order], error[order], "measured"),),
                 f"q{joint:.0f} [°]",
                 "reading [°]",
                 unit="°",
             )
         )
-    return Chart(tuple(panels), columns=2, row_height=1.1) if panels else None
+    return charts.Chart(tuple(panels), columns=2, row_height=1.1) if panels else None
 
 
 METHODS = {
@@ -234,7 +226,9 @@ def _fixture_table(results: Results) -> Table:
     columns += [Column(f"r{a} [°]", "r", field(f"r{a}_deg", number, signed=True)) for a in "xyz"]
     columns.append(Column("χ² of 6", "r", field("chi2", number, 1)))
     title = "The board's place in each pair, less the one that all pairs share."
-    return tabulate(title, columns, records(results.table("pairs")), RegistrationNotes.FIXTURE)
+    return tabulate(
+        title, columns, charts.records(results.table("pairs")), RegistrationNotes.FIXTURE
+    )
 
 
 def axes(results: Results) -> Section:
@@ -253,7 +247,7 @@ def axes(results: Results) -> Section:
             Column("Verdict", "l", _axes_verdict),
         )
         title = "Angle and distance between the axes of joints, found and by the table."
-        blocks.append(tabulate(title, columns, records(pairs), RegistrationNotes.AXES))
+        blocks.append(tabulate(title, columns, charts.records(pairs), RegistrationNotes.AXES))
     if len(gears):
         columns = (
             Column("Joint", "c", field("joint")),
@@ -261,7 +255,7 @@ def axes(results: Results) -> Section:
             Column("Turn over encoder ± u", "r", uncertain_field("gear", "gear_u", signed=False)),
         )
         title = "Turn of each joint about its own axis over its encoder's."
-        blocks.append(tabulate(title, columns, records(gears), RegistrationNotes.GEARS))
+        blocks.append(tabulate(title, columns, charts.records(gears), RegistrationNotes.GEARS))
         blocks.append(figure_block(results, "linearity"))
     if not blocks:
         blocks.append(Paragraph(RegistrationNotes.NO_SWEEPS, "note"))

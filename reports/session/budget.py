@@ -6,20 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Cell,
-    Column,
-    Figure,
-    Paragraph,
-    Section,
-    Table,
-    block_or_paragraph,
-    field,
-    row,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.charts import column, texts
 from reports.document.formatting import (
     DASH,
@@ -44,7 +31,7 @@ LISTED_NOTE = (
 )
 
 
-def monte_carlo_blocks(summary: dict[str, Any]) -> list[Block]:
+def monte_carlo_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     """Say how the budget compares with drawing the whole chain anew."""
     check = (summary.get("budget") or {}).get("monte_carlo")
     if not check:
@@ -65,7 +52,7 @@ def monte_carlo_blocks(summary: dict[str, Any]) -> list[Block]:
             "The standard deviation of every joint's error agrees with linear propagation; the "
             f"largest difference is {percent(largest)}, where {within} are allowed."
         )
-        return [Paragraph(f"{chain} {holds}")]
+        return [doc.Paragraph(f"{chain} {holds}")]
     bad = sorted({j for fail in fails if not fail.get("coupled") for j in fail.get("joints") or []})
     counted = (
         f"It does not hold for {joint_names(bad)} at the poses below: there the budget says too "
@@ -74,23 +61,23 @@ def monte_carlo_blocks(summary: dict[str, Any]) -> list[Block]:
         else "It fails only for joints that a singularity couples, which no single joint's figure "
         "rests on."
     )
-    return [Paragraph(f"{chain} {counted}"), _failure_table(fails, within)]
+    return [doc.Paragraph(f"{chain} {counted}"), _failure_table(fails, within)]
 
 
-def _failure_table(fails: list[dict[str, Any]], within: str) -> Table:
+def _failure_table(fails: list[dict[str, Any]], within: str) -> doc.Table:
     def gap(fail: dict[str, Any]) -> float:
         ratios = [finite(r) for r in fail.get("ratio") or []]
         return max((abs(np.log(r)) for r in ratios if r), default=np.inf)
 
     worst = sorted(fails, key=gap, reverse=True)[:MAX_LISTED_PAIRS]
     columns = (
-        Column("Pair", "r", field("frame", count)),
-        Column("Ratio by joint", "l", _ratios, wide=True),
-        Column("Why", "l", _failure_reason),
+        doc.Column("Pair", "r", doc.field("frame", count)),
+        doc.Column("Ratio by joint", "l", _ratios, wide=True),
+        doc.Column("Why", "l", _failure_reason),
     )
     title = "Where linear propagation does not hold: drawn over linear standard deviation."
     entries = sorted(worst, key=lambda f: f.get("frame") or 0)
-    return tabulate(title, columns, entries, LISTED_NOTE.format(within=within))
+    return doc.tabulate(title, columns, entries, LISTED_NOTE.format(within=within))
 
 
 def _ratios(fail: dict[str, Any]) -> str:
@@ -120,21 +107,21 @@ UNITS_NOTE = (
 )
 
 
-def budget(results: Results) -> Section:
+def budget(results: Results) -> doc.Section:
     """Break each joint's uncertainty down by source."""
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     table = results.table("budget")
     if len(table) and {"joint", "source"} <= set(table.columns):
         blocks += _largest_contribution(table, results.summary)
         blocks.append(_source_table(table, results.summary))
-    figure = Figure(
+    figure = doc.Figure(
         "budget",
         "Share of each source in the sum of the variances of a joint's mean error. What is largest "
         "is what to improve first.",
         "Stacked bars, one a joint: share of variance in percent by source.",
     )
     otherwise = "The uncertainty was not broken down by source."
-    blocks.append(block_or_paragraph(figure, evidence.budget(results), otherwise))
+    blocks.append(doc.block_or_paragraph(figure, evidence.budget(results), otherwise))
     blocks += combination_blocks(results.summary)
     blocks += _parameter_blocks(results.table("budget_parameters"))
     blocks += monte_carlo_blocks(results.summary)
@@ -145,22 +132,22 @@ def budget(results: Results) -> Section:
             f"Not counted, because their uncertainty is not stated: {named}. "
             "They are taken as exact, and every uncertainty here holds on that condition."
         )
-        blocks.append(Bullets((text,), "warning"))
+        blocks.append(doc.Bullets((text,), "warning"))
     else:
-        blocks.append(Paragraph("Every source that is known of is counted."))
-    return Section("budget", "Uncertainty budget", tuple(blocks))
+        blocks.append(doc.Paragraph("Every source that is known of is counted."))
+    return doc.Section("budget", "Uncertainty budget", tuple(blocks))
 
 
-def _largest_contribution(table: pd.DataFrame, summary: dict[str, Any]) -> list[Block]:
+def _largest_contribution(table: pd.DataFrame, summary: dict[str, Any]) -> list[doc.Block]:
     """Say what limits the joint that is known worst."""
-    known = [
+    determined = [
         joint
         for joint in summary.get("joints") or []
         if finite(joint.get("expanded_uncertainty_deg")) is not None
     ]
-    if not known or "share" not in table.columns:
+    if not determined or "share" not in table.columns:
         return []
-    worst = max(known, key=lambda joint: float(joint["expanded_uncertainty_deg"]))
+    worst = max(determined, key=lambda joint: float(joint["expanded_uncertainty_deg"]))
     mine = table[table["joint"] == worst.get("joint")].dropna(subset=["share"])
     if mine.empty:
         return []
@@ -170,21 +157,21 @@ def _largest_contribution(table: pd.DataFrame, summary: dict[str, Any]) -> list[
         f"Known worst is joint {text_or_dash(worst.get('joint'))}, with U = {size}; most of that "
         f"comes from: {_source_name(first['source'])}, {percent(first['share'])} of the variance."
     )
-    return [Paragraph(text)]
+    return [doc.Paragraph(text)]
 
 
 def _source_name(source: Any) -> str:
     return text_or_dash(source).replace("_", " ")
 
 
-def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> Table:
+def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> doc.Table:
     frame = table.assign(u=column(table, "standard_uncertainty_deg"), word=texts(table, "kind"))
     joints = sorted(frame["joint"].dropna().unique().tolist())
     rows = []
     for (source, kind), part in frame.groupby(["source", "word"], sort=False, dropna=False):
         by_joint = dict(zip(part["joint"].tolist(), part["u"].tolist(), strict=True))
         rows.append(
-            row(
+            doc.row(
                 _source_name(source),
                 text_or_dash(kind),
                 text_or_dash(texts(part, "type")[0]),
@@ -193,7 +180,7 @@ def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> Table:
             )
         )
     rows += _totals(summary, joints)
-    return Table(
+    return doc.Table(
         "Standard uncertainty of each joint's mean error by source, in degrees.",
         "llcr" + "r" * len(joints),
         ("Source", "Kind", "Type", "ν", *(f"q{joint} [°]" for joint in joints)),
@@ -205,37 +192,41 @@ def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> Table:
 
 def _format_contribution(u: Any) -> str:
     """A contribution in degrees; below what anybody resolves only that it is small."""
-    known = finite(u)
-    small = known is not None and 0 < abs(known) < MIN_CONTRIBUTION_DEG
-    return "< 0.00001" if small else significant(known)
+    figure = finite(u)
+    small = figure is not None and 0 < abs(figure) < MIN_CONTRIBUTION_DEG
+    return "< 0.00001" if small else significant(figure)
 
 
 def _format_degrees_of_freedom(values: Any) -> str:
     """Degrees of freedom of a line: the fewest of its joints."""
-    known = [float(v) for v in values if not np.isnan(v)]
-    if not known:
+    stated = [float(v) for v in values if not np.isnan(v)]
+    if not stated:
         return DASH
-    least = min(known)
+    least = min(stated)
     return "∞" if np.isinf(least) else f"{least:.0f}"
 
 
-def _totals(summary: dict[str, Any], joints: list[Any]) -> list[tuple[Cell, ...]]:
+def _totals(summary: dict[str, Any], joints: list[Any]) -> list[tuple[doc.Cell, ...]]:
     results = {joint.get("joint"): joint for joint in summary.get("joints") or []}
     parts = (summary.get("budget") or {}).get("joints") or []
     sums = {part.get("joint"): part for part in parts}
     lines: list[tuple[str, dict[Any, Any], Callable[[dict[str, Any]], str]]] = [
-        ("random, together", sums, field("random_standard_uncertainty_deg", significant)),
-        ("systematic, together", sums, field("systematic_standard_uncertainty_deg", significant)),
-        ("combined", results, field("standard_uncertainty_deg", significant)),
+        ("random, together", sums, doc.field("random_standard_uncertainty_deg", significant)),
+        (
+            "systematic, together",
+            sums,
+            doc.field("systematic_standard_uncertainty_deg", significant),
+        ),
+        ("combined", results, doc.field("standard_uncertainty_deg", significant)),
         ("effective ν", sums, _format_effective_dof),
-        ("k", results, field("coverage_factor", number, 2)),
-        ("expanded", results, field("expanded_uncertainty_deg", significant)),
+        ("k", results, doc.field("coverage_factor", number, 2)),
+        ("expanded", results, doc.field("expanded_uncertainty_deg", significant)),
     ]
     if not sums:
         lines = [line for line in lines if line[0] in ("combined", "expanded")]
     return [
         tuple(
-            Cell(text, "total")
+            doc.Cell(text, "total")
             for text in (label, "", "", "", *(write(of.get(joint) or {}) for joint in joints))
         )
         for label, of, write in lines
@@ -250,7 +241,7 @@ def _format_effective_dof(part: dict[str, Any]) -> str:
     return "> 1000" if degrees is None or degrees > 1000 else f"{degrees:.0f}"
 
 
-def _parameter_blocks(table: pd.DataFrame) -> list[Block]:
+def _parameter_blocks(table: pd.DataFrame) -> list[doc.Block]:
     needed = {"parameter", "joint", "sensitivity_deg", "contribution_deg", "unit"}
     if not len(table) or not needed <= set(table.columns):
         return []
@@ -267,7 +258,7 @@ def _parameter_blocks(table: pd.DataFrame) -> list[Block]:
         first = part.iloc[0]
         by_joint = dict(zip(part["joint"], part["sensitivity_deg"], strict=True))
         rows.append(
-            row(
+            doc.row(
                 _source_name(first["source"]),
                 text_or_dash(name),
                 significant(first["standard_uncertainty"]),
@@ -277,7 +268,7 @@ def _parameter_blocks(table: pd.DataFrame) -> list[Block]:
     if not rows:
         return []
     return [
-        Table(
+        doc.Table(
             "Sensitivity to single parameters: those that contribute most, and the steepest of the "
             "robot's own table.",
             "lll" + "r" * len(joints),

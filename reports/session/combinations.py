@@ -7,17 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Column,
-    Paragraph,
-    Section,
-    Table,
-    field,
-    row,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.charts import Array, records, square
 from reports.document.formatting import (
     DASH,
@@ -37,7 +27,7 @@ MIN_RELATIVE_WEIGHT = 0.1  # of the largest weight: left out of a sum's name
 MIN_JOINTS = 2  # joints
 
 
-def combination_blocks(summary: dict[str, Any]) -> list[Block]:
+def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     """Set sums that are known well beside their members and the sum that is known worst."""
     entries = summary.get("joints") or []
     u = np.array([_float_or_nan(joint.get("standard_uncertainty_deg")) for joint in entries])
@@ -46,14 +36,14 @@ def combination_blocks(summary: dict[str, Any]) -> list[Block]:
     if covariance is None:
         return []
     names = [text_or_dash(joint.get("joint")) for joint in entries]
-    known = np.flatnonzero(np.isfinite(np.diag(covariance)))
-    part = covariance[np.ix_(known, known)]
-    if len(known) < MIN_JOINTS or not np.isfinite(part).all():
+    determined = np.flatnonzero(np.isfinite(np.diag(covariance)))
+    part = covariance[np.ix_(determined, determined)]
+    if len(determined) < MIN_JOINTS or not np.isfinite(part).all():
         return []
     values, vectors = np.linalg.eigh(part)
     sums = [c for c in summary.get("combinations") or [] if c.get("why") == "well_known"]
     rows = [
-        row(
+        doc.row(
             text_or_dash(c.get("label")),
             with_uncertainty(c.get("mean_error_deg"), c["standard_uncertainty_deg"]),
             "axes are parallel",
@@ -65,16 +55,16 @@ def combination_blocks(summary: dict[str, Any]) -> list[Block]:
     for place, name in enumerate(names):
         if entries[place].get("joint") in members and np.isfinite(u[place]):
             rows.append(
-                row(f"q{name}", with_uncertainty(mean[place], u[place]), "a member by itself")
+                doc.row(f"q{name}", with_uncertainty(mean[place], u[place]), "a member by itself")
             )
     for which, why in ((0, "known best of all sums"), (-1, "known worst of all sums")):
         weights = vectors[:, which] / vectors[np.argmax(np.abs(vectors[:, which])), which]
-        label = _combination_name(weights, [names[k] for k in known])
+        label = _combination_name(weights, [names[k] for k in determined])
         # of weights whose largest is one, as a sum of joints has them
         size = float(np.sqrt(max(values[which], 0.0))) / float(np.abs(vectors[:, which]).max())
-        rows.append(row(label, with_uncertainty(weights @ mean[known], size), why))
+        rows.append(doc.row(label, with_uncertainty(weights @ mean[determined], size), why))
     return [
-        Table(
+        doc.Table(
             "Sums of the joints' mean errors, those known well beside those known badly.",
             "lrl",
             ("Sum", "Mean error ± u [°]", "Why it is given"),
@@ -94,8 +84,8 @@ def _uncertainty_ratio_text(values: Array) -> str:
 
 
 def _float_or_nan(value: Any) -> float:
-    known = finite(value)
-    return float("nan") if known is None else known
+    figure = finite(value)
+    return float("nan") if figure is None else figure
 
 
 def _covariance(rows: Any, u: Array) -> Array | None:
@@ -134,22 +124,22 @@ FAULT_NOTE = (
 )
 
 
-def detectable(results: Results) -> Section:
+def detectable(results: Results) -> doc.Section:
     """Say what could not show, then how small a fault of each kind could have been."""
     table = results.table("detectable")
     if table.empty:
         text = "Not known: these results were made without it."
-        return Section("detectable", "What could be seen", (Paragraph(text, "note"),))
+        return doc.Section("detectable", "What could be seen", (doc.Paragraph(text, "note"),))
     own, common = table[table["joint"].notna()], table[table["joint"].isna()]
     hidden = _hidden_sentences(own)
-    blocks: tuple[Block, ...] = (
-        Bullets(hidden)
+    blocks: tuple[doc.Block, ...] = (
+        doc.Bullets(hidden)
         if hidden
-        else Paragraph("An offset, a gain and backlash of every joint could have shown."),
+        else doc.Paragraph("An offset, a gain and backlash of every joint could have shown."),
         _joint_table(own[own["kind"] != "dh"]),
         _other_table(pd.concat([common, own[own["kind"] == "dh"]])),
     )
-    return Section("detectable", "What could be seen", blocks)
+    return doc.Section("detectable", "What could be seen", blocks)
 
 
 def _hidden_sentences(own: pd.DataFrame) -> tuple[str, ...]:
@@ -160,24 +150,26 @@ def _hidden_sentences(own: pd.DataFrame) -> tuple[str, ...]:
         ("gain", "A gain of {joints} cannot show: it hardly moved, or what was fitted took it in."),
         ("backlash", "Backlash of {joints} cannot show: it moved one way only."),
     ):
-        seen = own[(own["kind"] == kind) & own["detectable"].notna()]["joint"].astype(int).tolist()
-        missing = [joint for joint in every if joint not in seen]
+        visible = (
+            own[(own["kind"] == kind) & own["detectable"].notna()]["joint"].astype(int).tolist()
+        )
+        missing = [joint for joint in every if joint not in visible]
         if missing:
             sentences.append(text.format(joints=joint_names(missing)))
     return tuple(sentences)
 
 
-def _joint_table(own: pd.DataFrame) -> Table:
+def _joint_table(own: pd.DataFrame) -> doc.Table:
     def cell_of(kind: str) -> Callable[[int], str]:
         return lambda joint: _format_cell(_kind_entries(own[own["joint"] == joint], kind))
 
     columns = [
-        Column("Joint", "l", lambda joint: f"q{joint}"),
-        *(Column(head, "r", cell_of(kind)) for kind, head in COLUMNS),
+        doc.Column("Joint", "l", lambda joint: f"q{joint}"),
+        *(doc.Column(head, "r", cell_of(kind)) for kind, head in COLUMNS),
     ]
     joints = sorted(own["joint"].astype(int).unique().tolist())
     title = "The smallest fault of each joint that would be listed / told from every other."
-    return tabulate(title, columns, joints, TABLE_NOTE, FAULT_NOTE)
+    return doc.tabulate(title, columns, joints, TABLE_NOTE, FAULT_NOTE)
 
 
 def _kind_entries(entries: pd.DataFrame, kind: str) -> pd.DataFrame:
@@ -196,20 +188,20 @@ def _format_cell(entries: pd.DataFrame) -> str:
     """`listed / told`, the least favourable of several."""
     if entries.empty or not finite(entries["detectable"].max()):
         return DASH
-    told = entries["separable"].max(skipna=False)
-    return f"{significant(entries['detectable'].max())} / {significant(told)}"
+    separable = entries["separable"].max(skipna=False)
+    return f"{significant(entries['detectable'].max())} / {significant(separable)}"
 
 
-def _other_table(entries: pd.DataFrame) -> Table:
+def _other_table(entries: pd.DataFrame) -> doc.Table:
     columns = (
-        Column("Fault", "l", _fault_name),
-        Column("Listed", "r", field("detectable", significant)),
-        Column("Told apart", "r", field("separable", significant)),
-        Column("Unit", "l", lambda e: lookup_label(UNITS, e["unit"])),
+        doc.Column("Fault", "l", _fault_name),
+        doc.Column("Listed", "r", doc.field("detectable", significant)),
+        doc.Column("Told apart", "r", doc.field("separable", significant)),
+        doc.Column("Unit", "l", lambda e: lookup_label(UNITS, e["unit"])),
     )
     title = "The smallest common fault and link error that would be listed / told from every other."
     note = "Base and LED body: moved along or turned about one axis alone."
-    return tabulate(title, columns, records(entries), note)
+    return doc.tabulate(title, columns, records(entries), note)
 
 
 def _fault_name(entry: dict[str, Any]) -> str:

@@ -3,17 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from reports.document.blocks import (
-    Block,
-    Column,
-    Facts,
-    Paragraph,
-    Section,
-    field,
-    provenance,
-    software,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.formatting import (
     DASH,
     NOT_STATED,
@@ -38,21 +28,21 @@ DECISION_RULE = (
 )
 
 
-def conditions(results: Results) -> Section:
+def conditions(results: Results) -> doc.Section:
     """Say what the measurement was made with, and by which rule it was judged."""
     setup, summary = results.setup, results.summary
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     blocks += _rig(setup.get("rig") or {})
     blocks += _marker(setup.get("marker") or {})
     blocks += _robot(setup.get("robot") or {})
     rule = summary.get("decision_rule") or DECISION_RULE
-    blocks.append(Facts(tuple(_provenance(summary, text_or_dash(rule)))))
-    blocks += provenance(summary)
-    return Section("conditions", "Rig, marker, robot and rule", tuple(blocks))
+    blocks.append(doc.Facts(tuple(_provenance(summary, text_or_dash(rule)))))
+    blocks += doc.provenance(summary)
+    return doc.Section("conditions", "Rig, marker, robot and rule", tuple(blocks))
 
 
 def _provenance(summary: dict[str, Any], rule: str) -> list[tuple[str, str]]:
-    items = [("Decision rule", rule), ("Software", software(summary))]
+    items = [("Decision rule", rule), ("Software", doc.software(summary))]
     for name, value in (summary.get("thresholds") or {}).items():
         text = str(value) if isinstance(value, str) else exact_number(value)
         items.append((capitalise(text_or_dash(name).replace("_", " ")), text))
@@ -92,9 +82,9 @@ def _source(source: Any) -> str:
     return _or_not_stated(lookup_label(phrases.SOURCES, source))
 
 
-def _rig(rig: dict[str, Any]) -> list[Block]:
+def _rig(rig: dict[str, Any]) -> list[doc.Block]:
     if not rig:
-        return [Paragraph("The rig is not described in these results.", "note")]
+        return [doc.Paragraph("The rig is not described in these results.", "note")]
     base = (
         ("Robot base found", _source(rig.get("base_source"))),
         ("Robot base position", _vector(rig.get("base_position_mm"), 2, "mm")),
@@ -102,7 +92,7 @@ def _rig(rig: dict[str, Any]) -> list[Block]:
         ("Registration", _or_not_stated(text_or_dash(rig.get("registration")))),
     )
     if rig.get("instrument"):
-        return [Facts((("Instrument", text_or_dash(rig["instrument"])), *base))]
+        return [doc.Facts((("Instrument", text_or_dash(rig["instrument"])), *base))]
     size = rig.get("image_size_px")
     size_text = " × ".join(count(v) for v in size) if isinstance(size, list | tuple) else DASH
     facts = (
@@ -111,24 +101,26 @@ def _rig(rig: dict[str, Any]) -> list[Block]:
         *base,
     )
     columns = (
-        Column("Camera", "l", field("side")),
-        Column("fx, fy [px]", "r", _listed("fx_px", "fy_px")),
-        Column("cx, cy [px]", "r", _listed("cx_px", "cy_px")),
-        Column("k1, k2, p1, p2, k3", "r", field("distortion", _list, 4)),
-        Column("Pan centre [mm]", "r", field("pan_center_mm", _list, 2)),
-        Column("Pan [°]", "r", _listed("pan_min_deg", "pan_max_deg", between=" … ")),
+        doc.Column("Camera", "l", doc.field("side")),
+        doc.Column("fx, fy [px]", "r", _listed("fx_px", "fy_px")),
+        doc.Column("cx, cy [px]", "r", _listed("cx_px", "cy_px")),
+        doc.Column("k1, k2, p1, p2, k3", "r", doc.field("distortion", _list, 4)),
+        doc.Column("Pan centre [mm]", "r", doc.field("pan_center_mm", _list, 2)),
+        doc.Column("Pan [°]", "r", _listed("pan_min_deg", "pan_max_deg", between=" … ")),
     )
     cameras = [{"side": side, **(rig.get(side) or {})} for side in ("left", "right")]
-    return [tabulate("Cameras on their turning bases.", columns, cameras), Facts(facts)]
+    return [doc.tabulate("Cameras on their turning bases.", columns, cameras), doc.Facts(facts)]
 
 
-def _marker(marker: dict[str, Any]) -> list[Block]:
+def _marker(marker: dict[str, Any]) -> list[doc.Block]:
     if not marker:
-        return [Paragraph("The marker is not described in these results.", "note")]
+        return [doc.Paragraph("The marker is not described in these results.", "note")]
     if "point_mm" in marker:
         point = _vector(marker["point_mm"], 2, "mm")
         source = _source(marker.get("source"))
-        return [Facts((("Measured point on the flange", point), ("Measured point found", source)))]
+        return [
+            doc.Facts((("Measured point on the flange", point), ("Measured point found", source)))
+        ]
     body = marker.get("body_standard_uncertainty")
     body_text = NOT_STATED
     if isinstance(body, dict):
@@ -148,17 +140,17 @@ def _marker(marker: dict[str, Any]) -> list[Block]:
         ("u of the apparent centre", shift),
     )
     columns = (
-        Column("LED", "l", field("name")),
-        *(Column(f"{axis} [mm]", "r", field(f"{axis}_mm", number, 2)) for axis in "xyz"),
-        Column("Colour", "l", field("colour")),
+        doc.Column("LED", "l", doc.field("name")),
+        *(doc.Column(f"{axis} [mm]", "r", doc.field(f"{axis}_mm", number, 2)) for axis in "xyz"),
+        doc.Column("Colour", "l", doc.field("colour")),
     )
-    table = tabulate("LEDs in the flange frame.", columns, marker.get("leds") or [])
-    return [table, Facts(facts)]
+    table = doc.tabulate("LEDs in the flange frame.", columns, marker.get("leds") or [])
+    return [table, doc.Facts(facts)]
 
 
-def _robot(robot: dict[str, Any]) -> list[Block]:
+def _robot(robot: dict[str, Any]) -> list[doc.Block]:
     if not robot:
-        return [Paragraph("The robot is not described in these results.", "note")]
+        return [doc.Paragraph("The robot is not described in these results.", "note")]
     facts = (
         ("Robot", text_or_dash(robot.get("name"))),
         ("Family", lookup_label({}, robot.get("family"))),
@@ -168,17 +160,17 @@ def _robot(robot: dict[str, Any]) -> list[Block]:
     joints = robot.get("joints") or []
     urdf = all(finite(joint.get("a_mm")) is None for joint in joints)
     columns = (
-        Column("Joint", "l", _joint_name),
-        Column("a [mm]", "r", field("a_mm", number, 2)),
-        Column("d [mm]", "r", field("d_mm", number, 2)),
-        Column("α [°]", "r", field("alpha_deg", number, 1)),
-        Column("Sign", "r", field("sign", number, 0, signed=True)),
-        Column("Offset [°]", "r", field("offset_deg", number, 2)),
-        Column("Limits [°]", "r", _listed("lower_deg", "upper_deg", decimals=1, between=" … ")),
+        doc.Column("Joint", "l", _joint_name),
+        doc.Column("a [mm]", "r", doc.field("a_mm", number, 2)),
+        doc.Column("d [mm]", "r", doc.field("d_mm", number, 2)),
+        doc.Column("α [°]", "r", doc.field("alpha_deg", number, 1)),
+        doc.Column("Sign", "r", doc.field("sign", number, 0, signed=True)),
+        doc.Column("Offset [°]", "r", doc.field("offset_deg", number, 2)),
+        doc.Column("Limits [°]", "r", _listed("lower_deg", "upper_deg", decimals=1, between=" … ")),
     )
     title = "The arm's joints (standard Denavit-Hartenberg; θ = sign · q + offset)."
     note = "The arm is described by a URDF, which has no Denavit-Hartenberg table."
-    return [tabulate(title, columns, joints, *[note] * urdf), Facts(facts)]
+    return [doc.tabulate(title, columns, joints, *[note] * urdf), doc.Facts(facts)]
 
 
 def _joint_name(joint: dict[str, Any]) -> str:

@@ -6,20 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.document.blocks import (
-    Block,
-    Column,
-    Figure,
-    FigurePlan,
-    Paragraph,
-    Section,
-    Table,
-    block_or_paragraph,
-    field,
-    figure_or_text,
-    row,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.charts import Band, Chart, Level, Mark, Panel, Points, column, texts
 from reports.document.formatting import (
     DASH,
@@ -67,7 +54,7 @@ def relative_errors(results: Results) -> Chart | None:
 
 
 FIGURES = {
-    "residuals": FigurePlan(
+    "residuals": doc.FigurePlan(
         evidence.residuals,
         "Where each spot was seen, less where the measured pose puts it, either camera. Good spots "
         "lie as a round cloud about zero, most of them within the circle. Where they are too many "
@@ -75,25 +62,25 @@ FIGURES = {
         "Two scatter plots of residuals in pixels, left and right camera.",
         "The residuals of the spots were not kept.",
     ),
-    "reprojection": FigurePlan(
+    "reprojection": doc.FigurePlan(
         evidence.reprojection,
         "RMS residual of each pair in pixels, and the number of LEDs seen.",
         "Two strips against time: rms residual in pixels, number of LEDs.",
         "No pair gave a residual.",
     ),
-    "pair": FigurePlan(
+    "pair": doc.FigurePlan(
         None,
         "One stereo pair of the session with the spots that were found and named.",
         "Left and right camera image side by side, LEDs marked with their names.",
         "No picture of a stereo pair was kept.",
     ),
-    "timeline": FigurePlan(
+    "timeline": doc.FigurePlan(
         evidence.timeline,
         "When pairs were measured, and when they were not and why.",
         "A timeline with one row an outcome; bars where pairs had that outcome.",
         "The times of the pairs are not known.",
     ),
-    "relative": FigurePlan(
+    "relative": doc.FigurePlan(
         relative_errors,
         "Encoders' less measured turn and advance of each relative motion, against how far it "
         "turns; the bars are ± 2 standard uncertainties.",
@@ -103,20 +90,20 @@ FIGURES = {
     ),
 }
 
-figure_block = partial(figure_or_text, FIGURES)
+figure_block = partial(doc.figure_or_text, FIGURES)
 
 
-def spots(results: Results) -> Section:
+def spots(results: Results) -> doc.Section:
     """Say how well the spots fit the poses."""
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     table = results.table("spots")
     if len(table) and {"camera", "led"} <= set(table.columns):
         blocks.append(_led_table(table))
     blocks += [figure_block(results, name) for name in ("residuals", "reprojection", "pair")]
-    return Section("spots", "Spots and reprojection", tuple(blocks))
+    return doc.Section("spots", "Spots and reprojection", tuple(blocks))
 
 
-def _led_table(table: pd.DataFrame) -> Table:
+def _led_table(table: pd.DataFrame) -> doc.Table:
     frame = pd.DataFrame(
         {name: column(table, name) for name in ("residual_x_px", "residual_y_px", "u_px")}
     )
@@ -126,15 +113,19 @@ def _led_table(table: pd.DataFrame) -> Table:
         for (camera, led), spots in frame.groupby(["camera", "led"], sort=True)
     ]
     columns = (
-        Column("Camera", "l", field("camera")),
-        Column("LED", "l", field("led")),
-        Column("Spots", "r", lambda g: count(len(g["spots"]))),
-        Column("Mean x [px]", "r", lambda g: number(g["spots"]["residual_x_px"].mean(), 3, True)),
-        Column("Mean y [px]", "r", lambda g: number(g["spots"]["residual_y_px"].mean(), 3, True)),
-        Column("RMS [px]", "r", lambda g: number(_rms_residual(g["spots"]))),
-        Column("Median u [px]", "r", lambda g: number(g["spots"]["u_px"].median())),
+        doc.Column("Camera", "l", doc.field("camera")),
+        doc.Column("LED", "l", doc.field("led")),
+        doc.Column("Spots", "r", lambda g: count(len(g["spots"]))),
+        doc.Column(
+            "Mean x [px]", "r", lambda g: number(g["spots"]["residual_x_px"].mean(), 3, True)
+        ),
+        doc.Column(
+            "Mean y [px]", "r", lambda g: number(g["spots"]["residual_y_px"].mean(), 3, True)
+        ),
+        doc.Column("RMS [px]", "r", lambda g: number(_rms_residual(g["spots"]))),
+        doc.Column("Median u [px]", "r", lambda g: number(g["spots"]["u_px"].median())),
     )
-    return tabulate("Residuals of the spots, a camera and LED.", columns, groups, MEAN_NOTE)
+    return doc.tabulate("Residuals of the spots, a camera and LED.", columns, groups, MEAN_NOTE)
 
 
 def _rms_residual(spots: pd.DataFrame) -> float | None:
@@ -142,7 +133,7 @@ def _rms_residual(spots: pd.DataFrame) -> float | None:
     return float(np.sqrt(np.mean(np.square([*x, *y])))) if len(x) + len(y) else None
 
 
-def clock(results: Results) -> Section:
+def clock(results: Results) -> doc.Section:
     """Say how the encoder clock was brought to the cameras' clock."""
     entry = results.summary.get("clock") or {}
     if entry.get("observable") is False:
@@ -156,48 +147,48 @@ def clock(results: Results) -> Section:
         text = "The offset between the encoder clock and the cameras' clock is not known."
     else:
         text = f"Offset added to the encoders' times: {clock_text(results.summary)}."
-    return Section("clock", "Clock", (Paragraph(text), _cost_curve(results)))
+    return doc.Section("clock", "Clock", (doc.Paragraph(text), _cost_curve(results)))
 
 
-def _cost_curve(results: Results) -> Block:
+def _cost_curve(results: Results) -> doc.Block:
     source = (results.summary.get("clock") or {}).get("source")
     otherwise = "The offset was not searched for, so there is no curve of its cost."
     if source in (None, "estimated"):
         otherwise = "No curve of its cost was kept."
-    figure = Figure(
+    figure = doc.Figure(
         "clock",
         "Misfit between measured and encoder motion for each offset of the encoder clock; the "
         "upright line is the offset that was used.",
         "A curve of cost against clock offset in seconds with its lowest point marked.",
     )
-    return block_or_paragraph(figure, evidence.clock(results), otherwise)
+    return doc.block_or_paragraph(figure, evidence.clock(results), otherwise)
 
 
-def pairs(results: Results) -> Section:
+def pairs(results: Results) -> doc.Section:
     """Count the pairs by what became of them, and say how LEDs were told apart."""
     summary = results.summary
     entry = summary.get("pairs") or {}
     recorded = finite(entry.get("recorded"))
     counts = {"measured": entry.get("measured"), **(entry.get("rejected") or {})}
     rows = tuple(
-        row(
+        doc.row(
             lookup_label(phrases.STATUSES, status),
             count(n),
             percent(float(n) / recorded) if recorded and finite(n) is not None else DASH,
         )
         for status, n in counts.items()
     )
-    blocks: list[Block] = [
-        Table("What became of the recorded pairs.", "lrr", ("Outcome", "Pairs", "Share"), rows),
+    blocks: list[doc.Block] = [
+        doc.Table("What became of the recorded pairs.", "lrr", ("Outcome", "Pairs", "Share"), rows),
         figure_block(results, "timeline"),
     ]
     choices = summary.get("choices") or {}
     if choices:
         made = tuple(
-            row(lookup_label(phrases.CHOICES, name), count(n)) for name, n in choices.items()
+            doc.row(lookup_label(phrases.CHOICES, name), count(n)) for name, n in choices.items()
         )
-        blocks.append(Table("How the LEDs were told apart.", "lr", ("Settled", "Pairs"), made))
-    return Section("pairs", "Pairs rejected, and why", tuple(blocks))
+        blocks.append(doc.Table("How the LEDs were told apart.", "lr", ("Settled", "Pairs"), made))
+    return doc.Section("pairs", "Pairs rejected, and why", tuple(blocks))
 
 
 P_SIGNIFICANT = 0.001  # p-value: below it noise is no explanation
@@ -212,20 +203,20 @@ NO_RELATIVE_MOTIONS = (
 )
 
 
-def relative_motions(results: Results) -> Section:
+def relative_motions(results: Results) -> doc.Section:
     """Say whether relative motions agree, and which joint could have shown in them."""
     entry = results.summary.get("relative_motions")
     if not entry:
-        return Section(
-            "relative", "Without any registration", (Paragraph(NO_RELATIVE_MOTIONS, "note"),)
+        return doc.Section(
+            "relative", "Without any registration", (doc.Paragraph(NO_RELATIVE_MOTIONS, "note"),)
         )
-    blocks: list[Block] = [
-        Paragraph(_test_text(entry)),
-        Paragraph(RELATIVE_NOTE),
+    blocks: list[doc.Block] = [
+        doc.Paragraph(_test_text(entry)),
+        doc.Paragraph(RELATIVE_NOTE),
         figure_block(results, "relative"),
         _table(entry),
     ]
-    return Section("relative", "Without any registration", tuple(blocks))
+    return doc.Section("relative", "Without any registration", tuple(blocks))
 
 
 def _test_text(entry: dict[str, Any]) -> str:
@@ -246,13 +237,13 @@ def _test_text(entry: dict[str, Any]) -> str:
     )
 
 
-def _table(entry: dict[str, Any]) -> Table:
+def _table(entry: dict[str, Any]) -> doc.Table:
     offsets = entry.get("detectable_offset_deg") or []
     rows = tuple(
-        row(f"q{joint}", "does not show" if finite(value) is None else significant(value))
+        doc.row(f"q{joint}", "does not show" if finite(value) is None else significant(value))
         for joint, value in enumerate(offsets, start=1)
     )
-    return Table(
+    return doc.Table(
         "The smallest constant offset of each joint that these motions would show.",
         "lr",
         ("Joint", "Offset [°]"),

@@ -3,18 +3,7 @@
 from functools import partial
 from typing import Any
 
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Column,
-    FigurePlan,
-    Paragraph,
-    Section,
-    Table,
-    field,
-    figure_or_text,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.formatting import (
     DASH,
     count,
@@ -90,20 +79,16 @@ DEVIATIONS = {
 
 def deviation(entry: dict[str, Any]) -> str:
     """Say one condition that differs from the standard's."""
-    kind = str(entry.get("kind"))
+    kind, seconds = str(entry.get("kind")), finite(entry.get("found_s"))
     return DEVIATIONS.get(kind, kind.replace("_", " ")).format(
         found=count(entry.get("found")),
         standard=count(entry.get("standard")),
         names=join_words([str(pose) for pose in entry.get("poses") or [DASH]]),
         off_plane=number(entry.get("off_plane_mm"), 1),
-        hours=quantity(_hours(entry.get("found_s")), "h"),
+        hours=quantity(None if seconds is None else seconds / 3600, "h"),
         smallest=quantity(entry.get("smallest_mm"), "mm"),
         celsius=number(entry.get("found_c"), 1),
     )
-
-
-def _hours(seconds: Any) -> float | None:
-    return float(seconds) / 3600 if isinstance(seconds, int | float) else None
 
 
 TITLE = "Repeated poses and paths (ISO 9283-style)"
@@ -138,7 +123,7 @@ MAXIMUM_NOTE = (
 )
 NO_VISITS = "The single visits were not kept."
 FIGURES = {
-    "pose_clusters": FigurePlan(
+    "pose_clusters": doc.FigurePlan(
         pose_clusters,
         "Where each visit of a pose ended, about the position that the encoders read "
         "(cross-hairs); the dot is the barycentre, the circle about it has the radius RP.",
@@ -146,7 +131,7 @@ FIGURES = {
         "origin, with a circle about their barycentre.",
         NO_VISITS,
     ),
-    "path_band": FigurePlan(
+    "path_band": doc.FigurePlan(
         path_band,
         "How far the mean of the passages lies off the path that the encoders read, along the "
         "path; the band is RT about it.",
@@ -156,32 +141,32 @@ FIGURES = {
 }
 
 
-def performance(results: Results) -> Section:
+def performance(results: Results) -> doc.Section:
     """Give every index with its interval, its noise and the conditions it was found under."""
     entry = results.summary.get("performance")
     if not entry:
         reason = str(results.summary.get("performance_reason"))
         text = REASONS.get(reason, REASONS["no_repeats"])
-        return Section("performance", TITLE, (Paragraph(text, "note"),))
+        return doc.Section("performance", TITLE, (doc.Paragraph(text, "note"),))
     poses, paths = entry.get("poses") or [], entry.get("paths") or []
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     if poses:
-        blocks += [Paragraph(_pose_summary(poses)), _positions(entry)]
-        blocks.append(figure_or_text(FIGURES, results, "pose_clusters"))
+        blocks += [doc.Paragraph(_pose_summary(poses)), _positions(entry)]
+        blocks.append(doc.figure_or_text(FIGURES, results, "pose_clusters"))
         tables = (make(poses) for make in (_orientations, _variation, _drift))
         blocks += [table for table in tables if table is not None]
     if entry.get("distances"):
         blocks.append(_distances(entry["distances"]))
     if paths:
-        blocks += [Paragraph(_path_summary(paths)), _paths(paths)]
-        blocks.append(figure_or_text(FIGURES, results, "path_band"))
+        blocks += [doc.Paragraph(_path_summary(paths)), _paths(paths)]
+        blocks.append(doc.figure_or_text(FIGURES, results, "path_band"))
     text = (
         "These figures are named ISO 9283-style because the test differs from the standard's, "
         "or is not known to agree, in this:"
     )
-    deviations = Bullets(tuple(deviation(d) for d in entry.get("deviations") or []))
-    blocks += [Paragraph(text), deviations]
-    return Section("performance", TITLE, tuple(blocks))
+    deviations = doc.Bullets(tuple(deviation(d) for d in entry.get("deviations") or []))
+    blocks += [doc.Paragraph(text), deviations]
+    return doc.Section("performance", TITLE, tuple(blocks))
 
 
 def _pose_summary(poses: list[dict[str, Any]]) -> str:
@@ -231,33 +216,33 @@ def _format_robot_share(entry: dict[str, Any], name: str, unit: str) -> str:
     return f"≤ {number(entry.get(f'{name}_robot_at_most_{unit}'), decimals)}"
 
 
-def _positions(entry: dict[str, Any]) -> Table:
+def _positions(entry: dict[str, Any]) -> doc.Table:
     measured_floor = (entry.get("noise_floor") or {}).get("source") == "holds"
     columns = (
-        Column("Pose", "l", field("pose", str)),
-        Column("Visits", "r", field("visits", count)),
-        Column("AP [mm]", "r", lambda p: _interval(p, "ap", "mm")),
-        Column("of noise [mm]", "r", field("ap_of_noise_mm", number)),
-        Column("without bias [mm]", "r", field("ap_less_bias_mm", number)),
-        Column("RP [mm]", "r", lambda p: _interval(p, "rp", "mm")),
-        Column("floor [mm]", "r", field("rp_floor_mm", number)),
-        Column("robot's RP [mm]", "r", lambda p: _format_robot_share(p, "rp", "mm")),
+        doc.Column("Pose", "l", doc.field("pose", str)),
+        doc.Column("Visits", "r", doc.field("visits", count)),
+        doc.Column("AP [mm]", "r", lambda p: _interval(p, "ap", "mm")),
+        doc.Column("of noise [mm]", "r", doc.field("ap_of_noise_mm", number)),
+        doc.Column("without bias [mm]", "r", doc.field("ap_less_bias_mm", number)),
+        doc.Column("RP [mm]", "r", lambda p: _interval(p, "rp", "mm")),
+        doc.Column("floor [mm]", "r", doc.field("rp_floor_mm", number)),
+        doc.Column("robot's RP [mm]", "r", lambda p: _format_robot_share(p, "rp", "mm")),
     )
     notes = INTERVAL_NOTE, BIAS_NOTE, FLOOR_NOTE if measured_floor else STATED_FLOOR_NOTE
     title = "Pose accuracy AP and pose repeatability RP of positions."
-    return tabulate(title, columns, entry["poses"], *notes)
+    return doc.tabulate(title, columns, entry["poses"], *notes)
 
 
-def _orientations(poses: list[dict[str, Any]]) -> Table | None:
+def _orientations(poses: list[dict[str, Any]]) -> doc.Table | None:
     if not any("ap_rx_deg" in p for p in poses):
         return None
     columns = (
-        Column("Pose", "l", field("pose", str)),
-        *(Column(f"AP {axis} [°]", "r", partial(_format_angle, axis)) for axis in AXES),
-        *(Column(f"RP {axis} [°]", "r", partial(_format_scatter, axis)) for axis in AXES),
+        doc.Column("Pose", "l", doc.field("pose", str)),
+        *(doc.Column(f"AP {axis} [°]", "r", partial(_format_angle, axis)) for axis in AXES),
+        *(doc.Column(f"RP {axis} [°]", "r", partial(_format_scatter, axis)) for axis in AXES),
     )
     title = "Pose accuracy and pose repeatability of orientations."
-    return tabulate(title, columns, poses, ANGLE_NOTE)
+    return doc.tabulate(title, columns, poses, ANGLE_NOTE)
 
 
 def _format_scatter(axis: str, entry: dict[str, Any]) -> str:
@@ -275,57 +260,57 @@ def _entries_with(poses: list[dict[str, Any]], key: str) -> list[dict[str, Any]]
     return [{"pose": pose["pose"], **pose[key]} for pose in poses if pose.get(key)]
 
 
-def _variation(poses: list[dict[str, Any]]) -> Table | None:
+def _variation(poses: list[dict[str, Any]]) -> doc.Table | None:
     columns = (
-        Column("Pose", "l", field("pose", str)),
-        Column("Ways", "r", field("ways", count)),
-        Column("vAP [mm]", "r", lambda v: _interval(v, "vap", "mm")),
-        Column("noise alone up to [mm]", "r", field("vap_of_noise_mm", number)),
-        Column("largest angle [°]", "r", field("vap_deg", number)),
+        doc.Column("Pose", "l", doc.field("pose", str)),
+        doc.Column("Ways", "r", doc.field("ways", count)),
+        doc.Column("vAP [mm]", "r", lambda v: _interval(v, "vap", "mm")),
+        doc.Column("noise alone up to [mm]", "r", doc.field("vap_of_noise_mm", number)),
+        doc.Column("largest angle [°]", "r", doc.field("vap_deg", number)),
     )
     entries = _entries_with(poses, "variation")
     title = "Multi-directional variation vAP: barycentres of one pose, approached from other poses."
-    return tabulate(title, columns, entries) if entries else None
+    return doc.tabulate(title, columns, entries) if entries else None
 
 
-def _drift(poses: list[dict[str, Any]]) -> Table | None:
+def _drift(poses: list[dict[str, Any]]) -> doc.Table | None:
     columns = (
-        Column("Pose", "l", field("pose", str)),
-        Column("Blocks", "r", field("blocks", count)),
-        Column("dAP [mm]", "r", field("dap_mm", number)),
-        Column("noise alone up to [mm]", "r", field("dap_of_noise_mm", number)),
-        Column("dRP [mm]", "r", field("drp_mm", number)),
-        Column("noise alone up to [mm]", "r", field("drp_of_noise_mm", number)),
+        doc.Column("Pose", "l", doc.field("pose", str)),
+        doc.Column("Blocks", "r", doc.field("blocks", count)),
+        doc.Column("dAP [mm]", "r", doc.field("dap_mm", number)),
+        doc.Column("noise alone up to [mm]", "r", doc.field("dap_of_noise_mm", number)),
+        doc.Column("dRP [mm]", "r", doc.field("drp_mm", number)),
+        doc.Column("noise alone up to [mm]", "r", doc.field("drp_of_noise_mm", number)),
     )
     entries = _entries_with(poses, "drift")
     title = "Drift: largest change of AP and RP from the first visits to later ones."
-    return tabulate(title, columns, entries, DRIFT_NOTE) if entries else None
+    return doc.tabulate(title, columns, entries, DRIFT_NOTE) if entries else None
 
 
-def _distances(distances: list[dict[str, Any]]) -> Table:
+def _distances(distances: list[dict[str, Any]]) -> doc.Table:
     columns = (
-        Column("From", "l", lambda d: str((d.get("poses") or (DASH, DASH))[0])),
-        Column("To", "l", lambda d: str((d.get("poses") or (DASH, DASH))[1])),
-        Column("Distance [mm]", "r", field("commanded_mm", number, 1)),
-        Column("Visits", "r", field("visits", count)),
-        Column("AD [mm]", "r", lambda d: _interval(d, "ad", "mm", signed=True)),
-        Column("RD [mm]", "r", lambda d: _interval(d, "rd", "mm")),
+        doc.Column("From", "l", lambda d: str((d.get("poses") or (DASH, DASH))[0])),
+        doc.Column("To", "l", lambda d: str((d.get("poses") or (DASH, DASH))[1])),
+        doc.Column("Distance [mm]", "r", doc.field("commanded_mm", number, 1)),
+        doc.Column("Visits", "r", doc.field("visits", count)),
+        doc.Column("AD [mm]", "r", lambda d: _interval(d, "ad", "mm", signed=True)),
+        doc.Column("RD [mm]", "r", lambda d: _interval(d, "rd", "mm")),
     )
     notes = INTERVAL_NOTE, "No registration of the base enters a distance."
     title = "Distance accuracy AD and distance repeatability RD."
-    return tabulate(title, columns, distances, *notes)
+    return doc.tabulate(title, columns, distances, *notes)
 
 
-def _paths(paths: list[dict[str, Any]]) -> Table:
+def _paths(paths: list[dict[str, Any]]) -> doc.Table:
     columns = (
-        Column("Path", "l", field("path", str)),
-        Column("Passages", "r", field("passages", count)),
-        Column("Length [mm]", "r", field("length_mm", number, 1)),
-        Column("Speed [mm/s]", "r", field("speed_mm_s", number, 1)),
-        Column("AT [mm]", "r", lambda p: _interval(p, "at", "mm")),
-        Column("noise alone up to [mm]", "r", field("at_largest_of_noise_mm", number)),
-        Column("RT [mm]", "r", lambda p: _interval(p, "rt", "mm")),
-        Column("robot's RT [mm]", "r", lambda p: _format_robot_share(p, "rt", "mm")),
+        doc.Column("Path", "l", doc.field("path", str)),
+        doc.Column("Passages", "r", doc.field("passages", count)),
+        doc.Column("Length [mm]", "r", doc.field("length_mm", number, 1)),
+        doc.Column("Speed [mm/s]", "r", doc.field("speed_mm_s", number, 1)),
+        doc.Column("AT [mm]", "r", lambda p: _interval(p, "at", "mm")),
+        doc.Column("noise alone up to [mm]", "r", doc.field("at_largest_of_noise_mm", number)),
+        doc.Column("RT [mm]", "r", lambda p: _interval(p, "rt", "mm")),
+        doc.Column("robot's RT [mm]", "r", lambda p: _format_robot_share(p, "rt", "mm")),
     )
     title = "Path accuracy AT and path repeatability RT of positions."
-    return tabulate(title, columns, paths, INTERVAL_NOTE, MAXIMUM_NOTE)
+    return doc.tabulate(title, columns, paths, INTERVAL_NOTE, MAXIMUM_NOTE)

@@ -5,18 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.document.blocks import (
-    Block,
-    Bullets,
-    Column,
-    Figure,
-    Paragraph,
-    Section,
-    Table,
-    block_or_paragraph,
-    field,
-    tabulate,
-)
+from reports.document import blocks as doc
 from reports.document.charts import Chart, Level, Line, Mark, Panel, Points, column
 from reports.document.formatting import (
     DASH,
@@ -57,37 +46,37 @@ TABLE_NOTE = (
 )
 
 
-def registration_free_tests(results: Results) -> Section:
+def registration_free_tests(results: Results) -> doc.Section:
     """Lay out all tests that no registration enters: relative motions, then single joints."""
     section = relative_motions(results)
-    return Section(section.name, section.title, (*section.blocks, *_blocks(results)))
+    return doc.Section(section.name, section.title, (*section.blocks, *_blocks(results)))
 
 
-def _blocks(results: Results) -> tuple[Block, ...]:
+def _blocks(results: Results) -> tuple[doc.Block, ...]:
     entries = results.summary.get("sweeps") or []
     if not entries:
-        return (Paragraph(NO_SWEEPS, "note"),)
+        return (doc.Paragraph(NO_SWEEPS, "note"),)
     findings = tuple(text for entry in entries for text in _findings(entry))
     names = joint_names(sorted({entry.get("joint") for entry in entries}))
     nothing = (
         f"Turned alone, {names}: the encoder follows the turn about its own axis; no gear error, "
         "hysteresis or eccentricity beyond chance."
     )
-    figure = Figure(
+    figure = doc.Figure(
         "sweeps",
         SWEEP_CAPTION,
         "One panel a sweep: error of the reading in degrees against the reading, up and down.",
     )
     return (
-        Bullets(findings) if findings else Paragraph(nothing),
-        Paragraph(SWEEP_NOTE),
-        block_or_paragraph(figure, _chart(results), "The sweeps' pairs were not kept."),
+        doc.Bullets(findings) if findings else doc.Paragraph(nothing),
+        doc.Paragraph(SWEEP_NOTE),
+        doc.block_or_paragraph(figure, _chart(results), "The sweeps' pairs were not kept."),
         _table(entries),
         *_excluded_pairs(entries),
     )
 
 
-def _excluded_pairs(entries: list[dict[str, Any]]) -> list[Block]:
+def _excluded_pairs(entries: list[dict[str, Any]]) -> list[doc.Block]:
     """Name the pairs that a sweep does not rest on."""
     lines = [
         f"Left out of joint {count(entry.get('joint'))}'s sweep, as they lie off the circle beyond "
@@ -95,18 +84,18 @@ def _excluded_pairs(entries: list[dict[str, Any]]) -> list[Block]:
         for entry in entries
         if entry.get("outlying_frames")
     ]
-    return [Bullets(tuple(lines), "warning")] if lines else []
+    return [doc.Bullets(tuple(lines), "warning")] if lines else []
 
 
 def _findings(entry: dict[str, Any]) -> list[str]:
     """What of a sweep is beyond chance, a sentence each."""
     findings = []
-    if _is_significant(*_gain(entry)):
+    if _is_significant(*_figure(entry, "gain", "")):
         findings.append(f"gear error {_gear_error(entry)} % (k = 2).")
-    hysteresis = _value_and_uncertainty(entry, "hysteresis")
+    hysteresis = _figure(entry, "hysteresis")
     if _is_significant(*hysteresis):
         findings.append(f"hysteresis {_expanded(*hysteresis, unit='°')} (k = 2).")
-    eccentricity = _value_and_uncertainty(entry, "eccentricity")
+    eccentricity = _figure(entry, "eccentricity")
     if entry.get("eccentricity_beyond_chance") and eccentricity[0] is not None:
         size = _expanded(*eccentricity, unit="°", signed=False)
         findings.append(f"eccentricity {size} (k = 2), once a turn.")
@@ -141,43 +130,39 @@ def _expanded(value: float | None, u: float | None, unit: str = "", signed: bool
     return with_uncertainty(value, None if u is None else COVERAGE_FACTOR * u, unit, signed)
 
 
-def _gain(entry: dict[str, Any]) -> tuple[float | None, float | None]:
-    return finite(entry.get("gain")), finite(entry.get("gain_standard_uncertainty"))
-
-
 def _gear_error(entry: dict[str, Any]) -> str:
     """Write a gear error in percent."""
-    gain, u = _gain(entry)
+    gain, u = _figure(entry, "gain", "")
     return _expanded(None if gain is None else 100 * gain, None if u is None else 100 * u)
 
 
-def _value_and_uncertainty(entry: dict[str, Any], name: str) -> tuple[float | None, float | None]:
-    return finite(entry.get(f"{name}_deg")), finite(entry.get(f"{name}_standard_uncertainty_deg"))
+def _figure(
+    entry: dict[str, Any], name: str, unit: str = "_deg"
+) -> tuple[float | None, float | None]:
+    """Take a figure of a sweep and its standard uncertainty."""
+    u = entry.get(f"{name}_standard_uncertainty{unit}")
+    return finite(entry.get(f"{name}{unit}")), finite(u)
 
 
-def _table(entries: list[dict[str, Any]]) -> Table:
+def _table(entries: list[dict[str, Any]]) -> doc.Table:
     columns = (
-        Column("Joint", "c", field("joint")),
-        Column("Pairs", "r", field("pairs", count)),
-        Column("Swept [°]", "r", field("span_deg", number, 1)),
-        Column("Gear error [%]", "r", _gear_error),
-        Column("Hysteresis [°]", "r", _hysteresis),
-        Column("Eccentricity [°]", "r", _eccentricity),
-        Column("Beside the line [°]", "r", field("nonlinearity_rms_deg", number)),
-        Column("Noise gives [°]", "r", field("noise_rms_deg", number)),
-        Column("Off the axis [mm]", "r", field("wobble_rms_mm", number, 2)),
+        doc.Column("Joint", "c", doc.field("joint")),
+        doc.Column("Pairs", "r", doc.field("pairs", count)),
+        doc.Column("Swept [°]", "r", doc.field("span_deg", number, 1)),
+        doc.Column("Gear error [%]", "r", _gear_error),
+        doc.Column("Hysteresis [°]", "r", lambda e: _expanded(*_figure(e, "hysteresis"))),
+        doc.Column("Eccentricity [°]", "r", _eccentricity),
+        doc.Column("Beside the line [°]", "r", doc.field("nonlinearity_rms_deg", number)),
+        doc.Column("Noise gives [°]", "r", doc.field("noise_rms_deg", number)),
+        doc.Column("Off the axis [mm]", "r", doc.field("wobble_rms_mm", number, 2)),
     )
     title = "Each joint's encoder against the turn about its own axis; ± U with k = 2."
-    return tabulate(title, columns, entries, TABLE_NOTE)
-
-
-def _hysteresis(entry: dict[str, Any]) -> str:
-    return _expanded(*_value_and_uncertainty(entry, "hysteresis"))
+    return doc.tabulate(title, columns, entries, TABLE_NOTE)
 
 
 def _eccentricity(entry: dict[str, Any]) -> str:
     """An amplitude that chance explains is no value but a bound."""
-    value, u = _value_and_uncertainty(entry, "eccentricity")
+    value, u = _figure(entry, "eccentricity")
     if value is None or u is None:
         return DASH
     if entry.get("eccentricity_beyond_chance"):

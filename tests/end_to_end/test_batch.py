@@ -22,6 +22,7 @@ TABLES = ("sessions.parquet", "frames.parquet", "failures.csv")
 REPORTS = ("fleet.html", "fleet.pdf")
 SESSIONS = 8
 REPAIRED = 5  # the first session after the encoder of joint 2 was knocked, from 1
+DASK = pytest.mark.filterwarnings("ignore")  # its own and tornado's, as workers come and go
 Start = Callable[[], tuple[subprocess.Popen[str], Path]]
 
 
@@ -195,6 +196,7 @@ def test_where_no_session_can_be_measured_failures_are_written_and_nothing_else(
         (".", "--compare", "s", "elsewhere"),
         (".", "--workers", "0"),
         (".", "--scheduler", "tcp://127.0.0.1:1", "--workers", "2"),
+        pytest.param((".", "--scheduler", "nonsense://nowhere"), marks=DASK),
         (),
     ],
 )
@@ -262,4 +264,52 @@ def test_an_interrupted_batch_keeps_what_was_done_and_goes_on_from_there(
     again = verify("batch", lab, "-o", place, "--workers", "2", "--tolerance", "0.2")
     kept = int(again.out.split(" kept from before")[0].rsplit(" ", 1)[1])
     assert kept >= 1
+    assert_same(tables(out), tables(place))
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """Start a process of Dask's as by hand; all are ended after the test."""
+    pytest.importorskip("distributed")
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def started(*words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "distributed.cli.dask_" + words[0], *words[1:]]
+        with (tmp_path / f"log-{len(processes)}").open("wb") as log:
+            process = subprocess.Popen(command, stdout=log, stderr=log, cwd=tmp_path)
+        processes.append(process)
+        return process
+
+    yield started
+    for process in reversed(processes):
+        process.terminate()
+    for process in processes:
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.slow
+@DASK
+def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(
+    lab: Path, out: Path, tmp_path: Path, start: Callable[..., subprocess.Popen[bytes]]
+) -> None:
+    output, place = tmp_path / "scheduler.json", tmp_path / "fleet"
+    start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+          "--scheduler-file", str(output))  # fmt: skip
+    workers = [
+        start("worker", "--scheduler-file", str(output), "--nthreads", "1", "--no-dashboard",
+              "--host", "127.0.0.1", "--no-nanny", "--local-directory", str(tmp_path / "dask"))
+        for _ in range(2)
+    ]  # fmt: skip
+    wait_until(output.exists)
+    address = str(json.loads(output.read_text())["address"])
+    command = [sys.executable, "-m", "verify", "batch", str(lab), "-o", str(place),
+               "--tolerance", "0.2", "--scheduler", address, "--quiet"]  # fmt: skip
+    batch = subprocess.Popen(command)
+    wait_until(lambda: any((place / "sessions").glob("[!.]*/entry.json")))
+    os.kill(workers[0].pid, signal.SIGKILL)
+    assert batch.wait(3 * TIMEOUT) == 1
     assert_same(tables(out), tables(place))

@@ -27,10 +27,8 @@ def believed(*, doubts: bool) -> tuple[Rig, Marker]:
     if not doubts:
         return rig, make_marker()
     names = (*CAMERAS, *TURN, *BASE)
-    mixed = np.random.default_rng(0).normal(size=(len(names), len(names) + 20))
-    spread = mixed @ mixed.T
-    size = np.sqrt(np.diag(spread))
-    stated_rig = replace(rig, covariance=Covariance(names, SIGMA, spread / np.outer(size, size)))
+    correlation = random_correlation(np.random.default_rng(0), len(names), len(names) + 20)
+    stated_rig = replace(rig, covariance=Covariance(names, SIGMA, correlation))
     body = np.array([3e-5] * 3 + [np.deg2rad(0.02)] * 3)
     marker = make_marker(
         source="jig",
@@ -39,6 +37,14 @@ def believed(*, doubts: bool) -> tuple[Rig, Marker]:
         centre_shift_standard_uncertainty=1e-5,
     )
     return stated_rig, marker
+
+
+def random_correlation(rng: np.random.Generator, size: int, rank: int) -> Array:
+    mixed = rng.normal(size=(size, rank))
+    spread = mixed @ mixed.T
+    sigma = np.sqrt(np.diag(spread))
+    correlation: Array = spread / np.outer(sigma, sigma)
+    return correlation
 
 
 def drawn(rig: Rig, marker: Marker, rng: np.random.Generator) -> tuple[Rig, Marker]:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 import robots
+from tests.support.scene import sighting
 from tests.support.simulated import InMemory
 from verify.core.records import Array, Measurement, Sighting
 from verify.measurement.pose import fit_pose
@@ -39,14 +40,6 @@ def measured_at_spots(
 def _sighting(
     played: SimulatedSession, centre: Array, side: int, index: int, rng: np.random.Generator
 ) -> Sighting:
-    count = len(centre)
-    return Sighting(
-        led=np.arange(count),
-        centre=centre + SPOT_PX * rng.standard_normal(centre.shape),
-        covariance=np.tile(SPOT_PX**2 * np.eye(2), (count, 1, 1)),
-        t=float(played.t[index, side]),
-        pan=float(played.pan[index, side]),
-        peak=np.full(count, 200.0),
-        velocity=np.zeros((count, 2)),
-        acceleration_lever=np.zeros(count),
-    )
+    noisy = centre + SPOT_PX * rng.standard_normal(centre.shape)
+    t, pan = float(played.t[index, side]), float(played.pan[index, side])
+    return sighting(list(range(len(centre))), noisy, SPOT_PX, t, pan)

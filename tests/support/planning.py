@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import robots
-from tests.support.simulated import InMemory, in_memory
+from tests.support.simulated import HOME_DEG, InMemory, in_memory, marker_of
 from verify.core.records import Array
 from verify.planning import roadmap
 from verify.planning.plan import SessionPlan, plan_motion
@@ -21,8 +21,6 @@ from verify.simulation.scenario import (
     Scenario,
     ScenarioClock,
     ScenarioEncoders,
-    ScenarioLed,
-    ScenarioMarker,
     ScenarioPlacement,
     ScenarioRecording,
     ScenarioRig,
@@ -30,10 +28,8 @@ from verify.simulation.scenario import (
 )
 from verify.simulation.session import simulate
 
-HOME_DEG = [30.0, -62.0, 46.0, 8.0, -84.0, 24.0]
 RATE = 4.0  # pairs a second
 SPOT_NOISE_PX = 0.0055  # what the simulated pictures give: median of a run's spots
-LEDS = {"A": (60.0, 5.0, 20.0), "B": (-50.0, 36.0, 12.0), "C": (-20.0, -55.0, 28.0)}
 
 SCENARIO = Scenario(
     format=1,
@@ -42,9 +38,7 @@ SCENARIO = Scenario(
     motion=MultiJoint(home_deg=HOME_DEG, amplitude_deg=[10.0, 8.0, 10.0, 12.0, 12.0, 20.0]),
     recording=ScenarioRecording(pairs=20, rate_hz=RATE),
     rig=ScenarioRig(distance_mm=750.0),
-    marker=ScenarioMarker(
-        led=[ScenarioLed(name=name, position_mm=place) for name, place in LEDS.items()]
-    ),
+    marker=marker_of("ABC"),
     encoders=ScenarioEncoders(),
     clock=ScenarioClock(),
     uncertainty=ScenarioUncertainty(

@@ -7,6 +7,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from tests.support.beside import shared
+from tests.support.posed import encoders_csv, poses_csv
 from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
 
 SERIES = {
@@ -40,23 +41,13 @@ def write_session(
 ) -> Path:
     """Write a series as a session of poses, one each `period`, s; base and target not stated."""
     folder.mkdir()
-    t = [f"{period * i:.3f}" for i in range(len(rows))]
-    places, turns = rows.world_T_target[:, :3, 3] * 1e3, rows.world_T_target[:, :3, :3]
-    header, columns = "t_s,x_mm,y_mm,z_mm", places
-    if not positions_alone:
-        quaternions = np.roll(Rotation.from_matrix(turns).as_quat(), 1, axis=1)
-        header, columns = f"{header},qw,qx,qy,qz", np.hstack([places, quaternions])
-    _write(folder / "poses.csv", header, t, columns)
-    heads = ",".join(f"q{j + 1}_deg" for j in range(rows.q.shape[1]))
-    _write(folder / "encoders.csv", f"t_s,{heads}", t, np.degrees(rows.q))
+    t = period * np.arange(len(rows))
+    poses = poses_csv(t, rows.world_T_target, positions_alone=positions_alone)
+    (folder / "poses.csv").write_text(poses)
+    (folder / "encoders.csv").write_text(encoders_csv(t, rows.q))
     (folder / "session.toml").write_text(
         'format = 1\nrobot = "ur10"\nencoders = "encoders.csv"\n'
         "[clock]\nencoder_offset_s = 0.0\n"
         '[poses]\nfile = "poses.csv"\ninstrument = "a laser tracker"\nframe = "robot_base"\n'
     )
     return folder
-
-
-def _write(path: Path, header: str, t: list[str], columns: np.ndarray) -> None:
-    rows = [",".join([at, *(f"{v:.9f}" for v in row)]) for at, row in zip(t, columns, strict=True)]
-    path.write_text("\n".join([header, *rows, ""]))

@@ -70,6 +70,21 @@ def project(camera: Camera, pan: float, points_rig: Array) -> Array:
     return np.asarray(pixels, dtype=float).reshape(-1, 2)
 
 
+def sighting(leds: list[int], centre: Array, sigma: float, t: float, pan: float) -> Sighting:
+    """Spots at centres (n, 2) known to `sigma` px, at instant t, s, and base angle pan, rad."""
+    n = len(centre)
+    return Sighting(
+        led=np.array(leds, dtype=np.int64),
+        centre=centre,
+        covariance=np.tile(np.eye(2) * sigma**2, (n, 1, 1)),
+        t=t,
+        pan=pan,
+        peak=np.full(n, 200.0),
+        velocity=np.zeros((n, 2)),
+        acceleration_lever=np.zeros(n),
+    )
+
+
 def sight(
     rig: Rig,
     marker: Marker,
@@ -86,19 +101,7 @@ def sight(
         centre = project(camera, camera.pan, points)
         if rng is not None:
             centre = centre + rng.normal(0, sigma, centre.shape)
-        m = len(index)
-        sides.append(
-            Sighting(
-                led=np.array(index, dtype=np.int64),
-                centre=centre,
-                covariance=np.tile(np.eye(2) * sigma**2, (m, 1, 1)),
-                t=0.0,
-                pan=camera.pan,
-                peak=np.full(m, 200.0),
-                velocity=np.zeros((m, 2)),
-                acceleration_lever=np.zeros(m),
-            )
-        )
+        sides.append(sighting(index, centre, sigma, 0.0, camera.pan))
     return sides[0], sides[1]
 
 

@@ -76,6 +76,18 @@ def in_memory(scenario: Scenario) -> InMemory:
 HOME_DEG = [30.0, -62.0, 46.0, 8.0, -84.0, 24.0]
 
 
+LEDS = {
+    "A": (60.0, 5.0, 20.0),
+    "B": (-50.0, 36.0, 12.0),
+    "C": (-20.0, -55.0, 28.0),
+    "D": (26.0, 52.0, 36.0),
+}  # mm
+
+
+def marker_of(names: str) -> ScenarioMarker:
+    return ScenarioMarker(led=[ScenarioLed(name=n, position_mm=LEDS[n]) for n in names])
+
+
 def scene(**changes: Any) -> Scenario:
     """A short multi-joint session of the 6R arm; keyword arguments replace whole tables."""
     plain = Scenario(
@@ -84,13 +96,7 @@ def scene(**changes: Any) -> Scenario:
         seed=5,
         motion=MultiJoint(home_deg=HOME_DEG, amplitude_deg=[10.0] * 6),
         recording=ScenarioRecording(pairs=12, rate_hz=10.0),
-        marker=ScenarioMarker(
-            led=[
-                ScenarioLed(name="A", position_mm=(60.0, 5.0, 20.0)),
-                ScenarioLed(name="B", position_mm=(-50.0, 36.0, 12.0)),
-                ScenarioLed(name="C", position_mm=(-20.0, -55.0, 28.0)),
-            ]
-        ),
+        marker=marker_of("ABC"),
         encoders=ScenarioEncoders(noise_deg=0.0),
     )
     return msgspec.structs.replace(plain, **changes)

@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 import robots
+from tests.support.drawn_rig import believed
+from tests.support.leds.scene import make_spots
+from tests.support.motions import ARM, HOME
+from tests.support.motions import PERIOD as JOINT_PERIOD
 from tests.support.scene import project
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Image, Noise, Spots, StereoPair
+from verify.core.records import Array, Image, Spots, StereoPair
 from verify.core.rig import Rig
 from verify.devices.protocols import EncoderReading
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
@@ -25,13 +29,11 @@ from verify.measurement import chain
 from verify.measurement.chain import Setup, measure
 
 SIGMA = 0.05  # px: what a webcam's spot is known to
-HOME = np.deg2rad([35.0, -60.0, 45.0, 5.0, -80.0, 30.0])
 SWING = np.deg2rad([5.0, 4.0, 5.0, 8.0, 8.0, 12.0])
 PERIOD = np.array([7.9, 5.7, 6.1, 4.3, 5.3, 3.7])  # s
 READ_EVERY = 0.01  # s
 OFFSET = 0.137  # s, of the controller's clock
 NOISE = np.deg2rad(0.003)  # of a reading
-LEDS = np.array([[62.0, 4.0, 18.0], [-48.0, 38.0, 12.0], [-22.0, -52.0, 26.0], [30.0, 55.0, 34.0]])
 
 
 class Picture(np.ndarray):
@@ -53,19 +55,7 @@ BLACK = np.zeros((720, 1280), dtype=np.uint8)
 def seen_spots(image: Image, _windows: Array | None = None) -> Spots:
     """Stand in for detection."""
     centre: Array = image.spots  # type: ignore[attr-defined]
-    n = len(centre)
-    return Spots(
-        centre=centre,
-        covariance=np.tile(np.eye(2) * SIGMA**2, (n, 1, 1)),
-        peak=np.full(n, 200.0),
-        diameter=np.full(n, 5.0),
-        elongation=np.ones(n),
-        misfit=np.ones(n),
-        saturated=np.zeros(n, dtype=bool),
-        merged=np.zeros(n, dtype=bool),
-        colour=np.full((n, 3), 200.0),
-        noise=Noise(1.0, 0.1, 0.0),
-    )
+    return make_spots(centre, np.full((len(centre), 3), 200.0), sigma=SIGMA)
 
 
 @contextmanager
@@ -88,7 +78,7 @@ class SpotRun:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        self.arm = robots.load("iust_6r")
+        self.arm = ARM
         self._chance = np.random.default_rng(self.seed)
 
     def joints(self, t: Array) -> Array:
@@ -145,20 +135,11 @@ class SpotRun:
 
 def facing_rig() -> tuple[Rig, Marker]:
     """A rig that looks at the middle of the swing from 0.6 m, and four LEDs."""
-    from tests.support.scene import facing, make_rig
-
-    rig = make_rig()
-    arm = robots.load("iust_6r")
-    flange = robots.forward(arm, HOME)
-    rig_T_base = facing() @ np.linalg.inv(flange)
-    marker = Marker(tuple("ABCD"), LEDS * 1e-3, ("white",) * 4, 0.005)
-    return Rig(rig.image_size, rig.left, rig.right, rig_T_base), marker
+    return believed(doubts=False)
 
 
-ARM = robots.load("iust_6r")
 RATE = 30.0
 POSE_SIGMA = np.array([7e-5] * 3 + [math.radians(0.04)] * 3)  # m, rad: what pixels leave of a pose
-JOINT_PERIOD = np.array([2.9, 3.7, 3.1, 2.3, 4.3, 2.7])
 CLOCK = LiveClock(0.1, 1e-4, "estimated")
 PRIORS = 8
 

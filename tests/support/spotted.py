@@ -7,6 +7,8 @@ from typing import Any, cast
 import numpy as np
 
 import robots
+from tests.support.drawn_rig import random_correlation
+from tests.support.motions import HOME
 from tests.support.scene import facing, make_marker, make_rig, sight
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
@@ -53,12 +55,8 @@ def spotted(arm_name: str, q: Array, seed: int, larger: float = 1.0) -> Spotted:
     rng = np.random.default_rng(seed)
     arm = robots.load(arm_name)
     names = tuple(STATED)
-    mixed = rng.normal(size=(len(names), 2 * len(names)))
-    spread = mixed @ mixed.T
-    size = np.sqrt(np.diag(spread))
-    covariance = Covariance(
-        names, larger * np.array(list(STATED.values())), spread / np.outer(size, size)
-    )
+    u = larger * np.array(list(STATED.values()))
+    covariance = Covariance(names, u, random_correlation(rng, len(names), 2 * len(names)))
     home = robots.forward(arm, q[:1])[0]
     rig = replace(make_rig(), rig_T_base=facing() @ np.linalg.inv(home), covariance=covariance)
     pan = larger * np.deg2rad(0.005)
@@ -98,10 +96,5 @@ def spotted(arm_name: str, q: Array, seed: int, larger: float = 1.0) -> Spotted:
     )
 
 
-HOMES = {
-    "iust_6r": np.deg2rad([35.0, -60.0, 45.0, 5.0, -80.0, 30.0]),
-    "rv_3sd_melfa": np.deg2rad([10.0, 15.0, 95.0, 10.0, 50.0, 20.0]),
-}
-
-
+HOMES = {"iust_6r": HOME, "rv_3sd_melfa": np.deg2rad([10.0, 15.0, 95.0, 10.0, 50.0, 20.0])}
 SPREAD = np.deg2rad([10.0, 7.0, 8.0, 10.0, 10.0, 20.0])

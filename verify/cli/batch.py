@@ -164,14 +164,16 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
     import pandas as pd
 
     import reports
-    from verify.fleet.batch.run import write_tables
+    from verify.fleet.batch import tables
     from verify.fleet.trends.assess import assess
     from verify.io.files import write_folder_whole
     from verify.io.results import RESULTS
 
     with write_folder_whole(out, force=True) as folder:
-        write_tables(done, folder)
-        if done.kept:
+        if not done.kept:
+            tables.write_failures(folder, done.failures)
+        else:
+            tables.write(folder, done.kept, done.failures)
             sessions = pd.read_parquet(folder / "sessions.parquet")
             failures = pd.read_csv(folder / "failures.csv", keep_default_na=False)
             reported = [s for s, place in done.kept if (place / "report.html").exists()]

@@ -85,6 +85,8 @@ def emulate(
     """
     from verify.devices.ports import SerialLine, describe_port_error
     from verify.errors import InputError
+    from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
+    from verify.simulation.emulators.hand import contact_positions
     from verify.simulation.emulators.server import EmulatorServer, open_front, parse_faults
 
     if object_mm is not None and device is not EmulatedDevice.GRIPPER:
@@ -93,7 +95,8 @@ def emulate(
         raise InputError("--idle", f"{device.value} runs no program", "", "Leave it out.")
     faults = parse_faults(fault or [], FAULTS[device])
     if device is EmulatedDevice.GRIPPER:
-        engine: EmulatorEngine = _gripper(object_mm)
+        contacts = None if object_mm is None else contact_positions(object_mm)
+        engine: EmulatorEngine = GripperEngine(GripperOptions(contacts=contacts))
     elif device is EmulatedDevice.MELFA:
         engine = _melfa(motion, joints, idle, seed)
     else:
@@ -102,24 +105,15 @@ def emulate(
     server = EmulatorServer(
         open_front(port or DEFAULT_PORTS[device], line), engine, faults, baud, seed
     )
-    terminal.say(f"{device.value} listens at {server.front.address}; Ctrl-C ends it")
-    terminal.record(
-        {"type": "listening", "device": device.value, "address": server.front.address}
-    )  # fmt: skip
+    address = server.front.address
+    terminal.say(f"{device.value} listens at {address}; Ctrl-C ends it")
+    terminal.record({"type": "listening", "device": device.value, "address": address})
     try:
         server.serve(lambda: False)
     except OSError as error:  # only a serial device goes away under an emulator
-        raise InputError(server.front.address, describe_port_error(error)) from error
+        raise InputError(address, describe_port_error(error)) from error
     finally:
         server.close()
-
-
-def _gripper(object_mm: float | None) -> "EmulatorEngine":
-    from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
-    from verify.simulation.emulators.hand import contact_positions
-
-    contacts = None if object_mm is None else contact_positions(object_mm)
-    return GripperEngine(GripperOptions(contacts=contacts))
 
 
 def _melfa(motion: str, joints: int, idle: bool, seed: int) -> "EmulatorEngine":
@@ -130,8 +124,8 @@ def _melfa(motion: str, joints: int, idle: bool, seed: int) -> "EmulatorEngine":
     from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
     from verify.simulation.emulators.trajectory import load
 
-    known = robots.load(MELFA_ROBOT)
-    arm = known if isinstance(known, robots.DhArm) and known.dof == joints else None
+    loaded = robots.load(MELFA_ROBOT)
+    arm = loaded if isinstance(loaded, robots.DhArm) and loaded.dof == joints else None
     limits = np.deg2rad(np.tile([-360.0, 360.0], (joints, 1)))
     if idle and arm is not None:  # a recorded motion may be another robot's: nothing limits that
         limits = np.column_stack([arm.lower, arm.upper])

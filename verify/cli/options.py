@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -31,7 +32,7 @@ def parse_duration(text: str | float) -> float:
         raise InputError(
             "--for", f'"{text}" is no duration', "seconds, minutes or hours", "Example: 10m"
         ) from None
-    _require_positive("--for", value, "a duration")
+    require_positive({"--for": value})
     return value
 
 
@@ -86,12 +87,7 @@ class ToleranceOptions:
 
         values = None if self.joints_deg is None else _parse_angles(self.joints_deg, joints)
         position, orientation = self.position_mm, self.orientation_deg
-        for name, value in (
-            ("--position-tolerance", position),
-            ("--orientation-tolerance", orientation),
-        ):
-            if value is not None:
-                _require_positive(name, value, "a tolerance")
+        require_positive({"--position-tolerance": position, "--orientation-tolerance": orientation})
         return Tolerance(
             joints=None if values is None else np.deg2rad(values),
             position=None if position is None else position * 1e-3,
@@ -164,6 +160,29 @@ ReplaceInFolder = Annotated[
 WriteIntoFolder = Annotated[bool, typer.Option("--force", help="Write into a folder that exists.")]
 
 
+def refuse_options(given: Mapping[str, bool], found: str, expected: str, remedy: str) -> None:
+    """Refuse options that would do nothing, by whether each was given.
+
+    Raises:
+        InputError: names the first that was.
+    """
+    for name in (name for name, used in given.items() if used):
+        raise InputError(name, found, expected, remedy)
+
+
+def require_positive(values: Mapping[str, float | None], *, zero: bool = False) -> None:
+    """Refuse numbers that are not positive (or 0, with `zero`), by option; None passes.
+
+    Raises:
+        InputError: names the first.
+    """
+    for name, value in values.items():
+        if value is None or (math.isfinite(value) and (value > 0 or (zero and value == 0))):
+            continue
+        expected = f"a number above {'or at ' if zero else ''}0 is needed"
+        raise InputError(name, f"{value:g}", expected)
+
+
 def _parse_angles(text: str, joints: int) -> list[float]:
     try:
         values = [float(word) for word in text.split(",")]
@@ -173,7 +192,7 @@ def _parse_angles(text: str, joints: int) -> list[float]:
             f"one number is asked for, or {joints} with commas between", "Example: 0.2",
         ) from None  # fmt: skip
     for value in values:
-        _require_positive("--tolerance", value, "a tolerance")
+        require_positive({"--tolerance": value})
     if len(values) == 1:
         values = values * joints
     if len(values) != joints:
@@ -182,8 +201,3 @@ def _parse_angles(text: str, joints: int) -> list[float]:
             f"the robot has {joints} joints", "Give one number, or one a joint.",
         )  # fmt: skip
     return values
-
-
-def _require_positive(name: str, value: float, what: str) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(name, f"{value:g} was given", f"{what} is greater than 0", "")

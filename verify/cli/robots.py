@@ -29,10 +29,10 @@ def robots(
     from verify.errors import InputError
 
     if name is None:
-        for known in arms.names():
-            arm = arms.load(known)
-            terminal.say(f"{known:14} {arm.description}")
-            terminal.record({"type": "robot", "name": known, "description": arm.description})
+        for arm_name in arms.names():
+            arm = arms.load(arm_name)
+            terminal.say(f"{arm_name:14} {arm.description}")
+            terminal.record({"type": "robot", "name": arm_name, "description": arm.description})
         return 0
     try:
         arm = arms.load(name)
@@ -89,8 +89,8 @@ def _report(arm: "arms.Arm", check: "arms.SelfCheck") -> int:
         terminal.say(f"  {what}: {text}")
     terminal.detail(f"  Jacobian against differences: {check.difference_jacobian:.1e} (not judged)")
     terminal.say(f"  poses whose own joints were not among the answers: {check.lost}")
-    known = {what: figure for what, figure in figures.items() if not math.isnan(figure)}
-    good = max(known.values(), default=0.0) <= TOL_KINEMATICS and check.lost == 0
+    judged = {what: figure for what, figure in figures.items() if not math.isnan(figure)}
+    good = max(judged.values(), default=0.0) <= TOL_KINEMATICS and check.lost == 0
     terminal.say("self-check: " + ("sound" if good else f"FAILED, above {TOL_KINEMATICS:g}"))
-    terminal.record({"type": "robot", "name": arm.name, "self_check": known, "sound": good})
+    terminal.record({"type": "robot", "name": arm.name, "self_check": judged, "sound": good})
     return 0 if good else 1

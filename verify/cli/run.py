@@ -17,9 +17,9 @@ from verify.cli.options import (
     ToleranceOptions,
     WriteIntoFolder,
     parse_duration,
+    refuse_options,
 )
 from verify.cli.terminal import terminal
-from verify.errors import InputError
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
 
 EXIT_STATUS = {"conform": 0, None: 0, "nonconform": 1, "undecided": 3}
@@ -78,7 +78,11 @@ def run(
         raise typer.BadParameter("name a session's folder or a station file")
     tolerances = ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
     if source.is_dir() or source.suffix != ".toml":
-        _refuse_live_options(duration, on_alarm, page=page)
+        refuse_options(
+            {"--for": duration is not None, "--on-alarm": on_alarm is not None, "--page": page},
+            "was given with a recorded session", "it is for stations",
+            "Leave it out, or name a station file.",
+        )  # fmt: skip
         from verify.cli.measure import measure_and_report
 
         return EXIT_STATUS[measure_and_report(source, out, tolerances, force=force)]
@@ -108,10 +112,10 @@ def _run_live(
         refuse_existing(out, force=force)
     terminal.warn(*station.warnings)
     options = RunOptions(duration, tolerances.tolerance(station.arm.dof), on_alarm, page)
-    watched = watch(station, options)
-    out = out if out is not None else Path(f"{watched.folders[0].name}-report")
-    reported = measure_and_report_all(watched.folders, out, tolerances, force=force)
-    write_whole(next(iter(reported)) / "alarms.csv", alarms_csv(watched.alarms))
+    folders, alarms = watch(station, options)
+    out = out if out is not None else Path(f"{folders[0].name}-report")
+    reported = measure_and_report_all(folders, out, tolerances, force=force)
+    write_whole(next(iter(reported)) / "alarms.csv", alarms_csv(alarms))
     return EXIT_STATUS[max(reported.values(), key=SEVERITY.index)]
 
 
@@ -128,11 +132,3 @@ def _new_station(path: Path | None) -> int:
     terminal.say(f"{target} runs as it is, with simulated devices: verify run {target} --for 20s")
     terminal.record({"type": "result", "out": str(target)})
     return 0
-
-
-def _refuse_live_options(duration: float | None, on_alarm: str | None, *, page: bool) -> None:
-    """Refuse a station's option with a recorded session, where it would do nothing."""
-    live = {"--for": duration is not None, "--on-alarm": on_alarm is not None, "--page": page}
-    for name in (name for name, used in live.items() if used):
-        found, remedy = "was given with a recorded session", "Leave it out, or name a station file."
-        raise InputError(name, found, "it is for stations", remedy)

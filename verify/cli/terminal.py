@@ -37,6 +37,11 @@ class Terminal:
     verbose: bool = False
     as_json: bool = False
 
+    @property
+    def draws(self) -> bool:
+        """Whether there is a terminal to draw a table on."""
+        return sys.stdout.isatty() and not self.as_json and not self.quiet
+
     def say(self, text: str) -> None:
         """Print a line for the reader; nothing with --quiet or --json."""
         if not (self.quiet or self.as_json):

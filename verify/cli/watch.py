@@ -20,6 +20,7 @@ from verify.analysis.warm_up import warm_up_comparison
 from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
 from verify.core.processes import ChildProcess, answer_requests
+from verify.core.records import Array
 from verify.errors import InputError
 from verify.io.session.keys import Tolerance
 from verify.live.alarms.joints import AlarmLimits
@@ -54,16 +55,12 @@ class RunOptions:
     page: PageOptions | None
 
 
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """What a run recorded."""
-
-    folders: tuple[Path, ...]  # sessions: more than one where the controller's clock began anew
-    alarms: tuple[Alarm, ...]  # oldest first; of very many the newest
-
-
-def watch(station: Station, options: RunOptions) -> RunResult:
+def watch(station: Station, options: RunOptions) -> tuple[tuple[Path, ...], tuple[Alarm, ...]]:
     """Watch until Ctrl-C, the time is up, or the robot's program ends.
+
+    Returns:
+        Folders of the recorded sessions, more than one where the controller's clock began anew, and
+        the alarms, oldest first; of very many the newest.
 
     Raises:
         InputError: a device, the page or a listener cannot be opened; nothing is running then.
@@ -88,8 +85,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         listeners = _listeners(station, options, stack)
         source = RunPageSource(state, subject, facts)
         if options.page is not None:
-            page = options.page.serve(source, moment=state.wait_for_pair)
-            stack.callback(page.close)
+            stack.callback(options.page.serve(source, moment=state.wait_for_pair).close)
         if station.alarm.prometheus is not None:
             stack.callback(MetricsServer(station.alarm.prometheus, source.metrics).close)
         clock: ChildProcess[ClockRequest, ClockEstimate] = ChildProcess(
@@ -107,9 +103,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         devices, settings = _open_devices(station), LoopSettings(limits, options.duration)
         live = LiveLoop(subject, devices, recorder, settings, computation, listeners, state)
         stack.enter_context(_frozen_garbage_collector())
-        look = stack.enter_context(
-            _show_table(None if joints is None else np.rad2deg(joints).tolist())
-        )
+        look = stack.enter_context(_show_table(joints))
         stop = stack.enter_context(stop_on_signal())
         live.run(stop, look)
     _print_summary(state)
@@ -120,7 +114,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
             station.path, f"no pair of pictures was recorded ({recorded.sentence})",
             "two cameras that deliver, and room on the disk", "Try `verify doctor` on this file.",
         )  # fmt: skip
-    return RunResult(recorded.folders, state.snapshot().alarms[::-1])
+    return recorded.folders, state.snapshot().alarms[::-1]
 
 
 def alarms_csv(alarms: tuple[Alarm, ...]) -> bytes:
@@ -174,13 +168,9 @@ def _listeners(station: Station, options: RunOptions, stack: ExitStack) -> list[
         add(connect_mqtt(station.alarm.mqtt))
     if terminal.as_json:
         add(JsonLines(terminal.record))
-    elif not _is_terminal():
+    elif not terminal.draws:
         add(PlainTextOutput(terminal.say))
     return listeners
-
-
-def _is_terminal() -> bool:
-    return sys.stdout.isatty() and not terminal.as_json and not terminal.quiet
 
 
 @contextmanager
@@ -195,12 +185,13 @@ def _frozen_garbage_collector() -> Iterator[None]:
 
 
 @contextmanager
-def _show_table(tolerance_deg: list[float] | None) -> Iterator[Callable[[LiveState], None] | None]:
-    """Draw the table where there is a terminal to draw it on."""
-    if not _is_terminal():
+def _show_table(tolerance: Array | None) -> Iterator[Callable[[LiveState], None] | None]:
+    """Draw the table where there is a terminal to draw it on; tolerance a joint (j,), rad."""
+    if not terminal.draws:
         yield None
         return
-    with LiveTable(tolerance_deg, Console()) as table:
+    limits = None if tolerance is None else np.rad2deg(tolerance).tolist()
+    with LiveTable(limits, Console()) as table:
         yield table.look
 
 

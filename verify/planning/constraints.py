@@ -89,9 +89,9 @@ def _view(
     size = np.array(setup.rig.image_size, dtype=float) - 1
     corners = np.array([[0.0, 0.0], [size[0], 0.0], [0.0, size[1]], size])
     widest = MAX_CORNER_RATIO * float(np.linalg.norm(camera.normalise(corners), axis=1).max())
-    known = (depth > MIN_DEPTH) & (np.linalg.norm(local[..., :2] / near, axis=-1) < widest)
+    valid = (depth > MIN_DEPTH) & (np.linalg.norm(local[..., :2] / near, axis=-1) < widest)
     pixels = camera.project(np.concatenate([local[..., :2], near], axis=-1))
-    pixels[~known] = np.nan
+    pixels[~valid] = np.nan
     inside = np.all((pixels > margin) & (pixels < size - margin), axis=-1)  # nan is outside
     toward = camera.rig_T_camera(camera.pan)[:3, 3] - points
     toward /= np.linalg.norm(toward, axis=-1, keepdims=True)

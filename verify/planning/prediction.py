@@ -100,8 +100,8 @@ def predict_clock(session: PredictedSession) -> ClockPrediction:
     column = model.white.rows(clock_effect(session.comparison))
     others = np.concatenate([model.offsets, model.fitted], axis=1)
     left = float(residual_products(others, column, model.prior)[0, 0])
-    known = left > TOL_COLUMN * float(np.sum(column**2)) > 0
-    smallest = DETECTION_SIGMA / float(np.sqrt(left)) if known else None
+    visible = left > TOL_COLUMN * float(np.sum(column**2)) > 0
+    smallest = DETECTION_SIGMA / float(np.sqrt(left)) if visible else None
     return ClockPrediction(clock.standard_uncertainty, smallest, clock.source)
 
 
@@ -109,13 +109,13 @@ def predict_geometry(setup: PlanningSetup, model: JointErrorModel) -> PredictedI
     """Predict which of the arm's parameters `verify identify` could find, and how well."""
     parameters, columns = geometry_columns(setup, model)
     loose = _unit(model.fitted) / TOL_COLUMN  # found with them, as good as free
-    known = information_root(columns, np.concatenate([model.prior, loose], axis=1))
-    supported = identifiability(parameters, known)
+    information = information_root(columns, np.concatenate([model.prior, loose], axis=1))
+    supported = identifiability(parameters, information)
     own = [parameters.index(p) for p in supported.supported]
     tolerance = np.array([p.tolerance for p in supported.supported])
-    _, size, vt = np.linalg.svd(known[:, own], full_matrices=False)
+    _, size, vt = np.linalg.svd(information[:, own], full_matrices=False)
     spread = np.linalg.norm(vt.T / size, axis=1) * tolerance
-    indexes = observability_indices(known[:, own], len(model.comparison))
+    indexes = observability_indices(information[:, own], len(model.comparison))
     return PredictedIdentifiability(supported.supported, spread, supported, indexes)
 
 
@@ -182,8 +182,8 @@ def _columns(session: PredictedSession) -> Iterator[tuple[str, Array, Array]]:
 
 def _plain_uncertainty(analysis: PredictedAnalysis, columns: Array) -> Array:
     """Standard uncertainty carried through the plain mean, (j,)."""
-    known = ~np.isnan(analysis.errors.error)
-    weight = known / np.maximum(known.sum(axis=0), 1)
+    valid = ~np.isnan(analysis.errors.error)
+    weight = valid / np.maximum(valid.sum(axis=0), 1)
     share = np.einsum("ni,nij,njp->ip", weight, analysis.inverse, columns)
     size: Array = np.linalg.norm(share, axis=1)
     return size

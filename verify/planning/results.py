@@ -24,7 +24,7 @@ FROM_DEG, FROM_MM = float(np.deg2rad(1.0)), 1e-3
 
 def trajectory_table(timed: TimedMotion) -> pd.DataFrame:
     """The motion in even steps: t_s, q1_deg…, and the pose at which the arm rests, from 1."""
-    t = np.append(np.arange(0.0, timed.duration, PERIOD), timed.duration)
+    t = timed.times(PERIOD)
     rest = [None if k is None else k + 1 for k in timed.resting(t)]
     table = pd.DataFrame({"t_s": t, **_angles(timed.q(t))})
     table["pose"] = pd.array(rest, dtype="Int64")
@@ -49,13 +49,9 @@ def pose_table(timed: TimedMotion) -> pd.DataFrame:
 def pair_table(predicted: SessionPrediction) -> pd.DataFrame:
     """Status and joint angles of each pair."""
     session = predicted.session
-    columns: dict[str, Any] = {
-        "frame": np.arange(len(session.t)),
-        "t_s": session.t,
-        "status": [m.status for m in session.measurements],
-        **_angles(session.q),
-    }
-    return pd.DataFrame(columns)
+    status = [m.status for m in session.measurements]
+    columns = {"frame": np.arange(len(status)), "t_s": session.t, "status": status}
+    return pd.DataFrame(columns | _angles(session.q))
 
 
 def spot_table(measurements: list[Measurement], setup: PlanningSetup) -> pd.DataFrame:
@@ -72,8 +68,7 @@ def spot_table(measurements: list[Measurement], setup: PlanningSetup) -> pd.Data
 
 def arm_table(timed: TimedMotion, setup: PlanningSetup) -> pd.DataFrame:
     """The flange's path, and the links at some of the poses; robot's base frame."""
-    t = np.append(np.arange(0.0, timed.duration, FLANGE_STEP), timed.duration)
-    flange = robots.forward(setup.arm, timed.q(t))[:, :3, 3] * 1e3
+    flange = robots.forward(setup.arm, timed.q(timed.times(FLANGE_STEP)))[:, :3, 3] * 1e3
     rows = [("flange", 0, *place) for place in flange.tolist()]
     stops = [stop.q for stop in timed.stops if stop.pose is not None]
     some = np.unique(np.linspace(0, len(stops) // 2, MAX_DRAWN_ARMS).astype(int))
@@ -99,19 +94,13 @@ def camera_table(setup: PlanningSetup) -> pd.DataFrame:
 def fault_table(predicted: SessionPrediction) -> pd.DataFrame:
     """Every kind of fault of every joint."""
     rows = [
-        (j + 1, one.name, one.unit, u, smallest)
+        (j + 1, one.name, one.unit, one.standard_uncertainty[j] / one.scale,
+         one.detectable[j] / one.scale)
         for one in predicted.faults
-        for j, (u, smallest) in enumerate(
-            zip(
-                (one.standard_uncertainty / one.scale).tolist(),
-                (one.detectable / one.scale).tolist(),
-                strict=True,
-            )
-        )
-    ]
-    return pd.DataFrame(
-        rows, columns=["joint", "kind", "unit", "standard_uncertainty", "minimum_detectable"]
-    )
+        for j in range(len(one.detectable))
+    ]  # fmt: skip
+    names = ["joint", "kind", "unit", "standard_uncertainty", "minimum_detectable"]
+    return pd.DataFrame(rows, columns=names)
 
 
 def source_table(predicted: SessionPrediction) -> pd.DataFrame:
@@ -147,8 +136,7 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         origin: what it was made for.
 
     Returns:
-        Summary as listed at the head of reports/plan/document.py; tables trajectory, poses, pairs,
-        spots, arm, cameras, shown, sources.
+        Summary and tables as docs/plan.md lists them.
     """
     predicted, timed = made.prediction, made.timed
     session = predicted.session
@@ -227,7 +215,7 @@ def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, 
     means, session = predicted.analysis.means, predicted.session
     visible = predicted.analysis.visibility
     spread = np.sqrt(np.diag(means.covariance))
-    t = np.append(np.arange(0.0, timed.duration, PERIOD), timed.duration)
+    t = timed.times(PERIOD)
     q, comparison = timed.q(t), session.comparison
     speed = np.abs(np.gradient(q, t, axis=0)).max(axis=0)
     upward = np.mean(comparison.direction > 0, axis=0)

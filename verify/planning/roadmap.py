@@ -206,7 +206,9 @@ def plan_tour(
     straight = np.zeros(length.shape, dtype=bool)
     straight[one[free], other[free]] = straight[other[free], one[free]] = True
     length[straight] = direct[straight]
-    order = _short_tour(length)
+    # a short open tour: the nearest next, then parts reversed while that shortens it
+    tours = [_improve_tour(_nearest(length, k), length) for k in range(min(len(length), 5))]
+    order = min(tours, key=lambda tour: _tour_length(tour, length))
     stops = [MotionStop(q[order[0]], 0)]
     for number, (a, b) in enumerate(pairwise(order), start=1):
         if not straight[a, b]:
@@ -215,13 +217,6 @@ def plan_tour(
             stops += [MotionStop(row, None) for row in passed]
         stops.append(MotionStop(q[b], number))
     return stops + stops[-2::-1] if back else stops
-
-
-def _short_tour(length: Array) -> Rows:
-    """Find a short open tour: the nearest next, then parts reversed while that shortens it."""
-    n = len(length)
-    tours = [_improve_tour(_nearest(length, start), length) for start in range(min(n, 5))]
-    return min(tours, key=lambda one: _tour_length(one, length))
 
 
 def _nearest(length: Array, start: int) -> Rows:

@@ -33,6 +33,10 @@ class TimedMotion:
         """In s."""
         return float(self.leave[-1])
 
+    def times(self, step: float) -> Array:
+        """Instants from the beginning in even steps, and the end, (n,), s."""
+        return np.append(np.arange(0.0, self.duration, step), self.duration)
+
     def q(self, t: Array) -> Array:
         """Joint angles (n, j), rad, at times (n,), s; at rest before and after."""
         leg = np.clip(np.searchsorted(self.leave, t, side="right") - 1, -1, len(self.legs) - 1)

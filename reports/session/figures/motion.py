@@ -4,21 +4,6 @@ import numpy as np
 import pandas as pd
 
 from reports.document import charts, formatting
-from reports.document.charts import (
-    Array,
-    Band,
-    Chart,
-    Level,
-    Line,
-    Mark,
-    Panel,
-    Path,
-    band,
-    column,
-    strips,
-    time_axis,
-    trace,
-)
 from reports.document.formatting import exact_number, finite
 from reports.results import Results
 
@@ -27,31 +12,37 @@ PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free above and be
 MAX_TOLERANCE_RATIO = 3.0
 
 
-def joint_errors(results: Results) -> Chart | None:
+def joint_errors(results: Results) -> charts.Chart | None:
     """Encoder less measured angle, one strip a joint: pair errors, resolved error, tolerance."""
     frames, resolved = results.table("frames"), _resolved_per_frame(results)
-    t, time = time_axis(frames)
+    t, time = charts.time_axis(frames)
     panels = []
     for joint in results.summary.get("joints") or []:
         name = f"q{joint.get('joint')}"
-        error = column(frames, f"{name}_error_deg"), column(frames, f"{name}_error_u_deg")
-        fit = column(resolved, f"{name}_resolved_deg"), column(resolved, f"{name}_resolved_u_deg")
+        error = (
+            charts.column(frames, f"{name}_error_deg"),
+            charts.column(frames, f"{name}_error_u_deg"),
+        )
+        fit = (
+            charts.column(resolved, f"{name}_resolved_deg"),
+            charts.column(resolved, f"{name}_resolved_u_deg"),
+        )
         limit = finite(joint.get("tolerance_deg"))
         panels.append(_error_panel(t, error, fit, limit, f"{name} [°]", "°"))
     drawn = any(has_lines(panel) for panel in panels)
-    return strips(panels, time, row_height=0.66) if drawn else None
+    return charts.strips(panels, time, row_height=0.66) if drawn else None
 
 
-def pose_errors(results: Results) -> Chart | None:
+def pose_errors(results: Results) -> charts.Chart | None:
     """Distance and angle between the measured and the encoders' pose, and the resolved ones."""
     frames, resolved = results.table("frames"), _resolved_per_frame(results)
-    t, time = time_axis(frames)
+    t, time = charts.time_axis(frames)
     panels = []
     for name, unit in (("position", "mm"), ("orientation", "deg")):
         sign = formatting.UNITS[unit]
-        error = column(frames, f"{name}_error_{unit}")
-        fit = column(resolved, f"{name}_resolved_{unit}")
-        u_fit = column(resolved, f"{name}_resolved_u_{unit}")
+        error = charts.column(frames, f"{name}_error_{unit}")
+        fit = charts.column(resolved, f"{name}_resolved_{unit}")
+        u_fit = charts.column(resolved, f"{name}_resolved_u_{unit}")
         limit = finite((results.summary.get(name) or {}).get(f"tolerance_{unit}"))
         panels.append(
             _error_panel(
@@ -65,13 +56,13 @@ def pose_errors(results: Results) -> Chart | None:
             )
         )
     drawn = any(has_lines(panel) for panel in panels)
-    return strips(panels, time, row_height=1.3) if drawn else None
+    return charts.strips(panels, time, row_height=1.3) if drawn else None
 
 
-def pose(results: Results) -> Chart | None:
+def pose(results: Results) -> charts.Chart | None:
     """Position and rotation vector of the flange over time, measured and from the encoders."""
     frames = results.table("frames")
-    t, time = time_axis(frames)
+    t, time = charts.time_axis(frames)
     turned = charts.unwrap_rotation(charts.columns(frames, ["rx_deg", "ry_deg", "rz_deg"]))
     turned_encoder = charts.unwrap_rotation(
         charts.columns(frames, ["rx_encoder_deg", "ry_encoder_deg", "rz_encoder_deg"]), turned
@@ -79,16 +70,16 @@ def pose(results: Results) -> Chart | None:
     panels = []
     for i, axis in enumerate("xyz"):
         last = time if i == 2 else ""
-        position = column(frames, f"{axis}_mm"), column(frames, f"{axis}_encoder_mm")
+        position = charts.column(frames, f"{axis}_mm"), charts.column(frames, f"{axis}_encoder_mm")
         rotation = turned[:, i], turned_encoder[:, i]
         panels.append(_pose_panel(t, *position, f"{axis} [mm]", "mm", last))
         panels.append(_pose_panel(t, *rotation, f"r{axis} [°]", "°", last))
     if not any(has_lines(panel) for panel in panels):
         return None
-    return Chart(tuple(panels), columns=2, row_height=1.35, shared_x=True)
+    return charts.Chart(tuple(panels), columns=2, row_height=1.35, shared_x=True)
 
 
-def flange_path(results: Results) -> Path | None:
+def flange_path(results: Results) -> charts.Path | None:
     """The flange's way through the robot's base frame, measured and from the encoders."""
     frames = results.table("frames")
     index = np.arange(len(frames), dtype=float)
@@ -99,14 +90,14 @@ def flange_path(results: Results) -> Path | None:
     ):
         points = charts.columns(frames, names)
         stride = max(1, -(-len(points) // charts.MAX_LINE_POINTS))
-        gaps, _ = trace(index[::stride], points[::stride].sum(axis=1))
+        gaps, _ = charts.trace(index[::stride], points[::stride].sum(axis=1))
         rows = np.where(np.isfinite(gaps), gaps, 0).astype(int)
         lines.append((np.where(np.isfinite(gaps)[:, None], points[rows], np.nan), role, label))
     every = np.concatenate([line for line, _, _ in lines])
     if not np.isfinite(every).any():
         return None
     ranges = charts.box(every, 1 + PANEL_MARGIN, least=0.5)  # mm: the arm may stand still
-    return Path(tuple(lines), ("x [mm]", "y [mm]", "z [mm]"), ranges)
+    return charts.Path(tuple(lines), ("x [mm]", "y [mm]", "z [mm]"), ranges)
 
 
 def _resolved_per_frame(results: Results) -> pd.DataFrame:
@@ -118,12 +109,12 @@ def _resolved_per_frame(results: Results) -> pd.DataFrame:
 
 
 def _pose_panel(
-    t: Array, measured: Array, encoder: Array, label: str, unit: str, time: str
-) -> Panel:
-    return Panel(
+    t: charts.Array, measured: charts.Array, encoder: charts.Array, label: str, unit: str, time: str
+) -> charts.Panel:
+    return charts.Panel(
         (
-            Line(*trace(t, measured), "measured", "measured"),
-            Line(*trace(t, encoder), "encoder", "from encoders"),
+            charts.Line(*charts.trace(t, measured), "measured", "measured"),
+            charts.Line(*charts.trace(t, encoder), "encoder", "from encoders"),
         ),
         label,
         time,
@@ -132,45 +123,49 @@ def _pose_panel(
 
 
 def _error_panel(
-    t: Array,
-    pairs: tuple[Array, Array],
-    resolved: tuple[Array, Array],
+    t: charts.Array,
+    pairs: tuple[charts.Array, charts.Array],
+    resolved: tuple[charts.Array, charts.Array],
     limit: float | None,
     label: str,
     unit: str,
     one_sided: bool = False,
-) -> Panel:
+) -> charts.Panel:
     (error, u), (fit, u_fit) = pairs, resolved
     low = fit - 2 * u_fit
     if one_sided:
         low = np.maximum(low, 0.0)  # a length
-    drawn: list[Band | Line] = [
-        Band(*band(t, error - 2 * u, error + 2 * u), "error_band", "±2u of a pair"),
-        Line(*trace(t, error), "error", "error of a pair"),
-        Band(*band(t, low, fit + 2 * u_fit), "resolved_band", "±2u resolved"),
-        Line(*trace(t, fit), "resolved", "resolved error"),
+    drawn: list[charts.Band | charts.Line] = [
+        charts.Band(*charts.band(t, error - 2 * u, error + 2 * u), "error_band", "±2u of a pair"),
+        charts.Line(*charts.trace(t, error), "error", "error of a pair"),
+        charts.Band(*charts.band(t, low, fit + 2 * u_fit), "resolved_band", "±2u resolved"),
+        charts.Line(*charts.trace(t, fit), "resolved", "resolved error"),
     ]
-    marks: list[Mark] = [mark for mark in drawn if len(mark.x)]
+    marks: list[charts.Mark] = [mark for mark in drawn if len(mark.x)]
     reach = _error_range(error, fit, u, u_fit)
     title = ""
     if limit is not None and reach is not None:
         if limit <= MAX_TOLERANCE_RATIO * max(abs(reach[0]), abs(reach[1])):
-            marks.append(Level(limit, "tolerance", "tolerance"))
+            marks.append(charts.Level(limit, "tolerance", "tolerance"))
             reach = min(reach[0], 0.0), max(reach[1], limit)
             if not one_sided:
-                marks.append(Level(-limit, "tolerance", "tolerance"))
+                marks.append(charts.Level(-limit, "tolerance", "tolerance"))
                 reach = min(reach[0], -limit), reach[1]
         else:
             sign, space = "" if one_sided else "±", "" if unit == "°" else " "
             title = f"tolerance {sign}{exact_number(limit)}{space}{unit}: beyond this scale"
     if reach is None:
-        return Panel((), label, title="no measured pair", unit=unit)
+        return charts.Panel((), label, title="no measured pair", unit=unit)
     room = PANEL_MARGIN * (reach[1] - reach[0]) or 1e-3  # a thousandth of a degree or millimetre
     bottom = 0.0 if one_sided else reach[0] - room
-    return Panel(tuple(marks), label, title=title, unit=unit, y_range=(bottom, reach[1] + room))
+    return charts.Panel(
+        tuple(marks), label, title=title, unit=unit, y_range=(bottom, reach[1] + room)
+    )
 
 
-def _error_range(error: Array, fit: Array, u: Array, u_fit: Array) -> tuple[float, float] | None:
+def _error_range(
+    error: charts.Array, fit: charts.Array, u: charts.Array, u_fit: charts.Array
+) -> tuple[float, float] | None:
     """Extent of a strip: every error, and all but the widest twentieth of the bands.
 
     A pair near a singularity has a band many times wider than the others; it may leave the
@@ -186,6 +181,6 @@ def _error_range(error: Array, fit: Array, u: Array, u_fit: Array) -> tuple[floa
     return (float(every.min()), float(every.max())) if len(every) else None
 
 
-def has_lines(panel: Panel) -> bool:
+def has_lines(panel: charts.Panel) -> bool:
     """Tell whether a panel shows any data."""
-    return any(isinstance(m, Line) and bool(np.isfinite(m.y).any()) for m in panel.marks)
+    return any(isinstance(m, charts.Line) and bool(np.isfinite(m.y).any()) for m in panel.marks)

@@ -4,18 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from reports.document.charts import (
-    Array,
-    Band,
-    Chart,
-    Level,
-    Line,
-    Mark,
-    Panel,
-    Points,
-    column,
-    texts,
-)
+from reports.document import charts
 from reports.document.formatting import exact_number, finite
 from reports.results import Results
 
@@ -25,13 +14,13 @@ AXIS_MARGIN = 1.12
 CIRCLE_ANGLES = np.linspace(0, 2 * np.pi, 73)
 
 
-def pose_clusters(results: Results) -> Chart | None:
+def pose_clusters(results: Results) -> charts.Chart | None:
     """Every visit about the commanded position, two views a pose; of many poses the worst."""
     table = results.table("performance_poses")
-    poses = texts(table, "pose")
+    poses = charts.texts(table, "pose")
     if not poses:
         return None
-    places = np.stack([column(table, f"d{axis}_mm") for axis in "xyz"], axis=1)
+    places = charts.columns(table, (f"d{axis}_mm" for axis in "xyz"))
     shown = _worst_entries(results, "poses", "pose", "rp_mm", MAX_POSES)
     clusters = {name: places[np.array(poses) == name] for name in shown}
     radii = {name: finite(entry.get("rp_mm")) or 0.0 for name, entry in shown.items()}
@@ -45,7 +34,7 @@ def pose_clusters(results: Results) -> Chart | None:
         for i, (name, own) in enumerate(clusters.items())
     )
     many = len(shown) > PANELS_PER_ROW  # panels side by side get narrower, and need no more height
-    return Chart(
+    return charts.Chart(
         panels,
         columns=len(shown),
         row_height=1.2 if many else 1.5,
@@ -54,21 +43,29 @@ def pose_clusters(results: Results) -> Chart | None:
 
 
 def _visit_panel(
-    places: Array, radius: float, axes: tuple[int, int], name: str, far: float, *, first: bool
-) -> Panel:
+    places: charts.Array,
+    radius: float,
+    axes: tuple[int, int],
+    name: str,
+    far: float,
+    *,
+    first: bool,
+) -> charts.Panel:
     centre = places.mean(axis=0)
     x, y = (places[:, axis] for axis in axes)
     u, v = (float(centre[axis]) for axis in axes)
-    marks: tuple[Mark, ...] = (
-        Level(0.0, "muted"),
-        Level(0.0, "muted", upright=True),
-        Line(u + radius * np.cos(CIRCLE_ANGLES), v + radius * np.sin(CIRCLE_ANGLES), "resolved"),
-        Points(x, y, "measured"),
-        Points(np.array([u]), np.array([v]), "resolved", "", 2.0),
+    marks: tuple[charts.Mark, ...] = (
+        charts.Level(0.0, "muted"),
+        charts.Level(0.0, "muted", upright=True),
+        charts.Line(
+            u + radius * np.cos(CIRCLE_ANGLES), v + radius * np.sin(CIRCLE_ANGLES), "resolved"
+        ),
+        charts.Points(x, y, "measured"),
+        charts.Points(np.array([u]), np.array([v]), "resolved", "", 2.0),
     )
     step = float(f"{0.6 * far:.0e}")  # one digit: three ticks have room under a small panel
     ticks = tuple((at, exact_number(at)) for at in (-step, 0.0, step))
-    return Panel(
+    return charts.Panel(
         marks,
         f"{'xyz'[axes[1]]} [mm]" if first else "",
         "x [mm]",
@@ -82,25 +79,25 @@ def _visit_panel(
     )
 
 
-def path_band(results: Results) -> Chart | None:
+def path_band(results: Results) -> charts.Chart | None:
     """Distance of the passages' mean from each path, with RT about it."""
     table = results.table("performance_paths")
-    paths = np.array(texts(table, "path"))
+    paths = np.array(charts.texts(table, "path"))
     if not len(paths):
         return None
     panels = []
     shown = _worst_entries(results, "paths", "path", "at_mm", MAX_PATHS)
     for i, name in enumerate(shown):
         own = table[paths == name]
-        along, off, radius = (column(own, c) for c in ("along_mm", "off_mm", "rt_mm"))
-        marks: tuple[Mark, ...] = (
-            Band(along, np.maximum(off - radius, 0.0), off + radius, "error_band"),
-            Line(along, off, "error"),
+        along, off, radius = (charts.column(own, c) for c in ("along_mm", "off_mm", "rt_mm"))
+        marks: tuple[charts.Mark, ...] = (
+            charts.Band(along, np.maximum(off - radius, 0.0), off + radius, "error_band"),
+            charts.Line(along, off, "error"),
         )
         last = i == len(shown) - 1
         highest = float(np.max(off + radius)) or 1.0
         panels.append(
-            Panel(
+            charts.Panel(
                 marks,
                 "off [mm]",
                 "along the path [mm]" if last else "",
@@ -109,7 +106,7 @@ def path_band(results: Results) -> Chart | None:
                 unit="mm",
             )
         )
-    return Chart(tuple(panels), row_height=1.1)
+    return charts.Chart(tuple(panels), row_height=1.1)
 
 
 def _worst_entries(

@@ -56,13 +56,13 @@ def test_visits_far_apart_are_not_joined_by_lines() -> None:
 
 
 def test_a_long_session_stays_light() -> None:
-    charts_ = collect_figures(document(made.long())).values()
+    charts_ = collect_figures(document(made.nonconforming(pairs=10_000))).values()
     size = sum(len(str(plotly.specification(c))) for c in charts_ if not isinstance(c, bytes))
     assert size < 4_000_000  # letters; the plotting library itself has 4.8 million
 
 
 def test_thousands_of_spots_are_all_counted() -> None:
-    results = made.long(2_000)
+    results = made.nonconforming(pairs=2_000)
     chart = residuals(results)
     assert chart is not None
     cells = [m for panel in chart.panels for m in panel.marks if isinstance(m, charts.Cells)]

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.support.scene import make_marker, make_rig, project
-from verify.core.fiducials import Board, BoardPair, BoardView
+from tests.support.boards.made_views import view
+from tests.support.scene import make_marker, make_rig
+from verify.core.fiducials import Board, BoardPair
 from verify.core.records import Array
-from verify.core.rig import Camera, Covariance, Rig
+from verify.core.rig import Covariance, Rig
 
 BOARD = Board(columns=7, rows=5, square=0.03)
 SIGMA = 0.03  # px, of a corner
@@ -19,17 +20,6 @@ def placed(x: float = -0.09, y: float = -0.06, z: float = 0.65) -> Array:
     pose[:3, :3] = Rotation.from_rotvec([0.25, -0.3, 0.1]).as_matrix()
     pose[:3, 3] = [x, y, z]
     return pose
-
-
-def view(
-    camera: Camera, pan: float, rig_T_board: Array, rng: np.random.Generator | None = None
-) -> BoardView:
-    points = BOARD.points @ rig_T_board[:3, :3].T + rig_T_board[:3, 3]
-    centre = project(camera, pan, points)
-    if rng is not None:
-        centre = centre + rng.normal(0, SIGMA, centre.shape)
-    n = len(BOARD)
-    return BoardView(np.arange(n), centre, np.tile(np.eye(2) * SIGMA**2, (n, 1, 1)))
 
 
 def pair(
@@ -43,13 +33,11 @@ def pair(
 ) -> BoardPair:
     """The board seen with both bases turned by `turn` from home, readings off by `error`, rad."""
     left, right = rig.left.pan + turn, rig.right.pan + turn
-    return BoardPair(
-        frame,
-        left,
-        right,
-        view(rig.left, left + error[0], rig_T_board, rng),
-        view(rig.right, right + error[1], rig_T_board, rng),
+    views = (
+        view(camera, pan + off, rig_T_board, rng, SIGMA, BOARD, SIGMA)
+        for camera, pan, off in zip((rig.left, rig.right), (left, right), error, strict=True)
     )
+    return BoardPair(frame, left, right, *views)
 
 
 STATED = make_marker(led_standard_uncertainty=2e-5, centre_shift_standard_uncertainty=1e-5)

@@ -1,6 +1,5 @@
 """Chromium without a window, driven over its DevTools protocol."""
 
-import base64
 import json
 import shutil
 import subprocess
@@ -73,11 +72,6 @@ class Tab(Line):
         text = {"text": key} if len(key) == 1 else {}
         self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
         self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
-
-    def screenshot(self, path: Path) -> None:
-        """The whole page as PNG."""
-        data = self.call("Page.captureScreenshot", captureBeyondViewport=True)["data"]
-        path.write_bytes(base64.b64decode(data))
 
 
 @dataclass(frozen=True)

@@ -111,11 +111,13 @@ def moved(pose: Array, shift: Array, turn: Array) -> Array:
     return out
 
 
-def make_spots(centre: Array, colour: Array, merged: NDArray[np.bool_] | None = None) -> Spots:
+def make_spots(
+    centre: Array, colour: Array, merged: NDArray[np.bool_] | None = None, sigma: float = NOISE_PX
+) -> Spots:
     n = len(centre)
     return Spots(
         centre=centre,
-        covariance=np.tile(NOISE_PX**2 * np.eye(2), (n, 1, 1)),
+        covariance=np.tile(sigma**2 * np.eye(2), (n, 1, 1)),
         peak=np.full(n, 200.0),
         diameter=np.full(n, 6.0),
         elongation=np.ones(n),

@@ -22,8 +22,3 @@ def doubtful() -> Results:
     return calibration_results(
         found, origin=ResultsOrigin("boards", inputs=made.INPUTS, warnings=("frames.csv: no pan.",))
     )
-
-
-def nothing() -> Results:
-    """A calibration of which nothing was kept."""
-    return Results({"kind": "calibration"}, {}, {})

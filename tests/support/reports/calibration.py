@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.support.boards.board_images import picture
+from tests.support.leds.scene import moved
 from verify.calibration.stereo.records import Calibration, Residuals, state_covariance
 from verify.core.fiducials import Board
 from verify.core.records import Array, Image
@@ -134,8 +136,7 @@ def _linear_theory(
             pick = np.stack([2 * residuals.corner[own], 2 * residuals.corner[own] + 1], 1).ravel()
             slopes = _project(camera, board)[1][pick]
             rows[:, 8 * i : 8 * i + 8] = slopes[:, 6:14]  # fx fy cx cy k1 k2 p1 p2
-            moved = _by_motion(camera, board)[pick]
-            rows[:, p + 6 * frame : p + 6 * frame + 6] = moved
+            rows[:, p + 6 * frame : p + 6 * frame + 6] = _by_motion(camera, board)[pick]
             if i == 1:
                 rows[:, 16:22] = _by_mount(camera, board)[pick]
             normal += rows.T @ rows / NOISE**2
@@ -148,20 +149,13 @@ def _linear_theory(
 
 def _by_motion(camera: Camera, rig_T_board: Array) -> Array:
     """Corners by the board's motion in rig axes (shift, turn on the left), (2n, 6)."""
-    return _differences(lambda d: _project(camera, _moved(rig_T_board, d))[0])
+    return _differences(lambda d: _project(camera, moved(rig_T_board, d[:3], d[3:]))[0])
 
 
 def _by_mount(camera: Camera, rig_T_board: Array) -> Array:
     return _differences(
-        lambda d: _project(replace(camera, mount=_moved(camera.mount, d)), rig_T_board)[0]
+        lambda d: _project(replace(camera, mount=moved(camera.mount, d[:3], d[3:])), rig_T_board)[0]
     )
-
-
-def _moved(pose: Array, change: Array) -> Array:
-    moved = pose.copy()
-    moved[:3, :3] = Rotation.from_rotvec(change[3:]).as_matrix() @ pose[:3, :3]
-    moved[:3, 3] += change[:3]
-    return moved
 
 
 def _differences(function: Callable[[Array], Array]) -> Array:
@@ -180,25 +174,12 @@ def with_poor_view(found: Calibration, frame: int = 4, camera: int = 1) -> Calib
 
 
 def pictures(found: Calibration, frame: int = 0) -> tuple[Image, Image]:
-    """A chessboard as both cameras would see it; squares flat, no noise."""
-    sides = (found.rig.left, found.rig.right)
-    return _picture(sides[0], found, frame), _picture(sides[1], found, frame)
-
-
-def _picture(camera: Camera, found: Calibration, frame: int) -> Image:
-    image = np.full((SIZE[1], SIZE[0]), 150, dtype=np.uint8)
-    board = found.board
-    camera_T_board = np.linalg.inv(camera.mount) @ found.rig_T_board[frame]
-    for row in range(-1, board.rows):
-        for column in range(-1, board.columns):
-            square = np.array(
-                [[column, row], [column + 1, row], [column + 1, row + 1], [column, row + 1]]
-            )
-            points = np.column_stack([square * board.square, np.zeros(4)])
-            inside = points @ camera_T_board[:3, :3].T + camera_T_board[:3, 3]
-            pixels = np.round(camera.project(inside)).astype(np.int32)
-            cv2.fillConvexPoly(image, pixels, 30 if (row + column) % 2 else 220)
-    return image
+    """A chessboard as both cameras would see it, without noise."""
+    left, right = (
+        picture(found.board, camera, np.linalg.inv(camera.mount) @ found.rig_T_board[frame], None)
+        for camera in (found.rig.left, found.rig.right)
+    )
+    return left, right
 
 
 INPUTS: Mapping[str, str] = {

@@ -27,7 +27,3 @@ def not_held() -> Results:
 def board() -> Results:
     rig, known = doubtful_rig(), replace(BOARD, square_standard_uncertainty=5e-6)
     return check_results(check_board(rig, board_pairs(rig), known))
-
-
-def nothing() -> Results:
-    return Results({"kind": "calibration", "method": "check"}, {}, {})

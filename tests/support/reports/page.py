@@ -3,7 +3,7 @@
 import shutil
 import subprocess
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from html.parser import HTMLParser
 from typing import Any
 
@@ -33,10 +33,13 @@ def tables(of: Document) -> dict[str, Table]:
 LIBRARY = get_plotlyjs()  # left out of what is tested: five million letters
 EVERY: dict[str, Callable[[], Results]] = {
     **session.EVERY,
-    "good": boards.good, "doubtful": boards.doubtful, "uncalibrated": boards.nothing,
-    "motion": registration.motion, "fixture": registration.fixture, "bare": registration.bare,
+    "good": boards.good, "doubtful": boards.doubtful,
+    "uncalibrated": partial(Results, {"kind": "calibration"}, {}, {}),
+    "motion": registration.motion, "fixture": registration.fixture,
+    "bare": partial(Results, {"kind": "registration"}, {}, {}),
     "held": check.held, "not_held": check.not_held, "board": check.board,
-    "unchecked": check.nothing, "fleet": fleet.changed,
+    "unchecked": partial(Results, {"kind": "calibration", "method": "check"}, {}, {}),
+    "fleet": fleet.changed,
 }  # fmt: skip
 made_of = cache(lambda name: EVERY[name]())
 html_of = cache(lambda name: page_of(made_of(name)))

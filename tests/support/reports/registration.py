@@ -58,8 +58,3 @@ def fixture() -> Results:
     keep = {k: given.summary[k] for k in ("kind", "robot", "source", "base", "registration")}
     summary = {**keep, "method": "fixture", "pairs": {"used": 4}, "fit": {"rms_px": 0.05}}
     return Results(summary, given.setup, {"pairs": pairs})
-
-
-def bare() -> Results:
-    """A registration of which nothing was kept."""
-    return Results({"kind": "registration"}, {}, {})

@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from robots.transforms import difference
-from tests.support.simulated import HOME_DEG, in_memory, scene
+from tests.support.simulated import HOME_DEG, in_memory, marker_of, scene
 from verify.analysis.session import analyse
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
@@ -38,15 +38,7 @@ from verify.simulation.scenario import (
 from verify.simulation.session.simulate import SimulatedSession, simulate_session
 from verify.simulation.world.led_render import Light, render_light, visible_lights
 
-FOUR = ScenarioMarker(
-    led=[
-        ScenarioLed(name="A", position_mm=(60.0, 5.0, 20.0)),
-        ScenarioLed(name="B", position_mm=(-50.0, 36.0, 12.0)),
-        ScenarioLed(name="C", position_mm=(-20.0, -55.0, 28.0)),
-        ScenarioLed(name="D", position_mm=(26.0, 52.0, 36.0)),
-    ]
-)
-TWO = ScenarioMarker(led=FOUR.led[:2])
+FOUR, TWO = marker_of("ABCD"), marker_of("AB")
 # A pedestal instead of a clamp: the bound then needs no account of pixels cut off at 0.
 OPTICS = ScenarioImage(blur_px=0.8, read_noise_dn=1.5, electrons_per_dn=32.0, black_level_dn=8.0)
 

@@ -15,8 +15,9 @@ from verify.cli.options import (
     ReportOut,
     RigOut,
     SquareMm,
+    refuse_options,
 )
-from verify.cli.terminal import terminal
+from verify.cli.terminal import report_files, terminal
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
 
 calibrate = typer.Typer(
@@ -73,7 +74,7 @@ def boards(
         BoardRunOptions,
         board_of,
         pictures_folder,
-        refuse_without_live,
+        refuse_station,
         take_pictures,
     )
     from verify.io.results import refuse_existing, refuse_file
@@ -83,15 +84,17 @@ def boards(
     target = report if report is not None else Path(f"{folder.resolve().name}-calibration")
     refuse_file(out, force=force)
     refuse_existing(target, force=force)
-    known = board_of(board_from_options(corners, square_mm, square_uncertainty_mm), board)
+    given = board_of(board_from_options(corners, square_mm, square_uncertainty_mm), board)
     if live:
         shown = PageOptions(page_port, page_address, page_token) if page else None
-        take_pictures(station, folder, BoardRunOptions(known, enough, shown))
+        take_pictures(station, folder, BoardRunOptions(given, enough, shown))
     else:
-        live_only = {"--pictures": pictures is not None, "--pairs": enough is not None}
-        refuse_without_live(folder, live_only | {"--page": page})
+        refuse_station(folder)
+        used = {"--pictures": pictures is not None, "--pairs": enough is not None, "--page": page}
+        remedy = "Leave it out, or add --live."
+        refuse_options(used, "was given with a folder of pictures", "it is for --live", remedy)
         complete_pairs(folder)
-    calibrate_folder(folder, known, out, target, force=force)
+    calibrate_folder(folder, given, out, target, force=force)
 
 
 @calibrate.command()
@@ -143,15 +146,15 @@ def register(
     from verify.io.results import refuse_existing, refuse_file
 
     fixture = board_in_base is not None
-    registration.refuse_contradictions(
-        fixture=fixture,
-        motion_only={
+    useless = {"--corners": corners is not None, "--square-mm": square_mm is not None}
+    if fixture:
+        useless = {
             "--marker": marker is not None, "--leds": leds is not None,
             "--known-marker": known_marker is not None, "--keep-base": keep_base,
             "--keep-leds": keep_leds, "--sweeps": sweeps,
-        },
-        fixture_only={"--corners": corners is not None, "--square-mm": square_mm is not None},
-    )  # fmt: skip
+        }  # fmt: skip
+    way = "a board on the base" if fixture else "a motion"
+    refuse_options(useless, f"has no meaning when {way} is used", "", "Leave it out.")
     marker_out = marker if marker is not None else Path("marker.toml")
     target = report if report is not None else Path(f"{session.resolve().name}-registration")
     refuse_file(out, force=force)
@@ -195,22 +198,23 @@ def check(
 
     Example: verify calibrate check sample_sessions/quarter_circle_6r
     """
+    from verify.calibration.check.results import check_results
     from verify.cli.calibrate.boards import board_from_options
-    from verify.cli.calibrate.check import run_check, write_check
-    from verify.io.results import refuse_existing
+    from verify.cli.calibrate.check import run_check
+    from verify.io.results import refuse_existing, write_report_folder
 
     board = board_from_options(corners, square_mm, None)
     if out is not None:
         refuse_existing(out, force=force)
-    done = run_check(source, rig, length_mm, length_uncertainty_mm, board)
-    found = done.found
+    found, origin = run_check(source, rig, length_mm, length_uncertainty_mm, board)
     terminal.warn(*found.warnings)
     terminal.say("The calibration holds." if found.holds else "The calibration does not hold.")
     for sentence in found.decisions:
         terminal.say(f"  {sentence}")
     record = {"type": "result", "verdict": found.verdict, "decisions": list(found.decisions)}
     if out is not None:
-        write_check(done, out, force=force)
+        write_report_folder(check_results(found, origin), out, force=force)
+        terminal.say(f"Report: {report_files(out)}")
         record["report"] = str(out)
     terminal.record(record)
     return 0 if found.holds else EXIT_CHECK_FAILED

@@ -1,36 +1,19 @@
 """Check a rig's calibration by a session's LEDs, a bar, or pictures of a board."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from verify.calibration.check.check import CheckResult, check_board, check_session
-from verify.calibration.check.results import check_results
 from verify.calibration.corners.folder import find_boards
 from verify.calibration.origin import ResultsOrigin
 from verify.cli.calibrate.boards import require_same_size
-from verify.cli.terminal import report_files, terminal
+from verify.cli.terminal import terminal
 from verify.core.fiducials import Board
 from verify.errors import InputError
 from verify.io import rig as io_rig
 from verify.io.board.folder import open_board_folder
 from verify.io.files import digest
-from verify.io.results import write_report_folder
 from verify.io.session.session import open_session
-
-
-@dataclass(frozen=True, slots=True)
-class CheckReport:
-    """An interim check, and what it was made from."""
-
-    found: CheckResult
-    origin: ResultsOrigin
-
-
-def write_check(done: CheckReport, out: Path, *, force: bool) -> None:
-    """Write the report of a check, and say where."""
-    made = check_results(done.found, done.origin)
-    write_report_folder(made, out, force=force)
-    terminal.say(f"Report: {report_files(out)}")
 
 
 def run_check(
@@ -39,8 +22,8 @@ def run_check(
     length_mm: float | None,
     length_uncertainty_mm: float | None,
     board: Board | None,
-) -> CheckReport:
-    """Check a rig by a session or by board pictures.
+) -> tuple[CheckResult, ResultsOrigin]:
+    """Check a rig by a session or by board pictures; give what was found, and from what.
 
     Args:
         source: a session, or a folder of board pictures.
@@ -73,7 +56,7 @@ def run_check(
                 session, length=length, length_standard_uncertainty=u, progress=progress
             )
         origin = ResultsOrigin(session.name, session.description, session.inputs | other_rig)
-        return CheckReport(result, origin)
+        return result, origin
     if rig is None:
         expected = "pictures of a board do not say which rig is to be checked"
         raise InputError("--rig", "is missing", expected, "Give the rig file, or a session.")
@@ -84,4 +67,4 @@ def run_check(
     with terminal.progress("pairs searched for the board") as progress:
         result = check_board(rig, find_boards(opened, progress), opened.board)
     origin = ResultsOrigin(source.resolve().name, inputs=opened.inputs | other_rig)
-    return CheckReport(result, origin)
+    return result, origin

@@ -1,8 +1,7 @@
 """`verify calibrate boards STATION --live`: a station's cameras take the pictures."""
 
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,18 +54,15 @@ def board_of(by_option: Board | None, file: Path | None) -> Board | None:
     return board
 
 
-def refuse_without_live(source: Path, used: Mapping[str, bool]) -> None:
-    """Refuse a station file, and options that have no meaning for a folder of pictures.
+def refuse_station(source: Path) -> None:
+    """Refuse a station file in place of a folder of pictures.
 
     Raises:
-        InputError: names the file, or the first option that was used.
+        InputError: it is one.
     """
     if source.suffix == ".toml":
         found, expected = "is a station file", "without --live a folder of pictures is expected"
         raise InputError(source, found, expected, "Add --live.")
-    for option in (option for option, there in used.items() if there):
-        found = "was given with a folder of pictures"
-        raise InputError(option, found, "it is for --live", "Leave it out, or add --live.")
 
 
 def take_pictures(station: Path, folder: Path, options: BoardRunOptions) -> None:
@@ -127,7 +123,7 @@ def _open_devices(station: StationCameras, stack: ExitStack) -> BoardDevices:
 @contextmanager
 def _show_state(state: BoardState) -> Iterator[Callable[[], None]]:
     """Draw the state where there is a terminal to draw it on; else a line for what changes."""
-    if sys.stdout.isatty() and not terminal.as_json and not terminal.quiet:
+    if terminal.draws:
         with BoardDisplay(Console(), KEYS_HELP) as screen:
             yield lambda: screen.look(state)
         return

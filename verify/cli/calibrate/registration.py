@@ -1,6 +1,6 @@
 """Register a robot's base and LEDs by its own motion, or the base by a board that sits on it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -47,17 +47,6 @@ class RegistrationOptions:
     sweeps: bool
 
 
-def refuse_contradictions(
-    *, fixture: bool, motion_only: Mapping[str, bool], fixture_only: Mapping[str, bool]
-) -> None:
-    """Refuse options that the chosen way of registering has no use for."""
-    useless = motion_only if fixture else fixture_only
-    given = [option for option, there in useless.items() if there]
-    if given:
-        way = "a board on the base" if fixture else "a motion"
-        raise InputError(given[0], f"has no meaning when {way} is used", "", "Leave it out.")
-
-
 def refuse_one_file(out: Path, marker_out: Path) -> None:
     """Refuse to write the marker over the rig."""
     if out.resolve() == marker_out.resolve():
@@ -102,17 +91,17 @@ def register_by_motion(
 ) -> None:
     """Register base and LEDs by the robot's own motion; write rig, marker and report."""
     recording = open_recording(folder, rig=rig)
-    known = None if options.known_marker is None else fiducials.read_marker(options.known_marker)
+    given = None if options.known_marker is None else fiducials.read_marker(options.known_marker)
     with terminal.progress("pairs") as progress:
         found = register_motion(
             recording,
             leds=options.leds,
-            marker=None if known is None else known[0],
+            marker=None if given is None else given[0],
             keep_base=options.keep_base,
             keep_leds=options.keep_leds,
             progress=progress,
         )
-    warnings = (*recording.warnings, *(known[1] if known else ()), *found.warnings)
+    warnings = (*recording.warnings, *(given[1] if given else ()), *found.warnings)
     terminal.warn(*warnings)
     swept = _fit_swept_axes(recording, found.rig, found.marker) if options.sweeps else None
     made = motion_results(

@@ -32,15 +32,15 @@ def doctor(
     from verify.live.station.station import open_station
     from verify.simulation.devices.station import SimulatedStation
 
-    known = None if station is None else open_station(station, SimulatedStation)
+    opened = None if station is None else open_station(station, SimulatedStation)
     findings = [*check_versions(), *check_codecs()]
-    if known is None:
+    if opened is None:
         findings += [check_disk(Path())]
         findings += [*check_serial_ports(), *check_video_devices()]
     else:
-        terminal.warn(*known.warnings)
-        findings += [check_disk(known.recording.folder)]
-        findings += check_devices(known)
+        terminal.warn(*opened.warnings)
+        findings += [check_disk(opened.recording.folder)]
+        findings += check_devices(opened)
     for finding in findings:
         terminal.say(f"{MARKS[finding.outcome]}{finding.what}: {finding.sentence}")
         fields = {"what": finding.what, "outcome": finding.outcome, "text": finding.sentence}

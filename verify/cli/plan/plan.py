@@ -1,13 +1,13 @@
 """Plan the motion of the next session."""
 
 from enum import StrEnum
-from math import isfinite, radians
+from math import radians
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from verify.cli.options import ReplaceFiles
+from verify.cli.options import ReplaceFiles, require_positive
 from verify.errors import InputError
 
 DEFAULT_POSES = 12
@@ -90,12 +90,14 @@ def plan(
             "--duration-s", "is given with --poses", "one of them says how long the plan is",
             "Leave one out.",
         )  # fmt: skip
-    _require_positive(
-        speed_deg_s=speed_deg_s, within_deg=within_deg, view_angle_deg=view_angle_deg,
-        duration_s=duration_s, rate_hz=rate_hz, spot_noise_px=spot_noise_px,
-        reading_noise_deg=reading_noise_deg,
-    )  # fmt: skip
-    _require_positive(zero=True, hold_s=hold_s, clock_uncertainty_ms=clock_uncertainty_ms)
+    require_positive({
+        "--speed-deg-s": speed_deg_s, "--within-deg": within_deg, "--rate-hz": rate_hz,
+        "--view-angle-deg": view_angle_deg, "--duration-s": duration_s,
+        "--spot-noise-px": spot_noise_px, "--reading-noise-deg": reading_noise_deg,
+    })  # fmt: skip
+    require_positive(
+        {"--hold-s": hold_s, "--clock-uncertainty-ms": clock_uncertainty_ms}, zero=True
+    )
     if not abs(skew_ms) * 1e-3 < 1 / rate_hz:
         expected = "less than the time between two pairs"
         raise InputError("--skew-ms", f"{skew_ms:g} ms", expected)
@@ -121,14 +123,3 @@ def plan(
     )
     provenance = PlanProvenance(setup, request, conditions, inputs, warnings)
     plan_session(provenance, out, force=force)
-
-
-def _require_positive(*, zero: bool = False, **values: float | None) -> None:
-    """Refuse numbers that are not positive (or 0, with `zero`), by option; None passes."""
-    for name, value in values.items():
-        if value is None or (isfinite(value) and (value > 0 or (zero and value == 0))):
-            continue
-        raise InputError(
-            f"--{name.replace('_', '-')}", f"{value:g}",
-            f"a number above {'or at ' if zero else ''}0 is needed",
-        )  # fmt: skip

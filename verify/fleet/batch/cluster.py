@@ -6,7 +6,7 @@ from typing import Any
 
 from verify.core.version import __version__
 from verify.errors import InputError
-from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied
+from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied, perform
 
 CONNECT_TIMEOUT = 30  # s, for a scheduler to answer and a worker to be there
 TASKS_PER_THREAD = 2  # tasks under way a thread: the next is there when one is done
@@ -82,7 +82,7 @@ class Cluster:
     def _hand_out(self, tasks: deque[Task], under_way: dict[str, Task], done: Any) -> None:
         while tasks and len(under_way) < TASKS_PER_THREAD * self.workers:
             task = tasks.popleft()
-            future = self._client.submit(run_task, task, pure=False)
+            future = self._client.submit(perform, task, pure=False)
             under_way[future.key] = task
             done.add(future)
 
@@ -96,11 +96,6 @@ class Cluster:
             self.close()
             others = ", ".join(sorted(versions - {__version__}))
             raise _cluster_error(address, f"its workers run verify {others}, this is {__version__}")
-
-
-def run_task(task: Task) -> Any:
-    """Do a task, on a worker."""
-    return task.perform()
 
 
 def worker_version() -> str:

@@ -75,6 +75,11 @@ class Task(Protocol):
         """Do it."""
 
 
+def perform(task: Task) -> Any:
+    """Do a task, on a worker."""
+    return task.perform()
+
+
 class WorkerPool(Protocol):
     """Workers, wherever they are."""
 

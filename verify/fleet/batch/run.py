@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from verify.errors import one_line
-from verify.fleet.batch import tables
 from verify.fleet.batch.records import (
     KILLED,
     BatchOptions,
@@ -121,14 +120,6 @@ def report_all(batch: BatchResult, pool: WorkerPool, watch: Callable[[int, int],
     waiting: deque[Task] = deque(ReportTask(str(place)) for place in missing)
     for number, _ in enumerate(pool.run(waiting), start=1):
         watch(number, len(missing))
-
-
-def write_tables(batch: BatchResult, folder: Path) -> None:
-    """Write the tables of all measured sessions; failures.csv alone where there are none."""
-    if batch.kept:
-        tables.write(folder, batch.kept, batch.failures)
-    else:
-        tables.write_failures(folder, batch.failures)
 
 
 class _TaskQueue:

@@ -23,13 +23,8 @@ from verify.fleet.batch.records import SessionFailure
 from verify.io.results import RESULTS
 
 STATUSES = (
-    "too_few_leds",
-    "ambiguous_leds",
-    "no_encoder",
-    "unreachable",
-    "outlier",
-    "unaligned",
-)
+    "too_few_leds", "ambiguous_leds", "no_encoder", "unreachable", "outlier", "unaligned",
+)  # fmt: skip
 FLANGE_UNITS = (("position", "mm"), ("orientation", "deg"))
 NUMBER, TEXT, COUNT = pa.float64(), pa.string(), pa.int64()
 
@@ -273,11 +268,8 @@ def _write_sessions(path: Path, kept: Sequence[tuple[str, Path]]) -> int:
     columns = sessions_schema(joints)
     with pq.ParquetWriter(path, columns, compression="zstd") as writer:
         for start in range(0, len(kept), MAX_SESSIONS_PER_GROUP):
-            some = kept[start : start + MAX_SESSIONS_PER_GROUP]
-            flat = [
-                session_row(_read_results(place), f"{place.parent.name}/{place.name}")
-                for _, place in some
-            ]
+            some = [place for _, place in kept[start : start + MAX_SESSIONS_PER_GROUP]]
+            flat = [session_row(_read_results(p), f"{p.parent.name}/{p.name}") for p in some]
             writer.write_table(pa.Table.from_pylist(flat, schema=columns))
     return joints
 
@@ -310,12 +302,10 @@ def _session_frames(session: str, place: Path, columns: pa.Schema) -> pa.Table:
     count = len(own)
     arrays: list[Any] = [pa.repeat(pa.scalar(session, pa.string()), count)]
     for field in list(columns)[1:]:
-        there = field.name in own.column_names
-        arrays.append(
-            own[field.name].combine_chunks().cast(field.type)
-            if there
-            else pa.nulls(count, field.type)
-        )
+        if field.name in own.column_names:
+            arrays.append(own[field.name].combine_chunks().cast(field.type))
+        else:
+            arrays.append(pa.nulls(count, field.type))
     return pa.table(arrays, schema=columns)
 
 

@@ -16,7 +16,7 @@ from verify.core.processes import (
     answer_requests,
     wait_for_any,
 )
-from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied
+from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied, perform
 
 Worker = ChildProcess[Task, Any]
 
@@ -84,11 +84,7 @@ class ProcessPool:
     def _start(self) -> Worker:
         threads = 1 if self._workers >= available_cpus() else available_cpus()
         load = partial(_load, threads)
-        return ChildProcess(answer_requests, _perform, load, name="batch worker")
-
-
-def _perform(task: Task) -> Any:
-    return task.perform()
+        return ChildProcess(answer_requests, perform, load, name="batch worker")
 
 
 def _load(threads: int) -> None:

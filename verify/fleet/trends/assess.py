@@ -144,8 +144,8 @@ def _joint_row(
 
 
 def _median(rows: pd.DataFrame, name: str) -> float | None:
-    known = rows[name].dropna()
-    return float(known.median()) if len(known) else None
+    values = rows[name].dropna()
+    return float(values.median()) if len(values) else None
 
 
 def _contrasts(

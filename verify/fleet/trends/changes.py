@@ -65,19 +65,22 @@ def find_changes(series: JointSeries, false_alarm: float) -> JointTrend:
         The level over time.
     """
     every = candidates(series)
-    threshold = _threshold(series, false_alarm / max(len(every), 1))
+    chance = false_alarm / max(len(every), 1)
+    threshold = float(t_isf(chance / 2, series.degrees_of_freedom) ** 2)  # of χ², one candidate's
     terms = _add_terms(series, every, threshold)
     found = fit(series, _design(series, terms))
     changes = [_change(series, terms, i, found, every) for i in range(len(terms))]
     last = _design(series, terms)[-1]
     slope, slope_uncertainty = _slope(terms, found)
+    alone = replace(series, shared=np.zeros(len(series)))  # what sessions share left out
+    unshared = fit(alone, _design(alone, terms)).covariance
     return JointTrend(
         changes=tuple(sorted(changes, key=lambda c: (c.term.place, c.term.kind))),
         fitted=found.fitted,
         shift=found.shift,
         level_uncertainty=float(np.sqrt(last @ found.covariance @ last)),
         reference=float(found.coefficients[0]),
-        reference_uncertainty=float(np.sqrt(_unshared_covariance(series, terms)[0, 0])),
+        reference_uncertainty=float(np.sqrt(unshared[0, 0])),
         slope=slope,
         slope_uncertainty=slope_uncertainty,
     )
@@ -93,12 +96,6 @@ def candidates(series: JointSeries) -> list[TrendTerm]:
         if k == 0 or k >= MIN_SESSIONS
     ]
     return [*drifts, *steps] if n > MIN_SESSIONS else []
-
-
-def _threshold(series: JointSeries, chance: float) -> float:
-    """What a single candidate must take off χ²."""
-    quantile = t_isf(chance / 2, series.degrees_of_freedom)
-    return float(quantile**2)
 
 
 def _column(series: JointSeries, term: TrendTerm) -> Array:
@@ -221,12 +218,6 @@ def _change(
         latest=int(dated.max()),
         clearer_by=float(own - _bic_penalty(series, term) - rival),
     )
-
-
-def _unshared_covariance(series: JointSeries, terms: list[TrendTerm]) -> Array:
-    """Covariance of the coefficients from what sessions do not share."""
-    alone = replace(series, shared=np.zeros(len(series)))
-    return fit(alone, _design(alone, terms)).covariance
 
 
 def _slope(terms: list[TrendTerm], found: SeriesFit) -> tuple[float, float]:

@@ -68,9 +68,9 @@ def series_of(sessions: pd.DataFrame, arm: str, joint: int) -> JointSeries:
         joint: from 1.
     """
     name = f"q{joint}"
-    known = sessions["started"].notna() & sessions[f"{name}_mean_error_deg"].notna()
-    known &= sessions[f"{name}_standard_uncertainty_deg"].fillna(0) > 0
-    rows = sessions[known].sort_values(["started", "session"], kind="stable")
+    valid = sessions["started"].notna() & sessions[f"{name}_mean_error_deg"].notna()
+    valid &= sessions[f"{name}_standard_uncertainty_deg"].fillna(0) > 0
+    rows = sessions[valid].sort_values(["started", "session"], kind="stable")
     full = _numbers(rows, f"{name}_standard_uncertainty_deg")
     own = np.fmin(_numbers(rows, f"{name}_session_uncertainty_deg"), full)
     own = np.where(own > 0, own, full)  # not separated: all of it may differ between sessions

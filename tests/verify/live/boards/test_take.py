@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from tests.support.boards.station import SMALL, STATION
+from tests.support.command import verify
 from tests.support.devices.chromium import Browser, launched
 from verify.calibration.corners.find import find_board
 from verify.calibration.corners.folder import find_boards
-from verify.cli.calibrate.live import BoardRunOptions, board_of, refuse_without_live, take_pictures
+from verify.cli.calibrate.live import BoardRunOptions, board_of, take_pictures
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array, StereoPair
 from verify.devices.protocols import CameraSettings
@@ -338,11 +339,10 @@ def test_pairs_are_taken_unattended_and_are_what_a_calibration_reads(
 
 
 def test_a_station_file_needs_live_and_what_is_for_live_needs_it_too(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="Add --live"):
-        refuse_without_live(tmp_path / "station.toml", {})
-    with pytest.raises(InputError, match="--pairs"):
-        refuse_without_live(tmp_path, {"--pictures": False, "--pairs": True})
-    refuse_without_live(tmp_path, {"--pictures": False})
+    out = ("-o", tmp_path / "rig.toml")
+    station = verify("calibrate", "boards", tmp_path / "station.toml", *out)
+    assert "Add --live" in station.refusal
+    assert "--pairs" in verify("calibrate", "boards", tmp_path, "--pairs", "5", *out).refusal
 
 
 def test_a_board_must_be_named_once(tmp_path: Path) -> None:
