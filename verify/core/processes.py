@@ -50,12 +50,7 @@ class ParentLostError(Exception):
 
 
 class ParentLine:
-    """The line from a child process to its parent process.
-
-    Args:
-        incoming: requests of the parent process.
-        outgoing: messages to it.
-    """
+    """The line from a child process to its parent process."""
 
     def __init__(self, incoming: Connection, outgoing: Connection) -> None:
         self._incoming, self._outgoing = incoming, outgoing

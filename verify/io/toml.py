@@ -43,10 +43,6 @@ def key_error(path: Path, key: str, found: str, expected: str, remedy: str = "")
 def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
     """Decode a TOML file into a struct that mirrors it.
 
-    Args:
-        path: the file.
-        kind: a struct whose fields are the keys that the format knows.
-
     Returns:
         The struct, and a warning for each key that it does not know.
 

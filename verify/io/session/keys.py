@@ -165,10 +165,6 @@ class TimeInterval:
 def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
     """Read session.toml and check what needs no other file.
 
-    Args:
-        path: the file.
-        kind: `SessionTable`, `RecordingTable` or `PosesSessionTable`.
-
     Returns:
         Its keys, and a warning for each that the format does not know.
 

@@ -69,9 +69,6 @@ class InnovationFilter:
     The state is the prior's coefficients (unit variance each), the clock's error, the errors of
     joints that an alarm has named (those are no news any more), and what alignment and the model
     leave.
-
-    Args:
-        joints: how many the arm has.
     """
 
     def __init__(self, joints: int) -> None:

@@ -123,13 +123,7 @@ class AlarmLimits:
 
 
 class JointAlarms:
-    """Watches the joints' errors, pair by pair.
-
-    Args:
-        joints: how many.
-        limits: when to raise an alarm.
-        numbers: where alarms get their numbers from.
-    """
+    """Watches the joints' errors, pair by pair."""
 
     def __init__(self, joints: int, limits: AlarmLimits, numbers: "itertools.count[int]") -> None:
         self._limits, self._numbers = limits, numbers

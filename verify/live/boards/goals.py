@@ -46,12 +46,7 @@ class BoardPlacement:
 
 
 class CapturedPairs:
-    """What was taken so far.
-
-    Args:
-        board: the pattern.
-        image_size: width and height, px.
-    """
+    """What was taken so far, in pictures of one size (width, height), px."""
 
     def __init__(self, board: Board, image_size: tuple[int, int]) -> None:
         self.board, self.image_size = board, image_size
@@ -184,11 +179,6 @@ def goals(
     """Say what the pictures must have and how far they are, most needed first.
 
     The limits are those by which the report judges (`quality_advice`).
-
-    Args:
-        taken: the pairs.
-        covered: of both cameras.
-        turning: the bases are turned: their angles must be varied too.
     """
     wanted = 2 * MIN_PAIRS
     count = BoardGoal("pairs", len(taken) >= wanted, f"{len(taken)} of {wanted}")

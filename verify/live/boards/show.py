@@ -76,12 +76,7 @@ STYLES = {READY: "bold green", MOVING: "yellow"}
 
 
 class BoardDisplay(TerminalDisplay):
-    """Shows the state of taking board pictures.
-
-    Args:
-        console: to draw on.
-        help_: what the keys do.
-    """
+    """Shows the state of taking board pictures."""
 
     def __init__(self, console: Console, help_: str) -> None:
         super().__init__(console)
@@ -127,13 +122,7 @@ MAX_TEXT_LENGTH = 2000  # characters of a description
 
 
 class BoardPageSource:
-    """Reads a state; nothing waits for it.
-
-    Args:
-        state: of the taking.
-        board: the pattern.
-        description: what else the page says on top.
-    """
+    """Reads a state; nothing waits for it."""
 
     def __init__(self, state: BoardState, board: Board, description: str) -> None:
         self._state, self._board, self._description = state, board, description

@@ -72,10 +72,7 @@ class BoardCapture:
         self._finished.set()
 
     def run(self, look: Callable[[], None] = lambda: None) -> None:
-        """Take pairs.
-
-        Args:
-            look: called several times a second.
+        """Take pairs; `look` is called several times a second.
 
         Raises:
             InputError: the cameras' pictures differ in size, or the disk refuses; the pairs that

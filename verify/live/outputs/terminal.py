@@ -22,11 +22,7 @@ MIN_SCALE_DEG = 0.1  # degrees at the end of a bar, where no tolerance tells
 
 
 class TerminalDisplay:
-    """Draws in a terminal a few times a second; used as a context.
-
-    Args:
-        console: to draw on.
-    """
+    """Draws in a terminal a few times a second; used as a context."""
 
     def __init__(self, console: Console) -> None:
         self._display = Display(console=console, auto_refresh=False, transient=False)
@@ -48,12 +44,7 @@ class TerminalDisplay:
 
 
 class LiveTable(TerminalDisplay):
-    """Shows the state of a run.
-
-    Args:
-        tolerance_deg: of each joint; None where there is none.
-        console: to draw on.
-    """
+    """Shows the state of a run."""
 
     def __init__(self, tolerance_deg: list[float] | None, console: Console) -> None:
         super().__init__(console)

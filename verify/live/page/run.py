@@ -30,13 +30,7 @@ class RunFacts:
 
 
 class RunPageSource:
-    """Reads a run's state; nothing waits for it.
-
-    Args:
-        state: the run's.
-        subject: the robot.
-        facts: what else is said.
-    """
+    """Reads a run's state; nothing waits for it."""
 
     def __init__(self, state: LiveState, subject: MonitoredRobot, facts: RunFacts) -> None:
         self._state, self._subject, self._facts = state, subject, facts

@@ -61,11 +61,7 @@ class Viewer:
 
 
 class ViewerHub:
-    """All viewers, and what one who comes later has to know.
-
-    Args:
-        counted: told how many viewers there are whenever that changes.
-    """
+    """All viewers, and what one who comes later has to know."""
 
     def __init__(self, counted: Callable[[int], None]) -> None:
         self._viewers: set[Viewer] = set()
@@ -151,13 +147,7 @@ class ViewerMessages:
 
 
 def application(hub: ViewerHub, access: PageAccess, asked: MessageCallback) -> Starlette:
-    """Make the application: the page, its files, its web socket, and metrics.
-
-    Args:
-        hub: what there is to see.
-        access: who may look.
-        asked: takes what viewers say, whatever it is.
-    """
+    """Make the application: the page, its files, its web socket, and metrics."""
 
     async def guarded(request: Request, go_on: NextHandler) -> Response:
         response = _move_token_to_cookie(request, access) or _access_refusal(request, access)

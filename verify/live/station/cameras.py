@@ -61,10 +61,6 @@ def open_station_cameras(path: str | Path, simulate: SimulateCameras) -> Station
 
     Neither robot, rig, marker nor encoders need be there, and none is looked at.
 
-    Args:
-        path: the file.
-        simulate: makes the simulated cameras, where the file asks for them.
-
     Raises:
         InputError: one line that names the file, the place in it, what stands there, what should,
             and what to do.

@@ -99,10 +99,6 @@ class Station:
 def open_station(path: str | Path, simulate: Simulate) -> Station:
     """Read a station file and all that it names; no device is opened yet.
 
-    Args:
-        path: the file.
-        simulate: makes the simulated devices, where the file asks for them.
-
     Raises:
         InputError: one line that names the file, the place in it, what stands there, what should,
             and what to do.

@@ -63,10 +63,6 @@ class BoardScene:
     Between two places it moves in a few jerks, and all pictures of one moment are alike: to compute
     one takes longer than to look at it. The next moment begins once its pictures are there; on a
     slow machine the board rests a little longer.
-
-    Args:
-        boards: the places.
-        clock: the cameras' clock.
     """
 
     def __init__(self, boards: SimulatedBoards, clock: SimClock) -> None:
@@ -184,13 +180,7 @@ class BoardCameras:
 
 
 class SimulatedBoardCamera:
-    """One of the two cameras; both take their pictures at the same instants.
-
-    Args:
-        scene: what it looks at.
-        side: 0 left, 1 right.
-        rate: pictures a second.
-    """
+    """The left (0) or right (1) camera, at a rate, Hz; both take pictures at the same instants."""
 
     def __init__(self, scene: BoardScene, side: int, rate: float) -> None:
         self._scene, self._side, self._rate = scene, side, rate
@@ -235,11 +225,7 @@ class SimulatedBoardCamera:
 
 
 class SimulatedBoardPan:
-    """Both bases, which are turned while the board is carried.
-
-    Args:
-        scene: where they stand, and the clock.
-    """
+    """Both bases, which are turned while the board is carried."""
 
     def __init__(self, scene: BoardScene) -> None:
         self._scene = scene

@@ -71,14 +71,7 @@ class CellArm:
 
 
 class SimMover:
-    """A simulated controller: a `Mover` that takes a stream of set points too.
-
-    Args:
-        arm: what it moves.
-        setup: for its moves' limits.
-        now: s, the simulation's clock.
-        right: the operator's order that it may move.
-    """
+    """A simulated controller: a `Mover` that takes a stream of set points too."""
 
     def __init__(
         self, arm: CellArm, setup: GraspPlanner, now: Callable[[], float], right: ExecutePermission

@@ -48,12 +48,7 @@ class LimitMonitor:
 
 
 class CellWorld:
-    """Everything in the cell as it really is.
-
-    Args:
-        setup: what those who work in it know of it.
-        scene: what stands there, and what happens.
-    """
+    """Everything in the cell as it really is."""
 
     def __init__(self, setup: CellSetup, scene: CellScene) -> None:
         self.setup, self.scene = setup, scene

@@ -49,13 +49,7 @@ class CellHand:
 
 
 class SimGripper:
-    """A simulated gripper behind the protocol `Gripper`.
-
-    Args:
-        hand: what it moves.
-        now: s, the simulation's clock.
-        right: the operator's order that it may move.
-    """
+    """A simulated gripper behind the protocol `Gripper`."""
 
     def __init__(self, hand: CellHand, now: Callable[[], float], right: ExecutePermission) -> None:
         if not isinstance(right, ExecutePermission):

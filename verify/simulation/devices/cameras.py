@@ -24,16 +24,10 @@ RENDER_TIME = 0.016  # s: so long before a picture is due its rendering begins
 
 
 class SimulatedCameraDevice:
-    """One of the two cameras.
+    """The left (0) or right (1) camera.
 
     The next picture is rendered shortly before it is due: a real camera, too, costs its reader
     nothing until the picture is there, nor the measurement of the one before.
-
-    Args:
-        scene: what it looks at, and the clock.
-        side: 0 left, 1 right.
-        painter: paints what it sees; closed with the camera.
-        settings: rate and whether in grey; other settings have no meaning here and are refused.
     """
 
     def __init__(

@@ -18,12 +18,7 @@ RESET_TIME = 1.0  # s: what the controller's clock shows after a reset
 
 
 class SimulatedEncoders:
-    """Joint readings of the simulated arm.
-
-    Args:
-        scene: the arm, and the clock.
-        rate: Hz; None for the scenario's own.
-    """
+    """Joint readings of the simulated arm."""
 
     def __init__(self, scene: DeviceScene, rate: float | None) -> None:
         self._scene, self._table = scene, scene.scenario.encoders
@@ -95,11 +90,7 @@ PAN_RATE = 50.0  # Hz
 
 
 class SimulatedPan:
-    """Both bases.
-
-    Args:
-        scene: where they stand, and the clock.
-    """
+    """Both bases."""
 
     def __init__(self, scene: DeviceScene) -> None:
         self._scene = scene

@@ -136,10 +136,7 @@ def build_painter(session: SimulatedSession) -> LocalPainter:
 class RemotePainter:
     """Paints in another process, and here until that is ready, while it is late or once it is lost.
 
-    Args:
-        scenario: as the station names it.
-        near: paints the same here.
-        timeout: s for a picture.
+    It is late with a picture that takes longer than the timeout, s.
     """
 
     def __init__(self, scenario: str, near: LocalPainter, timeout: float = ANSWER_TIMEOUT) -> None:

@@ -34,13 +34,7 @@ class LabencOptions:
 
 
 class LabencEngine:
-    """The board: greeting, stream, queries.
-
-    Args:
-        trajectory: how the arm moves.
-        axes: how many.
-        options: what kind of board it is.
-    """
+    """The board: greeting, stream, queries."""
 
     def __init__(self, trajectory: EmulatedTrajectory, axes: int, options: LabencOptions) -> None:
         self.log: list[str] = []  # every body received

@@ -47,11 +47,7 @@ class RequestRefusedError(Exception):
 
 
 class GripperEngine:
-    """The gripper behind its line.
-
-    Args:
-        options: what kind of gripper it is.
-    """
+    """The gripper behind its line."""
 
     def __init__(self, options: GripperOptions) -> None:
         self.log: list[bytes] = []  # every request that was whole, without slave and check

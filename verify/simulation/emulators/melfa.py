@@ -45,13 +45,7 @@ class ControllerOptions:
 
 
 class MelfaEngine:
-    """The line server.
-
-    Args:
-        arm: what the controller controls.
-        options: how it answers.
-        seed: of the jitter.
-    """
+    """The line server."""
 
     def __init__(self, arm: MelfaArm, options: ControllerOptions, seed: int = 0) -> None:
         self.log: list[str] = []  # every command received, without robot and slot
@@ -160,13 +154,7 @@ LAYOUT = struct.Struct("<HHHH40sHHHHHHIHH40sHH40sHH40s")
 
 
 class RealtimeEngine:
-    """Once asked, answers every cycle while packets keep coming.
-
-    Args:
-        trajectory: how the arm moves.
-        joints: how many it has.
-        drift: by which the controller's clock is fast.
-    """
+    """Once asked, answers every cycle while packets keep coming."""
 
     def __init__(self, trajectory: EmulatedTrajectory, joints: int, drift: float = 0.0) -> None:
         self.log: list[bytes] = []  # first bytes of every packet received

@@ -258,10 +258,6 @@ class EmulatorFaults:
 def parse_faults(texts: list[str], known: frozenset[str]) -> EmulatorFaults:
     """Read `noise=0.05`, `silence=10:3`, `reset=20` and the like.
 
-    Args:
-        texts: as the user wrote them.
-        known: those that this device can have.
-
     Raises:
         InputError: not known, or no numbers.
     """
