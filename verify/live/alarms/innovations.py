@@ -22,12 +22,9 @@ from verify.live.joint_row import Evidence
 
 SYSTEMATIC_TIME = 600.0  # s in which what is stated may wander: temperature, a base that creeps
 CLOCK_TIME = 10.0  # s, likewise the clock's error: it is estimated anew every few seconds
-U_FAULTY_JOINT = math.radians(
-    5.0
-)  # rad, standard: a joint that is known to be at fault may read so far off
-FAULT_RANDOM_WALK = math.radians(
-    0.02
-)  # rad a root second: what ails a named joint need not be constant
+# rad, standard: a joint that is known to be at fault may read so far off
+U_FAULTY_JOINT = math.radians(5.0)
+FAULT_RANDOM_WALK = math.radians(0.02)  # rad a root second: a joint's fault need not be constant
 ALIGNMENT_TIME = 0.5  # s for which an arm keeps accelerating one way, give or take
 # m, rad, standard: what lens model, DH table and spot shape leave beside all that is stated, as the
 # arm moves; a change far below it, 0.003°, say, is found in any model by whoever looks long enough

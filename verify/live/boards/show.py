@@ -44,9 +44,7 @@ class BoardSnapshot:
     last: str = ""  # what became of the last pair that was taken or asked for
     goals: tuple[BoardGoal, ...] = ()
     coverage: tuple[CameraCoverage, ...] = ()  # left, right
-    standings: tuple[
-        BoardPlacement, ...
-    ] = ()  # of the board now: left, right; empty where not seen
+    standings: tuple[BoardPlacement, ...] = ()  # of the board now, on either side; () if not seen
     devices: tuple[DeviceStatus, ...] = ()
     finished: bool = False
     look: BoardDetection | None = None

@@ -115,20 +115,11 @@ class ViewerHub:
 
 
 STATIC = Path(__file__).with_name("static")
+TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 CONTENT_TYPES = {
-    "index.html": "text/html",
-    "style.css": "text/css",
-    "page.js": "text/javascript",
-    "canvas.js": "text/javascript",
-    "strips.js": "text/javascript",
-    "scene.js": "text/javascript",
-    "boards.js": "text/javascript",
-    "grab.js": "text/javascript",
-    "grab_select.js": "text/javascript",
-    "pictures.js": "text/javascript",
-    "vendor/uplot/uPlot.iife.min.js": "text/javascript",
-    "vendor/uplot/uPlot.min.css": "text/css",
-    "icon.svg": "image/svg+xml",
+    file.relative_to(STATIC).as_posix(): TYPES[suffix]
+    for suffix in TYPES
+    for file in STATIC.rglob(f"*.{suffix}")
 }
 POLICY_VIOLATION = 1008  # of web sockets: policy violation
 TRY_AGAIN = 1013

@@ -80,12 +80,12 @@ class PanTable(msgspec.Struct, kw_only=True, omit_defaults=True):
 
 
 class AlarmTable(msgspec.Struct, kw_only=True):
-    """The keys of [alarm]."""
+    """The keys of [alarm]: when an alarm is raised, and where it goes."""
 
     false_alarms_per_hour: float = 0.1
-    command: str | None = None
-    mqtt: str | None = None
-    prometheus: str | None = None
+    command: str | None = None  # called with the alarm as JSON
+    mqtt: str | None = None  # mqtt://HOST:PORT/TOPIC
+    prometheus: str | None = None  # HOST:PORT where metrics are served
 
 
 class StationRecordingTable(msgspec.Struct, kw_only=True):

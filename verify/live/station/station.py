@@ -28,6 +28,7 @@ from verify.live.recording.session import SessionFacts
 from verify.live.station import devices, file
 from verify.live.station.file import SIM
 from verify.live.station.keys import (
+    AlarmTable,
     SimEvent,
     SimSettings,
     SimTable,
@@ -46,16 +47,6 @@ class PanDrive(PanDevice, Protocol):
 
     def turn_to(self, left: float, right: float) -> bool:
         """Order both bases to angles, rad, as read; False if the line is down."""
-
-
-@dataclass(frozen=True, slots=True)
-class AlarmSettings:
-    """When an alarm is raised, and who is told."""
-
-    false_alarms_per_hour: float
-    command: str | None = None  # called with the alarm as JSON
-    mqtt: str | None = None  # mqtt://HOST:PORT/TOPIC
-    prometheus: str | None = None  # HOST:PORT where metrics are served
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +71,7 @@ class Station:
     clock: Clock | None  # None: the offset is estimated from the motion
     encoder_resolution: float | None  # rad
     encoder_time_standard_uncertainty: float | None  # s
-    alarm: AlarmSettings
+    alarm: AlarmTable
     recording: RecordingSettings
     rate: float  # Hz, pairs: of the slower camera, as asked for
     files: bool  # the cameras are files, whose pictures can wait
@@ -105,7 +96,8 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
     """
     path = Path(path)
     table, warnings = file.read(path)
-    sim = _make_simulation(path, table, simulate)
+    simulated = SIM in (table.left.source, table.encoders.driver)
+    sim = make_simulation(path, table, simulate) if simulated else None
     arm = _arm(path, table)
     if sim is not None and table.robot != sim.robot:
         expected = f'the simulated robot is "{sim.robot}"'
@@ -136,7 +128,7 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
         clock=keys.clock(table.clock),
         encoder_resolution=resolution,
         encoder_time_standard_uncertainty=table.encoders.time_standard_uncertainty_s,
-        alarm=AlarmSettings(**msgspec.structs.asdict(table.alarm)),
+        alarm=table.alarm,
         recording=RecordingSettings(
             path.parent / table.recording.folder,
             table.recording.name.replace("{robot}", slug),
@@ -173,11 +165,12 @@ def _check_settings(path: Path, table: StationTable, joints: int) -> None:
     devices.check_pan(path, table.pan)
 
 
-def _make_simulation(
-    path: Path, table: StationTable, simulate: Simulate
-) -> SimulatedHardware | None:
-    if SIM not in (table.left.source, table.encoders.driver):
-        return None
+def make_simulation(path: Path, table: StationTable, simulate: Callable[[SimSettings], T]) -> T:
+    """Make the simulated devices of [sim].
+
+    Raises:
+        InputError: as they say, by the file's key.
+    """
     try:
         return simulate(_sim_settings(path, table.sim))
     except InputError as error:

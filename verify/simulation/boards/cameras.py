@@ -71,9 +71,8 @@ class BoardScene:
         self._paper = PrintedBoard(boards.board, scenario.boards.margin_mm / 1000, scenario.image)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="simulated boards")
         self._lock, self._closed = threading.Lock(), False
-        self._began = deque(
-            [(clock.began, N_CARRY_STEPS)], maxlen=MAX_MOMENTS
-        )  # when, which moment
+        # when each began, and which moment
+        self._began = deque([(clock.began, N_CARRY_STEPS)], maxlen=MAX_MOMENTS)
         self._pictures: dict[int, tuple[Future[Image], Future[Image]]] = {}
         self._look_ahead()
 
@@ -114,11 +113,8 @@ class BoardScene:
     def _go_on(self) -> None:
         """Begin the next moment if it is time and its pictures are there."""
         now, (since, number) = self.clock.now(), self._began[-1]
-        lasts = (
-            HOLD_TIME
-            if number % (N_CARRY_STEPS + 1) == N_CARRY_STEPS
-            else CARRY_TIME / N_CARRY_STEPS
-        )
+        held = number % (N_CARRY_STEPS + 1) == N_CARRY_STEPS
+        lasts = HOLD_TIME if held else CARRY_TIME / N_CARRY_STEPS
         ready = not self._closed and all(p.done() for p in self._pictures[number + 1])
         if ready and now - since >= lasts:
             self._began.append((now, number + 1))

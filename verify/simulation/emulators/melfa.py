@@ -124,10 +124,8 @@ class MelfaEngine:
         if name == "CLOSE":
             self._open = False
             return ""
-        if name == "OPSTSRD":
-            return "ENET;10001;1" if argument in ("1", "2", "3") else 3110
-        told = self.arm.told(name, argument, t, self._options.axes)
-        return told if told is not None else self.arm.obey(name, argument, t)
+        data = self.arm.data(name, argument, t, self._options.axes)
+        return data if data is not None else self.arm.obey(name, argument, t)
 
     def _identity(self, client: str) -> str:
         kind = self._options.robot_type

@@ -41,7 +41,7 @@ def controller(opened: bool = True) -> MelfaEngine:
         ("NOSUCH", "QeR6010"), ("BREAKONFF", "QeR6010"), ("\x07", "QeR4220"),
         ("X" * 260, "QeR6080"),
         ("SRVON", "QeR6020"), ("OVRD=10", "QeR6020"), ("EXECMOV P1", "QeR6020"), ("OVRD", "QoK100"),
-        ("ERROR", "QoK"), ("EMISS", "QoK0;0;0;0;0;0;0;0"), ("STOP", "QoK"),
+        ("ERROR", "QoK"), ("EMISS", "QeR5990"), ("STOP", "QoK"),
     ],
 )  # fmt: skip
 def test_a_controller_refuses_as_in_the_manual(command: str, answer: str) -> None:
