@@ -151,10 +151,7 @@ class ChildProcess(Generic[Request, Answer]):
             raise ChildLostError(str(error)) from error
 
     def receive(self, timeout: float | None) -> Message:
-        """Wait for a message, once it is ready.
-
-        Args:
-            timeout: s; None waits until the process ends.
+        """Wait for a message, once it is ready; without a timeout, s, until the process ends.
 
         Raises:
             ChildLateError: no message within the timeout.

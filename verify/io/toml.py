@@ -91,9 +91,9 @@ def one_of(path: Path, key: str, value: str, options: tuple[str, ...]) -> str:
     raise key_error(path, key, f'is "{value}"', expected, remedy)
 
 
-def did_you_mean(word: str, known: tuple[str, ...]) -> str:
+def did_you_mean(word: str, options: tuple[str, ...]) -> str:
     """Suggest the known word that comes nearest, as a sentence; empty where none comes near."""
-    near = difflib.get_close_matches(word, known, n=1)
+    near = difflib.get_close_matches(word, options, n=1)
     return f" Did you mean `{near[0]}`?" if near else ""
 
 

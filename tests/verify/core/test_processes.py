@@ -148,7 +148,6 @@ def test_a_child_process_ends_with_the_process_that_started_it() -> None:
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as parent:
-        assert parent.stdout is not None
         child = int(parent.stdout.readline())
         parent.kill()
     end = time.monotonic() + LIMIT

@@ -31,12 +31,6 @@ def test_every_built_in_scenario_plays(name: str) -> None:
     assert len(session) > 0
 
 
-def test_a_minimal_scenario_is_enough(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text(MINIMAL)
-    assert len(simulate_session(library.load(str(path)))) == 3
-
-
 def test_the_example_shows_every_key() -> None:
     text = (Path(library.__file__).parent / "scenarios" / "example.toml").read_text()
     for table in (Scenario, *ScenarioTable.__subclasses__()):

@@ -172,13 +172,13 @@ class InnovationFilter:
         )
         lower = np.linalg.cholesky(evidence.noise)
         noise = (lower * self._factors) @ lower.T
-        seen = design @ self._p
+        cross = design @ self._p
         new = evidence.xi - design @ self._x
-        white = np.linalg.cholesky(seen @ design.T + noise)
+        white = np.linalg.cholesky(cross @ design.T + noise)
         whiten = np.linalg.inv(white)
         residual: Array = whiten @ new
         joints: Array = whiten @ evidence.jacobian
-        learned = whiten @ seen
+        learned = whiten @ cross
         self._x = self._x + residual @ learned
         self._p = self._p - learned.T @ learned
         by_noise = np.asarray(np.linalg.solve(lower, new), dtype=np.float64)

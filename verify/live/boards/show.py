@@ -93,9 +93,9 @@ def render_snapshot(now: BoardSnapshot, help_: str) -> RenderableType:
         mark = Text("●", style="green") if goal.reached else Text("○", style="yellow")
         goals.add_row(mark, goal.name, Text(goal.words, style="dim" if goal.reached else ""))
     devices = render_devices(now.devices)
-    told = Text(now.words, style=STYLES.get(now.status, "cyan"))
-    last = Text(now.last, style="dim")
-    return Group(_coverage_maps(now.coverage), goals, devices, last, told, Text(help_, style="dim"))
+    words = Text(now.words, style=STYLES.get(now.status, "cyan"))
+    last, keys = Text(now.last, style="dim"), Text(help_, style="dim")
+    return Group(_coverage_maps(now.coverage), goals, devices, last, words, keys)
 
 
 def _coverage_maps(covered: tuple[CameraCoverage, ...]) -> RenderableType:
@@ -125,7 +125,7 @@ class BoardPageSource:
     def __init__(self, state: BoardState, board: Board, description: str) -> None:
         self._state, self._board, self._description = state, board, description
         self._shown = 0
-        self._told: dict[str, Any] = {}
+        self._last_row: dict[str, Any] = {}
 
     def hello(self) -> dict[str, Any]:
         """What never changes."""
@@ -150,8 +150,8 @@ class BoardPageSource:
             "now": [_standing(s) for s in now.standings],
             "finished": now.finished,
         }
-        news = [] if row == self._told else [row]
-        self._told = row
+        news = [] if row == self._last_row else [row]
+        self._last_row = row
         return news
 
     def state(self) -> dict[str, Any]:

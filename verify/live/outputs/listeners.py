@@ -153,11 +153,11 @@ class AlarmCommand:
         if alarm.revised or alarm.ended is not None:
             return
         fields = alarm.fields()
-        said = {f"VERIFY_ALARM_{k.upper()}": _word(v) for k, v in fields.items() if v is not None}
+        facts = {f"VERIFY_ALARM_{k.upper()}": _word(v) for k, v in fields.items() if v is not None}
         subprocess.run(
             self._words,
             input=json.dumps(fields, ensure_ascii=False).encode(),
-            env=os.environ | said,
+            env=os.environ | facts,
             stdout=subprocess.DEVNULL,
             timeout=COMMAND_TIMEOUT,
             check=False,
@@ -182,13 +182,13 @@ class MqttPublisher:
 
     def __init__(self, client: MqttClient, topic: str) -> None:
         self._client, self._topic = client, topic
-        self._said = float("-inf")
+        self._published_at = float("-inf")
 
     def row(self, row: JointRow, statistic: Array) -> None:
         """Publish a row a second."""
-        if row.t - self._said < 1.0:
+        if row.t - self._published_at < 1.0:
             return
-        self._said = row.t
+        self._published_at = row.t
         text = json.dumps(row_fields(row) | {"alarm_share": statistic.tolist()})
         self._client.publish(f"{self._topic}/joints", text, qos=0, retain=False)
 

@@ -137,7 +137,7 @@ class ViewerMessages:
     leading: frozenset[str] = frozenset()  # what more there is follows after a space
 
 
-def application(hub: ViewerHub, access: PageAccess, asked: MessageCallback) -> Starlette:
+def application(hub: ViewerHub, access: PageAccess, take_message: MessageCallback) -> Starlette:
     """Make the application: the page, its files, its web socket, and metrics."""
 
     async def guarded(request: Request, go_on: NextHandler) -> Response:
@@ -162,7 +162,7 @@ def application(hub: ViewerHub, access: PageAccess, asked: MessageCallback) -> S
             await socket.close(POLICY_VIOLATION)
             return
         await socket.accept()
-        await _send_to_viewer(socket, hub, asked)
+        await _send_to_viewer(socket, hub, take_message)
 
     app = Starlette(
         routes=[
@@ -194,10 +194,10 @@ def _access_refusal(request: Request, access: PageAccess) -> Response | None:
     return None if refusal is None else PlainTextResponse(f"Refused: {refusal}.\n", 403)
 
 
-async def _send_to_viewer(socket: WebSocket, hub: ViewerHub, asked: MessageCallback) -> None:
+async def _send_to_viewer(socket: WebSocket, hub: ViewerHub, take_message: MessageCallback) -> None:
     """Send until the viewer leaves, or cannot keep up."""
     viewer = hub.enter()
-    gone = asyncio.create_task(_receive_from_viewer(socket, asked))
+    gone = asyncio.create_task(_receive_from_viewer(socket, take_message))
     try:
         while not gone.done():
             news = asyncio.create_task(viewer.next())
@@ -220,11 +220,11 @@ async def _send_to_viewer(socket: WebSocket, hub: ViewerHub, asked: MessageCallb
         hub.leave(viewer)
 
 
-async def _receive_from_viewer(socket: WebSocket, asked: MessageCallback) -> None:
+async def _receive_from_viewer(socket: WebSocket, take_message: MessageCallback) -> None:
     """Wait for the viewer to leave, or to send bytes, which no page does; pass on what it says."""
     with suppress(WebSocketDisconnect, RuntimeError, KeyError):  # KeyError: bytes
         while True:
-            asked(await socket.receive_text())
+            take_message(await socket.receive_text())
 
 
 class _Server(uvicorn.Server):

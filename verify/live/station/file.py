@@ -150,6 +150,6 @@ def _unused_setting_warnings(path: Path, table: StationTable) -> list[str]:
         part = getattr(table, name)
         for key in sorted(given_keys(part) - set(keys[part.driver])):
             hint = did_you_mean(key, keys[part.driver])
-            said = f'the driver "{part.driver}" has no such setting; it is left alone.{hint}'
-            warnings.append(one_line(f"{path}, {name}.{key}: {said}"))
+            note = f'the driver "{part.driver}" has no such setting; it is left alone.{hint}'
+            warnings.append(one_line(f"{path}, {name}.{key}: {note}"))
     return warnings

@@ -142,7 +142,10 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
         open_pan=partial(devices.open_pan, path, table.pan, sim),
         facts=_session_facts(path, table, arm.dof, sim),
     )
-    _check_settings(path, table, arm.dof)
+    # wrong settings are found now, not when the run begins: drivers open their ports later
+    if table.encoders.driver != SIM:
+        devices.open_encoders(path, table.encoders, arm.dof).close()
+    devices.check_pan(path, table.pan)
     return station
 
 
@@ -152,17 +155,6 @@ def _open_encoders(
     if sim is not None and table.encoders.driver == SIM:
         return sim.encoders(table.encoders.rate_hz)
     return devices.open_encoders(path, table.encoders, joints)
-
-
-def _check_settings(path: Path, table: StationTable, joints: int) -> None:
-    """Find wrong settings now, not when the run begins: drivers open their ports later.
-
-    Raises:
-        InputError: as the driver says.
-    """
-    if table.encoders.driver != SIM:
-        devices.open_encoders(path, table.encoders, joints).close()
-    devices.check_pan(path, table.pan)
 
 
 def make_simulation(path: Path, table: StationTable, simulate: Callable[[SimSettings], T]) -> T:
@@ -265,8 +257,8 @@ def _session_facts(
         ("environment", table.environment),
         ("robot_frames", table.robot_frames),
     ):
-        said = {k: v for k, v in (msgspec.to_builtins(part) or {}).items() if v is not None}
-        if said:
-            tables[key] = said
+        entries = {k: v for k, v in (msgspec.to_builtins(part) or {}).items() if v is not None}
+        if entries:
+            tables[key] = entries
     turning = table.pan.driver != "fixed"
     return SessionFacts(robot, joints, files, tables, turning, stated is not None)

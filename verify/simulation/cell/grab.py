@@ -26,10 +26,7 @@ ALARM = "alarm 0930 (servo error)"
 class CellSource:
     """Gives the loop what it asks for, and lets the world go on while it waits.
 
-    Args:
-        world: the cell.
-        bases: are told how the camera bases stand, and asked; None: they stand as the rig says.
-        paced: keep to the computer's clock, for an operator who watches; else as fast as it goes.
+    Without `bases` the cameras' stand as the rig says; `paced` keeps to the computer's clock.
     """
 
     def __init__(
@@ -100,13 +97,8 @@ def cell_grab(
 ) -> CellRun:
     """Put a grab together; nothing has begun yet.
 
-    Args:
-        setup: what is known of the cell.
-        scene: what stands there, and what happens.
-        target: what to grab; by default the colour of the scene's first cap.
-        right: the operator's order that the arm may move; None: it may not.
-        mode: how it is driven.
-        bases: keep the angles of turning camera bases; None: fixed ones.
+    The target is the colour of the scene's first cap, where none is given. Without the operator's
+    right the arm may not move.
 
     Raises:
         InputError: the target's colour has no name.

@@ -23,11 +23,7 @@ RESTING_STATES = frozenset(
 
 
 class CellHand:
-    """The fingers themselves.
-
-    Args:
-        opening: m, the widest.
-    """
+    """The fingers themselves; `opening`, m, is the widest."""
 
     def __init__(self, opening: float) -> None:
         self.widest = self.opening = opening

@@ -47,16 +47,7 @@ class RenderedArm:
 
 
 class CellCamera:
-    """Draws what one camera sees.
-
-    Args:
-        camera: whose picture it is.
-        rig_T_base: (4, 4).
-        size: of the picture, px.
-        hand: how the gripper is built.
-        marker: LEDs on the flange.
-        seed: of the background and the noise.
-    """
+    """Draws what one camera sees in pictures of a size, px."""
 
     def __init__(
         self,

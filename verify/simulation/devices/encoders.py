@@ -41,16 +41,16 @@ class SimulatedEncoders:
         if self._closed or not len(numbers):
             return []
         t = clock.began + numbers * period
-        heard = np.array([not self._silent(instant) for instant in t.tolist()])
-        return [self._reading(*row) for row in self._rows(t[heard])]
+        audible = np.array([not self._silent(instant) for instant in t.tolist()])
+        return [self._reading(*row) for row in self._rows(t[audible])]
 
     def state(self) -> DeviceState:
         """Say how the encoders are."""
         now = self._scene.clock.now()
         age = None if self._last is None else now - self._last
-        said = "silent" if self._silent(now) else "reading"
+        condition = "silent" if self._silent(now) else "reading"
         return DeviceState(
-            not self._closed, age, self._count, 0, {}, f"simulated encoders: {said}", True
+            not self._closed, age, self._count, 0, {}, f"simulated encoders: {condition}", True
         )
 
     def close(self) -> None:
@@ -133,8 +133,8 @@ class SimulatedPan:
         now = self._scene.clock.now()
         age = None if self._last is None else now - self._last
         gone = self._gone(now)
-        said = "not connected: they were unplugged" if gone else "reading"
-        sentence = f"simulated bases: {said}{self._refusal}"
+        condition = "not connected: they were unplugged" if gone else "reading"
+        sentence = f"simulated bases: {condition}{self._refusal}"
         return DeviceState(not (gone or self._closed), age, self._count, 0, {}, sentence)
 
     def close(self) -> None:

@@ -45,12 +45,7 @@ class MovePath:
 
 
 class MoveExecution:
-    """The arm as EXEC moves it.
-
-    Args:
-        limits: (joints, 2), rad.
-        arm: its kinematics; None: it knows no straight line.
-    """
+    """The arm as EXEC moves it within limits (joints, 2), rad; straight, if `arm` is there."""
 
     def __init__(self, limits: Array, arm: DhArm | None) -> None:
         self._limits, self._arm = limits, arm
@@ -100,12 +95,7 @@ class MoveExecution:
         self._braking = True
 
     def go_on(self, t: float, override: float) -> None:
-        """Let time pass.
-
-        Args:
-            t: s, now.
-            override: share of full speed.
-        """
+        """Let time pass to t, s, at an override, share of full speed."""
         if self._path is None:
             return
         now = self._past[-1][0]
@@ -144,8 +134,8 @@ class MoveExecution:
     def _go(self, how: str, name: str, q: Array, t: float) -> int:
         if how == "MVS" and name.startswith("J"):
             return ERROR_SYNTAX  # a straight line leads to a pose
-        known = self._joint_variables if name.startswith("J") else self._pose_variables
-        target = known.get(name)
+        variables = self._joint_variables if name.startswith("J") else self._pose_variables
+        target = variables.get(name)
         if target is None:
             return ERROR_UNKNOWN_VARIABLE
         if np.any(target < self._limits[:, 0]) or np.any(target > self._limits[:, 1]):

@@ -127,12 +127,13 @@ class LabencEngine:
 
     def _answer(self, line: bytes, t: float) -> list[str]:
         digits, function = CHECKSUMS[self._options.checksum]
-        body, _, said = line.removeprefix(b"$").partition(b"*")
-        if len(line) > MAX_LINE_BYTES or said != b"%0*X" % (digits, function(body)):
+        body, _, checksum = line.removeprefix(b"$").partition(b"*")
+        if len(line) > MAX_LINE_BYTES or checksum != b"%0*X" % (digits, function(body)):
             return ["E,?,1,checksum"]
         text = body.decode("ascii", errors="replace")
         self.log.append(text)
         kind, *fields = text.split(",")
+        fastest = MAX_LINE_SHARE * self._options.baud / 10 / MAX_SAMPLE_BYTES  # Hz
         match kind, fields:
             case "Q", []:
                 return [self._hello(), *self._axis_lines()]
@@ -140,7 +141,7 @@ class LabencEngine:
                 self._next = self._next if self._streaming else t
                 self._streaming = on == "1"
             case "R", [rate]:
-                if not rate.isdigit() or not 0 < int(rate) <= self._fastest():
+                if not rate.isdigit() or not 0 < int(rate) <= fastest:
                     return ["E,R,2,bad rate"]
                 self._rate = int(rate)
             case "D", ["deg" | "counts" as unit]:
@@ -164,9 +165,6 @@ class LabencEngine:
 
     def _axis_lines(self) -> list[str]:
         return [f"N,{axis},{COUNTS_PER_TURN},1,0" for axis in range(1, self._axes + 1)]
-
-    def _fastest(self) -> float:
-        return MAX_LINE_SHARE * self._options.baud / 10 / MAX_SAMPLE_BYTES
 
     def _framed(self, body: str) -> bytes:
         digits, function = CHECKSUMS[self._options.checksum]

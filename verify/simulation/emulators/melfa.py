@@ -53,7 +53,7 @@ class MelfaEngine:
         self._random = np.random.default_rng(seed)
         self._buffer = b""
         self._open = False
-        self._heard = 0.0  # s: when the last byte came
+        self._received_at = 0.0  # s: when the last byte came
         self._free = 0.0  # s: when the last answer was given
 
     def greet(self, t: float) -> None:
@@ -73,9 +73,9 @@ class MelfaEngine:
     def step(self, t: float, received: bytes) -> list[TimedMessage]:
         """Answer what has come; without a terminator, a short silence ends a command."""
         if received:
-            self._buffer, self._heard = self._buffer + received, t
+            self._buffer, self._received_at = self._buffer + received, t
         *parts, self._buffer = re.split(rb"[\r\n\0]+", self._buffer)
-        if self._buffer and t - self._heard > COMMAND_TIMEOUT:
+        if self._buffer and t - self._received_at > COMMAND_TIMEOUT:
             parts.append(self._buffer)
             self._buffer = b""
         messages = []
@@ -159,7 +159,7 @@ class RealtimeEngine:
         self._trajectory, self._joints = trajectory, joints
         self._cycle_time = CYCLE / (1.0 + drift)
         self._wanted = (0, 0, 0, 0)
-        self._heard: float | None = None
+        self._received_at: float | None = None
         self._next = 0.0
         self._count = 0
         self._missed = 0
@@ -184,12 +184,12 @@ class RealtimeEngine:
         while self._next <= t:
             self._next += self._cycle_time
             self._count = (self._count + 1) % CYCLE_MODULUS
-            if self._heard is None:
+            if self._received_at is None:
                 continue
-            if t - self._heard > TIMEOUT:
-                self._heard = None
+            if t - self._received_at > TIMEOUT:
+                self._received_at = None
                 continue
-            if t - self._heard > 1.5 * self._cycle_time:
+            if t - self._received_at > 1.5 * self._cycle_time:
                 self._missed = (self._missed + 1) % (1 << 16)
             messages.append(TimedMessage(t, self._packet(t)))
         return messages
@@ -198,12 +198,12 @@ class RealtimeEngine:
         self.log.append(data[:8])
         fields = LAYOUT.unpack(data)
         if fields[0] == 255:
-            self._heard = None
+            self._received_at = None
             return
         self._wanted = (fields[2], fields[12], fields[15], fields[18])
-        if self._heard is None:
+        if self._received_at is None:
             self._missed = 0
-        self._heard = t
+        self._received_at = t
 
     def _packet(self, t: float) -> bytes:
         blocks = [(kind, self._block(kind, t)) for kind in self._wanted]

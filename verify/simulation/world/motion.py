@@ -162,12 +162,7 @@ class ConstantVelocity:
 
 
 def plan_motion(scenario: Scenario, begin: float, end: float) -> MotionProfile:
-    """Make the scenario's motion fill the time from the first pair to the last one.
-
-    Args:
-        scenario: says the kind of motion, and the seed for what is drawn.
-        begin: s, cameras' clock, the first pair.
-        end: s, the last pair.
+    """Make the scenario's motion fill the time from the first pair (begin, s) to the last (end).
 
     Returns:
         The motion, defined for every instant.

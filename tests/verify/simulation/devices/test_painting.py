@@ -30,7 +30,6 @@ SIGHTS = [
 
 def ready(distant: RemotePainter) -> ChildProcess[object, None]:
     process, end = distant._process, time.monotonic() + LIMIT
-    assert process is not None
     while not process.is_ready():
         assert time.monotonic() < end
         time.sleep(0.05)

@@ -328,7 +328,6 @@ def test_a_gripper_without_power_forgets_and_keeps_its_fingers_where_they_are() 
 def test_the_command_serves_an_object_between_the_fingers_and_refuses_one_elsewhere() -> None:
     words = [sys.executable, "-c", COMMAND, "gripper", "--port", "tcp:0", "--object-mm", "60"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         address = process.stdout.readline().split(" at ")[1].split(";")[0]
         with client(address) as modbus:
             order(modbus, ACTIVATE)

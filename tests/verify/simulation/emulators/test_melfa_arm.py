@@ -47,12 +47,10 @@ class Desk:
 
     def joints_deg(self) -> Array:
         position = parse_joints(self.say("JPOSF")[3:], 6)
-        assert position is not None
         return np.array(position.joints_deg)
 
     def moving(self) -> bool:
         state = parse_state(self.say("STATE")[3:])
-        assert state is not None
         return state.running
 
     def go(self, angles: Array, how: str = "MOV") -> str:
@@ -127,7 +125,6 @@ def test_a_stop_brakes_an_alarm_too_and_an_emergency_stop_takes_the_power() -> N
         before = desk.joints_deg()
         desk.t += 0.5
         state = parse_state(desk.say("STATE")[3:])
-        assert state is not None
         assert not state.running
         assert state.servo_on is (act != "emergency")
         assert state.emergency_stop is (act == "emergency")
@@ -146,7 +143,6 @@ def test_the_reported_hand_speed_is_the_arms() -> None:
     desk.go(HOME_DEG + np.array([60.0, 0, 0, 0, 0, 0]))
     desk.t += 0.5
     position = parse_joints(desk.say("JPOSF")[3:], 6)
-    assert position is not None
     x, y, _ = robots.forward(ARM, np.deg2rad(HOME_DEG))[:3, 3]
     assert position.speed == pytest.approx(np.hypot(x, y) * np.deg2rad(50.0), rel=0.01)
 
@@ -171,7 +167,6 @@ def test_the_command_emulates_a_controller_that_waits_to_be_moved() -> None:
     with subprocess.Popen(
         [*words, "--port", "tcp:0"], stdout=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
         address = process.stdout.readline().split(" at ")[1].split(";")[0]
         with MelfaMover(
             MotionSettings(address, "RV-3SD", pause=0.01),

@@ -59,10 +59,8 @@ def test_a_controller_before_open_with_right_without_servo_in_alarm() -> None:
     assert said(engine, "OVRD") == "QoK10"
     assert said(engine, "SRVON", 2.0) == "QoK"
     state = protocol.parse_state(said(engine, "STATE", 2.1).removeprefix("QoK"))
-    assert state is not None
     assert not state.servo_on
     state = protocol.parse_state(said(engine, "STATE", 4.0).removeprefix("QoK"))
-    assert state is not None
     assert state.servo_on
     engine.afflict("alarm", 4140)
     assert said(engine, "ERROR") == "Qok4140;2"
@@ -123,7 +121,6 @@ def test_a_front_that_cannot_be_opened_is_refused() -> None:
 def test_the_command_prints_its_address_and_ends_at_ctrl_c(where: str) -> None:
     words = [sys.executable, "-c", COMMAND, "labenc", "--port", where, "--motion", "sweep"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         line = process.stdout.readline()
         address = line.split(" at ")[1].split(";")[0]
         encoders = kept(LabencEncoders(LabencSettings(address), same_angles(6)))
