@@ -3,6 +3,9 @@
 An emulated device on a real port, and the real driver reading it.
 """
 
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -108,6 +111,17 @@ def running(
         stop.set()
         thread.join()
         server.close()
+
+
+@contextmanager
+def emulate_command(*words: str) -> Iterator[str]:
+    """Have `verify emulate` run until Ctrl-C, at the end of the block; yields its address."""
+    command = "import typer; from verify.cli.emulate import emulate; typer.run(emulate)"
+    start = [sys.executable, "-c", command, *words]
+    with subprocess.Popen(start, stdout=subprocess.PIPE, text=True) as process:
+        yield process.stdout.readline().split(" at ")[1].split(";")[0]
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=10)
 
 
 def gather(device: Device[R], until: Callable[[list[R]], bool], limit: float = 10.0) -> list[R]:

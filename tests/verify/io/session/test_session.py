@@ -28,6 +28,14 @@ def folder(tmp_path: Path) -> Path:
     return write_session(tmp_path / "tuesday")
 
 
+def add(text: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        with (folder / "session.toml").open("a") as file:
+            file.write(text)
+
+    return change
+
+
 def test_a_session_holds_the_values_of_its_files(folder: Path) -> None:
     session = open_session(folder)
     assert (session.name, session.robot, session.description) == ("tuesday", "iust_6r", "small")
@@ -46,13 +54,12 @@ def test_a_session_holds_the_values_of_its_files(folder: Path) -> None:
 
 
 def test_every_optional_table_is_read(folder: Path) -> None:
-    with (folder / "session.toml").open("a") as file:
-        file.write(
-            "[clock]\nencoder_offset_s = 0.137\nencoder_offset_standard_uncertainty_s = 0.0005\n"
-            "[encoder_readings]\nresolution_deg = 0.01\ntime_standard_uncertainty_s = 0.0004\n"
-            "[tolerance]\njoints_deg = 0.2\nposition_mm = 1.0\norientation_deg = 0.3\n"
-            "[environment]\ntemperature_c = 23.0\n"
-        )
+    add(
+        "[clock]\nencoder_offset_s = 0.137\nencoder_offset_standard_uncertainty_s = 0.0005\n"
+        "[encoder_readings]\nresolution_deg = 0.01\ntime_standard_uncertainty_s = 0.0004\n"
+        "[tolerance]\njoints_deg = 0.2\nposition_mm = 1.0\norientation_deg = 0.3\n"
+        "[environment]\ntemperature_c = 23.0\n"
+    )(folder)
     session = open_session(folder)
     assert (session.clock.encoder_offset, session.clock.standard_uncertainty) == (0.137, 0.0005)
     assert session.encoder_resolution == pytest.approx(np.deg2rad(0.01))
@@ -65,8 +72,7 @@ def test_every_optional_table_is_read(folder: Path) -> None:
 
 
 def test_each_joint_may_have_its_own_tolerance(folder: Path) -> None:
-    with (folder / "session.toml").open("a") as file:
-        file.write("[tolerance]\njoints_deg = [0.1, 0.2, 0.3, 0.4, 0.5, 1]\n")
+    add("[tolerance]\njoints_deg = [0.1, 0.2, 0.3, 0.4, 0.5, 1]\n")(folder)
     tolerance = open_session(folder).tolerance
     assert tolerance.joints is not None
     assert_allclose(np.rad2deg(tolerance.joints), [0.1, 0.2, 0.3, 0.4, 0.5, 1])
@@ -126,10 +132,7 @@ def test_truth_is_never_opened(folder: Path) -> None:
 
 
 def test_an_unknown_key_is_named_with_the_one_that_was_meant(folder: Path) -> None:
-    with (folder / "session.toml").open("a") as file:
-        file.write(
-            "[clock]\nencoder_offset_s = 0.0\nencoder_ofset_s = 1.0\n[[later.thing]]\nx = 1\n"
-        )
+    add("[clock]\nencoder_offset_s = 0.0\nencoder_ofset_s = 1.0\n[[later.thing]]\nx = 1\n")(folder)
     warnings = open_session(folder).warnings
     assert len(warnings) == 2
     assert "clock.encoder_ofset_s" in warnings[0]
@@ -156,8 +159,7 @@ def test_a_covariance_of_an_led_that_is_not_there_is_warned_of(folder: Path) -> 
 
 
 def test_an_open_session_is_measured_to_its_shortest_stream(folder: Path) -> None:
-    with (folder / "session.toml").open("a") as file:
-        file.write('recording = "open"\n')
+    add('recording = "open"\n')(folder)
     write_video(folder / "right.mkv", images(PAIRS - 2))
     with (folder / "frames.csv").open("a") as file:
         file.write("6,0.6,0.604\n7,0.7,0.7")  # the power went in the middle of a number
@@ -198,14 +200,6 @@ def complaint(folder: Path) -> str:
     line = str(caught.value)
     assert line.isprintable()
     return line
-
-
-def add(text: str) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        with (folder / "session.toml").open("a") as file:
-            file.write(text)
-
-    return change
 
 
 def swap(file: str, old: str, new: str) -> Callable[[Path], None]:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from tests.support.devices.recording_process import FACTS, pair, reading
+from tests.support.devices.recording_process import FACTS, assert_recorded, pair, reading
 from tests.support.recorded import HEIGHT, WIDTH
 from verify.devices.cameras.opencv import JpegDecoder
 from verify.devices.protocols import CapturedPair
@@ -49,14 +49,7 @@ def test_a_closed_recording_is_a_session_that_holds_what_was_kept(tmp_path: Path
     assert not session.open
     assert session.warnings == ()
     assert recorder.state().pairs == len(session) == 8
-    for before, after in zip(given, session.pairs(), strict=True):
-        assert (after.frame, after.t_left, after.t_right) == (
-            before.frame,
-            before.t_left,
-            before.t_right,
-        )
-        assert_array_equal(after.left, before.left)
-        assert_array_equal(after.right, before.right)
+    assert_recorded(session, given)
 
 
 def test_times_and_angles_that_are_measured_with_are_those_of_the_file_to_the_last_digit(
@@ -117,9 +110,7 @@ def test_jpegs_go_to_the_file_as_they_came_and_are_read_as_they_were_measured(
         t = 5 + number / 30
         pairs.append(CapturedPair(number, t, t, 0.0, 0.0, images[0], images[1], raws[0], raws[1]))
     record(tmp_path, pairs)
-    for before, after in zip(pairs, open_session(tmp_path / "session").pairs(), strict=True):
-        assert_array_equal(after.left, before.left)
-        assert_array_equal(after.right, before.right)
+    assert_recorded(open_session(tmp_path / "session"), pairs)
     data = (tmp_path / "session" / "left.mkv").read_bytes()
     assert all(p.left_raw is not None and p.left_raw in data for p in pairs)
 

@@ -1,6 +1,3 @@
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,7 +10,7 @@ from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.exceptions import ModbusException
 
 from tests.support.command import verify
-from tests.support.devices.bench import running
+from tests.support.devices.bench import emulate_command, running
 from verify.simulation.emulators.gripper import SLAVE, GripperEngine, GripperOptions, add_crc
 from verify.simulation.emulators.hand import (
     NO_CONTACT,
@@ -23,7 +20,6 @@ from verify.simulation.emulators.hand import (
 from verify.simulation.emulators.server import EmulatorFaults
 
 PORTS = ["tcp:0", "pty"]
-COMMAND = "import typer; from verify.cli.emulate import emulate; typer.run(emulate)"
 ACTIVATE = [0x0100, 0, 0]
 OPEN = [0x0900, 0x0000, 0xFFFF]
 ACTIVATION = 0.2  # s: tests cannot wait
@@ -326,12 +322,8 @@ def test_a_gripper_without_power_forgets_and_keeps_its_fingers_where_they_are() 
 
 @pytest.mark.realtime
 def test_the_command_serves_an_object_between_the_fingers_and_refuses_one_elsewhere() -> None:
-    words = [sys.executable, "-c", COMMAND, "gripper", "--port", "tcp:0", "--object-mm", "60"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        address = process.stdout.readline().split(" at ")[1].split(";")[0]
-        with client(address) as modbus:
-            order(modbus, ACTIVATE)
-            assert stage(inputs(modbus)) == 1
-        process.send_signal(signal.SIGINT)
-        process.wait(timeout=10)
+    emulated = emulate_command("gripper", "--port", "tcp:0", "--object-mm", "60")
+    with emulated as address, client(address) as modbus:
+        order(modbus, ACTIVATE)
+        assert stage(inputs(modbus)) == 1
     assert "melfa has no fingers" in verify("emulate", "melfa", "--object-mm", "60").err

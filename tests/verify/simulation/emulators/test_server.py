@@ -1,24 +1,19 @@
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.support.devices.bench import gather, kept, same_angles
+from tests.support.devices.bench import emulate_command, gather, kept, same_angles
 from verify.devices.encoders.labenc.reader import LabencEncoders, LabencSettings
 from verify.devices.melfa import protocol
 from verify.devices.ports import SerialLine
 from verify.errors import InputError
 from verify.simulation.emulators import server, trajectory
-from verify.simulation.emulators import server as emulators_server
 from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 
 LIMITS = np.tile([-3.0, 3.0], (6, 1))
-COMMAND = "import typer; from verify.cli.emulate import emulate; typer.run(emulate)"
 
 
 def said(engine: MelfaEngine, command: str, t: float = 1.0) -> str:
@@ -114,19 +109,14 @@ def test_faults_are_read_or_refused() -> None:
 def test_a_front_that_cannot_be_opened_is_refused() -> None:
     for where in ("tcp:x", "/dev/there-is-none"):
         with pytest.raises(InputError):
-            emulators_server.open_front(where, SerialLine())
+            server.open_front(where, SerialLine())
 
 
 @pytest.mark.parametrize("where", ["tcp:0", "pty"])
 def test_the_command_prints_its_address_and_ends_at_ctrl_c(where: str) -> None:
-    words = [sys.executable, "-c", COMMAND, "labenc", "--port", where, "--motion", "sweep"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        line = process.stdout.readline()
-        address = line.split(" at ")[1].split(";")[0]
+    with emulate_command("labenc", "--port", where, "--motion", "sweep") as address:
         encoders = kept(LabencEncoders(LabencSettings(address), same_angles(6)))
         readings = gather(encoders, lambda found: len(found) >= 10)
         assert np.ptp([reading.q for reading in readings]) > 0
-        process.send_signal(signal.SIGINT)
-        process.wait(timeout=10)
     if where == "pty":
         assert not Path(address).exists()
