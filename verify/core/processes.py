@@ -109,12 +109,6 @@ class ChildProcess(Generic[Request, Answer]):
         self._ready: Message | None = None
         self._unanswered = False
 
-    @property
-    def pid(self) -> int:
-        """Number of the process."""
-        assert self._process.pid is not None  # it was started
-        return self._process.pid
-
     def wait_until_ready(self, timeout: float = START_TIMEOUT) -> Any:
         """Wait for READY and return its value; `timeout` in s.
 

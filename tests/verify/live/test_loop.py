@@ -293,7 +293,7 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
             np.testing.assert_array_equal(spots.centre, expected.centre)
             np.testing.assert_array_equal(spots.covariance, expected.covariance)
     process = detector._process
-    os.kill(process.pid, signal.SIGSTOP)
+    os.kill(process._process.pid, signal.SIGSTOP)
     for _ in range(3):  # waited for once
         assert len(detector(pictures[0], pictures[1], None, None)[1]) == 1
     assert len(message) == 1

@@ -70,10 +70,6 @@ class DeviceScene:
         if self._opened is None:
             self._opened = self.clock.now()
 
-    def happen(self, event: SimEvent) -> None:
-        """Let something happen that was not planned; its time counts as the others'."""
-        self._events = (*self._events, event)
-
     def seconds(self, t: float) -> float:
         """Time of the world at an instant of the cameras' clock."""
         return t - self.clock.began + START_OFFSET

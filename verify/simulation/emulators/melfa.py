@@ -154,10 +154,9 @@ LAYOUT = struct.Struct("<HHHH40sHHHHHHIHH40sHH40sHH40s")
 class RealtimeEngine:
     """Once asked, answers every cycle while packets keep coming."""
 
-    def __init__(self, trajectory: EmulatedTrajectory, joints: int, drift: float = 0.0) -> None:
+    def __init__(self, trajectory: EmulatedTrajectory, joints: int) -> None:
         self.log: list[bytes] = []  # first bytes of every packet received
         self._trajectory, self._joints = trajectory, joints
-        self._cycle_time = CYCLE / (1.0 + drift)
         self._wanted = (0, 0, 0, 0)
         self._received_at: float | None = None
         self._next = 0.0
@@ -182,14 +181,14 @@ class RealtimeEngine:
             self._hear(received, t)
         messages = []
         while self._next <= t:
-            self._next += self._cycle_time
+            self._next += CYCLE
             self._count = (self._count + 1) % CYCLE_MODULUS
             if self._received_at is None:
                 continue
             if t - self._received_at > TIMEOUT:
                 self._received_at = None
                 continue
-            if t - self._received_at > 1.5 * self._cycle_time:
+            if t - self._received_at > 1.5 * CYCLE:
                 self._missed = (self._missed + 1) % (1 << 16)
             messages.append(TimedMessage(t, self._packet(t)))
         return messages
