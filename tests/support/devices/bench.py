@@ -149,7 +149,7 @@ class Ramp:
     def __init__(self, joints: int = 6) -> None:
         self._home = 0.3 * np.arange(joints) - 0.7
 
-    def at(self, t: float) -> Array:
+    def __call__(self, t: float) -> Array:
         return self._home + self.SPEED * t
 
     def time(self, q: Array) -> float:

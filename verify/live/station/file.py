@@ -6,7 +6,7 @@ from importlib import resources
 from pathlib import Path
 
 from verify.errors import one_line
-from verify.io.session.keys import clock, tolerance
+from verify.io.session.keys import check_clock, tolerance
 from verify.io.toml import decode, did_you_mean, key_error, not_negative, one_of
 from verify.live.station.devices import ENCODER_KEYS, PAN_KEYS, given_keys
 from verify.live.station.keys import EVENT_KINDS, StationCameraTable, StationTable
@@ -32,10 +32,7 @@ def read(path: Path) -> tuple[StationTable, tuple[str, ...]]:
     if table.pan.follow and table.pan.driver == "fixed":
         expected = "bases that turn are needed to follow"
         raise key_error(path, "pan.follow", "is true with fixed bases", expected)
-    clock(table.clock)
-    if table.clock is not None:
-        key = "encoder_offset_standard_uncertainty_s"
-        not_negative(path, f"clock.{key}", getattr(table.clock, key))
+    check_clock(path, table.clock)
     tolerance(path, table.tolerance, _n_tolerances(table))
     for key in ("resolution_deg", "time_standard_uncertainty_s"):
         not_negative(path, f"encoders.{key}", getattr(table.encoders, key))

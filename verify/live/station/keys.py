@@ -9,7 +9,7 @@ import msgspec
 from verify.core.fiducials import Marker
 from verify.core.rig import Rig
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
-from verify.io.session.keys import ClockTable, EnvironmentTable, RobotFramesTable, ToleranceTable
+from verify.io.session.keys import Clock, EnvironmentTable, RobotFramesTable, ToleranceTable
 
 
 class StationCameraTable(msgspec.Struct, kw_only=True):
@@ -128,7 +128,7 @@ class StationTable(msgspec.Struct, kw_only=True):
     encoders: StationEncodersTable
     pan: PanTable = msgspec.field(default_factory=PanTable)
     tolerance: ToleranceTable | None = None
-    clock: ClockTable | None = None
+    clock: Clock | None = None
     alarm: AlarmTable = msgspec.field(default_factory=AlarmTable)
     recording: StationRecordingTable = msgspec.field(default_factory=StationRecordingTable)
     environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)

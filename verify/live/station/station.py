@@ -125,7 +125,7 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
         rig=rig,
         marker=marker,
         tolerance=keys.tolerance(path, table.tolerance, arm.dof),
-        clock=keys.clock(table.clock),
+        clock=table.clock,
         encoder_resolution=resolution,
         encoder_time_standard_uncertainty=table.encoders.time_standard_uncertainty_s,
         alarm=table.alarm,

@@ -260,7 +260,7 @@ class MelfaArm:
             return self._moves.at(t - lag)
         since = t - self._now if self.running else 0.0
         late = lag if self.running else 0.0
-        return self._trajectory.at(max(self._played + since - late, 0.0))
+        return self._trajectory(max(self._played + since - late, 0.0))
 
     def data(self, name: str, argument: str, t: float, axes: int) -> str | None:
         """Data of a reading command; None if it is none."""
@@ -313,7 +313,7 @@ class MelfaArm:
         self.running = True
         if self._off_program:
             self._returning = True
-            self._moves.go_to(self._trajectory.at(self._played), self._moves.at(t), t)
+            self._moves.go_to(self._trajectory(self._played), self._moves.at(t), t)
 
     def _execute(self, instruction: str, t: float) -> str | int:
         if self.moving:

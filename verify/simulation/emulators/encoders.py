@@ -8,7 +8,7 @@ from verify.core.records import Array
 from verify.devices.encoders.labenc.protocol import MAX_LINE_BYTES, MOVING
 from verify.devices.ports import CHECKSUMS, LineBuffer
 from verify.simulation.emulators.server import TimedMessage
-from verify.simulation.emulators.trajectory import EmulatedTrajectory, HoldTrajectory
+from verify.simulation.emulators.trajectory import EmulatedTrajectory
 
 COUNTS_PER_TURN = 98304  # gear included
 MAX_SAMPLE_BYTES = 91  # bytes of a six-axis J
@@ -82,7 +82,7 @@ class LabencEngine:
 
     def angles(self, t: float) -> Array:
         """What the encoders show, (axes,), rad."""
-        return self._trajectory.at(t)
+        return self._trajectory(t)
 
     def status(self, _t: float) -> int:
         """Status bits."""
@@ -184,7 +184,7 @@ class PanEngine(LabencEngine):
     def __init__(self, options: LabencOptions) -> None:
         self._from, self._to = PARALLEL_ANGLES.copy(), PARALLEL_ANGLES.copy()
         self._ordered_at = 0.0
-        super().__init__(HoldTrajectory(PARALLEL_ANGLES), 2, options)
+        super().__init__(lambda _: PARALLEL_ANGLES, 2, options)
 
     def angles(self, t: float) -> Array:
         """What the encoders on the axes show, (2,), rad."""

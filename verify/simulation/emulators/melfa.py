@@ -223,4 +223,4 @@ class RealtimeEngine:
         return bytes(40)
 
     def _at(self, t: float) -> Array:
-        return self._trajectory.at(max(t, 0.0))
+        return self._trajectory(max(t, 0.0))

@@ -86,12 +86,12 @@ def test_motions_are_smooth_and_a_recorded_one_is_played_to_and_fro(tmp_path: Pa
     t = np.arange(0.0, 30.0, 0.01)
     for name in trajectory.NAMES:
         motion = trajectory.load(name, 6)
-        q = np.array([motion.at(s) for s in t.tolist()])
+        q = np.array([motion(s) for s in t.tolist()])
         assert np.max(np.abs(np.diff(q, axis=0))) < 0.01
     path = tmp_path / "motion.csv"
     path.write_text("t_s,q1_deg\n5.0,0.0\n6.0,10.0\n7.0,20.0\n")
     recorded = trajectory.load(str(path), 1)
-    found = [np.rad2deg(recorded.at(s))[0] for s in (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)]
+    found = [np.rad2deg(recorded(s))[0] for s in (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)]
     np.testing.assert_allclose(found, [0, 10, 20, 10, 0, 10], atol=1e-9)
     with pytest.raises(InputError, match="hold, sweep, sines"):
         trajectory.load("jive", 6)
