@@ -132,12 +132,12 @@ def _check_recording(path: Path, table: StationTable) -> None:
 def _check_sim(path: Path, table: StationTable) -> None:
     if table.sim.speed <= 0:
         raise key_error(path, "sim.speed", f"is {table.sim.speed}", "a number above 0 is expected")
-    for index, event in enumerate(table.sim.event):
+    for index, event in enumerate(table.sim.events):
         key = f"sim.event[{index}]"
         one_of(path, f"{key}.what", event.what, EVENT_KINDS)
         one_of(path, f"{key}.camera", event.camera, SIDES)
-        not_negative(path, f"{key}.at_s", event.at_s)
-        not_negative(path, f"{key}.for_s", event.for_s)
+        not_negative(path, f"{key}.at_s", event.at)
+        not_negative(path, f"{key}.for_s", event.duration)
 
 
 def _unused_setting_warnings(path: Path, table: StationTable) -> list[str]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import msgspec
-import numpy as np
 
 import robots
 from verify.core.fiducials import Marker
@@ -29,9 +28,7 @@ from verify.live.station import devices, file
 from verify.live.station.file import SIM
 from verify.live.station.keys import (
     AlarmTable,
-    SimEvent,
     SimSettings,
-    SimTable,
     Simulate,
     SimulatedHardware,
     StationTable,
@@ -163,27 +160,17 @@ def make_simulation(path: Path, table: StationTable, simulate: Callable[[SimSett
     Raises:
         InputError: as they say, by the file's key.
     """
+    sim = table.sim
+    if Path(sim.scenario).suffix == ".toml":
+        sim = msgspec.structs.replace(sim, scenario=str(path.parent / sim.scenario))
     try:
-        return simulate(_sim_settings(path, table.sim))
+        return simulate(sim)
     except InputError as error:
         if error.place.startswith("sim."):
             key, found = error.place, error.found
         else:
             key, found = "sim.scenario", f"{error.place}: {error.found}"
         raise InputError(f"{path}, {key}", found, error.expected, error.remedy) from error
-
-
-def _sim_settings(path: Path, table: SimTable) -> SimSettings:
-    events = tuple(
-        SimEvent(
-            event.what, event.at_s, event.for_s, event.joint, float(np.deg2rad(event.degrees)),
-            event.camera, event.led,
-        )
-        for event in table.event
-    )  # fmt: skip
-    is_file = Path(table.scenario).suffix == ".toml"
-    scenario = str(path.parent / table.scenario) if is_file else table.scenario
-    return SimSettings(scenario, table.speed, events)
 
 
 def _arm(path: Path, table: StationTable) -> robots.Arm:

@@ -65,7 +65,7 @@ class SimulatedEncoders:
         for row, instant in enumerate(t.tolist()):
             for event in scene.present(instant):
                 if event.what == "encoder_jump" and event.joint is not None:
-                    q[row, event.joint - 1] += event.angle
+                    q[row, event.joint - 1] += np.deg2rad(event.degrees)
         return list(zip(t.tolist(), quantised(q, self._table.resolution_deg), strict=True))
 
     def _reading(self, t: float, q: Array) -> EncoderReading:

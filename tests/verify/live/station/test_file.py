@@ -77,7 +77,7 @@ def test_the_template_names_every_key_and_no_other(tmp_path: Path) -> None:
     text = file.template()
 
     def keys(kind: type[msgspec.Struct]) -> set[str]:
-        return set(kind.__struct_fields__)
+        return set(kind.__struct_encode_fields__)
 
     tables = {f.name: f.type for f in msgspec.structs.fields(StationTable)}
     named = set(re.findall(r"\b([a-z][a-z0-9_]*)\b", text))

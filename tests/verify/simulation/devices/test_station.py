@@ -172,7 +172,7 @@ def test_events_count_from_the_first_device_on_however_long_the_start_took() -> 
 
 def test_a_jump_appears_in_its_joint_from_its_instant_on() -> None:
     jump = np.deg2rad(0.5)
-    made = station(SimEvent("encoder_jump", 1.0, joint=4, angle=jump))
+    made = station(SimEvent("encoder_jump", 1.0, joint=4, degrees=0.5))
     encoders, began = made.encoders(100.0), made.scene.clock.began
     readings = gather(encoders, lambda found: len(found) >= 200)
     t = np.array([r.t for r in readings]) + made.scene.scenario.encoders.clock_offset_s
