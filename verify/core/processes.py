@@ -50,12 +50,7 @@ class ParentLostError(Exception):
 
 
 class ParentLine:
-    """The line from a child process to its parent process.
-
-    Args:
-        incoming: requests of the parent process.
-        outgoing: messages to it.
-    """
+    """The line from a child process to its parent process."""
 
     def __init__(self, incoming: Connection, outgoing: Connection) -> None:
         self._incoming, self._outgoing = incoming, outgoing
@@ -114,12 +109,6 @@ class ChildProcess(Generic[Request, Answer]):
         self._ready: Message | None = None
         self._unanswered = False
 
-    @property
-    def pid(self) -> int:
-        """Number of the process."""
-        assert self._process.pid is not None  # it was started
-        return self._process.pid
-
     def wait_until_ready(self, timeout: float = START_TIMEOUT) -> Any:
         """Wait for READY and return its value; `timeout` in s.
 
@@ -156,10 +145,7 @@ class ChildProcess(Generic[Request, Answer]):
             raise ChildLostError(str(error)) from error
 
     def receive(self, timeout: float | None) -> Message:
-        """Wait for a message, once it is ready.
-
-        Args:
-            timeout: s; None waits until the process ends.
+        """Wait for a message, once it is ready; without a timeout, s, until the process ends.
 
         Raises:
             ChildLateError: no message within the timeout.

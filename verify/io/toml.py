@@ -23,6 +23,7 @@ S = TypeVar("S", bound=msgspec.Struct)
 
 _COMPLAINT = re.compile(r"^(?P<what>.*?)(, got .*?)?( - at `\$\.?(?P<key>.*)`)?$", re.DOTALL)
 _MISSING = re.compile(r"Object missing required field `(?P<field>.*)`")
+_UNKNOWN = re.compile(r"Object contains unknown field `(?P<field>.*)`")
 _WORDS = {  # msgspec names JSON's types; the user wrote TOML
     "float": "a number",
     "int": "a whole number",
@@ -43,10 +44,6 @@ def key_error(path: Path, key: str, found: str, expected: str, remedy: str = "")
 def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
     """Decode a TOML file into a struct that mirrors it.
 
-    Args:
-        path: the file.
-        kind: a struct whose fields are the keys that the format knows.
-
     Returns:
         The struct, and a warning for each key that it does not know.
 
@@ -65,7 +62,7 @@ def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
     try:
         decoded = msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
-        raise _reword(path, tree, str(error)) from error
+        raise _reword(path, tree, kind, str(error)) from error
     return decoded, tuple(_unknown_keys(path, tree, kind))
 
 
@@ -94,9 +91,9 @@ def one_of(path: Path, key: str, value: str, options: tuple[str, ...]) -> str:
     raise key_error(path, key, f'is "{value}"', expected, remedy)
 
 
-def did_you_mean(word: str, known: tuple[str, ...]) -> str:
+def did_you_mean(word: str, options: tuple[str, ...]) -> str:
     """Suggest the known word that comes nearest, as a sentence; empty where none comes near."""
-    near = difflib.get_close_matches(word, known, n=1)
+    near = difflib.get_close_matches(word, options, n=1)
     return f" Did you mean `{near[0]}`?" if near else ""
 
 
@@ -172,19 +169,33 @@ def leaves(value: object, key: str = "") -> Iterator[tuple[str, object]]:
         yield key, value
 
 
-def _reword(path: Path, tree: dict[str, Any], complaint: str) -> InputError:
+def _reword(
+    path: Path, tree: dict[str, Any], kind: type[msgspec.Struct], complaint: str
+) -> InputError:
     """Turn msgspec's message into key, what stands there and what is expected."""
     parts = _COMPLAINT.match(complaint)
     what, key = (parts["what"], parts["key"] or "") if parts else (complaint, "")
-    missing = _MISSING.match(what)
-    if missing:
-        inner = f"{key}.{missing['field']}" if key else missing["field"]
-        return key_error(path, inner, "is missing", "the format needs it", "Add it there.")
+    if named := _MISSING.match(what) or _UNKNOWN.match(what):
+        inner = f"{key}.{named['field']}" if key else named["field"]
+        if named.re is _MISSING:
+            return key_error(path, inner, "is missing", "the format needs it", "Add it there.")
+        hint = did_you_mean(named["field"], tuple(_all_keys(kind))).strip()
+        return key_error(path, inner, "is not known", "", hint or "Leave it out.")
     wanted = re.search(r"`(.*?)`", what)
-    kinds = [_WORDS.get(word, word) for word in wanted[1].split(" | ")] if wanted else []
-    expected = " or ".join(kind for kind in kinds if kind != "null")
-    expected = expected + what[wanted.end() :] if wanted else what
+    words = [_WORDS.get(word, word) for word in wanted[1].split(" | ")] if wanted else []
+    expected = " or ".join(word for word in words if word != "null") or "a known value"
+    expected += what[wanted.end() :] if wanted else ""
     return key_error(path, key, f"is {shorten(_value_at(tree, key))}", f"{expected} is expected")
+
+
+def _all_keys(kind: Any) -> Iterator[str]:
+    """Give every key of a struct and of the structs in its fields."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        for field in msgspec.structs.fields(kind):
+            yield field.encode_name
+            yield from _all_keys(field.type)
+    for part in get_args(kind):
+        yield from _all_keys(part)
 
 
 def _value_at(tree: Any, key: str) -> object:

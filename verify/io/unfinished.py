@@ -70,13 +70,7 @@ def ring_bytes(left: Shape, right: Shape, slots: int) -> int:
 
 
 class UnfinishedPairs:
-    """The file while it is written.
-
-    Args:
-        path: a new file.
-        left: shape of the left pictures, (h, w) or (h, w, 3).
-        right: of the right ones.
-        slots: how many pairs it holds.
+    """The file while it is written, for pictures of two shapes, (h, w) or (h, w, 3).
 
     Raises:
         OSError: the system refuses it.
@@ -93,11 +87,7 @@ class UnfinishedPairs:
         os.ftruncate(self._file, ring_bytes(left, right, slots))
 
     def put(self, number: int, pair: StereoPair) -> None:
-        """Write a pair into its number's slot, over the pair that was there.
-
-        Args:
-            number: of the pair in the session, from 0.
-            pair: its pictures have the ring's shapes.
+        """Write a pair into the slot of its number in the session, over the pair that was there.
 
         Raises:
             OSError: the system refuses it; the slot is empty then.
@@ -165,12 +155,7 @@ class _ExtendedImages(Images):
 def append_unfinished(
     folder: Path, frames: FrameSeries, sides: Sides
 ) -> tuple[FrameSeries, Sides, int]:
-    """Append the pairs of pending.raw to those of the videos.
-
-    Args:
-        folder: the session's; it may hold no pending.raw.
-        frames: the pairs that the videos hold, all of them whole.
-        sides: the videos.
+    """Append the pairs of pending.raw, where there is one, to those of the videos, all whole.
 
     Returns:
         Frames and sides with the others, and how many those are: as many as follow without a gap.

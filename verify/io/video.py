@@ -199,11 +199,6 @@ def decode_in_step(left: Images, right: Images, count: int) -> Generator[tuple[I
     In a process of one thread a few images of a side are decoded at once instead: code and tables
     of the decoder then stay in the processor's cache.
 
-    Args:
-        left: one side.
-        right: the other.
-        count: how many images of each.
-
     Raises:
         InputError: a side ends early or an image of it cannot be decoded.
     """
@@ -253,11 +248,6 @@ def _name(number: int) -> str:
 
 def decode_picture(file: Path, kind: str, remedy: str) -> Image:
     """Decode a picture file: (h, w) grey where the file is grey, else (h, w, 3) BGR.
-
-    Args:
-        file: of any format that OpenCV reads.
-        kind: its name in a refusal.
-        remedy: what to do about a damaged one.
 
     Raises:
         InputError: it cannot be read, is damaged, no picture, or deeper than 8 bits.

@@ -21,9 +21,7 @@ State = TypeVar("State")
 class PairQueue:
     """Pairs on their way to be measured; the oldest are lost, and counted, when it is full.
 
-    Args:
-        pairing: finds them.
-        size: how many may wait; with 1 only the newest is given out.
+    With a size of 1 only the newest is given out.
     """
 
     def __init__(self, pairing: Pairing, size: int = MAX_QUEUED_PAIRS) -> None:

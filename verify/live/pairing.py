@@ -1,7 +1,6 @@
 """Pair the pictures of two free-running cameras by time."""
 
 from collections import Counter, deque
-from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
@@ -59,8 +58,13 @@ class Pairing:
         """Time between two pictures of the slower camera, s."""
         if self._given is not None:
             return self._given
-        known = [_median_step(times) for times in self._times if len(times) > 2]
-        return max(known) if len(known) == 2 else DEFAULT_PERIOD
+        # plain numbers: both cameras wait for it
+        periods = [
+            median(later - earlier for earlier, later in pairwise(times))
+            for times in self._times
+            if len(times) > 2
+        ]
+        return max(periods) if len(periods) == 2 else DEFAULT_PERIOD
 
     @property
     def tolerance(self) -> float:
@@ -68,12 +72,7 @@ class Pairing:
         return (MAX_TIME_DIFFERENCE + TOL_JITTER) * self.period
 
     def add(self, side: int, frame: CameraFrame, arrived: float) -> FramePair | None:
-        """Take a picture of the left (0) or right (1) camera.
-
-        Args:
-            side: which camera.
-            frame: its picture.
-            arrived: s, host's monotonic clock, now.
+        """Take a picture of the left (0) or right (1) camera, arrived now (s, host's monotonic).
 
         Returns:
             The pair that it completes, if it does.
@@ -88,7 +87,9 @@ class Pairing:
         if partner is None:
             self._wait(side, frame)
             return None
-        self._leave_behind(self._waiting[side])
+        if own := self._waiting[side]:
+            self.dropped[NO_PARTNER] += len(own)
+            own.clear()
         self.paired += 1
         left, right = (frame, partner) if side == 0 else (partner, frame)
         return FramePair(left, right, arrived)
@@ -113,13 +114,3 @@ class Pairing:
         while len(queue) > MAX_WAITING:
             queue.popleft()
             self.dropped[OTHER_CAMERA_STALLED] += 1
-
-    def _leave_behind(self, queue: "deque[CameraFrame]") -> None:
-        if queue:
-            self.dropped[NO_PARTNER] += len(queue)
-            queue.clear()
-
-
-def _median_step(times: Iterable[float]) -> float:
-    """Median time from one picture to the next, s; plain numbers, as both cameras wait for it."""
-    return median(later - earlier for earlier, later in pairwise(times))

@@ -15,12 +15,7 @@ ORDER_PERIOD = 1.0  # s from one order to the next: a base that turns gives no p
 
 
 class PanFollower:
-    """Computes orders to the bases, which the thread that owns their line fetches.
-
-    Args:
-        rig: the cameras.
-        marker: the LEDs.
-    """
+    """Computes orders to the bases, which the thread that owns their line fetches."""
 
     def __init__(self, rig: Rig, marker: Marker) -> None:
         self._rig = rig

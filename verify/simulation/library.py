@@ -1,21 +1,13 @@
 """Scenario files: the built-in ones by name, any other by path; decoded strictly."""
 
 import difflib
-import math
-import re
 from pathlib import Path
 
 import msgspec
 
 from verify.errors import InputError
 from verify.io import toml
-from verify.simulation.scenario import (
-    BoardScenario,
-    BoardScenarioTable,
-    Scenario,
-    ScenarioCamera,
-    ScenarioTable,
-)
+from verify.simulation.scenario import BoardScenario, Scenario
 
 FOLDER = Path(__file__).with_name("scenarios")
 ROBOT_FILES = {".toml", ".urdf"}  # what robots.load takes for a file; else it is a name
@@ -50,39 +42,14 @@ def load(name_or_path: str) -> Scenario | BoardScenario:
             f'did you mean "{close[0]}"?' if close else "",
             f"Known: {', '.join(built_in)}. Or give the path of a scenario file.",
         )
-    tree = toml.parse(path)
-    for key, value in toml.leaves(tree):
-        if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(path, f"{key} is {value}", "a finite number is needed")
-    kind: type[Scenario] | type[BoardScenario] = BoardScenario if "boards" in tree else Scenario
+    boards = "boards" in toml.parse(path)
+    kind: type[Scenario] | type[BoardScenario] = BoardScenario if boards else Scenario
     try:
-        scenario = msgspec.convert(tree, kind)
-    except msgspec.ValidationError as error:
-        remedy = _suggestion(str(error), kind)
-        raise InputError(path, _reword(str(error)), remedy=remedy) from None
+        scenario, _ = toml.decode(path, kind)
+    except InputError as error:
+        example = "boards_turning" if boards else "example"
+        remedy = f"{error.remedy} The scenario {example}.toml shows every key."
+        raise InputError(error.place, error.found, error.expected, remedy) from error
     if isinstance(scenario, Scenario) and Path(scenario.robot).suffix in ROBOT_FILES:
         return msgspec.structs.replace(scenario, robot=str(path.parent / scenario.robot))
     return scenario
-
-
-def _reword(message: str) -> str:
-    """Word a msgspec complaint in the file's terms: key path first."""
-    what, _, where = message.partition(" - at `$")
-    where = where.rstrip("`").lstrip(".")
-    what = what.replace("Object contains unknown field", "unknown key").replace("Object", "table")
-    return f"{where}: {what}" if where else what
-
-
-def _suggestion(message: str, kind: type[Scenario] | type[BoardScenario]) -> str:
-    """Name the known key that is closest to a misspelt one."""
-    misspelt = re.search(r"unknown field `(.*?)`", message)
-    if not misspelt:
-        return ""
-    tables, example = ScenarioTable.__subclasses__(), "example"
-    if kind is BoardScenario:
-        tables = [*BoardScenarioTable.__subclasses__(), ScenarioCamera]
-        example = "boards_turning"
-    keys = sorted({field for table in tables for field in table.__struct_fields__} | {"kind"})
-    close = difflib.get_close_matches(misspelt[1], keys, n=1)
-    start = f'Did you mean "{close[0]}"? ' if close else ""
-    return f"{start}The scenario {example}.toml shows every key."

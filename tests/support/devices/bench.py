@@ -3,6 +3,9 @@
 An emulated device on a real port, and the real driver reading it.
 """
 
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -110,6 +113,17 @@ def running(
         server.close()
 
 
+@contextmanager
+def emulate_command(*words: str) -> Iterator[str]:
+    """Have `verify emulate` run until Ctrl-C, at the end of the block; yields its address."""
+    command = "import typer; from verify.cli.emulate import emulate; typer.run(emulate)"
+    start = [sys.executable, "-c", command, *words]
+    with subprocess.Popen(start, stdout=subprocess.PIPE, text=True) as process:
+        yield process.stdout.readline().split(" at ")[1].split(";")[0]
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=10)
+
+
 def gather(device: Device[R], until: Callable[[list[R]], bool], limit: float = 10.0) -> list[R]:
     """Read until satisfied; fails if that takes too long, or one call does."""
     readings: list[R] = []
@@ -135,7 +149,7 @@ class Ramp:
     def __init__(self, joints: int = 6) -> None:
         self._home = 0.3 * np.arange(joints) - 0.7
 
-    def at(self, t: float) -> Array:
+    def __call__(self, t: float) -> Array:
         return self._home + self.SPEED * t
 
     def time(self, q: Array) -> float:

@@ -49,7 +49,7 @@ class Followed:
         self._scene = SimulatedStation(SimSettings(SCENARIO), _clock(began)).scene
         self.start = began
 
-    def at(self, t: float) -> Array:
+    def __call__(self, t: float) -> Array:
         """Joint angles, (joints,), rad, at t seconds after the emulator's start."""
         q: Array = self._scene.joints(np.array([self.start + t]))[0]
         return q

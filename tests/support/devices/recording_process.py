@@ -9,8 +9,10 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.testing import assert_array_equal
 
 from tests.support.recorded import HEIGHT, MARKER, RIG, WIDTH
 from verify.devices.protocols import CapturedPair, EncoderReading
@@ -32,6 +34,14 @@ def pair(number: int, t: float) -> CapturedPair:
 def reading(t: float, segment: int = 0) -> EncoderReading:
     """A reading whose angles tell its time."""
     return EncoderReading(t, t, 0.001, segment, 0.1 * np.arange(6) + t * 1e-3)
+
+
+def assert_recorded(session: Any, pairs: list[CapturedPair]) -> None:
+    """A session holds these pairs and no others."""
+    assert len(session) == len(pairs)
+    for before, after in zip(pairs, session.pairs(), strict=True):
+        for name in ("frame", "t_left", "t_right", "left", "right"):
+            assert_array_equal(getattr(after, name), getattr(before, name))
 
 
 def of_noise(folder: Path, rate: float) -> None:

@@ -32,7 +32,7 @@ import sys
 from tests.verify.core.test_processes import sleeping
 if __name__ == "__main__":
     child = sleeping()
-    print(child.pid, flush=True)
+    print(child._process.pid, flush=True)
     sys.stdin.read()
 """
 
@@ -79,11 +79,11 @@ def test_requests_are_answered_and_a_failure_costs_only_its_own_request(
 
 def test_a_late_answer_is_not_taken_for_the_next_one(roots: ChildProcess[float, float]) -> None:
     roots.wait_until_ready(LIMIT)
-    os.kill(roots.pid, signal.SIGSTOP)
+    os.kill(roots._process.pid, signal.SIGSTOP)
     for number in (4.0, 9.0):
         with pytest.raises(ChildLateError, match="no answer within"):
             roots.ask(number, 0.01)
-    os.kill(roots.pid, signal.SIGCONT)
+    os.kill(roots._process.pid, signal.SIGCONT)
     assert wait_for_any([roots]) == [roots]
     assert roots.answered()
     assert roots.ask(16.0, LIMIT) == 4.0
@@ -91,7 +91,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one(roots: ChildProcess[float, 
 
 def test_a_child_process_that_is_killed_or_cannot_start_is_lost() -> None:
     child = sleeping()
-    os.kill(child.pid, signal.SIGKILL)
+    os.kill(child._process.pid, signal.SIGKILL)
     with pytest.raises(ChildLostError, match="ended"):
         child.receive(LIMIT)
     child.stop()
@@ -112,7 +112,7 @@ def test_messages_before_it_is_ready_are_kept() -> None:
 def test_stopping_terminates_what_does_not_end_by_itself() -> None:
     child = sleeping()
     child.stop(0.1)
-    assert not running(child.pid)
+    assert not running(child._process.pid)
 
 
 def running(pid: int) -> bool:
@@ -148,7 +148,6 @@ def test_a_child_process_ends_with_the_process_that_started_it() -> None:
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as parent:
-        assert parent.stdout is not None
         child = int(parent.stdout.readline())
         parent.kill()
     end = time.monotonic() + LIMIT

@@ -1,6 +1,5 @@
 """"""
 
-import tomllib
 from pathlib import Path
 
 import cv2
@@ -10,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from tests.support.recorded import MARKER, replace, require_shared
+from tests.support.recorded import MARKER, replace
 from tests.support.strategies import assert_same, every_disk, finite, positive, texts
 from verify.core import fiducials as core_fiducials
 from verify.core.fiducials import COLOURS, Board, Marker
@@ -124,16 +123,6 @@ def test_a_wrong_marker_is_refused_by_its_key(path: Path, old: str, new: str, me
     assert message in str(caught.value)
 
 
-@pytest.mark.shared
-def test_the_recorded_markers_hold_the_values_of_their_files() -> None:
-    for path in sorted(require_shared().glob("*/marker.toml")):
-        marker, warnings = fiducials.read_marker(path)
-        leds = tomllib.loads(path.read_text())["led"]
-        assert warnings == ()
-        assert marker.names == tuple(led["name"] for led in leds)
-        assert_allclose(marker.leds * 1000, [led["position_mm"] for led in leds])
-
-
 PLAIN = "format = 1\ninner_corners = [9, 7]\nsquare_mm = 40.0\n"
 CHARUCO = PLAIN + 'markers = "DICT_5X5_100"\nmarker_mm = 30.0\n'
 
@@ -240,10 +229,3 @@ def test_the_corners_come_in_the_order_of_opencvs_charuco_board(board_path: Path
     assert_allclose(drawn.getChessboardCorners() - [0.04, 0.04, 0.0], board.points, atol=1e-8)
     assert len(drawn.getIds()) == core_fiducials.count_white_squares(board)
     assert isinstance(drawn, cv2.aruco.CharucoBoard)
-
-
-@pytest.mark.shared
-def test_the_recorded_board_is_read() -> None:
-    board, warnings = fiducials.read_board(require_shared() / "calibration_boards" / "board.toml")
-    assert warnings == ()
-    assert (board.columns, board.rows, board.square) == (9, 7, 0.04)

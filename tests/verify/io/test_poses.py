@@ -25,7 +25,6 @@ def test_millimetres_and_scalar_first_quaternions_are_read(tmp_path: Path) -> No
     assert poses.t.tolist() == [0.0, 0.1]
     np.testing.assert_allclose(poses.position, [[0.1, -0.2, 0.3005], [0.101, -0.201, 0.3015]])
     # 120° about (1, 1, 1): x goes to y, y to z, z to x
-    assert poses.rotation is not None
     cycle = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     np.testing.assert_allclose(poses.rotation[0], np.eye(3), atol=1e-15)
     np.testing.assert_allclose(poses.rotation[1], cycle, atol=1e-15)
@@ -38,13 +37,11 @@ def test_columns_stand_in_any_order(tmp_path: Path) -> None:
     poses, _ = io_poses.read(write(tmp_path, "0.6,0,0,0.8,hello,2.5,3,2,1", header=header))
     np.testing.assert_allclose(poses.position, [[1e-3, 2e-3, 3e-3]])
     turn = Rotation.from_rotvec([2 * np.arcsin(0.6), 0, 0]).as_matrix()
-    assert poses.rotation is not None
     np.testing.assert_allclose(poses.rotation, [turn], atol=1e-15)
 
 
 def test_a_quaternion_and_its_negative_are_one_turn(tmp_path: Path) -> None:
     poses, _ = io_poses.read(write(tmp_path, "0,1,2,3,0.8,0.6,0,0", "1,1,2,3,-0.8,-0.6,-0.0,-0.0"))
-    assert poses.rotation is not None
     np.testing.assert_allclose(poses.rotation[0], poses.rotation[1], atol=1e-15)
 
 
@@ -57,8 +54,6 @@ def test_positions_alone_are_enough(tmp_path: Path) -> None:
 def test_stated_uncertainties_are_read(tmp_path: Path) -> None:
     header = f"{HEADER},x_u_mm,y_u_mm,z_u_mm,rx_u_deg,ry_u_deg,rz_u_deg"
     poses, _ = io_poses.read(write(tmp_path, f"{ROWS[0]},0.01,0.02,0.03,1,2,3", header=header))
-    assert poses.position_uncertainty is not None
-    assert poses.orientation_uncertainty is not None
     np.testing.assert_allclose(poses.position_uncertainty, [[1e-5, 2e-5, 3e-5]])
     np.testing.assert_allclose(poses.orientation_uncertainty, np.deg2rad([[1.0, 2.0, 3.0]]))
 

@@ -5,12 +5,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from numpy.testing import assert_array_equal
 
-from tests.support.devices.recording_process import FACTS, pair, reading
+from tests.support.devices.recording_process import FACTS, assert_recorded, pair, reading
 from verify.devices.protocols import CapturedPair
 from verify.errors import InputError
-from verify.io.session.session import Session, open_session
+from verify.io.session.session import open_session
 from verify.io.unfinished import NAME
 from verify.live.recording.session import MAX_UNENCODED_PAIRS, SessionWriter
 
@@ -31,18 +30,6 @@ def cut_off(folder: Path, encoded: int, aside: int) -> list[CapturedPair]:
     return pairs
 
 
-def same(session: Session, pairs: list[CapturedPair]) -> None:
-    assert len(session) == len(pairs)
-    for before, after in zip(pairs, session.pairs(), strict=True):
-        assert (before.frame, before.t_left, before.t_right) == (
-            after.frame,
-            after.t_left,
-            after.t_right,
-        )
-        assert_array_equal(after.left, before.left)
-        assert_array_equal(after.right, before.right)
-
-
 @pytest.mark.parametrize(
     ("encoded", "aside"),
     [(1, 3), (MAX_UNENCODED_PAIRS + 5, MAX_UNENCODED_PAIRS), (2 * MAX_UNENCODED_PAIRS, 0)],
@@ -55,8 +42,8 @@ def test_pairs_that_were_set_aside_are_found_when_the_recording_was_cut_off(
     assert session.open
     assert (f"{aside} pairs in {NAME}" in session.warnings[-1]) == bool(aside)
     assert NAME in session.inputs
-    same(session, pairs)
-    same(session, pairs)  # a second time: nothing was used up
+    assert_recorded(session, pairs)
+    assert_recorded(session, pairs)  # a second time: nothing was used up
 
 
 def test_a_pair_that_was_being_set_aside_is_left_out(tmp_path: Path) -> None:
@@ -66,7 +53,7 @@ def test_a_pair_that_was_being_set_aside_is_left_out(tmp_path: Path) -> None:
     with ring.open("r+b") as file:  # the number of the last one is not there yet
         file.seek(4096 + 4 * size)
         file.write((-1).to_bytes(8, "little", signed=True))
-    same(open_session(tmp_path / "session"), pairs[:4])
+    assert_recorded(open_session(tmp_path / "session"), pairs[:4])
 
 
 def test_a_ring_that_was_copied_in_part_gives_what_it_has(tmp_path: Path) -> None:
@@ -74,7 +61,7 @@ def test_a_ring_that_was_copied_in_part_gives_what_it_has(tmp_path: Path) -> Non
     ring = tmp_path / "session" / NAME
     size = (ring.stat().st_size - 4096) // MAX_UNENCODED_PAIRS
     os.truncate(ring, 4096 + 4 * size - 1)
-    same(open_session(tmp_path / "session"), pairs[:3])
+    assert_recorded(open_session(tmp_path / "session"), pairs[:3])
 
 
 def test_another_file_of_that_name_is_refused(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from tests.support.beside import shared
-from tests.support.recorded import images, require_shared, write_folder, write_video
+from tests.support.recorded import images, write_folder, write_video
 from verify.core.records import Image
 from verify.errors import InputError
 from verify.io.video import decode_in_step, ffv1_intact, open_images, png_intact
@@ -53,11 +53,6 @@ def test_images_come_back_bit_by_bit_and_in_their_own_kind(
     stream = open_images(tmp_path / "left.mkv")
     assert stream.count() == stream.count(torn=True) == 10
     assert_array_equal(list(stream.images()), written)
-
-
-def test_a_stream_can_be_read_again(path: Path) -> None:
-    stream = open_images(path)
-    assert_array_equal(list(stream.images()), list(stream.images()))
 
 
 @pytest.mark.usefixtures("processors")
@@ -164,12 +159,9 @@ def test_other_files_in_a_folder_of_images_are_left_alone(tmp_path: Path) -> Non
     (tmp_path / "left" / "Thumbs.db").write_bytes(b"x")
     (tmp_path / "left" / "notes.png").write_bytes(b"x")
     assert open_images(tmp_path / "left").count() == 3
-
-
-def test_a_folder_without_images_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "left").mkdir()
-    with pytest.raises(InputError, match=r"left: has no 000000.png; it holds 0 numbered images\."):
-        open_images(tmp_path / "left").count()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"empty: has no 000000.png; it holds 0 numbered images\."):
+        open_images(tmp_path / "empty").count()
 
 
 def test_more_than_eight_bits_are_refused_not_squeezed(tmp_path: Path) -> None:
@@ -249,11 +241,3 @@ def test_a_cut_picture_is_not_whole(packet: bytes) -> None:
     assert not any(ffv1_intact(packet[start:]) for start in range(1, 40))
     assert not ffv1_intact(b"abc" + packet)
     assert not any(png_intact(PNG[:length]) for length in range(len(PNG)))
-
-
-@pytest.mark.shared
-def test_every_picture_of_the_recorded_sessions_is_intact() -> None:
-    videos = sorted(require_shared().glob("*/*.mkv"))
-    assert videos
-    for video in videos:
-        assert all(ffv1_intact(packet) for packet in packets(video))

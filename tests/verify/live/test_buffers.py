@@ -17,7 +17,6 @@ def test_it_holds_what_a_list_would() -> None:
         if number % 101 == 0:
             begin = int(rng.integers(0, len(kept)))
             copied = store.copied(begin)
-            assert copied is not None
             assert copied.t.tolist() == [t for t, _ in kept[begin:]]
             np.testing.assert_array_equal(copied.q, [q for _, q in kept[begin:]])
     assert store.copied(len(kept)) is None
@@ -29,7 +28,6 @@ def test_what_was_copied_stays_as_it_was() -> None:
     copied = store.copied(0)
     store.clear()
     store.add(2.0, np.zeros(6))
-    assert copied is not None
     assert copied.t.tolist() == [1.0]
     assert copied.q.tolist() == [[1.0] * 6]
     assert store.t.tolist() == pytest.approx([2.0])

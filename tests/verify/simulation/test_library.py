@@ -31,12 +31,6 @@ def test_every_built_in_scenario_plays(name: str) -> None:
     assert len(session) > 0
 
 
-def test_a_minimal_scenario_is_enough(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text(MINIMAL)
-    assert len(simulate_session(library.load(str(path)))) == 3
-
-
 def test_the_example_shows_every_key() -> None:
     text = (Path(library.__file__).parent / "scenarios" / "example.toml").read_text()
     for table in (Scenario, *ScenarioTable.__subclasses__()):
@@ -50,7 +44,7 @@ def test_the_example_shows_every_key() -> None:
         ("seed = 1", "sed = 1", ["sed", "seed"]),
         ("rate_hz = 10.0", "rate = 10.0", ["recording", "rate", "rate_hz"]),
         ("rate_hz = 10.0", "rate_hz = -1.0", ["recording.rate_hz", "> 0"]),
-        ("rate_hz = 10.0", 'rate_hz = "fast"', ["recording.rate_hz", "float"]),
+        ("rate_hz = 10.0", 'rate_hz = "fast"', ["recording.rate_hz", "a number is expected"]),
         ("rate_hz = 10.0", "rate_hz = inf", ["recording.rate_hz", "finite"]),
         ("pairs = 3", "pairs = 0", ["recording.pairs", ">= 1"]),
         ('kind = "multi_joint"', 'kind = "dance"', ["motion", "dance"]),

@@ -19,11 +19,17 @@ POSE_FRAMES = ("robot_base", "instrument", "rig")  # that an instrument's poses 
 PICTURE_KEYS = ("left", "right", "frames", "marker")  # keys that [poses] replaces
 
 
-class ClockTable(msgspec.Struct, kw_only=True):
-    """The keys of [clock]."""
+CLOCK_KEYS = {
+    "encoder_offset": "encoder_offset_s",
+    "standard_uncertainty": "encoder_offset_standard_uncertainty_s",
+}
 
-    encoder_offset_s: float
-    encoder_offset_standard_uncertainty_s: float | None = None
+
+class Clock(msgspec.Struct, frozen=True, rename=CLOCK_KEYS):
+    """[clock]: the given offset between the controller's clock and the cameras'."""
+
+    encoder_offset: float  # s, added to an encoder's time gives the cameras' clock
+    standard_uncertainty: float | None = None  # s
 
 
 class ReadingsTable(msgspec.Struct, kw_only=True):
@@ -54,12 +60,12 @@ class RobotFramesTable(msgspec.Struct, kw_only=True):
     tip: str | None = None
 
 
-class IntervalTable(msgspec.Struct, kw_only=True):
-    """The keys of [[pose]] and of [[path]]."""
+class TimeInterval(msgspec.Struct, frozen=True, rename={"start": "t_start_s", "end": "t_end_s"}):
+    """[[pose]] and [[path]]: a visit of a pose, a passage of a path."""
 
     name: str
-    t_start_s: float
-    t_end_s: float
+    start: float  # s, cameras' clock
+    end: float
 
 
 class PosesTable(msgspec.Struct, kw_only=True):
@@ -85,13 +91,13 @@ class RunTable(msgspec.Struct, kw_only=True):
     started: datetime | None = None
     recording: str = "closed"
     encoders: str
-    clock: ClockTable | None = None
+    clock: Clock | None = None
     encoder_readings: ReadingsTable = msgspec.field(default_factory=ReadingsTable)
     tolerance: ToleranceTable | None = None
     environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
     robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
-    pose: list[IntervalTable] = []
-    path: list[IntervalTable] = []
+    pose: list[TimeInterval] = []
+    path: list[TimeInterval] = []
 
 
 class RecordingTable(RunTable, kw_only=True):
@@ -129,19 +135,11 @@ class _HoldsTable(msgspec.Struct, kw_only=True):
 
 
 class _IntervalsTable(msgspec.Struct, kw_only=True):
-    pose: list[IntervalTable] = []
-    path: list[IntervalTable] = []
+    pose: list[TimeInterval] = []
+    path: list[TimeInterval] = []
 
 
 T = TypeVar("T", bound=RunTable)
-
-
-@dataclass(frozen=True, slots=True)
-class Clock:
-    """The given offset between the controller's clock and the cameras'."""
-
-    encoder_offset: float  # s, added to an encoder's time gives the cameras' clock
-    standard_uncertainty: float | None  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,21 +151,8 @@ class Tolerance:
     orientation: float | None  # rad
 
 
-@dataclass(frozen=True, slots=True)
-class TimeInterval:
-    """A named interval of session.toml: a visit of a pose, a passage of a path."""
-
-    name: str
-    start: float  # s, cameras' clock
-    end: float
-
-
 def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
     """Read session.toml and check what needs no other file.
-
-    Args:
-        path: the file.
-        kind: `SessionTable`, `RecordingTable` or `PosesSessionTable`.
 
     Returns:
         Its keys, and a warning for each that the format does not know.
@@ -177,9 +162,7 @@ def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
     """
     table, warnings = decode(path, kind)
     one_of(path, "recording", table.recording, RECORDING_STATES)
-    if table.clock is not None:
-        key = "encoder_offset_standard_uncertainty_s"
-        not_negative(path, f"clock.{key}", table.clock.encoder_offset_standard_uncertainty_s)
+    check_clock(path, table.clock)
     for key in ("resolution_deg", "time_standard_uncertainty_s"):
         not_negative(path, f"encoder_readings.{key}", getattr(table.encoder_readings, key))
     for key, intervals in (("pose", table.pose), ("path", table.path)):
@@ -188,12 +171,23 @@ def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
     return table, warnings
 
 
-def _check_interval(path: Path, key: str, interval: IntervalTable) -> None:
+def check_clock(path: Path, clock: Clock | None) -> None:
+    """Refuse a negative uncertainty of [clock].
+
+    Raises:
+        InputError: names the key.
+    """
+    if clock is not None:
+        key = CLOCK_KEYS["standard_uncertainty"]
+        not_negative(path, f"clock.{key}", clock.standard_uncertainty)
+
+
+def _check_interval(path: Path, key: str, interval: TimeInterval) -> None:
     if not interval.name.strip():
         raise key_error(path, f"{key}.name", "is empty", "a name is expected")
-    if interval.t_end_s <= interval.t_start_s:
-        expected = f"a time after t_start_s, {interval.t_start_s}, is expected"
-        raise key_error(path, f"{key}.t_end_s", f"is {interval.t_end_s}", expected)
+    if interval.end <= interval.start:
+        expected = f"a time after t_start_s, {interval.start}, is expected"
+        raise key_error(path, f"{key}.t_end_s", f"is {interval.end}", expected)
 
 
 def has_poses(path: Path) -> bool:
@@ -212,11 +206,7 @@ def read_stretches(path: Path) -> tuple[tuple[TimeInterval, ...], tuple[TimeInte
         InputError: it cannot be read.
     """
     table = decode(path, _IntervalsTable)[0]
-    poses, paths = (
-        tuple(TimeInterval(one.name, one.t_start_s, one.t_end_s) for one in named)
-        for named in (table.pose, table.path)
-    )
-    return poses, paths
+    return tuple(table.pose), tuple(table.path)
 
 
 def read_poses(path: Path) -> tuple[PosesSessionTable, tuple[str, ...]]:
@@ -256,13 +246,6 @@ def _check_frame(path: Path, table: PosesSessionTable) -> None:
     if table.covariance is not None and frame == "rig":
         expected = "that of rig.toml counts"
         raise key_error(path, "covariance", "is given", expected, "Leave it out.")
-
-
-def clock(table: ClockTable | None) -> Clock | None:
-    """Convert [clock]; None means: the offset is estimated from the motion."""
-    if table is None:
-        return None
-    return Clock(table.encoder_offset_s, table.encoder_offset_standard_uncertainty_s)
 
 
 def tolerance(path: Path, table: ToleranceTable | None, joints: int) -> Tolerance | None:

@@ -103,9 +103,6 @@ class Session(Recording):
 def open_session(folder: str | Path) -> Session:
     """Open a session's folder and check all of it but the images' content.
 
-    Args:
-        folder: holds session.toml and what that names: pictures, or an instrument's poses.
-
     Returns:
         The session. Its warnings name unknown keys, a recording that was cut off, and facts that
         do not fit together.

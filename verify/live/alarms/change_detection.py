@@ -37,12 +37,7 @@ def run_length(h: float) -> float:
 
 
 class Cusum:
-    """The sums of all joints.
-
-    Args:
-        joints: how many.
-        limit: `alarm_threshold`.
-    """
+    """The sums of all joints."""
 
     def __init__(self, joints: int, limit: float) -> None:
         self.limit = limit
@@ -98,11 +93,6 @@ class ChangeAttribution:
 
 def attribute_change(innovations: InnovationFilter, joints: int, pairs: int) -> ChangeAttribution:
     """Suppose each joint in turn to have changed some pairs ago, and compare.
-
-    Args:
-        innovations: what the pairs brought.
-        joints: how many the arm has.
-        pairs: since the change began.
 
     Returns:
         The change that explains those pairs best.

@@ -22,12 +22,9 @@ from verify.live.joint_row import Evidence
 
 SYSTEMATIC_TIME = 600.0  # s in which what is stated may wander: temperature, a base that creeps
 CLOCK_TIME = 10.0  # s, likewise the clock's error: it is estimated anew every few seconds
-U_FAULTY_JOINT = math.radians(
-    5.0
-)  # rad, standard: a joint that is known to be at fault may read so far off
-FAULT_RANDOM_WALK = math.radians(
-    0.02
-)  # rad a root second: what ails a named joint need not be constant
+# rad, standard: a joint that is known to be at fault may read so far off
+U_FAULTY_JOINT = math.radians(5.0)
+FAULT_RANDOM_WALK = math.radians(0.02)  # rad a root second: a joint's fault need not be constant
 ALIGNMENT_TIME = 0.5  # s for which an arm keeps accelerating one way, give or take
 # m, rad, standard: what lens model, DH table and spot shape leave beside all that is stated, as the
 # arm moves; a change far below it, 0.003°, say, is found in any model by whoever looks long enough
@@ -69,9 +66,6 @@ class InnovationFilter:
     The state is the prior's coefficients (unit variance each), the clock's error, the errors of
     joints that an alarm has named (those are no news any more), and what alignment and the model
     leave.
-
-    Args:
-        joints: how many the arm has.
     """
 
     def __init__(self, joints: int) -> None:
@@ -178,13 +172,13 @@ class InnovationFilter:
         )
         lower = np.linalg.cholesky(evidence.noise)
         noise = (lower * self._factors) @ lower.T
-        seen = design @ self._p
+        cross = design @ self._p
         new = evidence.xi - design @ self._x
-        white = np.linalg.cholesky(seen @ design.T + noise)
+        white = np.linalg.cholesky(cross @ design.T + noise)
         whiten = np.linalg.inv(white)
         residual: Array = whiten @ new
         joints: Array = whiten @ evidence.jacobian
-        learned = whiten @ seen
+        learned = whiten @ cross
         self._x = self._x + residual @ learned
         self._p = self._p - learned.T @ learned
         by_noise = np.asarray(np.linalg.solve(lower, new), dtype=np.float64)

@@ -56,23 +56,23 @@ class ToleranceWatch:
         self._random = np.zeros(self._joints)  # variance of the mean from what varies
         self._systematic = np.zeros(self._joints)
         self._t: float | None = None
-        self._seen = 0.0
+        self._duration = 0.0
 
     def take(self, row: JointRow, inflation: float, now: float) -> list[Alarm]:
         """Watch one row; alarms that are new or have ended."""
         elapsed = 1 / self._rate if self._t is None else row.t - self._t
         self._t = row.t
-        self._seen += elapsed
+        self._duration += elapsed
         self._average(row, 1.0 - math.exp(-elapsed / AVERAGING_TIME), inflation)
-        if self._seen < SETTLING_RATIO * AVERAGING_TIME:
+        if self._duration < SETTLING_RATIO * AVERAGING_TIME:
             return []
         mean = np.divide(
             self._mean, self._weight, out=np.zeros(self._joints), where=self._weight > 0
         )
-        known = self._weight > 0.5  # most of the average is of this joint
+        determined = self._weight > 0.5  # most of the average is of this joint
         doubt = np.sqrt(self._random / np.maximum(self._weight, 1e-9) ** 2 + self._systematic)
         alarms = []
-        for j in np.flatnonzero(known).tolist():
+        for j in np.flatnonzero(determined).tolist():
             over = abs(mean[j]) - self.guard * doubt[j] > self._tolerance[j]
             back = abs(mean[j]) < RESET_RATIO * self._tolerance[j]
             if over and j not in self._standing:
@@ -83,20 +83,20 @@ class ToleranceWatch:
         return alarms
 
     def _average(self, row: JointRow, share: float, inflation: float) -> None:
-        told = ~np.isnan(row.single) & ~np.isnan(row.uncertainty)
+        valid = ~np.isnan(row.single) & ~np.isnan(row.uncertainty)
         evidence = row.evidence
         if evidence is None:
             return
         inverse = np.linalg.pinv(evidence.jacobian, rcond=1e-9)
         spread = evidence.noise + evidence.alignment
         random = np.einsum("ij,jk,ik->i", inverse, spread, inverse) * inflation
-        whole = np.where(told, np.nan_to_num(row.uncertainty) ** 2, 0.0)
+        whole = np.where(valid, np.nan_to_num(row.uncertainty) ** 2, 0.0)
         systematic = np.maximum(whole - random / inflation, 0.0)
         keep = 1.0 - share
-        self._mean = keep * self._mean + share * np.where(told, np.nan_to_num(row.single), 0.0)
-        self._weight = keep * self._weight + share * told
-        self._random = keep**2 * self._random + share**2 * np.where(told, random, 0.0)
-        self._systematic = np.where(told, systematic, self._systematic)
+        self._mean = keep * self._mean + share * np.where(valid, np.nan_to_num(row.single), 0.0)
+        self._weight = keep * self._weight + share * valid
+        self._random = keep**2 * self._random + share**2 * np.where(valid, random, 0.0)
+        self._systematic = np.where(valid, systematic, self._systematic)
 
     def _raised(self, j: int, mean: float, doubt: float, row: JointRow, now: float) -> Alarm:
         text = (
@@ -123,13 +123,7 @@ class AlarmLimits:
 
 
 class JointAlarms:
-    """Watches the joints' errors, pair by pair.
-
-    Args:
-        joints: how many.
-        limits: when to raise an alarm.
-        numbers: where alarms get their numbers from.
-    """
+    """Watches the joints' errors, pair by pair."""
 
     def __init__(self, joints: int, limits: AlarmLimits, numbers: "itertools.count[int]") -> None:
         self._limits, self._numbers = limits, numbers
@@ -138,7 +132,7 @@ class JointAlarms:
         share = limits.false_alarms_per_hour / (1 if limits.tolerance is None else 2)
         self._cusum = Cusum(joints, alarm_threshold(share, limits.rate, joints))
         self._joints = joints
-        self._told: ChangeAttribution | None = None
+        self._change: ChangeAttribution | None = None
         self._alarm: Alarm | None = None
         self._from_start = False
         self._followed = self._begun = 0
@@ -157,11 +151,7 @@ class JointAlarms:
         return share
 
     def take(self, row: JointRow, now: float) -> list[Alarm]:
-        """Watch one row.
-
-        Args:
-            row: the pair's outcome.
-            now: s since the epoch.
+        """Watch one row at `now`, s since the epoch.
 
         Returns:
             Alarms that are new, revised, or ended with it.
@@ -181,7 +171,7 @@ class JointAlarms:
 
     def _changes(self, row: JointRow, now: float) -> list[Alarm]:
         """A change that is new; once more when the pairs that follow tell more; then done."""
-        if self._told is None:
+        if self._change is None:
             if not self._cusum.exceeded:
                 return []
             self._from_start = self._cusum.count - self._cusum.begun < MAX_ONSET_PAIRS
@@ -191,11 +181,11 @@ class JointAlarms:
         self._begun += 1
         if self._followed not in REVIEW_PAIRS:
             return []
-        before = self._told
+        before = self._change
         alarm = self._tell(row, now)
         last = self._followed == REVIEW_PAIRS[-1]
         if last:
-            change = self._told
+            change = self._change
             self._innovations.accept((change.joint, *change.rivals), change.pairs)
             self._restart()
         named_anew = alarm.joints != tuple(j + 1 for j in (before.joint, *before.rivals))
@@ -203,12 +193,12 @@ class JointAlarms:
 
     def _restart(self) -> None:
         self._cusum.restart()
-        self._told, self._alarm = None, None
+        self._change, self._alarm = None, None
         self._followed = self._begun = 0
 
     def _tell(self, row: JointRow, now: float) -> Alarm:
-        self._told = attribute_change(self._innovations, self._joints, self._begun)
-        self._alarm = self._worded(self._told, row, now)
+        self._change = attribute_change(self._innovations, self._joints, self._begun)
+        self._alarm = self._worded(self._change, row, now)
         return self._alarm
 
     def _begin_anew_after_a_break(self, row: JointRow) -> None:

@@ -10,28 +10,23 @@ from verify.live.protocols import Alarm
 
 
 class TargetWatch:
-    """Raises an alarm when no pair was measured for a while, and says why.
-
-    Args:
-        lost_after: s.
-        numbers: where alarms get their numbers from.
-    """
+    """Raises an alarm when no pair was measured for `lost_after` s, and says why."""
 
     def __init__(self, lost_after: float, numbers: "itertools.count[int]") -> None:
-        self._after, self._numbers, self._seen = lost_after, numbers, math.inf
+        self._after, self._numbers, self._measured_at = lost_after, numbers, math.inf
         self._why: Counter[str] = Counter()
         self._standing: Alarm | None = None
 
     def begin(self, t: float) -> None:
         """Begin to watch at t, s, host's monotonic clock."""
-        self._seen = t
+        self._measured_at = t
 
     def take(self, row: JointRow, t: float, now: float) -> list[Alarm]:
         """Watch one row; t is the host's monotonic clock, now s since the epoch."""
         if row.status != "measured":
             self._why[row.status] += 1
             return self.look(t, now)
-        self._seen = t
+        self._measured_at = t
         self._why.clear()
         if self._standing is None:
             return []
@@ -40,10 +35,10 @@ class TargetWatch:
 
     def look(self, t: float, now: float) -> list[Alarm]:
         """Look without a row: where no pairs come there is no target either."""
-        if self._standing is not None or t - self._seen <= self._after:
+        if self._standing is not None or t - self._measured_at <= self._after:
             return []
         why = STATUS_TEXTS.get(self._why.most_common(1)[0][0], "") if self._why else "no pairs come"
-        spent = f"{t - self._seen:.1f} s"
+        spent = f"{t - self._measured_at:.1f} s"
         text = f"The robot has not been compared with its encoders for {spent}: {why}."
         self._standing = Alarm(next(self._numbers), "target", now, t, text)
         return [self._standing]
@@ -73,14 +68,9 @@ class DeviceWatch:
     def take(
         self, device: str, age: float | None, sentence: str, t: float, now: float
     ) -> list[Alarm]:
-        """Watch one device.
+        """Watch one device, which last gave something `age` s ago (None: never yet).
 
-        Args:
-            device: what the page and the log call it.
-            age: s since it last gave something; None before the first time.
-            sentence: what it says of itself.
-            t: s, host's monotonic clock.
-            now: s since the epoch.
+        `t` is the host's monotonic clock, s; `now` s since the epoch.
         """
         silent = t - self._start if age is None else age
         standing = self._standing.get(device)

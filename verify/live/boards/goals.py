@@ -46,12 +46,7 @@ class BoardPlacement:
 
 
 class CapturedPairs:
-    """What was taken so far.
-
-    Args:
-        board: the pattern.
-        image_size: width and height, px.
-    """
+    """What was taken so far, in pictures of one size (width, height), px."""
 
     def __init__(self, board: Board, image_size: tuple[int, int]) -> None:
         self.board, self.image_size = board, image_size
@@ -104,8 +99,8 @@ class CapturedPairs:
             about_horizontal=float(np.arctan2(-normal[1], normal[2])),
             about_vertical=float(np.arctan2(normal[0], normal[2])),
         )
-        seen = lens.matrix @ (middle[:3] / middle[2])
-        return BoardPlacement(stance, seen[:2] / np.asarray(self.image_size))
+        pixels = lens.matrix @ (middle[:3] / middle[2])
+        return BoardPlacement(stance, pixels[:2] / np.asarray(self.image_size))
 
     def _lens(self, side: int) -> InitialLens:
         views = {i: _views(pair)[side] for i, pair in enumerate(self.pairs)}
@@ -164,15 +159,15 @@ def coverage(taken: CapturedPairs, side: int) -> CameraCoverage:
     """Count what the left (0) or right (1) camera has seen."""
     width, height = taken.image_size
     views = [(pair.left, pair.right)[side] for pair in taken.pairs]
-    seen = np.concatenate([v.centre for v in views if v is not None] or [np.empty((0, 2))])
+    pixels = np.concatenate([v.centre for v in views if v is not None] or [np.empty((0, 2))])
     down = max(round(CELLS_ACROSS * height / width), 1)
     margins = np.ones(4)
-    if len(seen):
-        low, high = (f(axis=0) + 0.5 for f in (seen.min, seen.max))
+    if len(pixels):
+        low, high = (f(axis=0) + 0.5 for f in (pixels.min, pixels.max))
         margins = np.concatenate([low / [width, height], 1 - high / [width, height]])
     return CameraCoverage(
-        _count_corners(seen, (width, height), (CELLS_ACROSS, down)),
-        _count_corners(seen, (width, height), (REGIONS_PER_SIDE, REGIONS_PER_SIDE)),
+        _count_corners(pixels, (width, height), (CELLS_ACROSS, down)),
+        _count_corners(pixels, (width, height), (REGIONS_PER_SIDE, REGIONS_PER_SIDE)),
         margins,
         tuple(taken.of_camera(side)),
     )
@@ -184,11 +179,6 @@ def goals(
     """Say what the pictures must have and how far they are, most needed first.
 
     The limits are those by which the report judges (`quality_advice`).
-
-    Args:
-        taken: the pairs.
-        covered: of both cameras.
-        turning: the bases are turned: their angles must be varied too.
     """
     wanted = 2 * MIN_PAIRS
     count = BoardGoal("pairs", len(taken) >= wanted, f"{len(taken)} of {wanted}")
@@ -204,9 +194,9 @@ def goals(
     )
 
 
-def _count_corners(seen: Array, size: tuple[int, int], cells: tuple[int, int]) -> Array:
+def _count_corners(pixels: Array, size: tuple[int, int], cells: tuple[int, int]) -> Array:
     edges = [np.linspace(-0.5, extent - 0.5, n + 1) for extent, n in zip(size, cells, strict=True)]
-    counts: Array = np.histogram2d(seen[:, 1], seen[:, 0], bins=(edges[1], edges[0]))[0]
+    counts: Array = np.histogram2d(pixels[:, 1], pixels[:, 0], bins=(edges[1], edges[0]))[0]
     return counts
 
 

@@ -26,11 +26,6 @@ class BoardPictures:
     A pair's files are written into a folder of their own, and one rename makes them count. If the
     program is stopped after that, `complete_pairs` moves them into place.
 
-    Args:
-        folder: does not exist, or is empty; it is made with the first pair.
-        board: what the pictures show.
-        turning: the bases are turned: angles are kept with the pairs.
-
     Raises:
         InputError: the folder holds something, or the system refuses it.
     """

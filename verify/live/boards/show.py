@@ -44,9 +44,7 @@ class BoardSnapshot:
     last: str = ""  # what became of the last pair that was taken or asked for
     goals: tuple[BoardGoal, ...] = ()
     coverage: tuple[CameraCoverage, ...] = ()  # left, right
-    standings: tuple[
-        BoardPlacement, ...
-    ] = ()  # of the board now: left, right; empty where not seen
+    standings: tuple[BoardPlacement, ...] = ()  # of the board now, on either side; () if not seen
     devices: tuple[DeviceStatus, ...] = ()
     finished: bool = False
     look: BoardDetection | None = None
@@ -76,12 +74,7 @@ STYLES = {READY: "bold green", MOVING: "yellow"}
 
 
 class BoardDisplay(TerminalDisplay):
-    """Shows the state of taking board pictures.
-
-    Args:
-        console: to draw on.
-        help_: what the keys do.
-    """
+    """Shows the state of taking board pictures."""
 
     def __init__(self, console: Console, help_: str) -> None:
         super().__init__(console)
@@ -100,9 +93,9 @@ def render_snapshot(now: BoardSnapshot, help_: str) -> RenderableType:
         mark = Text("●", style="green") if goal.reached else Text("○", style="yellow")
         goals.add_row(mark, goal.name, Text(goal.words, style="dim" if goal.reached else ""))
     devices = render_devices(now.devices)
-    told = Text(now.words, style=STYLES.get(now.status, "cyan"))
-    last = Text(now.last, style="dim")
-    return Group(_coverage_maps(now.coverage), goals, devices, last, told, Text(help_, style="dim"))
+    words = Text(now.words, style=STYLES.get(now.status, "cyan"))
+    last, keys = Text(now.last, style="dim"), Text(help_, style="dim")
+    return Group(_coverage_maps(now.coverage), goals, devices, last, words, keys)
 
 
 def _coverage_maps(covered: tuple[CameraCoverage, ...]) -> RenderableType:
@@ -127,18 +120,12 @@ MAX_TEXT_LENGTH = 2000  # characters of a description
 
 
 class BoardPageSource:
-    """Reads a state; nothing waits for it.
-
-    Args:
-        state: of the taking.
-        board: the pattern.
-        description: what else the page says on top.
-    """
+    """Reads a state; nothing waits for it."""
 
     def __init__(self, state: BoardState, board: Board, description: str) -> None:
         self._state, self._board, self._description = state, board, description
         self._shown = 0
-        self._told: dict[str, Any] = {}
+        self._last_row: dict[str, Any] = {}
 
     def hello(self) -> dict[str, Any]:
         """What never changes."""
@@ -163,8 +150,8 @@ class BoardPageSource:
             "now": [_standing(s) for s in now.standings],
             "finished": now.finished,
         }
-        news = [] if row == self._told else [row]
-        self._told = row
+        news = [] if row == self._last_row else [row]
+        self._last_row = row
         return news
 
     def state(self) -> dict[str, Any]:

@@ -36,14 +36,9 @@ class BoardDevices:
 
 
 class BoardCapture:
-    """Takes pairs of a board until there are enough, or `finish` is called.
+    """Takes pairs of a board until there are `enough` (None: any number), or `finish` is called.
 
-    Args:
-        devices: open ones; whoever opened them closes them.
-        board: the pattern.
-        pictures: where the pairs go.
-        enough: pairs after which it ends by itself; None: it goes on until `finish`.
-        state: updated with everything.
+    Whoever opened the devices closes them.
     """
 
     def __init__(
@@ -72,10 +67,7 @@ class BoardCapture:
         self._finished.set()
 
     def run(self, look: Callable[[], None] = lambda: None) -> None:
-        """Take pairs.
-
-        Args:
-            look: called several times a second.
+        """Take pairs; `look` is called several times a second.
 
         Raises:
             InputError: the cameras' pictures differ in size, or the disk refuses; the pairs that
@@ -86,7 +78,7 @@ class BoardCapture:
             pump.start()
         try:
             with ThreadPoolExecutor(2, thread_name_prefix="board") as self._pool:
-                while not (self._finished.is_set() or self._is_enough() or self._ended()):
+                while not (self._finished.is_set() or self._ended()):
                     self._state.change(devices=self._lines())
                     look()
                     pair = self._latest.take(READ_TIMEOUT)
@@ -113,12 +105,10 @@ class BoardCapture:
     def _failed(self, name: str, error: Exception) -> None:
         self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
 
-    def _is_enough(self) -> bool:
-        return self._enough is not None and len(self._pictures) >= self._enough
-
     def _ended(self) -> bool:
-        """A file is over: no pair will come."""
-        return self._devices.left.state().ended or self._devices.right.state().ended
+        """Enough is taken, or a file is over: no pair will come."""
+        enough = self._enough is not None and len(self._pictures) >= self._enough
+        return enough or self._devices.left.state().ended or self._devices.right.state().ended
 
     def _lines(self) -> tuple[DeviceStatus, ...]:
         devices = self._devices

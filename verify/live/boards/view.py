@@ -77,29 +77,29 @@ class StillnessDetector:
     """
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[float, BoardView, BoardView]] = deque()
+        self._views: deque[tuple[float, BoardView, BoardView]] = deque()
 
     def add(self, t: float, left: BoardView | None, right: BoardView | None) -> None:
         """Take what was seen at t, s; a picture without a board begins anew."""
         if left is None or right is None:
-            self._seen.clear()
+            self._views.clear()
             return
-        self._seen.append((t, left, right))
-        while len(self._seen) > MIN_PICTURES and self._seen[1][0] <= t - STILL_TIME:
-            self._seen.popleft()
+        self._views.append((t, left, right))
+        while len(self._views) > MIN_PICTURES and self._views[1][0] <= t - STILL_TIME:
+            self._views.popleft()
 
     @property
     def motion(self) -> float | None:
         """How far the corners move, px: the most of both cameras; None where nothing tells yet."""
-        if len(self._seen) < 2:
+        if len(self._views) < 2:
             return None
-        _, left, right = zip(*self._seen, strict=True)
+        _, left, right = zip(*self._views, strict=True)
         return max(_corner_motion(left), _corner_motion(right))
 
     @property
     def still(self) -> bool:
         """Whether they have hardly moved for long enough."""
-        if len(self._seen) < MIN_PICTURES or self._seen[-1][0] - self._seen[0][0] < STILL_TIME:
+        if len(self._views) < MIN_PICTURES or self._views[-1][0] - self._views[0][0] < STILL_TIME:
             return False
         motion = self.motion
         return motion is not None and motion < MAX_MOTION_PX

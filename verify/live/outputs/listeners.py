@@ -26,12 +26,7 @@ COMMAND_TIMEOUT = 60.0  # s, after which a command is ended
 
 
 class ListenerThread:
-    """Hands rows and alarms to a listener in a thread of its own.
-
-    Args:
-        listener: may take its time, and may fail.
-        trouble: is told, once, when it fails.
-    """
+    """Hands rows and alarms to a listener in a thread of its own."""
 
     def __init__(self, listener: Listener, trouble: Callable[[str], None]) -> None:
         self._listener, self._trouble = listener, trouble
@@ -109,11 +104,7 @@ def row_fields(row: JointRow) -> dict[str, Any]:
 
 
 class JsonLines:
-    """A line of JSON for each pair and each alarm.
-
-    Args:
-        write: writes an object as a line, such as `terminal.record`.
-    """
+    """A line of JSON for each pair and each alarm."""
 
     def __init__(self, write: Callable[[dict[str, Any]], None]) -> None:
         self._write = write
@@ -136,9 +127,6 @@ class AlarmCommand:
 
     The facts are in its environment (VERIFY_ALARM_KIND, _JOINT, _TEXT, …) and, as a JSON object, on
     its standard input. One at a time; what lasts longer than a minute is ended.
-
-    Args:
-        command: words as a shell would part them; no shell reads them.
 
     Raises:
         InputError: no words, or quotes that do not close.
@@ -165,11 +153,11 @@ class AlarmCommand:
         if alarm.revised or alarm.ended is not None:
             return
         fields = alarm.fields()
-        said = {f"VERIFY_ALARM_{k.upper()}": _word(v) for k, v in fields.items() if v is not None}
+        facts = {f"VERIFY_ALARM_{k.upper()}": _word(v) for k, v in fields.items() if v is not None}
         subprocess.run(
             self._words,
             input=json.dumps(fields, ensure_ascii=False).encode(),
-            env=os.environ | said,
+            env=os.environ | facts,
             stdout=subprocess.DEVNULL,
             timeout=COMMAND_TIMEOUT,
             check=False,
@@ -190,22 +178,17 @@ class MqttClient(Protocol):
 
 
 class MqttPublisher:
-    """Publishes alarms, and joint errors once a second, at TOPIC/alarm and TOPIC/joints.
-
-    Args:
-        client: connected, with a thread of its own.
-        topic: above both.
-    """
+    """Publishes alarms, and joint errors once a second, at TOPIC/alarm and TOPIC/joints."""
 
     def __init__(self, client: MqttClient, topic: str) -> None:
         self._client, self._topic = client, topic
-        self._said = float("-inf")
+        self._published_at = float("-inf")
 
     def row(self, row: JointRow, statistic: Array) -> None:
         """Publish a row a second."""
-        if row.t - self._said < 1.0:
+        if row.t - self._published_at < 1.0:
             return
-        self._said = row.t
+        self._published_at = row.t
         text = json.dumps(row_fields(row) | {"alarm_share": statistic.tolist()})
         self._client.publish(f"{self._topic}/joints", text, qos=0, retain=False)
 
@@ -259,11 +242,7 @@ REPORT_PERIOD = 10.0  # s
 
 
 class PlainTextOutput:
-    """Says alarms as they come, and the joint errors every ten seconds.
-
-    Args:
-        say: writes a line.
-    """
+    """Says alarms as they come, and the joint errors every ten seconds."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say

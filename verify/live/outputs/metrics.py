@@ -36,13 +36,13 @@ def exposition(state: LiveState) -> str:
     row = now.row
     if row is not None:
         joints = [{"joint": str(j + 1)} for j in range(len(row.error))]
-        for name, said, values in (
+        for name, meaning, values in (
             ("verify_joint_error_degrees", "Reading less measured angle.", row.error),
             ("verify_joint_error_standard_uncertainty_degrees", "1σ.", row.uncertainty),
         ):
             degrees = [math.degrees(v) for v in values.tolist()]
-            told = [(j, v) for j, v in zip(joints, degrees, strict=True) if math.isfinite(v)]
-            text.append(_family(name, "gauge", said, told))
+            samples = [(j, v) for j, v in zip(joints, degrees, strict=True) if math.isfinite(v)]
+            text.append(_family(name, "gauge", meaning, samples))
         if row.clock is not None:
             text.append(
                 _family("verify_clock_offset_seconds", "gauge", "Added to the readings' time.",
@@ -51,8 +51,8 @@ def exposition(state: LiveState) -> str:
     return "".join(text)
 
 
-def _family(name: str, kind: str, said: str, samples: Iterable[tuple[Labels, float]]) -> str:
-    lines = [f"# HELP {name} {said}", f"# TYPE {name} {kind}"]
+def _family(name: str, kind: str, meaning: str, samples: Iterable[tuple[Labels, float]]) -> str:
+    lines = [f"# HELP {name} {meaning}", f"# TYPE {name} {kind}"]
     for labels, value in samples:
         pairs = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
         lines.append(f"{name}{'{' + pairs + '}' if pairs else ''} {value:.9g}")

@@ -22,11 +22,7 @@ MIN_SCALE_DEG = 0.1  # degrees at the end of a bar, where no tolerance tells
 
 
 class TerminalDisplay:
-    """Draws in a terminal a few times a second; used as a context.
-
-    Args:
-        console: to draw on.
-    """
+    """Draws in a terminal a few times a second; used as a context."""
 
     def __init__(self, console: Console) -> None:
         self._display = Display(console=console, auto_refresh=False, transient=False)
@@ -48,12 +44,7 @@ class TerminalDisplay:
 
 
 class LiveTable(TerminalDisplay):
-    """Shows the state of a run.
-
-    Args:
-        tolerance_deg: of each joint; None where there is none.
-        console: to draw on.
-    """
+    """Shows the state of a run."""
 
     def __init__(self, tolerance_deg: list[float] | None, console: Console) -> None:
         super().__init__(console)
@@ -85,14 +76,14 @@ def _joints(now: LiveSnapshot, tolerance_deg: list[float] | None) -> Table:
     for j, (error, u) in enumerate(zip(row.error.tolist(), row.uncertainty.tolist(), strict=True)):
         tolerance = tolerance_deg[j] if tolerance_deg is not None else None
         share = float(now.statistic[j]) if now.statistic is not None else 0.0
-        told = math.isfinite(error) and math.isfinite(u)
+        valid = math.isfinite(error) and math.isfinite(u)
         degrees, doubt = math.degrees(error), math.degrees(u)
-        beyond = told and tolerance is not None and abs(degrees) > tolerance
+        beyond = valid and tolerance is not None and abs(degrees) > tolerance
         table.add_row(
             str(j + 1),
-            Text(f"{degrees:+.3f}°" if told else "–", style="bold red" if beyond else ""),
-            f"{doubt:.3f}°" if told else "–",
-            _bar(degrees, doubt, tolerance) if told else Text(row.status.replace("_", " ")),
+            Text(f"{degrees:+.3f}°" if valid else "–", style="bold red" if beyond else ""),
+            f"{doubt:.3f}°" if valid else "–",
+            _bar(degrees, doubt, tolerance) if valid else Text(row.status.replace("_", " ")),
             Text(f"{min(share, 1.0):.0%}", style="red" if share > 0.7 else ""),
         )
     return table

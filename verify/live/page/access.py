@@ -14,6 +14,7 @@ from verify.errors import InputError
 COOKIE = "verify_token"
 DEFAULT_PORT = 8646
 LOOPBACK = "127.0.0.1"
+OWN_NAMES = (LOOPBACK, "localhost", "[::1]")  # of this computer
 MIN_TOKEN_LENGTH = 16  # characters: what nobody guesses over a network
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
@@ -48,7 +49,7 @@ class PageAccess:
             script: it comes from a script (a web socket), which must be this page's own.
         """
         host = headers.get("host", "")
-        if self.token is None and host not in self._own_hosts():
+        if self.token is None and host not in {f"{name}:{self.port}" for name in OWN_NAMES}:
             return f"the page is not served under that name; open http://127.0.0.1:{self.port}/"
         origin = headers.get("origin")
         if (script or origin is not None) and origin != f"http://{host}":
@@ -61,17 +62,9 @@ class PageAccess:
         """Whether this is the token."""
         return self.token is not None and _equal_in_constant_time(token, self.token)
 
-    def _own_hosts(self) -> set[str]:
-        return {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
-
 
 def check_access(address: str, port: int, token: str | None) -> PageAccess:
-    """Say who may look.
-
-    Args:
-        address: to serve at, of this computer.
-        port: likewise.
-        token: what a viewer must show; needed for every address but this computer's own.
+    """Say who may look; every address but this computer's own needs a token.
 
     Raises:
         InputError: another address than loopback without a token, or one that is easily guessed.

@@ -30,13 +30,7 @@ class RunFacts:
 
 
 class RunPageSource:
-    """Reads a run's state; nothing waits for it.
-
-    Args:
-        state: the run's.
-        subject: the robot.
-        facts: what else is said.
-    """
+    """Reads a run's state; nothing waits for it."""
 
     def __init__(self, state: LiveState, subject: MonitoredRobot, facts: RunFacts) -> None:
         self._state, self._subject, self._facts = state, subject, facts
@@ -151,9 +145,7 @@ def _degrees(angles: Array) -> list[float | None]:
 def camera_poses(rig: Rig, pair: StereoPair | None) -> list[dict[str, Any]]:
     """Write both cameras' poses in the robot's base as JSON has them, left and right.
 
-    Args:
-        rig: the cameras.
-        pair: they are drawn where their bases stood for it; None: where the rig file says.
+    They stand as their bases did for the pair; without one, as the rig file says.
     """
     pans = (rig.left.pan, rig.right.pan) if pair is None else (pair.pan_left, pair.pan_right)
     base_T_rig = invert(rig.rig_T_base)

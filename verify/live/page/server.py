@@ -61,11 +61,7 @@ class Viewer:
 
 
 class ViewerHub:
-    """All viewers, and what one who comes later has to know.
-
-    Args:
-        counted: told how many viewers there are whenever that changes.
-    """
+    """All viewers, and what one who comes later has to know."""
 
     def __init__(self, counted: Callable[[int], None]) -> None:
         self._viewers: set[Viewer] = set()
@@ -119,20 +115,11 @@ class ViewerHub:
 
 
 STATIC = Path(__file__).with_name("static")
+TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 CONTENT_TYPES = {
-    "index.html": "text/html",
-    "style.css": "text/css",
-    "page.js": "text/javascript",
-    "canvas.js": "text/javascript",
-    "strips.js": "text/javascript",
-    "scene.js": "text/javascript",
-    "boards.js": "text/javascript",
-    "grab.js": "text/javascript",
-    "grab_select.js": "text/javascript",
-    "pictures.js": "text/javascript",
-    "vendor/uplot/uPlot.iife.min.js": "text/javascript",
-    "vendor/uplot/uPlot.min.css": "text/css",
-    "icon.svg": "image/svg+xml",
+    file.relative_to(STATIC).as_posix(): TYPES[suffix]
+    for suffix in TYPES
+    for file in STATIC.rglob(f"*.{suffix}")
 }
 POLICY_VIOLATION = 1008  # of web sockets: policy violation
 TRY_AGAIN = 1013
@@ -150,14 +137,8 @@ class ViewerMessages:
     leading: frozenset[str] = frozenset()  # what more there is follows after a space
 
 
-def application(hub: ViewerHub, access: PageAccess, asked: MessageCallback) -> Starlette:
-    """Make the application: the page, its files, its web socket, and metrics.
-
-    Args:
-        hub: what there is to see.
-        access: who may look.
-        asked: takes what viewers say, whatever it is.
-    """
+def application(hub: ViewerHub, access: PageAccess, take_message: MessageCallback) -> Starlette:
+    """Make the application: the page, its files, its web socket, and metrics."""
 
     async def guarded(request: Request, go_on: NextHandler) -> Response:
         response = _move_token_to_cookie(request, access) or _access_refusal(request, access)
@@ -181,7 +162,7 @@ def application(hub: ViewerHub, access: PageAccess, asked: MessageCallback) -> S
             await socket.close(POLICY_VIOLATION)
             return
         await socket.accept()
-        await _send_to_viewer(socket, hub, asked)
+        await _send_to_viewer(socket, hub, take_message)
 
     app = Starlette(
         routes=[
@@ -213,10 +194,10 @@ def _access_refusal(request: Request, access: PageAccess) -> Response | None:
     return None if refusal is None else PlainTextResponse(f"Refused: {refusal}.\n", 403)
 
 
-async def _send_to_viewer(socket: WebSocket, hub: ViewerHub, asked: MessageCallback) -> None:
+async def _send_to_viewer(socket: WebSocket, hub: ViewerHub, take_message: MessageCallback) -> None:
     """Send until the viewer leaves, or cannot keep up."""
     viewer = hub.enter()
-    gone = asyncio.create_task(_receive_from_viewer(socket, asked))
+    gone = asyncio.create_task(_receive_from_viewer(socket, take_message))
     try:
         while not gone.done():
             news = asyncio.create_task(viewer.next())
@@ -239,11 +220,11 @@ async def _send_to_viewer(socket: WebSocket, hub: ViewerHub, asked: MessageCallb
         hub.leave(viewer)
 
 
-async def _receive_from_viewer(socket: WebSocket, asked: MessageCallback) -> None:
+async def _receive_from_viewer(socket: WebSocket, take_message: MessageCallback) -> None:
     """Wait for the viewer to leave, or to send bytes, which no page does; pass on what it says."""
     with suppress(WebSocketDisconnect, RuntimeError, KeyError):  # KeyError: bytes
         while True:
-            asked(await socket.receive_text())
+            take_message(await socket.receive_text())
 
 
 class _Server(uvicorn.Server):

@@ -48,10 +48,6 @@ class MatroskaTrack:
 class MatroskaFile:
     """Writes pictures that are encoded already.
 
-    Args:
-        path: a new file.
-        track: what the pictures are.
-
     Raises:
         OSError: the system refuses it.
     """
@@ -203,11 +199,7 @@ def picture_formats(pair: CapturedPair) -> tuple[PictureFormat, PictureFormat]:
 
 
 class PictureEncoder:
-    """Encodes the pictures of one file.
-
-    Args:
-        kind: what they have in common.
-    """
+    """Encodes the pictures of one file."""
 
     def __init__(self, kind: PictureFormat) -> None:
         self.kind = kind

@@ -124,11 +124,7 @@ class SessionRecorder:
             yield written
 
     def through(self, frame: int) -> None:
-        """Report that a pair is measured and compared: now there is time to encode it.
-
-        Args:
-            frame: its number, as it came out of `keep`.
-        """
+        """Report that a pair is measured and compared: now there is time to encode it."""
         with self._wake:
             self._through = frame
             self._wake.notify()

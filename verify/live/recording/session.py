@@ -36,10 +36,6 @@ from verify.live.recording.matroska import (
 class CsvWriter:
     """A CSV file that grows by whole lines.
 
-    Args:
-        path: a new file.
-        header: names of its columns.
-
     Raises:
         OSError: the system refuses it.
     """

@@ -10,16 +10,16 @@ import msgspec
 
 from verify.core.fiducials import Board
 from verify.devices.protocols import CameraDevice, PanDevice
-from verify.errors import InputError
-from verify.io.toml import decode, one_of
+from verify.io.toml import decode
 from verify.live.station import devices
-from verify.live.station.file import SIM, check_camera, check_sim, check_sources
+from verify.live.station.file import SIM, check_cameras
 from verify.live.station.keys import (
     SimSettings,
     SimulatedDevices,
     StationEncodersTable,
     StationTable,
 )
+from verify.live.station.station import make_simulation
 
 
 class CamerasTable(StationTable, kw_only=True):
@@ -61,22 +61,16 @@ def open_station_cameras(path: str | Path, simulate: SimulateCameras) -> Station
 
     Neither robot, rig, marker nor encoders need be there, and none is looked at.
 
-    Args:
-        path: the file.
-        simulate: makes the simulated cameras, where the file asks for them.
-
     Raises:
         InputError: one line that names the file, the place in it, what stands there, what should,
             and what to do.
     """
     path = Path(path)
     table, warnings = decode(path, CamerasTable)
-    for side in ("left", "right"):
-        check_camera(path, side, getattr(table, side))
-    check_sources(path, table)
-    one_of(path, "pan.driver", table.pan.driver, tuple(devices.PAN_KEYS))
-    check_sim(path, table)
-    sim = _make_simulated_cameras(path, table, simulate) if table.left.source == SIM else None
+    check_cameras(path, table)
+    turning = table.pan.driver == SIM
+    simulated = table.left.source == SIM
+    sim = make_simulation(path, table, lambda s: simulate(s, turning)) if simulated else None
     devices.check_pan(path, table.pan)
     left = devices.camera_settings(path, table.left, None)
     right = devices.camera_settings(path, table.right, None)
@@ -88,16 +82,3 @@ def open_station_cameras(path: str | Path, simulate: SimulateCameras) -> Station
         partial(devices.open_cameras, left, right, sim),
         partial(devices.open_pan, path, table.pan, sim),
     )
-
-
-def _make_simulated_cameras(
-    path: Path, table: StationTable, simulate: SimulateCameras
-) -> SimulatedCameras:
-    is_file = Path(table.sim.scenario).suffix == ".toml"
-    scenario = str(path.parent / table.sim.scenario) if is_file else table.sim.scenario
-    try:
-        return simulate(SimSettings(scenario, table.sim.speed), table.pan.driver == SIM)
-    except InputError as error:
-        found = f"{error.place}: {error.found}"
-        place = f"{path}, sim.scenario"
-        raise InputError(place, found, error.expected, error.remedy) from error

@@ -6,7 +6,7 @@ from importlib import resources
 from pathlib import Path
 
 from verify.errors import one_line
-from verify.io.session.keys import clock, tolerance
+from verify.io.session.keys import check_clock, tolerance
 from verify.io.toml import decode, did_you_mean, key_error, not_negative, one_of
 from verify.live.station.devices import ENCODER_KEYS, PAN_KEYS, given_keys
 from verify.live.station.keys import EVENT_KINDS, StationCameraTable, StationTable
@@ -27,24 +27,17 @@ def read(path: Path) -> tuple[StationTable, tuple[str, ...]]:
         InputError: names the key, what stands there, what should, and what to do.
     """
     table, warnings = decode(path, StationTable)
-    for side in ("left", "right"):
-        check_camera(path, side, getattr(table, side))
-    check_sources(path, table)
+    check_cameras(path, table)
     one_of(path, "encoders.driver", table.encoders.driver, tuple(ENCODER_KEYS))
-    one_of(path, "pan.driver", table.pan.driver, tuple(PAN_KEYS))
     if table.pan.follow and table.pan.driver == "fixed":
         expected = "bases that turn are needed to follow"
         raise key_error(path, "pan.follow", "is true with fixed bases", expected)
-    clock(table.clock)
-    if table.clock is not None:
-        key = "encoder_offset_standard_uncertainty_s"
-        not_negative(path, f"clock.{key}", getattr(table.clock, key))
+    check_clock(path, table.clock)
     tolerance(path, table.tolerance, _n_tolerances(table))
     for key in ("resolution_deg", "time_standard_uncertainty_s"):
         not_negative(path, f"encoders.{key}", getattr(table.encoders, key))
     _check_alarm(path, table)
     _check_recording(path, table)
-    check_sim(path, table)
     return table, (*warnings, *_unused_setting_warnings(path, table))
 
 
@@ -59,12 +52,20 @@ def _n_tolerances(table: StationTable) -> int:
     return len(given) if isinstance(given, list) else 1
 
 
-def check_camera(path: Path, side: str, table: StationCameraTable) -> None:
-    """Check [left] or [right].
+def check_cameras(path: Path, table: StationTable) -> None:
+    """Check [left], [right], [pan].driver and [sim].
 
     Raises:
         InputError: names the key, what stands there, and what should.
     """
+    for side in ("left", "right"):
+        _check_camera(path, side, getattr(table, side))
+    _check_sources(path, table)
+    one_of(path, "pan.driver", table.pan.driver, tuple(PAN_KEYS))
+    _check_sim(path, table)
+
+
+def _check_camera(path: Path, side: str, table: StationCameraTable) -> None:
     if isinstance(table.source, int):
         not_negative(path, f"{side}.source", table.source)
     elif not table.source:
@@ -82,12 +83,8 @@ def check_camera(path: Path, side: str, table: StationCameraTable) -> None:
             raise key_error(path, f"{side}.{key}", f"is {value}", "a number above 0 is expected")
 
 
-def check_sources(path: Path, table: StationTable) -> None:
-    """Refuse one camera for both sides, and half a simulation.
-
-    Raises:
-        InputError: names the key, what stands there, and what should.
-    """
+def _check_sources(path: Path, table: StationTable) -> None:
+    """Refuse one camera for both sides, and half a simulation."""
     left, right = table.left.source, table.right.source
     simulated = (left == SIM, right == SIM)
     if any(simulated) and not all(simulated):
@@ -132,20 +129,15 @@ def _check_recording(path: Path, table: StationTable) -> None:
         raise key_error(path, "recording.name", f'is "{name}"', expected)
 
 
-def check_sim(path: Path, table: StationTable) -> None:
-    """Check [sim].
-
-    Raises:
-        InputError: names the key, what stands there, and what should.
-    """
+def _check_sim(path: Path, table: StationTable) -> None:
     if table.sim.speed <= 0:
         raise key_error(path, "sim.speed", f"is {table.sim.speed}", "a number above 0 is expected")
-    for index, event in enumerate(table.sim.event):
+    for index, event in enumerate(table.sim.events):
         key = f"sim.event[{index}]"
         one_of(path, f"{key}.what", event.what, EVENT_KINDS)
         one_of(path, f"{key}.camera", event.camera, SIDES)
-        not_negative(path, f"{key}.at_s", event.at_s)
-        not_negative(path, f"{key}.for_s", event.for_s)
+        not_negative(path, f"{key}.at_s", event.at)
+        not_negative(path, f"{key}.for_s", event.duration)
 
 
 def _unused_setting_warnings(path: Path, table: StationTable) -> list[str]:
@@ -155,6 +147,6 @@ def _unused_setting_warnings(path: Path, table: StationTable) -> list[str]:
         part = getattr(table, name)
         for key in sorted(given_keys(part) - set(keys[part.driver])):
             hint = did_you_mean(key, keys[part.driver])
-            said = f'the driver "{part.driver}" has no such setting; it is left alone.{hint}'
-            warnings.append(one_line(f"{path}, {name}.{key}: {said}"))
+            note = f'the driver "{part.driver}" has no such setting; it is left alone.{hint}'
+            warnings.append(one_line(f"{path}, {name}.{key}: {note}"))
     return warnings

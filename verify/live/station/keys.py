@@ -1,7 +1,6 @@
 """The keys of a station file in its own units (degrees, ms, paths), and of a simulation."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 import msgspec
@@ -9,7 +8,7 @@ import msgspec
 from verify.core.fiducials import Marker
 from verify.core.rig import Rig
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
-from verify.io.session.keys import ClockTable, EnvironmentTable, RobotFramesTable, ToleranceTable
+from verify.io.session.keys import Clock, EnvironmentTable, RobotFramesTable, ToleranceTable
 
 
 class StationCameraTable(msgspec.Struct, kw_only=True):
@@ -80,12 +79,12 @@ class PanTable(msgspec.Struct, kw_only=True, omit_defaults=True):
 
 
 class AlarmTable(msgspec.Struct, kw_only=True):
-    """The keys of [alarm]."""
+    """The keys of [alarm]: when an alarm is raised, and where it goes."""
 
     false_alarms_per_hour: float = 0.1
-    command: str | None = None
-    mqtt: str | None = None
-    prometheus: str | None = None
+    command: str | None = None  # called with the alarm as JSON
+    mqtt: str | None = None  # mqtt://HOST:PORT/TOPIC
+    prometheus: str | None = None  # HOST:PORT where metrics are served
 
 
 class StationRecordingTable(msgspec.Struct, kw_only=True):
@@ -95,24 +94,44 @@ class StationRecordingTable(msgspec.Struct, kw_only=True):
     name: str = "{robot}-%Y-%m-%d-%H%M%S"
 
 
-class EventTable(msgspec.Struct, kw_only=True):
-    """The keys of [[sim.event]]."""
+EVENT_KINDS = (
+    "encoder_jump",  # joint, degrees: its readings are off by so much
+    "encoder_silent",  # no readings
+    "encoder_reset",  # the controller's clock starts anew
+    "camera_gone",  # camera: it is unplugged
+    "camera_stalls",  # camera: it is there and delivers nothing
+    "leds_covered",  # led: that one, or all
+    "lamp_on",  # a lamp beside the marker
+    "pan_gone",  # the bases' board is unplugged
+)
 
-    what: str
-    at_s: float
-    for_s: float | None = None
-    joint: int | None = None
+
+class SimEvent(msgspec.Struct, frozen=True, rename={"at": "at_s", "duration": "for_s"}):
+    """[[sim.event]]: something that happens to the simulated devices."""
+
+    what: str  # one of EVENT_KINDS
+    at: float  # s after the start
+    duration: float | None = None  # s; None: for good
+    joint: int | None = None  # counted from 1
     degrees: float = 0.0
-    camera: str = "both"
-    led: str | None = None
+    camera: str = "both"  # left, right, both
+    led: str | None = None  # None: all
+
+    def present(self, t: float) -> bool:
+        """Whether it is so at t, s after the start."""
+        return self.at <= t and (self.duration is None or t < self.at + self.duration)
+
+    def strikes(self, side: int) -> bool:
+        """Whether it befalls the left (0) or right (1) camera."""
+        return self.camera in ("both", ("left", "right")[side])
 
 
-class SimTable(msgspec.Struct, kw_only=True):
-    """The keys of [sim]."""
+class SimSettings(msgspec.Struct, frozen=True, rename={"events": "event"}):
+    """[sim]: which simulated station it is."""
 
-    scenario: str = "multi_joint_rv_3sd"
-    speed: float = 1.0
-    event: list[EventTable] = msgspec.field(default_factory=list)
+    scenario: str = "multi_joint_rv_3sd"  # a built-in one's name, or a path
+    speed: float = 1.0  # times real time
+    events: tuple[SimEvent, ...] = ()
 
 
 class StationTable(msgspec.Struct, kw_only=True):
@@ -128,54 +147,12 @@ class StationTable(msgspec.Struct, kw_only=True):
     encoders: StationEncodersTable
     pan: PanTable = msgspec.field(default_factory=PanTable)
     tolerance: ToleranceTable | None = None
-    clock: ClockTable | None = None
+    clock: Clock | None = None
     alarm: AlarmTable = msgspec.field(default_factory=AlarmTable)
     recording: StationRecordingTable = msgspec.field(default_factory=StationRecordingTable)
     environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
     robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
-    sim: SimTable = msgspec.field(default_factory=SimTable)
-
-
-EVENT_KINDS = (
-    "encoder_jump",  # joint, degrees: its readings are off by so much
-    "encoder_silent",  # no readings
-    "encoder_reset",  # the controller's clock starts anew
-    "camera_gone",  # camera: it is unplugged
-    "camera_stalls",  # camera: it is there and delivers nothing
-    "leds_covered",  # led: that one, or all
-    "lamp_on",  # a lamp beside the marker
-    "pan_gone",  # the bases' board is unplugged
-)
-
-
-@dataclass(frozen=True, slots=True)
-class SimEvent:
-    """Something that happens to the simulated devices."""
-
-    what: str  # one of EVENT_KINDS
-    at: float  # s after the start
-    duration: float | None = None  # s; None: for good
-    joint: int | None = None  # counted from 1
-    angle: float = 0.0  # rad
-    camera: str = "both"  # left, right, both
-    led: str | None = None  # None: all
-
-    def present(self, t: float) -> bool:
-        """Whether it is so at t, s after the start."""
-        return self.at <= t and (self.duration is None or t < self.at + self.duration)
-
-    def strikes(self, side: int) -> bool:
-        """Whether it befalls the left (0) or right (1) camera."""
-        return self.camera in ("both", ("left", "right")[side])
-
-
-@dataclass(frozen=True, slots=True)
-class SimSettings:
-    """Which simulated station it is."""
-
-    scenario: str  # a built-in one's name, or a path
-    speed: float = 1.0  # times real time
-    events: tuple[SimEvent, ...] = ()
+    sim: SimSettings = SimSettings()
 
 
 class SimulatedDevices(Protocol):

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import msgspec
-import numpy as np
 
 import robots
 from verify.core.fiducials import Marker
@@ -28,9 +27,8 @@ from verify.live.recording.session import SessionFacts
 from verify.live.station import devices, file
 from verify.live.station.file import SIM
 from verify.live.station.keys import (
-    SimEvent,
+    AlarmTable,
     SimSettings,
-    SimTable,
     Simulate,
     SimulatedHardware,
     StationTable,
@@ -46,16 +44,6 @@ class PanDrive(PanDevice, Protocol):
 
     def turn_to(self, left: float, right: float) -> bool:
         """Order both bases to angles, rad, as read; False if the line is down."""
-
-
-@dataclass(frozen=True, slots=True)
-class AlarmSettings:
-    """When an alarm is raised, and who is told."""
-
-    false_alarms_per_hour: float
-    command: str | None = None  # called with the alarm as JSON
-    mqtt: str | None = None  # mqtt://HOST:PORT/TOPIC
-    prometheus: str | None = None  # HOST:PORT where metrics are served
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +68,7 @@ class Station:
     clock: Clock | None  # None: the offset is estimated from the motion
     encoder_resolution: float | None  # rad
     encoder_time_standard_uncertainty: float | None  # s
-    alarm: AlarmSettings
+    alarm: AlarmTable
     recording: RecordingSettings
     rate: float  # Hz, pairs: of the slower camera, as asked for
     files: bool  # the cameras are files, whose pictures can wait
@@ -99,17 +87,14 @@ class Station:
 def open_station(path: str | Path, simulate: Simulate) -> Station:
     """Read a station file and all that it names; no device is opened yet.
 
-    Args:
-        path: the file.
-        simulate: makes the simulated devices, where the file asks for them.
-
     Raises:
         InputError: one line that names the file, the place in it, what stands there, what should,
             and what to do.
     """
     path = Path(path)
     table, warnings = file.read(path)
-    sim = _make_simulation(path, table, simulate)
+    simulated = SIM in (table.left.source, table.encoders.driver)
+    sim = make_simulation(path, table, simulate) if simulated else None
     arm = _arm(path, table)
     if sim is not None and table.robot != sim.robot:
         expected = f'the simulated robot is "{sim.robot}"'
@@ -137,10 +122,10 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
         rig=rig,
         marker=marker,
         tolerance=keys.tolerance(path, table.tolerance, arm.dof),
-        clock=keys.clock(table.clock),
+        clock=table.clock,
         encoder_resolution=resolution,
         encoder_time_standard_uncertainty=table.encoders.time_standard_uncertainty_s,
-        alarm=AlarmSettings(**msgspec.structs.asdict(table.alarm)),
+        alarm=table.alarm,
         recording=RecordingSettings(
             path.parent / table.recording.folder,
             table.recording.name.replace("{robot}", slug),
@@ -154,7 +139,10 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
         open_pan=partial(devices.open_pan, path, table.pan, sim),
         facts=_session_facts(path, table, arm.dof, sim),
     )
-    _check_settings(path, table, arm.dof)
+    # wrong settings are found now, not when the run begins: drivers open their ports later
+    if table.encoders.driver != SIM:
+        devices.open_encoders(path, table.encoders, arm.dof).close()
+    devices.check_pan(path, table.pan)
     return station
 
 
@@ -166,43 +154,23 @@ def _open_encoders(
     return devices.open_encoders(path, table.encoders, joints)
 
 
-def _check_settings(path: Path, table: StationTable, joints: int) -> None:
-    """Find wrong settings now, not when the run begins: drivers open their ports later.
+def make_simulation(path: Path, table: StationTable, simulate: Callable[[SimSettings], T]) -> T:
+    """Make the simulated devices of [sim].
 
     Raises:
-        InputError: as the driver says.
+        InputError: as they say, by the file's key.
     """
-    if table.encoders.driver != SIM:
-        devices.open_encoders(path, table.encoders, joints).close()
-    devices.check_pan(path, table.pan)
-
-
-def _make_simulation(
-    path: Path, table: StationTable, simulate: Simulate
-) -> SimulatedHardware | None:
-    if SIM not in (table.left.source, table.encoders.driver):
-        return None
+    sim = table.sim
+    if Path(sim.scenario).suffix == ".toml":
+        sim = msgspec.structs.replace(sim, scenario=str(path.parent / sim.scenario))
     try:
-        return simulate(_sim_settings(path, table.sim))
+        return simulate(sim)
     except InputError as error:
         if error.place.startswith("sim."):
             key, found = error.place, error.found
         else:
             key, found = "sim.scenario", f"{error.place}: {error.found}"
         raise InputError(f"{path}, {key}", found, error.expected, error.remedy) from error
-
-
-def _sim_settings(path: Path, table: SimTable) -> SimSettings:
-    events = tuple(
-        SimEvent(
-            event.what, event.at_s, event.for_s, event.joint, float(np.deg2rad(event.degrees)),
-            event.camera, event.led,
-        )
-        for event in table.event
-    )  # fmt: skip
-    is_file = Path(table.scenario).suffix == ".toml"
-    scenario = str(path.parent / table.scenario) if is_file else table.scenario
-    return SimSettings(scenario, table.speed, events)
 
 
 def _arm(path: Path, table: StationTable) -> robots.Arm:
@@ -276,8 +244,8 @@ def _session_facts(
         ("environment", table.environment),
         ("robot_frames", table.robot_frames),
     ):
-        said = {k: v for k, v in (msgspec.to_builtins(part) or {}).items() if v is not None}
-        if said:
-            tables[key] = said
+        entries = {k: v for k, v in (msgspec.to_builtins(part) or {}).items() if v is not None}
+        if entries:
+            tables[key] = entries
     turning = table.pan.driver != "fixed"
     return SessionFacts(robot, joints, files, tables, turning, stated is not None)

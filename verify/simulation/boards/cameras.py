@@ -63,10 +63,6 @@ class BoardScene:
     Between two places it moves in a few jerks, and all pictures of one moment are alike: to compute
     one takes longer than to look at it. The next moment begins once its pictures are there; on a
     slow machine the board rests a little longer.
-
-    Args:
-        boards: the places.
-        clock: the cameras' clock.
     """
 
     def __init__(self, boards: SimulatedBoards, clock: SimClock) -> None:
@@ -75,9 +71,8 @@ class BoardScene:
         self._paper = PrintedBoard(boards.board, scenario.boards.margin_mm / 1000, scenario.image)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="simulated boards")
         self._lock, self._closed = threading.Lock(), False
-        self._began = deque(
-            [(clock.began, N_CARRY_STEPS)], maxlen=MAX_MOMENTS
-        )  # when, which moment
+        # when each began, and which moment
+        self._began = deque([(clock.began, N_CARRY_STEPS)], maxlen=MAX_MOMENTS)
         self._pictures: dict[int, tuple[Future[Image], Future[Image]]] = {}
         self._look_ahead()
 
@@ -118,11 +113,8 @@ class BoardScene:
     def _go_on(self) -> None:
         """Begin the next moment if it is time and its pictures are there."""
         now, (since, number) = self.clock.now(), self._began[-1]
-        lasts = (
-            HOLD_TIME
-            if number % (N_CARRY_STEPS + 1) == N_CARRY_STEPS
-            else CARRY_TIME / N_CARRY_STEPS
-        )
+        held = number % (N_CARRY_STEPS + 1) == N_CARRY_STEPS
+        lasts = HOLD_TIME if held else CARRY_TIME / N_CARRY_STEPS
         ready = not self._closed and all(p.done() for p in self._pictures[number + 1])
         if ready and now - since >= lasts:
             self._began.append((now, number + 1))
@@ -184,13 +176,7 @@ class BoardCameras:
 
 
 class SimulatedBoardCamera:
-    """One of the two cameras; both take their pictures at the same instants.
-
-    Args:
-        scene: what it looks at.
-        side: 0 left, 1 right.
-        rate: pictures a second.
-    """
+    """The left (0) or right (1) camera, at a rate, Hz; both take pictures at the same instants."""
 
     def __init__(self, scene: BoardScene, side: int, rate: float) -> None:
         self._scene, self._side, self._rate = scene, side, rate
@@ -235,11 +221,7 @@ class SimulatedBoardCamera:
 
 
 class SimulatedBoardPan:
-    """Both bases, which are turned while the board is carried.
-
-    Args:
-        scene: where they stand, and the clock.
-    """
+    """Both bases, which are turned while the board is carried."""
 
     def __init__(self, scene: BoardScene) -> None:
         self._scene = scene

@@ -17,11 +17,6 @@ PAIR_INTERVAL_S = 4.0  # between two pairs: time to hold the board elsewhere
 def write(boards: SimulatedBoards, folder: Path, done: Callable[[], object] = lambda: None) -> None:
     """Write every file into an empty folder.
 
-    Args:
-        boards: from `simulate`.
-        folder: exists; what builds a folder whole or not at all is verify.io.files.
-        done: called after each picture, for a progress bar.
-
     Raises:
         InputError: the disk refuses.
     """

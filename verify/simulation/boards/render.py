@@ -23,11 +23,7 @@ NODE_SPACING_PX = 2  # apart: linear in between, lens and tilt bend the map by l
 MAX_BLUR_SIGMAS = 5.0  # standard deviations of blur around the paper
 FAR_AWAY = 1e3  # m: off any board
 AMBIENT_SHARE = 0.3  # share of the light that comes from everywhere
-UNDISTORT_CRITERIA = (
-    cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS,
-    100,
-    1e-12,
-)  # of undistortPoints
+UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +63,7 @@ class PrintedBoard:
         if rows.stop > rows.start:
             lamp = np.linalg.inv(rig_T_board) @ [*np.asarray(self.table.lamp_mm) / 1000, 1.0]
             patch = self._patch(u[rows, columns], v[rows, columns], lamp[:3])
-            y, x = (
-                NODE_SPACING_PX * (rows.start - 1),
-                NODE_SPACING_PX * (columns.start - 1),
-            )  # 1: the outer nodes
+            y, x = (NODE_SPACING_PX * (s.start - 1) for s in (rows, columns))  # 1: the outer nodes
             y0, x0 = max(y, 0), max(x, 0)
             shown = patch[y0 - y : height - y, x0 - x : width - x]
             scene[y0 : y0 + shown.shape[0], x0 : x0 + shown.shape[1]] = shown
@@ -134,12 +127,9 @@ class _Lattice:
     @classmethod
     def across(cls, nodes: Array, count: int, fine: tuple[int, int]) -> "_Lattice":
         down, across = np.gradient(nodes)
-        grain = np.maximum(
-            np.hypot(down, across) / (NODE_SPACING_PX * GRAINS_PER_PX), 1e-9
-        )  # FAR_AWAY has no slope
-        return cls(
-            _interpolate_nodes(_level_nodes(nodes), fine), _interpolate_nodes(grain, fine), count
-        )
+        width = np.hypot(down, across) / (NODE_SPACING_PX * GRAINS_PER_PX)
+        grain = _interpolate_nodes(np.maximum(width, 1e-9), fine)  # FAR_AWAY has no slope
+        return cls(_interpolate_nodes(_level_nodes(nodes), fine), grain, count)
 
     def sign(self) -> Picture:
         """Alternate from square to square between 1 and -1, soft over one grain at each edge."""

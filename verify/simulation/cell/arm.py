@@ -34,12 +34,7 @@ HISTORY_TIME = 2.0  # s of orders that are kept: longer than any delay
 
 
 class CellArm:
-    """The arm itself: it is where it was ordered to be `delay` s ago. Moves nothing on its own.
-
-    Args:
-        q: (n,), rad, where it stands at first.
-        delay: s.
-    """
+    """The arm itself: it is where it was ordered to be `delay` s ago. Moves nothing on its own."""
 
     def __init__(self, q: Array, delay: float) -> None:
         self._delay = delay
@@ -71,14 +66,7 @@ class CellArm:
 
 
 class SimMover:
-    """A simulated controller: a `Mover` that takes a stream of set points too.
-
-    Args:
-        arm: what it moves.
-        setup: for its moves' limits.
-        now: s, the simulation's clock.
-        right: the operator's order that it may move.
-    """
+    """A simulated controller: a `Mover` that takes a stream of set points too."""
 
     def __init__(
         self, arm: CellArm, setup: GraspPlanner, now: Callable[[], float], right: ExecutePermission
@@ -106,8 +94,8 @@ class SimMover:
         """
         if self._state not in ACCEPTING_STATES | {MoverState.MOVING} or self._way is not None:
             raise MotionRefusedError(f"the arm takes no set point now, it is {self._state.value}")
-        if said := limit_violation(self._setup.limits, rest_motion(q)):
-            raise MotionRefusedError(said)
+        if violation := limit_violation(self._setup.limits, rest_motion(q)):
+            raise MotionRefusedError(violation)
         self._ordered = np.array(q)
         self._enter(MoverState.MOVING)
         self._arm.order(self._now(), self._ordered)
@@ -120,14 +108,14 @@ class SimMover:
     def move_line(self, q: Array) -> None:
         """Go to joint angles with the flange on a straight line. See `Mover.move_line`."""
         self._require_rest(q)
-        arm, asked = self._setup.arm, self._setup.cell.approach
+        arm, approach = self._setup.arm, self._setup.cell.approach
         start, end = forward(arm, self._ordered), forward(arm, q)
         answers = inverse(arm, start, hold=self._ordered).q
         branch = int(np.nanargmin(np.abs(answers - self._ordered).max(axis=1)))
         path = line_path(arm, ApproachLine(start, end[:3, 3] - start[:3, 3]), branch, self._ordered)
         if isinstance(path, str):
             raise MotionRefusedError(path)
-        rates = PathLimits(asked.speed, asked.acceleration, asked.jerk)
+        rates = PathLimits(approach.speed, approach.acceleration, approach.jerk)
         self._begin(time_path(path, self._setup.limits, rates))
 
     def hold(self) -> None:
@@ -168,8 +156,8 @@ class SimMover:
             self._enter(MoverState.READY)
         elif self._state is MoverState.MOVING and now - self._since > STREAM_TIMEOUT:
             self._enter(MoverState.HELD)
-        known = None if self._state is MoverState.OFF else self._arm.q(now)
-        return MoverStatus(self._state, self._reason, known, now, None)
+        angles = None if self._state is MoverState.OFF else self._arm.q(now)
+        return MoverStatus(self._state, self._reason, angles, now, None)
 
     def close(self) -> None:
         """Give the controls back. See `Mover.close`."""
@@ -178,8 +166,8 @@ class SimMover:
     def _require_rest(self, q: Array) -> None:
         if self._state not in ACCEPTING_STATES:
             raise MotionRefusedError(f"the arm takes no move now, it is {self._state.value}")
-        if said := limit_violation(self._setup.limits, JointMotion(q, 0 * q, 0 * q)):
-            raise MotionRefusedError(said)
+        if violation := limit_violation(self._setup.limits, JointMotion(q, 0 * q, 0 * q)):
+            raise MotionRefusedError(violation)
 
     def _begin(self, way: Trajectory) -> None:
         self._way, self._began = way, self._now()

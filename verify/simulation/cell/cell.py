@@ -48,12 +48,7 @@ class LimitMonitor:
 
 
 class CellWorld:
-    """Everything in the cell as it really is.
-
-    Args:
-        setup: what those who work in it know of it.
-        scene: what stands there, and what happens.
-    """
+    """Everything in the cell as it really is."""
 
     def __init__(self, setup: CellSetup, scene: CellScene) -> None:
         self.setup, self.scene = setup, scene
@@ -91,8 +86,8 @@ class CellWorld:
     def judge(self) -> None:
         """Look whether the arm keeps its limits; once a set point, as those are made."""
         q = self.arm.q(self.t)
-        _, told = joint_points(self.setup.planner.arm, q)  # limits are of what was told
-        self.watch.see(self.t, q, (told @ self.setup.cell.gripper.flange_T_grip)[:3, 3])
+        _, flange = joint_points(self.setup.planner.arm, q)  # limits are of the ordered angles
+        self.watch.see(self.t, q, (flange @ self.setup.cell.gripper.flange_T_grip)[:3, 3])
 
     def encoders(self) -> EncoderReading:
         """Read the joints."""
@@ -102,8 +97,8 @@ class CellWorld:
     def bases(self) -> PanReading:
         """Read how the camera bases stand."""
         rig, turned = self.setup.rig, self._gone(self.t)
-        known = [c.pan_standard_uncertainty or 0.0 for c in (rig.left, rig.right)]
-        read = np.array([rig.left.pan, rig.right.pan]) + turned + self._rng.normal(0.0, known)
+        u = [c.pan_standard_uncertainty or 0.0 for c in (rig.left, rig.right)]
+        read = np.array([rig.left.pan, rig.right.pan]) + turned + self._rng.normal(0.0, u)
         moving = any(turn.at <= self.t < turn.at + turn.lasts for turn in self.scene.turns)
         return PanReading(self.t, self.t, 0.0005, 0, read, moving)
 
@@ -127,8 +122,8 @@ class CellWorld:
             ]
             board = self._board() if self.happened("hidden") else None
             pictures.append(camera.picture(caps, posed, self._light(t), scene.noise, board))
-        told = (rig.left.pan, rig.right.pan) if pans is None else pans
-        pair = StereoPair(self._frame, self.t, self.t + RIGHT_DELAY, *told, *pictures)
+        pan_readings = (rig.left.pan, rig.right.pan) if pans is None else pans
+        pair = StereoPair(self._frame, self.t, self.t + RIGHT_DELAY, *pan_readings, *pictures)
         self._frame += 1
         return pair
 

@@ -2,10 +2,9 @@
 
 import time
 from dataclasses import dataclass
-from typing import Protocol
 
 from verify.core.records import StereoPair
-from verify.devices.protocols import EncoderReading, PanReading
+from verify.devices.protocols import EncoderReading
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import DrivenArm, SteppedArm, StreamedArm
@@ -14,6 +13,7 @@ from verify.grasping.control.run import PairSource
 from verify.grasping.tool_offset.watch import FlangeWatch
 from verify.grasping.tracking.target import ColourSelection, Target
 from verify.grasping.tracking.track import TargetTracker
+from verify.live.buffers import PanBuffer
 from verify.simulation.cell.arm import SimMover
 from verify.simulation.cell.cell import N_SUBSTEPS, RATE, CellWorld
 from verify.simulation.cell.hand import SimGripper
@@ -23,27 +23,14 @@ from verify.simulation.cell.setup import CellSetup
 ALARM = "alarm 0930 (servo error)"
 
 
-class PanInterpolator(Protocol):
-    """Turns readings of the camera bases into angles at an instant, as `verify run` does."""
-
-    def add(self, reading: PanReading) -> None:
-        """Take a reading."""
-
-    def at(self, t: float) -> tuple[float, float] | None:
-        """Angles of left and right base, rad, at an instant, s; None where they are not known."""
-
-
 class CellSource:
     """Gives the loop what it asks for, and lets the world go on while it waits.
 
-    Args:
-        world: the cell.
-        bases: are told how the camera bases stand, and asked; None: they stand as the rig says.
-        paced: keep to the computer's clock, for an operator who watches; else as fast as it goes.
+    Without `bases` the cameras' stand as the rig says; `paced` keeps to the computer's clock.
     """
 
     def __init__(
-        self, world: CellWorld, bases: PanInterpolator | None = None, *, paced: bool = False
+        self, world: CellWorld, bases: PanBuffer | None = None, *, paced: bool = False
     ) -> None:
         self._world, self._bases, self._paced = world, bases, paced
         self._began = time.monotonic()
@@ -106,17 +93,12 @@ def cell_grab(
     right: ExecutePermission | None = None,
     *,
     mode: CellMode = CellMode(),
-    bases: PanInterpolator | None = None,
+    bases: PanBuffer | None = None,
 ) -> CellRun:
     """Put a grab together; nothing has begun yet.
 
-    Args:
-        setup: what is known of the cell.
-        scene: what stands there, and what happens.
-        target: what to grab; by default the colour of the scene's first cap.
-        right: the operator's order that the arm may move; None: it may not.
-        mode: how it is driven.
-        bases: keep the angles of turning camera bases; None: fixed ones.
+    The target is the colour of the scene's first cap, where none is given. Without the operator's
+    right the arm may not move.
 
     Raises:
         InputError: the target's colour has no name.

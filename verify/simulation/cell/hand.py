@@ -23,11 +23,7 @@ RESTING_STATES = frozenset(
 
 
 class CellHand:
-    """The fingers themselves.
-
-    Args:
-        opening: m, the widest.
-    """
+    """The fingers themselves; `opening`, m, is the widest."""
 
     def __init__(self, opening: float) -> None:
         self.widest = self.opening = opening
@@ -49,13 +45,7 @@ class CellHand:
 
 
 class SimGripper:
-    """A simulated gripper behind the protocol `Gripper`.
-
-    Args:
-        hand: what it moves.
-        now: s, the simulation's clock.
-        right: the operator's order that it may move.
-    """
+    """A simulated gripper behind the protocol `Gripper`."""
 
     def __init__(self, hand: CellHand, now: Callable[[], float], right: ExecutePermission) -> None:
         if not isinstance(right, ExecutePermission):

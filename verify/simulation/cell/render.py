@@ -14,20 +14,13 @@ from verify.core.rig import Camera
 from verify.grasping.cell import GripperGeometry
 from verify.simulation.cell.scene import COLOURS
 
-ARM_COLOUR, PALM_COLOUR, FINGER_COLOUR = (
-    (206, 210, 212),
-    (70, 70, 72),
-    (150, 152, 155),
-)  # BGR: arm, palm, fingers
+ARM_COLOUR, PALM_COLOUR, FINGER_COLOUR = (206, 210, 212), (70, 70, 72), (150, 152, 155)  # BGR
 COLLAR_COLOUR, LED = (24, 24, 25), 220.0
 TABLE_COLOUR, FLOOR_COLOUR = (110, 150, 180), (150, 155, 160)
 TABLE_CORNERS = ((0.24, -0.42), (0.74, -0.42), (0.74, 0.42), (0.24, 0.42))  # m, corners of its top
 LINK_RADIUS, FINGER_RADIUS = 0.045, 0.008  # m, radii as drawn: the links' own, not their safety's
-COLLAR_RANGE = (
-    0.04,
-    0.07,
-)  # m, of the flange's z: a black collar about the palm, with the LEDs on it
-COLLAR_RADIUS = 0.052  # m
+# m: a black collar about the palm, with the LEDs on it, from one z of the flange to another
+COLLAR_RANGE, COLLAR_RADIUS = (0.04, 0.07), 0.052
 BLUR_PX = 0.6  # px
 NOISE_SHIFT_PX = 64  # px by which the noise pattern may be shifted
 CIRCLE_ANGLES = np.linspace(0.0, 2 * np.pi, 20, endpoint=False)
@@ -54,16 +47,7 @@ class RenderedArm:
 
 
 class CellCamera:
-    """Draws what one camera sees.
-
-    Args:
-        camera: whose picture it is.
-        rig_T_base: (4, 4).
-        size: of the picture, px.
-        hand: how the gripper is built.
-        marker: LEDs on the flange.
-        seed: of the background and the noise.
-    """
+    """Draws what one camera sees in pictures of a size, px."""
 
     def __init__(
         self,
@@ -120,14 +104,8 @@ class CellCamera:
         cv2.GaussianBlur(picture, (0, 0), BLUR_PX, dst=picture)
         dy, dx = self._rng.integers(0, NOISE_SHIFT_PX, 2)
         height, width = picture.shape[:2]
-        sensed = cv2.addWeighted(
-            picture,
-            light,
-            self._grain[dy : dy + height, dx : dx + width],
-            noise,
-            0,
-            dtype=cv2.CV_8U,
-        )
+        grain = self._grain[dy : dy + height, dx : dx + width]
+        sensed = cv2.addWeighted(picture, light, grain, noise, 0, dtype=cv2.CV_8U)
         return np.asarray(sensed, dtype=np.uint8)
 
     def _table(self) -> Image:
@@ -162,13 +140,9 @@ class CellCamera:
         for angle in np.deg2rad([90.0, 210.0, 330.0]).tolist():
             out = np.array([np.cos(angle), np.sin(angle), 0.0])
             root = carry(grip, 0.03 * out - [0.0, 0.0, palm])
-            knee = carry(
-                grip, (posed.opening / 2 + FINGER_RADIUS + 0.006) * out - [0.0, 0.0, palm / 2]
-            )
-            tip = carry(
-                grip,
-                (posed.opening / 2 + FINGER_RADIUS) * out + [0.0, 0.0, hand.tips - FINGER_RADIUS],
-            )
+            inside = posed.opening / 2 + FINGER_RADIUS
+            knee = carry(grip, (inside + 0.006) * out - [0.0, 0.0, palm / 2])
+            tip = carry(grip, inside * out + [0.0, 0.0, hand.tips - FINGER_RADIUS])
             capsule(root, knee, FINGER_RADIUS, FINGER_COLOUR)
             capsule(knee, tip, FINGER_RADIUS, FINGER_COLOUR)
         nearest = self._away(grip[:3, 3] - 0.05 * grip[:3, 2]) - 0.08
@@ -187,10 +161,8 @@ class CellCamera:
 
     def _cap(self, picture: Image, cap: RenderedCap) -> None:
         """A short cylinder: a lit top, a darker side, darker still to the right, a reflection."""
-        ring = (
-            np.stack([np.cos(RIM_ANGLES), np.sin(RIM_ANGLES), np.zeros_like(RIM_ANGLES)], axis=1)
-            * cap.radius
-        )
+        circle = np.cos(RIM_ANGLES), np.sin(RIM_ANGLES), np.zeros_like(RIM_ANGLES)
+        ring = cap.radius * np.stack(circle, axis=1)
         up = np.array([0.0, 0.0, cap.height / 2])
         top, bottom = carry(cap.base_T_cap, ring + up), carry(cap.base_T_cap, ring - up)
         colour = np.array(COLOURS[cap.colour], dtype=float)
@@ -209,13 +181,9 @@ class CellCamera:
     ) -> None:
         """Its outline by two circles that face the camera, and a lighter streak along it."""
         across = np.linalg.inv(self._camera_T_base[:3, :3])[:, :2]
-        disc = (
-            np.cos(CIRCLE_ANGLES)[:, None] * across[:, 0]
-            + np.sin(CIRCLE_ANGLES)[:, None] * across[:, 1]
-        )
-        self._fill(
-            picture, np.vstack([a + radius * disc, b + radius * disc]), np.array(colour) * 0.8
-        )
+        disc = np.stack([np.cos(CIRCLE_ANGLES), np.sin(CIRCLE_ANGLES)], axis=1) @ across.T
+        outline = np.vstack([a + radius * disc, b + radius * disc])
+        self._fill(picture, outline, np.array(colour) * 0.8)
         streak = 0.55 * radius * disc + [0.0, 0.0, 0.25 * radius]
         self._fill(picture, np.vstack([a + streak, b + streak]), colour)
 

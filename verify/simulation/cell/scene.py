@@ -88,12 +88,7 @@ class CellScene:
 
 
 def draw_scene(seed: int, colour: str = "blue") -> CellScene:
-    """Draw a cell: where the target stands or slides to, other caps, the light.
-
-    Args:
-        seed: the same one gives the same cell.
-        colour: of the target; no other cap has it.
-    """
+    """Draw a cell: where the target stands or slides to, other caps, the light."""
     rng = np.random.default_rng(seed)
     slides = float(rng.uniform(0.5, 2.5)) if rng.random() < 0.5 else 0.0
     turn, speed = rng.uniform(0, 2 * np.pi), rng.uniform(0.02, 0.08)

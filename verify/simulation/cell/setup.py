@@ -52,12 +52,7 @@ class CellSetup:
 
 @cache
 def cell_setup(size: tuple[int, int] = FULL_SIZE, *, turning: bool = False) -> CellSetup:
-    """Put the cell together.
-
-    Args:
-        size: of the pictures, px.
-        turning: the cameras stand on bases that turn.
-    """
+    """Put the cell together."""
     arm = robots.load(ROBOT)
     cell, _ = grasping_cell.read(Path(__file__).parents[1] / "cell.toml", arm.dof)
     rig = _rig(size, PAN_UNCERTAINTY if turning else None)

@@ -24,16 +24,10 @@ RENDER_TIME = 0.016  # s: so long before a picture is due its rendering begins
 
 
 class SimulatedCameraDevice:
-    """One of the two cameras.
+    """The left (0) or right (1) camera.
 
     The next picture is rendered shortly before it is due: a real camera, too, costs its reader
     nothing until the picture is there, nor the measurement of the one before.
-
-    Args:
-        scene: what it looks at, and the clock.
-        side: 0 left, 1 right.
-        painter: paints what it sees; closed with the camera.
-        settings: rate and whether in grey; other settings have no meaning here and are refused.
     """
 
     def __init__(
@@ -94,7 +88,7 @@ class SimulatedCameraDevice:
             age = min(age or 0.0, 1 / self._rate)
         within = [t for t in list(self._arrivals) if t > now - 1.0]
         name = f"simulated {SIDES[self._side]} camera"
-        said = {"camera_gone": "not connected: it was unplugged", "camera_stalls": "silent"}
+        conditions = {"camera_gone": "not connected: it was unplugged", "camera_stalls": "silent"}
         notes = [str(refusal) for refusal in self._refused()]
         late = f"{self._lost} pictures that were not rendered, or not read, in time"
         notes += [late] if self._lost else []
@@ -104,7 +98,7 @@ class SimulatedCameraDevice:
             age=age,
             frames=self._frames,
             lost=self._lost,
-            sentence="; ".join([f"{name}: {said.get(away or '', 'reading')}", *notes]),
+            sentence="; ".join([f"{name}: {conditions.get(away or '', 'reading')}", *notes]),
             size=self._scene.scenario.rig.image_size,
             rate=float(len(within)) if within else None,
             refused=self._refused(),
@@ -162,14 +156,14 @@ class SimulatedCameraDevice:
 
     def _refused(self) -> tuple[RefusedSetting, ...]:
         """Settings that a simulation has no use for, and a size that is not the scenario's."""
-        asked, size = self._settings, self._scene.scenario.rig.image_size
+        settings, size = self._settings, self._scene.scenario.rig.image_size
         refused = [
             RefusedSetting(name, str(value), "not simulated")
             for name in ("format", "exposure", "gain", "white_balance")
-            if (value := getattr(asked, name)) is not None
+            if (value := getattr(settings, name)) is not None
         ]
-        if asked.size not in (None, size):
+        if settings.size not in (None, size):
             refused.append(
-                RefusedSetting("size", "{} x {}".format(*asked.size), "{} x {}".format(*size))
+                RefusedSetting("size", "{} x {}".format(*settings.size), "{} x {}".format(*size))
             )
         return tuple(refused)

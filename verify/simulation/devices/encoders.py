@@ -18,12 +18,7 @@ RESET_TIME = 1.0  # s: what the controller's clock shows after a reset
 
 
 class SimulatedEncoders:
-    """Joint readings of the simulated arm.
-
-    Args:
-        scene: the arm, and the clock.
-        rate: Hz; None for the scenario's own.
-    """
+    """Joint readings of the simulated arm."""
 
     def __init__(self, scene: DeviceScene, rate: float | None) -> None:
         self._scene, self._table = scene, scene.scenario.encoders
@@ -46,16 +41,16 @@ class SimulatedEncoders:
         if self._closed or not len(numbers):
             return []
         t = clock.began + numbers * period
-        heard = np.array([not self._silent(instant) for instant in t.tolist()])
-        return [self._reading(*row) for row in self._rows(t[heard])]
+        audible = np.array([not self._silent(instant) for instant in t.tolist()])
+        return [self._reading(*row) for row in self._rows(t[audible])]
 
     def state(self) -> DeviceState:
         """Say how the encoders are."""
         now = self._scene.clock.now()
         age = None if self._last is None else now - self._last
-        said = "silent" if self._silent(now) else "reading"
+        condition = "silent" if self._silent(now) else "reading"
         return DeviceState(
-            not self._closed, age, self._count, 0, {}, f"simulated encoders: {said}", True
+            not self._closed, age, self._count, 0, {}, f"simulated encoders: {condition}", True
         )
 
     def close(self) -> None:
@@ -70,7 +65,7 @@ class SimulatedEncoders:
         for row, instant in enumerate(t.tolist()):
             for event in scene.present(instant):
                 if event.what == "encoder_jump" and event.joint is not None:
-                    q[row, event.joint - 1] += event.angle
+                    q[row, event.joint - 1] += np.deg2rad(event.degrees)
         return list(zip(t.tolist(), quantised(q, self._table.resolution_deg), strict=True))
 
     def _reading(self, t: float, q: Array) -> EncoderReading:
@@ -95,11 +90,7 @@ PAN_RATE = 50.0  # Hz
 
 
 class SimulatedPan:
-    """Both bases.
-
-    Args:
-        scene: where they stand, and the clock.
-    """
+    """Both bases."""
 
     def __init__(self, scene: DeviceScene) -> None:
         self._scene = scene
@@ -142,8 +133,8 @@ class SimulatedPan:
         now = self._scene.clock.now()
         age = None if self._last is None else now - self._last
         gone = self._gone(now)
-        said = "not connected: they were unplugged" if gone else "reading"
-        sentence = f"simulated bases: {said}{self._refusal}"
+        condition = "not connected: they were unplugged" if gone else "reading"
+        sentence = f"simulated bases: {condition}{self._refusal}"
         return DeviceState(not (gone or self._closed), age, self._count, 0, {}, sentence)
 
     def close(self) -> None:

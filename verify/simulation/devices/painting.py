@@ -114,9 +114,9 @@ class LocalPainter:
     def paint(self, sight: RenderRequest) -> Image:
         """Give the picture; the same sight comes out the same every time."""
         world, side = self.worlds[sight.lit], sight.side
-        seen = visible_lights(world, side, sight.seconds, sight.pan, sight.hidden)
+        lights = visible_lights(world, side, sight.seconds, sight.pan, sight.hidden)
         turned_px = sight.pan * world.bench.cameras[side].matrix[0, 0]
-        return self.renderers[side].render(seen, sight.number, turned_px)
+        return self.renderers[side].render(lights, sight.number, turned_px)
 
     def close(self) -> None:
         """There is nothing to let go of."""
@@ -136,10 +136,7 @@ def build_painter(session: SimulatedSession) -> LocalPainter:
 class RemotePainter:
     """Paints in another process, and here until that is ready, while it is late or once it is lost.
 
-    Args:
-        scenario: as the station names it.
-        near: paints the same here.
-        timeout: s for a picture.
+    It is late with a picture that takes longer than the timeout, s.
     """
 
     def __init__(self, scenario: str, near: LocalPainter, timeout: float = ANSWER_TIMEOUT) -> None:

@@ -15,13 +15,7 @@ from verify.simulation.world.world import SimulatedWorld
 
 
 class SimClock:
-    """Runs `speed` times as fast as the host's monotonic clock, and agrees with it at the start.
-
-    Args:
-        speed: times real time.
-        now: the host's monotonic clock, s.
-        sleep: waits for so many s.
-    """
+    """Runs `speed` times as fast as the host's monotonic clock, and agrees with it at the start."""
 
     def __init__(
         self,
@@ -52,14 +46,7 @@ MAX_PAN = np.deg2rad(60.0)  # rad, to either side
 
 
 class DeviceScene:
-    """What all simulated devices look at.
-
-    Args:
-        session: the played scenario.
-        painter: of its pictures, its motion made endless.
-        clock: the cameras' clock.
-        events: what happens when.
-    """
+    """What all simulated devices look at."""
 
     def __init__(
         self,
@@ -82,10 +69,6 @@ class DeviceScene:
         """Note that a device is opened: from the first one on, the events' times count."""
         if self._opened is None:
             self._opened = self.clock.now()
-
-    def happen(self, event: SimEvent) -> None:
-        """Let something happen that was not planned; its time counts as the others'."""
-        self._events = (*self._events, event)
 
     def seconds(self, t: float) -> float:
         """Time of the world at an instant of the cameras' clock."""

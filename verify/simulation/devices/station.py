@@ -59,11 +59,6 @@ class SimulatedStation:
         self.scene.open()
         return SimulatedPan(self.scene)
 
-    def happen(self, event: SimEvent) -> None:
-        """Let something happen that was not planned."""
-        _check((event,), self.scene.world.arm.dof, self.marker.names)
-        self.scene.happen(event)
-
 
 def _check(events: tuple[SimEvent, ...], joints: int, leds: tuple[str, ...]) -> None:
     for index, event in enumerate(events):

@@ -24,19 +24,8 @@ TIME_STEP = 0.002  # s
 HISTORY_TIME = 0.2  # s of past, for encoders that lag
 PATH_SPACING = 0.005  # m or rad of a straight line between two points that are solved
 MAX_JOINT_STEP = 0.2  # rad between such points: more is another branch, or a singularity
-(
-    ERROR_SYNTAX,
-    ERROR_UNKNOWN_VARIABLE,
-    ERROR_LIMIT,
-    ERROR_TARGET_OUT_OF_REACH,
-    ERROR_VIA_OUT_OF_REACH,
-) = (
-    4220,
-    4340,
-    2140,
-    2602,
-    2603,
-)
+ERROR_SYNTAX, ERROR_UNKNOWN_VARIABLE, ERROR_LIMIT = 4220, 4340, 2140
+ERROR_TARGET_OUT_OF_REACH, ERROR_VIA_OUT_OF_REACH = 2602, 2603
 _SET = re.compile(r"(J\w{1,7})\s*=\s*\(([-+0-9., ]+)\)")
 _POSE = re.compile(r"(P\w{1,7})\s*=\s*JTOP\((J\w{1,7})\)", re.IGNORECASE)
 _MOVE = re.compile(r"(MOV|MVS)\s+([JP]\w{1,7})")
@@ -56,12 +45,7 @@ class MovePath:
 
 
 class MoveExecution:
-    """The arm as EXEC moves it.
-
-    Args:
-        limits: (joints, 2), rad.
-        arm: its kinematics; None: it knows no straight line.
-    """
+    """The arm as EXEC moves it within limits (joints, 2), rad; straight, if `arm` is there."""
 
     def __init__(self, limits: Array, arm: DhArm | None) -> None:
         self._limits, self._arm = limits, arm
@@ -111,12 +95,7 @@ class MoveExecution:
         self._braking = True
 
     def go_on(self, t: float, override: float) -> None:
-        """Let time pass.
-
-        Args:
-            t: s, now.
-            override: share of full speed.
-        """
+        """Let time pass to t, s, at an override, share of full speed."""
         if self._path is None:
             return
         now = self._past[-1][0]
@@ -155,8 +134,8 @@ class MoveExecution:
     def _go(self, how: str, name: str, q: Array, t: float) -> int:
         if how == "MVS" and name.startswith("J"):
             return ERROR_SYNTAX  # a straight line leads to a pose
-        known = self._joint_variables if name.startswith("J") else self._pose_variables
-        target = known.get(name)
+        variables = self._joint_variables if name.startswith("J") else self._pose_variables
+        target = variables.get(name)
         if target is None:
             return ERROR_UNKNOWN_VARIABLE
         if np.any(target < self._limits[:, 0]) or np.any(target > self._limits[:, 1]):
@@ -201,14 +180,11 @@ def joint_path(q: Array, target: Array) -> MovePath:
 
 SERVO_TIME = 1.0  # s from SRVON to power
 SERVO_LAG = 0.02  # s by which the arm follows its command
-PULSES_PER_RADIAN = 2_000_000.0  # gears and encoders are not public
 HAND_LEVER = 0.5  # m: makes a likely speed of the hand, of an arm without kinematics
 DIFFERENCE = 0.01  # s
 LEVEL = 2  # of the alarm: low
 EMERGENCY_STOPS = range(40, 71)  # alarms that take the servo's power
 BUSY = 5640
-# emulated without effect on the arm: the answer is all that a client sees of them
-ACCEPTED_COMMANDS = frozenset({"SLOTINIT", "RSTPRG", "HNDON", "HNDOFF", "PRGLOAD", "HOT"})
 
 
 class MelfaArm:
@@ -284,27 +260,15 @@ class MelfaArm:
             return self._moves.at(t - lag)
         since = t - self._now if self.running else 0.0
         late = lag if self.running else 0.0
-        return self._trajectory.at(max(self._played + since - late, 0.0))
+        return self._trajectory(max(self._played + since - late, 0.0))
 
-    def told(self, name: str, argument: str, t: float, axes: int) -> str | None:
+    def data(self, name: str, argument: str, t: float, axes: int) -> str | None:
         """Data of a reading command; None if it is none."""
         match name:
-            case "JPOSF" | "GJPOSF":
+            case "JPOSF":
                 return self._position(t, axes)
-            case "PPOSF" | "GPPOSF":
-                return f"X;400.00;Y;0.00;Z;500.00;A;180.00;B;0.00;C;180.00;;6,0;{self._tail(t)}"
             case "STATE":
                 return f";0;{self._override};0;{self._run_status()};0;1;;;;;;;;;REP;START;1;1"
-            case "DSTATE":
-                return f"{self._run_status()};0;1"
-            case "SRVENC":
-                return self._pulses(t)
-            case "SRVDRP":
-                return ";".join(["0"] * 16)
-            case "SRVSPD" | "EMISS":
-                return ";".join(["0"] * 8)
-            case "ETEMP":
-                return ";".join(["35"] * 8 + ["41"] * 8)
             case "OVRD" if not argument:
                 return str(self._override)
             case "ERROR":
@@ -315,8 +279,6 @@ class MelfaArm:
             case "PAR" if argument == "MEJAR":
                 degrees = np.rad2deg(np.resize(self._limits, (8, 2))).ravel()
                 return f"MEJAR;{','.join(f'{value:.2f}' for value in degrees)};16"
-            case "STPSIG":
-                return "00"
         return None
 
     def obey(self, name: str, argument: str, t: float) -> str | int:
@@ -339,8 +301,8 @@ class MelfaArm:
                 return self._set_override(argument)
             case "RSTALRM":
                 self.alarm = 0
-            case _ if name not in ACCEPTED_COMMANDS:
-                return 5990  # EXEC2=, MOVSP, JOG are not emulated
+            case _:
+                return 5990  # what no driver asks for is not emulated
         return ""
 
     def _halt(self) -> None:
@@ -351,7 +313,7 @@ class MelfaArm:
         self.running = True
         if self._off_program:
             self._returning = True
-            self._moves.go_to(self._trajectory.at(self._played), self._moves.at(t), t)
+            self._moves.go_to(self._trajectory(self._played), self._moves.at(t), t)
 
     def _execute(self, instruction: str, t: float) -> str | int:
         if self.moving:
@@ -394,16 +356,3 @@ class MelfaArm:
         run = 0x01 | (0x20 if self.servo_on else 0) | (0x40 if self.moving else 0)
         stop = (0x00 if self.moving else 0x12) | (self.alarm in EMERGENCY_STOPS)
         return f"{run:02X}{stop:02X}{self.alarm}"
-
-    def _pulses(self, t: float) -> str:
-        words = []
-        for axis in range(8):
-            if axis < self._joints:
-                feedback, command = (
-                    round(float(self.joints(t, lag)[axis]) * PULSES_PER_RADIAN)
-                    for lag in (SERVO_LAG, 0.0)
-                )
-            else:
-                feedback = command = 0
-            words += [str(feedback), str(feedback % 131072), "0", str(command)]
-        return ";".join(words)

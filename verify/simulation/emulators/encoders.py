@@ -8,7 +8,7 @@ from verify.core.records import Array
 from verify.devices.encoders.labenc.protocol import MAX_LINE_BYTES, MOVING
 from verify.devices.ports import CHECKSUMS, LineBuffer
 from verify.simulation.emulators.server import TimedMessage
-from verify.simulation.emulators.trajectory import EmulatedTrajectory, HoldTrajectory
+from verify.simulation.emulators.trajectory import EmulatedTrajectory
 
 COUNTS_PER_TURN = 98304  # gear included
 MAX_SAMPLE_BYTES = 91  # bytes of a six-axis J
@@ -34,13 +34,7 @@ class LabencOptions:
 
 
 class LabencEngine:
-    """The board: greeting, stream, queries.
-
-    Args:
-        trajectory: how the arm moves.
-        axes: how many.
-        options: what kind of board it is.
-    """
+    """The board: greeting, stream, queries."""
 
     def __init__(self, trajectory: EmulatedTrajectory, axes: int, options: LabencOptions) -> None:
         self.log: list[str] = []  # every body received
@@ -88,7 +82,7 @@ class LabencEngine:
 
     def angles(self, t: float) -> Array:
         """What the encoders show, (axes,), rad."""
-        return self._trajectory.at(t)
+        return self._trajectory(t)
 
     def status(self, _t: float) -> int:
         """Status bits."""
@@ -133,12 +127,13 @@ class LabencEngine:
 
     def _answer(self, line: bytes, t: float) -> list[str]:
         digits, function = CHECKSUMS[self._options.checksum]
-        body, _, said = line.removeprefix(b"$").partition(b"*")
-        if len(line) > MAX_LINE_BYTES or said != b"%0*X" % (digits, function(body)):
+        body, _, checksum = line.removeprefix(b"$").partition(b"*")
+        if len(line) > MAX_LINE_BYTES or checksum != b"%0*X" % (digits, function(body)):
             return ["E,?,1,checksum"]
         text = body.decode("ascii", errors="replace")
         self.log.append(text)
         kind, *fields = text.split(",")
+        fastest = MAX_LINE_SHARE * self._options.baud / 10 / MAX_SAMPLE_BYTES  # Hz
         match kind, fields:
             case "Q", []:
                 return [self._hello(), *self._axis_lines()]
@@ -146,7 +141,7 @@ class LabencEngine:
                 self._next = self._next if self._streaming else t
                 self._streaming = on == "1"
             case "R", [rate]:
-                if not rate.isdigit() or not 0 < int(rate) <= self._fastest():
+                if not rate.isdigit() or not 0 < int(rate) <= fastest:
                     return ["E,R,2,bad rate"]
                 self._rate = int(rate)
             case "D", ["deg" | "counts" as unit]:
@@ -171,9 +166,6 @@ class LabencEngine:
     def _axis_lines(self) -> list[str]:
         return [f"N,{axis},{COUNTS_PER_TURN},1,0" for axis in range(1, self._axes + 1)]
 
-    def _fastest(self) -> float:
-        return MAX_LINE_SHARE * self._options.baud / 10 / MAX_SAMPLE_BYTES
-
     def _framed(self, body: str) -> bytes:
         digits, function = CHECKSUMS[self._options.checksum]
         data = body.encode("ascii")
@@ -192,7 +184,7 @@ class PanEngine(LabencEngine):
     def __init__(self, options: LabencOptions) -> None:
         self._from, self._to = PARALLEL_ANGLES.copy(), PARALLEL_ANGLES.copy()
         self._ordered_at = 0.0
-        super().__init__(HoldTrajectory(PARALLEL_ANGLES), 2, options)
+        super().__init__(lambda _: PARALLEL_ANGLES, 2, options)
 
     def angles(self, t: float) -> Array:
         """What the encoders on the axes show, (2,), rad."""

@@ -47,11 +47,7 @@ class RequestRefusedError(Exception):
 
 
 class GripperEngine:
-    """The gripper behind its line.
-
-    Args:
-        options: what kind of gripper it is.
-    """
+    """The gripper behind its line."""
 
     def __init__(self, options: GripperOptions) -> None:
         self.log: list[bytes] = []  # every request that was whole, without slave and check
@@ -59,7 +55,7 @@ class GripperEngine:
         contacts = NO_CONTACT if options.contacts is None else options.contacts
         self.hand = GripperHand(options.activation, contacts)
         self._options = options
-        self._buffer, self._heard = b"", 0.0
+        self._buffer, self._received_at = b"", 0.0
         self._outputs = bytes(N_BYTES)
         self._due: float | None = None  # s: when the hand takes the outputs up
 
@@ -85,7 +81,7 @@ class GripperEngine:
             self._due = None
         self.hand.go_on(t)
         if received:
-            self._buffer, self._heard = self._buffer + received, t
+            self._buffer, self._received_at = self._buffer + received, t
         frame = self._frame(t)
         answer = self._answer(frame, t) if frame else b""
         return [TimedMessage(t + self._options.latency, answer)] if answer else []
@@ -96,7 +92,7 @@ class GripperEngine:
         if size is not None and len(self._buffer) >= size and has_valid_crc(self._buffer[:size]):
             frame, self._buffer = self._buffer[:size], self._buffer[size:]
             return frame
-        if not self._buffer or t - self._heard <= FRAME_TIMEOUT:
+        if not self._buffer or t - self._received_at <= FRAME_TIMEOUT:
             return b""
         frame, self._buffer = self._buffer, b""
         if len(frame) >= MIN_FRAME and has_valid_crc(frame):
@@ -158,13 +154,13 @@ class GripperEngine:
         self._due = t + self._options.cycle
 
 
-def _identification_reply(asked: bytes) -> bytes:
+def _identification_reply(request: bytes) -> bytes:
     """Say what it is: MEI type, stream, conformity, nothing more to follow, three objects.
 
     Raises:
         RequestRefusedError: another stream is asked for.
     """
-    if asked[:2] != bytes([DEVICE, BASIC]):
+    if request[:2] != bytes([DEVICE, BASIC]):
         raise RequestRefusedError(ILLEGAL_VALUE)
     objects = [bytes([number, len(text)]) + text for number, text in enumerate(IDENTITY)]
     return bytes([DEVICE, BASIC, BASIC, 0, 0, len(objects)]) + b"".join(objects)

@@ -155,7 +155,7 @@ class GripperHand:
     def inputs(self) -> bytes:
         """Give the 16 input bytes as they are now."""
         orders = self._orders
-        told = (
+        codes = (
             self._status
             if orders.go and self.stage is GripperStage.READY
             else np.zeros(4, dtype=int)
@@ -165,12 +165,12 @@ class GripperHand:
             | orders.mode << 1
             | int(orders.go) << 3
             | self.stage << 4
-            | self._overall(told) << 6
+            | self._overall(codes) << 6
         )
-        each = sum(int(code) << 2 * axis for axis, code in enumerate(told))
+        each = sum(int(code) << 2 * axis for axis, code in enumerate(codes))
         answer = bytearray([status, each, self.on_demand or self.fault])
         for axis in range(4):
-            moving = self.stage is GripperStage.READY and orders.go and told[axis] == 0
+            moving = self.stage is GripperStage.READY and orders.go and codes[axis] == 0
             current = CURRENT_MOVING if moving else 0
             answer += bytes([orders.echo[axis], round(self.position[axis]), current])
         return bytes(answer) + b"\0"
@@ -190,10 +190,10 @@ class GripperHand:
 
     def _note_fault(self) -> None:
         orders = self._orders
-        asked = orders.go or orders.release
-        if asked and not orders.activate:
+        ordered = orders.go or orders.release
+        if ordered and not orders.activate:
             self.fault = GripperFault.NOT_ACTIVATED
-        elif asked and self.stage is GripperStage.ACTIVATING:
+        elif ordered and self.stage is GripperStage.ACTIVATING:
             self.fault = GripperFault.WAITS_FOR_ACTIVATION
         elif orders.release and orders.activate:
             opened = bool(np.all(self.position[:3] <= OPEN_LIMIT[:3]))
@@ -227,9 +227,9 @@ class GripperHand:
         close = np.abs(goal - self.position) <= speed * seconds
         self.position = np.where(close, goal, self.position + step)
 
-    def _overall(self, told: Array) -> int:
+    def _overall(self, codes: Array) -> int:
         """GSTA of the axes that are driven: 0 moving, 1 some stopped, 2 all stopped, 3 there."""
-        codes = told[np.array(self._orders.driven)]
+        codes = codes[np.array(self._orders.driven)]
         if not self._orders.go or np.any(codes == 0):
             return 0
         if np.all(codes == 3):

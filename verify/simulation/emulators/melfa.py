@@ -45,13 +45,7 @@ class ControllerOptions:
 
 
 class MelfaEngine:
-    """The line server.
-
-    Args:
-        arm: what the controller controls.
-        options: how it answers.
-        seed: of the jitter.
-    """
+    """The line server."""
 
     def __init__(self, arm: MelfaArm, options: ControllerOptions, seed: int = 0) -> None:
         self.log: list[str] = []  # every command received, without robot and slot
@@ -59,7 +53,7 @@ class MelfaEngine:
         self._random = np.random.default_rng(seed)
         self._buffer = b""
         self._open = False
-        self._heard = 0.0  # s: when the last byte came
+        self._received_at = 0.0  # s: when the last byte came
         self._free = 0.0  # s: when the last answer was given
 
     def greet(self, t: float) -> None:
@@ -79,9 +73,9 @@ class MelfaEngine:
     def step(self, t: float, received: bytes) -> list[TimedMessage]:
         """Answer what has come; without a terminator, a short silence ends a command."""
         if received:
-            self._buffer, self._heard = self._buffer + received, t
+            self._buffer, self._received_at = self._buffer + received, t
         *parts, self._buffer = re.split(rb"[\r\n\0]+", self._buffer)
-        if self._buffer and t - self._heard > COMMAND_TIMEOUT:
+        if self._buffer and t - self._received_at > COMMAND_TIMEOUT:
             parts.append(self._buffer)
             self._buffer = b""
         messages = []
@@ -130,10 +124,8 @@ class MelfaEngine:
         if name == "CLOSE":
             self._open = False
             return ""
-        if name == "OPSTSRD":
-            return "ENET;10001;1" if argument in ("1", "2", "3") else 3110
-        told = self.arm.told(name, argument, t, self._options.axes)
-        return told if told is not None else self.arm.obey(name, argument, t)
+        data = self.arm.data(name, argument, t, self._options.axes)
+        return data if data is not None else self.arm.obey(name, argument, t)
 
     def _identity(self, client: str) -> str:
         kind = self._options.robot_type
@@ -160,20 +152,13 @@ LAYOUT = struct.Struct("<HHHH40sHHHHHHIHH40sHH40sHH40s")
 
 
 class RealtimeEngine:
-    """Once asked, answers every cycle while packets keep coming.
+    """Once asked, answers every cycle while packets keep coming."""
 
-    Args:
-        trajectory: how the arm moves.
-        joints: how many it has.
-        drift: by which the controller's clock is fast.
-    """
-
-    def __init__(self, trajectory: EmulatedTrajectory, joints: int, drift: float = 0.0) -> None:
+    def __init__(self, trajectory: EmulatedTrajectory, joints: int) -> None:
         self.log: list[bytes] = []  # first bytes of every packet received
         self._trajectory, self._joints = trajectory, joints
-        self._cycle_time = CYCLE / (1.0 + drift)
         self._wanted = (0, 0, 0, 0)
-        self._heard: float | None = None
+        self._received_at: float | None = None
         self._next = 0.0
         self._count = 0
         self._missed = 0
@@ -196,14 +181,14 @@ class RealtimeEngine:
             self._hear(received, t)
         messages = []
         while self._next <= t:
-            self._next += self._cycle_time
+            self._next += CYCLE
             self._count = (self._count + 1) % CYCLE_MODULUS
-            if self._heard is None:
+            if self._received_at is None:
                 continue
-            if t - self._heard > TIMEOUT:
-                self._heard = None
+            if t - self._received_at > TIMEOUT:
+                self._received_at = None
                 continue
-            if t - self._heard > 1.5 * self._cycle_time:
+            if t - self._received_at > 1.5 * CYCLE:
                 self._missed = (self._missed + 1) % (1 << 16)
             messages.append(TimedMessage(t, self._packet(t)))
         return messages
@@ -212,12 +197,12 @@ class RealtimeEngine:
         self.log.append(data[:8])
         fields = LAYOUT.unpack(data)
         if fields[0] == 255:
-            self._heard = None
+            self._received_at = None
             return
         self._wanted = (fields[2], fields[12], fields[15], fields[18])
-        if self._heard is None:
+        if self._received_at is None:
             self._missed = 0
-        self._heard = t
+        self._received_at = t
 
     def _packet(self, t: float) -> bytes:
         blocks = [(kind, self._block(kind, t)) for kind in self._wanted]
@@ -238,4 +223,4 @@ class RealtimeEngine:
         return bytes(40)
 
     def _at(self, t: float) -> Array:
-        return self._trajectory.at(max(t, 0.0))
+        return self._trajectory(max(t, 0.0))

@@ -255,12 +255,8 @@ class EmulatorFaults:
     status: tuple[float, float] | None = None  # s, bits: set from then on
 
 
-def parse_faults(texts: list[str], known: frozenset[str]) -> EmulatorFaults:
+def parse_faults(texts: list[str], possible: frozenset[str]) -> EmulatorFaults:
     """Read `noise=0.05`, `silence=10:3`, `reset=20` and the like.
-
-    Args:
-        texts: as the user wrote them.
-        known: those that this device can have.
 
     Raises:
         InputError: not known, or no numbers.
@@ -268,8 +264,8 @@ def parse_faults(texts: list[str], known: frozenset[str]) -> EmulatorFaults:
     values: dict[str, Any] = {}
     for text in texts:
         name, _, value = text.partition("=")
-        if name not in known:
-            expected = f"this device can have {', '.join(sorted(known))}"
+        if name not in possible:
+            expected = f"this device can have {', '.join(sorted(possible))}"
             raise InputError("--fault", f'"{name}" is not known', expected, "Choose one of them.")
         try:
             numbers = [float(word) for word in value.split(":")]
@@ -356,15 +352,7 @@ class EmulatorEngine(Protocol):
 
 
 class EmulatorServer:
-    """One emulated device.
-
-    Args:
-        front: where it can be reached.
-        engine: the device.
-        faults: what goes wrong.
-        baud: paces the bytes as a serial line of so many bits/s would; None does not.
-        seed: of the faults' chance.
-    """
+    """One emulated device; `baud` paces its bytes as a serial line of so many bits/s would."""
 
     def __init__(
         self,

@@ -103,11 +103,6 @@ def write_session(
 ) -> None:
     """Write every file of the session, pictures included, into an empty folder.
 
-    Args:
-        session: from `simulate`.
-        folder: exists; what builds a folder whole or not at all is verify.io.files.
-        done: called after each picture, for a progress bar.
-
     Raises:
         InputError: the disk refuses, or OpenCV cannot write the video.
     """

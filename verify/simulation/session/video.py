@@ -17,13 +17,9 @@ CODEC_OPTIONS = {"level": "3", "slicecrc": "1", "flags": "+bitexact"}
 def write_video(
     path: Path, images: Iterable[Image], rate_hz: float, done: Callable[[], object] = lambda: None
 ) -> None:
-    """Write pictures as FFV1 in Matroska.
+    """Write pictures, all grey (h, w) or all BGR (h, w, 3), as FFV1 in Matroska.
 
-    Args:
-        path: ends in .mkv.
-        images: all of one size, all grey (h, w) or all BGR (h, w, 3).
-        rate_hz: for players alone; the session's times stand in frames.csv.
-        done: called after each picture.
+    The rate is for players alone; `done` is called after each picture.
 
     Raises:
         InputError: such a file cannot be written there.

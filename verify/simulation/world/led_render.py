@@ -167,12 +167,9 @@ class Renderer:
         return (*size, 3) if self.table.colour else size
 
     def render(self, lights: Sequence[Light], frame: int, turned_px: float = 0.0) -> Image:
-        """Take one picture.
+        """Take one picture; the same frame comes out the same every time.
 
-        Args:
-            lights: what shines, from `lights.lights`.
-            frame: chooses the noise; the same frame comes out the same every time.
-            turned_px: by how many pixels the camera's turn has shifted the far room.
+        `turned_px` is by how many pixels the camera's turn has shifted the far room.
 
         Returns:
             (h, w) or, in colour, (h, w, 3) BGR.

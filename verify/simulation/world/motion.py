@@ -53,25 +53,6 @@ class MotionProfile(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class JointTurn:
-    """One joint-space move from rest to rest."""
-
-    home: Array  # (joints,), rad
-    sweep: Array  # (joints,), rad
-    begin: float  # s
-    duration: float  # s
-
-    def angles(self, t: Array) -> Array:
-        """Follow the ramp from home to home + sweep."""
-        return self.home + self.sweep * minimum_jerk((t - self.begin) / self.duration)[..., None]
-
-    def direction(self, t: Array) -> Array:
-        """Give the sweep's sign: there is no other travel."""
-        moved = np.asarray(t)[..., None] > self.begin
-        return np.where(moved, direction_sign(self.sweep), 1.0)
-
-
-@dataclass(frozen=True, slots=True)
 class SumOfSines:
     """Every joint moves all the time."""
 
@@ -162,12 +143,7 @@ class ConstantVelocity:
 
 
 def plan_motion(scenario: Scenario, begin: float, end: float) -> MotionProfile:
-    """Make the scenario's motion fill the time from the first pair to the last one.
-
-    Args:
-        scenario: says the kind of motion, and the seed for what is drawn.
-        begin: s, cameras' clock, the first pair.
-        end: s, the last pair.
+    """Make the scenario's motion fill the time from the first pair (begin, s) to the last (end).
 
     Returns:
         The motion, defined for every instant.
@@ -176,10 +152,11 @@ def plan_motion(scenario: Scenario, begin: float, end: float) -> MotionProfile:
     home = np.radians(np.asarray(table.home_deg, dtype=float))
     rng = generator(scenario.seed, RandomStream.MOTION)
     if isinstance(table, QuarterCircle):
-        sweep = np.zeros_like(home)
-        sweep[0] = np.radians(table.sweep_deg)
+        turned = home.copy()
+        turned[0] += np.radians(table.sweep_deg)
         duration = max(end - begin - 2 * table.rest_s, 1e-3)  # 1 ms: a single pair has no span
-        return JointTurn(home, sweep, begin + table.rest_s, duration)
+        depart = np.array([-np.inf, begin + table.rest_s])
+        return StationaryPoses(np.stack([home, turned]), depart, duration)
     if isinstance(table, ConstantSpeed):
         return ConstantVelocity(home, np.radians(np.asarray(table.speed_deg_s)), (begin + end) / 2)
     amplitude = np.radians(np.asarray(table.amplitude_deg, dtype=float))

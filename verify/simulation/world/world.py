@@ -22,9 +22,8 @@ class SimulatedWorld:
     arm: robots.Arm
     motion: MotionProfile
     bench: Bench
-    leds: tuple[
-        ScenarioLed, ...
-    ]  # brightness, colour and direction; where they truly are is in the bench
+    # brightness, colour and direction; where they truly are is in the bench
+    leds: tuple[ScenarioLed, ...]
     led_diameter: float  # m
     mirrors: tuple[Mirror, ...] = ()
     lamps: tuple[Distractor, ...] = ()

@@ -28,7 +28,7 @@ from verify.measurement.systematics import stated_systematics
 from verify.measurement.track import Track
 from verify.simulation.scenario import ScenarioFault
 from verify.simulation.session.simulate import reading_error
-from verify.simulation.world.motion import JointTurn, MotionProfile, SequentialSwings
+from verify.simulation.world.motion import MotionProfile, SequentialSwings, StationaryPoses
 
 SLOT = 6.0  # s a joint
 SESSION = cast(
@@ -159,9 +159,9 @@ def test_an_eccentric_encoder_shows_where_the_joint_turns_far_enough() -> None:
 
 
 def test_one_way_shows_no_hysteresis_and_no_figure_is_made_up_for_it() -> None:
-    sweep = np.zeros(6)
-    sweep[2] = np.deg2rad(40)
-    found = swept(1, (ScenarioFault(joint=3, gain=0.01),), JointTurn(HOME, sweep, 1.0, 20.0))
+    turned = HOME + np.deg2rad(40) * np.eye(6)[2]
+    one_way = StationaryPoses(np.stack([HOME, turned]), np.array([-np.inf, 1.0]), 20.0)
+    found = swept(1, (ScenarioFault(joint=3, gain=0.01),), one_way)
     assert [s.joint for s in found] == [2]
     assert np.isnan(found[0].hysteresis.value)
     assert abs(pull(found[0].gain.value, found[0].gain.uncertainty, 0.01)) < 4

@@ -142,7 +142,7 @@ class Printer:
             self._on = b"go" in received
         messages = []
         while self._next <= t:
-            degrees = [f"{angle:.4f}" for angle in np.rad2deg(Ramp().at(self._next))]
+            degrees = [f"{angle:.4f}" for angle in np.rad2deg(Ramp()(self._next))]
             start = [f"{self._next * 1e3:.0f}"] if self._timed else []
             line = ",".join(start + degrees) + "\r\n"
             if self._on:

@@ -19,7 +19,7 @@ from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspState
 from verify.grasping.planning.plan import planner_with_cameras
 from verify.live.buffers import MAX_PAN_AGE, PanBuffer
-from verify.simulation.cell.grab import CellMode, CellRun, PanInterpolator, cell_grab
+from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, PanTurn
 from verify.simulation.cell.setup import SMALL_SIZE, cell_setup
 
@@ -36,7 +36,7 @@ class Unturned(PanBuffer):
 
 
 def seen(
-    *turns: PanTurn, bases: PanInterpolator, moves: bool = False
+    *turns: PanTurn, bases: PanBuffer, moves: bool = False
 ) -> tuple[CellRun, GraspOutcome, list[LoopCycle]]:
     right = ExecutePermission("test") if moves else None
     scene = CellScene(CAP, turns=turns, seed=1)

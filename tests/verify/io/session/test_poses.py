@@ -83,23 +83,6 @@ def test_the_file_gives_the_joints_that_the_pictures_gave(
     assert verdicts(results) == verdicts(seen)
 
 
-def test_another_arm_comes_out_alike(tmp_path: Path) -> None:
-    # its rig and LEDs lie off what their files state: what a file of poses cannot count, it lists
-    sample = SAMPLE.parent / "multi_joint_rv_3sd"
-    watched = Watched(open_session(sample))
-    seen, clock = watched.analyse(), watched.session.clock
-    assert clock is not None
-    more = f"\n[clock]\nencoder_offset_s = {clock.encoder_offset!r}\n"
-    folder = write_posed(tmp_path / "posed", sample, poses_csv(*watched.poses), more=more)
-    results = analyse(open_session(folder), tolerance=watched.session.tolerance)
-    np.testing.assert_allclose(measured(results), measured(seen), rtol=0, atol=5e-6)
-    np.testing.assert_allclose(
-        joints(results, "mean_error_deg"), joints(seen, "mean_error_deg"), rtol=0, atol=5e-6
-    )
-    assert verdicts(results) == verdicts(seen)
-    assert "the instrument's own calibration" in results.summary["budget"]["uncounted"]
-
-
 def test_clock_and_errors_agree_within_what_the_clock_is_known_to(
     watched: Watched, seen: Results, tmp_path: Path
 ) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.spot_level import RATE, SpotRun, facing_rig, row, streamed
+from tests.support.spot_level import RATE, row, streamed
 from verify.live.alarms.change_detection import Cusum, alarm_threshold, run_length
 from verify.live.alarms.innovations import Innovation
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
@@ -94,16 +94,6 @@ def test_a_second_jump_raises_a_second_alarm() -> None:
     assert {a.number: a.joints for a in found} == {1: (4,), 2: (4,)}
     second = [a for a in found if a.number == 2]
     assert abs(math.degrees(second[-1].error or 0.0) - 0.5) < 0.1
-
-
-@pytest.mark.slow
-def test_through_the_chain_the_jump_of_joint_4_alarms_within_a_second() -> None:
-    rig, marker = facing_rig()
-    run = SpotRun(rig, marker, rate=15.0, jump=(8.0, 4, math.radians(0.5)))
-    _, found, _ = run.watch(9.5, AlarmLimits(0.1, 15.0, None))
-    assert found
-    assert 8.0 <= found[0].t <= 9.0
-    assert found[-1].joints == (4,)
 
 
 def test_an_error_beyond_tolerance_raises_an_alarm_until_it_ends() -> None:

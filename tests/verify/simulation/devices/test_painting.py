@@ -30,7 +30,6 @@ SIGHTS = [
 
 def ready(distant: RemotePainter) -> ChildProcess[object, None]:
     process, end = distant._process, time.monotonic() + LIMIT
-    assert process is not None
     while not process.is_ready():
         assert time.monotonic() < end
         time.sleep(0.05)
@@ -60,10 +59,10 @@ def test_a_late_process_is_skipped_until_it_answers() -> None:
     wanted = [near.paint(sight) for sight in SIGHTS]
     distant = RemotePainter(SCENARIO, near, 0.01)
     process = ready(distant)
-    os.kill(process.pid, signal.SIGSTOP)
+    os.kill(process._process.pid, signal.SIGSTOP)
     assert all(map(np.array_equal, map(distant.paint, SIGHTS), wanted))
     assert distant.trouble == LATE_NOTE
-    os.kill(process.pid, signal.SIGCONT)
+    os.kill(process._process.pid, signal.SIGCONT)
     distant._timeout, end = LIMIT, time.monotonic() + LIMIT
     while distant.trouble:
         assert np.array_equal(distant.paint(SIGHTS[1]), wanted[1])

@@ -1,6 +1,3 @@
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,7 +10,7 @@ from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.exceptions import ModbusException
 
 from tests.support.command import verify
-from tests.support.devices.bench import running
+from tests.support.devices.bench import emulate_command, running
 from verify.simulation.emulators.gripper import SLAVE, GripperEngine, GripperOptions, add_crc
 from verify.simulation.emulators.hand import (
     NO_CONTACT,
@@ -23,7 +20,6 @@ from verify.simulation.emulators.hand import (
 from verify.simulation.emulators.server import EmulatorFaults
 
 PORTS = ["tcp:0", "pty"]
-COMMAND = "import typer; from verify.cli.emulate import emulate; typer.run(emulate)"
 ACTIVATE = [0x0100, 0, 0]
 OPEN = [0x0900, 0x0000, 0xFFFF]
 ACTIVATION = 0.2  # s: tests cannot wait
@@ -41,6 +37,19 @@ def said(engine: GripperEngine, request: str, t: float) -> str:
     """The answer at t, as hexadecimal digits, check included."""
     messages = engine.step(t, frame(request))
     return b"".join(message.data for message in messages).hex(" ").upper()
+
+
+def write(engine: GripperEngine, registers: str, t: float) -> None:
+    """Write registers from the first output on: how many, how many bytes, and these."""
+    said(engine, add_crc(frame(f"09 10 03E8 {registers}")).hex(), t)
+
+
+def active(contacts: object = None) -> GripperEngine:
+    """A gripper that is ready at 0.3 s."""
+    engine = quick(contacts)
+    write(engine, "0001 02 0100", 0.0)
+    passed(engine, 0.0, 0.3)
+    return engine
 
 
 def passed(engine: GripperEngine, begin: float, end: float) -> None:
@@ -219,15 +228,15 @@ def test_a_disturbed_line_gives_the_client_errors_and_no_false_register(kind: st
 
 def test_actions_that_come_too_early_are_faults() -> None:
     engine = quick()
-    said(engine, add_crc(frame("09 10 03E8 0001 02 0800")).hex(), 0.0)
+    write(engine, "0001 02 0800", 0.0)
     passed(engine, 0.0, 0.05)
     assert engine.hand.inputs()[2] == 7  # not activated
-    said(engine, add_crc(frame("09 10 03E8 0001 02 0900")).hex(), 0.1)
+    write(engine, "0001 02 0900", 0.1)
     passed(engine, 0.1, 0.15)
     assert engine.hand.inputs()[2] == 5  # waits for the activation
     passed(engine, 0.15, 0.4)
     assert engine.hand.inputs()[2] == 0
-    said(engine, add_crc(frame("09 10 03E8 0001 02 0B00")).hex(), 0.4)  # pinch mode, and go
+    write(engine, "0001 02 0B00", 0.4)  # pinch mode, and go
     passed(engine, 0.4, 0.45)
     found = engine.hand.inputs()
     assert (found[0] >> 1 & 3, stage(found), found[2]) == (1, 2, 6)
@@ -237,18 +246,16 @@ def test_actions_that_come_too_early_are_faults() -> None:
 
 
 def test_automatic_release_opens_slowly_and_ends_in_a_fault_that_a_reset_clears() -> None:
-    engine = quick()
-    said(engine, add_crc(frame("09 10 03E8 0001 02 0100")).hex(), 0.0)
-    passed(engine, 0.0, 0.3)
-    said(engine, add_crc(frame("09 10 03E8 0003 06 0900 00FF FFFF")).hex(), 0.3)
+    engine = active()
+    write(engine, "0003 06 0900 00FF FFFF", 0.3)
     passed(engine, 0.3, 1.3)
-    said(engine, add_crc(frame("09 10 03E8 0001 02 1100")).hex(), 1.3)
+    write(engine, "0001 02 1100", 1.3)
     passed(engine, 1.3, 1.4)
     assert engine.hand.inputs()[2] == 0x0B
     passed(engine, 1.4, 10.0)
     assert engine.hand.inputs()[2] == 0x0F
     assert engine.hand.inputs()[4] == 7
-    said(engine, add_crc(frame("09 10 03E8 0001 02 0000")).hex(), 10.0)
+    write(engine, "0001 02 0000", 10.0)
     passed(engine, 10.0, 10.1)
     assert engine.hand.inputs()[2] == 0
 
@@ -271,10 +278,8 @@ def test_a_fault_on_demand_stands_until_a_reset_and_a_major_one_stops_the_finger
 
 @pytest.mark.parametrize("speed", [0, 255])
 def test_fingers_move_at_the_speed_that_is_ordered(speed: int) -> None:
-    engine = quick()
-    said(engine, add_crc(frame("09 10 03E8 0001 02 0100")).hex(), 0.0)
-    passed(engine, 0.0, 0.3)
-    said(engine, add_crc(frame(f"09 10 03E8 0003 06 0900 00FF {speed:02X}00")).hex(), 0.3)
+    engine = active()
+    write(engine, f"0003 06 0900 00FF {speed:02X}00", 0.3)
     passed(engine, 0.3, 0.805)
     mm_s = 110 if speed else 22  # the range of the maker's driver
     assert engine.hand.position[0] == pytest.approx(7 + 0.5 * mm_s * 255 / 155, abs=1.0)
@@ -282,11 +287,8 @@ def test_fingers_move_at_the_speed_that_is_ordered(speed: int) -> None:
 
 
 def test_fingers_singly_an_object_beside_the_middle_and_one_that_falls() -> None:
-    engine = quick(np.array([np.inf, 100.0, np.inf, np.inf]))
-    said(engine, add_crc(frame("09 10 03E8 0001 02 0100")).hex(), 0.0)
-    passed(engine, 0.0, 0.3)
-    singly = "09 10 03E8 0006 0C 0904 0050 FF00 B0FF 00C0 FF00"
-    said(engine, add_crc(frame(singly)).hex(), 0.3)
+    engine = active(np.array([np.inf, 100.0, np.inf, np.inf]))
+    write(engine, "0006 0C 0904 0050 FF00 B0FF 00C0 FF00", 0.3)
     passed(engine, 0.3, 3.0)
     found = engine.hand.inputs()
     assert [found[3], found[6], found[9]] == [0x50, 0xB0, 0xC0]  # each echoes its own
@@ -300,9 +302,9 @@ def test_fingers_singly_an_object_beside_the_middle_and_one_that_falls() -> None
 
 def test_in_scissor_mode_the_scissor_axis_moves_and_the_fingers_do_not() -> None:
     engine = quick(contact_positions(40.0))
-    said(engine, add_crc(frame("09 10 03E8 0001 02 0700")).hex(), 0.0)
+    write(engine, "0001 02 0700", 0.0)
     passed(engine, 0.0, 0.3)
-    said(engine, add_crc(frame("09 10 03E8 0003 06 0F00 00FF FF00")).hex(), 0.3)
+    write(engine, "0003 06 0F00 00FF FF00", 0.3)
     passed(engine, 0.3, 3.0)
     found = engine.hand.inputs()
     assert found[0] >> 1 & 3 == 3
@@ -311,10 +313,8 @@ def test_in_scissor_mode_the_scissor_axis_moves_and_the_fingers_do_not() -> None
 
 
 def test_a_gripper_without_power_forgets_and_keeps_its_fingers_where_they_are() -> None:
-    engine = quick()
-    said(engine, add_crc(frame("09 10 03E8 0001 02 0100")).hex(), 0.0)
-    passed(engine, 0.0, 0.3)
-    said(engine, add_crc(frame("09 10 03E8 0003 06 0900 00FF FF00")).hex(), 0.3)
+    engine = active()
+    write(engine, "0003 06 0900 00FF FF00", 0.3)
     passed(engine, 0.3, 0.8)
     engine.step(0.8, b"")
     at = engine.hand.inputs()[4]
@@ -326,13 +326,8 @@ def test_a_gripper_without_power_forgets_and_keeps_its_fingers_where_they_are() 
 
 @pytest.mark.realtime
 def test_the_command_serves_an_object_between_the_fingers_and_refuses_one_elsewhere() -> None:
-    words = [sys.executable, "-c", COMMAND, "gripper", "--port", "tcp:0", "--object-mm", "60"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        address = process.stdout.readline().split(" at ")[1].split(";")[0]
-        with client(address) as modbus:
-            order(modbus, ACTIVATE)
-            assert stage(inputs(modbus)) == 1
-        process.send_signal(signal.SIGINT)
-        process.wait(timeout=10)
+    emulated = emulate_command("gripper", "--port", "tcp:0", "--object-mm", "60")
+    with emulated as address, client(address) as modbus:
+        order(modbus, ACTIVATE)
+        assert stage(inputs(modbus)) == 1
     assert "melfa has no fingers" in verify("emulate", "melfa", "--object-mm", "60").err

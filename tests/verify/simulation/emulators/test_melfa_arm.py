@@ -1,38 +1,27 @@
 """The emulated controller that the motion driver is tested with: does it move as an arm does?"""
 
-import signal
-import subprocess
-import sys
-import time
-
 import numpy as np
 import pytest
 
 import robots
 from tests.support.command import verify
-from tests.support.devices.bench import same_angles
+from tests.support.devices.bench import emulate_command
+from tests.support.devices.melfa_mover import ARM, controller, limits, mover, ready, settled
 from verify.core.records import Array
 from verify.devices.melfa.protocol import parse_joints, parse_state
-from verify.grasping.actuators.melfa.mover import MelfaMover
-from verify.grasping.actuators.melfa.orders import MotionSettings, MoveLimits
-from verify.grasping.actuators.protocols import ExecutePermission, MoverState
+from verify.grasping.actuators.protocols import MoverState
 from verify.simulation.emulators import trajectory
-from verify.simulation.emulators.arm import ACCELERATION_TIME, MelfaArm
-from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
+from verify.simulation.emulators.arm import ACCELERATION_TIME
 
-ARM = robots.load("rv_3sd_melfa")
-LIMITS = np.column_stack([ARM.lower, ARM.upper])
 HOME_DEG = np.array(trajectory.HOME_DEG)
-COMMAND = "import typer; from verify.cli.emulate import emulate; typer.run(emulate)"
 
 
 class Desk:
     """Somebody who types commands, one every 10 ms."""
 
     def __init__(self, idle: bool = True) -> None:
-        assert isinstance(ARM, robots.DhArm)
-        arm = MelfaArm(trajectory.load("hold", 6), 6, LIMITS, "command", ARM, idle)
-        self.engine, self.t = MelfaEngine(arm, ControllerOptions(latency=0.0, jitter=0.0)), 0.0
+        self.engine = controller(idle, follows="command", latency=0.0, jitter=0.0)
+        self.t = 0.0
         self.say("OPEN=desk")
 
     def say(self, command: str) -> str:
@@ -47,12 +36,10 @@ class Desk:
 
     def joints_deg(self) -> Array:
         position = parse_joints(self.say("JPOSF")[3:], 6)
-        assert position is not None
         return np.array(position.joints_deg)
 
     def moving(self) -> bool:
         state = parse_state(self.say("STATE")[3:])
-        assert state is not None
         return state.running
 
     def go(self, angles: Array, how: str = "MOV") -> str:
@@ -127,7 +114,6 @@ def test_a_stop_brakes_an_alarm_too_and_an_emergency_stop_takes_the_power() -> N
         before = desk.joints_deg()
         desk.t += 0.5
         state = parse_state(desk.say("STATE")[3:])
-        assert state is not None
         assert not state.running
         assert state.servo_on is (act != "emergency")
         assert state.emergency_stop is (act == "emergency")
@@ -146,7 +132,6 @@ def test_the_reported_hand_speed_is_the_arms() -> None:
     desk.go(HOME_DEG + np.array([60.0, 0, 0, 0, 0, 0]))
     desk.t += 0.5
     position = parse_joints(desk.say("JPOSF")[3:], 6)
-    assert position is not None
     x, y, _ = robots.forward(ARM, np.deg2rad(HOME_DEG))[:3, 3]
     assert position.speed == pytest.approx(np.hypot(x, y) * np.deg2rad(50.0), rel=0.01)
 
@@ -167,30 +152,9 @@ def test_run_leads_the_arm_back_to_where_the_program_was() -> None:
 
 @pytest.mark.realtime
 def test_the_command_emulates_a_controller_that_waits_to_be_moved() -> None:
-    words = [sys.executable, "-c", COMMAND, "melfa", "--idle", "--motion", "hold"]
-    with subprocess.Popen(
-        [*words, "--port", "tcp:0"], stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        address = process.stdout.readline().split(" at ")[1].split(";")[0]
-        with MelfaMover(
-            MotionSettings(address, "RV-3SD", pause=0.01),
-            same_angles(6),
-            MoveLimits(LIMITS, override=50, hand_speed=2.0),
-            ExecutePermission("--execute, in a test"),
-        ) as arm:
-            arm.take_controls()
-            _until(arm, MoverState.READY)
-            arm.move_line(np.deg2rad(HOME_DEG + 5.0))
-            _until(arm, MoverState.ARRIVED)
-        process.send_signal(signal.SIGINT)
-        process.wait(timeout=10)
+    emulated = emulate_command("melfa", "--idle", "--motion", "hold", "--port", "tcp:0")
+    with emulated as address, mover(address, limits(override=50)) as arm:
+        ready(arm)
+        arm.move_line(np.deg2rad(HOME_DEG + 5.0))
+        settled(arm, MoverState.ARRIVED)
     assert "labenc runs no program" in verify("emulate", "labenc", "--idle").err
-
-
-def _until(arm: MelfaMover, state: MoverState) -> None:
-    end = time.monotonic() + 10.0
-    while (status := arm.step()).state is not state:
-        assert time.monotonic() < end, status
-        assert status.state is not MoverState.FAILED, status
-        time.sleep(0.01)
