@@ -63,6 +63,7 @@ accept: $(DEV)
 
 bench: $(DEV)
 	$(BIN)/python -m tests.bench
+	$(BIN)/python -m tests.bench.fleet_pixels
 
 soak: $(DEV)
 	$(BIN)/python -m tests.bench.soak
