@@ -14,10 +14,7 @@ from robots.arm import Arm, DhArm
 from robots.closed_form import SHOULDER, WRIST, Family, Flags
 from robots.transforms import Array
 
-FAMILIES: dict[str, Family] = {
-    "spherical_wrist": spherical_wrist,
-    "parallel_axes": parallel_axes,
-}
+FAMILIES: dict[str, Family] = {"spherical_wrist": spherical_wrist, "parallel_axes": parallel_axes}
 
 
 CHUNK_POSES = 2048  # poses at a time: their rows stay in the processor's second cache
@@ -129,12 +126,9 @@ def near(q: Array, q_near: Array) -> Array:
 def near_within(arm: Arm, q: Array, q_near: Array) -> Array:
     """Like `near`, but among the turns within limits; NaN rows where a joint has none."""
     shifted = near(q, q_near)
-    up = np.ceil(
-        (arm.lower - TOL_LIMIT - shifted) / FULL_TURN
-    )  # least turns that lift it to the lower limit
-    down = np.floor(
-        (arm.upper + TOL_LIMIT - shifted) / FULL_TURN
-    )  # most turns up to the upper limit
+    # least turns that lift it to the lower limit, and most turns up to the upper one
+    up = np.ceil((arm.lower - TOL_LIMIT - shifted) / FULL_TURN)
+    down = np.floor((arm.upper + TOL_LIMIT - shifted) / FULL_TURN)
     inside = shifted + FULL_TURN * np.clip(0, up, np.maximum(up, down))
     return np.where(within_limits(arm, inside)[..., None], inside, np.nan)
 

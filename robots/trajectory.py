@@ -29,9 +29,7 @@ from robots.transforms import Array
 
 TOL_LIMIT = 1e-6  # of each limit: rounding of a trajectory that runs at its limit
 MIN_PATH_LENGTH = 1e-9  # rad: a way this short is none
-ObstacleCheck = Callable[
-    [Array], str
-]  # postures (m, n) in order: what stands in the way; "": nothing
+ObstacleCheck = Callable[[Array], str]  # postures (m, n) in order: what obstructs; "": nothing
 TOL_REST = 1e-9  # rad/s and rad/s²: rounding of an arm at rest
 N_STOP_SAMPLES = 9  # of a stop, handed to `clear`
 MAX_GOAL_SPEED_RATIO = 0.95  # of the limit: a goal may be as fast as that; ruckig wants it below
@@ -226,13 +224,8 @@ def _slowdown(path: JointPath, limits: JointLimits, rates: PathLimits) -> float:
     speed = first * v
     acceleration = second * v**2 + first * a
     jerk = third * v**3 + 3 * second * v * a + first * j
-    return float(
-        max(
-            (speed / limits.speed).max(),
-            (acceleration / limits.acceleration).max() ** (1 / 2),
-            (jerk / limits.jerk).max() ** (1 / 3),
-        )
-    )
+    shares = (speed / limits.speed, acceleration / limits.acceleration, jerk / limits.jerk)
+    return float(max(share.max() ** (1 / power) for power, share in enumerate(shares, start=1)))
 
 
 def _straight_rates(path: JointPath, limits: JointLimits) -> PathLimits:
@@ -344,16 +337,13 @@ class TrajectoryFollower:
 
     def _is_moving(self) -> bool:
         motion = self._motion
-        return bool(
-            max(np.abs(motion.velocity).max(), np.abs(motion.acceleration).max()) > TOL_REST
-        )
+        return bool(np.abs([motion.velocity, motion.acceleration]).max() > TOL_REST)
 
     def _trouble(self, motion: JointMotion, stop: Any) -> str:
         """Why the arm may not go to `motion` and that stop, in words; empty where it may."""
         extrema = stop.position_extrema
         for value in ([e.min for e in extrema], [e.max for e in extrema]):
-            problem = limit_violation(self._limits, rest_motion(np.array(value)))
-            if problem:
+            if problem := limit_violation(self._limits, rest_motion(np.array(value))):
                 return problem
         times = np.linspace(0.0, stop.duration, N_STOP_SAMPLES)
         stops = np.array([stop.at_time(t)[0] for t in times.tolist()])

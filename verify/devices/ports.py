@@ -215,7 +215,7 @@ READ_TIMEOUT = 0.02  # s, on an open line
 LINE_IN_USE = "before it said anything: another program may have the line"
 MIN_RETRY_DELAY, MAX_RETRY_DELAY = 0.25, 4.0  # s: doubled from the one to the other
 
-ClockFunction = Callable[[], float]
+ClockFunction = Callable[[], float]  # s, host's monotonic clock
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,9 +18,6 @@ DEFAULT_RATE = 30.0  # Hz, of a folder of pictures
 class ReplaySource:
     """Gives a file's pictures at its rate, another rate, or (rate 0) as fast as they are read.
 
-    Args:
-        settings: whose source is the path.
-
     Raises:
         InputError: no such file.
     """

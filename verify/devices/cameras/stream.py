@@ -42,9 +42,6 @@ class StreamClock:
 class StreamSource:
     """An open stream.
 
-    Args:
-        settings: whose source is the URL; what else they ask for is set at the camera itself.
-
     Raises:
         OSError: nobody answers, or what answers is no video.
     """

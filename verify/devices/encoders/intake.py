@@ -172,14 +172,7 @@ class IntakeCounts:
         note: str = "",
         program_running: bool | None = None,
     ) -> DeviceState:
-        """Describe the device.
-
-        Args:
-            link: its line.
-            complaint: why no reading can come though the line is open.
-            note: anything else to report while readings come.
-            program_running: of the robot, where the device reports it.
-        """
+        """Describe the device."""
         age = None if self._last is None else link.now() - self._last
         if not link.connected:
             status = f"not connected: {link.fault}"
@@ -203,11 +196,7 @@ class IntakeCounts:
 
 
 class PortDriver:
-    """A driver on one port: its link, its counts, its state.
-
-    Args:
-        link: keeps the port open.
-    """
+    """A driver on one port: its link, its counts, its state."""
 
     def __init__(self, link: PortLink) -> None:
         self.link, self.counts = link, IntakeCounts()

@@ -318,12 +318,7 @@ class LineEncoders(PortDriver):
 
 
 class TextEncoders(LineEncoders):
-    """Joint readings from a device that prints lines of text.
-
-    Args:
-        settings: how the device is reached, and its field map.
-        angles: from the device's angles to the robot file's own.
-    """
+    """Joint readings from a device that prints lines of text."""
 
     def __init__(self, settings: TextSettings, angles: AngleMap) -> None:
         super().__init__(link_to(settings.port, settings.line))

@@ -66,12 +66,7 @@ class ConnectionState:
 
 
 class MelfaEncoders(PortDriver):
-    """Joint readings by JPOSF.
-
-    Args:
-        settings: how the controller is reached.
-        angles: from the controller's angles to the robot file's own.
-    """
+    """Joint readings by JPOSF."""
 
     def __init__(self, settings: MelfaSettings, angles: AngleMap) -> None:
         super().__init__(link_to(settings.port, settings.line))

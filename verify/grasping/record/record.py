@@ -21,7 +21,7 @@ from verify.grasping.planning.plan import GraspPlan
 from verify.grasping.planning.workspace import Workspace
 from verify.grasping.record.rows import (
     cycle_row,
-    margin_fields,
+    plan_fields,
     plan_table,
     state_changes_table,
     tool_offset_fields,
@@ -61,15 +61,7 @@ class _LiftCheck:
 
 
 class GraspRecord:
-    """Records every cycle of a grasp.
-
-    Args:
-        folder: an empty one, for the film and the session.
-        facts: for the session's session.toml.
-        workspace: for the grip point's path.
-        context: what else the report states.
-        rate: Hz, cycles.
-    """
+    """Records every cycle of a grasp."""
 
     def __init__(
         self,
@@ -145,8 +137,8 @@ class GraspRecord:
             "stopped_by_operator": outcome.stopped,
             "cycles": outcome.cycles,
             **_lift_check_fields(self._lift_check),
-            "plan": None if good is None else _plan_fields(good),
-            "refusal": _refusal_fields(plan) if isinstance(plan, GraspRefusal) else None,
+            "plan": None if good is None else plan_fields(good),
+            "refusal": plan_fields(plan) if isinstance(plan, GraspRefusal) else None,
             "hand": None if hand is None else tool_offset_fields(hand, self._workspace),
             "film": VIDEO_FILE,
             "session": SESSION_FOLDER,
@@ -213,29 +205,3 @@ def _compressed(pair: StereoPair) -> CapturedPair:
 
 def _jpeg(image: Image) -> bytes:
     return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
-
-
-def _plan_fields(plan: GraspPlan) -> dict[str, Any]:
-    posture = plan.posture
-    return {
-        "branch": posture.name,
-        "score": posture.score,
-        "parts": {
-            "limits": posture.limits,
-            "dexterity": posture.dexterity,
-            "nearness": posture.nearness,
-            "clearance": posture.clearance,
-        },
-        "q_above_deg": np.degrees(posture.q_above).tolist(),
-        "q_grip_deg": np.degrees(posture.q_grip).tolist(),
-        "grip_mm": (1e3 * plan.margin.grip).tolist(),
-        "margin": margin_fields(plan.margin),
-        "slowed": plan.slowed,
-        "duration_s": sum(w.duration for w in (*plan.over, plan.down, plan.up)),
-        "rejected": [{"branch": name, "reason": reason} for name, reason in plan.rejected.items()],
-    }
-
-
-def _refusal_fields(refusal: GraspRefusal) -> dict[str, Any]:
-    rejected = [{"branch": name, "reason": reason} for name, reason in refusal.branches]
-    return {"kind": refusal.kind, "reason": refusal.reason, "rejected": rejected}

@@ -9,7 +9,7 @@ import pandas as pd
 from verify.core.records import Array
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.states import StateChange
-from verify.grasping.planning.object import GripMargin
+from verify.grasping.planning.object import GraspRefusal
 from verify.grasping.planning.plan import GraspPlan
 from verify.grasping.planning.workspace import Workspace
 from verify.grasping.tool_offset.offset import OffsetMeasurement
@@ -113,14 +113,27 @@ def tool_offset_fields(measurement: OffsetMeasurement, workspace: Workspace) -> 
     }
 
 
-def margin_fields(margin: GripMargin) -> dict[str, float]:
-    """Write what the gripper leaves and what is needed of it, mm."""
+def plan_fields(plan: GraspPlan | GraspRefusal) -> dict[str, Any]:
+    """Write a plan, or why there is none, as JSON can hold it; mm, degrees, s."""
+    rejected = plan.branches if isinstance(plan, GraspRefusal) else plan.rejected.items()
+    reasons = [{"branch": name, "reason": reason} for name, reason in rejected]
+    if isinstance(plan, GraspRefusal):
+        return {"kind": plan.kind, "reason": plan.reason, "rejected": reasons}
+    posture, margin = plan.posture, plan.margin
+    parts = ("limits", "dexterity", "nearness", "clearance")
+    lengths = ("across", "across_needed", "along", "along_needed", "raised")
     return {
-        "across_mm": _MM * margin.across,
-        "across_needed_mm": _MM * margin.across_needed,
-        "along_mm": _MM * margin.along,
-        "along_needed_mm": _MM * margin.along_needed,
-        "raised_mm": _MM * margin.raised,
+        "branch": posture.name,
+        "score": posture.score,
+        "parts": {part: getattr(posture, part) for part in parts},
+        "q_above_deg": np.degrees(posture.q_above).tolist(),
+        "q_grip_deg": np.degrees(posture.q_grip).tolist(),
+        "grip_mm": (_MM * margin.grip).tolist(),
+        "margin": {f"{name}_mm": _MM * getattr(margin, name) for name in lengths},
+        "slowed": plan.slowed,
+        "duration_s": sum(w.duration for w in (*plan.over, plan.down, plan.up)),
+        "up_s": plan.up.duration,
+        "rejected": reasons,
     }
 
 

@@ -49,14 +49,7 @@ class _RestSightings:
 
 
 class FlangeWatch:
-    """Measures where the flange is, picture by picture.
-
-    Args:
-        arm: that carries the LEDs.
-        rig: the cameras, and the robot's place in the rig.
-        marker: the LEDs.
-        submit: runs a measurement; at once, or in a thread.
-    """
+    """Measures where the flange is, picture by picture."""
 
     def __init__(
         self, arm: DhArm, rig: Rig, marker: Marker, submit: SubmitMeasurement = run_now

@@ -165,12 +165,7 @@ class TargetDecision:
 
 
 class TargetIdentity:
-    """Remembers the target and the others.
-
-    Args:
-        options: for how long, how sure.
-        density: new objects, a m³.
-    """
+    """Remembers the target and the others."""
 
     def __init__(self, options: TrackingOptions, density: float) -> None:
         self._options, self._density = options, density

@@ -149,13 +149,7 @@ def pixel_area(where: LineOfSight, depth: float) -> float:
 def is_plausible(
     thing: StereoObject, options: TrackingOptions, areas: float = MAX_LOG_AREA_RATIO
 ) -> bool:
-    """Whether two patches can be one object, and one of a target's size and distance.
-
-    Args:
-        thing: made of the two.
-        options: least and greatest size and distance.
-        areas: the greatest difference of ln(area) between the two pictures.
-    """
+    """Whether two patches can be one object, and one of a target's size and distance."""
     low, high = options.depths
     return bool(
         thing.place.mismatch < MAX_RAY_DISTANCE

@@ -42,12 +42,6 @@ def track(
 ) -> Iterator[TargetObservation]:
     """Track a coloured object through stereo pairs.
 
-    Args:
-        pairs: colour pictures, in order of time.
-        rig: the calibrated cameras; its covariance is carried along where it states one.
-        target: a colour's name, or a box drawn in one picture of the first pair.
-        options: what may be set.
-
     Yields:
         One record a pair; a pair that says nothing is a record whose status and reason say why.
 
@@ -62,11 +56,6 @@ def track(
 
 class TargetTracker:
     """`track`, a pair at a time.
-
-    Args:
-        rig: the calibrated cameras.
-        target: what to track.
-        options: what may be set.
 
     Raises:
         InputError: the colour is not known.

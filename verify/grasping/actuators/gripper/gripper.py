@@ -73,14 +73,7 @@ class ActiveOrder:
 
 
 class GripperDriver:
-    """Reads a gripper and moves it.
-
-    Args:
-        settings: how it is reached, and how fast and hard it moves.
-        right: the operator's order that it may move.
-        port: opens the port instead of the settings' address.
-        now: the host's monotonic clock, s.
-    """
+    """Reads a gripper and moves it."""
 
     def __init__(
         self,

@@ -40,16 +40,7 @@ CLOSE_PERIOD = 0.005  # s, between the steps of `close`
 
 
 class MelfaMover:
-    """Moves an arm.
-
-    Args:
-        settings: how the controller is reached.
-        angles: from the controller's angles to the robot file's own.
-        limits: what no move may pass.
-        right: the operator's order that it may move.
-        port: opens the port instead of the settings' address.
-        now: the host's monotonic clock, s.
-    """
+    """Moves an arm."""
 
     def __init__(
         self,

@@ -120,9 +120,7 @@ class MotionSettings:
     robot_type: str  # e.g. RV-3SD: another one is not moved
     line: SerialLine = DEFAULT_MELFA_LINE
     terminator: bytes = b"\r"
-    pause: float = (
-        0.1  # s, from an answer to the next request: the maker asks for that while it moves
-    )
+    pause: float = 0.1  # s, from an answer to the next request, by the maker while it moves
     timeout: float = 1.0  # s
     client: str = "verify"
     slot: int = 1  # whose EXEC is used; the maker's examples use 9
