@@ -98,17 +98,11 @@ def within_limits(arm: Arm, q: Array) -> NDArray[np.bool_]:
 
 
 def turns(arm: Arm, q: Array) -> Array:
-    """List the joint angles within limits that are the same posture, whole turns apart.
+    """List the joint angles (k, n) within limits that are those of q, whole turns apart.
 
     A joint that spans two turns doubles the answers of `inverse`; one outside its limits may come
-    inside by a turn, or drop out.
-
-    Args:
-        arm: any arm.
-        q: (n,) or (b, n), rad, such as the branches of one pose; rows with NaN are left out.
-
-    Returns:
-        (k, n), row by row of q, smaller angles first; k may be 0.
+    inside by a turn, or drop out. q is (n,) or (b, n), rad; rows with NaN are left out. The answer
+    goes row by row of q, smaller angles first.
     """
     found: list[tuple[float, ...]] = []
     for row in np.asarray(q, dtype=float).reshape(-1, arm.dof):

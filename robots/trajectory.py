@@ -56,11 +56,7 @@ class JointMotion:
 
 
 def joint_limits(arm: Arm, share: float) -> JointLimits:
-    """Take an arm's limits, and the share of its rates that may be used.
-
-    Args:
-        arm: whose file states speed, acceleration and jerk.
-        share: 0 to 1, of each of the three.
+    """Take an arm's limits, and the share, 0 to 1, of its speed, acceleration and jerk.
 
     Raises:
         RobotError: the file does not state them.
@@ -310,11 +306,9 @@ class TrajectoryFollower:
         return self._motion
 
     def step(self, goal: Array | None, velocity: Array | None = None) -> MotionStep:
-        """Go on for one period.
+        """Go on for one period to a goal (n,), rad, that moves at a velocity (n,), rad/s.
 
-        Args:
-            goal: (n,), rad; None: stop. Brought within the joints' limits.
-            velocity: (n,), rad/s, with which the goal moves; by default it stands.
+        The goal is brought within the joints' limits; None: stop.
         """
         if goal is None or not np.isfinite(goal).all():
             return self._hold("" if goal is None else "the goal is not a number")

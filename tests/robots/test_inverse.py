@@ -179,22 +179,16 @@ def assert_same_branches(mine: Array, other: Array, tolerance: float) -> None:
     assert max(away.min(axis=1).max(), away.min(axis=0).max()) < tolerance
 
 
-@pytest.mark.parametrize(
-    ("name", "side", "offsets_deg"),
-    [("rv_3sd", 1, (0, -90, 90, 0, 0, 0)), ("rv_3sd_melfa", -1, (0, 0, 0, 0, 0, 180))],
-)
-def test_another_librarys_closed_form_finds_the_same_solutions(
-    name: str, side: int, offsets_deg: tuple[float, ...]
-) -> None:
-    opw = pytest.importorskip("py_opw_kinematics")
+@pytest.mark.parametrize("name", ["rv_3sd", "rv_3sd_melfa"])
+def test_another_librarys_closed_form_finds_the_same_solutions(name: str) -> None:
+    pytest.importorskip("py_opw_kinematics")
+    pytest.importorskip("eaik.IK_DH")
     from scipy.spatial.transform import RigidTransform
 
+    from tests.bench.ik import opw_robot
+
     arm = ARMS[name]
-    model = opw.KinematicModel(
-        a1=0.095, a2=side * 0.135, b=0, c1=0.35, c2=0.245, c3=0.27, c4=0.085,
-        offsets=tuple(np.radians(offsets_deg)),
-    )  # fmt: skip
-    theirs = opw.Robot(model, degrees=False)
+    theirs = opw_robot(arm)
     q = np.random.default_rng(6).uniform(arm.lower, arm.upper, (2000, 6))
     pose = robots.forward(arm, q)
     assert_allclose(theirs.batch_forward(q).as_matrix(), pose, atol=1e-12)

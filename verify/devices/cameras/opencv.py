@@ -34,6 +34,12 @@ class JpegDecoder:
         return as_image(frames[0]) if frames else None
 
 
+def one_channel(image: Image, wanted: bool | None) -> Image:
+    """Make a picture grey (h, w) where that is wanted."""
+    grey = wanted and image.ndim == 3
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if grey else image, dtype=np.uint8)
+
+
 def as_image(frame: av.VideoFrame) -> Image:
     """Turn a decoded picture into an array, as OpenCV's reader does."""
     form = "gray" if frame.format.name == "gray" else "bgr24"
@@ -106,8 +112,7 @@ class OpenCvSource:
 
     def _decoded(self, data: Image) -> tuple[Image | None, bytes | None]:
         if self._jpeg is None or data[:1, :2].tobytes() != JPEG_SIGNATURE:
-            grey = self._settings.grey and data.ndim == 3
-            return np.asarray(cv2.cvtColor(data, cv2.COLOR_BGR2GRAY) if grey else data), None
+            return one_channel(data, self._settings.grey), None
         raw = data.tobytes()
         return self._jpeg.decode(raw), raw
 

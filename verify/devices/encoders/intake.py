@@ -60,15 +60,7 @@ class ControllerClock:
         self._anew, self._wrap = True, wraps_after
 
     def stamp(self, raw: float, t_host: float) -> ControllerInstant | str:
-        """Place a time stamp.
-
-        Args:
-            raw: s, as the controller sent it.
-            t_host: s, when it was in hand.
-
-        Returns:
-            Where it stands on the clock, or why it is not used.
-        """
+        """Place a stamp of the controller, s, in hand at t_host, s; or say why it is not used."""
         if self._anew:
             return self._begin(raw, t_host)
         step = self._step(raw, t_host)

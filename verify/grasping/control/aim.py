@@ -118,10 +118,7 @@ class Aim:
     def hover(self, now: float, q: Array, *, still: bool) -> JointGoal | None:
         """Find where the joints should be to stand above the target; None where it is not known.
 
-        Args:
-            now: s.
-            q: (n,), rad, ordered last.
-            still: the target stands still.
+        Ordered last were joint angles q, (n,), rad; now is in s.
         """
         if self.target is None or (self.unreachable and now - self._planned_at < REPLAN_PERIOD):
             return self._goal

@@ -97,13 +97,7 @@ def make_planner(arm: Arm, cell: Cell, cameras: Array) -> GraspPlanner:
 
 
 def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPlan | GraspRefusal:
-    """Plan a grasp.
-
-    Args:
-        setup: arm and cell.
-        thing: what to grasp.
-        q_now: (n,), rad, where the arm stands, at rest.
-    """
+    """Plan a grasp by an arm that rests at q_now, (n,), rad."""
     margin = grip_margin(thing, setup.cell)
     if isinstance(margin, GraspRefusal):
         return margin
@@ -169,15 +163,10 @@ def _descent(setup: GraspPlanner, posture: Posture) -> tuple[Trajectory, float] 
 def transfer_motion(
     setup: GraspPlanner, q_now: Array, q_above: Array
 ) -> tuple[Trajectory, ...] | str:
-    """Go straight in joint angles to above the object, or through home; checked all along.
-
-    Args:
-        setup: arm and cell.
-        q_now: (n,), rad, where the arm stands, at rest.
-        q_above: (n,), rad, where it goes.
+    """Go straight in joint angles, (n,) rad, to above the object, or through home.
 
     Returns:
-        The ways one after the other; or what stands in them.
+        The ways one after the other, checked all along; or what stands in them.
     """
     ways = [[q_now, q_above]]
     if setup.cell.moving.home is not None:
@@ -248,12 +237,9 @@ class HoverPlanner:
         self._posture: Posture | None = None
 
     def goal(self, point: Array, velocity: Array, q_now: Array) -> JointGoal | GraspRefusal:
-        """Say where the joints should be for the hand to stand above a point.
+        """Say where the joints should be for the hand to stand above the target's middle.
 
-        Args:
-            point: (3,), m, base frame, the target's middle.
-            velocity: (3,), m/s, of the target.
-            q_now: (n,), rad, ordered last.
+        It is at a point (3,), m, and moves at (3,), m/s, base frame; q_now (n,), rad: ordered last.
         """
         if not (np.isfinite(point).all() and np.isfinite(velocity).all()):
             return GraspRefusal("unknown", "the target's place is not known")

@@ -72,11 +72,7 @@ class FlangeWatch:
     def gather(
         self, now: float, q: Array
     ) -> tuple[tuple[FlangeMeasurement, ...], Array | None] | None:
-        """Continue the measurement of an arm that stands.
-
-        Args:
-            now: s, on the pictures' clock.
-            q: (n,), rad, where it was ordered to stand.
+        """Continue the measurement of an arm that was ordered to stand at q, (n,), rad.
 
         Returns:
             The measurements, and the mean of the joint angles read meanwhile, (n,), rad, None where

@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robots.transforms import carry
 from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
+from tests.support.grasp.page import filled
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspEvent, GraspState
-from verify.grasping.tracking.camshift import Box
 from verify.grasping.tracking.target import BoxSelection
 from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, SceneEvent, draw_scene
@@ -202,23 +201,11 @@ def test_ctrl_c_in_mid_approach_comes_to_rest_and_gives_the_controls_back() -> N
     assert kept_limits(grab)
 
 
-def box_of(cap: Cap) -> Box:
-    """The box that a person draws around a cap in the first left picture."""
-    ring = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]) * cap.radius
-    rims = [np.column_stack([ring, np.full(4, z)]) for z in (-cap.height / 2, cap.height / 2)]
-    camera = quick_cell().rig.left
-    camera_T_base = camera.camera_T_rig(camera.pan) @ quick_cell().rig.rig_T_base
-    seen = camera.project(carry(camera_T_base, np.concatenate(rims) + cap.place(0.0)))
-    x, y = np.floor(seen.min(axis=0) - 1).astype(int).tolist()
-    right, bottom = np.ceil(seen.max(axis=0) + 1).astype(int).tolist()
-    return x, y, right - x, bottom - y
-
-
 @pytest.mark.slow
 def test_a_target_that_passes_behind_another_of_its_colour_is_the_one_that_is_lifted() -> None:
     passes = Cap("blue", (0.43, -0.10), (0.0, 0.13), 2.4)
     scene = CellScene((passes, Cap("blue", (0.49, 0.0))), seed=4)
-    target, right = BoxSelection(box_of(passes)), ExecutePermission("test")
+    target, right = BoxSelection(filled(passes, passes.place(0.0))), ExecutePermission("test")
     grab = cell_grab(quick_cell(), scene, target, right, mode=CellMode(auto=True, closed=False))
     seen: list[LoopCycle] = []
     ended = run(grab.loop, grab.source, ENDS, seen.append)

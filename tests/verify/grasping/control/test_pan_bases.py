@@ -120,7 +120,7 @@ class GivenPan(Given):
         return [self.things.popleft()] if self.things else []  # type: ignore[list-item]
 
 
-def pairs(pan: GivenPan | None) -> tuple[LivePairs, list[GivenCamera]]:
+def pairs(pan: GivenPan) -> tuple[LivePairs, list[GivenCamera]]:
     cameras = [GivenCamera(), GivenCamera()]
     live = LivePairs((cameras[0], cameras[1]), pan, SETUP.rig, 30.0, 100.0)  # type: ignore[arg-type]
     return live, cameras
@@ -171,19 +171,6 @@ def test_a_stations_pairs_carry_the_angles_of_their_instant_and_none_of_a_turnin
         live.close()
     assert pan.closed
     assert all(camera.closed for camera in cameras)
-
-
-def test_without_pan_bases_the_angles_are_those_of_the_rig() -> None:
-    live, cameras = pairs(None)
-    try:
-        for camera in cameras:
-            camera.things.append(frame(101.5))
-        pair = soon(live.pair)
-        assert (pair.pan_left, pair.pan_right) == (
-            SETUP.rig.left.pan, SETUP.rig.right.pan
-        )  # fmt: skip
-    finally:
-        live.close()
 
 
 def offset(camera: Camera) -> Camera:

@@ -36,16 +36,8 @@ WHOLE_GRAB = [
 events = st.lists(st.sampled_from(list(GraspEvent)), max_size=40)
 
 
-class Clock:
-    def __init__(self) -> None:
-        self.t = 0.0
-
-    def __call__(self) -> float:
-        return self.t
-
-
 def machine(execute: bool = True) -> StateMachine:
-    made = StateMachine(execute, Clock())
+    made = StateMachine(execute, lambda: 0.0)
     made.still = made.planned = True
     return made
 
@@ -183,7 +175,7 @@ def seen(t: float, **changes: object) -> Observation:
 
 
 def watched(execute: bool = True, auto: bool = False) -> tuple[StateMachine, Watchdog]:
-    made = StateMachine(execute, Clock())
+    made = StateMachine(execute, lambda: 0.0)
     made.planned = True
     made.tell(GraspEvent.START)
     return made, Watchdog(made, LIMITS, STILL, auto=auto)

@@ -94,7 +94,7 @@ class GripperDriver:
         self._action = GripperCommand(speed=settings.speed, force=settings.force)
         self._to_write: list[int] | None = None
         self._active = ActiveOrder()
-        self._heard_on = 0  # the connection of the last answer
+        self._answered_on = 0  # the connection of the last answer
 
     def activate(self) -> None:
         """Make it ready: every finger moves over its full travel. See `Gripper.activate`."""
@@ -190,14 +190,14 @@ class GripperDriver:
         """
         if self._phase is GripperState.ACTIVATING or registers == list(RESET_OUTPUTS):
             return True
-        inputs, here = self._inputs, self._heard_on == self._line.link.connections
+        inputs, here = self._inputs, self._answered_on == self._line.link.connections
         fresh = self._t is not None and self._now() - self._t < MAX_STATUS_AGE
         return inputs is not None and inputs.active and here and fresh
 
     def _take(self, answer: ModbusPDU) -> None:
         if isinstance(answer, WriteMultipleRegistersResponse):
             self._active.written = True
-        self._heard_on = self._line.link.connections
+        self._answered_on = self._line.link.connections
         if not isinstance(answer, ReadHoldingRegistersResponse):
             return
         inputs = parse_inputs(answer.registers)

@@ -116,7 +116,7 @@ class MelfaMover:
         self._controls = Controls(Dialogue(settings, self._open_port, now), settings.client, now)
         self._answers = AnswerParser(settings, self._angles, self._limits, self._controls)
 
-    def _move(self, worded: Callable[[Array, int], list[MotionCommand]], q: Array) -> None:
+    def _move(self, worded: Callable[[Array], list[MotionCommand]], q: Array) -> None:
         controls, q_now = self._controls, self._answers.q
         if controls.state not in ACCEPTING_STATES:
             why = f": {controls.reason}" if controls.reason else ""
@@ -130,9 +130,8 @@ class MelfaMover:
         refusal = refusal_reason(self._limits, own, q_now, q, target_deg)
         if refusal:
             raise MotionRefusedError(refusal)
-        orders = worded(target_deg, self._settings.slot)
         controls.arrival = Arrival(target_deg)
-        controls.enter(MoverState.ORDERING, self._settings.move_limit, *orders)
+        controls.enter(MoverState.ORDERING, self._settings.move_limit, *worded(target_deg))
 
     def _status(self) -> MoverStatus:
         controls, read = self._controls, self._answers
