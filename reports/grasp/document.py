@@ -17,7 +17,7 @@ The summary's keys, units in their names; what is not known is null:
                           off_expanded_uncertainty_mm (k = 2); null where it was not looked at
     plan                  branch, score and its parts, q_above_deg, q_grip_deg, grip_mm, duration_s,
                           margin (across_mm, across_needed_mm, along_mm, along_needed_mm,
-                          raised_mm), rejected (branch, reason); null without a plan
+                          raised_mm), up_s, rejected (branch, reason); null without one
     refusal               kind, reason, rejected; null where none was refused
 
 Tables: cycles (t_s, state, status, quality, target_ and grip_ x/y/z_mm, u_x/y/z_mm, left_ and
