@@ -36,6 +36,9 @@ READING_HALF_WIDTH = 5e-4  # s within which joints are read
 RAISED_STATES = frozenset({GraspState.LIFTING, GraspState.LIFTED})
 # states of which the report shows a picture
 PICTURED_STATES = (GraspState.FOLLOWING, GraspState.CLOSING, GraspState.LIFTED)
+# of the object measured while the hand goes up: its middle's distance from the grip point, that
+# distance's uncertainty (k = 2, worst direction), and how far the hand had come up by then
+LIFT_FIELDS = ("seen_from_grip_mm", "seen_from_grip_expanded_uncertainty_mm", "seen_raised_mm")
 VIDEO_FILE, SESSION_FOLDER = "grab.mp4", "session"
 
 
@@ -51,15 +54,6 @@ class GraspContext:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _LiftCheck:
-    """The object measured while the hand goes up: did it come along?"""
-
-    from_grip: float  # m, of its middle from the grip point
-    expanded: float  # m, of that, k = 2, in the worst direction
-    raised: float  # m that the hand had come up by then
-
-
 class GraspRecord:
     """Records every cycle of a grasp."""
 
@@ -71,18 +65,14 @@ class GraspRecord:
         context: GraspContext,
         rate: float,
     ) -> None:
-        self._folder, self._facts, self._workspace, self._context = (
-            folder,
-            facts,
-            workspace,
-            context,
-        )
+        self._folder, self._facts, self._workspace = folder, facts, workspace
+        self._context = context
         self._rows: list[dict[str, Any]] = []
         self._shown: dict[GraspState, Image] = {}
         self._last: Image | None = None
         self._session: SessionWriter | None = None
         self._gripped: Array | None = None  # (3,), m, the grip point when the lift began
-        self._lift_check: _LiftCheck | None = None  # the last since then
+        self._lift_check: dict[str, float] | None = None  # the last since then
         self._film = Mp4Writer(folder / VIDEO_FILE, rate)
 
     def add(self, cycle: LoopCycle) -> None:
@@ -136,7 +126,7 @@ class GraspRecord:
             "released": outcome.released,
             "stopped_by_operator": outcome.stopped,
             "cycles": outcome.cycles,
-            **_lift_check_fields(self._lift_check),
+            **(self._lift_check or dict.fromkeys(LIFT_FIELDS)),
             "plan": None if good is None else plan_fields(good),
             "refusal": plan_fields(plan) if isinstance(plan, GraspRefusal) else None,
             "hand": None if hand is None else tool_offset_fields(hand, self._workspace),
@@ -174,7 +164,7 @@ class GraspRecord:
 
 def _lift_check(
     cycle: LoopCycle, workspace: Workspace, grip: Array, raised: float
-) -> _LiftCheck | None:
+) -> dict[str, float] | None:
     """Measure the object against the grip point; None where both cameras do not see it."""
     target, observation = cycle.target, cycle.observation
     if target is None or observation is None or not np.isfinite(observation.measured).all():
@@ -186,16 +176,8 @@ def _lift_check(
     else:
         spread = spread + np.eye(3) * workspace.cell.accuracy.robot**2
     worst = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
-    return _LiftCheck(float(np.linalg.norm(thing.position - grip)), 2 * worst, raised)
-
-
-def _lift_check_fields(check: _LiftCheck | None) -> dict[str, float | None]:
-    values = (None,) * 3 if check is None else (check.from_grip, check.expanded, check.raised)
-    keys = ("from_grip", "from_grip_expanded_uncertainty", "raised")
-    return {
-        f"seen_{key}_mm": None if value is None else 1e3 * value
-        for key, value in zip(keys, values, strict=True)
-    }
+    lengths = (float(np.linalg.norm(thing.position - grip)), 2 * worst, raised)
+    return {field: 1e3 * length for field, length in zip(LIFT_FIELDS, lengths, strict=True)}
 
 
 def _compressed(pair: StereoPair) -> CapturedPair:

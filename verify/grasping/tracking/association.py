@@ -184,10 +184,6 @@ class TargetIdentity:
         """Where the target should be; None before it was ever found."""
         return None if self.target is None else self.target.track.at(t)
 
-    def others(self, t: float) -> list[KalmanTrack]:
-        """Where the others should be."""
-        return [other.track.at(t) for other in self._others]
-
     def nearest(self, t: float, candidate: StereoObject) -> KalmanTrack | None:
         """The track, predicted, that a candidate continues; None where there is none."""
         known = [k for k in (self.target, self._again, *self._others, *self._tentative) if k]

@@ -272,9 +272,9 @@ def test_a_network_camera_gives_its_jpegs_and_is_found_again() -> None:
 def test_pictures_of_another_size_than_the_rigs_are_never_given_out(tmp_path: Path) -> None:
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open, (1280, 720))
-    assert camera.read() is None
     message = "left eye: gives pictures of 64 x 48 px; 1280 x 720 are needed"
-    assert camera.state().sentence == message
+    assert wait_for(lambda: camera.state().sentence == message)
+    assert camera.read() is None
     camera.close()
     write_video(tmp_path / "left.mkv", images(3))
     replay = open_camera(CameraSettings(str(tmp_path / "left.mkv"), size=(1280, 720)))

@@ -119,13 +119,6 @@ def test_random_bytes_never_raise(data: bytes) -> None:
             assert all(map(math.isfinite, found.values.values()))
 
 
-@given(st.lists(st.floats(-360, 360), min_size=6, max_size=6), st.floats(0, 1e6))
-def test_what_is_printed_is_read(angles: list[float], t: float) -> None:
-    line = ",".join(f"{value:.4f}" for value in (t, *angles))
-    found = read(FieldMap(6, NAMES, time_unit="s"), line)
-    assert found.values == {j: float(f"{a:.4f}") for j, a in enumerate(angles, start=1)}
-
-
 class Printer:
     """A board that prints a line every 20 ms once it was told to, each by a format."""
 

@@ -23,7 +23,7 @@ from verify.grasping.control.aim import Aim, LoopCycle, TargetState
 from verify.grasping.control.run import GraspOutcome
 from verify.grasping.control.states import GraspState
 from verify.grasping.planning.object import GraspObject
-from verify.grasping.record.record import GraspContext, GraspRecord
+from verify.grasping.record.record import LIFT_FIELDS, GraspContext, GraspRecord
 from verify.grasping.record.rows import tool_offset_fields, tool_offset_table
 from verify.grasping.tool_offset.offset import FlangeMeasurement, OffsetMeasurement, ToolOffset
 from verify.grasping.tracking.target import TargetObservation
@@ -33,7 +33,6 @@ CELL = quick_cell()
 SPACE = CELL.planner.workspace
 NOTHING, SQUARE = np.full(3, np.nan), np.full((3, 3), np.nan)
 SPREAD = np.diag([3e-3, 1e-3, 2e-3]) ** 2  # m², of the object's place
-FIELDS = ("seen_from_grip_mm", "seen_from_grip_expanded_uncertainty_mm", "seen_raised_mm")
 
 
 def raised(angle: float) -> Array:
@@ -70,7 +69,7 @@ def told(folder: Path, cycles: Sequence[LoopCycle]) -> list[Any]:
     record.close()
     outcome = GraspOutcome(GraspState.LIFTED, "", True, (), len(cycles), False)
     summary = record.results(outcome, Aim(CELL.planner, CELL.rig)).summary
-    return [summary[field] for field in FIELDS]
+    return [summary[field] for field in LIFT_FIELDS]
 
 
 def test_the_last_detection_in_the_lift_is_kept(tmp_path: Path) -> None:
