@@ -195,10 +195,9 @@ def _margin_refusal(
         ("along the approach", margin.along, margin.along_needed),
     ):
         if needed > left:
-            reason = (
-                f"target and robot together are known within {_mm(needed)} {what} ({percent}); "
-            )
-            return GraspRefusal("uncertainty", reason + f"the gripper leaves {_mm(left)}")
+            within = f"within {_mm(needed)} {what} ({percent})"
+            reason = f"target and robot together are known {within}; the gripper leaves {_mm(left)}"
+            return GraspRefusal("uncertainty", reason)
     return None
 
 

@@ -49,16 +49,7 @@ def cycle_row(cycle: LoopCycle, workspace: Workspace) -> dict[str, Any]:
 
 def state_changes_table(passages: Sequence[StateChange]) -> pd.DataFrame:
     """Write the states' passages, one a row."""
-    rows = [
-        {
-            "t_s": p.t,
-            "from_state": p.source.value,
-            "event": p.event.value,
-            "to_state": p.target.value,
-            "reason": p.reason,
-        }
-        for p in passages
-    ]
+    rows = [(p.t, p.source.value, p.event.value, p.target.value, p.reason) for p in passages]
     return pd.DataFrame(rows, columns=["t_s", "from_state", "event", "to_state", "reason"])
 
 
@@ -93,10 +84,9 @@ def tool_offset_table(measurement: OffsetMeasurement | None, workspace: Workspac
 
 def tool_offset_fields(measurement: OffsetMeasurement, workspace: Workspace) -> dict[str, Any]:
     """Write where the hand was ordered, read and measured, and the offset; mm, k = 2."""
-    hand, places = (
-        measurement.hand,
-        {"told": measurement.ordered, "read": measurement.read, "seen": measurement.measured},
-    )
+    hand = measurement.hand
+    places = {"told": measurement.ordered, "read": measurement.read, "seen": measurement.measured}
+    off, spread = (None, None) if hand is None else (hand.off, np.sqrt(np.diag(hand.covariance)))
     return {
         "used": measurement.used,
         "reason": measurement.reason,
@@ -106,10 +96,8 @@ def tool_offset_fields(measurement: OffsetMeasurement, workspace: Workspace) -> 
             f"{what}_mm": None if pose is None else (_MM * _grip_position(pose, workspace)).tolist()
             for what, pose in places.items()
         },
-        "off_mm": None if hand is None else (_MM * hand.off).tolist(),
-        "off_expanded_uncertainty_mm": None
-        if hand is None
-        else (2 * _MM * np.sqrt(np.diag(hand.covariance))).tolist(),
+        "off_mm": None if off is None else (_MM * off).tolist(),
+        "off_expanded_uncertainty_mm": None if spread is None else (2 * _MM * spread).tolist(),
     }
 
 

@@ -92,12 +92,8 @@ class FlangeWatch:
         measured = sum(sight.base_T_flange is not None for sight in rest.sights)
         if measured >= MIN_PICTURES or len(rest.sights) >= MAX_PICTURES:
             return tuple(rest.sights), _resting_angles(rest.read)
-        pair = self._pair
-        if (
-            pair is not None
-            and pair.t_left >= rest.since + SETTLING_TIME
-            and pair.t_left > rest.taken
-        ):
+        pair, earliest = self._pair, rest.since + SETTLING_TIME
+        if pair is not None and pair.t_left >= earliest and pair.t_left > rest.taken:
             rest.taken = pair.t_left
             self._working = self._submit(partial(self._measured, pair, rest.q))
         return None
@@ -105,18 +101,16 @@ class FlangeWatch:
     def _measured(self, pair: StereoPair, q: Array) -> FlangeMeasurement:
         ordered = self._rig.rig_T_base @ robots.forward(self._arm, q)
         measurement = measure_resting_flange(pair, self._rig, self._marker, ordered)
-        if (
-            measurement.status != "measured"
-            or measurement.pose is None
-            or measurement.pose.known_dof < 6
-        ):
-            status = measurement.status if measurement.status != "measured" else "too_few_leds"
-            return FlangeMeasurement(pair.t_left, status)
-        away = np.abs(difference(measurement.pose.rig_T_flange, ordered))
+        pose = measurement.pose
+        if measurement.status != "measured":
+            return FlangeMeasurement(pair.t_left, measurement.status)
+        if pose is None or pose.known_dof < 6:
+            return FlangeMeasurement(pair.t_left, "too_few_leds")
+        away = np.abs(difference(pose.rig_T_flange, ordered))
         # beyond these, LEDs were taken for one another
         if away[:3].max() > SEARCH_RADIUS or away[3:].max() > MAX_ROTATION:
             return FlangeMeasurement(pair.t_left, "implausible")
-        return self._sight(measurement, measurement.pose)
+        return self._sight(measurement, pose)
 
     def _sight(self, measurement: Measurement, pose: Pose) -> FlangeMeasurement:
         base_T_rig = invert(self._rig.rig_T_base)

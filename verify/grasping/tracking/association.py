@@ -312,11 +312,9 @@ class TargetIdentity:
         """A target that is half hidden shows pieces, which are no others."""
         assert self.target is not None
         track = self.target.track
-        away = [
-            np.linalg.norm(candidate.place.point - p)
-            for p in (track.position, track.at(t).position)
-        ]
-        return float(min(away)) < math.sqrt(self.target.area)
+        places = np.array([track.position, track.at(t).position])
+        away = np.linalg.norm(candidate.place.point - places, axis=1)
+        return float(away.min()) < math.sqrt(self.target.area)
 
     def _updated(
         self, known: ObjectTrack, t: float, candidate: StereoObject, track: KalmanTrack

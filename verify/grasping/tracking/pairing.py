@@ -175,11 +175,8 @@ def _meeting_pairs(
         np.array([blob.centre for blob in rights])[None],
     )
     reach = np.array([[max(a.extent.max(), b.extent.max()) for b in rights] for a in lefts])
-    allowed = (
-        (MAX_RAY_DISTANCE_PX + 0.2 * reach)
-        * np.linalg.norm(points, axis=-1)
-        / rig.left.matrix[0, 0]
-    )
+    px = MAX_RAY_DISTANCE_PX + 0.2 * reach
+    allowed = px * np.linalg.norm(points, axis=-1) / rig.left.matrix[0, 0]
     with np.errstate(invalid="ignore"):  # nan where the rays do not meet at all
         near = gap < allowed
     return [(int(i), int(j)) for i, j in np.argwhere(near)]
