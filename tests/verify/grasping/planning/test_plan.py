@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 import robots
 from robots.trajectory import TrajectoryFollower, joint_limits, limit_violation
 from tests.support.grasp.cells import DOCS, cap, changed, home, melfa, setup
-from verify.core.rig import Camera, Covariance, Rig
+from tests.support.scene import make_rig
+from verify.core.rig import Covariance
 from verify.errors import InputError
 from verify.grasping.planning.object import (
     GraspObject,
@@ -175,19 +176,6 @@ def test_the_stated_coverage_is_kept_by_what_is_not_refused(made: GraspPlanner) 
         assert min(inside.mean(), tips.mean()) < 0.999  # and it is no empty promise
 
 
-def camera() -> Camera:
-    return Camera(
-        np.eye(3), np.zeros(5), np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.0, np.eye(4)
-    )  # fmt: skip
-
-
-def rig(covariance: Covariance | None = None) -> Rig:
-    rig_T_base = np.eye(4)
-    rig_T_base[:3, :3] = Rotation.from_euler("xyz", [100, -20, 30], degrees=True).as_matrix()
-    rig_T_base[:3, 3] = [0.1, 0.3, 1.2]
-    return Rig((1280, 720), camera(), camera(), rig_T_base, covariance=covariance)
-
-
 def test_a_point_comes_into_the_base_with_the_scatter_that_the_rig_states() -> None:
     """Against draws: base poses perturbed as the file's covariance says, points as theirs."""
     random = np.random.default_rng(1)
@@ -197,7 +185,8 @@ def test_a_point_comes_into_the_base_with_the_scatter_that_the_rig_states() -> N
     mix = random.normal(size=(7, 7))
     correlation = np.corrcoef(mix @ mix.T + 3 * np.eye(7))
     sigma = np.array([0.4, 0.5, 0.6, 0.08, 0.1, 0.05, 1.0])
-    made = rig(Covariance((*names, "left.fx_px"), sigma, correlation))
+    stated = Covariance((*names, "left.fx_px"), sigma, correlation)
+    made = dataclasses.replace(make_rig(), covariance=stated)
     point, spread = np.array([0.05, 0.1, 0.9]), np.diag([0.2e-3, 0.3e-3, 0.9e-3]) ** 2
     place, covariance = point_in_base(made, point, spread)
     rig_R_base, origin = made.rig_T_base[:3, :3], made.rig_T_base[:3, 3]
@@ -211,7 +200,7 @@ def test_a_point_comes_into_the_base_with_the_scatter_that_the_rig_states() -> N
     places = turned.inv().apply(seen - origin - draws[:, :3])
     assert_allclose(np.cov(places.T), covariance, atol=0.02 * np.trace(covariance))
     # where nothing is stated, it is exact
-    assert_allclose(point_in_base(rig(), point, spread)[1], rig_R_base.T @ spread @ rig_R_base)
+    assert_allclose(point_in_base(make_rig(), point, spread)[1], rig_R_base.T @ spread @ rig_R_base)
 
 
 def seen(size: tuple[float, float]) -> TargetObservation:
@@ -223,7 +212,7 @@ def seen(size: tuple[float, float]) -> TargetObservation:
 
 
 def test_the_gripped_extent_depends_on_the_viewing_direction() -> None:
-    made = rig()
+    made = make_rig()
     upright = made.rig_T_base[:3, :3].T @ [0, 1.0, 0]  # the rig's y, in the base
     thing = object_from_target(seen((0.03, 0.2)), made, upright)
     assert (thing.width, thing.length) == (0.03, 0.2)
