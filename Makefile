@@ -81,7 +81,6 @@ bench-diagnosis: $(DEV)
 bench-grab: $(DEV)
 	$(BIN)/python -m tests.bench.grasp.open_loop --full
 	$(BIN)/python -m tests.bench.grasp.closed_loop
-	$(BIN)/python -m tests.bench.grasp.emulated
 
 clean:
 	rm -rf $(VENV) build *.egg-info

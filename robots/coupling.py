@@ -37,9 +37,8 @@ class Coupling:
     """Joints that share a motion which leaves the flange (all but) still."""
 
     joints: tuple[int, ...]  # counted from 0
-    combination: (
-        Array | None
-    )  # (n,) of 1, -1 and 0: this sum of q stays determined; None if no such
+    # (n,) of 1, -1 and 0: this sum of q stays determined; None if no such
+    combination: Array | None
     # what is near zero: wrist, elbow, shoulder, several joined by "+"; or singular value
     factor: str
     value: float  # of the first factor: |sin|, or m for the shoulder, or the singular value
@@ -76,9 +75,8 @@ def couplings(arm: Arm, q: Array) -> tuple[Coupling | None, ...]:
     q = np.asarray(q, dtype=float)
     if not len(q) or not isinstance(arm, DhArm):
         return tuple(coupled(arm, one) for one in q)
-    near = np.any(
-        [value < GATE_MARGIN * gate for _, value, gate in _factors(arm, q, arm.theta(q))], 0
-    )
+    factors = _factors(arm, q, arm.theta(q))
+    near = np.any([value < GATE_MARGIN * gate for _, value, gate in factors], 0)
     return tuple(coupled(arm, one) if close else None for one, close in zip(q, near, strict=True))
 
 

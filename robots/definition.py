@@ -27,9 +27,6 @@ JOINT = {*NUMBER_KEYS, *RATE_KEYS.values(), "limits_deg"}
 def read(path: Path) -> DhArm:
     """Read a robot file.
 
-    Args:
-        path: a TOML file as robots/iust_6r.toml shows it.
-
     Raises:
         RobotError: the file is missing, is not TOML, has a wrong, missing or unknown key, or its
             table does not fit its family.
@@ -69,9 +66,8 @@ def _parse(path: Path) -> tuple[bytes, dict[str, Any]]:
         remedy = "Check the path, or give the name of a known robot."
         raise RobotError(path, error.strerror or "cannot be read", "", remedy) from error
     except UnicodeDecodeError as error:
-        raise RobotError(
-            path, f"byte {error.start} is not UTF-8", "", "Save it as UTF-8."
-        ) from error
+        found = f"byte {error.start} is not UTF-8"
+        raise RobotError(path, found, "", "Save it as UTF-8.") from error
     except tomllib.TOMLDecodeError as error:
         raise RobotError(path, f"not valid TOML: {error}", "", "Mend that line.") from error
 
@@ -116,10 +112,8 @@ def _joint(path: Path, where: str, table: dict[str, Any]) -> dict[str, Any]:
     joint["limits_deg"] = limits = table.get("limits_deg")
     numbers = limits if isinstance(limits, list) and all(map(_is_number, limits)) else []
     if len(numbers) != 2 or not numbers[0] < numbers[1]:
-        found, expected = (
-            _show_value(table, "limits_deg"),
-            "two numbers are needed, the lower one first",
-        )
+        found = _show_value(table, "limits_deg")
+        expected = "two numbers are needed, the lower one first"
         remedy = "Write limits_deg = [-170.0, 170.0], for instance."
         raise RobotError(f"{path}, {where}limits_deg", found, expected, remedy)
     return joint

@@ -14,10 +14,7 @@ from robots.arm import Arm, DhArm
 from robots.closed_form import SHOULDER, WRIST, Family, Flags
 from robots.transforms import Array
 
-FAMILIES: dict[str, Family] = {
-    "spherical_wrist": spherical_wrist,
-    "parallel_axes": parallel_axes,
-}
+FAMILIES: dict[str, Family] = {"spherical_wrist": spherical_wrist, "parallel_axes": parallel_axes}
 
 
 CHUNK_POSES = 2048  # poses at a time: their rows stay in the processor's second cache
@@ -101,17 +98,11 @@ def within_limits(arm: Arm, q: Array) -> NDArray[np.bool_]:
 
 
 def turns(arm: Arm, q: Array) -> Array:
-    """List the joint angles within limits that are the same posture, whole turns apart.
+    """List the joint angles (k, n) within limits that are those of q, whole turns apart.
 
     A joint that spans two turns doubles the answers of `inverse`; one outside its limits may come
-    inside by a turn, or drop out.
-
-    Args:
-        arm: any arm.
-        q: (n,) or (b, n), rad, such as the branches of one pose; rows with NaN are left out.
-
-    Returns:
-        (k, n), row by row of q, smaller angles first; k may be 0.
+    inside by a turn, or drop out. q is (n,) or (b, n), rad; rows with NaN are left out. The answer
+    goes row by row of q, smaller angles first.
     """
     found: list[tuple[float, ...]] = []
     for row in np.asarray(q, dtype=float).reshape(-1, arm.dof):
@@ -129,12 +120,9 @@ def near(q: Array, q_near: Array) -> Array:
 def near_within(arm: Arm, q: Array, q_near: Array) -> Array:
     """Like `near`, but among the turns within limits; NaN rows where a joint has none."""
     shifted = near(q, q_near)
-    up = np.ceil(
-        (arm.lower - TOL_LIMIT - shifted) / FULL_TURN
-    )  # least turns that lift it to the lower limit
-    down = np.floor(
-        (arm.upper + TOL_LIMIT - shifted) / FULL_TURN
-    )  # most turns up to the upper limit
+    # least turns that lift it to the lower limit, and most turns up to the upper one
+    up = np.ceil((arm.lower - TOL_LIMIT - shifted) / FULL_TURN)
+    down = np.floor((arm.upper + TOL_LIMIT - shifted) / FULL_TURN)
     inside = shifted + FULL_TURN * np.clip(0, up, np.maximum(up, down))
     return np.where(within_limits(arm, inside)[..., None], inside, np.nan)
 

@@ -16,15 +16,7 @@ Frame = tuple[Vector, Vector, Vector, Vector]  # x, y, z axes and origin, in the
 
 
 def forward(arm: Arm, q: Array) -> Array:
-    """Where the flange is.
-
-    Args:
-        arm: any arm.
-        q: (..., n), rad, in the robot file's own zero and sense.
-
-    Returns:
-        base_T_flange, (..., 4, 4), m.
-    """
+    """Place the flange: base_T_flange (..., 4, 4), m, of joint angles q (..., n), rad."""
     q = _checked(arm, q)
     if isinstance(arm, UrdfArm):
         return _one_by_one(arm, q, _urdf_forward, (4, 4))
@@ -35,15 +27,10 @@ def forward(arm: Arm, q: Array) -> Array:
 
 
 def jacobian(arm: Arm, q: Array) -> Array:
-    """How the flange moves with each joint: the geometric Jacobian.
+    """How the flange moves with each joint: the geometric Jacobian (..., 6, n) at q (..., n), rad.
 
-    Args:
-        arm: any arm.
-        q: (..., n), rad.
-
-    Returns:
-        (..., 6, n): velocity of the flange's origin (m/rad), then angular velocity (rad/rad), both
-        in the base frame, for q itself (a joint's sign included).
+    Velocity of the flange's origin (m/rad), then angular velocity (rad/rad), both in the base
+    frame, for q itself (a joint's sign included).
     """
     q = _checked(arm, q)
     if isinstance(arm, UrdfArm):
@@ -66,11 +53,7 @@ def jacobian(arm: Arm, q: Array) -> Array:
 
 
 def link_frames(arm: Arm, q: Array) -> Array:
-    """Place a frame on every joint's axis, and the flange.
-
-    Args:
-        arm: any arm.
-        q: (m, n), rad, in the robot file's own zero and sense.
+    """Place a frame on every joint's axis, and the flange, at joint angles q (m, n), rad.
 
     Returns:
         base_T_frame, (m, n + 1, 4, 4), m. Joint i + 1 turns about z of frame i, the last frame is

@@ -38,14 +38,13 @@ def load(
     tip: str | None = None,
     folder: Path | None = None,
 ) -> Arm:
-    """Load an arm.
+    """Load an arm by its name, or by the path of a robot file (.toml) or a URDF (.urdf).
 
     Args:
-        name_or_path: a name from `names()` or `example_names()`, or the path of a robot file
-            (.toml) or a URDF (.urdf).
+        name_or_path: a path counts from `folder`, by default the current one.
         base: link to count from, for a URDF; by default its first.
         tip: link that is the flange, for a URDF; by default the last of its chain.
-        folder: what a path is relative to; the current folder by default.
+        folder: of a path.
 
     Raises:
         RobotError: no such arm, or its file cannot be used.

@@ -29,9 +29,7 @@ from robots.transforms import Array
 
 TOL_LIMIT = 1e-6  # of each limit: rounding of a trajectory that runs at its limit
 MIN_PATH_LENGTH = 1e-9  # rad: a way this short is none
-ObstacleCheck = Callable[
-    [Array], str
-]  # postures (m, n) in order: what stands in the way; "": nothing
+ObstacleCheck = Callable[[Array], str]  # postures (m, n) in order: what obstructs; "": nothing
 TOL_REST = 1e-9  # rad/s and rad/s²: rounding of an arm at rest
 N_STOP_SAMPLES = 9  # of a stop, handed to `clear`
 MAX_GOAL_SPEED_RATIO = 0.95  # of the limit: a goal may be as fast as that; ruckig wants it below
@@ -58,11 +56,7 @@ class JointMotion:
 
 
 def joint_limits(arm: Arm, share: float) -> JointLimits:
-    """Take an arm's limits, and the share of its rates that may be used.
-
-    Args:
-        arm: whose file states speed, acceleration and jerk.
-        share: 0 to 1, of each of the three.
+    """Take an arm's limits, and the share, 0 to 1, of its speed, acceleration and jerk.
 
     Raises:
         RobotError: the file does not state them.
@@ -226,13 +220,8 @@ def _slowdown(path: JointPath, limits: JointLimits, rates: PathLimits) -> float:
     speed = first * v
     acceleration = second * v**2 + first * a
     jerk = third * v**3 + 3 * second * v * a + first * j
-    return float(
-        max(
-            (speed / limits.speed).max(),
-            (acceleration / limits.acceleration).max() ** (1 / 2),
-            (jerk / limits.jerk).max() ** (1 / 3),
-        )
-    )
+    shares = (speed / limits.speed, acceleration / limits.acceleration, jerk / limits.jerk)
+    return float(max(share.max() ** (1 / power) for power, share in enumerate(shares, start=1)))
 
 
 def _straight_rates(path: JointPath, limits: JointLimits) -> PathLimits:
@@ -317,11 +306,9 @@ class TrajectoryFollower:
         return self._motion
 
     def step(self, goal: Array | None, velocity: Array | None = None) -> MotionStep:
-        """Go on for one period.
+        """Go on for one period to a goal (n,), rad, that moves at a velocity (n,), rad/s.
 
-        Args:
-            goal: (n,), rad; None: stop. Brought within the joints' limits.
-            velocity: (n,), rad/s, with which the goal moves; by default it stands.
+        The goal is brought within the joints' limits; None: stop.
         """
         if goal is None or not np.isfinite(goal).all():
             return self._hold("" if goal is None else "the goal is not a number")
@@ -344,16 +331,13 @@ class TrajectoryFollower:
 
     def _is_moving(self) -> bool:
         motion = self._motion
-        return bool(
-            max(np.abs(motion.velocity).max(), np.abs(motion.acceleration).max()) > TOL_REST
-        )
+        return bool(np.abs([motion.velocity, motion.acceleration]).max() > TOL_REST)
 
     def _trouble(self, motion: JointMotion, stop: Any) -> str:
         """Why the arm may not go to `motion` and that stop, in words; empty where it may."""
         extrema = stop.position_extrema
         for value in ([e.min for e in extrema], [e.max for e in extrema]):
-            problem = limit_violation(self._limits, rest_motion(np.array(value)))
-            if problem:
+            if problem := limit_violation(self._limits, rest_motion(np.array(value))):
                 return problem
         times = np.linspace(0.0, stop.duration, N_STOP_SAMPLES)
         stops = np.array([stop.at_time(t)[0] for t in times.tolist()])

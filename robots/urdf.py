@@ -13,12 +13,10 @@ from robots.arm import UrdfArm
 from robots.errors import RobotError
 
 TURNING_TYPES = {"revolute", "continuous"}
-GRIPPER_NAMES = re.compile(
-    r"grip|finger|jaw|knuckle|thumb", re.IGNORECASE
-)  # not a joint of the arm
-MAX_CONTINUOUS_ANGLE = (
-    2 * np.pi
-)  # rad: a joint without limits gets two turns, so that ranges are finite
+# not a joint of the arm
+GRIPPER_NAMES = re.compile(r"grip|finger|jaw|knuckle|thumb", re.IGNORECASE)
+# rad: a joint without limits gets two turns, so that ranges are finite
+MAX_CONTINUOUS_ANGLE = 2 * np.pi
 
 
 @dataclass(frozen=True)
@@ -88,16 +86,12 @@ def _parse(path: Path) -> tuple[bytes, list[Joint], set[str]]:
         remedy = "Expand a xacro file first." if path.suffix == ".xacro" else "Mend that line."
         raise RobotError(path, f"not valid XML: {error}", "", remedy) from error
     if root.tag != "robot":
-        raise RobotError(
-            path, f"<{root.tag}>", "a URDF holds <robot>", "Give the robot's own file."
-        )
+        remedy = "Give the robot's own file."
+        raise RobotError(path, f"<{root.tag}>", "a URDF holds <robot>", remedy)
     joints = []
     for node in root.findall("joint"):
-        ends = [
-            end.get("link", "")
-            for end in (node.find("parent"), node.find("child"))
-            if end is not None
-        ]
+        found = (node.find("parent"), node.find("child"))
+        ends = [end.get("link", "") for end in found if end is not None]
         if len(ends) != 2:
             place = f'{path}, joint "{node.get("name")}"'
             raise RobotError(place, "parent or child missing", "a joint has both", "Add it.")
@@ -125,9 +119,8 @@ def _last_link(joints: list[Joint], base: str) -> str:
             continue
         if "tool0" in rigid:  # the flange, by ROS-Industrial's convention
             return "tool0"
-        return max(
-            (n for n in rigid if n == link or not GRIPPER_NAMES.search(n)), key=lambda n: rigid[n]
-        )
+        arm = [name for name in rigid if name == link or not GRIPPER_NAMES.search(name)]
+        return max(arm, key=lambda name: rigid[name])
 
 
 def _is_arm_joint(joint: Joint) -> bool:

@@ -49,7 +49,7 @@ def _solvers(arm: robots.DhArm) -> dict[str, Solve]:
 
     solvers["EAIK"] = by_eaik
     if arm.family == "spherical_wrist":
-        theirs = _opw(arm)
+        theirs = opw_robot(arm)
         solvers["py-opw-kinematics"] = lambda poses, _: (
             theirs.reach(RigidTransform.from_matrix(poses)).joints  # with margins, which cost it
         )
@@ -59,7 +59,7 @@ def _solvers(arm: robots.DhArm) -> dict[str, Solve]:
     return solvers
 
 
-def _opw(arm: robots.DhArm) -> opw.Robot:
+def opw_robot(arm: robots.DhArm) -> opw.Robot:
     side = int(np.sign(arm.alpha[2]))
     zeros = {1: (0, -90, 90, 0, 0, 0), -1: (0, -90, -90, 0, 0, 180)}[side]  # of θ against OPW's
     model = opw.KinematicModel(

@@ -19,27 +19,28 @@ def flange(name: str, theta_deg: list[float]) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("name", "zero_mm", "turned_mm"),
+    ("name", "zero", "zero_mm", "turned_mm"),
     [
-        ("iust_6r", [505, 152.8, 438], [330.760163, 158.055058, 281.277969]),
-        ("rv_3sd", [475, 0, 705], [674.957274, 161.513178, 333.251339]),
-        ("rv_3sd_melfa", [475, 0, -5], [121.990467, 64.010211, -7.673209]),
+        (
+            "iust_6r", [[1, 0, 0], [0, 0, 1], [0, -1, 0]], [505, 152.8, 438],
+            [330.760163, 158.055058, 281.277969],
+        ),
+        ("rv_3sd", np.eye(3), [475, 0, 705], [674.957274, 161.513178, 333.251339]),
+        (
+            "rv_3sd_melfa", np.diag([1, -1, -1]), [475, 0, -5],
+            [121.990467, 64.010211, -7.673209],
+        ),
     ],
-)
-def test_flange_positions_are_the_recorded_ones(
-    name: str, zero_mm: list[float], turned_mm: list[float]
+)  # fmt: skip
+def test_flange_poses_are_the_recorded_ones(
+    name: str, zero: Array, zero_mm: list[float], turned_mm: list[float]
 ) -> None:
+    assert_allclose(flange(name, [0] * 6)[:3, :3], zero, atol=0)
     assert_allclose(flange(name, [0] * 6)[:3, 3] * 1000, zero_mm, atol=1e-9)
     turned = flange(name, [10, 20, 30, 40, 50, 60])
     assert_allclose(turned[:3, 3] * 1000, turned_mm, atol=1e-6)  # as many digits as are on record
-
-
-def test_flange_orientations_are_the_recorded_ones() -> None:
-    assert_allclose(flange("iust_6r", [0] * 6)[:3, :3], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=0)
-    assert_allclose(flange("rv_3sd", [0] * 6)[:3, :3], np.eye(3), atol=0)
-    assert_allclose(flange("rv_3sd_melfa", [0] * 6)[:3, :3], np.diag([1, -1, -1]), atol=0)
-    approach = flange("iust_6r", [10, 20, 30, 40, 50, 60])[:3, 2]
-    assert_allclose(approach, [-0.111619, 0.633022, 0.766044], atol=1e-6)
+    if name == "iust_6r":
+        assert_allclose(turned[:3, 2], [-0.111619, 0.633022, 0.766044], atol=1e-6)
 
 
 def test_at_the_controllers_zero_upper_arm_and_forearm_stand_upright_the_elbow_offset_behind() -> (

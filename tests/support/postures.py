@@ -1,10 +1,9 @@
-"""Joint angles for hypothesis, that visit singularities on purpose."""
+"""Joint angles at singularities, and DH matrices multiplied out."""
 
 import dataclasses
 import functools
 
 import numpy as np
-from hypothesis import strategies as st
 from numpy import cos, sin
 
 import robots
@@ -26,18 +25,6 @@ def with_signs(arm: robots.DhArm) -> robots.DhArm:
         sign=np.array([1.0, -1, -1, 1, -1, 1]),
         offset=np.array([0.1, -1.2, 0.7, 0.0, 2.0, -3.0]),
     )
-
-
-@st.composite
-def joint_angles(draw: st.DrawFn, arm: robots.DhArm) -> Array:
-    """Draw angles anywhere on the circle, with wrist, elbow, both or neither near singular."""
-    theta = np.array(draw(st.lists(st.floats(-np.pi, np.pi), min_size=6, max_size=6)))
-    near, turn = st.sampled_from(NEAR), st.sampled_from((0.0, np.pi))
-    if draw(st.booleans()):
-        theta[4] = draw(turn) + draw(near)
-    if draw(st.booleans()):
-        theta[2] = stretched(arm) + draw(turn) + draw(near)
-    return arm.joint_angles(theta)
 
 
 @functools.cache

@@ -215,7 +215,7 @@ READ_TIMEOUT = 0.02  # s, on an open line
 LINE_IN_USE = "before it said anything: another program may have the line"
 MIN_RETRY_DELAY, MAX_RETRY_DELAY = 0.25, 4.0  # s: doubled from the one to the other
 
-ClockFunction = Callable[[], float]
+ClockFunction = Callable[[], float]  # s, host's monotonic clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +250,7 @@ class PortLink:
         self._next_try = float("-inf")
         self._last_look = now()
         self._closed = False
-        self._heard = False  # anything since the port was opened
+        self._received = False  # anything since the port was opened
 
     @property
     def connected(self) -> bool:
@@ -277,7 +277,7 @@ class PortLink:
             self._broken(error)
             return None
         self._last_look = self.now()
-        self._heard |= bool(data)
+        self._received |= bool(data)
         return Chunk(data, self._last_look, min(earliest, self._last_look)) if data else None
 
     def send(self, data: bytes) -> bool:
@@ -321,12 +321,14 @@ class PortLink:
             self.drop(describe_port_error(error))
             return False
         self.connections += 1
-        self._last_look, self._heard = self.now(), False
+        self._last_look, self._received = self.now(), False
         return True
 
     def _broken(self, error: OSError) -> None:
         why = describe_port_error(error)
-        self.drop(f"{why} {LINE_IN_USE}" if why == CONNECTION_CLOSED and not self._heard else why)
+        self.drop(
+            f"{why} {LINE_IN_USE}" if why == CONNECTION_CLOSED and not self._received else why
+        )
 
 
 def link_to(address: str, line: SerialLine = DEFAULT_LINE) -> PortLink:

@@ -71,13 +71,9 @@ class CapturedImage:
 
 
 @dataclass(frozen=True, slots=True)
-class CameraFrame:
-    """One picture and when it was taken."""
+class CameraFrame(CapturedImage):
+    """A picture among those of its camera; t is on the host's monotonic clock."""
 
-    t: float  # s, host's monotonic clock, mid-exposure as well as the platform tells
-    t_uncertainty: float  # s: half-width about t, within which it was taken
-    image: Image  # (h, w) grey or (h, w, 3) BGR
-    raw: bytes | None  # the picture as the camera encoded it (JPEG), where it did
     sequence: int  # counts every picture that came; a gap is pictures that nobody read in time
 
 

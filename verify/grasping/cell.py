@@ -178,10 +178,6 @@ class Cell:
 def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
     """Read and check a grab.toml.
 
-    Args:
-        path: the file.
-        joints: how many the robot has.
-
     Returns:
         The cell, and a warning for each key that the format does not know.
 

@@ -26,6 +26,7 @@ from verify.grasping.control.states import (
 )
 from verify.grasping.planning.object import GraspRefusal
 from verify.grasping.planning.plan import GraspPlan, GraspPlanner
+from verify.grasping.record.rows import plan_fields
 from verify.grasping.tracking.camshift import Blob
 from verify.grasping.tracking.target import TargetObservation
 from verify.live.page.run import camera_poses
@@ -136,34 +137,6 @@ def _ellipse(blob: Blob | None) -> dict[str, Any] | None:
     }
 
 
-def plan_facts(plan: GraspPlan | GraspRefusal) -> dict[str, Any]:
-    """Write a plan, or why there is none, as JSON can hold it; millimetres, degrees, seconds."""
-    if isinstance(plan, GraspRefusal):
-        return {"refused": plan.kind, "reason": plan.reason, "branches": dict(plan.branches)}
-    posture, margin = plan.posture, plan.margin
-    return {
-        "posture": posture.name,
-        "score": round(posture.score, 4),
-        "scores": {
-            key: round(getattr(posture, key), 4)
-            for key in ("limits", "dexterity", "nearness", "clearance")
-        },
-        "above_deg": _rounded(np.degrees(posture.q_above), 3),
-        "grip_deg": _rounded(np.degrees(posture.q_grip), 3),
-        "grip_mm": _rounded(margin.grip * _MM, 3),
-        "raised_mm": round(margin.raised * _MM, 3),
-        "margin_across_mm": round(margin.across * _MM, 3),
-        "needed_across_mm": round(margin.across_needed * _MM, 3),
-        "margin_along_mm": round(margin.along * _MM, 3),
-        "needed_along_mm": round(margin.along_needed * _MM, 3),
-        "over_s": [round(part.duration, 3) for part in plan.over],
-        "down_s": round(plan.down.duration, 3),
-        "up_s": round(plan.up.duration, 3),
-        "slowed": round(plan.slowed, 3),
-        "not_taken": plan.rejected,
-    }
-
-
 def _rounded(values: Array, digits: int) -> list[float]:
     return [round(float(value), digits) for value in values]
 
@@ -199,11 +172,7 @@ class LoopSnapshot:
 
 
 class GraspPageSource:
-    """Keeps the newest turn; nothing waits for it.
-
-    Args:
-        facts: what never changes.
-    """
+    """Keeps the newest turn; nothing waits for it."""
 
     def __init__(self, facts: GraspFacts) -> None:
         self._facts = facts
@@ -219,13 +188,7 @@ class GraspPageSource:
         self._drawn: tuple[GraspPlan, dict[str, Any]] | None = None
 
     def show(self, cycle: LoopCycle, loop: GraspLoop, stops: int) -> None:
-        """Take a cycle of the loop, before the next one.
-
-        Args:
-            cycle: measured and ordered in it.
-            loop: only read.
-            stops: how many of the page's stops the loop has taken.
-        """
+        """Take a cycle of the loop, before the next one."""
         machine, planned = loop.machine, loop.aim.planned
         self._began = cycle.t if self._began is None else self._began
         self._stops = stops
@@ -292,7 +255,7 @@ class GraspPageSource:
             return {"plan": None, "way": None, "passages": [], "devices": [], "silent_s": 0.0}
         silent = 0.0 if self._finished else time.monotonic() - shown.at
         return {
-            "plan": None if shown.planned is None else plan_facts(shown.planned),
+            "plan": None if shown.planned is None else plan_fields(shown.planned),
             "way": self._way(shown.planned),
             "passages": [self._passage(p) for p in shown.passages[: -MAX_STATE_CHANGES - 1 : -1]],
             "devices": [{"name": n, "well": well, "sentence": s} for n, well, s in shown.lines],

@@ -18,6 +18,7 @@ from verify.grasping.actuators.protocols import ExecutePermission, MoverState, M
 from verify.simulation.emulators import trajectory
 from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
+from verify.simulation.emulators.server import EmulatorFaults
 
 RIGHT = ExecutePermission("--execute, in a test")
 ARM = robots.load("rv_3sd_melfa")
@@ -73,6 +74,34 @@ def ready(arm: MelfaMover) -> None:
     settled(arm, MoverState.READY)
 
 
+@contextmanager
+def moving(
+    engine: MelfaEngine,
+    where: str = "tcp:0",
+    faults: EmulatorFaults | None = None,
+    chosen: MoveLimits | None = None,
+    **settings: object,
+) -> Iterator[MelfaMover]:
+    """A mover that has taken an emulated controller's controls; slow unless limits are given."""
+    with (
+        bench.running(engine, where, faults) as emulated,
+        mover(emulated, chosen or limits(override=3), **settings) as arm,
+    ):
+        ready(arm)
+        yield arm
+
+
+def failure(arm: MelfaMover) -> str:
+    """Step until it has failed; the reason."""
+    stepped(arm, lambda status: status.state is MoverState.FAILED)
+    return settled(arm, MoverState.FAILED)[-1].reason
+
+
+def given_back(engine: MelfaEngine) -> bool:
+    """Whether the controller has its controls back, without power and without motion."""
+    return not (engine.arm.right or engine.arm.servo_on or engine.arm.moving)
+
+
 def go_home(emulated: Emulated, home: Array) -> None:
     with mover(emulated, limits(override=50), pause=0.02) as arm:
         ready(arm)
@@ -116,8 +145,3 @@ def found_at(engine: MelfaEngine, override: int) -> MelfaEngine:
     """Set the override as somebody at the controller has left it."""
     engine.arm._override = override
     return engine
-
-
-def settled_after(arm: MelfaMover, until: Callable[[MoverStatus], bool]) -> MoverStatus:
-    stepped(arm, until)
-    return settled(arm, MoverState.FAILED)[-1]

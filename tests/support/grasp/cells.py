@@ -3,7 +3,6 @@
 The simulated cell with small pictures and a quicker line down: the same grabs in less time.
 """
 
-import dataclasses
 import functools
 import re
 from dataclasses import replace
@@ -50,6 +49,17 @@ def setup(folder: Path) -> GraspPlanner:
     return make_planner(melfa(), cell(folder), CAMERAS)
 
 
+def changed(made: GraspPlanner, cameras: Array | None = None, **cell: object) -> GraspPlanner:
+    """The same with other cameras, or with other parts of the cell."""
+    space = made.workspace
+    space = replace(
+        space,
+        cell=replace(space.cell, **cell),  # type: ignore[arg-type]
+        cameras=space.cameras if cameras is None else cameras,
+    )
+    return replace(made, workspace=space)
+
+
 def home(made: GraspPlanner) -> Array:
     assert made.cell.moving.home is not None
     return made.cell.moving.home
@@ -58,7 +68,7 @@ def home(made: GraspPlanner) -> Array:
 def cap(x: float = 0.45, y: float = 0.0, z: float = 0.03, **changes: object) -> GraspObject:
     """A bottle cap, 30 mm wide and 20 mm high, known within a millimetre."""
     thing = GraspObject(np.array([x, y, z]), np.eye(3) * 1e-6, 0.03, 1e-3, 0.02, 1e-3)
-    return dataclasses.replace(thing, **changes)  # type: ignore[arg-type]
+    return replace(thing, **changes)  # type: ignore[arg-type]
 
 
 SPEED, ACCELERATION, JERK = 0.12, 0.8, 8.0  # m/s, m/s², m/s³
@@ -68,10 +78,8 @@ SPEED, ACCELERATION, JERK = 0.12, 0.8, 8.0  # m/s, m/s², m/s³
 def quick_cell(*, turning: bool = False) -> CellSetup:
     """Put it together; the arm's own limits stay as they are."""
     usual = cell_setup(SMALL_SIZE, turning=turning)
-    space = usual.planner.workspace
-    line = replace(space.cell.approach, speed=SPEED, acceleration=ACCELERATION, jerk=JERK)
-    quick = replace(space, cell=replace(space.cell, approach=line))
-    return replace(usual, planner=replace(usual.planner, workspace=quick))
+    line = replace(usual.planner.cell.approach, speed=SPEED, acceleration=ACCELERATION, jerk=JERK)
+    return replace(usual, planner=changed(usual.planner, approach=line))
 
 
 def kept_limits(grab: CellRun) -> bool:

@@ -11,10 +11,16 @@ from verify.simulation.emulators.server import EmulatorFaults
 OPTIONS = LabencOptions(arm="PANBASE", rate=50, greeting_after=0.05)
 
 
-@pytest.mark.parametrize("where", ["tcp:0", "pty"])
-def test_bases_are_turned_and_their_way_is_marked_as_moving(where: str) -> None:
+@pytest.mark.parametrize(
+    ("where", "angles"),
+    [
+        ("tcp:0", same_angles(2)),
+        ("pty", AngleMap(np.array([1.0, -1.0]), np.deg2rad([2.0, -3.0]))),
+    ],
+)
+def test_bases_are_turned_and_their_way_is_marked_as_moving(where: str, angles: AngleMap) -> None:
     with running(PanEngine(OPTIONS), where) as emulated:
-        servo = kept(PanServo(LabencSettings(emulated.address), same_angles(2)))
+        servo = kept(PanServo(LabencSettings(emulated.address), angles))
         gather(servo, lambda found: len(found) >= 3)
         wanted = np.deg2rad([10.0, -5.0])
         assert servo.turn_to(*wanted)
@@ -22,7 +28,7 @@ def test_bases_are_turned_and_their_way_is_marked_as_moving(where: str) -> None:
             servo, lambda found: bool(found) and not found[-1].moving and found[-1].pan[0] > 0.1
         )
         np.testing.assert_allclose(readings[-1].pan, wanted, atol=2e-6)
-        way = [reading for reading in readings if 0.01 < reading.pan[0] < 0.16]
+        way = [reading for reading in readings if 0.05 < reading.pan[0] < 0.16]
         assert way
         assert all(reading.moving for reading in way)
 
@@ -37,19 +43,6 @@ def test_the_reader_cannot_turn_anything() -> None:
         with pytest.raises(ValueError, match="may send"):
             reader.send("G", "1", "5.0")
     assert not any(order.startswith("G") for order in engine.log)
-
-
-@pytest.mark.realtime
-def test_sign_and_zero_of_the_bases_go_both_ways() -> None:
-    turned = AngleMap(np.array([1.0, -1.0]), np.deg2rad([2.0, -3.0]))
-    with running(PanEngine(OPTIONS)) as emulated:
-        servo = kept(PanServo(LabencSettings(emulated.address), turned))
-        gather(servo, lambda found: len(found) >= 1)
-        servo.turn_to(*np.deg2rad([4.0, 4.0]))
-        last = gather(
-            servo, lambda found: bool(found) and not found[-1].moving and found[-1].pan[1] > 0.06
-        )[-1]
-        np.testing.assert_allclose(last.pan, np.deg2rad([4.0, 4.0]), atol=2e-6)
 
 
 @pytest.mark.realtime

@@ -17,9 +17,6 @@ from verify.errors import InputError
 def test_an_address_that_never_can_be_opened_is_refused(address: str) -> None:
     with pytest.raises(InputError, match=r"port .*expected"):
         open_port(address, DEFAULT_LINE)
-
-
-def test_settings_that_do_not_exist_are_refused() -> None:
     with pytest.raises(InputError, match="parity"):
         open_port("loop://", SerialLine(parity="X"))
 

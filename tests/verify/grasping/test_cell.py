@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from robots.trajectory import joint_limits
 from tests.support.grasp.cells import cell, example
 from verify.errors import InputError
 from verify.grasping import cell as grasping_cell
@@ -88,35 +87,9 @@ def test_an_unknown_key_is_a_warning(tmp_path: Path) -> None:
     assert "gripper.tip_mm" in warnings[0]
 
 
-def test_an_arm_without_rates_is_refused_with_the_missing_key() -> None:
-    with pytest.raises(robots.RobotError, match="speed_deg_s") as caught:
-        joint_limits(robots.load("iust_6r"), 0.1)
-    assert "iust_6r" in str(caught.value)
-
-
 def test_the_melfa_s_speeds_are_the_published_ones() -> None:
     arm = robots.load("rv_3sd_melfa")
     assert arm.speed is not None
     assert_allclose(np.degrees(arm.speed), [250, 187, 250, 412, 412, 660])
     # the public URDF's figures, in rad/s
     assert_allclose(arm.speed, [4.36332, 3.26377, 4.36332, 7.19076, 7.19076, 11.5192], rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("speed_deg_s = 187.0\n", "", ["joint 2, speed_deg_s", "missing", "for all joints"]),
-        ("speed_deg_s = 187.0", "speed_deg_s = 0", ["joint 2, speed_deg_s", "0", "above 0"]),
-        ("jerk_deg_s3 = 14960.0", "jerk_deg_s3 = nan", ["joint 2, jerk_deg_s3", "above 0"]),
-    ],
-)
-def test_rates_are_stated_of_all_joints_or_of_none(
-    tmp_path: Path, old: str, new: str, words: list[str]
-) -> None:
-    text = (robots.library.HERE / "rv_3sd_melfa.toml").read_text("utf-8")
-    assert old in text
-    (tmp_path / "arm.toml").write_text(text.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(robots.RobotError) as caught:
-        robots.load("arm.toml", folder=tmp_path)
-    for word in words:
-        assert word in str(caught.value)

@@ -125,10 +125,10 @@ class CameraCapture:
     def _sentence(self, age: float | None) -> str:
         if not self._connected:
             return f"{self._name}: not connected: {self._fault}"
-        said = "reading"
+        status = "reading"
         if age is None or age > SILENCE_TIMEOUT:
-            said = "connected, no picture yet" if age is None else f"silent for {age:.1f} s"
-        parts = [said]
+            status = "connected, no picture yet" if age is None else f"silent for {age:.1f} s"
+        parts = [status]
         if self._size is not None and not self._fits(self._size):
             wanted = "{} x {}".format(*self._wanted or ())
             parts = ["gives pictures of {} x {} px".format(*self._size) + f"; {wanted} are needed"]

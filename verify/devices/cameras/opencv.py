@@ -34,6 +34,12 @@ class JpegDecoder:
         return as_image(frames[0]) if frames else None
 
 
+def one_channel(image: Image, wanted: bool | None) -> Image:
+    """Make a picture grey (h, w) where that is wanted."""
+    grey = wanted and image.ndim == 3
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if grey else image, dtype=np.uint8)
+
+
 def as_image(frame: av.VideoFrame) -> Image:
     """Turn a decoded picture into an array, as OpenCV's reader does."""
     form = "gray" if frame.format.name == "gray" else "bgr24"
@@ -41,11 +47,8 @@ def as_image(frame: av.VideoFrame) -> Image:
 
 
 V4L2_EXPOSURE = 1e-4  # s, its unit of exposure
-MANUAL_EXPOSURE = {
-    "V4L2": 1.0,
-    "DSHOW": 0.25,
-    "MSMF": 0.25,
-}  # by backend: "exposure is not automatic"
+# by backend: "exposure is not automatic"
+MANUAL_EXPOSURE = {"V4L2": 1.0, "DSHOW": 0.25, "MSMF": 0.25}
 TOL_SETTING = 0.1  # share by which a camera may round what it is asked for
 DEFAULT_RATE = 30.0  # Hz, where the camera tells none
 MAX_TIMESTAMP_AGE = 1.0  # s: a time stamp older than that is of another clock
@@ -59,10 +62,6 @@ def _open_capture(source: int | str) -> cv2.VideoCapture:
 
 class OpenCvSource:
     """An open camera.
-
-    Args:
-        settings: what it is asked for.
-        open_capture: opens it; another one for tests.
 
     Raises:
         OSError: there is none, or another program has it.
@@ -113,8 +112,7 @@ class OpenCvSource:
 
     def _decoded(self, data: Image) -> tuple[Image | None, bytes | None]:
         if self._jpeg is None or data[:1, :2].tobytes() != JPEG_SIGNATURE:
-            grey = self._settings.grey and data.ndim == 3
-            return np.asarray(cv2.cvtColor(data, cv2.COLOR_BGR2GRAY) if grey else data), None
+            return one_channel(data, self._settings.grey), None
         raw = data.tobytes()
         return self._jpeg.decode(raw), raw
 
@@ -128,28 +126,26 @@ class OpenCvSource:
 
         Format first: sizes and rates depend on it.
         """
-        asked, refused = self._settings, []
-        if asked.format is not None:
-            refused += self._ask_format(asked.format)
-        if asked.size is not None:
-            refused += self._ask("width", cv2.CAP_PROP_FRAME_WIDTH, asked.size[0], "px", 0.0)
-            refused += self._ask("height", cv2.CAP_PROP_FRAME_HEIGHT, asked.size[1], "px", 0.0)
-        if asked.rate is not None:
-            refused += self._ask("rate", cv2.CAP_PROP_FPS, asked.rate, "Hz")
-        if asked.exposure is not None:
-            refused += self._ask_exposure(asked.exposure)
-        if asked.gain is not None:
-            refused += self._ask("gain", cv2.CAP_PROP_GAIN, asked.gain, "")
-        if asked.white_balance is not None:
+        wanted, refused = self._settings, []
+        width, height = wanted.size or (None, None)
+        if wanted.format is not None:
+            refused += self._ask_format(wanted.format)
+        refused += self._ask("width", cv2.CAP_PROP_FRAME_WIDTH, width, "px", 0.0)
+        refused += self._ask("height", cv2.CAP_PROP_FRAME_HEIGHT, height, "px", 0.0)
+        refused += self._ask("rate", cv2.CAP_PROP_FPS, wanted.rate, "Hz")
+        if wanted.exposure is not None:
+            refused += self._ask_exposure(wanted.exposure)
+        refused += self._ask("gain", cv2.CAP_PROP_GAIN, wanted.gain, "")
+        if wanted.white_balance is not None:
             self._capture.set(cv2.CAP_PROP_AUTO_WB, 0)
-            refused += self._ask(
-                "white balance", cv2.CAP_PROP_WB_TEMPERATURE, asked.white_balance, "K"
-            )
-        return refused
+        key = cv2.CAP_PROP_WB_TEMPERATURE
+        return refused + self._ask("white balance", key, wanted.white_balance, "K")
 
     def _ask(
-        self, name: str, key: int, value: float, unit: str, slack: float = TOL_SETTING
+        self, name: str, key: int, value: float | None, unit: str, slack: float = TOL_SETTING
     ) -> list[RefusedSetting]:
+        if value is None:
+            return []
         self._capture.set(key, value)
         got = self._capture.get(key)
         if abs(got - value) <= slack * abs(value):
@@ -160,25 +156,20 @@ class OpenCvSource:
         self._capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*letters))
         code = int(self._capture.get(cv2.CAP_PROP_FOURCC))
         got = code.to_bytes(4, "little", signed=code < 0).decode("ascii", errors="replace")
-        return (
-            []
-            if got == letters
-            else [RefusedSetting("format", letters, got.strip("\0") or "unknown")]
-        )
+        if got == letters:
+            return []
+        return [RefusedSetting("format", letters, got.strip("\0") or "unknown")]
 
     def _ask_exposure(self, seconds: float) -> list[RefusedSetting]:
         manual = MANUAL_EXPOSURE.get(self._backend)
         if manual is None:
-            return [
-                RefusedSetting(
-                    "exposure", f"{seconds:g} s", f"not settable through {self._backend}"
-                )
-            ]
+            got = f"not settable through {self._backend}"
+            return [RefusedSetting("exposure", f"{seconds:g} s", got)]
         self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, manual)
         native = seconds / V4L2_EXPOSURE if self._backend == "V4L2" else math.log2(seconds)
         self._capture.set(cv2.CAP_PROP_EXPOSURE, native)
-        told = self._capture.get(cv2.CAP_PROP_EXPOSURE)
-        got = told * V4L2_EXPOSURE if self._backend == "V4L2" else 2.0**told
-        if abs(got - seconds) <= TOL_SETTING * seconds:
+        native = self._capture.get(cv2.CAP_PROP_EXPOSURE)
+        taken = native * V4L2_EXPOSURE if self._backend == "V4L2" else 2.0**native
+        if abs(taken - seconds) <= TOL_SETTING * seconds:
             return []
-        return [RefusedSetting("exposure", f"{seconds:g} s", f"{got:g} s")]
+        return [RefusedSetting("exposure", f"{seconds:g} s", f"{taken:g} s")]

@@ -5,8 +5,8 @@ from collections import deque
 from pathlib import Path
 
 import cv2
-import numpy as np
 
+from verify.devices.cameras.opencv import one_channel
 from verify.devices.protocols import READ_TIMEOUT, CameraFrame, CameraSettings, CameraState
 from verify.errors import InputError
 from verify.io.files import require_file
@@ -17,9 +17,6 @@ DEFAULT_RATE = 30.0  # Hz, of a folder of pictures
 
 class ReplaySource:
     """Gives a file's pictures at its rate, another rate, or (rate 0) as fast as they are read.
-
-    Args:
-        settings: whose source is the path.
 
     Raises:
         InputError: no such file.
@@ -61,13 +58,15 @@ class ReplaySource:
         """Say how far the file is."""
         now = time.monotonic()
         within = sum(t > now - 1.0 for t in self._recent)
-        said = self._fault or (f"over after {self._number} pictures" if self._ended else "reading")
+        status = self._fault or (
+            f"over after {self._number} pictures" if self._ended else "reading"
+        )
         return CameraState(
             connected=not self._ended,
             age=now - self._recent[-1] if self._recent else None,
             frames=self._number,
             lost=0,
-            sentence=f"{self._name}: {said}",
+            sentence=f"{self._name}: {status}",
             size=self._size,
             rate=float(within) if within else None,
             ended=self._ended,
@@ -95,14 +94,12 @@ class ReplaySource:
             self._fault = "has pictures of {} x {} px".format(*size) + f"; {wanted} are needed"
             self._ended = True
             return None
-        if self._settings.grey and image.ndim == 3:
-            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         if self._began is None:
             self._began = time.monotonic()
         self._size = size
-        frame = CameraFrame(
-            self._began + self._number * self._period, 0.0, image, None, self._number
-        )
+        image = one_channel(image, self._settings.grey)
+        t = self._began + self._number * self._period
+        frame = CameraFrame(t, 0.0, image, None, self._number)
         self._number += 1
         return frame
 

@@ -5,11 +5,9 @@ from collections import deque
 from collections.abc import Iterator
 
 import av
-import cv2
-import numpy as np
 
 from verify.core.records import Image
-from verify.devices.cameras.opencv import as_image
+from verify.devices.cameras.opencv import as_image, one_channel
 from verify.devices.protocols import CameraSettings, CapturedImage, RefusedSetting
 
 CONNECT_TIMEOUT = 5.0  # s
@@ -41,9 +39,6 @@ class StreamClock:
 
 class StreamSource:
     """An open stream.
-
-    Args:
-        settings: whose source is the URL; what else they ask for is set at the camera itself.
 
     Raises:
         OSError: nobody answers, or what answers is no video.
@@ -102,10 +97,7 @@ class StreamSource:
 
     def _image(self, frame: object) -> Image:
         assert isinstance(frame, av.VideoFrame)  # the stream is one of video
-        image = as_image(frame)
-        if self._settings.grey and image.ndim == 3:
-            return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-        return image
+        return one_channel(as_image(frame), self._settings.grey)
 
     def _raw(self, packet: "av.Packet[av.VideoStream]") -> bytes | None:
         jpeg = self._stream.codec_context.name == "mjpeg" and not self._settings.grey
@@ -125,5 +117,5 @@ class StreamSource:
 def _error_text(error: Exception) -> str:
     if isinstance(error, IndexError):
         return "what answers there sends no video"
-    said = getattr(error, "strerror", None) or str(error)
-    return f"{said[:1].lower()}{said[1:]}" if said else type(error).__name__
+    text = getattr(error, "strerror", None) or str(error)
+    return f"{text[:1].lower()}{text[1:]}" if text else type(error).__name__

@@ -31,10 +31,6 @@ class CsvEncoders(LineEncoders):
 
     What stood there before is not read: when it came is not known. A file that is cut, replaced or
     made later is read from its beginning.
-
-    Args:
-        settings: which file.
-        angles: from the file's angles to the robot file's own.
     """
 
     def __init__(self, settings: CsvSettings, angles: AngleMap) -> None:
@@ -83,10 +79,6 @@ def _field_map(header: bytes, joints: int) -> FieldMap | str:
 
 class FilePort:
     """Follows one file, as a port.
-
-    Args:
-        path: the file.
-        from_start: read what is there already.
 
     Raises:
         OSError: it cannot be opened, or has no first line yet.

@@ -60,15 +60,7 @@ class ControllerClock:
         self._anew, self._wrap = True, wraps_after
 
     def stamp(self, raw: float, t_host: float) -> ControllerInstant | str:
-        """Place a time stamp.
-
-        Args:
-            raw: s, as the controller sent it.
-            t_host: s, when it was in hand.
-
-        Returns:
-            Where it stands on the clock, or why it is not used.
-        """
+        """Place a stamp of the controller, s, in hand at t_host, s; or say why it is not used."""
         if self._anew:
             return self._begin(raw, t_host)
         step = self._step(raw, t_host)
@@ -172,14 +164,7 @@ class IntakeCounts:
         note: str = "",
         program_running: bool | None = None,
     ) -> DeviceState:
-        """Describe the device.
-
-        Args:
-            link: its line.
-            complaint: why no reading can come though the line is open.
-            note: anything else to report while readings come.
-            program_running: of the robot, where the device reports it.
-        """
+        """Describe the device."""
         age = None if self._last is None else link.now() - self._last
         if not link.connected:
             status = f"not connected: {link.fault}"
@@ -203,11 +188,7 @@ class IntakeCounts:
 
 
 class PortDriver:
-    """A driver on one port: its link, its counts, its state.
-
-    Args:
-        link: keeps the port open.
-    """
+    """A driver on one port: its link, its counts, its state."""
 
     def __init__(self, link: PortLink) -> None:
         self.link, self.counts = link, IntakeCounts()

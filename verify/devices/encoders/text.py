@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.core.records import Array
+from verify.devices import ports
 from verify.devices.encoders.intake import (
     AngleMap,
     ControllerClock,
@@ -19,15 +20,6 @@ from verify.devices.encoders.intake import (
     IntakeCounts,
     PortDriver,
     ReadingIntake,
-)
-from verify.devices.ports import (
-    CHECKSUMS,
-    DEFAULT_LINE,
-    Chunk,
-    LineBuffer,
-    PortLink,
-    SerialLine,
-    link_to,
 )
 from verify.devices.protocols import EncoderReading
 from verify.errors import InputError
@@ -37,7 +29,7 @@ _NUMBER = re.compile(r"[+-]?([0-9]{1,20}(\.[0-9]{0,12})?|\.[0-9]{1,12})([eE][+-]
 _MAX_LINE_BYTES = 1024  # bytes: a longer line is noise
 _CHOICES = {
     "time_unit": (*TIME_UNITS, "ticks", "none"),
-    "checksum": ("none", *CHECKSUMS),
+    "checksum": ("none", *ports.CHECKSUMS),
     "angle_unit": ("deg", "rad", "counts"),
 }
 
@@ -145,7 +137,7 @@ class FieldMap:
         return {name: (word.strip(), start) for name, word, start in named if name != "_"}
 
     def _checksum_fits(self, text: str, words: dict[str, tuple[str, int]]) -> bool:
-        digits, function = CHECKSUMS[self.checksum]
+        digits, function = ports.CHECKSUMS[self.checksum]
         if "sum" not in words:
             return False
         word, start = words["sum"]
@@ -224,7 +216,7 @@ class TextIntake:
         self._sequence = None
         self._clock.restart(self._fields.wrap)
 
-    def take(self, line: bytes, chunk: Chunk) -> list[EncoderReading]:
+    def take(self, line: bytes, chunk: ports.Chunk) -> list[EncoderReading]:
         """Make a reading of a line, or count why not."""
         fields = self._fields.parse(line)
         if isinstance(fields, str):
@@ -258,7 +250,7 @@ class TextIntake:
         values, self._partial = self._partial, {}
         return values
 
-    def _timed(self, t: float | None, chunk: Chunk) -> tuple[ControllerInstant, float] | str:
+    def _timed(self, t: float | None, chunk: ports.Chunk) -> tuple[ControllerInstant, float] | str:
         """When the angles were read: the device's own time, else the middle of what is possible."""
         unit = self._fields.seconds_per_unit
         if unit is not None and t is not None:
@@ -283,7 +275,7 @@ class TextSettings:
 
     port: str
     fields: FieldMap
-    line: SerialLine = DEFAULT_LINE
+    line: ports.SerialLine = ports.DEFAULT_LINE
     latency: float = USB_LATENCY  # s
     at_start: bytes = b""  # sent when the line is open: starts the stream
     at_end: bytes = b""  # sent before it is closed
@@ -292,9 +284,9 @@ class TextSettings:
 class LineEncoders(PortDriver):
     """Joint readings from lines of text; a device and a file differ in how they begin."""
 
-    def __init__(self, link: PortLink) -> None:
+    def __init__(self, link: ports.PortLink) -> None:
         super().__init__(link)
-        self._lines = LineBuffer()
+        self._lines = ports.LineBuffer()
         self._intake: TextIntake | None = None  # None: the lines cannot be read
 
     def read(self) -> list[EncoderReading]:
@@ -318,15 +310,10 @@ class LineEncoders(PortDriver):
 
 
 class TextEncoders(LineEncoders):
-    """Joint readings from a device that prints lines of text.
-
-    Args:
-        settings: how the device is reached, and its field map.
-        angles: from the device's angles to the robot file's own.
-    """
+    """Joint readings from a device that prints lines of text."""
 
     def __init__(self, settings: TextSettings, angles: AngleMap) -> None:
-        super().__init__(link_to(settings.port, settings.line))
+        super().__init__(ports.link_to(settings.port, settings.line))
         self._settings = settings
         self._text = TextIntake(settings.fields, angles, settings.latency, self.counts)
         self._intake = self._text

@@ -7,9 +7,10 @@ An answer ends with CR, CR LF or NUL, or after a silence where the controller se
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import ClassVar, Final
 
 from verify.devices.ports import MAX_LINE_BYTES, Chunk
 
@@ -21,14 +22,7 @@ READ_COMMANDS: Final = MappingProxyType(
         "OPEN": r"=[A-Za-z0-9]{1,16}",
         "CLOSE": "",
         "STATE": "",
-        "DSTATE": "",
         "JPOSF": "",
-        "PPOSF": "",
-        "SRVENC": "",
-        "SRVDRP": "",
-        "ETEMP": "",
-        "EMISS": "",
-        "OPSTSRD": "[1-3]",
         "PAR": "MEJAR",
         "ERROR": "",
         "ERRORMES": "[0-9]{4,5}",
@@ -92,28 +86,35 @@ MIN_STATE_FIELDS = 15  # fewer are half an answer
 
 
 class ForbiddenCommandError(ValueError):
-    """Somebody tried to word a command that does not only read."""
+    """Somebody tried to word a command that is not listed."""
 
 
 @dataclass(frozen=True, slots=True)
-class ReadCommand:
-    """A command that only reads; another one cannot be made.
+class ControllerCommand:
+    """A command of a list; one that is not listed cannot be made.
 
     Raises:
         ForbiddenCommandError: not on the list, or an argument that the list does not allow.
     """
 
+    allowed: ClassVar[Mapping[str, str]]  # each with the grammar of its argument
     name: str
     argument: str = ""
 
     def __post_init__(self) -> None:
-        grammar = READ_COMMANDS.get(self.name)
+        grammar = self.allowed.get(self.name)
         if grammar is None or not re.fullmatch(grammar, self.argument):
-            raise ForbiddenCommandError(f"{self.name}{self.argument} is not a reading command")
+            raise ForbiddenCommandError(f"{self.name}{self.argument} is no {type(self).__name__}")
 
     def encoded(self, terminator: bytes) -> bytes:
         """Word it for robot 1, slot 1."""
         return f"1;1;{self.name}{self.argument}".encode("ascii") + terminator
+
+
+class ReadCommand(ControllerCommand):
+    """A command that only reads."""
+
+    allowed = READ_COMMANDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,14 +173,16 @@ def parse_joints(data: str, joints: int) -> JointPosition | None:
     if not all(labels) or not all(map(_ANGLE.fullmatch, fields[1::2])):
         return None
     _flags, override, speed, limits = rest
-    told = {label: float(text) for label, text in zip(fields[::2], fields[1::2], strict=True)}
+    angles = {label: float(text) for label, text in zip(fields[::2], fields[1::2], strict=True)}
     wanted = [f"J{joint}" for joint in range(1, joints + 1)]
-    twice = len(told) != len(labels)
-    if twice or not set(wanted) <= set(told) or not _LIMITS.fullmatch(limits):
+    twice = len(angles) != len(labels)
+    if twice or not set(wanted) <= set(angles) or not _LIMITS.fullmatch(limits):
         return None
     if not _PERCENT.fullmatch(override) or not _POSITIVE.fullmatch(speed):
         return None
-    return JointPosition(tuple(told[label] for label in wanted), int(override), float(speed) * 1e-3)
+    return JointPosition(
+        tuple(angles[label] for label in wanted), int(override), float(speed) * 1e-3
+    )
 
 
 def parse_state(data: str) -> RunState | None:

@@ -66,12 +66,7 @@ class ConnectionState:
 
 
 class MelfaEncoders(PortDriver):
-    """Joint readings by JPOSF.
-
-    Args:
-        settings: how the controller is reached.
-        angles: from the controller's angles to the robot file's own.
-    """
+    """Joint readings by JPOSF."""
 
     def __init__(self, settings: MelfaSettings, angles: AngleMap) -> None:
         super().__init__(link_to(settings.port, settings.line))
@@ -246,9 +241,8 @@ class MelfaEncoders(PortDriver):
             return self._drop("position that is not understood")
         self._talk.complaint = ""
         trip = line.t - self._talk.sent_at
-        usual = (
-            float(np.median(self.round_trips)) if len(self.round_trips) >= MIN_ROUND_TRIPS else trip
-        )
+        enough = len(self.round_trips) >= MIN_ROUND_TRIPS
+        usual = float(np.median(self.round_trips)) if enough else trip
         self.round_trips.append(trip)
         if trip > MAX_ROUND_TRIP_RATIO * usual:
             self._pause = max(self._pause, REQUEST_PAUSE)

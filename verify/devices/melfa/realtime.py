@@ -77,12 +77,7 @@ class RealtimeSettings:
 
 
 class RealtimeEncoders(PortDriver):
-    """Joint readings from the encoders, one a cycle of the controller.
-
-    Args:
-        settings: how the stream is reached.
-        angles: from the controller's angles to the robot file's own.
-    """
+    """Joint readings from the encoders, one a cycle of the controller."""
 
     def __init__(self, settings: RealtimeSettings, angles: AngleMap) -> None:
         super().__init__(link_to(settings.port))

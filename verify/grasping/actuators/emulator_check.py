@@ -28,12 +28,7 @@ PortCheck = Callable[[Port], bool]
 
 
 class EmulatorPortOpener:
-    """Opens a port to an emulator of this program, and to nothing else, however often.
-
-    Args:
-        open_port: opens it.
-        asks: whether an emulator is at the other end.
-    """
+    """Opens a port to an emulator of this program, and to nothing else, however often."""
 
     def __init__(self, open_port: Callable[[], Port], asks: PortCheck) -> None:
         self._open_port, self._asks = open_port, asks

@@ -75,7 +75,6 @@ class Mover(Protocol):
         Raises:
             MotionRefusedError: not `off` or ended.
         """
-        ...
 
     def move_joints(self, q: Array) -> None:
         """Go to joint angles (joints,), rad, by joint interpolation.
@@ -83,7 +82,6 @@ class Mover(Protocol):
         Raises:
             MotionRefusedError: no move can be taken now, or q is outside the limits.
         """
-        ...
 
     def move_line(self, q: Array) -> None:
         """Go to joint angles (joints,), rad, with the flange on a straight line.
@@ -91,23 +89,18 @@ class Mover(Protocol):
         Raises:
             MotionRefusedError: no move can be taken now, or q is outside the limits.
         """
-        ...
 
     def hold(self) -> None:
         """Stop where it is and keep the controls. Always allowed; does nothing once ended."""
-        ...
 
     def release(self) -> None:
         """Stop, take the servo's power, give the controls back. Always allowed."""
-        ...
 
     def step(self) -> MoverStatus:
         """Go on with what has arrived; never waits for the device."""
-        ...
 
     def close(self) -> None:
         """Release, waiting for at most some seconds, and close the line; never raises."""
-        ...
 
 
 class GripperState(StrEnum):
@@ -144,7 +137,6 @@ class Gripper(Protocol):
         Raises:
             MotionRefusedError: it is doing something else.
         """
-        ...
 
     def open_to(self, opening: float) -> None:
         """Open the fingers to so many m between them.
@@ -152,7 +144,6 @@ class Gripper(Protocol):
         Raises:
             MotionRefusedError: it is not ready, or cannot open so wide.
         """
-        ...
 
     def close_to(self, opening: float) -> None:
         """Close the fingers until something stops them, or to so many m between them.
@@ -160,30 +151,22 @@ class Gripper(Protocol):
         Raises:
             MotionRefusedError: it is not ready, or the opening is outside its stroke.
         """
-        ...
 
     def stop(self) -> None:
         """Stop the fingers where they are; what is gripped stays gripped. Always allowed."""
-        ...
 
     def step(self) -> GripperStatus:
         """Go on with what has arrived; never waits for the device."""
-        ...
 
     def close(self) -> None:
         """Stop the fingers and close the line; what is gripped stays gripped. Never raises."""
-        ...
 
 
 OPEN_WAIT = 0.005  # s: a port nearby is open by then, at the first call
 
 
 class BackgroundOpener:
-    """Opens a port in a thread of its own: a computer that does not answer delays no control loop.
-
-    Args:
-        open_port: opens it; may take a second.
-    """
+    """Opens a port in a thread: a computer that does not answer delays no control loop."""
 
     def __init__(self, open_port: Callable[[], Port]) -> None:
         self._open_port = open_port

@@ -82,13 +82,7 @@ class PlanAttempt:
 
 
 class Aim:
-    """Keeps what is known and planned of the target.
-
-    Args:
-        setup: arm and cell.
-        rig: the cameras, and the robot's place in the rig.
-        watch: measures the flange; None: the end point is not corrected.
-    """
+    """Keeps what is known and planned of the target; no watch: nothing is corrected."""
 
     def __init__(self, setup: GraspPlanner, rig: Rig, watch: FlangeWatch | None = None) -> None:
         self._setup, self._rig, self._watch = setup, rig, watch
@@ -124,10 +118,7 @@ class Aim:
     def hover(self, now: float, q: Array, *, still: bool) -> JointGoal | None:
         """Find where the joints should be to stand above the target; None where it is not known.
 
-        Args:
-            now: s.
-            q: (n,), rad, ordered last.
-            still: the target stands still.
+        Ordered last were joint angles q, (n,), rad; now is in s.
         """
         if self.target is None or (self.unreachable and now - self._planned_at < REPLAN_PERIOD):
             return self._goal
@@ -146,12 +137,7 @@ class Aim:
         return goal
 
     def plan_now(self, now: float, q: Array) -> None:
-        """Measure the hand where it is watched; then plan for a target that stands still.
-
-        Args:
-            now: s.
-            q: (n,), rad, where the arm stands, at rest.
-        """
+        """Measure the hand where it is watched; then plan from rest at q, (n,), rad."""
         if self._watch is not None and self._hand is None:
             gathered = self._watch.gather(now, q)
             if gathered is None:

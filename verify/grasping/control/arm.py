@@ -31,16 +31,10 @@ class StreamMover(Mover, Protocol):
         Raises:
             MotionRefusedError: no set point can be taken now, or q is outside the limits.
         """
-        ...
 
 
 class DrivenArm(ABC):
-    """An arm that the loop orders, one cycle at a time.
-
-    Args:
-        setup: arm and cell.
-        mover: takes the orders.
-    """
+    """An arm that the loop orders, one cycle at a time."""
 
     order_states: ClassVar[frozenset[MoverState]]  # of the mover, in which it takes orders
 
@@ -90,13 +84,7 @@ class DrivenArm(ABC):
 
 
 class StreamedArm(DrivenArm):
-    """Sends one set point a period; a hold comes to rest on the path.
-
-    Args:
-        setup: arm and cell.
-        mover: takes the set points.
-        period: s, from one to the next.
-    """
+    """Sends one set point a period; a hold comes to rest on the path."""
 
     order_states = ACCEPTING_STATES | {MoverState.MOVING}
 

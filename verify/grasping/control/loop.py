@@ -101,9 +101,6 @@ class GraspLoop:
     def look_for(self, tracker: TargetTracker | None) -> None:
         """Go after another target from now on; what was known of the last one is forgotten.
 
-        Args:
-            tracker: sees it; None: there is none until the next call.
-
         Raises:
             ValueError: not now; see `may_choose`.
         """
@@ -133,9 +130,6 @@ class GraspLoop:
 
     def cycle(self, pair: StereoPair | None) -> LoopCycle:
         """Look, decide, order.
-
-        Args:
-            pair: the newest pictures; None: there are no new ones.
 
         Raises:
             InputError: the pictures are grey, or the selected box teaches no colour.

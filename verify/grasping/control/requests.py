@@ -59,11 +59,7 @@ class OperatorRequests:
                 self._orders.append(order)
 
     def select(self, text: str) -> None:
-        """Ask for another target.
-
-        Args:
-            text: see `parse_drawn`.
-        """
+        """Ask for another target."""
         try:
             drawn = parse_drawn(text[: 2 * MAX_REPEATED_LETTERS], SELECTION_PLACE)
         except InputError as error:
@@ -96,14 +92,7 @@ class OperatorRequests:
 
 
 def select_target(loop: GraspLoop, rig: Rig, drawn: BoxSelection, pair: StereoPair) -> str:
-    """Go after what was drawn; says why not, where that cannot be.
-
-    Args:
-        loop: goes on after its last target where this one is refused.
-        rig: the cameras.
-        drawn: a box in one of the pictures.
-        pair: the pictures, newest.
-    """
+    """Go after what was drawn; says why not, where that cannot be."""
     if not loop.may_choose:
         reason = f"no other target now: the state is {loop.machine.state.value}"
         return f"{reason}; the arm must have come to rest, its hand up and empty"

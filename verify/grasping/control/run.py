@@ -22,11 +22,9 @@ class PairSource(Protocol):
 
     def pair(self) -> StereoPair | None:
         """Give the newest pictures; None where there are no new ones."""
-        ...
 
     def wait(self) -> None:
         """Let time pass until the next cycle."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,24 +100,16 @@ class Transition:
     needs: frozenset[TransitionCondition] = frozenset()
 
 
-ORDERS: dict[GraspState, DeviceOrder] = {
+# whatever is not named here holds
+ORDERS = dict.fromkeys(GraspState, DeviceOrder.HOLD) | {
     GraspState.IDLE: DeviceOrder.NONE,
-    GraspState.SEARCHING: DeviceOrder.HOLD,
-    GraspState.TRACKING: DeviceOrder.HOLD,
     GraspState.FOLLOWING: DeviceOrder.FOLLOW,
     GraspState.APPROACHING: DeviceOrder.DESCEND,
     GraspState.CLOSING: DeviceOrder.CLOSE,
     GraspState.CHECKING: DeviceOrder.CHECK,
     GraspState.LIFTING: DeviceOrder.LIFT,
-    GraspState.LIFTED: DeviceOrder.HOLD,
     GraspState.OPENING: DeviceOrder.OPEN,
     GraspState.RETREATING: DeviceOrder.RETREAT,
-    GraspState.MISSED: DeviceOrder.HOLD,
-    GraspState.HOLDING_STALE: DeviceOrder.HOLD,
-    GraspState.HOLDING_LOST: DeviceOrder.HOLD,
-    GraspState.HOLDING_UNREACHABLE: DeviceOrder.HOLD,
-    GraspState.HOLDING_OPERATOR: DeviceOrder.HOLD,
-    GraspState.FAULT: DeviceOrder.HOLD,
     GraspState.RELEASING: DeviceOrder.RELEASE,
     GraspState.RELEASED: DeviceOrder.NONE,
 }

@@ -48,14 +48,7 @@ class StillWatch:
 
 
 class Watchdog:
-    """Sends the machine its events of time and of missing inputs.
-
-    Args:
-        machine: receives them.
-        limits: after how long nothing is trusted any more.
-        still: when a target counts as still.
-        auto: grab as soon as it does; else that is the operator's.
-    """
+    """Sends the machine its events of time and of missing inputs."""
 
     def __init__(
         self,
@@ -69,12 +62,7 @@ class Watchdog:
         self._still = StillWatch(still)
 
     def observe(self, now: float, inputs: Observation) -> GraspState:
-        """Take one cycle's inputs: bad events first, good ones only if there is no bad one.
-
-        Args:
-            now: s, the machine's clock.
-            inputs: pictures, joints, target and devices.
-        """
+        """Take one cycle's inputs: bad events first, good ones only if there is no bad one."""
         machine = self._machine
         taken = now if inputs.pictures_t is None else inputs.pictures_t
         machine.still = self._still.see(taken, inputs.position)

@@ -8,7 +8,7 @@ from scipy.interpolate import make_interp_spline
 import robots
 from robots import DhArm
 from robots.trajectory import JointPath
-from robots.transforms import difference
+from robots.transforms import difference, rotation_exp
 from verify.core.records import Array
 
 MIN_NODES, MAX_NODES = 9, 129  # of the spline through exact postures; doubled until it is true
@@ -30,12 +30,9 @@ def hand_poses(direction: Array, point: Array, turns: Array) -> Array:
     base = np.eye(3)[0 if abs(direction[0]) < 0.9 else 1]
     x = base - (base @ direction) * direction
     x /= np.linalg.norm(x)
-    y = np.cross(direction, x)
+    plain = np.column_stack([x, np.cross(direction, x), direction])
     poses = np.tile(np.eye(4), (len(turns), 1, 1))
-    cosine, sine = np.cos(turns)[:, None], np.sin(turns)[:, None]
-    poses[:, :3, 0] = cosine * x + sine * y
-    poses[:, :3, 1] = cosine * y - sine * x
-    poses[:, :3, 2] = direction
+    poses[:, :3, :3] = plain @ rotation_exp(np.multiply.outer(turns, np.eye(3)[2]))
     poses[:, :3, 3] = point
     return poses
 

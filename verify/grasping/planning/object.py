@@ -5,16 +5,17 @@ from typing import Literal
 
 import numpy as np
 
-from robots.transforms import carry, invert
+from robots.transforms import carry, cross_matrix, invert
+from verify.core.fiducials import Marker
 from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.core.statistics import chi2_ppf, norm_ppf
 from verify.grasping.cell import Cell
 from verify.grasping.tool_offset.offset import OffsetMeasurement, ToolOffset
 from verify.grasping.tracking.target import TargetObservation
-from verify.measurement.sensitivities import AXES
-from verify.measurement.systematics import BODY, unit
+from verify.measurement.systematics import BODY, stated_systematics
 
+NO_LEDS = Marker((), np.zeros((0, 3)), (), 0.0)
 MIN_UPRIGHT_COSINE = 0.7  # |cosine|: from there a picture's columns run along the approach
 
 
@@ -41,15 +42,8 @@ def point_in_base(rig: Rig, point: Array, covariance: Array) -> tuple[Array, Arr
 
     The robot's place in the rig adds what rig.toml states of it (`robot_base.*`, a small rotation
     on the left in the rig's axes); where it states nothing, it is taken as exact. Correlations of
-    that place with the cameras' own parameters are left out.
-
-    Args:
-        rig: with the robot's place.
-        point: (3,), m, rig frame.
-        covariance: (3, 3), m², rig frame.
-
-    Returns:
-        (3,) m and (3, 3) m², base frame.
+    that place with the cameras' own parameters are left out. A point is (3,), m, its covariance
+    (3, 3), m².
     """
     base_T_rig = invert(rig.rig_T_base)
     base_R_rig = base_T_rig[:3, :3]
@@ -62,12 +56,8 @@ def object_from_target(target: TargetObservation, rig: Rig, direction: Array) ->
 
     Its size is measured across the line of sight. Where the pictures' columns (the rig's y) run
     within 45° of the approach, their extent is the length, and the rows' is the width; else both
-    extents are across it, and the greater one counts for both.
-
-    Args:
-        target: its centre is known.
-        rig: with the robot's place.
-        direction: (3,), unit vector of the approach, base frame.
+    extents are across it, and the greater one counts for both. The direction of the approach is a
+    unit vector (3,), base frame.
     """
     position, covariance = point_in_base(rig, target.centre, target.covariance)
     size, u = target.size, target.size_standard_uncertainty
@@ -84,32 +74,13 @@ def object_from_target(target: TargetObservation, rig: Rig, direction: Array) ->
 
 
 def base_covariance(rig: Rig, point: Array) -> Array:
-    """Covariance of a fixed point of the base in the rig, from what rig.toml states of the base.
-
-    Args:
-        rig: with the robot's place.
-        point: (3,), m, rig frame.
-
-    Returns:
-        (3, 3), m², rig frame; 0 where nothing is stated.
-    """
-    given = rig.covariance
-    if given is None:
-        return np.zeros((3, 3))
-    arm = point - rig.rig_T_base[:3, 3]
-    columns, places = [], []
-    for place, name in enumerate(given.parameters):
-        head, _, key = name.partition(".")
-        if head != "robot_base" or key not in BODY:
-            continue
-        axis = np.eye(3)[AXES.index(key.split("_")[0][-1])]
-        moved = np.cross(axis, arm) if key.startswith("r") else axis
-        columns.append(moved * given.standard_uncertainty[place] * unit(name))
-        places.append(place)
-    if not places:
-        return np.zeros((3, 3))
-    moves = np.stack(columns, axis=1)
-    found: Array = moves @ given.correlation[np.ix_(places, places)] @ moves.T
+    """Covariance (3, 3), m², rig axes, that the stated base gives its fixed point (3,), m, rig."""
+    given = stated_systematics(rig, NO_LEDS, turning=False)
+    places = [i for i, name in enumerate(given.names) if name.startswith("robot_base.")]
+    axes = [BODY.index(given.names[i].partition(".")[2]) for i in places]
+    lever = cross_matrix(point - rig.rig_T_base[:3, 3])
+    moves = np.hstack([np.eye(3), -lever])[:, axes]
+    found: Array = moves @ given.covariance[np.ix_(places, places)] @ moves.T
     return found
 
 
@@ -142,12 +113,7 @@ class GripMargin:
 def grip_point(position: Array, cell: Cell) -> tuple[Array, float]:
     """Say where to grip: the object's middle, or behind it, to keep the finger tips off the table.
 
-    Args:
-        position: (3,), m, base frame, of the middle.
-        cell: with the table and the gripper.
-
-    Returns:
-        (3,), m, base frame, and how far behind the middle that is, m.
+    Both places are (3,), m, base frame; also returned is how far behind the middle it is, m.
     """
     direction, hand = cell.approach.direction, cell.gripper
     down = -direction[2]
@@ -229,10 +195,9 @@ def _margin_refusal(
         ("along the approach", margin.along, margin.along_needed),
     ):
         if needed > left:
-            reason = (
-                f"target and robot together are known within {_mm(needed)} {what} ({percent}); "
-            )
-            return GraspRefusal("uncertainty", reason + f"the gripper leaves {_mm(left)}")
+            within = f"within {_mm(needed)} {what} ({percent})"
+            reason = f"target and robot together are known {within}; the gripper leaves {_mm(left)}"
+            return GraspRefusal("uncertainty", reason)
     return None
 
 

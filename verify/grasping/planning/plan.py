@@ -83,11 +83,6 @@ class GraspPlan:
 def make_planner(arm: Arm, cell: Cell, cameras: Array) -> GraspPlanner:
     """Put an arm into its cell.
 
-    Args:
-        arm: its file states speed, acceleration and jerk.
-        cell: from grab.toml.
-        cameras: (k, 3), m, their optical centres in the robot's base.
-
     Raises:
         InputError: the arm has no closed form, or its file states no rates.
     """
@@ -102,13 +97,7 @@ def make_planner(arm: Arm, cell: Cell, cameras: Array) -> GraspPlanner:
 
 
 def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPlan | GraspRefusal:
-    """Plan a grasp.
-
-    Args:
-        setup: arm and cell.
-        thing: what to grasp.
-        q_now: (n,), rad, where the arm stands, at rest.
-    """
+    """Plan a grasp by an arm that rests at q_now, (n,), rad."""
     margin = grip_margin(thing, setup.cell)
     if isinstance(margin, GraspRefusal):
         return margin
@@ -142,62 +131,42 @@ def _grasp_motion(
     setup: GraspPlanner, posture: Posture, q_now: Array
 ) -> tuple[tuple[Trajectory, ...], Trajectory, float] | str:
     """The transfer, the line down, and how much slower it is, in one posture; or why not."""
-    approach = setup.cell.approach
-    shift = approach.height * approach.direction
-    found = straight_motion(setup, posture.branch, posture.q_above, shift, "on the line down")
+    found = _descent(setup, posture)
     if isinstance(found, str):
         return found
     there = transfer_motion(setup, q_now, posture.q_above)
     return there if isinstance(there, str) else (there, *found)
 
 
-def straight_motion(
-    setup: GraspPlanner, branch: int, q_start: Array, shift: Array, where: str = "on the line"
-) -> tuple[Trajectory, float] | str:
-    """Move the hand straight, its orientation kept; checked along its whole length.
-
-    Args:
-        setup: arm and cell.
-        branch: of the inverse, in which the arm stands and stays.
-        q_start: (n,), rad, where the line begins, at rest.
-        shift: (3,), m, base frame, to its end.
-        where: how a reason begins.
-
-    Returns:
-        The motion, and by how much it is slower than the cell asks; or why there is none.
-    """
-    path = line_path(
-        setup.arm, ApproachLine(robots.forward(setup.arm, q_start), shift), branch, q_start
-    )
+def _descent(setup: GraspPlanner, posture: Posture) -> tuple[Trajectory, float] | str:
+    """The line down, checked along its whole length, and how much slower it is; or why not."""
+    wanted = setup.cell.approach
+    flange = robots.forward(setup.arm, posture.q_above)
+    line = ApproachLine(flange, wanted.height * wanted.direction)
+    path = line_path(setup.arm, line, posture.branch, posture.q_above)
     if isinstance(path, str):
         return path
     for q in path.range():
         if problem := limit_violation(setup.limits, rest_motion(q)):
-            return f"{where} {problem}"
-    asked = setup.cell.approach
-    rates = PathLimits(asked.speed, asked.acceleration, asked.jerk)
+            return f"on the line down {problem}"
+    rates = PathLimits(wanted.speed, wanted.acceleration, wanted.jerk)
     slowed = required_slowdown(path, setup.limits, rates)
     if slowed > MAX_SLOWDOWN:
         joint = int(np.argmax(path.bounds()[0] / setup.limits.speed)) + 1
-        fast = f"at {1e3 * asked.speed:g} mm/s joint {joint} races"
-        return f"{where} {fast}, {slowed:.0f} times beyond its limits"
+        fast = f"at {1e3 * wanted.speed:g} mm/s joint {joint} races"
+        return f"on the line down {fast}, {slowed:.0f} times beyond its limits"
     if problem := setup.workspace.along(path):
-        return f"{where} {problem}"
+        return f"on the line down {problem}"
     return time_path(path, setup.limits, rates), max(slowed, 1.0)
 
 
 def transfer_motion(
     setup: GraspPlanner, q_now: Array, q_above: Array
 ) -> tuple[Trajectory, ...] | str:
-    """Go straight in joint angles to above the object, or through home; checked all along.
-
-    Args:
-        setup: arm and cell.
-        q_now: (n,), rad, where the arm stands, at rest.
-        q_above: (n,), rad, where it goes.
+    """Go straight in joint angles, (n,) rad, to above the object, or through home.
 
     Returns:
-        The ways one after the other; or what stands in them.
+        The ways one after the other, checked all along; or what stands in them.
     """
     ways = [[q_now, q_above]]
     if setup.cell.moving.home is not None:
@@ -231,12 +200,6 @@ def planner_with_cameras(arm: Arm, cell: Cell, rig: Rig, *, turning: bool) -> Gr
     The optical centre of a turning camera goes round its base's axis: the arm keeps away from the
     whole circle, as it does from a point, by a clearance that is the circle's radius greater.
 
-    Args:
-        arm: see `make_planner`.
-        cell: from grab.toml.
-        rig: the cameras, and the robot's place.
-        turning: the bases turn; else they stand as the rig says.
-
     Raises:
         InputError: see `make_planner`.
     """
@@ -267,23 +230,16 @@ class JointGoal:
 
 
 class HoverPlanner:
-    """Keeps one branch and one turn of the hand as long as possible, then searches for others.
-
-    Args:
-        setup: arm and cell.
-    """
+    """Keeps one branch and one turn of the hand as long as possible, then searches for others."""
 
     def __init__(self, setup: GraspPlanner) -> None:
         self._setup = setup
         self._posture: Posture | None = None
 
     def goal(self, point: Array, velocity: Array, q_now: Array) -> JointGoal | GraspRefusal:
-        """Say where the joints should be for the hand to stand above a point.
+        """Say where the joints should be for the hand to stand above the target's middle.
 
-        Args:
-            point: (3,), m, base frame, the target's middle.
-            velocity: (3,), m/s, of the target.
-            q_now: (n,), rad, ordered last.
+        It is at a point (3,), m, and moves at (3,), m/s, base frame; q_now (n,), rad: ordered last.
         """
         if not (np.isfinite(point).all() and np.isfinite(velocity).all()):
             return GraspRefusal("unknown", "the target's place is not known")

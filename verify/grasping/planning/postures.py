@@ -96,13 +96,7 @@ def find_postures(
     """List how the arm could stand above an object and at it: all branches, 24 turns of the hand.
 
     A posture must exist, keep the joints' limits, be off singularities and clear, at both ends of
-    the line between.
-
-    Args:
-        workspace: the arm and what is around it.
-        limits: of the joints.
-        point: (3,), m, base frame, where the grip point goes.
-        q_now: (n,), rad, where the arm stands.
+    the line to the grip point (3,), m, base frame. The arm stands at q_now, (n,), rad.
 
     Returns:
         Those that can be, best score first; and why each other branch cannot, in words, for

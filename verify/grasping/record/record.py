@@ -21,7 +21,7 @@ from verify.grasping.planning.plan import GraspPlan
 from verify.grasping.planning.workspace import Workspace
 from verify.grasping.record.rows import (
     cycle_row,
-    margin_fields,
+    plan_fields,
     plan_table,
     state_changes_table,
     tool_offset_fields,
@@ -36,6 +36,9 @@ READING_HALF_WIDTH = 5e-4  # s within which joints are read
 RAISED_STATES = frozenset({GraspState.LIFTING, GraspState.LIFTED})
 # states of which the report shows a picture
 PICTURED_STATES = (GraspState.FOLLOWING, GraspState.CLOSING, GraspState.LIFTED)
+# of the object measured while the hand goes up: its middle's distance from the grip point, that
+# distance's uncertainty (k = 2, worst direction), and how far the hand had come up by then
+LIFT_FIELDS = ("seen_from_grip_mm", "seen_from_grip_expanded_uncertainty_mm", "seen_raised_mm")
 VIDEO_FILE, SESSION_FOLDER = "grab.mp4", "session"
 
 
@@ -51,25 +54,8 @@ class GraspContext:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _LiftCheck:
-    """The object measured while the hand goes up: did it come along?"""
-
-    from_grip: float  # m, of its middle from the grip point
-    expanded: float  # m, of that, k = 2, in the worst direction
-    raised: float  # m that the hand had come up by then
-
-
 class GraspRecord:
-    """Records every cycle of a grasp.
-
-    Args:
-        folder: an empty one, for the film and the session.
-        facts: for the session's session.toml.
-        workspace: for the grip point's path.
-        context: what else the report states.
-        rate: Hz, cycles.
-    """
+    """Records every cycle of a grasp."""
 
     def __init__(
         self,
@@ -79,18 +65,14 @@ class GraspRecord:
         context: GraspContext,
         rate: float,
     ) -> None:
-        self._folder, self._facts, self._workspace, self._context = (
-            folder,
-            facts,
-            workspace,
-            context,
-        )
+        self._folder, self._facts, self._workspace = folder, facts, workspace
+        self._context = context
         self._rows: list[dict[str, Any]] = []
         self._shown: dict[GraspState, Image] = {}
         self._last: Image | None = None
         self._session: SessionWriter | None = None
         self._gripped: Array | None = None  # (3,), m, the grip point when the lift began
-        self._lift_check: _LiftCheck | None = None  # the last since then
+        self._lift_check: dict[str, float] | None = None  # the last since then
         self._film = Mp4Writer(folder / VIDEO_FILE, rate)
 
     def add(self, cycle: LoopCycle) -> None:
@@ -144,9 +126,9 @@ class GraspRecord:
             "released": outcome.released,
             "stopped_by_operator": outcome.stopped,
             "cycles": outcome.cycles,
-            **_lift_check_fields(self._lift_check),
-            "plan": None if good is None else _plan_fields(good),
-            "refusal": _refusal_fields(plan) if isinstance(plan, GraspRefusal) else None,
+            **(self._lift_check or dict.fromkeys(LIFT_FIELDS)),
+            "plan": None if good is None else plan_fields(good),
+            "refusal": plan_fields(plan) if isinstance(plan, GraspRefusal) else None,
             "hand": None if hand is None else tool_offset_fields(hand, self._workspace),
             "film": VIDEO_FILE,
             "session": SESSION_FOLDER,
@@ -182,7 +164,7 @@ class GraspRecord:
 
 def _lift_check(
     cycle: LoopCycle, workspace: Workspace, grip: Array, raised: float
-) -> _LiftCheck | None:
+) -> dict[str, float] | None:
     """Measure the object against the grip point; None where both cameras do not see it."""
     target, observation = cycle.target, cycle.observation
     if target is None or observation is None or not np.isfinite(observation.measured).all():
@@ -194,16 +176,8 @@ def _lift_check(
     else:
         spread = spread + np.eye(3) * workspace.cell.accuracy.robot**2
     worst = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
-    return _LiftCheck(float(np.linalg.norm(thing.position - grip)), 2 * worst, raised)
-
-
-def _lift_check_fields(check: _LiftCheck | None) -> dict[str, float | None]:
-    values = (None,) * 3 if check is None else (check.from_grip, check.expanded, check.raised)
-    keys = ("from_grip", "from_grip_expanded_uncertainty", "raised")
-    return {
-        f"seen_{key}_mm": None if value is None else 1e3 * value
-        for key, value in zip(keys, values, strict=True)
-    }
+    lengths = (float(np.linalg.norm(thing.position - grip)), 2 * worst, raised)
+    return {field: 1e3 * length for field, length in zip(LIFT_FIELDS, lengths, strict=True)}
 
 
 def _compressed(pair: StereoPair) -> CapturedPair:
@@ -213,29 +187,3 @@ def _compressed(pair: StereoPair) -> CapturedPair:
 
 def _jpeg(image: Image) -> bytes:
     return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
-
-
-def _plan_fields(plan: GraspPlan) -> dict[str, Any]:
-    posture = plan.posture
-    return {
-        "branch": posture.name,
-        "score": posture.score,
-        "parts": {
-            "limits": posture.limits,
-            "dexterity": posture.dexterity,
-            "nearness": posture.nearness,
-            "clearance": posture.clearance,
-        },
-        "q_above_deg": np.degrees(posture.q_above).tolist(),
-        "q_grip_deg": np.degrees(posture.q_grip).tolist(),
-        "grip_mm": (1e3 * plan.margin.grip).tolist(),
-        "margin": margin_fields(plan.margin),
-        "slowed": plan.slowed,
-        "duration_s": sum(w.duration for w in (*plan.over, plan.down, plan.up)),
-        "rejected": [{"branch": name, "reason": reason} for name, reason in plan.rejected.items()],
-    }
-
-
-def _refusal_fields(refusal: GraspRefusal) -> dict[str, Any]:
-    rejected = [{"branch": name, "reason": reason} for name, reason in refusal.branches]
-    return {"kind": refusal.kind, "reason": refusal.reason, "rejected": rejected}

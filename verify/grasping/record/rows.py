@@ -9,7 +9,7 @@ import pandas as pd
 from verify.core.records import Array
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.states import StateChange
-from verify.grasping.planning.object import GripMargin
+from verify.grasping.planning.object import GraspRefusal
 from verify.grasping.planning.plan import GraspPlan
 from verify.grasping.planning.workspace import Workspace
 from verify.grasping.tool_offset.offset import OffsetMeasurement
@@ -49,16 +49,7 @@ def cycle_row(cycle: LoopCycle, workspace: Workspace) -> dict[str, Any]:
 
 def state_changes_table(passages: Sequence[StateChange]) -> pd.DataFrame:
     """Write the states' passages, one a row."""
-    rows = [
-        {
-            "t_s": p.t,
-            "from_state": p.source.value,
-            "event": p.event.value,
-            "to_state": p.target.value,
-            "reason": p.reason,
-        }
-        for p in passages
-    ]
+    rows = [(p.t, p.source.value, p.event.value, p.target.value, p.reason) for p in passages]
     return pd.DataFrame(rows, columns=["t_s", "from_state", "event", "to_state", "reason"])
 
 
@@ -93,10 +84,9 @@ def tool_offset_table(measurement: OffsetMeasurement | None, workspace: Workspac
 
 def tool_offset_fields(measurement: OffsetMeasurement, workspace: Workspace) -> dict[str, Any]:
     """Write where the hand was ordered, read and measured, and the offset; mm, k = 2."""
-    hand, places = (
-        measurement.hand,
-        {"told": measurement.ordered, "read": measurement.read, "seen": measurement.measured},
-    )
+    hand = measurement.hand
+    places = {"told": measurement.ordered, "read": measurement.read, "seen": measurement.measured}
+    off, spread = (None, None) if hand is None else (hand.off, np.sqrt(np.diag(hand.covariance)))
     return {
         "used": measurement.used,
         "reason": measurement.reason,
@@ -106,21 +96,32 @@ def tool_offset_fields(measurement: OffsetMeasurement, workspace: Workspace) -> 
             f"{what}_mm": None if pose is None else (_MM * _grip_position(pose, workspace)).tolist()
             for what, pose in places.items()
         },
-        "off_mm": None if hand is None else (_MM * hand.off).tolist(),
-        "off_expanded_uncertainty_mm": None
-        if hand is None
-        else (2 * _MM * np.sqrt(np.diag(hand.covariance))).tolist(),
+        "off_mm": None if off is None else (_MM * off).tolist(),
+        "off_expanded_uncertainty_mm": None if spread is None else (2 * _MM * spread).tolist(),
     }
 
 
-def margin_fields(margin: GripMargin) -> dict[str, float]:
-    """Write what the gripper leaves and what is needed of it, mm."""
+def plan_fields(plan: GraspPlan | GraspRefusal) -> dict[str, Any]:
+    """Write a plan, or why there is none, as JSON can hold it; mm, degrees, s."""
+    rejected = plan.branches if isinstance(plan, GraspRefusal) else plan.rejected.items()
+    reasons = [{"branch": name, "reason": reason} for name, reason in rejected]
+    if isinstance(plan, GraspRefusal):
+        return {"kind": plan.kind, "reason": plan.reason, "rejected": reasons}
+    posture, margin = plan.posture, plan.margin
+    parts = ("limits", "dexterity", "nearness", "clearance")
+    lengths = ("across", "across_needed", "along", "along_needed", "raised")
     return {
-        "across_mm": _MM * margin.across,
-        "across_needed_mm": _MM * margin.across_needed,
-        "along_mm": _MM * margin.along,
-        "along_needed_mm": _MM * margin.along_needed,
-        "raised_mm": _MM * margin.raised,
+        "branch": posture.name,
+        "score": posture.score,
+        "parts": {part: getattr(posture, part) for part in parts},
+        "q_above_deg": np.degrees(posture.q_above).tolist(),
+        "q_grip_deg": np.degrees(posture.q_grip).tolist(),
+        "grip_mm": (_MM * margin.grip).tolist(),
+        "margin": {f"{name}_mm": _MM * getattr(margin, name) for name in lengths},
+        "slowed": plan.slowed,
+        "duration_s": sum(w.duration for w in (*plan.over, plan.down, plan.up)),
+        "up_s": plan.up.duration,
+        "rejected": reasons,
     }
 
 

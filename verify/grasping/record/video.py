@@ -17,12 +17,7 @@ ENCODER_OPTIONS = {"libx264": {"crf": "20", "preset": "veryfast"}, "mpeg4": {"qs
 
 
 class Mp4Writer:
-    """An MP4 file that grows picture by picture.
-
-    Args:
-        path: a new file.
-        rate: Hz.
-    """
+    """An MP4 file that grows picture by picture."""
 
     def __init__(self, path: Path, rate: float) -> None:
         self.codec = next(name for name in CODECS if name in av.codecs_available)

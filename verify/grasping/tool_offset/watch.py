@@ -49,14 +49,7 @@ class _RestSightings:
 
 
 class FlangeWatch:
-    """Measures where the flange is, picture by picture.
-
-    Args:
-        arm: that carries the LEDs.
-        rig: the cameras, and the robot's place in the rig.
-        marker: the LEDs.
-        submit: runs a measurement; at once, or in a thread.
-    """
+    """Measures where the flange is, picture by picture."""
 
     def __init__(
         self, arm: DhArm, rig: Rig, marker: Marker, submit: SubmitMeasurement = run_now
@@ -79,11 +72,7 @@ class FlangeWatch:
     def gather(
         self, now: float, q: Array
     ) -> tuple[tuple[FlangeMeasurement, ...], Array | None] | None:
-        """Continue the measurement of an arm that stands.
-
-        Args:
-            now: s, on the pictures' clock.
-            q: (n,), rad, where it was ordered to stand.
+        """Continue the measurement of an arm that was ordered to stand at q, (n,), rad.
 
         Returns:
             The measurements, and the mean of the joint angles read meanwhile, (n,), rad, None where
@@ -103,12 +92,8 @@ class FlangeWatch:
         measured = sum(sight.base_T_flange is not None for sight in rest.sights)
         if measured >= MIN_PICTURES or len(rest.sights) >= MAX_PICTURES:
             return tuple(rest.sights), _resting_angles(rest.read)
-        pair = self._pair
-        if (
-            pair is not None
-            and pair.t_left >= rest.since + SETTLING_TIME
-            and pair.t_left > rest.taken
-        ):
+        pair, earliest = self._pair, rest.since + SETTLING_TIME
+        if pair is not None and pair.t_left >= earliest and pair.t_left > rest.taken:
             rest.taken = pair.t_left
             self._working = self._submit(partial(self._measured, pair, rest.q))
         return None
@@ -116,18 +101,16 @@ class FlangeWatch:
     def _measured(self, pair: StereoPair, q: Array) -> FlangeMeasurement:
         ordered = self._rig.rig_T_base @ robots.forward(self._arm, q)
         measurement = measure_resting_flange(pair, self._rig, self._marker, ordered)
-        if (
-            measurement.status != "measured"
-            or measurement.pose is None
-            or measurement.pose.known_dof < 6
-        ):
-            status = measurement.status if measurement.status != "measured" else "too_few_leds"
-            return FlangeMeasurement(pair.t_left, status)
-        away = np.abs(difference(measurement.pose.rig_T_flange, ordered))
+        pose = measurement.pose
+        if measurement.status != "measured":
+            return FlangeMeasurement(pair.t_left, measurement.status)
+        if pose is None or pose.known_dof < 6:
+            return FlangeMeasurement(pair.t_left, "too_few_leds")
+        away = np.abs(difference(pose.rig_T_flange, ordered))
         # beyond these, LEDs were taken for one another
         if away[:3].max() > SEARCH_RADIUS or away[3:].max() > MAX_ROTATION:
             return FlangeMeasurement(pair.t_left, "implausible")
-        return self._sight(measurement, measurement.pose)
+        return self._sight(measurement, pose)
 
     def _sight(self, measurement: Measurement, pose: Pose) -> FlangeMeasurement:
         base_T_rig = invert(self._rig.rig_T_base)

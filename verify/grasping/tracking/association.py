@@ -165,12 +165,7 @@ class TargetDecision:
 
 
 class TargetIdentity:
-    """Remembers the target and the others.
-
-    Args:
-        options: for how long, how sure.
-        density: new objects, a m³.
-    """
+    """Remembers the target and the others."""
 
     def __init__(self, options: TrackingOptions, density: float) -> None:
         self._options, self._density = options, density
@@ -188,10 +183,6 @@ class TargetIdentity:
     def predicted(self, t: float) -> KalmanTrack | None:
         """Where the target should be; None before it was ever found."""
         return None if self.target is None else self.target.track.at(t)
-
-    def others(self, t: float) -> list[KalmanTrack]:
-        """Where the others should be."""
-        return [other.track.at(t) for other in self._others]
 
     def nearest(self, t: float, candidate: StereoObject) -> KalmanTrack | None:
         """The track, predicted, that a candidate continues; None where there is none."""
@@ -321,11 +312,9 @@ class TargetIdentity:
         """A target that is half hidden shows pieces, which are no others."""
         assert self.target is not None
         track = self.target.track
-        away = [
-            np.linalg.norm(candidate.place.point - p)
-            for p in (track.position, track.at(t).position)
-        ]
-        return float(min(away)) < math.sqrt(self.target.area)
+        places = np.array([track.position, track.at(t).position])
+        away = np.linalg.norm(candidate.place.point - places, axis=1)
+        return float(away.min()) < math.sqrt(self.target.area)
 
     def _updated(
         self, known: ObjectTrack, t: float, candidate: StereoObject, track: KalmanTrack

@@ -230,13 +230,9 @@ def _centroid_covariance(belief: Array, middle: Array, total: float) -> Array:
 def find_blobs(
     image: Image, model: ColourModel, but: Box | None = None, expected: Array | None = None
 ) -> list[Blob]:
-    """Find every patch of the target's colour in a picture, largest first.
+    """Find every patch of the target's colour in a picture (h, w, 3) BGR, largest first.
 
-    Args:
-        image: (h, w, 3) BGR.
-        model: the colours.
-        but: a box that need not be searched again.
-        expected: (2,), px, the target's width and height, where they are known.
+    The box `but` need not be searched again; the target's size (2,) px is expected where known.
 
     Raises:
         InputError: the picture is grey.

@@ -89,8 +89,8 @@ def named_colour(name: str) -> ColourModel:
         InputError: the name is not known.
     """
     if name not in NAMED_HUES_DEG:
-        known = ", ".join(NAMED_HUES_DEG)
-        raise InputError("--target", f'"{name}" is not known', f"known colours: {known}")
+        names = ", ".join(NAMED_HUES_DEG)
+        raise InputError("--target", f'"{name}" is not known', f"known colours: {names}")
     low, high, palest = NAMED_HUES_DEG[name]
     degrees = np.arange(N_HUES) * (360.0 / N_HUES)
     half = ((high - low) % 360.0) / 2

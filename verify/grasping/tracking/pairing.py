@@ -149,13 +149,7 @@ def pixel_area(where: LineOfSight, depth: float) -> float:
 def is_plausible(
     thing: StereoObject, options: TrackingOptions, areas: float = MAX_LOG_AREA_RATIO
 ) -> bool:
-    """Whether two patches can be one object, and one of a target's size and distance.
-
-    Args:
-        thing: made of the two.
-        options: least and greatest size and distance.
-        areas: the greatest difference of ln(area) between the two pictures.
-    """
+    """Whether two patches can be one object, and one of a target's size and distance."""
     low, high = options.depths
     return bool(
         thing.place.mismatch < MAX_RAY_DISTANCE
@@ -181,11 +175,8 @@ def _meeting_pairs(
         np.array([blob.centre for blob in rights])[None],
     )
     reach = np.array([[max(a.extent.max(), b.extent.max()) for b in rights] for a in lefts])
-    allowed = (
-        (MAX_RAY_DISTANCE_PX + 0.2 * reach)
-        * np.linalg.norm(points, axis=-1)
-        / rig.left.matrix[0, 0]
-    )
+    px = MAX_RAY_DISTANCE_PX + 0.2 * reach
+    allowed = px * np.linalg.norm(points, axis=-1) / rig.left.matrix[0, 0]
     with np.errstate(invalid="ignore"):  # nan where the rays do not meet at all
         near = gap < allowed
     return [(int(i), int(j)) for i, j in np.argwhere(near)]

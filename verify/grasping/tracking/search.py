@@ -77,13 +77,13 @@ def search_pair(now: TargetSearch, all_objects: bool) -> tuple[list[StereoObject
 
 def left_picture(now: TargetSearch, ahead: KalmanTrack) -> str:
     """Name the picture that the target has left, by its prediction; "" for none."""
-    known = now.identity.target
-    assert known is not None
+    target = now.identity.target
+    assert target is not None
     sides = _camera_sides(place_cameras(now.rig, now.pair), now.pair)
     for name, (camera, _, image) in zip(("left", "right"), sides, strict=True):
         pixel = project(camera, ahead.position)[0]
         depth = float(camera.inside(ahead.position)[2])
-        half = _extent_in_pixels(known.extent, camera.camera, depth) / 2
+        half = _extent_in_pixels(target.extent, camera.camera, depth) / 2
         last = np.array(image.shape[1::-1]) - 1
         if depth <= 0 or (pixel - half < 0).any() or (pixel + half > last).any():
             return name
@@ -92,8 +92,8 @@ def left_picture(now: TargetSearch, ahead: KalmanTrack) -> str:
 
 def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObject | None, Windows]:
     """Search for the target where it is predicted."""
-    known = now.identity.target
-    assert known is not None
+    target = now.identity.target
+    assert target is not None
     motion = ObjectMotion(ahead.velocity, ahead.velocity_covariance)
     blobs: list[Blob] = []
     windows: list[Box] = []
@@ -104,13 +104,13 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
         pixel, slope, exact = project(camera, there.position)
         depth = float(camera.inside(there.position)[2])
         sigma = np.sqrt(np.diag(slope @ there.position_covariance @ slope.T))
-        extent = _extent_in_pixels(known.extent, camera.camera, depth)
+        extent = _extent_in_pixels(target.extent, camera.camera, depth)
         region = box_around(pixel, 0.75 * extent + WINDOW_SIGMA * sigma + WINDOW_MARGIN_PX)
         start = box_around(pixel, 0.5 * extent + sigma)
         blob = camshift(image, start, region, model, extent)
         if blob is None or blob.similarity < MIN_SIMILARITY or blob.cut:
             return None, NO_WINDOWS
-        share = blob.area * pixel_area(exact, depth) / known.area
+        share = blob.area * pixel_area(exact, depth) / target.area
         if share < MIN_VISIBLE_SHARE:
             return None, NO_WINDOWS
         blobs.append(blob)
@@ -120,7 +120,7 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
     if thing is None:
         return None, NO_WINDOWS
     # a finger may hide most of it from one camera alone; what is too large is not half hidden
-    hidden = thing.areas.max() < COMPLETE_AREA_RANGE[1] * known.area
+    hidden = thing.areas.max() < COMPLETE_AREA_RANGE[1] * target.area
     if not is_plausible(
         thing, now.options, -math.log(MIN_VISIBLE_SHARE) if hidden else MAX_LOG_AREA_RATIO
     ):
@@ -143,16 +143,16 @@ def _search_pictures(now: TargetSearch, target: StereoObject | None) -> list[Ste
 
 def _remeasure(now: TargetSearch, thing: StereoObject) -> StereoObject:
     """Measure an object again by what is known of its velocity, and of the target's size."""
-    pair, known = now.pair, now.identity.target
+    pair, target = now.pair, now.identity.target
     moving = now.identity.nearest(pair.t_left, thing)
     if moving is None:
         motion = ObjectMotion(np.zeros(3), np.eye(3) * now.options.speed**2)
     else:
         motion = ObjectMotion(moving.velocity, moving.velocity_covariance)
-    if known is None:
+    if target is None:
         return join_blobs(thing.left, thing.right, pair, now.rig, motion) or thing
     blobs = [
-        _trim_to_target(blob, image, model, _extent_in_pixels(known.extent, camera, float(depth)))
+        _trim_to_target(blob, image, model, _extent_in_pixels(target.extent, camera, float(depth)))
         for blob, image, model, camera, depth in zip(
             (thing.left, thing.right),
             (pair.left, pair.right),
@@ -163,7 +163,7 @@ def _remeasure(now: TargetSearch, thing: StereoObject) -> StereoObject:
         )
     ]
     doubts = [
-        centre_uncertainty_ratio(float(area) / known.area) * float(blob.extent.max())
+        centre_uncertainty_ratio(float(area) / target.area) * float(blob.extent.max())
         for area, blob in zip(thing.areas, blobs, strict=True)
     ]
     return join_blobs(blobs[0], blobs[1], pair, now.rig, motion, (doubts[0], doubts[1])) or thing

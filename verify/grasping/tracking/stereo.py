@@ -145,12 +145,12 @@ def locate(left: LineOfSight, right: LineOfSight, rig: Rig, start: Array) -> Ste
         wander = np.linalg.inv(sight.lens) * (U_COLOUR_CENTRE * sight.extent)
         lies[rows] = wander @ wander.T
     weight = np.linalg.inv(noise + lies)
-    seen = np.concatenate([left.xy, right.xy])
+    pictured = np.concatenate([left.xy, right.xy])
     point = start
     for _ in range(N_ITERATIONS):
         inside = [sight.placed.inside(point) for sight in sights]
         slope = np.concatenate([s.placed.slope(p) for s, p in zip(sights, inside, strict=True)])
-        left_over = seen - np.concatenate([p[:2] / p[2] for p in inside])
+        left_over = pictured - np.concatenate([p[:2] / p[2] for p in inside])
         gain = np.linalg.solve(slope.T @ weight @ slope, slope.T @ weight)
         step = gain @ left_over
         point = point + step

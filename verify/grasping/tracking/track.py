@@ -42,12 +42,6 @@ def track(
 ) -> Iterator[TargetObservation]:
     """Track a coloured object through stereo pairs.
 
-    Args:
-        pairs: colour pictures, in order of time.
-        rig: the calibrated cameras; its covariance is carried along where it states one.
-        target: a colour's name, or a box drawn in one picture of the first pair.
-        options: what may be set.
-
     Yields:
         One record a pair; a pair that says nothing is a record whose status and reason say why.
 
@@ -62,11 +56,6 @@ def track(
 
 class TargetTracker:
     """`track`, a pair at a time.
-
-    Args:
-        rig: the calibrated cameras.
-        target: what to track.
-        options: what may be set.
 
     Raises:
         InputError: the colour is not known.
@@ -122,11 +111,11 @@ class TargetTracker:
     def _observation(
         self, pair: StereoPair, decision: TargetDecision, windows: Windows
     ) -> TargetObservation:
-        known, thing, reason = self._identity.target, decision.chosen, decision.reason
+        target, thing, reason = self._identity.target, decision.chosen, decision.reason
         nothing, square = np.full(3, np.nan), np.full((3, 3), np.nan)
         centre, covariance, velocity, spread = nothing, square, nothing, square
-        if known is not None and pair.t_left - known.t <= self._options.coast:
-            now = known.track.at(pair.t_left)
+        if target is not None and pair.t_left - target.t <= self._options.coast:
+            now = target.track.at(pair.t_left)
             centre, covariance = now.position, now.position_covariance + self._systematic
             velocity, spread = now.velocity, now.velocity_covariance
             if decision.status == "lost" and (side := left_picture(self._now(pair), now)):
@@ -145,10 +134,10 @@ class TargetTracker:
             velocity_covariance=spread,
             measured=nothing if thing is None else thing.place.point,
             measured_covariance=square if thing is None else thing.place.covariance,
-            size=np.full(2, np.nan) if known is None else known.extent,
+            size=np.full(2, np.nan) if target is None else target.extent,
             size_standard_uncertainty=self._size_uncertainty,
             epipolar=float("nan") if thing is None else thing.place.mismatch,
-            quality=0.0 if thing is None or known is None else _quality(thing, known.area),
+            quality=0.0 if thing is None or target is None else _quality(thing, target.area),
         )
 
 

@@ -17,6 +17,8 @@ NAMES = ("t", "q1", "q2", "q3", "q4", "q5", "q6")
 ANGLES = {1: -7.42, 2: 38.21, 3: 77.74, 4: 7.08, 5: 61.72, 6: -9.75}
 LINE = "12.5,-7.42,38.21,77.74,7.08,61.72,-9.75"
 AR4 = "".join(rf"{letter}(?P<q{j}>[-.\d]+)" for j, letter in enumerate("ABCDEF", start=1)) + "$"
+TELEPLOT = r"^>q(?P<axis>\d):(?P<t>\d+):(?P<value>[-.\d]+)$"  # one axis a line
+NMEA = r"^\$(?P<q1>[-.\d]+),(?P<q2>[-.\d]+)\*(?P<sum>..)$"
 GRBL = r"^<(Idle|Run)\|MPos:" + ",".join(rf"(?P<q{j}>[-.\d]+)" for j in range(1, 7)) + r"[|>]"
 
 
@@ -46,33 +48,36 @@ def test_a_trailing_sum(kind: str) -> None:
     assert fields.parse(f"{LINE},".encode()) == "wrong checksum"
 
 
-def test_grbl() -> None:
-    fields = FieldMap(6, pattern=GRBL, skip=r"^(ok|\[|Grbl)")
-    line = "<Idle|MPos:-7.42,38.21,77.74,7.08,61.72,-9.75|FS:0,0>"
-    assert read(fields, line).values == ANGLES
-    assert fields.parse(b"ok") == ""
-    assert fields.parse(line[:30].encode()) == "line that does not fit the field map"
-
-
-def test_ar4() -> None:
-    line = "A-7.42B38.21C77.74D7.08E61.72F-9.75"
-    assert read(FieldMap(6, pattern=AR4), line).values == ANGLES
-
-
-def test_teleplot_has_one_axis_a_line() -> None:
-    fields = FieldMap(
-        6, pattern=r"^>q(?P<axis>\d):(?P<t>\d+):(?P<value>[-.\d]+)$", time_unit="ms"
-    )  # fmt: skip
-    assert read(fields, ">q3:1627551892437:77.74") == LineFields(1627551892437.0, None, {3: 77.74})
-    assert fields.parse(b">q7:1:2.0") == "axis that the robot has not"
-
-
-def test_nmea_like_lines_by_a_pattern() -> None:
-    fields = FieldMap(
-        2, pattern=r"^\$(?P<q1>[-.\d]+),(?P<q2>[-.\d]+)\*(?P<sum>..)$", checksum="xor"
-    )  # fmt: skip
-    total = CHECKSUMS["xor"][1](b"1.5,-2.5")
-    assert read(fields, f"$1.5,-2.5*{total:02X}").values == {1: 1.5, 2: -2.5}
+@pytest.mark.parametrize(
+    ("fields", "line", "expected", "other", "words"),
+    [
+        (
+            FieldMap(6, pattern=GRBL, skip=r"^(ok|\[|Grbl)"),
+            "<Idle|MPos:-7.42,38.21,77.74,7.08,61.72,-9.75|FS:0,0>",
+            LineFields(None, None, ANGLES), "ok", "",
+        ),
+        (
+            FieldMap(6, pattern=AR4), "A-7.42B38.21C77.74D7.08E61.72F-9.75",
+            LineFields(None, None, ANGLES), "A-7.42B38", "line that does not fit the field map",
+        ),
+        (
+            FieldMap(6, pattern=TELEPLOT, time_unit="ms"), ">q3:1627551892437:77.74",
+            LineFields(1627551892437.0, None, {3: 77.74}),
+            ">q7:1:2.0", "axis that the robot has not",
+        ),
+        (
+            FieldMap(2, pattern=NMEA, checksum="xor"),
+            f"$1.5,-2.5*{CHECKSUMS['xor'][1](b'1.5,-2.5'):02X}",
+            LineFields(None, None, {1: 1.5, 2: -2.5}), "$1.5,-2.5*00", "wrong checksum",
+        ),
+    ],
+    ids=["grbl", "ar4", "teleplot", "nmea"],
+)  # fmt: skip
+def test_lines_of_usual_programs_by_a_pattern(
+    fields: FieldMap, line: str, expected: LineFields, other: str, words: str
+) -> None:
+    assert read(fields, line) == expected
+    assert fields.parse(other.encode()) == words
 
 
 def test_units() -> None:
@@ -112,13 +117,6 @@ def test_random_bytes_never_raise(data: bytes) -> None:
         found = fields.parse(data)
         if isinstance(found, LineFields):
             assert all(map(math.isfinite, found.values.values()))
-
-
-@given(st.lists(st.floats(-360, 360), min_size=6, max_size=6), st.floats(0, 1e6))
-def test_what_is_printed_is_read(angles: list[float], t: float) -> None:
-    line = ",".join(f"{value:.4f}" for value in (t, *angles))
-    found = read(FieldMap(6, NAMES, time_unit="s"), line)
-    assert found.values == {j: float(f"{a:.4f}") for j, a in enumerate(angles, start=1)}
 
 
 class Printer:
@@ -205,7 +203,7 @@ def test_one_axis_a_line_is_joined_by_time() -> None:
                     messages.append(TimedMessage(message.at, line.encode()))
             return messages
 
-    fields = FieldMap(6, pattern=r"^>q(?P<axis>\d):(?P<t>\d+):(?P<value>\S+)$", time_unit="ms")
+    fields = FieldMap(6, pattern=TELEPLOT, time_unit="ms")
     with running(OneAxis(), faults=EmulatorFaults(lost=0.02)) as emulated:
         encoders = driver(emulated.address, fields)
         for reading in gather(encoders, lambda found: len(found) >= 50):

@@ -2,6 +2,7 @@ import re
 import socket
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,16 +84,6 @@ def test_the_pause_of_the_manual_is_kept() -> None:
 
 
 @pytest.mark.realtime
-def test_after_a_refusal_the_pause_of_the_manual_is_used() -> None:
-    engine = controller(ControllerOptions(least_pause=0.09))
-    with running(engine) as emulated:
-        encoders = driver(emulated.address)
-        readings = gather(encoders, lambda found: len(found) >= 3)
-        require_true(readings, emulated)
-        assert "pause is back at 100 ms" in encoders.state().sentence
-
-
-@pytest.mark.realtime
 @pytest.mark.parametrize("end", [b"\r", b"\r\n", b"\0", b""])
 @pytest.mark.parametrize("terminator", [b"\r", b"\r\n", b"\0", b""])
 def test_every_terminator_in_use_is_understood(end: bytes, terminator: bytes) -> None:
@@ -160,15 +151,6 @@ def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
 
 
 @pytest.mark.realtime
-def test_silence_is_reported_until_it_ends() -> None:
-    with running(controller(), faults=EmulatorFaults(silence=(0.5, 2.5))) as emulated:
-        encoders = driver(emulated.address, timeout=0.3)
-        gather(encoders, lambda found: len(found) >= 3)
-        gather(encoders, lambda _: "silent for" in encoders.state().sentence)
-        require_true(gather(encoders, lambda found: len(found) >= 3), emulated)
-
-
-@pytest.mark.realtime
 @pytest.mark.parametrize("kind", ["tcp", "pty"])
 def test_a_port_that_vanishes_is_named_and_taken_up_again(kind: str, tmp_path: Path) -> None:
     where = "tcp:0" if kind == "tcp" else f"pty:{tmp_path / 'port'}"
@@ -181,62 +163,12 @@ def test_a_port_that_vanishes_is_named_and_taken_up_again(kind: str, tmp_path: P
 
 
 @pytest.mark.realtime
-def test_a_controller_that_was_reset_is_opened_again() -> None:
-    with running(controller(), faults=EmulatorFaults(reset=(0.5, 0.5))) as emulated:
-        encoders = driver(emulated.address)
-        gather(encoders, lambda _: encoders.state().bad.get("refusal with error 6500", 0) > 0)
-        sentence = encoders.state().sentence
-        assert "error 6500: the line is not opened" in sentence
-        gather(encoders, lambda found: len(found) >= 3)
-        assert encoders.state().program_running is False  # its program did not survive
-
-
-@pytest.mark.realtime
-def test_an_alarm_is_reported_while_readings_continue() -> None:
-    with running(controller(), faults=EmulatorFaults(alarm=(0.0, 4140.0))) as emulated:
-        encoders = driver(emulated.address)
-        readings = gather(encoders, lambda found: len(found) >= 3)
-        require_true(readings, emulated)
-        assert "alarm 4140 is standing: the program is missing" in encoders.state().sentence
-
-
-@pytest.mark.realtime
-def test_an_unknown_alarm_is_queried() -> None:
-    with running(controller(), faults=EmulatorFaults(alarm=(0.0, 999.0))) as emulated:
-        encoders = driver(emulated.address)
-        gather(encoders, lambda _: "NO MESSAGE" in encoders.state().sentence)
-
-
-@pytest.mark.realtime
-def test_whether_the_program_runs_and_which_robot_it_is() -> None:
-    engine = controller(ControllerOptions(robot_type="RV-6S"))
-    with running(engine) as emulated:
-        encoders = driver(emulated.address, robot_type="RV-3SD", state_every=0.2)
-        gather(encoders, lambda _: encoders.state().program_running is True)
-        assert "the robot is RV-6S; the station says RV-3SD" in encoders.state().sentence
-        engine.arm.running = False
-        gather(encoders, lambda _: encoders.state().program_running is False)
-
-
-@pytest.mark.realtime
 def test_a_second_reader_is_refused() -> None:
     with running(controller()) as emulated:
         first, second = driver(emulated.address), driver(emulated.address)
         gather(first, lambda found: len(found) >= 2)
         gather(second, lambda _: "another program may have the line" in second.state().sentence)
         gather(first, lambda found: len(found) >= 2)
-
-
-@pytest.mark.realtime
-def test_procedural_rs232_is_refused() -> None:
-    class Procedural(MelfaEngine):
-        def step(self, t: float, received: bytes) -> list[TimedMessage]:
-            return [TimedMessage(t, b"\x05")] if received else []
-
-    engine = Procedural(MelfaArm(Ramp(), 6, LIMITS), ControllerOptions())
-    with running(engine, "pty") as emulated:
-        encoders = driver(emulated.address)
-        gather(encoders, lambda _: "CPRC232" in encoders.state().sentence)
 
 
 @pytest.mark.realtime
@@ -247,3 +179,44 @@ def test_a_missing_controller_is_reported() -> None:
     gather(encoders, lambda _: "nobody listens there" in encoders.state().sentence)
     missing = driver("/dev/there-is-none")
     gather(missing, lambda _: "is it plugged in" in missing.state().sentence)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("options", "faults", "words"),
+    [
+        ({"least_pause": 0.09}, {}, "pause is back at 100 ms"),
+        ({"robot_type": "RV-6S"}, {}, "the robot is RV-6S; the station says RV-3SD"),
+        ({}, {"silence": (0.5, 2.5)}, "silent for"),
+        ({}, {"reset": (0.5, 0.5)}, "error 6500: the line is not opened"),
+        ({}, {"alarm": (0.0, 4140.0)}, "alarm 4140 is standing: the program is missing"),
+        ({}, {"alarm": (0.0, 999.0)}, "NO MESSAGE"),  # asked of the controller
+    ],
+)
+def test_a_mishap_is_reported_and_true_readings_continue(
+    options: dict[str, Any], faults: dict[str, Any], words: str
+) -> None:
+    engine = controller(ControllerOptions(**options))
+    with running(engine, faults=EmulatorFaults(**faults)) as emulated:
+        encoders = driver(emulated.address, robot_type="RV-3SD", timeout=0.3)
+        gather(encoders, lambda _: words in encoders.state().sentence)
+        readings = gather(encoders, lambda found: len(found) >= 3)
+        if "reset" not in faults:  # its arm begins anew
+            require_true(readings, emulated)
+
+
+@pytest.mark.realtime
+def test_whether_the_program_runs_is_reported_and_procedural_rs232_is_refused() -> None:
+    class Procedural(MelfaEngine):
+        def step(self, t: float, received: bytes) -> list[TimedMessage]:
+            return [TimedMessage(t, b"\x05")] if received else []
+
+    engine = controller()
+    with running(engine) as emulated:
+        encoders = driver(emulated.address, state_every=0.2)
+        gather(encoders, lambda _: encoders.state().program_running is True)
+        engine.arm.running = False
+        gather(encoders, lambda _: encoders.state().program_running is False)
+    with running(Procedural(engine.arm, ControllerOptions()), "pty") as emulated:
+        encoders = driver(emulated.address)
+        gather(encoders, lambda _: "CPRC232" in encoders.state().sentence)

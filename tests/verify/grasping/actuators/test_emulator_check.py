@@ -1,9 +1,6 @@
 """Only an emulator of this program is taken for one; whatever else answers, or does not, is not."""
 
-import socket
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 
 import pytest
@@ -38,8 +35,18 @@ def nobody_waits_long(monkeypatch: pytest.MonkeyPatch) -> None:
 class RealMelfa(MelfaEngine):
     """Answers as the trace of a maker's controller does."""
 
+    identity = REAL
+
     def _identity(self, client: str) -> str:  # noqa: ARG002
-        return REAL
+        return self.identity
+
+
+class Replayed(RealMelfa):
+    """Answers what an emulator said once, to somebody else."""
+
+    identity = MelfaEngine(
+        MelfaArm(trajectory.load("hold", 6), 6, LIMITS), ControllerOptions()
+    )._identity("verify")
 
 
 class OldGripper(GripperEngine):
@@ -68,24 +75,6 @@ def opens(address: str) -> Callable[[], Port]:
     return partial(open_port, address, DEFAULT_LINE)
 
 
-@contextmanager
-def recorded(identity: bytes) -> Iterator[str]:
-    """A controller that answers what another one said once, to somebody else."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-
-        def answers() -> None:
-            caller, _ = server.accept()
-            with caller:
-                caller.recv(100)
-                caller.sendall(b"QoK" + identity + b"\r")
-                caller.recv(100)
-
-        thread = threading.Thread(target=answers)
-        thread.start()
-        yield f"tcp:127.0.0.1:{server.getsockname()[1]}"
-        thread.join()
-
-
 @pytest.mark.parametrize("where", PORTS)
 def test_an_emulated_controller_and_gripper_prove_it_again_and_again(where: str) -> None:
     with running(melfa(), where) as arm, running(gripper(), where) as fingers:
@@ -111,21 +100,17 @@ def test_what_answers_as_a_real_device_is_none(where: str) -> None:
             assert not EmulatorPortOpener(opens(fingers.address), is_emulated_gripper).there()
 
 
-def test_silence_an_echo_and_a_gripper_for_a_controller_are_none() -> None:
-    with running(melfa(Echo), "pty") as echo:
-        for asks in (is_emulated_melfa, is_emulated_gripper):
-            assert not EmulatorPortOpener(opens(echo.address), asks).there()
-    with running(gripper()) as fingers:
-        assert not EmulatorPortOpener(opens(fingers.address), is_emulated_melfa).there()
-    with running(melfa()) as arm:
-        assert not EmulatorPortOpener(opens(arm.address), is_emulated_gripper).there()
+def test_silence_an_echo_a_replay_and_a_gripper_for_a_controller_are_none() -> None:
+    for engine, where, checks in [
+        (melfa(Echo), "pty", [is_emulated_melfa, is_emulated_gripper]),
+        (melfa(Replayed), "tcp:0", [is_emulated_melfa]),
+        (gripper(), "tcp:0", [is_emulated_melfa]),
+        (melfa(), "tcp:0", [is_emulated_gripper]),
+    ]:
+        with running(engine, where) as other:
+            for asks in checks:
+                assert not EmulatorPortOpener(opens(other.address), asks).there()
     assert not EmulatorPortOpener(opens("tcp:127.0.0.1:1"), is_emulated_melfa).there()
-
-
-def test_an_answer_to_another_challenge_proves_nothing() -> None:
-    message = melfa()._identity("verify").encode()
-    with recorded(message) as address:
-        assert not EmulatorPortOpener(opens(address), is_emulated_melfa).there()
 
 
 def test_a_real_controller_that_takes_the_emulators_place_is_not_opened() -> None:

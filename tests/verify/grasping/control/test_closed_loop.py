@@ -59,15 +59,6 @@ def test_a_joint_that_is_off_leads_beside_the_object_until_it_is_corrected() -> 
 
 
 @pytest.mark.slow
-def test_an_arm_as_it_is_stated_is_not_made_worse() -> None:
-    without, _ = grabbed(STANDS, closed=False)
-    grab, ended = grabbed(STANDS)
-    assert ended.state is GraspState.LIFTED
-    assert hand(grab).used
-    assert grip_error(grab) < max(grip_error(without), 0.5e-3)
-
-
-@pytest.mark.slow
 def test_dark_leds_are_reported_and_the_grasp_continues(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.simulation.cell.render._draw_led", lambda *_: None)
     grab, ended = grabbed(STANDS)

@@ -1,6 +1,7 @@
 """Postures: every branch is offered or has a reason, and offered ones hold."""
 
 import dataclasses
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from tests.support.grasp.cells import home, melfa, setup
+from tests.support.postures import link
 from verify.core.records import Array
 from verify.grasping.planning.plan import GraspPlanner
 from verify.grasping.planning.postures import (
@@ -32,6 +34,8 @@ def test_every_branch_is_offered_or_has_a_reason(made: GraspPlanner) -> None:
     assert {posture.branch for posture in good} | set(rejected) == set(range(8))
     assert not {posture.branch for posture in good} & set(rejected)
     assert all(rejected.values())
+    assert branch_name(0) == "shoulder facing, elbow +, wrist +"
+    assert branch_name(7) == "shoulder away, elbow −, wrist −"
     assert [p.score for p in good] == sorted((p.score for p in good), reverse=True)
 
 
@@ -92,19 +96,10 @@ def test_an_elbow_near_the_table_counts_against_its_branch(made: GraspPlanner) -
 
 def joint_heights(q: Array) -> list[float]:
     """Heights of the frames 1 to 6 over the base, m: the DH matrices multiplied out."""
-    arm, pose, heights = melfa(), np.eye(4), []
-    for theta, d, a, alpha in zip(arm.theta(q), arm.d, arm.a, arm.alpha, strict=True):
-        ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-        pose = pose @ np.array(
-            [
-                [ct, -st * ca, st * sa, a * ct],
-                [st, ct * ca, -ct * sa, a * st],
-                [0, sa, ca, d],
-                [0, 0, 0, 1],
-            ]
-        )
-        heights.append(float(pose[2, 3]))
-    return heights
+    arm = melfa()
+    rows = zip(arm.theta(q)[:, None], arm.a, arm.d, arm.alpha / (np.pi / 2), strict=True)
+    links = [link(theta, a, d, round(quarter)) for theta, a, d, quarter in rows]
+    return [float(pose[0, 2, 3]) for pose in accumulate(links, np.matmul)]
 
 
 @pytest.mark.parametrize(
@@ -145,8 +140,3 @@ def test_every_inverse_solution_is_considered(made: GraspPlanner) -> None:
             answers = robots.inverse(melfa(), spun, hold=q).q
             branch = int(np.nanargmin(np.abs(np.sin((answers - q) / 2)).max(axis=1)))
             assert branch in offered
-
-
-def test_a_branch_has_a_name() -> None:
-    assert branch_name(0) == "shoulder facing, elbow +, wrist +"
-    assert branch_name(7) == "shoulder away, elbow −, wrist −"

@@ -23,7 +23,7 @@ from verify.grasping.control.aim import Aim, LoopCycle, TargetState
 from verify.grasping.control.run import GraspOutcome
 from verify.grasping.control.states import GraspState
 from verify.grasping.planning.object import GraspObject
-from verify.grasping.record.record import GraspContext, GraspRecord
+from verify.grasping.record.record import LIFT_FIELDS, GraspContext, GraspRecord
 from verify.grasping.record.rows import tool_offset_fields, tool_offset_table
 from verify.grasping.tool_offset.offset import FlangeMeasurement, OffsetMeasurement, ToolOffset
 from verify.grasping.tracking.target import TargetObservation
@@ -33,7 +33,6 @@ CELL = quick_cell()
 SPACE = CELL.planner.workspace
 NOTHING, SQUARE = np.full(3, np.nan), np.full((3, 3), np.nan)
 SPREAD = np.diag([3e-3, 1e-3, 2e-3]) ** 2  # m², of the object's place
-FIELDS = ("seen_from_grip_mm", "seen_from_grip_expanded_uncertainty_mm", "seen_raised_mm")
 
 
 def raised(angle: float) -> Array:
@@ -70,7 +69,7 @@ def told(folder: Path, cycles: Sequence[LoopCycle]) -> list[Any]:
     record.close()
     outcome = GraspOutcome(GraspState.LIFTED, "", True, (), len(cycles), False)
     summary = record.results(outcome, Aim(CELL.planner, CELL.rig)).summary
-    return [summary[field] for field in FIELDS]
+    return [summary[field] for field in LIFT_FIELDS]
 
 
 def test_the_last_detection_in_the_lift_is_kept(tmp_path: Path) -> None:
@@ -91,22 +90,22 @@ def test_the_last_detection_in_the_lift_is_kept(tmp_path: Path) -> None:
     assert up > 10
 
 
-def test_detections_before_the_lift_do_not_count(tmp_path: Path) -> None:
-    low, top = raised(0.0), raised(0.2)
+@pytest.mark.parametrize(
+    "seen",
+    [
+        [(GraspState.APPROACHING, 0.0), (GraspState.CLOSING, 0.0), (GraspState.LIFTING, None)],
+        [(GraspState.LIFTING, 0.0), (GraspState.RETREATING, None), (GraspState.APPROACHING, None)],
+    ],
+    ids=["before the lift", "in an earlier try"],
+)
+def test_other_detections_do_not_count(
+    seen: list[tuple[GraspState, float | None]], tmp_path: Path
+) -> None:
     cycles = [
-        cycle(GraspState.APPROACHING, low, np.zeros(3)),
-        cycle(GraspState.CLOSING, low, np.zeros(3)),
-        cycle(GraspState.LIFTING, low, None),
-        cycle(GraspState.LIFTED, top, None),
+        cycle(state, raised(0.0), None if off is None else np.full(3, off)) for state, off in seen
     ]
-    assert told(tmp_path, cycles) == [None, None, None]
-
-
-def test_another_try_begins_without_earlier_detections(tmp_path: Path) -> None:
-    low, top = raised(0.0), raised(0.2)
-    slipped = [cycle(GraspState.LIFTING, top, np.zeros(3)), cycle(GraspState.RETREATING, top, None)]
-    again = [cycle(GraspState.APPROACHING, low, None), cycle(GraspState.LIFTED, top, None)]
-    assert told(tmp_path, slipped + again) == [None, None, None]
+    last = cycle(GraspState.LIFTED, raised(0.2), None)
+    assert told(tmp_path, [*cycles, last]) == [None, None, None]
 
 
 Q = np.deg2rad([3.0, 35.0, 117.0, 0.0, 28.0, 3.0])

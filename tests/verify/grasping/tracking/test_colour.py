@@ -8,7 +8,6 @@ from verify.core.records import Array, Image
 from verify.errors import InputError
 from verify.grasping.tracking.colour import (
     NAMED_HUES_DEG,
-    blend,
     learn_colour,
     named_colour,
     to_hsv,
@@ -103,12 +102,3 @@ def test_the_similarity_is_that_of_bhattacharyya() -> None:
     assert model.similarity(hsv, left) == pytest.approx(1.0)
     assert model.similarity(hsv, both) == pytest.approx(np.sqrt(0.5))  # half of it is the target's
     assert model.similarity(hsv, 255 - left) == 0.0
-
-
-def test_adapting_moves_the_colours_by_the_given_share() -> None:
-    one = model_from_box(disc(BLUE, (110, 150, 180)), (30, 30, 41, 41))
-    other = model_from_box(disc(GREEN, (110, 150, 180)), (30, 30, 41, 41))
-    mixed = blend(one, other, 0.25)
-    assert mixed.mixture is not None
-    assert mixed.mixture.sum() == pytest.approx(1.0)
-    np.testing.assert_allclose(mixed.weight, 0.75 * one.weight + 0.25 * other.weight, atol=1e-3)

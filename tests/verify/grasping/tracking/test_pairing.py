@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.grasp.caps import BLUE, SKEW, Cap, pairs, small_rig, still
+from tests.support.grasp.caps import BLUE, Cap, pairs, small_rig, still
 from verify.core.records import StereoPair
 from verify.grasping.tracking.camshift import Blob, find_blobs
 from verify.grasping.tracking.colour import named_colour
@@ -63,16 +63,6 @@ def test_a_moving_object_is_placed_at_the_left_pictures_instant() -> None:
     )
     assert unknown is not None
     assert math.sqrt(unknown.place.covariance[2, 2]) > 0.5 * abs(unknown.place.point[2] - 0.7)
-
-
-def test_pictures_taken_together_need_no_velocity() -> None:
-    pair, lefts, rights = blobs(Cap(BLUE, still(0.0, 0.02, 0.7)))
-    together = replace(pair, t_right=pair.t_right - SKEW)
-    fast = join_blobs(lefts[0], rights[0], together, RIG, ObjectMotion(np.ones(3), np.eye(3)))
-    slow = join_blobs(lefts[0], rights[0], together, RIG, STILL)
-    assert fast is not None
-    assert slow is not None
-    np.testing.assert_array_equal(fast.place.point, slow.place.point)
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.02, 0.7), (0.2, 0.1, 0.75), (-0.1, -0.1, 1.1)])

@@ -19,7 +19,6 @@ from verify.grasping.tracking.stereo import (
     place_camera,
     ray_midpoint,
 )
-from verify.grasping.tracking.stereo import project as picture
 
 POINT = np.array([0.06, -0.03, 0.72])
 SIGMA = 0.2  # px
@@ -51,23 +50,6 @@ def test_the_point_is_where_it_was_projected_from() -> None:
     place = located(make_rig(), *pixels(make_rig()))
     np.testing.assert_allclose(place.point, POINT, atol=1e-8)
     assert place.mismatch < 1e-4
-
-
-def test_pixel_and_slope_are_opencvs() -> None:
-    rig = make_rig()
-    camera = place_camera(rig.left, rig.left.pan)
-    pixel, slope, exact = picture(camera, POINT)
-    np.testing.assert_allclose(pixel, pixels(rig)[0], atol=1e-6)
-    step = 1e-6
-    for axis in range(3):
-        moved = POINT + step * np.eye(3)[axis]
-        np.testing.assert_allclose(
-            (pixels(rig, moved)[0] - pixels(rig)[0]) / step, slope[:, axis], rtol=1e-3, atol=0.2
-        )
-    rotation = rig.left.rig_T_camera(rig.left.pan)
-    inside = (np.linalg.inv(rotation) @ [*POINT, 1.0])[:3]
-    np.testing.assert_allclose(camera.inside(POINT), inside)
-    np.testing.assert_allclose(exact.xy, inside[:2] / inside[2])
 
 
 def test_it_is_the_point_of_least_reprojection_error() -> None:

@@ -54,10 +54,6 @@ class LabencBoard(PortDriver):
     """One board on one line: greeting, clock, sequence, checks. Drivers build on it.
 
     Closing leaves the board as it is: it may stream to a logger too.
-
-    Args:
-        settings: how it is reached.
-        angles: from the board's angles to those of the readings; one for each of its axes.
     """
 
     orders: ClassVar[frozenset[str]] = READ_COMMANDS  # message types; no other may be sent

@@ -21,24 +21,7 @@ from pymodbus.pdu.register_message import (
 )
 
 from verify.devices.ports import ClockFunction, Port, open_port
-from verify.grasping.actuators.gripper.modbus import (
-    CLOSED_POSITION,
-    FIRST_INPUT,
-    FIRST_OUTPUT,
-    MIN_LASTING_FAULT,
-    N_INPUTS,
-    RESET_OUTPUTS,
-    ActivationStatus,
-    FingerStatus,
-    GripperCommand,
-    GripperInputs,
-    GripperRefusedError,
-    GripperSettings,
-    ModbusLine,
-    NoAnswerError,
-    fault_text,
-    parse_inputs,
-)
+from verify.grasping.actuators.gripper import modbus
 from verify.grasping.actuators.protocols import (
     ExecutePermission,
     GripperState,
@@ -73,18 +56,11 @@ class ActiveOrder:
 
 
 class GripperDriver:
-    """Reads a gripper and moves it.
-
-    Args:
-        settings: how it is reached, and how fast and hard it moves.
-        right: the operator's order that it may move.
-        port: opens the port instead of the settings' address.
-        now: the host's monotonic clock, s.
-    """
+    """Reads a gripper and moves it."""
 
     def __init__(
         self,
-        settings: GripperSettings,
+        settings: modbus.GripperSettings,
         right: ExecutePermission,
         port: Callable[[], Port] | None = None,
         now: ClockFunction = time.monotonic,
@@ -93,15 +69,15 @@ class GripperDriver:
             raise TypeError("a gripper that moves needs the operator's right")
         self._settings, self._now = settings, now
         opening = port or partial(open_port, settings.port, settings.line)
-        self._line = ModbusLine(settings, opening, FUNCTIONS, now)
-        self._inputs: GripperInputs | None = None  # the last
+        self._line = modbus.ModbusLine(settings, opening, FUNCTIONS, now)
+        self._inputs: modbus.GripperInputs | None = None  # the last
         self._t: float | None = None  # s, of these
         self._trouble = "nothing was read yet"
         self._phase, self._reason = GripperState.IDLE, ""
-        self._action = GripperCommand(speed=settings.speed, force=settings.force)
+        self._action = modbus.GripperCommand(speed=settings.speed, force=settings.force)
         self._to_write: list[int] | None = None
         self._active = ActiveOrder()
-        self._heard_on = 0  # the connection of the last answer
+        self._answered_on = 0  # the connection of the last answer
 
     def activate(self) -> None:
         """Make it ready: every finger moves over its full travel. See `Gripper.activate`."""
@@ -124,9 +100,9 @@ class GripperDriver:
         self._check_deadline()
         try:
             answer = self._line.step()
-        except NoAnswerError:
+        except modbus.NoAnswerError:
             self._note_trouble(f"no answer: {self._line_fault()}")
-        except GripperRefusedError as refused:
+        except modbus.GripperRefusedError as refused:
             self._note_trouble(str(refused))
         else:
             if answer is not None:
@@ -146,7 +122,7 @@ class GripperDriver:
         if self._phase is GripperState.GRIPPED:
             return
         if self._phase is GripperState.ACTIVATING:
-            self._begin(GripperState.STOPPING, list(RESET_OUTPUTS), STOP_TIMEOUT)
+            self._begin(GripperState.STOPPING, list(modbus.RESET_OUTPUTS), STOP_TIMEOUT)
             self._active.resets = True
         elif self._phase is not GripperState.IDLE and inputs is not None and inputs.active:
             self._action = replace(self._action, go=False)
@@ -166,7 +142,7 @@ class GripperDriver:
         if not 0.0 <= opening <= self._settings.stroke:
             requested, widest = opening * 1e3, self._settings.stroke * 1e3
             raise MotionRefusedError(f"{requested:.1f} mm is not within its 0 to {widest:.0f} mm")
-        position = round(CLOSED_POSITION * (1.0 - opening / self._settings.stroke))
+        position = round(modbus.CLOSED_POSITION * (1.0 - opening / self._settings.stroke))
         self._action = replace(self._action, go=True, position=position)
         self._begin(GripperState.MOVING, self._action.registers(), self._settings.move_limit)
         self._active.closing = closing
@@ -185,9 +161,9 @@ class GripperDriver:
 
     def _next_request(self) -> ModbusPDU:
         if self._to_write is None or not self._may_write(self._to_write):
-            return ReadHoldingRegistersRequest(address=FIRST_INPUT, count=N_INPUTS)
+            return ReadHoldingRegistersRequest(address=modbus.FIRST_INPUT, count=modbus.N_INPUTS)
         registers, self._to_write = self._to_write, None
-        return WriteMultipleRegistersRequest(address=FIRST_OUTPUT, registers=registers)
+        return WriteMultipleRegistersRequest(address=modbus.FIRST_OUTPUT, registers=registers)
 
     def _may_write(self, registers: list[int]) -> bool:
         """Whether this write cannot activate a gripper that has lost its activation unnoticed.
@@ -195,19 +171,19 @@ class GripperDriver:
         Every write but a reset carries the activation bit. A gripper that was without power would
         take it as an order to activate itself, and move.
         """
-        if self._phase is GripperState.ACTIVATING or registers == list(RESET_OUTPUTS):
+        if self._phase is GripperState.ACTIVATING or registers == list(modbus.RESET_OUTPUTS):
             return True
-        inputs, here = self._inputs, self._heard_on == self._line.link.connections
+        inputs, here = self._inputs, self._answered_on == self._line.link.connections
         fresh = self._t is not None and self._now() - self._t < MAX_STATUS_AGE
         return inputs is not None and inputs.active and here and fresh
 
     def _take(self, answer: ModbusPDU) -> None:
         if isinstance(answer, WriteMultipleRegistersResponse):
             self._active.written = True
-        self._heard_on = self._line.link.connections
+        self._answered_on = self._line.link.connections
         if not isinstance(answer, ReadHoldingRegistersResponse):
             return
-        inputs = parse_inputs(answer.registers)
+        inputs = modbus.parse_inputs(answer.registers)
         if inputs is None:
             self._line.bad["answer that is not understood"] += 1
             return
@@ -221,7 +197,7 @@ class GripperDriver:
         text = "; ".join(dict.fromkeys(part for part in (self._reason, trouble) if part))
         opening = None
         if self._inputs is not None:
-            opening = self._settings.stroke * (1.0 - self._inputs.position / CLOSED_POSITION)
+            opening = self._settings.stroke * (1.0 - self._inputs.position / modbus.CLOSED_POSITION)
         reason = f"{self._settings.port}: {text}" if text else ""
         return GripperStatus(self._phase, reason, opening, self._t)
 
@@ -236,18 +212,18 @@ class GripperDriver:
         if not self._line.link.connected:
             why = self._line_fault()
         else:
-            why = "" if self._inputs is None else fault_text(self._inputs.fault)
+            why = "" if self._inputs is None else modbus.fault_text(self._inputs.fault)
         activating = self._phase is GripperState.ACTIVATING
         self._fail(f"{self._phase.value} takes too long" + (f"; {why}" if why else ""))
         if activating:
-            self._to_write = list(RESET_OUTPUTS)  # nothing else ends it
+            self._to_write = list(modbus.RESET_OUTPUTS)  # nothing else ends it
 
     def _note_trouble(self, reason: str) -> None:
         self._trouble = reason
         if self._phase is not GripperState.IDLE:
             self._fail(reason)
 
-    def _judge(self, inputs: GripperInputs) -> None:
+    def _judge(self, inputs: modbus.GripperInputs) -> None:
         """Change the state by a reading."""
         if self._phase is GripperState.IDLE:
             self._adopt(inputs)
@@ -255,7 +231,7 @@ class GripperDriver:
         if self._broken(inputs) or not current:
             return  # the reading is older than the order
         match self._phase:
-            case GripperState.ACTIVATING if inputs.activation is ActivationStatus.READY:
+            case GripperState.ACTIVATING if inputs.activation is modbus.ActivationStatus.READY:
                 self._rest(GripperState.READY)
             case GripperState.STOPPING if not inputs.active:
                 self._rest(GripperState.IDLE)
@@ -266,31 +242,31 @@ class GripperDriver:
             case GripperState.GRIPPED if not self._holds(inputs):
                 self._phase, self._reason = GripperState.LOST, "what was gripped is gone"
 
-    def _adopt(self, inputs: GripperInputs) -> None:
+    def _adopt(self, inputs: modbus.GripperInputs) -> None:
         """Take over a gripper that was activated before."""
-        ready = inputs.active and inputs.activation is ActivationStatus.READY
-        if ready and inputs.fault < MIN_LASTING_FAULT:
+        ready = inputs.active and inputs.activation is modbus.ActivationStatus.READY
+        if ready and inputs.fault < modbus.MIN_LASTING_FAULT:
             self._action = replace(self._action, mode=inputs.mode)
             self._rest(GripperState.READY)
 
-    def _broken(self, inputs: GripperInputs) -> bool:
+    def _broken(self, inputs: modbus.GripperInputs) -> bool:
         """Whether a fault, or a lost activation, ends what is being done."""
         if self._phase in UNCHECKED_STATES:
             return False
-        if inputs.fault >= MIN_LASTING_FAULT:
-            self._fail(fault_text(inputs.fault))
+        if inputs.fault >= modbus.MIN_LASTING_FAULT:
+            self._fail(modbus.fault_text(inputs.fault))
         elif not inputs.active and self._phase is not GripperState.ACTIVATING:
             self._fail("it has lost its activation; was it without power?")
         return self._phase is GripperState.FAILED
 
-    def _follow(self, inputs: GripperInputs) -> None:
+    def _follow(self, inputs: modbus.GripperInputs) -> None:
         """End the motion that was ordered, once it is over."""
         ours = inputs.go and inputs.echo == self._action.position
         if not self._confirmed(
-            ours and not inputs.moving and FingerStatus.MOVING not in inputs.axes
+            ours and not inputs.moving and modbus.FingerStatus.MOVING not in inputs.axes
         ):
             return
-        stopped = sum(axis is not FingerStatus.THERE for axis in inputs.axes)
+        stopped = sum(axis is not modbus.FingerStatus.THERE for axis in inputs.axes)
         reason = f"something stopped {stopped} of {len(inputs.axes)} fingers"
         if not stopped:
             self._rest(GripperState.REACHED)
@@ -302,7 +278,7 @@ class GripperDriver:
             self._rest(GripperState.UNSURE)
             self._reason = reason
 
-    def _holds(self, inputs: GripperInputs) -> bool:
+    def _holds(self, inputs: modbus.GripperInputs) -> bool:
         """Whether something stopped as many fingers as a grip needs; the scissor axis is one."""
         return inputs.contacts >= min(self._settings.fingers_needed, len(inputs.axes))
 

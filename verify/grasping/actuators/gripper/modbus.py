@@ -54,14 +54,7 @@ class NoAnswerError(Exception):
 
 
 class ModbusLine:
-    """Asks and takes the answer once it is there.
-
-    Args:
-        settings: port, slave, timeout and tries.
-        open_port: opens the port.
-        allowed: function codes that may be sent; others cannot be.
-        now: the host's monotonic clock, s.
-    """
+    """Asks and takes the answer once it is there."""
 
     def __init__(
         self,

@@ -23,14 +23,7 @@ OVERRIDE_RANGE = range(1, 101)  # that an override can be
 
 
 class AnswerParser:
-    """Parses answers; keeps the arm's angles of the last one.
-
-    Args:
-        settings: how the controller is reached.
-        angles: from the controller's angles to the robot file's own.
-        limits: what no move may pass.
-        controls: changed by what was answered.
-    """
+    """Parses answers; keeps the arm's angles of the last one."""
 
     def __init__(
         self, settings: MotionSettings, angles: AngleMap, limits: MoveLimits, controls: Controls

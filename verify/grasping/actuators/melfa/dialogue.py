@@ -31,13 +31,7 @@ class Exchange:
 
 
 class Dialogue:
-    """The line to the controller.
-
-    Args:
-        settings: port, terminator, pause and timeout.
-        open_port: opens the port.
-        now: the host's monotonic clock, s.
-    """
+    """The line to the controller."""
 
     def __init__(
         self, settings: MotionSettings, open_port: Callable[[], Port], now: ClockFunction

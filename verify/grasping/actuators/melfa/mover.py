@@ -40,16 +40,7 @@ CLOSE_PERIOD = 0.005  # s, between the steps of `close`
 
 
 class MelfaMover:
-    """Moves an arm.
-
-    Args:
-        settings: how the controller is reached.
-        angles: from the controller's angles to the robot file's own.
-        limits: what no move may pass.
-        right: the operator's order that it may move.
-        port: opens the port instead of the settings' address.
-        now: the host's monotonic clock, s.
-    """
+    """Moves an arm."""
 
     def __init__(
         self,
@@ -125,7 +116,7 @@ class MelfaMover:
         self._controls = Controls(Dialogue(settings, self._open_port, now), settings.client, now)
         self._answers = AnswerParser(settings, self._angles, self._limits, self._controls)
 
-    def _move(self, worded: Callable[[Array, int], list[MotionCommand]], q: Array) -> None:
+    def _move(self, worded: Callable[[Array], list[MotionCommand]], q: Array) -> None:
         controls, q_now = self._controls, self._answers.q
         if controls.state not in ACCEPTING_STATES:
             why = f": {controls.reason}" if controls.reason else ""
@@ -139,9 +130,8 @@ class MelfaMover:
         refusal = refusal_reason(self._limits, own, q_now, q, target_deg)
         if refusal:
             raise MotionRefusedError(refusal)
-        orders = worded(target_deg, self._settings.slot)
         controls.arrival = Arrival(target_deg)
-        controls.enter(MoverState.ORDERING, self._settings.move_limit, *orders)
+        controls.enter(MoverState.ORDERING, self._settings.move_limit, *worded(target_deg))
 
     def _status(self) -> MoverStatus:
         controls, read = self._controls, self._answers

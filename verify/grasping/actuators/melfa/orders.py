@@ -16,7 +16,7 @@ import numpy as np
 from verify.core.records import Array
 from verify.devices.melfa.protocol import (
     ERROR_MEANINGS,
-    ForbiddenCommandError,
+    ControllerCommand,
     ReadCommand,
     RunState,
 )
@@ -42,44 +42,28 @@ MOVE_COMMANDS: Final = MappingProxyType(
 _PARAMETER = re.compile(r"[A-Za-z0-9]+;([-+0-9.,;]+)")
 
 
-@dataclass(frozen=True, slots=True)
-class MotionCommand:
-    """A command that moves the robot, or gives the right and the power to.
+class MotionCommand(ControllerCommand):
+    """A command that moves the robot, or gives the right and the power to."""
 
-    Raises:
-        ForbiddenCommandError: not on the list, or an argument that the list does not allow.
-    """
-
-    name: str
-    argument: str = ""
-    slot: int = 1
-
-    def __post_init__(self) -> None:
-        grammar = MOVE_COMMANDS.get(self.name)
-        if grammar is None or not re.fullmatch(grammar, self.argument):
-            raise ForbiddenCommandError(f"{self.name}{self.argument} is no order of this program")
-
-    def encoded(self, terminator: bytes) -> bytes:
-        """Word it for robot 1."""
-        return f"1;{self.slot};{self.name}{self.argument}".encode("ascii") + terminator
+    allowed = MOVE_COMMANDS
 
 
 Request = ReadCommand | MotionCommand
 
 
-def joint_move(angle_deg: Array, slot: int) -> list[MotionCommand]:
+def joint_move(angle_deg: Array) -> list[MotionCommand]:
     """Word a joint-interpolated move to the controller's own angles, (joints,)."""
-    return [_set_joints(angle_deg, slot), MotionCommand("EXEC", f"MOV {JOINT_VARIABLE}", slot)]
+    return [_set_joints(angle_deg), MotionCommand("EXEC", f"MOV {JOINT_VARIABLE}")]
 
 
-def line_move(angle_deg: Array, slot: int) -> list[MotionCommand]:
+def line_move(angle_deg: Array) -> list[MotionCommand]:
     """Word a straight move to where the controller's own angles, (joints,), put the hand.
 
     The controller turns the angles into its pose itself (JTOP), with its own tool and base: no
     convention of Euler angles, and no other posture that reaches the same pose, can come between.
     """
-    pose = MotionCommand("EXEC", f"{POSE_VARIABLE}=JTOP({JOINT_VARIABLE})", slot)
-    return [_set_joints(angle_deg, slot), pose, MotionCommand("EXEC", f"MVS {POSE_VARIABLE}", slot)]
+    pose = MotionCommand("EXEC", f"{POSE_VARIABLE}=JTOP({JOINT_VARIABLE})")
+    return [_set_joints(angle_deg), pose, MotionCommand("EXEC", f"MVS {POSE_VARIABLE}")]
 
 
 def parse_limits(data: str, joints: int) -> Array | None:
@@ -97,9 +81,9 @@ def parse_limits(data: str, joints: int) -> Array | None:
     return limits if np.all(limits[:, 0] < limits[:, 1]) else None
 
 
-def _set_joints(angle_deg: Array, slot: int) -> MotionCommand:
+def _set_joints(angle_deg: Array) -> MotionCommand:
     angles = ",".join(f"{angle:.3f}" for angle in angle_deg.tolist())
-    return MotionCommand("EXEC", f"{JOINT_VARIABLE}=({angles})", slot)
+    return MotionCommand("EXEC", f"{JOINT_VARIABLE}=({angles})")
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +104,9 @@ class MotionSettings:
     robot_type: str  # e.g. RV-3SD: another one is not moved
     line: SerialLine = DEFAULT_MELFA_LINE
     terminator: bytes = b"\r"
-    pause: float = (
-        0.1  # s, from an answer to the next request: the maker asks for that while it moves
-    )
+    pause: float = 0.1  # s, from an answer to the next request, by the maker while it moves
     timeout: float = 1.0  # s
     client: str = "verify"
-    slot: int = 1  # whose EXEC is used; the maker's examples use 9
     move_limit: float = 60.0  # s
 
 
@@ -159,7 +140,7 @@ def refusal_text(name: str, error: int) -> str:
     """Word a refusal."""
     text = f"{name} was refused, error {error}: {ERROR_MEANINGS.get(error, 'not known')}"
     if name == "EXEC" and error in SLOT_ERRORS:
-        return f"{text}; reset the program at the pendant, or choose another slot"
+        return f"{text}; reset the program at the pendant"
     return text
 
 

@@ -136,13 +136,7 @@ class Release:
 
 
 class Controls:
-    """One taking of the controls, from the first request to the last.
-
-    Args:
-        line: to the controller.
-        client: the name given with OPEN.
-        now: the host's monotonic clock, s.
-    """
+    """One taking of the controls, from the first request to the last."""
 
     def __init__(self, line: Dialogue, client: str, now: ClockFunction) -> None:
         self.line, self.now, self._client = line, now, client

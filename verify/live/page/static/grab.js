@@ -126,12 +126,12 @@ export class Grab {
     this.way = way;
     this.silent = silent_s;
     const words = $("plan-words");
-    words.className = `pill ${plan === null ? "waits" : plan.refused ? "ill" : "well"}`;
-    say(words, plan === null ? "none yet" : plan.refused ? `refused (${plan.refused}): ${plan.reason}` : `planned: ${plan.posture}`);
-    const branches = plan?.branches ?? plan?.not_taken ?? {};
-    list($("plan"), plan === null || plan.refused ? {} : planned(plan));
-    $("branches-section").hidden = !Object.keys(branches).length;
-    list($("branches"), branches);
+    words.className = `pill ${plan === null ? "waits" : plan.kind ? "ill" : "well"}`;
+    say(words, plan === null ? "none yet" : plan.kind ? `refused (${plan.kind}): ${plan.reason}` : `planned: ${plan.branch}`);
+    const rejected = plan?.rejected ?? [];
+    list($("plan"), plan === null || plan.kind ? {} : planned(plan));
+    $("branches-section").hidden = !rejected.length;
+    list($("branches"), Object.fromEntries(rejected.map(({ branch, reason }) => [branch, reason])));
     $("passages").replaceChildren(
       ...passages.map(({ elapsed_s, state, reason }) => {
         const item = document.createElement("li");
@@ -160,12 +160,12 @@ export class Grab {
 }
 
 function planned(plan) {
-  const total = [...plan.over_s, plan.down_s].reduce((sum, s) => sum + s, 0);
+  const left = (way) => `${plan.margin[`${way}_mm`].toFixed(1)} mm are left, ${plan.margin[`${way}_needed_mm`].toFixed(1)} mm needed`;
   return {
     "Grip point": plan.grip_mm.map((v, i) => `${"xyz"[i]} ${v.toFixed(1)}`).join(", ") + " mm",
-    "Sideways": `${plan.margin_across_mm.toFixed(1)} mm are left, ${plan.needed_across_mm.toFixed(1)} mm needed`,
-    "Along": `${plan.margin_along_mm.toFixed(1)} mm are left, ${plan.needed_along_mm.toFixed(1)} mm needed`,
-    "Takes": `${total.toFixed(1)} s to the object, ${plan.up_s.toFixed(1)} s up`,
+    "Sideways": left("across"),
+    "Along": left("along"),
+    "Takes": `${(plan.duration_s - plan.up_s).toFixed(1)} s to the object, ${plan.up_s.toFixed(1)} s up`,
   };
 }
 

@@ -1,5 +1,4 @@
 import socket
-import time
 from pathlib import Path
 
 import pytest
@@ -10,12 +9,13 @@ from tests.support.devices.melfa_mover import (
     PORTS,
     after,
     controller,
-    limits,
+    failure,
+    given_back,
     mover,
+    moving,
     names,
     ready,
     settled,
-    settled_after,
     stepped,
     under_way,
 )
@@ -23,8 +23,9 @@ from verify.grasping.actuators.protocols import MoverState
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 from verify.simulation.emulators.server import EmulatorFaults, TimedMessage
 
+pytestmark = pytest.mark.realtime
 
-@pytest.mark.realtime
+
 @pytest.mark.parametrize("where", PORTS)
 @pytest.mark.parametrize(
     ("number", "words"),
@@ -38,77 +39,40 @@ def test_an_alarm_in_mid_move_stops_releases_and_is_reported(
     where: str, number: int, words: str
 ) -> None:
     engine = controller()
-    with running(engine, where) as emulated, mover(emulated, limits(override=3)) as arm:
-        ready(arm)
+    with moving(engine, where) as arm:
         under_way(arm, NEXT)
         engine.afflict("alarm", number)
-        failed = settled(arm, MoverState.FAILED)[-1]
-        assert words in failed.reason
-        assert not engine.arm.right
-        assert not engine.arm.servo_on
-        assert not engine.arm.moving
+        assert words in failure(arm)
+        assert given_back(engine)
         arm.take_controls()
-        refused = settled(arm, MoverState.FAILED)[-1]
-        assert "clear it at the controller" in refused.reason or "emergency" in refused.reason
+        refused = settled(arm, MoverState.FAILED)[-1].reason
+        assert "clear it at the controller" in refused or "emergency" in refused
     assert "RSTALRM" not in engine.log
     assert names(engine).count("CNTLON") == 1
 
 
-@pytest.mark.realtime
-@pytest.mark.parametrize("where", PORTS)
-def test_silence_in_mid_move_is_given_up_within_its_time_and_then_stopped(where: str) -> None:
-    engine = controller()
-    with (
-        running(engine, where, EmulatorFaults(silence=(0.8, 0.9))) as emulated,
-        mover(emulated, limits(override=3), timeout=0.4) as arm,
-    ):
-        ready(arm)
-        arm.move_joints(NEXT)
-        failing = stepped(arm, lambda status: status.state is MoverState.FAILING)[-1]
-        assert "no answer" in failing.reason
-        assert failing.t is not None
-        assert time.monotonic() - failing.t < 1.0
-        settled(arm, MoverState.FAILED)
-        assert not engine.arm.right
-        assert not engine.arm.servo_on
-
-
-@pytest.mark.realtime
 def test_permanent_silence_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.states.RELEASE_TIMEOUT", 1.0)
-    engine = controller()
-    with (
-        running(engine, faults=EmulatorFaults(silence=(0.8, 60.0))) as emulated,
-        mover(emulated, limits(override=3), timeout=0.3) as arm,
-    ):
-        ready(arm)
+    silent = EmulatorFaults(silence=(0.8, 60.0))
+    with moving(controller(), faults=silent, timeout=0.3) as arm:
         arm.move_joints(NEXT)
-        failed = settled(arm, MoverState.FAILED)[-1]
-        assert "could not be told: stop, servo off, override put back" in failed.reason
-        assert "emergency stop" in failed.reason
+        reason = failure(arm)
+        assert "could not be told: stop, servo off, override put back" in reason
+        assert "emergency stop" in reason
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("kind", ["tcp", "pty"])
 def test_a_line_that_breaks_in_mid_move_is_taken_up_again_to_stop(
     kind: str, tmp_path: Path
 ) -> None:
     where = "tcp:0" if kind == "tcp" else f"pty:{tmp_path / 'port'}"
     engine = controller()
-    with (
-        running(engine, where, EmulatorFaults(unplug=(0.8, 0.6))) as emulated,
-        mover(emulated, limits(override=3)) as arm,
-    ):
-        ready(arm)
+    with moving(engine, where, EmulatorFaults(unplug=(0.8, 0.6))) as arm:
         arm.move_joints(NEXT)
-        failed = settled(arm, MoverState.FAILED)[-1]
-        assert failed.reason.startswith(f"{emulated.address}: ")
-        assert not engine.arm.right
-        assert not engine.arm.servo_on
-        assert not engine.arm.moving
+        failure(arm)
+        assert given_back(engine)
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 def test_late_answers_are_not_mistaken_for_others(where: str) -> None:
     class Dawdling(MelfaEngine):
@@ -121,28 +85,21 @@ def test_late_answers_are_not_mistaken_for_others(where: str) -> None:
             ]
 
     engine = Dawdling(controller().arm, ControllerOptions())
-    with running(engine, where) as emulated, mover(emulated, timeout=0.2) as arm:
-        ready(arm)
-        failed = settled_after(arm, lambda status: status.state is MoverState.FAILED)
-        assert "no answer" in failed.reason
-        assert "servo" not in failed.reason  # all was given back, and seen to be
+    with moving(engine, where, timeout=0.2) as arm:
+        reason = failure(arm)
+        assert "no answer" in reason
+        assert "servo" not in reason  # all was given back, and seen to be
         assert not engine.arm.servo_on
 
 
-@pytest.mark.realtime
 def test_a_reset_controller_is_not_taken_again_without_a_request() -> None:
     engine = controller()
-    with (
-        running(engine, faults=EmulatorFaults(reset=(1.2, 1.2))) as emulated,
-        mover(emulated) as arm,
-    ):
-        ready(arm)
-        failed = settled_after(arm, after(1.2))
-        assert "error 6500" in failed.reason
+    with moving(engine, faults=EmulatorFaults(reset=(1.2, 1.2))) as arm:
+        assert "error 6500" in failure(arm)
+        stepped(arm, after(0.2))
     assert names(engine).count("CNTLON") == 1
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("fault", ["noise", "half"])
 def test_an_answer_that_is_not_understood_stops_the_arm(fault: str) -> None:
     engine = controller()
@@ -156,7 +113,6 @@ def test_an_answer_that_is_not_understood_stops_the_arm(fault: str) -> None:
     assert not engine.arm.moving
 
 
-@pytest.mark.realtime
 def test_a_missing_device_is_reported_without_blocking(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.mover.CONNECT_TIMEOUT", 0.6)
     with socket.create_server(("127.0.0.1", 0)) as unused:
@@ -166,7 +122,6 @@ def test_a_missing_device_is_reported_without_blocking(monkeypatch: pytest.Monke
         assert "nobody listens there" in settled(arm, MoverState.FAILED)[-1].reason
 
 
-@pytest.mark.realtime
 def test_a_line_that_another_program_has_is_waited_for() -> None:
     with running(controller()) as emulated, mover(emulated) as first, mover(emulated) as second:
         ready(first)
@@ -177,7 +132,6 @@ def test_a_line_that_another_program_has_is_waited_for() -> None:
         settled(second, MoverState.READY)
 
 
-@pytest.mark.realtime
 def test_answers_without_a_terminator_are_understood() -> None:
     with running(controller(end=b"")) as emulated, mover(emulated, terminator=b"\r\n") as arm:
         ready(arm)

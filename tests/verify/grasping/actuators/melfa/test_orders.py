@@ -18,21 +18,13 @@ from tests.support.devices.melfa_mover import (
 )
 from verify.devices.encoders.intake import AngleMap
 from verify.devices.melfa.protocol import READ_COMMANDS, ForbiddenCommandError
+from verify.grasping.actuators.melfa import orders
 from verify.grasping.actuators.melfa.mover import MelfaMover
-from verify.grasping.actuators.melfa.orders import (
-    MOVE_COMMANDS,
-    MotionCommand,
-    MotionSettings,
-    MoveLimits,
-    joint_move,
-    line_move,
-    parse_limits,
-)
 from verify.grasping.actuators.protocols import MotionRefusedError, MoverState
 
 
 def test_no_mover_is_made_without_the_operators_permission() -> None:
-    settings = MotionSettings("/dev/none", "RV-3SD")
+    settings = orders.MotionSettings("/dev/none", "RV-3SD")
     with pytest.raises(TypeError, match="operator's right"):
         MelfaMover(settings, same_angles(6), limits(), None)  # type: ignore[arg-type]
 
@@ -45,25 +37,25 @@ def test_dangerous_commands_cannot_be_built() -> None:
         ("EXEC", "JVFY=(1.000)\rRUN"),
     ]:  # fmt: skip
         with pytest.raises(ForbiddenCommandError):
-            MotionCommand(name, argument)
-    assert not {*MOVE_COMMANDS} & {*READ_COMMANDS}
+            orders.MotionCommand(name, argument)
+    assert not {*orders.MOVE_COMMANDS} & {*READ_COMMANDS}
 
 
 def test_moves_have_the_bytes_of_the_manual() -> None:
     angles = np.array([-7.42, 38.21, 77.74, 7.08, 61.72, -9.75])
-    worded = [order.encoded(b"\r") for order in line_move(angles, 1)]
+    worded = [order.encoded(b"\r") for order in orders.line_move(angles)]
     assert worded == [
         b"1;1;EXECJVFY=(-7.420,38.210,77.740,7.080,61.720,-9.750)\r",
         b"1;1;EXECPVFY=JTOP(JVFY)\r",
         b"1;1;EXECMVS PVFY\r",
     ]
-    assert joint_move(angles, 9)[1].encoded(b"\r\n") == b"1;9;EXECMOV JVFY\r\n"
+    assert orders.joint_move(angles)[1].encoded(b"\r\n") == b"1;1;EXECMOV JVFY\r\n"
     with pytest.raises(ForbiddenCommandError):
-        joint_move(np.full(6, np.nan), 1)
-    found = parse_limits("MEJAR;-170.00,170.00,-90.00,135.00;4", 2)
+        orders.joint_move(np.full(6, np.nan))
+    found = orders.parse_limits("MEJAR;-170.00,170.00,-90.00,135.00;4", 2)
     np.testing.assert_array_equal(found, [[-170, 170], [-90, 135]])
     for wrong in ("MEJAR;1.0;1", "MEJAR;5,-5,1,2;4", "nonsense", "MEJAR;a,b,c,d"):
-        assert parse_limits(wrong, 2) is None
+        assert orders.parse_limits(wrong, 2) is None
 
 
 @pytest.mark.realtime
@@ -93,7 +85,7 @@ def test_targets_outside_any_limit_are_refused_and_nothing_is_sent() -> None:
 @pytest.mark.realtime
 def test_signs_and_zeros_of_the_robot_file_reach_the_controller() -> None:
     angles = AngleMap(np.array([1.0, -1, 1, 1, -1, 1]), np.deg2rad([0.0, 10, -5, 0, 0, 3]))
-    everything = MoveLimits(np.tile([-6.3, 6.3], (6, 1)), hand_speed=2.0, override=60)
+    everything = orders.MoveLimits(np.tile([-6.3, 6.3], (6, 1)), hand_speed=2.0, override=60)
     engine = controller()
     with running(engine) as emulated, mover(emulated, everything, angles) as arm:
         ready(arm)

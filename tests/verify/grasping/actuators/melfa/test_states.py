@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import robots
-from tests.support.devices.bench import Emulated, running
+from tests.support.devices.bench import running
 from tests.support.devices.melfa_mover import (
     ARM,
     HOME,
@@ -13,13 +13,15 @@ from tests.support.devices.melfa_mover import (
     PORTS,
     after,
     controller,
+    failure,
     found_at,
+    given_back,
     limits,
     mover,
+    moving,
     names,
     ready,
     settled,
-    settled_after,
     stepped,
     under_way,
 )
@@ -55,69 +57,12 @@ def test_the_arm_takes_controls_moves_jointwise_and_straight_and_gives_back(wher
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("where", PORTS)
-@pytest.mark.parametrize("how", ["release", "hold", "alarm", "silence", "exception"])
-def test_the_controller_is_given_back_with_its_override_however_it_ends(
-    where: str, how: str
-) -> None:
-    engine = found_at(controller(), 37)
-    silent = EmulatorFaults(silence=(0.8, 0.9)) if how == "silence" else None
-
-    def moves(emulated: Emulated) -> None:
-        with mover(emulated, limits(override=3), timeout=0.4) as arm:
-            ready(arm)
-            assert engine.arm._override == 3
-            arm.move_joints(NEXT)
-            if how == "hold":
-                arm.hold()
-                settled(arm, MoverState.HELD)
-            elif how == "alarm":
-                engine.afflict("alarm", 2140)
-                settled(arm, MoverState.FAILED)
-            elif how == "silence":
-                settled(arm, MoverState.FAILED)
-            elif how == "exception":
-                raise ZeroDivisionError
-
-    with running(engine, where, silent) as emulated:
-        with suppress(ZeroDivisionError):
-            moves(emulated)
-        assert engine.arm._override == 37
-        assert not engine.arm.right
-        assert not engine.arm.servo_on
-        assert not engine.arm.moving
-    back = engine.log.index("OVRD=37")
-    assert "SRVOFF" in engine.log[:back]  # nothing is made faster that still has power
-
-
-@pytest.mark.realtime
 def test_an_override_that_was_not_changed_is_left_alone() -> None:
     engine = found_at(controller(idle=False), 37)  # a program runs: the right is not taken
     with running(engine) as emulated, mover(emulated) as arm:
         arm.take_controls()
         settled(arm, MoverState.FAILED)
     assert not [order for order in engine.log if order.startswith("OVRD")]
-
-
-@pytest.mark.realtime
-@pytest.mark.parametrize(
-    ("answer", "words"),
-    [(3110, "override put back was refused, error 3110"), ("", "the override is 3 %, it was 37 %")],
-    ids=["refused", "ignored"],
-)
-def test_an_override_that_is_not_restored_is_reported(
-    answer: int | str, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    engine = found_at(controller(), 37)
-    sets = engine.arm._set_override
-    monkeypatch.setattr(
-        engine.arm, "_set_override", lambda text: answer if text == "=37" else sets(text)
-    )
-    with running(engine) as emulated, mover(emulated, limits(override=3)) as arm:
-        ready(arm)
-        arm.release()
-        assert words in settled(arm, MoverState.FAILED)[-1].reason
-    assert not engine.arm.right
 
 
 @pytest.mark.realtime
@@ -192,28 +137,74 @@ def test_a_running_program_a_standing_alarm_another_robot_keep_it_from_taking_co
 
 
 @pytest.mark.realtime
-def test_an_external_program_start_and_servo_off_are_noticed() -> None:
-    for change, words in [("running", "a program runs"), ("_servo_at", "lost its power")]:
-        engine = controller()
-        with running(engine) as emulated, mover(emulated) as arm:
-            ready(arm)
-            setattr(engine.arm, change, True if change == "running" else None)
-            failed = settled_after(arm, lambda status: status.state is MoverState.FAILED)
-            assert words in failed.reason
+@pytest.mark.parametrize("where", PORTS)
+@pytest.mark.parametrize("how", ["release", "hold", "alarm", "silence", "exception"])
+def test_the_controller_is_given_back_with_its_override_however_it_ends(
+    where: str, how: str
+) -> None:
+    engine = found_at(controller(), 37)
+    silent = EmulatorFaults(silence=(0.8, 0.9)) if how == "silence" else None
+    with suppress(ZeroDivisionError), moving(engine, where, silent, timeout=0.4) as arm:
+        assert engine.arm._override == 3
+        arm.move_joints(NEXT)
+        if how == "hold":
+            arm.hold()
+            settled(arm, MoverState.HELD)
+        elif how == "alarm":
+            engine.afflict("alarm", 2140)
+            failure(arm)
+        elif how == "silence":  # given up within its time, and then stopped
+            failing = stepped(arm, lambda status: status.state is MoverState.FAILING)[-1]
+            assert "no answer" in failing.reason
+            assert failing.t is not None
+            assert time.monotonic() - failing.t < 1.0
+            failure(arm)
+        elif how == "exception":
+            raise ZeroDivisionError
+    assert engine.arm._override == 37
+    assert given_back(engine)
+    back = engine.log.index("OVRD=37")
+    assert "SRVOFF" in engine.log[:back]  # nothing is made faster that still has power
 
 
 @pytest.mark.realtime
-def test_a_servo_that_stays_on_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("name", "argument", "answer", "words"),
+    [
+        ("OVRD", "=37", 3110, "override put back was refused, error 3110"),
+        ("OVRD", "=37", "", "the override is 3 %, it was 37 %"),
+        ("SRVOFF", "", "", "the servo is still on"),
+    ],
+)
+def test_what_the_controller_does_not_do_at_the_end_is_reported(
+    name: str, argument: str, answer: int | str, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.states.RELEASE_TIMEOUT", 0.5)
-    engine = controller()
+    engine = found_at(controller(), 37)
     obey = engine.arm.obey
-    monkeypatch.setattr(
-        engine.arm, "obey", lambda name, *rest: "" if name == "SRVOFF" else obey(name, *rest)
-    )
-    with running(engine) as emulated, mover(emulated) as arm:
-        ready(arm)
+
+    def disobey(order: str, text: str, t: float) -> int | str:
+        return answer if (order, text) == (name, argument) else obey(order, text, t)
+
+    monkeypatch.setattr(engine.arm, "obey", disobey)
+    with moving(engine) as arm:
         arm.release()
-        assert "the servo is still on" in settled(arm, MoverState.FAILED)[-1].reason
+        assert words in failure(arm)
+    assert not engine.arm.right
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("change", "value", "words"),
+    [("running", True, "a program runs"), ("_servo_at", None, "lost its power")],
+)
+def test_an_external_program_start_and_servo_off_are_noticed(
+    change: str, value: bool | None, words: str
+) -> None:
+    engine = controller()
+    with moving(engine) as arm:
+        setattr(engine.arm, change, value)
+        assert words in failure(arm)
 
 
 @pytest.mark.realtime
@@ -222,7 +213,7 @@ def test_a_servo_that_does_not_come_on_has_a_limit(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("verify.grasping.actuators.melfa.answers.POWER_TIMEOUT", 0.5)
     with running(controller()) as emulated, mover(emulated) as arm:
         arm.take_controls()
-        assert "powering takes too long" in settled(arm, MoverState.FAILED)[-1].reason
+        assert "powering takes too long" in failure(arm)
 
 
 @pytest.mark.realtime
@@ -237,24 +228,20 @@ def test_an_arm_that_does_not_go_to_its_target_is_stopped(monkeypatch: pytest.Mo
                 self.arm.obey("STOP", "", t)
             return super().step(t, received)
 
-    engine = Lazy(controller().arm, ControllerOptions())
-    with running(engine) as emulated, mover(emulated, limits(override=10)) as arm:
-        ready(arm)
+    with moving(Lazy(controller().arm, ControllerOptions()), chosen=limits(override=10)) as arm:
         arm.move_joints(NEXT)
-        failed = settled(arm, MoverState.FAILED)[-1]
-        assert "degrees from its target" in failed.reason
+        assert "degrees from its target" in failure(arm)
 
 
 @pytest.mark.realtime
 def test_a_hand_that_goes_too_fast_is_stopped_and_may_be_taken_again() -> None:
     far = HOME + np.deg2rad([60.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    with running(controller()) as emulated, mover(emulated, limits(hand_speed=0.1)) as arm:
-        ready(arm)
+    with moving(controller(), chosen=limits(hand_speed=0.1)) as arm:
         arm.move_joints(far)
-        failed = settled(arm, MoverState.FAILED)[-1]
-        assert "the hand goes at" in failed.reason
-        assert failed.q is not None
-        assert failed.q[0] < far[0]
+        assert "the hand goes at" in failure(arm)
+        q = arm.step().q
+        assert q is not None
+        assert q[0] < far[0]
         arm.take_controls()
         assert settled(arm, MoverState.READY)[-1].reason == ""
 
@@ -262,12 +249,9 @@ def test_a_hand_that_goes_too_fast_is_stopped_and_may_be_taken_again() -> None:
 @pytest.mark.realtime
 def test_a_move_that_the_controller_refuses_ends_in_a_stop() -> None:
     """Straight to the other side of the wrist's singularity: no line leads there."""
-    engine = controller()
-    target = HOME.copy()
+    engine, target = controller(), HOME.copy()
     target[4] = -target[4]
-    with running(engine) as emulated, mover(emulated) as arm:
-        ready(arm)
+    with moving(engine, chosen=limits()) as arm:
         arm.move_line(target)
-        failed = settled(arm, MoverState.FAILED)[-1]
-        assert "EXEC was refused, error 2603: the via point is out of reach" in failed.reason
+        assert "EXEC was refused, error 2603: the via point is out of reach" in failure(arm)
         assert not engine.arm.servo_on
