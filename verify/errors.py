@@ -24,6 +24,10 @@ class InputError(Exception):
         return type(self), (self.place, self.found, self.expected, self.remedy)
 
 
+class WatchDefectError(Exception):
+    """A watch could not go on; said in one line, exit status 70."""
+
+
 def one_line(text: str) -> str:
     """Keep hostile names (newlines, escape sequences) from breaking the promised one line."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

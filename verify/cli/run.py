@@ -19,7 +19,7 @@ from verify.cli.options import (
     parse_duration,
 )
 from verify.cli.terminal import terminal
-from verify.errors import InputError
+from verify.errors import InputError, WatchDefectError
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
 
 EXIT_STATUS = {"conform": 0, None: 0, "nonconform": 1, "undecided": 3}
@@ -112,6 +112,8 @@ def _run_live(
     out = out if out is not None else Path(f"{watched.folders[0].name}-report")
     reported = measure_and_report_all(watched.folders, out, tolerances, force=force)
     write_whole(next(iter(reported)) / "alarms.csv", alarms_csv(watched.alarms))
+    if watched.defects:
+        raise WatchDefectError(" ".join(watched.defects))
     return EXIT_STATUS[max(reported.values(), key=SEVERITY.index)]
 
 
