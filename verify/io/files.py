@@ -23,7 +23,9 @@ _REMEDIES = {
     errno.ENOSPC: "Free some space or write somewhere else.",
     errno.EDQUOT: "Free some space or write somewhere else.",
     errno.ENAMETOOLONG: "Choose a shorter name.",
+    errno.ELOOP: "Put the file itself there instead of the link.",
 }
+MAX_TABLE_BYTES = 2_000_000_000  # of a CSV file or a picture: what is larger is something else
 
 
 def system_refusal(path: str | Path, error: OSError) -> InputError:
@@ -40,6 +42,9 @@ def refused_as_input_error(path: str | Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise system_refusal(path, error) from error
+    except RuntimeError as error:  # `Path.resolve` on a link that leads to itself
+        loop = OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+        raise system_refusal(path, loop) from error
     except ValueError as error:  # a zero byte in the name
         raise system_refusal(path, OSError(str(error))) from error
 
@@ -56,11 +61,12 @@ def output_refusal(path: str | Path, error: OSError) -> InputError:
     return refused
 
 
-def require_file(path: Path) -> None:
+def require_file(path: Path, max_bytes: int | None = None) -> None:
     """Refuse what is not a plain file with something in it (a pipe would block for ever).
 
     Raises:
-        InputError: the path leads nowhere, to a folder or a device, or to an empty file.
+        InputError: the path leads nowhere, to a folder or a device, or to an empty file, or to one
+            that is larger than its kind is.
     """
     with refused_as_input_error(path):
         size = path.stat().st_size
@@ -69,6 +75,9 @@ def require_file(path: Path) -> None:
         raise InputError(path, f"is {kind}", "a file is expected", "Name the file itself.")
     if size == 0:
         raise InputError(path, "is empty", "", "Record or export it again.")
+    if max_bytes is not None and size > max_bytes:
+        found, expected = f"has {size} bytes", f"a file of its kind has at most {max_bytes}"
+        raise InputError(path, found, expected, "Name the right file.")
 
 
 def require_folder(folder: Path, expected: str, remedy: str) -> None:
@@ -84,13 +93,13 @@ def require_folder(folder: Path, expected: str, remedy: str) -> None:
     raise InputError(folder, found, expected, remedy)
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path, max_bytes: int = MAX_TABLE_BYTES) -> bytes:
     """Read a whole file.
 
     Raises:
-        InputError: there is none, it is empty, or the system refuses it.
+        InputError: there is none, it is empty or too large, or the system refuses it.
     """
-    require_file(path)
+    require_file(path, max_bytes)
     with refused_as_input_error(path):
         return path.read_bytes()
 

@@ -285,7 +285,8 @@ def decode_picture(file: Path, kind: str, remedy: str) -> Image:
     data = read_bytes(file)
     image = None
     if file.suffix.lower() != ".png" or png_intact(data):  # libpng fills a hole without an error
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
+        with suppress(cv2.error):  # more pixels than OpenCV decodes
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
     if image is None:
         raise InputError(file, f"is damaged or no {kind}", "", remedy)
     if image.dtype != np.uint8:

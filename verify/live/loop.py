@@ -168,7 +168,7 @@ class LiveLoop:
         self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
 
     def _failed_step(self, name: str, error: Exception) -> None:
-        """Record that a step of the loop itself failed: its pairs are lost, whoever watches hears."""
+        """Record that a step of the loop failed, and raise an alarm: its pairs are lost."""
         if name not in self._troubles:
             t, now = time.monotonic(), time.time()
             self._failed(name, error)
