@@ -9,6 +9,7 @@ import hashlib
 import os
 import secrets
 import shutil
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -128,7 +129,28 @@ def digest(path: Path) -> str:
 
 
 _PARTIAL = ".verify-partial-"  # first part of the name while a file or folder is built
+_HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def _partial_path(folder: Path) -> Path:
+    """Name what is built in a folder, and delete there what a killed process has left."""
+    with suppress(OSError):
+        for left in folder.glob(f"{_PARTIAL}{_HOST}-*"):
+            pid = left.name.removeprefix(f"{_PARTIAL}{_HOST}-").partition("-")[0]
+            if pid.isdecimal() and not _is_running(int(pid)):
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
+    return folder / f"{_PARTIAL}{_HOST}-{os.getpid()}-{secrets.token_hex(8)}"
+
+
+def _is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        return True
+    return True
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -140,7 +162,7 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         InputError: no space, no permission, no such folder; what was there is untouched.
     """
-    partial = path.with_name(f"{_PARTIAL}{secrets.token_hex(8)}")
+    partial = _partial_path(path.parent)
     try:
         handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
         try:
@@ -180,7 +202,7 @@ def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
     exists = _check_vacant(out, target, force)
     # on the disk of what it becomes, so that a rename suffices: `out` may be a mount of its own
     beside = target if exists else next(p for p in target.parents if p.exists())
-    partial = beside / f"{_PARTIAL}{secrets.token_hex(8)}"
+    partial = _partial_path(beside)
     try:
         partial.mkdir()
     except OSError as error:
