@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 NUMBER = re.compile(rb"(?<![\w.\"])-?\d+\.?\d*(?:[eE][-+]?\d+)?(?![\w.\"])")
-HOSTILE = (b"nan", b"-inf", b"1e300", b"-1e300", b"9" * 5000, b"0", b"-1", b"true", b'""', b'"\\u0000"',
-           b"[]", b"{}", b"")  # fmt: skip
+HOSTILE = (b"nan", b"-inf", b"1e300", b"-1e300", b"9" * 5000, b"0", b"-1", b"true", b'""',
+           b'"\\u0000"', b"[]", b"{}", b"")  # fmt: skip
 SLIPS = (1e3, 1e-3, 1e6, 1e-6, np.pi / 180, 180 / np.pi, -1.0)  # of a unit or a sign
 MAX_RUN = 64  # bytes that are cut out or repeated
 

@@ -3,9 +3,9 @@
 A case copies a folder, breaks one file and runs a command on it in this process. The promise:
 
 - exit status 0, 1, 2 or 3, and no traceback;
-- with status 2 one line of error, which names a place and ends with what to do, and nothing written;
+- with status 2 one line of error, with a place and what to do, and nothing written;
 - within 20 s;
-- no wrong figure: what is accepted gives the figures of the whole files, or warns, or is undecided.
+- no wrong figure: what is accepted gives the same figures, or warns, or is undecided.
 """
 
 import json
