@@ -269,8 +269,10 @@ def _read_entry(folder: Path, name: str, ending: str, entry: object) -> bytes:
 def _table(folder: Path, name: str, entry: object) -> pd.DataFrame:
     content = _read_entry(folder, name, ".parquet", entry)
     try:
-        table: pd.DataFrame = pq.read_table(io.BytesIO(content)).to_pandas()
-    except pa.ArrowInvalid as problem:
+        table: pd.DataFrame = pq.read_table(io.BytesIO(content), use_threads=False).to_pandas(
+            use_threads=False
+        )
+    except (pa.ArrowException, OSError, ValueError) as problem:
         found, expected = "it is not a Parquet file", "a table is expected"
         raise _damaged(folder, f"{name}.parquet", found, expected) from problem
     return table

@@ -151,9 +151,11 @@ def _urdf_forward(arm: UrdfArm, q: Array) -> Array:
 
 def _urdf_jacobian(arm: UrdfArm, q: Array) -> Array:
     world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    columns = pinocchio.computeFrameJacobian(
+    moved = pinocchio.computeFrameJacobian(
         arm.model, arm.data, arm.configuration(q), arm.tip_frame, world
-    )[:, [place for _, place, _ in arm.joints]]
+    )
+    # of one joint pinocchio gives a vector
+    columns = moved.reshape(6, -1)[:, [place for _, place, _ in arm.joints]]
     pinocchio.updateFramePlacement(arm.model, arm.data, arm.base_frame)
     base_R_world = arm.data.oMf[arm.base_frame].rotation.T
     return np.concatenate([base_R_world @ columns[:3], base_R_world @ columns[3:]])

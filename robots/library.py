@@ -8,6 +8,7 @@ from robots import definition, urdf
 from robots.arm import Arm
 from robots.errors import RobotError
 
+MAX_BYTES = 10_000_000  # of a robot file; the largest known URDF has 0.2 MB
 HERE = Path(__file__).parent
 EXAMPLES = {  # the fixed arms among example-robot-data's robots
     "kinova": "kinova_description/robots/kinova.urdf",
@@ -50,6 +51,8 @@ def load(
         RobotError: no such arm, or its file cannot be used.
     """
     path = Path(folder or "", name_or_path)
+    if path.suffix in {".urdf", ".toml"}:
+        _require_plain_file(path)
     if path.suffix == ".urdf":
         return urdf.read(path, base, tip, path.stem, f"URDF {path.name}")
     if name_or_path in EXAMPLES:
@@ -68,6 +71,24 @@ def load(
     found = "it is not known" + (f', did you mean "{near[0]}"?' if near else "")
     remedy = "Or give the path of a robot file (.toml) or a URDF (.urdf)."
     raise RobotError(f'robot "{name_or_path}"', found, f"known are {', '.join(known)}", remedy)
+
+
+def _require_plain_file(path: Path) -> None:
+    """Refuse what is no plain file of a robot's size.
+
+    Raises:
+        RobotError: there is none, it is a folder, a pipe or a device, or it is too large.
+    """
+    try:
+        size = path.stat().st_size
+    except (OSError, ValueError) as error:  # a zero byte in the name
+        found = getattr(error, "strerror", None) or str(error)
+        raise RobotError(path, found, "", "Check the path, or name a known robot.") from error
+    if not path.is_file():
+        raise RobotError(path, "is no plain file", "a robot file is expected", "Name the file.")
+    if size > MAX_BYTES:
+        expected = f"a robot file has at most {MAX_BYTES}"
+        raise RobotError(path, f"has {size} bytes", expected, "Name the right file.")
 
 
 def example(relative: str) -> Path:

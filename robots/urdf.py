@@ -19,6 +19,10 @@ GRIPPER_NAMES = re.compile(r"grip|finger|jaw|knuckle|thumb", re.IGNORECASE)
 MAX_CONTINUOUS_ANGLE = 2 * np.pi
 
 
+MAX_JOINTS = 16  # of an arm
+MAX_PARTS = 1000  # joints in a file: a humanoid with its hands has a tenth
+
+
 @dataclass(frozen=True)
 class Joint:
     """A joint in the file; pinocchio's model does not hold mimicry."""
@@ -50,6 +54,11 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
             raise RobotError(path, f'no link "{link}"', expected, "Name one of them.")
     tip = tip or _last_link(joints, base)
     chain = _chain(path, joints, base, tip)
+    if len(chain) > MAX_JOINTS:
+        found = f"{len(chain)} turning joints from {base} to {tip}"
+        raise RobotError(
+            path, found, f"an arm has at most {MAX_JOINTS}", "Name base and tip of the arm."
+        )
     model = _lock_other_joints(path, chain)
     limits = np.array([_limits(model, joint) for joint in chain])
     return UrdfArm(
@@ -97,6 +106,9 @@ def _parse(path: Path) -> tuple[bytes, list[Joint], set[str]]:
             raise RobotError(place, "parent or child missing", "a joint has both", "Add it.")
         mimics = node.find("mimic") is not None
         joints.append(Joint(node.get("name", ""), node.get("type", ""), ends[0], ends[1], mimics))
+    if len(joints) > MAX_PARTS:
+        expected = f"a robot has at most {MAX_PARTS}"
+        raise RobotError(path, f"{len(joints)} joints", expected, "Give the arm's own file.")
     return content, joints, {link.get("name", "") for link in root.findall("link")}
 
 
@@ -147,7 +159,7 @@ def _chain(path: Path, joints: list[Joint], base: str, tip: str) -> list[Joint]:
         if link not in above:
             remedy = "Name base and tip so that the tip hangs on the base."
             raise RobotError(path, f'no chain from "{base}" to "{tip}"', "", remedy)
-        joint = above[link]
+        joint = above.pop(link)  # a second visit would go round for ever
         link = joint.parent
         if joint.kind == "fixed":
             continue

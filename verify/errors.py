@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+MAX_PART = 1000  # characters of a place, a finding or an expectation in one line
+
 
 class InputError(Exception):
     """The input cannot be used; said in one line, exit status 2.
@@ -15,13 +17,22 @@ class InputError(Exception):
 
     def __init__(self, place: str | Path, found: str, expected: str = "", remedy: str = "") -> None:
         self.place, self.found, self.expected, self.remedy = str(place), found, expected, remedy
+        place, found, expected = (_clip(part) for part in (str(place), found, expected))
         clause = f"{found}; {expected}" if expected else found
-        sentence = f"{place}: {clause}."
-        super().__init__(one_line(f"{sentence} {remedy}".strip()))
+        super().__init__(one_line(f"{place}: {clause}. {remedy}".strip()))
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str, str]]:
         """Cross from one process to another: an exception's own way keeps only the sentence."""
         return type(self), (self.place, self.found, self.expected, self.remedy)
+
+
+def _clip(text: str) -> str:
+    """Shorten what a file holds, so that its size does not hide what the line says."""
+    return text if len(text) <= MAX_PART else f"{text[: MAX_PART - 1]}…"
+
+
+class WatchDefectError(Exception):
+    """A watch could not go on; said in one line, exit status 70."""
 
 
 def one_line(text: str) -> str:

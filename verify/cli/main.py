@@ -25,7 +25,7 @@ from verify.cli.robots import robots
 from verify.cli.run import run
 from verify.cli.simulate import simulate
 from verify.cli.terminal import show_log, terminal
-from verify.errors import InputError, one_line
+from verify.errors import InputError, WatchDefectError, one_line
 
 # typer brings its own copy of click or uses the installed one, depending on its version; either
 # way what it raises on wrong usage is the base of its BadParameter
@@ -75,6 +75,9 @@ def _status(words: list[str]) -> int:
         outcome = app(words, prog_name="verify", standalone_mode=False)
     except InputError as problem:
         return _refuse(str(problem))
+    except WatchDefectError as problem:
+        sys.stderr.write(f"error: {one_line(str(problem))}\n")
+        return DEFECT
     except WrongUsage as problem:
         text = str(getattr(problem, "format_message", problem.__str__)())
         return _refuse(f"{text}{'' if text[-1:] in '.?!' else '.'} See `verify --help`.")

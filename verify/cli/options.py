@@ -138,7 +138,11 @@ PageAddress = Annotated[
     str, typer.Option(help="The page's address; another one than this needs a token.")
 ]
 PageToken = Annotated[
-    str | None, typer.Option(help="What viewers must show; 16 characters or more.")
+    str | None,
+    typer.Option(
+        envvar="VERIFY_PAGE_TOKEN",  # a command line stands in the list of processes
+        help="What viewers must show; 16 characters or more.",
+    ),
 ]
 Corners = Annotated[
     CornerCounts | None,

@@ -28,9 +28,10 @@ def report(
     Example: verify report multi_joint_fault_6r-report --logo lab.svg
     """
     import reports
+    from reports.results import rebuild_command
     from verify.errors import InputError
     from verify.io.files import write_whole
-    from verify.io.results import read_results
+    from verify.io.results import RESULTS, read_results
 
     results = read_results(out)
     try:
@@ -41,6 +42,12 @@ def report(
         raise InputError(
             problem.place, problem.found, problem.expected, problem.remedy
         ) from problem
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as problem:
+        # whole files whose hashes fit, but not what a report of this kind is made of
+        found = f"cannot be made into a report ({type(problem).__name__}: {problem})"
+        remedy = rebuild_command(out / RESULTS)
+        expected = "results as this version writes them are expected"
+        raise InputError(out / RESULTS, found, expected, remedy) from problem
     name = "fleet" if results.summary.get("kind") == "fleet" else "report"
     write_whole(out / f"{name}.html", page)
     write_whole(out / f"{name}.pdf", pages)

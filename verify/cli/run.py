@@ -20,6 +20,7 @@ from verify.cli.options import (
     refuse_options,
 )
 from verify.cli.terminal import terminal
+from verify.errors import WatchDefectError
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
 
 EXIT_STATUS = {"conform": 0, None: 0, "nonconform": 1, "undecided": 3}
@@ -112,10 +113,12 @@ def _run_live(
         refuse_existing(out, force=force)
     terminal.warn(*station.warnings)
     options = RunOptions(duration, tolerances.tolerance(station.arm.dof), on_alarm, page)
-    folders, alarms = watch(station, options)
-    out = out if out is not None else Path(f"{folders[0].name}-report")
-    reported = measure_and_report_all(folders, out, tolerances, force=force)
-    write_whole(next(iter(reported)) / "alarms.csv", alarms_csv(alarms))
+    watched = watch(station, options)
+    out = out if out is not None else Path(f"{watched.folders[0].name}-report")
+    reported = measure_and_report_all(watched.folders, out, tolerances, force=force)
+    write_whole(next(iter(reported)) / "alarms.csv", alarms_csv(watched.alarms))
+    if watched.defects:
+        raise WatchDefectError(" ".join(watched.defects))
     return EXIT_STATUS[max(reported.values(), key=SEVERITY.index)]
 
 

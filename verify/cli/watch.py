@@ -21,7 +21,7 @@ from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
 from verify.core.processes import ChildProcess, answer_requests
 from verify.core.records import Array
-from verify.errors import InputError
+from verify.errors import InputError, WatchDefectError
 from verify.io.session.keys import Tolerance
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import ESTIMATE_TIMEOUT, ClockRequest, estimate_offset
@@ -55,15 +55,21 @@ class RunOptions:
     page: PageOptions | None
 
 
-def watch(station: Station, options: RunOptions) -> tuple[tuple[Path, ...], tuple[Alarm, ...]]:
-    """Watch until Ctrl-C, the time is up, or the robot's program ends.
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """What a run recorded."""
 
-    Returns:
-        Folders of the recorded sessions, more than one where the controller's clock began anew, and
-        the alarms, oldest first; of very many the newest.
+    folders: tuple[Path, ...]  # sessions: more than one where the controller's clock began anew
+    alarms: tuple[Alarm, ...]  # oldest first; of very many the newest
+    defects: tuple[str, ...]  # why it could not go on
+
+
+def watch(station: Station, options: RunOptions) -> RunResult:
+    """Watch until Ctrl-C, the time is up, or the robot's program ends.
 
     Raises:
         InputError: a device, the page or a listener cannot be opened; nothing is running then.
+        WatchDefectError: it could not go on before anything was recorded.
     """
     joints = options.tolerance.joints
     if joints is None and station.tolerance is not None:
@@ -109,12 +115,14 @@ def watch(station: Station, options: RunOptions) -> tuple[tuple[Path, ...], tupl
     _print_summary(state)
     recorded = recorder.state()
     terminal.say(recorded.sentence)
+    if not recorded.folders and live.defects:
+        raise WatchDefectError(" ".join(live.defects))
     if not recorded.folders:
         raise InputError(
             station.path, f"no pair of pictures was recorded ({recorded.sentence})",
             "two cameras that deliver, and room on the disk", "Try `verify doctor` on this file.",
         )  # fmt: skip
-    return recorded.folders, state.snapshot().alarms[::-1]
+    return RunResult(recorded.folders, state.snapshot().alarms[::-1], live.defects)
 
 
 def alarms_csv(alarms: tuple[Alarm, ...]) -> bytes:

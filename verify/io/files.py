@@ -9,6 +9,7 @@ import hashlib
 import os
 import secrets
 import shutil
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -23,7 +24,9 @@ _REMEDIES = {
     errno.ENOSPC: "Free some space or write somewhere else.",
     errno.EDQUOT: "Free some space or write somewhere else.",
     errno.ENAMETOOLONG: "Choose a shorter name.",
+    errno.ELOOP: "Put the file itself there instead of the link.",
 }
+MAX_TABLE_BYTES = 2_000_000_000  # of a CSV file or a picture: what is larger is something else
 
 
 def system_refusal(path: str | Path, error: OSError) -> InputError:
@@ -40,6 +43,9 @@ def refused_as_input_error(path: str | Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise system_refusal(path, error) from error
+    except RuntimeError as error:  # `Path.resolve` on a link that leads to itself
+        loop = OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+        raise system_refusal(path, loop) from error
     except ValueError as error:  # a zero byte in the name
         raise system_refusal(path, OSError(str(error))) from error
 
@@ -56,11 +62,12 @@ def output_refusal(path: str | Path, error: OSError) -> InputError:
     return refused
 
 
-def require_file(path: Path) -> None:
+def require_file(path: Path, max_bytes: int | None = None) -> None:
     """Refuse what is not a plain file with something in it (a pipe would block for ever).
 
     Raises:
-        InputError: the path leads nowhere, to a folder or a device, or to an empty file.
+        InputError: the path leads nowhere, to a folder or a device, or to an empty file, or to one
+            that is larger than its kind is.
     """
     with refused_as_input_error(path):
         size = path.stat().st_size
@@ -69,6 +76,9 @@ def require_file(path: Path) -> None:
         raise InputError(path, f"is {kind}", "a file is expected", "Name the file itself.")
     if size == 0:
         raise InputError(path, "is empty", "", "Record or export it again.")
+    if max_bytes is not None and size > max_bytes:
+        found, expected = f"has {size} bytes", f"a file of its kind has at most {max_bytes}"
+        raise InputError(path, found, expected, "Name the right file.")
 
 
 def require_folder(folder: Path, expected: str, remedy: str) -> None:
@@ -84,13 +94,13 @@ def require_folder(folder: Path, expected: str, remedy: str) -> None:
     raise InputError(folder, found, expected, remedy)
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path, max_bytes: int = MAX_TABLE_BYTES) -> bytes:
     """Read a whole file.
 
     Raises:
-        InputError: there is none, it is empty, or the system refuses it.
+        InputError: there is none, it is empty or too large, or the system refuses it.
     """
-    require_file(path)
+    require_file(path, max_bytes)
     with refused_as_input_error(path):
         return path.read_bytes()
 
@@ -119,7 +129,28 @@ def digest(path: Path) -> str:
 
 
 _PARTIAL = ".verify-partial-"  # first part of the name while a file or folder is built
+_HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def _partial_path(folder: Path) -> Path:
+    """Name what is built in a folder, and delete there what a killed process has left."""
+    with suppress(OSError):
+        for left in folder.glob(f"{_PARTIAL}{_HOST}-*"):
+            pid = left.name.removeprefix(f"{_PARTIAL}{_HOST}-").partition("-")[0]
+            if pid.isdecimal() and not _is_running(int(pid)):
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
+    return folder / f"{_PARTIAL}{_HOST}-{os.getpid()}-{secrets.token_hex(8)}"
+
+
+def _is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        return True
+    return True
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -131,7 +162,7 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         InputError: no space, no permission, no such folder; what was there is untouched.
     """
-    partial = path.with_name(f"{_PARTIAL}{secrets.token_hex(8)}")
+    partial = _partial_path(path.parent)
     try:
         handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
         try:
@@ -171,7 +202,7 @@ def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
     exists = _check_vacant(out, target, force)
     # on the disk of what it becomes, so that a rename suffices: `out` may be a mount of its own
     beside = target if exists else next(p for p in target.parents if p.exists())
-    partial = beside / f"{_PARTIAL}{secrets.token_hex(8)}"
+    partial = _partial_path(beside)
     try:
         partial.mkdir()
     except OSError as error:

@@ -35,6 +35,8 @@ MAX_CENTRE_OFFSET = 0.2  # of the image's size: a principal point farther off is
 # m or rad a radian in a unit of the file (mm or deg a degree), (12, 1)
 ABSORPTION_UNITS = np.tile([MM * 180 / np.pi] * 3 + [1.0] * 3, 2)[:, None]
 
+MAX_STANDARD_UNCERTAINTY = {"mm": 1e3, "deg": 180.0, "px": 1e4}  # of a parameter in that unit
+
 Triple = tuple[float, float, float]
 Matrix = tuple[Triple, Triple, Triple]
 
@@ -73,7 +75,12 @@ def check_covariance(path: Path, table: CovarianceTable) -> Covariance:
             found = f'repeats "{name}"'
             raise key_error(path, f"covariance.parameters[{index}]", found, "each stands once")
     for index, u in enumerate(table.standard_uncertainty):
-        not_negative(path, f"covariance.standard_uncertainty[{index}]", u)
+        key = f"covariance.standard_uncertainty[{index}]"
+        not_negative(path, key, u)
+        ending = names[index].rpartition("_")[2] if index < len(names) else ""
+        if ending in MAX_STANDARD_UNCERTAINTY and u > MAX_STANDARD_UNCERTAINTY[ending]:
+            most = f"at most {MAX_STANDARD_UNCERTAINTY[ending]:g} {ending} is plausible"
+            raise key_error(path, key, f"is {u:g}, of {names[index]}", most)
     count = len(names)
     if len(table.standard_uncertainty) != count:
         found = f"has {len(table.standard_uncertainty)} numbers"

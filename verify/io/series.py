@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
+import pandas as pd
 from numpy.typing import NDArray
-from pyarrow import csv as arrow_csv
 from scipy import ndimage
 
 from verify.core.records import Array
@@ -207,22 +206,24 @@ class CsvTable:
         return InputError(f"{self.path}, line {line}", found, expected, remedy)
 
     def _parsed_fast(self, places: dict[str, int]) -> dict[str, Array] | None:
-        """Parse a clean file by Arrow; None if any cell or row is irregular."""
-        numbered = [str(place) for place in range(len(self.header))]  # its own names may repeat
-        wanted = [str(place) for place in places.values()]
+        """Parse a clean file by pandas; None if any cell or row is irregular.
+
+        Not by Arrow: its threads may outlive a refusal, and then end the process.
+        """
         try:
-            table = arrow_csv.read_csv(
-                pa.py_buffer(self.data),
-                read_options=arrow_csv.ReadOptions(column_names=numbered, skip_rows=1),
-                convert_options=arrow_csv.ConvertOptions(
-                    include_columns=wanted,
-                    column_types=dict.fromkeys(wanted, pa.float64()),
-                    null_values=[""],
-                ),
+            table = pd.read_csv(
+                io.BytesIO(self.data),
+                header=None,
+                names=range(len(self.header)),  # its own names may repeat
+                skiprows=1,
+                dtype=dict.fromkeys(places.values(), np.float64),
+                keep_default_na=False,
             )
-        except pa.ArrowInvalid:
+        except (ValueError, pd.errors.ParserError):  # UnicodeDecodeError is a ValueError
             return None
-        parsed = {name: table[str(place)].to_numpy() for name, place in places.items()}
+        if not isinstance(table.index, pd.RangeIndex) or table.isna().any(axis=None):
+            return None  # a row of another length
+        parsed = {name: table[place].to_numpy() for name, place in places.items()}
         return parsed if all(np.isfinite(column).all() for column in parsed.values()) else None
 
     def _parsed_by_row(self, places: dict[str, int]) -> dict[str, Array]:

@@ -16,11 +16,34 @@ from verify.core.records import Array
 from verify.errors import InputError, one_line
 from verify.io.files import read_bytes
 
+MAX_BYTES = 4_000_000  # of a TOML file
+MAX_DEPTH = 20  # tables within tables
+MAX_UNKNOWN_KEYS = 10  # that are named
+# Names of keys that end so have values of at most so much: more is a slip of the unit. The first
+# ending that fits counts.
+PLAUSIBLE: tuple[tuple[str, float, str], ...] = (
+    ("line_time_s", 1e-3, "s"),
+    ("exposure_s", 10.0, "s"),
+    ("standard_uncertainty_s", 1e3, "s"),
+    ("standard_uncertainty_mm", 1e3, "mm"),
+    ("standard_uncertainty_deg", 180.0, "deg"),
+    ("_s", 1e12, "s"),
+    ("_ms", 1e7, "ms"),
+    ("_us", 1e7, "µs"),
+    ("_mm", 1e5, "mm"),
+    ("_deg", 3600.0, "deg"),
+    ("_px", 1e5, "px"),
+    ("_hz", 1e6, "Hz"),
+    ("temperature_c", 200.0, "°C"),
+    ("", 1e15, ""),
+)
+SLIPS = {"s": (("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)), "mm": (("µm", 1e-3), ("nm", 1e-6))}
 FORMAT = 1  # the edition of session.toml, rig.toml and marker.toml that this code reads
 MM = 1e-3  # m
 
 S = TypeVar("S", bound=msgspec.Struct)
 
+_DEEP_KEY = re.compile(rb"^[ \t\[]*(?:[\w-]+[ \t]*\.[ \t]*){%d}" % MAX_DEPTH, re.MULTILINE)
 _COMPLAINT = re.compile(r"^(?P<what>.*?)(, got .*?)?( - at `\$\.?(?P<key>.*)`)?$", re.DOTALL)
 _MISSING = re.compile(r"Object missing required field `(?P<field>.*)`")
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<field>.*)`")
@@ -37,7 +60,7 @@ _WORDS = {  # msgspec names JSON's types; the user wrote TOML
 
 def key_error(path: Path, key: str, found: str, expected: str, remedy: str = "") -> InputError:
     """Word what is wrong at one key of a TOML file."""
-    place = f"{path}, {key}" if key else str(path)
+    place = f"{path}, {shorten_key(key)}" if key else str(path)
     return InputError(place, found, expected, remedy or "Mend it there.")
 
 
@@ -57,13 +80,31 @@ def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
         remedy = f"Write `format = {FORMAT}`, or use the program that this file was made for."
         raise key_error(path, "format", found, f"format {FORMAT} is expected", remedy)
     for key, value in leaves(tree):
-        if isinstance(value, float) and not math.isfinite(value):
-            raise key_error(path, key, f"is {value}", "a finite number is expected")
+        if isinstance(value, float | int) and not isinstance(value, bool):
+            require_plausible(path, key, value)
     try:
         decoded = msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
         raise _reword(path, tree, kind, str(error)) from error
-    return decoded, tuple(_unknown_keys(path, tree, kind))
+    return decoded, _unknown_keys(path, tree, kind)
+
+
+def require_plausible(path: Path, key: str, value: float) -> None:
+    """Refuse a number that is not finite, or larger than anything in the unit of its key.
+
+    Raises:
+        InputError: names the key and the unit that would explain the number.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        raise key_error(path, key, f"is {value}", "a finite number is expected")
+    name = re.sub(r"(\[\d+\])+$", "", key).rpartition(".")[2]
+    _, most, unit = next(rule for rule in PLAUSIBLE if name.endswith(rule[0]))
+    if abs(value) <= most:
+        return
+    slip = next((s for s in SLIPS.get(unit, ()) if abs(value) * s[1] <= most), None)
+    remedy = f"In {slip[0]} it would be {value * slip[1]:g} {unit}." if slip else ""
+    expected = f"at most {most:g}{f' {unit}' if unit else ''} is plausible"
+    raise key_error(path, key, f"is {shorten(value)}", expected, remedy)
 
 
 def shorten(value: object) -> str:
@@ -74,8 +115,15 @@ def shorten(value: object) -> str:
         return f"a list of {len(value)}"
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, int) and abs(value) > 10**50:  # Python does not print very long ones
+        return "a number of more than 50 digits"
     text = f'"{value}"' if isinstance(value, str) else str(value)
     return text if len(text) <= 60 else f"{text[:60]}…"  # a longer one hides the rest of the line
+
+
+def shorten_key(key: str) -> str:
+    """Show a key path, shortened to what fits in a sentence."""
+    return key if len(key) <= 80 else f"{key[:80]}…"
 
 
 def one_of(path: Path, key: str, value: str, options: tuple[str, ...]) -> str:
@@ -141,7 +189,9 @@ def parse(path: Path) -> dict[str, Any]:
     Raises:
         InputError: no such file, not UTF-8, or not TOML; names the line.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, MAX_BYTES)
+    if _DEEP_KEY.search(data):
+        raise _depth_error(path)
     try:
         return tomllib.loads(data.decode("utf-8-sig"))  # editors on Windows put a mark in front
     except UnicodeDecodeError as error:
@@ -153,8 +203,14 @@ def parse(path: Path) -> dict[str, Any]:
         place = f"{path}, {where.rstrip(')')}" if where else str(path)
         raise InputError(place, f"is not TOML: {what}", "", "Mend that line.") from error
     except RecursionError as error:
-        remedy = "Write it again from the format's example."
-        raise InputError(path, "is nested too deeply", "", remedy) from error
+        raise _depth_error(path) from error
+    except ValueError as error:  # a whole number of thousands of digits
+        raise InputError(path, f"is not TOML: {error}", "", "Mend that number.") from error
+
+
+def _depth_error(path: Path) -> InputError:
+    remedy = "Write it again from the format's example."
+    return InputError(path, "is nested too deeply", "", remedy)
 
 
 def leaves(value: object, key: str = "") -> Iterator[tuple[str, object]]:
@@ -208,16 +264,31 @@ def _value_at(tree: Any, key: str) -> object:
     return value
 
 
-def _unknown_keys(
-    path: Path, tree: dict[str, Any], kind: type[msgspec.Struct], key: str = ""
-) -> Iterator[str]:
+def _unknown_keys(path: Path, tree: dict[str, Any], kind: type[msgspec.Struct]) -> tuple[str, ...]:
+    """Warn of the keys that the format does not know; of very many the first ones."""
+    unknown = list(_find_unknown(tree, kind))
+    named = [
+        one_line(
+            f"{path}, {shorten_key(key)}: the format does not know this key; it is left alone."
+            f"{did_you_mean(key.rpartition('.')[2], fields)}"
+        )
+        for key, fields in unknown[:MAX_UNKNOWN_KEYS]
+    ]
+    if len(unknown) > len(named):
+        more = len(unknown) - len(named)
+        named.append(f"{path}: {more} further keys that the format does not know are left alone.")
+    return tuple(named)
+
+
+def _find_unknown(
+    tree: dict[str, Any], kind: type[msgspec.Struct], key: str = ""
+) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield each unknown key with the names that its table knows."""
     fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
     for name, value in tree.items():
         inner = f"{key}.{name}" if key else name
         if name not in fields:
-            hint = did_you_mean(name, tuple(fields))
-            note = f"{path}, {inner}: the format does not know this key; it is left alone.{hint}"
-            yield one_line(note)
+            yield inner, tuple(fields)
             continue
         table = _struct_in(fields[name])
         if table is None:
@@ -225,7 +296,7 @@ def _unknown_keys(
         for index, item in enumerate(value if isinstance(value, list) else [value]):
             if isinstance(item, dict):
                 place = f"{inner}[{index}]" if isinstance(value, list) else inner
-                yield from _unknown_keys(path, item, table, place)
+                yield from _find_unknown(item, table, place)
 
 
 def _struct_in(kind: Any) -> type[msgspec.Struct] | None:

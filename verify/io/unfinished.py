@@ -158,7 +158,8 @@ def append_unfinished(
     """Append the pairs of pending.raw, where there is one, to those of the videos, all whole.
 
     Returns:
-        Frames and sides with the others, and how many those are: as many as follow without a gap.
+        Frames and sides with the others, and how many those are. Pairs that neither holds are left
+        out; the numbers of those after them are lower by as many.
 
     Raises:
         InputError: pending.raw is no such file, or cannot be read.
@@ -166,9 +167,7 @@ def append_unfinished(
     if not (folder / NAME).exists():
         return frames, sides, 0
     count = len(frames)
-    by_number = _read_slots(folder / NAME)
-    numbers = itertools.takewhile(by_number.__contains__, itertools.count(count))
-    pairs = [by_number[number] for number in numbers]
+    pairs = [pair for number, pair in sorted(_read_slots(folder / NAME).items()) if number >= count]
     if not pairs:
         return frames, sides, 0
     left, right = (

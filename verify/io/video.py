@@ -48,6 +48,14 @@ def ffv1_intact(packet: bytes) -> bool:
     return end == 0
 
 
+def _has_footers(packet: bytes, footer: int) -> bool:
+    """Whether slices with footers of this many bytes fill an FFV1 picture, whatever they hold."""
+    end = len(packet)
+    while end >= footer:
+        end -= int.from_bytes(packet[end - footer : end - footer + 3], "big") + footer
+    return end == 0
+
+
 def png_intact(data: bytes) -> bool:
     """Check that a PNG is whole and that each chunk's CRC fits.
 
@@ -117,20 +125,32 @@ class Video(Images):
 
     def count(self, torn: bool = False) -> int:
         """Count the images without decoding them; FFV1's checksums are checked as they pass."""
-        intact = [ffv1_intact(packet) for packet in self._packets()]
-        # a stream written without checksums fits by chance once in four thousand million packets
-        first_bad = intact.index(False) if any(intact) and not all(intact) else len(intact)
         if torn:
-            return min(first_bad, sum(1 for _ in self.images()))
-        if first_bad < len(intact):
-            found = f"image {first_bad} of {len(intact)} is damaged"
+            with suppress(InputError):  # cut within its head or its first image
+                return min(self._intact()[0], sum(1 for _ in self.images()))
+            return 0
+        first_bad, count = self._intact()
+        if first_bad < count:
+            found = f"image {first_bad} of {count} is damaged"
             raise InputError(self.path, found, "its checksum does not fit", _REMEDY)
-        return len(intact)
+        return count
+
+    def _intact(self) -> tuple[int, int]:
+        """Count the images before the first damaged one, and all."""
+        checked, intact = False, []
+        for packet in self._packets():
+            # checksums stand in the slices' footers; without them a footer is the size alone
+            checked = checked or _has_footers(packet, _SLICE_FOOTER)
+            intact.append(ffv1_intact(packet))
+        return intact.index(False) if checked and not all(intact) else len(intact), len(intact)
 
     def images(self) -> Generator[Image]:
         """Decode the images; grey where the stream is grey, else BGR."""
         with self._opened() as capture:
-            form = int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)).to_bytes(4, "little")
+            pixels = int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT))
+            if pixels < 0:  # cut off before the first image
+                raise InputError(self.path, "holds no image that can be decoded", "", _REMEDY)
+            form = pixels.to_bytes(4, "little")
             if form.startswith(_DEEP_GREY):
                 raise _depth_refusal(self.path, form[3])
             if form == _GREY:
@@ -255,7 +275,8 @@ def decode_picture(file: Path, kind: str, remedy: str) -> Image:
     data = read_bytes(file)
     image = None
     if file.suffix.lower() != ".png" or png_intact(data):  # libpng fills a hole without an error
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
+        with suppress(cv2.error):  # more pixels than OpenCV decodes
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
     if image is None:
         raise InputError(file, f"is damaged or no {kind}", "", remedy)
     if image.dtype != np.uint8:

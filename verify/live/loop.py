@@ -96,7 +96,7 @@ class LiveLoop:
         self._follower = PanFollower(subject.rig, subject.marker) if follows else None
         turning = devices.pan is not None
         self._bracketing = Bracketing(subject, self._book, self._keeper, turning=turning)
-        numbers = itertools.count(1)
+        self._numbers = numbers = itertools.count(1)
         self._joints = JointAlarms(subject.arm.dof, plan.limits, numbers)
         self._target = TargetWatch(plan.limits.lost_after, numbers)
         self._lost = DeviceWatch(SILENCE_TIMEOUT, numbers)
@@ -108,6 +108,7 @@ class LiveLoop:
         self._watching = threading.Lock()  # of the target's alarm: two threads use it
         self._measuring_ended = False
         self._troubles: dict[str, str] = {}
+        self.defects: tuple[str, ...] = ()  # why measuring or comparing failed, oldest first
         self._ran = False
 
     def run(self, stop: threading.Event, look: Callable[[LiveState], None] | None = None) -> None:
@@ -166,6 +167,15 @@ class LiveLoop:
     def _failed(self, name: str, error: Exception) -> None:
         self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
 
+    def _failed_step(self, name: str, error: Exception) -> None:
+        """Record that a step of the loop failed, and raise an alarm: its pairs are lost."""
+        if name not in self._troubles:
+            t, now = time.monotonic(), time.time()
+            self._failed(name, error)
+            text = f"The {name} has failed: {self._troubles[name]}"
+            self.defects += (text,)
+            self._raise(Alarm(next(self._numbers), "defect", now, t, text, device=name))
+
     def _over(self, begin: float, stop: threading.Event) -> bool:
         if stop.is_set() or self._measuring_ended:
             return True
@@ -206,7 +216,7 @@ class LiveLoop:
             for measurement in self._measuring(pairs, self._expected):
                 self._hand_over(measurement)
         except Exception as error:
-            self._failed("measurement", error)
+            self._failed_step("measurement", error)
         finally:
             with self._wake:
                 self._measuring_ended = True
@@ -288,7 +298,7 @@ class LiveLoop:
                     self.state.latency.add(time.monotonic() - since)
                     self._publish(row, alarms)
             except Exception as error:
-                self._failed("comparison", error)
+                self._failed_step("comparison", error)
 
     def _next_measured(self) -> tuple[MeasuredPair, int] | None:
         with self._wake:
@@ -328,8 +338,10 @@ class LiveLoop:
 
     def _look(self, *, final: bool = False) -> None:
         """Update the devices' states; after the end, when they are closed, only the counts."""
-        lines = self.state.snapshot().devices if final else self._check_devices()
-        self.state.set_status(lines, self._queue.dropped(), self._recorder.state().sentence)
+        known = self.state.snapshot().devices if final else self._check_devices()
+        lines = [line for line in known if line.name not in self._troubles]
+        lines += [DeviceStatus(name, False, text) for name, text in self._troubles.items()]
+        self.state.set_status(tuple(lines), self._queue.dropped(), self._recorder.state().sentence)
 
     def _check_devices(self) -> tuple[DeviceStatus, ...]:
         """Describe every device, and raise alarms for those that are silent."""
@@ -340,7 +352,6 @@ class LiveLoop:
             state = device.state()
             lines.append(device_status(name, state))
             alarms += self._lost.take(name, state.age, state.sentence, t, now)
-        lines += [DeviceStatus(name, False, text) for name, text in self._troubles.items()]
         if self._keeper.trouble:
             lines.append(DeviceStatus("clock", False, self._keeper.trouble))
         with self._watching:

@@ -29,7 +29,7 @@ class Alarm:
     """One alarm."""
 
     number: int  # counts from 1
-    kind: str  # change, tolerance, target, device
+    kind: str  # change, tolerance, target, device, defect
     began: float  # s since the epoch
     t: float  # s, cameras' clock, of the pair that raised it
     text: str  # one sentence

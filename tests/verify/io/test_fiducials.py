@@ -21,7 +21,7 @@ from verify.io import fiducials
 def markers(draw: st.DrawFn) -> Marker:
     names = draw(st.lists(texts.filter(len), min_size=1, max_size=5, unique=True))
     count = len(names)
-    away = np.arange(count)[:, None] * np.array([3000.0, 0, 0])  # never inside one another
+    away = np.arange(count)[:, None] * np.array([22.0, 0, 0])  # never inside one another
     scatter = st.lists(st.tuples(finite, finite, finite), min_size=count, max_size=count)
     colour = st.none() | st.sampled_from(COLOURS)
     return Marker(

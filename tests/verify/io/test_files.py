@@ -5,6 +5,8 @@ A disk that fills up midway leaves nothing half-written behind.
 
 import errno
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +18,7 @@ import pytest
 from tests.support.command import verify
 from tests.support.small_disk import mounted
 from verify.errors import InputError
+from verify.io import files
 from verify.io.files import write_folder_whole, write_whole, written_together
 
 
@@ -313,3 +316,13 @@ def test_a_failure_takes_new_files_away_and_brings_old_ones_back(
         written_and_failed(failure, rig, marker)
     assert [p.name for p in tmp_path.iterdir()] == ["marker.toml"]
     assert marker.read_bytes() == b"old"
+
+
+def test_what_a_killed_process_was_building_goes_with_the_next_write(tmp_path: Path) -> None:
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"],
+                           capture_output=True, text=True, check=True)  # fmt: skip
+    for pid in (ended.stdout.strip(), str(os.getppid())):
+        (tmp_path / f"{files._PARTIAL}{files._HOST}-{pid}-ab").mkdir()
+    write_whole(tmp_path / "table.csv", b"a")
+    left = {entry.name for entry in tmp_path.iterdir()}
+    assert left == {"table.csv", f"{files._PARTIAL}{files._HOST}-{os.getppid()}-ab"}

@@ -42,7 +42,7 @@ def cameras(draw: st.DrawFn) -> Camera:
         mount=draw(motions()),
         pan=draw(finite),
         pan_standard_uncertainty=draw(st.none() | positive),
-        line_time=draw(positive),
+        line_time=draw(st.floats(0, 1e-3)),
         exposure=draw(st.none() | positive),
     )
 

@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.support.devices.recording_process import FACTS, assert_recorded, pair, reading
 from verify.devices.protocols import CapturedPair
@@ -62,6 +63,19 @@ def test_a_ring_that_was_copied_in_part_gives_what_it_has(tmp_path: Path) -> Non
     size = (ring.stat().st_size - 4096) // MAX_UNENCODED_PAIRS
     os.truncate(ring, 4096 + 4 * size - 1)
     assert_recorded(open_session(tmp_path / "session"), pairs[:3])
+
+
+@pytest.mark.parametrize("kept", [0, 40, 300, 700])
+def test_a_video_cut_within_its_first_image_leaves_the_pairs_set_aside(
+    tmp_path: Path, kept: int
+) -> None:
+    pairs = cut_off(tmp_path / "session", 1, 3)
+    os.truncate(tmp_path / "session" / "left.mkv", kept)
+    session = open_session(tmp_path / "session")
+    assert f"3 pairs in {NAME}" in session.warnings[-1]
+    for before, after in zip(pairs[1:], session.pairs(), strict=True):
+        assert after.t_left == before.t_left
+        assert_array_equal(after.left, before.left)
 
 
 def test_another_file_of_that_name_is_refused(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -127,6 +128,30 @@ def test_a_flipped_bit_in_a_video_is_never_measured(video: Path, part: int) -> N
         open_images(video).count()
     # noise fills each image alike, so the damage sits where the byte sits; what precedes it is good
     assert open_images(video).count(torn=True) in (part - 1, part)
+
+
+def test_a_video_whose_every_image_is_damaged_is_refused(video: Path) -> None:
+    data = video.read_bytes()
+    for packet in packets(video):
+        at = data.index(packet)
+        damaged = bytearray(packet)
+        damaged[len(packet) // 2] ^= 0x10
+        data = data[:at] + bytes(damaged) + data[at + len(packet) :]
+    video.write_bytes(data)
+    with pytest.raises(InputError, match="image 0 of 10 is damaged"):
+        open_images(video).count()
+
+
+def test_a_video_without_checksums_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "left.mkv"
+    with av.open(path, "w") as container:
+        stream = container.add_stream("ffv1", rate=30, options={"level": "3", "slicecrc": "0"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray"
+        for image in images(3, colour=False):
+            grey = np.ascontiguousarray(image[:48, :64])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, "gray")))
+        container.mux(stream.encode(None))
+    assert open_images(path).count() == 3
 
 
 def test_a_video_cut_anywhere_holds_the_images_before_the_cut(video: Path) -> None:

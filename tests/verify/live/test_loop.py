@@ -169,6 +169,26 @@ def watched(seconds: float, stage: Stage) -> tuple[LiveLoop, Memory, Heard]:
     return live, recorder, heard
 
 
+def test_a_step_that_fails_raises_an_alarm_and_is_named_at_the_end() -> None:
+    def fail(pairs: Iterator[StereoPair], _expected: object) -> Iterator[object]:
+        next(pairs)
+        raise ZeroDivisionError("division by zero")
+        yield
+
+    here = stage()
+    devices = LiveDevices(PlayedCamera(here, 0), PlayedCamera(here, 1), PlayedEncoders(here))
+    subject, heard = MonitoredRobot(here.run.arm, here.run.rig, here.run.marker, None), Heard()
+    plan = LoopSettings(AlarmLimits(0.1, RATE, None), duration=60.0)
+    computation = LoopComputation(estimate_offset, fail)
+    live = LiveLoop(subject, devices, Memory(), plan, computation, [heard])
+    with without_pictures():
+        live.run(threading.Event())
+    assert [alarm.kind for alarm in heard.alarms] == ["defect"]
+    assert "division by zero" in live.defects[0]
+    lines = {line.name: line for line in live.state.snapshot().devices}
+    assert not lines["measurement"].well
+
+
 def stage(**wrong: object) -> Stage:
     rig, marker = facing_rig()
     return Stage(SpotRun(rig, marker), **wrong)  # type: ignore[arg-type]  # fields of Stage

@@ -10,7 +10,7 @@ from verify.errors import InputError
 from verify.io.files import digest, refused_as_input_error, require_folder
 from verify.io.session import keys
 from verify.io.session.keys import RunTable
-from verify.io.toml import key_error
+from verify.io.toml import key_error, shorten
 
 
 def find_session_file(folder: Path) -> Path:
@@ -38,11 +38,14 @@ def resolve_inside(path: Path, key: str, text: str) -> Path:
     if not text or "\0" in text:
         raise key_error(path, key, "names nothing", expected)
     named = path.parent / text
-    if not named.resolve().is_relative_to(path.parent.resolve()):
+    with refused_as_input_error(f"{path}, {key}"):
+        inside = named.resolve().is_relative_to(path.parent.resolve())
+        exists = named.exists()
+    if not inside:
         remedy = "Copy the file into the folder and name it there."
-        raise key_error(path, key, f'is "{text}", outside the folder', expected, remedy)
-    if not named.exists():
-        found = f'names "{text}", which does not exist'
+        raise key_error(path, key, f"is {shorten(text)}, outside the folder", expected, remedy)
+    if not exists:
+        found = f"names {shorten(text)}, which does not exist"
         raise key_error(path, key, found, expected, "Put it there.")
     return named
 

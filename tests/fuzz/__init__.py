@@ -1,0 +1,1 @@
+"""Broken input by the thousand: `make fuzz N=2000`."""
