@@ -13,17 +13,19 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import csv as arrow_csv
-from scipy import ndimage
 
+from verify.core.readings import MAX_GAP
 from verify.core.records import Array
 from verify.errors import InputError, one_line
 from verify.io.files import read_bytes
 from verify.io.toml import did_you_mean
 
 _JOINT = re.compile(r"q[1-9]\d*_deg")
-SPIKE_WINDOW = 5  # readings: up to two in a row stand out from the median of so many
+MAX_SPIKE = 2  # readings in a row
 MAX_SPEED = 20.0  # rad/s; wrists of small arms turn at up to 13
 MIN_SPIKE = np.deg2rad(2.0)
+MIN_SPIKE_RATIO = 8.0  # of the typical step: random postures jump by up to four times theirs
+MAX_BEYOND = np.deg2rad(45.0)  # an encoder may be off, and its arm at the end of its travel
 MAX_NAMED = 5  # spikes
 _REMEDY = "Delete the row or export again."
 
@@ -92,7 +94,10 @@ def read_frames(
 
 
 def read_encoders(
-    path: str | Path, joints: int, torn: bool = False
+    path: str | Path,
+    joints: int,
+    torn: bool = False,
+    limits: tuple[Array, Array] | None = None,
 ) -> tuple[EncoderSeries, tuple[str, ...]]:
     """Read encoders.csv: one row a reading of all joints.
 
@@ -100,6 +105,7 @@ def read_encoders(
         path: the file.
         joints: how many the robot has.
         torn: the recording was cut off, so the last line may be half a line; it is left out.
+        limits: rad, lowest and highest angle of each joint, where the robot is known.
 
     Returns:
         The readings, and a warning where a half line or a spike was left out.
@@ -118,21 +124,48 @@ def read_encoders(
     columns = table.columns(("t_s", *wanted, *arrivals))
     table.require_rising("t_s", columns["t_s"])
     q = np.deg2rad(np.stack([columns[name] for name in wanted], axis=-1))
-    spike = _spikes(columns["t_s"], q)
+    spike = _spikes(columns["t_s"], q) | _stray(columns["t_s"], q, limits)
     kept = ~spike.any(axis=1)
     t_host = columns.get("t_host_s")
     series = EncoderSeries(columns["t_s"][kept], q[kept], None if t_host is None else t_host[kept])
     return series, (*warnings, *_spike_warning(Path(path), spike))
 
 
+def _is_too_fast(t: Array, q: Array, lag: int) -> NDArray[np.bool_]:
+    """Whether q (m, j), rad, changes faster over `lag` readings than an arm turns, (m - lag, j)."""
+    fastest = np.maximum(MAX_SPEED * (t[lag:] - t[:-lag])[:, None], MIN_SPIKE)
+    typical = np.median(np.abs(np.diff(q, axis=0)), axis=0)
+    too_fast: NDArray[np.bool_] = np.abs(q[lag:] - q[:-lag]) > np.maximum(
+        fastest, MIN_SPIKE_RATIO * typical
+    )
+    return too_fast
+
+
 def _spikes(t: Array, q: Array) -> NDArray[np.bool_]:
-    """Readings (m, j) that no arm reaches: too fast there and too fast back."""
-    if len(t) < SPIKE_WINDOW:
-        return np.zeros(q.shape, dtype=bool)
-    median = ndimage.median_filter(q, size=(SPIKE_WINDOW, 1), mode="nearest")
-    interval = np.minimum(np.diff(t, prepend=-np.inf), np.diff(t, append=np.inf))[:, None]
-    spikes: NDArray[np.bool_] = np.abs(q - median) > np.maximum(MAX_SPEED * interval, MIN_SPIKE)
+    """Readings (m, j) that jump away and come back, while those beside them agree."""
+    spikes = np.zeros(q.shape, dtype=bool)
+    for length in range(1, min(MAX_SPIKE, len(t) - 2) + 1):
+        step = _is_too_fast(t, q, 1)
+        apart = _is_too_fast(t, q, length + 1)
+        away = step[:-length] & step[length:] & ~apart  # between readings i and i + length + 1
+        for place in range(1, length + 1):
+            spikes[place : place + len(away)] |= away
     return spikes
+
+
+def _stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> NDArray[np.bool_]:
+    """Readings (m, j) far outside the limits that no motion leads to; none where most are."""
+    if limits is None:
+        return np.zeros(q.shape, dtype=bool)
+    outside = (q < limits[0] - MAX_BEYOND) | (q > limits[1] + MAX_BEYOND)
+    if len(t) > 1:  # a stretch that motion leads to is an encoder's error
+        alone = _is_too_fast(t, q, 1) | (np.diff(t) > MAX_GAP)[:, None]
+        for joint in np.flatnonzero(outside.any(axis=0)):
+            parts = np.concatenate([[0], np.cumsum(alone[:, joint])])
+            inside = np.bincount(parts, ~outside[:, joint]) > 0
+            outside[:, joint] &= ~inside[parts]
+    stray: NDArray[np.bool_] = outside & (outside.mean(axis=0) <= 0.5)
+    return stray
 
 
 def _spike_warning(path: Path, spike: NDArray[np.bool_]) -> Iterator[str]:
@@ -142,8 +175,8 @@ def _spike_warning(path: Path, spike: NDArray[np.bool_]) -> Iterator[str]:
         places = [f"line {i + 2} (q{j + 1}_deg)" for i, j in zip(rows, joints, strict=True)]
         more = ", …" if len(places) > MAX_NAMED else ""
         yield (
-            f"{path.name}: {np.unique(rows).size} of {len(spike)} readings were left out, no arm "
-            f"turns so fast: {', '.join(places[:MAX_NAMED])}{more}."
+            f"{path.name}: {np.unique(rows).size} of {len(spike)} readings were left out, this "
+            f"arm cannot be there: {', '.join(places[:MAX_NAMED])}{more}."
         )
 
 

@@ -188,7 +188,7 @@ def test_a_reading_that_no_arm_reaches_is_named_and_left_out(tmp_path: Path) -> 
     assert len(encoders) == 38
     assert warnings == (
         (
-            "encoders.csv: 2 of 40 readings were left out, no arm turns so fast: line 19 (q1_deg), "
+            "encoders.csv: 2 of 40 readings were left out, this arm cannot be there: line 19 (q1_deg), "
             "line 32 (q1_deg)."
         ),
     )
@@ -199,3 +199,16 @@ def test_a_belt_that_slips_and_an_angle_that_wraps_are_no_spikes(tmp_path: Path)
     path = tmp_path / "encoders.csv"
     path.write_text("\n".join(["t_s,q1_deg,q2_deg", *rows, ""]))
     assert read_encoders(path, 2)[1] == ()
+
+
+def test_visits_have_no_spikes_and_a_reading_far_outside_the_limits_is_one(tmp_path: Path) -> None:
+    """Random postures 0.1 s apart jump away and come back as a matter of course."""
+    q = np.random.default_rng(1).uniform(-60, 60, (500, 2))
+    q[7, 1] = 655.35
+    path = tmp_path / "encoders.csv"
+    table = pd.DataFrame({"t_s": 0.1 * np.arange(500), "q1_deg": q[:, 0], "q2_deg": q[:, 1]})
+    table.to_csv(path, index=False)
+    limits = np.deg2rad([-60.0, -60.0]), np.deg2rad([60.0, 60.0])
+    encoders, warnings = read_encoders(path, 2, limits=limits)
+    assert len(encoders) == 499
+    assert "line 9 (q2_deg)" in warnings[0]

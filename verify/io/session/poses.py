@@ -81,7 +81,8 @@ def read_pose_streams(path: Path) -> dict[str, Any]:
     rig, rig_warnings = _read_base(path, table, named)
     check_absorption(path, rig, arm.dof)
     poses, poses_warnings = io_poses.read(named[table.poses.file], torn)
-    encoders, encoders_warnings = read_encoders(named[table.encoders], arm.dof, torn)
+    limits = (arm.lower, arm.upper)
+    encoders, encoders_warnings = read_encoders(named[table.encoders], arm.dof, torn, limits)
     instrument = _instrument(path, table.poses, poses)
     still = np.zeros(len(poses))  # no camera turns
     none = MissingImages(named[table.poses.file])

@@ -185,7 +185,8 @@ def _read_streams(
     torn = table.recording == "open"
     pan = (rig.left.pan, rig.right.pan)
     frames, frames_warnings = read_frames(named["frames"], pan, torn)
-    encoders, encoders_warnings = read_encoders(named["encoders"], arm.dof, torn)
+    limits = (arm.lower, arm.upper)
+    encoders, encoders_warnings = read_encoders(named["encoders"], arm.dof, torn, limits)
     left, right = open_images(named["left"]), open_images(named["right"])
     frames, sides, length_warnings = _common_length(named["frames"], frames, (left, right), torn)
     files = {getattr(table, key): file for key, file in named.items()}
