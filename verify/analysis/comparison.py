@@ -65,7 +65,7 @@ class ReadingUncertainty:
 
     resolution: float | None = None  # rad, the last digit
     time: float | Array | None = None  # s, standard, of time stamps; or of those about a pair (n,)
-    missed: Array | None = None  # (n, j), rad, standard, of the curve between readings
+    interpolation: Array | None = None  # (n, j), rad, standard, of the curve between readings
 
 
 def compare(
@@ -134,8 +134,8 @@ def _reading_covariance(
 ) -> Array:
     """Covariance of xi by the readings of some pairs of a track, (n, 6, 6)."""
     variance = np.repeat(readings.noise[None] ** 2, len(index), axis=0)
-    if stated.missed is not None:
-        variance = variance + stated.missed[index] ** 2
+    if stated.interpolation is not None:
+        variance = variance + stated.interpolation[index] ** 2
     if stated.resolution is not None:
         variance = variance + stated.resolution**2 / 12
     spread: Array = np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian)

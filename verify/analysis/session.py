@@ -31,7 +31,7 @@ from verify.analysis.measured import (
     session_clock,
     setup_of,
 )
-from verify.analysis.mistakes import refuse_other_motion
+from verify.analysis.mistakes import refuse_exchanged_cameras, refuse_other_motion
 from verify.analysis.model import (
     JointErrorModel,
     SessionComparison,
@@ -135,6 +135,7 @@ def measure_session(
     if instrument is None:
         measured = measure_pictures(session, progress, chain)
         if not len(measured.track):
+            refuse_exchanged_cameras(session)
             raise measurement_refusal(session, measured)
         clock = session_clock(session, measured.track, readings)
     else:
