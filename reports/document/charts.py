@@ -59,8 +59,13 @@ def origin(t: Array) -> float:
 
 
 def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
-    """Give the times of the pairs from a zero that keeps them readable, and the axis' label."""
+    """Give the times of the pairs from a zero that keeps them readable, and the axis' label.
+
+    Where nobody noted times, the pairs are counted.
+    """
     t = column(frames, "t_s")
+    if not np.isfinite(t).any():
+        return np.arange(len(t), dtype=np.float64), "pose, in order"
     zero = origin(t)
     return t - zero, "time [s]" if zero == 0 else f"time since {zero:.3f} s [s]"
 

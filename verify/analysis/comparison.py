@@ -47,6 +47,13 @@ class Comparison:
     alignment_error: Array  # (n, 6), what alignment left, as far as the neighbours show it
     determined: tuple[Array, ...]  # n of (6, d)
     rate_variance: Array  # (j,), (rad/s)², what the readings' noise does to `rate`
+    timed: bool = True  # False: t only tells the order
+
+    @property
+    def elapsed(self) -> Array:
+        """Time since the first pair, (n,), s; zeros where no time was noted."""
+        elapsed: Array = (self.t - self.t[0]) * self.timed
+        return elapsed
 
     def __len__(self) -> int:
         """Count the compared pairs."""

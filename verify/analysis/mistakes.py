@@ -48,10 +48,10 @@ MAX_LEFT_SHARE = 0.25  # of what a fault leaves: a mistake has to explain the mo
 LEVER = 0.3  # m: a distance over it counts as an angle
 MAX_CARRIED = 4  # mistakes, to the joints
 MAX_EXCHANGED_PAIRS = 40  # that are measured with the cameras exchanged
-CAMERAS_EXCHANGED = {
-    "name": "left and right exchanged",
-    "remedy": "Exchange the pictures of left and right in session.toml.",
-}
+CAMERAS_EXCHANGED = (
+    "left and right exchanged",
+    "Exchange the pictures of left and right in session.toml.",
+)
 MAX_FROZEN = np.deg2rad(0.01)  # by which readings of a standing log differ
 ZERO_ERRORS_DEG = (90, -90, 180)
 
@@ -281,7 +281,8 @@ def _pose_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:
     if session.instrument is None:
         exchanged = exchanged_track(session)
         if len(exchanged) >= 3:
-            yield replace(written, **CAMERAS_EXCHANGED, file=session.left.path, track=exchanged)
+            file, (name, remedy) = session.left.path, CAMERAS_EXCHANGED
+            yield replace(written, file=file, name=name, remedy=remedy, track=exchanged)
         return
     base = session.rig.rig_T_base
     body = session.instrument.flange_T_body
@@ -316,9 +317,9 @@ def refuse_exchanged_cameras(session: Session) -> None:
     """
     count, tried = len(exchanged_track(session)), min(len(session), MAX_EXCHANGED_PAIRS)
     if count >= max(MIN_REACHED * tried, 3):
-        found = f"no pair could be measured; {CAMERAS_EXCHANGED['name']} fits: {count} of {tried}"
+        found = f"no pair could be measured; {CAMERAS_EXCHANGED[0]} fits: {count} of {tried}"
         expected = "the left camera's pictures, of the rig's left camera"
-        raise InputError(session.left.path, found, expected, CAMERAS_EXCHANGED["remedy"])
+        raise InputError(session.left.path, found, expected, CAMERAS_EXCHANGED[1])
 
 
 def _registration_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:

@@ -166,6 +166,7 @@ def compare_session(
     unreachable: set[int] = set()
     for _ in range(2):  # a second time without the pairs that the arm cannot reach
         comparison = compare(track, session.arm, readings, clock.offset, stated=stated, known=known)
+        comparison = replace(comparison, timed=session.frames.timed)
         comparison = add_pan_noise(comparison, track, systematics)
         joints = solve_joints(comparison, session.arm)
         if joints.reached.all():

@@ -6,7 +6,7 @@ import io
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,8 @@ from verify.errors import InputError, one_line
 from verify.io.files import read_bytes
 from verify.io.toml import did_you_mean
 
+_PAIR_TIMES = ("t_left_s", "t_right_s")
+VISIT_PERIOD = 60.0  # s, of visits without times
 _JOINT = re.compile(r"q[1-9]\d*_deg")
 MAX_SPIKE = 2  # readings in a row
 MAX_SPEED = 20.0  # rad/s; wrists of small arms turn at up to 13
@@ -38,6 +40,8 @@ class FrameSeries:
     t_right: Array  # (n,), s
     pan_left: Array  # (n,), rad, as read; the rig's own where the file gives none
     pan_right: Array  # (n,), rad
+    # False: single visits in order, whose times nobody noted
+    timed: bool = field(default=True, kw_only=True)
 
     def __len__(self) -> int:
         """Count the pairs."""
@@ -46,7 +50,7 @@ class FrameSeries:
     def first(self, count: int) -> "FrameSeries":
         """Keep the first pairs alone."""
         series = (self.t_left, self.t_right, self.pan_left, self.pan_right)
-        return FrameSeries(*(values[:count] for values in series))
+        return FrameSeries(*(values[:count] for values in series), timed=self.timed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,18 +83,25 @@ def read_frames(
         InputError: names the file, the line and the column.
     """
     table, warnings = open_table(Path(path), torn)
-    required = ("frame", "t_left_s", "t_right_s")
+    timed = any(name in table.header for name in _PAIR_TIMES)
+    required = ("frame", *_PAIR_TIMES) if timed else ("frame",)
     optional = tuple(name for name in ("pan_left_deg", "pan_right_deg") if name in table.header)
     columns = table.columns(required + optional)
     count = len(columns["frame"])
     table.require_counting(columns["frame"], "images")
-    for name in ("t_left_s", "t_right_s"):
+    columns |= {} if timed else dict.fromkeys(_PAIR_TIMES, visit_times(count))
+    for name in _PAIR_TIMES:
         table.require_rising(name, columns[name])
     turned = [
         np.deg2rad(columns[name]) if name in columns else np.full(count, rest)
         for name, rest in zip(("pan_left_deg", "pan_right_deg"), pan, strict=True)
     ]
-    return FrameSeries(columns["t_left_s"], columns["t_right_s"], *turned), warnings
+    return FrameSeries(*(columns[name] for name in _PAIR_TIMES), *turned, timed=timed), warnings
+
+
+def visit_times(count: int) -> Array:
+    """Stand-ins for times that nobody noted, (count,), s: none is near another."""
+    return VISIT_PERIOD * np.arange(float(count))
 
 
 def read_encoders(
@@ -98,6 +109,7 @@ def read_encoders(
     joints: int,
     torn: bool = False,
     limits: tuple[Array, Array] | None = None,
+    pairs: FrameSeries | None = None,
 ) -> tuple[EncoderSeries, tuple[str, ...]]:
     """Read encoders.csv: one row a reading of all joints.
 
@@ -106,6 +118,8 @@ def read_encoders(
         joints: how many the robot has.
         torn: the recording was cut off, so the last line may be half a line; it is left out.
         limits: rad, lowest and highest angle of each joint, where the robot is known.
+        pairs: what was measured: readings at these very times are single visits; without times,
+            row i belongs to pair i.
 
     Returns:
         The readings, and a warning where a half line or a spike was left out.
@@ -121,13 +135,22 @@ def read_encoders(
         remedy = "Export every joint, or name the right robot in session.toml."
         raise InputError(f"{path}, line 1", found, f"the robot has {joints} joints", remedy)
     arrivals = ("t_host_s",) if "t_host_s" in table.header else ()
-    columns = table.columns(("t_s", *wanted, *arrivals))
-    table.require_rising("t_s", columns["t_s"])
+    untimed = pairs is not None and not pairs.timed
+    columns = table.columns((*wanted, *arrivals) if untimed else ("t_s", *wanted, *arrivals))
     q = np.deg2rad(np.stack([columns[name] for name in wanted], axis=-1))
-    spike = _spikes(columns["t_s"], q) | _stray(columns["t_s"], q, limits)
+    t = columns.get("t_s", visit_times(len(q)))
+    table.require_rising("t_s", t)
+    if untimed and (len(q) != len(pairs or ()) or {"t_s", "t_host_s"} & set(table.header)):
+        times = "has times" if "t_s" in table.header else f"has {len(q)} rows"
+        expected = f"the {len(pairs or ())} poses or pairs have no times, and a reading each"
+        remedy = "Export both with their times, or both without and row by row."
+        raise InputError(path, times, expected, remedy)
+    spike = _stray(t, q, limits)
+    if pairs is None or not np.array_equal(t, pairs.t_left):
+        spike |= _spikes(t, q)
     kept = ~spike.any(axis=1)
     t_host = columns.get("t_host_s")
-    series = EncoderSeries(columns["t_s"][kept], q[kept], None if t_host is None else t_host[kept])
+    series = EncoderSeries(t[kept], q[kept], None if t_host is None else t_host[kept])
     return series, (*warnings, *_spike_warning(Path(path), spike))
 
 

@@ -1,3 +1,4 @@
+import re
 from itertools import islice
 from pathlib import Path
 from time import process_time
@@ -212,3 +213,32 @@ def test_visits_have_no_spikes_and_a_reading_far_outside_the_limits_is_one(tmp_p
     encoders, warnings = read_encoders(path, 2, limits=limits)
     assert len(encoders) == 499
     assert "line 9 (q2_deg)" in warnings[0]
+
+
+def test_readings_without_times_belong_to_the_pairs_row_by_row(tmp_path: Path) -> None:
+    frames_file, path = tmp_path / "frames.csv", tmp_path / "encoders.csv"
+    frames_file.write_text("frame\n0\n1\n2\n")
+    pairs, _ = read_frames(frames_file)
+    path.write_text(re.sub(r"(?m)^[^,]*,", "", ENCODERS))
+    encoders, _ = read_encoders(path, 2, pairs=pairs)
+    assert not pairs.timed
+    assert_array_equal(encoders.t, pairs.t_left)
+    path.write_text("q1_deg,q2_deg\n1,2\n")
+    with pytest.raises(InputError, match="has 1 rows; the 3 poses or pairs have no times"):
+        read_encoders(path, 2, pairs=pairs)
+    path.write_text(ENCODERS)
+    with pytest.raises(InputError, match="has times; the 3 poses or pairs have no times"):
+        read_encoders(path, 2, pairs=pairs)
+
+
+def test_readings_at_the_times_of_the_poses_are_visits(tmp_path: Path) -> None:
+    """A grid's rows: the first joint leaps away and back, as no motion would."""
+    frames_file, path = tmp_path / "frames.csv", tmp_path / "encoders.csv"
+    t = 0.1 * np.arange(40)
+    q = np.where(np.arange(40) % 20 == 7, 170.0, 0.0)
+    pd.DataFrame({"frame": range(40), "t_left_s": t, "t_right_s": t}).to_csv(
+        frames_file, index=False
+    )
+    pd.DataFrame({"t_s": t, "q1_deg": q}).to_csv(path, index=False)
+    assert len(read_encoders(path, 1)[0]) == 38
+    assert len(read_encoders(path, 1, pairs=read_frames(frames_file)[0])[0]) == 40
