@@ -4,15 +4,18 @@ With the DH table held, what a motion leaves open is a motion of the base that a
 the LED body makes up for: a turn about, or a shift along, the only axis that turned.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 import robots
+from verify.analysis.mistakes import MAX_LEFT_SHARE, joint_mistakes
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.adjustment import AdjustedRegistration
 from verify.calibration.registration.start import RegistrationStart
 from verify.calibration.stereo.records import rms
+from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
 
@@ -121,32 +124,42 @@ def _axis(arm: robots.Arm, q: Array, direction: Array) -> str:
     return f"({x:.2f}, {y:.2f}, {z:.2f}) in the robot's base"
 
 
-def refuse_other_robot(start: RegistrationStart, folder: Path, robot: str) -> None:
+def refuse_other_robot(
+    start: RegistrationStart,
+    folder: Path,
+    robot: str,
+    readings: Readings,
+    restart: Callable[[Readings], RegistrationStart],
+) -> None:
     """Refuse readings by which the flange turns otherwise than its LEDs, or mirrored.
 
     Args:
         start: base and LEDs in closed form, neither of them held.
         folder: the recording's.
         robot: as session.toml names it.
+        readings: of the joints.
+        restart: gives the closed form with other readings.
 
     Raises:
         InputError: the turns of readings and pictures differ by more than joint errors explain,
             or agree only with those of a mirror image.
     """
-    turns = np.linalg.norm(start.solved.residual[start.good, 3:], axis=1)
-    off = float(np.median(turns))
+    off = _turn_difference(start)
     check = (
         f'that "{robot}" is the robot that moved, and the order, signs and unit (degrees) of the '
         "columns in encoders.csv"
     )
+    found = f"by its readings the flange turns otherwise than its LEDs, {np.rad2deg(off):.0f}° off"
+    expected = f"{np.rad2deg(MAX_TURN_DIFFERENCE):.0f}° are the worst that joint errors explain"
     if off > MAX_TURN_DIFFERENCE:
-        raise InputError(
-            folder,
-            f"by its readings the flange turns otherwise than its LEDs, {np.rad2deg(off):.0f}° off "
-            "(median)",
-            f"{np.rad2deg(MAX_TURN_DIFFERENCE):.0f}° are the worst that joint errors explain",
-            f"Check {check}.",
-        )
+        tried = [
+            (_turn_difference(restart(q)), name, do) for name, do, q in joint_mistakes(readings)
+        ]
+        least, name, remedy = min(tried)
+        if least < MAX_LEFT_SHARE * off:
+            found += f" (median); {name} fits: {np.rad2deg(least):.2g}° instead"
+            raise InputError(folder / "encoders.csv", found, expected, remedy)
+        raise InputError(folder, f"{found} (median)", expected, f"Check {check}.")
     if start.solved.mirrored:
         raise InputError(
             folder,
@@ -154,6 +167,11 @@ def refuse_other_robot(start: RegistrationStart, folder: Path, robot: str) -> No
             "the LEDs themselves must be seen, and the readings be this robot's",
             f"Check {check}; or cover the shiny surface that shows the LEDs.",
         )
+
+
+def _turn_difference(start: RegistrationStart) -> float:
+    """Median angle by which flange and LEDs turn otherwise, rad."""
+    return float(np.median(np.linalg.norm(start.solved.residual[start.good, 3:], axis=1)))
 
 
 def refuse_misfit(adjusted: AdjustedRegistration, place: str) -> None:

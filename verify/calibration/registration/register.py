@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import robots
 from verify.analysis.clock.estimate import MAX_UNCERTAINTY, MIN_SIGNAL_TO_NOISE
+from verify.analysis.measured import refuse_time_unit
 from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
 from verify.calibration.registration.body_poses import BodyPose, body_poses
 from verify.calibration.registration.led_tracks import (
@@ -166,6 +167,7 @@ def _start_values(
     }
     measured = np.array([one.pose.rig_T_flange for one in poses])
     try:
+        refuse_time_unit(recording.folder, t, readings.t)
         start = start_registration(t, measured, recording.arm, readings, given, **known)
     except ValueError as error:
         raise InputError(
@@ -175,7 +177,10 @@ def _start_values(
             "Check that clock and recording belong together.",
         ) from error
     if not held.base and held.leds is None:
-        refuse_other_robot(start, recording.folder, recording.robot)
+        refuse_other_robot(
+            start, recording.folder, recording.robot, readings,
+            lambda other: start_registration(t, measured, recording.arm, other, given),
+        )  # fmt: skip
         q = readings.at(t[start.good] - start.clock)
         refuse_undetermined(recording.arm, q, _noise(poses, q, setup), place)
     flange_T_body = np.linalg.inv(start.solved.x)
