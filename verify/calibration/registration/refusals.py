@@ -26,6 +26,7 @@ MIN_PARALLEL_COSINE = 0.999  # cosine between directions that are called one
 # of an undetermined direction, in units of the limits: it is a turn, not a shift
 MIN_TURN_SHARE = 0.2
 MAX_TURN_DIFFERENCE = np.deg2rad(5.0)  # median; a degree of joint error makes one
+Restart = Callable[[Readings], RegistrationStart]
 MAX_RMS_PX = 10.0  # a degree of joint error makes a few; these are another robot's readings
 
 
@@ -129,7 +130,7 @@ def refuse_other_robot(
     folder: Path,
     robot: str,
     readings: Readings,
-    restart: Callable[[Readings], RegistrationStart],
+    restart: Restart,
 ) -> None:
     """Refuse readings by which the flange turns otherwise than its LEDs, or mirrored.
 
@@ -152,13 +153,10 @@ def refuse_other_robot(
     found = f"by its readings the flange turns otherwise than its LEDs, {np.rad2deg(off):.0f}° off"
     expected = f"{np.rad2deg(MAX_TURN_DIFFERENCE):.0f}° are the worst that joint errors explain"
     if off > MAX_TURN_DIFFERENCE:
-        tried = [
-            (_turn_difference(restart(q)), name, do) for name, do, q in joint_mistakes(readings)
-        ]
-        least, name, remedy = min(tried)
-        if least < MAX_LEFT_SHARE * off:
-            found += f" (median); {name} fits: {np.rad2deg(least):.2g}° instead"
-            raise InputError(folder / "encoders.csv", found, expected, remedy)
+        named = _name_mistake(start, readings, restart)
+        if named is not None:
+            file, found = folder / "encoders.csv", f"{found} (median); {named[0]}"
+            raise InputError(file, found, expected, named[1])
         raise InputError(folder, f"{found} (median)", expected, f"Check {check}.")
     if start.solved.mirrored:
         raise InputError(
@@ -174,8 +172,32 @@ def _turn_difference(start: RegistrationStart) -> float:
     return float(np.median(np.linalg.norm(start.solved.residual[start.good, 3:], axis=1)))
 
 
-def refuse_misfit(adjusted: AdjustedRegistration, place: str) -> None:
+def _name_mistake(
+    start: RegistrationStart, readings: Readings, restart: Restart
+) -> tuple[str, str] | None:
+    """The usual mistake in the readings by which flange and LEDs turn alike, and its remedy."""
+    tried = [(_turn_difference(restart(q)), name, do) for name, do, q in joint_mistakes(readings)]
+    least, name, remedy = min(tried)
+    if least > MAX_LEFT_SHARE * _turn_difference(start):
+        return None
+    return f"{name} fits: {np.rad2deg(least):.2g}° instead", remedy
+
+
+def refuse_misfit(
+    adjusted: AdjustedRegistration,
+    folder: Path,
+    start: RegistrationStart,
+    readings: Readings,
+    restart: Restart,
+) -> None:
     """Refuse readings that do not belong to the images.
+
+    Args:
+        adjusted: base and LEDs.
+        folder: the recording's.
+        start: from which they were adjusted.
+        readings: of the joints.
+        restart: gives the closed form with other readings.
 
     Raises:
         InputError: the LEDs are farther from their predicted pixels than joint errors explain.
@@ -183,8 +205,10 @@ def refuse_misfit(adjusted: AdjustedRegistration, place: str) -> None:
     left = adjusted.predicted.residual[adjusted.spotted.used]
     distance = rms(left) if len(left) else np.inf
     if distance > MAX_RMS_PX:
-        raise InputError(
-            place, f"the readings put the LEDs {distance:.0f} px (rms) from where they are seen",
-            f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain",
-            "Check the robot's name, the readings' unit (degrees) and order, and the rig.",
-        )  # fmt: skip
+        found = f"the readings put the LEDs {distance:.0f} px (rms) from where they are seen"
+        expected = f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain"
+        named = _name_mistake(start, readings, restart)
+        if named is not None:
+            raise InputError(folder / "encoders.csv", f"{found}; {named[0]}", expected, named[1])
+        remedy = "Check the robot's name, the readings' unit (degrees) and order, and the rig."
+        raise InputError(folder, found, expected, remedy)

@@ -38,6 +38,7 @@ from verify.calibration.registration.records import (
     order_like_marker,
 )
 from verify.calibration.registration.refusals import (
+    Restart,
     refuse_misfit,
     refuse_other_robot,
     refuse_undetermined,
@@ -99,6 +100,7 @@ def register_motion(
         body = order_like_marker(marker, body, place)
     body, poses = body_poses(moving, recording.rig, body, TYPICAL_DIAMETER)
     setup = _setup(recording)
+    restart = _starter(recording, poses)
     start, at = _start_values(recording, poses, body, setup, held)
     left_out = _left_out(pairs, poses, start, setup.readings)
     poses = [pose for pose, good in zip(poses, start.good, strict=True) if good]
@@ -108,7 +110,7 @@ def register_motion(
     spotted = stack_spots(poses, recording.rig)
     adjusted = _adjust_observable(spotted, setup, at, free)
     adjusted, wild = _reject_pairs(adjusted, setup)
-    refuse_misfit(adjusted, place)
+    refuse_misfit(adjusted, recording.folder, start, setup.readings, restart)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
     diameter = round(float(np.median([pose.diameter for pose in poses])), 4)
     found = AdjustmentOutcome(adjusted, setup, start, diameter, dict(sorted(left_out.items())))
@@ -160,15 +162,13 @@ def _start_values(
         found = f"{len(poses)} pairs show three LEDs or more in both images"
         raise InputError(place, found, f"{MIN_PAIRS} at least", "Record more of them.")
     t = np.array([one.spots.t[0] for one in poses])
-    given = None if recording.clock is None else recording.clock.encoder_offset
     known = {
         "x": None if held.leds is None else fit_rigid(body, held.leds.leds),  # body_T_flange
         "y": recording.rig.rig_T_base if held.base else None,
     }
-    measured = np.array([one.pose.rig_T_flange for one in poses])
+    refuse_time_unit(recording.folder, t, readings.t)
     try:
-        refuse_time_unit(recording.folder, t, readings.t)
-        start = start_registration(t, measured, recording.arm, readings, given, **known)
+        start = _starter(recording, poses, **known)(readings)
     except ValueError as error:
         raise InputError(
             recording.folder / "encoders.csv",
@@ -178,9 +178,8 @@ def _start_values(
         ) from error
     if not held.base and held.leds is None:
         refuse_other_robot(
-            start, recording.folder, recording.robot, readings,
-            lambda other: start_registration(t, measured, recording.arm, other, given),
-        )  # fmt: skip
+            start, recording.folder, recording.robot, readings, _starter(recording, poses)
+        )
         q = readings.at(t[start.good] - start.clock)
         refuse_undetermined(recording.arm, q, _noise(poses, q, setup), place)
     flange_T_body = np.linalg.inv(start.solved.x)
@@ -188,6 +187,14 @@ def _start_values(
     if held.leds is not None:
         leds = held.leds.leds
     return start, RegistrationParameters(start.solved.y, leds, start.clock, 0.0)
+
+
+def _starter(recording: Recording, poses: list[BodyPose], **known: Array | None) -> Restart:
+    """Give the start values with any readings; `known` as start_registration has them."""
+    t = np.array([one.spots.t[0] for one in poses])
+    measured = np.array([one.pose.rig_T_flange for one in poses])
+    given = None if recording.clock is None else recording.clock.encoder_offset
+    return lambda q: start_registration(t, measured, recording.arm, q, given, **known)
 
 
 def _left_out(
